@@ -1,0 +1,47 @@
+# Everything runs in .venv, which these targets make and keep up to date.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+
+.PHONY: help demo test test-all lint format install shipped clean
+
+help:
+	@echo "make demo      set up, then fly the built-in demonstration; results in out/demo"
+	@echo "make test      set up, lint, type-check and run the tests (under 15 minutes on two cores)"
+	@echo "make test-all  the same with the long tests"
+	@echo "make format    format the code"
+	@echo "make shipped   remake the learned fields that ship with the package"
+	@echo "make clean     remove the environment and all outputs"
+
+install: $(STAMP)
+
+$(STAMP): pyproject.toml
+	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 11) <= v < (3, 14) else "Keepout needs Python 3.11 to 3.13, but $(PYTHON) is %d.%d; run make PYTHON=python3.11" % v)'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --editable '.[test,dev]'
+	@touch $(STAMP)
+
+demo: install
+	$(BIN)/keepout reproduce demo --out out/demo
+
+lint: install
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+
+test: lint
+	$(BIN)/pytest -m "not slow" -n 2
+
+test-all: lint
+	$(BIN)/pytest -n 2
+
+format: install
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+shipped: install
+	$(BIN)/python -m keepout.fields.shipped
+
+clean:
+	rm -rf $(VENV) out .pytest_cache .ruff_cache

@@ -1,0 +1,1 @@
+"""Control: from a field and a goal to a commanded force."""

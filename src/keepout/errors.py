@@ -1,0 +1,25 @@
+"""Errors that a user can act on: what was given, why it is refused, and what would be valid."""
+
+
+class KeepoutError(ValueError):
+    """A refusal with a one-line reason that names the field or file, the value, and what would be valid."""
+
+
+class MeshError(KeepoutError):
+    """A mesh or point cloud that cannot give a distance."""
+
+
+class FieldError(KeepoutError):
+    """A field file that is damaged, foreign, or certified for something else."""
+
+
+class ScenarioError(KeepoutError):
+    """A scenario entry outside its valid range, or a combination that cannot be flown."""
+
+
+class ControlError(KeepoutError):
+    """A control design that violates a condition it needs."""
+
+
+class FlightError(KeepoutError):
+    """A flight file that is damaged or foreign."""

@@ -1,0 +1,1 @@
+"""Fields: signed distances that are cheap, twice differentiable, and known to within a bound."""

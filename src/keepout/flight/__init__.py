@@ -1,0 +1,1 @@
+"""Flight: one step shared by single flights and campaigns, and an independent audit."""

@@ -1,0 +1,1 @@
+"""Geometry: meshes in, exact distances and offset solids out."""

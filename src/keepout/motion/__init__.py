@@ -1,0 +1,1 @@
+"""Motion: orbits, relative dynamics, attitude, disturbances and actuators."""
