@@ -23,7 +23,7 @@ $(STAMP): pyproject.toml
 	@touch $(STAMP)
 
 demo: install
-	$(BIN)/keepout reproduce demo --out out/demo
+	$(BIN)/keepout reproduce case1 --out out/demo
 
 lint: install
 	$(BIN)/ruff check .

@@ -1,0 +1,187 @@
+"""The command line: reads arguments, calls the package, shows the answer. No logic lives here."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from typer.exceptions import TyperException
+
+import keepout
+from keepout.errors import KeepoutError
+from keepout.report import terminal
+
+app = typer.Typer(
+    help="Learn a spacecraft's shape, prove how wrong it can be, and fly around it without touching it.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+)
+
+AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on standard output; all else on standard error.")]
+Seed = Annotated[int, typer.Option(help="Of every random choice; the same seed gives the same answer.", min=0)]
+ScenarioSeed = Annotated[int | None, typer.Option(help="Replaces the scenario's own seed.", min=0)]
+Units = Annotated[str | None, typer.Option(help="Length unit of a mesh file: m, cm, mm, in or ft.")]
+Scale = Annotated[float | None, typer.Option(help="Metres per unit of a mesh file, instead of --units.")]
+DropStray = Annotated[bool, typer.Option("--drop-stray", help="Leave out parts far from the rest.")]
+ChaserRadius = Annotated[float, typer.Option(help="Radius of the ball that holds the chaser, m.", min=0.0)]
+
+
+def example(*lines: str) -> str:
+    """Format the example shown at the end of a command's help."""
+    return "**Example**\n\n" + "\n\n".join(f"`{line}`" for line in lines)
+
+
+def _answer(summary: Any, as_json: bool) -> None:
+    """Print the machine's answer on standard output, or the person's tables."""
+    if as_json:
+        sys.stdout.write(json.dumps(summary, indent=2, allow_nan=False) + "\n")
+
+
+@app.callback(invoke_without_command=True)
+def _version(
+    version: Annotated[bool, typer.Option("--version", is_eager=True, help="Print the version and stop.")] = False,
+) -> None:
+    if version:
+        sys.stdout.write(f"keepout {keepout.__version__}\n")
+        raise typer.Exit
+
+
+@app.command(epilog=example("keepout targets", "keepout targets --pictures out/targets"))
+def targets(
+    pictures: Annotated[Path | None, typer.Option(help="Also draw each target into this folder.")] = None,
+    seed: Seed = 0,
+    as_json: AsJson = False,
+) -> None:
+    """List the built-in targets: extents, volume, triangles, parameters."""
+    from keepout.mission import describe_targets
+
+    with terminal.progress("targets") as progress:
+        rows = describe_targets(pictures=pictures, progress=progress)
+    _answer({"targets": rows, "seed": seed}, as_json)
+    if not as_json:
+        Console().print(terminal.targets_table(rows))
+
+
+@app.command(epilog=example("keepout fit satellite.glb --units m -o satellite.keepout"))
+def fit(
+    mesh: Annotated[str, typer.Argument(help="A mesh file, or a built-in target's name.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="The field file to write (.keepout).")],
+    profile: Annotated[str, typer.Option(help="default, or paper: the source paper's network and loss.")] = "default",
+    units: Units = None,
+    scale: Scale = None,
+    drop_stray: DropStray = False,
+    seed: Seed = 0,
+    as_json: AsJson = False,
+) -> None:
+    """Learn a target's signed distance. A killed run resumes from its last checkpoint when started again."""
+    from keepout.mission import fit_to_file
+
+    source = {"source": mesh, "units": units, "scale": scale, "drop_stray": drop_stray}
+    with terminal.progress(f"fit {mesh}") as progress:
+        summary = fit_to_file(source, out, profile=profile, seed=seed, progress=progress)
+    _answer(summary, as_json)
+    if not as_json:
+        Console().print(terminal.facts_table("Fit", summary))
+
+
+@app.command(epilog=example("keepout certify satellite.keepout --chaser-radius 0.5"))
+def certify(
+    field: Annotated[Path, typer.Argument(help="A field file (.keepout); the certificate is added to it.")],
+    chaser_radius: ChaserRadius = 0.5,
+    mesh: Annotated[str | None, typer.Option(help="The mesh, where it is not where `fit` found it.")] = None,
+    seed: Seed = 0,
+    as_json: AsJson = False,
+) -> None:
+    """Bound how far the field can over-state the distance where a chaser of this radius would touch."""
+    from keepout.mission import certify_file
+
+    with terminal.progress(f"certify {field.name}") as progress:
+        summary = certify_file(field, chaser_radius=chaser_radius, mesh=mesh, seed=seed, progress=progress)
+    _answer(summary, as_json)
+    if not as_json:
+        Console().print(terminal.facts_table("Certificate", summary))
+
+
+@app.command(epilog=example("keepout fly examples/case1.toml -o out/case1"))
+def fly(
+    scenario: Annotated[Path, typer.Argument(help="A scenario file (TOML).")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for flight file, figures and page.")] = Path("out"),
+    figures: Annotated[bool, typer.Option(help="Draw figures and the page.")] = True,
+    seed: ScenarioSeed = None,
+    as_json: AsJson = False,
+) -> None:
+    """Fly one scenario, audit the clearance on the exact mesh, and draw it."""
+    from keepout.mission import fly_to_folder
+    from keepout.scenario import Scenario
+
+    mission = Scenario.load(scenario)
+    if seed is not None:
+        mission = mission.replace(seed=seed)
+    with terminal.progress(f"fly {mission.name}") as progress:
+        summary = fly_to_folder(mission, out, figures=figures, progress=progress)
+    _answer(summary, as_json)
+    if not as_json:
+        Console().print(terminal.flights_table([summary]))
+        Console().print(f"written to [bold]{out}[/bold]")
+
+
+@app.command(epilog=example("keepout campaign examples/case1.toml --runs 1000 -o out/campaign"))
+def campaign(
+    scenario: Annotated[Path, typer.Argument(help="A scenario file (TOML) with its [campaign] table.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for results and figure.")] = Path("out"),
+    runs: Annotated[int | None, typer.Option(help="Replaces the scenario's own number of flights.", min=1)] = None,
+    seed: ScenarioSeed = None,
+    as_json: AsJson = False,
+) -> None:
+    """Fly a scenario from many random starts and audit every flight."""
+    from keepout.mission import campaign_to_folder
+    from keepout.scenario import Scenario
+
+    mission = Scenario.load(scenario)
+    if seed is not None:
+        mission = mission.replace(seed=seed)
+    if runs is not None:
+        mission = mission.replace(campaign={"runs": runs})
+    with terminal.progress(f"campaign {mission.name}") as progress:
+        summary = campaign_to_folder(mission, out, progress=progress)
+    _answer(summary, as_json)
+    if not as_json:
+        Console().print(terminal.facts_table("Campaign", summary))
+
+
+@app.command(epilog=example("keepout reproduce case1 -o out/demo"))
+def reproduce(
+    experiment: Annotated[str, typer.Argument(help="case1: the paper's local-minimum case, three control laws.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for flights, figures and page.")] = Path("out"),
+    seed: Seed = 0,
+    as_json: AsJson = False,
+) -> None:
+    """Fly one of the source paper's experiments, and Keepout's own answer beside it."""
+    from keepout.experiments import run
+
+    with terminal.progress(f"reproduce {experiment}") as progress:
+        summaries = run(experiment, out, seed=seed, progress=progress)
+    _answer(summaries, as_json)
+    if not as_json:
+        Console().print(terminal.flights_table(summaries))
+        Console().print(f"open [bold]{out / 'index.html'}[/bold]; figures and flights stand beside it")
+
+
+def main() -> None:
+    """Run the command line: a refusal is one line on standard error and a non-zero exit."""
+    try:
+        code = app(standalone_mode=False, prog_name="keepout")
+    except KeepoutError as error:
+        sys.stderr.write(f"keepout: {error}\n")
+        code = 1
+    except TyperException as error:
+        sys.stderr.write(f"keepout: {error.format_message()}\n".replace("\n", " ").rstrip() + "\n")
+        code = 2
+    except KeyboardInterrupt:
+        sys.stderr.write("keepout: stopped\n")
+        code = 130
+    sys.exit(code if isinstance(code, int) else 0)

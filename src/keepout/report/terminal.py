@@ -1,0 +1,110 @@
+"""What a person sees in the terminal: progress bars, and tables of flights, fits and targets."""
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from keepout import progress as keepout_progress
+
+
+@contextmanager
+def progress(title: str) -> Iterator[keepout_progress.Progress]:
+    """Show a progress bar on standard error while the block runs.
+
+    On a terminal the bar is live; otherwise a plain line appears at most every ten seconds, so that logs stay short.
+    """
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield _plain(console, title)
+        return
+    columns = (
+        SpinnerColumn(),
+        TextColumn("[bold]{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f}%"),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[message]}"),
+    )
+    with Progress(*columns, console=console, transient=True) as bars:
+        task = bars.add_task(title, total=1.0, message="")
+
+        def report(fraction: float, message: str) -> None:
+            bars.update(task, completed=fraction, message=message)
+
+        yield report
+
+
+def _plain(console: Console, title: str) -> keepout_progress.Progress:
+    last = time.monotonic()
+
+    def report(fraction: float, message: str) -> None:
+        nonlocal last
+        if time.monotonic() - last > 10.0:
+            last = time.monotonic()
+            console.print(f"{title}: {fraction:.0%} {message}", highlight=False, markup=False)
+
+    return report
+
+
+def facts_table(title: str, summary: Mapping[str, Any]) -> Table:
+    """One row a figure, in the order of the summary."""
+    table = Table(title=title, show_header=False, title_justify="left")
+    table.add_column(style="bold")
+    table.add_column(justify="right")
+    for key, value in summary.items():
+        table.add_row(key, _shown(value))
+    return table
+
+
+FLIGHT_COLUMNS = {
+    "flight": "law",
+    "reached": "reached",
+    "contact": "contact",
+    "minimum_clearance_m": "min clearance m",
+    "final_error_m": "final error m",
+    "delta_v_mps": "Δv m/s",
+    "saturated_fraction": "saturated",
+    "guard_interventions": "guard steps",
+}
+
+
+def flights_table(summaries: Sequence[Mapping[str, Any]]) -> Table:
+    """One row a flight, with the figures that say whether it was safe and what it cost."""
+    table = Table(title="Flights", title_justify="left")
+    table.add_column("flight", style="bold")
+    columns = [key for key in FLIGHT_COLUMNS if key != "flight"]
+    for key in columns:
+        table.add_column(FLIGHT_COLUMNS[key], justify="right")
+    for summary in summaries:
+        table.add_row(str(summary["name"]), *(_shown(summary[key]) for key in columns))
+    return table
+
+
+def targets_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """One row a built-in target."""
+    table = Table(title="Built-in targets", title_justify="left")
+    table.add_column("name", style="bold")
+    for heading in ("extents m", "volume m³", "triangles", "shipped field", "parameters"):
+        table.add_column(heading, justify="right")
+    for row in rows:
+        extents = " × ".join(f"{extent:.1f}" for extent in row["extents_m"])
+        parameters = ", ".join(f"{key}={value:g}" for key, value in row["parameters"].items())
+        shipped = "yes" if row["shipped_field"] else "no"
+        table.add_row(row["name"], extents, f"{row['volume_m3']:.1f}", str(row["triangles"]), shipped, parameters)
+    return table
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {_shown(entry)}" for key, entry in value.items())
+    return str(value)
