@@ -1,0 +1,283 @@
+"""The audit against closed-form distances and densely integrated flights."""
+
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from keepout.errors import FlightError
+from keepout.flight.audit import Contact, audit, audit_campaign
+from keepout.flight.outside import proved_outside
+from keepout.flight.tube import FlightBounds, Tube, nearest
+
+MASS = 20.0
+BOUNDS = FlightBounds(
+    mass=MASS, disturbance_force=0.015, angular_rate=1.2e-3, angular_acceleration=0.0, gravity_gradient=3e-6
+)
+
+
+@dataclass
+class Shell:
+    """Two boxes of zero thickness, 2 × 2 × 2 m and (if `cavity`) 10 × 10 × 10 m, as distances in closed form."""
+
+    halves: tuple[float, ...] = (1.0,)
+
+    @property
+    def vertices(self):
+        h = max(self.halves)
+        return np.array([[-h, -h, -h], [h, h, h]])
+
+    @property
+    def distance(self):
+        return self
+
+    def __call__(self, points):
+        return self.distance_to(points)
+
+    def distance_to(self, points):
+        def one(h):
+            q = np.abs(points) - h
+            out = np.linalg.norm(np.maximum(q, 0.0), axis=-1)
+            return np.abs(out + np.minimum(q.max(axis=-1), 0.0))
+
+        return np.min([one(h) for h in self.halves], axis=0)
+
+
+class Mesh:
+    def __init__(self, *halves):
+        self.shell = Shell(halves)
+        self.vertices = self.shell.vertices
+        self.queries = 0
+
+    @property
+    def distance(self):
+        return SimpleNamespace(distance=self._distance)
+
+    def _distance(self, points):
+        self.queries += len(points)
+        return self.shell.distance_to(points)
+
+
+def flown(rng, steps, *, start, velocity, thrust=0.1, period=1.0, fine=20):
+    """A flight integrated at fine steps under held forces, a wandering disturbance and a rotating frame's drift."""
+    spin = np.array([[0.0, 0.0, -1.1e-3], [0.0, 0.0, 0.0], [1.1e-3, 0.0, 0.0]])
+    gradient = rng.normal(size=(3, 3))
+    gradient *= 2.5e-6 / np.linalg.norm(gradient, 2)
+    stiffness = -spin @ spin - gradient
+    r, v = np.array(start, float), np.array(velocity, float)
+    samples, dense = [], []
+    h = period / fine
+    for k in range(steps + 1):
+        force = rng.uniform(-thrust, thrust, 3)
+        samples.append((k * period, r.copy(), v.copy(), force))
+        if k == steps:
+            break
+        disturbance = rng.normal(size=3)
+        disturbance *= 0.0149 / np.linalg.norm(disturbance)
+
+        def rate(r, v, push=(force + disturbance) / MASS):
+            return v, stiffness @ r - 2 * (spin @ v) + push
+
+        for _ in range(fine):
+            dense.append(r.copy())
+            k1 = rate(r, v)
+            k2 = rate(r + h / 2 * k1[0], v + h / 2 * k1[1])
+            k3 = rate(r + h / 2 * k2[0], v + h / 2 * k2[1])
+            k4 = rate(r + h * k3[0], v + h * k3[1])
+            r = r + h / 6 * (k1[0] + 2 * k2[0] + 2 * k3[0] + k4[0])
+            v = v + h / 6 * (k1[1] + 2 * k2[1] + 2 * k3[1] + k4[1])
+    dense.append(r.copy())
+    time, position, velocity, force = (np.array([s[i] for s in samples]) for i in range(4))
+    return SimpleNamespace(time=time, position=position, velocity=velocity, force=force), np.array(dense)
+
+
+def judged(record, mesh, radius=0.0, **options):
+    return audit(
+        record,
+        mesh,
+        chaser_radius=radius,
+        bounds=options.pop("bounds", BOUNDS),
+        force_limit=0.1,
+        speed_limit=0.2,
+        **options,
+    )
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), period=st.sampled_from([1.0, 2.0, 0.37]))
+def test_tube_holds_the_dense_path_and_its_minimum(seed, period):
+    rng = np.random.default_rng(seed)
+    direction = rng.normal(size=3)
+    direction /= np.linalg.norm(direction)
+    record, dense = flown(rng, 150, start=3.0 * direction, velocity=-0.03 * direction, period=period)
+    mesh = Mesh(1.0)
+    tube = Tube.of(record.time, record.position[None], record.velocity[None], record.force[None], BOUNDS)
+    assert tube.inconsistency().max() < 1e-12
+    truth = mesh.shell.distance_to(dense).min()
+    bound = nearest(tube, mesh.distance.distance, tolerance=1e-3)
+    remainder = 0.125 * (tube.residual * np.diff(record.time) ** 2).max()
+    assert bound.lower[0] <= truth <= bound.upper[0] + 1e-3 + 2 * remainder
+    assert bound.upper[0] - bound.lower[0] <= 1e-3 + 2.2 * remainder
+    index = np.floor(bound.time[0] / period * 20).astype(int)
+    near = np.linalg.norm(dense[max(index - 20, 0) : index + 21] - bound.position[0], axis=-1).min()
+    assert near < 0.05
+
+
+def test_the_minimum_between_two_samples_is_found():
+    # A sphere's surface stays clear at both samples and dips by a quarter of a metre between them.
+    mesh = Mesh(1.0)
+    force = np.array([[0.0, 0.0, 20.0], [0.0, 0.0, 20.0]])
+    record = SimpleNamespace(
+        time=np.array([0.0, 2.0]),
+        position=np.array([[0.0, 0.0, 1.6], [0.0, 0.0, 1.6]]),
+        velocity=np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]),
+        force=force,
+    )
+    found = judged(record, mesh, radius=0.05, bounds=FlightBounds(MASS, 1e-6, 0.0, 0.0, 0.0))
+    assert found.contact is Contact.NO
+    assert found.minimum_clearance == pytest.approx(0.05, abs=1.1e-3)
+    assert found.minimum_time == pytest.approx(1.0, abs=0.05)
+    assert judged(record, mesh, radius=0.11, bounds=FlightBounds(MASS, 1e-6, 0.0, 0.0, 0.0)).contact is Contact.YES
+    # With a disturbance the record does not hold, the same samples leave room for a contact: not a "no".
+    loose = judged(record, mesh, radius=0.0999, bounds=FlightBounds(MASS, 0.1, 0.0, 0.0, 0.0))
+    assert loose.contact is Contact.UNDECIDED
+    assert "too close" in loose.remarks[0]
+
+
+def straight(speed, steps, start=(-4.0, 0.0, 1.5)):
+    time = np.arange(steps + 1.0)
+    position = np.array(start) + np.outer(time, [speed, 0.0, 0.0])
+    velocity = np.tile([speed, 0.0, 0.0], (steps + 1, 1))
+    return SimpleNamespace(time=time, position=position, velocity=velocity, force=np.zeros((steps + 1, 3)))
+
+
+def test_a_straight_pass_has_its_closed_form_clearance():
+    found = judged(straight(0.1, 80), Mesh(1.0), radius=0.3)
+    assert found.contact is Contact.NO
+    assert 0.2 - 1.5e-3 <= found.minimum_clearance <= 0.2
+    assert found.consistent
+    assert found.force_violations == 0
+
+
+def test_a_hand_edited_position_is_caught():
+    record = straight(0.1, 80)
+    record.position[40] = [0.0, 0.0, 0.2]
+    found = judged(record, Mesh(1.0), radius=0.3)
+    assert found.contact is not Contact.NO
+    assert {39, 40} <= set(found.inconsistent_steps)
+    # Deep inside a closed body the unsigned distance is large again: the edit is still caught, by the dynamics.
+    big = Mesh(5.0)
+    far = straight(0.1, 80, start=(-4.0, 0.0, 6.0))
+    assert judged(far, big, radius=0.3).contact is Contact.NO
+    far.position[40] = [0.0, 0.0, 0.0]
+    assert judged(far, big, radius=0.3).contact is not Contact.NO
+
+
+@pytest.mark.parametrize("moved", [2e-3, 0.02, 0.5])
+def test_small_edits_are_caught_down_to_the_slack_of_the_bounds(moved):
+    record = straight(0.1, 80)
+    record.position[20, 1] += moved
+    assert not judged(record, Mesh(1.0), radius=0.3).consistent
+
+
+def test_edited_velocity_and_force_are_caught():
+    record = straight(0.1, 80)
+    record.velocity[30, 2] += 5e-3
+    assert not judged(record, Mesh(1.0)).consistent
+    record = straight(0.1, 80)
+    record.force[30, 2] += 0.1
+    assert not judged(record, Mesh(1.0)).consistent
+
+
+def test_a_flight_inside_a_cavity_is_not_called_safe():
+    record = straight(0.02, 80, start=(-1.0, 0.0, 0.0))
+    inside = judged(record, Mesh(5.0), radius=0.1)
+    assert inside.minimum_clearance > 0.0
+    assert inside.contact is Contact.UNDECIDED
+    assert not inside.start_outside
+
+
+def test_a_flight_through_a_wall_is_a_contact():
+    found = judged(straight(0.1, 80, start=(-4.0, 0.0, 0.0)), Mesh(1.0), radius=0.05)
+    assert found.contact is Contact.YES
+
+
+def test_outside_is_proved_round_a_corner():
+    # The start looks into an open box from its mouth; the way out is behind.
+    def cup(points):
+        walls = [((-1, -1, -1), (1, 1, -1)), ((-1, -1, -1), (-1, 1, 1)), ((1, -1, -1), (1, 1, 1))]
+        walls += [((-1, -1, -1), (1, -1, 1)), ((-1, 1, -1), (1, 1, 1))]
+        return np.min(
+            [
+                np.linalg.norm(np.maximum(np.maximum(np.array(a) - points, points - np.array(b)), 0), axis=-1)
+                for a, b in walls
+            ],
+            axis=0,
+        )
+
+    lower, upper = -np.ones(3), np.ones(3)
+    assert proved_outside(np.array([0.0, 0.0, -0.6]), cup, lower, upper, radius=0.2)
+    assert not proved_outside(np.array([0.0, 0.0, -0.9]), cup, lower, upper, radius=0.2)
+
+    def closed(points):
+        return np.minimum(cup(points), np.linalg.norm(np.maximum(np.abs(points - [0, 0, 1]) - [1, 1, 0], 0), axis=-1))
+
+    assert not proved_outside(np.array([0.0, 0.0, -0.6]), closed, lower, upper, radius=0.2)
+
+
+def test_limits_and_interventions_are_counted():
+    record = straight(0.25, 30)
+    record.force[3, 1] = -0.3
+    record.guard_status = np.array([0, 1, 1, 2] + [0] * 27)
+    found = judged(record, Mesh(1.0))
+    assert found.force_violations == 1
+    assert found.force_excess == pytest.approx(0.2)
+    assert found.speed_violations == 31
+    assert found.guard_interventions == 3
+
+
+def test_campaign_equals_single_audits_and_asks_few_distances():
+    rng = np.random.default_rng(5)
+    records = [
+        flown(rng, 300, start=[-4.0, y, 1.4], velocity=[0.02, 0, 0], thrust=0.02, fine=1)[0] for y in (-0.5, 0, 0.7)
+    ]
+    mesh = Mesh(1.0)
+    together = audit_campaign(
+        records[0].time,
+        *(np.stack([getattr(r, n) for r in records]) for n in ("position", "velocity", "force")),
+        mesh,
+        chaser_radius=0.1,
+        bounds=BOUNDS,
+        force_limit=0.1,
+        speed_limit=0.2,
+        consistency=1e-3,
+    )
+    assert mesh.queries < 0.7 * 300 * len(records)
+    for record, found in zip(records, together):
+        alone = judged(record, mesh, radius=0.1, consistency=1e-3)
+        assert alone.minimum_clearance == found.minimum_clearance
+        assert alone.contact == found.contact
+
+
+def test_unreadable_numbers_are_never_a_no():
+    record = straight(0.1, 80)
+    record.position[7, 0] = np.nan
+    found = judged(record, Mesh(1.0))
+    assert found.contact is Contact.UNDECIDED
+    assert "7 s" in found.remarks[0]
+
+
+def test_refusals_name_the_number():
+    record = straight(0.1, 10)
+    with pytest.raises(FlightError, match="mass is -1"):
+        FlightBounds(-1.0, 0.0, 0.0, 0.0, 0.0)
+    record.time[4] = 2.0
+    with pytest.raises(FlightError, match="time must rise"):
+        judged(record, Mesh(1.0))
+    with pytest.raises(FlightError, match="at least 2"):
+        judged(straight(0.1, 0), Mesh(1.0))
+    with pytest.raises(FlightError, match="too coarse"):
+        judged(straight(0.1, 10), Mesh(1.0), bounds=FlightBounds(MASS, 0.0, 1.0, 0.0, 0.0))
