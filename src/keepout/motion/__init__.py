@@ -1,1 +1,44 @@
-"""Motion: orbits, relative dynamics, attitude, disturbances and actuators."""
+"""Motion of the chaser relative to the target: orbit, attitude, forces."""
+
+from keepout.motion.actuator import Thrusters
+from keepout.motion.attitude import AttitudeMotion, InertiallyFixed, Tumbling, VVLHFixed
+from keepout.motion.disturbance import (
+    BandLimitedNoise,
+    CombinedDisturbance,
+    ConstantDisturbance,
+    Disturbance,
+    NoDisturbance,
+    SinusoidalDisturbance,
+    SquareWaveDisturbance,
+    band_limited_noise,
+    paper_disturbance,
+    resonant,
+)
+from keepout.motion.orbit import Orbit, OrbitalFrame
+from keepout.motion.perturbation import J2, Drag, Perturbation
+from keepout.motion.relative import MotionState, RelativeMotion
+
+__all__ = [
+    "J2",
+    "AttitudeMotion",
+    "BandLimitedNoise",
+    "CombinedDisturbance",
+    "ConstantDisturbance",
+    "Disturbance",
+    "Drag",
+    "InertiallyFixed",
+    "MotionState",
+    "NoDisturbance",
+    "Orbit",
+    "OrbitalFrame",
+    "Perturbation",
+    "RelativeMotion",
+    "SinusoidalDisturbance",
+    "SquareWaveDisturbance",
+    "Thrusters",
+    "Tumbling",
+    "VVLHFixed",
+    "band_limited_noise",
+    "paper_disturbance",
+    "resonant",
+]

@@ -1,0 +1,40 @@
+"""Thrusters: from the commanded force to the one that can be given."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax.core import Tracer
+from jaxtyping import Array, Bool, Float
+
+from keepout.errors import ScenarioError
+from keepout.rotation import NumbersLike, Vector
+
+
+def _per_axis(value: NumbersLike) -> Array:
+    return jnp.broadcast_to(jnp.asarray(value, dtype=jnp.float64), (3,))
+
+
+class Thrusters(eqx.Module):
+    """Thrusters along the body axes, each limited on its own (paper, section VI: 0.1 N per axis).
+
+    force_limit: N, one number or one per axis.
+
+    Raises:
+        ScenarioError: a limit that is not positive.
+
+    """
+
+    force_limit: Float[Array, "3"] = eqx.field(converter=_per_axis)
+
+    def __check_init__(self):
+        if isinstance(self.force_limit, Tracer):
+            return  # values are not known yet inside a transformation
+        if not bool(jnp.all(self.force_limit > 0)):
+            raise ScenarioError(f"force_limit: {self.force_limit.tolist()} N; every axis must be positive")
+
+    def apply(self, command: Vector) -> Vector:
+        """Cut the command off at the limit in each axis, N. A command that is not a number stays one."""
+        return jnp.clip(command, -self.force_limit, self.force_limit)
+
+    def saturated(self, command: Vector) -> Bool[Array, ""]:
+        """Whether the command reaches the limit in any axis."""
+        return jnp.any(jnp.abs(command) >= self.force_limit * (1 - 1e-9))

@@ -1,0 +1,195 @@
+"""Disturbance forces on the chaser as functions of time, in newtons, in the target's body axes, each with a bound."""
+
+import abc
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from keepout.errors import ScenarioError
+from keepout.rotation import NumbersLike, Vector
+
+Scalar = Float[Array, ""]
+
+# Bounds are sums and roots of float64 numbers; this covers their rounding.
+_OUTWARD = 1 + 1e-12
+
+
+def _array(value: NumbersLike) -> Array:
+    return jnp.asarray(value, dtype=jnp.float64)
+
+
+class Disturbance(eqx.Module):
+    """A force that the control law does not know."""
+
+    @abc.abstractmethod
+    def force(self, time: Scalar) -> Vector:
+        """Force at `time` (s), N, in body axes."""
+
+    @property
+    @abc.abstractmethod
+    def bound(self) -> float:
+        """A number, N, that the norm of the force never exceeds. Needs concrete values: not inside a transformation."""
+
+
+class NoDisturbance(Disturbance):
+    """Nothing pushes."""
+
+    def force(self, time: Scalar) -> Vector:
+        """Zero."""
+        return jnp.zeros(3)
+
+    @property
+    def bound(self) -> float:
+        """Zero."""
+        return 0.0
+
+
+class ConstantDisturbance(Disturbance):
+    """A constant force (3,), N."""
+
+    constant: Vector = eqx.field(converter=_array)
+
+    def force(self, time: Scalar) -> Vector:
+        """Constant."""
+        return self.constant
+
+    @property
+    def bound(self) -> float:
+        """Its norm."""
+        return float(np.linalg.norm(self.constant)) * _OUTWARD
+
+
+class SinusoidalDisturbance(Disturbance):
+    """A sum of sinusoids in every axis: d_i(t) = Σ_k amplitude_ki sin(frequency_ki t + phase_ki).
+
+    amplitude (N), frequency (rad/s) and phase (rad): (terms, 3).
+    """
+
+    amplitude: Float[Array, "terms 3"] = eqx.field(converter=_array)
+    frequency: Float[Array, "terms 3"] = eqx.field(converter=_array)
+    phase: Float[Array, "terms 3"] = eqx.field(converter=_array)
+
+    def force(self, time: Scalar) -> Vector:
+        """Sum of the terms at `time`."""
+        return jnp.sum(self.amplitude * jnp.sin(self.frequency * time + self.phase), axis=0)
+
+    @property
+    def bound(self) -> float:
+        """The smaller of two bounds that hold for all time.
+
+        One adds amplitudes in each axis. The other gathers the terms of one frequency ω into a 3 × 2 matrix M_ω, so
+        that d = Σ_ω M_ω [sin ωt, cos ωt]ᵀ and ‖d‖² ≤ Σ_ω Σ_ω' ‖M_ωᵀ M_ω'‖₂; it sees that a sine and a cosine never peak
+        together.
+        """
+        amplitude, frequency, phase = (np.asarray(a) for a in (self.amplitude, self.frequency, self.phase))
+        per_axis = float(np.linalg.norm(np.sum(np.abs(amplitude), axis=0)))
+        matrices = []
+        for omega in np.unique(frequency):
+            part = np.where(frequency == omega, amplitude, 0.0)
+            matrices.append(np.stack([np.sum(part * np.cos(phase), axis=0), np.sum(part * np.sin(phase), axis=0)], 1))
+        stacked = np.stack(matrices)
+        products = np.einsum("aik,bil->abkl", stacked, stacked)
+        grouped = float(np.sqrt(np.sum(np.linalg.norm(products, ord=2, axis=(2, 3)))))
+        return min(per_axis, grouped) * _OUTWARD
+
+
+class SquareWaveDisturbance(Disturbance):
+    """Bang-bang force: ±`amplitude` (3,) N, changing sign every half `period` (s), positive just after `delay` (s)."""
+
+    amplitude: Vector = eqx.field(converter=_array)
+    period: Scalar = eqx.field(converter=_array)
+    delay: Scalar = eqx.field(converter=_array, default=0.0)
+
+    def force(self, time: Scalar) -> Vector:
+        """Plus or minus the amplitude."""
+        half_periods = jnp.floor(2 * (time - self.delay) / self.period)
+        return self.amplitude * (1 - 2 * jnp.mod(half_periods, 2))
+
+    @property
+    def bound(self) -> float:
+        """The amplitude's norm."""
+        return float(np.linalg.norm(self.amplitude)) * _OUTWARD
+
+
+class BandLimitedNoise(Disturbance):
+    """A sum of sinusoids whose norm is cut off at `limit`: random-looking, smooth but for the cut, and bounded."""
+
+    sinusoids: SinusoidalDisturbance
+    limit: Scalar = eqx.field(converter=_array)
+
+    def force(self, time: Scalar) -> Vector:
+        """Sum at `time`, shortened to `limit` where it is longer."""
+        raw = self.sinusoids.force(time)
+        squared = raw @ raw
+        excess = squared > self.limit**2
+        return raw * jnp.where(excess, self.limit / jnp.sqrt(jnp.where(excess, squared, 1.0)), 1.0)
+
+    @property
+    def bound(self) -> float:
+        """The cut-off."""
+        return float(self.limit) * _OUTWARD
+
+
+class CombinedDisturbance(Disturbance):
+    """Several disturbances at once."""
+
+    parts: tuple[Disturbance, ...]
+
+    def force(self, time: Scalar) -> Vector:
+        """Sum of the parts."""
+        total = jnp.zeros(3)
+        for part in self.parts:
+            total = total + part.force(time)
+        return total
+
+    @property
+    def bound(self) -> float:
+        """The sum of the parts' bounds."""
+        return sum(part.bound for part in self.parts) * _OUTWARD
+
+
+def paper_disturbance() -> SinusoidalDisturbance:
+    """0.01 [sin 0.02t, cos 0.02t, sin 0.01t] N (paper, section VI)."""
+    return SinusoidalDisturbance(
+        amplitude=np.full((1, 3), 0.01),
+        frequency=np.array([[0.02, 0.02, 0.01]]),
+        phase=np.array([[0.0, np.pi / 2, 0.0]]),
+    )
+
+
+def resonant(amplitude: NumbersLike, control_period: float) -> SinusoidalDisturbance:
+    """Sinusoid along `amplitude` (3,) N that changes sign every step: amplitude · sin(π t / control_period).
+
+    What a sampled observer measured over the last step is then the opposite of what acts over the next one.
+    """
+    if not control_period > 0:
+        raise ScenarioError(f"control_period: {control_period:g} s; it must be positive")
+    vector = np.asarray(amplitude, dtype=np.float64).reshape(1, 3)
+    return SinusoidalDisturbance(vector, np.full((1, 3), np.pi / control_period), np.zeros((1, 3)))
+
+
+def band_limited_noise(
+    key: PRNGKeyArray, root_mean_square: float, limit: float, band: Sequence[float], terms: int = 32
+) -> BandLimitedNoise:
+    """Noise with frequencies drawn evenly from `band` (two values, rad/s) and random phases, the same for the same key.
+
+    root_mean_square: of the norm before the cut, N. limit: the cut of the norm, N.
+
+    Raises:
+        ScenarioError: a band that is empty or negative, or fewer than one term.
+
+    """
+    low, high = band
+    if not 0 <= low < high:
+        raise ScenarioError(f"band: [{low:g}, {high:g}] rad/s; it must rise from a value that is not negative")
+    if terms < 1:
+        raise ScenarioError(f"terms: {terms}; it must be at least 1")
+    frequency_key, phase_key = jax.random.split(key)
+    frequency = jax.random.uniform(frequency_key, (terms, 3), minval=low, maxval=high, dtype=jnp.float64)
+    phase = jax.random.uniform(phase_key, (terms, 3), maxval=2 * np.pi, dtype=jnp.float64)
+    amplitude = jnp.full((terms, 3), root_mean_square * np.sqrt(2 / (3 * terms)))
+    return BandLimitedNoise(SinusoidalDisturbance(amplitude, frequency, phase), limit)

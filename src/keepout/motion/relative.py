@@ -1,0 +1,174 @@
+"""Motion of the chaser relative to the target, in the target's turning body frame, exact in the point-mass field."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from keepout import rotation
+from keepout.errors import ScenarioError
+from keepout.frames import vvlh_axes
+from keepout.motion.attitude import AttitudeMotion, VVLHFixed
+from keepout.motion.disturbance import Disturbance
+from keepout.motion.orbit import Orbit, OrbitalFrame, perturbed_frame
+from keepout.motion.perturbation import Perturbation, target_acceleration
+from keepout.rotation import NumbersLike, Quaternion, Vector
+
+Scalar = Float[Array, ""]
+
+
+class MotionState(eqx.Module):
+    """Where the chaser is and how the target turns, at one moment.
+
+    time: s since the orbit's epoch.
+    position (m), velocity (m/s): of the chaser relative to the target, as seen by one who turns with the body.
+    attitude: unit quaternion body ← VVLH, scalar first.
+    angular_velocity: the body's inertial angular velocity, rad/s, in body axes.
+    target_orbit: the target's ECI position (m) and velocity (m/s), carried only where perturbations bend its orbit.
+    """
+
+    time: Scalar
+    position: Vector
+    velocity: Vector
+    attitude: Quaternion
+    angular_velocity: Vector
+    target_orbit: Float[Array, "6"] | None = None
+
+
+class RelativeMotion(eqx.Module):
+    """The relative dynamics (paper, section II, with the sign of g corrected).
+
+        r̈ = −2 ω×ṙ − ω̇×r − ω×(ω×r) − g + (F + d)/m,    g = μ (r_S/‖r_S‖³ − r_T/‖r_T‖³)
+
+    `substeps` Runge–Kutta steps are taken for each control step; one a second is enough below 0.5 °/s of tumbling.
+    """
+
+    orbit: Orbit
+    attitude_motion: AttitudeMotion = eqx.field(default_factory=VVLHFixed)
+    perturbations: tuple[Perturbation, ...] = ()
+    substeps: int = eqx.field(static=True, default=1)
+
+    def __check_init__(self):
+        if self.substeps < 1:
+            raise ScenarioError(f"substeps: {self.substeps}; it must be at least 1")
+
+    def initial_state(self, position: NumbersLike, velocity: NumbersLike, time: float = 0.0) -> MotionState:
+        """Give the state at `time` (s) of a chaser at a body-frame position (3,) m and velocity (3,) m/s.
+
+        The attitude and the tumbling rate given at construction are those at this time.
+        """
+        moment = jnp.asarray(time, dtype=jnp.float64)
+        target_orbit = jnp.concatenate(self.orbit.inertial_state(moment)) if self.perturbations else None
+        attitude = self.attitude_motion.attitude
+        frame = self._frame(moment, target_orbit)
+        return MotionState(
+            time=moment,
+            position=jnp.asarray(position, dtype=jnp.float64),
+            velocity=jnp.asarray(velocity, dtype=jnp.float64),
+            attitude=attitude,
+            angular_velocity=self.attitude_motion.initial_angular_velocity(frame),
+            target_orbit=target_orbit,
+        )
+
+    def drift_acceleration(self, state: MotionState) -> Vector:
+        """Acceleration in body axes without force and disturbance, m/s²."""
+        frame = self._frame(state.time, state.target_orbit)
+        omega, omega_dot = self.attitude_motion.rates(state.attitude, state.angular_velocity, frame)
+        return self._drift(state, frame, omega, omega_dot)
+
+    def orbital_frame(self, state: MotionState) -> OrbitalFrame:
+        """Give the VVLH frame at the state's time: radius and rates, in VVLH axes."""
+        return self._frame(state.time, state.target_orbit)
+
+    def step(
+        self,
+        state: MotionState,
+        force: Vector,
+        disturbance: Disturbance,
+        duration: float | Scalar,
+        mass: float | Scalar,
+    ) -> MotionState:
+        """Advance by `duration` seconds: classical Runge–Kutta, the force (N, body axes) held, the disturbance not.
+
+        The disturbance is evaluated at the times of the Runge–Kutta stages.
+        """
+        h = duration / self.substeps
+
+        def derivative(at: MotionState) -> MotionState:
+            frame = self._frame(at.time, at.target_orbit)
+            omega, omega_dot = self.attitude_motion.rates(at.attitude, at.angular_velocity, frame)
+            push = (force + disturbance.force(at.time)) / mass
+            relative_rate = omega - rotation.matrix(at.attitude) @ frame.angular_velocity
+            return MotionState(
+                time=jnp.ones(()),
+                position=at.velocity,
+                velocity=self._drift(at, frame, omega, omega_dot) + push,
+                attitude=rotation.rate(at.attitude, relative_rate),
+                angular_velocity=omega_dot,
+                target_orbit=None if at.target_orbit is None else self._target_derivative(at.target_orbit),
+            )
+
+        def runge_kutta(at: MotionState) -> MotionState:
+            k1 = derivative(at)
+            k2 = derivative(_advance(at, k1, h / 2))
+            k3 = derivative(_advance(at, k2, h / 2))
+            k4 = derivative(_advance(at, k3, h))
+            mean = jax.tree.map(lambda a, b, c, d: (a + 2 * b + 2 * c + d) / 6, k1, k2, k3, k4)
+            end = _advance(at, mean, h)
+            attitude = rotation.normalise(end.attitude)
+            frame = self._frame(end.time, end.target_orbit)
+            omega, _ = self.attitude_motion.rates(attitude, end.angular_velocity, frame)
+            return MotionState(end.time, end.position, end.velocity, attitude, omega, end.target_orbit)
+
+        for _ in range(self.substeps):
+            state = runge_kutta(state)
+        return state
+
+    def _frame(self, time: Scalar, target_orbit: Float[Array, "6"] | None) -> OrbitalFrame:
+        if target_orbit is None:
+            return self.orbit.frame(time)
+        mu = self.orbit.gravitational_parameter
+        return perturbed_frame(target_orbit[:3], target_orbit[3:], mu, self.perturbations)
+
+    def _target_derivative(self, target_orbit: Float[Array, "6"]) -> Float[Array, "6"]:
+        position, velocity = target_orbit[:3], target_orbit[3:]
+        mu = self.orbit.gravitational_parameter
+        return jnp.concatenate([velocity, target_acceleration(position, velocity, mu, self.perturbations)])
+
+    def _drift(self, state: MotionState, frame: OrbitalFrame, omega: Vector, omega_dot: Vector) -> Vector:
+        r, v = state.position, state.velocity
+        body_from_vvlh = rotation.matrix(state.attitude)
+        target = body_from_vvlh @ jnp.array([0.0, 0.0, -1.0]) * frame.radius
+        drift = (
+            -2 * jnp.cross(omega, v)
+            - jnp.cross(omega_dot, r)
+            - jnp.cross(omega, jnp.cross(omega, r))
+            - self.orbit.gravitational_parameter * gravity_difference(r, target)
+        )
+        if state.target_orbit is None:
+            return drift
+        target_position, target_velocity = state.target_orbit[:3], state.target_orbit[3:]
+        inertial_from_body = vvlh_axes(target_position, target_velocity).T @ body_from_vvlh.T
+        position = target_position + inertial_from_body @ r
+        velocity = target_velocity + inertial_from_body @ (v + jnp.cross(omega, r))
+        difference = jnp.zeros(3)
+        for perturbation in self.perturbations:
+            chaser = perturbation.of_chaser(position, velocity)
+            difference = difference + chaser - perturbation.of_target(target_position, target_velocity)
+        return drift + inertial_from_body.T @ difference
+
+
+def gravity_difference(relative: Vector, target: Vector) -> Vector:
+    """(r_T + r)/‖r_T + r‖³ − r_T/‖r_T‖³ in 1/m², without the cancellation of the direct difference (Encke's form).
+
+    With q = r·(r + 2 r_T)/‖r_T‖², the cube of the chaser's distance is ‖r_T‖³ (1 + q)^{3/2}, and (1 + q)^{−3/2} − 1
+    is formed without loss.
+    """
+    radius_squared = target @ target
+    q = relative @ (relative + 2 * target) / radius_squared
+    shrink = jnp.expm1(-1.5 * jnp.log1p(q))
+    return (relative * (1 + shrink) + target * shrink) / radius_squared**1.5
+
+
+def _advance(state: MotionState, derivative: MotionState, duration: float | Scalar) -> MotionState:
+    return jax.tree.map(lambda value, slope: value + duration * slope, state, derivative)

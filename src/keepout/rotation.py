@@ -1,0 +1,80 @@
+"""Rotations as unit quaternions, scalar first.
+
+A quaternion named `b_from_a` takes the components of a vector in frame a to its components in frame b,
+`v_b = q ⊗ v_a ⊗ q*`; it is what SciPy calls `Rotation.from_quat(q, scalar_first=True).apply(v_a)`. Much of the
+spacecraft literature writes the conjugate for the same attitude, so files that follow it convert at the edge.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float
+
+Quaternion = Float[Array, "4"]
+Vector = Float[Array, "3"]
+NumbersLike = ArrayLike | Sequence[Any]
+"""Anything that `jnp.asarray` turns into numbers: an array, a number, nested lists of numbers."""
+
+
+def identity() -> Quaternion:
+    """Return the quaternion that changes nothing."""
+    return jnp.array([1.0, 0.0, 0.0, 0.0])
+
+
+def multiply(left: Quaternion, right: Quaternion) -> Quaternion:
+    """Hamilton product: rotate by `right` first, then by `left`."""
+    a, u = left[0], left[1:]
+    b, w = right[0], right[1:]
+    return jnp.concatenate([(a * b - u @ w)[None], a * w + b * u + jnp.cross(u, w)])
+
+
+def conjugate(quaternion: Quaternion) -> Quaternion:
+    """Return the opposite rotation."""
+    return quaternion * jnp.array([1.0, -1.0, -1.0, -1.0])
+
+
+def matrix(quaternion: Quaternion) -> Float[Array, "3 3"]:
+    """Give the 3 × 3 matrix of a unit quaternion: `matrix(q) @ v` equals `q ⊗ v ⊗ q*`."""
+    w, x, y, z = quaternion
+    return jnp.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def from_matrix(rotation: Float[Array, "3 3"]) -> Quaternion:
+    """Give the unit quaternion of a rotation matrix, with a non-negative scalar part.
+
+    Each column below is the quaternion times four times one of its own components; the column of the largest component
+    is the well conditioned one (Shepperd 1978).
+    """
+    ((a, b, c), (d, e, f), (g, h, i)) = rotation
+    columns = jnp.array(
+        [
+            [1 + a + e + i, h - f, c - g, d - b],
+            [h - f, 1 + a - e - i, b + d, c + g],
+            [c - g, b + d, 1 - a + e - i, f + h],
+            [d - b, c + g, f + h, 1 - a - e + i],
+        ]
+    )
+    column = columns[jnp.argmax(jnp.diagonal(columns))]
+    unit = column / jnp.linalg.norm(column)
+    return jnp.where(unit[0] < 0, -unit, unit)
+
+
+def normalise(quaternion: Quaternion) -> Quaternion:
+    """Return the nearest unit quaternion."""
+    return quaternion / jnp.linalg.norm(quaternion)
+
+
+def rate(b_from_a: Quaternion, angular_velocity: Vector) -> Quaternion:
+    """Time derivative of `b_from_a` when frame b turns against frame a at `angular_velocity` (rad/s, in b's axes).
+
+    A vector fixed in a seems, from b, to turn the other way: q̇ = −½ (0, ω) ⊗ q.
+    """
+    return -0.5 * multiply(jnp.concatenate([jnp.zeros(1), angular_velocity]), b_from_a)

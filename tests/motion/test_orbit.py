@@ -1,0 +1,109 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import brentq
+
+from keepout.errors import ScenarioError
+from keepout.motion import J2, Orbit
+from keepout.motion.orbit import eccentric_anomaly, perturbed_frame
+
+solve = jax.jit(eccentric_anomaly)
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.floats(-50, 50), st.floats(0, 0.99))
+def test_kepler_equation_holds_to_rounding(mean, eccentricity):
+    E = float(solve(jnp.float64(mean), jnp.float64(eccentricity)))
+    wrapped = mean - 2 * np.pi * np.round(mean / (2 * np.pi))
+    assert abs(E - eccentricity * np.sin(E) - wrapped) <= 1e-15
+    assert abs(E) <= np.pi + 1e-15
+
+
+def test_true_anomaly_against_quadrature_of_keplers_second_law():
+    """Equal areas in equal times: ∫ r² dθ = h t, by SciPy's root finder on the classical formulas."""
+    orbit = Orbit(2e7, 0.6, true_anomaly=-2.0)
+    for time in (0.0, 1234.5, 9e4):
+        n, e = float(orbit.mean_motion), 0.6
+        E0 = 2 * np.arctan(np.sqrt((1 - e) / (1 + e)) * np.tan(-1.0))
+        M = E0 - e * np.sin(E0) + n * time
+        E = brentq(lambda x, M=M, e=e: x - e * np.sin(x) - M, M - 1, M + 1, xtol=1e-14, rtol=1e-15)
+        expected = 2 * np.arctan(np.sqrt((1 + e) / (1 - e)) * np.tan(E / 2))
+        difference = float(orbit.true_anomaly_at(jnp.float64(time))) - expected
+        assert abs(np.sin(difference / 2)) < 1e-12
+
+
+@pytest.mark.parametrize("eccentricity", [0.0, 0.1, 0.7])
+def test_rates_are_derivatives_of_the_anomaly(eccentricity):
+    orbit = Orbit(1.2e7, eccentricity, true_anomaly=1.0)
+    time = jnp.float64(777.0)
+    one = (jnp.ones(()),)
+    _, rate = jax.jvp(orbit.true_anomaly_at, (time,), one)
+    frame = orbit.frame(time)
+    np.testing.assert_allclose(frame.angular_velocity, [0, -rate, 0], rtol=1e-12)
+    _, acceleration = jax.jvp(lambda t: orbit.frame(t).angular_velocity, (time,), one)
+    np.testing.assert_allclose(frame.angular_acceleration, acceleration, rtol=1e-10, atol=1e-22)
+    position, velocity = orbit.inertial_state(time)
+    np.testing.assert_allclose(np.linalg.norm(position), frame.radius, rtol=1e-15)
+    (_, slope) = jax.jvp(lambda t: orbit.inertial_state(t)[0], (time,), one)
+    np.testing.assert_allclose(velocity, slope, rtol=1e-11)
+    energy = velocity @ velocity / 2 - orbit.gravitational_parameter / np.linalg.norm(position)
+    np.testing.assert_allclose(energy, -orbit.gravitational_parameter / (2 * orbit.semi_major_axis), rtol=1e-14)
+
+
+def test_inertial_state_obeys_newton():
+    orbit = Orbit(9e6, 0.3, 0.4, inclination=1.0, right_ascension=2.0, argument_of_perigee=3.0)
+    time = jnp.float64(50.0)
+    _, acceleration = jax.jvp(lambda t: orbit.inertial_state(t)[1], (time,), (jnp.ones(()),))
+    position, _ = orbit.inertial_state(time)
+    expected = -orbit.gravitational_parameter * position / np.linalg.norm(position) ** 3
+    np.testing.assert_allclose(acceleration, expected, rtol=1e-11)
+
+
+def test_perturbed_frame_without_perturbations_is_keplers():
+    orbit = Orbit(9e6, 0.3, 0.4, inclination=1.0)
+    time = jnp.float64(500.0)
+    expected = orbit.frame(time)
+    got = perturbed_frame(*orbit.inertial_state(time), orbit.gravitational_parameter, ())
+    np.testing.assert_allclose(got.radius, expected.radius, rtol=1e-14)
+    np.testing.assert_allclose(got.angular_velocity, expected.angular_velocity, atol=1e-17)
+    np.testing.assert_allclose(got.angular_acceleration, expected.angular_acceleration, atol=1e-19)
+
+
+def test_j2_turns_the_orbital_plane_at_the_known_mean_rate():
+    """Mean nodal drift −1.5 n J2 (R/p)² cos i, by averaging the frame's rate about the pole over one orbit."""
+    inclination = 0.9
+    orbit = Orbit(7.2e6, 0.0, inclination=inclination)
+    mu = orbit.gravitational_parameter
+    times = jnp.linspace(0, orbit.period, 721)[:-1]
+
+    def plane_rate(time):
+        position, velocity = orbit.inertial_state(time)
+        normal = jnp.cross(position, velocity)
+        normal = normal / jnp.linalg.norm(normal)
+        frame = perturbed_frame(position, velocity, mu, (J2(),))
+        plain = perturbed_frame(position, velocity, mu, ())
+        turning = -(frame.angular_velocity - plain.angular_velocity)[2] * position / jnp.linalg.norm(position)
+        # rate of the normal, projected on the direction that moves the node
+        node = jnp.array([-normal[1], normal[0], 0.0])
+        return jnp.cross(turning, normal) @ node / (node @ node)
+
+    drift = float(jnp.mean(jax.vmap(plane_rate)(times)))
+    expected = -1.5 * float(orbit.mean_motion) * 1.08262668e-3 * (6378137.0 / 7.2e6) ** 2 * np.cos(inclination)
+    np.testing.assert_allclose(drift, expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        ((-7e6,), "semi_major_axis"),
+        ((float("nan"),), "semi_major_axis"),
+        ((7e6, 1.0), "eccentricity"),
+        ((7e6, -0.1), "eccen"),
+    ],
+)
+def test_impossible_orbits_are_refused(arguments, named):
+    with pytest.raises(ScenarioError, match=named):
+        Orbit(*arguments)
