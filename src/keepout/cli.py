@@ -57,7 +57,7 @@ def targets(
     as_json: AsJson = False,
 ) -> None:
     """List the built-in targets: extents, volume, triangles, parameters."""
-    from keepout.mission import describe_targets
+    from keepout.commands import describe_targets
 
     with terminal.progress("targets") as progress:
         rows = describe_targets(pictures=pictures, progress=progress)
@@ -78,7 +78,7 @@ def fit(
     as_json: AsJson = False,
 ) -> None:
     """Learn a target's signed distance. A killed run resumes from its last checkpoint when started again."""
-    from keepout.mission import fit_to_file
+    from keepout.commands import fit_to_file
 
     source = {"source": mesh, "units": units, "scale": scale, "drop_stray": drop_stray}
     with terminal.progress(f"fit {mesh}") as progress:
@@ -97,7 +97,7 @@ def certify(
     as_json: AsJson = False,
 ) -> None:
     """Bound how far the field can over-state the distance where a chaser of this radius would touch."""
-    from keepout.mission import certify_file
+    from keepout.commands import certify_file
 
     with terminal.progress(f"certify {field.name}") as progress:
         summary = certify_file(field, chaser_radius=chaser_radius, mesh=mesh, seed=seed, progress=progress)
@@ -115,7 +115,7 @@ def fly(
     as_json: AsJson = False,
 ) -> None:
     """Fly one scenario, audit the clearance on the exact mesh, and draw it."""
-    from keepout.mission import fly_to_folder
+    from keepout.commands import fly_to_folder
     from keepout.scenario import Scenario
 
     mission = Scenario.load(scenario)
@@ -138,7 +138,7 @@ def campaign(
     as_json: AsJson = False,
 ) -> None:
     """Fly a scenario from many random starts and audit every flight."""
-    from keepout.mission import campaign_to_folder
+    from keepout.commands import campaign_to_folder
     from keepout.scenario import Scenario
 
     mission = Scenario.load(scenario)

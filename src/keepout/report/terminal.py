@@ -58,7 +58,7 @@ def facts_table(title: str, summary: Mapping[str, Any]) -> Table:
     table.add_column(style="bold")
     table.add_column(justify="right")
     for key, value in summary.items():
-        table.add_row(key, _shown(value))
+        table.add_row(key, shown(value))
     return table
 
 
@@ -82,7 +82,7 @@ def flights_table(summaries: Sequence[Mapping[str, Any]]) -> Table:
     for key in columns:
         table.add_column(FLIGHT_COLUMNS[key], justify="right")
     for summary in summaries:
-        table.add_row(str(summary["name"]), *(_shown(summary[key]) for key in columns))
+        table.add_row(str(summary["name"]), *(shown(summary[key]) for key in columns))
     return table
 
 
@@ -100,11 +100,12 @@ def targets_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     return table
 
 
-def _shown(value: Any) -> str:
+def shown(value: Any) -> str:
+    """Format a value for a person: four digits, yes or no, counts by name."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
         return f"{value:.4g}"
     if isinstance(value, Mapping):
-        return ", ".join(f"{key} {_shown(entry)}" for key, entry in value.items())
+        return ", ".join(f"{key} {shown(entry)}" for key, entry in value.items())
     return str(value)

@@ -1,0 +1,140 @@
+"""Each command of the command line as a function from its arguments to its JSON summary."""
+
+import json
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from keepout.errors import FieldError, KeepoutError, ScenarioError
+from keepout.fields.certificate import certify
+from keepout.fields.model import FieldModel
+from keepout.fields.quality import surface_errors
+from keepout.fields.shipped import shipped_names
+from keepout.fields.training import fit
+from keepout.geometry.builtin import BUILTIN_TARGETS
+from keepout.geometry.target import Target
+from keepout.mission import fly, load_target
+from keepout.progress import Progress, silent
+from keepout.report import target_view
+from keepout.report.folder import write_flights
+from keepout.scenario import Scenario, TargetEntry
+
+
+def describe_targets(*, pictures: Path | None = None, progress: Progress = silent) -> list[dict[str, Any]]:
+    """List the built-in targets with size, triangles and parameters; draw them into `pictures` where it is given."""
+    rows = []
+    for place, (name, builtin) in enumerate(BUILTIN_TARGETS.items()):
+        progress(place / len(BUILTIN_TARGETS), name)
+        target = Target.load(name)
+        row: dict[str, Any] = {
+            "name": name,
+            "extents_m": [float(extent) for extent in target.vertices.max(axis=0) - target.vertices.min(axis=0)],
+            "volume_m3": float(target.volume),
+            "triangles": len(target.faces),
+            "shipped_field": name in shipped_names(),
+            "parameters": dict(builtin.parameters),
+        }
+        if pictures is not None:
+            picture = pictures / f"{name}.png"
+            target_view.draw_target(picture, name, target.vertices, target.faces)
+            row["picture"] = str(picture)
+        rows.append(row)
+    return rows
+
+
+def _entry(source: Mapping[str, Any]) -> TargetEntry:
+    return Scenario.parse({"target": {key: value for key, value in source.items() if value is not None}}).target
+
+
+def _field_path(path: Path) -> Path:
+    if path.suffix != ".keepout":
+        raise FieldError(f"{path}: a field file ends in .keepout")
+    if not path.absolute().parent.is_dir():
+        raise FieldError(f"{path}: the folder {path.parent} does not exist")
+    return path
+
+
+def fit_to_file(
+    source: Mapping[str, Any], out: Path, *, profile: str = "default", seed: int = 0, progress: Progress = silent
+) -> dict[str, Any]:
+    """Learn the field of a mesh file or built-in target and write it to `out`.
+
+    While it runs, a checkpoint stands beside `out`; a run that was killed goes on from there.
+    """
+    out = _field_path(out)
+    entry = _entry(source)
+    target = load_target(entry)
+    start = time.perf_counter()
+    model = fit(
+        target, profile=profile, seed=seed, checkpoint=out.with_name(out.name + ".checkpoint"), progress=progress
+    )
+    seconds = time.perf_counter() - start
+    located = entry.model_dump()
+    if Path(entry.source).exists():
+        located["source"] = str(Path(entry.source).resolve())
+    model = model.with_training(target=located)
+    model.save(out)
+    errors = surface_errors(model.field, target, seed=seed)
+    return {
+        "field": str(out),
+        "seconds": seconds,
+        "epsilon_m": errors.epsilon,
+        "epsilon_plus_m": errors.epsilon_plus,
+        "sampled_maximum_m": errors.maximum,
+        "profile": profile,
+        "seed": seed,
+        "target": target.name,
+        "target_sha256": target.sha256,
+        "warnings": list(target.report.warnings),
+    }
+
+
+def certify_file(
+    path: Path, *, chaser_radius: float, mesh: str | None = None, seed: int = 0, progress: Progress = silent
+) -> dict[str, Any]:
+    """Add a certificate for a chaser radius to a field file; the mesh is found where `fit` found it unless given."""
+    model = FieldModel.load(path)
+    recorded = model.training.get("target")
+    if mesh is not None:
+        entry = _entry({**(recorded or {}), "source": mesh})
+    elif recorded is None:
+        raise FieldError(f"{path}: does not say where its mesh is; name it with --mesh")
+    else:
+        entry = _entry(recorded)
+    model = certify(model, load_target(entry), chaser_radius=chaser_radius, seed=seed, progress=progress)
+    model.save(path)
+    certificate = model.certificate(chaser_radius)
+    return {
+        "field": str(path),
+        "kind": certificate.kind,
+        "error_bound_m": certificate.error_bound,
+        "chaser_radius_m": certificate.chaser_radius,
+        "sampled_maximum_m": certificate.sampled_maximum,
+        "gradient_bound": certificate.gradient_bound,
+        "seconds": certificate.seconds,
+        "target_sha256": certificate.target_sha256,
+    }
+
+
+def fly_to_folder(scenario: Scenario, out: Path, *, figures: bool = True, progress: Progress = silent) -> dict[str, Any]:
+    """Fly a scenario; write flight file, figures, page and `summary.json` into `out`."""
+    _folder(out)
+    flight = fly(scenario, progress=lambda fraction, message: progress(0.9 * fraction, message))
+    introduction = f"Target {flight.target.name}, start {list(scenario.start.position)} m, goal {list(scenario.goal.position)} m."
+    [summary] = write_flights(
+        out, {scenario.name: flight}, title=f"Flight {scenario.name}", introduction=introduction, figures=figures
+    )
+    _write_summary(out, summary)
+    return summary
+
+
+def _folder(out: Path) -> None:
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ScenarioError(f"{out}: cannot be made a folder ({error.strerror}); give another --out") from None
+
+
+def _write_summary(out: Path, summary: Mapping[str, Any]) -> None:
+    (out / "summary.json").write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")

@@ -1,0 +1,70 @@
+"""A folder of results: flight files, figures and one page to open."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from keepout.mission import Flight
+from keepout.report import flight_view, target_view
+from keepout.report.page import write_page
+
+
+def write_flights(
+    out: Path, flights: Mapping[str, Flight], *, title: str, introduction: str, figures: bool = True
+) -> list[dict[str, Any]]:
+    """Write the flights of one mission, flown in several ways, and what there is to see of them.
+
+    Args:
+        out: folder to write into; made if it is not there.
+        flights: by name; all around the same target and to the same goal.
+        title: of the page.
+        introduction: of the page, plain text.
+        figures: also draw the PNG files and `index.html`.
+
+    Returns:
+        One summary a flight, with its `name` and the path of its flight file under `flight`.
+
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    summaries = []
+    for name, flight in flights.items():
+        path = out / f"{flight.scenario.name}.parquet"
+        flight.record.save(path)
+        summaries.append({"name": name, **flight.summary(), "flight": str(path)})
+    if figures:
+        images = _draw(out, flights)
+        first = next(iter(flights.values()))
+        write_page(
+            out / "index.html",
+            title=title,
+            introduction=introduction,
+            summaries=summaries,
+            records={name: flight.record for name, flight in flights.items()},
+            vertices=first.target.vertices,
+            faces=first.target.faces,
+            chaser_radius=first.scenario.chaser.radius,
+            figures=images,
+        )
+    return summaries
+
+
+def _draw(out: Path, flights: Mapping[str, Flight]) -> list[Path]:
+    first = next(iter(flights.values()))
+    goal = first.scenario.goal.position
+    paths = out / "paths.png"
+    target_view.draw_paths(
+        paths,
+        first.target.vertices,
+        first.target.faces,
+        {name: flight.record.position for name, flight in flights.items()},
+        goal,
+    )
+    clearance, error = out / "clearance.png", out / "error.png"
+    flight_view.draw_clearance(clearance, flights)
+    flight_view.draw_error(error, flights)
+    images = [paths, clearance, error]
+    for name, flight in flights.items():
+        image = out / f"{flight.scenario.name}.png"
+        flight_view.draw_motion(image, flight, name=name)
+        images.append(image)
+    return images

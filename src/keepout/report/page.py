@@ -1,0 +1,159 @@
+"""One HTML page that holds everything: a turnable replay, the table and the figures. It needs no network to open."""
+
+import base64
+import html
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from jaxtyping import Float, Int
+
+from keepout.flight.record import FlightRecord
+from keepout.report.style import COLOURS, TARGET_COLOUR
+from keepout.report.terminal import FLIGHT_COLUMNS, shown
+
+_FRAMES = 150
+_STYLE = """
+body{font:15px/1.5 system-ui,sans-serif;max-width:1100px;margin:2em auto;padding:0 1em;color:#1c2430}
+table{border-collapse:collapse;margin:1em 0}th,td{border-bottom:1px solid #d5dae0;padding:.35em .8em;text-align:right}
+th:first-child,td:first-child{text-align:left}img{max-width:100%}.bad{color:#b00020;font-weight:600}
+"""
+
+
+def write_page(
+    path: Path,
+    *,
+    title: str,
+    introduction: str,
+    summaries: Sequence[Mapping[str, Any]],
+    records: Mapping[str, FlightRecord],
+    vertices: Float[np.ndarray, "vertices 3"],
+    faces: Int[np.ndarray, "faces 3"],
+    chaser_radius: float,
+    figures: Sequence[Path],
+) -> None:
+    """Write a self-contained page with a replay of the flights around the target's mesh.
+
+    Args:
+        path: the HTML file to write.
+        title: heading.
+        introduction: what was flown and what the table says, plain text.
+        summaries: one row a flight, as `fly` reports it.
+        records: the flights to replay, by name.
+        vertices: of the target, body frame, m.
+        faces: of the target.
+        chaser_radius: of the ball that holds the chaser, m.
+        figures: PNG files to embed, in order.
+
+    """
+    scene = _replay(records, vertices, faces, chaser_radius).to_html(full_html=False, include_plotlyjs=True)
+    images = "\n".join(
+        f'<p><img alt="{html.escape(image.stem)}" src="data:image/png;base64,{_base64(image)}"></p>'
+        for image in figures
+    )
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(
+        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{html.escape(title)}</title>'
+        f"<style>{_STYLE}</style><h1>{html.escape(title)}</h1><p>{html.escape(introduction)}</p>"
+        f"{_table(summaries)}<h2>Replay</h2>{scene}<h2>Figures</h2>{images}</html>",
+        encoding="utf-8",
+    )
+
+
+def _table(summaries: Sequence[Mapping[str, Any]]) -> str:
+    columns = {key: label for key, label in FLIGHT_COLUMNS.items() if key != "flight"}
+    head = "".join(f"<th>{html.escape(label)}</th>" for label in ("flight", *columns.values()))
+    rows = []
+    for summary in summaries:
+        cells = [f"<td>{html.escape(str(summary['name']))}</td>"]
+        for key in columns:
+            bad = (key == "contact" and summary[key]) or (key == "reached" and not summary[key])
+            cells.append(f"<td{' class=bad' if bad else ''}>{html.escape(shown(summary[key]))}</td>")
+        rows.append(f"<tr>{''.join(cells)}</tr>")
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
+
+
+def _replay(
+    records: Mapping[str, FlightRecord], vertices: np.ndarray, faces: np.ndarray, chaser_radius: float
+) -> go.Figure:
+    end = max(float(record.time[-1]) for record in records.values())
+    times = np.linspace(0.0, end, _FRAMES)
+    mesh = go.Mesh3d(
+        x=vertices[:, 0],
+        y=vertices[:, 1],
+        z=vertices[:, 2],
+        i=faces[:, 0],
+        j=faces[:, 1],
+        k=faces[:, 2],
+        color=TARGET_COLOUR,
+        flatshading=True,
+        hoverinfo="skip",
+        name="target",
+    )
+    paths, chasers = [], []
+    for colour, (name, record) in zip(COLOURS, records.items()):
+        x, y, z = record.position.T
+        paths.append(go.Scatter3d(x=x, y=y, z=z, mode="lines", line={"color": colour, "width": 4}, name=name))
+        chasers.append((colour, np.column_stack([np.interp(times, record.time, axis) for axis in (x, y, z)])))
+    sphere = _sphere(chaser_radius if chaser_radius > 0.0 else 0.1)
+    frames = [
+        go.Frame(
+            name=f"{time:.0f}",
+            data=[_ball(sphere + centres[k], colour) for colour, centres in chasers],
+            traces=list(range(1 + len(paths), 1 + len(paths) + len(chasers))),
+        )
+        for k, time in enumerate(times)
+    ]
+    start = [_ball(sphere + centres[0], colour) for colour, centres in chasers]
+    drawing = go.Figure(data=[mesh, *paths, *start], frames=frames)
+    step = {"frame": {"duration": 40, "redraw": True}, "fromcurrent": True, "transition": {"duration": 0}}
+    drawing.update_layout(
+        height=640,
+        margin={"l": 0, "r": 0, "t": 0, "b": 0},
+        scene={"aspectmode": "data", "xaxis_title": "x m", "yaxis_title": "y m", "zaxis_title": "z m"},
+        updatemenus=[
+            {
+                "type": "buttons",
+                "direction": "left",
+                "x": 0.0,
+                "y": 0.0,
+                "buttons": [
+                    {"label": "play", "method": "animate", "args": [None, step]},
+                    {"label": "pause", "method": "animate", "args": [[None], {"mode": "immediate"}]},
+                ],
+            }
+        ],
+        sliders=[
+            {
+                "currentvalue": {"prefix": "time s: "},
+                "x": 0.15,
+                "len": 0.85,
+                "steps": [
+                    {
+                        "label": frame.name,
+                        "method": "animate",
+                        "args": [[frame.name], {"mode": "immediate", "frame": {"duration": 0, "redraw": True}}],
+                    }
+                    for frame in frames
+                ],
+            }
+        ],
+    )
+    return drawing
+
+
+def _sphere(radius: float) -> Float[np.ndarray, "points 3"]:
+    polar, around = np.meshgrid(np.linspace(0.0, np.pi, 9), np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False))
+    points = np.stack([np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)], axis=-1)
+    return radius * points.reshape(-1, 3)
+
+
+def _ball(points: np.ndarray, colour: str) -> go.Mesh3d:
+    x, y, z = np.round(points, 4).T
+    return go.Mesh3d(x=x, y=y, z=z, alphahull=0, color=colour, hoverinfo="skip", showlegend=False)
+
+
+def _base64(path: Path) -> str:
+    return base64.b64encode(path.read_bytes()).decode("ascii")

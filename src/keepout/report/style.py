@@ -1,0 +1,49 @@
+"""One look for every figure: colours that survive print and colour blindness, quiet axes."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import matplotlib
+from cycler import cycler
+
+matplotlib.use("Agg")  # figures go to files; no display is needed or opened
+
+import matplotlib.pyplot as plt
+from matplotlib.figure import Figure
+
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+"""Okabe and Ito's palette, distinguishable by colour-blind readers."""
+
+TARGET_COLOUR = "#9aa3ad"
+
+
+@contextmanager
+def figure(path: Path, *, width: float = 8.0, height: float = 4.5) -> Iterator[Figure]:
+    """Make a figure in the common style and save it to `path` when the block ends.
+
+    Args:
+        path: the image file to write (PNG).
+        width: inches.
+        height: inches.
+
+    """
+    with plt.rc_context(
+        {
+            "axes.grid": True,
+            "grid.alpha": 0.3,
+            "axes.spines.top": False,
+            "axes.spines.right": False,
+            "axes.prop_cycle": cycler(color=COLOURS),
+            "font.size": 9,
+            "legend.frameon": False,
+            "savefig.dpi": 150,
+        }
+    ):
+        drawing = plt.figure(figsize=(width, height), layout="constrained")
+        try:
+            yield drawing
+            path.parent.mkdir(parents=True, exist_ok=True)
+            drawing.savefig(path)
+        finally:
+            plt.close(drawing)

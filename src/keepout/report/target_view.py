@@ -1,0 +1,83 @@
+"""Pictures of a target's mesh: shaded views, alone or with paths around it."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+from mpl_toolkits.mplot3d import Axes3D
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+from keepout.report.style import COLOURS, TARGET_COLOUR, figure
+
+FOUR_VIEWS = {"front": (0.0, 0.0), "side": (0.0, -90.0), "top": (90.0, -90.0), "oblique": (25.0, -55.0)}
+"""Elevation and azimuth in degrees."""
+
+_LIGHT = np.array([0.35, -0.6, 0.72])
+
+
+def draw_target(
+    path: Path, name: str, vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
+) -> None:
+    """Draw four shaded views of a mesh (body frame, m) into one PNG."""
+    with figure(path, width=11.0, height=8.0) as drawing:
+        for place, (view, (elevation, azimuth)) in enumerate(FOUR_VIEWS.items(), start=1):
+            axes = drawing.add_subplot(2, 2, place, projection="3d")
+            assert isinstance(axes, Axes3D)
+            _shade(axes, vertices, faces)
+            _frame(axes, [vertices])
+            axes.view_init(elevation, azimuth)
+            axes.set_title(f"{name}, {view}")
+
+
+def draw_paths(
+    path: Path,
+    vertices: Float[np.ndarray, "vertices 3"],
+    faces: Int[np.ndarray, "faces 3"],
+    paths: Mapping[str, Float[np.ndarray, "samples 3"]],
+    goal: Sequence[float],
+) -> None:
+    """Draw flown paths (body frame, m) around the target from two sides into one PNG."""
+    with figure(path, width=11.0, height=5.2) as drawing:
+        for place, (elevation, azimuth) in enumerate(((22.0, -60.0), (12.0, 8.0)), start=1):
+            axes = drawing.add_subplot(1, 2, place, projection="3d")
+            assert isinstance(axes, Axes3D)
+            _shade(axes, vertices, faces, alpha=0.9)
+            for colour, (label, positions) in zip(COLOURS, paths.items()):
+                axes.plot(*positions.T, color=colour, linewidth=1.6, label=label, zorder=10)
+                axes.plot(*positions[-1:].T, color=colour, marker="o", markersize=4, zorder=11)
+            axes.plot(
+                *np.reshape(goal, (3, 1)),
+                color="black",
+                marker="*",
+                markersize=9,
+                linestyle="",
+                label="goal",
+                zorder=12,
+            )
+            _frame(axes, [vertices, *paths.values(), np.asarray([goal])])
+            axes.view_init(elevation, azimuth)
+            if place == 1:
+                axes.legend(loc="upper left")
+
+
+def _shade(axes: Axes3D, vertices: np.ndarray, faces: np.ndarray, alpha: float = 1.0) -> None:
+    triangles = vertices[faces]
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = normals / np.where(lengths > 0.0, lengths, 1.0)
+    # Real meshes have flipped faces, so both sides of a triangle catch the light.
+    light = 0.35 + 0.65 * np.abs(normals @ (_LIGHT / np.linalg.norm(_LIGHT)))
+    base = np.array([int(TARGET_COLOUR[i : i + 2], 16) / 255.0 for i in (1, 3, 5)])
+    colours = np.column_stack([light[:, None] * base, np.full(len(faces), alpha)])
+    axes.add_collection3d(Poly3DCollection(list(triangles), facecolors=colours, edgecolors="none"))
+
+
+def _frame(axes: Axes3D, clouds: Sequence[np.ndarray]) -> None:
+    points = np.concatenate(clouds)
+    lower, upper = points.min(axis=0), points.max(axis=0)
+    axes.set(xlabel="x m", ylabel="y m", zlabel="z m")
+    axes.set_xlim(lower[0], upper[0])
+    axes.set_ylim(lower[1], upper[1])
+    axes.set_zlim(lower[2], upper[2])
+    axes.set_box_aspect(tuple(np.maximum(upper - lower, 1e-3)))
