@@ -1,0 +1,131 @@
+"""The flight loop: one step, shared by single flights, batches and real-time use.
+
+The order within a step is fixed: estimate, control law, guard, what of the command arrives, thrusters, what they give,
+motion.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree
+
+from keepout.flight.setup import FlightSetup
+from keepout.motion.relative import MotionState
+
+
+class LoopState(eqx.Module):
+    """What is carried from one control step to the next."""
+
+    motion: MotionState
+    controller: PyTree
+    faults: PyTree
+
+
+class FlightLog(eqx.Module):
+    """One row of a flight for each control step; each entry holds from its time until the next.
+
+    Positions m, velocities m/s, forces N, in the target's body axes; time s. position, velocity, attitude (body ←
+    VVLH), angular_velocity: the truth. estimated_*: what the control law was told. commanded_force: the control law's;
+    guarded_force: after the guard; force: truly applied, held until the next row. disturbance: at the row's time.
+    barrier h (m), backstepping_barrier h₁, lyapunov V₁, and the statuses: as the control law and the guard gave them;
+    guard_status is 0 in every row of a flight without a guard. field_value (m): at the true position, not a number
+    without a field. saturated: whether a thruster reached its limit. target_orbit: the target's ECI state, where it is
+    perturbed.
+    """
+
+    time: Float[Array, "*rows"]
+    position: Float[Array, "*rows 3"]
+    velocity: Float[Array, "*rows 3"]
+    attitude: Float[Array, "*rows 4"]
+    angular_velocity: Float[Array, "*rows 3"]
+    estimated_position: Float[Array, "*rows 3"]
+    estimated_velocity: Float[Array, "*rows 3"]
+    commanded_force: Float[Array, "*rows 3"]
+    guarded_force: Float[Array, "*rows 3"]
+    force: Float[Array, "*rows 3"]
+    disturbance: Float[Array, "*rows 3"]
+    disturbance_estimate: Float[Array, "*rows 3"]
+    desired_velocity: Float[Array, "*rows 3"]
+    safe_velocity: Float[Array, "*rows 3"]
+    barrier: Float[Array, "*rows"]
+    backstepping_barrier: Float[Array, "*rows"]
+    lyapunov: Float[Array, "*rows"]
+    field_value: Float[Array, "*rows"]
+    control_status: Int[Array, "*rows"]
+    guard_status: Int[Array, "*rows"]
+    saturated: Bool[Array, "*rows"]
+    target_orbit: Float[Array, "*rows 6"] | None = None
+
+
+def start(setup: FlightSetup, initial: MotionState, key: PRNGKeyArray) -> LoopState:
+    """Give the loop's state before the first step. The control law starts from the estimate, not from the truth."""
+    faults = setup.faults.initial_state(key)
+    faults, estimate = setup.faults.estimate(faults, initial)
+    return LoopState(initial, setup.controller.initial_state(estimate), faults)
+
+
+def command(
+    setup: FlightSetup, controller_state: PyTree, estimate: MotionState
+) -> tuple[PyTree, Any, Float[Array, "3"], Int[Array, ""]]:
+    """Run the on-board part of a step: control law, then guard.
+
+    Returns the control law's new state, its `Command`, the force after the guard (N, body axes) and the guard's status.
+    """
+    controller_state, order = setup.controller.step(controller_state, estimate)
+    if setup.guard is None:
+        return controller_state, order, order.force, jnp.zeros((), jnp.int32)
+    force, guard_status = setup.guard.filter(estimate, order.force, order.disturbance_estimate)
+    return controller_state, order, force, jnp.asarray(guard_status, jnp.int32)
+
+
+def step(setup: FlightSetup, state: LoopState) -> tuple[LoopState, FlightLog]:
+    """Fly one control period; the row describes its start and what was done over it."""
+    truth = state.motion
+    faults, estimate = setup.faults.estimate(state.faults, truth)
+    controller, order, guarded, guard_status = command(setup, state.controller, estimate)
+    faults, arrived = setup.faults.command(faults, guarded, truth.time)
+    faults, force = setup.faults.actuate(faults, setup.thrusters.apply(arrived), truth.time)
+    motion = setup.motion.step(truth, force, setup.disturbance, setup.period, setup.mass)
+    row = FlightLog(
+        time=truth.time,
+        position=truth.position,
+        velocity=truth.velocity,
+        attitude=truth.attitude,
+        angular_velocity=truth.angular_velocity,
+        estimated_position=estimate.position,
+        estimated_velocity=estimate.velocity,
+        commanded_force=order.force,
+        guarded_force=guarded,
+        force=force,
+        disturbance=setup.disturbance.force(truth.time),
+        disturbance_estimate=order.disturbance_estimate,
+        desired_velocity=order.desired_velocity,
+        safe_velocity=order.safe_velocity,
+        barrier=order.barrier,
+        backstepping_barrier=order.backstepping_barrier,
+        lyapunov=order.lyapunov,
+        field_value=jnp.full((), jnp.nan) if setup.field is None else setup.field.value(truth.position),
+        control_status=order.status,
+        guard_status=guard_status,
+        saturated=setup.thrusters.saturated(arrived),
+        target_orbit=truth.target_orbit,
+    )
+    return LoopState(motion, controller, faults), row
+
+
+def trace(setup: FlightSetup, initial: MotionState, steps: int, key: PRNGKeyArray) -> FlightLog:
+    """Fly `steps` control periods: `steps` + 1 rows, the last one at the end of the flight. To be used inside a `jit`.
+
+    The last row's forces are what would have been done next.
+    """
+
+    def advance(state: LoopState, _: None) -> tuple[LoopState, FlightLog]:
+        return step(setup, state)
+
+    return jax.lax.scan(advance, start(setup, initial, key), length=steps + 1)[1]
+
+
+fly = eqx.filter_jit(trace)
+"""`trace`, compiled: `fly(setup, initial, steps, key) -> FlightLog`. Compiles anew for another number of steps."""

@@ -1,0 +1,63 @@
+"""What became of a flight, in a few numbers."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from keepout.flight.loop import FlightLog
+from keepout.flight.setup import FlightSetup
+
+STATUSES = 16
+"""Status values 0 to 15 are counted apart; a status beyond counts as the last."""
+
+
+class FlightOutcome(eqx.Module):
+    """Summary of one flight (leading axes: of many).
+
+    minimum_barrier: the least h, m. final_error: ‖r − goal‖ at the end, m. reached: whether the chaser was closer to
+    the goal than the tolerance from some time until the end; time_to_reach: that time, s after the start, infinite if
+    not reached. delta_v: Σ ‖F‖ T/m over the steps flown, m/s. saturated_fraction: of the steps flown.
+    guard_interventions: steps with a guard status other than 0. control_status_counts, guard_status_counts: steps by
+    status value. finite: whether every position, velocity and force is a number; a flight that is not finite is not
+    reached.
+    """
+
+    minimum_barrier: Float[Array, "*flights"]
+    final_error: Float[Array, "*flights"]
+    reached: Bool[Array, "*flights"]
+    time_to_reach: Float[Array, "*flights"]
+    delta_v: Float[Array, "*flights"]
+    saturated_fraction: Float[Array, "*flights"]
+    guard_interventions: Int[Array, "*flights"]
+    control_status_counts: Int[Array, "*flights 16"]
+    guard_status_counts: Int[Array, "*flights 16"]
+    finite: Bool[Array, "*flights"]
+
+
+def outcome(setup: FlightSetup, log: FlightLog) -> FlightOutcome:
+    """Summarise one flight's log (`steps` + 1 rows; what was done in the last row was not flown)."""
+    error = jnp.linalg.norm(log.position - setup.goal, axis=-1)
+    near = error < setup.tolerance  # false where the error is not a number
+    away = jnp.where(near, -1, jnp.arange(near.shape[0]))
+    arrival = jnp.max(away) + 1
+    finite = jnp.all(jnp.isfinite(log.position)) & jnp.all(jnp.isfinite(log.velocity))
+    finite = finite & jnp.all(jnp.isfinite(log.force[:-1]))
+    reached = near[-1] & finite
+    arrival_time = log.time[jnp.minimum(arrival, near.shape[0] - 1)] - log.time[0]
+    return FlightOutcome(
+        minimum_barrier=jnp.min(log.barrier),
+        final_error=error[-1],
+        reached=reached,
+        time_to_reach=jnp.where(reached, arrival_time, jnp.inf),
+        delta_v=jnp.sum(jnp.linalg.norm(log.force[:-1], axis=-1)) * setup.period / setup.mass,
+        saturated_fraction=jnp.mean(log.saturated[:-1].astype(jnp.float64)),
+        guard_interventions=jnp.sum(log.guard_status[:-1] != 0),
+        control_status_counts=_count(log.control_status[:-1]),
+        guard_status_counts=_count(log.guard_status[:-1]),
+        finite=finite,
+    )
+
+
+def _count(status: Int[Array, "steps"]) -> Int[Array, "16"]:
+    known = jnp.clip(status, 0, STATUSES - 1)
+    return jnp.sum(known[:, None] == jnp.arange(STATUSES), axis=0)

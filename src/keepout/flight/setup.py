@@ -1,0 +1,98 @@
+"""What a flight is made of: the motion, what disturbs it, and the layers that steer it."""
+
+import abc
+import math
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax.core import Tracer
+from jaxtyping import Array, Float, PRNGKeyArray, PyTree
+
+from keepout.errors import ScenarioError
+from keepout.fields.field import Field
+from keepout.motion.actuator import Thrusters
+from keepout.motion.disturbance import Disturbance
+from keepout.motion.relative import MotionState, RelativeMotion
+from keepout.rotation import NumbersLike, Vector
+
+Scalar = Float[Array, ""]
+
+
+def _array(value: NumbersLike) -> Array:
+    return jnp.asarray(value, dtype=jnp.float64)
+
+
+class Faults(eqx.Module):
+    """What stands between truth and control law: sensor errors, delays, broken thrusters.
+
+    A fault's memory (delay lines, random keys) is a pytree that every method takes and gives back.
+    """
+
+    @abc.abstractmethod
+    def initial_state(self, key: PRNGKeyArray) -> PyTree:
+        """Make the memory that a flight starts with."""
+
+    @abc.abstractmethod
+    def estimate(self, fault_state: PyTree, true_state: MotionState) -> tuple[PyTree, MotionState]:
+        """Say what the control law is told about the true state."""
+
+    @abc.abstractmethod
+    def command(self, fault_state: PyTree, force: Vector, time: Scalar) -> tuple[PyTree, Vector]:
+        """Say what force (N, body axes) reaches the thrusters when the control law commands `force` now."""
+
+    @abc.abstractmethod
+    def actuate(self, fault_state: PyTree, force: Vector, time: Scalar) -> tuple[PyTree, Vector]:
+        """Say what the thrusters give when told to give `force` (already within their limits), N, body axes."""
+
+
+class NoFaults(Faults):
+    """A flight where nothing fails."""
+
+    def initial_state(self, key: PRNGKeyArray) -> PyTree:
+        """No memory."""
+        return ()
+
+    def estimate(self, fault_state: PyTree, true_state: MotionState) -> tuple[PyTree, MotionState]:
+        """Tell the truth."""
+        return fault_state, true_state
+
+    def command(self, fault_state: PyTree, force: Vector, time: Scalar) -> tuple[PyTree, Vector]:
+        """Pass the command on."""
+        return fault_state, force
+
+    def actuate(self, fault_state: PyTree, force: Vector, time: Scalar) -> tuple[PyTree, Vector]:
+        """Give what was asked."""
+        return fault_state, force
+
+
+class FlightSetup(eqx.Module):
+    """Everything about a flight but its initial state, its length and its random key.
+
+    motion, disturbance, thrusters: the world. controller: has `initial_state(state)` and `step(controller_state,
+    estimate)`, as in docs/architecture.md. guard: has `filter(estimate, force, disturbance_estimate)`, or None. goal:
+    (3,) m, body axes. mass: kg. period: control period, s. tolerance: m; a flight has reached its goal when it stays
+    closer than this until its end. field: logged along the true path where given.
+
+    Raises:
+        ScenarioError: a mass, period or tolerance that is not positive and finite.
+
+    """
+
+    motion: RelativeMotion
+    disturbance: Disturbance
+    thrusters: Thrusters
+    controller: Any
+    goal: Vector = eqx.field(converter=_array)
+    mass: Scalar = eqx.field(converter=_array)
+    period: Scalar = eqx.field(converter=_array, default=1.0)
+    guard: Any | None = None
+    faults: Faults = eqx.field(default_factory=NoFaults)
+    field: Field | None = None
+    tolerance: Scalar = eqx.field(converter=_array, default=0.1)
+
+    def __check_init__(self):
+        for name, unit in (("mass", "kg"), ("period", "s"), ("tolerance", "m")):
+            value = getattr(self, name)
+            if not isinstance(value, Tracer) and not (math.isfinite(value) and value > 0):
+                raise ScenarioError(f"{name}: {float(value):g} {unit}; it must be positive and finite")
