@@ -96,11 +96,12 @@ def audit(
 ) -> Audit:
     """Judge one flight against the exact mesh.
 
-    `record` holds NumPy arrays `time (N,)` s, `position (N, 3)` m, `velocity (N, 3)` m/s and `force (N, 3)` N: the true
-    states in the body frame and the force truly applied from sample k to k + 1; `guard_status (N,)`, if it is there,
-    counts as an intervention wherever it is not 0. `force_limit` (N) is per axis, `speed_limit` (m/s) on the norm;
-    `tolerance` (m) is how close to the truth the clearance bound is driven; `consistency` (m) is what the flight's own
-    integrator may err by in a step. Raises FlightError where the record cannot be read as a flight.
+    `record` holds NumPy arrays `time (N,)` s, `position (N, 3)` m, `velocity (N, 3)` m/s and `force (N, 3)` N: the
+    true states in the body frame and the force truly applied from sample k to k + 1; `guard_status (N,)`, if it is
+    there, counts as an intervention wherever its two lowest bits are not 0. `force_limit` (N) is per axis,
+    `speed_limit` (m/s) on the norm; `tolerance` (m) is how close to the truth the clearance bound is driven;
+    `consistency` (m) is what the flight's own integrator may err by in a step. Raises FlightError where the record
+    cannot be read as a flight.
     """
     arrays = {
         "position": np.asarray(record.position, float)[None],
@@ -185,7 +186,7 @@ def audit_campaign(
                 largest_speed=float(speed.max()),
                 speed_excess=float(speed.max()) - speed_limit,
                 speed_violations=int(np.sum(speed > speed_limit * (1.0 + 1e-9))),
-                guard_interventions=0 if guard_status is None else int(np.count_nonzero(guard_status[i])),
+                guard_interventions=0 if guard_status is None else int(np.count_nonzero(guard_status[i] & 3)),
                 steps=len(time) - 1,
                 remarks=remarks,
             )

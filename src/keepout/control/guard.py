@@ -1,0 +1,277 @@
+"""The guard: the hard layer that accepts or replaces any commanded force, so that a free way to rest remains.
+
+The theorem, its assumptions and its proof are in docs/guard.md. At every control step the guard asks what the command
+leads to: one step under it, then the nominal braking motion to rest. If the field stays above its threshold over the
+tube around that motion, the command is passed on and the motion is kept as the plan; if not, the plan of an earlier
+step, which is still there to be followed, is followed. The field is the guard's own and need not be the control
+law's.
+"""
+
+import math
+from enum import IntEnum, IntFlag
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from keepout.control.braking import BrakingDesign, GuardAssumptions, design
+from keepout.errors import ControlError
+from keepout.fields.field import Field
+from keepout.motion.relative import MotionState
+
+Vector = Float[Array, "3"]
+
+
+class GuardMode(IntEnum):
+    """What the guard did in a step: the status's two lowest bits."""
+
+    CLEAR = 0
+    """The command was passed on (cut to the thrusters' limits, if it was beyond them)."""
+    BRAKING = 1
+    """The command was replaced; the plan's braking motion was followed."""
+    HOLDING = 2
+    """The command was replaced; the chaser is held at the plan's point of rest."""
+    ESCAPING = 3
+    """No certified plan: the shortest way out was taken. Nothing is promised until the status changes."""
+
+
+class GuardFlag(IntFlag):
+    """What the guard saw in a step: bits added to the status. Any flag but COMMAND means an assumption did not hold."""
+
+    STATE_JUMP = 4
+    """The estimate moved further than force, disturbance bound and estimate errors allow."""
+    DISTURBANCE = 8
+    """The disturbance estimate is above the bound assumed."""
+    FIELD = 16
+    """The field is not finite here, or not above the threshold."""
+    REGION = 32
+    """The chaser is beyond the range or speed limit within which the drift is bounded."""
+    COMMAND = 64
+    """The command held a number that is not finite; it was replaced."""
+    OFF_PLAN = 128
+    """The chaser has left the tube around its plan."""
+    ESTIMATE = 256
+    """The estimate held a number that is not finite; the plan was followed blind."""
+
+
+def mode(status: Int[Array, "*batch"]) -> Int[Array, "*batch"]:
+    """Give the `GuardMode` part of a status."""
+    return status & 3
+
+
+class GuardState(eqx.Module):
+    """The guard's memory: its plan, and what it expects to be told next.
+
+    plan_position (m), plan_velocity (m/s): the nominal braking motion when the next command takes effect. certified:
+    whether that motion's tube is known to be free. pending (m/s²): commands not yet in effect, the oldest first.
+    expected_position, expected_velocity: the next estimate, were there no disturbance. fresh: no step was taken yet.
+    """
+
+    plan_position: Vector
+    plan_velocity: Vector
+    certified: Bool[Array, ""]
+    pending: Float[Array, "delay 3"]
+    expected_position: Vector
+    expected_velocity: Vector
+    fresh: Bool[Array, ""]
+
+
+class Guard(eqx.Module):
+    """Accepts or replaces commanded forces; see docs/guard.md for what it proves.
+
+    field: a lower bound on clearance in the sense of its certificate. threshold: e_h + chaser radius, m: no contact
+    while field > threshold along the path. lipschitz: bound on the field's gradient. samples: points along the stop
+    segment; with the start and the steps of delay at most 20 field values a step. escape_speed: m/s, of the way out
+    of the margin.
+
+    Raises:
+        ControlError: a number out of range, more than 20 field values, or thrusters too weak for the assumptions.
+
+    """
+
+    field: Field
+    threshold: float = eqx.field(static=True)
+    lipschitz: float = eqx.field(static=True)
+    assumptions: GuardAssumptions = eqx.field(static=True)
+    samples: int = eqx.field(static=True, default=15)
+    escape_speed: float = eqx.field(static=True, default=0.02)
+    braking: BrakingDesign = eqx.field(static=True, init=False)
+
+    def __post_init__(self) -> None:
+        """Design the braking law."""
+        for name in ("threshold", "lipschitz", "escape_speed"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0.0):
+                raise ControlError(f"guard: {name} is {value}; it must be finite and greater than 0")
+        values = self.samples + self.assumptions.delay + 2
+        if self.samples < 1 or values > 20:
+            raise ControlError(
+                f"guard: samples is {self.samples}; with a delay of {self.assumptions.delay} steps it must be "
+                f"from 1 to {18 - self.assumptions.delay}"
+            )
+        self.braking = design(self.assumptions)
+
+    @property
+    def least_value(self) -> float:
+        """Field value, in metres, below which no plan is ever certified: threshold plus the tube's radius."""
+        return self.threshold + self.lipschitz * self.braking.position_radius
+
+    def initial_state(self, estimate: MotionState) -> GuardState:
+        """Give the memory before the first step: the plan is to brake at once, certified if that is free."""
+        return self._start(estimate.position, estimate.velocity)
+
+    def _start(self, position: Vector, velocity: Vector) -> GuardState:
+        n, T = self.assumptions.delay, self.assumptions.period
+        pending = jnp.zeros((n, 3))
+        path, ahead, moving = self._predict(position, velocity, pending)
+        points = jnp.concatenate([path[:-1], self._stop_points(ahead, moving)])
+        free = self._free(points, self.field.value(points)) & self._slow(moving)
+        return GuardState(ahead, moving, free, pending, position + T * velocity, velocity, jnp.asarray(True))
+
+    def filter(
+        self, guard_state: GuardState, estimate: MotionState, force: Vector, disturbance_estimate: Vector
+    ) -> tuple[GuardState, Vector, Int[Array, ""]]:
+        """Accept or replace a commanded force (N, body axes).
+
+        Returns the memory for the next step, the force to command, and the status: a `GuardMode` plus `GuardFlag` bits.
+        A command that is not finite is replaced; an estimate that is not finite leaves the plan to be followed blind.
+        """
+        a, T = self.assumptions, self.assumptions.period
+        told = jnp.all(jnp.isfinite(estimate.position)) & jnp.all(jnp.isfinite(estimate.velocity))
+        position = jnp.where(told, estimate.position, guard_state.expected_position)
+        velocity = jnp.where(told, estimate.velocity, guard_state.expected_velocity)
+        path, ahead, moving = self._predict(position, velocity, guard_state.pending)
+        here, outward = self.field.value_and_gradient(position)
+
+        drifted = ahead - guard_state.plan_position
+        off_plan = jnp.linalg.norm(drifted) > self._plan_radius
+        planned = guard_state.certified & ~off_plan & told
+        finite = jnp.all(jnp.isfinite(force))
+        asked = jnp.clip(jnp.where(finite, force, 0.0), -a.force_limit, a.force_limit) / a.mass
+        candidate = jnp.where(planned, asked, self._escape(position, moving, outward))
+        next_position = ahead + T * moving + 0.5 * T**2 * candidate
+        next_velocity = moving + T * candidate
+        ends = jnp.concatenate([path[1:], self._stop_points(next_position, next_velocity)])
+        values = jnp.concatenate([here[None], self.field.value(ends)])
+        free = self._free(jnp.concatenate([path[:1], ends]), values) & self._slow(next_velocity)
+        accepted = free & (finite | ~planned) & told
+
+        brake, rest = self._brake(guard_state.plan_velocity)
+        feedback = self.braking.position_gain * drifted + self.braking.velocity_gain * (
+            moving - guard_state.plan_velocity
+        )
+        followed = brake - jnp.where(told, feedback, 0.0)
+        follow = (planned | (guard_state.certified & ~told)) & ~accepted
+        chosen = jnp.where(follow, jnp.clip(followed, -a.authority, a.authority), candidate)
+        new = GuardState(
+            plan_position=jnp.where(
+                follow, guard_state.plan_position + T * guard_state.plan_velocity + 0.5 * T**2 * brake, next_position
+            ),
+            plan_velocity=jnp.where(follow, guard_state.plan_velocity + T * brake, next_velocity),
+            certified=accepted | follow,
+            pending=jnp.concatenate([guard_state.pending, chosen[None]])[1:],
+            expected_position=position + T * velocity + 0.5 * T**2 * self._in_effect(guard_state, chosen),
+            expected_velocity=velocity + T * self._in_effect(guard_state, chosen),
+            fresh=jnp.asarray(False),
+        )
+        done = jnp.where(
+            accepted & planned,
+            GuardMode.CLEAR,
+            jnp.where(follow, jnp.where(rest, GuardMode.HOLDING, GuardMode.BRAKING), GuardMode.ESCAPING),
+        )
+        flags = (
+            jnp.where(self._jumped(guard_state, position, velocity), GuardFlag.STATE_JUMP, 0)
+            + jnp.where(self._too_strong(disturbance_estimate), GuardFlag.DISTURBANCE, 0)
+            + jnp.where(here > self.threshold, 0, GuardFlag.FIELD)
+            + jnp.where(self._outside_region(position, velocity), GuardFlag.REGION, 0)
+            + jnp.where(finite, 0, GuardFlag.COMMAND)
+            + jnp.where(off_plan, GuardFlag.OFF_PLAN, 0)
+            + jnp.where(told, 0, GuardFlag.ESTIMATE)
+        )
+        return new, a.mass * chosen, (done + flags).astype(jnp.int32)
+
+    def certified(self, state: MotionState) -> Bool[Array, ""]:
+        """Whether braking at once from this estimate is certified free: then a guarded flight can start here."""
+        return self._start(state.position, state.velocity).certified
+
+    @property
+    def _plan_radius(self) -> float:
+        """How far the predicted position can be from the plan while the assumptions hold, m."""
+        a = self.assumptions
+        late = a.delay * a.period
+        return self.braking.position_radius + 0.5 * a.disturbance * late**2 + a.position_error + late * a.velocity_error
+
+    def _predict(
+        self, position: Vector, velocity: Vector, pending: Float[Array, "delay 3"]
+    ) -> tuple[Float[Array, "points 3"], Vector, Vector]:
+        """Positions now and after each pending command, and the state when the next command takes effect."""
+        T = self.assumptions.period
+        points = [position]
+        for i in range(self.assumptions.delay):
+            position = position + T * velocity + 0.5 * T**2 * pending[i]
+            velocity = velocity + T * pending[i]
+            points.append(position)
+        return jnp.stack(points), position, velocity
+
+    def _in_effect(self, guard_state: GuardState, chosen: Vector) -> Vector:
+        return guard_state.pending[0] if self.assumptions.delay else chosen
+
+    def _stop(self, velocity: Vector) -> Vector:
+        """From where the nominal braking motion begins to where it ends, m."""
+        T, a_b = self.assumptions.period, self.braking.deceleration
+        speed = jnp.linalg.norm(velocity)
+        rest = jnp.fmod(speed, a_b * T)
+        length = (speed**2 - rest**2) / (2.0 * a_b) + 0.5 * rest * T
+        return velocity * (length / jnp.maximum(speed, 1e-12))
+
+    def _stop_points(self, position: Vector, velocity: Vector) -> Float[Array, "points 3"]:
+        along = jnp.linspace(0.0, 1.0, self.samples + 1)
+        return position + along[:, None] * self._stop(velocity)
+
+    def _slow(self, velocity: Vector) -> Bool[Array, ""]:
+        """Whether motion from this nominal velocity keeps the speed limit, within which the drift is bounded."""
+        return jnp.linalg.norm(velocity) + self.braking.velocity_radius <= self.assumptions.speed_limit
+
+    def _free(self, points: Float[Array, "points 3"], values: Float[Array, "points"]) -> Bool[Array, ""]:
+        """Whether the field exceeds its threshold over the tube around a polyline of points with these values.
+
+        Between two points Δ apart an L-Lipschitz field is at least (f₁ + f₂ − L Δ)/2; a step under a constant force is
+        within its sagitta T² √3 A/8 of its chord; ρ is added around everything. All of it keeps within the range limit.
+        """
+        a = self.assumptions
+        length = jnp.linalg.norm(jnp.diff(points, axis=0), axis=-1)
+        lowest = 0.5 * (values[:-1] + values[1:] - self.lipschitz * length)
+        sagitta = 3.0**0.5 * a.authority * a.period**2 / 8.0
+        near = jnp.linalg.norm(points, axis=-1) + sagitta + self.braking.position_radius <= a.range_limit
+        return jnp.all(lowest - self.lipschitz * sagitta > self.least_value) & jnp.all(near)
+
+    def _brake(self, velocity: Vector) -> tuple[Vector, Bool[Array, ""]]:
+        """Give the nominal braking acceleration, and whether the nominal motion is at rest."""
+        speed = jnp.linalg.norm(velocity)
+        size = jnp.minimum(self.braking.deceleration, speed / self.assumptions.period)
+        return -velocity * (size / jnp.maximum(speed, 1e-12)), speed < 1e-9
+
+    def _escape(self, position: Vector, velocity: Vector, outward: Vector) -> Vector:
+        """Acceleration along the field's growth, or back into range, at the escape speed, within the authority."""
+        a = self.assumptions
+        afar = jnp.linalg.norm(position) + self.braking.position_radius > 0.99 * a.range_limit
+        away = jnp.where(afar, -position, outward)
+        direction = away / jnp.maximum(jnp.linalg.norm(away), 1e-9)
+        wanted = (jnp.where(jnp.isfinite(direction), direction, 0.0) * self.escape_speed - velocity) / a.period
+        return wanted * jnp.minimum(1.0, a.authority / jnp.maximum(jnp.linalg.norm(wanted), 1e-12))
+
+    def _jumped(self, guard_state: GuardState, position: Vector, velocity: Vector) -> Bool[Array, ""]:
+        a, T = self.assumptions, self.assumptions.period
+        kick = a.disturbance * T + 2.0 * a.velocity_error
+        shift = 0.5 * a.disturbance * T**2 + 2.0 * a.position_error + T * a.velocity_error
+        moved = jnp.linalg.norm(position - guard_state.expected_position) > shift * (1.0 + 1e-6) + 1e-9
+        changed = jnp.linalg.norm(velocity - guard_state.expected_velocity) > kick * (1.0 + 1e-6) + 1e-9
+        return (moved | changed) & ~guard_state.fresh
+
+    def _too_strong(self, disturbance_estimate: Vector) -> Bool[Array, ""]:
+        return ~(jnp.linalg.norm(disturbance_estimate) <= self.assumptions.disturbance_force * (1.0 + 1e-6) + 1e-12)
+
+    def _outside_region(self, position: Vector, velocity: Vector) -> Bool[Array, ""]:
+        a = self.assumptions
+        far = jnp.linalg.norm(position) > a.range_limit + a.position_error
+        return far | (jnp.linalg.norm(velocity) > a.speed_limit + a.velocity_error)
