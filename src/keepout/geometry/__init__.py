@@ -1,1 +1,9 @@
 """Geometry: meshes in, exact distances and offset solids out."""
+
+from keepout.geometry.distance import BallCloudDistance, Distance, ExactDistance
+from keepout.geometry.mesh_report import MeshReport
+from keepout.geometry.octree import straddling_cells
+from keepout.geometry.offset_solid import OffsetSolid
+from keepout.geometry.target import Target
+
+__all__ = ["BallCloudDistance", "Distance", "ExactDistance", "MeshReport", "OffsetSolid", "Target", "straddling_cells"]

@@ -1,0 +1,149 @@
+"""Reading meshes and point clouds that users bring, with a clear word on what is wrong with them."""
+
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from jaxtyping import Float, Int
+
+from keepout.errors import MeshError
+from keepout.geometry.mesh_report import Surface, part_labels, stray_faces, weld, zero_area
+
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
+_DECLARED = {"meter": "m", "meters": "m", "centimeter": "cm", "millimeter": "mm", "millimeters": "mm", "inch": "in", "inches": "in", "foot": "ft", "feet": "ft"}  # fmt: skip
+MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".stl", ".ply", ".off", ".3mf")
+CLOUD_SUFFIXES = (".ply", ".xyz", ".npy")
+SMALLEST, LARGEST = 0.5, 500.0
+"""Metres: a target outside this range without units is questioned."""
+
+
+def read_surface(
+    path: Path, *, units: str | None, scale: float | None, drop_stray: bool, thickness: float | None
+) -> Surface:
+    """Read one file into vertices and triangles in metres; see `Target.load` for the arguments.
+
+    Raises:
+        MeshError: see `Target.load`.
+
+    """
+    _check_file(path)
+    if path.suffix.lower() in (".xyz", ".npy"):
+        vertices, faces, declared = _read_points(path), np.zeros((0, 3), dtype=np.int64), None
+    else:
+        vertices, faces, declared = _read_scene(path)
+    factor, actions = _scale(path, units, scale, declared)
+    cloud = len(faces) == 0
+    if cloud:
+        if thickness is None:
+            raise MeshError(
+                f"{path.name}: {len(vertices)} points and no triangles; give thickness, the diameter in metres of the ball "
+                "that each point stands for"
+            )
+        faces = np.repeat(np.arange(len(vertices))[:, None], 3, axis=1)
+    elif thickness is not None:
+        raise MeshError(f"{path.name}: thickness = {thickness} is for point clouds, and this file has triangles")
+    if not np.isfinite(vertices[faces]).all():
+        bad = int((~np.isfinite(vertices[faces])).any(axis=(1, 2)).sum())
+        raise MeshError(f"{path.name}: {bad} of {len(faces)} faces have a coordinate that is not finite")
+    vertices = np.where(np.isfinite(vertices), vertices, 0.0) * factor
+    size = float(np.ptp(vertices[faces].reshape(-1, 3), axis=0).max())
+    if units is None and scale is None and not SMALLEST <= size <= LARGEST:
+        raise MeshError(
+            f"{path.name}: the largest extent would be {size:.4g} m; give units (m, cm, mm, in, ft) or scale if that is right"
+            f" or wrong; without them {SMALLEST} to {LARGEST:.0f} m is taken"
+        )
+    if cloud:
+        return Surface(vertices, faces, 0.5 * thickness if thickness else 0.0, tuple(actions))
+    faces = _clean(path, vertices, faces, drop_stray, actions)
+    kept, faces = np.unique(faces, return_inverse=True)
+    return Surface(vertices[kept], faces.reshape(-1, 3).astype(np.int64), 0.0, tuple(actions))
+
+
+def _check_file(path: Path) -> None:
+    if not path.exists():
+        raise MeshError(f"{path}: no such file, and no built-in target of that name")
+    if path.is_dir():
+        raise MeshError(f"{path}: a directory; give one mesh file")
+    known = sorted({*MESH_SUFFIXES, *CLOUD_SUFFIXES})
+    if path.suffix.lower() not in known:
+        raise MeshError(f"{path.name}: suffix {path.suffix!r} is unknown; meshes come as {', '.join(known)}")
+    if path.stat().st_size == 0:
+        raise MeshError(f"{path.name}: the file is empty")
+
+
+def _read_points(path: Path) -> Float[np.ndarray, "v 3"]:
+    try:
+        if path.suffix.lower() == ".npy":
+            points = np.load(path, allow_pickle=False)
+        else:
+            points = np.loadtxt(path, ndmin=2)
+    except Exception as cause:  # both readers raise many kinds on foreign content
+        raise MeshError(f"{path.name}: not readable as points: {_one_line(cause)}") from cause
+    if points.ndim != 2 or points.shape[1] < 3 or len(points) == 0 or not np.issubdtype(points.dtype, np.number):
+        raise MeshError(f"{path.name}: an array of shape {points.shape}; points need rows of at least three numbers")
+    return np.ascontiguousarray(points[:, :3], dtype=np.float64)
+
+
+def _read_scene(path: Path) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"], str | None]:
+    """All meshes of a file with their transforms applied; where there are none, all points; and the units it declares."""
+    try:
+        scene = trimesh.load_scene(path, process=False)
+        placed = scene.dump()
+    except Exception as cause:  # trimesh's readers raise many kinds on foreign content
+        raise MeshError(f"{path.name}: not readable as {path.suffix[1:].upper()}: {_one_line(cause)}") from cause
+    vertices, faces, points, count = [], [], [], 0
+    for geometry in placed:
+        if isinstance(geometry, trimesh.Trimesh) and len(geometry.faces):
+            vertices.append(np.asarray(geometry.vertices, dtype=np.float64))
+            faces.append(np.asarray(geometry.faces, dtype=np.int64) + count)
+            count += len(geometry.vertices)
+        elif isinstance(geometry, trimesh.Trimesh | trimesh.PointCloud) and len(geometry.vertices):
+            points.append(np.asarray(geometry.vertices, dtype=np.float64))
+    if faces:
+        return np.concatenate(vertices), np.concatenate(faces), scene.units
+    if points:
+        return np.concatenate(points), np.zeros((0, 3), dtype=np.int64), scene.units
+    raise MeshError(
+        f"{path.name}: no triangles and no points in it; export the geometry itself, not only references to it"
+    )
+
+
+def _scale(path: Path, units: str | None, scale: float | None, declared: str | None) -> tuple[float, list[str]]:
+    """Metres a file unit, and what to tell the user about it."""
+    if units is not None and scale is not None:
+        raise MeshError(f"{path.name}: units = {units!r} and scale = {scale} together; give one of them")
+    if scale is not None:
+        if not (np.isfinite(scale) and scale > 0.0):
+            raise MeshError(f"{path.name}: scale = {scale}; it must be a positive number of metres a file unit")
+        return float(scale), [f"scaled by {scale}"]
+    if units is None:
+        units = _DECLARED.get(declared or "", "m")
+        return UNITS[units], [] if units == "m" else [f"converted from {units}, the unit that the file declares"]
+    if units not in UNITS:
+        raise MeshError(f"{path.name}: units = {units!r}; valid are {', '.join(UNITS)}")
+    return UNITS[units], [] if units == "m" else [f"converted from {units}"]
+
+
+def _clean(
+    path: Path, vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], drop_stray: bool, actions: list[str]
+) -> Int[np.ndarray, "f 3"]:
+    """Faces without duplicates, without faces that are one point, and without stray parts where asked."""
+    welded = weld(vertices, faces)
+    _, first = np.unique(np.sort(welded, axis=1), axis=0, return_index=True)
+    if len(first) < len(faces):
+        actions.append(f"left out {len(faces) - len(first)} duplicate faces")
+    first = np.sort(first)
+    faces, welded = faces[first], welded[first]
+    if zero_area(vertices[faces]).all():
+        raise MeshError(f"{path.name}: none of its {len(faces)} triangles has an area")
+    if drop_stray:
+        part = part_labels(welded)
+        stray = stray_faces(vertices[faces], part)
+        if stray.any():
+            actions.append(f"left out {len(np.unique(part[stray]))} stray parts, {int(stray.sum())} triangles")
+            faces = faces[~stray]
+    return faces
+
+
+def _one_line(cause: Exception) -> str:
+    return (" ".join(str(cause).split()) or type(cause).__name__)[:160]
