@@ -55,8 +55,11 @@ class Spring(eqx.Module):
 class Halving:
     """A guard that halves every command and says so with the status of the sign of its estimate."""
 
-    def filter(self, estimate, force, disturbance_estimate):
-        return force / 2, jnp.where(disturbance_estimate[0] > 0, 2, 0)
+    def initial_state(self, estimate):
+        return jnp.zeros((), jnp.int32)
+
+    def filter(self, guard_state, estimate, force, disturbance_estimate):
+        return guard_state + 1, force / 2, jnp.where(disturbance_estimate[0] > 0, 2, 0) + 8 * (guard_state == 5)
 
 
 class Delayed(Faults):
@@ -115,7 +118,7 @@ def test_layers_act_in_their_fixed_order(flown):
     np.testing.assert_array_equal(log.force, np.clip(arrived, -limit, limit) * [0, 1, 1])
     np.testing.assert_array_equal(log.saturated, np.any(np.abs(arrived) >= limit * (1 - 1e-9), axis=1))
     assert 0 < np.mean(log.saturated) < 1
-    np.testing.assert_array_equal(log.guard_status, 2)
+    np.testing.assert_array_equal(log.guard_status, 2 + 8 * (np.arange(41) == 5))
     np.testing.assert_array_equal(log.control_status, np.arange(41) % 3)
 
 

@@ -22,7 +22,7 @@ from keepout.motion.relative import MotionState
 Vector = Float[Array, "3"]
 
 
-class GuardMode(IntEnum):
+class GuardStatus(IntEnum):
     """What the guard did in a step: the status's two lowest bits."""
 
     CLEAR = 0
@@ -55,7 +55,7 @@ class GuardFlag(IntFlag):
 
 
 def mode(status: Int[Array, "*batch"]) -> Int[Array, "*batch"]:
-    """Give the `GuardMode` part of a status."""
+    """Give the `GuardStatus` part of a status."""
     return status & 3
 
 
@@ -133,8 +133,9 @@ class Guard(eqx.Module):
     ) -> tuple[GuardState, Vector, Int[Array, ""]]:
         """Accept or replace a commanded force (N, body axes).
 
-        Returns the memory for the next step, the force to command, and the status: a `GuardMode` plus `GuardFlag` bits.
-        A command that is not finite is replaced; an estimate that is not finite leaves the plan to be followed blind.
+        Returns the memory for the next step, the force to command, and the status: a `GuardStatus` plus `GuardFlag`
+        bits. A command that is not finite is replaced; an estimate that is not finite leaves the plan to be followed
+        blind.
         """
         a, T = self.assumptions, self.assumptions.period
         told = jnp.all(jnp.isfinite(estimate.position)) & jnp.all(jnp.isfinite(estimate.velocity))
@@ -176,8 +177,8 @@ class Guard(eqx.Module):
         )
         done = jnp.where(
             accepted & planned,
-            GuardMode.CLEAR,
-            jnp.where(follow, jnp.where(rest, GuardMode.HOLDING, GuardMode.BRAKING), GuardMode.ESCAPING),
+            GuardStatus.CLEAR,
+            jnp.where(follow, jnp.where(rest, GuardStatus.HOLDING, GuardStatus.BRAKING), GuardStatus.ESCAPING),
         )
         flags = (
             jnp.where(self._jumped(guard_state, position, velocity), GuardFlag.STATE_JUMP, 0)

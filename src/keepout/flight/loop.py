@@ -20,6 +20,7 @@ class LoopState(eqx.Module):
 
     motion: MotionState
     controller: PyTree
+    guard: PyTree
     faults: PyTree
 
 
@@ -63,28 +64,30 @@ def start(setup: FlightSetup, initial: MotionState, key: PRNGKeyArray) -> LoopSt
     """Give the loop's state before the first step. The control law starts from the estimate, not from the truth."""
     faults = setup.faults.initial_state(key)
     faults, estimate = setup.faults.estimate(faults, initial)
-    return LoopState(initial, setup.controller.initial_state(estimate), faults)
+    guard = () if setup.guard is None else setup.guard.initial_state(estimate)
+    return LoopState(initial, setup.controller.initial_state(estimate), guard, faults)
 
 
 def command(
-    setup: FlightSetup, controller_state: PyTree, estimate: MotionState
-) -> tuple[PyTree, Any, Float[Array, "3"], Int[Array, ""]]:
+    setup: FlightSetup, controller_state: PyTree, guard_state: PyTree, estimate: MotionState
+) -> tuple[PyTree, PyTree, Any, Float[Array, "3"], Int[Array, ""]]:
     """Run the on-board part of a step: control law, then guard.
 
-    Returns the control law's new state, its `Command`, the force after the guard (N, body axes) and the guard's status.
+    Returns the new states of law and guard, the law's `Command`, the force after the guard (N, body axes) and the
+    guard's status.
     """
     controller_state, order = setup.controller.step(controller_state, estimate)
     if setup.guard is None:
-        return controller_state, order, order.force, jnp.zeros((), jnp.int32)
-    force, guard_status = setup.guard.filter(estimate, order.force, order.disturbance_estimate)
-    return controller_state, order, force, jnp.asarray(guard_status, jnp.int32)
+        return controller_state, guard_state, order, order.force, jnp.zeros((), jnp.int32)
+    guard_state, force, status = setup.guard.filter(guard_state, estimate, order.force, order.disturbance_estimate)
+    return controller_state, guard_state, order, force, jnp.asarray(status, jnp.int32)
 
 
 def step(setup: FlightSetup, state: LoopState) -> tuple[LoopState, FlightLog]:
     """Fly one control period; the row describes its start and what was done over it."""
     truth = state.motion
     faults, estimate = setup.faults.estimate(state.faults, truth)
-    controller, order, guarded, guard_status = command(setup, state.controller, estimate)
+    controller, guard, order, guarded, guard_status = command(setup, state.controller, state.guard, estimate)
     faults, arrived = setup.faults.command(faults, guarded, truth.time)
     faults, force = setup.faults.actuate(faults, setup.thrusters.apply(arrived), truth.time)
     motion = setup.motion.step(truth, force, setup.disturbance, setup.period, setup.mass)
@@ -112,7 +115,7 @@ def step(setup: FlightSetup, state: LoopState) -> tuple[LoopState, FlightLog]:
         saturated=setup.thrusters.saturated(arrived),
         target_orbit=truth.target_orbit,
     )
-    return LoopState(motion, controller, faults), row
+    return LoopState(motion, controller, guard, faults), row
 
 
 def trace(setup: FlightSetup, initial: MotionState, steps: int, key: PRNGKeyArray) -> FlightLog:

@@ -17,9 +17,10 @@ class FlightOutcome(eqx.Module):
     minimum_barrier: the least h, m. final_error: ‖r − goal‖ at the end, m. reached: whether the chaser was closer to
     the goal than the tolerance from some time until the end; time_to_reach: that time, s after the start, infinite if
     not reached. delta_v: Σ ‖F‖ T/m over the steps flown, m/s. saturated_fraction: of the steps flown.
-    guard_interventions: steps with a guard status other than 0. control_status_counts, guard_status_counts: steps by
-    status value. finite: whether every position, velocity and force is a number; a flight that is not finite is not
-    reached.
+    guard_interventions: steps in which the guard replaced the command (its status's two lowest bits are not 0).
+    control_status_counts, guard_status_counts: steps by status value; the guard's without its flags. guard_flags:
+    every flag that the guard raised, as bits. finite: whether every position, velocity and force is a number; a
+    flight that is not finite is not reached.
     """
 
     minimum_barrier: Float[Array, "*flights"]
@@ -31,6 +32,7 @@ class FlightOutcome(eqx.Module):
     guard_interventions: Int[Array, "*flights"]
     control_status_counts: Int[Array, "*flights 16"]
     guard_status_counts: Int[Array, "*flights 16"]
+    guard_flags: Int[Array, "*flights"]
     finite: Bool[Array, "*flights"]
 
 
@@ -51,9 +53,10 @@ def outcome(setup: FlightSetup, log: FlightLog) -> FlightOutcome:
         time_to_reach=jnp.where(reached, arrival_time, jnp.inf),
         delta_v=jnp.sum(jnp.linalg.norm(log.force[:-1], axis=-1)) * setup.period / setup.mass,
         saturated_fraction=jnp.mean(log.saturated[:-1].astype(jnp.float64)),
-        guard_interventions=jnp.sum(log.guard_status[:-1] != 0),
+        guard_interventions=jnp.sum(log.guard_status[:-1] & 3 != 0),
         control_status_counts=_count(log.control_status[:-1]),
-        guard_status_counts=_count(log.guard_status[:-1]),
+        guard_status_counts=_count(log.guard_status[:-1] & 3),
+        guard_flags=jnp.bitwise_or.reduce(log.guard_status[:-1] & ~3),
         finite=finite,
     )
 

@@ -70,9 +70,10 @@ class FlightSetup(eqx.Module):
     """Everything about a flight but its initial state, its length and its random key.
 
     motion, disturbance, thrusters: the world. controller: has `initial_state(state)` and `step(controller_state,
-    estimate)`, as in docs/architecture.md. guard: has `filter(estimate, force, disturbance_estimate)`, or None. goal:
-    (3,) m, body axes. mass: kg. period: control period, s. tolerance: m; a flight has reached its goal when it stays
-    closer than this until its end. field: logged along the true path where given.
+    estimate)`, as in docs/architecture.md. guard: has `initial_state(estimate)` and `filter(guard_state, estimate,
+    force, disturbance_estimate)`, or None. goal: (3,) m, body axes. mass: kg. period: control period, s. tolerance:
+    m; a flight has reached its goal when it stays closer than this until its end. field: logged along the true path
+    where given.
 
     Raises:
         ScenarioError: a mass, period or tolerance that is not positive and finite.
