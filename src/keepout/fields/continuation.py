@@ -1,0 +1,107 @@
+"""A safe continuation of a field beyond the ball on which it was learned.
+
+Let the target lie in the ball of radius ρ_T about a centre, and let r be the distance of a point from that centre. Moving
+outward along a ray, the distance to the target grows at least at the rate √(1 - (ρ_T/r)²), the cosine of half the angle
+under which the ball is seen. With F(r) = ∫ √(1 - (ρ_T/s)²) ds = √(r² - ρ_T²) - ρ_T arccos(ρ_T/r), therefore
+
+    d(p) ≥ d(q) + F(r) - F(ψ)      for the point q on the same ray at radius ψ ≤ r.
+
+The field is asked only at q, with ψ(r) = r up to the domain's radius ρ_0, and bending smoothly (C²) to a constant.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+Batch = Float[Array, "n"]
+Points = Float[Array, "n 3"]
+Matrices = Float[Array, "n 3 3"]
+
+
+class RadialContinuation(eqx.Module):
+    """Maps points into the ball of radius (ρ_0 + ρ_1)/2 and carries values, gradients and Hessians back out.
+
+    Attributes:
+        centre: (3,) metres.
+        target_radius: ρ_T, a ball about the centre holds the target, metres.
+        domain_radius: ρ_0 > ρ_T: the field is used unchanged up to here, metres.
+        outer_radius: ρ_1 > ρ_0: beyond it the point asked lies at the constant radius (ρ_0 + ρ_1)/2, metres.
+        allowance: subtracted from the value beyond ρ_1 (growing smoothly from 0 at ρ_0), metres: what the field itself
+            over-states on the shell.
+    """
+
+    centre: Float[Array, "3"]
+    target_radius: Float[Array, ""]
+    domain_radius: Float[Array, ""]
+    outer_radius: Float[Array, ""]
+    allowance: Float[Array, ""]
+
+    def _radial(self, points: Points):
+        y = points - self.centre
+        outside = jnp.sum(y * y, axis=-1) > self.domain_radius**2
+        # Inside, a harmless stand-in keeps every derivative finite; its results are not used.
+        away = jnp.where(outside[:, None], y, jnp.array([1.0, 0.0, 0.0]) * self.domain_radius)
+        r = jnp.sqrt(jnp.sum(away * away, axis=-1))
+        width = self.outer_radius - self.domain_radius
+        t = jnp.clip((r - self.domain_radius) / width, 0.0, 1.0)
+        # ψ' = 1 - (3t² - 2t³): C¹, so that ψ is C².
+        psi = self.domain_radius + width * (t - t**3 + 0.5 * t**4)
+        psi1 = 1.0 - t * t * (3.0 - 2.0 * t)
+        psi2 = -6.0 * t * (1.0 - t) / width
+        return outside, away, r, psi, psi1, psi2, t, width
+
+    def _rise(self, s: Batch) -> Batch:
+        """F(s)."""
+        return jnp.sqrt(s * s - self.target_radius**2) - self.target_radius * jnp.arccos(self.target_radius / s)
+
+    def _rise_derivatives(self, s: Batch) -> tuple[Batch, Batch]:
+        """F'(s) and F''(s)."""
+        ratio = self.target_radius / s
+        slope = jnp.sqrt(1.0 - ratio * ratio)
+        return slope, ratio * ratio / (s * slope)
+
+    def into_domain(self, points: Points) -> Points:
+        """The points at which the field is asked: unchanged inside the domain."""
+        outside, away, r, psi, *_ = self._radial(points)
+        return jnp.where(outside[:, None], self.centre + away * (psi / r)[:, None], points)
+
+    def value(self, points: Points, value: Batch) -> Batch:
+        """The continued value, from the field's value at `into_domain(points)`."""
+        outside, _, r, psi, _, _, t, _ = self._radial(points)
+        added = self._rise(r) - self._rise(psi) - self.allowance * t**3 * (10.0 - 15.0 * t + 6.0 * t * t)
+        return value + jnp.where(outside, added, 0.0)
+
+    def gradient(self, points: Points, gradient: Points) -> Points:
+        """The continued gradient, from the field's gradient at `into_domain(points)`."""
+        outside, away, r, psi, psi1, _, t, width = self._radial(points)
+        u = away / r[:, None]
+        radial = jnp.sum(gradient * u, axis=-1)
+        rise, _ = self._rise_derivatives(r)
+        rise_psi, _ = self._rise_derivatives(psi)
+        added = rise - rise_psi * psi1 - self.allowance * 30.0 * (t * (1.0 - t)) ** 2 / width
+        tangential = (psi / r)[:, None] * (gradient - radial[:, None] * u)
+        return jnp.where(outside[:, None], tangential + (psi1 * radial + added)[:, None] * u, gradient)
+
+    def hessian(self, points: Points, gradient: Points, hessian: Matrices) -> Matrices:
+        """The continued Hessian, from the field's gradient and Hessian at `into_domain(points)`.
+
+        With q = φ(r) y, φ = ψ/r: Dqᵀ H Dq + φ' (u gᵀ + g uᵀ) + (g·y)(φ'' u uᵀ + (φ'/r)(I - u uᵀ)), and the radial terms.
+        """
+        outside, away, r, psi, psi1, psi2, t, width = self._radial(points)
+        u = away / r[:, None]
+        uu = u[:, :, None] * u[:, None, :]
+        across = jnp.eye(3) - uu
+        Dq = (psi / r)[:, None, None] * across + psi1[:, None, None] * uu
+        phi1 = (psi1 - psi / r) / r
+        phi2 = (psi2 - 2.0 * phi1) / r
+        radial = jnp.sum(gradient * u, axis=-1)
+        ug = u[:, :, None] * gradient[:, None, :]
+        bend = phi1[:, None, None] * (ug + ug.swapaxes(-1, -2))
+        bend += (radial * r)[:, None, None] * (phi2[:, None, None] * uu + (phi1 / r)[:, None, None] * across)
+        rise, rise2 = self._rise_derivatives(r)
+        rise_psi, rise2_psi = self._rise_derivatives(psi)
+        first = rise - rise_psi * psi1 - self.allowance * 30.0 * (t * (1.0 - t)) ** 2 / width
+        second = rise2 - rise2_psi * psi1**2 - rise_psi * psi2
+        second -= self.allowance * 60.0 * t * (1.0 - t) * (1.0 - 2.0 * t) / width**2
+        continued = Dq @ hessian @ Dq + bend + second[:, None, None] * uu + (first / r)[:, None, None] * across
+        return jnp.where(outside[:, None, None], continued, hessian)

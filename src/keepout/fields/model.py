@@ -1,0 +1,241 @@
+"""A field with its papers: what it was made from, how, and what was proved of it; and the file that holds them."""
+
+import dataclasses
+import hashlib
+import json
+import os
+from pathlib import Path
+from typing import Any, Literal, Protocol
+
+import jax.numpy as jnp
+import numpy as np
+import safetensors
+import safetensors.numpy
+
+from keepout.errors import FieldError
+from keepout.fields.continuation import RadialContinuation
+from keepout.fields.field import Field
+from keepout.fields.mlp import Layers
+from keepout.fields.neural import NeuralField
+
+FORMAT = "keepout-field"
+VERSION = 1
+_RADIUS_TOLERANCE = 1e-9
+
+
+class HashedTarget(Protocol):
+    """Anything with a name and the digest of its geometry."""
+
+    @property
+    def name(self) -> str:
+        """Shown in messages."""
+        ...
+
+    @property
+    def sha256(self) -> str:
+        """Digest of the triangles."""
+        ...
+
+
+@dataclasses.dataclass(frozen=True)
+class Certificate:
+    """An upper bound of f̃ where the chaser touches, for one target, one field and one chaser radius.
+
+    Attributes:
+        kind: "certified" when `error_bound` is proved (docs/certificate.md); "sampled" when it is a largest sampled value plus
+            a stated allowance, which proves nothing.
+        chaser_radius: R, metres.
+        error_bound: e_h(R), metres: f̃ ≤ R + e_h wherever the exact distance to the triangles is R. May be negative.
+        allowance: metres added to the sampled maximum; zero for a certified bound.
+        sampled_maximum: the largest f̃ - R found by search on that surface, metres: how much of the bound is slack.
+        gradient_bound: a bound of ‖∇f̃‖ over the field's domain (the Lipschitz number of the guard).
+        gradient_kind: "certified" or "sampled", for the gradient bound.
+        evaluation_error: the part of the bound that covers float32 evaluation, metres.
+        seconds: wall-clock time it took.
+        target_sha256: digest of the triangles.
+        field_sha256: digest of the field.
+    """
+
+    kind: Literal["certified", "sampled"]
+    chaser_radius: float
+    error_bound: float
+    allowance: float
+    sampled_maximum: float
+    gradient_bound: float
+    gradient_kind: Literal["certified", "sampled"]
+    evaluation_error: float
+    seconds: float
+    target_sha256: str
+    field_sha256: str
+
+
+@dataclasses.dataclass(frozen=True)
+class FieldModel:
+    """A field, the target it was made for, its training record and its certificates.
+
+    Attributes:
+        field: `NeuralField`.
+        target_name: for messages.
+        target_sha256: digest of the target's triangles.
+        offset: δ in metres: the field approximates the signed distance to the offset solid.
+        training: plain JSON values: profile, seed, seconds, losses.
+        certificates: at most one for each chaser radius.
+    """
+
+    field: Field
+    target_name: str
+    target_sha256: str
+    offset: float
+    training: dict[str, Any]
+    certificates: tuple[Certificate, ...] = ()
+
+    @property
+    def sha256(self) -> str:
+        """Digest of the field's numbers and of what they were made for; certificates and training record are not in it."""
+        tensors, description = _take_apart(self.field)
+        return _digest(tensors, {"field": description, "target": self.target_sha256, "offset": self.offset})
+
+    def certificate(self, chaser_radius: float) -> Certificate:
+        """The certificate for this chaser radius in metres.
+
+        Raises:
+            FieldError: there is none for that radius, or it belongs to another field or target.
+        """
+        for certificate in self.certificates:
+            if abs(certificate.chaser_radius - chaser_radius) <= _RADIUS_TOLERANCE:
+                return certificate
+        have = ", ".join(f"{c.chaser_radius:g} m" for c in self.certificates) or "none"
+        raise FieldError(f"chaser radius {chaser_radius:g} m: the field of {self.target_name} is certified for: {have}")
+
+    def with_certificate(self, certificate: Certificate) -> "FieldModel":
+        """The same model with one more certificate, which replaces one for the same radius."""
+        others = [c for c in self.certificates if abs(c.chaser_radius - certificate.chaser_radius) > _RADIUS_TOLERANCE]
+        ordered = sorted([*others, certificate], key=lambda c: c.chaser_radius)
+        return dataclasses.replace(self, certificates=tuple(ordered))
+
+    def with_training(self, **entries: Any) -> "FieldModel":
+        """The same model with more entries (plain JSON values) in its training record."""
+        return dataclasses.replace(self, training={**self.training, **entries})
+
+    def save(self, path: str | Path) -> None:
+        """Write the `.keepout` file, whole or not at all.
+
+        Raises:
+            FieldError: the file cannot be written.
+        """
+        path = Path(path)
+        tensors, description = _take_apart(self.field)
+        header = {
+            "version": VERSION,
+            "field": description,
+            "target": {"name": self.target_name, "sha256": self.target_sha256, "offset": self.offset},
+            "field_sha256": self.sha256,
+            "training": self.training,
+            "certificates": [dataclasses.asdict(c) for c in self.certificates],
+        }
+        metadata = {"format": FORMAT, "header": json.dumps(header), "sha256": _digest(tensors, header)}
+        temporary = path.with_name(f".{path.name}.{os.getpid()}")
+        try:
+            safetensors.numpy.save_file(tensors, temporary, metadata)
+            os.replace(temporary, path)
+        except (OSError, safetensors.SafetensorError) as error:
+            temporary.unlink(missing_ok=True)
+            raise FieldError(f"{path}: cannot be written ({error})") from None
+
+    @classmethod
+    def load(cls, path: str | Path, *, target: HashedTarget | None = None) -> "FieldModel":
+        """Read a `.keepout` file, and check it against a target if one is given.
+
+        Raises:
+            FieldError: missing, damaged, truncated, edited, not a field file, or made for another target.
+        """
+        path = Path(path)
+        header, tensors = _read(path)
+        try:
+            model = cls(
+                field=_put_together(tensors, header["field"]),
+                target_name=str(header["target"]["name"]),
+                target_sha256=str(header["target"]["sha256"]),
+                offset=float(header["target"]["offset"]),
+                training=dict(header["training"]),
+                certificates=tuple(Certificate(**c) for c in header["certificates"]),
+            )
+        except (KeyError, TypeError, ValueError, IndexError) as error:
+            raise FieldError(f"{path}: the header lacks or misuses an entry ({error!r}); fit the field again") from None
+        for certificate in model.certificates:
+            if (certificate.field_sha256, certificate.target_sha256) != (model.sha256, model.target_sha256):
+                raise FieldError(
+                    f"{path}: its certificate for {certificate.chaser_radius:g} m belongs to another field or target; certify again"
+                )
+        if target is not None and target.sha256 != model.target_sha256:
+            raise FieldError(
+                f"{path}: made for {model.target_name} ({model.target_sha256[:12]}), not for {target.name} ({target.sha256[:12]})"
+            )
+        return model
+
+
+def _digest(tensors: dict[str, np.ndarray], description: dict) -> str:
+    digest = hashlib.sha256(json.dumps(description, sort_keys=True).encode())
+    for name in sorted(tensors):
+        digest.update(f"{name} {tensors[name].dtype} {tensors[name].shape}".encode())
+        digest.update(np.ascontiguousarray(tensors[name]).tobytes())
+    return digest.hexdigest()
+
+
+def _read(path: Path) -> tuple[dict, dict[str, np.ndarray]]:
+    try:
+        with safetensors.safe_open(path, framework="numpy") as file:
+            metadata = file.metadata() or {}
+            if metadata.get("format") != FORMAT:
+                raise FieldError(f"{path}: not a field file: no entry format = {FORMAT!r} in its header")
+            header = json.loads(metadata["header"])
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (not a mapping)
+    except FileNotFoundError:
+        raise FieldError(f"{path}: no such file; a field is a .keepout file") from None
+    except (OSError, safetensors.SafetensorError, KeyError, TypeError, ValueError) as error:
+        if isinstance(error, FieldError):
+            raise
+        raise FieldError(f"{path}: damaged, truncated, or not a field file ({error})") from None
+    if not isinstance(header, dict) or header.get("version") != VERSION:
+        version = header.get("version") if isinstance(header, dict) else None
+        raise FieldError(f"{path}: field format version {version}; this release reads version {VERSION}")
+    if _digest(tensors, header) != metadata.get("sha256"):
+        raise FieldError(f"{path}: its contents do not match its checksum: edited or damaged")
+    return header, tensors
+
+
+def _take_apart(field: Field) -> tuple[dict[str, np.ndarray], dict]:
+    if isinstance(field, NeuralField):
+        layers = zip(field.layers.weights, field.layers.biases)
+        tensors = {f"{kind}{i}": np.asarray(t) for i, pair in enumerate(layers) for kind, t in zip("Wb", pair)}
+        continuation = {
+            f.name: np.asarray(getattr(field.continuation, f.name)).tolist()
+            for f in dataclasses.fields(field.continuation)
+        }
+        description = {
+            "kind": "neural",
+            "beta": field.beta,
+            "scale": float(field.scale),
+            "hidden_layers": len(field.layers.weights) - 1,
+            "continuation": continuation,
+        }
+        return tensors, description
+    raise FieldError(f"a {type(field).__name__} has no file form; a neural field has")
+
+
+def _put_together(tensors: dict[str, np.ndarray], description: dict) -> Field:
+    if description["kind"] != "neural":
+        raise ValueError(f"field kind {description['kind']!r}")
+    count = int(description["hidden_layers"]) + 1
+    layers = Layers(
+        tuple(jnp.asarray(tensors[f"W{i}"]) for i in range(count)),
+        tuple(jnp.asarray(tensors[f"b{i}"]) for i in range(count)),
+    )
+    width = 3
+    for W, b in zip(layers.weights, layers.biases):
+        if W.ndim != 2 or W.shape[1] != width or b.shape != (W.shape[0],):
+            raise ValueError(f"layer shapes {W.shape}, {b.shape} do not follow on width {width}")
+        width = W.shape[0]
+    numbers = {name: jnp.asarray(value, jnp.float64) for name, value in description["continuation"].items()}
+    scale = jnp.asarray(description["scale"], jnp.float64)
+    return NeuralField(layers, scale, RadialContinuation(**numbers), float(description["beta"]))
