@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from keepout.errors import FieldError, KeepoutError, ScenarioError
+from keepout.errors import FieldError, ScenarioError
 from keepout.fields.certificate import certify
 from keepout.fields.model import FieldModel
 from keepout.fields.quality import surface_errors
 from keepout.fields.shipped import shipped_names
 from keepout.fields.training import fit
-from keepout.geometry.builtin import BUILTIN_TARGETS
+from keepout.geometry.builtin import BUILTINS
 from keepout.geometry.target import Target
 from keepout.mission import fly, load_target
 from keepout.progress import Progress, silent
@@ -24,8 +24,8 @@ from keepout.scenario import Scenario, TargetEntry
 def describe_targets(*, pictures: Path | None = None, progress: Progress = silent) -> list[dict[str, Any]]:
     """List the built-in targets with size, triangles and parameters; draw them into `pictures` where it is given."""
     rows = []
-    for place, (name, builtin) in enumerate(BUILTIN_TARGETS.items()):
-        progress(place / len(BUILTIN_TARGETS), name)
+    for place, (name, builtin) in enumerate(BUILTINS.items()):
+        progress(place / len(BUILTINS), name)
         target = Target.load(name)
         row: dict[str, Any] = {
             "name": name,
@@ -33,7 +33,7 @@ def describe_targets(*, pictures: Path | None = None, progress: Progress = silen
             "volume_m3": float(target.volume),
             "triangles": len(target.faces),
             "shipped_field": name in shipped_names(),
-            "parameters": dict(builtin.parameters),
+            "parameters": {key: parameter.default for key, parameter in builtin.parameters.items()},
         }
         if pictures is not None:
             picture = pictures / f"{name}.png"
@@ -117,11 +117,15 @@ def certify_file(
     }
 
 
-def fly_to_folder(scenario: Scenario, out: Path, *, figures: bool = True, progress: Progress = silent) -> dict[str, Any]:
+def fly_to_folder(
+    scenario: Scenario, out: Path, *, figures: bool = True, progress: Progress = silent
+) -> dict[str, Any]:
     """Fly a scenario; write flight file, figures, page and `summary.json` into `out`."""
     _folder(out)
     flight = fly(scenario, progress=lambda fraction, message: progress(0.9 * fraction, message))
-    introduction = f"Target {flight.target.name}, start {list(scenario.start.position)} m, goal {list(scenario.goal.position)} m."
+    introduction = (
+        f"Target {flight.target.name}, start {list(scenario.start.position)} m, goal {list(scenario.goal.position)} m."
+    )
     [summary] = write_flights(
         out, {scenario.name: flight}, title=f"Flight {scenario.name}", introduction=introduction, figures=figures
     )

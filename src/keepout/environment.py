@@ -5,8 +5,10 @@ import math
 import jax
 import numpy as np
 
+from keepout.control.braking import GuardAssumptions
 from keepout.errors import ScenarioError
 from keepout.flight.tube import FlightBounds
+from keepout.geometry.target import Target
 from keepout.motion import (
     ConstantDisturbance,
     Disturbance,
@@ -36,7 +38,7 @@ def relative_motion(scenario: Scenario) -> RelativeMotion:
     )
     attitude = scenario.attitude
     if attitude.kind == "tumbling":
-        turning = Tumbling(np.asarray(attitude.angular_velocity), np.asarray(attitude.inertia))
+        turning = Tumbling(angular_velocity=np.asarray(attitude.angular_velocity), inertia=np.asarray(attitude.inertia))
     elif attitude.kind == "inertial":
         turning = InertiallyFixed()
     else:
@@ -115,4 +117,32 @@ def flight_bounds(scenario: Scenario) -> FlightBounds:
         angular_rate=rate * outward,
         angular_acceleration=acceleration * outward,
         gravity_gradient=2.0 * mu / nearest**3,
+    )
+
+
+def guard_assumptions(scenario: Scenario, target: Target) -> GuardAssumptions:
+    """Gather what the guard's theorem assumes of a scenario; every number is the scenario's or derived from it.
+
+    The drift is bounded inside a range of twice the furthest of start, goal and target plus 20 m, and up to one and a
+    half times the speed limit; the guard flags a flight that leaves that region.
+    """
+    bounds = flight_bounds(scenario)
+    reach = [float(np.linalg.norm(point)) for point in (scenario.start.position, scenario.goal.position)]
+    reach.append(float(np.linalg.norm(target.vertices, axis=1).max()))
+    entry = scenario.guard
+    return GuardAssumptions(
+        mass=scenario.chaser.mass,
+        force_limit=scenario.chaser.force_limit,
+        period=scenario.control.period,
+        disturbance_force=disturbance_bound(scenario),
+        angular_rate=bounds.angular_rate,
+        angular_acceleration=bounds.angular_acceleration,
+        gravity_gradient=bounds.gravity_gradient,
+        range_limit=2.0 * max(reach) + 20.0,
+        speed_limit=1.5 * scenario.chaser.speed_limit,
+        position_error=entry.position_error,
+        velocity_error=entry.velocity_error,
+        mass_error=entry.mass_error,
+        gain_error=entry.gain_error,
+        delay=entry.delay,
     )

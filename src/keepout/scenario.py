@@ -68,7 +68,17 @@ class SafetyEntry(Entry):
     """What is kept between chaser and target beyond what is proved."""
 
     margin: NonNegative = Field(default=0.1, description="the operator's own, m")
-    guard: bool = Field(default=True, description="let the guard accept or replace every commanded force")
+
+
+class GuardEntry(Entry):
+    """The hard layer that accepts or replaces every commanded force, and what its theorem may assume."""
+
+    enabled: bool = True
+    position_error: NonNegative = Field(default=0.0, description="largest error of the position estimate, m")
+    velocity_error: NonNegative = Field(default=0.0, description="largest error of the velocity estimate, m/s")
+    mass_error: Annotated[float, Field(ge=0.0, lt=1.0)] = Field(default=0.0, description="largest relative error")
+    gain_error: Annotated[float, Field(ge=0.0, lt=1.0)] = Field(default=0.0, description="of the thrusters, relative")
+    delay: Annotated[int, Field(ge=0, le=8)] = Field(default=0, description="from command to effect, control periods")
 
 
 class ControlEntry(Entry):
@@ -177,6 +187,7 @@ class Scenario(Entry):
     field: FieldEntry = FieldEntry()
     chaser: ChaserEntry = ChaserEntry()
     safety: SafetyEntry = SafetyEntry()
+    guard: GuardEntry = GuardEntry()
     control: ControlEntry = ControlEntry()
     orbit: OrbitEntry = OrbitEntry()
     attitude: AttitudeEntry = AttitudeEntry()

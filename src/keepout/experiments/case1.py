@@ -12,13 +12,13 @@ from keepout.scenario import Scenario
 LAWS: dict[str, dict[str, Any]] = {
     "paper without circulation": {
         "control": {"profile": "paper", "circulation": "none"},
-        "safety": {"guard": False},
+        "guard": {"enabled": False},
     },
     "paper with circulation": {
         "control": {"profile": "paper", "circulation": "printed"},
-        "safety": {"guard": False},
+        "guard": {"enabled": False},
     },
-    "default law": {"control": {"profile": "default"}, "safety": {"guard": True}},
+    "default law": {"control": {"profile": "default"}, "guard": {"enabled": True}},
 }
 
 INTRODUCTION = (

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
+import trimesh
 from jaxtyping import Float, Int
 
 from keepout.flight.record import FlightRecord
@@ -15,6 +16,7 @@ from keepout.report.style import COLOURS, TARGET_COLOUR
 from keepout.report.terminal import FLIGHT_COLUMNS, shown
 
 _FRAMES = 150
+_SPHERE = trimesh.creation.icosphere(subdivisions=1)
 _STYLE = """
 body{font:15px/1.5 system-ui,sans-serif;max-width:1100px;margin:2em auto;padding:0 1em;color:#1c2430}
 table{border-collapse:collapse;margin:1em 0}th,td{border-bottom:1px solid #d5dae0;padding:.35em .8em;text-align:right}
@@ -97,16 +99,17 @@ def _replay(
         x, y, z = record.position.T
         paths.append(go.Scatter3d(x=x, y=y, z=z, mode="lines", line={"color": colour, "width": 4}, name=name))
         chasers.append((colour, np.column_stack([np.interp(times, record.time, axis) for axis in (x, y, z)])))
-    sphere = _sphere(chaser_radius if chaser_radius > 0.0 else 0.1)
+    # A point chaser is drawn as a small ball, so that there is something to see.
+    radius = chaser_radius if chaser_radius > 0.0 else 0.1
     frames = [
         go.Frame(
             name=f"{time:.0f}",
-            data=[_ball(sphere + centres[k], colour) for colour, centres in chasers],
+            data=[_ball(centres[k], radius, colour) for colour, centres in chasers],
             traces=list(range(1 + len(paths), 1 + len(paths) + len(chasers))),
         )
         for k, time in enumerate(times)
     ]
-    start = [_ball(sphere + centres[0], colour) for colour, centres in chasers]
+    start = [_ball(centres[0], radius, colour) for colour, centres in chasers]
     drawing = go.Figure(data=[mesh, *paths, *start], frames=frames)
     step = {"frame": {"duration": 40, "redraw": True}, "fromcurrent": True, "transition": {"duration": 0}}
     drawing.update_layout(
@@ -144,15 +147,10 @@ def _replay(
     return drawing
 
 
-def _sphere(radius: float) -> Float[np.ndarray, "points 3"]:
-    polar, around = np.meshgrid(np.linspace(0.0, np.pi, 9), np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False))
-    points = np.stack([np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)], axis=-1)
-    return radius * points.reshape(-1, 3)
-
-
-def _ball(points: np.ndarray, colour: str) -> go.Mesh3d:
-    x, y, z = np.round(points, 4).T
-    return go.Mesh3d(x=x, y=y, z=z, alphahull=0, color=colour, hoverinfo="skip", showlegend=False)
+def _ball(centre: Float[np.ndarray, "3"], radius: float, colour: str) -> go.Mesh3d:
+    x, y, z = np.round(centre + radius * _SPHERE.vertices, 4).T
+    i, j, k = _SPHERE.faces.T
+    return go.Mesh3d(x=x, y=y, z=z, i=i, j=j, k=k, color=colour, hoverinfo="skip", showlegend=False)
 
 
 def _base64(path: Path) -> str:

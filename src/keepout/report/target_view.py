@@ -25,7 +25,9 @@ def draw_target(
             axes = drawing.add_subplot(2, 2, place, projection="3d")
             assert isinstance(axes, Axes3D)
             _shade(axes, vertices, faces)
-            _frame(axes, [vertices])
+            flat = view != "oblique"
+            _frame(axes, [vertices], zoom=1.25 if flat else 1.1)
+            axes.set_proj_type("ortho" if flat else "persp")
             axes.view_init(elevation, azimuth)
             axes.set_title(f"{name}, {view}")
 
@@ -73,11 +75,11 @@ def _shade(axes: Axes3D, vertices: np.ndarray, faces: np.ndarray, alpha: float =
     axes.add_collection3d(Poly3DCollection(list(triangles), facecolors=colours, edgecolors="none"))
 
 
-def _frame(axes: Axes3D, clouds: Sequence[np.ndarray]) -> None:
+def _frame(axes: Axes3D, clouds: Sequence[np.ndarray], zoom: float = 1.0) -> None:
     points = np.concatenate(clouds)
     lower, upper = points.min(axis=0), points.max(axis=0)
     axes.set(xlabel="x m", ylabel="y m", zlabel="z m")
     axes.set_xlim(lower[0], upper[0])
     axes.set_ylim(lower[1], upper[1])
     axes.set_zlim(lower[2], upper[2])
-    axes.set_box_aspect(tuple(np.maximum(upper - lower, 1e-3)))
+    axes.set_box_aspect(tuple(np.maximum(upper - lower, 1e-3)), zoom=zoom)

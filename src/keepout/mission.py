@@ -1,0 +1,274 @@
+"""A scenario made flyable: its target and field are loaded, its law is built, it is flown, and the flight is audited."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from keepout import environment
+from keepout.control import profiles
+from keepout.control.controller import Controller, ControlStatus
+from keepout.control.guard import Guard, GuardStatus
+from keepout.errors import FieldError, ScenarioError
+from keepout.fields.model import Certificate, FieldModel
+from keepout.fields.shipped import load_shipped, shipped_names
+from keepout.flight import loop
+from keepout.flight.audit import Audit, Contact, audit
+from keepout.flight.outcome import FlightOutcome, outcome
+from keepout.flight.record import FlightRecord
+from keepout.flight.setup import FlightSetup
+from keepout.geometry.target import Target
+from keepout.motion import MotionState, RelativeMotion
+from keepout.progress import Progress, silent
+from keepout.scenario import Scenario, TargetEntry
+
+
+@dataclass(frozen=True)
+class Mission:
+    """Everything a scenario needs to be flown: target, field with its certificate, setup and initial state."""
+
+    scenario: Scenario
+    target: Target
+    model: FieldModel
+    certificate: Certificate
+    setup: FlightSetup
+    initial: MotionState
+
+    @property
+    def steps(self) -> int:
+        """Control steps in the scenario's duration."""
+        return round(self.scenario.duration / self.scenario.control.period)
+
+
+@dataclass(frozen=True)
+class Flight:
+    """One flown scenario: what was recorded, what became of it, and the audit on the exact mesh.
+
+    `clearance` is the distance from the chaser's surface to the mesh at every recorded sample, m.
+    """
+
+    scenario: Scenario
+    target: Target
+    record: FlightRecord
+    outcome: FlightOutcome
+    audit: Audit
+    clearance: Float[np.ndarray, "samples"]
+
+    def summary(self) -> dict[str, Any]:
+        """Give the flight's figures as plain numbers for JSON.
+
+        `contact` is true unless the audit proves that there was none; `contact_verdict` tells the cases apart.
+        """
+        legend = {"control": ControlStatus, "guard": GuardStatus}
+        counts = {
+            "control": np.asarray(self.outcome.control_status_counts),
+            "guard": np.asarray(self.outcome.guard_status_counts),
+        }
+        return {
+            "reached": bool(self.outcome.reached),
+            "contact": self.audit.contact is not Contact.NO,
+            "contact_verdict": str(self.audit.contact),
+            "minimum_clearance_m": self.audit.minimum_clearance,
+            "final_error_m": float(self.outcome.final_error),
+            "delta_v_mps": float(self.outcome.delta_v),
+            "saturated_fraction": float(self.outcome.saturated_fraction),
+            "guard_interventions": int(self.outcome.guard_interventions),
+            "time_to_reach_s": float(self.outcome.time_to_reach) if self.outcome.reached else None,
+            "largest_speed_mps": self.audit.largest_speed,
+            "statuses": {
+                layer: {status.name.lower(): int(counts[layer][status]) for status in kind if counts[layer][status]}
+                for layer, kind in legend.items()
+            },
+            "remarks": list(self.audit.remarks),
+        }
+
+
+def load_target(entry: TargetEntry) -> Target:
+    """Load a scenario's target."""
+    return Target.load(
+        entry.source,
+        units=entry.units,
+        scale=entry.scale,
+        drop_stray=entry.drop_stray,
+        parameters=dict(entry.parameters) or None,
+    )
+
+
+def load_model(scenario: Scenario, target: Target) -> FieldModel:
+    """Load a scenario's field, refusing one that was made for another mesh.
+
+    Raises:
+        FieldError: there is no such field, or it belongs to another target.
+
+    """
+    source = scenario.field.source
+    if source != "shipped":
+        return FieldModel.load(Path(source), target=target)
+    if scenario.target.source not in shipped_names():
+        raise FieldError(
+            f'field.source: "shipped" is only for {", ".join(shipped_names())}, not for {scenario.target.source!r}; '
+            "make one with `keepout fit` and `keepout certify` and name its file"
+        )
+    model = load_shipped(scenario.target.source)
+    _require_same_target(model, target)
+    return model
+
+
+def prepare(
+    scenario: Scenario,
+    *,
+    target: Target | None = None,
+    model: FieldModel | None = None,
+    progress: Progress = silent,
+) -> Mission:
+    """Build everything that flying a scenario needs.
+
+    Args:
+        scenario: what to fly.
+        target: already loaded; else the scenario's.
+        model: its field, already loaded; else the scenario's.
+        progress: called while guidance is built.
+
+    Raises:
+        KeepoutError: something in the scenario cannot be flown; the message names the entry.
+
+    """
+    target = load_target(scenario.target) if target is None else target
+    model = load_model(scenario, target) if model is None else model
+    _require_same_target(model, target)
+    certificate = model.certificate(scenario.chaser.radius)
+    _refuse_contact(scenario, target)
+    motion = environment.relative_motion(scenario)
+    controller = _controller(scenario, model, certificate, motion, progress)
+    guard = _guard(scenario, model, certificate, target) if scenario.guard.enabled else None
+    setup = FlightSetup(
+        motion=motion,
+        disturbance=environment.disturbance(scenario),
+        thrusters=environment.thrusters(scenario),
+        controller=controller,
+        goal=scenario.goal.position,
+        mass=scenario.chaser.mass,
+        period=scenario.control.period,
+        guard=guard,
+        field=model.field,
+        tolerance=scenario.goal.tolerance,
+    )
+    initial = motion.initial_state(np.asarray(scenario.start.position), np.asarray(scenario.start.velocity))
+    return Mission(scenario, target, model, certificate, setup, initial)
+
+
+def fly(
+    scenario: Scenario | str | Path,
+    *,
+    target: Target | None = None,
+    model: FieldModel | None = None,
+    progress: Progress = silent,
+) -> Flight:
+    """Fly one scenario and audit its clearance on the exact mesh.
+
+    Args:
+        scenario: what to fly, or the path of its TOML file.
+        target: already loaded; else the scenario's.
+        model: its field, already loaded; else the scenario's.
+        progress: called as the work goes on.
+
+    Raises:
+        KeepoutError: something in the scenario cannot be flown; the message names the entry.
+
+    """
+    if not isinstance(scenario, Scenario):
+        scenario = Scenario.load(scenario)
+    progress(0.0, "preparing")
+    mission = prepare(
+        scenario,
+        target=target,
+        model=model,
+        progress=lambda fraction, message: progress(0.4 * fraction, message),
+    )
+    progress(0.4, "flying")
+    key = jax.random.key(scenario.seed)
+    log = loop.fly(mission.setup, mission.initial, mission.steps, key)
+    result = outcome(mission.setup, log)
+    progress(0.8, "audit")
+    record = FlightRecord.of_log(
+        log,
+        outcome=result,
+        scenario=scenario.model_dump_json(),
+        seed=scenario.seed,
+        target_sha256=mission.target.sha256,
+        statuses={
+            "control_status": {int(status): status.name.lower() for status in ControlStatus},
+            "guard_status": {int(status): status.name.lower() for status in GuardStatus},
+        },
+    )
+    verdict = audit(
+        record,
+        mission.target,
+        chaser_radius=scenario.chaser.radius,
+        bounds=environment.flight_bounds(scenario),
+        force_limit=scenario.chaser.force_limit,
+        speed_limit=scenario.chaser.speed_limit,
+    )
+    clearance = mission.target.distance.distance(record.position) - scenario.chaser.radius
+    progress(1.0, "")
+    return Flight(scenario, mission.target, record, result, verdict, clearance)
+
+
+def _require_same_target(model: FieldModel, target: Target) -> None:
+    if model.target_sha256 != target.sha256:
+        raise FieldError(
+            f"field: made for {model.target_name} ({model.target_sha256[:12]}), not for {target.name} "
+            f"({target.sha256[:12]}); other parameters, units or parts make another target, so fit and certify again"
+        )
+
+
+def _refuse_contact(scenario: Scenario, target: Target) -> None:
+    """Refuse a start or goal where the chaser would touch the target."""
+    radius = scenario.chaser.radius
+    for name, position in (("start", scenario.start.position), ("goal", scenario.goal.position)):
+        distance = float(target.distance.distance(np.asarray(position)[None])[0])
+        if distance <= radius:
+            raise ScenarioError(
+                f"{name}.position: {list(position)} m is {distance:.3f} m from the target, where a chaser of radius "
+                f"{radius} m touches it; it must be further than that radius"
+            )
+
+
+def _controller(
+    scenario: Scenario, model: FieldModel, certificate: Certificate, motion: RelativeMotion, progress: Progress
+) -> Controller:
+    """Build the scenario's law; entries left unset keep the profile's own."""
+    control, chaser = scenario.control, scenario.chaser
+    chosen = {
+        name: value for name in ("guidance", "circulation", "observer") if (value := getattr(control, name)) is not None
+    }
+    build = {"default": profiles.default, "paper": profiles.paper}[control.profile]
+    return build(
+        model.field,
+        error_bound=certificate.error_bound,
+        chaser_radius=chaser.radius,
+        margin=scenario.safety.margin,
+        goal=np.asarray(scenario.goal.position),
+        motion=motion,
+        mass=chaser.mass,
+        force_limit=chaser.force_limit,
+        speed_limit=chaser.speed_limit,
+        period=control.period,
+        disturbance_bound=environment.disturbance_bound(scenario),
+        start=np.asarray(scenario.start.position),
+        progress=progress,
+        **chosen,
+    )
+
+
+def _guard(scenario: Scenario, model: FieldModel, certificate: Certificate, target: Target) -> Guard:
+    """Build the guard on the certified field, with the scenario's numbers as its assumptions."""
+    return Guard(
+        field=model.field,
+        threshold=certificate.error_bound + scenario.chaser.radius,
+        lipschitz=certificate.gradient_bound,
+        assumptions=environment.guard_assumptions(scenario, target),
+    )
