@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from keepout.campaigns import run_campaign
 from keepout.errors import FieldError, ScenarioError
 from keepout.fields.certificate import certify
 from keepout.fields.model import FieldModel
@@ -17,6 +18,7 @@ from keepout.geometry.target import Target
 from keepout.mission import fly, load_target
 from keepout.progress import Progress, silent
 from keepout.report import target_view
+from keepout.report.campaign_view import draw_campaign
 from keepout.report.folder import write_flights
 from keepout.scenario import Scenario, TargetEntry
 
@@ -129,6 +131,18 @@ def fly_to_folder(
     [summary] = write_flights(
         out, {scenario.name: flight}, title=f"Flight {scenario.name}", introduction=introduction, figures=figures
     )
+    _write_summary(out, summary)
+    return summary
+
+
+def campaign_to_folder(scenario: Scenario, out: Path, *, progress: Progress = silent) -> dict[str, Any]:
+    """Fly a scenario's campaign; write one row a flight, a figure and `summary.json` into `out`."""
+    _folder(out)
+    flown = run_campaign(scenario, progress=progress)
+    flights = out / f"{scenario.name}-flights.parquet"
+    flown.save(flights)
+    draw_campaign(out / "campaign.png", flown)
+    summary = {**flown.summary(), "flights": str(flights)}
     _write_summary(out, summary)
     return summary
 

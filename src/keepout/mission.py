@@ -1,4 +1,4 @@
-"""A scenario made flyable: its target and field are loaded, its law is built, it is flown, and the flight is audited."""
+"""A scenario made flyable: load its target and field, build its law, fly it, and audit the flight."""
 
 from dataclasses import dataclass
 from pathlib import Path

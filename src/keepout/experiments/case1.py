@@ -23,9 +23,9 @@ LAWS: dict[str, dict[str, Any]] = {
 
 INTRODUCTION = (
     "Start [0, 10, 6] m, goal [0, −10, −4] m around the built-in communications satellite: 20 kg, 0.1 N per axis, "
-    "0.1 m/s, one control step a second, the paper's disturbance. The first two flights use the constants printed in the "
-    "paper, without and with its circulation inequality; the third uses Keepout's default law with the guard. Clearances "
-    "are those of the chaser's ball to the exact mesh, bounded between samples."
+    "0.1 m/s, one control step a second, the paper's disturbance. The first two flights use the constants printed in "
+    "the paper, without and with its circulation inequality; the third uses Keepout's default law with the guard. "
+    "Clearances are those of the chaser's ball to the exact mesh, bounded between samples."
 )
 
 
