@@ -2,12 +2,12 @@
 
 import functools
 
-import igl
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
 from keepout.errors import MeshError
+from keepout.geometry import bvh
 
 Points = Float[np.ndarray, "n 3"]
 
@@ -15,8 +15,7 @@ Points = Float[np.ndarray, "n 3"]
 class ExactDistance:
     """Unsigned distance to a triangle soup: no orientation, no watertightness, no signs.
 
-    The closest triangle is found with libigl's axis-aligned bounding-box tree (Jacobson et al., libigl) and agrees with
-    brute force over all triangles to 1e-12 m. Degenerate triangles count as the segment or point that they are.
+    Found with a bounding-volume hierarchy (`bvh`); agrees with brute force over all triangles to 1e-12 m. Degenerate triangles count as the segment or point that they are.
 
     Args:
         vertices: (V, 3) positions in metres.
@@ -43,10 +42,8 @@ class ExactDistance:
         self.upper: Float[np.ndarray, 3] = used.max(axis=(0, 1))
 
     @functools.cached_property
-    def _tree(self) -> igl.AABB:
-        tree = igl.AABB()
-        tree.init(self.vertices, self.faces)
-        return tree
+    def _tree(self) -> bvh.Tree:
+        return bvh.build(self.vertices[self.faces])
 
     def distance(self, points: Points) -> Float[np.ndarray, "n"]:
         """Unsigned distance in metres, one per point."""
@@ -54,11 +51,11 @@ class ExactDistance:
 
     def closest(self, points: Points) -> tuple[Float[np.ndarray, "n"], Points, Int[np.ndarray, "n"]]:
         """Distance (n,) in metres, closest point (n, 3) on the soup, and the triangle (n,) it lies on."""
-        points = _checked(points)
-        if len(points) == 0:
-            return np.zeros(0), np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
-        squared, face, closest = self._tree.squared_distance(self.vertices, self.faces, points)
-        return np.sqrt(squared), closest, face.astype(np.int64)
+        return bvh.closest(self._tree, _checked(points))
+
+    def distance_within(self, points: Points, bound: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        """The smaller of the distance and a bound (n,) for each point, in metres; much cheaper where the bound is small."""
+        return bvh.closest(self._tree, _checked(points), np.ascontiguousarray(bound, dtype=np.float64))[0]
 
     def distance_and_gradient(self, points: Points) -> tuple[Float[np.ndarray, "n"], Points]:
         """Distance (n,) in metres and its gradient (n, 3), the unit vector (p - c)/d away from the closest point c.

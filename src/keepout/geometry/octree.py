@@ -1,7 +1,7 @@
 """Linear octrees over a cube: cells refined level by level, all cells of a level at once."""
 
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -14,7 +14,8 @@ DEEPEST_LEVEL = 20  # three interleaved coordinates of 20 bits fit a signed 64-b
 _CORNERS = np.array([(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)], dtype=np.int64)
 
 
-class Cells(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Cells:
     """Terminal cells of an octree over a cube, in Morton order, so that a point is located by binary search."""
 
     origin: Float[np.ndarray, "3"]
@@ -29,12 +30,22 @@ class Cells(NamedTuple):
     @property
     def half_width(self) -> Float[np.ndarray, "n"]:
         """Half the side of each cell, metres."""
-        return 0.5 * self.side / 2.0**self.level
+        return 0.5 * self.side * 0.5 ** self.level.astype(np.float64)
 
     @property
     def centre(self) -> Float[np.ndarray, "n 3"]:
         """Centres, metres."""
         return self.origin + (2.0 * self.index + 1.0) * self.half_width[:, None]
+
+    @property
+    def half_diagonal(self) -> Float[np.ndarray, "n"]:
+        """From the centre of each cell to its corners, metres."""
+        return SQRT3 * self.half_width
+
+    def at(self, chosen: Int[np.ndarray, "m"]) -> Float[np.ndarray, "m 3"]:
+        """Centres of chosen cells, metres."""
+        half_width = 0.5 * self.side * 0.5 ** self.level[chosen].astype(np.float64)
+        return self.origin + (2.0 * self.index[chosen] + 1.0) * half_width[:, None]
 
     def locate(self, points: Float[np.ndarray, "m 3"]) -> Int[np.ndarray, "m"]:
         """The cell that holds each point, or -1 outside the cube."""
@@ -47,6 +58,20 @@ class Cells(NamedTuple):
     def locate_grid(self, grid: Int[np.ndarray, "m 3"]) -> Int[np.ndarray, "m"]:
         """The cell that holds each integer position of the deepest level; positions must lie in the cube."""
         return np.searchsorted(self.code, morton(grid), side="right") - 1
+
+    def face_neighbours(self, wanted: Bool[np.ndarray, "n"]) -> Iterator[tuple[int, int, np.ndarray, np.ndarray]]:
+        """For each face (axis, step): wanted cells, and the cell of equal or larger size across that face of each."""
+        chosen = np.flatnonzero(wanted)
+        size = 1 << (self.depth - self.level[chosen].astype(np.int64))
+        low = self.index[chosen] * size[:, None]
+        for axis in range(3):
+            for step in (-1, 1):
+                across = low.copy()
+                across[:, axis] += size if step > 0 else -1
+                inside = (across[:, axis] >= 0) & (across[:, axis] < 2**self.depth)
+                a, b = chosen[inside], self.locate_grid(across[inside])
+                larger = self.level[b] <= self.level[a]
+                yield axis, step, a[larger], b[larger]
 
 
 def morton(index: Int[np.ndarray, "n 3"]) -> Int[np.ndarray, "n"]:
@@ -72,11 +97,19 @@ def refine(
     origin: Float[np.ndarray, "3"],
     side: float,
     depth: int,
-    split: Callable[[Float[np.ndarray, "n 3"], float, int], Bool[np.ndarray, "n"]],
-) -> Cells:
-    """Split the cube until `split(centres, half_width, level)` says no or a cell is `depth` halvings deep.
+    visit: Callable[[Float[np.ndarray, "n 3"], float, int], tuple[Bool[np.ndarray, "n"], tuple[np.ndarray, ...]]],
+) -> tuple[Cells, tuple[np.ndarray, ...]]:
+    """Split the cube until `visit` says no or a cell is `depth` halvings deep.
 
-    `split` sees every cell of every level down to and including `depth`, and its answer at `depth` is ignored.
+    Args:
+        origin: lowest corner of the cube, metres.
+        side: of the cube, metres.
+        depth: of the smallest cells.
+        visit: called once a level with all its cells as `visit(centres, half_width, level)`; answers which of them to split
+            (disregarded at `depth`) and any arrays of figures, one row a cell.
+
+    Returns:
+        The terminal cells, and the figures of each.
 
     Raises:
         MeshError: deeper than 20 levels, where positions no longer fit the code.
@@ -85,22 +118,24 @@ def refine(
     if depth > DEEPEST_LEVEL:
         raise MeshError(f"octree: {depth} levels asked; a leaf of at least 1e-6 of the target's size needs 20 or fewer")
     index = np.zeros((1, 3), dtype=np.int64)
-    codes, levels, indices = [], [], []
+    codes, levels, indices, figures = [], [], [], []
     for level in range(depth + 1):
         half_width = 0.5 * side / 2**level
-        wanted = split(origin + (2.0 * index + 1.0) * half_width, half_width, level)
+        wanted, answers = visit(origin + (2.0 * index + 1.0) * half_width, half_width, level)
         if level == depth:
             wanted = np.zeros(len(index), dtype=bool)
         done = index[~wanted]
         codes.append(morton(done << (depth - level)))
-        levels.append(np.full(len(done), level, dtype=np.int64))
-        indices.append(done)
+        levels.append(np.full(len(done), level, dtype=np.int8))
+        indices.append(done.astype(np.int32))
+        figures.append(tuple(answer[~wanted] for answer in answers))
         index = (2 * index[wanted][:, None, :] + _CORNERS).reshape(-1, 3)
         if len(index) == 0:
             break
-    code, level, index = np.concatenate(codes), np.concatenate(levels), np.concatenate(indices)
+    code = np.concatenate(codes)
     order = np.argsort(code)
-    return Cells(origin, side, depth, code[order], level[order], index[order])
+    cells = Cells(origin, side, depth, code[order], np.concatenate(levels)[order], np.concatenate(indices)[order])
+    return cells, tuple(np.concatenate(rows)[order] for rows in zip(*figures))
 
 
 def straddling_cells(

@@ -8,18 +8,18 @@ closing radius are sealed. Every doubt falls to "occupied".
 import functools
 
 import numpy as np
-import scipy.sparse
-import scipy.sparse.csgraph
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from keepout.errors import MeshError
 from keepout.geometry.distance import Distance, ExactDistance, Points
-from keepout.geometry.octree import SQRT3, Cells, refine
+from keepout.geometry.exterior import flood, hidden_cells
+from keepout.geometry.octree import SQRT3, Cells
 from keepout.progress import Progress, silent
 
 LARGE_TARGET = 60.0
 """Metres. Above this extent the default leaf grows from 0.04 m to 0.1 m."""
-_WALK_STEPS = 48
+_FLOOD_CELLS = 5.0
+"""Flood cells are at most this many to the closing radius, or the leaf if that is larger."""
 _FACE_CORNERS = np.array(
     [
         [(1, 0, 0), (1, 1, 0), (1, 1, 1), (1, 0, 1)],
@@ -52,14 +52,12 @@ class OffsetSolid:
         closing_radius: float,
         cells: Cells,
         hidden: Bool[np.ndarray, "n"],
-        cell_distance: Float[np.ndarray, "n"],
     ):
         self.distance = distance
         self.offset = offset
         self.closing_radius = closing_radius
         self._cells = cells
         self._hidden = hidden
-        self._cell_distance = cell_distance
 
     @classmethod
     def build(
@@ -96,14 +94,15 @@ class OffsetSolid:
         if not leaf > 0.0:
             raise MeshError(f"leaf: {leaf} m; it must be positive")
 
-        depth = max(0, int(np.ceil(np.log2((extent + 2.0 * closing_radius + 8.0 * leaf) / leaf))))
+        depth = max(1, int(np.ceil(np.log2((extent + 2.0 * closing_radius + 8.0 * leaf) / leaf))))
         side = leaf * 2.0**depth
         origin = 0.5 * (distance.lower + distance.upper) - 0.5 * side
-        flood, flooded = _flood(distance, origin, side, depth, closing_radius, progress)
-        progress(0.5, f"{int(flooded.sum())} cells flooded")
-        cells, hidden, cell_distance = _hidden_cells(distance, flood, flooded, offset, progress)
+        coarser = max(0, int(np.log2(closing_radius / (_FLOOD_CELLS * leaf)) + 1.0)) if closing_radius > leaf else 0
+        first_half, second_half = _halves(progress)
+        lake, free, flooded = flood(distance, origin, side, depth - coarser, closing_radius, first_half)
+        cells, hidden = hidden_cells(distance, lake, free, flooded, depth, second_half)
         progress(1.0, f"{int(hidden.sum())} hidden cells")
-        return cls(distance, offset, closing_radius, cells, hidden, cell_distance)
+        return cls(distance, offset, closing_radius, cells, hidden)
 
     def is_exterior(self, points: Points) -> Bool[np.ndarray, "n"]:
         """Whether each point can be reached from outside: True where the signed distance is positive."""
@@ -125,7 +124,7 @@ class OffsetSolid:
             signed[inside] = np.minimum(signed[inside], -boundary.distance(points[inside]))
         if mouths is not None:
             outside = np.flatnonzero(~inside & (signed > 0.0))
-            signed[outside] = np.minimum(signed[outside], mouths.distance(points[outside]))
+            signed[outside] = mouths.distance_within(points[outside], signed[outside])
         return signed
 
     @functools.cached_property
@@ -144,118 +143,18 @@ class OffsetSolid:
         return _quad_distance(corners), (_quad_distance(corners[mouth]) if mouth.any() else None)
 
 
-def _flood(
-    distance: Distance, origin: Float[np.ndarray, "3"], side: float, depth: int, radius: float, progress: Progress
-) -> tuple[Cells, Bool[np.ndarray, "n"]]:
-    """Cells, and which of them are wholly farther than `radius` from every surface and connected to the outside."""
-
-    def split(centres: Points, half_width: float, level: int) -> Bool[np.ndarray, "n"]:
-        d, reach = distance.distance(centres), half_width * SQRT3
-        progress(0.4 * level / max(depth, 1), f"level {level} of {depth}, {len(centres)} cells")
-        return (d - reach <= radius) & (d + reach > radius)
-
-    cells = refine(origin, side, depth, split)
-    free = distance.distance(cells.centre) - cells.half_width * SQRT3 > radius
-    low, high = cells.index == 0, cells.index == (2**cells.level - 1)[:, None]
-    pairs = []
-    for a, b in _face_neighbours(cells, free):
-        both = free[a] & free[b]
-        pairs.append((a[both], b[both]))
-    a, b = (np.concatenate(side) for side in zip(*pairs))
-    graph = scipy.sparse.coo_matrix((np.ones(len(a), dtype=np.int8), (a, b)), shape=(len(free), len(free)))
-    _, component = scipy.sparse.csgraph.connected_components(graph, directed=False)
-    outer = free & (low | high).any(axis=1)
-    return cells, free & np.isin(component, np.unique(component[outer]))
-
-
-def _face_neighbours(cells: Cells, wanted: Bool[np.ndarray, "n"]):
-    """For each of the six faces: wanted cells and the cells of equal or larger size across that face."""
-    chosen = np.flatnonzero(wanted)
-    size = 1 << (cells.depth - cells.level[chosen])
-    low = cells.index[chosen] * size[:, None]
-    for axis in range(3):
-        for step in (-1, 1):
-            across = low.copy()
-            across[:, axis] += np.where(step > 0, size, -1)
-            inside = (across[:, axis] >= 0) & (across[:, axis] < 2**cells.depth)
-            a, b = chosen[inside], cells.locate_grid(across[inside])
-            larger = cells.level[b] <= cells.level[a]
-            yield a[larger], b[larger]
-
-
-def _hidden_cells(
-    distance: Distance, flood: Cells, flooded: Bool[np.ndarray, "n"], offset: float, progress: Progress
-) -> tuple[Cells, Bool[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Cover the cube with cells that are each open or hidden.
-
-    A cell whose centre is farther from every surface than its half-diagonal lies in one ball of free space, so its centre
-    speaks for all of it. Others are split to the leaf; there too the centre speaks for the cell: with ρ ≤ offset, every
-    point of it with d > offset sees the centre past no surface.
-    """
-    keys: list[Int[np.ndarray, n]] = []
-    verdicts: list[Bool[np.ndarray, n]] = []
-    distances: list[Float[np.ndarray, n]] = []
-
-    def split(centres: Points, half_width: float, level: int) -> Bool[np.ndarray, "n"]:
-        progress(0.5 + 0.5 * level / max(flood.depth, 1), f"level {level} of {flood.depth}, {len(centres)} cells")
-        holder = flood.locate(centres)
-        in_flood = flooded[holder] & (flood.level[holder] <= level)
-        d, gradient = distance.distance_and_gradient(centres)
-        undecided = ~in_flood & (d <= half_width * SQRT3)
-        if level == flood.depth:
-            undecided[:] = False
-        ask = np.flatnonzero(~in_flood & ~undecided)
-        hidden = np.zeros(len(centres), dtype=bool)
-        hidden[ask] = ~_walks_out(distance, flood, flooded, centres[ask], d[ask], gradient[ask])
-        done = ~undecided
-        grid = np.floor((centres[done] - flood.origin) * (2.0**flood.depth / flood.side)).astype(np.int64)
-        keys.append(grid)
-        verdicts.append(hidden[done])
-        distances.append(d[done])
-        return undecided
-
-    cells = refine(flood.origin, flood.side, flood.depth, split)
-    place = cells.locate_grid(np.concatenate(keys))
-    hidden = np.empty(len(cells.code), dtype=bool)
-    cell_distance = np.empty(len(cells.code))
-    hidden[place] = np.concatenate(verdicts)
-    cell_distance[place] = np.concatenate(distances)
-    return cells, hidden, cell_distance
-
-
-def _walks_out(
-    distance: Distance, flood: Cells, flooded: Bool[np.ndarray, "n"], points: Points, d: np.ndarray, gradient: Points
-) -> Bool[np.ndarray, "n"]:
-    """Whether walking up the distance, each step within the ball of free space around the last point, meets the flood."""
-    out = np.zeros(len(points), dtype=bool)
-    active = np.flatnonzero(d > 0.0)
-    p, d, gradient = points[active], d[active], gradient[active]
-    for _ in range(_WALK_STEPS):
-        if len(active) == 0:
-            break
-        p = p + 0.95 * d[:, None] * gradient
-        holder = flood.locate(p)
-        arrived = (holder < 0) | flooded[holder]
-        out[active[arrived]] = True
-        active, p = active[~arrived], p[~arrived]
-        d, gradient = distance.distance_and_gradient(p)
-    return out
-
-
 def _boundary_quads(
     cells: Cells, hidden: Bool[np.ndarray, "n"], distance: Distance
 ) -> tuple[Float[np.ndarray, "q 4 3"], Float[np.ndarray, "q"]]:
     """Faces between hidden and open cells, each at the finer of the two cells, and an upper bound of d over each."""
     quads = []
-    for face, (a, b) in enumerate(_face_neighbours(cells, np.ones(len(hidden), dtype=bool))):
-        axis, step = divmod(face, 2)
-        differ = hidden[a] != hidden[b]
+    for axis, step, a, b in cells.face_neighbours(np.ones(len(hidden), dtype=bool)):
         # Equal cells meet twice, once from either side; keep one.
-        differ &= (cells.level[a] > cells.level[b]) | (step == 1)
+        differ = (hidden[a] != hidden[b]) & ((cells.level[a] > cells.level[b]) | (step > 0))
         a = a[differ]
         corner = _FACE_CORNERS[axis].copy()
-        corner[:, axis] = step
-        quads.append(cells.origin + (cells.index[a][:, None, :] + corner) * (2.0 * cells.half_width[a])[:, None, None])
+        corner[:, axis] = step > 0
+        quads.append(cells.origin + (cells.index[a][:, None, :] + corner) * (2.0 * cells.half_width)[a][:, None, None])
     corners = np.concatenate(quads)
     if len(corners) == 0:
         return corners, np.zeros(0)
@@ -265,5 +164,9 @@ def _boundary_quads(
 
 def _quad_distance(corners: Float[np.ndarray, "q 4 3"]) -> ExactDistance:
     first = 4 * np.arange(len(corners))[:, None]
-    faces = np.concatenate([first + [0, 1, 2], first + [0, 2, 3]])
+    faces = np.concatenate([first + np.array([0, 1, 2]), first + np.array([0, 2, 3])])
     return ExactDistance(corners.reshape(-1, 3), faces)
+
+
+def _halves(progress: Progress) -> tuple[Progress, Progress]:
+    return (lambda done, line: progress(0.5 * done, line)), (lambda done, line: progress(0.5 + 0.5 * done, line))
