@@ -91,7 +91,9 @@ def _project(unit: UnitProgram) -> tuple[Active, Stationary, Bool[Array, ""], In
     on_circle = foot + radius * tangent / jnp.where(spread > 0.0, spread, 1.0)
     ball = jnp.sum(n * in_ball) + rate >= 0.0
     plane = length(on_plane) <= limit
-    stretch = jnp.where(ball, jnp.maximum(speed / limit, 1.0), jnp.where(plane, 1.0, spread / jnp.maximum(radius, _EDGE)))
+    stretch = jnp.where(
+        ball, jnp.maximum(speed / limit, 1.0), jnp.where(plane, 1.0, spread / jnp.maximum(radius, _EDGE))
+    )
     at = Stationary(
         jnp.where(ball, in_ball, jnp.where(plane, on_plane, on_circle)),
         jnp.where(ball, 0.0, -(stretch * rate + along) / square),

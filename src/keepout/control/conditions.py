@@ -1,0 +1,123 @@
+"""The design conditions of the control law, each with its number, its limit and whether it holds."""
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from keepout.control.circulation import ConstantCirculation
+from keepout.control.observer import ContinuousObserver, SampledObserver
+from keepout.motion.relative import MotionState, RelativeMotion
+
+if TYPE_CHECKING:
+    from keepout.control.controller import Controller
+
+
+class Condition(NamedTuple):
+    """One condition: what it asks in words, the number found, the limit it is held against, and whether it holds.
+
+    A `required` condition is one without which the default law must not fly; the others void a theorem.
+    """
+
+    name: str
+    statement: str
+    value: float
+    limit: float
+    satisfied: bool
+    required: bool = True
+
+    def __str__(self) -> str:
+        verdict = "holds" if self.satisfied else "violated"
+        return f"{self.name} {verdict} ({self.statement}: {self.value:.4g} against {self.limit:.4g})"
+
+
+def drift_bound(motion: RelativeMotion, *, radius: float, speed: float, samples: int = 256) -> float:
+    """Return the largest drift acceleration (m/s²) found within `radius` m at speeds up to `speed` m/s.
+
+    Sampled over directions and over eight moments of one orbit: an estimate for tuning, no bound that a proof may use.
+    """
+    rng = np.random.default_rng(0)
+    directions = rng.normal(size=(2, samples, 3))
+    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    orbit = motion.orbit
+    period = 2.0 * np.pi * float(jnp.sqrt(orbit.semi_major_axis**3 / orbit.gravitational_parameter))
+    positions, velocities = jnp.asarray(radius * directions[0]), jnp.asarray(speed * directions[1])
+    largest = 0.0
+    for time in np.linspace(0.0, period, 8, endpoint=False):
+        state = motion.initial_state(np.zeros(3), np.zeros(3), float(time))
+
+        def drift(position: Array, velocity: Array, at: MotionState = state) -> Array:
+            moved = MotionState(at.time, position, velocity, at.attitude, at.angular_velocity, at.target_orbit)
+            return motion.drift_acceleration(moved)
+
+        found = jax.vmap(drift)(positions, velocities)
+        largest = max(largest, float(jnp.max(jnp.linalg.norm(found, axis=-1))))
+    return largest
+
+
+def conditions(
+    controller: "Controller",
+    *,
+    period: float,
+    disturbance_bound: float,
+    start: Float[np.ndarray, "3"] | None = None,
+) -> tuple[Condition, ...]:
+    """Check every design condition of a law (design section 2.8) for a period (s) and a disturbance bound (N).
+
+    `start` (3,) m, at rest, adds the condition h₁(0) ≥ 0. The controller's arrays must hold one law, not a batch.
+    """
+    tracking, law = controller.tracking, controller.velocity
+    beta_c, beta_e = float(tracking.barrier_rate), float(tracking.estimation_rate)
+    alpha = float(law.class_k.rate)
+    mass, force = float(controller.mass), float(jnp.min(controller.force_limit))
+    left = (force - disturbance_bound) / mass
+    cap = law.speed.limit if law.speed is not None else law.box
+    assert cap is not None
+    speed = float(cap)
+    found: list[Condition] = []
+
+    def add(name: str, statement: str, value: float, limit: float, ok: bool, *, required: bool = True) -> None:
+        found.append(Condition(name, statement, value, limit, bool(ok), required))
+
+    add("observer outpaces filter", "2 beta_e > beta_c, 1/s", 2.0 * beta_e, beta_c, 2.0 * beta_e > beta_c)
+    add("filter outpaces barrier", "beta_c >= alpha_0, 1/s", beta_c, alpha, beta_c >= alpha)
+    sampling = float(tracking.gain) * period / 2.0
+    add("sampled tracking", "lambda T_s / 2 < 1", sampling, 1.0, sampling < 1.0)
+    smallest = float(np.linalg.eigvalsh(np.asarray(tracking.position_weight)).min())
+    add("position weight", "smallest eigenvalue of H_0 > 0", smallest, 0.0, smallest > 0.0)
+    if isinstance(controller.observer, ContinuousObserver):
+        error = np.asarray(controller.observer.error_matrix())
+        rate = float(np.linalg.eigvals(error).real.max())
+        add("observer", "largest real part of A - L C/m < 0, 1/s", rate, 0.0, rate < 0.0)
+        factor = float(np.abs(1.0 + period * np.linalg.eigvals(error)).max())
+        add("observer sampled", "Euler step of the observer: largest |eigenvalue| < 1", factor, 1.0, factor < 1.0)
+        model = float(np.linalg.eigvals(np.asarray(controller.observer.generator)).real.max())
+        add("disturbance model", "largest real part of A <= 0, 1/s", model, 0.0, model <= 1e-12, required=False)
+    elif isinstance(controller.observer, SampledObserver):
+        factor = float(np.abs(np.linalg.eigvals(np.asarray(controller.observer.error_matrix()))).max())
+        add("observer sampled", "largest |eigenvalue| of Phi - K C < 1", factor, 1.0, factor < 1.0)
+    if law.circulation is not None:
+        level = float(law.circulation.level)
+        add("circulation at the surface", "Upsilon(0) > 0, m/s", level, 0.0, level > 0.0)
+        if isinstance(law.circulation, ConstantCirculation):
+            omega = np.asarray(law.circulation.omega)
+            symmetric = float(np.abs(omega + omega.T).max())
+            add("circulation tangent", "Omega + Omega' = 0", symmetric, 0.0, symmetric <= 1e-12, required=False)
+    if law.class_k.braking is None:
+        asked = alpha * speed
+        add("authority", "alpha_0 v_max <= (F_max - d_max)/m, m/s2", asked, left, asked <= left)
+    else:
+        braking = float(law.class_k.braking)
+        add("authority", "a_c <= (F_max - d_max)/m, m/s2", braking, left, braking <= left)
+    rest = controller.motion.initial_state(controller.goal, np.zeros(3))
+    hold = mass * float(jnp.linalg.norm(controller.motion.drift_acceleration(rest))) + disturbance_bound
+    add("hold at the goal", "m |drift(goal)| + d_max <= F_max, N", hold, force, hold <= force)
+    if start is not None:
+        point, _ = law(jnp.asarray(start, dtype=float), jnp.zeros(3), jnp.zeros(3))
+        square = float(jnp.sum(point.velocity**2))
+        h1 = float(point.barrier) - square / (2.0 * float(tracking.barrier_ratio))
+        h1 -= 0.5 * float(tracking.estimation_weight) * disturbance_bound**2
+        add("start in the safe set", "h_1(0) >= 0 at rest, m", h1, 0.0, h1 >= 0.0, required=False)
+    return tuple(found)

@@ -1,0 +1,138 @@
+"""The control law: observer, safe velocity and tracking composed into one step."""
+
+import enum
+from typing import TYPE_CHECKING
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from keepout.control.cone import ConeStatus
+from keepout.control.observer import Observer
+from keepout.control.tracking import Tracking
+from keepout.control.velocity import SafeVelocity
+from keepout.motion.relative import MotionState, RelativeMotion
+
+if TYPE_CHECKING:
+    from keepout.control.conditions import Condition
+
+
+class ControlStatus(enum.IntEnum):
+    """What a control step has to say; where several apply, the last one."""
+
+    NOMINAL = 0
+    SATURATED = 1  # the force asked for was beyond the thrusters and has been cut off, axis by axis
+    OUTSIDE_SAFE_SET = 2  # no safe velocity exists here; the law flies the fastest way out
+    SOLVER_STALLED = 3  # the safe velocity could not be verified to rounding; the best iterate is used
+    NOT_FINITE = 4  # an input or the field was not a number; the force is zero
+
+
+class ControllerState(eqx.Module):
+    """What the law carries from step to step: the previous sample, the force held since, and its layers' memories."""
+
+    velocity: Float[Array, "3"]
+    drift: Float[Array, "3"]
+    force: Float[Array, "3"]
+    observer: Float[Array, " q"]
+    circulation: Float[Array, "3"]
+    started: Bool[Array, ""]
+
+
+class Command(eqx.Module):
+    """The answer of one control step.
+
+    force: N, body axes, within the thrusters' limits. desired_velocity v_c, safe_velocity v_s: m/s. disturbance_estimate: N,
+    now. barrier: h = field − error_bound − radius − margin, m (the law itself keeps its nominal offset on top).
+    backstepping_barrier: h₁ of the law, m, with the unknown estimation error taken as zero. lyapunov: V₁, m². status: a
+    `ControlStatus`.
+    """
+
+    force: Float[Array, "3"]
+    desired_velocity: Float[Array, "3"]
+    safe_velocity: Float[Array, "3"]
+    disturbance_estimate: Float[Array, "3"]
+    barrier: Float[Array, ""]
+    backstepping_barrier: Float[Array, ""]
+    lyapunov: Float[Array, ""]
+    status: Int[Array, ""]
+
+
+class Controller(eqx.Module):
+    """The law as one pytree: it can be closed over, passed through `jit`, and batched with `vmap` (say over goals).
+
+    `motion` is the model behind the drift compensation, `mass` in kg, `force_limit` (3,) in N per axis, `nominal_offset` in m
+    the part of the velocity layer's offset that is the law's own. `conditions` lists what `profiles.conditions` found at
+    construction.
+    """
+
+    velocity: SafeVelocity
+    tracking: Tracking
+    observer: Observer
+    motion: RelativeMotion
+    mass: Float[Array, ""]
+    force_limit: Float[Array, "3"]
+    nominal_offset: Float[Array, ""]
+    conditions: tuple["Condition", ...] = eqx.field(static=True, default=())
+
+    @property
+    def goal(self) -> Float[Array, "3"]:
+        """Where the law leads, m."""
+        return self.velocity.guidance.goal
+
+    def initial_state(self, state: MotionState) -> ControllerState:
+        """Return the law's state before its first step."""
+        return ControllerState(
+            velocity=state.velocity,
+            drift=self.motion.drift_acceleration(state),
+            force=jnp.zeros(3),
+            observer=self.observer.initial_state(state.velocity),
+            circulation=jnp.zeros(3),
+            started=jnp.asarray(False),
+        )
+
+    def with_applied_force(self, state: ControllerState, force: Float[Array, "3"]) -> ControllerState:
+        """Return the state told that `force` (N) is held from now on instead of the one commanded.
+
+        Without this the observer takes the difference for a disturbance.
+        """
+        return eqx.tree_at(lambda s: s.force, state, force)
+
+    def step(self, state: ControllerState, estimate: MotionState) -> tuple[ControllerState, Command]:
+        """Run one control step on an estimate of the motion; call it once a period."""
+        drift = self.motion.drift_acceleration(estimate)
+        velocity = estimate.velocity
+        updated = self.observer.update(
+            state.observer, state.velocity, velocity, 0.5 * (state.drift + drift), state.force
+        )
+        memory = jnp.where(state.started, updated, state.observer)
+        point, circulation = self.velocity(estimate.position, velocity, state.circulation)
+        tracked = self.tracking(point, estimate.position - self.goal, velocity, drift, self.mass)
+        wanted = tracked.control - self.observer.mean_ahead(memory, velocity)
+        finite = jnp.all(jnp.isfinite(wanted)) & (point.status != ConeStatus.NOT_FINITE)
+        force = jnp.where(finite, jnp.clip(wanted, -self.force_limit, self.force_limit), 0.0)
+
+        status = jnp.where(jnp.any(jnp.abs(wanted) > self.force_limit), ControlStatus.SATURATED, ControlStatus.NOMINAL)
+        status = jnp.where(point.status == ConeStatus.INFEASIBLE, ControlStatus.OUTSIDE_SAFE_SET, status)
+        status = jnp.where(point.status == ConeStatus.STALLED, ControlStatus.SOLVER_STALLED, status)
+        status = jnp.where(finite, status, ControlStatus.NOT_FINITE).astype(jnp.int32)
+        command = Command(
+            force=force,
+            desired_velocity=point.desired,
+            safe_velocity=point.velocity,
+            disturbance_estimate=self.observer.estimate(memory, velocity),
+            barrier=point.barrier + self.nominal_offset,
+            backstepping_barrier=tracked.backstepping_barrier,
+            lyapunov=tracked.lyapunov,
+            status=status,
+        )
+        # A sample that is not a number must not stay in the memory.
+        clean = ControllerState(velocity, drift, force, memory, circulation, jnp.asarray(True))
+        whole = finite & jnp.all(jnp.isfinite(velocity)) & jnp.all(jnp.isfinite(drift)) & jnp.all(jnp.isfinite(memory))
+        kept = eqx.tree_at(lambda s: (s.force, s.started), state, (force, jnp.asarray(False)))
+        return _where(whole, clean, kept), command
+
+
+def _where(condition: Bool[Array, ""], yes: ControllerState, no: ControllerState) -> ControllerState:
+    return ControllerState(
+        *(jnp.where(condition, a, b) for a, b in zip(vars(yes).values(), vars(no).values(), strict=True))
+    )
