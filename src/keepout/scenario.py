@@ -92,7 +92,7 @@ class ControlEntry(Entry):
     circulation: Literal["none", "printed", "skew", "switching"] | None = Field(
         default=None, description="unset: the profile's"
     )
-    observer: Literal["harmonic", "constant", "off"] | None = Field(
+    observer: Literal["harmonic", "constant", "printed", "off"] | None = Field(
         default=None, description="unset: the profile's own"
     )
 

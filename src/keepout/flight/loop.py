@@ -80,6 +80,10 @@ def command(
     if setup.guard is None:
         return controller_state, guard_state, order, order.force, jnp.zeros((), jnp.int32)
     guard_state, force, status = setup.guard.filter(guard_state, estimate, order.force, order.disturbance_estimate)
+    # A law that models the force it commanded must know which one was given, or it takes the difference for a
+    # disturbance. A law without such a model need not offer this.
+    told = getattr(setup.controller, "with_applied_force", None)
+    controller_state = controller_state if told is None else told(controller_state, force)
     return controller_state, guard_state, order, force, jnp.asarray(status, jnp.int32)
 
 
