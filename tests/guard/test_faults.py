@@ -1,0 +1,139 @@
+"""Each fault does what its docstring says, within the bound it states, and the same seed gives the same fault."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from guarded_worlds import Ball, motion_state
+
+from keepout.errors import ScenarioError
+from keepout.flight.faults import (
+    BrokenLaw,
+    CombinedFaults,
+    DelayedCommands,
+    DroppedCommands,
+    StuckThruster,
+    ThrusterGain,
+    WrongEstimate,
+)
+
+KEY = jax.random.key(4)
+NOW = jnp.zeros(())
+
+
+def passed(fault, commands, times=None):
+    """What the thrusters give for a sequence of commands."""
+
+    def step(state, command_and_time):
+        command, time = command_and_time
+        state, arrived = fault.command(state, command, time)
+        state, given = fault.actuate(state, jnp.clip(arrived, -0.1, 0.1), time)
+        return state, given
+
+    times = jnp.arange(float(len(commands))) if times is None else times
+    return np.asarray(jax.lax.scan(step, fault.initial_state(KEY), (jnp.asarray(commands), times))[1])
+
+
+COMMANDS = np.random.default_rng(0).uniform(-0.1, 0.1, (200, 3))
+
+
+def test_delay_is_exact():
+    given = passed(DelayedCommands(2), COMMANDS)
+    np.testing.assert_array_equal(given[2:], COMMANDS[:-2])
+    np.testing.assert_array_equal(given[:2], 0.0)
+
+
+def test_a_dropped_command_leaves_the_one_before():
+    given = passed(DroppedCommands(0.3), COMMANDS)
+    kept = np.all(given == COMMANDS, axis=1)
+    assert 0.55 < kept.mean() < 0.85
+    np.testing.assert_array_equal(given[1:][~kept[1:]], given[:-1][~kept[1:]])
+    np.testing.assert_array_equal(passed(DroppedCommands(0.3), COMMANDS), given)
+
+
+def test_stuck_thrusters():
+    on = passed(StuckThruster(1, 1, 0.1, start=50.0), COMMANDS)
+    np.testing.assert_array_equal(on[:50], COMMANDS[:50])
+    np.testing.assert_allclose(on[50:, 1], 0.1 + np.minimum(COMMANDS[50:, 1], 0.0))
+    off = passed(StuckThruster(2, -1, 0.0), COMMANDS)
+    np.testing.assert_allclose(off[:, 2], np.maximum(COMMANDS[:, 2], 0.0))
+    np.testing.assert_array_equal(off[:, :2], COMMANDS[:, :2])
+    with pytest.raises(ScenarioError, match="axis 3"):
+        StuckThruster(3, 1, 0.1)
+
+
+def test_gain_is_constant_and_within_its_error():
+    factor = passed(ThrusterGain(0.05), COMMANDS) / COMMANDS
+    np.testing.assert_allclose(factor, np.broadcast_to(factor[0], factor.shape), rtol=1e-9)
+    assert 0.0 < np.abs(factor - 1).max() <= 0.05
+
+
+def test_estimate_errors_stay_in_their_balls_and_vary():
+    fault = WrongEstimate(0.02, 1e-3, 0.01, 5e-4)
+    truth = motion_state(jnp.array([5.0, 1.0, 0.0]), jnp.array([0.1, 0.0, 0.0]))
+
+    def step(state, _):
+        state, told = fault.estimate(state, truth)
+        return state, (told.position - truth.position, told.velocity - truth.velocity)
+
+    position, velocity = jax.lax.scan(step, fault.initial_state(KEY), length=500)[1]
+    for error, bias, noise in ((position, 0.02, 0.01), (velocity, 1e-3, 5e-4)):
+        error = np.asarray(error)
+        assert np.linalg.norm(error, axis=1).max() <= bias + noise
+        np.testing.assert_allclose(np.linalg.norm(error.mean(axis=0)), bias, rtol=0.1)
+        assert np.linalg.norm(error - error.mean(axis=0), axis=1).max() > 0.8 * noise
+
+
+def test_faults_combine_in_order():
+    given = passed(CombinedFaults((DelayedCommands(1), StuckThruster(0, 1, 0.0))), COMMANDS)
+    expected = np.concatenate([np.zeros((1, 3)), COMMANDS[:-1]])
+    expected[:, 0] = np.minimum(expected[:, 0], 0.0)
+    np.testing.assert_allclose(given, expected)
+
+
+class Resting:
+    """A law that never pushes."""
+
+    goal = jnp.array([0.0, 9.0, 0.0])
+
+    def initial_state(self, state):
+        return ()
+
+    def step(self, state, estimate):
+        return state, Order(jnp.full(3, 0.01))
+
+
+class Order(eqx.Module):
+    force: jax.Array
+
+
+@pytest.mark.parametrize("kind", BrokenLaw.KINDS)
+def test_broken_laws(kind):
+    law = BrokenLaw(Resting(), Ball(), kind, 0.1, 20.0, 0.1)
+    start = motion_state(jnp.array([5.0, 0.0, 0.0]), jnp.zeros(3))
+
+    def step(state, _):
+        state, order = law.step(state, start)
+        return state, order.force
+
+    force = np.asarray(jax.lax.scan(step, law.initial_state(start), length=90)[1])
+    finite = np.isfinite(force).all(axis=1)
+    assert np.abs(force[finite]).max() <= 0.1 + 1e-15
+    if kind == "not a number":
+        np.testing.assert_array_equal(finite, np.arange(90) % law.hold != 0)
+    if kind == "into the body":
+        np.testing.assert_allclose(force, np.broadcast_to([-0.1, 0, 0], force.shape), atol=1e-12)
+    if kind == "through":
+        assert (force[:, 0] < 0).all()
+        assert (force[:, 1] > 0).all()
+    if kind == "random":
+        assert len(np.unique(force[:, 0])) == 90
+    if kind == "bang-bang":
+        assert np.all(np.abs(np.abs(force) - 0.1) < 1e-15)
+        assert 3 <= len(np.unique(force, axis=0)) <= 6
+
+
+def test_an_unknown_kind_is_refused():
+    with pytest.raises(ScenarioError, match="valid are into the body"):
+        BrokenLaw(Resting(), Ball(), "sideways", 0.1, 20.0, 0.1)
