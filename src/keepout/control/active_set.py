@@ -74,7 +74,7 @@ def _direction(velocity: Float[Array, "3"]) -> tuple[Float[Array, "3"], Float[Ar
 
 
 def _residuals(unit: UnitProgram, active: Active, at: Stationary) -> tuple[_Equations, Float[Array, "3"]]:
-    """The equations' values, and the stationarity residual before held components were taken out."""
+    """Return the equations' values, and the stationarity residual before held components were taken out."""
     v = at.velocity
     direction, speed = _direction(v)
     force = v - unit.desired - at.barrier * (unit.normal - unit.gradient_error * direction) + at.speed * v
@@ -89,7 +89,7 @@ def _residuals(unit: UnitProgram, active: Active, at: Stationary) -> tuple[_Equa
 
 
 def _correction(unit: UnitProgram, active: Active, at: Stationary, values: _Equations) -> Stationary:
-    """The change of (v, λ_b, λ_s) that cancels `values` to first order, inactive rows left out."""
+    """Return the change of (v, λ_b, λ_s) that cancels `values` to first order, inactive rows left out."""
     v = at.velocity
     direction, speed = _direction(v)
     curvature = at.barrier * unit.gradient_error / jnp.where(speed > 0.0, speed, 1.0)

@@ -1,7 +1,8 @@
-"""Circulation: the relaxed inequality T · v − Υ(h) ≥ σ that turns the chaser around an obstacle (paper Eq. cbf_socp_CI).
+"""Circulation: the relaxed inequality T · v − Υ(h) ≥ σ that turns the chaser around an obstacle.
 
-T = Ω ∇f̃, Υ(h) = level − slope h. The choices differ in Ω. A constant Ω cannot exclude deadlock in three dimensions: a skew
-Ω has an axis, and T = 0 wherever ∇f̃ is parallel to it; the paper's printed Ω is not skew, so its T is not tangent.
+Paper Eq. cbf_socp_CI, with T = Ω ∇f̃ and Υ(h) = level − slope h. The choices differ in Ω. A constant Ω cannot exclude
+deadlock in three dimensions: a skew Ω has an axis, and T = 0 wherever ∇f̃ is parallel to it; the paper's printed Ω is
+not skew, so its T is not tangent.
 """
 
 import abc
@@ -82,10 +83,10 @@ class ConstantCirculation(CirculationLaw):
 class SwitchingCirculation(CirculationLaw):
     """A skew Ω whose axis is chosen when the obstacle is met and kept until it is left (hysteresis).
 
-    On meeting the obstacle (Υ(h) > 0) the axis is n × v_c, so that T is the part of the desired velocity along the surface;
-    straight against the surface any perpendicular axis will do. It is kept while it turns around the obstacle, and let go
-    at twice the barrier value. Where the surface bends towards the axis (sine below `degenerate`) T would vanish: the axis
-    becomes n × v, which carries on in the direction of flight.
+    On meeting the obstacle (Υ(h) > 0) the axis is n × v_c, so that T is the part of the desired velocity along the
+    surface; straight against the surface any perpendicular axis will do. It is kept while it turns around the
+    obstacle, and let go at twice the barrier value. Where the surface bends towards the axis (sine below
+    `degenerate`) T would vanish: the axis becomes n × v, which carries on in the direction of flight.
     """
 
     level: Float[Array, ""]

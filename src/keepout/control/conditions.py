@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -44,17 +45,18 @@ def drift_bound(motion: RelativeMotion, *, radius: float, speed: float, samples:
     orbit = motion.orbit
     period = 2.0 * np.pi * float(jnp.sqrt(orbit.semi_major_axis**3 / orbit.gravitational_parameter))
     positions, velocities = jnp.asarray(radius * directions[0]), jnp.asarray(speed * directions[1])
-    largest = 0.0
-    for time in np.linspace(0.0, period, 8, endpoint=False):
-        state = motion.initial_state(np.zeros(3), np.zeros(3), float(time))
 
-        def drift(position: Array, velocity: Array, at: MotionState = state) -> Array:
-            moved = MotionState(at.time, position, velocity, at.attitude, at.angular_velocity, at.target_orbit)
-            return motion.drift_acceleration(moved)
+    @eqx.filter_jit
+    def drift(at: MotionState, position: Array, velocity: Array) -> Array:
+        def single(r: Array, v: Array) -> Array:
+            moved = MotionState(at.time, r, v, at.attitude, at.angular_velocity, at.target_orbit)
+            return jnp.linalg.norm(motion.drift_acceleration(moved))
 
-        found = jax.vmap(drift)(positions, velocities)
-        largest = max(largest, float(jnp.max(jnp.linalg.norm(found, axis=-1))))
-    return largest
+        return jnp.max(jax.vmap(single)(position, velocity))
+
+    states = eqx.filter_jit(lambda time: motion.initial_state(jnp.zeros(3), jnp.zeros(3), time))
+    times = jnp.linspace(0.0, period, 8, endpoint=False)
+    return max(float(drift(states(time), positions, velocities)) for time in times)
 
 
 def conditions(
@@ -115,7 +117,7 @@ def conditions(
     hold = mass * float(jnp.linalg.norm(controller.motion.drift_acceleration(rest))) + disturbance_bound
     add("hold at the goal", "m |drift(goal)| + d_max <= F_max, N", hold, force, hold <= force)
     if start is not None:
-        point, _ = law(jnp.asarray(start, dtype=float), jnp.zeros(3), jnp.zeros(3))
+        point, _ = eqx.filter_jit(lambda f, r: f(r, jnp.zeros(3), jnp.zeros(3)))(law, jnp.asarray(start, dtype=float))
         square = float(jnp.sum(point.velocity**2))
         h1 = float(point.barrier) - square / (2.0 * float(tracking.barrier_ratio))
         h1 -= 0.5 * float(tracking.estimation_weight) * disturbance_bound**2

@@ -28,9 +28,9 @@ class ConeStatus(enum.IntEnum):
 class ConeSolution(eqx.Module):
     """Answer of the velocity program.
 
-    `velocity` (3,) m/s; `status` a `ConeStatus`; `room` in m/s: barrier_rate + g_max, the program is feasible exactly if it
-    is not negative (closed form, design section 2.5; above what any row can use it is cut off); `iterations` of the interior
-    point.
+    `velocity` (3,) m/s; `status` a `ConeStatus`; `room` in m/s: barrier_rate + g_max, the program is feasible
+    exactly if it is not negative (closed form, design section 2.5; above what any row can use it is cut off);
+    `iterations` of the interior point.
     """
 
     velocity: Float[Array, "3"]
@@ -75,7 +75,7 @@ def _iterate(unit: UnitProgram, easy: Bool[Array, ""]) -> tuple[Active, Stationa
 
 
 def _project(unit: UnitProgram) -> tuple[Active, Stationary, Bool[Array, ""], Int[Array, ""]]:
-    """Projection onto a half-space and a ball, in closed form: onto the ball, else the plane, else the circle they share."""
+    """Project onto a half-space and a ball, in closed form: onto the ball, else the plane, else their circle."""
     assert unit.speed is not None
     n, desired, rate, limit = unit.normal, unit.desired, unit.barrier_rate, unit.speed
     square = jnp.sum(n * n)
@@ -125,7 +125,7 @@ def _solve_unit(program: VelocityProgram) -> _Outcome:
 
 @jax.custom_jvp
 def _velocity(program: VelocityProgram, outcome: _Outcome) -> Float[Array, "3"]:
-    """The solution in m/s, with the derivative of the optimality conditions attached."""
+    """Return the solution in m/s, with the derivative of the optimality conditions attached."""
     return to_unit(program).size * outcome.at.velocity
 
 
@@ -144,12 +144,12 @@ def _velocity_jvp(primals: tuple, tangents: tuple) -> tuple[Float[Array, "3"], F
 def solve(program: VelocityProgram) -> ConeSolution:
     """Solve one velocity program (paper Eq. cbf_socp_CI); batches through `jax.vmap`.
 
-    The velocity carries its exact first derivative with respect to every entry of the program (optimality conditions on the
-    active set), so `jax.jacfwd` through this function is cheap; second derivatives are not defined. Away from changes of the
-    active set the solution is differentiable; at one the derivative is that of one side.
+    The velocity carries its exact first derivative with respect to every entry of the program (optimality conditions
+    on the active set), so `jax.jacfwd` through this function is cheap; second derivatives are not defined. Away from
+    changes of the active set the solution is differentiable; at one the derivative is that of one side.
 
-    Method: primal-dual interior point (`interior_point`), then Newton on the active set (`active_set`); a half-space with a
-    speed limit alone has a closed form. Feasibility is closed
+    Method: primal-dual interior point (`interior_point`), then Newton on the active set (`active_set`); a half-space
+    with a speed limit alone has a closed form. Feasibility is closed
     form, and an infeasible program answers with the fastest way out, status `INFEASIBLE`.
     """
     data = jax.lax.stop_gradient(program)

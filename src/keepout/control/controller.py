@@ -41,10 +41,10 @@ class ControllerState(eqx.Module):
 class Command(eqx.Module):
     """The answer of one control step.
 
-    force: N, body axes, within the thrusters' limits. desired_velocity v_c, safe_velocity v_s: m/s. disturbance_estimate: N,
-    now. barrier: h = field − error_bound − radius − margin, m (the law itself keeps its nominal offset on top).
-    backstepping_barrier: h₁ of the law, m, with the unknown estimation error taken as zero. lyapunov: V₁, m². status: a
-    `ControlStatus`.
+    force: N, body axes, within the thrusters' limits. desired_velocity v_c, safe_velocity v_s: m/s.
+    disturbance_estimate: N, now. barrier: h = field − error_bound − radius − margin, m (the law itself keeps its
+    nominal offset on top). backstepping_barrier: h₁ of the law, m, with the unknown estimation error taken as zero.
+    lyapunov: V₁, m². status: a `ControlStatus`.
     """
 
     force: Float[Array, "3"]
@@ -60,9 +60,9 @@ class Command(eqx.Module):
 class Controller(eqx.Module):
     """The law as one pytree: it can be closed over, passed through `jit`, and batched with `vmap` (say over goals).
 
-    `motion` is the model behind the drift compensation, `mass` in kg, `force_limit` (3,) in N per axis, `nominal_offset` in m
-    the part of the velocity layer's offset that is the law's own. `conditions` lists what `profiles.conditions` found at
-    construction.
+    `motion` is the model behind the drift compensation, `mass` in kg, `force_limit` (3,) in N per axis,
+    `nominal_offset` in m the part of the velocity layer's offset that is the law's own. `conditions` lists what
+    `profiles.conditions` found at construction.
     """
 
     velocity: SafeVelocity

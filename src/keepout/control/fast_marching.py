@@ -1,138 +1,123 @@
-"""Fast marching on a regular grid with walls between nodes (Sethian 1996), and the widest way between two nodes."""
+"""Fast marching on a regular grid with walls between nodes (Sethian 1996), and the widest way between two nodes.
+
+Inside, grids are padded by one closed node on every side and flattened: a neighbour is an index plus or minus a stride.
+"""
 
 import heapq
 
 import numba
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
 
-@numba.njit(cache=True)
-def travel_time(speed, walls, sources, source_times, spacing):
+def travel_time(
+    speed: Float[np.ndarray, "nx ny nz"],
+    walls: Bool[np.ndarray, "3 nx ny nz"],
+    sources: Int[np.ndarray, "n 3"],
+    source_times: Float[np.ndarray, " n"],
+    spacing: float,
+) -> Float[np.ndarray, "nx ny nz"]:
     """Solve ‖∇D‖ speed = 1 with D given at the sources, first order upwind.
 
     Args:
-        speed: (nx, ny, nz), m/s; not positive where there is no way.
-        walls: (3, nx, ny, nz) bool; walls[a, i, j, k] closes the edge from node (i, j, k) to the next along axis a.
-        sources: (n, 3) node indices.
-        source_times: (n,) seconds.
+        speed: m/s; not positive where there is no way.
+        walls: walls[a, i, j, k] closes the edge from node (i, j, k) to the next along axis a.
+        sources: node indices.
+        source_times: s.
         spacing: between nodes, m.
 
     Returns:
-        (nx, ny, nz) seconds, infinite where nothing leads.
+        D in seconds, infinite where nothing leads.
 
     """
-    shape = speed.shape
-    size = np.array(shape)
-    time = np.full(shape, np.inf)
-    done = np.zeros(shape, dtype=np.bool_)
-    heap = [(0.0, 0, 0, 0)]
-    heap.pop()
-    for n in range(sources.shape[0]):
-        i, j, k = sources[n, 0], sources[n, 1], sources[n, 2]
-        if speed[i, j, k] > 0.0 and source_times[n] < time[i, j, k]:
-            time[i, j, k] = source_times[n]
-            heapq.heappush(heap, (source_times[n], i, j, k))
-    step = np.zeros(3, dtype=np.int64)
-    upwind = np.zeros(3)
+    padded = np.pad(np.asarray(speed, dtype=np.float64), 1)
+    closed = np.pad(walls, ((0, 0), (1, 1), (1, 1), (1, 1))).reshape(3, -1)
+    index = np.ravel_multi_index(tuple((np.asarray(sources) + 1).T), padded.shape)
+    strides = np.array([padded.shape[1] * padded.shape[2], padded.shape[2], 1])
+    time = _march(padded.ravel(), closed, strides, index, np.asarray(source_times, dtype=np.float64), float(spacing))
+    return time.reshape(padded.shape)[1:-1, 1:-1, 1:-1]
+
+
+@numba.njit(cache=True)
+def _march(speed, walls, strides, sources, source_times, spacing):
+    time = np.full(speed.size, np.inf)
+    done = np.zeros(speed.size, dtype=np.bool_)
+    heap = [(0.0, 0) for _ in range(0)]
+    for n in range(sources.size):
+        node = sources[n]
+        if speed[node] > 0.0 and source_times[n] < time[node]:
+            time[node] = source_times[n]
+            heapq.heappush(heap, (source_times[n], node))
     while len(heap) > 0:
-        reached, i0, j0, k0 = heapq.heappop(heap)
-        if done[i0, j0, k0]:
+        _, settled = heapq.heappop(heap)
+        if done[settled]:
             continue
-        done[i0, j0, k0] = True
+        done[settled] = True
         for axis in range(3):
             for sign in (-1, 1):
-                step[:] = 0
-                step[axis] = sign
-                i, j, k = i0 + step[0], j0 + step[1], k0 + step[2]
-                if i < 0 or j < 0 or k < 0 or i >= size[0] or j >= size[1] or k >= size[2]:
+                node = settled + sign * strides[axis]
+                if done[node] or speed[node] <= 0.0 or walls[axis, min(settled, node)]:
                     continue
-                if done[i, j, k] or speed[i, j, k] <= 0.0:
-                    continue
-                closed = walls[axis, i0, j0, k0] if sign > 0 else walls[axis, i, j, k]
-                if closed:
-                    continue
-                value = _update(time, done, walls, size, upwind, i, j, k, spacing / speed[i, j, k])
-                if value < time[i, j, k]:
-                    time[i, j, k] = value
-                    heapq.heappush(heap, (value, i, j, k))
+                value = _update(time, done, walls, strides, node, spacing / speed[node])
+                if value < time[node]:
+                    time[node] = value
+                    heapq.heappush(heap, (value, node))
     return time
 
 
 @numba.njit(cache=True)
-def _update(time, done, walls, size, upwind, i, j, k, cost):
+def _update(time, done, walls, strides, node, cost):
     """Solve Σ max(D − D_a, 0)² = cost² with the smallest settled neighbour D_a along each axis."""
+    first, second, third = np.inf, np.inf, np.inf
     for axis in range(3):
+        before, after = node - strides[axis], node + strides[axis]
         best = np.inf
-        a, b, c = i, j, k
-        if axis == 0:
-            a = i - 1
-        elif axis == 1:
-            b = j - 1
+        if done[before] and not walls[axis, before]:
+            best = time[before]
+        if done[after] and not walls[axis, node] and time[after] < best:
+            best = time[after]
+        if best < first:
+            first, second, third = best, first, second
+        elif best < second:
+            second, third = best, second
         else:
-            c = k - 1
-        if a >= 0 and b >= 0 and c >= 0 and done[a, b, c] and not walls[axis, a, b, c]:
-            best = time[a, b, c]
-        a, b, c = i, j, k
-        if axis == 0:
-            a = i + 1
-        elif axis == 1:
-            b = j + 1
-        else:
-            c = k + 1
-        inside = a < size[0] and b < size[1] and c < size[2]
-        if inside and done[a, b, c] and not walls[axis, i, j, k] and time[a, b, c] < best:
-            best = time[a, b, c]
-        upwind[axis] = best
-    upwind.sort()
-    value = upwind[0] + cost
-    total, square = upwind[0], upwind[0] * upwind[0]
-    for used in range(2, 4):
-        nearest = upwind[used - 1]
-        if value <= nearest:
-            break
-        total += nearest
-        square += nearest * nearest
-        discriminant = total * total - used * (square - cost * cost)
-        if discriminant < 0.0:
-            break
-        value = (total + np.sqrt(discriminant)) / used
-    return value
+            third = min(third, best)
+    value = first + cost
+    if value <= second:
+        return value
+    # The discriminants are not negative: the step before reached beyond the neighbour that is added.
+    value = 0.5 * (first + second + np.sqrt(2.0 * cost * cost - (second - first) ** 2))
+    if value <= third:
+        return value
+    total = first + second + third
+    square = first * first + second * second + third * third
+    return (total + np.sqrt(max(total * total - 3.0 * (square - cost * cost), 0.0))) / 3.0
+
+
+def widest_way(barrier: Float[np.ndarray, "nx ny nz"], start: Int[np.ndarray, "3"], end: Int[np.ndarray, "3"]) -> float:
+    """Return the largest c such that a path of neighbouring nodes with barrier ≥ c joins start and end, m."""
+    padded = np.pad(barrier, 1, constant_values=-np.inf)
+    strides = np.array([padded.shape[1] * padded.shape[2], padded.shape[2], 1])
+    first, last = (int(np.ravel_multi_index(tuple(np.asarray(node) + 1), padded.shape)) for node in (start, end))
+    return float(_widest(padded.ravel(), strides, first, last))
 
 
 @numba.njit(cache=True)
-def widest_way(barrier, start, end):
-    """Return the largest value c such that a path of neighbouring nodes with barrier ≥ c joins start and end, in metres.
-
-    Args:
-        barrier: (nx, ny, nz), m.
-        start: (3,) node indices.
-        end: (3,) node indices.
-
-    """
-    shape = barrier.shape
-    size = np.array(shape)
-    done = np.zeros(shape, dtype=np.bool_)
-    best = np.full(shape, -np.inf)
-    heap = [(0.0, 0, 0, 0)]
-    heap.pop()
-    heapq.heappush(heap, (-barrier[start[0], start[1], start[2]], start[0], start[1], start[2]))
-    step = np.zeros(3, dtype=np.int64)
+def _widest(barrier, strides, start, end):
+    best = np.full(barrier.size, -np.inf)
+    best[start] = barrier[start]
+    heap = [(-barrier[start], start)]
     while len(heap) > 0:
-        width, i0, j0, k0 = heapq.heappop(heap)
-        if done[i0, j0, k0]:
+        width, settled = heapq.heappop(heap)
+        if settled == end:
+            break
+        if -width < best[settled]:
             continue
-        done[i0, j0, k0] = True
-        if i0 == end[0] and j0 == end[1] and k0 == end[2]:
-            return -width
         for axis in range(3):
             for sign in (-1, 1):
-                step[:] = 0
-                step[axis] = sign
-                i, j, k = i0 + step[0], j0 + step[1], k0 + step[2]
-                if i < 0 or j < 0 or k < 0 or i >= size[0] or j >= size[1] or k >= size[2] or done[i, j, k]:
-                    continue
-                through = min(-width, barrier[i, j, k])
-                if through > best[i, j, k]:
-                    best[i, j, k] = through
-                    heapq.heappush(heap, (-through, i, j, k))
-    return -np.inf
+                node = settled + sign * strides[axis]
+                through = min(-width, barrier[node])
+                if through > best[node]:
+                    best[node] = through
+                    heapq.heappush(heap, (-through, node))
+    return best[end]

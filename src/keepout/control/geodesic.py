@@ -26,8 +26,8 @@ _FILL_SLOPE = 3.0  # rise of the travel time into the obstacle, s/m: only there 
 class BarrierGrid:
     """h at the nodes of a regular grid: `values` (nx, ny, nz) m from corner `origin` (3,) m on, `spacing` m apart.
 
-    `walls` (3, nx, ny, nz): edges to the next node along each axis that cross the obstacle between two free nodes. Values
-    are exact below `FULL_SPEED_BARRIER` and interpolated beyond.
+    `walls` (3, nx, ny, nz): edges to the next node along each axis that cross the obstacle between two free nodes.
+    Values are exact below `FULL_SPEED_BARRIER` and interpolated beyond.
     """
 
     values: Float[np.ndarray, "nx ny nz"]
@@ -48,8 +48,8 @@ class BarrierGrid:
     ) -> "BarrierGrid":
         """Sample h = field − offset in the box from `lower` to `upper` (m).
 
-        The default spacing gives about 400,000 nodes, but never more than 0.9 × offset: a sheet, which the offset thickens
-        to twice its length, then always holds two layers of nodes.
+        The default spacing gives about 400,000 nodes, but never more than 0.9 × offset: a sheet, which the offset
+        thickens to twice its length, then always holds two layers of nodes.
 
         Raises:
             ControlError: the box is empty, the spacing is not positive, or there would be more than 4 million nodes.
@@ -78,7 +78,8 @@ class BarrierGrid:
         coarse = coarse.reshape([len(axis[::2]) for axis in axes])
         where = np.meshgrid(*[np.arange(count) / 2.0 for count in shape], indexing="ij")
         values = ndimage.map_coordinates(coarse, where, order=1)
-        # A distance changes by at most one metre a metre, so beyond this band the interpolated value settles every question.
+        # A distance changes by at most one metre a metre, so beyond this band the interpolated value settles every
+        # question.
         band = (values < FULL_SPEED_BARRIER + 2.0 * spacing) & (values > -2.0 * spacing)
         band[::2, ::2, ::2] = False
         points = np.stack([axis[i] for axis, i in zip(axes, np.nonzero(band), strict=True)], axis=-1)
@@ -88,7 +89,7 @@ class BarrierGrid:
         return cls(values, walls, lower, spacing)
 
     def node(self, position: Float[np.ndarray, "3"]) -> np.ndarray:
-        """Return the indices of the free node of the surrounding cell with the largest barrier, else the nearest node."""
+        """Return the indices of the corner of the surrounding cell with the largest barrier."""
         place = (np.asarray(position, dtype=float) - self.origin) / self.spacing
         last = np.array(self.values.shape) - 2
         base = np.clip(np.floor(place).astype(int), 0, last)
@@ -163,11 +164,12 @@ def geodesic_guidance(
 ) -> GeodesicGuidance:
     """March the travel time from the goal through the free nodes of the grid.
 
-    The travel speed is clip(h/0.6 m, 0.03, 1) m/s. Nodes in the obstacle get values that rise inwards from the *largest* time
-    beside them, so that on neither side of a sheet does the spline's slope lead through it.
+    The travel speed is clip(h/0.6 m, 0.03, 1) m/s. Nodes in the obstacle get values that rise inwards from the
+    *largest* time beside them, so that on neither side of a sheet does the spline's slope lead through it.
 
     Raises:
-        ControlError: goal or start lies outside the grid or in the obstacle, or no way as wide as the chaser joins them; the
+        ControlError: goal or start lies outside the grid or in the obstacle, or no way as wide as the chaser joins
+        them; the
             message says by how much.
 
     """
@@ -200,8 +202,8 @@ def geodesic_guidance(
         if not np.isfinite(time[tuple(node)]):
             width = widest_way(grid.values, node, sources[0])
             raise ControlError(
-                f"start: {start.tolist()} m is not connected to the goal {goal.tolist()} m for this chaser; the widest way "
-                f"between them misses {max(-width, 0.0):.3g} m of clearance (grid {grid.spacing:.3g} m)"
+                f"start: {start.tolist()} m is not connected to the goal {goal.tolist()} m for this chaser; the "
+                f"widest way between them misses {max(-width, 0.0):.3g} m of clearance (grid {grid.spacing:.3g} m)"
             )
     return guidance
 

@@ -58,10 +58,10 @@ class StraightGuidance(Guidance):
 class GeodesicGuidance(Guidance):
     """Down the travel time to the goal, blended into the straight line near it (design section 2.6).
 
-    `travel_time` holds the time at the nodes of a regular grid with corner `origin` (m) and `spacing` (m), the speed far from
-    everything being 1 m/s; it is read through cubic B-splines (twice continuously differentiable). Between `inner` and
-    `outer` metres from the goal the direction turns from straight to geodesic. Outside the grid the way leads back to it.
-    The speed is v_max tanh(‖r_e‖ / k_p). Build it with `keepout.control.geodesic.geodesic_guidance`.
+    `travel_time` holds the time at the nodes of a regular grid with corner `origin` (m) and `spacing` (m), the speed
+    far from everything being 1 m/s; it is read through cubic B-splines (twice continuously differentiable). Between
+    `inner` and `outer` metres from the goal the direction turns from straight to geodesic. Outside the grid the way
+    leads back to it. The speed is v_max tanh(‖r_e‖ / k_p). Build it with `keepout.control.geodesic.geodesic_guidance`.
     """
 
     goal: Float[Array, "3"]

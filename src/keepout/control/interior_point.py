@@ -1,8 +1,8 @@
 """A primal-dual interior point for tiny cone programs.
 
-Nesterov-Todd scaling and Mehrotra's predictor-corrector as in Vandenberghe, "The CVXOPT linear and quadratic cone program
-solvers" (2010), sections 4 to 7. Products are written as elementwise multiplications and sums: at three or four unknowns a
-matrix call costs more than the arithmetic, and a batch (through `vmap`) fuses.
+Nesterov-Todd scaling and Mehrotra's predictor-corrector as in Vandenberghe, "The CVXOPT linear and quadratic cone
+program solvers" (2010), sections 4 to 7. Products are written as elementwise multiplications and sums: at three or
+four unknowns a matrix call costs more than the arithmetic, and a batch (through `vmap`) fuses.
 
 The program is  minimise ½ xᵀ diag(quadratic) x + linearᵀ x  over x, with  row_offsets + rows x ≥ 0  and
 cone_offsets + cones x  in second-order cones of four entries (head first).
@@ -87,7 +87,7 @@ def _jordan_product(a: Float[Array, "k 4"], b: Float[Array, "k 4"]) -> Float[Arr
 
 
 def _jordan_divide(a: Float[Array, "k 4"], b: Float[Array, "k 4"]) -> Float[Array, "k 4"]:
-    """The u with a ∘ u = b."""
+    """Return the u with a ∘ u = b."""
     head = _dot(_reflect(a), b) / _size(a) ** 2
     return _join(head, (b[:, 1:] - head * a[:, 1:]) / a[:, :1])
 
@@ -155,8 +155,8 @@ def solve(program: ConicProgram, *, complementarity: float | Float[Array, ""] = 
     """Solve the program, or follow its central path to s ∘ z = `complementarity`.
 
     Infeasible start, predictor-corrector steps, a floor under the centring parameter, and a fraction of the step to the
-    boundary that tends to one with the affine step. Returns the last iterate; `converged` says whether residuals and gap came
-    below tolerance within `MAXIMUM_ITERATIONS`.
+    boundary that tends to one with the affine step. Returns the last iterate; `converged` says whether residuals and
+    gap came below tolerance within `MAXIMUM_ITERATIONS`.
     """
     n_rows, n_cones = program.rows.shape[0], program.cones.shape[0]
     degree = n_rows + n_cones
@@ -235,7 +235,8 @@ def solve(program: ConicProgram, *, complementarity: float | Float[Array, ""] = 
             - degree * target
         )
         residual = jnp.max(jnp.abs(flat))
-        # A step that lost its digits is refused and ends the iteration: the polish decides what the last good one is worth.
+        # A step that lost its digits is refused and ends the iteration: the polish decides what the last good one is
+        # worth.
         healthy = jnp.isfinite(residual + gap)
         kept = jax.tree.map(lambda new, old: jnp.where(healthy, new, old), moved, at)
         done = (residual <= _RESIDUAL) & (gap <= jnp.maximum(_GAP, 1e-3 * target))

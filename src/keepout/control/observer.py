@@ -1,11 +1,12 @@
 """Disturbance observers: the paper's continuous form, run exactly between samples, and a sampled form for on board.
 
-The disturbance is modelled as ξ̇ = A ξ, d = C ξ (paper Eq. disturbance_model). The paper writes the gain function on r; the
-equations only close with it on v, and so does this module.
+The disturbance is modelled as ξ̇ = A ξ, d = C ξ (paper Eq. disturbance_model). The paper writes the gain function on
+r; the equations only close with it on v, and so does this module.
 """
 
 import abc
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -34,8 +35,8 @@ class Observer(eqx.Module):
     ) -> Float[Array, " q"]:
         """Return the state a period later.
 
-        `before` and `after` are the velocities (m/s) at the ends of the period, `drift` the mean acceleration without force and
-        disturbance (m/s²), `force` what the thrusters held (N).
+        `before` and `after` are the velocities (m/s) at the ends of the period, `drift` the mean acceleration
+        without force and disturbance (m/s²), `force` what the thrusters held (N).
         """
 
     @abc.abstractmethod
@@ -79,8 +80,8 @@ class ContinuousObserver(Observer):
 
         ż = (A − L C/m) z + (A L − L C L/m) v − L (a_drift + F/m),   ξ̂ = z + L v,   d̂ = C ξ̂
 
-    so that the error obeys ė_ξ = (A − L C/m) e_ξ. Between samples it is integrated exactly for a held force, a constant drift
-    and a velocity that is linear in time. Build with `continuous`.
+    so that the error obeys ė_ξ = (A − L C/m) e_ξ. Between samples it is integrated exactly for a held force, a
+    constant drift and a velocity that is linear in time. Build with `continuous`.
     """
 
     generator: Float[Array, "q q"]
@@ -218,9 +219,9 @@ def harmonic_observer(
 ) -> SampledObserver:
     """Build the sampled observer of a constant plus sinusoids of known frequencies (rad/s) along each axis.
 
-    `factors` are the eigenvalues of the error per period, 1 + 2 × the number of frequencies, distinct and within the unit
-    circle. By default one is 0.1, which catches a push at once, and the others lie between 0.8 and 0.92: they only sort the
-    push into its parts.
+    `factors` are the eigenvalues of the error per period, 1 + 2 × the number of frequencies, distinct and within the
+    unit circle. By default one is 0.1, which catches a push at once, and the others lie between 0.8 and 0.92: they
+    only sort the push into its parts.
 
     Raises:
         ControlError: a frequency that is not in (0, π/period) or that repeats, or factors of the wrong number or size.
@@ -229,14 +230,14 @@ def harmonic_observer(
     omegas = [float(w) for w in frequencies]
     if len(set(omegas)) != len(omegas) or any(not 0.0 < w < np.pi / period for w in omegas):
         raise ControlError(
-            f"observer frequencies: {omegas} rad/s; they must be distinct and in (0, {np.pi / period:.3g}) at {period} s"
+            f"observer frequencies: {omegas} rad/s; distinct values in (0, {np.pi / period:.3g}) are needed"
         )
     q = 1 + 2 * len(omegas)
     if factors is None:
         factors = [0.1, *np.linspace(0.8, 0.92, q - 1)]
     if len(factors) != q or any(not abs(f) < 1.0 for f in factors) or len(set(factors)) != q:
         raise ControlError(
-            f"observer factors: {list(factors)}; {q} distinct values within the unit circle are needed for {len(omegas)} frequencies"
+            f"observer factors: {list(factors)}; {len(omegas)} frequencies need {q} distinct ones of modulus below 1"
         )
     generator = linalg.block_diag(np.zeros((1, 1)), *([[0.0, w], [-w, 0.0]] for w in omegas))
     output = np.array([[1.0, *([1.0, 0.0] * len(omegas))]])
@@ -245,9 +246,6 @@ def harmonic_observer(
     block[:q, q:] = output.T * period
     whole = linalg.expm(block)
     transition, mean_output = whole[:q, :q].T, whole[:q, q:].T / period
-    gain = signal.place_poles(transition.T, mean_output.T, np.asarray(factors)).gain_matrix.T
-    return SampledObserver(
-        *(jnp.asarray(np.kron(np.eye(3), x)) for x in (transition, mean_output, output, gain)),
-        jnp.asarray(float(mass)),
-        jnp.asarray(float(period)),
-    )
+    placed: Any = signal.place_poles(transition.T, mean_output.T, np.asarray(factors))
+    matrices = [jnp.asarray(np.kron(np.eye(3), x)) for x in (transition, mean_output, output, placed.gain_matrix.T)]
+    return SampledObserver(*matrices, mass=jnp.asarray(float(mass)), period=jnp.asarray(float(period)))

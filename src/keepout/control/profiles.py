@@ -78,9 +78,9 @@ def _observer(kind: str, *, mass: float, period: float, gain: float, frequencies
 
 
 def _bounds(field: Field, offset: float, goal: np.ndarray, start: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    """Find a box around goal, start and everything where the barrier is below 1.5 m, by growing until its faces are clear.
+    """Find a box around goal, start and all where the barrier is below 1.5 m, by growing until its faces are clear.
 
-    A distance field is 1-Lipschitz, so a face sampled every metre with values above 1.5 m + 0.71 m is clear.
+    A distance is 1-Lipschitz, so a face is clear where its samples exceed 1.5 m by half their spacing.
     """
     points = np.stack([goal, np.zeros(3)] + ([] if start is None else [start]))
     lower, upper = points.min(axis=0) - 2.0, points.max(axis=0) + 2.0
@@ -169,8 +169,8 @@ def default(
 ) -> Controller:
     """Build the recommended law (design sections 2.6 to 2.8).
 
-    Norm cap and speed cone instead of the box, a class-K function that brakes no harder than the thrusters can, tracking
-    feedback limited to the authority that disturbance and drift leave, exact barrier gradient (no e_∇h).
+    Norm cap and speed cone instead of the box, a class-K function that brakes no harder than the thrusters can,
+    tracking feedback limited to the authority that disturbance and drift leave, exact barrier gradient (no e_∇h).
 
     Args:
         field: the learned distance.
@@ -195,13 +195,15 @@ def default(
         smoothing: weight of the barrier-smoothed program, m²/s²; None for the plain one.
         feedforward: whether to use ∂v_s/∂r v; only for fields of low curvature.
         circulation_axis: of the constant skew Ω.
-        reach: distance from the target within which the drift is bounded for tuning, m; by default that of goal and start.
+        reach: distance from the target within which the drift is bounded for tuning, m; by default that of goal
+            and start.
         stopping_distance: within which the chaser must be able to stop from its speed limit, m.
         progress: called while the grid is built.
         **gains: entries of `Tuning` to override.
 
     Raises:
-        ControlError: goal or start is not free or not connected, or a required condition is violated; the message names it with
+        ControlError: goal or start is not free or not connected, or a required condition is violated; the message
+        names it with
             its numbers.
 
     """
@@ -305,9 +307,9 @@ def paper(
 ) -> Controller:
     """Build the law with the constants printed in section VI of the paper.
 
-    The arguments are those of `default`. What the paper leaves open has a name here: `gradient_error` e_∇h, `slowing_length`
-    k_p (m), `sharpness` ε, `position_weight` (H₀ = this times the identity). The law flies although its constants violate
-    conditions of its own theory, and says which in a `ControlWarning`.
+    The arguments are those of `default`. What the paper leaves open has a name here: `gradient_error` e_∇h,
+    `slowing_length` k_p (m), `sharpness` ε, `position_weight` (H₀ = this times the identity). The law flies although
+    its constants violate conditions of its own theory, and says which in a `ControlWarning`.
 
     Raises:
         ControlError: goal or start is not free, or an argument is out of range.

@@ -25,10 +25,12 @@ class Circulation(eqx.Module):
 
 
 class VelocityProgram(eqx.Module):
-    """Minimise ½‖desired − v‖² + p σ² over the safe velocities v (paper Eq. cbf_socp_CI), with a speed cone beside the box.
+    """Minimise ½‖desired − v‖² + p σ² over the safe velocities v with a speed cone beside the box.
 
-    The constraints are normal · v + barrier_rate ≥ gradient_error ‖v‖; tangent · v − rate ≥ σ where `circulation` is given;
-    |v_i| ≤ box where given; ‖v‖ ≤ speed where given. A constraint that is absent (None) has no row, and
+    Paper Eq. cbf_socp_CI.
+
+    The constraints are normal · v + barrier_rate ≥ gradient_error ‖v‖; tangent · v − rate ≥ σ where `circulation` is
+    given; |v_i| ≤ box where given; ‖v‖ ≤ speed where given. A constraint that is absent (None) has no row, and
     without `gradient_error` (e_∇h) the barrier row is a half-space. At least one of box and
     speed must be given. Velocities in m/s; `normal` is ∇f̃, `barrier_rate` is α(h) in m/s.
 
@@ -108,7 +110,7 @@ def to_unit(program: VelocityProgram) -> UnitProgram:
 
 
 def objective_slope(unit: UnitProgram) -> Float[Array, ""]:
-    """The steepest slope of the objective: dividing by it keeps the multipliers near one for far-off desired velocities."""
+    """Return the objective's steepest slope; dividing by it keeps multipliers near one for far-off velocities."""
     slope = jnp.maximum(1.0, length(unit.desired))
     if unit.circulation is not None:
         slope = jnp.maximum(slope, 2.0 * unit.circulation.weight * jnp.maximum(unit.circulation.rate, 0.0))
@@ -140,11 +142,13 @@ def to_conic(unit: UnitProgram) -> ConicProgram:
 
 
 def escape_velocity(unit: UnitProgram) -> tuple[Float[Array, ""], Float[Array, "3"]]:
-    """The largest g = n · v − e ‖v‖ inside box and speed limit, and the velocity that reaches it: the fastest way out.
+    """Return the largest g = n · v − e ‖v‖ inside box and speed limit, and the velocity that reaches it.
 
-    Closed form. For a given length the best velocity fills the components of largest |n_i| up to the box and shares the rest
-    in proportion to n (water filling); so with k components at the box, the length is either free, where the row's slope
-    vanishes, or at the speed limit. The program is feasible exactly if barrier_rate ≥ −g.
+    That velocity is the fastest way out.
+
+    Closed form. For a given length the best velocity fills the components of largest |n_i| up to the box and shares
+    the rest in proportion to n (water filling); so with k components at the box, the length is either free, where
+    the row's slope vanishes, or at the speed limit. The program is feasible exactly if barrier_rate ≥ −g.
     """
     n, e, box, limit = unit.normal, unit.gradient_error, unit.box, unit.speed
     if box is None:

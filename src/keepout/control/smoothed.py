@@ -1,8 +1,9 @@
 """The velocity program with a logarithmic barrier of finite weight: a solution whose Jacobian is continuous.
 
-v_s of the plain program is continuous, but its Jacobian jumps where the active set changes, and backstepping assumes that it
-does not. Here every constraint is replaced by −τ log(slack) (−½τ log of the cone's determinant) in the objective: the
-minimiser is smooth, strictly inside, and tends to the plain solution with τ → 0 (Boyd & Vandenberghe, section 11.2).
+v_s of the plain program is continuous, but its Jacobian jumps where the active set changes, and backstepping assumes
+that it does not. Here every constraint is replaced by −τ log(slack) (−½τ log of the cone's determinant) in the
+objective: the minimiser is smooth, strictly inside, and tends to the plain solution with τ → 0 (Boyd & Vandenberghe,
+section 11.2).
 """
 
 from typing import NamedTuple
@@ -105,8 +106,8 @@ def _velocity_jvp(primals: tuple, tangents: tuple) -> tuple[Float[Array, "3"], F
 def solve_smoothed(program: VelocityProgram, weight: Float[Array, ""]) -> ConeSolution:
     """Solve the program with every constraint replaced by a logarithmic barrier of weight τ (m²/s², positive).
 
-    Same answer and conventions as `keepout.control.cone.solve`, and the Jacobian is continuous wherever the program is strictly
-    feasible. At a constraint the solution keeps a distance of about τ over the multiplier.
+    Same answer and conventions as `keepout.control.cone.solve`, and the Jacobian is continuous wherever the program
+    is strictly feasible. At a constraint the solution keeps a distance of about τ over the multiplier.
     """
     data = jax.lax.stop_gradient((program, weight))
     point = jax.lax.stop_gradient(_solve(*data))

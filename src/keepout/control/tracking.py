@@ -22,8 +22,8 @@ def safety_gain(a: Float[Array, ""], b: Float[Array, ""], sharpness: Float[Array
 class TrackingPoint(eqx.Module):
     """The tracking layer at one state.
 
-    `reference` u_ref and `control` u in N (both before the disturbance is compensated), `backstepping_barrier` h₁ in m and
-    `lyapunov` V₁ in m², both with the unknown estimation error e_d taken as zero; `a`, `b` as in the paper.
+    `reference` u_ref and `control` u in N (both before the disturbance is compensated), `backstepping_barrier` h₁ in
+    m and `lyapunov` V₁ in m², both with the unknown estimation error e_d taken as zero; `a`, `b` as in the paper.
     """
 
     reference: Float[Array, "3"]
@@ -37,9 +37,10 @@ class TrackingPoint(eqx.Module):
 class Tracking(eqx.Module):
     """u_ref, Λ, h₁ and V₁ (paper Eqs. composite_controller to SmoothSafetyFiltersParam), with the sign of g corrected.
 
-    `gain` λ (1/s), `position_weight` H₀ (3, 3), `lyapunov_ratio` μ_v (1/s²), `barrier_ratio` μ_h (m/s²), `estimation_weight` β
-    (m/N²), `estimation_rate` β_e and `barrier_rate` β_c (1/s), `sharpness` ε, `gradient_error` e_∇h. `acceleration_limit`
-    (m/s²), where given, limits the norm of the velocity and position feedback; its direction stays.
+    `gain` λ (1/s), `position_weight` H₀ (3, 3), `lyapunov_ratio` μ_v (1/s²), `barrier_ratio` μ_h (m/s²),
+    `estimation_weight` β (m/N²), `estimation_rate` β_e and `barrier_rate` β_c (1/s), `sharpness` ε, `gradient_error`
+    e_∇h. `acceleration_limit` (m/s²), where given, limits the norm of the velocity and position feedback; its
+    direction stays.
     """
 
     gain: Float[Array, ""]

@@ -11,11 +11,11 @@ from keepout.errors import ControlError
 class Tuning:
     """Gains of the default law.
 
-    authority a_b (m/s²): acceleration left after disturbance and drift. braking a_c (m/s²): deceleration that the class-K
-    function asks for. class_k_rate α₀, tracking_gain λ, estimation_rate β_e, barrier_rate β_c: 1/s. barrier_ratio μ_h: m/s².
-    lyapunov_ratio μ_v: 1/s². estimation_weight β: m/N². slowing_length k_p, speed_reserve, nominal_offset: m.
-    speed_limit (m/s) is the one asked for; honoured_speed (m/s) is the largest one from which the thrusters can stop within
-    the stopping distance.
+    authority a_b (m/s²): acceleration left after disturbance and drift. braking a_c (m/s²): deceleration that the
+    class-K function asks for. class_k_rate α₀, tracking_gain λ, estimation_rate β_e, barrier_rate β_c: 1/s.
+    barrier_ratio μ_h: m/s². lyapunov_ratio μ_v: 1/s². estimation_weight β: m/N². slowing_length k_p, speed_reserve,
+    nominal_offset: m. speed_limit (m/s) is the one asked for; honoured_speed (m/s) is the largest one from which the
+    thrusters can stop within the stopping distance.
     """
 
     authority: float
@@ -57,11 +57,12 @@ def tune(
         drift_bound: largest drift acceleration on the way, m/s².
         stopping_distance: within which the chaser must be able to stop from its speed limit, m.
 
-    For the paper's case (20 kg, 0.1 N, 1 Hz, 0.1 m/s) the gains are those of the design's prototype: λ = 1/s, a_b = 4 mm/s²,
-    a_c = 2 mm/s², α₀ = 0.08/s.
+    For the paper's case (20 kg, 0.1 N, 1 Hz, 0.1 m/s) the gains are those of the design's prototype: λ = 1/s, a_b =
+    4 mm/s², a_c = 2 mm/s², α₀ = 0.08/s.
 
     Raises:
-        ControlError: a number is not positive, disturbance and drift leave no authority, or the speed limit cannot be honoured.
+        ControlError: a number is not positive, disturbance and drift leave no authority, or the speed limit cannot
+        be honoured.
 
     """
     for name, value in (("mass", mass), ("force_limit", force_limit), ("period", period), ("speed_limit", speed_limit)):
@@ -70,14 +71,14 @@ def tune(
     authority = (force_limit - disturbance_bound) / mass - drift_bound
     if not authority > 0.0:
         raise ControlError(
-            f"authority: disturbance ({disturbance_bound:.3g} N) and drift ({mass * drift_bound:.3g} N) use up the thrust of "
-            f"{force_limit:.3g} N; a larger force_limit, a slower speed or a target that turns more slowly would leave some"
+            f"authority: disturbance ({disturbance_bound:.3g} N) and drift ({mass * drift_bound:.3g} N) use up "
+            f"the thrust of {force_limit:.3g} N; a larger force_limit, a lower speed or a slower turn would leave some"
         )
     honoured = float(np.sqrt(2.0 * authority * stopping_distance))
     if speed_limit > honoured:
         raise ControlError(
-            f"speed_limit: {speed_limit:.3g} m/s cannot be stopped within {stopping_distance:.3g} m with {authority:.3g} m/s2; "
-            f"at most {honoured:.3g} m/s"
+            f"speed_limit: {speed_limit:.3g} m/s cannot be stopped within {stopping_distance:.3g} m with "
+            f"{authority:.3g} m/s2; at most {honoured:.3g} m/s"
         )
     gain = 1.0 / period
     observer_gain = 0.9

@@ -16,9 +16,9 @@ from keepout.fields.field import Field
 class ClassK(eqx.Module):
     """The extended class-K function α(h) of the barrier condition, m/s.
 
-    Linear, α₀ h, without `braking`; with it α(h) = √(2 a_c h + (a_c/α₀)²) − a_c/α₀ for h ≥ 0 and α₀ h below: the approach
-    then never asks for more deceleration than a_c, and the slope at the surface is still α₀. `rate` is α₀ in 1/s, `braking` a_c
-    in m/s².
+    Linear, α₀ h, without `braking`; with it α(h) = √(2 a_c h + (a_c/α₀)²) − a_c/α₀ for h ≥ 0 and α₀ h below: the
+    approach then never asks for more deceleration than a_c, and the slope at the surface is still α₀. `rate` is α₀
+    in 1/s, `braking` a_c in m/s².
     """
 
     rate: Float[Array, ""]
@@ -36,8 +36,8 @@ class ClassK(eqx.Module):
 class SpeedCone(eqx.Module):
     """The speed limit s(h) = min(v_max, √(2 a_b (max(h, 0) + reserve))).
 
-    At this speed the chaser can stop within h + reserve. `limit` v_max in m/s, `authority` a_b in m/s² (None: no cone, only the
-    cap), `reserve` in m.
+    At this speed the chaser can stop within h + reserve. `limit` v_max in m/s, `authority` a_b in m/s² (None: no
+    cone, only the cap), `reserve` in m.
     """
 
     limit: Float[Array, ""]
@@ -54,8 +54,8 @@ class SpeedCone(eqx.Module):
 class VelocityPoint(eqx.Module):
     """The velocity layer at one position.
 
-    `barrier` h (m) of the law, `normal` ∇f̃, `desired` v_c and `velocity` v_s (m/s), `jacobian` ∂v_s/∂r (1/s; zero where the
-    law does not use it), `status` a `ConeStatus`.
+    `barrier` h (m) of the law, `normal` ∇f̃, `desired` v_c and `velocity` v_s (m/s), `jacobian` ∂v_s/∂r (1/s; zero
+    where the law does not use it), `status` a `ConeStatus`.
     """
 
     barrier: Float[Array, ""]
@@ -69,10 +69,11 @@ class VelocityPoint(eqx.Module):
 class SafeVelocity(eqx.Module):
     """The map from a position to its safe velocity v_s.
 
-    Barrier h = field − `offset` (m; certified error, chaser radius, margin and the law's own nominal offset). `gradient_error`
-    is the paper's e_∇h; None where the barrier's own gradient is exact. `box` is the paper's limit on each component, `speed`
-    the limit on the norm; at least one of them. `smoothing` in m²/s², where given, solves the barrier-smoothed program, whose
-    Jacobian is continuous. `differentiate` says whether ∂v_s/∂r is formed (it needs the field's Hessian).
+    Barrier h = field − `offset` (m; certified error, chaser radius, margin and the law's own nominal offset).
+    `gradient_error` is the paper's e_∇h; None where the barrier's own gradient is exact. `box` is the paper's limit
+    on each component, `speed` the limit on the norm; at least one of them. `smoothing` in m²/s², where given, solves
+    the barrier-smoothed program, whose Jacobian is continuous. `differentiate` says whether ∂v_s/∂r is formed (it
+    needs the field's Hessian).
     """
 
     field: Field
