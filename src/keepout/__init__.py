@@ -1,5 +1,8 @@
 """Keepout: learn a spacecraft's shape, prove how wrong it can be, and fly around it without touching it."""
 
+import importlib
+from typing import TYPE_CHECKING, Any
+
 import jax
 
 # Dynamics, cone program and observer need float64; switching it on here makes forgetting it impossible.
@@ -7,5 +10,52 @@ jax.config.update("jax_enable_x64", True)
 
 from keepout.errors import KeepoutError  # noqa: E402  (x64 must be on before anything builds an array)
 
+if TYPE_CHECKING:
+    from keepout.campaigns import Campaign, run_campaign
+    from keepout.fields.certificate import certify
+    from keepout.fields.model import FieldModel
+    from keepout.fields.shipped import load_shipped
+    from keepout.fields.training import fit
+    from keepout.flight.record import FlightRecord
+    from keepout.geometry.target import Target
+    from keepout.mission import Flight, fly
+    from keepout.scenario import Scenario
+
 __version__ = "0.1.0"
-__all__ = ["KeepoutError", "__version__"]
+
+# Loaded on first use, so that the command line answers at once.
+_HOMES = {
+    "Campaign": "keepout.campaigns",
+    "run_campaign": "keepout.campaigns",
+    "certify": "keepout.fields.certificate",
+    "FieldModel": "keepout.fields.model",
+    "load_shipped": "keepout.fields.shipped",
+    "fit": "keepout.fields.training",
+    "FlightRecord": "keepout.flight.record",
+    "Target": "keepout.geometry.target",
+    "Flight": "keepout.mission",
+    "fly": "keepout.mission",
+    "Scenario": "keepout.scenario",
+}
+
+__all__ = [
+    "Campaign",
+    "FieldModel",
+    "Flight",
+    "FlightRecord",
+    "KeepoutError",
+    "Scenario",
+    "Target",
+    "__version__",
+    "certify",
+    "fit",
+    "fly",
+    "load_shipped",
+    "run_campaign",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'keepout' has no attribute {name!r}")
+    return getattr(importlib.import_module(_HOMES[name]), name)

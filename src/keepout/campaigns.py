@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -15,7 +17,7 @@ from keepout.control.controller import ControlStatus
 from keepout.control.guard import GuardStatus
 from keepout.errors import ScenarioError
 from keepout.flight.audit import Audit, Contact, audit_campaign
-from keepout.flight.campaign import campaign, initial_states
+from keepout.flight.campaign import campaign
 from keepout.flight.outcome import FlightOutcome
 from keepout.geometry.offset_solid import OffsetSolid
 from keepout.geometry.target import Target
@@ -97,9 +99,7 @@ def run_campaign(scenario: Scenario, *, target: Target | None = None, progress: 
     progress(0.0, "preparing")
     mission = prepare(scenario, target=target, progress=lambda fraction, message: progress(0.1 * fraction, message))
     starts = draw_starts(mission)
-    initial = initial_states(
-        mission.setup.motion, lambda _, count: (starts, np.zeros((count, 3))), len(starts), seed=scenario.seed
-    )
+    initial = eqx.filter_vmap(mission.setup.motion.initial_state)(jnp.asarray(starts), jnp.zeros_like(starts))
     audits: list[Audit | None] = [None] * len(starts)
     bounds = environment.flight_bounds(scenario)
 

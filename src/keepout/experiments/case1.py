@@ -31,7 +31,7 @@ INTRODUCTION = (
 
 def case1_scenarios(seed: int) -> dict[str, Scenario]:
     """Give one scenario for each law; all else is equal."""
-    base = Scenario().replace(seed=seed)
+    base = Scenario().replace(seed=seed, duration=600.0)
     return {law: base.replace(name=law.replace(" ", "-"), **changes) for law, changes in LAWS.items()}
 
 

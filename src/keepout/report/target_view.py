@@ -57,7 +57,7 @@ def draw_paths(
                 label="goal",
                 zorder=12,
             )
-            _frame(axes, [vertices, *paths.values(), np.asarray([goal])])
+            _frame(axes, [vertices, *paths.values(), np.asarray([goal])], zoom=0.92)
             axes.view_init(elevation, azimuth)
             if place == 1:
                 axes.legend(loc="upper left")
