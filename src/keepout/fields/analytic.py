@@ -6,6 +6,7 @@ from jaxtyping import Array, Float
 
 from keepout.fields.field import Field
 
+
 def _derivatives(function, points: Float[Array, "*batch 3"]):
     batch = points.shape[:-1]
     flat = points.reshape(-1, 3)
@@ -20,6 +21,7 @@ class SphereField(Field):
     Attributes:
         centre: (3,) metres.
         radius: ρ, metres.
+
     """
 
     centre: Float[Array, "3"]
@@ -52,14 +54,16 @@ class BoxUnionField(Field):
     """A C^∞ lower bound of the signed distance to a union of axis-aligned boxes.
 
     The exact distance is not C² (edges, corners, medial axis). Each box's distance is the largest of its six face
-    distances, which never exceeds the exact one outside, and maxima and minima are replaced by log-sum-exp with temperature τ:
-    within a box the soft maximum lowered by τ log 6, over the boxes the soft minimum, which is low by at most
-    τ log(number of boxes). So the value never over-states the distance, and is exact to those two terms beside a face.
+    distances, which never exceeds the exact one outside, and maxima and minima are replaced by log-sum-exp with
+    temperature τ: within a box the soft maximum lowered by τ log 6, over the boxes the soft minimum, which is low by
+    at most τ log(number of boxes). So the value never over-states the distance, and is exact to those two terms beside
+    a face.
 
     Attributes:
         lower: (boxes, 3) corners, metres.
         upper: (boxes, 3) opposite corners, metres.
         smoothing: τ, metres, positive.
+
     """
 
     lower: Float[Array, "boxes 3"]
@@ -73,18 +77,18 @@ class BoxUnionField(Field):
         return -tau * jax.nn.logsumexp(-boxes / tau)
 
     def value(self, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
-        """A distance in metres that is never over-stated outside the boxes, negative inside."""
+        """Return a distance in metres that is never over-stated outside the boxes, negative inside."""
         return jax.vmap(self._single)(points.reshape(-1, 3)).reshape(points.shape[:-1])
 
     def value_and_gradient(
         self, points: Float[Array, "*batch 3"]
     ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch 3"]]:
-        """The value in metres and its gradient."""
+        """Return the value in metres and its gradient."""
         value, gradient = jax.vmap(jax.value_and_grad(self._single))(points.reshape(-1, 3))
         return value.reshape(points.shape[:-1]), gradient.reshape(points.shape)
 
     def value_gradient_hessian(
         self, points: Float[Array, "*batch 3"]
     ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch 3"], Float[Array, "*batch 3 3"]]:
-        """The value in metres, its gradient, and its Hessian in 1/m."""
+        """Return the value in metres, its gradient, and its Hessian in 1/m."""
         return _derivatives(self._single, points)

@@ -1,8 +1,8 @@
 """A safe continuation of a field beyond the ball on which it was learned.
 
-Let the target lie in the ball of radius ρ_T about a centre, and let r be the distance of a point from that centre. Moving
-outward along a ray, the distance to the target grows at least at the rate √(1 - (ρ_T/r)²), the cosine of half the angle
-under which the ball is seen. With F(r) = ∫ √(1 - (ρ_T/s)²) ds = √(r² - ρ_T²) - ρ_T arccos(ρ_T/r), therefore
+Let the target lie in the ball of radius ρ_T about a centre, and let r be the distance of a point from that centre.
+Moving outward along a ray, the distance to the target grows at least at the rate √(1 - (ρ_T/r)²), the cosine of half
+the angle under which the ball is seen. With F(r) = ∫ √(1 - (ρ_T/s)²) ds = √(r² - ρ_T²) - ρ_T arccos(ρ_T/r), therefore
 
     d(p) ≥ d(q) + F(r) - F(ψ)      for the point q on the same ray at radius ψ ≤ r.
 
@@ -28,6 +28,7 @@ class RadialContinuation(eqx.Module):
         outer_radius: ρ_1 > ρ_0: beyond it the point asked lies at the constant radius (ρ_0 + ρ_1)/2, metres.
         allowance: subtracted from the value beyond ρ_1 (growing smoothly from 0 at ρ_0), metres: what the field itself
             over-states on the shell.
+
     """
 
     centre: Float[Array, "3"]
@@ -61,18 +62,18 @@ class RadialContinuation(eqx.Module):
         return slope, ratio * ratio / (s * slope)
 
     def into_domain(self, points: Points) -> Points:
-        """The points at which the field is asked: unchanged inside the domain."""
+        """Return the points at which the field is asked: unchanged inside the domain."""
         outside, away, r, psi, *_ = self._radial(points)
         return jnp.where(outside[:, None], self.centre + away * (psi / r)[:, None], points)
 
     def value(self, points: Points, value: Batch) -> Batch:
-        """The continued value, from the field's value at `into_domain(points)`."""
+        """Return the continued value, from the field's value at `into_domain(points)`."""
         outside, _, r, psi, _, _, t, _ = self._radial(points)
         added = self._rise(r) - self._rise(psi) - self.allowance * t**3 * (10.0 - 15.0 * t + 6.0 * t * t)
         return value + jnp.where(outside, added, 0.0)
 
     def gradient(self, points: Points, gradient: Points) -> Points:
-        """The continued gradient, from the field's gradient at `into_domain(points)`."""
+        """Return the continued gradient, from the field's gradient at `into_domain(points)`."""
         outside, away, r, psi, psi1, _, t, width = self._radial(points)
         u = away / r[:, None]
         radial = jnp.sum(gradient * u, axis=-1)
@@ -83,9 +84,9 @@ class RadialContinuation(eqx.Module):
         return jnp.where(outside[:, None], tangential + (psi1 * radial + added)[:, None] * u, gradient)
 
     def hessian(self, points: Points, gradient: Points, hessian: Matrices) -> Matrices:
-        """The continued Hessian, from the field's gradient and Hessian at `into_domain(points)`.
+        """Return the continued Hessian, from the field's gradient and Hessian at `into_domain(points)`.
 
-        With q = φ(r) y, φ = ψ/r: Dqᵀ H Dq + φ' (u gᵀ + g uᵀ) + (g·y)(φ'' u uᵀ + (φ'/r)(I - u uᵀ)), and the radial terms.
+        With q = φ(r) y, φ = ψ/r: Dqᵀ H Dq + φ' (u gᵀ + g uᵀ) + (g·y)(φ'' u uᵀ + (φ'/r)(I - u uᵀ)), and radial terms.
         """
         outside, away, r, psi, psi1, psi2, t, width = self._radial(points)
         u = away / r[:, None]

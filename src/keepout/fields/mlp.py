@@ -21,6 +21,11 @@ class Layers(NamedTuple):
     biases: tuple[Float[Array, "_"], ...]
 
 
+def _times(a: Float[Array, "n k"], b: Float[Array, "k m"]) -> Float[Array, "n m"]:
+    """Multiply in full precision on every device: a GPU's shorter products would break the certificate."""
+    return jnp.matmul(a, b, precision=jax.lax.Precision.HIGHEST)
+
+
 def softplus(z: Float[Array, "*n"], beta: float) -> Float[Array, "*n"]:
     """σ(z) = log(1 + exp(β z))/β, without overflow."""
     t = beta * z
@@ -40,11 +45,11 @@ def _softplus_derivatives(
 
 
 def value(layers: Layers, beta: float, x: Float[Array, "n 3"]) -> Float[Array, "n"]:
-    """The network's value at each row of x."""
+    """Return the network's value at each row of x."""
     a = x
     for W, b in zip(layers.weights[:-1], layers.biases[:-1]):
-        a = softplus(a @ W.T + b, beta)
-    return (a @ layers.weights[-1].T)[:, 0] + layers.biases[-1][0]
+        a = softplus(_times(a, W.T) + b, beta)
+    return _times(a, layers.weights[-1].T)[:, 0] + layers.biases[-1][0]
 
 
 def value_and_gradient(
@@ -53,12 +58,12 @@ def value_and_gradient(
     """Value and gradient at each row of x: one forward and one reverse sweep."""
     a, slopes = x, []
     for W, b in zip(layers.weights[:-1], layers.biases[:-1]):
-        a, slope, _ = _softplus_derivatives(a @ W.T + b, beta)
+        a, slope, _ = _softplus_derivatives(_times(a, W.T) + b, beta)
         slopes.append(slope)
-    out = (a @ layers.weights[-1].T)[:, 0] + layers.biases[-1][0]
+    out = _times(a, layers.weights[-1].T)[:, 0] + layers.biases[-1][0]
     a_bar = jnp.broadcast_to(layers.weights[-1][0], a.shape)
     for W, slope in zip(layers.weights[-2::-1], reversed(slopes)):
-        a_bar = (a_bar * slope) @ W
+        a_bar = _times(a_bar * slope, W)
     return out, a_bar
 
 
@@ -67,22 +72,22 @@ def value_gradient_hessian(
 ) -> tuple[Float[Array, "n"], Float[Array, "n 3"], Float[Array, "n 3 3"]]:
     """Value, gradient and Hessian at each row of x.
 
-    One forward sweep carries the value and the three tangents J_l = ∂z_l/∂x; one reverse sweep carries ā_l = ∂f/∂a_l and
+    One forward sweep carries the value and three tangents J_l = ∂z_l/∂x; one reverse sweep carries ā_l = ∂f/∂a_l and
     adds H = Σ_l J_lᵀ diag(σ''(z_l) ⊙ ā_l) J_l: five units of work, where nested differentiation needs eight or more.
     """
     n = x.shape[0]
     first = layers.weights[0]
-    z = x @ first.T + layers.biases[0]
+    z = _times(x, first.T) + layers.biases[0]
     a, slope, bend = _softplus_derivatives(z, beta)
     J = jnp.broadcast_to(first.T[:, None, :], (3, n, first.shape[0]))
     tape = [(slope, bend, J)]
     for W, b in zip(layers.weights[1:-1], layers.biases[1:-1]):
-        stacked = jnp.concatenate([a[None], slope * J]).reshape(4 * n, -1) @ W.T
+        stacked = _times(jnp.concatenate([a[None], slope * J]).reshape(4 * n, -1), W.T)
         stacked = stacked.reshape(4, n, -1)
         J = stacked[1:]
         a, slope, bend = _softplus_derivatives(stacked[0] + b, beta)
         tape.append((slope, bend, J))
-    out = (a @ layers.weights[-1].T)[:, 0] + layers.biases[-1][0]
+    out = _times(a, layers.weights[-1].T)[:, 0] + layers.biases[-1][0]
 
     a_bar = jnp.broadcast_to(layers.weights[-1][0], a.shape)
     pairs = {(i, j): jnp.zeros(n, x.dtype) for i in range(3) for j in range(i, 3)}
@@ -90,7 +95,7 @@ def value_gradient_hessian(
         curvature = bend * a_bar
         for i, j in pairs:
             pairs[i, j] = pairs[i, j] + jnp.sum(curvature * J[i] * J[j], axis=-1)
-        a_bar = (a_bar * slope) @ W
+        a_bar = _times(a_bar * slope, W)
     rows = [jnp.stack([pairs[min(i, j), max(i, j)] for j in range(3)], axis=-1) for i in range(3)]
     return out, a_bar, jnp.stack(rows, axis=-2)
 

@@ -5,7 +5,7 @@ import hashlib
 import json
 import os
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
@@ -17,24 +17,11 @@ from keepout.fields.continuation import RadialContinuation
 from keepout.fields.field import Field
 from keepout.fields.mlp import Layers
 from keepout.fields.neural import NeuralField
+from keepout.geometry.target import Target
 
 FORMAT = "keepout-field"
 VERSION = 1
 _RADIUS_TOLERANCE = 1e-9
-
-
-class HashedTarget(Protocol):
-    """Anything with a name and the digest of its geometry."""
-
-    @property
-    def name(self) -> str:
-        """Shown in messages."""
-        ...
-
-    @property
-    def sha256(self) -> str:
-        """Digest of the triangles."""
-        ...
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,7 +29,8 @@ class Certificate:
     """An upper bound of f̃ where the chaser touches, for one target, one field and one chaser radius.
 
     Attributes:
-        kind: "certified" when `error_bound` is proved (docs/certificate.md); "sampled" when it is a largest sampled value plus
+        kind: "certified" when `error_bound` is proved (docs/certificate.md); "sampled" when it is a largest sampled
+            value plus
             a stated allowance, which proves nothing.
         chaser_radius: R, metres.
         error_bound: e_h(R), metres: f̃ ≤ R + e_h wherever the exact distance to the triangles is R. May be negative.
@@ -54,6 +42,7 @@ class Certificate:
         seconds: wall-clock time it took.
         target_sha256: digest of the triangles.
         field_sha256: digest of the field.
+
     """
 
     kind: Literal["certified", "sampled"]
@@ -80,6 +69,7 @@ class FieldModel:
         offset: δ in metres: the field approximates the signed distance to the offset solid.
         training: plain JSON values: profile, seed, seconds, losses.
         certificates: at most one for each chaser radius.
+
     """
 
     field: Field
@@ -91,15 +81,16 @@ class FieldModel:
 
     @property
     def sha256(self) -> str:
-        """Digest of the field's numbers and of what they were made for; certificates and training record are not in it."""
+        """Digest of the field's numbers and what they were made for, without certificates and training record."""
         tensors, description = _take_apart(self.field)
         return _digest(tensors, {"field": description, "target": self.target_sha256, "offset": self.offset})
 
     def certificate(self, chaser_radius: float) -> Certificate:
-        """The certificate for this chaser radius in metres.
+        """Return the certificate for this chaser radius in metres.
 
         Raises:
             FieldError: there is none for that radius, or it belongs to another field or target.
+
         """
         for certificate in self.certificates:
             if abs(certificate.chaser_radius - chaser_radius) <= _RADIUS_TOLERANCE:
@@ -108,13 +99,13 @@ class FieldModel:
         raise FieldError(f"chaser radius {chaser_radius:g} m: the field of {self.target_name} is certified for: {have}")
 
     def with_certificate(self, certificate: Certificate) -> "FieldModel":
-        """The same model with one more certificate, which replaces one for the same radius."""
+        """Return the same model with one more certificate, which replaces one for the same radius."""
         others = [c for c in self.certificates if abs(c.chaser_radius - certificate.chaser_radius) > _RADIUS_TOLERANCE]
         ordered = sorted([*others, certificate], key=lambda c: c.chaser_radius)
         return dataclasses.replace(self, certificates=tuple(ordered))
 
     def with_training(self, **entries: Any) -> "FieldModel":
-        """The same model with more entries (plain JSON values) in its training record."""
+        """Return the same model with more entries (plain JSON values) in its training record."""
         return dataclasses.replace(self, training={**self.training, **entries})
 
     def save(self, path: str | Path) -> None:
@@ -122,6 +113,7 @@ class FieldModel:
 
         Raises:
             FieldError: the file cannot be written.
+
         """
         path = Path(path)
         tensors, description = _take_apart(self.field)
@@ -143,11 +135,12 @@ class FieldModel:
             raise FieldError(f"{path}: cannot be written ({error})") from None
 
     @classmethod
-    def load(cls, path: str | Path, *, target: HashedTarget | None = None) -> "FieldModel":
+    def load(cls, path: str | Path, *, target: Target | None = None) -> "FieldModel":
         """Read a `.keepout` file, and check it against a target if one is given.
 
         Raises:
             FieldError: missing, damaged, truncated, edited, not a field file, or made for another target.
+
         """
         path = Path(path)
         header, tensors = _read(path)
@@ -165,11 +158,13 @@ class FieldModel:
         for certificate in model.certificates:
             if (certificate.field_sha256, certificate.target_sha256) != (model.sha256, model.target_sha256):
                 raise FieldError(
-                    f"{path}: its certificate for {certificate.chaser_radius:g} m belongs to another field or target; certify again"
+                    f"{path}: its certificate for {certificate.chaser_radius:g} m belongs to another field or target; "
+                    "certify again"
                 )
         if target is not None and target.sha256 != model.target_sha256:
             raise FieldError(
-                f"{path}: made for {model.target_name} ({model.target_sha256[:12]}), not for {target.name} ({target.sha256[:12]})"
+                f"{path}: made for {model.target_name} ({model.target_sha256[:12]}), "
+                f"not for {target.name} ({target.sha256[:12]})"
             )
         return model
 

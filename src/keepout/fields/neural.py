@@ -22,6 +22,7 @@ class NeuralField(Field):
         scale: s, metres.
         continuation: centre c, domain, and what happens beyond it.
         beta: sharpness β of the softplus.
+
     """
 
     layers: mlp.Layers

@@ -1,0 +1,223 @@
+"""The certificate: how far a field can over-state the distance where a chaser touches, proved.
+
+A continuous path from outside to contact crosses {d = R}, R the chaser's radius and d the exact distance to the
+triangles. So one inequality on one surface, f̃ ≤ R + e_h on {d = R}, makes {f̃ > R + e_h} free of contact. The surface
+is covered with triangles (R = 0) or cubes (R > 0), f̃ is bounded over each, and those that matter are split
+(docs/certificate.md).
+"""
+
+import time
+
+import numpy as np
+from jaxtyping import Float
+
+from keepout.errors import FieldError
+from keepout.fields import bounds
+from keepout.fields.evaluate import values, values_and_gradients
+from keepout.fields.model import Certificate, FieldModel
+from keepout.fields.neural import NeuralField
+from keepout.fields.sampling import surface_points
+from keepout.geometry.distance import ExactDistance
+from keepout.geometry.octree import straddling_cells
+from keepout.geometry.target import Target
+from keepout.progress import Progress, silent
+
+CHUNK = 1024
+RELATIVE_GAP, SMALLEST_GAP = 0.05, 0.002
+"""Splitting stops when the bound is within this of the largest value found: 5 %, or 2 mm."""
+MOST_ELEMENTS = 3_000_000
+"""Splitting also stops after this many elements; the bound is then the largest of what is left: looser, and still
+proved."""
+ERROR_GAP = 3e-4
+"""Share of the domain's radius by which the float32 error may carry the bound further above the largest value found."""
+GRADIENT_ALLOWANCE = 0.2
+"""Added to the largest gradient found, as a share of it: the gradient is searched, not proved."""
+FIRST_LEAF = 0.1
+"""Metres. Side of the cubes that first cover {d = R}."""
+_CORNERS = np.array([(i, j, k) for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], dtype=np.float64)
+
+
+def certify(
+    model: FieldModel, target: Target, *, chaser_radius: float = 0.0, seed: int = 0, progress: Progress = silent
+) -> FieldModel:
+    """Return the same model with a proved certificate for one chaser radius, in place of any it had for that radius.
+
+    Args:
+        model: its field must be a `NeuralField`.
+        target: the mesh it was made for.
+        chaser_radius: R, metres.
+        seed: of the search for the largest value; the bound is sound whatever it finds.
+        progress: fraction done (a guess), elements left and the bound so far.
+
+    Raises:
+        FieldError: another target's model, a point cloud, a radius that is negative or too large for the field's
+            domain.
+
+    """
+    start = time.perf_counter()
+    field, distance = model.field, target.distance
+    if target.sha256 != model.target_sha256:
+        raise FieldError(
+            f"{target.name} ({target.sha256[:12]}): "
+            f"the field was made for {model.target_name} ({model.target_sha256[:12]})"
+        )
+    if not isinstance(field, NeuralField):
+        raise FieldError(f"certify: a {type(field).__name__} cannot be certified; a neural field can")
+    if not isinstance(distance, ExactDistance):
+        raise FieldError(f"{target.name}: a point cloud has no triangles to certify against; give a mesh")
+    reach = float(
+        np.linalg.norm(
+            np.maximum(
+                np.abs(distance.lower - field.continuation.centre), np.abs(distance.upper - field.continuation.centre)
+            )
+        )
+    )
+    largest = float(field.continuation.domain_radius) - reach - FIRST_LEAF * np.sqrt(3.0)
+    if not 0.0 <= chaser_radius <= largest:
+        raise FieldError(f"chaser radius {chaser_radius:g} m: for this field it must be 0 to {largest:.3g} m")
+
+    found = _largest_found(field, distance, chaser_radius, np.random.default_rng(seed))
+    progress(0.1, f"largest value found {found - chaser_radius:+.4f} m")
+    upper, evaluation = _bound_on_contact(field, distance, chaser_radius, found, progress)
+    steepest = _steepest_found(field, distance, chaser_radius, np.random.default_rng(seed + 1))
+    certificate = Certificate(
+        kind="certified",
+        chaser_radius=float(chaser_radius),
+        error_bound=float(upper - chaser_radius),
+        allowance=0.0,
+        sampled_maximum=float(found - chaser_radius),
+        gradient_bound=float((1.0 + GRADIENT_ALLOWANCE) * steepest),
+        gradient_kind="sampled",
+        evaluation_error=float(evaluation),
+        seconds=time.perf_counter() - start,
+        target_sha256=model.target_sha256,
+        field_sha256=model.sha256,
+    )
+    progress(1.0, f"error bound {certificate.error_bound:+.4f} m, largest found {certificate.sampled_maximum:+.4f} m")
+    return model.with_certificate(certificate)
+
+
+def onto_level(distance: ExactDistance, points: Float[np.ndarray, "n 3"], level: float) -> Float[np.ndarray, "m 3"]:
+    """Points moved along the distance's gradient onto {d = level}; those that do not arrive are left out."""
+    if level == 0.0:
+        return distance.closest(points)[1]
+    for _ in range(12):
+        d, gradient = distance.distance_and_gradient(points)
+        points = points + (level - d)[:, None] * gradient
+    return points[np.abs(distance.distance(points) - level) < 1e-9]
+
+
+def _largest_found(field: NeuralField, distance: ExactDistance, radius: float, generator: np.random.Generator) -> float:
+    """Return the largest f̃ found on {d = radius}: samples, then random ascent around the best of them."""
+    start = surface_points(distance, 60_000, generator, by_area=0.5)
+    if radius > 0.0:
+        direction = generator.normal(size=start.shape)
+        start = onto_level(
+            distance, start + radius * direction / np.linalg.norm(direction, axis=1, keepdims=True), radius
+        )
+    value = values(field, start)
+    best = float(value.max())
+    points = start[np.argsort(-value)[:400]]
+    for step in (0.2, 0.1, 0.05, 0.03, 0.02, 0.01, 0.005, 0.002):
+        moved = np.repeat(points, 10, axis=0)
+        moved = onto_level(distance, moved + step * generator.normal(size=moved.shape), radius)
+        candidates = np.concatenate([points, moved])
+        value = values(field, candidates)
+        points = candidates[np.argsort(-value)[:400]]
+        best = max(best, float(value.max()))
+    return best
+
+
+def _steepest_found(
+    field: NeuralField, distance: ExactDistance, clearance: float, generator: np.random.Generator
+) -> float:
+    """Return the largest ‖∇f̃‖ found where d ≥ clearance: samples near and far, then random ascent."""
+    centre, radius = np.asarray(field.continuation.centre), float(field.continuation.outer_radius)
+    start = surface_points(distance, 60_000, generator, by_area=0.5)
+    direction = generator.normal(size=start.shape)
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    near = start + (clearance + generator.exponential(0.2, size=(len(start), 1))) * direction
+    far = centre + radius * generator.uniform(-1.2, 1.2, size=(20_000, 3))
+    points = np.concatenate([near, far])
+    best = 0.0
+    for step in (0.0, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002):
+        if step:
+            moved = np.repeat(points, 10, axis=0)
+            points = np.concatenate([points, moved + step * generator.normal(size=moved.shape)])
+        points = points[distance.distance(points) >= clearance]
+        slope = np.linalg.norm(values_and_gradients(field, points)[1], axis=1)
+        best = max(best, float(slope.max()))
+        points = points[np.argsort(-slope)[:400]]
+    return best
+
+
+def _bound_on_contact(
+    field: NeuralField, distance: ExactDistance, radius: float, found: float, progress: Progress
+) -> tuple[float, float]:
+    """Return an upper bound of f̃ in float32 on {d = radius}, and the largest float32 error in it, metres."""
+    network = bounds.Network.of(field.layers, field.beta)
+    centre, scale = np.asarray(field.continuation.centre), float(field.scale)
+    # The normalisation in float64 and its inverse: a few units in the last place of numbers of the domain's size.
+    normalisation = 64.0 * bounds.UNIT64 * (scale + float(np.abs(centre).max()))
+    frontier = _cover(distance, radius)
+    settled, evaluation, seen = -np.inf, 0.0, 0
+    while len(frontier):
+        gap = max(RELATIVE_GAP * abs(found - radius), SMALLEST_GAP)
+        upper, error = np.empty(len(frontier)), np.empty(len(frontier))
+        for first in range(0, len(frontier), CHUNK):
+            piece = frontier[first : first + CHUNK]
+            answer = bounds.upper_bounds(network, _elements(piece, radius, centre, scale, normalisation))
+            upper[first : first + CHUNK] = scale * (answer.upper + answer.evaluation_error)
+            error[first : first + CHUNK] = scale * answer.evaluation_error
+        seen += len(frontier)
+        if radius == 0.0:
+            found = max(found, float(values(field, frontier.mean(axis=1)).max()))
+        # Splitting does not bring the float32 error to zero, so it has its own allowance.
+        open_ = (upper - error > found + gap) | (upper > found + gap + ERROR_GAP * scale)
+        if seen + 8 * int(open_.sum()) > MOST_ELEMENTS:
+            open_[:] = False
+        settled = max(settled, float(upper[~open_].max(initial=-np.inf)))
+        evaluation = max(evaluation, float(error[~open_].max(initial=0.0)))
+        worst = float(upper.max()) - radius
+        progress(0.1 + 0.6 * min(1.0, seen / 400_000), f"{int(open_.sum())} elements open, bound so far {worst:+.4f} m")
+        frontier = _split(frontier[open_], distance, radius)
+    gradient_slack = 4.0 * normalisation  # ‖∇f̃‖ is a few at most
+    return settled + gradient_slack, evaluation
+
+
+def _cover(distance: ExactDistance, radius: float) -> Float[np.ndarray, "m k 3"]:
+    """Triangles as (m, 3, 3) corners, or cubes as (m, 2, 3): centre and half widths."""
+    if radius == 0.0:
+        return distance.vertices[distance.faces]
+    pad = radius + FIRST_LEAF
+    centres, half = straddling_cells(
+        distance, radius, leaf=FIRST_LEAF, lower=distance.lower - pad, upper=distance.upper + pad
+    )
+    return np.stack([centres, np.repeat(half[:, None], 3, axis=1)], axis=1)
+
+
+def _elements(
+    piece: Float[np.ndarray, "m k 3"], radius: float, centre: Float[np.ndarray, "3"], scale: float, slack: float
+) -> bounds.Elements:
+    if radius == 0.0:
+        return bounds.triangles((piece - centre) / scale)
+    return bounds.boxes((piece[:, 0] - centre) / scale, (piece[:, 1] + slack) / scale)
+
+
+def _split(elements: Float[np.ndarray, "m k 3"], distance: ExactDistance, radius: float) -> Float[np.ndarray, "p k 3"]:
+    """Cut triangles in two across their longest edge, cubes in eight, less those that cannot meet {d = radius}."""
+    if len(elements) == 0:
+        return elements
+    if radius == 0.0:
+        edges = np.linalg.norm(elements[:, [1, 2, 0]] - elements[:, [2, 0, 1]], axis=2)
+        apex = edges.argmax(axis=1)
+        rows = np.arange(len(elements))
+        a, b, c = (elements[rows, (apex + k) % 3] for k in range(3))
+        middle = 0.5 * (b + c)
+        return np.concatenate([np.stack([a, b, middle], axis=1), np.stack([a, middle, c], axis=1)])
+    half = 0.5 * elements[:, 1]
+    centres = (elements[:, 0][:, None, :] + _CORNERS * half[:, None, :]).reshape(-1, 3)
+    half = np.repeat(half, 8, axis=0)
+    reach = np.linalg.norm(half, axis=1) * (1.0 + 1e-9) + 1e-9
+    meets = np.abs(distance.distance(centres) - radius) <= reach
+    return np.stack([centres[meets], half[meets]], axis=1)

@@ -1,0 +1,59 @@
+"""A field on many NumPy points, in pieces of one size, so that it is compiled once."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from keepout.fields.field import Field
+
+PIECE = 8192
+
+
+@eqx.filter_jit
+def _value(field: Field, points):
+    return field.value(points)
+
+
+@eqx.filter_jit
+def _value_and_gradient(field: Field, points):
+    return field.value_and_gradient(points)
+
+
+@eqx.filter_jit
+def _value_gradient_hessian(field: Field, points):
+    return field.value_gradient_hessian(points)
+
+
+def _in_pieces(function: Callable[..., Any], field: Field, points: Float[np.ndarray, "n 3"]) -> Any:
+    answers = []
+    for start in range(0, max(len(points), 1), PIECE):
+        piece = points[start : start + PIECE]
+        padded = np.zeros((PIECE, 3))
+        padded[: len(piece)] = piece
+        answers.append(jax.tree.map(np.asarray, function(field, jnp.asarray(padded))))
+    joined = jax.tree.map(lambda *parts: np.concatenate(parts), *answers)
+    return jax.tree.map(lambda a: a[: len(points)], joined)
+
+
+def values(field: Field, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
+    """Signed distances in metres."""
+    return _in_pieces(_value, field, points)
+
+
+def values_and_gradients(
+    field: Field, points: Float[np.ndarray, "n 3"]
+) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 3"]]:
+    """Signed distances in metres and gradients."""
+    return _in_pieces(_value_and_gradient, field, points)
+
+
+def values_gradients_hessians(
+    field: Field, points: Float[np.ndarray, "n 3"]
+) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 3"]]:
+    """Signed distances in metres, gradients, and Hessians in 1/m."""
+    return _in_pieces(_value_gradient_hessian, field, points)

@@ -1,0 +1,87 @@
+"""Training profiles: the numbers of a fit, by name."""
+
+import dataclasses
+from typing import Literal
+
+from keepout.errors import FieldError
+
+LARGE_TARGET = 20.0
+"""Metres. A target whose bounding ball is larger gets the profile's larger network."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Profile:
+    """The numbers of a fit.
+
+    Attributes:
+        loss: "keepout": pinball on the distance, weighted towards the surface, and exact gradients where one surface
+            decides.
+            "paper_pinball": the paper's loss with L_P read as κ max(e, 0) + max(-e, 0), e = f̃ - d. "paper_printed":
+            L_P = (κ-1) max(e, 0) as printed, whose minimum is f̃ → -∞.
+        width, depth: hidden layers for targets of ordinary size.
+        large_width, large_depth: the same where the bounding ball exceeds `LARGE_TARGET`.
+        beta: sharpness of the softplus, in normalised units.
+        samples: labelled points.
+        batch: points a step.
+        steps: of the main phase.
+        tuning_steps: of the counter-example phase.
+        learning_rate: of Adam (Kingma, Ba 2015), at the start.
+        halving: steps after which the learning rate halves; 0: cosine decay over the phase.
+        over_weight: weight of over-statement against under-statement, 0.5 to 1 (keepout loss).
+        gradient_weight: of the gradient term (keepout), or η of the eikonal term (paper).
+        kappa: κ of the paper's loss.
+
+    """
+
+    loss: Literal["keepout", "paper_pinball", "paper_printed"] = "keepout"
+    width: int = 96
+    depth: int = 4
+    large_width: int = 128
+    large_depth: int = 5
+    beta: float = 100.0
+    samples: int = 600_000
+    batch: int = 2048
+    steps: int = 11_000
+    tuning_steps: int = 4_000
+    learning_rate: float = 2e-3
+    halving: int = 0
+    over_weight: float = 0.8
+    gradient_weight: float = 0.02
+    kappa: float = 2.0
+
+
+_PAPER = Profile(
+    loss="paper_pinball",
+    width=512,
+    depth=10,
+    large_width=512,
+    large_depth=10,
+    samples=50_000,
+    batch=50_000,
+    steps=10_000,
+    tuning_steps=0,
+    learning_rate=5e-3,
+    halving=2000,
+    gradient_weight=0.1,
+)
+
+PROFILES: dict[str, Profile] = {
+    "default": Profile(),
+    "quick": Profile(width=48, depth=3, large_width=48, large_depth=3, samples=60_000, steps=1500, tuning_steps=500),
+    "paper": _PAPER,
+    "paper_printed": dataclasses.replace(_PAPER, loss="paper_printed"),
+}
+
+
+def find_profile(profile: str | Profile) -> Profile:
+    """Return a profile by name; a `Profile` is returned as it is.
+
+    Raises:
+        FieldError: no profile of that name.
+
+    """
+    if isinstance(profile, Profile):
+        return profile
+    if profile not in PROFILES:
+        raise FieldError(f"profile {profile!r}: there is none of that name; choose from {', '.join(PROFILES)}")
+    return PROFILES[profile]

@@ -1,0 +1,112 @@
+"""Training samples: points with exact signed distance and gradient, where a chaser can see."""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32
+
+from keepout.geometry.distance import BallCloudDistance, Distance
+from keepout.geometry.offset_solid import OffsetSolid
+
+Points = Float[np.ndarray, "n 3"]
+
+HIDDEN_DEPTH = 0.1
+"""Metres. In space that no chaser reaches, the field only has to stay below minus this (or the exact value nearer
+by)."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Domain:
+    """Balls about one centre, metres: of the target, of the learned field, and of its continuation."""
+
+    centre: Float[np.ndarray, "3"]
+    target_radius: float
+    domain_radius: float
+    outer_radius: float
+
+    @classmethod
+    def around(cls, distance: Distance) -> "Domain":
+        """Return the domain around a target: ρ_0 = 1.25 ρ_T, ρ_1 = 1.5 ρ_T, at least 2 m and 4 m beyond it."""
+        centre = 0.5 * (distance.lower + distance.upper)
+        radius = 0.5 * float(np.linalg.norm(distance.upper - distance.lower))
+        return cls(centre, radius, max(1.25 * radius, radius + 2.0), max(1.5 * radius, radius + 4.0))
+
+    @property
+    def learned_radius(self) -> float:
+        """The largest radius at which the continuation asks the field."""
+        return 0.5 * (self.domain_radius + self.outer_radius)
+
+
+@dataclasses.dataclass(frozen=True)
+class Samples:
+    """Labelled points.
+
+    Attributes:
+        points: (n, 3) metres.
+        distance: (n,) the value to learn, metres; where `hidden`, only an upper limit.
+        gradient: (n, 3) its unit gradient; zeros where `smooth` is False.
+        smooth: whether the gradient is known: the nearest surface, not a sealed mouth, decides the distance.
+        hidden: points no chaser reaches.
+
+    """
+
+    points: Float32[np.ndarray, "n 3"]
+    distance: Float32[np.ndarray, "n"]
+    gradient: Float32[np.ndarray, "n 3"]
+    smooth: Bool[np.ndarray, "n"]
+    hidden: Bool[np.ndarray, "n"]
+
+
+def surface_points(distance: Distance, count: int, generator: np.random.Generator, *, by_area: float = 1.0) -> Points:
+    """Points on the triangles: a share `by_area` uniform over the surface, the rest the same number a triangle.
+
+    The second kind gives small parts their share of attention. Of a ball cloud: points on the balls.
+    """
+    if isinstance(distance, BallCloudDistance):
+        direction = generator.normal(size=(count, 3))
+        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+        return distance.centres[generator.integers(len(distance.centres), size=count)] + distance.radius * direction
+    corners = distance.vertices[distance.faces]
+    areas = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    uniform = generator.choice(len(areas), round(by_area * count), p=areas / areas.sum())
+    each = generator.integers(len(areas), size=count - len(uniform))
+    face = np.concatenate([uniform, each])
+    u, v = generator.random((2, count))
+    flip = u + v > 1.0
+    u, v = np.where(flip, 1.0 - u, u), np.where(flip, 1.0 - v, v)
+    a, b, c = corners[face].transpose(1, 0, 2)
+    return a + u[:, None] * (b - a) + v[:, None] * (c - a)
+
+
+def label(solid: OffsetSolid, points: Points) -> Samples:
+    """Exact labels for points: signed distance of the offset solid, gradient where one surface decides it."""
+    points = points.astype(np.float32).astype(np.float64)
+    signed = solid.signed_distance(points)
+    d, gradient = solid.distance.distance_and_gradient(points)
+    smooth = (np.abs(signed - (d - solid.offset)) < 1e-9) & (d > 1e-4)
+    hidden = ~solid.is_exterior(points) & (d > solid.offset)
+    smooth &= ~hidden
+    limit = np.where(hidden, np.maximum(signed, -HIDDEN_DEPTH), signed)
+    return Samples(
+        points.astype(np.float32),
+        limit.astype(np.float32),
+        np.where(smooth[:, None], gradient, 0.0).astype(np.float32),
+        smooth,
+        hidden,
+    )
+
+
+def training_points(distance: Distance, domain: Domain, count: int, generator: np.random.Generator) -> Points:
+    """Points around the target: on the surface, log-uniform in distance from it, and uniform in the learned ball."""
+    on, volume = count // 10, count // 6
+    near = count - on - volume
+    start = surface_points(distance, on + near, generator, by_area=0.5)
+    direction = generator.normal(size=(on + near, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    length = np.exp(generator.uniform(np.log(5e-3), np.log(0.6 * domain.target_radius), size=on + near))
+    length[:on] = 0.0
+    ball = generator.normal(size=(volume, 3))
+    ball *= (domain.learned_radius * generator.random(volume) ** (1 / 2.2) / np.linalg.norm(ball, axis=1))[:, None]
+    points = np.concatenate([start + length[:, None] * direction, ball + domain.centre])
+    inside = np.linalg.norm(points - domain.centre, axis=1) <= domain.learned_radius
+    return points[inside]

@@ -1,0 +1,254 @@
+"""Learning a field: two phases of Adam, the second fed with the worst over-statements found."""
+
+import dataclasses
+import functools
+import hashlib
+import json
+import math
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jaxtyping import Array, Float, Float32, Int
+
+from keepout.errors import FieldError
+from keepout.fields import checkpoint as checkpoints
+from keepout.fields import losses, mlp
+from keepout.fields.continuation import RadialContinuation
+from keepout.fields.model import FieldModel
+from keepout.fields.neural import NeuralField
+from keepout.fields.profile import LARGE_TARGET, Profile, find_profile
+from keepout.fields.sampling import Domain, Samples, label, surface_points, training_points
+from keepout.geometry.offset_solid import OffsetSolid
+from keepout.geometry.target import Target
+from keepout.progress import Progress, silent
+
+BLOCK = 250
+"""Steps between progress reports, checkpoints and counter-example searches; one compiled loop runs them."""
+POOL_ON_SURFACE, POOL_NEAR, NEAR_FIELD = 200_000, 60_000, 1.2
+WORST, KEPT, JITTERED, JITTER = 3000, 9000, 0.6, 0.03
+HARD_SHARE, HARD_WEIGHT = 0.27, 2.0
+TUNING_RATE = 0.4
+
+
+class _State(NamedTuple):
+    """All that a fit needs to go on: the same after a reload, to the bit."""
+
+    layers: mlp.Layers
+    optimizer: optax.OptState
+    hard: losses.Batch
+    block: Int[Array, ""]
+    worst: Float32[Array, ""]
+
+
+def fit(
+    target: Target,
+    *,
+    profile: str | Profile = "default",
+    seed: int = 0,
+    checkpoint: Path | None = None,
+    solid: OffsetSolid | None = None,
+    progress: Progress = silent,
+) -> FieldModel:
+    """Learn a neural field of a target.
+
+    Args:
+        target: what to learn.
+        profile: "default", "quick" (rough, for trying out), "paper" or "paper_printed"; or a `Profile`.
+        seed: the same seed, target and profile on the same machine give the same field.
+        checkpoint: a file kept up to date while training and deleted at the end; if it exists, the fit goes on from it.
+        solid: the target's offset solid, if already built.
+        progress: fraction done, and the loss terms, the worst over-statement so far and the time left.
+
+    Raises:
+        FieldError: an unknown profile, a checkpoint of another fit, or a loss that is not finite.
+
+    """
+    start = time.perf_counter()
+    numbers = find_profile(profile)
+    name = profile if isinstance(profile, str) else "custom"
+    distance = target.distance
+    if solid is None:
+        solid = OffsetSolid.build(distance, progress=lambda part, text: progress(0.08 * part, f"offset solid: {text}"))
+    domain = Domain.around(distance)
+    generator = np.random.default_rng(seed)
+    progress(0.08, "labelling samples")
+    samples = label(solid, training_points(distance, domain, numbers.samples, generator))
+    pool = _concatenate(
+        label(solid, surface_points(distance, POOL_ON_SURFACE, generator, by_area=0.5)),
+        label(solid, _near_points(target, domain, generator)),
+    )
+    data, pool_data = _normalised(samples, domain), _normalised(pool, domain)
+
+    fingerprint = _fingerprint(target, solid, numbers, seed)
+    state = _initial(numbers, domain, pool_data, seed)
+    if checkpoint is not None and checkpoint.exists():
+        state = checkpoints.load(checkpoint, state, fingerprint)
+
+    main_blocks, tuning_blocks = numbers.steps // BLOCK, numbers.tuning_steps // BLOCK
+    blocks, first, clock = main_blocks + tuning_blocks, int(state.block), time.perf_counter()
+    for block in range(first, blocks):
+        tuning = block >= main_blocks
+        if tuning:
+            state = _with_counter_examples(state, numbers, domain, solid, pool, pool_data, (seed, block))
+        if block == main_blocks:
+            state = state._replace(optimizer=_optimizer(numbers, tuning).init(state.layers))
+        layers, optimizer, value_term, slope_term = _train_block(
+            numbers, domain.learned_radius, tuning, state, data, jax.random.fold_in(jax.random.key(seed), block)
+        )
+        state = state._replace(layers=layers, optimizer=optimizer, block=jnp.asarray(block + 1, state.block.dtype))
+        if not math.isfinite(float(value_term)):
+            raise FieldError(f"training of {target.name}: the loss is not finite at step {(block + 1) * BLOCK}")
+        if checkpoint is not None:
+            checkpoints.save(checkpoint, state, fingerprint)
+        left = (time.perf_counter() - clock) / (block + 1 - first) * (blocks - block - 1)
+        worst = f", worst over-statement {float(state.worst):+.3f} m" if tuning else ""
+        text = f"distance {float(value_term):.4f}, gradient {float(slope_term):.4f}{worst}, {left:.0f} s left"
+        progress(0.1 + 0.89 * (block + 1) / blocks, text)
+
+    field = _finished(state.layers, numbers, domain, solid, generator)
+    training = {
+        "profile": name,
+        "numbers": dataclasses.asdict(numbers),
+        "seed": seed,
+        "seconds": time.perf_counter() - start,
+        "closing_radius": solid.closing_radius,
+        "jax": jax.__version__,
+        "device": jax.devices()[0].platform,
+    }
+    if checkpoint is not None:
+        checkpoint.unlink(missing_ok=True)
+    progress(1.0, "done")
+    return FieldModel(field, target.name, target.sha256, solid.offset, training)
+
+
+def _near_points(target: Target, domain: Domain, generator: np.random.Generator) -> Float[np.ndarray, "n 3"]:
+    """Points up to `NEAR_FIELD` from the surface, where a chaser of some size touches."""
+    points = training_points(target.distance, domain, 3 * POOL_NEAR, generator)
+    return points[target.distance.distance(points) < NEAR_FIELD][:POOL_NEAR]
+
+
+def _concatenate(a: Samples, b: Samples) -> Samples:
+    names = [f.name for f in dataclasses.fields(Samples)]
+    return Samples(*(np.concatenate([getattr(a, name), getattr(b, name)]) for name in names))
+
+
+def _normalised(samples: Samples, domain: Domain) -> losses.Batch:
+    x = ((samples.points.astype(np.float64) - domain.centre) / domain.learned_radius).astype(np.float32)
+    rest = (samples.distance, samples.gradient, samples.smooth, samples.hidden)
+    return losses.Batch(jnp.asarray(x), *(jnp.asarray(a) for a in rest))
+
+
+def _fingerprint(target: Target, solid: OffsetSolid, profile: Profile, seed: int) -> str:
+    entries = [target.sha256, solid.offset, solid.closing_radius, dataclasses.asdict(profile), seed]
+    return hashlib.sha256(json.dumps(entries).encode()).hexdigest()
+
+
+def _initial(profile: Profile, domain: Domain, pool: losses.Batch, seed: int) -> _State:
+    """He-scaled weights (He et al. 2015); first-layer kinks spread over the unit ball; the output starts positive."""
+    large = domain.target_radius > LARGE_TARGET
+    width, depth = (profile.large_width, profile.large_depth) if large else (profile.width, profile.depth)
+    sizes = [3] + [width] * depth + [1]
+    keys = jax.random.split(jax.random.key(seed), depth + 2)
+    weights = [
+        jax.random.normal(key, (n_out, n_in), jnp.float32) * jnp.float32(math.sqrt(2.0 / n_in))
+        for key, n_in, n_out in zip(keys, sizes[:-1], sizes[1:])
+    ]
+    weights[0] = weights[0] * jnp.float32(math.sqrt(1.5))
+    weights[-1] = weights[-1] * jnp.float32(0.5)
+    biases = [jnp.zeros(n, jnp.float32) for n in sizes[1:]]
+    biases[0] = jax.random.uniform(keys[-1], (width,), jnp.float32, -0.5, 0.5)
+    layers = mlp.Layers(tuple(weights), tuple(biases))
+    hard = jax.tree.map(lambda a: a[:KEPT], pool)
+    optimizer = _optimizer(profile, tuning=False).init(layers)
+    return _State(layers, optimizer, hard, jnp.asarray(0, jnp.int32), jnp.asarray(jnp.inf, jnp.float32))
+
+
+def _optimizer(profile: Profile, tuning: bool) -> optax.GradientTransformation:
+    steps = profile.tuning_steps if tuning else profile.steps
+    rate = profile.learning_rate * (TUNING_RATE if tuning else 1.0)
+    if profile.halving:
+        schedule = optax.exponential_decay(rate, profile.halving, 0.5, staircase=True)
+    else:
+        schedule = optax.warmup_cosine_decay_schedule(0.1 * rate, rate, min(100, steps // 10), steps, 0.01 * rate)
+    return optax.adam(schedule, b2=0.99)
+
+
+@functools.partial(jax.jit, static_argnums=(0, 1, 2))
+def _train_block(profile: Profile, scale: float, tuning: bool, state: _State, data: losses.Batch, key: Array):
+    """`BLOCK` steps of Adam in one compiled loop."""
+    optimizer = _optimizer(profile, tuning)
+    count = len(data.x)
+    batch = min(profile.batch, count)
+    hard_count = round(HARD_SHARE * batch) if tuning else 0
+
+    def loss(layers: mlp.Layers, rows: losses.Batch):
+        value_term, slope_term = losses.terms(layers, profile, scale, rows)
+        weight = jnp.ones(batch, jnp.float32).at[batch - hard_count :].set(HARD_WEIGHT)
+        value_mean, slope_mean = jnp.mean(weight * value_term), jnp.mean(weight * slope_term)
+        return value_mean + slope_mean, (value_mean, slope_mean)
+
+    def step(carry, step_key):
+        layers, optimizer_state = carry
+        if batch == count and not tuning:
+            rows = data
+        else:
+            easy_key, hard_key = jax.random.split(step_key)
+            easy = jax.random.randint(easy_key, (batch - hard_count,), 0, count)
+            rows = jax.tree.map(lambda a: a[easy], data)
+            if tuning:
+                hard = jax.random.randint(hard_key, (hard_count,), 0, len(state.hard.x))
+                rows = jax.tree.map(lambda a, b: jnp.concatenate([a, b[hard]]), rows, state.hard)
+        (_, means), gradient = jax.value_and_grad(loss, has_aux=True)(layers, rows)
+        updates, optimizer_state = optimizer.update(gradient, optimizer_state, layers)
+        return (optax.apply_updates(layers, updates), optimizer_state), means
+
+    keys = jax.random.split(key, BLOCK)
+    (layers, optimizer_state), (value_term, slope_term) = jax.lax.scan(step, (state.layers, state.optimizer), keys)
+    return layers, optimizer_state, value_term.mean(), slope_term.mean()
+
+
+@functools.partial(jax.jit, static_argnums=(1,))
+def _values(layers: mlp.Layers, beta: float, x: Float32[Array, "n 3"]) -> Float32[Array, "n"]:
+    return mlp.in_chunks(lambda rows: mlp.value(layers, beta, rows), x, 1024)
+
+
+def _with_counter_examples(
+    state: _State, profile: Profile, domain: Domain, solid: OffsetSolid, pool: Samples, data: losses.Batch, seed
+) -> _State:
+    """Put the worst over-statements of the pool, most of them moved a little, before the older ones."""
+    excess = np.asarray(_values(state.layers, profile.beta, data.x)) * domain.learned_radius - pool.distance
+    worst = np.argpartition(-excess, WORST)[:WORST]
+    generator = np.random.default_rng(seed)
+    points = pool.points[worst].astype(np.float64)
+    points += JITTER * generator.normal(size=points.shape) * (generator.random((len(points), 1)) < JITTERED)
+    fresh = _normalised(label(solid, points), domain)
+    hard = jax.tree.map(lambda new, old: jnp.concatenate([new, old])[:KEPT], fresh, state.hard)
+    on_surface = excess[:POOL_ON_SURFACE] + pool.distance[:POOL_ON_SURFACE]
+    return state._replace(hard=hard, worst=jnp.asarray(on_surface.max(), jnp.float32))
+
+
+def _finished(
+    layers: mlp.Layers, profile: Profile, domain: Domain, solid: OffsetSolid, generator: np.random.Generator
+) -> NeuralField:
+    """Give the field its continuation, lowered by what it over-states on the shell it continues from."""
+
+    def build(allowance: float) -> NeuralField:
+        lengths = (domain.target_radius, domain.domain_radius, domain.outer_radius, allowance)
+        continuation = RadialContinuation(
+            jnp.asarray(domain.centre), *(jnp.asarray(length, jnp.float64) for length in lengths)
+        )
+        return NeuralField(layers, jnp.asarray(domain.learned_radius, jnp.float64), continuation, profile.beta)
+
+    direction = generator.normal(size=(40_000, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    radius = generator.uniform(domain.domain_radius, domain.learned_radius, size=(len(direction), 1))
+    shell = domain.centre + radius * direction
+    x = jnp.asarray(((shell - domain.centre) / domain.learned_radius).astype(np.float32))
+    excess = np.asarray(_values(layers, profile.beta, x)) * domain.learned_radius - solid.signed_distance(shell)
+    # Twice the largest of 40,000 samples of a smooth far field; `certify` does not rest on it.
+    return build(2.0 * max(float(excess.max()), 0.0) + 0.01)
