@@ -47,13 +47,13 @@ def test_velocity_in_vvlh_is_the_rate_of_the_position_in_vvlh():
     """The rotation rates are right if differentiating converted positions gives the converted velocity."""
     chaser = Orbit(9.01e6, 0.21, true_anomaly=0.7, inclination=0.9, right_ascension=2.0, argument_of_perigee=-1.1)
 
-    def position_at(convert):
-        return lambda t: convert(*chaser.inertial_state(t), *ORBIT.inertial_state(t))[0]
+    def both(time):
+        states = *chaser.inertial_state(time), *ORBIT.inertial_state(time)
+        return frames.vvlh_from_eci(*states), frames.rtn_from_eci(*states)
 
-    moment = jnp.float64(321.0)
-    for convert in (frames.vvlh_from_eci, frames.rtn_from_eci):
-        _, rate = jax.jvp(position_at(convert), (moment,), (jnp.ones(()),))
-        velocity = convert(*chaser.inertial_state(moment), *ORBIT.inertial_state(moment))[1]
+    moment, one = jnp.float64(321.0), jnp.ones(())
+    converted, rates = jax.jit(lambda t: jax.jvp(both, (t,), (one,)))(moment)
+    for (_, velocity), (rate, _) in zip(converted, rates, strict=True):
         np.testing.assert_allclose(velocity, rate, rtol=1e-9, atol=1e-9)
 
 

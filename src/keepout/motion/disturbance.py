@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from keepout.errors import ScenarioError
@@ -67,11 +68,22 @@ class SinusoidalDisturbance(Disturbance):
     """A sum of sinusoids in every axis: d_i(t) = Σ_k amplitude_ki sin(frequency_ki t + phase_ki).
 
     amplitude (N), frequency (rad/s) and phase (rad): (terms, 3).
+
+    Raises:
+        ScenarioError: arrays of other or different shapes.
+
     """
 
     amplitude: Float[Array, "terms 3"] = eqx.field(converter=_array)
     frequency: Float[Array, "terms 3"] = eqx.field(converter=_array)
     phase: Float[Array, "terms 3"] = eqx.field(converter=_array)
+
+    def __check_init__(self):
+        shape = self.amplitude.shape
+        for name in ("amplitude", "frequency", "phase"):
+            own = getattr(self, name).shape
+            if own != shape or own[1:] != (3,):
+                raise ScenarioError(f"{name}: shape {own}; amplitude, frequency and phase must all be (terms, 3)")
 
     def force(self, time: Scalar) -> Vector:
         """Sum of the terms at `time`."""
@@ -98,11 +110,20 @@ class SinusoidalDisturbance(Disturbance):
 
 
 class SquareWaveDisturbance(Disturbance):
-    """Bang-bang force: ±`amplitude` (3,) N, changing sign every half `period` (s), positive just after `delay` (s)."""
+    """Bang-bang force: ±`amplitude` (3,) N, changing sign every half `period` (s), positive just after `delay` (s).
+
+    Raises:
+        ScenarioError: a period that is not positive.
+
+    """
 
     amplitude: Vector = eqx.field(converter=_array)
     period: Scalar = eqx.field(converter=_array)
     delay: Scalar = eqx.field(converter=_array, default=0.0)
+
+    def __check_init__(self):
+        if not isinstance(self.period, Tracer) and not self.period > 0:
+            raise ScenarioError(f"period: {float(self.period):g} s; it must be positive")
 
     def force(self, time: Scalar) -> Vector:
         """Plus or minus the amplitude."""
