@@ -93,66 +93,71 @@ KINDS = ("constant", "bang-bang", "resonant", "random")
 INTENTS = ("into the body", "anything", "fast")
 
 
-def disturbance(kind, size, key, direction, step):
+def disturbance(kind, size, random, direction, step):
     """Admissible accelerations (PIECES, 3), m/s², all of norm `size`; `kind` is an index into KINDS."""
     # Against the direction for a while, then along it: the kernel's sign change, and then some.
     slow = jnp.where(jnp.floor_divide(step, 7) % 2 == 0, 1.0, -1.0)
     fast = jnp.where((jnp.arange(PIECES) * 2) // PIECES == step % 2, 1.0, -1.0)
-    w = jax.random.normal(key, (PIECES, 3))
     along = jnp.stack([jnp.ones(PIECES), jnp.full(PIECES, slow), fast])[jnp.minimum(kind, 2)]
-    return size * jnp.where(kind == 3, w / jnp.linalg.norm(w, axis=-1, keepdims=True), along[:, None] * direction)
+    return size * jnp.where(kind == 3, random, along[:, None] * direction)
 
 
-def unit(key):
-    v = jax.random.normal(key, (3,))
-    return v / jnp.linalg.norm(v)
+def directions(generator, *shape):
+    v = generator.normal(size=(*shape, 3))
+    return jnp.asarray(v / np.linalg.norm(v, axis=-1, keepdims=True))
 
 
-def fly_batch(guard, keys, *, steps, size, kind, intent, errors=(0.0, 0.0), gain=0.0):
+def fly_batch(guard, seed, flights, *, steps, size, kind, intent, errors=(0.0, 0.0), gain=0.0):
     """Fly guarded chasers from random states; every command is `intent`'s, every disturbance worst-case.
 
     Returns whether the start was certified (flights,), and for each step the guard's memory, true position and velocity
     after it, the least field value on the true path, the status, and the force commanded.
     """
+    generator = np.random.default_rng(seed)
+    speed = 0.14 * generator.uniform(size=(flights, 1)) ** 0.5
+    starts = (
+        jnp.asarray(generator.uniform(-7.0, 7.0, (flights, 3))),
+        jnp.asarray(speed) * directions(generator, flights),
+        errors[0] * directions(generator, flights, steps + 1),
+        errors[1] * directions(generator, flights, steps + 1),
+    )
+    draws = (
+        jnp.asarray(generator.uniform(size=(flights, steps)) < 0.8),
+        directions(generator, flights, steps),
+        jnp.asarray(generator.uniform(-0.15, 0.15, (flights, steps, 3))),
+        directions(generator, flights, steps, PIECES),
+        1.0 + gain * jnp.asarray(generator.choice([-1.0, 1.0], (flights, steps, 3))),
+    )
     numbers = (jnp.asarray(size), jnp.asarray(KINDS.index(kind)), jnp.asarray(INTENTS.index(intent)))
-    return _fly_batch(guard, keys, steps, *numbers, jnp.asarray(errors), jnp.asarray(gain))
+    return _fly_batch(guard, starts, draws, *numbers)
 
 
 @eqx.filter_jit
-def _fly_batch(guard, keys, steps, size, kind, intent, errors, gain):
+def _fly_batch(guard, starts, draws, size, kind, intent):
     mass, delay = guard.assumptions.mass, guard.assumptions.delay
 
-    def estimate_of(r, v, key):
-        a, b = jax.random.split(key)
-        return motion_state(r + errors[0] * unit(a), v + errors[1] * unit(b))
+    def one(start, draw):
+        position, velocity, position_errors, velocity_errors = start
+        first = motion_state(position + position_errors[0], velocity + velocity_errors[0])
+        memory = guard.initial_state(first)
 
-    def one(key):
-        a, b, c, d, key = jax.random.split(key, 5)
-        position = 7.0 * jax.random.uniform(a, (3,), minval=-1.0, maxval=1.0)
-        velocity = 0.14 * jax.random.uniform(b) ** 0.5 * unit(c)
-        first = estimate_of(position, velocity, d)
-        start = guard.initial_state(first)
-
-        def step(carry, k):
-            r, v, memory, queue, estimate, key = carry
-            a, b, c, d, e, key = jax.random.split(key, 6)
+        def step(carry, row):
+            k, (toward_body, random_way, random_force, random_push, scale), position_error, velocity_error = row
+            r, v, memory, queue, told = carry
             toward = -guard.field.value_and_gradient(r)[1]
-            wind = jnp.where(jax.random.uniform(a) < 0.8, toward, unit(b))
             commands = jnp.stack(
-                [
-                    0.1 * jnp.sign(toward),
-                    0.15 * jax.random.uniform(c, (3,), minval=-1.0, maxval=1.0),
-                    2.0 * (0.11 * jnp.where(k % 60 < 40, toward, -toward) - v),
-                ]
+                [0.1 * jnp.sign(toward), random_force, 2.0 * (0.11 * jnp.where(k % 60 < 40, toward, -toward) - v)]
             )
-            memory, out, status = guard.filter(memory, estimate, commands[intent], jnp.zeros(3))
+            memory, out, status = guard.filter(memory, motion_state(*told), commands[intent], jnp.zeros(3))
             queue = jnp.concatenate([queue, out[None]])
-            scale = 1.0 + gain * jnp.sign(jax.random.normal(b, (3,)))
-            r, v, path = advance(r, v, scale * queue[0] / mass, disturbance(kind, size, d, wind, k))
+            wind = jnp.where(toward_body, toward, random_way)
+            push = disturbance(kind, size, random_push, wind, k)
+            r, v, path = advance(r, v, scale * queue[0] / mass, push)
             row = (memory, r, v, jnp.min(guard.field.value(path)), status, out)
-            return (r, v, memory, queue[1:], estimate_of(r, v, e), key), row
+            return (r, v, memory, queue[1:], (r + position_error, v + velocity_error)), row
 
-        initial = (position, velocity, start, jnp.zeros((delay, 3)), first, key)
-        return start.certified, jax.lax.scan(step, initial, jnp.arange(steps))[1]
+        initial = (position, velocity, memory, jnp.zeros((delay, 3)), (first.position, first.velocity))
+        rows = (jnp.arange(len(draw[0])), draw, position_errors[1:], velocity_errors[1:])
+        return memory.certified, jax.lax.scan(step, initial, rows)[1]
 
-    return jax.vmap(one)(keys)
+    return jax.vmap(one)(starts, draws)

@@ -9,6 +9,7 @@ from guarded_worlds import Ball, motion_state
 
 from keepout.errors import ScenarioError
 from keepout.flight.faults import (
+    KINDS,
     BrokenLaw,
     CombinedFaults,
     DelayedCommands,
@@ -108,7 +109,7 @@ class Order(eqx.Module):
     force: jax.Array
 
 
-@pytest.mark.parametrize("kind", BrokenLaw.KINDS)
+@pytest.mark.parametrize("kind", KINDS)
 def test_broken_laws(kind):
     law = BrokenLaw(Resting(), Ball(), kind, 0.1, 20.0, 0.1)
     start = motion_state(jnp.array([5.0, 0.0, 0.0]), jnp.zeros(3))
@@ -122,6 +123,8 @@ def test_broken_laws(kind):
     assert np.abs(force[finite]).max() <= 0.1 + 1e-15
     if kind == "not a number":
         np.testing.assert_array_equal(finite, np.arange(90) % law.hold != 0)
+    if kind == "none":
+        np.testing.assert_array_equal(force, 0.01)
     if kind == "into the body":
         np.testing.assert_allclose(force, np.broadcast_to([-0.1, 0, 0], force.shape), atol=1e-12)
     if kind == "through":
@@ -135,5 +138,5 @@ def test_broken_laws(kind):
 
 
 def test_an_unknown_kind_is_refused():
-    with pytest.raises(ScenarioError, match="valid are into the body"):
+    with pytest.raises(ScenarioError, match="valid are none, into the body"):
         BrokenLaw(Resting(), Ball(), "sideways", 0.1, 20.0, 0.1)

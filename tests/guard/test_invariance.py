@@ -33,8 +33,8 @@ def remaining_response(guard, D, terms=400):
     for _ in range(terms):
         powers.append(closed @ powers[-1])
     powers = np.stack(powers)
-    late, early = np.abs(powers[:, 0, 1]), np.abs(powers[:, 0, 0] * T + powers[:, 0, 1])
-    kernel = 0.5 * T * D * (late + early)
+    tau = (np.arange(400) + 0.5) / 400 * T
+    kernel = D * T * np.abs(powers[:, 0, :1] * tau + powers[:, 0, 1:]).mean(axis=1)
     return powers, np.cumsum(kernel[::-1])[::-1]
 
 
@@ -63,7 +63,7 @@ def certified_states(guard, memory, r, v, D):
     excess = (free - rest[:60].reshape(-1, *[1] * (free.ndim - 1))).max(axis=0)
     clear = plan_clearance(guard, memory.plan_position, memory.plan_velocity)
     within = clear >= THRESHOLD + guard.braking.position_radius
-    return np.asarray(within) & (excess <= 1e-9) & np.asarray(memory.certified), excess
+    return np.asarray(within) & (excess <= 1e-7) & np.asarray(memory.certified), excess
 
 
 @pytest.mark.parametrize("world", WORLDS)
@@ -72,9 +72,8 @@ def test_one_step_leaves_a_certified_state(world):
     D = guard.assumptions.disturbance
     states = 0
     for number, (kind, intent) in enumerate(itertools.product(KINDS, INTENTS)):
-        keys = jax.random.split(jax.random.key(number), 400)
         certified, (memory, r, v, lowest, status, out) = fly_batch(
-            guard, keys, steps=16, size=D * (1 - 1e-9), kind=kind, intent=intent
+            guard, number, 400, steps=16, size=D * (1 - 1e-9), kind=kind, intent=intent
         )
         chosen = np.asarray(certified)
         assert chosen.sum() > 30
@@ -92,9 +91,8 @@ def deepest(
     assumed, true_size, world="ball", delay=0, errors=(0.0, 0.0), gain=0.0, flights=150, steps=100, kind="constant"
 ):
     guard = Guard(WORLDS[world], threshold=THRESHOLD, lipschitz=1.0, assumptions=assumed)
-    keys = jax.random.split(jax.random.key(3), flights)
     certified, rows = fly_batch(
-        guard, keys, steps=steps, size=true_size, kind=kind, intent="into the body", errors=errors, gain=gain
+        guard, 3, flights, steps=steps, size=true_size, kind=kind, intent="into the body", errors=errors, gain=gain
     )
     chosen = np.asarray(certified)
     assert chosen.sum() > 15
@@ -140,8 +138,7 @@ def test_with_its_disturbance_bound_halved_the_guard_fails_and_says_so():
 def test_resting_chaser_stays_in_the_ball():
     guard = guard_for("ball", disturbance_force=0.02)
     D = guard.assumptions.disturbance
-    keys = jax.random.split(jax.random.key(1), 50)
-    certified, (memory, r, *_) = fly_batch(guard, keys, steps=400, size=D, kind="constant", intent="into the body")
+    certified, (memory, r, *_) = fly_batch(guard, 1, 50, steps=400, size=D, kind="constant", intent="into the body")
     still = np.asarray(jnp.linalg.norm(memory.plan_velocity, axis=-1) < 1e-9) & np.asarray(certified)[:, None]
     away = np.linalg.norm(np.asarray(r - memory.plan_position), axis=-1)
     assert still.sum() > 1000
@@ -167,5 +164,5 @@ def test_radii_are_reached_by_the_worst_disturbance(poles):
         control += np.abs(row @ np.stack([T - tau, np.ones(fine)])).sum() * T / fine
         row = row @ closed
     bow = T**2 / 8 * (made.reserve + D)
-    assert 0.97 * (made.position_radius - bow) <= D * total <= made.position_radius
-    assert 0.9 * made.reserve <= D * control <= made.reserve
+    assert D * total == pytest.approx(made.position_radius - bow, rel=1e-4)
+    assert D * control == pytest.approx(made.reserve, rel=1e-4)

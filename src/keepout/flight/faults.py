@@ -10,7 +10,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PRNGKeyArray, PyTree
+from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 
 from keepout.errors import ScenarioError
 from keepout.fields.field import Field
@@ -190,13 +190,26 @@ class CombinedFaults(Faults):
         return self._through("actuate", fault_state, force, time)
 
 
+KINDS = ("none", "into the body", "through", "random", "bang-bang", "not a number")
+"""How a `BrokenLaw` can be broken."""
+
+
+def _kind(value: str | Int[Array, "*batch"]) -> Int[Array, "*batch"]:
+    if not isinstance(value, str):
+        return value
+    if value not in KINDS:
+        raise ScenarioError(f"broken law: {value!r}; valid are {', '.join(KINDS)}")
+    return jnp.asarray(KINDS.index(value))
+
+
 class BrokenLaw(eqx.Module):
     """A control law whose force is replaced by a hostile one; all else it reports stays the law's own.
 
-    law: the law that works. kind: "into the body" (full thrust against the field's gradient), "through" (straight to
-    the goal at twice the speed, whatever is between), "random" (each axis uniform within the limit), "bang-bang"
-    (full thrust, a random corner of the box for `hold` steps), "not a number" (every `hold`-th command is NaN).
-    field: for "into the body". force_limit: N. speed: m/s, for "through".
+    law: the law that works. kind: a name or an index of `KINDS`: "none" (the law's own force), "into the body" (full
+    thrust against the field's gradient), "through" (straight to the goal at twice the speed, whatever is between),
+    "random" (each axis uniform within the limit), "bang-bang" (full thrust, a random corner of the box for `hold`
+    steps), "not a number" (every `hold`-th command is NaN). field: for "into the body". force_limit: N. mass: kg.
+    speed: m/s, for "through". As `kind` is an array, flights of one batch can differ in it.
 
     Raises:
         ScenarioError: an unknown kind.
@@ -205,18 +218,12 @@ class BrokenLaw(eqx.Module):
 
     law: Any
     field: Field
-    kind: str = eqx.field(static=True)
+    kind: Int[Array, ""] = eqx.field(converter=_kind)
     force_limit: Scalar = eqx.field(converter=_scalar)
     mass: Scalar = eqx.field(converter=_scalar)
     speed: Scalar = eqx.field(converter=_scalar)
     seed: int = eqx.field(static=True, default=0)
     hold: int = eqx.field(static=True, default=15)
-
-    KINDS = ("into the body", "through", "random", "bang-bang", "not a number")
-
-    def __check_init__(self):
-        if self.kind not in self.KINDS:
-            raise ScenarioError(f"broken law: {self.kind!r}; valid are {', '.join(self.KINDS)}")
 
     @property
     def goal(self) -> Vector:
@@ -238,22 +245,23 @@ class BrokenLaw(eqx.Module):
         """Run the working law, and replace its force."""
         memory, key, count = state
         memory, order = self.law.step(memory, estimate)
-        force = self._hostile(
-            jax.random.fold_in(key, count), jax.random.fold_in(key, -1 - count // self.hold), estimate
-        )
-        if self.kind == "not a number":
-            force = jnp.where(count % self.hold == 0, jnp.nan, order.force)
+        steady = jax.random.fold_in(jax.random.fold_in(key, 2**31 - 1), count // self.hold)
+        force = self._force(order.force, jax.random.fold_in(key, count), steady, count, estimate)
         return (memory, key, count + 1), eqx.tree_at(lambda o: o.force, order, force)
 
-    def _hostile(self, key: PRNGKeyArray, steady: PRNGKeyArray, estimate: MotionState) -> Vector:
+    def _force(
+        self, own: Vector, key: PRNGKeyArray, steady: PRNGKeyArray, count: Int[Array, ""], estimate: MotionState
+    ) -> Vector:
         limit = self.force_limit
-        if self.kind == "into the body":
-            gradient = self.field.value_and_gradient(estimate.position)[1]
-            return -limit * gradient / jnp.maximum(jnp.max(jnp.abs(gradient)), 1e-9)
-        if self.kind == "through":
-            away = self.goal - estimate.position
-            wanted = 2.0 * self.speed * away / jnp.maximum(jnp.linalg.norm(away), 1e-9)
-            return jnp.clip(self.mass * (wanted - estimate.velocity), -limit, limit)
-        if self.kind == "bang-bang":
-            return limit * jax.random.rademacher(steady, (3,), dtype=jnp.float64)
-        return limit * jax.random.uniform(key, (3,), minval=-1.0, maxval=1.0)
+        gradient = self.field.value_and_gradient(estimate.position)[1]
+        away = self.goal - estimate.position
+        wanted = 2.0 * self.speed * away / jnp.maximum(jnp.linalg.norm(away), 1e-9)
+        forces = (
+            own,
+            -limit * gradient / jnp.maximum(jnp.max(jnp.abs(gradient)), 1e-9),
+            jnp.clip(self.mass * (wanted - estimate.velocity), -limit, limit),
+            limit * jax.random.uniform(key, (3,), minval=-1.0, maxval=1.0),
+            limit * jax.random.rademacher(steady, (3,), dtype=jnp.float64),
+            jnp.where(count % self.hold == 0, jnp.nan, own),
+        )
+        return jnp.stack(forces)[self.kind]
