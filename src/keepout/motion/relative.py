@@ -111,10 +111,11 @@ class RelativeMotion(eqx.Module):
             stages = jnp.array([[0.0, 1 / 6], [1 / 2, 1 / 3], [1 / 2, 1 / 3], [1.0, 1 / 6]])
             (_, mean), _ = jax.lax.scan(stage, (rest, rest), stages)
             end = _advance(at, mean, h)
+            time = at.time + h  # whole periods stay whole numbers
             attitude = rotation.normalise(end.attitude)
-            frame = self._frame(end.time, end.target_orbit)
+            frame = self._frame(time, end.target_orbit)
             omega, _ = self.attitude_motion.rates(attitude, end.angular_velocity, frame)
-            return MotionState(end.time, end.position, end.velocity, attitude, omega, end.target_orbit)
+            return MotionState(time, end.position, end.velocity, attitude, omega, end.target_orbit)
 
         if self.substeps == 1:
             return runge_kutta(state)
