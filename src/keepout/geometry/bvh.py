@@ -1,17 +1,19 @@
 """Closest triangle by a bounding-volume hierarchy in compiled float64 loops.
 
-libigl's tree gives the same answers to rounding, one query in 4 to 13 µs; these loops take 0.5 to 2 µs because points are
-visited along a space-filling curve, each starts from the last answer's triangle, and a batch is shared among the cores.
+libigl's tree gives the same answers to rounding, one query in 4 to 13 µs; these loops take 0.5 to 2 µs because points
+are visited along a space-filling curve, each starts from the last answer's triangle, and a batch is shared among the
+cores.
 """
 
 import os
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from typing import NamedTuple, no_type_check
 
 import numba
 import numpy as np
 from jaxtyping import Float, Int
 
+# `no_type_check` below: run-time shape checks would wrap the functions that numba compiles.
 _LEAF_TRIANGLES = 4
 _CHUNK = 8192
 _WORKERS = max(1, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
@@ -83,6 +85,7 @@ def _along_curve(points: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, "n"]:
 
 
 @numba.njit(cache=True, nogil=True)
+@no_type_check
 def _curve_code(scaled):
     code = np.zeros(len(scaled), dtype=np.int64)
     for i in range(len(scaled)):
@@ -93,6 +96,7 @@ def _curve_code(scaled):
 
 
 @numba.njit(cache=True, nogil=True)
+@no_type_check
 def _split(triangles, centres, order, lower, upper, right, first, amount):
     """Fill the node arrays depth first; returns the number of nodes."""
     waiting = np.empty((128, 3), dtype=np.int64)  # start, end, parent whose second child this is (or -1)
@@ -129,6 +133,7 @@ def _split(triangles, centres, order, lower, upper, right, first, amount):
 
 
 @numba.njit(cache=True, nogil=True, inline="always")
+@no_type_check
 def _box_distance_squared(lower, upper, node, x, y, z):
     dx = max(max(lower[node, 0] - x, x - upper[node, 0]), 0.0)
     dy = max(max(lower[node, 1] - y, y - upper[node, 1]), 0.0)
@@ -137,6 +142,7 @@ def _box_distance_squared(lower, upper, node, x, y, z):
 
 
 @numba.njit(cache=True, nogil=True)
+@no_type_check
 def _on_triangle(corners, triangle, x, y, z):
     """Barycentric weights of the second and third corner at the closest point (Ericson 2005, section 5.1.5)."""
     ax, ay, az = corners[triangle, 0, 0], corners[triangle, 0, 1], corners[triangle, 0, 2]
@@ -169,6 +175,7 @@ def _on_triangle(corners, triangle, x, y, z):
 
 
 @numba.njit(cache=True, nogil=True)
+@no_type_check
 def _query(lower, upper, right, first, amount, corners, face, points, order, within, distance, nearest, found):
     stack = np.empty(128, dtype=np.int64)
     bounds = np.empty(128)

@@ -15,7 +15,8 @@ Points = Float[np.ndarray, "n 3"]
 class ExactDistance:
     """Unsigned distance to a triangle soup: no orientation, no watertightness, no signs.
 
-    Found with a bounding-volume hierarchy (`bvh`); agrees with brute force over all triangles to 1e-12 m. Degenerate triangles count as the segment or point that they are.
+    Found with a bounding-volume hierarchy (`bvh`); agrees with brute force over all triangles to 1e-12 m. Degenerate
+    triangles count as the segment or point that they are.
 
     Args:
         vertices: (V, 3) positions in metres.
@@ -42,6 +43,12 @@ class ExactDistance:
         self.upper: Float[np.ndarray, 3] = used.max(axis=(0, 1))
 
     @functools.cached_property
+    def area(self) -> float:
+        """Total area of the triangles, one side, square metres."""
+        a, b, c = np.moveaxis(self.vertices[self.faces], 1, 0)
+        return 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+
+    @functools.cached_property
     def _tree(self) -> bvh.Tree:
         return bvh.build(self.vertices[self.faces])
 
@@ -54,7 +61,7 @@ class ExactDistance:
         return bvh.closest(self._tree, _checked(points))
 
     def distance_within(self, points: Points, bound: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-        """The smaller of the distance and a bound (n,) for each point, in metres; much cheaper where the bound is small."""
+        """Smaller of the distance and a bound (n,) for each point, in metres; cheap where the bound is small."""
         return bvh.closest(self._tree, _checked(points), np.ascontiguousarray(bound, dtype=np.float64))[0]
 
     def distance_and_gradient(self, points: Points) -> tuple[Float[np.ndarray, "n"], Points]:
@@ -90,6 +97,7 @@ class BallCloudDistance:
             raise MeshError(f"point cloud: thickness {2 * self.radius} m; it must be positive")
         self.lower: Float[np.ndarray, 3] = self.centres.min(axis=0) - self.radius
         self.upper: Float[np.ndarray, 3] = self.centres.max(axis=0) + self.radius
+        self.area = float(4.0 * np.pi * self.radius**2 * len(self.centres))
         self._tree = KDTree(self.centres)
 
     def distance(self, points: Points) -> Float[np.ndarray, "n"]:
@@ -124,7 +132,7 @@ def _checked(points: Points) -> Points:
 
 
 def _away(points: Points, closest: Points) -> Points:
-    """Unit vectors from the closest points to the points; zeros where they coincide."""
+    """Make unit vectors from the closest points to the points; zeros where they coincide."""
     difference = points - closest
     length = np.linalg.norm(difference, axis=1)
     return difference / np.where(length > 0.0, length, 1.0)[:, None]

@@ -21,12 +21,13 @@ def flood(
     """Fill from outside, face to face, through cells that lie wholly farther than `radius` from every surface.
 
     Returns:
-        The cells; whether each is free, d > radius throughout; and whether each is flooded: free and connected to the outside.
+        The cells; whether each is free, d > radius throughout; and whether each is flooded: free and connected to the
+        outside.
 
     """
 
     def visit(centres: Points, half_width: float, level: int) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
-        progress(level / (depth + 1), f"flood: level {level} of {depth}, {len(centres)} cells")
+        progress(level / (depth + 1), f"flood: level {level} of {depth}")
         d, reach = distance.distance(centres), half_width * SQRT3
         return (d - reach <= radius) & (d + reach > radius), (d - reach > radius,)
 
@@ -49,17 +50,19 @@ def hidden_cells(
     free: Bool[np.ndarray, "n"],
     flooded: Bool[np.ndarray, "n"],
     depth: int,
+    offset: float,
     progress: Progress,
 ) -> tuple[Cells, Bool[np.ndarray, "m"]]:
     """Cover the cube with cells that are each open, reachable from the flood, or hidden.
 
-    A cell whose centre is farther from every surface than its half-diagonal lies in one ball of free space, so its centre
-    speaks for all of it; others are split down to `depth`, and there too the centre speaks for the cell. A centre is open when
-    a walk up the distance, in steps that each stay in one ball without surfaces, ends in the flood.
+    A cell whose centre is farther from every surface than its half-diagonal lies in one ball of free space, so its
+    centre speaks for all of it; others are split down to `depth`, and there too the centre speaks for the cell. A
+    centre is open when a walk up the distance, in steps that each stay in one ball without surfaces, ends in the
+    flood.
     """
 
     def visit(centres: Points, half_width: float, level: int) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
-        progress(level / (depth + 1), f"cover: level {level} of {depth}, {len(centres)} cells")
+        progress(level / (depth + 1), f"cover: level {level} of {depth}")
         holder = lake.locate(centres)
         settled = free[holder] & (lake.level[holder] <= level)
         d, gradient = distance.distance_and_gradient(centres)
@@ -76,7 +79,11 @@ def hidden_cells(
     fate = fate[successor]
     ends = np.flatnonzero((successor == np.arange(len(d))) & (fate == _UNDECIDED))
     fate[ends] = _walk(distance, cells, fate, d, ends)
-    return cells, fate[successor] != _OPEN
+    hidden = fate[successor] != _OPEN
+    # In a cell of half-diagonal ρ > offset a point p with d(p) > offset could lie past a surface from the centre q,
+    # but only
+    # if |p - q| > offset + d(q).
+    return cells, hidden | (d < cells.half_diagonal - offset)
 
 
 def _successors(cells: Cells, fate: np.ndarray, d: np.ndarray, gradient: np.ndarray) -> np.ndarray:
@@ -100,22 +107,28 @@ def _walk(
 ) -> Int[np.ndarray, "k"]:
     """Walk up the distance from the centres of some cells, by exact steps, until a cell of known fate; hidden if none.
 
-    Each step stays in the ball of free space round the last point. Walks that stop climbing are in a gap to be sealed.
+    Each step stays in the ball of free space round the last point. A walk that climbs less than 2 % in six steps is in
+    a gap to be sealed; single steps may climb less, where they cross from the one wall of a corner to the other.
     """
     verdict = np.full(len(ends), _HIDDEN, dtype=np.int8)
     active = np.flatnonzero(d[ends] > 0.0)
     p = cells.at(ends[active])
     here, gradient = distance.distance_and_gradient(p)
-    for _ in range(_STEPS):
+    before = np.zeros(len(active))
+    for step in range(_STEPS):
         if len(active) == 0:
             break
+        if step % 6 == 0:
+            climbing = here > 1.02 * before
+            active, p, gradient, here = active[climbing], p[climbing], gradient[climbing], here[climbing]
+            before = here
         p = p + 0.95 * here[:, None] * gradient
         holder = cells.locate(p)
-        last = here
         here, gradient = distance.distance_and_gradient(p)
         seen = np.linalg.norm(p - cells.at(holder), axis=1) < np.maximum(here, d[holder])
         found = np.where(holder < 0, _OPEN, np.where(seen, fate[holder], _UNDECIDED))
         verdict[active[found != _UNDECIDED]] = found[found != _UNDECIDED]
-        climbing = (found == _UNDECIDED) & (here > 1.001 * last)
-        active, p, here, gradient = active[climbing], p[climbing], here[climbing], gradient[climbing]
+        open_ended = found == _UNDECIDED
+        active, p, before = active[open_ended], p[open_ended], before[open_ended]
+        here, gradient = here[open_ended], gradient[open_ended]
     return verdict

@@ -10,7 +10,7 @@ from keepout.errors import MeshError
 from keepout.geometry.mesh_report import Surface, part_labels, stray_faces, weld, zero_area
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
-_DECLARED = {"meter": "m", "meters": "m", "centimeter": "cm", "millimeter": "mm", "millimeters": "mm", "inch": "in", "inches": "in", "foot": "ft", "feet": "ft"}  # fmt: skip
+_DECLARED = {"meter": "m", "centimeter": "cm", "millimeter": "mm", "inch": "in", "foot": "ft", "feet": "ft"}
 MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".stl", ".ply", ".off", ".3mf")
 CLOUD_SUFFIXES = (".ply", ".xyz", ".npy")
 SMALLEST, LARGEST = 0.5, 500.0
@@ -36,8 +36,8 @@ def read_surface(
     if cloud:
         if thickness is None:
             raise MeshError(
-                f"{path.name}: {len(vertices)} points and no triangles; give thickness, the diameter in metres of the ball "
-                "that each point stands for"
+                f"{path.name}: {len(vertices)} points and no triangles; give thickness, the diameter in metres of the "
+                "ball that each point stands for"
             )
         faces = np.repeat(np.arange(len(vertices))[:, None], 3, axis=1)
     elif thickness is not None:
@@ -49,8 +49,8 @@ def read_surface(
     size = float(np.ptp(vertices[faces].reshape(-1, 3), axis=0).max())
     if units is None and scale is None and not SMALLEST <= size <= LARGEST:
         raise MeshError(
-            f"{path.name}: the largest extent would be {size:.4g} m; give units (m, cm, mm, in, ft) or scale if that is right"
-            f" or wrong; without them {SMALLEST} to {LARGEST:.0f} m is taken"
+            f"{path.name}: the largest extent would be {size:.4g} m; give units (m, cm, mm, in, ft) or "
+            f"scale, whether that is right or wrong; without them {SMALLEST} to {LARGEST:.0f} m is taken"
         )
     if cloud:
         return Surface(vertices, faces, 0.5 * thickness if thickness else 0.0, tuple(actions))
@@ -73,10 +73,7 @@ def _check_file(path: Path) -> None:
 
 def _read_points(path: Path) -> Float[np.ndarray, "v 3"]:
     try:
-        if path.suffix.lower() == ".npy":
-            points = np.load(path, allow_pickle=False)
-        else:
-            points = np.loadtxt(path, ndmin=2)
+        points = np.load(path, allow_pickle=False) if path.suffix.lower() == ".npy" else np.loadtxt(path, ndmin=2)
     except Exception as cause:  # both readers raise many kinds on foreign content
         raise MeshError(f"{path.name}: not readable as points: {_one_line(cause)}") from cause
     if points.ndim != 2 or points.shape[1] < 3 or len(points) == 0 or not np.issubdtype(points.dtype, np.number):
@@ -85,7 +82,7 @@ def _read_points(path: Path) -> Float[np.ndarray, "v 3"]:
 
 
 def _read_scene(path: Path) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"], str | None]:
-    """All meshes of a file with their transforms applied; where there are none, all points; and the units it declares."""
+    """Read all meshes of a file, placed by their transforms, or else all points; and the units it declares."""
     try:
         scene = trimesh.load_scene(path, process=False)
         placed = scene.dump()
@@ -103,9 +100,7 @@ def _read_scene(path: Path) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "
         return np.concatenate(vertices), np.concatenate(faces), scene.units
     if points:
         return np.concatenate(points), np.zeros((0, 3), dtype=np.int64), scene.units
-    raise MeshError(
-        f"{path.name}: no triangles and no points in it; export the geometry itself, not only references to it"
-    )
+    raise MeshError(f"{path.name}: no triangles and no points in it; export the geometry itself, not references to it")
 
 
 def _scale(path: Path, units: str | None, scale: float | None, declared: str | None) -> tuple[float, list[str]]:
@@ -117,7 +112,7 @@ def _scale(path: Path, units: str | None, scale: float | None, declared: str | N
             raise MeshError(f"{path.name}: scale = {scale}; it must be a positive number of metres a file unit")
         return float(scale), [f"scaled by {scale}"]
     if units is None:
-        units = _DECLARED.get(declared or "", "m")
+        units = _DECLARED.get((declared or "").removesuffix("s"), "m")
         return UNITS[units], [] if units == "m" else [f"converted from {units}, the unit that the file declares"]
     if units not in UNITS:
         raise MeshError(f"{path.name}: units = {units!r}; valid are {', '.join(UNITS)}")

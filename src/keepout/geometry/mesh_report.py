@@ -19,7 +19,7 @@ class Surface:
     actions: tuple[str, ...] = ()
 
     def moved(self, rotation: Float[np.ndarray, "3 3"], origin: Float[np.ndarray, "3"]) -> "Surface":
-        """The same surface in body axes: rotation @ (vertex - origin)."""
+        """Express the surface in body axes: rotation @ (vertex - origin)."""
         return replace(self, vertices=(self.vertices - origin) @ rotation.T)
 
 
@@ -80,11 +80,10 @@ def describe(surface: Surface) -> MeshReport:
         welded = weld(surface.vertices, surface.faces)
         part = part_labels(welded)
         parts = int(part.max()) + 1
-        flat = zero_area(used)
-        degenerate = int(flat.sum())
-        _, times = np.unique(
-            np.sort(welded[~flat][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0, return_counts=True
-        )
+        degenerate = int(zero_area(used).sum())
+        whole = welded[(welded != np.roll(welded, 1, axis=1)).all(axis=1)]
+        edges = np.sort(whole[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+        _, times = np.unique(edges[:, 0] * (int(welded.max()) + 1) + edges[:, 1], return_counts=True)
         open_edges, crowded = int((times == 1).sum()), int((times > 2).sum())
         stray = len(np.unique(part[stray_faces(used, part)]))
     return MeshReport(
@@ -102,13 +101,13 @@ def describe(surface: Surface) -> MeshReport:
 
 
 def weld(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "f 3"]:
-    """The faces with one index for all vertices at the same position."""
+    """Give the faces one index for all vertices at the same position."""
     _, first = np.unique(vertices, axis=0, return_inverse=True)
     return first.reshape(-1)[faces]
 
 
 def part_labels(welded: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "f"]:
-    """The connected component of each face, 0, 1, …, through shared vertices."""
+    """Label each face with its component, 0, 1, …, connected through shared vertices."""
     count = int(welded.max()) + 1
     start, end = welded[:, [0, 1]].reshape(-1), welded[:, [1, 2]].reshape(-1)
     graph = scipy.sparse.coo_matrix((np.ones(len(start), dtype=np.int8), (start, end)), shape=(count, count))

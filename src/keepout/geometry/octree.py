@@ -1,4 +1,4 @@
-"""Linear octrees over a cube: cells refined level by level, all cells of a level at once."""
+"""Linear octrees over a cube: cells refined level by level, a block of cells at once."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -11,6 +11,8 @@ from keepout.geometry.distance import Distance
 
 SQRT3 = float(np.sqrt(3.0))
 DEEPEST_LEVEL = 20  # three interleaved coordinates of 20 bits fit a signed 64-bit code
+_BLOCK = 1 << 18
+"""Cells at once: bounds the memory of a level."""
 _CORNERS = np.array([(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)], dtype=np.int64)
 
 
@@ -48,7 +50,7 @@ class Cells:
         return self.origin + (2.0 * self.index[chosen] + 1.0) * half_width[:, None]
 
     def locate(self, points: Float[np.ndarray, "m 3"]) -> Int[np.ndarray, "m"]:
-        """The cell that holds each point, or -1 outside the cube."""
+        """Find the cell that holds each point, or -1 outside the cube."""
         scaled = np.floor((points - self.origin) * (2.0**self.depth / self.side))
         inside = ((scaled >= 0) & (scaled < 2**self.depth)).all(axis=1)
         found = np.full(len(points), -1, dtype=np.int64)
@@ -56,7 +58,7 @@ class Cells:
         return found
 
     def locate_grid(self, grid: Int[np.ndarray, "m 3"]) -> Int[np.ndarray, "m"]:
-        """The cell that holds each integer position of the deepest level; positions must lie in the cube."""
+        """Find the cell that holds each integer position of the deepest level; positions must lie in the cube."""
         return np.searchsorted(self.code, morton(grid), side="right") - 1
 
     def face_neighbours(self, wanted: Bool[np.ndarray, "n"]) -> Iterator[tuple[int, int, np.ndarray, np.ndarray]]:
@@ -105,8 +107,8 @@ def refine(
         origin: lowest corner of the cube, metres.
         side: of the cube, metres.
         depth: of the smallest cells.
-        visit: called once a level with all its cells as `visit(centres, half_width, level)`; answers which of them to split
-            (disregarded at `depth`) and any arrays of figures, one row a cell.
+        visit: called for every level with blocks of its cells as `visit(centres, half_width, level)`; answers which of
+            them to split (disregarded at `depth`) and any arrays of figures, one row a cell.
 
     Returns:
         The terminal cells, and the figures of each.
@@ -117,19 +119,23 @@ def refine(
     """
     if depth > DEEPEST_LEVEL:
         raise MeshError(f"octree: {depth} levels asked; a leaf of at least 1e-6 of the target's size needs 20 or fewer")
-    index = np.zeros((1, 3), dtype=np.int64)
+    index = np.zeros((1, 3), dtype=np.int32)
     codes, levels, indices, figures = [], [], [], []
     for level in range(depth + 1):
         half_width = 0.5 * side / 2**level
-        wanted, answers = visit(origin + (2.0 * index + 1.0) * half_width, half_width, level)
-        if level == depth:
-            wanted = np.zeros(len(index), dtype=bool)
-        done = index[~wanted]
-        codes.append(morton(done << (depth - level)))
-        levels.append(np.full(len(done), level, dtype=np.int8))
-        indices.append(done.astype(np.int32))
-        figures.append(tuple(answer[~wanted] for answer in answers))
-        index = (2 * index[wanted][:, None, :] + _CORNERS).reshape(-1, 3)
+        children = []
+        for start in range(0, len(index), _BLOCK):
+            block = index[start : start + _BLOCK]
+            wanted, answers = visit(origin + (2.0 * block + 1.0) * half_width, half_width, level)
+            if level == depth:
+                wanted = np.zeros(len(block), dtype=bool)
+            done = block[~wanted]
+            codes.append(morton(done.astype(np.int64) << (depth - level)))
+            levels.append(np.full(len(done), level, dtype=np.int8))
+            indices.append(done)
+            figures.append(tuple(answer[~wanted] for answer in answers))
+            children.append((2 * block[wanted][:, None, :] + _CORNERS.astype(np.int32)).reshape(-1, 3))
+        index = np.concatenate(children)
         if len(index) == 0:
             break
     code = np.concatenate(codes)

@@ -16,8 +16,8 @@ from keepout.geometry.exterior import flood, hidden_cells
 from keepout.geometry.octree import SQRT3, Cells
 from keepout.progress import Progress, silent
 
-LARGE_TARGET = 60.0
-"""Metres. Above this extent the default leaf grows from 0.04 m to 0.1 m."""
+_SURFACE_CELLS = 7e5
+"""The default leaf grows so that about this many leaves lie on the surfaces: seconds and a few hundred megabytes."""
 _FLOOD_CELLS = 5.0
 """Flood cells are at most this many to the closing radius, or the leaf if that is larger."""
 _FACE_CORNERS = np.array(
@@ -40,9 +40,14 @@ class OffsetSolid:
 
         g(p) = min(d(p) - offset, signed distance from p to the union H of the hidden cells).
 
-    Both terms are 1-Lipschitz, so g is, across sealed mouths too. Nowhere is it more than d - offset. A hidden cell next
-    to a surface reaches past it by at most its half-diagonal ρ, so outside, away from mouths, g ≥ d - max(offset, ρ), and
-    g = d - offset where ρ ≤ offset. Inside, g never understates how near the exterior is by more than ρ.
+    Both terms are 1-Lipschitz, so g is, across sealed mouths too. Nowhere is it more than d - offset. With ρ the leaf's
+    half-diagonal, a hidden cell next to a surface reaches past it by at most ρ where ρ ≤ offset, and 2 ρ - offset
+    otherwise: outside, away from sealed gaps, g ≥ d - `envelope`, with g = d - offset where ρ ≤ offset. Inside, -g
+    never overstates the way out by more than the closing of gaps makes it longer, and understates it by at most offset
+    + ρ.
+
+    "Connected" is tested by walks that may pass closer to a surface than the offset, never through one. So a point
+    a pinch narrower than 2 offset counts as exterior only where its own leaf reaches through the pinch.
     """
 
     def __init__(
@@ -74,19 +79,20 @@ class OffsetSolid:
         Args:
             distance: exact unsigned distance to the surfaces.
             offset: metres; every surface gets this thickness on both sides.
-            closing_radius: metres, at least the offset; a gap that a ball of this radius cannot pass is sealed. Choose the
-                chaser's radius, or 0.25 m if that is less.
-            leaf: side of the smallest cells, metres. Default: such that ρ = offset, but at least 0.03 m, and 0.1 m for a
-                target above 60 m.
+            closing_radius: metres, at least the offset; a gap that a ball of this radius cannot pass is sealed. Choose
+                the chaser's radius, or 0.25 m if that is less.
+            leaf: side of the smallest cells, metres. Default: 2 offset / √3, which makes ρ = offset, but at least 0.03
+                m, and more where the surfaces are large: 0.04 m for a comsat, 0.12 m for the ISS.
             progress: called as the build advances.
 
         Raises:
-            MeshError: an offset that is not positive, a closing radius below the offset, or a leaf that is not positive.
+            MeshError: an offset that is not positive, a closing radius below the offset, or a leaf that is not
+            positive.
 
         """
         extent = float((distance.upper - distance.lower).max())
         if leaf is None:
-            leaf = 0.1 if extent > LARGE_TARGET else max(2.0 * offset / SQRT3, 0.03)
+            leaf = max(2.0 * offset / SQRT3, 0.03, float(np.sqrt(distance.area / _SURFACE_CELLS)))
         if not offset > 0.0:
             raise MeshError(f"offset: {offset} m; it must be positive")
         if not closing_radius >= offset:
@@ -100,7 +106,7 @@ class OffsetSolid:
         coarser = max(0, int(np.log2(closing_radius / (_FLOOD_CELLS * leaf)) + 1.0)) if closing_radius > leaf else 0
         first_half, second_half = _halves(progress)
         lake, free, flooded = flood(distance, origin, side, depth - coarser, closing_radius, first_half)
-        cells, hidden = hidden_cells(distance, lake, free, flooded, depth, second_half)
+        cells, hidden = hidden_cells(distance, lake, free, flooded, depth, offset, second_half)
         progress(1.0, f"{int(hidden.sum())} hidden cells")
         return cls(distance, offset, closing_radius, cells, hidden)
 
@@ -114,7 +120,7 @@ class OffsetSolid:
         return exterior
 
     def signed_distance(self, points: Points) -> Float[np.ndarray, "n"]:
-        """Signed distance in metres to the complement of the exterior of {d > offset}, positive outside; see the class."""
+        """Signed distance in metres to the complement of the exterior of {d > offset}; see the class."""
         points = np.ascontiguousarray(points, dtype=np.float64)
         signed = self.distance.distance(points) - self.offset
         cell = self._cells.locate(points)
@@ -127,9 +133,15 @@ class OffsetSolid:
             signed[outside] = mouths.distance_within(points[outside], signed[outside])
         return signed
 
+    @property
+    def envelope(self) -> float:
+        """Metres: the most that an exterior point's signed distance lies below d, away from sealed gaps."""
+        reach = SQRT3 * 0.5 * self._cells.side / 2**self._cells.depth
+        return self.offset if reach <= self.offset else 2.0 * reach - self.offset
+
     @functools.cached_property
     def sealed_volume(self) -> float:
-        """Volume in cubic metres of the sealed solid: the hidden cells. The skin of thickness `offset` is not counted."""
+        """Cubic metres of the sealed solid: the hidden cells. The skin of thickness `offset` is not counted."""
         return float(((2.0 * self._cells.half_width[self._hidden]) ** 3).sum())
 
     @functools.cached_property

@@ -47,8 +47,8 @@ class Target:
         Vertices become rotation @ (scale * file vertex - origin).
 
         Args:
-            source: a built-in's name (`keepout targets` lists them) or a path to GLB, glTF, OBJ, STL, PLY, OFF, 3MF, or a point
-                cloud as PLY, XYZ or NPY.
+            source: a built-in's name (`keepout targets` lists them) or a path to GLB, glTF, OBJ, STL, PLY, OFF, 3MF,
+                or a point cloud as PLY, XYZ or NPY.
             units: of the file: m, cm, mm, in or ft.
             scale: metres a file unit, instead of `units`.
             drop_stray: leave out parts that lie far from the rest.

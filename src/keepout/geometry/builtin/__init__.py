@@ -11,7 +11,9 @@ from manifold3d import Manifold
 from keepout.errors import MeshError
 from keepout.geometry.builtin import simple
 from keepout.geometry.builtin.intelsat30 import intelsat30
+from keepout.geometry.builtin.iss import iss
 from keepout.geometry.builtin.solids import mesh
+from keepout.geometry.builtin.tiangong import tiangong
 
 
 @dataclass(frozen=True)
@@ -68,6 +70,8 @@ BUILTINS: dict[str, Builtin] = {
     b.name: b
     for b in (
         Builtin("intelsat30", intelsat30, {"wing_span": (12.0, 60.0), "wing_angle": _ANGLE}),
+        Builtin("iss", iss, {"wing_span": (20.0, 100.0), "wing_angle": _ANGLE}),
+        Builtin("tiangong", tiangong, {"wing_span": (10.0, 100.0), "wing_angle": _ANGLE}),
         Builtin("box", simple.box, {"length": (0.1, 400.0), "width": (0.1, 400.0), "height": (0.1, 400.0)}),
         Builtin("sphere", simple.sphere, {"radius": (0.1, 200.0)}),
         Builtin(

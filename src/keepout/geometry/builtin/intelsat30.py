@@ -13,9 +13,10 @@ def intelsat30(wing_span: float = 26.8, wing_angle: float = 0.0) -> Manifold:
     """Build Intelsat 30 in its body frame: wings along x, Earth deck towards +z, reflectors towards ±y.
 
     Public dimensions: NASA's model of the SSL-1300 (NASA 3D Resources) is 26.8 m along the wings, 8.0 m across the
-    deployed reflectors and 6.1 m from the aft end to the top of the feed tower, and shows four reflectors and one crosswise
-    panel pair a wing; Intelsat 30 (DLA-1, launched 2014, 6320 kg, 20 kW; Gunter's Space Page) is of that family. Its own
-    panel and reflector sizes are not published: those here are read off that model to a tenth of a metre.
+    deployed reflectors and 6.1 m from the aft end to the top of the feed tower, and shows four reflectors and one
+    crosswise panel pair a wing; Intelsat 30 (DLA-1, launched 2014, 6320 kg, 20 kW; Gunter's Space Page) is of that
+    family. Its own panel and reflector sizes are not published: those here are read off that model to a tenth of a
+    metre.
 
     Args:
         wing_span: tip to tip along x, metres.
@@ -24,7 +25,7 @@ def intelsat30(wing_span: float = 26.8, wing_angle: float = 0.0) -> Manifold:
     """
     bus = box((0.0, 0.0, 0.5 * (_AFT + _DECK)), (2.0 * _HALF_X, 2.0 * _HALF_Y, _DECK - _AFT))
     radiators = [box((side * (_HALF_X + 0.02), 0.0, -0.6), (0.10, 2.70, 3.60)) for side in (-1, 1)]
-    engine = rod((0.0, 0.0, _AFT - 0.02), (0.0, 0.0, _AFT - 0.25), 0.12, 0.24)
+    engine = rod((0.0, 0.0, _AFT + 0.05), (0.0, 0.0, _AFT - 0.25), 0.12, 0.24)
     hinge = -0.35
     wings = [_wing(side, 0.5 * wing_span).rotate((np.degrees(wing_angle), 0.0, 0.0)) for side in (-1, 1)]
     wings = [wing.translate((0.0, 0.0, hinge)) for wing in wings]
@@ -55,7 +56,7 @@ def _wing(side: int, tip: float) -> Manifold:
 
 
 def _tower() -> list[Manifold]:
-    """The feed tower on the Earth deck: a tapering block with feed horns aimed at the reflectors, and a small dish."""
+    """Feed tower on the Earth deck: a tapering block with feed horns aimed at the reflectors, and a small dish."""
     parts = [
         box((0.0, 0.0, _DECK + 0.30), (1.5, 1.2, 0.7)),
         box((0.0, 0.0, _DECK + 0.85), (1.1, 0.8, 0.7)),
@@ -73,17 +74,18 @@ def _tower() -> list[Manifold]:
 def _reflectors() -> list[Manifold]:
     """Four paraboloid shells, two a side at different heights, each on an arm from the bus edge, facing the feeds."""
     parts = []
-    for x, y, z, diameter in (
-        (-0.95, 2.75, -0.95, 2.3),
+    places = (
+        (-0.95, 2.9, -0.95, 2.3),
         (1.0, 2.6, 0.30, 2.0),
         (-1.0, -2.6, 0.30, 2.0),
-        (0.95, -2.75, -0.95, 2.3),
-    ):
+        (0.95, -2.9, -0.95, 2.3),
+    )
+    for x, y, z, diameter in places:
         side = np.sign(y)
         vertex = np.array([x, y, z])
         boresight = np.array([0.0, -0.35 * side, 1.0])
         parts.append(dish(vertex, boresight, diameter, 1.6, 0.05))
         root = np.array([x * 0.75, side * (_HALF_Y - 0.05), z - 0.35])
-        parts.append(rod(root, vertex - [0.0, 0.05 * side, 0.01], 0.06))
-        parts.append(rod(root, vertex + [0.0, -0.55 * side, -0.10], 0.05))
+        parts.append(rod(root, vertex - np.array([0.0, 0.05 * side, 0.01]), 0.06))
+        parts.append(rod(root, vertex - np.array([0.0, 0.55 * side, 0.10]), 0.05))
     return parts

@@ -6,17 +6,17 @@ from keepout.geometry.builtin import solids
 
 
 def box(length: float = 4.0, width: float = 3.0, height: float = 2.0) -> Manifold:
-    """A solid box about the origin, `length` along x, `width` along y, `height` along z, metres."""
+    """Solid box about the origin, `length` along x, `width` along y, `height` along z, metres."""
     return solids.box((0.0, 0.0, 0.0), (length, width, height))
 
 
 def sphere(radius: float = 2.0) -> Manifold:
-    """A sphere about the origin, metres, in 96 segments: its facets lie at most 0.06 % of the radius inside it."""
+    """Sphere about the origin, metres, in 96 segments: its facets lie at most 0.06 % of the radius inside it."""
     return solids.sphere((0.0, 0.0, 0.0), radius, 96)
 
 
 def pocket(length: float = 6.0, width: float = 6.0, depth: float = 4.0, wall: float = 0.3) -> Manifold:
-    """A box open towards +y: walls `wall` metres thick round an outer `length` (x) by `width` (z), `depth` along y.
+    """Box open towards +y: walls `wall` metres thick round an outer `length` (x) by `width` (z), `depth` along y.
 
     Straight guidance from +y to a goal behind the floor at -y flies into the pocket and stays there.
     """

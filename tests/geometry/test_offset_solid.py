@@ -1,0 +1,203 @@
+"""The offset solid against bodies whose exterior is known in closed form."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from keepout.errors import MeshError
+from keepout.geometry import ExactDistance, OffsetSolid
+from keepout.geometry.builtin import BUILTINS
+
+QUERIES = 100_000
+
+
+def boxes_mesh(boxes):
+    parts = [
+        trimesh.creation.box(
+            extents=np.subtract(b, a), transform=trimesh.transformations.translation_matrix(np.add(a, b) / 2)
+        )
+        for a, b in boxes
+    ]
+    mesh = trimesh.util.concatenate(parts)
+    return np.asarray(mesh.vertices), np.asarray(mesh.faces)
+
+
+def distance_to_box(points, lower, upper):
+    """Signed distance to a solid box, closed form."""
+    q = np.maximum(np.subtract(lower, points), np.subtract(points, upper))
+    return np.linalg.norm(np.maximum(q, 0.0), axis=1) + np.minimum(q.max(axis=1), 0.0)
+
+
+def spoil(faces, seed):
+    """Flip 5 % of the faces and repeat 50 of them."""
+    rng = np.random.default_rng(seed)
+    faces = faces.copy()
+    flipped = rng.random(len(faces)) < 0.05
+    faces[flipped] = faces[flipped][:, ::-1]
+    return np.concatenate([faces, faces[rng.integers(len(faces), size=50)]])
+
+
+def around(distance, seed, count=QUERIES):
+    """Half uniform in the padded box, half within 0.15 m of the surface."""
+    rng = np.random.default_rng(seed)
+    uniform = rng.uniform(distance.lower - 1.0, distance.upper + 1.0, size=(count // 2, 3))
+    seeds = rng.uniform(distance.lower - 0.2, distance.upper + 0.2, size=(count - count // 2, 3))
+    _, closest, _ = distance.closest(seeds)
+    return np.concatenate([uniform, closest + rng.normal(size=closest.shape) * 0.06])
+
+
+def assert_sound(solid, points, exterior):
+    """No false-free point, in the flag and in the sign."""
+    free = solid.is_exterior(points)
+    signed = solid.signed_distance(points)
+    assert not (free & ~exterior).any()
+    assert not ((signed > 0.0) & ~exterior).any()
+    np.testing.assert_array_equal(free, signed > 0.0)
+    d = solid.distance.distance(points)
+    assert (signed <= d - solid.offset + 1e-12).all()
+    return free
+
+
+def assert_lipschitz(solid, points, seed):
+    rng = np.random.default_rng(seed)
+    for length in (1e-3, 0.05, 1.0):
+        step = rng.normal(size=points.shape)
+        step *= length / np.linalg.norm(step, axis=1, keepdims=True)
+        change = solid.signed_distance(points + step) - solid.signed_distance(points)
+        assert np.abs(change).max() <= length + 1e-9
+
+
+BOXES = [
+    ((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)),
+    ((0.5, -0.3, -0.2), (3.0, 0.4, 0.3)),
+    ((-0.4, 0.8, -0.4), (0.3, 2.0, 0.5)),
+]
+
+
+@pytest.fixture(scope="module")
+def union():
+    vertices, faces = boxes_mesh(BOXES)
+    return OffsetSolid.build(ExactDistance(vertices, spoil(faces, 1)))
+
+
+def test_box_union_is_sound_and_tight(union):
+    points = around(union.distance, 0)
+    truth = np.min([distance_to_box(points, *b) for b in BOXES], axis=0)
+    free = assert_sound(union, points, truth > union.offset)
+    # Convex corners are exact; only concave ones are rounded to the closing radius.
+    assert free[truth > union.offset + 0.15].all()
+    assert (free == (truth > union.offset)).mean() > 0.99
+    exact = free & (np.abs(union.signed_distance(points) - (truth - union.offset)) < 1e-12)
+    assert exact.sum() > 0.99 * free.sum()
+
+
+def test_box_union_inside_is_close_to_the_true_depth(union):
+    points = around(union.distance, 5, 20_000)
+    truth = np.min([distance_to_box(points, *b) for b in BOXES], axis=0)
+    one = truth < -0.1
+    signed = union.signed_distance(points[one])
+    # The union's own formula understates depth where boxes overlap, so it bounds from one side only.
+    assert (signed <= truth[one] + 0.07).all()
+
+
+def test_signed_distance_is_1_lipschitz(union):
+    assert_lipschitz(union, around(union.distance, 2, 30_000), 3)
+
+
+def test_no_dependence_on_orientation():
+    vertices, faces = boxes_mesh(BOXES)
+    points = around(ExactDistance(vertices, faces), 4, 20_000)
+    flipped = faces.copy()
+    flipped[np.random.default_rng(0).random(len(faces)) < 0.5] = flipped[
+        np.random.default_rng(0).random(len(faces)) < 0.5
+    ][:, ::-1]
+    one = OffsetSolid.build(ExactDistance(vertices, faces)).signed_distance(points)
+    other = OffsetSolid.build(ExactDistance(vertices, flipped)).signed_distance(points)
+    np.testing.assert_allclose(one, other, atol=1e-12)
+
+
+def test_nested_shells_are_solid_to_the_outermost():
+    shells = [((-r, -r, -r), (r, r, r)) for r in (2.0, 1.4, 0.6)]
+    vertices, faces = boxes_mesh(shells)
+    solid = OffsetSolid.build(ExactDistance(vertices, spoil(faces, 2)))
+    points = around(solid.distance, 6)
+    truth = distance_to_box(points, *shells[0])
+    free = assert_sound(solid, points, truth > solid.offset)
+    assert free[truth > solid.offset + 1e-9].all()
+    assert abs(solid.sealed_volume - 64.0) < 0.05 * 64.0
+
+
+def hollow_box(half_hole):
+    """A sheet box of half side 1.5 m with a square hole in its top, as loose triangles."""
+    half = 1.5
+    vertices, faces = boxes_mesh([((-half, -half, -half), (half, half, half))])
+    top = (vertices[faces][:, :, 2] == half).all(axis=1)
+    faces = faces[~top]
+    outer = np.array([(-half, -half), (half, -half), (half, half), (-half, half)])
+    inner = outer * half_hole / half
+    corners = np.concatenate([np.column_stack([ring, np.full(4, half)]) for ring in (outer, inner)])
+    ring = np.array([t for i in range(4) for t in ((i, (i + 1) % 4, 4 + i), ((i + 1) % 4, 4 + (i + 1) % 4, 4 + i))])
+    return np.concatenate([vertices, corners]), np.concatenate([faces, ring + len(vertices)]), half
+
+
+@pytest.mark.parametrize("half_hole", [0.01, 0.028, 0.1, 0.22])
+def test_a_hole_narrower_than_the_chaser_is_sealed(half_hole):
+    vertices, faces, half = hollow_box(half_hole)
+    solid = OffsetSolid.build(ExactDistance(vertices, spoil(faces, 3)))
+    points = around(solid.distance, 7)
+    inside = (np.abs(points) < half).all(axis=1)
+    mouth = inside & (np.abs(points[:, :2]).max(axis=1) < half_hole) & (points[:, 2] > half - half_hole)
+    d = solid.distance.distance(points)
+    free = assert_sound(solid, points, (d > solid.offset) & (~inside | mouth))
+    assert free[~inside & (d > 0.3)].all()
+    near_mouth = np.random.default_rng(8).uniform([-0.4, -0.4, half - 0.5], [0.4, 0.4, half + 0.5], size=(20_000, 3))
+    assert_lipschitz(solid, near_mouth, 9)
+
+
+def test_a_hole_wider_than_the_chaser_stays_open():
+    vertices, faces, half = hollow_box(0.45)
+    solid = OffsetSolid.build(ExactDistance(vertices, spoil(faces, 3)))
+    d_inside = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, half]])
+    assert solid.is_exterior(d_inside).all()
+    assert solid.signed_distance(d_inside[:1])[0] == pytest.approx(half - solid.offset)
+    assert solid.sealed_volume < 0.2
+
+
+def test_a_thin_sheet_has_twice_the_offset():
+    vertices = np.array([(-2.0, -2.0, 0.0), (2.0, -2.0, 0.0), (2.0, 2.0, 0.0), (-2.0, 2.0, 0.0)])
+    solid = OffsetSolid.build(ExactDistance(vertices, np.array([(0, 1, 2), (0, 2, 3)])))
+    heights = np.linspace(-0.5, 0.5, 1001)
+    points = np.column_stack([np.full(1001, 0.3), np.full(1001, 0.1), heights])
+    np.testing.assert_allclose(solid.signed_distance(points), np.abs(heights) - solid.offset, atol=1e-12)
+
+
+def test_far_points_and_points_outside_the_cube_are_exterior(union):
+    far = np.array([[1e4, 0.0, 0.0], [0.0, -1e3, 50.0]])
+    assert union.is_exterior(far).all()
+    np.testing.assert_allclose(union.signed_distance(far), union.distance.distance(far) - union.offset)
+
+
+def test_large_leaf_stays_sound():
+    vertices, faces, half = hollow_box(0.1)
+    solid = OffsetSolid.build(ExactDistance(vertices, faces), leaf=0.12)
+    points = around(solid.distance, 10)
+    d = solid.distance.distance(points)
+    outside = ~(np.abs(points) < half).all(axis=1)
+    mouth = (np.abs(points[:, :2]).max(axis=1) < 0.1) & (points[:, 2] > half - 0.1)
+    free = assert_sound(solid, points, (d > solid.offset) & (outside | mouth))
+    assert free[outside & (d > 0.3)].all()
+
+
+def test_pocket_is_open():
+    solid = OffsetSolid.build(ExactDistance(*BUILTINS["pocket"].build()))
+    assert solid.signed_distance(np.array([[0.0, 0.0, 0.0]]))[0] == pytest.approx(1.7 - solid.offset)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [({"offset": 0.0}, "offset"), ({"closing_radius": 0.01}, "closing_radius"), ({"leaf": -1.0}, "leaf")],
+)
+def test_bad_arguments_are_named(arguments, word):
+    vertices, faces = boxes_mesh(BOXES[:1])
+    with pytest.raises(MeshError, match=word):
+        OffsetSolid.build(ExactDistance(vertices, faces), **arguments)
