@@ -31,7 +31,7 @@ def test_every_command_has_help_with_an_example(command, monkeypatch, capsys):
     ("arguments", "said"),
     [
         (("nonsense",), "nonsense"),
-        (("fly",), "SCENARIO"),
+        (("fly",), "scenario"),
         (("fly", "absent.toml"), "absent.toml"),
         (("fit", "absent.glb", "-o", "out.keepout"), "absent.glb"),
         (("fit", "box", "-o", "absent-folder/out.keepout"), "absent-folder"),

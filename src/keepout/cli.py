@@ -2,6 +2,7 @@
 
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,13 +22,29 @@ app = typer.Typer(
     rich_markup_mode="markdown",
 )
 
+
+def _at_least(least: int | float) -> Callable[[int | float | None], int | float | None]:
+    """Refuse a smaller number with the value and what would be valid."""
+
+    def check(value: int | float | None) -> int | float | None:
+        if value is not None and not value >= least:
+            raise typer.BadParameter(f"{value} is not valid; it must be at least {least:g}")
+        return value
+
+    return check
+
+
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on standard output; all else on standard error.")]
-Seed = Annotated[int, typer.Option(help="Of every random choice; the same seed gives the same answer.", min=0)]
-ScenarioSeed = Annotated[int | None, typer.Option(help="Replaces the scenario's own seed.", min=0)]
+Seed = Annotated[
+    int, typer.Option(callback=_at_least(0), help="Of every random choice; the same seed gives the same answer.")
+]
+ScenarioSeed = Annotated[int | None, typer.Option(callback=_at_least(0), help="Replaces the scenario's own seed.")]
 Units = Annotated[str | None, typer.Option(help="Length unit of a mesh file: m, cm, mm, in or ft.")]
 Scale = Annotated[float | None, typer.Option(help="Metres per unit of a mesh file, instead of --units.")]
 DropStray = Annotated[bool, typer.Option("--drop-stray", help="Leave out parts far from the rest.")]
-ChaserRadius = Annotated[float, typer.Option(help="Radius of the ball that holds the chaser, m.", min=0.0)]
+ChaserRadius = Annotated[
+    float, typer.Option(callback=_at_least(0.0), help="Radius of the ball that holds the chaser, m.")
+]
 
 
 def example(*lines: str) -> str:
@@ -106,6 +123,27 @@ def certify(
         Console().print(terminal.facts_table("Certificate", summary))
 
 
+@app.command(epilog=example("keepout inspect satellite.keepout -o out/satellite"))
+def inspect(
+    field: Annotated[Path, typer.Argument(help="A field file (.keepout).")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Also draw slices and surface into this folder.")
+    ] = None,
+    mesh: Annotated[str | None, typer.Option(help="The mesh, where it is not where `fit` found it.")] = None,
+    seed: Seed = 0,
+    as_json: AsJson = False,
+) -> None:
+    """Measure a field against its mesh: errors, curvature, certificates and what their margins cost."""
+    from keepout.commands import inspect_file
+
+    with terminal.progress(f"inspect {field.name}") as progress:
+        summary = inspect_file(field, out, mesh=mesh, seed=seed, progress=progress)
+    _answer(summary, as_json)
+    if not as_json:
+        for table in terminal.inspection_tables(summary):
+            Console().print(table)
+
+
 @app.command(epilog=example("keepout fly examples/case1.toml -o out/case1"))
 def fly(
     scenario: Annotated[Path, typer.Argument(help="A scenario file (TOML).")],
@@ -133,7 +171,9 @@ def fly(
 def campaign(
     scenario: Annotated[Path, typer.Argument(help="A scenario file (TOML) with its [campaign] table.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for results and figure.")] = Path("out"),
-    runs: Annotated[int | None, typer.Option(help="Replaces the scenario's own number of flights.", min=1)] = None,
+    runs: Annotated[
+        int | None, typer.Option(callback=_at_least(1), help="Replaces the scenario's own number of flights.")
+    ] = None,
     seed: ScenarioSeed = None,
     as_json: AsJson = False,
 ) -> None:

@@ -3,22 +3,27 @@
 import json
 import time
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
+
+import trimesh
 
 from keepout.campaigns import run_campaign
 from keepout.errors import FieldError, ScenarioError
 from keepout.fields.certificate import certify
 from keepout.fields.model import FieldModel
-from keepout.fields.quality import surface_errors
+from keepout.fields.quality import curvature, distance_errors, margin_cost, surface_errors
 from keepout.fields.shipped import shipped_names
 from keepout.fields.training import fit
 from keepout.geometry.builtin import BUILTINS
+from keepout.geometry.offset_solid import OffsetSolid
 from keepout.geometry.target import Target
 from keepout.mission import fly, load_target
 from keepout.progress import Progress, silent
 from keepout.report import target_view
 from keepout.report.campaign_view import draw_campaign
+from keepout.report.field_view import draw_slices, draw_surface
 from keepout.report.folder import write_flights
 from keepout.scenario import Scenario, TargetEntry
 
@@ -32,7 +37,7 @@ def describe_targets(*, pictures: Path | None = None, progress: Progress = silen
         row: dict[str, Any] = {
             "name": name,
             "extents_m": [float(extent) for extent in target.vertices.max(axis=0) - target.vertices.min(axis=0)],
-            "volume_m3": float(target.volume),
+            "volume_m3": float(trimesh.Trimesh(target.vertices, target.faces, process=False).volume),
             "triangles": len(target.faces),
             "shipped_field": name in shipped_names(),
             "parameters": {key: parameter.default for key, parameter in builtin.parameters.items()},
@@ -97,13 +102,7 @@ def certify_file(
 ) -> dict[str, Any]:
     """Add a certificate for a chaser radius to a field file; the mesh is found where `fit` found it unless given."""
     model = FieldModel.load(path)
-    recorded = model.training.get("target")
-    if mesh is not None:
-        entry = _entry({**(recorded or {}), "source": mesh})
-    elif recorded is None:
-        raise FieldError(f"{path}: does not say where its mesh is; name it with --mesh")
-    else:
-        entry = _entry(recorded)
+    entry = _recorded_target(path, model, mesh)
     model = certify(model, load_target(entry), chaser_radius=chaser_radius, seed=seed, progress=progress)
     model.save(path)
     certificate = model.certificate(chaser_radius)
@@ -117,6 +116,68 @@ def certify_file(
         "seconds": certificate.seconds,
         "target_sha256": certificate.target_sha256,
     }
+
+
+def inspect_file(
+    path: Path, out: Path | None = None, *, mesh: str | None = None, seed: int = 0, progress: Progress = silent
+) -> dict[str, Any]:
+    """Measure a field against its mesh and list its certificates; draw slices and surface into `out` if given."""
+    model = FieldModel.load(path)
+    target = load_target(_recorded_target(path, model, mesh))
+    model = FieldModel.load(path, target=target)
+    progress(0.05, "offset solid")
+    closing = float(model.training.get("closing_radius", 0.25))
+    solid = OffsetSolid.build(target.distance, offset=model.offset, closing_radius=closing)
+    progress(0.3, "errors")
+    surface = surface_errors(model.field, target, seed=seed)
+    summary: dict[str, Any] = {
+        "field": str(path),
+        "target": model.target_name,
+        "target_sha256": model.target_sha256,
+        "epsilon_m": surface.epsilon,
+        "epsilon_plus_m": surface.epsilon_plus,
+        "sampled_maximum_m": surface.maximum,
+        "near": asdict(distance_errors(model.field, solid, nearest=0.05, farthest=1.0, seed=seed)),
+        "far": asdict(distance_errors(model.field, solid, nearest=1.0, farthest=5.0, seed=seed)),
+    }
+    progress(0.5, "curvature")
+    summary["curvature"] = [asdict(curvature(model.field, solid, level, seed=seed)) for level in (0.1, 0.3, 1.0)]
+    progress(0.7, "margins")
+    summary["certificates"] = [
+        asdict(certificate)
+        | {
+            "margin": asdict(
+                margin_cost(
+                    model.field,
+                    solid,
+                    error_bound=certificate.error_bound,
+                    chaser_radius=certificate.chaser_radius,
+                    seed=seed,
+                )
+            )
+        }
+        for certificate in model.certificates
+    ]
+    if out is not None:
+        _folder(out)
+        progress(0.8, "pictures")
+        draw_slices(out / "slices.png", model, target)
+        draw_surface(out / "surface.png", model, target)
+        summary["pictures"] = [str(out / "slices.png"), str(out / "surface.png")]
+    progress(1.0, "")
+    return summary
+
+
+def _recorded_target(path: Path, model: FieldModel, mesh: str | None) -> TargetEntry:
+    """Say where a field's mesh is: as given, or as `fit` recorded it, or the built-in of its name."""
+    recorded = model.training.get("target")
+    if mesh is not None:
+        return _entry({**(recorded or {}), "source": mesh})
+    if recorded is not None:
+        return _entry(recorded)
+    if model.target_name in BUILTINS:
+        return _entry({"source": model.target_name})
+    raise FieldError(f"{path}: does not say where its mesh is; name it with --mesh")
 
 
 def fly_to_folder(

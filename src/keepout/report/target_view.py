@@ -82,4 +82,5 @@ def _frame(axes: Axes3D, clouds: Sequence[np.ndarray], zoom: float = 1.0) -> Non
     axes.set_xlim(lower[0], upper[0])
     axes.set_ylim(lower[1], upper[1])
     axes.set_zlim(lower[2], upper[2])
-    axes.set_box_aspect(tuple(np.maximum(upper - lower, 1e-3)), zoom=zoom)
+    # Matplotlib infers an int from its default of 1, but any positive zoom is meant.
+    axes.set_box_aspect(tuple(np.maximum(upper - lower, 1e-3)), zoom=zoom)  # pyright: ignore[reportArgumentType]

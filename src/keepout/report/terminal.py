@@ -62,6 +62,18 @@ def facts_table(title: str, summary: Mapping[str, Any]) -> Table:
     return table
 
 
+def inspection_tables(summary: Mapping[str, Any]) -> list[Table]:
+    """Give the single figures of a field, then one table for each list of measures."""
+    single = {key: value for key, value in summary.items() if not isinstance(value, list | dict)}
+    tables = [facts_table("Field", single)]
+    for key in ("near", "far"):
+        tables.append(facts_table(f"f̃ against the exact distance, {key}", summary[key]))
+    for key in ("curvature", "certificates"):
+        for entry in summary[key]:
+            tables.append(facts_table(key, entry))
+    return tables
+
+
 FLIGHT_COLUMNS = {
     "flight": "law",
     "reached": "reached",
@@ -90,12 +102,12 @@ def targets_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """One row a built-in target."""
     table = Table(title="Built-in targets", title_justify="left")
     table.add_column("name", style="bold")
-    for heading in ("extents m", "volume m³", "triangles", "shipped field", "parameters"):
-        table.add_column(heading, justify="right")
+    for heading in ("extents m", "volume m³", "triangles", "field", "parameters"):
+        table.add_column(heading, justify="right", overflow="fold")
     for row in rows:
         extents = " × ".join(f"{extent:.1f}" for extent in row["extents_m"])
-        parameters = ", ".join(f"{key}={value:g}" for key, value in row["parameters"].items())
-        shipped = "yes" if row["shipped_field"] else "no"
+        parameters = "\n".join(f"{key}={value:g}" for key, value in row["parameters"].items())
+        shipped = "shipped" if row["shipped_field"] else "to fit"
         table.add_row(row["name"], extents, f"{row['volume_m3']:.1f}", str(row["triangles"]), shipped, parameters)
     return table
 
