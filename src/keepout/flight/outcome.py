@@ -36,6 +36,7 @@ class FlightOutcome(eqx.Module):
     finite: Bool[Array, "*flights"]
 
 
+@eqx.filter_jit
 def outcome(setup: FlightSetup, log: FlightLog) -> FlightOutcome:
     """Summarise one flight's log (`steps` + 1 rows; what was done in the last row was not flown)."""
     error = jnp.linalg.norm(log.position - setup.goal, axis=-1)
