@@ -11,8 +11,9 @@ Newton on them squares the interior point's error; their derivative gives the Ja
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from keepout.control.interior_point import Iterate, eliminate
 from keepout.control.program import UnitProgram, length, objective_slope
@@ -125,10 +126,12 @@ def polish(
     unit: UnitProgram, active: Active, start: Stationary, *, steps: int = 3
 ) -> tuple[Stationary, Bool[Array, ""]]:
     """Newton steps on the active set; returns the point and whether every optimality condition holds to rounding."""
-    at = start
-    for _ in range(steps):
+
+    def newton(_: Int[Array, ""], at: Stationary) -> Stationary:
         step = _correction(unit, active, at, _residuals(unit, active, at)[0])
-        at = Stationary(at.velocity + step.velocity, at.barrier + step.barrier, at.speed + step.speed)
+        return Stationary(at.velocity + step.velocity, at.barrier + step.barrier, at.speed + step.speed)
+
+    at = jax.lax.fori_loop(0, steps, newton, start)
     values, force = _residuals(unit, active, at)
     optimal = _OPTIMAL * objective_slope(unit)
     good = jnp.max(jnp.abs(values.stationarity)) <= optimal

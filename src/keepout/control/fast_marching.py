@@ -4,6 +4,7 @@ Inside, grids are padded by one closed node on every side and flattened: a neigh
 """
 
 import heapq
+from typing import no_type_check
 
 import numba
 import numpy as np
@@ -39,6 +40,7 @@ def travel_time(
 
 
 @numba.njit(cache=True)
+@no_type_check
 def _march(speed, walls, strides, sources, source_times, spacing):
     time = np.full(speed.size, np.inf)
     done = np.zeros(speed.size, dtype=np.bool_)
@@ -66,6 +68,7 @@ def _march(speed, walls, strides, sources, source_times, spacing):
 
 
 @numba.njit(cache=True)
+@no_type_check
 def _update(time, done, walls, strides, node, cost):
     """Solve Σ max(D − D_a, 0)² = cost² with the smallest settled neighbour D_a along each axis."""
     first, second, third = np.inf, np.inf, np.inf
@@ -103,6 +106,7 @@ def widest_way(barrier: Float[np.ndarray, "nx ny nz"], start: Int[np.ndarray, "3
 
 
 @numba.njit(cache=True)
+@no_type_check
 def _widest(barrier, strides, start, end):
     best = np.full(barrier.size, -np.inf)
     best[start] = barrier[start]

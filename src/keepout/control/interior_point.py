@@ -16,7 +16,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 MAXIMUM_ITERATIONS = 18
 _RESIDUAL = 1e-6
-_GAP = 1e-10
+_GAP = 1e-9
+_LOWEST_LEVEL = 1e-11
 _CENTRING_FLOOR = 1e-3
 _TINY = 1e-300
 
@@ -212,7 +213,8 @@ def solve(program: ConicProgram, *, complementarity: float | Float[Array, ""] = 
         affine = direction(-products, -squares)
         affine_length = 1.0 / jnp.maximum(room(affine), 1.0)
         centring = jnp.maximum((1.0 - affine_length) ** 3, _CENTRING_FLOOR)
-        level = jnp.maximum(centring * mean, target)
+        # Below the floor the scaling has lost its digits, and the polish is better at what remains.
+        level = jnp.maximum(jnp.maximum(centring * mean, target), _LOWEST_LEVEL)
         second = _jordan_product(_unscale(scaling, affine.cone_slacks), _scale(scaling, affine.cone_multipliers))
         combined = direction(
             level - products - affine.row_slacks * affine.row_multipliers, level * apex - squares - second

@@ -6,13 +6,12 @@ r; the equations only close with it on v, and so does this module.
 
 import abc
 from collections.abc import Sequence
-from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy import linalg, signal
+from scipy import linalg
 
 from keepout.errors import ControlError
 
@@ -246,6 +245,21 @@ def harmonic_observer(
     block[:q, q:] = output.T * period
     whole = linalg.expm(block)
     transition, mean_output = whole[:q, :q].T, whole[:q, q:].T / period
-    placed: Any = signal.place_poles(transition.T, mean_output.T, np.asarray(factors))
-    matrices = [jnp.asarray(np.kron(np.eye(3), x)) for x in (transition, mean_output, output, placed.gain_matrix.T)]
-    return SampledObserver(*matrices, mass=jnp.asarray(float(mass)), period=jnp.asarray(float(period)))
+
+    # Slow sinusoids are nearly alike over one period: in their own amplitudes the gain would have lost its digits. The
+    # state is the mean push and its scaled differences instead, where the observability matrix is the identity.
+    scale = max(omegas, default=1.0) * period
+    difference = (transition - np.eye(q)) / scale
+    rows = [mean_output]
+    for _ in range(q - 1):
+        rows.append(rows[-1] @ difference)
+    basis = np.vstack(rows)
+    roots = np.concatenate([[0.0], *(np.exp([1j * w * period, -1j * w * period]) - 1.0 for w in omegas)]) / scale
+    companion = np.eye(q, k=1)
+    companion[-1] = -np.poly(roots).real[:0:-1]
+    gain = np.eye(q)[:, -1:]
+    for factor in factors:
+        gain = companion @ gain - (factor - 1.0) / scale * gain
+    matrices = (np.eye(q) + scale * companion, np.eye(1, q), np.linalg.solve(basis.T, output.T).T, scale * gain)
+    arrays = [jnp.asarray(np.kron(np.eye(3), x)) for x in matrices]
+    return SampledObserver(*arrays, mass=jnp.asarray(float(mass)), period=jnp.asarray(float(period)))

@@ -27,7 +27,7 @@ from keepout.control.program import (
 
 _EDGE = 1e-9
 _OPTIMAL = 1e-9
-_POLISH_STEPS = 4
+_POLISH_STEPS = 12
 
 
 class _Point(NamedTuple):
@@ -64,9 +64,15 @@ def _solve(program: VelocityProgram, weight: Float[Array, ""]) -> _Point:
     tau = jnp.where(finite, _scaled_weight(unit, weight), 1.0)
     iterate = interior_point.solve(conic, complementarity=tau)
     x = iterate.point
-    for _ in range(_POLISH_STEPS):
-        hessian = jax.jacfwd(lambda y: _gradient(conic, tau, y))(x)
-        x = x - eliminate(hessian, _gradient(conic, tau, x)[:, None])[:, 0]
+
+    def newton(_: Int[Array, ""], x: Float[Array, " n"]) -> Float[Array, " n"]:
+        gradient = _gradient(conic, tau, x)
+        step = eliminate(jax.jacfwd(lambda y: _gradient(conic, tau, y))(x), gradient[:, None])[:, 0]
+        # Objective over τ is self-concordant: this damping keeps every step inside (Boyd & Vandenberghe, section 9.6).
+        decrement = jnp.sqrt(jnp.maximum(jnp.sum(step * gradient), 0.0) / tau)
+        return x - jnp.where(decrement > 0.25, 1.0 / (1.0 + decrement), 1.0) * step
+
+    x = jax.lax.fori_loop(0, _POLISH_STEPS, newton, x)
     slack = conic.cone_offsets + jnp.sum(conic.cones * x, axis=-1)
     inside = jnp.min(slack[:, 0] - jnp.sqrt(jnp.sum(slack[:, 1:] ** 2, axis=-1))) > 0.0
     good = inside & (jnp.max(jnp.abs(_gradient(conic, tau, x))) <= _OPTIMAL)

@@ -1,0 +1,247 @@
+"""The velocity program against solvers that share no code with it."""
+
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from keepout.control.cone import ConeStatus, solve
+from keepout.control.program import Circulation, VelocityProgram
+from keepout.control.smoothed import solve_smoothed
+from keepout.errors import ControlError
+
+sys.path.insert(0, str(Path(__file__).parent))
+from velocity_programs import LIMIT, largest_rate, random_programs, reference
+
+KINDS = {
+    "all rows": (True, True, True),
+    "paper": (True, True, False),
+    "paper without circulation": (False, True, False),
+    "circulation and norm": (True, False, True),
+    "norm": (False, False, True),
+}
+solve_batch = jax.jit(jax.vmap(solve))
+solve_smooth_batch = jax.jit(jax.vmap(solve_smoothed, in_axes=(0, None)))
+
+
+def build(data, *, circulation, box, speed):
+    """Give one batched pytree of programs."""
+
+    def single(one):
+        return VelocityProgram(
+            desired=one["desired"],
+            normal=one["normal"],
+            barrier_rate=one["barrier_rate"],
+            gradient_error=one["gradient_error"],
+            circulation=Circulation(one["tangent"], one["circulation_rate"], one["weight"]) if circulation else None,
+            box=jnp.asarray(LIMIT) if box else None,
+            speed=one["speed"] if speed else None,
+        )
+
+    return jax.vmap(single)({name: jnp.asarray(value) for name, value in data.items()})
+
+
+def check_against_references(kind, count, seed):
+    circulation, box, speed = KINDS[kind]
+    data = random_programs(np.random.default_rng(seed), count)
+    answer = solve_batch(build(data, circulation=circulation, box=box, speed=speed))
+    status, velocity = np.asarray(answer.status), np.asarray(answer.velocity)
+    assert np.all(np.isfinite(velocity))
+    compared = 0
+    for i in range(count):
+        one = {name: value[i] for name, value in data.items()}
+        room = largest_rate(one, box=box, speed=speed) + one["barrier_rate"]
+        if abs(room) > 1e-7:
+            assert (status[i] == ConeStatus.INFEASIBLE) == (room < 0.0), (i, room)
+        if room < 1e-6:
+            continue
+        assert status[i] == ConeStatus.SOLVED, i
+        truth = reference(one, circulation=circulation, box=box, speed=speed)
+        if truth is None:
+            continue
+        error = np.linalg.norm(velocity[i] - truth) / max(np.linalg.norm(truth), LIMIT)
+        assert error <= 1e-8, (i, error)
+        compared += 1
+    assert compared > 0.8 * count
+    return status
+
+
+def test_agrees_with_scs_and_clarabel():
+    status = check_against_references("all rows", 150, seed=3)
+    assert np.any(status == ConeStatus.INFEASIBLE)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_agrees_with_scs_and_clarabel_on_many(kind):
+    check_against_references(kind, 1500, seed=11)
+
+
+def test_half_space_and_ball_have_their_closed_form():
+    """Without e_∇h the answer is a projection in closed form; with e_∇h = 0 the interior point must find the same."""
+    data = random_programs(np.random.default_rng(5), 500)
+    data["gradient_error"][:] = 0.0
+    general = build(data, circulation=False, box=False, speed=True)
+    closed = jax.vmap(lambda p: VelocityProgram(p.desired, p.normal, p.barrier_rate, speed=p.speed))(general)
+    a, b = solve_batch(general), solve_batch(closed)
+    assert np.array_equal(a.status, b.status)
+    np.testing.assert_allclose(a.velocity, b.velocity, atol=1e-12 * LIMIT)
+
+
+def test_escapes_the_fastest_way_where_no_velocity_is_safe():
+    program = VelocityProgram(
+        desired=jnp.asarray([0.1, 0.0, 0.0]),
+        normal=jnp.asarray([0.0, 2.0, 0.0]),
+        barrier_rate=jnp.asarray(-1.0),
+        speed=jnp.asarray(0.1),
+    )
+    answer = solve(program)
+    assert answer.status == ConeStatus.INFEASIBLE
+    np.testing.assert_allclose(answer.velocity, [0.0, 0.1, 0.0], atol=1e-15)
+    assert float(answer.room) == pytest.approx(0.2 - 1.0)
+
+
+@pytest.mark.parametrize(
+    ("desired", "expected"),
+    [
+        ([0.0, 0.0, -0.05], [0.0, 0.0, 0.0]),
+        # On the cone n·v = e‖v‖ with n = z, e = 0.6: the ray at 36.87° above the plane; its projection of (0.05, 0, 0).
+        ([0.05, 0.0, 0.0], [0.05 * 0.8 * 0.8, 0.0, 0.05 * 0.8 * 0.6]),
+        ([0.0, 0.0, 0.05], [0.0, 0.0, 0.05]),
+    ],
+)
+def test_apex(desired, expected):
+    program = VelocityProgram(
+        desired=jnp.asarray(desired),
+        normal=jnp.asarray([0.0, 0.0, 1.0]),
+        barrier_rate=jnp.asarray(0.0),
+        gradient_error=jnp.asarray(0.6),
+        speed=jnp.asarray(0.1),
+    )
+    answer = solve(program)
+    assert answer.status == ConeStatus.SOLVED
+    np.testing.assert_allclose(answer.velocity, expected, atol=1e-11)
+
+
+def test_says_when_data_are_not_numbers():
+    data = random_programs(np.random.default_rng(1), 4)
+    data["normal"][0, 1] = np.nan
+    data["barrier_rate"][1] = np.inf
+    data["desired"][2, 0] = -np.inf
+    answer = solve_batch(build(data, circulation=True, box=True, speed=True))
+    assert answer.status[:3].tolist() == [ConeStatus.NOT_FINITE] * 3
+    assert answer.status[3] != ConeStatus.NOT_FINITE
+    assert np.all(np.asarray(answer.velocity[:3]) == 0.0)
+
+
+def test_needs_a_speed_limit():
+    with pytest.raises(ControlError, match="neither a box nor a speed limit"):
+        VelocityProgram(jnp.zeros(3), jnp.ones(3), jnp.asarray(1.0))
+
+
+def perturbed(program, step, direction):
+    return jax.tree.map(lambda x, d: x + step * d, program, direction)
+
+
+def check_derivatives(function, program, direction, step, tolerance):
+    """Central differences at two steps; where they disagree with one another the active set has changed between."""
+    both = jax.jit(jax.vmap(lambda p, d: jax.jvp(function, (p,), (d,))))
+    derivative = both(program, direction)[1]
+
+    def batch(p):
+        return both(p, direction)[0]
+
+    def central(h):
+        return (batch(perturbed(program, h, direction)) - batch(perturbed(program, -h, direction))) / (2.0 * h)
+
+    coarse, fine = central(2.0 * step), central(step)
+    scale = np.maximum(np.linalg.norm(fine, axis=-1), 1.0)
+    settled = np.linalg.norm(coarse - fine, axis=-1) < tolerance * scale
+    error = np.linalg.norm(derivative - fine, axis=-1) / scale
+    assert settled.mean() > 0.7
+    assert np.max(error[settled]) < tolerance, np.max(error[settled])
+
+
+def derivative_programs(count):
+    rng = np.random.default_rng(8)
+    data = random_programs(rng, count)
+    degenerate = np.linalg.norm(data["normal"], axis=1) == 0.0
+    data["normal"][degenerate] = [0.0, 0.7, 0.7]
+    data["barrier_rate"] = np.where(data["barrier_rate"] == 0.0, 0.003, data["barrier_rate"])
+    program = build(data, circulation=True, box=True, speed=True)
+    direction = jax.tree.map(lambda x: jnp.asarray(rng.normal(size=x.shape)) * 0.1, program)
+    return program, direction
+
+
+def test_derivative_is_the_central_difference():
+    program, direction = derivative_programs(300)
+    check_derivatives(lambda p: solve(p).velocity / LIMIT, program, direction, 1e-6, 1e-6)
+
+
+def test_smoothed_derivative_is_the_central_difference():
+    program, direction = derivative_programs(200)
+    check_derivatives(
+        lambda p: solve_smoothed(p, jnp.asarray(1e-3 * LIMIT**2)).velocity / LIMIT, program, direction, 1e-6, 2e-6
+    )
+
+
+def test_smoothed_tends_to_the_plain_solution_from_inside():
+    data = random_programs(np.random.default_rng(21), 200)
+    program = build(data, circulation=False, box=False, speed=True)
+    plain = solve_batch(program)
+    usable = np.asarray(plain.room) > 0.01 * LIMIT
+    distances = []
+    for weight in (1e-3, 1e-5, 1e-7):
+        smooth = solve_smooth_batch(program, jnp.asarray(weight * LIMIT**2))
+        assert np.all(np.asarray(smooth.status)[usable] == ConeStatus.SOLVED)
+        speeds = np.linalg.norm(smooth.velocity, axis=1)[usable]
+        assert np.all(speeds < data["speed"][usable])
+        distances.append(np.linalg.norm(smooth.velocity - plain.velocity, axis=1)[usable].max() / LIMIT)
+    assert distances[0] > distances[1] > distances[2]
+    assert distances[2] < 5e-3
+
+
+def check_fuzz(count, seed):
+    """Numbers over many magnitudes, with zeros: finite, within the limits, and safe where it is said so."""
+    rng = np.random.default_rng(seed)
+
+    def wild(*shape):
+        values = rng.normal(size=shape) * 10.0 ** rng.uniform(-9, 4, shape)
+        return np.where(rng.random(shape) < 0.05, 0.0, values)
+
+    data = {
+        "desired": wild(count, 3),
+        "normal": wild(count, 3),
+        "barrier_rate": wild(count),
+        "gradient_error": np.abs(wild(count)),
+        "tangent": wild(count, 3),
+        "circulation_rate": wild(count),
+        "weight": np.abs(wild(count)) + 1e-12,
+        "speed": np.abs(wild(count)) + 1e-9,
+    }
+    answer = solve_batch(build(data, circulation=True, box=True, speed=True))
+    velocity, status = np.asarray(answer.velocity), np.asarray(answer.status)
+    assert np.all(np.isfinite(velocity))
+    assert not np.any(status == ConeStatus.NOT_FINITE)
+    limit = np.minimum(data["speed"], np.inf)
+    solved = status == ConeStatus.SOLVED
+    assert np.all(np.linalg.norm(velocity, axis=1)[solved] <= limit[solved] * (1 + 1e-9))
+    assert np.all(np.abs(velocity[solved]) <= LIMIT * (1 + 1e-9))
+    speed = np.linalg.norm(velocity, axis=1)
+    slack = np.sum(data["normal"] * velocity, axis=1) + data["barrier_rate"] - data["gradient_error"] * speed
+    size = (np.linalg.norm(data["normal"], axis=1) + data["gradient_error"]) * data["speed"]
+    assert np.all(slack[solved] >= -1e-9 * size[solved] - 1e-300)
+    return np.mean(status == ConeStatus.STALLED)
+
+
+def test_wild_numbers():
+    assert check_fuzz(2000, seed=0) < 0.05
+
+
+@pytest.mark.slow
+def test_a_million_wild_numbers():
+    worst = max(check_fuzz(50_000, seed=seed) for seed in range(1, 21))
+    assert worst < 0.05

@@ -1,0 +1,146 @@
+"""Fast marching and guidance against closed forms."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from keepout.control.circulation import SwitchingCirculation, skew
+from keepout.control.fast_marching import travel_time, widest_way
+from keepout.control.geodesic import BarrierGrid, geodesic_guidance
+from keepout.control.guidance import ComponentwiseGuidance, StraightGuidance
+from keepout.errors import ControlError
+from keepout.fields.analytic import BoxUnionField, SphereField
+
+SPHERE = SphereField(jnp.zeros(3), jnp.asarray(2.0))
+
+
+def march(n, centre):
+    speed = np.ones((n, n, n))
+    walls = np.zeros((3, n, n, n), dtype=bool)
+    spacing = 1.0 / (n - 1)
+    nodes = np.stack(np.meshgrid(*[np.arange(n)] * 3, indexing="ij"), axis=-1)
+    distance = np.linalg.norm(nodes * spacing - centre, axis=-1)
+    near = np.argwhere(distance < 0.15)
+    times = travel_time(speed, walls, near, distance[tuple(near.T)], spacing)
+    return np.abs(times - distance).max()
+
+
+def test_travel_time_in_free_space_converges_to_the_distance():
+    coarse, fine = march(21, np.full(3, 0.5)), march(41, np.full(3, 0.5))
+    # First order: about one spacing (1/40 of the side), and falling with it.
+    assert fine < 1.5 / 40
+    assert fine < 0.75 * coarse
+
+
+def test_travel_time_goes_round_a_wall():
+    """A wall between two columns of nodes with one opening: the way is the sum of the two legs."""
+    n, spacing = 41, 0.1
+    walls = np.zeros((3, n, n, 3), dtype=bool)
+    walls[0, 20, :35, :] = True
+    start, end = np.array([10, 5, 1]), np.array([30, 5, 1])
+    time = travel_time(np.ones((n, n, 3)), walls, start[None], np.zeros(1), spacing)
+    corner = np.array([20.5, 35.0])
+    legs = np.hypot(*(corner - start[:2])) + np.hypot(*(corner - end[:2]))
+    assert time[tuple(end)] == pytest.approx(legs * spacing, rel=0.06)
+    walls[0, 20, :, :] = True
+    shut = travel_time(np.ones((n, n, 3)), walls, start[None], np.zeros(1), spacing)
+    assert np.isinf(shut[tuple(end)])
+
+
+def test_widest_way_finds_the_saddle():
+    values = np.full((5, 5, 5), -1.0)
+    values[:, 2, 2] = [1.0, 0.6, -0.3, 0.8, 1.0]
+    assert widest_way(values, np.array([0, 2, 2]), np.array([4, 2, 2])) == pytest.approx(-0.3)
+
+
+def test_geodesic_leads_round_a_sphere():
+    goal, start = np.array([0.0, -5.0, 0.0]), np.array([0.0, 5.0, 0.1])
+    grid = BarrierGrid.build(SPHERE, 0.5, np.full(3, -7.0), np.full(3, 7.0), spacing=0.35)
+    guidance = geodesic_guidance(grid, SPHERE, 0.5, goal, speed=0.1, slowing_length=2.0, start=start)
+    move = jax.jit(lambda r: r + 2.0 * guidance.desired_velocity(r))
+    position, length = jnp.asarray(start), 0.0
+    for _ in range(150):
+        moved = move(position)
+        length += float(jnp.linalg.norm(moved - position))
+        position = moved
+        assert float(SPHERE.value(position)) > 0.45
+        if float(jnp.linalg.norm(position - goal)) < 0.1:
+            break
+    assert float(jnp.linalg.norm(position - goal)) < 0.1
+    # Shortest way round a sphere of radius 2.5: two tangents and an arc.
+    tangent = np.sqrt(25.0 - 6.25)
+    shortest = 2.0 * tangent + 2.5 * (np.pi - 2.0 * np.arccos(2.5 / 5.0))
+    assert shortest - 0.15 < length < 1.15 * shortest
+    outside = guidance.desired_velocity(jnp.asarray([20.0, 5.0, 0.0]))
+    assert float(outside[0]) < -0.05
+
+
+def test_geodesic_gradient_is_that_of_the_interpolated_time():
+    grid = BarrierGrid.build(SPHERE, 0.5, np.full(3, -5.0), np.full(3, 5.0), spacing=0.5)
+    guidance = geodesic_guidance(grid, SPHERE, 0.5, np.array([0.0, -4.0, 0.0]), speed=0.1, slowing_length=2.0)
+    turned = jax.jit(jax.jacfwd(guidance.gradient))(jnp.asarray([1.0, 3.3, 0.4]))
+    # A gradient's Jacobian is symmetric.
+    np.testing.assert_allclose(turned, np.asarray(turned).T, atol=1e-12)
+
+
+def test_says_how_far_inside_a_goal_lies():
+    grid = BarrierGrid.build(SPHERE, 0.5, np.full(3, -5.0), np.full(3, 5.0), spacing=0.5)
+    with pytest.raises(ControlError, match=r"goal: .* lies 0\.3 m inside the keep-out zone"):
+        geodesic_guidance(grid, SPHERE, 0.5, np.array([0.0, 2.2, 0.0]), speed=0.1, slowing_length=2.0)
+    with pytest.raises(ControlError, match=r"start: .* lies 0\.5 m inside"):
+        geodesic_guidance(
+            grid, SPHERE, 0.5, np.array([0.0, 4.0, 0.0]), speed=0.1, slowing_length=2.0, start=np.array([0.0, 2.0, 0.0])
+        )
+    with pytest.raises(ControlError, match="outside the guidance bounds"):
+        geodesic_guidance(grid, SPHERE, 0.5, np.array([0.0, 9.0, 0.0]), speed=0.1, slowing_length=2.0)
+
+
+def test_says_how_much_too_narrow_the_way_is():
+    """A closed box with a 0.6 m window in one wall: too narrow by 0.2 m for a clearance of 0.5 m."""
+    lower = [[-2, -2, -2], [-2, -2, 1.8], [-2, -2, -2], [-2, 1.8, -2], [-2, -2, -2]]
+    upper = [[2, 2, -1.8], [2, 2, 2], [2, -1.8, 2], [2, 2, 2], [-1.8, 2, 2]]
+    window = [
+        ([1.8, -2, -2], [2, 2, -0.3]),
+        ([1.8, -2, 0.3], [2, 2, 2]),
+        ([1.8, -2, -2], [2, -0.3, 2]),
+        ([1.8, 0.3, -2], [2, 2, 2]),
+    ]
+    lower += [low for low, _ in window]
+    upper += [high for _, high in window]
+    room = BoxUnionField(jnp.asarray(lower, dtype=float), jnp.asarray(upper, dtype=float), jnp.asarray(0.005))
+    grid = BarrierGrid.build(room, 0.5, np.full(3, -4.0), np.full(3, 4.0), spacing=0.1)
+    with pytest.raises(ControlError, match=r"not connected .* misses 0\.(19|2)\d* m"):
+        geodesic_guidance(
+            grid, room, 0.5, np.array([3.5, 0.0, 0.0]), speed=0.1, slowing_length=2.0, start=np.array([0.0, 0.0, 0.0])
+        )
+
+
+def test_straight_guidance_is_capped_in_norm_and_the_papers_in_components():
+    goal = jnp.zeros(3)
+    numbers = (goal, jnp.asarray(0.1), jnp.asarray(1.5))
+    far = jnp.asarray([50.0, 50.0, -50.0])
+    assert float(jnp.linalg.norm(StraightGuidance(*numbers).desired_velocity(far))) == pytest.approx(0.1)
+    np.testing.assert_allclose(ComponentwiseGuidance(*numbers).desired_velocity(far), [-0.1, -0.1, 0.1], atol=1e-12)
+    slope = jax.jacfwd(StraightGuidance(*numbers).desired_velocity)(goal)
+    np.testing.assert_allclose(slope, -np.eye(3) * 0.1 / 1.5, atol=1e-12)
+
+
+def test_switching_circulation_holds_its_axis_until_the_obstacle_is_left():
+    law = SwitchingCirculation(jnp.asarray(0.1), jnp.asarray(1.0), jnp.asarray(1.0), jnp.asarray(0.3))
+    normal, rest = jnp.asarray([0.0, 1.0, 0.0]), jnp.zeros(3)
+    far = law.update(rest, jnp.asarray(0.5), normal, jnp.asarray([0.0, -0.1, 0.0]), rest)
+    np.testing.assert_array_equal(far, 0.0)
+    # Straight against the surface: some axis, with a tangent of unit length.
+    axis = law.update(rest, jnp.asarray(0.05), normal, jnp.asarray([0.0, -0.1, 0.0]), rest)
+    tangent = np.asarray(skew(axis) @ normal)
+    assert np.linalg.norm(tangent) == pytest.approx(1.0)
+    assert tangent @ np.asarray(normal) == pytest.approx(0.0, abs=1e-15)
+    # The desired velocity now points back along the surface; the axis stays.
+    kept = law.update(axis, jnp.asarray(0.15), normal, -jnp.asarray(tangent), jnp.asarray(tangent) * 0.05)
+    np.testing.assert_array_equal(kept, axis)
+    left = law.update(axis, jnp.asarray(0.25), normal, -jnp.asarray(tangent), rest)
+    np.testing.assert_array_equal(left, 0.0)
+    # Around an edge the axis would meet the normal: flight goes on the way it went.
+    onwards = law.update(axis, jnp.asarray(0.05), axis, jnp.asarray([0.0, -0.1, 0.0]), jnp.asarray(tangent) * 0.05)
+    np.testing.assert_allclose(skew(onwards) @ axis, tangent, atol=1e-12)

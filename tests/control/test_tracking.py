@@ -1,0 +1,130 @@
+"""The theorems of the tracking layer, in continuous time with unlimited thrust, over random states."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from keepout.control.guidance import StraightGuidance
+from keepout.control.tracking import Tracking, safety_gain
+from keepout.control.velocity import ClassK, SafeVelocity, SpeedCone
+from keepout.fields.analytic import SphereField
+
+MASS = jnp.asarray(20.0)
+
+
+def law(smoothing=None):
+    return SafeVelocity(
+        field=SphereField(jnp.zeros(3), jnp.asarray(2.0)),
+        offset=jnp.asarray(0.3),
+        guidance=StraightGuidance(jnp.asarray([0.0, -6.0, 0.0]), jnp.asarray(0.1), jnp.asarray(2.0)),
+        class_k=ClassK(jnp.asarray(0.08), jnp.asarray(0.002)),
+        speed=SpeedCone(jnp.asarray(0.1), None, jnp.asarray(0.1)),
+        smoothing=None if smoothing is None else jnp.asarray(smoothing),
+    )
+
+
+def tracking(**changes):
+    numbers = dict(
+        gain=1.0,
+        lyapunov_ratio=1e-4,
+        barrier_ratio=0.05,
+        estimation_weight=1.0,
+        estimation_rate=1.0,
+        barrier_rate=0.5,
+        sharpness=1.0,
+        gradient_error=0.0,
+    )
+    arrays = {name: jnp.asarray(float(value)) for name, value in {**numbers, **changes}.items()}
+    return Tracking(position_weight=jnp.eye(3), **arrays)
+
+
+def rates(velocity_law, layer, position, velocity, error_d):
+    """Return (ḣ₁, h₁, V̇₁, V₁, e_v), the first along the closed loop with e_d decaying at β_e; no drift."""
+    goal = velocity_law.guidance.goal
+
+    def values(r, v):
+        point, _ = velocity_law(r, v, jnp.zeros(3))
+        tracked = layer(point, r - goal, v, jnp.zeros(3), MASS)
+        return tracked.backstepping_barrier, tracked.lyapunov
+
+    point, _ = velocity_law(position, velocity, jnp.zeros(3))
+    tracked = layer(point, position - goal, velocity, jnp.zeros(3), MASS)
+
+    def along(force):
+        return jax.jvp(values, (position, velocity), (velocity, (force + error_d) / MASS))[1]
+
+    decay = layer.estimation_weight * layer.estimation_rate * jnp.sum(error_d**2)
+    h1 = tracked.backstepping_barrier - 0.5 * layer.estimation_weight * jnp.sum(error_d**2)
+    return along(tracked.control)[0] + decay, h1, along(tracked.reference)[1], tracked.lyapunov
+
+
+def states(count, seed):
+    rng = np.random.default_rng(seed)
+    direction = rng.normal(size=(count, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    position = direction * rng.uniform(2.3, 5.0, (count, 1))
+    return (
+        jnp.asarray(position),
+        jnp.asarray(rng.normal(size=(count, 3)) * 0.08),
+        jnp.asarray(rng.normal(size=(count, 3)) * 0.02),
+    )
+
+
+@pytest.mark.parametrize("smoothing", [None, 1e-5])
+def test_safe_set_is_invariant(smoothing):
+    """ḣ₁ ≥ −β_c h₁ (paper, theorem safety_backstepping) under any estimation error."""
+    position, velocity, error_d = states(1000, 2)
+    velocity_law, layer = law(smoothing), tracking()
+    h1_rate, h1, _, _ = jax.jit(jax.vmap(lambda r, v, e: rates(velocity_law, layer, r, v, e)))(
+        position, velocity, error_d
+    )
+    slack = np.asarray(h1_rate + 0.5 * h1)
+    assert np.min(slack) > -1e-9
+    # The filter must have had work to do: without it many of these states would break the inequality.
+    assert np.mean(slack < 1e-3) > 0.05
+
+
+def test_invariance_needs_the_observer_to_outpace_the_filter():
+    """With 2β_e < β_c, as printed, the inequality fails for some states."""
+    position, velocity, error_d = states(1000, 2)
+    velocity_law, layer = law(), tracking(estimation_rate=0.1)
+    h1_rate, h1, _, _ = jax.jit(jax.vmap(lambda r, v, e: rates(velocity_law, layer, r, v, 5.0 * e)))(
+        position, velocity, error_d
+    )
+    assert np.min(np.asarray(h1_rate + 0.5 * h1)) < -1e-3
+
+
+def test_lyapunov_function_falls_where_the_desired_velocity_is_safe():
+    """V̇₁ = r_eᵀ H₀ v_c − λ/(2 μ_v) ‖v − v_s‖² where v_s = v_c (paper, theorem stability_backstepping)."""
+    velocity_law = dataclasses.replace(law(), field=SphereField(jnp.asarray([0.0, 0.0, 500.0]), jnp.asarray(2.0)))
+    layer = tracking()
+    position, velocity, _ = states(500, 3)
+
+    def rate(r, v):
+        _, _, v1_rate, v1 = rates(velocity_law, layer, r, v, jnp.zeros(3))
+        desired = velocity_law.guidance.desired_velocity(r)
+        expected = jnp.sum((r - velocity_law.guidance.goal) * desired) - 0.5 / 1e-4 * jnp.sum((v - desired) ** 2)
+        return v1_rate, expected, v1
+
+    v1_rate, expected, v1 = jax.jit(jax.vmap(rate))(position, velocity)
+    np.testing.assert_allclose(v1_rate, expected, rtol=1e-9, atol=1e-10)
+    assert np.all(np.asarray(v1_rate) < 0.0)
+    assert np.all(np.asarray(v1) > 0.0)
+
+
+def test_safety_gain_is_the_papers_and_never_overflows():
+    for a, b in ((0.3, 2.0), (-0.3, 2.0), (5.0, 0.1)):
+        direct = np.log1p(np.exp(-0.7 * a / b)) / 0.7
+        assert float(safety_gain(jnp.asarray(a), jnp.asarray(b), jnp.asarray(0.7))) == pytest.approx(direct, rel=1e-12)
+    for a in (-1e300, -1.0, 0.0, 1.0, 1e300):
+        for b in (0.0, 1e-23, 1e-3, 1e3):
+            value, slope = jax.value_and_grad(safety_gain, argnums=(0, 1))(
+                jnp.asarray(a), jnp.asarray(b), jnp.asarray(1.0)
+            )
+            assert float(value) >= 0.0
+            assert not np.isnan(float(value))
+            assert not np.any(np.isnan(np.asarray(slope))) or abs(a) > 1e200
+    assert float(safety_gain(jnp.asarray(-1.0), jnp.asarray(0.0), jnp.asarray(1.0))) == 0.0
