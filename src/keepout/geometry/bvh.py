@@ -31,7 +31,9 @@ class Tree(NamedTuple):
     amount: Int[np.ndarray, "nodes"]
     """Triangles of a leaf; 0 for an inner node."""
     corners: Float[np.ndarray, "f 3 3"]
-    """Triangles in the tree's order."""
+    """Triangles in the tree's order, each turned so that its first edge is its longest."""
+    plane: Float[np.ndarray, "f 9"]
+    """Unit vector along the first edge, unit vector across, the edge's length, the third corner in these axes."""
     face: Int[np.ndarray, "f"]
     """Original index of each triangle in the tree's order."""
 
@@ -46,7 +48,26 @@ def build(triangles: Float[np.ndarray, "f 3 3"]) -> Tree:
     order = np.arange(count, dtype=np.int64)
     used = _split(triangles, triangles.mean(axis=1), order, lower, upper, right, first, amount)
     kept = slice(0, used)
-    return Tree(lower[kept], upper[kept], right[kept], first[kept], amount[kept], triangles[order], order)
+    corners = _longest_edge_first(triangles[order])
+    return Tree(lower[kept], upper[kept], right[kept], first[kept], amount[kept], corners, _planes(corners), order)
+
+
+def _longest_edge_first(triangles: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, "f 3 3"]:
+    edges = np.linalg.norm(np.roll(triangles, -1, axis=1) - triangles, axis=2)
+    turn = (edges.argmax(axis=1)[:, None] + np.arange(3)) % 3
+    return np.ascontiguousarray(np.take_along_axis(triangles, turn[:, :, None], axis=1))
+
+
+def _planes(corners: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, "f 9"]:
+    """Orthonormal axes in each triangle's plane: by Gram-Schmidt from the longest edge, slivers keep full accuracy."""
+    edge, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    length = np.linalg.norm(edge, axis=1)
+    along = edge / np.where(length > 0.0, length, 1.0)[:, None]
+    foot = (other * along).sum(axis=1)
+    across = other - foot[:, None] * along
+    height = np.linalg.norm(across, axis=1)
+    across /= np.where(height > 0.0, height, 1.0)[:, None]
+    return np.column_stack([along, across, length, foot, height])
 
 
 def closest(
@@ -141,42 +162,54 @@ def _box_distance_squared(lower, upper, node, x, y, z):
     return dx * dx + dy * dy + dz * dz
 
 
+@numba.njit(cache=True, nogil=True, inline="always")
+@no_type_check
+def _on_segment(corners, triangle, start, end, x, y, z):
+    """Closest point on an edge, and its squared distance."""
+    ax, ay, az = corners[triangle, start, 0], corners[triangle, start, 1], corners[triangle, start, 2]
+    ex, ey, ez = corners[triangle, end, 0] - ax, corners[triangle, end, 1] - ay, corners[triangle, end, 2] - az
+    along = ex * (x - ax) + ey * (y - ay) + ez * (z - az)
+    length = ex * ex + ey * ey + ez * ez
+    part = min(along / length, 1.0) if along > 0.0 else 0.0
+    qx, qy, qz = ax + part * ex, ay + part * ey, az + part * ez
+    return (x - qx) ** 2 + (y - qy) ** 2 + (z - qz) ** 2, qx, qy, qz
+
+
 @numba.njit(cache=True, nogil=True)
 @no_type_check
-def _on_triangle(corners, triangle, x, y, z):
-    """Barycentric weights of the second and third corner at the closest point (Ericson 2005, section 5.1.5)."""
+def _on_triangle(corners, plane, triangle, x, y, z):
+    """Closest point on a triangle, and its squared distance.
+
+    In the triangle's own axes the first edge is the base, both base angles are acute, and the sides that the foot of
+    the point lies beyond name the edges that can be closest.
+    """
     ax, ay, az = corners[triangle, 0, 0], corners[triangle, 0, 1], corners[triangle, 0, 2]
-    bx, by, bz = corners[triangle, 1, 0] - ax, corners[triangle, 1, 1] - ay, corners[triangle, 1, 2] - az
-    cx, cy, cz = corners[triangle, 2, 0] - ax, corners[triangle, 2, 1] - ay, corners[triangle, 2, 2] - az
     px, py, pz = x - ax, y - ay, z - az
-    d1, d2 = bx * px + by * py + bz * pz, cx * px + cy * py + cz * pz
-    if d1 <= 0.0 and d2 <= 0.0:
-        return 0.0, 0.0
-    qx, qy, qz = px - bx, py - by, pz - bz
-    d3, d4 = bx * qx + by * qy + bz * qz, cx * qx + cy * qy + cz * qz
-    if d3 >= 0.0 and d4 <= d3:
-        return 1.0, 0.0
-    vc = d1 * d4 - d3 * d2
-    if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0 and d1 - d3 > 0.0:
-        return d1 / (d1 - d3), 0.0
-    rx, ry, rz = px - cx, py - cy, pz - cz
-    d5, d6 = bx * rx + by * ry + bz * rz, cx * rx + cy * ry + cz * rz
-    if d6 >= 0.0 and d5 <= d6:
-        return 0.0, 1.0
-    vb = d5 * d2 - d1 * d6
-    if vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0 and d2 - d6 > 0.0:
-        return 0.0, d2 / (d2 - d6)
-    va = d3 * d6 - d5 * d4
-    if va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0 and (d4 - d3) + (d5 - d6) > 0.0:
-        w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
-        return 1.0 - w, w
-    total = va + vb + vc
-    return vb / total, vc / total
+    s = plane[triangle, 0] * px + plane[triangle, 1] * py + plane[triangle, 2] * pz
+    t = plane[triangle, 3] * px + plane[triangle, 4] * py + plane[triangle, 5] * pz
+    length, foot, height = plane[triangle, 6], plane[triangle, 7], plane[triangle, 8]
+    if t <= 0.0:
+        return _on_segment(corners, triangle, 0, 1, x, y, z)
+    beyond_left = s * height < t * foot
+    beyond_right = (length - s) * height < t * (length - foot)
+    if beyond_left:
+        squared, qx, qy, qz = _on_segment(corners, triangle, 0, 2, x, y, z)
+        if beyond_right:
+            other, rx, ry, rz = _on_segment(corners, triangle, 1, 2, x, y, z)
+            if other < squared:
+                return other, rx, ry, rz
+        return squared, qx, qy, qz
+    if beyond_right:
+        return _on_segment(corners, triangle, 1, 2, x, y, z)
+    qx = ax + s * plane[triangle, 0] + t * plane[triangle, 3]
+    qy = ay + s * plane[triangle, 1] + t * plane[triangle, 4]
+    qz = az + s * plane[triangle, 2] + t * plane[triangle, 5]
+    return (x - qx) ** 2 + (y - qy) ** 2 + (z - qz) ** 2, qx, qy, qz
 
 
 @numba.njit(cache=True, nogil=True)
 @no_type_check
-def _query(lower, upper, right, first, amount, corners, face, points, order, within, distance, nearest, found):
+def _query(lower, upper, right, first, amount, corners, plane, face, points, order, within, distance, nearest, found):
     stack = np.empty(128, dtype=np.int64)
     bounds = np.empty(128)
     best_triangle = 0
@@ -190,12 +223,7 @@ def _query(lower, upper, right, first, amount, corners, face, points, order, wit
         stack[0], bounds[0] = 0, 0.0
         while True:
             while triangle < end:
-                v, w = _on_triangle(corners, triangle, x, y, z)
-                u = 1.0 - v - w
-                qx = u * corners[triangle, 0, 0] + v * corners[triangle, 1, 0] + w * corners[triangle, 2, 0]
-                qy = u * corners[triangle, 0, 1] + v * corners[triangle, 1, 1] + w * corners[triangle, 2, 1]
-                qz = u * corners[triangle, 0, 2] + v * corners[triangle, 1, 2] + w * corners[triangle, 2, 2]
-                squared = (x - qx) ** 2 + (y - qy) ** 2 + (z - qz) ** 2
+                squared, qx, qy, qz = _on_triangle(corners, plane, triangle, x, y, z)
                 if squared < best:
                     best, hit, bx, by, bz = squared, triangle, qx, qy, qz
                 triangle += 1

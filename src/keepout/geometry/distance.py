@@ -67,8 +67,8 @@ class ExactDistance:
     def distance_and_gradient(self, points: Points) -> tuple[Float[np.ndarray, "n"], Points]:
         """Distance (n,) in metres and its gradient (n, 3), the unit vector (p - c)/d away from the closest point c.
 
-        Where d = 0 the distance has no gradient, and zeros are returned. Where several closest points tie (the medial
-        axis) the gradient is that of one of them.
+        Where d = 0 the distance has no gradient, and zeros are returned; within rounding of the surface (1e-15 m) the
+        direction is noise. Where several closest points tie (the medial axis) the gradient is that of one of them.
         """
         distance, closest, _ = self.closest(points)
         return distance, _away(points, closest)

@@ -34,6 +34,8 @@ def read_surface(
     factor, actions = _scale(path, units, scale, declared)
     cloud = len(faces) == 0
     if cloud:
+        if thickness is not None and not 0.0 < thickness < LARGEST:
+            raise MeshError(f"{path.name}: thickness = {thickness}; it must be positive, in metres")
         if thickness is None:
             raise MeshError(
                 f"{path.name}: {len(vertices)} points and no triangles; give thickness, the diameter in metres of the "
@@ -53,7 +55,7 @@ def read_surface(
             f"scale, whether that is right or wrong; without them {SMALLEST} to {LARGEST:.0f} m is taken"
         )
     if cloud:
-        return Surface(vertices, faces, 0.5 * thickness if thickness else 0.0, tuple(actions))
+        return Surface(vertices, faces, 0.5 * float(thickness or 0.0), tuple(actions))
     faces = _clean(path, vertices, faces, drop_stray, actions)
     kept, faces = np.unique(faces, return_inverse=True)
     return Surface(vertices[kept], faces.reshape(-1, 3).astype(np.int64), 0.0, tuple(actions))
@@ -121,7 +123,7 @@ def _scale(path: Path, units: str | None, scale: float | None, declared: str | N
 
 def _clean(
     path: Path, vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], drop_stray: bool, actions: list[str]
-) -> Int[np.ndarray, "f 3"]:
+) -> Int[np.ndarray, "kept 3"]:
     """Faces without duplicates, without faces that are one point, and without stray parts where asked."""
     welded = weld(vertices, faces)
     _, first = np.unique(np.sort(welded, axis=1), axis=0, return_index=True)

@@ -47,7 +47,7 @@ class OffsetSolid:
     + ρ.
 
     "Connected" is tested by walks that may pass closer to a surface than the offset, never through one. So a point
-    a pinch narrower than 2 offset counts as exterior only where its own leaf reaches through the pinch.
+    behind a pinch narrower than 2 offset counts as exterior only where its own leaf reaches through the pinch.
     """
 
     def __init__(

@@ -1,0 +1,146 @@
+"""Exact distance against float64 brute force, libigl and closed forms."""
+
+from pathlib import Path
+
+import igl
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from keepout.errors import MeshError
+from keepout.geometry import ExactDistance, Target, straddling_cells
+
+MESHES = Path(__file__).resolve().parents[3] / "shared" / "meshes"
+NAMES = ["iss.glb", "hubble.glb", "ssl1300.glb", "tdrs.glb", "aura_arbitrary_units.glb", "itokawa.obj"]
+
+
+def brute_force(points, triangles):
+    """Smallest of plane distance where the foot lies within the triangle, and the three segment distances."""
+    a, b, c = np.moveaxis(triangles, 1, 0)
+    normal = np.cross(b - a, c - a)
+    length = np.linalg.norm(normal, axis=1)
+    flat = length == 0.0
+    unit = normal / np.where(flat, 1.0, length)[:, None]
+    out = np.empty(len(points))
+    for i, p in enumerate(points):
+        best = np.inf
+        for start, end in ((a, b), (b, c), (c, a)):
+            edge = end - start
+            along = ((p - start) * edge).sum(1) / np.where((edge**2).sum(1) > 0.0, (edge**2).sum(1), 1.0)
+            foot = start + np.clip(along, 0.0, 1.0)[:, None] * edge
+            best = min(best, np.linalg.norm(p - foot, axis=1).min())
+        height = ((p - a) * unit).sum(1)
+        foot = p - height[:, None] * unit
+        within = ~flat
+        for start, end in ((a, b), (b, c), (c, a)):
+            within &= (np.cross(end - start, foot - start) * unit).sum(1) >= 0.0
+        out[i] = min(best, np.abs(height[within]).min()) if within.any() else best
+    return out
+
+
+def queries(distance, count, seed=0):
+    rng = np.random.default_rng(seed)
+    uniform = rng.uniform(distance.lower - 1.0, distance.upper + 1.0, size=(count, 3))
+    _, closest, _ = distance.closest(uniform)
+    return np.concatenate([uniform, closest + rng.normal(size=closest.shape) * 1e-2])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_agrees_with_brute_force_on_real_meshes(name):
+    if not (MESHES / name).exists():
+        pytest.skip(f"{MESHES / name} is absent: real meshes are not part of the repository")
+    target = Target.load(MESHES / name, scale=20.0 if name == "itokawa.obj" else 1.0)
+    distance = target.distance
+    points = queries(distance, 60)
+    truth = brute_force(points, target.vertices[target.faces])
+    d, closest, face = distance.closest(points)
+    np.testing.assert_allclose(d, truth, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(points - closest, axis=1), d, atol=1e-12)
+    on_face = ExactDistance(target.vertices, target.faces[face]).distance(closest)
+    assert on_face.max() < 1e-9
+    many = queries(distance, 10_000, seed=1)
+    squared, _, _ = igl.point_mesh_squared_distance(many, target.vertices, target.faces)
+    np.testing.assert_allclose(distance.distance(many), np.sqrt(squared), atol=1e-12)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 40), st.sampled_from([1.0, 1e-3, 1e-6, 0.0]))
+def test_random_soups_with_slivers(seed, count, thinness):
+    rng = np.random.default_rng(seed)
+    triangles = rng.normal(size=(count, 3, 3))
+    along = rng.random((count, 1))
+    triangles[:, 2] = (1 - along) * triangles[:, 0] + along * triangles[:, 1] + thinness * rng.normal(size=(count, 3))
+    points = rng.normal(size=(50, 3)) * 2.0
+    soup = ExactDistance(triangles.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3))
+    np.testing.assert_allclose(soup.distance(points), brute_force(points, triangles), atol=1e-12)
+
+
+def test_gradient_is_the_derivative():
+    target = Target.load("intelsat30")
+    points = queries(target.distance, 500)
+    d, gradient = target.distance.distance_and_gradient(points)
+    assert np.abs(np.linalg.norm(gradient, axis=1) - 1.0).max() < 1e-12
+    step = 1e-6
+    ahead = target.distance.distance(points + step * gradient)
+    behind = target.distance.distance(points - step * gradient)
+    away_from_medial_axis = np.abs(ahead - d - step) < 1e-9
+    assert away_from_medial_axis.mean() > 0.98
+    np.testing.assert_allclose(behind[d > step], d[d > step] - step, atol=1e-10)
+
+
+def test_on_the_surface_the_gradient_is_zero():
+    square = ExactDistance(np.array([(0.0, 0, 0), (1, 0, 0), (0, 1, 0)]), np.array([(0, 1, 2)]))
+    d, gradient = square.distance_and_gradient(np.array([[1.0, 0.0, 0.0]]))
+    assert d[0] == 0.0
+    assert (gradient == 0.0).all()
+
+
+def test_a_bound_only_cuts_off():
+    target = Target.load("pocket")
+    points = queries(target.distance, 2000)
+    bound = np.random.default_rng(3).uniform(0.0, 2.0, size=len(points))
+    exact = np.minimum(target.distance.distance(points), bound)
+    np.testing.assert_allclose(target.distance.distance_within(points, bound), exact, rtol=1e-15)
+
+
+def test_no_points():
+    assert Target.load("box").distance.distance(np.zeros((0, 3))).shape == (0,)
+
+
+def test_bad_meshes_and_points_are_refused():
+    with pytest.raises(MeshError, match="at least one triangle"):
+        ExactDistance(np.zeros((3, 3)), np.zeros((0, 3), dtype=int))
+    with pytest.raises(MeshError, match="outside"):
+        ExactDistance(np.zeros((3, 3)), np.array([[0, 1, 3]]))
+    with pytest.raises(MeshError, match="finite"):
+        ExactDistance(np.full((3, 3), np.nan), np.array([[0, 1, 2]]))
+    with pytest.raises(MeshError, match="finite"):
+        Target.load("box").distance.distance(np.array([[np.nan, 0.0, 0.0]]))
+
+
+@pytest.mark.parametrize("level", [0.0, 0.4])
+def test_straddling_cells_cover_the_level_set(level):
+    distance = Target.load("pocket").distance
+    lower, upper = distance.lower - 1.0, distance.upper + np.array([1.0, 1.3, 0.7])
+    centres, half_widths = straddling_cells(distance, level, leaf=0.2, lower=lower, upper=upper)
+    assert (2.0 * half_widths <= 0.2 + 1e-12).all()
+    # Points on the level set: random points moved along the gradient, kept where the distance then is the level.
+    points = np.random.default_rng(4).uniform(lower, upper, size=(1500, 3))
+    d, gradient = distance.distance_and_gradient(points)
+    points = points + (level - d)[:, None] * gradient
+    on_level = (np.abs(distance.distance(points) - level) < 1e-12) & ((points > lower) & (points < upper)).all(axis=1)
+    points = points[on_level]
+    assert len(points) > 300
+    gap = np.abs(points[:, None] - centres).max(axis=2) - half_widths
+    assert (gap.min(axis=1) <= 1e-9).all()
+    # And none that provably misses it.
+    assert (np.abs(distance.distance(centres) - level) <= np.sqrt(3) * half_widths + 1e-8).all()
+
+
+def test_straddling_cells_refuse_bad_boxes():
+    distance = Target.load("box").distance
+    with pytest.raises(MeshError, match="leaf"):
+        straddling_cells(distance, 0.0, leaf=0.0, lower=distance.lower, upper=distance.upper)
+    with pytest.raises(MeshError, match="box"):
+        straddling_cells(distance, 0.0, leaf=0.1, lower=distance.upper, upper=distance.lower)
