@@ -15,6 +15,7 @@ import safetensors.numpy
 from keepout.errors import FieldError
 from keepout.fields.continuation import RadialContinuation
 from keepout.fields.field import Field
+from keepout.fields.grid import GridField
 from keepout.fields.mlp import Layers
 from keepout.fields.neural import NeuralField
 from keepout.geometry.target import Target
@@ -63,7 +64,7 @@ class FieldModel:
     """A field, the target it was made for, its training record and its certificates.
 
     Attributes:
-        field: `NeuralField`.
+        field: `NeuralField` or `GridField`.
         target_name: for messages.
         target_sha256: digest of the target's triangles.
         offset: δ in metres: the field approximates the signed distance to the offset solid.
@@ -203,22 +204,35 @@ def _take_apart(field: Field) -> tuple[dict[str, np.ndarray], dict]:
     if isinstance(field, NeuralField):
         layers = zip(field.layers.weights, field.layers.biases)
         tensors = {f"{kind}{i}": np.asarray(t) for i, pair in enumerate(layers) for kind, t in zip("Wb", pair)}
-        continuation = {
-            f.name: np.asarray(getattr(field.continuation, f.name)).tolist()
-            for f in dataclasses.fields(field.continuation)
-        }
         description = {
             "kind": "neural",
             "beta": field.beta,
             "scale": float(field.scale),
             "hidden_layers": len(field.layers.weights) - 1,
-            "continuation": continuation,
         }
-        return tensors, description
-    raise FieldError(f"a {type(field).__name__} has no file form; a neural field has")
+    elif isinstance(field, GridField):
+        tensors = {f"table{i}": np.asarray(table) for i, table in enumerate(field.tables)}
+        tensors["coefficients"] = np.asarray(field.coefficients)
+        description = {
+            "kind": "grid",
+            "origin": np.asarray(field.origin).tolist(),
+            "spacing": float(field.spacing),
+            "levels": len(field.tables),
+        }
+    else:
+        raise FieldError(f"a {type(field).__name__} has no file form; a neural or a grid field has")
+    entries = dataclasses.fields(field.continuation)
+    description["continuation"] = {f.name: np.asarray(getattr(field.continuation, f.name)).tolist() for f in entries}
+    return tensors, description
 
 
 def _put_together(tensors: dict[str, np.ndarray], description: dict) -> Field:
+    numbers = {name: jnp.asarray(value, jnp.float64) for name, value in description["continuation"].items()}
+    continuation = RadialContinuation(**numbers)
+    if description["kind"] == "grid":
+        tables = tuple(jnp.asarray(tensors[f"table{i}"]) for i in range(int(description["levels"])))
+        origin, spacing = (jnp.asarray(description[name], jnp.float64) for name in ("origin", "spacing"))
+        return GridField(jnp.asarray(tensors["coefficients"]), tables, origin, spacing, continuation)
     if description["kind"] != "neural":
         raise ValueError(f"field kind {description['kind']!r}")
     count = int(description["hidden_layers"]) + 1
@@ -231,6 +245,4 @@ def _put_together(tensors: dict[str, np.ndarray], description: dict) -> Field:
         if W.ndim != 2 or W.shape[1] != width or b.shape != (W.shape[0],):
             raise ValueError(f"layer shapes {W.shape}, {b.shape} do not follow on width {width}")
         width = W.shape[0]
-    numbers = {name: jnp.asarray(value, jnp.float64) for name, value in description["continuation"].items()}
-    scale = jnp.asarray(description["scale"], jnp.float64)
-    return NeuralField(layers, scale, RadialContinuation(**numbers), float(description["beta"]))
+    return NeuralField(layers, jnp.asarray(description["scale"], jnp.float64), continuation, float(description["beta"]))

@@ -1,0 +1,100 @@
+"""Bounds attacked: no sample, no ascent and no float32 evaluation may beat them, and a planted violation must show."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from test_neural_field import random_layers
+
+from keepout.fields import bounds, mlp
+
+BETA = 100.0
+
+
+def points_in(elements, rng, each):
+    """Random points of each element (each, m, 3), corners among them."""
+    columns = elements.columns
+    m = columns.shape[1]
+    if elements.kind == "triangle":
+        weights = rng.dirichlet(np.full(3, 0.5), size=(each, m))
+        weights[:3] = np.eye(3)[:, None, :]
+        return np.einsum("emk,kmi->emi", weights, columns)
+    signs = rng.uniform(-1.0, 1.0, size=(each, m, 3))
+    signs[: each // 4] = np.sign(signs[: each // 4])
+    return columns[0] + np.einsum("emk,kmi->emi", signs, columns[1:])
+
+
+def random_elements(kind, rng, m, size):
+    if kind == "triangle":
+        return bounds.triangles(rng.uniform(-0.7, 0.7, (m, 1, 3)) + size * rng.normal(size=(m, 3, 3)))
+    return bounds.boxes(rng.uniform(-0.7, 0.7, (m, 3)), size * rng.uniform(0.2, 1.0, (m, 3)))
+
+
+@jax.jit
+def exact(layers, x):
+    wide = jax.tree.map(lambda a: a.astype(jnp.float64), layers)
+    return mlp.value(wide, BETA, x)
+
+
+@jax.jit
+def single(layers, x):
+    return mlp.value(layers, BETA, x.astype(jnp.float32))
+
+
+@pytest.mark.parametrize("kind", ["triangle", "box"])
+def test_fifty_random_networks_are_never_above_their_bound(kind):
+    rng = np.random.default_rng(0)
+    gaps = []
+    for seed in range(50):
+        layers = random_layers(seed, (3, 32, 32, 32, 1), jnp.float32)
+        network = bounds.Network.of(layers, BETA)
+        elements = random_elements(kind, rng, 64, 10 ** rng.uniform(-3.0, -0.5))
+        answer = bounds.upper_bounds(network, elements)
+        points = points_in(elements, rng, 64)
+        value = np.asarray(exact(layers, points.reshape(-1, 3))).reshape(64, -1)
+        rough = np.asarray(single(layers, points.reshape(-1, 3)), np.float64).reshape(64, -1)
+        assert (answer.upper - value.max(axis=0)).min() >= 0.0
+        assert (answer.evaluation_error - np.abs(rough - value).max(axis=0)).min() >= 0.0
+        gaps.append(np.median(answer.upper - value.max(axis=0)))
+    assert min(gaps) < 0.01  # small elements are bounded tightly, so the bound says something
+
+
+def test_gradient_ascent_from_many_starts_never_beats_the_bound():
+    layers = random_layers(3, (3, 32, 32, 32, 1), jnp.float32)
+    rng = np.random.default_rng(1)
+    elements = random_elements("box", rng, 100, 0.05)
+    answer = bounds.upper_bounds(bounds.Network.of(layers, BETA), elements)
+    wide = jax.tree.map(lambda a: a.astype(jnp.float64), layers)
+    climb = jax.jit(lambda x: mlp.value_and_gradient(wide, BETA, x))
+    x = points_in(elements, rng, 100)
+    low = elements.columns[0] - np.abs(elements.columns[1:]).sum(axis=0)
+    high = elements.columns[0] + np.abs(elements.columns[1:]).sum(axis=0)
+    for step in np.geomspace(0.3, 0.01, 20):
+        _, gradient = climb(x.reshape(-1, 3))
+        direction = np.asarray(gradient).reshape(x.shape)
+        x = np.clip(x + step * (high - low) * np.sign(direction), low, high)
+    best = np.asarray(climb(x.reshape(-1, 3))[0]).reshape(100, -1).max(axis=0)
+    assert (answer.upper - best).min() >= 0.0
+
+
+def test_a_point_is_bounded_to_rounding():
+    layers = random_layers(5, (3, 32, 32, 1), jnp.float32)
+    x = np.random.default_rng(2).uniform(-0.5, 0.5, (50, 3))
+    elements = bounds.boxes(x, np.zeros_like(x))
+    upper = bounds.upper_bounds(bounds.Network.of(layers, BETA), elements).upper
+    gap = upper - np.asarray(exact(layers, x))
+    assert gap.min() >= 0.0
+    assert gap.max() < 1e-8
+
+
+def test_float32_exponential_and_logarithm_are_as_exact_as_assumed():
+    t = np.concatenate([np.linspace(0.0, 100.0, 2_000_001), np.geomspace(1e-30, 1.0, 200_001)]).astype(np.float32)
+    e = np.exp(-t.astype(np.float64))
+    normal = e > 2.0**-125
+    got = np.asarray(jax.jit(lambda x: jnp.exp(-x))(t), np.float64)
+    assert (np.abs(got - e)[normal] / e[normal]).max() < 0.5 * bounds.ELEMENTARY * 2.0**-23
+    argument = np.exp(-t).astype(np.float32)
+    log = np.log1p(argument.astype(np.float64))
+    got = np.asarray(jax.jit(jnp.log1p)(argument), np.float64)
+    kept = log > 2.0**-125
+    assert (np.abs(got - log)[kept] / log[kept]).max() < 0.5 * bounds.ELEMENTARY * 2.0**-23

@@ -1,0 +1,101 @@
+"""The field file: what goes in comes out, and whatever was done to the file is refused in one line."""
+
+import dataclasses
+import json
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import safetensors.numpy
+from test_neural_field import random_field
+
+from keepout.errors import FieldError
+from keepout.fields.model import Certificate, FieldModel
+from keepout.geometry.target import Target
+
+
+@pytest.fixture(scope="module")
+def box():
+    return Target.load("box")
+
+
+@pytest.fixture
+def model(box):
+    model = FieldModel(random_field(0, dtype=jnp.float32), box.name, box.sha256, 0.03, {"profile": "none"})
+    certificate = Certificate(
+        "sampled", 0.5, 0.04, 0.01, 0.03, 1.3, "sampled", 0.0, 1.0, model.target_sha256, model.sha256
+    )
+    return model.with_certificate(certificate)
+
+
+def test_round_trip(tmp_path, model, box):
+    path = tmp_path / "a.keepout"
+    model.save(path)
+    loaded = FieldModel.load(path, target=box)
+    assert loaded.certificates == model.certificates
+    assert loaded.sha256 == model.sha256
+    assert loaded.training == model.training
+    points = np.random.default_rng(0).normal(size=(20, 3))
+    np.testing.assert_array_equal(loaded.field.value(jnp.asarray(points)), model.field.value(jnp.asarray(points)))
+    assert [p.name for p in tmp_path.iterdir()] == ["a.keepout"]
+
+
+def test_another_radius_is_refused_with_the_list(model):
+    assert model.certificate(0.5).error_bound == 0.04
+    with pytest.raises(FieldError, match=r"chaser radius 0\.3 m.*certified for: 0\.5 m"):
+        model.certificate(0.3)
+
+
+def test_another_target_is_refused(tmp_path, model):
+    model.save(tmp_path / "a.keepout")
+    other = Target.load("box", parameters={"length": 3.3})
+    with pytest.raises(FieldError, match="not for box"):
+        FieldModel.load(tmp_path / "a.keepout", target=other)
+
+
+def test_missing_truncated_foreign_and_edited_files_are_refused(tmp_path, model):
+    path = tmp_path / "a.keepout"
+    with pytest.raises(FieldError, match="no such file"):
+        FieldModel.load(path)
+    model.save(path)
+    whole = path.read_bytes()
+    bad = tmp_path / "b.keepout"
+    for content in (b"", b"hello", whole[: len(whole) // 2], whole[:-1], b"\xff" * 64):
+        bad.write_bytes(content)
+        with pytest.raises(FieldError, match="damaged, truncated, or not a field file"):
+            FieldModel.load(bad)
+    rng = np.random.default_rng(0)
+    for place in rng.integers(8, len(whole), size=40):
+        edited = bytearray(whole)
+        edited[place] ^= 1
+        bad.write_bytes(edited)
+        with pytest.raises(FieldError) as refusal:
+            FieldModel.load(bad)
+        assert "\n" not in str(refusal.value)
+    safetensors.numpy.save_file({"x": np.zeros(3)}, bad)
+    with pytest.raises(FieldError, match="not a field file"):
+        FieldModel.load(bad)
+
+
+def test_a_certificate_of_another_field_is_refused(tmp_path, model):
+    foreign = dataclasses.replace(model, field=random_field(1, dtype=jnp.float32))
+    foreign.save(tmp_path / "a.keepout")
+    with pytest.raises(FieldError, match="belongs to another field"):
+        FieldModel.load(tmp_path / "a.keepout")
+
+
+def test_a_later_version_is_refused(tmp_path, model):
+    path = tmp_path / "a.keepout"
+    model.save(path)
+    with safetensors.safe_open(path, framework="numpy") as file:
+        metadata = file.metadata()
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    header = {**json.loads(metadata["header"]), "version": 99}
+    safetensors.numpy.save_file(tensors, path, {**metadata, "header": json.dumps(header)})
+    with pytest.raises(FieldError, match="version 99"):
+        FieldModel.load(path)
+
+
+def test_a_folder_that_does_not_exist_is_refused(tmp_path, model):
+    with pytest.raises(FieldError, match="cannot be written"):
+        model.save(tmp_path / "none" / "a.keepout")

@@ -1,0 +1,97 @@
+"""The one-forward, one-reverse formula and the continuation against nested autodiff and closed forms."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from keepout.fields import mlp
+from keepout.fields.analytic import BoxUnionField, SphereField
+from keepout.fields.continuation import RadialContinuation
+from keepout.fields.neural import NeuralField
+
+
+def random_layers(seed, sizes=(3, 24, 24, 24, 1), dtype=jnp.float64):
+    keys = jax.random.split(jax.random.key(seed), 2 * len(sizes))
+    weights = [
+        jax.random.normal(keys[i], (n_out, n_in)) * np.sqrt(2.0 / n_in)
+        for i, (n_in, n_out) in enumerate(zip(sizes, sizes[1:]))
+    ]
+    biases = [0.3 * jax.random.normal(keys[-1 - i], (n,)) for i, n in enumerate(sizes[1:])]
+    return mlp.Layers(tuple(w.astype(dtype) for w in weights), tuple(b.astype(dtype) for b in biases))
+
+
+def numbers(*values):
+    return tuple(jnp.asarray(v, jnp.float64) for v in values)
+
+
+def random_field(seed, beta=20.0, dtype=jnp.float64):
+    continuation = RadialContinuation(jnp.array([0.1, 0.2, -0.3]), *numbers(9.0, 11.0, 13.0, 0.2))
+    return NeuralField(random_layers(seed, dtype=dtype), jnp.asarray(12.0), continuation, beta)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_derivatives_equal_nested_autodiff_inside_and_beyond_the_domain(seed):
+    field = random_field(seed)
+    points = 9.0 * jax.random.normal(jax.random.key(seed), (200, 3))
+    value, gradient, hessian = field.value_gradient_hessian(points)
+    radius = np.linalg.norm(points - field.continuation.centre, axis=-1)
+    assert min((radius < 11).sum(), ((radius > 11) & (radius < 13)).sum(), (radius > 13).sum()) > 10
+    np.testing.assert_allclose(value, field.value(points), atol=1e-12)
+    np.testing.assert_allclose(gradient, jax.vmap(jax.grad(field.value))(points), atol=1e-10)
+    np.testing.assert_allclose(field.value_and_gradient(points)[1], gradient, atol=1e-12)
+    np.testing.assert_allclose(hessian, jax.vmap(jax.hessian(field.value))(points), atol=1e-10)
+    assert abs(hessian).max() > 0.01
+
+
+@pytest.mark.parametrize("batch", [(), (1,), (7,), (2, 3), (300,)])
+def test_any_batch_shape_gives_the_single_point_answers(batch):
+    field = random_field(0, dtype=jnp.float32)
+    points = 5.0 * jax.random.normal(jax.random.key(1), (*batch, 3))
+    value, gradient, hessian = field.value_gradient_hessian(points)
+    assert (value.shape, gradient.shape, hessian.shape) == (batch, (*batch, 3), (*batch, 3, 3))
+    assert value.dtype == gradient.dtype == hessian.dtype == jnp.float64
+    single = field.value_gradient_hessian(points.reshape(-1, 3)[-1])
+    np.testing.assert_allclose(value.reshape(-1)[-1], single[0], atol=1e-5)
+    np.testing.assert_allclose(hessian.reshape(-1, 3, 3)[-1], single[2], atol=1e-3)
+
+
+def test_continuation_never_rises_faster_than_the_distance_to_anything_in_the_ball():
+    # Any point set in the ball has a distance; continue that distance itself and compare it with the truth.
+    rng = np.random.default_rng(0)
+    cloud = rng.normal(size=(40, 3))
+    cloud *= 3.0 / np.linalg.norm(cloud, axis=1, keepdims=True)
+    continuation = RadialContinuation(jnp.zeros(3), *numbers(3.0, 4.0, 5.0, 0.0))
+    points = rng.normal(size=(20_000, 3))
+    points *= np.exp(rng.uniform(np.log(4.0), np.log(60.0), (20_000, 1))) / np.linalg.norm(
+        points, axis=1, keepdims=True
+    )
+    asked = np.asarray(continuation.into_domain(jnp.asarray(points)))
+    assert np.linalg.norm(asked, axis=1).max() <= 4.5 + 1e-12
+
+    def truth(p):
+        return np.linalg.norm(p[:, None] - cloud, axis=-1).min(axis=1)
+
+    excess = np.asarray(continuation.value(jnp.asarray(points), jnp.asarray(truth(asked)))) - truth(points)
+    assert excess.max() <= 1e-9
+    assert excess.min() < -0.1
+
+
+def test_sphere_is_exact_and_box_union_never_overstates():
+    rng = np.random.default_rng(1)
+    points = rng.uniform(-4.0, 4.0, (500, 3))
+    sphere = SphereField(jnp.array([0.5, 0.0, 0.0]), jnp.asarray(1.0))
+    value, gradient, hessian = sphere.value_gradient_hessian(jnp.asarray(points))
+    np.testing.assert_allclose(value, np.linalg.norm(points - [0.5, 0, 0], axis=1) - 1.0, atol=1e-12)
+    np.testing.assert_allclose(hessian, jax.vmap(jax.hessian(sphere.value))(jnp.asarray(points)), atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(gradient, axis=1), 1.0, atol=1e-12)
+    assert np.isfinite(sphere.value_and_gradient(jnp.array([0.5, 0.0, 0.0]))[1]).all()
+
+    lower, upper = np.array([[-1.0, -1, -1], [1.0, -0.2, -0.2]]), np.array([[1.0, 1, 1], [3.0, 0.2, 0.2]])
+    boxes = BoxUnionField(jnp.asarray(lower), jnp.asarray(upper), jnp.asarray(0.02))
+    outside = np.maximum(np.maximum(lower - points[:, None], points[:, None] - upper), 0.0)
+    exact = np.linalg.norm(outside, axis=-1).min(axis=1)
+    value = np.asarray(boxes.value(jnp.asarray(points)))
+    assert (value - exact)[exact > 0].max() <= 1e-9
+    beside_a_face = jnp.array([0.0, 0.0, 2.0])
+    assert float(boxes.value(beside_a_face)) == pytest.approx(1.0, abs=0.02 * (np.log(6) + np.log(2)))
