@@ -1,7 +1,7 @@
 """Many flights at once: compiled once, flown in small batches on every core, summarised as they land.
 
-Batches are small because a batch's network activations should stay in cache, and each core flies its own batch in its
-own thread: `benchmarks/campaign.py` times this beside the alternatives.
+A batch is large enough to hide what it costs to start one and small enough to spread over the cores, each of which flies
+its own batch in its own thread: `benchmarks/campaign.py` times the choices.
 """
 
 import os
@@ -23,7 +23,7 @@ from keepout.flight.setup import FlightSetup
 from keepout.motion.relative import MotionState, RelativeMotion
 from keepout.progress import Progress, silent
 
-BATCH = 64
+BATCH = 128
 """Flights in a batch on a CPU."""
 
 Sampler = Callable[[np.random.Generator, int], tuple[np.ndarray, np.ndarray]]
@@ -73,7 +73,7 @@ def campaign(
             have a leading axis of flights.
         columns: names of `FlightLog` columns to hand to `landed`; without any, logs never leave the compiled program.
         landed: gets each batch's columns, in the order of the flights, called from the calling thread.
-        batch: flights in a batch; on a CPU 64, elsewhere all of them.
+        batch: flights in a batch; on a CPU 128, elsewhere all of them.
         workers: batches in flight at once; by default the number of cores this process may use, elsewhere 1.
         progress: told after each batch.
 
