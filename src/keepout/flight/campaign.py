@@ -1,7 +1,7 @@
 """Many flights at once: compiled once, flown in small batches on every core, summarised as they land.
 
-A batch is large enough to hide what it costs to start one and small enough to spread over the cores, each of which flies
-its own batch in its own thread: `benchmarks/campaign.py` times the choices.
+A batch is large enough to hide what it costs to start one and small enough to spread over the cores, each of which
+flies its own batch in its own thread: `benchmarks/campaign.py` times the choices.
 """
 
 import os
