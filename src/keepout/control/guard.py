@@ -64,7 +64,7 @@ class GuardState(eqx.Module):
 
     plan_position (m), plan_velocity (m/s): the nominal braking motion when the next command takes effect. certified:
     whether that motion's tube is known to be free. pending (m/s²): commands not yet in effect, the oldest first.
-    expected_position, expected_velocity: the next estimate, were there no disturbance. fresh: no step was taken yet.
+    expected_position, expected_velocity: the next estimate, were there no disturbance.
     """
 
     plan_position: Vector
@@ -73,7 +73,6 @@ class GuardState(eqx.Module):
     pending: Float[Array, "delay 3"]
     expected_position: Vector
     expected_velocity: Vector
-    fresh: Bool[Array, ""]
 
 
 class Guard(eqx.Module):
@@ -121,12 +120,11 @@ class Guard(eqx.Module):
         return self._start(estimate.position, estimate.velocity)
 
     def _start(self, position: Vector, velocity: Vector) -> GuardState:
-        n, T = self.assumptions.delay, self.assumptions.period
-        pending = jnp.zeros((n, 3))
+        pending = jnp.zeros((self.assumptions.delay, 3))
         path, ahead, moving = self._predict(position, velocity, pending)
         points = jnp.concatenate([path[:-1], self._stop_points(ahead, moving)])
         free = self._free(points, self.field.value(points)) & self._slow(moving)
-        return GuardState(ahead, moving, free, pending, position + T * velocity, velocity, jnp.asarray(True))
+        return GuardState(ahead, moving, free, pending, position, velocity)
 
     def filter(
         self, guard_state: GuardState, estimate: MotionState, force: Vector, disturbance_estimate: Vector
@@ -173,7 +171,6 @@ class Guard(eqx.Module):
             pending=jnp.concatenate([guard_state.pending, chosen[None]])[1:],
             expected_position=position + T * velocity + 0.5 * T**2 * self._in_effect(guard_state, chosen),
             expected_velocity=velocity + T * self._in_effect(guard_state, chosen),
-            fresh=jnp.asarray(False),
         )
         done = jnp.where(
             accepted & planned,
@@ -194,6 +191,35 @@ class Guard(eqx.Module):
     def certified(self, state: MotionState) -> Bool[Array, ""]:
         """Whether braking at once from this estimate is certified free: then a guarded flight can start here."""
         return self._start(state.position, state.velocity).certified
+
+    def require(self, start: MotionState, goal: Vector) -> bool:
+        """Refuse what cannot be flown; return whether the start is certified. Needs concrete values.
+
+        A start that is not certified is flown, but in mode `ESCAPING` until a braking plan is.
+
+        Raises:
+            ControlError: a start that is not finite, beyond the range limit or at or below the field's zero, or a goal
+                that the guard would never let the chaser rest at; the message names value and distance.
+
+        """
+        for name, vector in (("start.position", start.position), ("start.velocity", start.velocity), ("goal", goal)):
+            if not bool(jnp.all(jnp.isfinite(vector))):
+                raise ControlError(f"guard: {name} is {vector.tolist()}; it must be finite")
+        for name, point in (("start", start.position), ("goal", goal)):
+            away = float(jnp.linalg.norm(point)) + self.braking.position_radius
+            if away > self.assumptions.range_limit:
+                limit = self.assumptions.range_limit
+                raise ControlError(f"guard: {name} needs a range of {away:.3f} m; range_limit is {limit} m")
+        value = float(self.field.value(start.position))
+        if not value > 0.0:
+            raise ControlError(f"guard: the field is {value:.3f} m at the start: inside the target; it must be above 0")
+        value = float(self.field.value(goal))
+        if not value > self.least_value:
+            raise ControlError(
+                f"guard: the field is {value:.3f} m at the goal; the guard lets the chaser rest only above "
+                f"{self.least_value:.3f} m (threshold {self.threshold:.3f} m and tube)"
+            )
+        return bool(self.certified(start))
 
     @property
     def _plan_radius(self) -> float:
@@ -267,7 +293,7 @@ class Guard(eqx.Module):
         shift = 0.5 * a.disturbance * T**2 + 2.0 * a.position_error + T * a.velocity_error
         moved = jnp.linalg.norm(position - guard_state.expected_position) > shift * (1.0 + 1e-6) + 1e-9
         changed = jnp.linalg.norm(velocity - guard_state.expected_velocity) > kick * (1.0 + 1e-6) + 1e-9
-        return (moved | changed) & ~guard_state.fresh
+        return moved | changed
 
     def _too_strong(self, disturbance_estimate: Vector) -> Bool[Array, ""]:
         return ~(jnp.linalg.norm(disturbance_estimate) <= self.assumptions.disturbance_force * (1.0 + 1e-6) + 1e-12)
