@@ -138,7 +138,8 @@ def _velocity_jvp(primals: tuple, tangents: tuple) -> tuple[Float[Array, "3"], F
     derivative = jnp.where(outcome.escaping, escape_change, jnp.where(outcome.resting, 0.0, inside))
     velocity = outcome.at.velocity
     derivative = unit.size * derivative + change.size * velocity
-    return unit.size * velocity, jnp.where(outcome.status == ConeStatus.NOT_FINITE, 0.0, derivative)
+    # The primal is the function itself again, so that a derivative taken of a derivative's primal is not lost.
+    return _velocity(program, outcome), jnp.where(outcome.status == ConeStatus.NOT_FINITE, 0.0, derivative)
 
 
 def solve(program: VelocityProgram) -> ConeSolution:

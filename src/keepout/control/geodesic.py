@@ -1,5 +1,6 @@
 """Build geodesic guidance: the barrier on a grid once a field, the travel time to the goal once a goal."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import equinox as eqx
@@ -40,8 +41,8 @@ class BarrierGrid:
         cls,
         field: Field,
         offset: float,
-        lower: Float[np.ndarray, "3"],
-        upper: Float[np.ndarray, "3"],
+        lower: Sequence[float] | Float[np.ndarray, "3"],
+        upper: Sequence[float] | Float[np.ndarray, "3"],
         *,
         spacing: float | None = None,
         progress: Progress = silent,
@@ -55,10 +56,10 @@ class BarrierGrid:
             ControlError: the box is empty, the spacing is not positive, or there would be more than 4 million nodes.
 
         """
-        lower, upper = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
-        extent = upper - lower
+        low, high = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
+        extent = high - low
         if not np.all(extent > 0.0):
-            raise ControlError(f"guidance bounds: lower {lower.tolist()} must be below upper {upper.tolist()} (m)")
+            raise ControlError(f"guidance bounds: lower {low.tolist()} must be below upper {high.tolist()} (m)")
         if spacing is None:
             spacing = float(np.cbrt(np.prod(extent) / 4e5))
             if offset > 0.0:
@@ -73,7 +74,7 @@ class BarrierGrid:
                 f"use a spacing of {np.cbrt(np.prod(extent) / _MOST_NODES):.3g} m or a smaller box"
             )
         sample = _Sampler(field, offset)
-        axes = [low + spacing * np.arange(count) for low, count in zip(lower, shape, strict=True)]
+        axes = [first + spacing * np.arange(count) for first, count in zip(low, shape, strict=True)]
         coarse = sample(_nodes([axis[::2] for axis in axes]), lambda f: progress(0.3 * f, "barrier, coarse"))
         coarse = coarse.reshape([len(axis[::2]) for axis in axes])
         where = np.meshgrid(*[np.arange(count) / 2.0 for count in shape], indexing="ij")
@@ -86,7 +87,7 @@ class BarrierGrid:
         values[band] = sample(points, lambda f: progress(0.3 + 0.5 * f, "barrier"))
         walls = _walls(sample, values, axes, spacing)
         progress(1.0, "barrier")
-        return cls(values, walls, lower, spacing)
+        return cls(values, walls, low, spacing)
 
     def node(self, position: Float[np.ndarray, "3"]) -> np.ndarray:
         """Return the indices of the corner of the surrounding cell with the largest barrier."""

@@ -106,7 +106,7 @@ def _velocity_jvp(primals: tuple, tangents: tuple) -> tuple[Float[Array, "3"], F
     inside = -eliminate(hessian, moved[:, None])[:3, 0]
     derivative = jnp.where(point.escaping, escape_change, inside)
     derivative = unit.size * derivative + change.size * point.velocity
-    return unit.size * point.velocity, jnp.where(point.status == ConeStatus.NOT_FINITE, 0.0, derivative)
+    return _velocity(program, weight, point), jnp.where(point.status == ConeStatus.NOT_FINITE, 0.0, derivative)
 
 
 def solve_smoothed(program: VelocityProgram, weight: Float[Array, ""]) -> ConeSolution:

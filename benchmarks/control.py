@@ -1,0 +1,153 @@
+"""Time one control step from Python on one core, and the usual way in the same run.
+
+The usual way is CVXPY + Clarabel with a PyTorch field. Run as `taskset -c 0 python benchmarks/control.py [--json]`. It
+needs the extra `bench` (cvxpy, torch) and is left out, with the reason, where a package is missing.
+"""
+
+import argparse
+import importlib.util
+import itertools
+import json
+import platform
+import time
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from keepout.control import profiles
+from keepout.fields import mlp
+from keepout.fields.analytic import SphereField
+from keepout.fields.continuation import RadialContinuation
+from keepout.fields.neural import NeuralField
+from keepout.motion.orbit import Orbit
+from keepout.motion.relative import RelativeMotion
+
+WIDTH, DEPTH, BETA = 96, 4, 100.0
+
+
+def neural_field():
+    """Make a network of the default size with random weights: its values mean nothing, its cost is the same."""
+    rng = np.random.default_rng(0)
+    sizes = [3, *[WIDTH] * DEPTH, 1]
+    weights = tuple(
+        jnp.asarray(rng.normal(size=(m, n)) / np.sqrt(n), jnp.float32) for n, m in itertools.pairwise(sizes)
+    )
+    biases = tuple(jnp.zeros(m, jnp.float32) for m in sizes[1:])
+    numbers = (jnp.zeros(3), *(jnp.asarray(x) for x in (5.0, 12.0, 14.0, 0.1)))
+    return NeuralField(mlp.Layers(weights, biases), jnp.asarray(12.0), RadialContinuation(*numbers), BETA)
+
+
+def default_law(field):
+    return profiles.default(
+        field,
+        error_bound=0.0,
+        chaser_radius=0.5,
+        margin=0.1,
+        goal=[0.0, -10.0, -4.0],
+        motion=RelativeMotion(Orbit(6_778_137.0)),
+        mass=20.0,
+        force_limit=0.1,
+        speed_limit=0.1,
+        period=1.0,
+        disturbance_bound=0.015,
+        guidance="straight",
+    )
+
+
+def quantiles(seconds):
+    micro = 1e6 * np.asarray(seconds)
+    return {"median_us": float(np.median(micro)), "p99_us": float(np.quantile(micro, 0.99)), "steps": len(micro)}
+
+
+def time_step(law, states):
+    """Close over the law, as on board; arguments and results pass through Python, which is timed too."""
+    memory = law.initial_state(states[0])
+    compiled = jax.jit(lambda memory, state: law.step(memory, state))
+    jax.block_until_ready(compiled(memory, states[0]))
+    seconds = []
+    for state in states:
+        begin = time.perf_counter()
+        memory, command = compiled(memory, state)
+        np.asarray(command.force)
+        seconds.append(time.perf_counter() - begin)
+    return seconds
+
+
+def usual_way(points, velocities):
+    """Field and gradient by PyTorch autograd, the cone program by CVXPY with Clarabel, built once with parameters."""
+    import cvxpy
+    import torch
+
+    torch.set_num_threads(1)
+    torch.manual_seed(0)
+    layers = [torch.nn.Linear(3, WIDTH), torch.nn.Softplus(BETA)]
+    for _ in range(DEPTH - 1):
+        layers += [torch.nn.Linear(WIDTH, WIDTH), torch.nn.Softplus(BETA)]
+    net = torch.nn.Sequential(*layers, torch.nn.Linear(WIDTH, 1))
+    v, sigma = cvxpy.Variable(3), cvxpy.Variable()
+    desired, normal, tangent = (cvxpy.Parameter(3) for _ in range(3))
+    rate, circulation = cvxpy.Parameter(), cvxpy.Parameter()
+    constraints = [
+        normal @ v + rate >= 0.01 * cvxpy.norm(v),
+        tangent @ v - circulation >= sigma,
+        v <= 0.1,
+        v >= -0.1,
+    ]
+    program = cvxpy.Problem(cvxpy.Minimize(0.5 * cvxpy.sum_squares(desired - v) + sigma**2), constraints)
+    omega = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    seconds = []
+    for k, (point, velocity) in enumerate(zip(points, velocities)):
+        begin = time.perf_counter()
+        p = torch.tensor(point, dtype=torch.float32, requires_grad=True)
+        value = net(p)[0] + float(np.linalg.norm(point)) - 2.0
+        (gradient,) = torch.autograd.grad(value, p)
+        desired.value = -0.1 * np.tanh((point - np.array([0.0, -10.0, -4.0])) / 1.5)
+        normal.value = gradient.numpy().astype(float) + point / np.linalg.norm(point)
+        tangent.value = omega @ normal.value
+        distance = float(value.detach())
+        rate.value, circulation.value = 0.08 * distance, 0.1 - distance
+        program.solve(solver=cvxpy.CLARABEL)
+        np.clip(-20.0 * 0.5 * (velocity - v.value), -0.1, 0.1)
+        if k >= 5:
+            seconds.append(time.perf_counter() - begin)
+    return seconds
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--steps", type=int, default=2000)
+    arguments = parser.parse_args()
+    rng = np.random.default_rng(0)
+    direction = rng.normal(size=(arguments.steps, 3))
+    points = direction / np.linalg.norm(direction, axis=1, keepdims=True) * rng.uniform(3.0, 9.0, (arguments.steps, 1))
+    velocities = rng.normal(size=(arguments.steps, 3)) * 0.03
+    motion = RelativeMotion(Orbit(6_778_137.0))
+    states = [motion.initial_state(r, v) for r, v in zip(points, velocities)]
+    rows = []
+    sphere = SphereField(jnp.zeros(3), jnp.asarray(2.0))
+    rows.append({"law": "default, analytic sphere", **quantiles(time_step(default_law(sphere), states))})
+    law = default_law(sphere)
+    neural = neural_field()
+    law = eqx.tree_at(lambda c: c.velocity.field, law, neural)
+    rows.append({"law": f"default, neural field {DEPTH} x {WIDTH}", **quantiles(time_step(law, states))})
+    missing = [name for name in ("cvxpy", "torch") if importlib.util.find_spec(name) is None]
+    if missing:
+        rows.append({"law": "usual way", "left_out": f"not installed: {', '.join(missing)} (extra `bench`)"})
+    else:
+        usual = quantiles(usual_way(points[:205], velocities[:205]))
+        usual["ratio_to_default"] = usual["median_us"] / rows[1]["median_us"]
+        rows.append({"law": "usual way: CVXPY + Clarabel + PyTorch", **usual})
+    result = {"machine": platform.processor() or platform.machine(), "jax": jax.__version__, "rows": rows}
+    if arguments.json:
+        print(json.dumps(result, indent=2))
+        return
+    for row in rows:
+        figures = {k: round(v, 1) if isinstance(v, float) else v for k, v in row.items() if k != "law"}
+        print(row["law"], figures)
+
+
+if __name__ == "__main__":
+    main()
