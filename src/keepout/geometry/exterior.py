@@ -32,13 +32,7 @@ def flood(
         return (d - reach <= radius) & (d + reach > radius), (d - reach > radius,)
 
     cells, (free,) = refine(origin, side, depth, visit)
-    edges = []
-    for _, _, a, b in cells.face_neighbours(free):
-        both = free[b]
-        edges.append(np.stack([a[both], b[both]]))
-    a, b = np.concatenate(edges, axis=1)
-    graph = scipy.sparse.coo_matrix((np.ones(len(a), dtype=np.int8), (a, b)), shape=(len(free), len(free)))
-    _, component = scipy.sparse.csgraph.connected_components(graph, directed=False)
+    component = _components(cells, free)
     last = (1 << cells.level.astype(np.int64)) - 1
     outer = free & ((cells.index == 0) | (cells.index == last[:, None])).any(axis=1)
     return cells, free, free & np.isin(component, np.unique(component[outer]))
@@ -70,6 +64,7 @@ def hidden_cells(
         return ~settled & (d <= half_width * SQRT3), (fate, d, gradient.astype(np.float32))
 
     cells, (fate, d, gradient) = refine(lake.origin, lake.side, depth, visit)
+    settled = fate
     successor = _successors(cells, fate, d, gradient)
     while True:
         further = successor[successor]
@@ -80,10 +75,24 @@ def hidden_cells(
     ends = np.flatnonzero((successor == np.arange(len(d))) & (fate == _UNDECIDED))
     fate[ends] = _walk(distance, cells, fate, d, ends)
     hidden = fate[successor] != _OPEN
-    # In a cell of half-diagonal ρ > offset a point p with d(p) > offset could lie past a surface from the centre q,
-    # but only
-    # if |p - q| > offset + d(q).
-    return cells, hidden | (d < cells.half_diagonal - offset)
+    # In a cell of half-diagonal ρ > offset a point p with d(p) > offset could lie past a surface from the centre q, but
+    # only if |p - q| > offset + d(q).
+    hidden |= d < cells.half_diagonal - offset
+    # A walk may jump over hidden cells, so open cells can be scattered through a gap that is all but sealed: seal it.
+    component = _components(cells, ~hidden)
+    reached = np.isin(component, np.unique(component[settled == _OPEN]))
+    return cells, hidden | ~reached
+
+
+def _components(cells: Cells, chosen: Bool[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
+    """Label every cell with its component among the chosen ones, connected through faces; the others are alone."""
+    edges = []
+    for _, _, a, b in cells.face_neighbours(chosen):
+        both = chosen[b]
+        edges.append(np.stack([a[both], b[both]]))
+    a, b = np.concatenate(edges, axis=1)
+    graph = scipy.sparse.coo_matrix((np.ones(len(a), dtype=np.int8), (a, b)), shape=(len(chosen), len(chosen)))
+    return scipy.sparse.csgraph.connected_components(graph, directed=False)[1]
 
 
 def _successors(cells: Cells, fate: np.ndarray, d: np.ndarray, gradient: np.ndarray) -> np.ndarray:
