@@ -1,5 +1,7 @@
 """The one-forward, one-reverse formula and the continuation against nested autodiff and closed forms."""
 
+import itertools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,7 +17,7 @@ def random_layers(seed, sizes=(3, 24, 24, 24, 1), dtype=jnp.float64):
     keys = jax.random.split(jax.random.key(seed), 2 * len(sizes))
     weights = [
         jax.random.normal(keys[i], (n_out, n_in)) * np.sqrt(2.0 / n_in)
-        for i, (n_in, n_out) in enumerate(zip(sizes, sizes[1:]))
+        for i, (n_in, n_out) in enumerate(itertools.pairwise(sizes))
     ]
     biases = [0.3 * jax.random.normal(keys[-1 - i], (n,)) for i, n in enumerate(sizes[1:])]
     return mlp.Layers(tuple(w.astype(dtype) for w in weights), tuple(b.astype(dtype) for b in biases))

@@ -24,10 +24,10 @@ class RadialContinuation(eqx.Module):
     Attributes:
         centre: (3,) metres.
         target_radius: ρ_T, a ball about the centre holds the target, metres.
-        domain_radius: ρ_0 > ρ_T: the field is used unchanged up to here, metres.
+        domain_radius: ρ_0 > ρ_T: the field is asked at the point itself up to here, metres.
         outer_radius: ρ_1 > ρ_0: beyond it the point asked lies at the constant radius (ρ_0 + ρ_1)/2, metres.
-        allowance: subtracted from the value beyond ρ_1 (growing smoothly from 0 at ρ_0), metres: what the field itself
-            over-states on the shell.
+        allowance: subtracted from the value from ρ_0 on (growing smoothly from 0 at ρ_T), metres: what the field itself
+            over-states on the shell. It only lowers values, so no bound of the field is broken by it.
 
     """
 
@@ -49,7 +49,23 @@ class RadialContinuation(eqx.Module):
         psi = self.domain_radius + width * (t - t**3 + 0.5 * t**4)
         psi1 = 1.0 - t * t * (3.0 - 2.0 * t)
         psi2 = -6.0 * t * (1.0 - t) / width
-        return outside, away, r, psi, psi1, psi2, t, width
+        return outside, away, r, psi, psi1, psi2
+
+    def _lowering(self, points: Points) -> tuple[Batch, Points, Matrices]:
+        """Return the allowance times a smoothstep from ρ_T to ρ_0, with its gradient and Hessian."""
+        y = points - self.centre
+        beyond = jnp.sum(y * y, axis=-1) > self.target_radius**2
+        away = jnp.where(beyond[:, None], y, jnp.array([1.0, 0.0, 0.0]) * self.target_radius)
+        r = jnp.sqrt(jnp.sum(away * away, axis=-1))
+        width = self.domain_radius - self.target_radius
+        t = jnp.clip((r - self.target_radius) / width, 0.0, 1.0)
+        value = self.allowance * t**3 * (10.0 - 15.0 * t + 6.0 * t * t)
+        first = self.allowance * 30.0 * (t * (1.0 - t)) ** 2 / width
+        second = self.allowance * 60.0 * t * (1.0 - t) * (1.0 - 2.0 * t) / width**2
+        u = away / r[:, None]
+        uu = u[:, :, None] * u[:, None, :]
+        hessian = second[:, None, None] * uu + (first / r)[:, None, None] * (jnp.eye(3) - uu)
+        return value, first[:, None] * u, hessian
 
     def _rise(self, s: Batch) -> Batch:
         """F(s)."""
@@ -68,27 +84,28 @@ class RadialContinuation(eqx.Module):
 
     def value(self, points: Points, value: Batch) -> Batch:
         """Return the continued value, from the field's value at `into_domain(points)`."""
-        outside, _, r, psi, _, _, t, _ = self._radial(points)
-        added = self._rise(r) - self._rise(psi) - self.allowance * t**3 * (10.0 - 15.0 * t + 6.0 * t * t)
-        return value + jnp.where(outside, added, 0.0)
+        outside, _, r, psi, _, _ = self._radial(points)
+        added = self._rise(r) - self._rise(psi)
+        return value + jnp.where(outside, added, 0.0) - self._lowering(points)[0]
 
     def gradient(self, points: Points, gradient: Points) -> Points:
         """Return the continued gradient, from the field's gradient at `into_domain(points)`."""
-        outside, away, r, psi, psi1, _, t, width = self._radial(points)
+        outside, away, r, psi, psi1, _ = self._radial(points)
         u = away / r[:, None]
         radial = jnp.sum(gradient * u, axis=-1)
         rise, _ = self._rise_derivatives(r)
         rise_psi, _ = self._rise_derivatives(psi)
-        added = rise - rise_psi * psi1 - self.allowance * 30.0 * (t * (1.0 - t)) ** 2 / width
+        added = rise - rise_psi * psi1
         tangential = (psi / r)[:, None] * (gradient - radial[:, None] * u)
-        return jnp.where(outside[:, None], tangential + (psi1 * radial + added)[:, None] * u, gradient)
+        continued = jnp.where(outside[:, None], tangential + (psi1 * radial + added)[:, None] * u, gradient)
+        return continued - self._lowering(points)[1]
 
     def hessian(self, points: Points, gradient: Points, hessian: Matrices) -> Matrices:
         """Return the continued Hessian, from the field's gradient and Hessian at `into_domain(points)`.
 
         With q = φ(r) y, φ = ψ/r: Dqᵀ H Dq + φ' (u gᵀ + g uᵀ) + (g·y)(φ'' u uᵀ + (φ'/r)(I - u uᵀ)), and radial terms.
         """
-        outside, away, r, psi, psi1, psi2, t, width = self._radial(points)
+        outside, away, r, psi, psi1, psi2 = self._radial(points)
         u = away / r[:, None]
         uu = u[:, :, None] * u[:, None, :]
         across = jnp.eye(3) - uu
@@ -101,8 +118,7 @@ class RadialContinuation(eqx.Module):
         bend += (radial * r)[:, None, None] * (phi2[:, None, None] * uu + (phi1 / r)[:, None, None] * across)
         rise, rise2 = self._rise_derivatives(r)
         rise_psi, rise2_psi = self._rise_derivatives(psi)
-        first = rise - rise_psi * psi1 - self.allowance * 30.0 * (t * (1.0 - t)) ** 2 / width
+        first = rise - rise_psi * psi1
         second = rise2 - rise2_psi * psi1**2 - rise_psi * psi2
-        second -= self.allowance * 60.0 * t * (1.0 - t) * (1.0 - 2.0 * t) / width**2
         continued = Dq @ hessian @ Dq + bend + second[:, None, None] * uu + (first / r)[:, None, None] * across
-        return jnp.where(outside[:, None, None], continued, hessian)
+        return jnp.where(outside[:, None, None], continued, hessian) - self._lowering(points)[2]
