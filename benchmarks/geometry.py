@@ -126,6 +126,7 @@ def main() -> None:
         "libigl, points/s",
         "difference, m",
         "build, s",
+        "build, cpu s",
     ]
     columns += [
         "build, MB",
