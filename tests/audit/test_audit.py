@@ -12,6 +12,7 @@ from keepout.errors import FlightError
 from keepout.flight.audit import Contact, audit, audit_campaign
 from keepout.flight.outside import proved_outside
 from keepout.flight.tube import FlightBounds, Tube, nearest
+from keepout.geometry.target import Target
 
 MASS = 20.0
 BOUNDS = FlightBounds(
@@ -281,3 +282,16 @@ def test_refusals_name_the_number():
         judged(straight(0.1, 0), Mesh(1.0))
     with pytest.raises(FlightError, match="too coarse"):
         judged(straight(0.1, 10), Mesh(1.0), bounds=FlightBounds(MASS, 0.0, 1.0, 0.0, 0.0))
+
+
+def test_a_real_target_against_dense_sampling():
+    target = Target.load("pocket")
+    top = float(target.vertices[:, 2].max())
+    record = straight(0.1, 120, start=(-6.0, 0.3, top + 0.9))
+    found = judged(record, target, radius=0.5)
+    dense = np.linspace(record.position[0], record.position[-1], 20000)
+    truth = target.distance.distance(dense).min() - 0.5
+    assert found.contact is Contact.NO
+    assert truth - 1.2e-3 <= found.minimum_clearance <= truth + 1e-9
+    record.position[50] = [0.0, 0.0, 0.0]
+    assert judged(record, target, radius=0.5).contact is not Contact.NO

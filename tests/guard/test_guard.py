@@ -52,7 +52,8 @@ def test_an_estimate_that_is_no_number_leaves_the_plan():
 
 
 def test_flags():
-    assert answer(at(5.0, 0, 0), [0, 0, 0], disturbance=jnp.array([0.02, 0, 0]))[2] == GuardFlag.DISTURBANCE
+    assert answer(at(5.0, 0, 0), [0, 0, 0], disturbance=jnp.array([0.0215, 0, 0]))[2] == GuardFlag.DISTURBANCE
+    assert answer(at(5.0, 0, 0), [0, 0, 0], disturbance=jnp.array([0.0142, 0, 0]))[2] == 0
     status = answer(at(2.45, 0, 0), [0, 0, 0])[2]
     assert status & GuardFlag.FIELD
     assert status & 3 == GuardStatus.ESCAPING

@@ -41,7 +41,7 @@ class GuardFlag(IntFlag):
     STATE_JUMP = 4
     """The estimate moved further than force, disturbance bound and estimate errors allow."""
     DISTURBANCE = 8
-    """The disturbance estimate is above the bound assumed."""
+    """The disturbance estimate is above one and a half times what the assumptions let an observer see."""
     FIELD = 16
     """The field is not finite here, or not above the threshold."""
     REGION = 32
@@ -296,7 +296,10 @@ class Guard(eqx.Module):
         return moved | changed
 
     def _too_strong(self, disturbance_estimate: Vector) -> Bool[Array, ""]:
-        return ~(jnp.linalg.norm(disturbance_estimate) <= self.assumptions.disturbance_force * (1.0 + 1e-6) + 1e-12)
+        a = self.assumptions
+        # An observer overshoots, and takes noise and scale errors for a force; `_jumped` is the exact test.
+        seen = a.mass * (a.disturbance - a.drift + 2.0 * a.velocity_error / a.period)
+        return ~(jnp.linalg.norm(disturbance_estimate) <= 1.5 * seen)
 
     def _outside_region(self, position: Vector, velocity: Vector) -> Bool[Array, ""]:
         a = self.assumptions
