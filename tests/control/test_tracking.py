@@ -42,7 +42,7 @@ def tracking(**changes):
 
 
 def rates(velocity_law, layer, position, velocity, error_d):
-    """Return (ḣ₁, h₁, V̇₁, V₁, e_v), the first along the closed loop with e_d decaying at β_e; no drift."""
+    """Return ḣ₁ + β_c h₁ with and without the filter (e_d decaying at β_e), V̇₁ without it, and V₁; no drift."""
     goal = velocity_law.guidance.goal
 
     def values(r, v):
@@ -58,17 +58,19 @@ def rates(velocity_law, layer, position, velocity, error_d):
 
     decay = layer.estimation_weight * layer.estimation_rate * jnp.sum(error_d**2)
     h1 = tracked.backstepping_barrier - 0.5 * layer.estimation_weight * jnp.sum(error_d**2)
-    return along(tracked.control)[0] + decay, h1, along(tracked.reference)[1], tracked.lyapunov
+    margin = decay + layer.barrier_rate * h1
+    without = along(tracked.reference)
+    return along(tracked.control)[0] + margin, without[0] + margin, without[1], tracked.lyapunov
 
 
 def states(count, seed):
     rng = np.random.default_rng(seed)
     direction = rng.normal(size=(count, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    position = direction * rng.uniform(2.3, 5.0, (count, 1))
+    position = direction * rng.uniform(2.3, 3.0, (count, 1))
     return (
         jnp.asarray(position),
-        jnp.asarray(rng.normal(size=(count, 3)) * 0.08),
+        jnp.asarray(rng.normal(size=(count, 3)) * 0.15),
         jnp.asarray(rng.normal(size=(count, 3)) * 0.02),
     )
 
@@ -77,24 +79,23 @@ def states(count, seed):
 def test_safe_set_is_invariant(smoothing):
     """ḣ₁ ≥ −β_c h₁ (paper, theorem safety_backstepping) under any estimation error."""
     position, velocity, error_d = states(1000, 2)
-    velocity_law, layer = law(smoothing), tracking()
-    h1_rate, h1, _, _ = jax.jit(jax.vmap(lambda r, v, e: rates(velocity_law, layer, r, v, e)))(
+    velocity_law, layer = law(smoothing), tracking(gain=0.2)
+    slack, unfiltered, _, _ = jax.jit(jax.vmap(lambda r, v, e: rates(velocity_law, layer, r, v, e)))(
         position, velocity, error_d
     )
-    slack = np.asarray(h1_rate + 0.5 * h1)
     assert np.min(slack) > -1e-9
     # The filter must have had work to do: without it many of these states would break the inequality.
-    assert np.mean(slack < 1e-3) > 0.05
+    assert np.mean(np.asarray(unfiltered) < 0.0) > 0.05
 
 
 def test_invariance_needs_the_observer_to_outpace_the_filter():
     """With 2β_e < β_c, as printed, the inequality fails for some states."""
     position, velocity, error_d = states(1000, 2)
     velocity_law, layer = law(), tracking(estimation_rate=0.1)
-    h1_rate, h1, _, _ = jax.jit(jax.vmap(lambda r, v, e: rates(velocity_law, layer, r, v, 5.0 * e)))(
+    slack, _, _, _ = jax.jit(jax.vmap(lambda r, v, e: rates(velocity_law, layer, r, v, 5.0 * e)))(
         position, velocity, error_d
     )
-    assert np.min(np.asarray(h1_rate + 0.5 * h1)) < -1e-3
+    assert np.min(slack) < -1e-3
 
 
 def test_lyapunov_function_falls_where_the_desired_velocity_is_safe():
