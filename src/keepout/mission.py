@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -13,6 +14,8 @@ from keepout.control import profiles
 from keepout.control.controller import Controller, ControlStatus
 from keepout.control.guard import Guard, GuardStatus
 from keepout.errors import FieldError, ScenarioError
+from keepout.fields.grid_build import build_grid
+from keepout.fields.grid_certificate import certify_grid
 from keepout.fields.model import Certificate, FieldModel
 from keepout.fields.shipped import load_shipped, shipped_names
 from keepout.flight import loop
@@ -20,6 +23,7 @@ from keepout.flight.audit import Audit, Contact, audit
 from keepout.flight.outcome import FlightOutcome, outcome
 from keepout.flight.record import FlightRecord
 from keepout.flight.setup import FlightSetup
+from keepout.geometry.offset_solid import OffsetSolid
 from keepout.geometry.target import Target
 from keepout.motion import MotionState, RelativeMotion
 from keepout.progress import Progress, silent
@@ -142,8 +146,14 @@ def prepare(
     certificate = model.certificate(scenario.chaser.radius)
     _refuse_contact(scenario, target)
     motion = environment.relative_motion(scenario)
-    controller = _controller(scenario, model, certificate, motion, progress)
-    guard = _guard(scenario, model, certificate, target) if scenario.guard.enabled else None
+    controller = _controller(
+        scenario, model, certificate, motion, lambda fraction, message: progress(0.6 * fraction, message)
+    )
+    initial = motion.initial_state(np.asarray(scenario.start.position), np.asarray(scenario.start.velocity))
+    guard = None
+    if scenario.guard.enabled:
+        guard = _guard(scenario, target, model, lambda fraction, message: progress(0.6 + 0.4 * fraction, message))
+        guard.require(initial, jnp.asarray(scenario.goal.position))
     setup = FlightSetup(
         motion=motion,
         disturbance=environment.disturbance(scenario),
@@ -156,7 +166,6 @@ def prepare(
         field=model.field,
         tolerance=scenario.goal.tolerance,
     )
-    initial = motion.initial_state(np.asarray(scenario.start.position), np.asarray(scenario.start.velocity))
     return Mission(scenario, target, model, certificate, setup, initial)
 
 
@@ -264,11 +273,24 @@ def _controller(
     )
 
 
-def _guard(scenario: Scenario, model: FieldModel, certificate: Certificate, target: Target) -> Guard:
-    """Build the guard on the certified field, with the scenario's numbers as its assumptions."""
+def _guard(scenario: Scenario, target: Target, model: FieldModel, progress: Progress) -> Guard:
+    """Build the guard, with the scenario's numbers as its assumptions and a field of its own.
+
+    That field is a spline of exact distances whose error and gradient bounds are proved, not the learned one: an error
+    in one is not an error in the other. Its spacing is 0.1 m, coarser on targets above 40 m to keep it small.
+    """
+    radius = scenario.chaser.radius
+    size = float(np.ptp(target.vertices, axis=0).max())
+    closing = float(model.training.get("closing_radius", 0.25))
+    progress(0.0, "guard: offset solid")
+    solid = OffsetSolid.build(target.distance, offset=model.offset, closing_radius=closing)
+    progress(0.4, "guard: grid field")
+    grid = build_grid(target, spacing=max(0.1, size / 400.0), band=radius + 0.3, solid=solid)
+    progress(0.8, "guard: certificate")
+    certificate = certify_grid(grid, target, chaser_radius=radius).certificate(radius)
     return Guard(
-        field=model.field,
-        threshold=certificate.error_bound + scenario.chaser.radius,
+        field=grid.field,
+        threshold=certificate.error_bound + radius,
         lipschitz=certificate.gradient_bound,
         assumptions=environment.guard_assumptions(scenario, target),
     )
