@@ -181,8 +181,8 @@ def _bound_on_contact(
         worst = float(upper.max()) - radius
         progress(0.1 + 0.6 * min(1.0, seen / 400_000), f"{int(open_.sum())} elements open, bound so far {worst:+.4f} m")
         frontier = _split(frontier[open_], distance, radius)
-    gradient_slack = 4.0 * normalisation  # ‖∇f̃‖ is a few at most
-    return settled + gradient_slack, evaluation
+    lipschitz = float(np.prod([np.linalg.norm(W) for W in network.weights]))  # σ' ≤ 1; Frobenius exceeds spectral
+    return settled + lipschitz * normalisation, evaluation
 
 
 def _cover(distance: ExactDistance, radius: float) -> Float[np.ndarray, "m k 3"]:
