@@ -146,7 +146,10 @@ def law_for(name, target, model):
         speed_limit=0.1,
         period=1.0,
         disturbance_bound=BOUND,
-        bounds=(target.vertices.min(axis=0) - 6.0, target.vertices.max(axis=0) + 6.0),
+        bounds=(
+            np.minimum(target.vertices.min(axis=0) - 6.0, np.asarray(GOALS[name]) - 3.0),
+            np.maximum(target.vertices.max(axis=0) + 6.0, np.asarray(GOALS[name]) + 3.0),
+        ),
     )
 
 

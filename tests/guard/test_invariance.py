@@ -102,13 +102,19 @@ def deepest(
 @pytest.mark.parametrize(
     ("changes", "errors", "gain"),
     [
-        ({"delay": 1}, (0.0, 0.0), 0.0),
-        ({"delay": 3}, (0.0, 0.0), 0.0),
-        ({"position_error": 0.01, "velocity_error": 5e-4}, (0.01, 5e-4), 0.0),
-        ({"gain_error": 0.05}, (0.0, 0.0), 0.05),
-        ({"delay": 2, "position_error": 0.005, "velocity_error": 2e-4, "gain_error": 0.02}, (0.005, 2e-4), 0.02),
+        pytest.param({"delay": 1}, (0.0, 0.0), 0.0, id="delay 1", marks=pytest.mark.slow),
+        pytest.param({"delay": 3}, (0.0, 0.0), 0.0, id="delay 3", marks=pytest.mark.slow),
+        pytest.param(
+            {"position_error": 0.01, "velocity_error": 5e-4}, (0.01, 5e-4), 0.0, id="estimate", marks=pytest.mark.slow
+        ),
+        pytest.param({"gain_error": 0.05}, (0.0, 0.0), 0.05, id="gain", marks=pytest.mark.slow),
+        pytest.param(
+            {"delay": 2, "position_error": 0.005, "velocity_error": 2e-4, "gain_error": 0.02},
+            (0.005, 2e-4),
+            0.02,
+            id="all",
+        ),
     ],
-    ids=["delay 1", "delay 3", "estimate", "gain", "all"],
 )
 @pytest.mark.parametrize("world", ["union"])
 def test_delay_estimate_and_gain_errors_within_their_bounds(changes, errors, gain, world):
