@@ -10,8 +10,13 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from keepout.report.style import COLOURS, TARGET_COLOUR, figure
 
-FOUR_VIEWS = {"front": (0.0, 0.0), "side": (0.0, -90.0), "top": (90.0, -90.0), "oblique": (25.0, -55.0)}
-"""Elevation and azimuth in degrees."""
+FOUR_VIEWS = {
+    "front": (0.0, 0.0, "x"),
+    "side": (0.0, -90.0, "y"),
+    "top": (90.0, -90.0, "z"),
+    "oblique": (25.0, -55.0, None),
+}
+"""Elevation and azimuth in degrees, and the axis that is looked along, if it is one."""
 
 _LIGHT = np.array([0.35, -0.6, 0.72])
 
@@ -21,13 +26,14 @@ def draw_target(
 ) -> None:
     """Draw four shaded views of a mesh (body frame, m) into one PNG."""
     with figure(path, width=11.0, height=8.0) as drawing:
-        for place, (view, (elevation, azimuth)) in enumerate(FOUR_VIEWS.items(), start=1):
+        for place, (view, (elevation, azimuth, depth)) in enumerate(FOUR_VIEWS.items(), start=1):
             axes = drawing.add_subplot(2, 2, place, projection="3d")
             assert isinstance(axes, Axes3D)
             _shade(axes, vertices, faces)
-            flat = view != "oblique"
-            _frame(axes, [vertices], zoom=1.25 if flat else 1.1)
-            axes.set_proj_type("ortho" if flat else "persp")
+            _frame(axes, [vertices], zoom=1.1 if depth is None else 1.25)
+            axes.set_proj_type("persp" if depth is None else "ortho")
+            if depth is not None:
+                axes.set(**{f"{depth}ticks": [], f"{depth}label": ""})
             axes.view_init(elevation, azimuth)
             axes.set_title(f"{name}, {view}")
 
