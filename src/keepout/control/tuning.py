@@ -96,7 +96,8 @@ def tune(
         speed_reserve=0.1,
         nominal_offset=max(0.12, 1.2 * speed_limit * period),
         observer_gain=observer_gain,
-        sharpness=1.0,
+        # At full velocity error and 0.1 m of barrier the filter's exponential is exp(-20): it acts only where it must.
+        sharpness=20.0 * (speed_limit / (2.0 * mass * authority)) ** 2 / (0.05 * gain),
         speed_limit=speed_limit,
         honoured_speed=honoured,
     )
