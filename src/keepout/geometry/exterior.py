@@ -60,7 +60,8 @@ def hidden_cells(
         holder = lake.locate(centres)
         settled = free[holder] & (lake.level[holder] <= level)
         d, gradient = distance.distance_and_gradient(centres)
-        fate = np.where(settled, np.where(flooded[holder], _OPEN, _HIDDEN), _UNDECIDED).astype(np.int8)
+        # A centre in free space speaks for its cell, even where the flood's own cells are finer.
+        fate = np.where(free[holder], np.where(flooded[holder], _OPEN, _HIDDEN), _UNDECIDED).astype(np.int8)
         return ~settled & (d <= half_width * SQRT3), (fate, d, gradient.astype(np.float32))
 
     cells, (fate, d, gradient) = refine(lake.origin, lake.side, depth, visit)
