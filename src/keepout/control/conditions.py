@@ -1,5 +1,6 @@
 """The design conditions of the control law, each with its number, its limit and whether it holds."""
 
+import dataclasses
 from typing import TYPE_CHECKING, NamedTuple
 
 import equinox as eqx
@@ -117,7 +118,9 @@ def conditions(
     hold = mass * float(jnp.linalg.norm(controller.motion.drift_acceleration(rest))) + disturbance_bound
     add("hold at the goal", "m |drift(goal)| + d_max <= F_max, N", hold, force, hold <= force)
     if start is not None:
-        point, _ = eqx.filter_jit(lambda f, r: f(r, jnp.zeros(3), jnp.zeros(3)))(law, jnp.asarray(start, dtype=float))
+        # Only v_s is needed here, and its Jacobian is most of the time to compile.
+        plain = dataclasses.replace(law, differentiate=False)
+        point, _ = eqx.filter_jit(lambda f, r: f(r, jnp.zeros(3), jnp.zeros(3)))(plain, jnp.asarray(start, dtype=float))
         square = float(jnp.sum(point.velocity**2))
         h1 = float(point.barrier) - square / (2.0 * float(tracking.barrier_ratio))
         h1 -= 0.5 * float(tracking.estimation_weight) * disturbance_bound**2

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -12,6 +11,7 @@ from scipy import ndimage
 from keepout.control.fast_marching import travel_time, widest_way
 from keepout.control.guidance import GeodesicGuidance
 from keepout.errors import ControlError
+from keepout.fields.evaluate import values as field_values
 from keepout.fields.field import Field
 from keepout.progress import Progress, silent
 
@@ -109,20 +109,16 @@ class BarrierGrid:
 
 
 class _Sampler:
-    """h at many points, in chunks of one size so that the field is compiled once."""
+    """h at many points, with progress."""
 
     def __init__(self, field: Field, offset: float):
         self._field, self._offset = field, offset
-        self._value = eqx.filter_jit(lambda f, p: f.value(p))
 
     def __call__(self, points: np.ndarray, progress) -> np.ndarray:
         result = np.empty(len(points))
-        chunk = min(_CHUNK, max(64, 1 << (max(len(points), 1) - 1).bit_length()))
-        for first in range(0, len(points), chunk):
-            part = points[first : first + chunk]
-            padded = np.concatenate([part, np.zeros((chunk - len(part), 3))])
-            result[first : first + chunk] = np.asarray(self._value(self._field, jnp.asarray(padded)))[: len(part)]
-            progress(min(1.0, (first + chunk) / len(points)))
+        for first in range(0, len(points), _CHUNK):
+            result[first : first + _CHUNK] = field_values(self._field, points[first : first + _CHUNK])
+            progress(min(1.0, (first + _CHUNK) / len(points)))
         return result - self._offset
 
 
@@ -216,7 +212,7 @@ def require_free(field: Field, offset: float, position: Float[np.ndarray, "3"], 
         ControlError: it lies inside; the message says by how much.
 
     """
-    barrier = float(field.value(jnp.asarray(position, dtype=float))) - offset
+    barrier = float(field_values(field, np.asarray(position, dtype=float)[None])[0]) - offset
     if not barrier > 0.0:
         raise ControlError(
             f"{name}: {np.asarray(position).tolist()} m lies {-barrier:.3g} m inside the keep-out zone "

@@ -12,10 +12,12 @@ from enum import IntEnum, IntFlag
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from keepout.control.braking import BrakingDesign, GuardAssumptions, design
 from keepout.errors import ControlError
+from keepout.fields.evaluate import values
 from keepout.fields.field import Field
 from keepout.motion.relative import MotionState
 
@@ -210,16 +212,17 @@ class Guard(eqx.Module):
             if away > self.assumptions.range_limit:
                 limit = self.assumptions.range_limit
                 raise ControlError(f"guard: {name} needs a range of {away:.3f} m; range_limit is {limit} m")
-        value = float(self.field.value(start.position))
+        here, there = values(self.field, np.stack([np.asarray(start.position), np.asarray(goal)]))
+        value = float(here)
         if not value > 0.0:
             raise ControlError(f"guard: the field is {value:.3f} m at the start: inside the target; it must be above 0")
-        value = float(self.field.value(goal))
+        value = float(there)
         if not value > self.least_value:
             raise ControlError(
                 f"guard: the field is {value:.3f} m at the goal; the guard lets the chaser rest only above "
                 f"{self.least_value:.3f} m (threshold {self.threshold:.3f} m and tube)"
             )
-        return bool(self.certified(start))
+        return bool(eqx.filter_jit(lambda guard, state: guard.certified(state))(self, start))
 
     @property
     def _plan_radius(self) -> float:

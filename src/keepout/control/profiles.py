@@ -5,7 +5,6 @@ import warnings
 from collections.abc import Sequence
 from typing import Any, Literal
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -26,6 +25,7 @@ from keepout.control.tracking import Tracking
 from keepout.control.tuning import Tuning, tune
 from keepout.control.velocity import ClassK, SafeVelocity, SpeedCone
 from keepout.errors import ControlError
+from keepout.fields.evaluate import values
 from keepout.fields.field import Field
 from keepout.motion.relative import RelativeMotion
 from keepout.progress import Progress, silent
@@ -84,7 +84,6 @@ def _bounds(field: Field, offset: float, goal: np.ndarray, start: np.ndarray | N
     """
     points = np.stack([goal, np.zeros(3)] + ([] if start is None else [start]))
     lower, upper = points.min(axis=0) - 2.0, points.max(axis=0) + 2.0
-    value = eqx.filter_jit(lambda f, p: f.value(p))
     fractions = np.linspace(0.0, 1.0, 33)
     for _ in range(60):
         grown = False
@@ -96,7 +95,7 @@ def _bounds(field: Field, offset: float, goal: np.ndarray, start: np.ndarray | N
                 face[:, other] = lower[other] + fraction.ravel() * (upper[other] - lower[other])
             for side, edge in ((-1.0, lower), (1.0, upper)):
                 face[:, axis] = edge[axis]
-                gap = float(np.min(np.asarray(value(field, jnp.asarray(face))))) - offset
+                gap = float(np.min(values(field, face))) - offset
                 spread = 0.5 * float(np.hypot(*(upper[o] - lower[o] for o in others))) / 32.0
                 if gap < 1.5 + spread:
                     edge[axis] += side * max(1.0, 1.5 + spread - gap)
