@@ -2,6 +2,7 @@
 
 import json
 import sys
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
@@ -211,8 +212,13 @@ def reproduce(
         Console().print(f"open [bold]{out / 'index.html'}[/bold]; figures and flights stand beside it")
 
 
+def _show_warning(message: Warning | str, *_: Any) -> None:
+    sys.stderr.write(f"keepout: warning: {message}\n")
+
+
 def main() -> None:
-    """Run the command line: a refusal is one line on standard error and a non-zero exit."""
+    """Run the command line: a refusal is one line on standard error and a non-zero exit, a warning is one line."""
+    warnings.showwarning = _show_warning
     try:
         code = app(standalone_mode=False, prog_name="keepout")
     except KeepoutError as error:

@@ -51,7 +51,8 @@ class Mission:
 class Flight:
     """One flown scenario: what was recorded, what became of it, and the audit on the exact mesh.
 
-    `clearance` is the distance from the chaser's surface to the mesh at every recorded sample, m.
+    `clearance` is the distance from the chaser's surface to the mesh at every recorded sample, m; `violated_conditions`
+    are the design conditions that the law does not meet, each with its numbers.
     """
 
     scenario: Scenario
@@ -60,6 +61,7 @@ class Flight:
     outcome: FlightOutcome
     audit: Audit
     clearance: Float[np.ndarray, "samples"]
+    violated_conditions: tuple[str, ...] = ()
 
     def summary(self) -> dict[str, Any]:
         """Give the flight's figures as plain numbers for JSON.
@@ -86,6 +88,7 @@ class Flight:
                 layer: {status.name.lower(): int(counts[layer][status]) for status in kind if counts[layer][status]}
                 for layer, kind in legend.items()
             },
+            "violated_conditions": list(self.violated_conditions),
             "remarks": list(self.audit.remarks),
         }
 
@@ -223,7 +226,8 @@ def fly(
     )
     clearance = mission.target.distance.distance(record.position) - scenario.chaser.radius
     progress(1.0, "")
-    return Flight(scenario, mission.target, record, result, verdict, clearance)
+    violated = tuple(str(c) for c in mission.setup.controller.conditions if not c.satisfied)
+    return Flight(scenario, mission.target, record, result, verdict, clearance, violated)
 
 
 def _require_same_target(model: FieldModel, target: Target) -> None:

@@ -26,8 +26,9 @@ from keepout.control.program import (
 )
 
 _EDGE = 1e-9
-_OPTIMAL = 1e-9
-_POLISH_STEPS = 12
+_OPTIMAL = 1e-5
+"""Newton decrement of objective/τ, self-concordant: every slack is then known to about this share of itself."""
+_POLISH_STEPS = 24
 
 
 class _Point(NamedTuple):
@@ -65,17 +66,18 @@ def _solve(program: VelocityProgram, weight: Float[Array, ""]) -> _Point:
     iterate = interior_point.solve(conic, complementarity=tau)
     x = iterate.point
 
-    def newton(_: Int[Array, ""], x: Float[Array, " n"]) -> Float[Array, " n"]:
+    def newton(_: int | Int[Array, ""], at: tuple[Array, Array]) -> tuple[Array, Array]:
+        x, _ = at
         gradient = _gradient(conic, tau, x)
         step = eliminate(jax.jacfwd(lambda y: _gradient(conic, tau, y))(x), gradient[:, None])[:, 0]
         # Objective over τ is self-concordant: this damping keeps every step inside (Boyd & Vandenberghe, section 9.6).
         decrement = jnp.sqrt(jnp.maximum(jnp.sum(step * gradient), 0.0) / tau)
-        return x - jnp.where(decrement > 0.25, 1.0 / (1.0 + decrement), 1.0) * step
+        return x - jnp.where(decrement > 0.25, 1.0 / (1.0 + decrement), 1.0) * step, decrement
 
-    x = jax.lax.fori_loop(0, _POLISH_STEPS, newton, x)
+    x, decrement = jax.lax.fori_loop(0, _POLISH_STEPS, newton, (x, jnp.asarray(jnp.inf)))
     slack = conic.cone_offsets + jnp.sum(conic.cones * x, axis=-1)
     inside = jnp.min(slack[:, 0] - jnp.sqrt(jnp.sum(slack[:, 1:] ** 2, axis=-1))) > 0.0
-    good = inside & (jnp.max(jnp.abs(_gradient(conic, tau, x))) <= _OPTIMAL)
+    good = inside & (decrement <= _OPTIMAL)
     x = jnp.where(good, x, iterate.point)
     velocity = jnp.where(finite, jnp.where(escaping, escape, x[:3]), 0.0)
     status = jnp.where(good | escaping, ConeStatus.SOLVED, ConeStatus.STALLED)

@@ -145,6 +145,10 @@ def _write_whole(path: Path, content: bytes) -> None:
             stream.write(content)
             stream.flush()
             os.fsync(stream.fileno())
+        # A temporary file is private; the finished one has the permissions any new file here would have.
+        mask = os.umask(0)
+        os.umask(mask)
+        os.chmod(temporary, 0o666 & ~mask)
         os.replace(temporary, path)
     except OSError as error:
         raise FlightError(f"{path}: cannot be written: {error.strerror}") from error
