@@ -1,4 +1,4 @@
-"""The paper's Case 1 (section VI.C.1), local-minimum confirmation, and the recommended law on the same mission."""
+"""The paper's Case 1 (section VI.C.1) without and with circulation, and the recommended law on the same mission."""
 
 import json
 from pathlib import Path
@@ -47,7 +47,9 @@ def reproduce_case1(out: Path, *, seed: int = 0, progress: Progress = silent) ->
 
         flights[law] = fly(scenario, target=target, progress=part)
     progress(len(scenarios) / (len(scenarios) + 1), "figures")
-    summaries = write_flights(out, flights, title="Case 1: out of a local minimum", introduction=INTRODUCTION)
+    summaries = write_flights(
+        out, flights, title="Case 1 of the paper, under three control laws", introduction=INTRODUCTION
+    )
     (out / "summary.json").write_text(json.dumps(summaries, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     progress(1.0, "")
     return summaries

@@ -54,4 +54,4 @@ def draw_motion(path: Path, flight: Flight, *, name: str) -> None:
         force.set(ylabel="N", title="applied force")
         disturbance.set(ylabel="N", xlabel="time s", title="disturbance, and its estimate (dashed)")
         for axes in (velocity, force, disturbance):
-            axes.legend(fontsize=8, ncols=4)
+            axes.legend(fontsize=8, ncols=4, loc="upper right")

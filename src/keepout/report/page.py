@@ -114,7 +114,8 @@ def _replay(
     step = {"frame": {"duration": 40, "redraw": True}, "fromcurrent": True, "transition": {"duration": 0}}
     drawing.update_layout(
         height=640,
-        margin={"l": 0, "r": 0, "t": 0, "b": 0},
+        margin={"l": 0, "r": 0, "t": 0, "b": 40},
+        legend={"x": 0.0, "y": 1.0},
         scene={"aspectmode": "data", "xaxis_title": "x m", "yaxis_title": "y m", "zaxis_title": "z m"},
         updatemenus=[
             {

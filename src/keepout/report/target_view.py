@@ -63,7 +63,7 @@ def draw_paths(
                 label="goal",
                 zorder=12,
             )
-            _frame(axes, [vertices, *paths.values(), np.asarray([goal])], zoom=0.92)
+            _frame(axes, [vertices, *paths.values(), np.asarray([goal])], zoom=0.85)
             axes.view_init(elevation, azimuth)
             if place == 1:
                 axes.legend(loc="upper left")
