@@ -1,10 +1,9 @@
 """Which cells around a target can be reached from outside, by flooding and by walking up the distance."""
 
 import numpy as np
-import scipy.sparse
-import scipy.sparse.csgraph
 from jaxtyping import Bool, Float, Int
 
+from keepout.geometry import cell_tree
 from keepout.geometry.distance import Distance, Points
 from keepout.geometry.octree import SQRT3, Cells, refine
 from keepout.progress import Progress
@@ -31,11 +30,10 @@ def flood(
         d, reach = distance.distance(centres), half_width * SQRT3
         return (d - reach <= radius) & (d + reach > radius), (d - reach > radius,)
 
-    cells, (free,) = refine(origin, side, depth, visit)
-    component = _components(cells, free)
-    last = (1 << cells.level.astype(np.int64)) - 1
-    outer = free & ((cells.index == 0) | (cells.index == last[:, None])).any(axis=1)
-    return cells, free, free & np.isin(component, np.unique(component[outer]))
+    cells, (free,) = refine(origin, side, depth, visit, 1)
+    last = (1 << cells.level.astype(np.int32)) - 1
+    outer = (cells.index == 0).any(axis=1) | (cells.index == last[:, None]).any(axis=1)
+    return cells, free, cells.connected(free, outer)
 
 
 def hidden_cells(
@@ -64,63 +62,39 @@ def hidden_cells(
         fate = np.where(free[holder], np.where(flooded[holder], _OPEN, _HIDDEN), _UNDECIDED).astype(np.int8)
         return ~settled & (d <= half_width * SQRT3), (fate, d, gradient.astype(np.float32))
 
-    cells, (fate, d, gradient) = refine(lake.origin, lake.side, depth, visit)
-    settled = fate
-    successor = _successors(cells, fate, d, gradient)
-    while True:
-        further = successor[successor]
-        if (further == successor).all():
-            break
-        successor = further
-    fate = fate[successor]
-    ends = np.flatnonzero((successor == np.arange(len(d))) & (fate == _UNDECIDED))
-    fate[ends] = _walk(distance, cells, fate, d, ends)
-    hidden = fate[successor] != _OPEN
+    cells, (fate, d, gradient) = refine(lake.origin, lake.side, depth, visit, 3)
+    settled_open = fate == _OPEN
+    undecided = fate == _UNDECIDED
+    end = cell_tree.ends_of_walks(
+        cells.child, depth, cells.index, cells.level, undecided, d, gradient, cells.unit, np.array(_JUMPS)
+    )
+    fate = fate[end]
+    ends = np.flatnonzero((fate == _UNDECIDED) & (end == np.arange(len(d), dtype=np.int32)))
+    fate[ends] = _walk(distance, cells, fate, d, end, ends)
+    hidden = fate[end] != _OPEN
     # In a cell of half-diagonal ρ > offset a point p with d(p) > offset could lie past a surface from the centre q, but
     # only if |p - q| > offset + d(q).
     hidden |= d < cells.half_diagonal - offset
     # A walk may jump over hidden cells, so open cells can be scattered through a gap that is all but sealed: seal it.
-    component = _components(cells, ~hidden)
-    reached = np.isin(component, np.unique(component[settled == _OPEN]))
-    return cells, hidden | ~reached
-
-
-def _components(cells: Cells, chosen: Bool[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-    """Label every cell with its component among the chosen ones, connected through faces; the others are alone."""
-    edges = []
-    for _, _, a, b in cells.face_neighbours(chosen):
-        both = chosen[b]
-        edges.append(np.stack([a[both], b[both]]))
-    a, b = np.concatenate(edges, axis=1)
-    graph = scipy.sparse.coo_matrix((np.ones(len(a), dtype=np.int8), (a, b)), shape=(len(chosen), len(chosen)))
-    return scipy.sparse.csgraph.connected_components(graph, directed=False)[1]
-
-
-def _successors(cells: Cells, fate: np.ndarray, d: np.ndarray, gradient: np.ndarray) -> np.ndarray:
-    """For each undecided cell another one up the distance that its centre sees past no surface; otherwise itself."""
-    successor = np.arange(len(d))
-    open_ends = np.flatnonzero((fate == _UNDECIDED) & (d > 0.0))
-    for jump in _JUMPS:
-        start = cells.at(open_ends)
-        step = jump * np.maximum(d[open_ends], 2.0 * cells.half_width[open_ends])
-        there = cells.locate(start + step[:, None] * gradient[open_ends])
-        apart = np.linalg.norm(cells.at(there) - start, axis=1)
-        # Both centres lie in the ball of free space round one of them, so no surface is between them.
-        seen = (there >= 0) & (d[there] > d[open_ends]) & (apart < np.maximum(d[there], d[open_ends]))
-        successor[open_ends[seen]] = there[seen]
-        open_ends = open_ends[~seen]
-    return successor
+    return cells, ~cells.connected(~hidden, settled_open)
 
 
 def _walk(
-    distance: Distance, cells: Cells, fate: Int[np.ndarray, "m"], d: Float[np.ndarray, "m"], ends: Int[np.ndarray, "k"]
+    distance: Distance,
+    cells: Cells,
+    fate: Int[np.ndarray, "m"],
+    d: Float[np.ndarray, "m"],
+    end: Int[np.ndarray, "m"],
+    ends: Int[np.ndarray, "k"],
 ) -> Int[np.ndarray, "k"]:
     """Walk up the distance from the centres of some cells, by exact steps, until a cell of known fate; hidden if none.
 
-    Each step stays in the ball of free space round the last point. A walk that climbs less than 2 % in six steps is in
-    a gap to be sealed; single steps may climb less, where they cross from the one wall of a corner to the other.
+    Each step stays in the ball of free space round the last point. A walk that comes to a cell whose own walk ends
+    higher than it began joins that one. A walk that climbs less than 2 % in six steps is in a gap to be sealed; single
+    steps may climb less, where they cross from the one wall of a corner to the other.
     """
     verdict = np.full(len(ends), _HIDDEN, dtype=np.int8)
+    joined = ends.copy()
     active = np.flatnonzero(d[ends] > 0.0)
     p = cells.at(ends[active])
     here, gradient = distance.distance_and_gradient(p)
@@ -138,7 +112,12 @@ def _walk(
         seen = np.linalg.norm(p - cells.at(holder), axis=1) < np.maximum(here, d[holder])
         found = np.where(holder < 0, _OPEN, np.where(seen, fate[holder], _UNDECIDED))
         verdict[active[found != _UNDECIDED]] = found[found != _UNDECIDED]
-        open_ended = found == _UNDECIDED
-        active, p, before = active[open_ended], p[open_ended], before[open_ended]
-        here, gradient = here[open_ended], gradient[open_ended]
-    return verdict
+        higher = seen & (found == _UNDECIDED) & (holder >= 0) & (d[end[holder]] > d[ends[active]])
+        joined[active[higher]] = end[holder[higher]]
+        going = (found == _UNDECIDED) & ~higher
+        active, p, before, here, gradient = active[going], p[going], before[going], here[going], gradient[going]
+    # Joined walks begin ever higher, so following them ends.
+    place = np.searchsorted(ends, joined)
+    while (place[place] != place).any():
+        place = place[place]
+    return verdict[place]

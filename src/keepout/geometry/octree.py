@@ -1,30 +1,30 @@
 """Linear octrees over a cube: cells refined level by level, a block of cells at once."""
 
-from collections.abc import Callable, Iterator
+import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from keepout.errors import MeshError
+from keepout.geometry import cell_tree
 from keepout.geometry.distance import Distance
 
 SQRT3 = float(np.sqrt(3.0))
 DEEPEST_LEVEL = 20  # three interleaved coordinates of 20 bits fit a signed 64-bit code
-_BLOCK = 1 << 18
+_BLOCK = 1 << 16
 """Cells at once: bounds the memory of a level."""
 _CORNERS = np.array([(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)], dtype=np.int64)
 
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Terminal cells of an octree over a cube, in Morton order, so that a point is located by binary search."""
+    """Terminal cells of an octree over a cube, in Morton order."""
 
     origin: Float[np.ndarray, "3"]
     side: float
     depth: int
-    code: Int[np.ndarray, "n"]
-    """Morton code of each cell's lowest corner on the grid of the deepest level."""
     level: Int[np.ndarray, "n"]
     index: Int[np.ndarray, "n 3"]
     """Integer position at the cell's own level."""
@@ -33,11 +33,6 @@ class Cells:
     def half_width(self) -> Float[np.ndarray, "n"]:
         """Half the side of each cell, metres."""
         return 0.5 * self.side * 0.5 ** self.level.astype(np.float64)
-
-    @property
-    def centre(self) -> Float[np.ndarray, "n 3"]:
-        """Centres, metres."""
-        return self.origin + (2.0 * self.index + 1.0) * self.half_width[:, None]
 
     @property
     def half_diagonal(self) -> Float[np.ndarray, "n"]:
@@ -51,29 +46,25 @@ class Cells:
 
     def locate(self, points: Float[np.ndarray, "m 3"]) -> Int[np.ndarray, "m"]:
         """Find the cell that holds each point, or -1 outside the cube."""
-        scaled = np.floor((points - self.origin) * (2.0**self.depth / self.side))
-        inside = ((scaled >= 0) & (scaled < 2**self.depth)).all(axis=1)
-        found = np.full(len(points), -1, dtype=np.int64)
-        found[inside] = self.locate_grid(scaled[inside].astype(np.int64))
-        return found
+        return cell_tree.locate(self.child, self.depth, self.scaled(points))
 
-    def locate_grid(self, grid: Int[np.ndarray, "m 3"]) -> Int[np.ndarray, "m"]:
-        """Find the cell that holds each integer position of the deepest level; positions must lie in the cube."""
-        return np.searchsorted(self.code, morton(grid), side="right") - 1
+    def scaled(self, points: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m 3"]:
+        """Express points from the cube's lowest corner, in sides of the deepest level's cells."""
+        return (points - self.origin) / self.unit
 
-    def face_neighbours(self, wanted: Bool[np.ndarray, "n"]) -> Iterator[tuple[int, int, np.ndarray, np.ndarray]]:
-        """For each face (axis, step): wanted cells, and the cell of equal or larger size across that face of each."""
-        chosen = np.flatnonzero(wanted)
-        size = 1 << (self.depth - self.level[chosen].astype(np.int64))
-        low = self.index[chosen] * size[:, None]
-        for axis in range(3):
-            for step in (-1, 1):
-                across = low.copy()
-                across[:, axis] += size if step > 0 else -1
-                inside = (across[:, axis] >= 0) & (across[:, axis] < 2**self.depth)
-                a, b = chosen[inside], self.locate_grid(across[inside])
-                larger = self.level[b] <= self.level[a]
-                yield axis, step, a[larger], b[larger]
+    @property
+    def unit(self) -> float:
+        """Side of the deepest level's cells, metres."""
+        return self.side / 2.0**self.depth
+
+    @functools.cached_property
+    def child(self) -> cell_tree.Child:
+        """Children of the nodes above the cells; see `cell_tree.build`."""
+        return cell_tree.build(self.level)
+
+    def connected(self, chosen: Bool[np.ndarray, "n"], seeds: Bool[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
+        """Chosen cells connected to a chosen seed through faces of chosen cells."""
+        return cell_tree.connected(self.child, self.depth, self.index, self.level, chosen, seeds)
 
 
 def morton(index: Int[np.ndarray, "n 3"]) -> Int[np.ndarray, "n"]:
@@ -100,6 +91,7 @@ def refine(
     side: float,
     depth: int,
     visit: Callable[[Float[np.ndarray, "n 3"], float, int], tuple[Bool[np.ndarray, "n"], tuple[np.ndarray, ...]]],
+    rows: int,
 ) -> tuple[Cells, tuple[np.ndarray, ...]]:
     """Split the cube until `visit` says no or a cell is `depth` halvings deep.
 
@@ -108,7 +100,8 @@ def refine(
         side: of the cube, metres.
         depth: of the smallest cells.
         visit: called for every level with blocks of its cells as `visit(centres, half_width, level)`; answers which of
-            them to split (disregarded at `depth`) and any arrays of figures, one row a cell.
+            them to split (disregarded at `depth`) and arrays of figures, one row a cell.
+        rows: how many arrays of figures `visit` answers.
 
     Returns:
         The terminal cells, and the figures of each.
@@ -120,7 +113,8 @@ def refine(
     if depth > DEEPEST_LEVEL:
         raise MeshError(f"octree: {depth} levels asked; a leaf of at least 1e-6 of the target's size needs 20 or fewer")
     index = np.zeros((1, 3), dtype=np.int32)
-    codes, levels, indices, figures = [], [], [], []
+    codes, levels, indices = [], [], []
+    figures: list[list[np.ndarray]] = [[] for _ in range(rows)]
     for level in range(depth + 1):
         half_width = 0.5 * side / 2**level
         children = []
@@ -133,15 +127,22 @@ def refine(
             codes.append(morton(done.astype(np.int64) << (depth - level)))
             levels.append(np.full(len(done), level, dtype=np.int8))
             indices.append(done)
-            figures.append(tuple(answer[~wanted] for answer in answers))
+            for row, answer in zip(figures, answers):
+                row.append(answer[~wanted])
             children.append((2 * block[wanted][:, None, :] + _CORNERS.astype(np.int32)).reshape(-1, 3))
         index = np.concatenate(children)
         if len(index) == 0:
             break
-    code = np.concatenate(codes)
-    order = np.argsort(code)
-    cells = Cells(origin, side, depth, code[order], np.concatenate(levels)[order], np.concatenate(indices)[order])
-    return cells, tuple(np.concatenate(rows)[order] for rows in zip(*figures))
+    # Each list is emptied as it is joined: at this point they are most of the memory.
+    order = np.argsort(_joined(codes))
+    cells = Cells(origin, side, depth, _joined(levels)[order], _joined(indices)[order])
+    return cells, tuple(_joined(row)[order] for row in figures)
+
+
+def _joined(blocks: list[np.ndarray]) -> np.ndarray:
+    whole = np.concatenate(blocks)
+    blocks.clear()
+    return whole
 
 
 def straddling_cells(

@@ -8,10 +8,11 @@ closing radius are sealed. Every doubt falls to "occupied".
 import functools
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from keepout.errors import MeshError
-from keepout.geometry.distance import Distance, ExactDistance, Points
+from keepout.geometry import cell_tree
+from keepout.geometry.distance import Distance, Points
 from keepout.geometry.exterior import flood, hidden_cells
 from keepout.geometry.octree import SQRT3, Cells
 from keepout.progress import Progress, silent
@@ -20,14 +21,6 @@ _SURFACE_CELLS = 7e5
 """The default leaf grows so that about this many leaves lie on the surfaces: seconds and a few hundred megabytes."""
 _FLOOD_CELLS = 5.0
 """Flood cells are at most this many to the closing radius, or the leaf if that is larger."""
-_FACE_CORNERS = np.array(
-    [
-        [(1, 0, 0), (1, 1, 0), (1, 1, 1), (1, 0, 1)],
-        [(0, 1, 0), (1, 1, 0), (1, 1, 1), (0, 1, 1)],
-        [(0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)],
-    ],
-    dtype=np.int64,
-)
 
 
 class OffsetSolid:
@@ -125,12 +118,10 @@ class OffsetSolid:
         signed = self.distance.distance(points) - self.offset
         cell = self._cells.locate(points)
         inside = (cell >= 0) & self._hidden[cell]
-        boundary, mouths = self._boundary
-        if boundary is not None:
-            signed[inside] = np.minimum(signed[inside], -boundary.distance(points[inside]))
-        if mouths is not None:
-            outside = np.flatnonzero(~inside & (signed > 0.0))
-            signed[outside] = mouths.distance_within(points[outside], signed[outside])
+        depth = self._nearest(False, points[inside], np.full(int(inside.sum()), np.inf))
+        signed[inside] = np.minimum(signed[inside], -depth)
+        outside = np.flatnonzero(~inside & (signed > 0.0))
+        signed[outside] = self._nearest(True, points[outside], signed[outside])
         return signed
 
     @property
@@ -145,39 +136,16 @@ class OffsetSolid:
         return float(((2.0 * self._cells.half_width[self._hidden]) ** 3).sum())
 
     @functools.cached_property
-    def _boundary(self) -> tuple[ExactDistance | None, ExactDistance | None]:
-        """Distances to the boundary of the hidden cells: all of it, and the part that surfaces do not already cover."""
-        corners, distance_bound = _boundary_quads(self._cells, self._hidden, self.distance)
-        if len(corners) == 0:
-            return None, None
-        # Where every point of a quad has d <= offset, d(p) - offset <= |p - quad| already holds for every p.
-        mouth = distance_bound > self.offset
-        return _quad_distance(corners), (_quad_distance(corners[mouth]) if mouth.any() else None)
+    def _contents(self) -> Int[np.ndarray, "nodes"]:
+        return cell_tree.contents(self._cells.child, self._hidden)
 
-
-def _boundary_quads(
-    cells: Cells, hidden: Bool[np.ndarray, "n"], distance: Distance
-) -> tuple[Float[np.ndarray, "q 4 3"], Float[np.ndarray, "q"]]:
-    """Faces between hidden and open cells, each at the finer of the two cells, and an upper bound of d over each."""
-    quads = []
-    for axis, step, a, b in cells.face_neighbours(np.ones(len(hidden), dtype=bool)):
-        # Equal cells meet twice, once from either side; keep one.
-        differ = (hidden[a] != hidden[b]) & ((cells.level[a] > cells.level[b]) | (step > 0))
-        a = a[differ]
-        corner = _FACE_CORNERS[axis].copy()
-        corner[:, axis] = step > 0
-        quads.append(cells.origin + (cells.index[a][:, None, :] + corner) * (2.0 * cells.half_width)[a][:, None, None])
-    corners = np.concatenate(quads)
-    if len(corners) == 0:
-        return corners, np.zeros(0)
-    centre = corners.mean(axis=1)
-    return corners, distance.distance(centre) + np.linalg.norm(corners[:, 0] - centre, axis=1)
-
-
-def _quad_distance(corners: Float[np.ndarray, "q 4 3"]) -> ExactDistance:
-    first = 4 * np.arange(len(corners))[:, None]
-    faces = np.concatenate([first + np.array([0, 1, 2]), first + np.array([0, 2, 3])])
-    return ExactDistance(corners.reshape(-1, 3), faces)
+    def _nearest(self, hidden: bool, points: Points, bound: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        """Distance to the hidden, or the open, cells in metres, or the bound if less."""
+        cells = self._cells
+        scaled, limit = cells.scaled(points), bound / cells.unit
+        near = cell_tree.nearest(cells.child, cells.depth, self._contents, self._hidden, hidden, scaled, limit)
+        # Bounds that hold come back untouched by rounding.
+        return np.where(near < limit, near * cells.unit, bound)
 
 
 def _halves(progress: Progress) -> tuple[Progress, Progress]:
