@@ -213,7 +213,9 @@ class Scenario(Entry):
         try:
             return cls.model_validate(tree)
         except ValidationError as error:
-            raise ScenarioError(f"{where}: " + "; ".join(_reason(item, cls) for item in error.errors())) from None
+            reasons = "; ".join(_reason(item, cls) for item in error.errors())
+            # A key may hold a line break; a refusal is one line whatever was given.
+            raise ScenarioError(" ".join(f"{where}: {reasons}".split())) from None
 
     @classmethod
     def load(cls, path: str | Path) -> "Scenario":

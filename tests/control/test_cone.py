@@ -3,6 +3,7 @@
 import sys
 from pathlib import Path
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -183,6 +184,12 @@ def test_derivative_is_the_central_difference():
 
 def test_smoothed_derivative_is_the_central_difference():
     program, direction = derivative_programs(200)
+    # At a tangent of exactly zero the circulation row appears or vanishes: there is no derivative to compare.
+    tangent = program.circulation.tangent
+    absent = jnp.all(tangent == 0.0, axis=-1, keepdims=True)
+    program = eqx.tree_at(
+        lambda p: p.circulation.tangent, program, jnp.where(absent, jnp.array([0.3, 0.0, 0.1]), tangent)
+    )
     check_derivatives(
         lambda p: solve_smoothed(p, jnp.asarray(1e-3 * LIMIT**2)).velocity / LIMIT, program, direction, 1e-6, 2e-6
     )

@@ -115,7 +115,8 @@ def solve_smoothed(program: VelocityProgram, weight: Float[Array, ""]) -> ConeSo
     """Solve the program with every constraint replaced by a logarithmic barrier of weight τ (m²/s², positive).
 
     Same answer and conventions as `keepout.control.cone.solve`, and the Jacobian is continuous wherever the program
-    is strictly feasible. At a constraint the solution keeps a distance of about τ over the multiplier.
+    is strictly feasible and the circulation's tangent is not zero (there its row vanishes). At a constraint the
+    solution keeps a distance of about τ over the multiplier.
     """
     data = jax.lax.stop_gradient((program, weight))
     point = jax.lax.stop_gradient(_solve(*data))
