@@ -242,6 +242,14 @@ def test_a_single_triangle_is_a_sheet(tmp_path):
     assert target.distance.distance(np.array([[0.2, 0.2, 0.5]])) == pytest.approx([0.5])
 
 
+@pytest.mark.parametrize("far", ["1e308", "1e200", "2e6"])
+def test_endless_extents_are_refused_in_any_units(tmp_path, far):
+    path = tmp_path / "endless.off"
+    path.write_text(f"OFF\n4 2 0\n-{far} 0 0\n{far} 0 0\n0 {far} 0\n0 0 {far}\n3 0 1 2\n3 0 1 3\n")
+    with pytest.raises(MeshError, match="largest extent"):
+        Target.load(path, units="m")
+
+
 @pytest.mark.slow
 def test_a_million_triangles(tmp_path):
     mesh = trimesh.creation.icosphere(subdivisions=8)

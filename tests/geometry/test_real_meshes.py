@@ -41,7 +41,8 @@ def test_conservative_and_lipschitz(name):
     outside_box = ((points < lower) | (points > upper)).any(axis=1)
     assert (signed[outside_box & (d > 0.5)] > 0.0).all()
     if name == "itokawa.obj":
-        # Watertight and oriented: the sign is known from the solid angle of the mesh.
+        # Watertight and oriented: the sign is known from the solid angle of the mesh, here for every fifth point.
+        points, signed, d = points[::5], signed[::5], d[::5]
         inside = np.zeros(len(points), dtype=bool)
         for start in range(0, len(points), 500):
             corners = target.vertices[target.faces][None] - points[start : start + 500, None, None]

@@ -15,6 +15,8 @@ MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".stl", ".ply", ".off", ".3mf")
 CLOUD_SUFFIXES = (".ply", ".xyz", ".npy")
 SMALLEST, LARGEST = 0.5, 500.0
 """Metres: a target outside this range without units is questioned."""
+_LIMIT = 1e6
+"""Metres: a larger target is refused whatever its units; squares of its lengths must not overflow."""
 
 
 def read_surface(
@@ -48,7 +50,11 @@ def read_surface(
         bad = int((~np.isfinite(vertices[faces])).any(axis=(1, 2)).sum())
         raise MeshError(f"{path.name}: {bad} of {len(faces)} faces have a coordinate that is not finite")
     vertices = np.where(np.isfinite(vertices), vertices, 0.0) * factor
-    size = float(np.ptp(vertices[faces].reshape(-1, 3), axis=0).max())
+    used = vertices[faces].reshape(-1, 3)
+    # Halved, because the difference of two finite numbers can overflow.
+    size = 2.0 * float((0.5 * used.max(axis=0) - 0.5 * used.min(axis=0)).max())
+    if not size <= _LIMIT:
+        raise MeshError(f"{path.name}: the largest extent would be {size:.4g} m; it must be at most {_LIMIT:.0e} m")
     if units is None and scale is None and not SMALLEST <= size <= LARGEST:
         raise MeshError(
             f"{path.name}: the largest extent would be {size:.4g} m; give units (m, cm, mm, in, ft) or "
