@@ -41,15 +41,15 @@ def test_conservative_and_lipschitz(name):
     outside_box = ((points < lower) | (points > upper)).any(axis=1)
     assert (signed[outside_box & (d > 0.5)] > 0.0).all()
     if name == "itokawa.obj":
-        # Watertight and oriented: the sign is known from the solid angle of the mesh, here for every fifth point.
-        points, signed, d = points[::5], signed[::5], d[::5]
+        # Watertight and oriented: the sign is known from the solid angle of the mesh, here for one point in twenty.
+        points, signed, d = points[::20], signed[::20], d[::20]
         inside = np.zeros(len(points), dtype=bool)
-        for start in range(0, len(points), 500):
-            corners = target.vertices[target.faces][None] - points[start : start + 500, None, None]
+        for start in range(0, len(points), 50):
+            corners = target.vertices[target.faces][None] - points[start : start + 50, None, None]
             a, b, c = np.moveaxis(corners, 2, 0)
             la, lb, lc = (np.linalg.norm(side, axis=2) for side in (a, b, c))
             top = (a * np.cross(b, c)).sum(2)
             bottom = la * lb * lc + (a * b).sum(2) * lc + (b * c).sum(2) * la + (c * a).sum(2) * lb
-            inside[start : start + 500] = np.abs(np.arctan2(top, bottom).sum(axis=1)) > 0.5 * np.pi
+            inside[start : start + 50] = np.abs(np.arctan2(top, bottom).sum(axis=1)) > 0.5 * np.pi
         assert not ((signed > 0.0) & inside).any()
         assert (signed[~inside & (d > 0.3)] > 0.0).all()
