@@ -124,24 +124,33 @@ def certify(
         Console().print(terminal.facts_table("Certificate", summary))
 
 
-@app.command(epilog=example("keepout inspect satellite.keepout -o out/satellite"))
+@app.command(epilog=example("keepout inspect satellite.keepout -o out/satellite", "keepout inspect satellite.glb"))
 def inspect(
-    field: Annotated[Path, typer.Argument(help="A field file (.keepout).")],
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Also draw slices and surface into this folder.")
+    source: Annotated[str, typer.Argument(help="A field file (.keepout), a mesh file, or a built-in target's name.")],
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Also draw it into this folder.")] = None,
+    mesh: Annotated[
+        str | None, typer.Option(help="Of a field: the mesh, where it is not where `fit` found it.")
     ] = None,
-    mesh: Annotated[str | None, typer.Option(help="The mesh, where it is not where `fit` found it.")] = None,
+    units: Units = None,
+    scale: Scale = None,
+    drop_stray: DropStray = False,
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
-    """Measure a field against its mesh: errors, curvature, certificates and what their margins cost."""
-    from keepout.commands import inspect_file
+    """Measure a field against its mesh and list its certificates; or report what is wrong with a mesh."""
+    from keepout.commands import inspect_file, inspect_mesh
 
-    with terminal.progress(f"inspect {field.name}") as progress:
-        summary = inspect_file(field, out, mesh=mesh, seed=seed, progress=progress)
+    with terminal.progress(f"inspect {source}") as progress:
+        if source.endswith(".keepout"):
+            summary = inspect_file(Path(source), out, mesh=mesh, seed=seed, progress=progress)
+            tables = terminal.inspection_tables(summary)
+        else:
+            given = {"source": source, "units": units, "scale": scale, "drop_stray": drop_stray}
+            summary = inspect_mesh(given, out, progress=progress)
+            tables = [terminal.facts_table("Mesh", summary)]
     _answer(summary, as_json)
     if not as_json:
-        for table in terminal.inspection_tables(summary):
+        for table in tables:
             Console().print(table)
 
 

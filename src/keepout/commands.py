@@ -18,6 +18,7 @@ from keepout.fields.shipped import shipped_names
 from keepout.fields.training import fit
 from keepout.geometry.builtin import BUILTINS
 from keepout.geometry.offset_solid import OffsetSolid
+from keepout.geometry.survey import survey
 from keepout.geometry.target import Target
 from keepout.mission import fly, load_target
 from keepout.progress import Progress, silent
@@ -164,6 +165,19 @@ def inspect_file(
         draw_slices(out / "slices.png", model, target)
         draw_surface(out / "surface.png", model, target)
         summary["pictures"] = [str(out / "slices.png"), str(out / "surface.png")]
+    progress(1.0, "")
+    return summary
+
+
+def inspect_mesh(source: Mapping[str, Any], out: Path | None = None, *, progress: Progress = silent) -> dict[str, Any]:
+    """Report what is known about a mesh before anything is learned from it; draw it into `out` if that is given."""
+    target = load_target(_entry(source))
+    summary = asdict(survey(target, progress=lambda fraction, message: progress(0.95 * fraction, message)))
+    if out is not None:
+        _folder(out)
+        picture = out / f"{target.name}.png"
+        target_view.draw_target(picture, target.name, target.vertices, target.faces)
+        summary["picture"] = str(picture)
     progress(1.0, "")
     return summary
 

@@ -49,10 +49,12 @@ def make(name: str, *, seed: int = 0) -> FieldModel:
     target = Target.load(name)
     path = _folder() / f"{name}.keepout"
     model = fit(target, seed=seed, checkpoint=path.with_suffix(".checkpoint"), progress=progress)
+    # Saved after every step, so that a run that is stopped loses the certificate it was at, not the fit.
+    model.save(path)
     for radius in CHASER_RADII:
         model = certify(model, target, chaser_radius=radius, seed=seed, progress=progress)
+        model.save(path)
     print(file=sys.stderr)
-    model.save(path)
     return model
 
 

@@ -120,4 +120,7 @@ def shown(value: Any) -> str:
         return f"{value:.4g}"
     if isinstance(value, Mapping):
         return ", ".join(f"{key} {shown(entry)}" for key, entry in value.items())
+    if isinstance(value, list | tuple):
+        numbers = all(isinstance(entry, int | float) for entry in value)
+        return (", " if numbers else "\n").join(shown(entry) for entry in value) or "none"
     return str(value)
