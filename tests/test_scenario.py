@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from keepout.errors import ScenarioError
-from keepout.scenario import Scenario
+from keepout.scenario import Scenario, reference
 
 REPOSITORY = Path(__file__).parents[1]
 
@@ -88,6 +88,10 @@ def test_file_names_are_relative_to_the_scenario(tmp_path: Path):
     scenario = Scenario.load(path)
     assert scenario.target.source == str(tmp_path / "models" / "a.glb")
     assert scenario.field.source == str(tmp_path / "a.keepout")
+
+
+def test_the_reference_in_the_docs_is_this_version():
+    assert (REPOSITORY / "docs" / "scenario.md").read_text(encoding="utf-8") == reference()
 
 
 def test_replace_validates():

@@ -114,6 +114,7 @@ def certify_file(
         "chaser_radius_m": certificate.chaser_radius,
         "sampled_maximum_m": certificate.sampled_maximum,
         "gradient_bound": certificate.gradient_bound,
+        "gradient_kind": certificate.gradient_kind,
         "seconds": certificate.seconds,
         "target_sha256": certificate.target_sha256,
     }

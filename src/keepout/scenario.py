@@ -281,3 +281,27 @@ def _valid_keys(location: tuple[Any, ...], model: type[BaseModel]) -> list[str]:
             return []
         model = annotation
     return list(model.model_fields)
+
+
+def reference() -> str:
+    """Write the table of all entries as Markdown: name, default, what it means."""
+    lines = ["# Scenario entries", "", "SI units. Every entry has a default; an empty file is valid.", ""]
+    lines += ["Made by `python -m keepout.scenario`.", "", "| entry | default | meaning |", "| --- | --- | --- |"]
+    for name, field in Scenario.model_fields.items():
+        kind = field.annotation
+        if not (isinstance(kind, type) and issubclass(kind, Entry)):
+            lines.append(_row(name, field.default, field.description))
+            continue
+        lines.append(_row(f"**[{name}]**", None, (kind.__doc__ or "").splitlines()[0]))
+        for key, entry in kind.model_fields.items():
+            lines.append(_row(f"{name}.{key}", entry.get_default(call_default_factory=True), entry.description))
+    return "\n".join(lines) + "\n"
+
+
+def _row(name: str, default: Any, meaning: str | None) -> str:
+    shown = "" if default is None else f"`{default}`"
+    return f"| {name} | {shown} | {meaning or ''} |"
+
+
+if __name__ == "__main__":
+    print(reference(), end="")
