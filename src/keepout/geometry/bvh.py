@@ -6,6 +6,7 @@ cores.
 """
 
 import os
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple, no_type_check
 
@@ -82,17 +83,22 @@ def closest(
     face = np.empty(len(points), dtype=np.int64)
     order = _along_curve(points)
 
-    def work(start: int) -> None:
-        _query(*tree, points, order[start : start + _CHUNK], within, distance, nearest, face)
+    def work(part: slice) -> None:
+        _query(*tree, points, order[part], within, distance, nearest, face)
 
-    starts = range(0, len(points), _CHUNK)
-    if len(starts) == 1 or _WORKERS == 1:
-        for start in starts:
-            work(start)
+    share_among_cores(work, len(points))
+    return distance, nearest, face
+
+
+def share_among_cores(work: Callable[[slice], None], count: int) -> None:
+    """Call `work` for slices that together cover 0 to `count`, on all cores; it must release the interpreter's lock."""
+    parts = [slice(start, start + _CHUNK) for start in range(0, count, _CHUNK)]
+    if len(parts) <= 1 or _WORKERS == 1:
+        for part in parts:
+            work(part)
     else:
         with ThreadPoolExecutor(_WORKERS) as pool:
-            list(pool.map(work, starts))
-    return distance, nearest, face
+            list(pool.map(work, parts))
 
 
 def _along_curve(points: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, "n"]:

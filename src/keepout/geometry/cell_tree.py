@@ -250,7 +250,7 @@ def nearest(
                 squared = dx * dx + dy * dy + dz * dz
                 if squared >= best:
                     continue
-                if entry < 0:
+                if entry < 0 or holds[entry] == kind:
                     best = squared
                     improved = True
                 else:

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Int
 
 from keepout.errors import MeshError
 from keepout.geometry import cell_tree
+from keepout.geometry.bvh import share_among_cores
 from keepout.geometry.distance import Distance, Points
 from keepout.geometry.exterior import flood, hidden_cells
 from keepout.geometry.octree import SQRT3, Cells
@@ -143,7 +144,14 @@ class OffsetSolid:
         """Distance to the hidden, or the open, cells in metres, or the bound if less."""
         cells = self._cells
         scaled, limit = cells.scaled(points), bound / cells.unit
-        near = cell_tree.nearest(cells.child, cells.depth, self._contents, self._hidden, hidden, scaled, limit)
+        near, contents = np.empty(len(points)), self._contents
+
+        def work(part: slice) -> None:
+            near[part] = cell_tree.nearest(
+                cells.child, cells.depth, contents, self._hidden, hidden, scaled[part], limit[part]
+            )
+
+        share_among_cores(work, len(points))
         # Bounds that hold come back untouched by rounding.
         return np.where(near < limit, near * cells.unit, bound)
 
