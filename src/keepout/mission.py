@@ -100,6 +100,9 @@ def load_target(entry: TargetEntry) -> Target:
         units=entry.units,
         scale=entry.scale,
         drop_stray=entry.drop_stray,
+        thickness=entry.thickness,
+        rotation=None if entry.rotation is None else np.asarray(entry.rotation),
+        origin=None if entry.origin is None else np.asarray(entry.origin),
         parameters=dict(entry.parameters) or None,
     )
 

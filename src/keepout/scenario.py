@@ -40,6 +40,9 @@ class TargetEntry(Entry):
     units: Literal["m", "cm", "mm", "in", "ft"] | None = Field(default=None, description="length unit of the mesh file")
     scale: Positive | None = Field(default=None, description="metres per unit of the mesh file, instead of `units`")
     drop_stray: bool = Field(default=False, description="leave out parts far from the rest")
+    thickness: Positive | None = Field(default=None, description="of a point cloud: each point is a ball this wide, m")
+    rotation: tuple[Vector, Vector, Vector] | None = Field(default=None, description="from file axes to body axes")
+    origin: Vector | None = Field(default=None, description="of the body frame, in file axes, m")
     parameters: dict[str, float] = Field(default_factory=dict, description="of a built-in: wing angle, wing span, …")
 
     @model_validator(mode="after")

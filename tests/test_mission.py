@@ -1,0 +1,44 @@
+"""From a scenario's entries to what flies."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from keepout.commands import inspect_mesh
+from keepout.errors import MeshError
+from keepout.mission import load_target
+from keepout.scenario import Scenario
+
+
+def test_the_body_frame_is_the_users(tmp_path):
+    path = tmp_path / "box.stl"
+    trimesh.creation.box(extents=(4.0, 3.0, 2.0)).export(path)
+    quarter_turn = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    entry = {"source": str(path), "units": "m", "rotation": quarter_turn, "origin": [1.0, 0.0, 0.0]}
+    target = load_target(Scenario.parse({"target": entry}).target)
+    # File x spans -2 to 2; about an origin at x = 1 it spans -3 to 1, and the turn takes it to body y.
+    np.testing.assert_allclose(target.vertices.min(axis=0), [-1.5, -3.0, -1.0], atol=1e-12)
+    np.testing.assert_allclose(target.vertices.max(axis=0), [1.5, 1.0, 1.0], atol=1e-12)
+
+
+def test_a_rotation_that_is_none_is_refused(tmp_path):
+    path = tmp_path / "box.stl"
+    trimesh.creation.box(extents=(4.0, 3.0, 2.0)).export(path)
+    skewed = [[1.0, 0.5, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    with pytest.raises(MeshError, match="rotation"):
+        load_target(Scenario.parse({"target": {"source": str(path), "units": "m", "rotation": skewed}}).target)
+
+
+def test_parameters_reach_the_built_in():
+    wide = load_target(Scenario.parse({"target": {"source": "box", "parameters": {"length": 7.0}}}).target)
+    assert np.ptp(wide.vertices[:, 0]) == pytest.approx(7.0)
+    with pytest.raises(MeshError, match="wings"):
+        load_target(Scenario.parse({"target": {"source": "box", "parameters": {"wings": 7.0}}}).target)
+
+
+def test_a_mesh_report_has_the_sealed_volume(tmp_path):
+    summary = inspect_mesh({"source": "box"}, tmp_path)
+    assert summary["watertight"]
+    # The offset solid holds the 4 × 3 × 2 m box and at most a skin of offset and two leaves around it.
+    assert 24.0 < summary["sealed_volume"] < (4.0 + 0.22) * (3.0 + 0.22) * (2.0 + 0.22)
+    assert (tmp_path / "box.png").stat().st_size > 1000
