@@ -31,10 +31,10 @@ lint: install
 	$(BIN)/pyright
 
 test: lint
-	$(BIN)/pytest -m "not slow" -n 2
+	$(BIN)/pytest -m "not slow" -n 2 --dist loadgroup
 
 test-all: lint
-	$(BIN)/pytest -n 2
+	$(BIN)/pytest -n 2 --dist loadgroup
 
 format: install
 	$(BIN)/ruff check --fix .
