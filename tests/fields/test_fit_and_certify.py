@@ -22,6 +22,9 @@ from keepout.fields.training import fit
 from keepout.geometry.offset_solid import OffsetSolid
 from keepout.geometry.target import Target
 
+# One worker fits the box for all of them.
+pytestmark = pytest.mark.xdist_group("fit_and_certify")
+
 TINY = Profile(width=24, depth=2, samples=20_000, batch=512, steps=1250, tuning_steps=500)
 
 
@@ -112,9 +115,6 @@ from pathlib import Path
 from keepout.fields.profile import Profile
 from keepout.fields.training import fit
 from keepout.geometry.target import Target
-
-# One worker fits the box for all of them.
-pytestmark = pytest.mark.xdist_group("fit_and_certify")
 target = Target.load("box", parameters={"length": 2.0, "width": 1.0, "height": 1.0})
 profile = Profile(width=24, depth=2, samples=20_000, batch=512, steps=1250, tuning_steps=500)
 fit(target, profile=profile, checkpoint=Path(sys.argv[1])).save(sys.argv[2])

@@ -30,7 +30,7 @@ def draw_target(
             axes = drawing.add_subplot(2, 2, place, projection="3d")
             assert isinstance(axes, Axes3D)
             _shade(axes, vertices, faces)
-            _frame(axes, [vertices], zoom=1.1 if depth is None else 1.25)
+            _frame(axes, [vertices], zoom=1.0 if depth is None else 1.2)
             axes.set_proj_type("persp" if depth is None else "ortho")
             if depth is not None:
                 axes.set(**{f"{depth}ticks": [], f"{depth}label": ""})
@@ -78,7 +78,9 @@ def _shade(axes: Axes3D, vertices: np.ndarray, faces: np.ndarray, alpha: float =
     light = 0.35 + 0.65 * np.abs(normals @ (_LIGHT / np.linalg.norm(_LIGHT)))
     base = np.array([int(TARGET_COLOUR[i : i + 2], 16) / 255.0 for i in (1, 3, 5)])
     colours = np.column_stack([light[:, None] * base, np.full(len(faces), alpha)])
-    axes.add_collection3d(Poly3DCollection(list(triangles), facecolors=colours, edgecolors="none"))
+    shaded = Poly3DCollection(list(triangles), facecolors=colours, edgecolors="none")
+    shaded.set_clip_on(False)  # a zoomed target may reach beyond its subplot's rectangle
+    axes.add_collection3d(shaded)
 
 
 def _frame(axes: Axes3D, clouds: Sequence[np.ndarray], zoom: float = 1.0) -> None:
