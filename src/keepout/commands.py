@@ -12,12 +12,12 @@ import trimesh
 from keepout.campaigns import run_campaign
 from keepout.errors import FieldError, ScenarioError
 from keepout.fields.certificate import certify
+from keepout.fields.inspection import inspect_model
 from keepout.fields.model import FieldModel
-from keepout.fields.quality import curvature, distance_errors, margin_cost, surface_errors
+from keepout.fields.quality import surface_errors
 from keepout.fields.shipped import shipped_names
 from keepout.fields.training import fit
 from keepout.geometry.builtin import BUILTINS
-from keepout.geometry.offset_solid import OffsetSolid
 from keepout.geometry.survey import survey
 from keepout.geometry.target import Target
 from keepout.mission import fly, load_target
@@ -127,44 +127,16 @@ def inspect_file(
     model = FieldModel.load(path)
     target = load_target(_recorded_target(path, model, mesh))
     model = FieldModel.load(path, target=target)
-    progress(0.05, "offset solid")
-    closing = float(model.training.get("closing_radius", 0.25))
-    solid = OffsetSolid.build(target.distance, offset=model.offset, closing_radius=closing)
-    progress(0.3, "errors")
-    surface = surface_errors(model.field, target, seed=seed)
-    summary: dict[str, Any] = {
-        "field": str(path),
-        "target": model.target_name,
-        "target_sha256": model.target_sha256,
-        "epsilon_m": surface.epsilon,
-        "epsilon_plus_m": surface.epsilon_plus,
-        "sampled_maximum_m": surface.maximum,
-        "near": asdict(distance_errors(model.field, solid, nearest=0.05, farthest=1.0, seed=seed)),
-        "far": asdict(distance_errors(model.field, solid, nearest=1.0, farthest=5.0, seed=seed)),
-    }
-    progress(0.5, "curvature")
-    summary["curvature"] = [asdict(curvature(model.field, solid, level, seed=seed)) for level in (0.1, 0.3, 1.0)]
-    progress(0.7, "margins")
-    summary["certificates"] = [
-        asdict(certificate)
-        | {
-            "margin": asdict(
-                margin_cost(
-                    model.field,
-                    solid,
-                    error_bound=certificate.error_bound,
-                    chaser_radius=certificate.chaser_radius,
-                    seed=seed,
-                )
-            )
-        }
-        for certificate in model.certificates
-    ]
     if out is not None:
         _folder(out)
-        progress(0.8, "pictures")
+    measures, surface = inspect_model(
+        model, target, seed=seed, progress=lambda fraction, message: progress(0.9 * fraction, message)
+    )
+    summary: dict[str, Any] = {"field": str(path), **measures}
+    if out is not None:
+        progress(0.9, "pictures")
         draw_slices(out / "slices.png", model, target)
-        draw_surface(out / "surface.png", model, target)
+        draw_surface(out / "surface.png", target, surface, level=measures["surface"]["level"])
         summary["pictures"] = [str(out / "slices.png"), str(out / "surface.png")]
     progress(1.0, "")
     return summary

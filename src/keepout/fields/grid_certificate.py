@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from keepout.errors import FieldError
+from keepout.fields.certificate import onto_level
 from keepout.fields.evaluate import values
 from keepout.fields.grid import BLOCK, STORED, GridField
 from keepout.fields.model import Certificate, FieldModel
@@ -47,10 +48,11 @@ def certify_grid(model: FieldModel, target: Target, *, chaser_radius: float = 0.
         distance, chaser_radius, leaf=h, lower=distance.lower - pad, upper=distance.upper + pad
     )
     bound = _largest_excess(field, distance, centres, half)
-    sampled = -np.inf
-    if chaser_radius == 0.0:
-        points = surface_points(distance, 100_000, np.random.default_rng(seed), by_area=0.5)
-        sampled = float(values(field, points).max())
+    generator = np.random.default_rng(seed)
+    points = surface_points(distance, 100_000, generator, by_area=0.5)
+    direction = generator.normal(size=points.shape)
+    points += chaser_radius * direction / np.linalg.norm(direction, axis=1, keepdims=True)
+    sampled = float(values(field, onto_level(distance, points, chaser_radius)).max()) - chaser_radius
     certificate = Certificate(
         kind="certified",
         chaser_radius=float(chaser_radius),

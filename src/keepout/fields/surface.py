@@ -163,6 +163,7 @@ class SurfaceDistance:
     Attributes:
         level: of the learned surface {f̃ = level}.
         learned_to_target: mean over the learned surface of the exact distance to the target.
+        learned_to_target_95: its 95th percentile by area.
         target_to_learned: mean over the target's visible surface of the exact distance to the learned triangles.
         chamfer: the mean of these two.
         learned_to_target_maximum: the largest of the first, over the vertices of the learned surface.
@@ -176,6 +177,7 @@ class SurfaceDistance:
 
     level: float
     learned_to_target: float
+    learned_to_target_95: float
     target_to_learned: float
     chamfer: float
     learned_to_target_maximum: float
@@ -228,6 +230,7 @@ def surface_distance(
     return SurfaceDistance(
         level=float(level),
         learned_to_target=float(out.mean()),
+        learned_to_target_95=float(np.quantile(out, 0.95)),
         target_to_learned=float(back.mean()),
         chamfer=float(0.5 * (out.mean() + back.mean())),
         learned_to_target_maximum=farthest_out,

@@ -3,16 +3,23 @@
 from pathlib import Path
 
 import numpy as np
-from skimage import measure
+from matplotlib import pyplot as plt
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 
 from keepout.fields.evaluate import values
 from keepout.fields.model import FieldModel
+from keepout.fields.surface import Surface
 from keepout.geometry.target import Target
+from keepout.report.raster import rasterise
 from keepout.report.style import COLOURS, figure
-from keepout.report.target_view import draw_target
 
 _PLANES = ((0, 1, 2), (0, 2, 1), (1, 2, 0))
 """Horizontal axis, vertical axis, and the axis that the slice is across."""
+
+
+_VIEWS = {"above": (28.0, -55.0), "below": (-28.0, 125.0)}
+"""Elevation and azimuth of the eye, degrees."""
 
 
 def draw_slices(path: Path, model: FieldModel, target: Target, *, nodes: int = 400) -> None:
@@ -51,12 +58,32 @@ def draw_slices(path: Path, model: FieldModel, target: Target, *, nodes: int = 4
             drawing.colorbar(shade, ax=axes, label="f̃ m", shrink=0.8)
 
 
-def draw_surface(path: Path, model: FieldModel, target: Target, *, nodes: int = 160) -> None:
-    """Draw four views of the field's zero level, by marching cubes on a grid of `nodes` along the longest side."""
-    lower, upper = target.vertices.min(axis=0) - 0.5, target.vertices.max(axis=0) + 0.5
-    step = float((upper - lower).max()) / nodes
-    axes = [np.arange(low, high + step, step) for low, high in zip(lower, upper)]
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-    field = values(model.field, points.reshape(-1, 3)).reshape(points.shape[:3])
-    vertices, faces, _, _ = measure.marching_cubes(field, level=0.0, spacing=(step, step, step))
-    draw_target(path, f"{target.name}, learned", vertices + lower, faces.astype(np.int64))
+def draw_surface(path: Path, target: Target, surface: Surface, *, level: float) -> None:
+    """Draw the mesh and, beside it, the surface {f̃ = level}, coloured by its distance from the mesh, from two sides."""
+    distance = target.distance.distance(surface.vertices)[surface.faces].mean(axis=1)
+    ceiling = max(float(np.quantile(distance, 0.99)), 1e-3)
+    colour_map = plt.get_cmap("YlOrRd")
+    rows = {
+        name: [
+            rasterise(vertices, faces, elevation=elevation, azimuth=azimuth)
+            for vertices, faces in ((target.vertices, target.faces), (surface.vertices, surface.faces))
+        ]
+        for name, (elevation, azimuth) in _VIEWS.items()
+    }
+    height = sum(6.0 * max(view.hit.shape[0] / view.hit.shape[1] for view in pair) + 0.5 for pair in rows.values())
+    with figure(path, width=13.0, height=height) as drawing:
+        for row, (name, (mesh, learned)) in enumerate(rows.items()):
+            distances = colour_map(np.clip(distance[learned.face] / ceiling, 0.0, 1.0))[..., :3]
+            for column, (view, colour, title) in enumerate(
+                (
+                    (mesh, np.array([0.85, 0.87, 0.9]), f"{target.name}, mesh, from {name}"),
+                    (learned, distances, f"learned, f̃ = {level:+.3f} m, from {name}"),
+                )
+            ):
+                axes = drawing.add_subplot(len(rows), 2, 2 * row + column + 1)
+                picture = np.where(view.hit[..., None], colour * view.light[..., None], 1.0)
+                axes.imshow(picture, origin="lower", extent=view.extent)
+                axes.set(title=title, xlabel="m", ylabel="m", aspect="equal")
+                axes.grid(visible=False)
+        shade = ScalarMappable(Normalize(0.0, ceiling), colour_map)
+        drawing.colorbar(shade, ax=drawing.axes, label="distance from the mesh m", shrink=0.8)
