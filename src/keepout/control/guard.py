@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from keepout.control.braking import BrakingDesign, GuardAssumptions, design
+from keepout.control.on_demand import where_needed
 from keepout.errors import ControlError
 from keepout.fields.evaluate import values
 from keepout.fields.field import Field
@@ -81,9 +82,9 @@ class Guard(eqx.Module):
     """Accepts or replaces commanded forces; see docs/guard.md for what it proves.
 
     field: a lower bound on clearance in the sense of its certificate. threshold: e_h + chaser radius, m: no contact
-    while field > threshold along the path. lipschitz: bound on the field's gradient. samples: points along the stop
-    segment; with the start and the steps of delay at most 20 field values a step. escape_speed: m/s, of the way out
-    of the margin.
+    while field > threshold along the path. lipschitz: bound on the field's gradient. samples: parts into which the
+    stop segment is cut, where its ends alone do not decide; with the start and the steps of delay at most 20 field
+    values a step, and only one of them far from the target. escape_speed: m/s, of the way out of the margin.
 
     Raises:
         ControlError: a number out of range, more than 20 field values, or thrusters too weak for the assumptions.
@@ -124,8 +125,8 @@ class Guard(eqx.Module):
     def _start(self, position: Vector, velocity: Vector) -> GuardState:
         pending = jnp.zeros((self.assumptions.delay, 3))
         path, ahead, moving = self._predict(position, velocity, pending)
-        points = jnp.concatenate([path[:-1], self._stop_points(ahead, moving)])
-        free = self._free(points, self.field.value(points)) & self._slow(moving)
+        value = self.field.value(position)
+        free = self._free(position, value, path[1:-1], ahead, moving, jnp.asarray(True))
         return GuardState(ahead, moving, free, pending, position, velocity)
 
     def filter(
@@ -142,20 +143,18 @@ class Guard(eqx.Module):
         position = jnp.where(told, estimate.position, guard_state.expected_position)
         velocity = jnp.where(told, estimate.velocity, guard_state.expected_velocity)
         path, ahead, moving = self._predict(position, velocity, guard_state.pending)
-        here, outward = self.field.value_and_gradient(position)
+        here = self.field.value(position)
 
         drifted = ahead - guard_state.plan_position
         off_plan = jnp.linalg.norm(drifted) > self._plan_radius
         planned = guard_state.certified & ~off_plan & told
         finite = jnp.all(jnp.isfinite(force))
         asked = jnp.clip(jnp.where(finite, force, 0.0), -a.force_limit, a.force_limit) / a.mass
-        candidate = jnp.where(planned, asked, self._escape(position, moving, outward))
+        candidate = jnp.where(planned, asked, self._escape(position, moving, self._outward(position, ~planned)))
         next_position = ahead + T * moving + 0.5 * T**2 * candidate
         next_velocity = moving + T * candidate
-        ends = jnp.concatenate([path[1:], self._stop_points(next_position, next_velocity)])
-        values = jnp.concatenate([here[None], self.field.value(ends)])
-        free = self._free(jnp.concatenate([path[:1], ends]), values) & self._slow(next_velocity)
-        accepted = free & (finite | ~planned) & told
+        usable = (finite | ~planned) & told
+        accepted = usable & self._free(position, here, path[1:], next_position, next_velocity, usable)
 
         brake, rest = self._brake(guard_state.plan_velocity)
         feedback = self.braking.position_gain * drifted + self.braking.velocity_gain * (
@@ -254,26 +253,74 @@ class Guard(eqx.Module):
         length = (speed**2 - rest**2) / (2.0 * a_b) + 0.5 * rest * T
         return velocity * (length / jnp.maximum(speed, 1e-12))
 
-    def _stop_points(self, position: Vector, velocity: Vector) -> Float[Array, "points 3"]:
-        along = jnp.linspace(0.0, 1.0, self.samples + 1)
-        return position + along[:, None] * self._stop(velocity)
-
     def _slow(self, velocity: Vector) -> Bool[Array, ""]:
         """Whether motion from this nominal velocity keeps the speed limit, within which the drift is bounded."""
         return jnp.linalg.norm(velocity) + self.braking.velocity_radius <= self.assumptions.speed_limit
 
-    def _free(self, points: Float[Array, "points 3"], values: Float[Array, "points"]) -> Bool[Array, ""]:
-        """Whether the field exceeds its threshold over the tube around a polyline of points with these values.
+    def _free(
+        self,
+        position: Vector,
+        value: Float[Array, ""],
+        between: Float[Array, "delay 3"],
+        end: Vector,
+        velocity: Vector,
+        wanted: Bool[Array, ""],
+    ) -> Bool[Array, ""]:
+        """Whether the tube around a path and the nominal braking from its end is free, within range and slow enough.
 
-        Between two points Δ apart an L-Lipschitz field is at least (f₁ + f₂ − L Δ)/2; a step under a constant force is
-        within its sagitta T² √3 A/8 of its chord; ρ is added around everything. All of it keeps within the range limit.
+        The path leads from `position`, where the field is `value`, over the points `between` to `end`, where the
+        nominal velocity is `velocity`. A step under a constant force is within its sagitta T² √3 A/8 of its chord; ρ
+        is added around everything. Where it is not `wanted`, the answer may be a mere no.
+
+        Three tests, each for what the one before leaves open: from `value` alone, as no point is further away than the
+        path's furthest corner; from the corners' values; from points along the stop segment.
         """
         a = self.assumptions
-        length = jnp.linalg.norm(jnp.diff(points, axis=0), axis=-1)
-        lowest = 0.5 * (values[:-1] + values[1:] - self.lipschitz * length)
+        rest = end + self._stop(velocity)
+        corners = jnp.concatenate([between, end[None], rest[None]])
         sagitta = 3.0**0.5 * a.authority * a.period**2 / 8.0
-        near = jnp.linalg.norm(points, axis=-1) + sagitta + self.braking.position_radius <= a.range_limit
-        return jnp.all(lowest - self.lipschitz * sagitta > self.least_value) & jnp.all(near)
+        least = self.least_value + self.lipschitz * sagitta
+        # Both norms are convex, so that a polyline's largest is a corner's.
+        furthest = jnp.max(jnp.linalg.norm(corners - position, axis=-1))
+        range_ = jnp.maximum(jnp.max(jnp.linalg.norm(corners, axis=-1)), jnp.linalg.norm(position))
+        kept = self._slow(velocity) & (range_ + sagitta + self.braking.position_radius <= a.range_limit)
+        far = value - self.lipschitz * furthest > least
+        arrays, still = eqx.partition(self.field, eqx.is_array)
+
+        def at_corners(arrays: Field, position: Vector, value: Float[Array, ""], corners: Float[Array, "corners 3"]):
+            field = eqx.combine(arrays, still)
+            values = jnp.concatenate([value[None], field.value(corners)])
+            lowest = self._lowest(jnp.concatenate([position[None], corners]), values)
+            proved = lowest > least
+            return jnp.all(proved[:-1]), proved[-1], values[-2:]
+
+        def along(arrays: Field, ends: Float[Array, "2 3"], values: Float[Array, "2"]) -> Bool[Array, ""]:
+            field = eqx.combine(arrays, still)
+            points = ends[0] + jnp.linspace(0.0, 1.0, self.samples + 1)[:, None] * (ends[1] - ends[0])
+            inside = field.value(points[1:-1])
+            return jnp.all(self._lowest(points, jnp.concatenate([values[:1], inside, values[1:]])) > least)
+
+        no = jnp.asarray(False)
+        path_free, stop_free, values = where_needed(
+            at_corners, wanted & kept & ~far, (no, no, jnp.zeros(2)), arrays, position, value, corners
+        )
+        open_ = path_free & ~stop_free & jnp.all(values > least)
+        stop_free = stop_free | where_needed(along, open_, no, arrays, corners[-2:], values)
+        return kept & (far | (path_free & stop_free))
+
+    def _lowest(self, points: Float[Array, "points 3"], values: Float[Array, "points"]) -> Float[Array, "segments"]:
+        """Lower bound of the field on each segment of a polyline: between two points Δ apart, (f₁ + f₂ − L Δ)/2."""
+        length = jnp.linalg.norm(jnp.diff(points, axis=0), axis=-1)
+        return 0.5 * (values[:-1] + values[1:] - self.lipschitz * length)
+
+    def _outward(self, position: Vector, wanted: Bool[Array, ""]) -> Vector:
+        """Give the field's gradient where it is wanted, else zero."""
+        arrays, still = eqx.partition(self.field, eqx.is_array)
+
+        def gradient(arrays: Field, position: Vector) -> Vector:
+            return eqx.combine(arrays, still).value_and_gradient(position)[1]
+
+        return where_needed(gradient, wanted, jnp.zeros(3), arrays, position)
 
     def _brake(self, velocity: Vector) -> tuple[Vector, Bool[Array, ""]]:
         """Give the nominal braking acceleration, and whether the nominal motion is at rest."""

@@ -5,8 +5,8 @@ surface. A cubic spline on a grid is also one on the grid of half the spacing, s
 carries the coarse spline's own coefficients there, and the two join in C² (to the rounding of float32 coefficients).
 """
 
+import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Float32, Int32
 
 from keepout.fields.continuation import RadialContinuation
@@ -16,7 +16,6 @@ BLOCK = 8
 """Cells along a block's edge."""
 STORED = BLOCK + 3
 """Coefficients along a block's edge: one before the first cell, two after the last."""
-_OFFSETS = np.array([(i * STORED + j) * STORED + k for i in range(4) for j in range(4) for k in range(4)])
 
 
 class GridField(Field):
@@ -53,16 +52,19 @@ class GridField(Field):
             place = jnp.where(here[:, None], scaled - BLOCK * block, place)
             step = jnp.where(here, self.spacing * 2**level, step)
         cell = jnp.clip(jnp.floor(place).astype(jnp.int32), 0, BLOCK - 1)
-        first = number * STORED**3 + (cell[:, 0] * STORED + cell[:, 1]) * STORED + cell[:, 2]
-        c = self.coefficients[first[:, None] + _OFFSETS].astype(jnp.float64)
-        return c.reshape(-1, 4, 4, 4), place - cell, step
+        blocks = self.coefficients.reshape(-1, STORED, STORED, STORED)
+        # Slices of a block, not 64 single numbers: twice as fast on a CPU.
+        c = jax.vmap(lambda n, i: jax.lax.dynamic_slice(blocks, (n, i[0], i[1], i[2]), (1, 4, 4, 4))[0])(number, cell)
+        return c.astype(jnp.float64), place - cell, step
 
     def value(self, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
         """Signed distance in metres."""
         flat = points.reshape(-1, 3)
         c, t, _ = self._cells(self.continuation.into_domain(flat))
         x, y, z = (_weights(t[:, axis])[0] for axis in range(3))
-        value = jnp.einsum("nijk,ni,nj,nk->n", c, x, y, z)
+        # One axis at a time; all in one contraction would multiply out the 64 weights.
+        along = jnp.einsum("nijk,ni->njk", c, x)
+        value = jnp.einsum("nk,nk->n", jnp.einsum("njk,nj->nk", along, y), z)
         return self.continuation.value(flat, value).reshape(points.shape[:-1])
 
     def value_and_gradient(

@@ -1,0 +1,75 @@
+"""Evaluate an expensive function only where its answer is needed, also inside a batch.
+
+Under `jax.vmap` a `lax.cond` becomes a `select`: both branches run for every flight. Here the batching rule is written
+by hand: the flights that need the answer are gathered, evaluated a group at a time, and their answers put back. What
+a flight gets does not depend on the flights beside it.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.custom_batching import custom_vmap
+from jaxtyping import Array, Bool, PyTree
+
+GROUP = 16
+"""Flights evaluated at once; a larger batch is taken in eight groups, so that an accelerator is not starved."""
+
+
+def where_needed(
+    function: Callable[..., PyTree], needed: Bool[Array, ""], default: PyTree, shared: PyTree, *own: PyTree
+) -> PyTree:
+    """Give `function(shared, *own)` where `needed`, else `default`, which has the answer's structure and types.
+
+    All arguments are arrays or pytrees of arrays. `shared` (a field's coefficients) is the same for all flights of a
+    batch; if it is not, everything is evaluated everywhere.
+    """
+
+    @custom_vmap
+    def chosen(shared: PyTree, needed: Array, default: PyTree, own: PyTree) -> PyTree:
+        return jax.lax.cond(needed, lambda: function(shared, *own), lambda: default)
+
+    @chosen.def_vmap
+    def batched(
+        size: int, is_batched: Any, shared: PyTree, needed: Array, default: PyTree, own: PyTree
+    ) -> tuple[PyTree, PyTree]:
+        varies, *rest = is_batched
+        done = jax.tree.map(lambda _: True, default)
+        if any(jax.tree.leaves(varies)):
+            axes = jax.tree.map(lambda flag: 0 if flag else None, (varies, *rest))
+
+            def one(shared: PyTree, needed: Array, default: PyTree, own: PyTree) -> PyTree:
+                return jax.tree.map(lambda a, b: jnp.where(needed, a, b), function(shared, *own), default)
+
+            return jax.vmap(one, in_axes=axes, axis_size=size)(shared, needed, default, own), done
+        needed, default, own = jax.tree.map(
+            lambda array, flag: array if flag else jnp.broadcast_to(array, (size, *jnp.shape(array))),
+            (needed, default, own),
+            tuple(rest),
+        )
+        return _in_groups(function, size, shared, needed, default, own), done
+
+    return chosen(shared, needed, default, own)
+
+
+def _in_groups(
+    function: Callable[..., PyTree], size: int, shared: PyTree, needed: Array, default: PyTree, own: PyTree
+) -> PyTree:
+    """Evaluate the flights that need it, `width` at a time."""
+    width = min(size, max(GROUP, size // 8))
+    # The indices of those that need an answer; what fills up the last group points beyond the batch and is dropped.
+    place = jnp.cumsum(needed)
+    order = (
+        jnp.full(size + width, size).at[jnp.where(needed, place - 1, size + width)].set(jnp.arange(size), mode="drop")
+    )
+    count = place[-1]
+
+    def evaluate(carry: tuple[Array, PyTree]) -> tuple[Array, PyTree]:
+        first, answers = carry
+        group = jax.lax.dynamic_slice(order, (first,), (width,))
+        theirs = jax.tree.map(lambda array: array.at[group].get(mode="clip"), own)
+        found = jax.vmap(lambda own: function(shared, *own))(theirs)
+        return first + width, jax.tree.map(lambda a, b: a.at[group].set(b, mode="drop"), answers, found)
+
+    return jax.lax.while_loop(lambda carry: carry[0] < count, evaluate, (jnp.zeros((), count.dtype), default))[1]
