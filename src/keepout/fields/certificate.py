@@ -14,6 +14,7 @@ from jaxtyping import Float
 from keepout.errors import FieldError
 from keepout.fields import bounds
 from keepout.fields.evaluate import values, values_and_gradients
+from keepout.fields.lipschitz import Lipschitz, prove_lipschitz
 from keepout.fields.model import Certificate, FieldModel
 from keepout.fields.neural import NeuralField
 from keepout.fields.sampling import surface_points
@@ -31,7 +32,7 @@ proved."""
 ERROR_GAP = 3e-4
 """Share of the domain's radius by which the float32 error may carry the bound further above the largest value found."""
 GRADIENT_ALLOWANCE = 0.2
-"""Added to the largest gradient found, as a share of it: the gradient is searched, not proved."""
+"""Added to the largest gradient found, as a share of it, where the proof of a bound takes too long."""
 FIRST_LEAF = 0.1
 """Metres. Side of the cubes that first cover {d = R}."""
 _CORNERS = np.array([(i, j, k) for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], dtype=np.float64)
@@ -79,19 +80,20 @@ def certify(
     found = _largest_found(field, distance, chaser_radius, np.random.default_rng(seed))
     progress(0.1, f"largest value found {found - chaser_radius:+.4f} m")
     upper, evaluation = _bound_on_contact(field, distance, chaser_radius, found, progress)
-    steepest = _steepest_found(field, distance, chaser_radius, np.random.default_rng(seed + 1))
+    slope = _steepest(model, distance, chaser_radius, np.random.default_rng(seed + 1), progress)
     certificate = Certificate(
         kind="certified",
         chaser_radius=float(chaser_radius),
         error_bound=float(upper - chaser_radius),
         allowance=0.0,
         sampled_maximum=float(found - chaser_radius),
-        gradient_bound=float((1.0 + GRADIENT_ALLOWANCE) * steepest),
-        gradient_kind="sampled",
+        gradient_bound=(1.0 + GRADIENT_ALLOWANCE) * slope.found if slope.proved is None else slope.proved,
+        gradient_kind="sampled" if slope.proved is None else "certified",
         evaluation_error=float(evaluation),
         seconds=time.perf_counter() - start,
         target_sha256=model.target_sha256,
         field_sha256=model.sha256,
+        gradient_found=slope.found,
     )
     progress(1.0, f"error bound {certificate.error_bound:+.4f} m, largest found {certificate.sampled_maximum:+.4f} m")
     return model.with_certificate(certificate)
@@ -126,6 +128,27 @@ def _largest_found(field: NeuralField, distance: ExactDistance, radius: float, g
         points = candidates[np.argsort(-value)[:400]]
         best = max(best, float(value.max()))
     return best
+
+
+def _steepest(
+    model: FieldModel, distance: ExactDistance, radius: float, generator: np.random.Generator, progress: Progress
+) -> Lipschitz:
+    """Return the largest ‖∇f̃‖ found where d ≥ radius, and a proved bound of it, or None where that takes too long.
+
+    What another certificate of the model proved for a smaller radius holds for this one.
+    """
+    assert isinstance(model.field, NeuralField)
+    found = _steepest_found(model.field, distance, radius, generator)
+    for other in model.certificates:
+        if other.gradient_kind == "certified" and other.chaser_radius <= radius and other.gradient_bound >= found:
+            return Lipschitz(found, other.gradient_bound)
+    return prove_lipschitz(
+        model.field,
+        distance,
+        found=found,
+        clearance=radius,
+        progress=lambda fraction, message: progress(0.7 + 0.3 * fraction, message),
+    )
 
 
 def _steepest_found(

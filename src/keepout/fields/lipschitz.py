@@ -1,9 +1,12 @@
 """A proved bound of ‖∇f̃‖ of a neural field wherever a chaser's centre can be, by branch and bound over cubes."""
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Float
 
 from keepout.fields.bounds import UNIT64, Network
+from keepout.fields.evaluate import values_and_gradients
 from keepout.fields.neural import NeuralField
 from keepout.fields.slope_bounds import Prepared, slope_bounds
 from keepout.geometry.bvh import share_among_cores
@@ -12,71 +15,82 @@ from keepout.geometry.octree import SQRT3
 from keepout.progress import Progress, silent
 
 MOST_CUBES = 4_000_000
-"""The search gives up after so many cubes: some 3 minutes a core for 4 × 96 on a laptop."""
+"""The search gives up after so many cubes: minutes for 4 × 96 on a laptop."""
+GAP = 0.5
+"""Cubes are split while their bound exceeds the largest slope found by more than this share of it."""
 FIRST_CUBES = 20
 """Cubes to the radius of the learned ball at the start."""
-_CHUNK = 256
+_CHUNK = 128
+_LOOKED_AT = 8192
+"""Open cubes, of each size, at whose centres the slope is evaluated, to find a larger one."""
 _CORNERS = np.array([(i, j, k) for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], dtype=np.float64)
+
+
+class Lipschitz(NamedTuple):
+    """The largest ‖∇f̃‖ found, and a proved upper bound of all; None where it took too many cubes."""
+
+    found: float
+    proved: float | None
 
 
 def prove_lipschitz(
     field: NeuralField,
     distance: Distance,
     *,
-    goal: float,
+    found: float,
     clearance: float = 0.0,
-    most: int = MOST_CUBES,
     progress: Progress = silent,
-) -> float | None:
+) -> Lipschitz:
     """Prove a bound of ‖∇f̃‖ at every point whose distance d from the target is at least `clearance`.
 
-    Cubes over the learned ball are split until each is bounded by the goal; the continuation beyond the ball, and the
-    allowance it subtracts, are covered by closed forms. The bound is of the network in exact arithmetic: two values as
-    evaluated in float32 differ by at most the bound times the points' distance plus twice the certificate's
-    `evaluation_error`.
+    Cubes over the learned ball are split until each is bounded by 1 + `GAP` times the largest slope found; the
+    continuation beyond the ball, and the allowance it subtracts, are covered by closed forms. The bound is of the
+    network in exact arithmetic: two values as evaluated in float32 differ by at most the bound times the points'
+    distance, plus twice the certificate's `evaluation_error`.
 
     Args:
         field: the field.
         distance: of the target, exact.
-        goal: a cube is split while its bound exceeds this; smaller costs more, steeply below three times the largest
-            slope.
+        found: the largest slope that a search found; the search goes on at the centres of the worst cubes.
         clearance: metres; the chaser's radius.
-        most: cubes to bound before giving up.
         progress: the share of the ball's volume that is settled.
-
-    Returns:
-        The bound, at most about the goal, or None where `most` cubes were not enough.
 
     """
     prepared = Prepared.of(Network.of(field.layers, field.beta))
     continuation = field.continuation
     centre, scale = np.asarray(continuation.centre), float(field.scale)
-    learned = 0.5 * float(continuation.domain_radius + continuation.outer_radius)
+    domain = float(continuation.domain_radius)
+    learned = 0.5 * float(domain + continuation.outer_radius)
     # The normalisation in float64 moves a point by a few units in the last place of the domain's size.
     moved = 64.0 * UNIT64 * (scale + float(np.abs(centre).max()))
     steps = np.arange(-FIRST_CUBES, FIRST_CUBES) + 0.5
     half = 0.5 * learned / FIRST_CUBES
     cubes = 2.0 * half * np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
     whole, done = (2.0 * learned) ** 3, 0.0
-    seen, largest = 0, 0.0
+    seen, largest = 0, found
     while len(cubes):
         reach = SQRT3 * half * (1.0 + 1e-9) + 1e-9
-        radius = np.linalg.norm(cubes, axis=1)
-        inside = radius - reach <= learned
-        inside[inside] = distance.distance(cubes[inside] + centre) + reach >= clearance
-        done += float((~inside).sum()) * (2.0 * half) ** 3
-        cubes, radius = cubes[inside], radius[inside]
+        farthest = np.linalg.norm(cubes, axis=1) + reach
+        # Beyond ρ_0 a cube answers for points farther out too.
+        kept = farthest - 2.0 * reach <= learned
+        kept[kept] = (distance.distance(cubes[kept] + centre) + reach >= clearance) | (farthest[kept] >= domain)
+        done += float((~kept).sum()) * (2.0 * half) ** 3
+        cubes, farthest = cubes[kept], farthest[kept]
         seen += len(cubes)
-        if seen > most:
-            return None
-        bound = _with_continuation(field, _bounds(prepared, cubes / scale, (half + moved) / scale), radius + reach)
-        open_ = bound > goal
+        if seen > MOST_CUBES:
+            return Lipschitz(found, None)
+        bound = _with_continuation(field, _bounds(prepared, cubes / scale, (half + moved) / scale), farthest)
+        worst = cubes[np.argsort(-bound)[:_LOOKED_AT]] + centre
+        worst = worst[distance.distance(worst) >= clearance]
+        slopes = np.linalg.norm(values_and_gradients(field, worst)[1], axis=1)
+        found = max(found, float(slopes.max(initial=0.0)))
+        open_ = bound > (1.0 + GAP) * found
         largest = max(largest, float(bound[~open_].max(initial=0.0)))
         done += float((~open_).sum()) * (2.0 * half) ** 3
         progress(min(1.0, done / whole), f"‖∇f̃‖: {seen} cubes, {int(open_.sum())} of {2.0 * half:.2g} m open")
         half *= 0.5
         cubes = (cubes[open_][:, None, :] + half * _CORNERS).reshape(-1, 3)
-    return largest
+    return Lipschitz(found, largest)
 
 
 def _bounds(prepared: Prepared, centres: Float[np.ndarray, "m 3"], half_width: float) -> Float[np.ndarray, "m"]:

@@ -37,12 +37,13 @@ class Certificate:
         error_bound: e_h(R), metres: f̃ ≤ R + e_h wherever the exact distance to the triangles is R. May be negative.
         allowance: metres added to the sampled maximum; zero for a certified bound.
         sampled_maximum: the largest f̃ - R found by search on that surface, metres: how much of the bound is slack.
-        gradient_bound: a bound of ‖∇f̃‖ over the field's domain (the Lipschitz number of the guard).
-        gradient_kind: "certified" or "sampled", for the gradient bound.
+        gradient_bound: a bound of ‖∇f̃‖ wherever d ≥ R (the Lipschitz number of the guard).
+        gradient_kind: "certified" when that is proved; "sampled" when it is the largest found plus a stated allowance.
         evaluation_error: the part of the bound that covers float32 evaluation, metres.
         seconds: wall-clock time it took.
         target_sha256: digest of the triangles.
         field_sha256: digest of the field.
+        gradient_found: the largest ‖∇f̃‖ found by search; None in files from before it was recorded.
 
     """
 
@@ -57,6 +58,7 @@ class Certificate:
     seconds: float
     target_sha256: str
     field_sha256: str
+    gradient_found: float | None = None
 
 
 @dataclasses.dataclass(frozen=True)
