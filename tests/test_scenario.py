@@ -48,6 +48,12 @@ def test_every_example_is_valid(path: Path):
         ({"campaign": {"lower": [1, 0, 0], "upper": [0, 0, 0]}}, ("campaign", "must not exceed")),
         ({"target": {"units": "cm", "scale": 0.1}}, ("target", "not both")),
         ({"target": 3}, ("target", "3")),
+        ({"faults": {"law": "sideways"}}, ("faults.law", "'sideways'", "'into the body'")),
+        ({"faults": {"dropped": 1.0}}, ("faults.dropped", "1.0", "less than 1")),
+        ({"faults": {"delay": -1}}, ("faults.delay", "-1", "greater than or equal to 0")),
+        ({"faults": {"stuck": "x"}}, ("faults.stuck", "'x'", "'+x'")),
+        ({"faults": {"stuck_force": 0.1}}, ("faults", "need stuck")),
+        ({"faults": {"stuck": "+x", "stuck_force": 0.2}}, ("faults.stuck_force 0.2", "chaser.force_limit")),
         ({"name": "../x"}, ("name", "'../x'")),
     ],
 )

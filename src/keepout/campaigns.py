@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from keepout import environment
 from keepout.control.controller import ControlStatus
-from keepout.control.guard import GuardStatus
+from keepout.control.guard import GuardFlag, GuardStatus, flag_names
 from keepout.errors import ScenarioError
 from keepout.flight.audit import Audit, Contact, audit_campaign
 from keepout.flight.campaign import campaign
@@ -62,9 +62,17 @@ class Campaign:
                 layer: {status.name.lower(): int(count[status]) for status in kind if count[status]}
                 for layer, (kind, count) in counts.items()
             },
+            "flagged": self.flagged(),
+            "faults": self.scenario.faults.model_dump(exclude_defaults=True),
             "seconds": self.seconds,
             "seed": self.scenario.seed,
         }
+
+    def flagged(self) -> dict[str, int]:
+        """Count the flights in which the guard raised each flag; flags never raised are left out."""
+        flags = np.asarray(self.outcome.guard_flags)
+        flights = {name: int(np.count_nonzero(flags & flag)) for flag in GuardFlag for name in flag_names(flag)}
+        return {name: count for name, count in flights.items() if count}
 
     def save(self, path: Path) -> None:
         """Write one row a flight into a Parquet file, the scenario in its metadata."""
@@ -76,6 +84,7 @@ class Campaign:
             "delta_v": np.asarray(self.outcome.delta_v),
             "saturated_fraction": np.asarray(self.outcome.saturated_fraction),
             "guard_interventions": np.asarray(self.outcome.guard_interventions),
+            "guard_flags": [" ".join(flag_names(int(flags))) for flags in np.asarray(self.outcome.guard_flags)],
             "contact": [str(audit.contact) for audit in self.audits],
             "minimum_clearance": [audit.minimum_clearance for audit in self.audits],
         }

@@ -7,6 +7,15 @@ import numpy as np
 
 from keepout.control.braking import GuardAssumptions
 from keepout.errors import ScenarioError
+from keepout.flight.faults import (
+    CombinedFaults,
+    DelayedCommands,
+    DroppedCommands,
+    StuckThruster,
+    ThrusterGain,
+    WrongEstimate,
+)
+from keepout.flight.setup import Faults, NoFaults
 from keepout.flight.tube import FlightBounds
 from keepout.geometry.target import Target
 from keepout.motion import (
@@ -86,6 +95,26 @@ def disturbance_bound(scenario: Scenario) -> float:
 def thrusters(scenario: Scenario) -> Thrusters:
     """Build the chaser's thrusters."""
     return Thrusters(scenario.chaser.force_limit)
+
+
+def faults(scenario: Scenario) -> Faults:
+    """Build what stands between truth and law, in the order in which a command passes it."""
+    entry = scenario.faults
+    parts: list[Faults] = []
+    if entry.position_bias or entry.velocity_bias or entry.position_noise or entry.velocity_noise:
+        parts.append(
+            WrongEstimate(entry.position_bias, entry.velocity_bias, entry.position_noise, entry.velocity_noise)
+        )
+    if entry.dropped:
+        parts.append(DroppedCommands(entry.dropped))
+    if entry.delay:
+        parts.append(DelayedCommands(entry.delay))
+    if entry.gain_error:
+        parts.append(ThrusterGain(entry.gain_error))
+    if entry.stuck is not None:
+        sign, axis = (1 if entry.stuck[0] == "+" else -1), "xyz".index(entry.stuck[1])
+        parts.append(StuckThruster(axis, sign, entry.stuck_force, start=entry.stuck_from))
+    return CombinedFaults(tuple(parts)) if parts else NoFaults()
 
 
 def flight_bounds(scenario: Scenario) -> FlightBounds:

@@ -12,7 +12,8 @@ from jaxtyping import Float
 from keepout import environment
 from keepout.control import profiles
 from keepout.control.controller import Controller, ControlStatus
-from keepout.control.guard import Guard, GuardStatus
+from keepout.control.delay import AheadOfDelay
+from keepout.control.guard import Guard, GuardFlag, GuardStatus, flag_names
 from keepout.errors import FieldError, ScenarioError
 from keepout.fields.grid_build import build_grid
 from keepout.fields.grid_certificate import certify_grid
@@ -20,6 +21,7 @@ from keepout.fields.model import Certificate, FieldModel
 from keepout.fields.shipped import load_shipped, shipped_names
 from keepout.flight import loop
 from keepout.flight.audit import Audit, Contact, audit
+from keepout.flight.faults import BrokenLaw
 from keepout.flight.outcome import FlightOutcome, outcome
 from keepout.flight.record import FlightRecord
 from keepout.flight.setup import FlightSetup
@@ -88,9 +90,17 @@ class Flight:
                 layer: {status.name.lower(): int(counts[layer][status]) for status in kind if counts[layer][status]}
                 for layer, kind in legend.items()
             },
+            "guard_flags": self.guard_flags(),
+            "faults": self.scenario.faults.model_dump(exclude_defaults=True),
             "violated_conditions": list(self.violated_conditions),
             "remarks": list(self.audit.remarks),
         }
+
+    def guard_flags(self) -> dict[str, int]:
+        """Count the steps in which the guard raised each flag; flags never raised are left out."""
+        status = self.record.guard_status[:-1]
+        steps = {name: int(np.count_nonzero(status & flag)) for flag in GuardFlag for name in flag_names(flag)}
+        return {name: count for name, count in steps.items() if count}
 
 
 def load_target(entry: TargetEntry) -> Target:
@@ -164,11 +174,12 @@ def prepare(
         motion=motion,
         disturbance=environment.disturbance(scenario),
         thrusters=environment.thrusters(scenario),
-        controller=controller,
+        controller=_flown_law(scenario, controller, model, motion),
         goal=scenario.goal.position,
         mass=scenario.chaser.mass,
         period=scenario.control.period,
         guard=guard,
+        faults=environment.faults(scenario),
         field=model.field,
         tolerance=scenario.goal.tolerance,
     )
@@ -216,7 +227,8 @@ def fly(
         target_sha256=mission.target.sha256,
         statuses={
             "control_status": {int(status): status.name.lower() for status in ControlStatus},
-            "guard_status": {int(status): status.name.lower() for status in GuardStatus},
+            "guard_status": {int(status): status.name.lower() for status in GuardStatus}
+            | {int(flag): name for flag in GuardFlag for name in flag_names(flag)},
         },
     )
     verdict = audit(
@@ -277,6 +289,24 @@ def _controller(
         start=np.asarray(scenario.start.position),
         progress=progress,
         **chosen,
+    )
+
+
+def _flown_law(scenario: Scenario, law: Any, model: FieldModel, motion: RelativeMotion) -> Any:
+    """Tell the law of the delay that the scenario declares, and break it as the scenario's faults say."""
+    chaser, period = scenario.chaser, scenario.control.period
+    if scenario.guard.delay:
+        law = AheadOfDelay(law, motion, chaser.mass, period, scenario.guard.delay)
+    if scenario.faults.law == "none":
+        return law
+    return BrokenLaw(
+        law,
+        model.field,
+        scenario.faults.law,
+        chaser.force_limit,
+        chaser.mass,
+        chaser.speed_limit,
+        seed=scenario.seed,
     )
 
 

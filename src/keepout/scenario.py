@@ -81,7 +81,45 @@ class GuardEntry(Entry):
     velocity_error: NonNegative = Field(default=0.0, description="largest error of the velocity estimate, m/s")
     mass_error: Annotated[float, Field(ge=0.0, lt=1.0)] = Field(default=0.0, description="largest relative error")
     gain_error: Annotated[float, Field(ge=0.0, lt=1.0)] = Field(default=0.0, description="of the thrusters, relative")
-    delay: Annotated[int, Field(ge=0, le=8)] = Field(default=0, description="from command to effect, control periods")
+    delay: Annotated[int, Field(ge=0, le=8)] = Field(
+        default=0, description="from command to effect, control periods; the control law predicts its state over it too"
+    )
+
+
+class FaultsEntry(Entry):
+    """What goes wrong in flight, drawn from the scenario's seed; law and guard know only what `guard` says of it."""
+
+    law: Literal["none", "into the body", "through", "random", "bang-bang", "not a number"] = Field(
+        default="none",
+        description="what replaces the law's force: full thrust into the body, straight through to the goal at twice "
+        "the speed limit, random forces, full thrust in a random corner for 15 periods each, NaN in every 15th command",
+    )
+    position_bias: NonNegative = Field(default=0.0, description="constant error of the estimate, random direction, m")
+    velocity_bias: NonNegative = Field(default=0.0, description="the same of its velocity, m/s")
+    position_noise: NonNegative = Field(default=0.0, description="largest error drawn anew each period, m")
+    velocity_noise: NonNegative = Field(default=0.0, description="the same of its velocity, m/s")
+    delay: Annotated[int, Field(ge=0, le=100)] = Field(
+        default=0, description="true delay from command to effect, control periods"
+    )
+    dropped: Annotated[float, Field(ge=0.0, lt=1.0)] = Field(
+        default=0.0, description="probability that a command is lost; the last one then goes on"
+    )
+    gain_error: Annotated[float, Field(ge=0.0, lt=1.0)] = Field(
+        default=0.0, description="each axis gives 1 ± this of its command, drawn once a flight"
+    )
+    stuck: Literal["+x", "-x", "+y", "-y", "+z", "-z"] | None = Field(
+        default=None, description="the thruster that is stuck, by the direction it pushes in"
+    )
+    stuck_force: NonNegative = Field(
+        default=0.0, description="what it then gives: 0 stuck off, force_limit stuck on, N"
+    )
+    stuck_from: NonNegative = Field(default=0.0, description="when it sticks, s")
+
+    @model_validator(mode="after")
+    def _stuck_is_named(self) -> "FaultsEntry":
+        if self.stuck is None and (self.stuck_force or self.stuck_from):
+            raise ValueError('stuck_force and stuck_from need stuck = "+x", "-x", "+y", "-y", "+z" or "-z"')
+        return self
 
 
 class ControlEntry(Entry):
@@ -195,6 +233,7 @@ class Scenario(Entry):
     orbit: OrbitEntry = OrbitEntry()
     attitude: AttitudeEntry = AttitudeEntry()
     disturbance: DisturbanceEntry = DisturbanceEntry()
+    faults: FaultsEntry = FaultsEntry()
     start: StateEntry = StateEntry()
     goal: GoalEntry = GoalEntry()
     campaign: CampaignEntry = CampaignEntry()
@@ -203,6 +242,15 @@ class Scenario(Entry):
     def _at_least_a_step(self) -> "Scenario":
         if self.duration < self.control.period:
             raise ValueError(f"duration {self.duration} s is shorter than one control period, {self.control.period} s")
+        return self
+
+    @model_validator(mode="after")
+    def _thrusters_give_no_more(self) -> "Scenario":
+        if self.faults.stuck_force > self.chaser.force_limit:
+            raise ValueError(
+                f"faults.stuck_force {self.faults.stuck_force} N is more than chaser.force_limit, "
+                f"{self.chaser.force_limit} N; a stuck thruster gives from 0 to that"
+            )
         return self
 
     @classmethod

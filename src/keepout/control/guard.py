@@ -24,6 +24,9 @@ from keepout.motion.relative import MotionState
 
 Vector = Float[Array, "3"]
 
+WATCHED = 32
+"""Steps over which velocity that no command explains is added up, before the sum is begun anew."""
+
 
 class GuardStatus(IntEnum):
     """What the guard did in a step: the status's two lowest bits."""
@@ -42,7 +45,7 @@ class GuardFlag(IntFlag):
     """What the guard saw in a step: bits added to the status. Any flag but COMMAND means an assumption did not hold."""
 
     STATE_JUMP = 4
-    """The estimate moved further than force, disturbance bound and estimate errors allow."""
+    """The estimate moved further than force, disturbance bound and estimate errors allow, in a step or in several."""
     DISTURBANCE = 8
     """The disturbance estimate is above one and a half times what the assumptions let an observer see."""
     FIELD = 16
@@ -62,12 +65,18 @@ def mode(status: Int[Array, "*batch"]) -> Int[Array, "*batch"]:
     return status & 3
 
 
+def flag_names(flags: int) -> tuple[str, ...]:
+    """Name the `GuardFlag` bits of a status, or of several joined by `|`."""
+    return tuple(flag.name.lower() for flag in GuardFlag if flag & flags and flag.name is not None)
+
+
 class GuardState(eqx.Module):
     """The guard's memory: its plan, and what it expects to be told next.
 
     plan_position (m), plan_velocity (m/s): the nominal braking motion when the next command takes effect. certified:
     whether that motion's tube is known to be free. pending (m/s²): commands not yet in effect, the oldest first.
-    expected_position, expected_velocity: the next estimate, were there no disturbance.
+    expected_position, expected_velocity: the next estimate, were there no disturbance. unexplained (m/s): the sum of
+    the velocity changes that no command accounts for, over the `counted` steps since it was last begun anew.
     """
 
     plan_position: Vector
@@ -76,6 +85,8 @@ class GuardState(eqx.Module):
     pending: Float[Array, "delay 3"]
     expected_position: Vector
     expected_velocity: Vector
+    unexplained: Vector
+    counted: Int[Array, ""]
 
 
 class Guard(eqx.Module):
@@ -127,7 +138,16 @@ class Guard(eqx.Module):
         path, ahead, moving = self._predict(position, velocity, pending)
         value = self.field.value(position)
         free = self._free(position, value, path[1:-1], ahead, moving, jnp.asarray(True))
-        return GuardState(ahead, moving, free, pending, position, velocity)
+        return GuardState(
+            plan_position=ahead,
+            plan_velocity=moving,
+            certified=free,
+            pending=pending,
+            expected_position=position,
+            expected_velocity=velocity,
+            unexplained=jnp.zeros(3),
+            counted=jnp.zeros((), jnp.int32),
+        )
 
     def filter(
         self, guard_state: GuardState, estimate: MotionState, force: Vector, disturbance_estimate: Vector
@@ -163,6 +183,9 @@ class Guard(eqx.Module):
         followed = brake - jnp.where(told, feedback, 0.0)
         follow = (planned | (guard_state.certified & ~told)) & ~accepted
         chosen = jnp.where(follow, jnp.clip(followed, -a.authority, a.authority), candidate)
+        begun = guard_state.counted < WATCHED
+        counted = jnp.where(begun, guard_state.counted, 0) + 1
+        unexplained = jnp.where(begun, guard_state.unexplained, 0.0) + velocity - guard_state.expected_velocity
         new = GuardState(
             plan_position=jnp.where(
                 follow, guard_state.plan_position + T * guard_state.plan_velocity + 0.5 * T**2 * brake, next_position
@@ -172,6 +195,8 @@ class Guard(eqx.Module):
             pending=jnp.concatenate([guard_state.pending, chosen[None]])[1:],
             expected_position=position + T * velocity + 0.5 * T**2 * self._in_effect(guard_state, chosen),
             expected_velocity=velocity + T * self._in_effect(guard_state, chosen),
+            unexplained=unexplained,
+            counted=counted,
         )
         done = jnp.where(
             accepted & planned,
@@ -179,7 +204,11 @@ class Guard(eqx.Module):
             jnp.where(follow, jnp.where(rest, GuardStatus.HOLDING, GuardStatus.BRAKING), GuardStatus.ESCAPING),
         )
         flags = (
-            jnp.where(self._jumped(guard_state, position, velocity), GuardFlag.STATE_JUMP, 0)
+            jnp.where(
+                self._jumped(guard_state, position, velocity) | self._pushed(unexplained, counted),
+                GuardFlag.STATE_JUMP,
+                0,
+            )
             + jnp.where(self._too_strong(disturbance_estimate), GuardFlag.DISTURBANCE, 0)
             + jnp.where(here > self.threshold, 0, GuardFlag.FIELD)
             + jnp.where(self._outside_region(position, velocity), GuardFlag.REGION, 0)
@@ -344,6 +373,16 @@ class Guard(eqx.Module):
         moved = jnp.linalg.norm(position - guard_state.expected_position) > shift * (1.0 + 1e-6) + 1e-9
         changed = jnp.linalg.norm(velocity - guard_state.expected_velocity) > kick * (1.0 + 1e-6) + 1e-9
         return moved | changed
+
+    def _pushed(self, unexplained: Vector, counted: Int[Array, ""]) -> Bool[Array, ""]:
+        """Whether the velocity gained over several steps is more than the disturbance bound allows.
+
+        The steps' estimate errors cancel but for the first and the last, so that what `_jumped` cannot tell from them
+        is seen here, the sooner the larger it is.
+        """
+        a = self.assumptions
+        allowed = a.disturbance * a.period * counted + 2.0 * a.velocity_error
+        return jnp.linalg.norm(unexplained) > allowed * (1.0 + 1e-6) + 1e-9
 
     def _too_strong(self, disturbance_estimate: Vector) -> Bool[Array, ""]:
         a = self.assumptions

@@ -230,6 +230,11 @@ class BrokenLaw(eqx.Module):
         """Where the working law leads, m."""
         return self.law.goal
 
+    @property
+    def conditions(self) -> tuple[Any, ...]:
+        """The working law's design conditions."""
+        return self.law.conditions
+
     def initial_state(self, state: MotionState) -> PyTree:
         """Start the working law, and a stream of its own that depends on where the flight starts."""
         key = jax.random.key(self.seed)

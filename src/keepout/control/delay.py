@@ -1,0 +1,70 @@
+"""A control law for thrusters that answer late: it is asked for the state in which its command will take effect."""
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PyTree
+
+from keepout.errors import ControlError
+from keepout.motion.disturbance import NoDisturbance
+from keepout.motion.relative import MotionState, RelativeMotion
+
+
+class AheadOfDelay(eqx.Module):
+    """A law whose commands take effect `delay` periods after they are given.
+
+    Each estimate is moved ahead by the commands under way before the law sees it, without a disturbance. So the
+    velocities that the law sees differ, from sample to sample, by the force it gave at the first of them, the drift
+    and the disturbance that acted: its observer needs no change. What the law reports (barrier, safe velocity) is
+    about the state ahead.
+
+    law: any control law. motion: the model of the drift. mass: kg. period: s. delay: whole periods, at least 1.
+
+    Raises:
+        ControlError: a delay below 1.
+
+    """
+
+    law: Any
+    motion: RelativeMotion
+    mass: Float[Array, ""] = eqx.field(converter=lambda value: jnp.asarray(value, jnp.float64))
+    period: Float[Array, ""] = eqx.field(converter=lambda value: jnp.asarray(value, jnp.float64))
+    delay: int = eqx.field(static=True)
+
+    def __check_init__(self):
+        if self.delay < 1:
+            raise ControlError(f"delay: {self.delay} periods; it must be at least 1")
+
+    @property
+    def goal(self) -> Float[Array, "3"]:
+        """Where the law leads, m."""
+        return self.law.goal
+
+    @property
+    def conditions(self) -> tuple[Any, ...]:
+        """The law's design conditions."""
+        return self.law.conditions
+
+    def ahead(self, estimate: MotionState, pending: Float[Array, "delay 3"]) -> MotionState:
+        """Give the state after the commands under way (N, the oldest first)."""
+        for i in range(self.delay):
+            estimate = self.motion.step(estimate, pending[i], NoDisturbance(), self.period, self.mass)
+        return estimate
+
+    def initial_state(self, state: MotionState) -> PyTree:
+        """Start the law where it will be first obeyed; nothing is under way."""
+        pending = jnp.zeros((self.delay, 3))
+        return self.law.initial_state(self.ahead(state, pending)), pending
+
+    def with_applied_force(self, state: PyTree, force: Float[Array, "3"]) -> PyTree:
+        """Return the state told that `force` (N) was commanded instead of the law's own."""
+        memory, pending = state
+        told = getattr(self.law, "with_applied_force", None)
+        return (memory if told is None else told(memory, force)), pending.at[-1].set(force)
+
+    def step(self, state: PyTree, estimate: MotionState) -> tuple[PyTree, Any]:
+        """Run the law on the state ahead."""
+        memory, pending = state
+        memory, order = self.law.step(memory, self.ahead(estimate, pending))
+        return (memory, jnp.concatenate([pending[1:], order.force[None]])), order
