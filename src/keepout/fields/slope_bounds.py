@@ -152,7 +152,9 @@ def _relax(columns, tangents, remainder, beta):
             high_slope = (1.0 if high > 0.0 else e) / (1.0 + e)
 
             # σ' - q z is extreme at the ends, or where σ'' = β σ' (1 - σ') = q.
-            q = min(max((high_slope - low_slope) / width, 0.0), 0.25 * beta)
+            narrow = beta * width < 1e-6  # there differences are rounding; any q and any chord are sound
+            q = beta * high_slope * (1.0 - high_slope) if narrow else (high_slope - low_slope) / width
+            q = min(max(q, 0.0), 0.25 * beta)
             above = max(low_slope - q * low, high_slope - q * high)
             below = min(low_slope - q * low, high_slope - q * high)
             small = 2.0 * q / beta / (1.0 + np.sqrt(max(1.0 - 4.0 * q / beta, 0.0)))
@@ -170,7 +172,7 @@ def _relax(columns, tangents, remainder, beta):
             deviation[i, j] = min(q * reach + wobble[i, j], max(high_slope - s, s - low_slope) + slack)
 
             # σ lies below its chord, and above the tangent of the same slope c: c z plus the entropy of c over β.
-            chord = min(max((high_value - low_value) / width, 0.0), 1.0)
+            chord = high_slope if narrow else min(max((high_value - low_value) / width, 0.0), 1.0)
             upper = max(low_value - chord * low, high_value - chord * high)
             c = min(max(chord, 1e-12), 1.0 - 1e-12)
             lower = -(c * np.log(c) + (1.0 - c) * np.log1p(-c)) / beta - abs(chord - c) * size
