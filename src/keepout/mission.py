@@ -15,8 +15,6 @@ from keepout.control.controller import Controller, ControlStatus
 from keepout.control.delay import AheadOfDelay
 from keepout.control.guard import Guard, GuardFlag, GuardStatus, flag_names
 from keepout.errors import FieldError, ScenarioError
-from keepout.fields.grid_build import build_grid
-from keepout.fields.grid_certificate import certify_grid
 from keepout.fields.model import Certificate, FieldModel
 from keepout.fields.shipped import load_shipped, shipped_names
 from keepout.flight import loop
@@ -25,8 +23,8 @@ from keepout.flight.faults import BrokenLaw
 from keepout.flight.outcome import FlightOutcome, outcome
 from keepout.flight.record import FlightRecord
 from keepout.flight.setup import FlightSetup
-from keepout.geometry.offset_solid import OffsetSolid
 from keepout.geometry.target import Target
+from keepout.guard_field import guard_field
 from keepout.motion import MotionState, RelativeMotion
 from keepout.progress import Progress, silent
 from keepout.scenario import Scenario, TargetEntry
@@ -311,20 +309,15 @@ def _flown_law(scenario: Scenario, law: Any, model: FieldModel, motion: Relative
 
 
 def _guard(scenario: Scenario, target: Target, model: FieldModel, progress: Progress) -> Guard:
-    """Build the guard, with the scenario's numbers as its assumptions and a field of its own.
+    """Build the guard, with the scenario's numbers as its assumptions and a field of its own (`guard_field`).
 
     That field is a spline of exact distances whose error and gradient bounds are proved, not the learned one: an error
-    in one is not an error in the other. Its spacing is 0.1 m, coarser on targets above 40 m to keep it small.
+    in one is not an error in the other.
     """
     radius = scenario.chaser.radius
-    size = float(np.ptp(target.vertices, axis=0).max())
     closing = float(model.training.get("closing_radius", 0.25))
-    progress(0.0, "guard: offset solid")
-    solid = OffsetSolid.build(target.distance, offset=model.offset, closing_radius=closing)
-    progress(0.4, "guard: grid field")
-    grid = build_grid(target, spacing=max(0.1, size / 400.0), band=radius + 0.3, solid=solid)
-    progress(0.8, "guard: certificate")
-    certificate = certify_grid(grid, target, chaser_radius=radius).certificate(radius)
+    grid = guard_field(target, radius, offset=model.offset, closing_radius=closing, progress=progress)
+    certificate = grid.certificate(radius)
     return Guard(
         field=grid.field,
         threshold=certificate.error_bound + radius,

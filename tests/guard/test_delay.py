@@ -101,7 +101,7 @@ def test_a_push_beyond_the_bound_is_seen_through_estimate_errors():
     for seed in range(3):
         assert not np.any(flags_under([0.0, D * (1 - 1e-9), 0.0], assumed, errors, seed) & GuardFlag.STATE_JUMP)
         # 30 % beyond the bound is less than the errors of two samples, and is seen all the same.
-        assert 0.3 * D < 2 * errors[1]
+        assert 2 * errors[1] > 0.3 * D
         status = flags_under([0.0, 1.3 * D, 0.0], assumed, errors, seed)
         first = int(np.argmax(status & GuardFlag.STATE_JUMP != 0))
         assert 0 < first < 2 * WATCHED
