@@ -98,3 +98,14 @@ def test_float32_exponential_and_logarithm_are_as_exact_as_assumed():
     got = np.asarray(jax.jit(jnp.log1p)(argument), np.float64)
     kept = log > 2.0**-125
     assert (np.abs(got - log)[kept] / log[kept]).max() < 0.5 * bounds.ELEMENTARY * 2.0**-23
+
+
+def test_float64_exponential_and_logarithm_are_as_exact_as_assumed():
+    t = np.concatenate([np.linspace(0.0, 700.0, 1_000_001), np.geomspace(1e-30, 1.0, 200_001)])
+    e = np.exp(-t.astype(np.longdouble))
+    got = np.asarray(jax.jit(lambda x: jnp.exp(-x))(t)).astype(np.longdouble)
+    assert (np.abs(got - e) / e).max() < 0.5 * bounds.ELEMENTARY * 2.0**-52
+    argument = np.exp(-t)
+    log = np.log1p(argument.astype(np.longdouble))
+    got = np.asarray(jax.jit(jnp.log1p)(argument)).astype(np.longdouble)
+    assert (np.abs(got - log) / log).max() < 0.5 * bounds.ELEMENTARY * 2.0**-52

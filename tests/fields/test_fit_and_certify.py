@@ -13,11 +13,12 @@ import pytest
 
 from keepout.errors import FieldError
 from keepout.fields import certificate, mlp
-from keepout.fields.certificate import certify, onto_level
+from keepout.fields.certificate import certify
 from keepout.fields.evaluate import values
 from keepout.fields.model import FieldModel
 from keepout.fields.profile import Profile
 from keepout.fields.quality import curvature, distance_errors, farthest_overstatement, margin_cost, surface_errors
+from keepout.fields.sampling import onto_level
 from keepout.fields.training import fit
 from keepout.geometry.offset_solid import OffsetSolid
 from keepout.geometry.target import Target
@@ -113,6 +114,7 @@ _SCRIPT = """
 import sys
 from pathlib import Path
 from keepout.fields.profile import Profile
+from keepout.fields.sampling import onto_level
 from keepout.fields.training import fit
 from keepout.geometry.target import Target
 target = Target.load("box", parameters={"length": 2.0, "width": 1.0, "height": 1.0})

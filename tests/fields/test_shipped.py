@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from keepout.errors import FieldError
-from keepout.fields.certificate import certify, onto_level
+from keepout.fields.certificate import certify
 from keepout.fields.evaluate import values
-from keepout.fields.sampling import surface_points
+from keepout.fields.sampling import onto_level, surface_points
 from keepout.fields.shipped import CHASER_RADII, _folder, load_shipped, shipped_names
 from keepout.geometry.target import Target
 

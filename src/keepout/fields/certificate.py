@@ -17,15 +17,16 @@ from keepout.fields.evaluate import values, values_and_gradients
 from keepout.fields.lipschitz import Lipschitz, prove_lipschitz
 from keepout.fields.model import Certificate, FieldModel
 from keepout.fields.neural import NeuralField
-from keepout.fields.sampling import surface_points
+from keepout.fields.sampling import level_points, onto_level, surface_points
 from keepout.geometry.distance import ExactDistance
+from keepout.geometry.level_cut import largest_on_level
 from keepout.geometry.octree import straddling_cells
 from keepout.geometry.target import Target
 from keepout.progress import Progress, silent
 
 CHUNK = 1024
-RELATIVE_GAP, SMALLEST_GAP = 0.05, 0.002
-"""Splitting stops when the bound is within this of the largest value found: 5 %, or 2 mm."""
+RELATIVE_GAP, SMALLEST_GAP = 0.05, 0.005
+"""Splitting stops when the bound is within this of the largest value found: 5 %, or 5 mm."""
 MOST_ELEMENTS = 3_000_000
 """Splitting also stops after this many elements; the bound is then the largest of what is left: looser, and still
 proved."""
@@ -33,13 +34,21 @@ ERROR_GAP = 3e-4
 """Share of the domain's radius by which the float32 error may carry the bound further above the largest value found."""
 GRADIENT_ALLOWANCE = 0.2
 """Added to the largest gradient found, as a share of it, where the proof of a bound takes too long."""
-FIRST_LEAF = 0.1
-"""Metres. Side of the cubes that first cover {d = R}."""
+FIRST_LEAF, LARGEST_LEAF = 0.02, 0.4
+"""Side of the cubes that first cover {d = R}: this share of the domain's radius, at most so many metres."""
+LOOKED_AT = 1024
+"""Elements with the largest bounds, of each size, where a larger value is looked for."""
 _CORNERS = np.array([(i, j, k) for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], dtype=np.float64)
 
 
 def certify(
-    model: FieldModel, target: Target, *, chaser_radius: float = 0.0, seed: int = 0, progress: Progress = silent
+    model: FieldModel,
+    target: Target,
+    *,
+    chaser_radius: float = 0.0,
+    prove_slope: bool = False,
+    seed: int = 0,
+    progress: Progress = silent,
 ) -> FieldModel:
     """Return the same model with a proved certificate for one chaser radius, in place of any it had for that radius.
 
@@ -47,6 +56,8 @@ def certify(
         model: its field must be a `NeuralField`.
         target: the mesh it was made for.
         chaser_radius: R, metres.
+        prove_slope: prove a bound of ‖∇f̃‖ too, which can take minutes; else it is the largest found plus 20 %, and
+            says so.
         seed: of the search for the largest value; the bound is sound whatever it finds.
         progress: fraction done (a guess), elements left and the bound so far.
 
@@ -73,14 +84,14 @@ def certify(
             )
         )
     )
-    largest = float(field.continuation.domain_radius) - reach - FIRST_LEAF * np.sqrt(3.0)
+    largest = float(field.continuation.domain_radius) - reach - _first_leaf(field) * np.sqrt(3.0)
     if not 0.0 <= chaser_radius <= largest:
         raise FieldError(f"chaser radius {chaser_radius:g} m: for this field it must be 0 to {largest:.3g} m")
 
     found = _largest_found(field, distance, chaser_radius, np.random.default_rng(seed))
     progress(0.1, f"largest value found {found - chaser_radius:+.4f} m")
     upper, evaluation = _bound_on_contact(field, distance, chaser_radius, found, progress)
-    slope = _steepest(model, distance, chaser_radius, np.random.default_rng(seed + 1), progress)
+    slope = _steepest(model, distance, chaser_radius, np.random.default_rng(seed + 1), prove_slope, progress)
     certificate = Certificate(
         kind="certified",
         chaser_radius=float(chaser_radius),
@@ -99,24 +110,12 @@ def certify(
     return model.with_certificate(certificate)
 
 
-def onto_level(distance: ExactDistance, points: Float[np.ndarray, "n 3"], level: float) -> Float[np.ndarray, "m 3"]:
-    """Points moved along the distance's gradient onto {d = level}; those that do not arrive are left out."""
-    if level == 0.0:
-        return distance.closest(points)[1]
-    for _ in range(12):
-        d, gradient = distance.distance_and_gradient(points)
-        points = points + (level - d)[:, None] * gradient
-    return points[np.abs(distance.distance(points) - level) < 1e-9]
-
-
 def _largest_found(field: NeuralField, distance: ExactDistance, radius: float, generator: np.random.Generator) -> float:
     """Return the largest f̃ found on {d = radius}: samples, then random ascent around the best of them."""
-    start = surface_points(distance, 60_000, generator, by_area=0.5)
     if radius > 0.0:
-        direction = generator.normal(size=start.shape)
-        start = onto_level(
-            distance, start + radius * direction / np.linalg.norm(direction, axis=1, keepdims=True), radius
-        )
+        start = level_points(distance, radius, 60_000, generator)
+    else:
+        start = surface_points(distance, 60_000, generator, by_area=0.5)
     value = values(field, start)
     best = float(value.max())
     points = start[np.argsort(-value)[:400]]
@@ -131,9 +130,14 @@ def _largest_found(field: NeuralField, distance: ExactDistance, radius: float, g
 
 
 def _steepest(
-    model: FieldModel, distance: ExactDistance, radius: float, generator: np.random.Generator, progress: Progress
+    model: FieldModel,
+    distance: ExactDistance,
+    radius: float,
+    generator: np.random.Generator,
+    prove: bool,
+    progress: Progress,
 ) -> Lipschitz:
-    """Return the largest ‖∇f̃‖ found where d ≥ radius, and a proved bound of it, or None where that takes too long.
+    """Return the largest ‖∇f̃‖ found where d ≥ radius, and a proved bound of it, or None if not asked or too long.
 
     What another certificate of the model proved for a smaller radius holds for this one.
     """
@@ -142,6 +146,8 @@ def _steepest(
     for other in model.certificates:
         if other.gradient_kind == "certified" and other.chaser_radius <= radius and other.gradient_bound >= found:
             return Lipschitz(found, other.gradient_bound)
+    if not prove:
+        return Lipschitz(found, None)
     return prove_lipschitz(
         model.field,
         distance,
@@ -182,39 +188,71 @@ def _bound_on_contact(
     centre, scale = np.asarray(field.continuation.centre), float(field.scale)
     # The normalisation in float64 and its inverse: a few units in the last place of numbers of the domain's size.
     normalisation = 64.0 * bounds.UNIT64 * (scale + float(np.abs(centre).max()))
-    frontier = _cover(distance, radius)
+    frontier = _cover(distance, radius, _first_leaf(field))
     settled, evaluation, seen = -np.inf, 0.0, 0
     while len(frontier):
         gap = max(RELATIVE_GAP * abs(found - radius), SMALLEST_GAP)
         upper, error = np.empty(len(frontier)), np.empty(len(frontier))
         for first in range(0, len(frontier), CHUNK):
             piece = frontier[first : first + CHUNK]
-            answer = bounds.upper_bounds(network, _elements(piece, radius, centre, scale, normalisation))
-            upper[first : first + CHUNK] = scale * (answer.upper + answer.evaluation_error)
-            error[first : first + CHUNK] = scale * answer.evaluation_error
+            part = slice(first, first + len(piece))
+            upper[part], error[part] = _bounded(network, piece, distance, radius, centre, scale, normalisation)
         seen += len(frontier)
-        if radius == 0.0:
-            found = max(found, float(values(field, frontier.mean(axis=1)).max()))
+        # The elements that matter know where to look for a larger value.
+        worst = frontier[np.argsort(-upper)[:LOOKED_AT]]
+        places = worst.mean(axis=1) if radius == 0.0 else onto_level(distance, worst[:, 0], radius)
+        found = max(found, float(values(field, places).max(initial=-np.inf)))
         # Splitting does not bring the float32 error to zero, so it has its own allowance.
         open_ = (upper - error > found + gap) | (upper > found + gap + ERROR_GAP * scale)
         if seen + 8 * int(open_.sum()) > MOST_ELEMENTS:
             open_[:] = False
         settled = max(settled, float(upper[~open_].max(initial=-np.inf)))
         evaluation = max(evaluation, float(error[~open_].max(initial=0.0)))
-        worst = float(upper.max()) - radius
-        progress(0.1 + 0.6 * min(1.0, seen / 400_000), f"{int(open_.sum())} elements open, bound so far {worst:+.4f} m")
+        so_far = max(settled, float(upper.max())) - radius
+        progress(
+            0.1 + 0.6 * min(1.0, seen / 400_000), f"{int(open_.sum())} elements open, bound so far {so_far:+.4f} m"
+        )
         frontier = _split(frontier[open_], distance, radius)
     lipschitz = float(np.prod([np.linalg.norm(W) for W in network.weights]))  # σ' ≤ 1; Frobenius exceeds spectral
     return settled + lipschitz * normalisation, evaluation
 
 
-def _cover(distance: ExactDistance, radius: float) -> Float[np.ndarray, "m k 3"]:
+def _bounded(
+    network: bounds.Network,
+    piece: Float[np.ndarray, "m k 3"],
+    distance: ExactDistance,
+    radius: float,
+    centre: Float[np.ndarray, "3"],
+    scale: float,
+    slack: float,
+) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m"]]:
+    """Return for each element an upper bound of f̃ in float32 where d = radius, and the float32 error in it, metres.
+
+    Minus infinity where the element does not meet {d = radius}.
+    """
+    # Whole chunks only, so that the bounds are compiled once.
+    padded = np.concatenate([piece, np.repeat(piece[-1:], CHUNK - len(piece), axis=0)])
+    answer = bounds.upper_bounds(network, _elements(padded, radius, centre, scale, slack))
+    upper, slope, constant, error = (part[: len(piece)] for part in answer)
+    if radius > 0.0:
+        middle = piece[:, 0]
+        at_middle = ((middle - centre) / scale * slope).sum(axis=1) + constant
+        cut = largest_on_level(distance, radius, middle, piece[:, 1, 0] + slack, slope)
+        upper = np.minimum(upper, at_middle + cut / scale)
+    return scale * (upper + error), scale * error
+
+
+def _first_leaf(field: NeuralField) -> float:
+    return min(LARGEST_LEAF, FIRST_LEAF * float(field.scale))
+
+
+def _cover(distance: ExactDistance, radius: float, leaf: float) -> Float[np.ndarray, "m k 3"]:
     """Triangles as (m, 3, 3) corners, or cubes as (m, 2, 3): centre and half widths."""
     if radius == 0.0:
         return distance.vertices[distance.faces]
-    pad = radius + FIRST_LEAF
+    pad = radius + leaf
     centres, half = straddling_cells(
-        distance, radius, leaf=FIRST_LEAF, lower=distance.lower - pad, upper=distance.upper + pad
+        distance, radius, leaf=leaf, lower=distance.lower - pad, upper=distance.upper + pad
     )
     return np.stack([centres, np.repeat(half[:, None], 3, axis=1)], axis=1)
 

@@ -8,10 +8,6 @@ from jaxtyping import Array, Bool, Float32
 from keepout.fields import mlp
 from keepout.fields.profile import Profile
 
-NEAR = 0.15
-"""Metres. Errors count in proportion to 1/(|g| + NEAR), so that the surface matters most and the far field is not
-lost."""
-
 
 class Batch(NamedTuple):
     """Labelled points in normalised coordinates; see `sampling.Samples` for the labels."""
@@ -21,6 +17,8 @@ class Batch(NamedTuple):
     gradient: Float32[Array, "n 3"]
     smooth: Bool[Array, "n"]
     hidden: Bool[Array, "n"]
+    weight: Float32[Array, "n"]
+    """How much the distance error of the point counts (Keepout's loss)."""
 
 
 def keepout_terms(
@@ -34,8 +32,7 @@ def keepout_terms(
     e = y * jnp.float32(scale) - batch.distance
     over, under = jnp.maximum(e, 0.0), jnp.where(batch.hidden, 0.0, jnp.maximum(-e, 0.0))
     tau = jnp.float32(profile.over_weight)
-    near = jnp.float32(NEAR) / (jnp.abs(batch.distance) + jnp.float32(NEAR))
-    value_term = near * (tau * over + (1 - tau) * under)
+    value_term = batch.weight * (tau * over + (1 - tau) * under)
     difference = jnp.sum((gradient - batch.gradient) ** 2, axis=-1)
     slope_term = jnp.float32(profile.gradient_weight) * batch.smooth * difference / (1 + jnp.abs(batch.distance))
     return value_term, slope_term

@@ -25,7 +25,12 @@ class Profile:
         batch: points a step.
         steps: of the main phase.
         tuning_steps: of the counter-example phase.
-        learning_rate: of Adam (Kingma, Ba 2015), at the start.
+        levels: distances from the surface, metres, on which over-statement is hunted besides the surface itself: the
+            contact surfaces of the chasers in view.
+        optimizer: "adam" (Kingma, Ba 2015), or "muon" (Jordan et al. 2024): momentum made orthogonal for the hidden
+            matrices, Adam for the rest.
+        learning_rate: of Adam, at the start.
+        muon_rate: of the hidden matrices under Muon, at the start.
         halving: steps after which the learning rate halves; 0: cosine decay over the phase.
         over_weight: weight of over-statement against under-statement, 0.5 to 1 (keepout loss).
         gradient_weight: of the gradient term (keepout), or η of the eikonal term (paper).
@@ -41,9 +46,12 @@ class Profile:
     beta: float = 100.0
     samples: int = 600_000
     batch: int = 2048
-    steps: int = 11_000
+    steps: int = 8_000
     tuning_steps: int = 4_000
-    learning_rate: float = 2e-3
+    levels: tuple[float, ...] = (0.5,)
+    optimizer: Literal["adam", "muon"] = "muon"
+    learning_rate: float = 5e-3
+    muon_rate: float = 0.015
     halving: int = 0
     over_weight: float = 0.8
     gradient_weight: float = 0.02
@@ -60,6 +68,8 @@ _PAPER = Profile(
     batch=50_000,
     steps=10_000,
     tuning_steps=0,
+    levels=(),
+    optimizer="adam",
     learning_rate=5e-3,
     halving=2000,
     gradient_weight=0.1,

@@ -5,10 +5,9 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float
 
-from keepout.fields.certificate import onto_level
 from keepout.fields.evaluate import values, values_and_gradients, values_gradients_hessians
 from keepout.fields.field import Field
-from keepout.fields.sampling import Domain, surface_points
+from keepout.fields.sampling import Domain, onto_level, surface_points
 from keepout.geometry.distance import ExactDistance
 from keepout.geometry.offset_solid import OffsetSolid
 from keepout.geometry.target import Target
@@ -132,7 +131,8 @@ def margin_cost(
     Exterior points near contact are moved onto the level by Newton steps along ∇f̃.
     """
     level = chaser_radius + error_bound
-    points = _exterior_level(solid, chaser_radius + 2.0 * solid.offset, count, np.random.default_rng(seed))
+    start = chaser_radius + max(2.0 * solid.offset, 1.1 * solid.envelope)
+    points = _exterior_level(solid, start, count, np.random.default_rng(seed))
     for _ in range(25):
         value, gradient = values_and_gradients(field, points)
         step = (level - value) / np.maximum((gradient**2).sum(axis=1), 0.25)

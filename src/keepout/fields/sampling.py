@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
-from keepout.geometry.distance import BallCloudDistance, Distance
+from keepout.geometry.distance import BallCloudDistance, Distance, ExactDistance
 from keepout.geometry.offset_solid import OffsetSolid
 
 Points = Float[np.ndarray, "n 3"]
@@ -78,21 +78,45 @@ def surface_points(distance: Distance, count: int, generator: np.random.Generato
     return a + u[:, None] * (b - a) + v[:, None] * (c - a)
 
 
+def onto_level(distance: ExactDistance, points: Points, level: float) -> Points:
+    """Points moved along the distance's gradient onto {d = level}; those that do not arrive are left out."""
+    if level == 0.0:
+        return distance.closest(points)[1]
+    for _ in range(12):
+        d, gradient = distance.distance_and_gradient(points)
+        points = points + (level - d)[:, None] * gradient
+    return points[np.abs(distance.distance(points) - level) < 1e-9]
+
+
+def level_points(distance: ExactDistance, level: float, count: int, generator: np.random.Generator) -> Points:
+    """At most `count` points with d = level, most of them near small parts and edges."""
+    start = surface_points(distance, count, generator, by_area=0.5)
+    direction = generator.normal(size=start.shape)
+    start = start + level * direction / np.linalg.norm(direction, axis=1, keepdims=True)
+    return onto_level(distance, start, level)
+
+
 def label(solid: OffsetSolid, points: Points) -> Samples:
-    """Exact labels for points: signed distance of the offset solid, gradient where one surface decides it."""
+    """Exact labels for points: signed distance of the offset solid, gradient where one surface decides it.
+
+    The cells that cover the solid's skin are left out of the labels, which are d - offset up to the surface; what the
+    solid seals keeps them.
+    """
     points = points.astype(np.float32).astype(np.float64)
     signed = solid.signed_distance(points)
     d, gradient = solid.distance.distance_and_gradient(points)
-    smooth = (np.abs(signed - (d - solid.offset)) < 1e-9) & (d > 1e-4)
-    hidden = ~solid.is_exterior(points) & (d > solid.offset)
-    smooth &= ~hidden
-    limit = np.where(hidden, np.maximum(signed, -HIDDEN_DEPTH), signed)
+    reachable = solid.is_reachable(points)
+    bare = np.where(
+        signed > 0.0, np.minimum(d - solid.offset, signed + solid.envelope - solid.offset), d - solid.offset
+    )
+    smooth = reachable & (bare == d - solid.offset) & (d > 1e-4)
+    depth = np.maximum(signed, -np.minimum(d + solid.offset, HIDDEN_DEPTH))
     return Samples(
         points.astype(np.float32),
-        limit.astype(np.float32),
+        np.where(reachable, bare, np.minimum(depth, 0.0)).astype(np.float32),
         np.where(smooth[:, None], gradient, 0.0).astype(np.float32),
         smooth,
-        hidden,
+        ~reachable,
     )
 
 

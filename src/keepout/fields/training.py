@@ -7,12 +7,13 @@ import json
 import math
 import time
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+import optax.contrib
 from jaxtyping import Array, Float, Float32, Int
 
 from keepout.errors import FieldError
@@ -22,16 +23,21 @@ from keepout.fields.continuation import RadialContinuation
 from keepout.fields.model import FieldModel
 from keepout.fields.neural import NeuralField
 from keepout.fields.profile import LARGE_TARGET, Profile, find_profile
-from keepout.fields.sampling import Domain, Samples, label, surface_points, training_points
+from keepout.fields.sampling import Domain, Samples, label, level_points, surface_points, training_points
+from keepout.geometry.distance import ExactDistance
 from keepout.geometry.offset_solid import OffsetSolid
 from keepout.geometry.target import Target
 from keepout.progress import Progress, silent
 
 BLOCK = 250
 """Steps between progress reports, checkpoints and counter-example searches; one compiled loop runs them."""
+NEAR = 0.15
+"""Metres. Errors count in proportion to NEAR/(|g| + NEAR), so that the surface matters most and the far field is not
+lost; counter-examples count in full."""
 POOL_ON_SURFACE, POOL_NEAR, NEAR_FIELD = 200_000, 60_000, 1.2
-WORST, KEPT, JITTERED, JITTER = 3000, 9000, 0.6, 0.03
-HARD_SHARE, HARD_WEIGHT = 0.27, 2.0
+POOL_ON_LEVEL = 100_000
+WORST, ROUNDS_KEPT, JITTERED, JITTER = 1500, 3, 0.6, 0.03
+HARD_SHARE, HARD_WEIGHT = 0.3, 2.0
 TUNING_RATE = 0.4
 
 
@@ -42,7 +48,8 @@ class _State(NamedTuple):
     optimizer: optax.OptState
     hard: losses.Batch
     block: Int[Array, ""]
-    worst: Float32[Array, ""]
+    worst: Float32[Array, "_"]
+    """Largest f̃ - d of each group of candidates, metres."""
 
 
 def fit(
@@ -78,14 +85,11 @@ def fit(
     generator = np.random.default_rng(seed)
     progress(0.08, "labelling samples")
     samples = label(solid, training_points(distance, domain, numbers.samples, generator))
-    pool = _concatenate(
-        label(solid, surface_points(distance, POOL_ON_SURFACE, generator, by_area=0.5)),
-        label(solid, _near_points(target, domain, generator)),
-    )
-    data, pool_data = _normalised(samples, domain), _normalised(pool, domain)
+    groups = [label(solid, points) for points in _candidates(target, numbers, domain, generator)]
+    data = _normalised(samples, domain)
 
     fingerprint = _fingerprint(target, solid, numbers, seed)
-    state = _initial(numbers, domain, pool_data, seed)
+    state = _initial(numbers, domain, data, len(groups), seed)
     if checkpoint is not None and checkpoint.exists():
         state = checkpoints.load(checkpoint, state, fingerprint)
 
@@ -94,7 +98,7 @@ def fit(
     for block in range(first, blocks):
         tuning = block >= main_blocks
         if tuning:
-            state = _with_counter_examples(state, numbers, domain, solid, pool, pool_data, (seed, block))
+            state = _with_counter_examples(state, numbers, domain, solid, groups, (seed, block))
         if block == main_blocks:
             state = state._replace(optimizer=_optimizer(numbers, tuning).init(state.layers))
         layers, optimizer, value_term, slope_term = _train_block(
@@ -106,7 +110,7 @@ def fit(
         if checkpoint is not None:
             checkpoints.save(checkpoint, state, fingerprint)
         left = (time.perf_counter() - clock) / (block + 1 - first) * (blocks - block - 1)
-        worst = f", worst over-statement {float(state.worst):+.3f} m" if tuning else ""
+        worst = f", worst over-statement {float(state.worst.max()):+.3f} m" if tuning else ""
         text = f"distance {float(value_term):.4f}, gradient {float(slope_term):.4f}{worst}, {left:.0f} s left"
         progress(0.1 + 0.89 * (block + 1) / blocks, text)
 
@@ -126,20 +130,25 @@ def fit(
     return FieldModel(field, target.name, target.sha256, solid.offset, training)
 
 
-def _near_points(target: Target, domain: Domain, generator: np.random.Generator) -> Float[np.ndarray, "n 3"]:
-    """Points up to `NEAR_FIELD` from the surface, where a chaser of some size touches."""
-    points = training_points(target.distance, domain, 3 * POOL_NEAR, generator)
-    return points[target.distance.distance(points) < NEAR_FIELD][:POOL_NEAR]
+def _candidates(
+    target: Target, profile: Profile, domain: Domain, generator: np.random.Generator
+) -> list[Float[np.ndarray, "_ 3"]]:
+    """Where over-statement is hunted, in groups of equal say: the surface, the levels, and all the near field."""
+    distance = target.distance
+    groups = [surface_points(distance, POOL_ON_SURFACE, generator, by_area=0.5)]
+    if isinstance(distance, ExactDistance):
+        groups += [level_points(distance, level, POOL_ON_LEVEL, generator) for level in profile.levels]
+    near = training_points(distance, domain, 3 * POOL_NEAR, generator)
+    groups.append(near[distance.distance(near) < NEAR_FIELD][:POOL_NEAR])
+    return groups
 
 
-def _concatenate(a: Samples, b: Samples) -> Samples:
-    names = [f.name for f in dataclasses.fields(Samples)]
-    return Samples(*(np.concatenate([getattr(a, name), getattr(b, name)]) for name in names))
-
-
-def _normalised(samples: Samples, domain: Domain) -> losses.Batch:
+def _normalised(samples: Samples, domain: Domain, weight: float | None = None) -> losses.Batch:
+    """Bring samples into the form of the losses; their weights fall with the distance unless one is given."""
     x = ((samples.points.astype(np.float64) - domain.centre) / domain.learned_radius).astype(np.float32)
-    rest = (samples.distance, samples.gradient, samples.smooth, samples.hidden)
+    near = NEAR / (np.abs(samples.distance) + NEAR)
+    weights = (near if weight is None else np.full_like(near, weight)).astype(np.float32)
+    rest = (samples.distance, samples.gradient, samples.smooth, samples.hidden, weights)
     return losses.Batch(jnp.asarray(x), *(jnp.asarray(a) for a in rest))
 
 
@@ -148,7 +157,7 @@ def _fingerprint(target: Target, solid: OffsetSolid, profile: Profile, seed: int
     return hashlib.sha256(json.dumps(entries).encode()).hexdigest()
 
 
-def _initial(profile: Profile, domain: Domain, pool: losses.Batch, seed: int) -> _State:
+def _initial(profile: Profile, domain: Domain, data: losses.Batch, groups: int, seed: int) -> _State:
     """He-scaled weights (He et al. 2015); first-layer kinks spread over the unit ball; the output starts positive."""
     large = domain.target_radius > LARGE_TARGET
     width, depth = (profile.large_width, profile.large_depth) if large else (profile.width, profile.depth)
@@ -163,19 +172,37 @@ def _initial(profile: Profile, domain: Domain, pool: losses.Batch, seed: int) ->
     biases = [jnp.zeros(n, jnp.float32) for n in sizes[1:]]
     biases[0] = jax.random.uniform(keys[-1], (width,), jnp.float32, -0.5, 0.5)
     layers = mlp.Layers(tuple(weights), tuple(biases))
-    hard = jax.tree.map(lambda a: a[:KEPT], pool)
+    hard = jax.tree.map(lambda a: a[: ROUNDS_KEPT * WORST * groups], data)
     optimizer = _optimizer(profile, tuning=False).init(layers)
-    return _State(layers, optimizer, hard, jnp.asarray(0, jnp.int32), jnp.asarray(jnp.inf, jnp.float32))
+    return _State(layers, optimizer, hard, jnp.asarray(0, jnp.int32), jnp.full(groups, jnp.inf, jnp.float32))
 
 
 def _optimizer(profile: Profile, tuning: bool) -> optax.GradientTransformation:
     steps = profile.tuning_steps if tuning else profile.steps
-    rate = profile.learning_rate * (TUNING_RATE if tuning else 1.0)
-    if profile.halving:
-        schedule = optax.exponential_decay(rate, profile.halving, 0.5, staircase=True)
-    else:
-        schedule = optax.warmup_cosine_decay_schedule(0.1 * rate, rate, min(100, steps // 10), steps, 0.01 * rate)
-    return optax.adam(schedule, b2=0.99)
+
+    def schedule(start: float) -> optax.Schedule:
+        rate = start * (TUNING_RATE if tuning else 1.0)
+        if profile.halving:
+            return optax.exponential_decay(rate, profile.halving, 0.5, staircase=True)
+        return optax.warmup_cosine_decay_schedule(0.1 * rate, rate, min(100, steps // 10), steps, 0.01 * rate)
+
+    if profile.optimizer == "adam":
+        return optax.adam(schedule(profile.learning_rate), b2=0.99)
+    return optax.contrib.muon(
+        schedule(profile.muon_rate),
+        adam_learning_rate=schedule(profile.learning_rate),
+        adam_b2=0.99,
+        muon_weight_dimension_numbers=_hidden_matrices,  # pyright: ignore[reportArgumentType]
+    )
+
+
+def _hidden_matrices(layers: Any) -> Any:
+    """Muon is for matrices between hidden layers; the first and the last are coordinates and one output."""
+    last = len(layers.weights) - 1
+    hidden = optax.contrib.MuonDimensionNumbers()
+    weights: Any = tuple(hidden if 0 < i < last else None for i in range(last + 1))
+    biases: Any = tuple(None for _ in layers.biases)
+    return mlp.Layers(weights, biases)
 
 
 @functools.partial(jax.jit, static_argnums=(0, 1, 2))
@@ -218,18 +245,22 @@ def _values(layers: mlp.Layers, beta: float, x: Float32[Array, "n 3"]) -> Float3
 
 
 def _with_counter_examples(
-    state: _State, profile: Profile, domain: Domain, solid: OffsetSolid, pool: Samples, data: losses.Batch, seed
+    state: _State, profile: Profile, domain: Domain, solid: OffsetSolid, groups: list[Samples], seed: tuple[int, int]
 ) -> _State:
-    """Put the worst over-statements of the pool, most of them moved a little, before the older ones."""
-    excess = np.asarray(_values(state.layers, profile.beta, data.x)) * domain.learned_radius - pool.distance
-    worst = np.argpartition(-excess, WORST)[:WORST]
+    """Put the worst over-statements of each group, most of them moved a little, before the older ones."""
     generator = np.random.default_rng(seed)
-    points = pool.points[worst].astype(np.float64)
+    chosen, largest = [], []
+    for group in groups:
+        x = ((group.points.astype(np.float64) - domain.centre) / domain.learned_radius).astype(np.float32)
+        excess = np.asarray(_values(state.layers, profile.beta, jnp.asarray(x))) * domain.learned_radius
+        excess -= group.distance
+        largest.append(float(excess.max()) - solid.offset)
+        chosen.append(group.points[np.argpartition(-excess, WORST)[:WORST]])
+    points = np.concatenate(chosen).astype(np.float64)
     points += JITTER * generator.normal(size=points.shape) * (generator.random((len(points), 1)) < JITTERED)
-    fresh = _normalised(label(solid, points), domain)
-    hard = jax.tree.map(lambda new, old: jnp.concatenate([new, old])[:KEPT], fresh, state.hard)
-    on_surface = excess[:POOL_ON_SURFACE] + pool.distance[:POOL_ON_SURFACE]
-    return state._replace(hard=hard, worst=jnp.asarray(on_surface.max(), jnp.float32))
+    fresh = _normalised(label(solid, points), domain, weight=1.0)
+    hard = jax.tree.map(lambda new, old: jnp.concatenate([new, old])[: len(old)], fresh, state.hard)
+    return state._replace(hard=hard, worst=jnp.asarray(largest, jnp.float32))
 
 
 def _finished(

@@ -161,7 +161,8 @@ def _split(triangles, centres, order, lower, upper, right, first, amount):
 
 @numba.njit(cache=True, nogil=True, inline="always")
 @no_type_check
-def _box_distance_squared(lower, upper, node, x, y, z):
+def box_distance_squared(lower, upper, node, x, y, z):
+    """Squared distance from a point to a node's box; zero inside."""
     dx = max(max(lower[node, 0] - x, x - upper[node, 0]), 0.0)
     dy = max(max(lower[node, 1] - y, y - upper[node, 1]), 0.0)
     dz = max(max(lower[node, 2] - z, z - upper[node, 2]), 0.0)
@@ -183,7 +184,7 @@ def _on_segment(corners, triangle, start, end, x, y, z):
 
 @numba.njit(cache=True, nogil=True)
 @no_type_check
-def _on_triangle(corners, plane, triangle, x, y, z):
+def on_triangle(corners, plane, triangle, x, y, z):
     """Closest point on a triangle, and its squared distance.
 
     In the triangle's own axes the first edge is the base, both base angles are acute, and the sides that the foot of
@@ -229,7 +230,7 @@ def _query(lower, upper, right, first, amount, corners, plane, face, points, ord
         stack[0], bounds[0] = 0, 0.0
         while True:
             while triangle < end:
-                squared, qx, qy, qz = _on_triangle(corners, plane, triangle, x, y, z)
+                squared, qx, qy, qz = on_triangle(corners, plane, triangle, x, y, z)
                 if squared < best:
                     best, hit, bx, by, bz = squared, triangle, qx, qy, qz
                 triangle += 1
@@ -243,8 +244,8 @@ def _query(lower, upper, right, first, amount, corners, plane, face, points, ord
                 break
             while amount[node] == 0:
                 near, far = node + 1, right[node]
-                near_bound = _box_distance_squared(lower, upper, near, x, y, z)
-                far_bound = _box_distance_squared(lower, upper, far, x, y, z)
+                near_bound = box_distance_squared(lower, upper, near, x, y, z)
+                far_bound = box_distance_squared(lower, upper, far, x, y, z)
                 if far_bound < near_bound:
                     near, far = far, near
                     near_bound, far_bound = far_bound, near_bound

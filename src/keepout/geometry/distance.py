@@ -49,7 +49,8 @@ class ExactDistance:
         return 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
 
     @functools.cached_property
-    def _tree(self) -> bvh.Tree:
+    def tree(self) -> bvh.Tree:
+        """The triangles' bounding-volume hierarchy, built when first asked for."""
         return bvh.build(self.vertices[self.faces])
 
     def distance(self, points: Points) -> Float[np.ndarray, "n"]:
@@ -58,11 +59,11 @@ class ExactDistance:
 
     def closest(self, points: Points) -> tuple[Float[np.ndarray, "n"], Points, Int[np.ndarray, "n"]]:
         """Distance (n,) in metres, closest point (n, 3) on the soup, and the triangle (n,) it lies on."""
-        return bvh.closest(self._tree, _checked(points))
+        return bvh.closest(self.tree, _checked(points))
 
     def distance_within(self, points: Points, bound: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         """Smaller of the distance and a bound (n,) for each point, in metres; cheap where the bound is small."""
-        return bvh.closest(self._tree, _checked(points), np.ascontiguousarray(bound, dtype=np.float64))[0]
+        return bvh.closest(self.tree, _checked(points), np.ascontiguousarray(bound, dtype=np.float64))[0]
 
     def distance_and_gradient(self, points: Points) -> tuple[Float[np.ndarray, "n"], Points]:
         """Distance (n,) in metres and its gradient (n, 3), the unit vector (p - c)/d away from the closest point c.

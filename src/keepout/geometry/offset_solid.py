@@ -23,6 +23,9 @@ _SURFACE_CELLS = 7e5
 _FLOOD_CELLS = 5.0
 """Flood cells are at most this many to the closing radius, or the leaf if that is larger."""
 
+_ASIDE, _WALK = 1e-3, 4
+"""Metres that a walk from a surface starts aside of it, and its steps."""
+
 
 class OffsetSolid:
     """The complement of the exterior of {d > offset}, and a signed distance to it.
@@ -124,6 +127,28 @@ class OffsetSolid:
         outside = np.flatnonzero(~inside & (signed > 0.0))
         signed[outside] = self._nearest(True, points[outside], signed[outside])
         return signed
+
+    def is_reachable(self, points: Points) -> Bool[np.ndarray, "n"]:
+        """Whether a walk up the distance from each point, of `envelope` at most, comes out into the exterior.
+
+        True for the exterior, and for what lies between it and the surface beside it: the skin of thickness `offset`
+        and the cells that cover it. From a point on a surface the walk goes to both sides.
+        """
+        points = np.ascontiguousarray(points, dtype=np.float64)
+        reachable = self.is_exterior(points)
+        undecided = np.flatnonzero(~reachable)
+        d = self.distance.distance(points[undecided])
+        undecided, d = undecided[d < self.envelope], d[d < self.envelope]
+        # Away from the nearest surface; on a surface, to the one side and then to the other.
+        aside = np.random.default_rng(0).normal(size=(len(undecided), 3))
+        aside *= (_ASIDE * (d < _ASIDE) / np.linalg.norm(aside, axis=1))[:, None]
+        for side in (aside, -aside):
+            walkers = points[undecided] + side
+            for _ in range(_WALK):
+                here, gradient = self.distance.distance_and_gradient(walkers)
+                walkers = walkers + np.clip(1.1 * self.envelope - here, 0.0, None)[:, None] * gradient
+            reachable[undecided] |= self.is_exterior(walkers)
+        return reachable
 
     @property
     def envelope(self) -> float:
