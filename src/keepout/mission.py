@@ -1,6 +1,7 @@
 """A scenario made flyable: load its target and field, build its law, fly it, and audit the flight."""
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,8 @@ from keepout.control import profiles
 from keepout.control.controller import Controller, ControlStatus
 from keepout.control.delay import AheadOfDelay
 from keepout.control.guard import Guard, GuardFlag, GuardStatus, flag_names
-from keepout.errors import FieldError, ScenarioError
+from keepout.errors import ControlError, FieldError, ScenarioError
+from keepout.fields.evaluate import values
 from keepout.fields.model import Certificate, FieldModel
 from keepout.fields.shipped import load_shipped, shipped_names
 from keepout.flight import loop
@@ -32,7 +34,10 @@ from keepout.scenario import Scenario, TargetEntry
 
 @dataclass(frozen=True)
 class Mission:
-    """Everything a scenario needs to be flown: target, field with its certificate, setup and initial state."""
+    """Everything a scenario needs to be flown: target, field with its certificate, setup and initial state.
+
+    `start_certified`: whether the guard's theorem holds from the start; None without a guard.
+    """
 
     scenario: Scenario
     target: Target
@@ -40,6 +45,7 @@ class Mission:
     certificate: Certificate
     setup: FlightSetup
     initial: MotionState
+    start_certified: bool | None
 
     @property
     def steps(self) -> int:
@@ -52,7 +58,8 @@ class Flight:
     """One flown scenario: what was recorded, what became of it, and the audit on the exact mesh.
 
     `clearance` is the distance from the chaser's surface to the mesh at every recorded sample, m; `violated_conditions`
-    are the design conditions that the law does not meet, each with its numbers.
+    are the design conditions that the law does not meet, each with its numbers; `start_certified` says whether the
+    guard's theorem holds from the start (None without a guard).
     """
 
     scenario: Scenario
@@ -62,6 +69,7 @@ class Flight:
     audit: Audit
     clearance: Float[np.ndarray, "samples"]
     violated_conditions: tuple[str, ...] = ()
+    start_certified: bool | None = None
 
     def summary(self) -> dict[str, Any]:
         """Give the flight's figures as plain numbers for JSON.
@@ -88,6 +96,7 @@ class Flight:
                 layer: {status.name.lower(): int(counts[layer][status]) for status in kind if counts[layer][status]}
                 for layer, kind in legend.items()
             },
+            "start_certified": self.start_certified,
             "guard_flags": self.guard_flags(),
             "faults": self.scenario.faults.model_dump(exclude_defaults=True),
             "violated_conditions": list(self.violated_conditions),
@@ -164,10 +173,10 @@ def prepare(
         scenario, model, certificate, motion, lambda fraction, message: progress(0.6 * fraction, message)
     )
     initial = motion.initial_state(np.asarray(scenario.start.position), np.asarray(scenario.start.velocity))
-    guard = None
+    guard, start_certified = None, None
     if scenario.guard.enabled:
         guard = _guard(scenario, target, model, lambda fraction, message: progress(0.6 + 0.4 * fraction, message))
-        guard.require(initial, jnp.asarray(scenario.goal.position))
+        start_certified = guard.require(initial, jnp.asarray(scenario.goal.position))
     setup = FlightSetup(
         motion=motion,
         disturbance=environment.disturbance(scenario),
@@ -181,7 +190,7 @@ def prepare(
         field=model.field,
         tolerance=scenario.goal.tolerance,
     )
-    return Mission(scenario, target, model, certificate, setup, initial)
+    return Mission(scenario, target, model, certificate, setup, initial, start_certified)
 
 
 def fly(
@@ -240,7 +249,9 @@ def fly(
     clearance = mission.target.distance.distance(record.position) - scenario.chaser.radius
     progress(1.0, "")
     violated = tuple(str(c) for c in mission.setup.controller.conditions if not c.satisfied)
-    return Flight(scenario, mission.target, record, result, verdict, clearance, violated)
+    return Flight(
+        scenario, mission.target, record, result, verdict, clearance, violated, start_certified=mission.start_certified
+    )
 
 
 def _require_same_target(model: FieldModel, target: Target) -> None:
@@ -266,13 +277,16 @@ def _refuse_contact(scenario: Scenario, target: Target) -> None:
 def _controller(
     scenario: Scenario, model: FieldModel, certificate: Certificate, motion: RelativeMotion, progress: Progress
 ) -> Controller:
-    """Build the scenario's law; entries left unset keep the profile's own."""
+    """Build the scenario's law; entries left unset keep the profile's own.
+
+    A start inside the law's keep-out zone is refused, unless a guard flies along: it leads the way out first.
+    """
     control, chaser = scenario.control, scenario.chaser
     chosen = {
         name: value for name in ("guidance", "circulation", "observer") if (value := getattr(control, name)) is not None
     }
-    build = {"default": profiles.default, "paper": profiles.paper}[control.profile]
-    return build(
+    build = partial(
+        {"default": profiles.default, "paper": profiles.paper}[control.profile],
         model.field,
         error_bound=certificate.error_bound,
         chaser_radius=chaser.radius,
@@ -284,10 +298,20 @@ def _controller(
         speed_limit=chaser.speed_limit,
         period=control.period,
         disturbance_bound=environment.disturbance_bound(scenario),
-        start=np.asarray(scenario.start.position),
         progress=progress,
         **chosen,
     )
+    start = np.asarray(scenario.start.position)
+    try:
+        return build(start=start)
+    except ControlError:
+        if not scenario.guard.enabled:
+            raise
+        law = build()
+        # Refused for another reason than being too near, or inside the target: then there is no way to lead out.
+        if not 0.0 < float(values(model.field, start[None])[0]) <= float(law.velocity.offset):
+            raise
+        return law
 
 
 def _flown_law(scenario: Scenario, law: Any, model: FieldModel, motion: RelativeMotion) -> Any:

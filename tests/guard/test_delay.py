@@ -53,7 +53,7 @@ def delayed_setup(delay, told):
     )
 
 
-@pytest.mark.parametrize("delay", [1, 3])
+@pytest.mark.parametrize("delay", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_a_law_told_of_the_delay_estimates_the_disturbance_and_arrives(delay):
     setup = delayed_setup(delay, told=True)
     start = setup.motion.initial_state(np.array([3.0, -9.0, 0.0]), np.zeros(3))
