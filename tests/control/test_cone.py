@@ -18,25 +18,27 @@ sys.path.insert(0, str(Path(__file__).parent))
 from velocity_programs import LIMIT, largest_rate, random_programs, reference
 
 KINDS = {
+    # circulation, box, speed cone; with gradient error the barrier row is a cone, without it a half-space
     "all rows": (True, True, True),
     "paper": (True, True, False),
     "paper without circulation": (False, True, False),
     "circulation and norm": (True, False, True),
     "norm": (False, False, True),
 }
+solve_one = jax.jit(solve)
 solve_batch = jax.jit(jax.vmap(solve))
 solve_smooth_batch = jax.jit(jax.vmap(solve_smoothed, in_axes=(0, None)))
 
 
-def build(data, *, circulation, box, speed):
-    """Give one batched pytree of programs."""
+def build(data, *, circulation, box, speed, cone=True):
+    """Give one batched pytree of programs; without `cone` the barrier row is a half-space, as the laws fly it."""
 
     def single(one):
         return VelocityProgram(
             desired=one["desired"],
             normal=one["normal"],
             barrier_rate=one["barrier_rate"],
-            gradient_error=one["gradient_error"],
+            gradient_error=one["gradient_error"] if cone else None,
             circulation=Circulation(one["tangent"], one["circulation_rate"], one["weight"]) if circulation else None,
             box=jnp.asarray(LIMIT) if box else None,
             speed=one["speed"] if speed else None,
@@ -45,18 +47,23 @@ def build(data, *, circulation, box, speed):
     return jax.vmap(single)({name: jnp.asarray(value) for name, value in data.items()})
 
 
-def check_against_references(kind, count, seed):
+def check_against_references(kind, count, seed, *, cone=True):
     circulation, box, speed = KINDS[kind]
     data = random_programs(np.random.default_rng(seed), count)
-    answer = solve_batch(build(data, circulation=circulation, box=box, speed=speed))
+    if not cone:
+        data["gradient_error"][:] = 0.0
+    answer = solve_batch(build(data, circulation=circulation, box=box, speed=speed, cone=cone))
     status, velocity = np.asarray(answer.status), np.asarray(answer.velocity)
     assert np.all(np.isfinite(velocity))
     compared = 0
     for i in range(count):
         one = {name: value[i] for name, value in data.items()}
-        room = largest_rate(one, box=box, speed=speed) + one["barrier_rate"]
+        largest = largest_rate(one, box=box, speed=speed)
+        room = largest + one["barrier_rate"]
         if abs(room) > 1e-7:
-            assert (status[i] == ConeStatus.INFEASIBLE) == (room < 0.0), (i, room)
+            assert (status[i] in (ConeStatus.INFEASIBLE, ConeStatus.NO_WAY_OUT)) == (room < 0.0), (i, room)
+        if status[i] == ConeStatus.NO_WAY_OUT:
+            assert largest < 1e-7, i
         if room < 1e-6:
             continue
         assert status[i] == ConeStatus.SOLVED, i
@@ -72,13 +79,18 @@ def check_against_references(kind, count, seed):
 
 def test_agrees_with_scs_and_clarabel():
     status = check_against_references("all rows", 150, seed=3)
-    assert np.any(status == ConeStatus.INFEASIBLE)
+    assert {ConeStatus.INFEASIBLE, ConeStatus.NO_WAY_OUT} <= set(status.tolist())
+
+
+def test_half_spaces_agree_with_scs_and_clarabel():
+    check_against_references("paper", 60, seed=4, cone=False)
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("cone", [True, False])
 @pytest.mark.parametrize("kind", KINDS)
-def test_agrees_with_scs_and_clarabel_on_many(kind):
-    check_against_references(kind, 1500, seed=11)
+def test_agrees_with_scs_and_clarabel_on_many(kind, cone):
+    check_against_references(kind, 1200 if cone else 300, seed=11, cone=cone)
 
 
 def test_half_space_and_ball_have_their_closed_form():
@@ -99,10 +111,24 @@ def test_escapes_the_fastest_way_where_no_velocity_is_safe():
         barrier_rate=jnp.asarray(-1.0),
         speed=jnp.asarray(0.1),
     )
-    answer = solve(program)
+    answer = solve_one(program)
     assert answer.status == ConeStatus.INFEASIBLE
     np.testing.assert_allclose(answer.velocity, [0.0, 0.1, 0.0], atol=1e-15)
     assert float(answer.room) == pytest.approx(0.2 - 1.0)
+
+
+def test_says_where_no_way_out_is_known():
+    """With e ≥ ‖n‖ and α < 0 no velocity has n·v − e‖v‖ > 0: zero, and a status of its own."""
+    program = VelocityProgram(
+        desired=jnp.asarray([0.1, 0.0, 0.0]),
+        normal=jnp.asarray([0.0, 1.0, 0.0]),
+        barrier_rate=jnp.asarray(-0.001),
+        gradient_error=jnp.asarray(1.2),
+        speed=jnp.asarray(0.1),
+    )
+    for answer in (solve_one(program), jax.jit(solve_smoothed)(program, jnp.asarray(1e-5))):
+        assert answer.status == ConeStatus.NO_WAY_OUT
+        np.testing.assert_array_equal(answer.velocity, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -122,7 +148,7 @@ def test_apex(desired, expected):
         gradient_error=jnp.asarray(0.6),
         speed=jnp.asarray(0.1),
     )
-    answer = solve(program)
+    answer = solve_one(program)
     assert answer.status == ConeStatus.SOLVED
     np.testing.assert_allclose(answer.velocity, expected, atol=1e-11)
 
@@ -245,10 +271,10 @@ def check_fuzz(count, seed):
 
 
 def test_wild_numbers():
-    assert check_fuzz(2000, seed=0) < 0.05
+    """Of numbers spread over thirteen decades one program in a thousand may stay unverified, and then says so."""
+    assert check_fuzz(4000, seed=0) <= 1e-3
 
 
 @pytest.mark.slow
 def test_a_million_wild_numbers():
-    worst = max(check_fuzz(50_000, seed=seed) for seed in range(1, 21))
-    assert worst < 0.05
+    assert np.mean([check_fuzz(50_000, seed=seed) for seed in range(1, 21)]) <= 1e-3

@@ -9,17 +9,20 @@ With the active rows known the solution satisfies smooth equations in v and two 
 Newton on them squares the interior point's error; their derivative gives the Jacobian (implicit function theorem).
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from keepout.control.interior_point import Iterate, eliminate
+from keepout.control.interior_point import Iterate, back_substitute, factor
 from keepout.control.program import UnitProgram, length, objective_slope
 
 _FEASIBLE = 1e-12
 _OPTIMAL = 1e-11
+_NEWTON_STEPS = 3
+_TRIES = 12
+_TINY = 1e-300
 
 
 class Active(NamedTuple):
@@ -51,6 +54,10 @@ def identify(unit: UnitProgram, iterate: Iterate) -> tuple[Active, Stationary]:
     slope = objective_slope(unit)
     multipliers = iterate.cone_multipliers[:, 0]
     gaps = iterate.cone_slacks[:, 0] - jnp.sqrt(jnp.sum(iterate.cone_slacks[:, 1:] ** 2, axis=-1))
+    row = 0 if unit.circulation is None else 1
+    if unit.gradient_error is None:
+        multipliers = jnp.concatenate([iterate.row_multipliers[row : row + 1], multipliers])
+        gaps = jnp.concatenate([iterate.row_slacks[row : row + 1], gaps])
     touching = multipliers > gaps
     values = jnp.where(touching, multipliers * slope, 0.0)
     speed, speed_value = jnp.asarray(False), jnp.asarray(0.0)
@@ -58,9 +65,8 @@ def identify(unit: UnitProgram, iterate: Iterate) -> tuple[Active, Stationary]:
         speed, speed_value = touching[1], values[1] / unit.speed
     box = jnp.zeros(3)
     if unit.box is not None:
-        first = 0 if unit.circulation is None else 1
         held = jnp.where(iterate.row_multipliers > iterate.row_slacks, 1.0, 0.0)
-        box = held[first : first + 3] - held[first + 3 : first + 6]
+        box = held[-6:-3] - held[-3:]
     return Active(touching[0], speed, box), Stationary(iterate.point[:3], values[0], speed_value)
 
 
@@ -78,13 +84,13 @@ def _residuals(unit: UnitProgram, active: Active, at: Stationary) -> tuple[_Equa
     """Return the equations' values, and the stationarity residual before held components were taken out."""
     v = at.velocity
     direction, speed = _direction(v)
-    force = v - unit.desired - at.barrier * (unit.normal - unit.gradient_error * direction) + at.speed * v
+    force = v - unit.desired - at.barrier * (unit.normal - unit.error * direction) + at.speed * v
     if unit.circulation is not None:
         force = force - 2.0 * unit.circulation.weight * _shortfall(unit, v) * unit.circulation.tangent
     stationarity = force
     if unit.box is not None:
         stationarity = jnp.where(active.box != 0.0, v - active.box * unit.box, force)
-    barrier = jnp.sum(unit.normal * v) - unit.gradient_error * speed + unit.barrier_rate
+    barrier = jnp.sum(unit.normal * v) - unit.error * speed + unit.barrier_rate
     limit = jnp.zeros_like(speed) if unit.speed is None else 0.5 * (jnp.sum(v * v) - unit.speed**2)
     return _Equations(stationarity, barrier, limit), force
 
@@ -93,8 +99,8 @@ def _correction(unit: UnitProgram, active: Active, at: Stationary, values: _Equa
     """Return the change of (v, λ_b, λ_s) that cancels `values` to first order, inactive rows left out."""
     v = at.velocity
     direction, speed = _direction(v)
-    curvature = at.barrier * unit.gradient_error / jnp.where(speed > 0.0, speed, 1.0)
-    gradient = unit.normal - unit.gradient_error * direction
+    curvature = at.barrier * unit.error / jnp.where(speed > 0.0, speed, 1.0)
+    gradient = unit.normal - unit.error * direction
     hessian = (1.0 + at.speed + curvature) * jnp.eye(3) - curvature * direction[:, None] * direction
     if unit.circulation is not None:
         tangent = unit.circulation.tangent
@@ -106,8 +112,8 @@ def _correction(unit: UnitProgram, active: Active, at: Stationary, values: _Equa
     speed_value = values.speed + jnp.sum(v * fixed)
     rhs = values.stationarity + jnp.sum(hessian * fixed, axis=-1)
     columns = free[:, None] * jnp.stack([rhs, gradient, v], axis=1)
-    inverse = eliminate(free[:, None] * free * hessian + jnp.diag(1.0 - free), columns)
-    from_rhs, from_gradient, from_velocity = inverse[:, 0], inverse[:, 1], inverse[:, 2]
+    factors = factor(free[:, None] * free * hessian + jnp.diag(1.0 - free))
+    from_rhs, from_gradient, from_velocity = (back_substitute(factors, columns[:, i]) for i in range(3))
 
     # Schur complement of the active rows; an inactive row keeps its multiplier's change at zero.
     bb = jnp.where(active.barrier, jnp.sum(columns[:, 1] * from_gradient), 1.0)
@@ -122,37 +128,98 @@ def _correction(unit: UnitProgram, active: Active, at: Stationary, values: _Equa
     return Stationary(fixed - from_rhs + from_gradient * barrier - from_velocity * limit, barrier, limit)
 
 
-def polish(
-    unit: UnitProgram, active: Active, start: Stationary, *, steps: int = 3
-) -> tuple[Stationary, Bool[Array, ""]]:
-    """Newton steps on the active set; returns the point and whether every optimality condition holds to rounding."""
+class _Attempt(NamedTuple):
+    """An active set, the point that Newton's method found on it, and whether that point is the optimum."""
 
-    def newton(_: Int[Array, ""], at: Stationary) -> Stationary:
+    active: Active
+    at: Stationary
+    optimal: Bool[Array, ""]
+    tries: Int[Array, ""]
+
+
+def _newton(unit: UnitProgram, active: Active, start: Stationary) -> tuple[Stationary, Float[Array, ""]]:
+    """Take Newton steps on one active set; returns the point and the length of the last change of velocity."""
+    at, change = start, jnp.asarray(jnp.inf)
+    for _ in range(_NEWTON_STEPS):
         step = _correction(unit, active, at, _residuals(unit, active, at)[0])
-        return Stationary(at.velocity + step.velocity, at.barrier + step.barrier, at.speed + step.speed)
+        change = jnp.max(jnp.abs(step.velocity))
+        # Where the barrier is a cone its curvature goes with 1/‖v‖: a longer step would leap over the solution.
+        curved = active.barrier & (unit.error > 0.0)
+        room = 0.7 * length(at.velocity) / jnp.maximum(length(step.velocity), _TINY)
+        share = jnp.where(curved, jnp.minimum(1.0, room), 1.0)
+        at = jax.tree.map(lambda value, slope, share=share: value + share * slope, at, step)
+    return at, change
 
-    at = jax.lax.fori_loop(0, steps, newton, start)
+
+def _judge(
+    unit: UnitProgram, active: Active, at: Stationary, change: Float[Array, ""]
+) -> tuple[Bool[Array, ""], Active, Stationary]:
+    """Say whether a point satisfies every optimality condition to rounding; if not, which set to try next.
+
+    Rows with a multiplier of the wrong sign are let go, rows that are violated are taken up.
+    """
     values, force = _residuals(unit, active, at)
     optimal = _OPTIMAL * objective_slope(unit)
-    good = jnp.max(jnp.abs(values.stationarity)) <= optimal
-    good &= jnp.where(active.barrier, jnp.abs(values.barrier) <= _FEASIBLE, values.barrier >= -_FEASIBLE)
-    good &= at.barrier >= -optimal
+    # A steep penalty leaves rounding errors in the residual that do not move the velocity: then the last step tells.
+    good = (jnp.max(jnp.abs(values.stationarity)) <= optimal) | (change <= _OPTIMAL)
+
+    rising = at.barrier >= -optimal
+    good &= jnp.where(active.barrier, jnp.abs(values.barrier) <= _FEASIBLE, values.barrier >= -_FEASIBLE) & rising
+    kept = rising & ~((values.barrier > _FEASIBLE) & (at.barrier <= optimal))
+    barrier, barrier_broken = active.barrier & kept, ~active.barrier & (values.barrier < -_FEASIBLE)
+    speed, speed_broken = active.speed, jnp.asarray(False)
     if unit.speed is not None:
         limit = _FEASIBLE * unit.speed**2
-        good &= jnp.where(active.speed, jnp.abs(values.speed) <= limit, values.speed <= limit)
-        good &= at.speed >= -optimal
+        rising = at.speed >= -optimal
+        good &= jnp.where(speed, jnp.abs(values.speed) <= limit, values.speed <= limit) & rising
+        kept = rising & ~((values.speed < -limit) & (at.speed <= optimal))
+        speed, speed_broken = active.speed & kept, ~active.speed & (values.speed > limit)
+    box, beyond = active.box, jnp.zeros(3, dtype=bool)
     if unit.box is not None:
-        good &= jnp.max(jnp.abs(at.velocity)) <= unit.box * (1.0 + _FEASIBLE)
         # At a held component the objective must still fall towards the outside.
-        good &= jnp.max(active.box * force) <= optimal
-    return at, good
+        released = box * force > optimal
+        beyond = (box == 0.0) & (jnp.abs(at.velocity) > unit.box * (1.0 + _FEASIBLE))
+        good &= ~jnp.any(beyond | released)
+        box = jnp.where(beyond, jnp.sign(at.velocity), jnp.where(released, 0.0, box))
+    # A point far outside the box says nothing about the other two rows.
+    inside = ~jnp.any(beyond)
+    barrier, speed = barrier | (barrier_broken & inside), speed | (speed_broken & inside)
+    if unit.box is not None:
+        # At a corner of the box nothing can move: a further row takes the place of the face that holds least.
+        cornered = jnp.all(box != 0.0) & (barrier | speed)
+        box = jnp.where(cornered & (jnp.abs(force) <= jnp.min(jnp.abs(force))), 0.0, box)
+    chosen = Active(barrier, speed, box)
+    again = Stationary(at.velocity, jnp.where(barrier, at.barrier, 0.0), jnp.where(speed, at.speed, 0.0))
+    return good, chosen, again
+
+
+def polish(unit: UnitProgram, active: Active, start: Stationary) -> tuple[Active, Stationary, Bool[Array, ""]]:
+    """Solve on the active set, and change the set as long as the answer asks for it (primal-dual active set).
+
+    Returns the set, the point and whether every optimality condition holds to rounding; where none did, the set and
+    the point given.
+    """
+
+    def attempt(last: _Attempt) -> _Attempt:
+        at, change = _newton(unit, last.active, last.at)
+        good, chosen, again = _judge(unit, last.active, at, change)
+        return _Attempt(_choose(good, last.active, chosen), _choose(good, at, again), good, last.tries + 1)
+
+    first = _Attempt(active, start, jnp.asarray(False), jnp.asarray(0, dtype=jnp.int32))
+    end = jax.lax.while_loop(lambda a: (~a.optimal) & (a.tries < _TRIES), attempt, first)
+    return _choose(end.optimal, end.active, active), _choose(end.optimal, end.at, start), end.optimal
+
+
+def _choose(condition: Bool[Array, ""], yes: Any, no: Any) -> Any:
+    """Take one of two pytrees as a whole."""
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)
 
 
 def sensitivity(unit: UnitProgram, change: UnitProgram, active: Active, at: Stationary) -> Float[Array, "3"]:
     """Directional derivative of the solution for a change of the program's data, active set held."""
     v = at.velocity
     direction, speed = _direction(v)
-    force = -change.desired - at.barrier * (change.normal - change.gradient_error * direction)
+    force = -change.desired - at.barrier * (change.normal - change.error * direction)
     if unit.circulation is not None and change.circulation is not None:
         data, moved, short = unit.circulation, change.circulation, _shortfall(unit, v)
         short_change = jnp.where(short > 0.0, moved.rate - jnp.sum(moved.tangent * v), 0.0)
@@ -160,7 +227,7 @@ def sensitivity(unit: UnitProgram, change: UnitProgram, active: Active, at: Stat
         force = force - 2.0 * data.weight * (short_change * data.tangent + short * moved.tangent)
     if unit.box is not None and change.box is not None:
         force = jnp.where(active.box != 0.0, -active.box * change.box, force)
-    barrier = jnp.sum(change.normal * v) - change.gradient_error * speed + change.barrier_rate
+    barrier = jnp.sum(change.normal * v) - change.error * speed + change.barrier_rate
     limit = jnp.zeros_like(speed)
     if unit.speed is not None and change.speed is not None:
         limit = -unit.speed * change.speed

@@ -23,6 +23,17 @@ class ConeStatus(enum.IntEnum):
     INFEASIBLE = 1  # no velocity satisfies the barrier row: the answer is the fastest way out
     STALLED = 2  # the interior point's best iterate, whose optimality could not be verified to rounding
     NOT_FINITE = 3  # the data hold NaN or infinity: the answer is zero
+    NO_WAY_OUT = 4  # infeasible, and with e ≥ ‖n‖ no velocity is known to lead out either: the answer is zero
+
+
+def status_of(
+    *, solved: Bool[Array, ""], room: Float[Array, ""], gain: Float[Array, ""], finite: Bool[Array, ""]
+) -> Int[Array, ""]:
+    """Return the `ConeStatus` of a solve from its room and the largest g = n·v − e‖v‖ that any velocity reaches."""
+    status = jnp.where(solved, ConeStatus.SOLVED, ConeStatus.STALLED)
+    infeasible = jnp.where(gain > 0.0, ConeStatus.INFEASIBLE, ConeStatus.NO_WAY_OUT)
+    status = jnp.where(room < 0.0, infeasible, status)
+    return jnp.where(finite, status, ConeStatus.NOT_FINITE).astype(jnp.int32)
 
 
 class ConeSolution(eqx.Module):
@@ -61,17 +72,15 @@ def _rest_is_optimal(unit: UnitProgram) -> Bool[Array, ""]:
         push = 2.0 * unit.circulation.weight * jnp.maximum(unit.circulation.rate, 0.0)
         pull = pull + push * unit.circulation.tangent
     along = jnp.sum(pull * unit.normal)
-    spread = jnp.sum(unit.normal**2) - unit.gradient_error**2
+    spread = jnp.sum(unit.normal**2) - unit.error**2
     return (spread <= 0.0) | ((along <= 0.0) & (along * along >= jnp.sum(pull**2) * spread))
 
 
 def _iterate(unit: UnitProgram, easy: Bool[Array, ""]) -> tuple[Active, Stationary, Bool[Array, ""], Int[Array, ""]]:
-    """Interior point and polish. Where a closed form answers (`easy`) it runs on a program it can finish."""
-    iterate = interior_point.solve(to_conic(unit._replace(barrier_rate=jnp.where(easy, 3.0, unit.barrier_rate))))
-    active, start = active_set.identify(unit, iterate)
-    polished, good = active_set.polish(unit, active, start)
-    at = jax.tree.map(lambda new, old: jnp.where(good, new, old), polished, start)
-    return active, at, good, iterate.iterations
+    """Interior point and polish. Where a closed form answers (`easy`) they work on a program that they can finish."""
+    tame = unit._replace(barrier_rate=jnp.where(easy, 3.0, unit.barrier_rate))
+    iterate = interior_point.solve(to_conic(tame))
+    return *active_set.polish(tame, *active_set.identify(tame, iterate)), iterate.iterations
 
 
 def _project(unit: UnitProgram) -> tuple[Active, Stationary, Bool[Array, ""], Int[Array, ""]]:
@@ -111,14 +120,12 @@ def _solve_unit(program: VelocityProgram) -> _Outcome:
     gain, escape = escape_velocity(unit)
     room = unit.barrier_rate + gain
     escaping = room <= _EDGE
-    resting = (jnp.abs(unit.barrier_rate) <= _APEX) & (unit.gradient_error > 0.0) & _rest_is_optimal(unit)
+    resting = (jnp.abs(unit.barrier_rate) <= _APEX) & (unit.error > 0.0) & _rest_is_optimal(unit)
     easy = escaping | resting
     simple = program.gradient_error is None and program.circulation is None and program.box is None
     active, at, good, iterations = _project(unit) if simple else _iterate(unit, easy)
     velocity = jnp.where(escaping, escape, jnp.where(resting, 0.0, at.velocity))
-    status = jnp.where(good | easy, ConeStatus.SOLVED, ConeStatus.STALLED)
-    status = jnp.where(room < 0.0, ConeStatus.INFEASIBLE, status)
-    status = jnp.where(finite, status, ConeStatus.NOT_FINITE).astype(jnp.int32)
+    status = status_of(solved=good | easy, room=room, gain=gain, finite=finite)
     at = at._replace(velocity=jnp.where(finite, velocity, 0.0))
     return _Outcome(at, active, escaping, resting, status, room, iterations)
 
@@ -151,7 +158,8 @@ def solve(program: VelocityProgram) -> ConeSolution:
 
     Method: primal-dual interior point (`interior_point`), then Newton on the active set (`active_set`); a half-space
     with a speed limit alone has a closed form. Feasibility is closed
-    form, and an infeasible program answers with the fastest way out, status `INFEASIBLE`.
+    form, and an infeasible program answers with the fastest way out, status `INFEASIBLE`; where there is none
+    (e ≥ ‖n‖), with zero, status `NO_WAY_OUT`.
     """
     data = jax.lax.stop_gradient(program)
     outcome = jax.lax.stop_gradient(_solve_unit(data))

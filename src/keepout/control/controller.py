@@ -18,13 +18,14 @@ if TYPE_CHECKING:
 
 
 class ControlStatus(enum.IntEnum):
-    """What a control step has to say; where several apply, the last one."""
+    """What a control step has to say; where several apply, the gravest: the last one, `NOT_FINITE` before all."""
 
     NOMINAL = 0
     SATURATED = 1  # the force asked for was beyond the thrusters and has been cut off, axis by axis
     OUTSIDE_SAFE_SET = 2  # no safe velocity exists here; the law flies the fastest way out
     SOLVER_STALLED = 3  # the safe velocity could not be verified to rounding; the best iterate is used
     NOT_FINITE = 4  # an input or the field was not a number; the force is zero
+    NO_WAY_OUT = 5  # no safe velocity exists and e_∇h ≥ ‖∇f̃‖: no direction is known to lead out, v_s is zero
 
 
 class ControllerState(eqx.Module):
@@ -114,6 +115,7 @@ class Controller(eqx.Module):
         status = jnp.where(jnp.any(jnp.abs(wanted) > self.force_limit), ControlStatus.SATURATED, ControlStatus.NOMINAL)
         status = jnp.where(point.status == ConeStatus.INFEASIBLE, ControlStatus.OUTSIDE_SAFE_SET, status)
         status = jnp.where(point.status == ConeStatus.STALLED, ControlStatus.SOLVER_STALLED, status)
+        status = jnp.where(point.status == ConeStatus.NO_WAY_OUT, ControlStatus.NO_WAY_OUT, status)
         status = jnp.where(finite, status, ControlStatus.NOT_FINITE).astype(jnp.int32)
         command = Command(
             force=force,

@@ -342,7 +342,8 @@ def paper(
         guidance=leader,
         class_k=ClassK(_scalar(0.08)),
         circulation=_circulation(circulation, level=0.1, slope=1.0, weight=1.0, axis=circulation_axis),
-        gradient_error=_scalar(gradient_error),
+        # Without e_∇h the barrier row is a half-space, and the program a quadratic one.
+        gradient_error=None if gradient_error == 0.0 else _scalar(gradient_error),
         box=_scalar(speed_limit),
     )
     tracking = Tracking(

@@ -11,6 +11,7 @@ from keepout.control.interior_point import ConicProgram
 from keepout.errors import ControlError
 
 _FAR = 3.0  # more than √3, the largest speed inside the unit box: a row beyond it never acts
+_NARROWEST = 1e-8
 
 
 class Circulation(eqx.Module):
@@ -51,16 +52,21 @@ class VelocityProgram(eqx.Module):
 
 
 class UnitProgram(NamedTuple):
-    """The program with velocities in units of `size`, the speed limit in m/s, and every row divided by its length."""
+    """The program with velocities in units of `size`, a speed in m/s, and every row divided by its length."""
 
     desired: Float[Array, "3"]
     normal: Float[Array, "3"]
     barrier_rate: Float[Array, ""]
-    gradient_error: Float[Array, ""]
+    gradient_error: Float[Array, ""] | None
     circulation: Circulation | None
     box: Float[Array, ""] | None
     speed: Float[Array, ""] | None
     size: Float[Array, ""]
+
+    @property
+    def error(self) -> Float[Array, ""]:
+        """The gradient error e, zero where the barrier row is a half-space."""
+        return jnp.zeros_like(self.barrier_rate) if self.gradient_error is None else self.gradient_error
 
 
 def _length_or_one(length: Float[Array, ""]) -> Float[Array, ""]:
@@ -81,14 +87,25 @@ def row_length(program: VelocityProgram) -> Float[Array, ""]:
     return _length_or_one(length(program.normal) + error)
 
 
+def _largest_speed(program: VelocityProgram) -> Float[Array, ""]:
+    """Largest speed that the limits leave, m/s: what the program's velocities are measured in."""
+    limits = [limit for limit in (program.speed, program.box) if limit is not None]
+    size = limits[0] if len(limits) == 1 else jnp.minimum(*limits)
+    if program.gradient_error is not None:
+        # With e > ‖n‖ the barrier row holds only for speeds below α/(e − ‖n‖).
+        excess = program.gradient_error - length(program.normal)
+        narrow = (excess > 0.0) & (program.barrier_rate > 0.0)
+        within = program.barrier_rate / jnp.where(narrow, excess, 1.0)
+        size = jnp.where(narrow, jnp.minimum(size, jnp.maximum(within, _NARROWEST * size)), size)
+    return _length_or_one(size)
+
+
 def to_unit(program: VelocityProgram) -> UnitProgram:
-    """Divide velocities by the speed limit and rows by their length, and pull rows that can never act close by.
+    """Divide velocities by the largest speed and rows by their length, and pull rows that can never act close by.
 
     Neither changes the solution; both keep the interior point's numbers near one.
     """
-    size = program.speed if program.speed is not None else program.box
-    assert size is not None
-    size = _length_or_one(size)
+    size = _largest_speed(program)
     row = row_length(program)
     circulation = None
     if program.circulation is not None:
@@ -101,10 +118,10 @@ def to_unit(program: VelocityProgram) -> UnitProgram:
         desired=program.desired / size,
         normal=program.normal / row,
         barrier_rate=jnp.clip(program.barrier_rate / (row * size), -1e6, _FAR),
-        gradient_error=jnp.zeros_like(row) if program.gradient_error is None else program.gradient_error / row,
+        gradient_error=None if program.gradient_error is None else program.gradient_error / row,
         circulation=circulation,
-        box=None if program.box is None else program.box / size,
-        speed=None if program.speed is None else program.speed / size,
+        box=None if program.box is None else jnp.minimum(program.box / size, _FAR),
+        speed=None if program.speed is None else jnp.minimum(program.speed / size, _FAR),
         size=size,
     )
 
@@ -118,27 +135,38 @@ def objective_slope(unit: UnitProgram) -> Float[Array, ""]:
 
 
 def to_conic(unit: UnitProgram) -> ConicProgram:
-    """Rows and cones for the interior point; the circulation slack w = −σ is a fourth unknown with its own row."""
+    """Rows and cones for the interior point; the circulation slack w = −σ is a fourth unknown with its own row.
+
+    Rows: circulation, then the barrier where it is a half-space. Cones: else the barrier, then the speed limit.
+    """
     slope = objective_slope(unit)
     n = 3 if unit.circulation is None else 4
     quadratic, linear = jnp.ones(3), -unit.desired
-    rows, offsets = jnp.zeros((0, n)), jnp.zeros(0)
+    normal = jnp.pad(unit.normal, (0, n - 3))
+    rows, offsets, cones, heads = [jnp.zeros((0, n))], [], [jnp.zeros((0, 4, n))], []
     if unit.circulation is not None:
         quadratic = jnp.append(quadratic, 2.0 * unit.circulation.weight)
         linear = jnp.append(linear, 0.0)
-        rows = jnp.append(unit.circulation.tangent, 1.0)[None]
-        offsets = -unit.circulation.rate[None]
-    if unit.box is not None:
-        rows = jnp.concatenate([rows, -jnp.eye(3, n), jnp.eye(3, n)])
-        offsets = jnp.concatenate([offsets, jnp.full(6, unit.box)])
-    normal = jnp.pad(unit.normal, (0, n - 3))
-    cones = [jnp.concatenate([normal[None], unit.gradient_error * jnp.eye(3, n)])]
-    heads = [unit.barrier_rate]
+        rows.append(jnp.append(unit.circulation.tangent, 1.0)[None])
+        offsets.append(-unit.circulation.rate)
+    if unit.gradient_error is None:
+        rows.append(normal[None])
+        offsets.append(unit.barrier_rate)
+    else:
+        cones.append(jnp.concatenate([normal[None], unit.gradient_error * jnp.eye(3, n)])[None])
+        heads.append(unit.barrier_rate)
     if unit.speed is not None:
-        cones.append(jnp.eye(4, n, k=-1))
+        cones.append(jnp.eye(4, n, k=-1)[None])
         heads.append(unit.speed)
-    cone_offsets = jnp.stack(heads)[:, None] * jnp.asarray([1.0, 0.0, 0.0, 0.0])
-    return ConicProgram(quadratic / slope, linear / slope, rows, offsets, jnp.stack(cones), cone_offsets)
+    return ConicProgram(
+        quadratic=quadratic / slope,
+        linear=linear / slope,
+        rows=jnp.concatenate(rows),
+        row_offsets=jnp.asarray(offsets, dtype=float),
+        bounds=jnp.zeros(0) if unit.box is None else jnp.full(3, unit.box),
+        cones=jnp.concatenate(cones),
+        cone_offsets=jnp.asarray(heads, dtype=float).reshape(-1, 1) * jnp.asarray([1.0, 0.0, 0.0, 0.0]),
+    )
 
 
 def escape_velocity(unit: UnitProgram) -> tuple[Float[Array, ""], Float[Array, "3"]]:
@@ -150,7 +178,7 @@ def escape_velocity(unit: UnitProgram) -> tuple[Float[Array, ""], Float[Array, "
     the rest in proportion to n (water filling); so with k components at the box, the length is either free, where
     the row's slope vanishes, or at the speed limit. The program is feasible exactly if barrier_rate ≥ −g.
     """
-    n, e, box, limit = unit.normal, unit.gradient_error, unit.box, unit.speed
+    n, e, box, limit = unit.normal, unit.error, unit.box, unit.speed
     if box is None:
         assert limit is not None
         size = length(n)

@@ -13,8 +13,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from keepout.control import interior_point
-from keepout.control.cone import ConeSolution, ConeStatus
-from keepout.control.interior_point import ConicProgram, eliminate
+from keepout.control.cone import ConeSolution, ConeStatus, status_of
+from keepout.control.interior_point import ConicProgram, back_substitute, factor
 from keepout.control.program import (
     UnitProgram,
     VelocityProgram,
@@ -40,13 +40,30 @@ class _Point(NamedTuple):
     iterations: Int[Array, ""]
 
 
+def _slacks(conic: ConicProgram, x: Float[Array, " n"]) -> tuple[Array, Array, Array, Array]:
+    """Return the slacks of the rows, of x ≤ bounds and −x ≤ bounds, and of the cones (four entries each) at x."""
+    held = x[: conic.bounds.shape[0]]
+    return (
+        conic.row_offsets + jnp.sum(conic.rows * x, axis=-1),
+        conic.bounds - held,
+        conic.bounds + held,
+        conic.cone_offsets + jnp.sum(conic.cones * x, axis=-1),
+    )
+
+
+def _least_slack(conic: ConicProgram, x: Float[Array, " n"]) -> Float[Array, ""]:
+    *lines, cones = _slacks(conic, x)
+    inside = cones[:, 0] - jnp.sqrt(jnp.sum(cones[:, 1:] ** 2, axis=-1))
+    return jnp.min(jnp.concatenate([*lines, inside]))
+
+
 def _gradient(conic: ConicProgram, weight: Float[Array, ""], x: Float[Array, " n"]) -> Float[Array, " n"]:
     """Return the gradient of objective plus barrier at x."""
-    rows = conic.row_offsets + jnp.sum(conic.rows * x, axis=-1)
-    cones = conic.cone_offsets + jnp.sum(conic.cones * x, axis=-1)
+    rows, below, above, cones = _slacks(conic, x)
     determinant = cones[:, 0] ** 2 - jnp.sum(cones[:, 1:] ** 2, axis=-1)
     mirrored = cones * jnp.asarray([1.0, -1.0, -1.0, -1.0]) / determinant[:, None]
     force = jnp.sum(conic.rows / rows[:, None], axis=0) + jnp.sum(conic.cones * mirrored[:, :, None], axis=(0, 1))
+    force = force + jnp.pad(1.0 / above - 1.0 / below, (0, x.size - below.size))
     return conic.quadratic * x + conic.linear - weight * force
 
 
@@ -69,20 +86,16 @@ def _solve(program: VelocityProgram, weight: Float[Array, ""]) -> _Point:
     def newton(_: int | Int[Array, ""], at: tuple[Array, Array]) -> tuple[Array, Array]:
         x, _ = at
         gradient = _gradient(conic, tau, x)
-        step = eliminate(jax.jacfwd(lambda y: _gradient(conic, tau, y))(x), gradient[:, None])[:, 0]
+        step = back_substitute(factor(jax.jacfwd(lambda y: _gradient(conic, tau, y))(x)), gradient)
         # Objective over τ is self-concordant: this damping keeps every step inside (Boyd & Vandenberghe, section 9.6).
         decrement = jnp.sqrt(jnp.maximum(jnp.sum(step * gradient), 0.0) / tau)
         return x - jnp.where(decrement > 0.25, 1.0 / (1.0 + decrement), 1.0) * step, decrement
 
     x, decrement = jax.lax.fori_loop(0, _POLISH_STEPS, newton, (x, jnp.asarray(jnp.inf)))
-    slack = conic.cone_offsets + jnp.sum(conic.cones * x, axis=-1)
-    inside = jnp.min(slack[:, 0] - jnp.sqrt(jnp.sum(slack[:, 1:] ** 2, axis=-1))) > 0.0
-    good = inside & (decrement <= _OPTIMAL)
+    good = (_least_slack(conic, x) > 0.0) & (decrement <= _OPTIMAL)
     x = jnp.where(good, x, iterate.point)
     velocity = jnp.where(finite, jnp.where(escaping, escape, x[:3]), 0.0)
-    status = jnp.where(good | escaping, ConeStatus.SOLVED, ConeStatus.STALLED)
-    status = jnp.where(room < 0.0, ConeStatus.INFEASIBLE, status)
-    status = jnp.where(finite, status, ConeStatus.NOT_FINITE).astype(jnp.int32)
+    status = status_of(solved=good | escaping, room=room, gain=gain, finite=finite)
     return _Point(x, velocity, escaping, status, room, iterate.iterations)
 
 
@@ -105,7 +118,7 @@ def _velocity_jvp(primals: tuple, tangents: tuple) -> tuple[Float[Array, "3"], F
     (_, _), (_, escape_change) = jax.jvp(escape_velocity, (unit,), (change,))
     _, moved = jax.jvp(lambda p, w: gradient(p, w, point.unknowns), (program, weight), (tangents[0], tangents[1]))
     hessian = jax.jacfwd(lambda x: gradient(program, weight, x))(point.unknowns)
-    inside = -eliminate(hessian, moved[:, None])[:3, 0]
+    inside = -back_substitute(factor(hessian), moved)[:3]
     derivative = jnp.where(point.escaping, escape_change, inside)
     derivative = unit.size * derivative + change.size * point.velocity
     return _velocity(program, weight, point), jnp.where(point.status == ConeStatus.NOT_FINITE, 0.0, derivative)
