@@ -25,6 +25,7 @@ class Profile:
         batch: points a step.
         steps: of the main phase.
         tuning_steps: of the counter-example phase.
+        large_steps, large_tuning_steps: the same where the bounding ball exceeds `LARGE_TARGET`.
         levels: distances from the surface, metres, on which over-statement is hunted besides the surface itself: the
             contact surfaces of the chasers in view.
         optimizer: "adam" (Kingma, Ba 2015), or "muon" (Jordan et al. 2024): momentum made orthogonal for the hidden
@@ -48,14 +49,28 @@ class Profile:
     batch: int = 2048
     steps: int = 8_000
     tuning_steps: int = 4_000
+    large_steps: int = 10_000
+    large_tuning_steps: int = 7_000
     levels: tuple[float, ...] = (0.5,)
     optimizer: Literal["adam", "muon"] = "muon"
     learning_rate: float = 5e-3
-    muon_rate: float = 0.015
+    muon_rate: float = 0.01
     halving: int = 0
     over_weight: float = 0.8
     gradient_weight: float = 0.02
     kappa: float = 2.0
+
+    def for_size(self, radius: float) -> "Profile":
+        """Return the numbers for a target whose bounding ball has this radius, metres."""
+        if radius <= LARGE_TARGET:
+            return self
+        return dataclasses.replace(
+            self,
+            width=self.large_width,
+            depth=self.large_depth,
+            steps=self.large_steps,
+            tuning_steps=self.large_tuning_steps,
+        )
 
 
 _PAPER = Profile(
@@ -64,6 +79,8 @@ _PAPER = Profile(
     depth=10,
     large_width=512,
     large_depth=10,
+    large_steps=10_000,
+    large_tuning_steps=0,
     samples=50_000,
     batch=50_000,
     steps=10_000,
@@ -77,7 +94,17 @@ _PAPER = Profile(
 
 PROFILES: dict[str, Profile] = {
     "default": Profile(),
-    "quick": Profile(width=48, depth=3, large_width=48, large_depth=3, samples=60_000, steps=1500, tuning_steps=500),
+    "quick": Profile(
+        width=48,
+        depth=3,
+        large_width=48,
+        large_depth=3,
+        samples=60_000,
+        steps=1500,
+        tuning_steps=500,
+        large_steps=1500,
+        large_tuning_steps=500,
+    ),
     "paper": _PAPER,
     "paper_printed": dataclasses.replace(_PAPER, loss="paper_printed"),
 }

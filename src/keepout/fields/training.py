@@ -1,4 +1,4 @@
-"""Learning a field: two phases of Adam, the second fed with the worst over-statements found."""
+"""Learning a field: two phases of gradient descent, the second fed with the worst over-statements found."""
 
 import dataclasses
 import functools
@@ -22,7 +22,7 @@ from keepout.fields import losses, mlp
 from keepout.fields.continuation import RadialContinuation
 from keepout.fields.model import FieldModel
 from keepout.fields.neural import NeuralField
-from keepout.fields.profile import LARGE_TARGET, Profile, find_profile
+from keepout.fields.profile import Profile, find_profile
 from keepout.fields.sampling import Domain, Samples, label, level_points, surface_points, training_points
 from keepout.geometry.distance import ExactDistance
 from keepout.geometry.offset_solid import OffsetSolid
@@ -76,12 +76,12 @@ def fit(
 
     """
     start = time.perf_counter()
-    numbers = find_profile(profile)
-    name = profile if isinstance(profile, str) else "custom"
     distance = target.distance
+    domain = Domain.around(distance)
+    numbers = find_profile(profile).for_size(domain.target_radius)
+    name = profile if isinstance(profile, str) else "custom"
     if solid is None:
         solid = OffsetSolid.build(distance, progress=lambda part, text: progress(0.08 * part, f"offset solid: {text}"))
-    domain = Domain.around(distance)
     generator = np.random.default_rng(seed)
     progress(0.08, "labelling samples")
     samples = label(solid, training_points(distance, domain, numbers.samples, generator))
@@ -89,7 +89,7 @@ def fit(
     data = _normalised(samples, domain)
 
     fingerprint = _fingerprint(target, solid, numbers, seed)
-    state = _initial(numbers, domain, data, len(groups), seed)
+    state = _initial(numbers, data, len(groups), seed)
     if checkpoint is not None and checkpoint.exists():
         state = checkpoints.load(checkpoint, state, fingerprint)
 
@@ -157,10 +157,9 @@ def _fingerprint(target: Target, solid: OffsetSolid, profile: Profile, seed: int
     return hashlib.sha256(json.dumps(entries).encode()).hexdigest()
 
 
-def _initial(profile: Profile, domain: Domain, data: losses.Batch, groups: int, seed: int) -> _State:
+def _initial(profile: Profile, data: losses.Batch, groups: int, seed: int) -> _State:
     """He-scaled weights (He et al. 2015); first-layer kinks spread over the unit ball; the output starts positive."""
-    large = domain.target_radius > LARGE_TARGET
-    width, depth = (profile.large_width, profile.large_depth) if large else (profile.width, profile.depth)
+    width, depth = profile.width, profile.depth
     sizes = [3] + [width] * depth + [1]
     keys = jax.random.split(jax.random.key(seed), depth + 2)
     weights = [
@@ -207,7 +206,7 @@ def _hidden_matrices(layers: Any) -> Any:
 
 @functools.partial(jax.jit, static_argnums=(0, 1, 2))
 def _train_block(profile: Profile, scale: float, tuning: bool, state: _State, data: losses.Batch, key: Array):
-    """`BLOCK` steps of Adam in one compiled loop."""
+    """`BLOCK` steps in one compiled loop."""
     optimizer = _optimizer(profile, tuning)
     count = len(data.x)
     batch = min(profile.batch, count)
