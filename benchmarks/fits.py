@@ -1,0 +1,140 @@
+"""What the default profile reaches: certified bounds, distance of the certified level, sizes and times, per target.
+
+Run: python benchmarks/fits.py intelsat30 ../shared/meshes/hubble.glb --fields FOLDER [--json FILE]
+
+A mesh file is taken in metres. A field found in the folder is measured again, not fitted again; its times are those of
+its fit. Beside each network stands the grid field whose certified level is as far from the surface. Times are given too
+as multiples of what the fit's matrix products alone take at the sgemm rate measured in the same run.
+"""
+
+import argparse
+import json
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+from fields import sgemm_rate
+
+from keepout.fields.certificate import certify
+from keepout.fields.grid_build import build_grid
+from keepout.fields.grid_certificate import certify_grid
+from keepout.fields.model import FieldModel
+from keepout.fields.neural import NeuralField
+from keepout.fields.quality import curvature, margin_cost
+from keepout.fields.training import fit
+from keepout.geometry.offset_solid import OffsetSolid
+from keepout.geometry.target import Target
+
+RADII = (0.0, 0.5)
+COLUMNS = (
+    ("target", "{}"),
+    ("field", "{}"),
+    ("megabytes", "{:.2f}"),
+    ("error_bound_point_m", "{:+.4f}"),
+    ("found_point_m", "{:+.4f}"),
+    ("error_bound_half_metre_m", "{:+.4f}"),
+    ("found_half_metre_m", "{:+.4f}"),
+    ("p95_point_m", "{:.3f}"),
+    ("p95_half_metre_m", "{:.3f}"),
+    ("hessian_p99_at_0.3_m", "{:.1f}"),
+    ("fit_s", "{:.0f}"),
+    ("certify_s", "{:.0f}"),
+    ("fit_over_sgemm", "{:.1f}"),
+)
+
+
+def show(fraction: float, message: str) -> None:
+    """Print progress on one line of standard error."""
+    print(f"\r{100 * fraction:3.0f} % {message:<100.100}", end="", file=sys.stderr, flush=True)
+
+
+def megabytes(model: FieldModel, folder: Path) -> float:
+    """Return the size of the model's file."""
+    path = folder / "size.keepout"
+    model.save(path)
+    size = path.stat().st_size / 1e6
+    path.unlink()
+    return size
+
+
+def product_flops(model: FieldModel) -> float:
+    """Flops of the fit's matrix products: value and gradient (2 sweeps), and their reverse (twice as much)."""
+    numbers, field = model.training["numbers"], model.field
+    assert isinstance(field, NeuralField)
+    weights = sum(W.size for W in field.layers.weights)
+    return (numbers["steps"] + numbers["tuning_steps"]) * numbers["batch"] * 2.0 * weights * 2 * 3
+
+
+def row(model: FieldModel, target: Target, solid: OffsetSolid, name: str, folder: Path) -> dict:
+    """Measure one certified field."""
+    at = [model.certificate(radius) for radius in RADII]
+    cost = [
+        margin_cost(model.field, solid, error_bound=c.error_bound, chaser_radius=radius) for c, radius in zip(at, RADII)
+    ]
+    seconds = model.training.get("seconds", math.nan)
+    neural = isinstance(model.field, NeuralField)
+    return {
+        "target": target.name,
+        "field": name,
+        "megabytes": megabytes(model, folder),
+        "error_bound_point_m": at[0].error_bound,
+        "found_point_m": at[0].sampled_maximum,
+        "error_bound_half_metre_m": at[1].error_bound,
+        "found_half_metre_m": at[1].sampled_maximum,
+        "p95_point_m": cost[0].percentile_95,
+        "p95_half_metre_m": cost[1].percentile_95,
+        "hessian_p99_at_0.3_m": curvature(model.field, solid, 0.3).percentile_99,
+        "fit_s": seconds,
+        "certify_s": sum(c.seconds for c in at),
+        "fit_over_sgemm": seconds / (product_flops(model) / sgemm_rate()) if neural else math.nan,
+    }
+
+
+def measure(source: str, folder: Path) -> list[dict]:
+    """Fit, certify and measure one target, and the grid field beside it."""
+    target = Target.load(source, units="m") if Path(source).suffix else Target.load(source)
+    solid = OffsetSolid.build(target.distance)
+    path = folder / f"{Path(source).stem}.keepout"
+    if path.exists():
+        model = FieldModel.load(path, target=target)
+    else:
+        model = fit(target, checkpoint=path.with_suffix(".checkpoint"), solid=solid, progress=show)
+        model.save(path)
+    for radius in RADII:
+        if all(abs(c.chaser_radius - radius) > 1e-9 for c in model.certificates):
+            model = certify(model, target, chaser_radius=radius, progress=show)
+            model.save(path)
+    field = model.field
+    assert isinstance(field, NeuralField)
+    shape = f"neural {len(field.layers.weights) - 1} x {field.layers.weights[0].shape[0]}"
+    rows = [row(model, target, solid, shape, folder)]
+    spacing = float(np.round(rows[0]["p95_point_m"], 2))
+    grid = build_grid(target, spacing=spacing, solid=solid, progress=show)
+    for radius in RADII:
+        grid = certify_grid(grid, target, chaser_radius=radius)
+    rows.append(row(grid, target, solid, f"grid h = {spacing:.2f} m", folder))
+    return rows
+
+
+def main() -> None:
+    """Measure the targets named on the command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("targets", nargs="+", help="built-in names or mesh files in metres")
+    parser.add_argument("--fields", type=Path, default=Path("out/fits"), help="folder of the fitted fields")
+    parser.add_argument("--json", type=Path, help="write the rows here")
+    arguments = parser.parse_args()
+    arguments.fields.mkdir(parents=True, exist_ok=True)
+    print("| " + " | ".join(name for name, _ in COLUMNS) + " |")
+    print("|" + " --- |" * len(COLUMNS))
+    rows = []
+    for source in arguments.targets:
+        for entry in measure(source, arguments.fields):
+            rows.append(entry)
+            print("\r| " + " | ".join(form.format(entry[name]) for name, form in COLUMNS) + " |", flush=True)
+            if arguments.json:
+                arguments.json.write_text(json.dumps(rows, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
