@@ -110,6 +110,9 @@ def fit(
 def certify(
     field: Annotated[Path, typer.Argument(help="A field file (.keepout); the certificate is added to it.")],
     chaser_radius: ChaserRadius = 0.5,
+    prove_slope: Annotated[
+        bool, typer.Option("--prove-slope", help="Prove the bound of ‖∇f̃‖ that the guard uses too: minutes.")
+    ] = False,
     mesh: Annotated[str | None, typer.Option(help="The mesh, where it is not where `fit` found it.")] = None,
     seed: Seed = 0,
     as_json: AsJson = False,
@@ -118,7 +121,9 @@ def certify(
     from keepout.commands import certify_file
 
     with terminal.progress(f"certify {field.name}") as progress:
-        summary = certify_file(field, chaser_radius=chaser_radius, mesh=mesh, seed=seed, progress=progress)
+        summary = certify_file(
+            field, chaser_radius=chaser_radius, prove_slope=prove_slope, mesh=mesh, seed=seed, progress=progress
+        )
     _answer(summary, as_json)
     if not as_json:
         Console().print(terminal.facts_table("Certificate", summary))

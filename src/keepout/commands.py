@@ -99,12 +99,25 @@ def fit_to_file(
 
 
 def certify_file(
-    path: Path, *, chaser_radius: float, mesh: str | None = None, seed: int = 0, progress: Progress = silent
+    path: Path,
+    *,
+    chaser_radius: float,
+    prove_slope: bool = False,
+    mesh: str | None = None,
+    seed: int = 0,
+    progress: Progress = silent,
 ) -> dict[str, Any]:
     """Add a certificate for a chaser radius to a field file; the mesh is found where `fit` found it unless given."""
     model = FieldModel.load(path)
     entry = _recorded_target(path, model, mesh)
-    model = certify(model, load_target(entry), chaser_radius=chaser_radius, seed=seed, progress=progress)
+    model = certify(
+        model,
+        load_target(entry),
+        chaser_radius=chaser_radius,
+        prove_slope=prove_slope,
+        seed=seed,
+        progress=progress,
+    )
     model.save(path)
     certificate = model.certificate(chaser_radius)
     return {
@@ -115,6 +128,7 @@ def certify_file(
         "sampled_maximum_m": certificate.sampled_maximum,
         "gradient_bound": certificate.gradient_bound,
         "gradient_kind": certificate.gradient_kind,
+        "gradient_found": certificate.gradient_found,
         "seconds": certificate.seconds,
         "target_sha256": certificate.target_sha256,
     }

@@ -106,6 +106,7 @@ def inspection_tables(summary: Mapping[str, Any]) -> list[Table]:
         "e_h": ("error_bound", "kind"),
         "found": "sampled_maximum",
         "‖∇f̃‖ ≤": ("gradient_bound", "gradient_kind"),
+        "‖∇f̃‖ found": "gradient_found",
         "stands off mean, p95": ("stand_off_mean", "stand_off_95"),
     }
     certificates = [
