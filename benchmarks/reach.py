@@ -1,11 +1,17 @@
 """Fly random start and goal pairs around each target: does each law reach, without contact, and at what cost.
 
-    .venv/bin/python benchmarks/reach.py --flights 1000 --json
+    python benchmarks/reach.py --targets intelsat30 iss pocket ../shared/meshes/ssl1300.glb --flights 1000 --json
 
-Every pair keeps 0.5 m between the chaser's surface and the exact mesh, and lies outside the target. No guard flies
-along: this measures the law. Contacts are judged between samples by the audit; `time_over_bound` is the median, over
-the flights that reached, of (time to reach) / (length of the shortest free way / speed limit), and
-`delta_v_over_floor` the median of Δv / (∫‖d‖/m dt + 2 v_max).
+Rows: the default law with each kind of guidance, the paper's law, and the default law round a target that tumbles about
+a random axis at each of the `--tumbling` rates. Every pair keeps 0.5 m between the chaser's surface and the exact mesh,
+and lies outside the target. No guard flies along: this measures the law. Contacts are judged between samples by the
+audit. A target without a shipped field gets one, fitted and certified once and kept in the folder of `--out`.
+
+Each row is written to `--out` as soon as it is flown; a run that was stopped goes on from there, and one target a run
+may be given. `refused` pairs are those that the law would not fly, with the reason on standard error: they count as
+flights that did not reach. `time_over_bound` is the median, over the flights that reached, of (time to reach) / (length
+of the shortest free way / speed limit); `delta_v_mps` is the median, and `delta_v_over_floor` the median of
+Δv / (∫‖d‖/m dt + 2 v_max).
 """
 
 import argparse
@@ -19,59 +25,184 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from reach_case import Case
 
 import keepout
 from keepout import environment
 from keepout.control import profiles
-from keepout.control.fast_marching import travel_time
-from keepout.control.geodesic import BarrierGrid, geodesic_guidance
-from keepout.fields.model import FieldModel
-from keepout.fields.shipped import load_shipped, shipped_names
+from keepout.control.geodesic import geodesic_guidance
 from keepout.flight.audit import Contact, audit_campaign
-from keepout.flight.campaign import campaign
+from keepout.flight.campaign import BATCH, campaign
 from keepout.flight.setup import FlightSetup
-from keepout.geometry.offset_solid import OffsetSolid
-from keepout.geometry.target import Target
-from keepout.scenario import Scenario
+from keepout.report import terminal
 
 LAWS = {
-    "default/geodesic": ("default", {"guidance": "geodesic", "circulation": "none"}),
-    "default/straight": ("default", {"guidance": "straight", "circulation": "none"}),
-    "default/printed": ("default", {"guidance": "straight", "circulation": "printed"}),
-    "default/skew": ("default", {"guidance": "straight", "circulation": "skew"}),
-    "default/switching": ("default", {"guidance": "straight", "circulation": "switching"}),
-    "paper/straight": ("paper", {"guidance": "straight", "circulation": "none"}),
-    "paper/printed": ("paper", {"guidance": "straight", "circulation": "printed"}),
+    "geodesic": ("default", {"guidance": "geodesic", "circulation": "none"}),
+    "none": ("default", {"guidance": "straight", "circulation": "none"}),
+    "printed": ("default", {"guidance": "straight", "circulation": "printed"}),
+    "skew": ("default", {"guidance": "straight", "circulation": "skew"}),
+    "switching": ("default", {"guidance": "straight", "circulation": "switching"}),
+    "paper": ("paper", {"guidance": "straight", "circulation": "printed"}),
 }
-CLEARANCE = 0.5
-GROUP = 128
+TUMBLING_SPEED = {0.5: 0.05}
+"""Speed limits (m/s) of fast tumblers, by rate in degrees a second: what the thrusters can follow there."""
 
 
-def draw_pairs(target, solid, radius, box, count, generator):
-    """Draw starts and goals (count, 2, 3) m, uniform in the box, outside the target, with CLEARANCE of room."""
-    lower, upper = box
-    kept = np.empty((0, 3))
-    while len(kept) < 2 * count:
-        points = generator.uniform(lower, upper, (4 * count, 3))
-        points = points[target.distance.distance(points) > radius + CLEARANCE]
-        kept = np.concatenate([kept, points[solid.is_exterior(points)]])
-    return kept[: 2 * count].reshape(count, 2, 3)
+def law_arguments(case, scenario, choices, rate):
+    motion = environment.relative_motion(scenario)
+    chaser = scenario.chaser
+    limits = {
+        "mass": chaser.mass,
+        "force_limit": chaser.force_limit,
+        "speed_limit": chaser.speed_limit,
+        "period": scenario.control.period,
+        "disturbance_bound": environment.disturbance_bound(scenario),
+    }
+    common = {
+        "error_bound": case.certificate.error_bound,
+        "chaser_radius": chaser.radius,
+        "margin": scenario.safety.margin,
+        "motion": motion,
+        **limits,
+        **choices,
+    }
+    reach = np.linalg.norm(case.pairs, axis=-1).max(axis=-1)
+    if not rate:
+        return common, np.ones(len(reach), bool), reach.max(), None
+    flown, furthest, reason = within_authority(reach, motion, limits)
+    return common, flown, furthest, reason
 
 
-def shortest_ways(grid, goal, starts):
-    """Lengths (m) of the shortest free ways from each start to the goal, by fast marching at unit speed."""
-    node = grid.node(goal)
-    speed = np.where(grid.values > 0.0, 1.0, 0.0)
-    first = float(np.linalg.norm(grid.origin + grid.spacing * node - goal))
-    reached = travel_time(speed, grid.walls, node[None], np.array([first]), grid.spacing)
-    return np.array([reached[tuple(grid.node(start))] for start in starts])
+def within_authority(reach, motion, limits):
+    """Which pairs the thrusters can follow: those not further out than the last that `tune` accepts."""
+    ordered, reason = np.sort(reach), None
+
+    def refusal(radius):
+        try:
+            drift = profiles.drift_bound(motion, radius=float(radius), speed=limits["speed_limit"])
+            profiles.tune(**limits, drift_bound=drift)
+        except keepout.KeepoutError as refused:
+            return f"at {radius:.1f} m from the target: {refused}"
+        return None
+
+    first, last = 0, len(ordered)
+    while first < last:
+        middle = (first + last) // 2
+        found = refusal(ordered[middle])
+        if found is None:
+            first = middle + 1
+        else:
+            last, reason = middle, found
+    furthest = ordered[first - 1] if first else 0.0
+    return reach <= furthest, furthest, reason
+
+
+def fly_row(case, law, rate):
+    """One row of the table."""
+    profile, choices = LAWS[law]
+    scenario = case.scenario
+    if rate:
+        tumbling = {"kind": "tumbling", "angular_velocity": (0.0, 0.0, float(np.radians(rate)))}
+        speed = TUMBLING_SPEED.get(rate, scenario.chaser.speed_limit)
+        scenario = scenario.replace(attitude=tumbling, chaser={"speed_limit": speed})
+    began = time.perf_counter()
+    common, flown, reach, reason = law_arguments(case, scenario, choices, rate)
+    refused = [] if reason is None else [reason] * int(np.sum(~flown))
+    row = {"target": case.name, "profile": profile, "guidance": choices["circulation"] if law == "paper" else law}
+    row |= {"flights": case.flights, "reached": 0, "contacts": 0, "minimum_clearance_m": None}
+    row |= {"saturated_fraction": None, "delta_v_mps": None, "time_over_bound": None}
+    row |= {"tumbling_deg_s": rate, "speed_limit_mps": scenario.chaser.speed_limit}
+    index = np.flatnonzero(flown)
+    if len(index):
+        if profile == "default":
+            common |= {"reach": float(reach)}
+        row |= fly_pairs(case, scenario, law, common, index, refused, rate)
+    row |= {"refused": len(refused), "seconds": time.perf_counter() - began}
+    for line in sorted(set(refused))[:3]:
+        sys.stderr.write(f"{case.name} {law} {rate:g} deg/s: refused: {line}\n")
+    return row
+
+
+def fly_pairs(case, scenario, law, common, index, refused, rate):
+    profile, _ = LAWS[law]
+    pairs = case.pairs
+    prototype = getattr(profiles, profile)(
+        case.model.field, goal=pairs[index[0], 1], **common | {"guidance": "straight"}
+    )
+    # The ways are measured with the default law's offset, for every law alike.
+    offset = case.offset + float(prototype.nominal_offset)
+    grid = case.grid(offset)
+    ways = case.ways(offset)
+    setup = FlightSetup(
+        motion=common["motion"],
+        disturbance=environment.disturbance(scenario),
+        thrusters=environment.thrusters(scenario),
+        controller=prototype,
+        goal=pairs[index[0], 1],
+        mass=scenario.chaser.mass,
+        period=scenario.control.period,
+    )
+    axes = np.random.default_rng(case.seed + 1).normal(size=(len(pairs), 3))
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    seconds = round(case.seconds * case.scenario.chaser.speed_limit / scenario.chaser.speed_limit)
+    result = Results(case, scenario, ways)
+    with terminal.progress(f"{case.name}, {law}, {rate:g} deg/s") as progress:
+        # Travel times differ from goal to goal: a batch of them at a time in memory.
+        size = BATCH if law == "geodesic" else len(index)
+        for begin in range(0, len(index), size):
+            part, guidances = index[begin : begin + size], []
+            if law == "geodesic":
+                part, guidances = travel_times(case, grid, offset, prototype, part, refused)
+            if len(part) == 0:
+                continue
+            # The last batch is filled up, so that one shape is compiled; what was added is left out again.
+            whole = np.resize(part, size)
+            guidances = [guidances[i % len(part)] for i in range(size)] if guidances else []
+            batch = with_goals(setup, jnp.asarray(pairs[whole, 1]), guidances)
+            starts = jnp.asarray(pairs[whole, 0])
+            initial = eqx.filter_vmap(setup.motion.initial_state)(starts, jnp.zeros_like(starts))
+            if rate:
+                initial = eqx.tree_at(
+                    lambda s: s.angular_velocity, initial, jnp.asarray(np.radians(rate) * axes[whole])
+                )
+            result.add(
+                part,
+                batch,
+                initial,
+                seconds,
+                lambda f, m, begin=begin: progress((begin + f * size) / max(len(index), size), m),
+            )
+    return result.row() | {"seconds_flown": seconds}
+
+
+def travel_times(case, grid, offset, prototype, part, refused):
+    flown, guidances = [], []
+    for i in part:
+        start, goal = case.pairs[i]
+        leader = prototype.velocity.guidance
+        try:
+            guidances.append(
+                geodesic_guidance(
+                    grid,
+                    case.model.field,
+                    offset,
+                    goal,
+                    speed=float(leader.speed),
+                    slowing_length=float(leader.slowing_length),
+                    start=start,
+                )
+            )
+            flown.append(i)
+        except keepout.KeepoutError as refusal:
+            refused.append(str(refusal))
+    return np.array(flown, dtype=int), guidances
 
 
 def with_goals(setup, goals, guidances):
     """Give every flight its own goal: its own travel-time grid where there are guidances, else only the goal."""
     if guidances:
         setup = eqx.tree_at(lambda s: s.controller.velocity.guidance, setup, guidances[0])
-        guidance = jax.tree.map(lambda *leaves: jnp.stack(leaves), *guidances)
+        guidance = jax.tree.map(lambda *leaves: np.stack(leaves), *guidances)
     else:
         one = setup.controller.velocity.guidance
         guidance = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (len(goals), *leaf.shape)), one)
@@ -79,168 +210,125 @@ def with_goals(setup, goals, guidances):
     return eqx.tree_at(lambda s: (s.goal, s.controller.velocity.guidance), setup, (goals, guidance))
 
 
-def fly_law(law, name, target, model, scenario, pairs, seconds):
-    """One row of the table."""
-    profile, choices = LAWS[law]
-    radius = scenario.chaser.radius
-    certificate = model.certificate(radius)
-    motion = environment.relative_motion(scenario)
-    disturbance = environment.disturbance(scenario)
-    common = {
-        "error_bound": certificate.error_bound,
-        "chaser_radius": radius,
-        "margin": scenario.safety.margin,
-        "motion": motion,
-        "mass": scenario.chaser.mass,
-        "force_limit": scenario.chaser.force_limit,
-        "speed_limit": scenario.chaser.speed_limit,
-        "period": scenario.control.period,
-        "disturbance_bound": environment.disturbance_bound(scenario),
-        **choices,
-    }
-    build = getattr(profiles, profile)
-    points = pairs.reshape(-1, 3)
-    lower = np.minimum(points.min(axis=0), target.vertices.min(axis=0)) - 3.0
-    upper = np.maximum(points.max(axis=0), target.vertices.max(axis=0)) + 3.0
-    law_offset = certificate.error_bound + radius + scenario.safety.margin
-    prototype = build(model.field, goal=pairs[0, 1], **(common | {"guidance": "straight"}))
-    offset = law_offset + float(prototype.nominal_offset)
-    grid = BarrierGrid.build(model.field, offset, lower, upper)
-    reach, clear, ratio, floors, delta_v, saturated = [], [], [], [], [], []
-    contacts = undecided = refused = 0
-    for begin in range(0, len(pairs), GROUP):
-        part = pairs[begin : begin + GROUP]
-        flown, guidances, ways = [], [], []
-        for start, goal in part:
-            try:
-                if choices["guidance"] == "geodesic":
-                    slowing = float(prototype.velocity.guidance.slowing_length)
-                    guidances.append(
-                        geodesic_guidance(
-                            grid,
-                            model.field,
-                            offset,
-                            goal,
-                            speed=scenario.chaser.speed_limit,
-                            slowing_length=slowing,
-                            start=start,
-                        )
-                    )
-            except keepout.KeepoutError as refusal:
-                refused += 1
-                sys.stderr.write(f"{name} {law}: refused: {refusal}\n")
-                continue
-            flown.append((start, goal))
-            ways.append(shortest_ways(grid, goal, [start])[0])
-        flown = np.array(flown)
-        setup = FlightSetup(
-            motion=motion,
-            disturbance=disturbance,
-            thrusters=environment.thrusters(scenario),
-            controller=prototype,
-            goal=part[0, 1],
-            mass=scenario.chaser.mass,
-            period=scenario.control.period,
-        )
-        setup = with_goals(setup, jnp.asarray(flown[:, 1]), guidances)
-        starts = flown[:, 0]
-        initial = eqx.filter_vmap(motion.initial_state)(jnp.asarray(starts), jnp.zeros_like(starts))
-        logs = {}
+class Results:
+    """What became of the flights of a row."""
 
-        def landed(first, columns, logs=logs):
-            logs[first] = columns
+    def __init__(self, case, scenario, ways):
+        self.case, self.scenario, self.ways = case, scenario, ways
+        self.reached, self.saturated, self.delta_v, self.floor, self.ratio = [], [], [], [], []
+        self.audits = []
 
-        result = campaign(
+    def add(self, part, setup, initial, seconds, progress):
+        """Fly and audit the pairs `part`; flights beyond them only fill up a batch."""
+        chaser, period = self.scenario.chaser, self.scenario.control.period
+        bounds = environment.flight_bounds(self.scenario)
+        floors = []
+
+        def landed(first, columns):
+            own = {name: column[: max(len(part) - first, 0)] for name, column in columns.items()}
+            if len(own["time"]) == 0:
+                return
+            self.audits += audit_campaign(
+                own["time"][0],
+                own["position"],
+                own["velocity"],
+                own["force"],
+                self.case.target,
+                chaser_radius=chaser.radius,
+                bounds=bounds,
+                force_limit=chaser.force_limit,
+                speed_limit=chaser.speed_limit,
+            )
+            push = np.linalg.norm(own["disturbance"], axis=-1).sum(axis=-1) * period
+            floors.extend(push / chaser.mass + 2.0 * chaser.speed_limit)
+
+        outcome = campaign(
             setup,
             initial,
-            round(seconds),
+            round(seconds / period),
             vary=lambda s: (s.goal, s.controller.velocity.guidance),
             columns=("time", "position", "velocity", "force", "disturbance"),
             landed=landed,
+            progress=progress,
         )
-        for first in sorted(logs):
-            columns = logs[first]
-            audits = audit_campaign(
-                columns["time"][0],
-                columns["position"],
-                columns["velocity"],
-                columns["force"],
-                target,
-                chaser_radius=radius,
-                bounds=environment.flight_bounds(scenario),
-                force_limit=scenario.chaser.force_limit,
-                speed_limit=scenario.chaser.speed_limit,
-            )
-            contacts += sum(a.contact is Contact.YES for a in audits)
-            undecided += sum(a.contact is Contact.UNDECIDED for a in audits)
-            clear += [a.minimum_clearance for a in audits]
-            push = np.linalg.norm(columns["disturbance"], axis=-1).sum(axis=-1) * scenario.control.period
-            floors += list(push / scenario.chaser.mass + 2.0 * scenario.chaser.speed_limit)
-        reach += list(result.reached)
-        saturated += list(result.saturated_fraction)
-        delta_v += list(result.delta_v)
-        ratio += list(np.asarray(result.time_to_reach) * scenario.chaser.speed_limit / np.array(ways))
-    reach, ratio = np.array(reach), np.array(ratio)
-    over_floor = np.array(delta_v) / np.array(floors)
-    return {
-        "target": name,
-        "profile": profile,
-        "guidance": law.split("/")[1],
-        "flights": len(reach),
-        "refused": refused,
-        "reached": int(reach.sum()),
-        "contacts": contacts,
-        "undecided": undecided,
-        "minimum_clearance_m": float(np.min(clear)),
-        "saturated_fraction": float(np.mean(saturated)),
-        "delta_v_mps": float(np.median(delta_v)),
-        "delta_v_over_floor": float(np.median(over_floor)),
-        "time_over_bound": float(np.median(ratio[reach])) if reach.any() else None,
-        "seconds_flown": seconds,
-    }
+        count = len(part)
+        self.reached += list(np.asarray(outcome.reached)[:count])
+        self.saturated += list(np.asarray(outcome.saturated_fraction)[:count])
+        self.delta_v += list(np.asarray(outcome.delta_v)[:count])
+        self.floor += floors
+        self.ratio += list(np.asarray(outcome.time_to_reach)[:count] * chaser.speed_limit / self.ways[part])
+
+    def row(self):
+        """Give the row's figures."""
+        reached = np.array(self.reached, dtype=bool)
+        if len(reached) == 0:
+            return {}
+        return {
+            "reached": int(reached.sum()),
+            "contacts": sum(a.contact is Contact.YES for a in self.audits),
+            "undecided": sum(a.contact is Contact.UNDECIDED for a in self.audits),
+            "minimum_clearance_m": min(a.minimum_clearance for a in self.audits),
+            "saturated_fraction": float(np.mean(self.saturated)),
+            "delta_v_mps": float(np.median(self.delta_v)),
+            "delta_v_over_floor": float(np.median(np.array(self.delta_v) / np.array(self.floor))),
+            "time_over_bound": float(np.median(np.array(self.ratio)[reached])) if reached.any() else None,
+        }
+
+
+def key(row):
+    """Tell a row from every other; a row with the same key need not be flown again."""
+    names = ("target", "profile", "guidance", "tumbling_deg_s", "flights", "seed", "field_sha256", "version")
+    return tuple(row.get(name) for name in names)
+
+
+def show(rows):
+    columns = ("target", "profile", "guidance", "tumbling_deg_s", "flights", "refused", "reached", "contacts")
+    columns += ("undecided", "minimum_clearance_m", "saturated_fraction", "delta_v_mps", "delta_v_over_floor")
+    columns += ("time_over_bound", "seconds")
+    sys.stdout.write("| " + " | ".join(columns) + " |\n|" + " --- |" * len(columns) + "\n")
+    for row in rows:
+        shown = [f"{v:.3g}" if isinstance(v, float) else str(v) for v in (row.get(name, "") for name in columns)]
+        sys.stdout.write("| " + " | ".join(shown) + " |\n")
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--flights", type=int, default=1000, help="pairs for each target and law")
+    parser.add_argument("--flights", type=int, default=1000, help="pairs for each row")
     parser.add_argument(
-        "--targets", nargs="+", default=None, help="built-in names; by default all with a shipped field"
+        "--targets",
+        nargs="+",
+        default=["intelsat30", "iss", "pocket"],
+        help="built-in names, mesh files in metres, or MESH=FIELD with a field already made",
     )
-    parser.add_argument(
-        "--field", nargs=2, action="append", default=[], metavar=("MESH", "FIELD"), help="a mesh file in m"
-    )
-    parser.add_argument("--laws", nargs="+", default=list(LAWS), choices=list(LAWS))
-    parser.add_argument("--seconds", type=float, default=None, help="length of a flight; by default from the box")
+    parser.add_argument("--laws", nargs="*", default=list(LAWS), choices=list(LAWS))
+    parser.add_argument("--tumbling", nargs="*", type=float, default=[0.1, 0.5], help="rates, degrees a second")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", type=Path, default=Path("out/reach.json"), help="rows flown so far")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     warnings.simplefilter("ignore", profiles.ControlWarning)
-    names = list(shipped_names()) if arguments.targets is None else arguments.targets
-    cases = [(name, Target.load(name), load_shipped(name)) for name in names]
-    for mesh, path in arguments.field:
-        target = Target.load(mesh, units="m")
-        cases.append((Path(mesh).stem, target, FieldModel.load(path, target=target)))
+    arguments.out.parent.mkdir(parents=True, exist_ok=True)
+    kept = json.loads(arguments.out.read_text()) if arguments.out.exists() else []
     rows = []
-    for name, target, model in cases:
-        scenario = Scenario().replace(seed=arguments.seed)
-        generator = np.random.default_rng(arguments.seed)
-        solid = OffsetSolid.build(target.distance, closing_radius=min(scenario.chaser.radius, 0.25))
-        lower, upper = target.vertices.min(axis=0) - 5.0, target.vertices.max(axis=0) + 5.0
-        pairs = draw_pairs(target, solid, scenario.chaser.radius, (lower, upper), arguments.flights, generator)
-        seconds = arguments.seconds or 600.0 + 2.0 * float(np.linalg.norm(upper - lower)) / scenario.chaser.speed_limit
-        for law in arguments.laws:
-            began = time.perf_counter()
-            rows.append(fly_law(law, name, target, model, scenario, pairs, round(seconds)))
-            rows[-1]["seconds"] = time.perf_counter() - began
-            sys.stderr.write(json.dumps(rows[-1]) + "\n")
+    for source in arguments.targets:
+        case = Case(source, arguments.out.parent, arguments.flights, arguments.seed)
+        wanted = [(law, 0.0) for law in arguments.laws] + [("geodesic", rate) for rate in arguments.tumbling]
+        for law, rate in wanted:
+            profile, choices = LAWS[law]
+            mark = {"seed": arguments.seed, "field_sha256": case.model.sha256, "version": keepout.__version__}
+            plan = {"target": case.name, "profile": profile, "tumbling_deg_s": rate, "flights": arguments.flights}
+            plan |= {"guidance": choices["circulation"] if law == "paper" else law, **mark}
+            row = next((row for row in kept if key(row) == key(plan)), None)
+            if row is None:
+                row = fly_row(case, law, rate) | mark
+                kept.append(row)
+                arguments.out.write_text(json.dumps(kept, indent=2) + "\n")
+            rows.append(row)
+            sys.stderr.write(json.dumps(row) + "\n")
     if arguments.json:
         sys.stdout.write(json.dumps(rows, indent=2) + "\n")
-        return
-    columns = [key for key in rows[0] if key != "seconds_flown"]
-    sys.stdout.write("| " + " | ".join(columns) + " |\n|" + " --- |" * len(columns) + "\n")
-    for row in rows:
-        shown = [f"{v:.3g}" if isinstance(v, float) else str(v) for v in (row[key] for key in columns)]
-        sys.stdout.write("| " + " | ".join(shown) + " |\n")
+    else:
+        show(rows)
 
 
 if __name__ == "__main__":
