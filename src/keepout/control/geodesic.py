@@ -3,9 +3,10 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 from scipy import ndimage
 
 from keepout.control.fast_marching import travel_time, widest_way
@@ -19,6 +20,7 @@ FULL_SPEED_BARRIER = 0.6
 """Barrier value (m) from which on the travel speed is full; towards the surface it falls in proportion."""
 SLOWEST = 0.03
 _CHUNK = 65536
+_FEW = 1024  # more than the 8 samples on the way to each of 125 nodes around a goal
 _MOST_NODES = 4_000_000
 _FILL_SLOPE = 3.0  # rise of the travel time into the obstacle, s/m: only there to turn the spline's gradient outwards
 
@@ -205,6 +207,18 @@ def geodesic_guidance(
     return guidance
 
 
+@eqx.filter_jit
+def _value(field: Field, points: Float[Array, "n 3"]) -> Float[Array, " n"]:
+    return field.value(points)
+
+
+def _few_values(field: Field, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+    """Field values (m) at up to `_FEW` points: a goal asks for so few that a full piece would be most of its cost."""
+    padded = np.zeros((_FEW, 3))
+    padded[: len(points)] = points
+    return np.asarray(_value(field, jnp.asarray(padded)))[: len(points)]
+
+
 def require_free(field: Field, offset: float, position: Float[np.ndarray, "3"], name: str) -> None:
     """Refuse a position where h = field − offset is not positive.
 
@@ -212,7 +226,7 @@ def require_free(field: Field, offset: float, position: Float[np.ndarray, "3"], 
         ControlError: it lies inside; the message says by how much.
 
     """
-    barrier = float(field_values(field, np.asarray(position, dtype=float)[None])[0]) - offset
+    barrier = float(_few_values(field, np.asarray(position, dtype=float)[None])[0]) - offset
     if not barrier > 0.0:
         raise ControlError(
             f"{name}: {np.asarray(position).tolist()} m lies {-barrier:.3g} m inside the keep-out zone "
@@ -232,7 +246,7 @@ def _around_goal(grid: BarrierGrid, field: Field, offset: float, goal: np.ndarra
     points = grid.origin + grid.spacing * nodes
     fractions = np.linspace(0.0, 1.0, 9)[1:]
     between = goal + fractions[:, None, None] * (points - goal)
-    barrier = _Sampler(field, offset)(between.reshape(-1, 3), lambda _: None).reshape(len(fractions), -1)
+    barrier = _few_values(field, between.reshape(-1, 3)).reshape(len(fractions), -1) - offset
     seen = np.all(barrier > 0.0, axis=0)
     speed = np.clip(barrier / FULL_SPEED_BARRIER, SLOWEST, 1.0)
     times = np.linalg.norm(points - goal, axis=1) * np.mean(1.0 / speed, axis=0)
