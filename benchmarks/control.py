@@ -1,10 +1,14 @@
-"""Time one control step from Python on one core, and the usual way in the same run.
+"""Time one control step from Python on one core, the usual way in the same run, and batches of velocity programs.
 
 The usual way is CVXPY + Clarabel with a PyTorch field. Run as `taskset -c 0 python benchmarks/control.py [--json]`. It
 needs the extra `bench` (cvxpy, torch) and is left out, with the reason, where a package is missing.
+
+A step runs as it would on board: the compiled program on the calling thread (`jax_cpu_enable_async_dispatch` off, to be
+set before JAX starts; handing over to another thread is most of the tail), and no garbage collection inside the loop.
 """
 
 import argparse
+import gc
 import importlib.util
 import itertools
 import json
@@ -17,6 +21,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from keepout.control import profiles
+from keepout.control.cone import solve
+from keepout.control.program import Circulation, VelocityProgram
 from keepout.fields import mlp
 from keepout.fields.analytic import SphereField
 from keepout.fields.continuation import RadialContinuation
@@ -25,6 +31,14 @@ from keepout.motion.orbit import Orbit
 from keepout.motion.relative import RelativeMotion
 
 WIDTH, DEPTH, BETA = 96, 4, 100.0
+BATCH = 1024
+PROGRAMS = {
+    # gradient error, circulation, box, speed cone
+    "default law with circulation": (False, True, False, True),
+    "paper law": (False, True, True, False),
+    "paper law with a gradient error": (True, True, True, False),
+    "every row": (True, True, True, True),
+}
 
 
 def neural_field():
@@ -67,12 +81,46 @@ def time_step(law, states):
     compiled = jax.jit(lambda memory, state: law.step(memory, state))
     jax.block_until_ready(compiled(memory, states[0]))
     seconds = []
+    gc.collect()
+    gc.disable()
     for state in states:
         begin = time.perf_counter()
         memory, command = compiled(memory, state)
         np.asarray(command.force)
         seconds.append(time.perf_counter() - begin)
+    gc.enable()
     return seconds
+
+
+def time_programs(kind):
+    """Microseconds a solve in a batch, the median of 20 batches."""
+    error, circulation, box, speed = PROGRAMS[kind]
+    rng = np.random.default_rng(0)
+    normal = rng.normal(size=(BATCH, 3))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+
+    def single(desired, normal, other, rate):
+        ring = Circulation(jnp.cross(normal, other), 0.1 - rate / 0.08, jnp.asarray(1.0))
+        return VelocityProgram(
+            desired=desired,
+            normal=normal,
+            barrier_rate=rate,
+            gradient_error=jnp.asarray(0.2) if error else None,
+            circulation=ring if circulation else None,
+            box=jnp.asarray(0.1) if box else None,
+            speed=jnp.asarray(0.1) if speed else None,
+        )
+
+    vectors = (jnp.asarray(x) for x in (0.1 * rng.normal(size=(BATCH, 3)), normal, rng.normal(size=(BATCH, 3))))
+    programs = jax.vmap(single)(*vectors, jnp.asarray(0.08 * rng.uniform(0.0, 1.0, BATCH)))
+    many = jax.jit(jax.vmap(lambda program: solve(program).velocity))
+    jax.block_until_ready(many(programs))
+    seconds = []
+    for _ in range(20):
+        begin = time.perf_counter()
+        jax.block_until_ready(many(programs))
+        seconds.append(time.perf_counter() - begin)
+    return {"median_us_per_solve": 1e6 * float(np.median(seconds)) / BATCH, "batch": BATCH}
 
 
 def usual_way(points, velocities):
@@ -120,6 +168,7 @@ def main():
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--steps", type=int, default=2000)
     arguments = parser.parse_args()
+    jax.config.update("jax_cpu_enable_async_dispatch", False)
     rng = np.random.default_rng(0)
     direction = rng.normal(size=(arguments.steps, 3))
     points = direction / np.linalg.norm(direction, axis=1, keepdims=True) * rng.uniform(3.0, 9.0, (arguments.steps, 1))
@@ -140,6 +189,7 @@ def main():
         usual = quantiles(usual_way(points[:205], velocities[:205]))
         usual["ratio_to_default"] = usual["median_us"] / rows[1]["median_us"]
         rows.append({"law": "usual way: CVXPY + Clarabel + PyTorch", **usual})
+    rows += [{"law": f"velocity program: {kind}", **time_programs(kind)} for kind in PROGRAMS]
     result = {"machine": platform.processor() or platform.machine(), "jax": jax.__version__, "rows": rows}
     if arguments.json:
         print(json.dumps(result, indent=2))
