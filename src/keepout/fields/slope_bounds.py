@@ -51,8 +51,8 @@ class Prepared(NamedTuple):
         network: in float64.
         absolute: |W| of each layer.
         spectral: ‖W‖₂ of each layer, rounded up.
-        rounding: bounds what the float64 sums of rows and tangents add to a gradient. As σ' ≤ 1 and |q A dx| ≤ 1/2, no
-            part of such a sum exceeds Π‖W‖_F.
+        rounding: bounds what the float64 sums of rows and tangents add to a gradient. As |s| < 2 and |q A dx| ≤ 1/2, no
+            part of such a sum exceeds Π 2‖W‖_F.
 
     """
 
@@ -65,7 +65,7 @@ class Prepared(NamedTuple):
     def of(cls, network: Network) -> "Prepared":
         """Prepare a network."""
         widest = max(W.shape[1] for W in network.weights)
-        size = float(np.prod([np.linalg.norm(W) * (1.0 + 1e-9) for W in network.weights]))
+        size = float(np.prod([2.0 * np.linalg.norm(W) * (1.0 + 1e-9) for W in network.weights]))
         return cls(
             network,
             tuple(np.abs(W) for W in network.weights),
