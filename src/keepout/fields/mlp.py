@@ -90,12 +90,14 @@ def value_gradient_hessian(
     out = _times(a, layers.weights[-1].T)[:, 0] + layers.biases[-1][0]
 
     a_bar = jnp.broadcast_to(layers.weights[-1][0], a.shape)
-    pairs = {(i, j): jnp.zeros(n, x.dtype) for i in range(3) for j in range(i, 3)}
-    for W, (slope, bend, J) in zip(layers.weights[-2::-1], reversed(tape)):
-        curvature = bend * a_bar
-        for i, j in pairs:
-            pairs[i, j] = pairs[i, j] + jnp.sum(curvature * J[i] * J[j], axis=-1)
+    curvatures = []
+    for W, (slope, bend, _) in zip(layers.weights[-2::-1], reversed(tape)):
+        curvatures.append(bend * a_bar)
         a_bar = _times(a_bar * slope, W)
+    # One sum over the neurons of all layers: few large operations are faster than many small ones, for one point too.
+    curvature = jnp.concatenate(curvatures[::-1], axis=-1)
+    tangents = jnp.concatenate([J for _, _, J in tape], axis=-1)
+    pairs = {(i, j): jnp.sum(curvature * tangents[i] * tangents[j], axis=-1) for i in range(3) for j in range(i, 3)}
     rows = [jnp.stack([pairs[min(i, j), max(i, j)] for j in range(3)], axis=-1) for i in range(3)]
     return out, a_bar, jnp.stack(rows, axis=-2)
 
