@@ -89,18 +89,22 @@ def fit(
     mesh: Annotated[str, typer.Argument(help="A mesh file, or a built-in target's name.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="The field file to write (.keepout).")],
     profile: Annotated[str, typer.Option(help="default, or paper: the source paper's network and loss.")] = "default",
+    chaser_radius: ChaserRadius = 0.5,
     units: Units = None,
     scale: Scale = None,
     drop_stray: DropStray = False,
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
-    """Learn a target's signed distance. A killed run resumes from its last checkpoint when started again."""
+    """Learn a target's signed distance, tightest where the chaser touches.
+
+    A killed run resumes from its last checkpoint when started again.
+    """
     from keepout.commands import fit_to_file
 
     source = {"source": mesh, "units": units, "scale": scale, "drop_stray": drop_stray}
     with terminal.progress(f"fit {mesh}") as progress:
-        summary = fit_to_file(source, out, profile=profile, seed=seed, progress=progress)
+        summary = fit_to_file(source, out, profile=profile, chaser_radius=chaser_radius, seed=seed, progress=progress)
     _answer(summary, as_json)
     if not as_json:
         Console().print(terminal.facts_table("Fit", summary))

@@ -64,7 +64,13 @@ def _field_path(path: Path) -> Path:
 
 
 def fit_to_file(
-    source: Mapping[str, Any], out: Path, *, profile: str = "default", seed: int = 0, progress: Progress = silent
+    source: Mapping[str, Any],
+    out: Path,
+    *,
+    profile: str = "default",
+    chaser_radius: float = 0.5,
+    seed: int = 0,
+    progress: Progress = silent,
 ) -> dict[str, Any]:
     """Learn the field of a mesh file or built-in target and write it to `out`.
 
@@ -75,7 +81,12 @@ def fit_to_file(
     target = load_target(entry)
     start = time.perf_counter()
     model = fit(
-        target, profile=profile, seed=seed, checkpoint=out.with_name(out.name + ".checkpoint"), progress=progress
+        target,
+        profile=profile,
+        chaser_radius=chaser_radius,
+        seed=seed,
+        checkpoint=out.with_name(out.name + ".checkpoint"),
+        progress=progress,
     )
     seconds = time.perf_counter() - start
     located = entry.model_dump()

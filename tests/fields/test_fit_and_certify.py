@@ -144,3 +144,9 @@ def test_a_checkpoint_of_another_fit_is_refused(tmp_path, target, solid):
     path.write_bytes(b"nothing")
     with pytest.raises(FieldError, match="damaged checkpoint"):
         fit(target, profile=TINY, solid=solid, checkpoint=path)
+
+
+@pytest.mark.parametrize("radius", [-0.1, float("nan"), 50.0])
+def test_a_radius_that_cannot_touch_is_refused(target, solid, radius):
+    with pytest.raises(FieldError, match=r"chaser radius .* must be 0 to"):
+        fit(target, profile=TINY, chaser_radius=radius, solid=solid)

@@ -26,8 +26,6 @@ class Profile:
         steps: of the main phase.
         tuning_steps: of the counter-example phase.
         large_steps, large_tuning_steps: the same where the bounding ball exceeds `LARGE_TARGET`.
-        levels: distances from the surface, metres, on which over-statement is hunted besides the surface itself: the
-            contact surfaces of the chasers in view.
         optimizer: "adam" (Kingma, Ba 2015), or "muon" (Jordan et al. 2024): momentum made orthogonal for the hidden
             matrices, Adam for the rest.
         learning_rate: of Adam, at the start.
@@ -51,7 +49,6 @@ class Profile:
     tuning_steps: int = 4_000
     large_steps: int = 10_000
     large_tuning_steps: int = 7_000
-    levels: tuple[float, ...] = (0.5,)
     optimizer: Literal["adam", "muon"] = "muon"
     learning_rate: float = 5e-3
     muon_rate: float = 0.01
@@ -85,7 +82,6 @@ _PAPER = Profile(
     batch=50_000,
     steps=10_000,
     tuning_steps=0,
-    levels=(),
     optimizer="adam",
     learning_rate=5e-3,
     halving=2000,

@@ -56,6 +56,7 @@ def fit(
     target: Target,
     *,
     profile: str | Profile = "default",
+    chaser_radius: float = 0.5,
     seed: int = 0,
     checkpoint: Path | None = None,
     solid: OffsetSolid | None = None,
@@ -66,13 +67,15 @@ def fit(
     Args:
         target: what to learn.
         profile: "default", "quick" (rough, for trying out), "paper" or "paper_printed"; or a `Profile`.
+        chaser_radius: metres; where a chaser of this radius touches, over-statement is hunted as it is on the surface.
         seed: the same seed, target and profile on the same machine give the same field.
         checkpoint: a file kept up to date while training and deleted at the end; if it exists, the fit goes on from it.
         solid: the target's offset solid, if already built.
         progress: fraction done, and the loss terms, the worst over-statement so far and the time left.
 
     Raises:
-        FieldError: an unknown profile, a checkpoint of another fit, or a loss that is not finite.
+        FieldError: an unknown profile, a radius that is negative or too large, a checkpoint of another fit, or a loss
+            that is not finite.
 
     """
     start = time.perf_counter()
@@ -80,15 +83,18 @@ def fit(
     domain = Domain.around(distance)
     numbers = find_profile(profile).for_size(domain.target_radius)
     name = profile if isinstance(profile, str) else "custom"
+    largest = domain.domain_radius - domain.target_radius
+    if not 0.0 <= chaser_radius <= largest:
+        raise FieldError(f"chaser radius {chaser_radius:g} m: for {target.name} it must be 0 to {largest:.3g} m")
     if solid is None:
         solid = OffsetSolid.build(distance, progress=lambda part, text: progress(0.08 * part, f"offset solid: {text}"))
     generator = np.random.default_rng(seed)
     progress(0.08, "labelling samples")
     samples = label(solid, training_points(distance, domain, numbers.samples, generator))
-    groups = [label(solid, points) for points in _candidates(target, numbers, domain, generator)]
+    groups = [label(solid, points) for points in _candidates(target, numbers, chaser_radius, domain, generator)]
     data = _normalised(samples, domain)
 
-    fingerprint = _fingerprint(target, solid, numbers, seed)
+    fingerprint = _fingerprint(target, solid, numbers, chaser_radius, seed)
     state = _initial(numbers, data, len(groups), seed)
     if checkpoint is not None and checkpoint.exists():
         state = checkpoints.load(checkpoint, state, fingerprint)
@@ -118,6 +124,7 @@ def fit(
     training = {
         "profile": name,
         "numbers": dataclasses.asdict(numbers),
+        "chaser_radius": chaser_radius,
         "seed": seed,
         "seconds": time.perf_counter() - start,
         "closing_radius": solid.closing_radius,
@@ -131,13 +138,18 @@ def fit(
 
 
 def _candidates(
-    target: Target, profile: Profile, domain: Domain, generator: np.random.Generator
+    target: Target, profile: Profile, chaser_radius: float, domain: Domain, generator: np.random.Generator
 ) -> list[Float[np.ndarray, "_ 3"]]:
-    """Where over-statement is hunted, in groups of equal say: the surface, the levels, and all the near field."""
+    """Where over-statement is hunted, in groups of equal say: surface, where the chaser touches, all the near field.
+
+    Empty where the profile does not hunt.
+    """
     distance = target.distance
+    if profile.tuning_steps == 0:
+        return []
     groups = [surface_points(distance, POOL_ON_SURFACE, generator, by_area=0.5)]
-    if isinstance(distance, ExactDistance):
-        groups += [level_points(distance, level, POOL_ON_LEVEL, generator) for level in profile.levels]
+    if isinstance(distance, ExactDistance) and chaser_radius > 0.0:
+        groups.append(level_points(distance, chaser_radius, POOL_ON_LEVEL, generator))
     near = training_points(distance, domain, 3 * POOL_NEAR, generator)
     groups.append(near[distance.distance(near) < NEAR_FIELD][:POOL_NEAR])
     return groups
@@ -152,8 +164,8 @@ def _normalised(samples: Samples, domain: Domain, weight: float | None = None) -
     return losses.Batch(jnp.asarray(x), *(jnp.asarray(a) for a in rest))
 
 
-def _fingerprint(target: Target, solid: OffsetSolid, profile: Profile, seed: int) -> str:
-    entries = [target.sha256, solid.offset, solid.closing_radius, dataclasses.asdict(profile), seed]
+def _fingerprint(target: Target, solid: OffsetSolid, profile: Profile, chaser_radius: float, seed: int) -> str:
+    entries = [target.sha256, solid.offset, solid.closing_radius, dataclasses.asdict(profile), chaser_radius, seed]
     return hashlib.sha256(json.dumps(entries).encode()).hexdigest()
 
 
