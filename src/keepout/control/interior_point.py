@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float, Int, PyTree
 
 MAXIMUM_ITERATIONS = 18
 CHUNK = 128
-"""Programs solved together: their iterates stay in cache on a CPU."""
+"""Programs solved together on a CPU: their iterates stay in cache."""
 _RESIDUAL = 1e-6
 _GAP = 1e-9
 _LOWEST_LEVEL = 1e-11
@@ -212,10 +212,10 @@ def solve(program: ConicProgram, *, complementarity: float | Float[Array, ""] = 
 
 @jax.custom_batching.custom_vmap
 def _solve_many(programs: ConicProgram, targets: Float[Array, " b"]) -> Iterate:
-    """Solve programs along a first axis, in chunks."""
+    """Solve programs along a first axis, on a CPU in chunks."""
     data = (programs, targets)
     count = targets.shape[0]
-    if count <= 2 * CHUNK:
+    if count <= 2 * CHUNK or jax.default_backend() != "cpu":
         return _first_axis(_solve_chunk(*_last_axis(data)))
     chunks = -(-count // CHUNK)
     index = np.minimum(np.arange(chunks * CHUNK), count - 1).reshape(chunks, CHUNK)
