@@ -6,11 +6,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from keepout.errors import FieldError
-from keepout.fields.certificate import onto_level
 from keepout.fields.evaluate import values
 from keepout.fields.grid import BLOCK, STORED, GridField
 from keepout.fields.model import Certificate, FieldModel
-from keepout.fields.sampling import surface_points
+from keepout.fields.sampling import onto_level, surface_points
 from keepout.geometry.distance import ExactDistance
 from keepout.geometry.octree import straddling_cells
 from keepout.geometry.target import Target
