@@ -162,6 +162,29 @@ def test_shipped_certificates_hold_at_full_size(name, radius):
     assert worst <= bound
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("name", shipped_names())
+@pytest.mark.parametrize("radius", CHASER_RADII)
+def test_no_search_beats_a_proved_slope(name, radius):
+    target = Target.load(name)
+    model = load_shipped(name, target=target)
+    proof, distance = model.certificate(radius), target.distance
+    if proof.gradient_kind != "certified":
+        pytest.skip("its slope was only sampled")
+    rng = np.random.default_rng(0)
+    points = surface_points(distance, 1_000_000, rng, by_area=0.5)
+    points += (radius + rng.exponential(0.4, size=(len(points), 1))) * rng.normal(size=points.shape)
+    for step in (0.0, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002):
+        if step:
+            moved = np.repeat(points, 8, axis=0)
+            points = np.concatenate([points, moved + step * rng.normal(size=moved.shape)])
+        points = points[distance.distance(points) >= radius]
+        slope = np.linalg.norm(values_and_gradients(model.field, points)[1], axis=1)
+        assert slope.max() <= proof.gradient_bound
+        points = points[np.argsort(-slope)[:10_000]]
+    print(f"{name}, R = {radius:g} m: steepest found {slope.max():.3f}, proved {proof.gradient_bound:.3f}")
+
+
 def bumped(model, target, radius, least):
     """The model with one weight changed so that f̃ rises by at least `least` metres in a small part of {d = R}."""
     x = contact_points(target.distance, radius, 40_000, np.random.default_rng(3))
