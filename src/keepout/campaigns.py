@@ -19,9 +19,9 @@ from keepout.errors import ScenarioError
 from keepout.flight.audit import Audit, Contact, audit_campaign
 from keepout.flight.campaign import campaign
 from keepout.flight.outcome import FlightOutcome
-from keepout.geometry.offset_solid import OffsetSolid
+from keepout.flight.outside import proved_outside
 from keepout.geometry.target import Target
-from keepout.mission import Mission, prepare
+from keepout.mission import prepare
 from keepout.progress import Progress, silent
 from keepout.scenario import Scenario
 
@@ -107,7 +107,7 @@ def run_campaign(scenario: Scenario, *, target: Target | None = None, progress: 
     began = time.perf_counter()
     progress(0.0, "preparing")
     mission = prepare(scenario, target=target, progress=lambda fraction, message: progress(0.1 * fraction, message))
-    starts = draw_starts(mission)
+    starts = draw_starts(scenario, mission.target)
     initial = eqx.filter_vmap(mission.setup.motion.initial_state)(jnp.asarray(starts), jnp.zeros_like(starts))
     audits: list[Audit | None] = [None] * len(starts)
     bounds = environment.flight_bounds(scenario)
@@ -140,24 +140,33 @@ def run_campaign(scenario: Scenario, *, target: Target | None = None, progress: 
     return Campaign(scenario, mission.target, starts, result, done, time.perf_counter() - began)
 
 
-def draw_starts(mission: Mission) -> Float[np.ndarray, "flights 3"]:
-    """Draw the campaign's starting positions, m, body frame."""
-    scenario, target = mission.scenario, mission.target
+def draw_starts(scenario: Scenario, target: Target) -> Float[np.ndarray, "flights 3"]:
+    """Draw the campaign's starting positions, m, body frame: each with a free way out of the target for the chaser."""
     entry = scenario.campaign
     generator = np.random.default_rng(scenario.seed)
     lower, upper = np.asarray(entry.lower), np.asarray(entry.upper)
     room = scenario.chaser.radius + scenario.safety.margin + 0.2
-    solid = OffsetSolid.build(target.distance, closing_radius=min(scenario.chaser.radius, 0.25))
+    mesh = target.distance
+
+    def way_out(point: Float[np.ndarray, "3"]) -> bool:
+        return proved_outside(
+            point, mesh.distance, mesh.lower, mesh.upper, radius=scenario.chaser.radius, expansions=100
+        )
+
     kept: list[np.ndarray] = []
-    drawn, wanted = 0, entry.runs
-    while sum(map(len, kept)) < wanted:
+    drawn, found, enclosed, wanted = 0, 0, 0, entry.runs
+    while found < wanted:
         points = generator.uniform(lower, upper, (max(wanted, 1000), 3))
         drawn += len(points)
-        points = points[target.distance.distance(points) > room]
-        kept.append(points[solid.is_exterior(points)])
-        if drawn >= 20 * max(wanted, 1000) and sum(map(len, kept)) < wanted:
+        points = points[mesh.distance(points) > room][: wanted - found]
+        free = np.array([way_out(point) for point in points], dtype=bool)
+        kept.append(points[free])
+        found += int(free.sum())
+        enclosed += int((~free).sum())
+        # A search for a way out that is not there is slow, so that few are made where nearly all fail.
+        if found < wanted and (drawn >= 20 * max(wanted, 1000) or enclosed > 5 * (found + 2)):
             raise ScenarioError(
                 f"campaign: of {drawn} starts drawn between {list(entry.lower)} m and {list(entry.upper)} m only "
-                f"{sum(map(len, kept))} lie outside the target with {room:.2f} m of room; widen the box"
+                f"{found} lie outside the target with {room:.2f} m of room; widen the box"
             )
-    return np.concatenate(kept)[:wanted]
+    return np.concatenate(kept)
