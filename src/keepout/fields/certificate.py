@@ -30,7 +30,7 @@ RELATIVE_GAP, SMALLEST_GAP = 0.05, 0.005
 MOST_ELEMENTS = 3_000_000
 """Splitting also stops after this many elements; the bound is then the largest of what is left: looser, and still
 proved."""
-ERROR_GAP = 3e-4
+ERROR_GAP = 1e-4
 """Share of the domain's radius by which the float32 error may carry the bound further above the largest value found."""
 GRADIENT_ALLOWANCE = 0.2
 """Added to the largest gradient found, as a share of it, where the proof of a bound takes too long."""
@@ -90,7 +90,7 @@ def certify(
 
     found = _largest_found(field, distance, chaser_radius, np.random.default_rng(seed))
     progress(0.1, f"largest value found {found - chaser_radius:+.4f} m")
-    upper, evaluation = _bound_on_contact(field, distance, chaser_radius, found, progress)
+    upper, evaluation, found = _bound_on_contact(field, distance, chaser_radius, found, progress)
     slope = _steepest(model, distance, chaser_radius, np.random.default_rng(seed + 1), prove_slope, progress)
     certificate = Certificate(
         kind="certified",
@@ -182,8 +182,8 @@ def _steepest_found(
 
 def _bound_on_contact(
     field: NeuralField, distance: ExactDistance, radius: float, found: float, progress: Progress
-) -> tuple[float, float]:
-    """Return an upper bound of f̃ in float32 on {d = radius}, and the largest float32 error in it, metres."""
+) -> tuple[float, float, float]:
+    """Return an upper bound of f̃ in float32 on {d = radius}, the float32 error in it, and the largest f̃ found."""
     network = bounds.Network.of(field.layers, field.beta)
     centre, scale = np.asarray(field.continuation.centre), float(field.scale)
     # The normalisation in float64 and its inverse: a few units in the last place of numbers of the domain's size.
@@ -214,7 +214,7 @@ def _bound_on_contact(
         )
         frontier = _split(frontier[open_], distance, radius)
     lipschitz = float(np.prod([np.linalg.norm(W) for W in network.weights]))  # σ' ≤ 1; Frobenius exceeds spectral
-    return settled + lipschitz * normalisation, evaluation
+    return settled + lipschitz * normalisation, evaluation, found
 
 
 def _bounded(

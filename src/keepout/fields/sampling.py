@@ -2,9 +2,11 @@
 
 import dataclasses
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
+from keepout.fields.losses import Batch
 from keepout.geometry.distance import BallCloudDistance, Distance, ExactDistance
 from keepout.geometry.offset_solid import OffsetSolid
 
@@ -13,6 +15,10 @@ Points = Float[np.ndarray, "n 3"]
 HIDDEN_DEPTH = 0.1
 """Metres. In space that no chaser reaches, the field only has to stay below minus this (or the exact value nearer
 by)."""
+
+NEAR = 0.15
+"""Metres. Errors count in proportion to NEAR/(|g| + NEAR), so that the surface matters most and the far field is not
+lost."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -118,6 +124,14 @@ def label(solid: OffsetSolid, points: Points) -> Samples:
         smooth,
         ~reachable,
     )
+
+
+def normalised(samples: Samples, domain: Domain) -> Batch:
+    """Bring samples into the form of the losses; their weights fall with the distance."""
+    x = ((samples.points.astype(np.float64) - domain.centre) / domain.learned_radius).astype(np.float32)
+    weight = (NEAR / (np.abs(samples.distance) + NEAR)).astype(np.float32)
+    rest = (samples.distance, samples.gradient, samples.smooth, samples.hidden, weight)
+    return Batch(jnp.asarray(x), *(jnp.asarray(a) for a in rest))
 
 
 def training_points(distance: Distance, domain: Domain, count: int, generator: np.random.Generator) -> Points:

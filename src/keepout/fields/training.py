@@ -20,23 +20,18 @@ from keepout.errors import FieldError
 from keepout.fields import checkpoint as checkpoints
 from keepout.fields import losses, mlp
 from keepout.fields.continuation import RadialContinuation
+from keepout.fields.counter_examples import Hunt, Values
+from keepout.fields.evaluate import PIECE
 from keepout.fields.model import FieldModel
 from keepout.fields.neural import NeuralField
 from keepout.fields.profile import Profile, find_profile
-from keepout.fields.sampling import Domain, Samples, label, level_points, surface_points, training_points
-from keepout.geometry.distance import ExactDistance
+from keepout.fields.sampling import Domain, label, normalised, training_points
 from keepout.geometry.offset_solid import OffsetSolid
 from keepout.geometry.target import Target
 from keepout.progress import Progress, silent
 
 BLOCK = 250
 """Steps between progress reports, checkpoints and counter-example searches; one compiled loop runs them."""
-NEAR = 0.15
-"""Metres. Errors count in proportion to NEAR/(|g| + NEAR), so that the surface matters most and the far field is not
-lost; counter-examples count in full."""
-POOL_ON_SURFACE, POOL_NEAR, NEAR_FIELD = 200_000, 60_000, 1.2
-POOL_ON_LEVEL = 100_000
-WORST, ROUNDS_KEPT, JITTERED, JITTER = 1500, 3, 0.6, 0.03
 HARD_SHARE, HARD_WEIGHT = 0.3, 2.0
 TUNING_RATE = 0.4
 
@@ -48,8 +43,8 @@ class _State(NamedTuple):
     optimizer: optax.OptState
     hard: losses.Batch
     block: Int[Array, ""]
-    worst: Float32[Array, "_"]
-    """Largest f̃ - d of each group of candidates, metres."""
+    worst: Float32[Array, ""]
+    """Largest f̃ - R found where a chaser touches, metres."""
 
 
 def fit(
@@ -91,11 +86,11 @@ def fit(
     generator = np.random.default_rng(seed)
     progress(0.08, "labelling samples")
     samples = label(solid, training_points(distance, domain, numbers.samples, generator))
-    groups = [label(solid, points) for points in _candidates(target, numbers, chaser_radius, domain, generator)]
-    data = _normalised(samples, domain)
+    hunt = Hunt.prepare(solid, domain, chaser_radius, generator) if numbers.tuning_steps else None
+    data = normalised(samples, domain)
 
     fingerprint = _fingerprint(target, solid, numbers, chaser_radius, seed)
-    state = _initial(numbers, data, len(groups), seed)
+    state = _initial(numbers, data, hunt.kept if hunt else 0, seed)
     if checkpoint is not None and checkpoint.exists():
         state = checkpoints.load(checkpoint, state, fingerprint)
 
@@ -103,8 +98,12 @@ def fit(
     blocks, first, clock = main_blocks + tuning_blocks, int(state.block), time.perf_counter()
     for block in range(first, blocks):
         tuning = block >= main_blocks
-        if tuning:
-            state = _with_counter_examples(state, numbers, domain, solid, groups, (seed, block))
+        if hunt is not None and tuning:
+            fresh, worst = hunt.worst(
+                functools.partial(_values, state.layers, numbers, domain), np.random.default_rng((seed, block))
+            )
+            hard = jax.tree.map(lambda new, old: jnp.concatenate([new, old])[: len(old)], fresh, state.hard)
+            state = state._replace(hard=hard, worst=jnp.asarray(worst, jnp.float32))
         if block == main_blocks:
             state = state._replace(optimizer=_optimizer(numbers, tuning).init(state.layers))
         layers, optimizer, value_term, slope_term = _train_block(
@@ -116,11 +115,13 @@ def fit(
         if checkpoint is not None:
             checkpoints.save(checkpoint, state, fingerprint)
         left = (time.perf_counter() - clock) / (block + 1 - first) * (blocks - block - 1)
-        worst = f", worst over-statement {float(state.worst.max()):+.3f} m" if tuning else ""
-        text = f"distance {float(value_term):.4f}, gradient {float(slope_term):.4f}{worst}, {left:.0f} s left"
+        found = f", worst over-statement {float(state.worst):+.3f} m" if tuning else ""
+        text = f"distance {float(value_term):.4f}, gradient {float(slope_term):.4f}{found}, {left:.0f} s left"
         progress(0.1 + 0.89 * (block + 1) / blocks, text)
 
-    field = _finished(state.layers, numbers, domain, solid, generator)
+    field = _finished(
+        state.layers, numbers, domain, solid, functools.partial(_values, state.layers, numbers, domain), generator
+    )
     training = {
         "profile": name,
         "numbers": dataclasses.asdict(numbers),
@@ -137,31 +138,21 @@ def fit(
     return FieldModel(field, target.name, target.sha256, solid.offset, training)
 
 
-def _candidates(
-    target: Target, profile: Profile, chaser_radius: float, domain: Domain, generator: np.random.Generator
-) -> list[Float[np.ndarray, "_ 3"]]:
-    """Where over-statement is hunted, in groups of equal say: surface, where the chaser touches, all the near field.
-
-    Empty where the profile does not hunt.
-    """
-    distance = target.distance
-    if profile.tuning_steps == 0:
-        return []
-    groups = [surface_points(distance, POOL_ON_SURFACE, generator, by_area=0.5)]
-    if isinstance(distance, ExactDistance) and chaser_radius > 0.0:
-        groups.append(level_points(distance, chaser_radius, POOL_ON_LEVEL, generator))
-    near = training_points(distance, domain, 3 * POOL_NEAR, generator)
-    groups.append(near[distance.distance(near) < NEAR_FIELD][:POOL_NEAR])
-    return groups
+@functools.partial(jax.jit, static_argnums=(1,))
+def _in_chunks(layers: mlp.Layers, beta: float, x: Float32[Array, "n 3"]) -> Float32[Array, "n"]:
+    return mlp.in_chunks(lambda rows: mlp.value(layers, beta, rows), x, 1024)
 
 
-def _normalised(samples: Samples, domain: Domain, weight: float | None = None) -> losses.Batch:
-    """Bring samples into the form of the losses; their weights fall with the distance unless one is given."""
-    x = ((samples.points.astype(np.float64) - domain.centre) / domain.learned_radius).astype(np.float32)
-    near = NEAR / (np.abs(samples.distance) + NEAR)
-    weights = (near if weight is None else np.full_like(near, weight)).astype(np.float32)
-    rest = (samples.distance, samples.gradient, samples.smooth, samples.hidden, weights)
-    return losses.Batch(jnp.asarray(x), *(jnp.asarray(a) for a in rest))
+def _values(
+    layers: mlp.Layers, profile: Profile, domain: Domain, points: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "n"]:
+    """Return f̃ in metres, of the network alone."""
+    x = ((points - domain.centre) / domain.learned_radius).astype(np.float32)
+    # Whole pieces, so that few sizes are compiled.
+    padded = np.zeros((-(-len(x) // PIECE) * PIECE, 3), np.float32)
+    padded[: len(x)] = x
+    value = np.asarray(_in_chunks(layers, profile.beta, jnp.asarray(padded)), np.float64)
+    return value[: len(x)] * domain.learned_radius
 
 
 def _fingerprint(target: Target, solid: OffsetSolid, profile: Profile, chaser_radius: float, seed: int) -> str:
@@ -169,7 +160,7 @@ def _fingerprint(target: Target, solid: OffsetSolid, profile: Profile, chaser_ra
     return hashlib.sha256(json.dumps(entries).encode()).hexdigest()
 
 
-def _initial(profile: Profile, data: losses.Batch, groups: int, seed: int) -> _State:
+def _initial(profile: Profile, data: losses.Batch, hard_count: int, seed: int) -> _State:
     """He-scaled weights (He et al. 2015); first-layer kinks spread over the unit ball; the output starts positive."""
     width, depth = profile.width, profile.depth
     sizes = [3] + [width] * depth + [1]
@@ -183,9 +174,9 @@ def _initial(profile: Profile, data: losses.Batch, groups: int, seed: int) -> _S
     biases = [jnp.zeros(n, jnp.float32) for n in sizes[1:]]
     biases[0] = jax.random.uniform(keys[-1], (width,), jnp.float32, -0.5, 0.5)
     layers = mlp.Layers(tuple(weights), tuple(biases))
-    hard = jax.tree.map(lambda a: a[: ROUNDS_KEPT * WORST * groups], data)
+    hard = jax.tree.map(lambda a: jnp.resize(a, (hard_count, *a.shape[1:])), data)
     optimizer = _optimizer(profile, tuning=False).init(layers)
-    return _State(layers, optimizer, hard, jnp.asarray(0, jnp.int32), jnp.full(groups, jnp.inf, jnp.float32))
+    return _State(layers, optimizer, hard, jnp.asarray(0, jnp.int32), jnp.asarray(jnp.inf, jnp.float32))
 
 
 def _optimizer(profile: Profile, tuning: bool) -> optax.GradientTransformation:
@@ -250,32 +241,13 @@ def _train_block(profile: Profile, scale: float, tuning: bool, state: _State, da
     return layers, optimizer_state, value_term.mean(), slope_term.mean()
 
 
-@functools.partial(jax.jit, static_argnums=(1,))
-def _values(layers: mlp.Layers, beta: float, x: Float32[Array, "n 3"]) -> Float32[Array, "n"]:
-    return mlp.in_chunks(lambda rows: mlp.value(layers, beta, rows), x, 1024)
-
-
-def _with_counter_examples(
-    state: _State, profile: Profile, domain: Domain, solid: OffsetSolid, groups: list[Samples], seed: tuple[int, int]
-) -> _State:
-    """Put the worst over-statements of each group, most of them moved a little, before the older ones."""
-    generator = np.random.default_rng(seed)
-    chosen, largest = [], []
-    for group in groups:
-        x = ((group.points.astype(np.float64) - domain.centre) / domain.learned_radius).astype(np.float32)
-        excess = np.asarray(_values(state.layers, profile.beta, jnp.asarray(x))) * domain.learned_radius
-        excess -= group.distance
-        largest.append(float(excess.max()) - solid.offset)
-        chosen.append(group.points[np.argpartition(-excess, WORST)[:WORST]])
-    points = np.concatenate(chosen).astype(np.float64)
-    points += JITTER * generator.normal(size=points.shape) * (generator.random((len(points), 1)) < JITTERED)
-    fresh = _normalised(label(solid, points), domain, weight=1.0)
-    hard = jax.tree.map(lambda new, old: jnp.concatenate([new, old])[: len(old)], fresh, state.hard)
-    return state._replace(hard=hard, worst=jnp.asarray(largest, jnp.float32))
-
-
 def _finished(
-    layers: mlp.Layers, profile: Profile, domain: Domain, solid: OffsetSolid, generator: np.random.Generator
+    layers: mlp.Layers,
+    profile: Profile,
+    domain: Domain,
+    solid: OffsetSolid,
+    values: Values,
+    generator: np.random.Generator,
 ) -> NeuralField:
     """Give the field its continuation, lowered by what it over-states on the shell it continues from."""
 
@@ -290,7 +262,6 @@ def _finished(
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     radius = generator.uniform(domain.domain_radius, domain.learned_radius, size=(len(direction), 1))
     shell = domain.centre + radius * direction
-    x = jnp.asarray(((shell - domain.centre) / domain.learned_radius).astype(np.float32))
-    excess = np.asarray(_values(layers, profile.beta, x)) * domain.learned_radius - solid.signed_distance(shell)
+    excess = values(shell) - solid.signed_distance(shell)
     # A quarter above the largest of 40,000 samples of a smooth far field; `certify` does not rest on it.
     return build(1.25 * max(float(excess.max()), 0.0) + 0.01)
