@@ -9,7 +9,6 @@ as multiples of what the fit's matrix products alone take at the sgemm rate meas
 
 import argparse
 import json
-import math
 import sys
 from pathlib import Path
 
@@ -72,7 +71,7 @@ def row(model: FieldModel, target: Target, solid: OffsetSolid, name: str, folder
     cost = [
         margin_cost(model.field, solid, error_bound=c.error_bound, chaser_radius=radius) for c, radius in zip(at, RADII)
     ]
-    seconds = model.training.get("seconds", math.nan)
+    seconds = model.training["seconds"]
     neural = isinstance(model.field, NeuralField)
     return {
         "target": target.name,
@@ -87,7 +86,7 @@ def row(model: FieldModel, target: Target, solid: OffsetSolid, name: str, folder
         "hessian_p99_at_0.3_m": curvature(model.field, solid, 0.3).percentile_99,
         "fit_s": seconds,
         "certify_s": sum(c.seconds for c in at),
-        "fit_over_sgemm": seconds / (product_flops(model) / sgemm_rate()) if neural else math.nan,
+        "fit_over_sgemm": seconds / (product_flops(model) / sgemm_rate()) if neural else None,
     }
 
 
@@ -131,7 +130,8 @@ def main() -> None:
     for source in arguments.targets:
         for entry in measure(source, arguments.fields):
             rows.append(entry)
-            print("\r| " + " | ".join(form.format(entry[name]) for name, form in COLUMNS) + " |", flush=True)
+            cells = ("-" if entry[name] is None else form.format(entry[name]) for name, form in COLUMNS)
+            print("\r| " + " | ".join(cells) + " |", flush=True)
             if arguments.json:
                 arguments.json.write_text(json.dumps(rows, indent=1) + "\n")
 
