@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from guarded_worlds import Ball, motion_state
 
+from keepout import environment
 from keepout.errors import ScenarioError
 from keepout.flight.faults import (
     KINDS,
@@ -18,6 +19,8 @@ from keepout.flight.faults import (
     ThrusterGain,
     WrongEstimate,
 )
+from keepout.flight.setup import NoFaults
+from keepout.scenario import Scenario
 
 KEY = jax.random.key(4)
 NOW = jnp.zeros(())
@@ -140,3 +143,15 @@ def test_broken_laws(kind):
 def test_an_unknown_kind_is_refused():
     with pytest.raises(ScenarioError, match="valid are none, into the body"):
         BrokenLaw(Resting(), Ball(), "sideways", 0.1, 20.0, 0.1)
+
+
+def test_a_scenarios_entries_become_faults():
+    assert isinstance(environment.faults(Scenario()), NoFaults)
+    entries = {"stuck": "-y", "stuck_force": 0.05, "stuck_from": 9.0, "delay": 2, "dropped": 0.1, "gain_error": 0.02}
+    made = environment.faults(Scenario().replace(faults=entries | {"velocity_bias": 1e-4, "position_noise": 0.01}))
+    estimate, dropped, delayed, gain, stuck = made.parts
+    assert (float(estimate.velocity_bias), float(estimate.position_noise)) == (1e-4, 0.01)
+    assert float(dropped.probability) == 0.1
+    assert delayed.steps == 2
+    assert float(gain.error) == 0.02
+    assert (stuck.axis, stuck.sign, float(stuck.force), float(stuck.start)) == (1, -1, 0.05, 9.0)
