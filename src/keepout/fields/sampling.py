@@ -84,7 +84,7 @@ def surface_points(distance: Distance, count: int, generator: np.random.Generato
     return a + u[:, None] * (b - a) + v[:, None] * (c - a)
 
 
-def onto_level(distance: ExactDistance, points: Points, level: float) -> Points:
+def onto_level(distance: ExactDistance, points: Points, level: float) -> Float[np.ndarray, "m 3"]:
     """Points moved along the distance's gradient onto {d = level}; those that do not arrive are left out."""
     if level == 0.0:
         return distance.closest(points)[1]
