@@ -188,6 +188,28 @@ def test_large_leaf_stays_sound():
     assert free[outside & (d > 0.3)].all()
 
 
+def test_reachable_up_to_the_surface_from_outside_and_nowhere_inside():
+    lower, upper = np.zeros(3), np.array([2.0, 1.0, 1.0])
+    solid = OffsetSolid.build(ExactDistance(*boxes_mesh([(lower, upper)])), leaf=0.12)
+    assert solid.envelope > 0.15  # coarse leaves cover far more than the skin of 0.03 m
+    points = around(solid.distance, 8, 20_000)
+    depth = distance_to_box(points, lower, upper)
+    points, depth = points[np.abs(depth) > 1e-6], depth[np.abs(depth) > 1e-6]
+    reachable = solid.is_reachable(points)
+    assert reachable[depth > 0.0].all()
+    # A walk from within a millimetre of a surface starts on either side of it.
+    assert not reachable[depth < -2e-3].any()
+    assert (depth > 0.0).sum() > 1000 < ((depth > 0.0) & ~solid.is_exterior(points)).sum()
+
+
+def test_both_sides_of_a_sheet_are_reachable_and_points_on_it():
+    sheet = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [2.0, 2.0, 0.0], [0.0, 2.0, 0.0]])
+    solid = OffsetSolid.build(ExactDistance(sheet, np.array([[0, 1, 2], [0, 2, 3]])))
+    rng = np.random.default_rng(9)
+    points = np.column_stack([rng.uniform(0.1, 1.9, (300, 2)), np.repeat([0.0, 0.02, -0.02], 100)])
+    assert solid.is_reachable(points).all()
+
+
 def test_pocket_is_open():
     solid = OffsetSolid.build(ExactDistance(*BUILTINS["pocket"].build()))
     assert solid.signed_distance(np.array([[0.0, 0.0, 0.0]]))[0] == pytest.approx(1.7 - solid.offset)
