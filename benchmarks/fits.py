@@ -94,7 +94,7 @@ def measure(source: str, folder: Path) -> list[dict]:
     """Fit, certify and measure one target, and the grid field beside it."""
     target = Target.load(source, units="m") if Path(source).suffix else Target.load(source)
     solid = OffsetSolid.build(target.distance)
-    path = folder / f"{Path(source).stem}.keepout"
+    path = folder / f"{Path(source).name}.keepout"
     if path.exists():
         model = FieldModel.load(path, target=target)
     else:
