@@ -1,8 +1,10 @@
-"""Speed of value, gradient and Hessian: against this machine's own sgemm rate, `jax.hessian`, and for a single point.
+"""Speed of value, gradient and Hessian: against sgemm, `jax.hessian` and `torch.func`, and for a single point.
 
-Run: python benchmarks/fields.py (pin it to one core, with taskset or the like, for figures per core).
+Run: python benchmarks/fields.py (pin it to one core, with taskset or the like, for figures per core). The ratio to
+`torch.func` needs PyTorch (extra `bench`) and is left out without it.
 """
 
+import importlib.util
 import itertools
 import time
 
@@ -45,22 +47,69 @@ def sgemm_rate() -> float:
     return 2 * 1024**3 / median_seconds(lambda: a @ a)
 
 
+def paired(function, reference, repeats=15):
+    """Median seconds of a function, and the median ratio to a reference timed right beside it each time."""
+    jax.block_until_ready((function(), reference()))
+    seconds, ratios = [], []
+    for _ in range(repeats):
+        one = time.perf_counter()
+        jax.block_until_ready(function())
+        two = time.perf_counter()
+        jax.block_until_ready(reference())
+        seconds.append(two - one)
+        ratios.append((time.perf_counter() - two) / (two - one))
+    return float(np.median(seconds)), float(np.median(ratios))
+
+
+def with_torch(field, points):
+    """Value, gradient and Hessian of the same network by torch.func, or None where PyTorch is not installed."""
+    if importlib.util.find_spec("torch") is None:
+        return None
+    import torch
+    from torch.func import grad_and_value, hessian, vmap
+
+    torch.set_num_threads(1)
+    layers = [
+        tuple(torch.tensor(np.asarray(a)) for a in pair) for pair in zip(field.layers.weights, field.layers.biases)
+    ]
+
+    def value(x):
+        for W, b in layers[:-1]:
+            x = torch.nn.functional.softplus(W @ x + b, beta=field.beta, threshold=1e9)
+        return (layers[-1][0] @ x + layers[-1][1])[0]
+
+    x = torch.tensor(np.asarray(points, np.float32)) / float(field.scale)
+    first, second = vmap(grad_and_value(value)), vmap(hessian(value))
+
+    def run():
+        first(x)
+        second(x)
+        return 0
+
+    return run
+
+
 def main():
-    rate = sgemm_rate()
-    print(f"sgemm 1024: {rate / 1e9:.1f} Gflop/s")
+    a = np.random.default_rng(0).normal(size=(1024, 1024)).astype(np.float32)
+    print(f"sgemm 1024: {sgemm_rate() / 1e9:.0f} Gflop/s; it is timed anew beside every repeat below")
     points = jax.random.normal(jax.random.key(0), (BATCH, 3)) * 4.0
+    point = jnp.array(points[0])
     for width, depth in ((96, 4), (128, 4), (512, 10)):
         field = make(width, depth)
         ours = jax.jit(lambda p, f=field: f.value_gradient_hessian(p))
-        seconds = median_seconds(lambda ours=ours: ours(points))
+        seconds, ratio = paired(lambda ours=ours: ours(points), lambda: a @ a)
         flops = 2 * BATCH * ((depth - 1) * width**2 * 5 + width * (3 * 2 + 1) + 7 * width * depth)
-        line = f"{depth} x {width}: {1e6 * seconds / BATCH:7.2f} us a point, {flops / seconds / rate:5.1%} of sgemm"
+        share = ratio * flops / (2 * 1024**3)
+        line = f"{depth} x {width}: {1e6 * seconds / BATCH:7.2f} us a point, {share:5.1%} of sgemm"
         if width < 512:
             nested = jax.jit(jax.vmap(lambda p, f=field: (*jax.value_and_grad(f.value)(p), jax.hessian(f.value)(p))))
-            slow = median_seconds(lambda nested=nested: nested(points))
-            line += f", {slow / seconds:.1f} times as fast as jax.hessian"
-        single = median_seconds(lambda ours=ours: [ours(points[0]) for _ in range(100)]) / 100
-        print(f"{line}; single point {1e6 * single:.0f} us")
+            times = paired(lambda ours=ours: ours(points), lambda nested=nested: nested(points))[1]
+            line += f", {times:.1f} times as fast as jax.hessian"
+            other = with_torch(field, points)
+            if other is not None:
+                line += f", {paired(lambda ours=ours: ours(points), other)[1]:.1f} times as fast as torch.func"
+        single = np.median([median_seconds(lambda ours=ours: ours(point)) for _ in range(50)])
+        print(f"{line}; single point {1e6 * single:.0f} us", flush=True)
 
 
 if __name__ == "__main__":
