@@ -65,7 +65,7 @@ def product_flops(model: FieldModel) -> float:
     return (numbers["steps"] + numbers["tuning_steps"]) * numbers["batch"] * 2.0 * weights * 2 * 3
 
 
-def row(model: FieldModel, target: Target, solid: OffsetSolid, name: str, folder: Path) -> dict:
+def row(model: FieldModel, label: str, solid: OffsetSolid, name: str, folder: Path) -> dict:
     """Measure one certified field."""
     at = [model.certificate(radius) for radius in RADII]
     cost = [
@@ -74,7 +74,7 @@ def row(model: FieldModel, target: Target, solid: OffsetSolid, name: str, folder
     seconds = model.training["seconds"]
     neural = isinstance(model.field, NeuralField)
     return {
-        "target": target.name,
+        "target": label,
         "field": name,
         "megabytes": megabytes(model, folder),
         "error_bound_point_m": at[0].error_bound,
@@ -107,12 +107,12 @@ def measure(source: str, folder: Path) -> list[dict]:
     field = model.field
     assert isinstance(field, NeuralField)
     shape = f"neural {len(field.layers.weights) - 1} x {field.layers.weights[0].shape[0]}"
-    rows = [row(model, target, solid, shape, folder)]
+    rows = [row(model, Path(source).name, solid, shape, folder)]
     spacing = float(np.round(rows[0]["p95_point_m"], 2))
     grid = build_grid(target, spacing=spacing, solid=solid, progress=show)
     for radius in RADII:
         grid = certify_grid(grid, target, chaser_radius=radius)
-    rows.append(row(grid, target, solid, f"grid h = {spacing:.2f} m", folder))
+    rows.append(row(grid, Path(source).name, solid, f"grid h = {spacing:.2f} m", folder))
     return rows
 
 
