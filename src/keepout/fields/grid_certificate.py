@@ -9,7 +9,7 @@ from keepout.errors import FieldError
 from keepout.fields.evaluate import values
 from keepout.fields.grid import BLOCK, STORED, GridField
 from keepout.fields.model import Certificate, FieldModel
-from keepout.fields.sampling import onto_level, surface_points
+from keepout.fields.sampling import level_points
 from keepout.geometry.distance import ExactDistance
 from keepout.geometry.octree import straddling_cells
 from keepout.geometry.target import Target
@@ -48,10 +48,8 @@ def certify_grid(model: FieldModel, target: Target, *, chaser_radius: float = 0.
     )
     bound = _largest_excess(field, distance, centres, half)
     generator = np.random.default_rng(seed)
-    points = surface_points(distance, 100_000, generator, by_area=0.5)
-    direction = generator.normal(size=points.shape)
-    points += chaser_radius * direction / np.linalg.norm(direction, axis=1, keepdims=True)
-    sampled = float(values(field, onto_level(distance, points, chaser_radius)).max()) - chaser_radius
+    points = level_points(distance, chaser_radius, 100_000, generator)
+    sampled = float(values(field, points).max()) - chaser_radius
     certificate = Certificate(
         kind="certified",
         chaser_radius=float(chaser_radius),
