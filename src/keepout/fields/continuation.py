@@ -109,16 +109,20 @@ class RadialContinuation(eqx.Module):
         u = away / r[:, None]
         uu = u[:, :, None] * u[:, None, :]
         across = jnp.eye(3) - uu
-        Dq = (psi / r)[:, None, None] * across + psi1[:, None, None] * uu
-        phi1 = (psi1 - psi / r) / r
+        # Dq = φ I + (ψ' - φ) u uᵀ, so Dqᵀ H Dq needs no product of matrices.
+        phi, bent = psi / r, psi1 - psi / r
+        Hu = jnp.sum(hessian * u[:, None, :], axis=-1)
+        scaled = (phi * phi)[:, None, None] * hessian + (bent * bent * jnp.sum(u * Hu, axis=-1))[:, None, None] * uu
+        # Symmetric parts u aᵀ + a uᵀ, of the field's Hessian and of its gradient, with φ' = (ψ' - φ)/r.
+        phi1 = bent / r
         phi2 = (psi2 - 2.0 * phi1) / r
         radial = jnp.sum(gradient * u, axis=-1)
-        ug = u[:, :, None] * gradient[:, None, :]
-        bend = phi1[:, None, None] * (ug + ug.swapaxes(-1, -2))
-        bend += (radial * r)[:, None, None] * (phi2[:, None, None] * uu + (phi1 / r)[:, None, None] * across)
+        mixed = u[:, :, None] * ((phi * bent)[:, None] * Hu + phi1[:, None] * gradient)[:, None, :]
+        turned = (radial * r)[:, None, None] * (phi2[:, None, None] * uu + (phi1 / r)[:, None, None] * across)
         rise, rise2 = self._rise_derivatives(r)
         rise_psi, rise2_psi = self._rise_derivatives(psi)
         first = rise - rise_psi * psi1
         second = rise2 - rise2_psi * psi1**2 - rise_psi * psi2
-        continued = Dq @ hessian @ Dq + bend + second[:, None, None] * uu + (first / r)[:, None, None] * across
+        added = second[:, None, None] * uu + (first / r)[:, None, None] * across
+        continued = scaled + mixed + mixed.swapaxes(-1, -2) + turned + added
         return jnp.where(outside[:, None, None], continued, hessian) - self._lowering(points)[2]

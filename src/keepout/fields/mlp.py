@@ -28,20 +28,13 @@ def _times(a: Float[Array, "n k"], b: Float[Array, "k m"]) -> Float[Array, "n m"
 
 def softplus(z: Float[Array, "*n"], beta: float) -> Float[Array, "*n"]:
     """σ(z) = log(1 + exp(β z))/β, without overflow."""
-    t = beta * z
-    return (jnp.maximum(t, 0.0) + jnp.log1p(jnp.exp(-jnp.abs(t)))) / beta
+    return jnp.maximum(z, 0.0) + jnp.log1p(jnp.exp(-jnp.abs(beta * z))) * (1.0 / beta)
 
 
-def _softplus_derivatives(
-    z: Float[Array, "*n"], beta: float
-) -> tuple[Float[Array, "*n"], Float[Array, "*n"], Float[Array, "*n"]]:
-    """σ, σ' = s and σ'' = β s (1 - s) with s the logistic function of β z, from one exponential."""
-    t = beta * z
-    e = jnp.exp(-jnp.abs(t))
-    value = (jnp.maximum(t, 0.0) + jnp.log1p(e)) / beta
-    reciprocal = 1.0 / (1.0 + e)
-    slope = jnp.where(t > 0.0, reciprocal, e * reciprocal)
-    return value, slope, beta * e * reciprocal * reciprocal
+def _softplus_and_slope(z: Float[Array, "*n"], beta: float) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
+    """σ and σ' = s, the logistic function of β z, from one exponential; σ'' = β s (1 - s)."""
+    e = jnp.exp(-jnp.abs(beta * z))
+    return jnp.maximum(z, 0.0) + jnp.log1p(e) * (1.0 / beta), jnp.where(z > 0.0, 1.0, e) / (1.0 + e)
 
 
 def value(layers: Layers, beta: float, x: Float[Array, "n 3"]) -> Float[Array, "n"]:
@@ -58,7 +51,7 @@ def value_and_gradient(
     """Value and gradient at each row of x: one forward and one reverse sweep."""
     a, slopes = x, []
     for W, b in zip(layers.weights[:-1], layers.biases[:-1]):
-        a, slope, _ = _softplus_derivatives(_times(a, W.T) + b, beta)
+        a, slope = _softplus_and_slope(_times(a, W.T) + b, beta)
         slopes.append(slope)
     out = _times(a, layers.weights[-1].T)[:, 0] + layers.biases[-1][0]
     a_bar = jnp.broadcast_to(layers.weights[-1][0], a.shape)
@@ -77,27 +70,30 @@ def value_gradient_hessian(
     """
     n = x.shape[0]
     first = layers.weights[0]
-    z = _times(x, first.T) + layers.biases[0]
-    a, slope, bend = _softplus_derivatives(z, beta)
+    a, slope = _softplus_and_slope(_times(x, first.T) + layers.biases[0], beta)
     J = jnp.broadcast_to(first.T[:, None, :], (3, n, first.shape[0]))
-    tape = [(slope, bend, J)]
+    tape = [(slope, J)]
     for W, b in zip(layers.weights[1:-1], layers.biases[1:-1]):
-        stacked = _times(jnp.concatenate([a[None], slope * J]).reshape(4 * n, -1), W.T)
-        stacked = stacked.reshape(4, n, -1)
-        J = stacked[1:]
-        a, slope, bend = _softplus_derivatives(stacked[0] + b, beta)
-        tape.append((slope, bend, J))
+        z = _times(a, W.T) + b
+        J = _times((slope * J).reshape(3 * n, -1), W.T).reshape(3, n, -1)
+        a, slope = _softplus_and_slope(z, beta)
+        tape.append((slope, J))
     out = _times(a, layers.weights[-1].T)[:, 0] + layers.biases[-1][0]
 
     a_bar = jnp.broadcast_to(layers.weights[-1][0], a.shape)
     curvatures = []
-    for W, (slope, bend, _) in zip(layers.weights[-2::-1], reversed(tape)):
-        curvatures.append(bend * a_bar)
-        a_bar = _times(a_bar * slope, W)
-    # One sum over the neurons of all layers: few large operations are faster than many small ones, for one point too.
-    curvature = jnp.concatenate(curvatures[::-1], axis=-1)
-    tangents = jnp.concatenate([J for _, _, J in tape], axis=-1)
-    pairs = {(i, j): jnp.sum(curvature * tangents[i] * tangents[j], axis=-1) for i in range(3) for j in range(i, 3)}
+    for W, (slope, J) in zip(layers.weights[-2::-1], reversed(tape)):
+        z_bar = a_bar * slope
+        curvatures.append((z_bar * (1.0 - slope), J))
+        a_bar = _times(z_bar, W)
+    # Layers of one width are added up before the neurons are: few large sums are faster than many small ones.
+    widths = sorted({c.shape[-1] for c, _ in curvatures})
+    groups = [[(c, J) for c, J in curvatures if c.shape[-1] == width] for width in widths]
+    pairs = {
+        (i, j): beta * sum(jnp.sum(sum(c * J[i] * J[j] for c, J in group), axis=-1) for group in groups)
+        for i in range(3)
+        for j in range(i, 3)
+    }
     rows = [jnp.stack([pairs[min(i, j), max(i, j)] for j in range(3)], axis=-1) for i in range(3)]
     return out, a_bar, jnp.stack(rows, axis=-2)
 
