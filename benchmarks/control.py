@@ -3,8 +3,9 @@
 The usual way is CVXPY + Clarabel with a PyTorch field. Run as `taskset -c 0 python benchmarks/control.py [--json]`. It
 needs the extra `bench` (cvxpy, torch) and is left out, with the reason, where a package is missing.
 
-A step runs as it would on board: the compiled program on the calling thread (`jax_cpu_enable_async_dispatch` off, to be
-set before JAX starts; handing over to another thread is most of the tail), and no garbage collection inside the loop.
+A step runs as it would on board (`keepout.flight.on_board`): the compiled program on the calling thread
+(`jax_cpu_enable_async_dispatch` off, to be set before JAX starts; handing over to another thread is most of the tail),
+and no garbage collection inside the loop.
 """
 
 import argparse
@@ -27,6 +28,9 @@ from keepout.fields import mlp
 from keepout.fields.analytic import SphereField
 from keepout.fields.continuation import RadialContinuation
 from keepout.fields.neural import NeuralField
+from keepout.flight import FlightSetup
+from keepout.flight.on_board import OnBoard
+from keepout.motion import NoDisturbance, Thrusters
 from keepout.motion.orbit import Orbit
 from keepout.motion.relative import RelativeMotion
 
@@ -75,18 +79,17 @@ def quantiles(seconds):
     return {"median_us": float(np.median(micro)), "p99_us": float(np.quantile(micro, 0.99)), "steps": len(micro)}
 
 
-def time_step(law, states):
-    """Close over the law, as on board; arguments and results pass through Python, which is timed too."""
-    memory = law.initial_state(states[0])
-    compiled = jax.jit(lambda memory, state: law.step(memory, state))
-    jax.block_until_ready(compiled(memory, states[0]))
+def time_step(law, points, velocities):
+    """Fly the law on board: numbers of the estimate in, the force out."""
+    motion = RelativeMotion(Orbit(6_778_137.0))
+    setup = FlightSetup(motion, NoDisturbance(), Thrusters(0.1), law, law.goal, 20.0)
+    on_board = OnBoard(setup, motion.initial_state(points[0], velocities[0]))
     seconds = []
     gc.collect()
     gc.disable()
-    for state in states:
+    for k, (point, velocity) in enumerate(zip(points, velocities)):
         begin = time.perf_counter()
-        memory, command = compiled(memory, state)
-        np.asarray(command.force)
+        on_board.step(float(k), point, velocity)
         seconds.append(time.perf_counter() - begin)
     gc.enable()
     return seconds
@@ -173,15 +176,13 @@ def main():
     direction = rng.normal(size=(arguments.steps, 3))
     points = direction / np.linalg.norm(direction, axis=1, keepdims=True) * rng.uniform(3.0, 9.0, (arguments.steps, 1))
     velocities = rng.normal(size=(arguments.steps, 3)) * 0.03
-    motion = RelativeMotion(Orbit(6_778_137.0))
-    states = [motion.initial_state(r, v) for r, v in zip(points, velocities)]
     rows = []
     sphere = SphereField(jnp.zeros(3), jnp.asarray(2.0))
-    rows.append({"law": "default, analytic sphere", **quantiles(time_step(default_law(sphere), states))})
+    rows.append({"law": "default, analytic sphere", **quantiles(time_step(default_law(sphere), points, velocities))})
     law = default_law(sphere)
     neural = neural_field()
     law = eqx.tree_at(lambda c: c.velocity.field, law, neural)
-    rows.append({"law": f"default, neural field {DEPTH} x {WIDTH}", **quantiles(time_step(law, states))})
+    rows.append({"law": f"default, neural field {DEPTH} x {WIDTH}", **quantiles(time_step(law, points, velocities))})
     missing = [name for name in ("cvxpy", "torch") if importlib.util.find_spec(name) is None]
     if missing:
         rows.append({"law": "usual way", "left_out": f"not installed: {', '.join(missing)} (extra `bench`)"})

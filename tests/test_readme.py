@@ -35,6 +35,7 @@ def test_the_ten_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys):
     exact = np.linalg.norm(outside, axis=1) - 0.5
     np.testing.assert_allclose(flight.clearance, exact, atol=1e-9)
     assert 0.0 < flight.audit.minimum_clearance <= exact.min()
+    np.testing.assert_allclose(names["force"], flight.record.guarded_force[0], rtol=0.0, atol=1e-9)
     assert "'reached': True" in capsys.readouterr().out
     again = keepout.FlightRecord.load("flight.parquet")
     np.testing.assert_array_equal(again.position, flight.record.position)

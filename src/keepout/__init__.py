@@ -16,9 +16,10 @@ if TYPE_CHECKING:
     from keepout.fields.model import FieldModel
     from keepout.fields.shipped import load_shipped
     from keepout.fields.training import fit
+    from keepout.flight.on_board import OnBoard
     from keepout.flight.record import FlightRecord
     from keepout.geometry.target import Target
-    from keepout.mission import Flight, fly
+    from keepout.mission import Flight, Mission, fly, prepare
     from keepout.scenario import Scenario
 
 __version__ = "0.1.0"
@@ -31,10 +32,13 @@ _HOMES = {
     "FieldModel": "keepout.fields.model",
     "load_shipped": "keepout.fields.shipped",
     "fit": "keepout.fields.training",
+    "OnBoard": "keepout.flight.on_board",
     "FlightRecord": "keepout.flight.record",
     "Target": "keepout.geometry.target",
     "Flight": "keepout.mission",
+    "Mission": "keepout.mission",
     "fly": "keepout.mission",
+    "prepare": "keepout.mission",
     "Scenario": "keepout.scenario",
 }
 
@@ -44,6 +48,8 @@ __all__ = [
     "Flight",
     "FlightRecord",
     "KeepoutError",
+    "Mission",
+    "OnBoard",
     "Scenario",
     "Target",
     "__version__",
@@ -51,6 +57,7 @@ __all__ = [
     "fit",
     "fly",
     "load_shipped",
+    "prepare",
     "run_campaign",
 ]
 
