@@ -176,25 +176,27 @@ def fly_pairs(case, scenario, law, common, index, refused, rate):
 
 
 def travel_times(case, grid, offset, prototype, part, refused):
+    """Give the pairs that a way joins, and their guidances: marched once a pair, for all rows."""
+    leader = prototype.velocity.guidance
+    speed, slowing = float(leader.speed), float(leader.slowing_length)
     flown, guidances = [], []
     for i in part:
-        start, goal = case.pairs[i]
-        leader = prototype.velocity.guidance
-        try:
-            guidances.append(
-                geodesic_guidance(
-                    grid,
-                    case.model.field,
-                    offset,
-                    goal,
-                    speed=float(leader.speed),
-                    slowing_length=float(leader.slowing_length),
-                    start=start,
+        if i not in case.guidances:
+            start, goal = case.pairs[i]
+            try:
+                case.guidances[i] = geodesic_guidance(
+                    grid, case.model.field, offset, goal, speed=speed, slowing_length=slowing, start=start
                 )
-            )
-            flown.append(i)
-        except keepout.KeepoutError as refusal:
-            refused.append(str(refusal))
+            except keepout.KeepoutError as refusal:
+                case.guidances[i] = str(refusal)
+        found = case.guidances[i]
+        if isinstance(found, str):
+            refused.append(found)
+            continue
+        flown.append(i)
+        guidances.append(
+            eqx.tree_at(lambda g: (g.speed, g.slowing_length), found, (leader.speed, leader.slowing_length))
+        )
     return np.array(flown, dtype=int), guidances
 
 

@@ -38,6 +38,8 @@ class Case:
         self.lower = self.target.vertices.min(axis=0) - 5.0
         self.upper = self.target.vertices.max(axis=0) + 5.0
         self._pairs = self._grid = self._ways = None
+        self.guidances = {}
+        """Of each pair, or why there is none."""
 
     def _field(self, path, folder):
         if path:
