@@ -114,9 +114,7 @@ def fit(
 def certify(
     field: Annotated[Path, typer.Argument(help="A field file (.keepout); the certificate is added to it.")],
     chaser_radius: ChaserRadius = 0.5,
-    prove_slope: Annotated[
-        bool, typer.Option("--prove-slope", help="Prove the bound of ‖∇f̃‖ that the guard uses too: minutes.")
-    ] = False,
+    prove_slope: Annotated[bool, typer.Option("--prove-slope", help="Prove a bound of ‖∇f̃‖ too: minutes.")] = False,
     mesh: Annotated[str | None, typer.Option(help="The mesh, where it is not where `fit` found it.")] = None,
     seed: Seed = 0,
     as_json: AsJson = False,

@@ -20,7 +20,7 @@ from keepout.fields.neural import NeuralField
 from keepout.fields.sampling import level_points, onto_level, surface_points
 from keepout.geometry.distance import ExactDistance
 from keepout.geometry.level_cut import largest_on_level
-from keepout.geometry.octree import straddling_cells
+from keepout.geometry.octree import CORNERS, straddling_cells
 from keepout.geometry.target import Target
 from keepout.progress import Progress, silent
 
@@ -38,7 +38,6 @@ FIRST_LEAF, LARGEST_LEAF = 0.02, 0.4
 """Side of the cubes that first cover {d = R}: this share of the domain's radius, at most so many metres."""
 LOOKED_AT = 1024
 """Elements with the largest bounds, of each size, where a larger value is looked for."""
-_CORNERS = np.array([(i, j, k) for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], dtype=np.float64)
 
 
 def certify(
@@ -277,7 +276,7 @@ def _split(elements: Float[np.ndarray, "m k 3"], distance: ExactDistance, radius
         middle = 0.5 * (b + c)
         return np.concatenate([np.stack([a, b, middle], axis=1), np.stack([a, middle, c], axis=1)])
     half = 0.5 * elements[:, 1]
-    centres = (elements[:, 0][:, None, :] + _CORNERS * half[:, None, :]).reshape(-1, 3)
+    centres = (elements[:, 0][:, None, :] + CORNERS * half[:, None, :]).reshape(-1, 3)
     half = np.repeat(half, 8, axis=0)
     reach = np.linalg.norm(half, axis=1) * (1.0 + 1e-9) + 1e-9
     meets = np.abs(distance.distance(centres) - radius) <= reach

@@ -11,10 +11,9 @@ from keepout.fields.grid import BLOCK, STORED, GridField
 from keepout.fields.model import Certificate, FieldModel
 from keepout.fields.sampling import level_points
 from keepout.geometry.distance import ExactDistance
-from keepout.geometry.octree import straddling_cells
+from keepout.geometry.octree import CORNERS, straddling_cells
 from keepout.geometry.target import Target
 
-_CORNERS = np.array([(i, j, k) for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], dtype=np.float64)
 _WINDOW = np.stack(np.meshgrid(*[np.arange(4)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 ROUNDING = 1e-9
 """Metres. Float64 evaluation of 64 products of coefficients below 1e4 m is far more exact than this."""
@@ -71,7 +70,7 @@ def _largest_excess(
 ) -> float:
     """Largest h + max (c_i - d(x_i)) over the cells that the cubes, no wider than a cell, can touch."""
     rows = []
-    for corner in _CORNERS:
+    for corner in CORNERS:
         points = centres + corner * (half * (1.0 + 1e-9) + 1e-9)[:, None]
         number, level, cell, node = _locate(field, points)
         rows.append(np.unique(np.column_stack([number, level, cell, node]), axis=0))

@@ -11,7 +11,7 @@ from keepout.fields.neural import NeuralField
 from keepout.fields.slope_bounds import Prepared, slope_bounds
 from keepout.geometry.bvh import share_among_cores
 from keepout.geometry.distance import Distance
-from keepout.geometry.octree import SQRT3
+from keepout.geometry.octree import CORNERS, SQRT3
 from keepout.progress import Progress, silent
 
 MOST_CUBES = 12_000_000
@@ -23,7 +23,6 @@ FIRST_CUBES = 20
 _CHUNK = 128
 _LOOKED_AT = 8192
 """Open cubes, of each size, at whose centres the slope is evaluated, to find a larger one."""
-_CORNERS = np.array([(i, j, k) for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], dtype=np.float64)
 
 
 class Lipschitz(NamedTuple):
@@ -89,7 +88,7 @@ def prove_lipschitz(
         done += float((~open_).sum()) * (2.0 * half) ** 3
         progress(min(1.0, done / whole), f"‖∇f̃‖: {seen} cubes, {int(open_.sum())} of {2.0 * half:.2g} m open")
         half *= 0.5
-        cubes = (cubes[open_][:, None, :] + half * _CORNERS).reshape(-1, 3)
+        cubes = (cubes[open_][:, None, :] + half * CORNERS).reshape(-1, 3)
     return Lipschitz(found, largest)
 
 

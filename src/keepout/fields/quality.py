@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from keepout.fields.evaluate import values, values_and_gradients, values_gradients_hessians
 from keepout.fields.field import Field
-from keepout.fields.sampling import Domain, onto_level, surface_points
+from keepout.fields.sampling import Domain, level_points, surface_points
 from keepout.geometry.distance import ExactDistance
 from keepout.geometry.offset_solid import OffsetSolid
 from keepout.geometry.target import Target
@@ -146,10 +146,7 @@ def _exterior_level(solid: OffsetSolid, level: float, count: int, generator: np.
     distance = solid.distance
     if not isinstance(distance, ExactDistance):
         raise TypeError("level sets are measured against a mesh")
-    start = surface_points(distance, 2 * count, generator)
-    direction = generator.normal(size=start.shape)
-    start = start + level * direction / np.linalg.norm(direction, axis=1, keepdims=True)
-    points = onto_level(distance, start, level)
+    points = level_points(distance, level, 2 * count, generator, by_area=1.0)
     return points[solid.is_exterior(points)][:count]
 
 

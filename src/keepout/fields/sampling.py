@@ -94,9 +94,11 @@ def onto_level(distance: ExactDistance, points: Points, level: float) -> Float[n
     return points[np.abs(distance.distance(points) - level) < 1e-9]
 
 
-def level_points(distance: ExactDistance, level: float, count: int, generator: np.random.Generator) -> Points:
-    """At most `count` points with d = level, most of them near small parts and edges."""
-    start = surface_points(distance, count, generator, by_area=0.5)
+def level_points(
+    distance: ExactDistance, level: float, count: int, generator: np.random.Generator, *, by_area: float = 0.5
+) -> Points:
+    """At most `count` points with d = level, from `surface_points`: by default most near small parts and edges."""
+    start = surface_points(distance, count, generator, by_area=by_area)
     direction = generator.normal(size=start.shape)
     start = start + level * direction / np.linalg.norm(direction, axis=1, keepdims=True)
     return onto_level(distance, start, level)

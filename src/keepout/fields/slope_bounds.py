@@ -15,10 +15,10 @@ import numpy as np
 from jaxtyping import Float
 
 from keepout.fields.bounds import UNIT64, Network
+from keepout.geometry.octree import CORNERS
 
 SATURATED = 40.0
 """Where |β z| exceeds it, σ and σ' differ from their limits by less than 5e-18, relative to 1/β and to 1."""
-_CORNERS = np.array([(i, j, k) for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], dtype=np.float64)
 
 
 class _Layer(NamedTuple):
@@ -88,7 +88,7 @@ def slope_bounds(
         scaled, reach, moved, largest = _backward(row, stray, strayed, *layers[depth], linear, rest)
         strayed = prepared.spectral[depth] * (moved + largest * strayed)
         row, stray = scaled @ prepared.network.weights[depth], reach @ prepared.absolute[depth]
-    corners = row + np.einsum("cj,mjk->cmk", _CORNERS, linear)
+    corners = row + np.einsum("cj,mjk->cmk", CORNERS, linear)
     bound = np.linalg.norm(np.abs(corners) + rest, axis=2).max(axis=0)
     return bound * (1.0 + 1e-9) + prepared.rounding
 

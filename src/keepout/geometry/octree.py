@@ -15,7 +15,9 @@ SQRT3 = float(np.sqrt(3.0))
 DEEPEST_LEVEL = 20  # three interleaved coordinates of 20 bits fit a signed 64-bit code
 _BLOCK = 1 << 16
 """Cells at once: bounds the memory of a level."""
-_CORNERS = np.array([(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)], dtype=np.int64)
+CORNERS = np.array([(i, j, k) for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], dtype=np.float64)
+"""Of a cube, from its centre, in half widths."""
+_CHILDREN = ((CORNERS + 1.0) / 2.0).astype(np.int32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +131,7 @@ def refine(
             indices.append(done)
             for row, answer in zip(figures, answers):
                 row.append(answer[~wanted])
-            children.append((2 * block[wanted][:, None, :] + _CORNERS.astype(np.int32)).reshape(-1, 3))
+            children.append((2 * block[wanted][:, None, :] + _CHILDREN).reshape(-1, 3))
         index = np.concatenate(children)
         if len(index) == 0:
             break
@@ -182,7 +184,6 @@ def straddling_cells(
     steps = [np.arange(n) for n in counts]
     grid = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3)
     centres = lower + (2.0 * grid + 1.0) * half_width
-    corners = 2.0 * _CORNERS - 1.0
     while True:
         meets_box = (centres - half_width <= upper).all(axis=1)
         centres = centres[meets_box]
@@ -192,4 +193,4 @@ def straddling_cells(
         if 2.0 * half_width <= leaf * (1.0 + 1e-12) or len(centres) == 0:
             return centres, np.full(len(centres), half_width)
         half_width *= 0.5
-        centres = (centres[:, None, :] + corners * half_width).reshape(-1, 3)
+        centres = (centres[:, None, :] + CORNERS * half_width).reshape(-1, 3)

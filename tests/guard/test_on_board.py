@@ -5,9 +5,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from guarded_worlds import ASSUMED
 
 from keepout.control import profiles
-from keepout.control.braking import GuardAssumptions
 from keepout.control.controller import ControlStatus
 from keepout.control.guard import Guard
 from keepout.errors import ControlError
@@ -17,17 +17,6 @@ from keepout.flight.on_board import OnBoard
 from keepout.motion import Orbit, RelativeMotion, Thrusters, paper_disturbance
 
 GOAL = jnp.array([0.0, -6.0, -3.0])
-ASSUMED = GuardAssumptions(
-    mass=20.0,
-    force_limit=0.1,
-    period=1.0,
-    disturbance_force=0.0142,
-    angular_rate=1.2e-3,
-    angular_acceleration=0.0,
-    gravity_gradient=3e-6,
-    range_limit=40.0,
-    speed_limit=0.15,
-)
 MOTION = RelativeMotion(Orbit(6_778_137.0))
 
 
