@@ -41,6 +41,7 @@ def test_every_command_has_help_with_an_example(command, monkeypatch, capsys):
         (("certify", "absent.keepout"), "absent.keepout"),
         (("certify", "field.keepout", "--chaser-radius", "-1"), "-1"),
         (("inspect", "absent.keepout"), "absent.keepout"),
+        (("inspect", "pocket", "--shipped"), "'pocket': there is none"),
         (("campaign", "absent.toml", "--runs", "0"), "0"),
         (("reproduce", "case7"), "case1"),
         (("targets", "--seed", "-1"), "-1"),

@@ -131,13 +131,22 @@ def certify(
         Console().print(terminal.facts_table("Certificate", summary))
 
 
-@app.command(epilog=example("keepout inspect satellite.keepout -o out/satellite", "keepout inspect satellite.glb"))
+@app.command(
+    epilog=example(
+        "keepout inspect satellite.keepout -o out/satellite",
+        "keepout inspect satellite.glb",
+        "keepout inspect intelsat30 --shipped",
+    )
+)
 def inspect(
     source: Annotated[str, typer.Argument(help="A field file (.keepout), a mesh file, or a built-in target's name.")],
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Also draw it into this folder.")] = None,
     mesh: Annotated[
         str | None, typer.Option(help="Of a field: the mesh, where it is not where `fit` found it.")
     ] = None,
+    shipped: Annotated[
+        bool, typer.Option("--shipped", help="Of a built-in target: measure the field that comes with the package.")
+    ] = False,
     units: Units = None,
     scale: Scale = None,
     drop_stray: DropStray = False,
@@ -146,10 +155,12 @@ def inspect(
 ) -> None:
     """Measure a field against its mesh and list its certificates; or report what is wrong with a mesh."""
     from keepout.commands import inspect_file, inspect_mesh
+    from keepout.fields.shipped import shipped_path
 
     with terminal.progress(f"inspect {source}") as progress:
-        if source.endswith(".keepout"):
-            summary = inspect_file(Path(source), out, mesh=mesh, seed=seed, progress=progress)
+        if shipped or source.endswith(".keepout"):
+            path = shipped_path(source) if shipped else Path(source)
+            summary = inspect_file(path, out, mesh=mesh, seed=seed, progress=progress)
             tables = terminal.inspection_tables(summary)
         else:
             given = {"source": source, "units": units, "scale": scale, "drop_stray": drop_stray}

@@ -28,6 +28,18 @@ def shipped_names() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in _folder().glob("*.keepout")))
 
 
+def shipped_path(name: str) -> Path:
+    """Return the file of a built-in target's shipped field.
+
+    Raises:
+        FieldError: no field of that name comes with the package.
+
+    """
+    if name not in shipped_names():
+        raise FieldError(f"shipped field {name!r}: there is none; choose from {', '.join(shipped_names())}, or fit one")
+    return _folder() / f"{name}.keepout"
+
+
 def load_shipped(name: str, *, target: Target | None = None) -> FieldModel:
     """Read the shipped field of a built-in target, and check it against the target if that is given.
 
@@ -35,9 +47,7 @@ def load_shipped(name: str, *, target: Target | None = None) -> FieldModel:
         FieldError: no field of that name comes with the package, or it was made for other geometry than `target`'s.
 
     """
-    if name not in shipped_names():
-        raise FieldError(f"shipped field {name!r}: there is none; choose from {', '.join(shipped_names())}, or fit one")
-    return FieldModel.load(_folder() / f"{name}.keepout", target=target)
+    return FieldModel.load(shipped_path(name), target=target)
 
 
 def make(name: str, *, seed: int = 0) -> FieldModel:
