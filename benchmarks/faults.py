@@ -348,7 +348,7 @@ def load(path):
 
 def save(path, rows):
     partial = path.with_name(path.name + ".partial")
-    partial.write_text(json.dumps(rows, indent=1) + "\n")
+    partial.write_text("[\n" + ",\n".join(json.dumps(row) for row in rows) + "\n]\n")
     partial.replace(path)
 
 
