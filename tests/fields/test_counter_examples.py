@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from keepout.fields.counter_examples import JITTER, ROUNDS_KEPT, WORST, Hunt
+from keepout.fields.counter_examples import JITTER, LACKING, ROUNDS_KEPT, WORST, Hunt
 from keepout.fields.sampling import Domain
 from keepout.geometry.offset_solid import OffsetSolid
 from keepout.geometry.target import Target
@@ -40,4 +40,22 @@ def test_a_planted_peak_is_climbed(solid, peak, level):
 def test_a_point_chaser_is_hunted_on_the_surface_alone(solid):
     hunt = Hunt.prepare(solid, Domain.around(solid.distance), 0.0, np.random.default_rng(0))
     assert len(hunt.contact) == 0
-    assert hunt.kept == 2 * ROUNDS_KEPT * WORST
+    assert hunt.kept == ROUNDS_KEPT * (2 * WORST + LACKING)
+
+
+def test_a_web_is_found(solid):
+    """A field that says too little in one place off the surface, where it endangers nothing."""
+    hunt = Hunt.prepare(solid, Domain.around(solid.distance), 0.0, np.random.default_rng(0))
+    web = np.array([1.3, 0.8, 0.2])
+
+    def values(points):
+        true = solid.distance.distance(points) - solid.offset
+        return true - 0.4 * np.exp(-((points - web) ** 2).sum(axis=1) / 0.1**2)
+
+    batch, _ = hunt.worst(values, np.random.default_rng(1))
+    found = np.asarray(batch.x, np.float64)[-LACKING:] * hunt.domain.learned_radius + hunt.domain.centre
+    near = np.linalg.norm(found - web, axis=1) < 0.25
+    assert near.sum() > 10
+    assert near.sum() >= 0.9 * (np.linalg.norm(hunt.near.points - web, axis=1) < 0.15).sum()
+    truth = solid.distance.distance(found[near]) - solid.offset
+    assert np.allclose(np.asarray(batch.distance)[-LACKING:][near], truth, atol=1e-5)
