@@ -26,9 +26,6 @@ ON_SURFACE, ON_LEVEL, NEAR, NEAR_FIELD = 200_000, 200_000, 60_000, 1.2
 """Candidates on the surface (new ones every round), on the chaser's contact surface, and within so many metres."""
 WORST, ROUNDS_KEPT = 1500, 3
 """Worst over-statements of each kind that a round keeps, and the rounds that are learned from."""
-LACKING = 500
-"""Worst under-statements in the near field that a round keeps: without them webs grow in the corners between panels,
-and with as many as of the others the surface suffers."""
 ASCENT = (0.06, 0.03, 0.015)
 """Metres. Random steps by which the worst candidates climb."""
 JITTERED, JITTER = 0.6, 0.03
@@ -50,6 +47,7 @@ class Hunt:
         chaser_radius: metres.
         contact: points where a chaser touches; none for radius 0 or a point cloud.
         near: labelled points near the surface.
+        webs: worst under-statements that a round keeps.
 
     """
 
@@ -58,10 +56,11 @@ class Hunt:
     chaser_radius: float
     contact: Points
     near: Samples
+    webs: int
 
     @classmethod
     def prepare(
-        cls, solid: OffsetSolid, domain: Domain, chaser_radius: float, generator: np.random.Generator
+        cls, solid: OffsetSolid, domain: Domain, chaser_radius: float, webs: int, generator: np.random.Generator
     ) -> "Hunt":
         """Sample the candidates that stay."""
         distance = solid.distance
@@ -70,12 +69,12 @@ class Hunt:
             contact = level_points(distance, chaser_radius, ON_LEVEL, generator)
         near = training_points(distance, domain, 3 * NEAR, generator)
         near = label(solid, near[distance.distance(near) < NEAR_FIELD][:NEAR])
-        return cls(solid, domain, chaser_radius, contact, near)
+        return cls(solid, domain, chaser_radius, contact, near, webs)
 
     @property
     def kept(self) -> int:
         """Number of counter-examples that are learned from at a time."""
-        return ROUNDS_KEPT * (WORST * (3 if len(self.contact) else 2) + LACKING)
+        return ROUNDS_KEPT * (WORST * (3 if len(self.contact) else 2) + self.webs)
 
     def worst(self, values: Values, generator: np.random.Generator) -> tuple[losses.Batch, float]:
         """Return labelled counter-examples, and the largest f̃ - R found where a chaser touches, metres."""
@@ -88,7 +87,7 @@ class Hunt:
                 largest = max(largest, float(value.max()) - level)
         excess = values(self.near.points.astype(np.float64)) - self.near.distance
         lack = np.where(self.near.hidden, -np.inf, -excess)
-        for best in (_largest(excess), _largest(lack, LACKING)):
+        for best in (_largest(excess), _largest(lack, self.webs)):
             chosen.append(self.near.points[best].astype(np.float64))
         points = np.concatenate(chosen)
         points += JITTER * generator.normal(size=points.shape) * (generator.random((len(points), 1)) < JITTERED)

@@ -26,6 +26,10 @@ class Profile:
         steps: of the main phase.
         tuning_steps: of the counter-example phase.
         large_steps, large_tuning_steps: the same where the bounding ball exceeds `LARGE_TARGET`.
+        webs: worst under-statements of the near field that a round of the counter-example phase keeps. Without them webs
+            grow in the corners between panels; with as many as of the over-statements the surface suffers.
+        large_webs: the same where the bounding ball exceeds `LARGE_TARGET`: none, for there the network has no room for
+            it (around the ISS the certified error trebled at the chaser's radius).
         optimizer: "adam" (Kingma, Ba 2015), or "muon" (Jordan et al. 2024): momentum made orthogonal for the hidden
             matrices, Adam for the rest.
         learning_rate: of Adam, at the start.
@@ -49,6 +53,8 @@ class Profile:
     tuning_steps: int = 4_000
     large_steps: int = 10_000
     large_tuning_steps: int = 7_000
+    webs: int = 500
+    large_webs: int = 0
     optimizer: Literal["adam", "muon"] = "muon"
     learning_rate: float = 5e-3
     muon_rate: float = 0.01
@@ -67,6 +73,7 @@ class Profile:
             depth=self.large_depth,
             steps=self.large_steps,
             tuning_steps=self.large_tuning_steps,
+            webs=self.large_webs,
         )
 
 

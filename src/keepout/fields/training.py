@@ -86,7 +86,7 @@ def fit(
     generator = np.random.default_rng(seed)
     progress(0.08, "labelling samples")
     samples = label(solid, training_points(distance, domain, numbers.samples, generator))
-    hunt = Hunt.prepare(solid, domain, chaser_radius, generator) if numbers.tuning_steps else None
+    hunt = Hunt.prepare(solid, domain, chaser_radius, numbers.webs, generator) if numbers.tuning_steps else None
     data = normalised(samples, domain)
 
     fingerprint = _fingerprint(target, solid, numbers, chaser_radius, seed)
