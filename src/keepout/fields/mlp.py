@@ -28,13 +28,17 @@ def _times(a: Float[Array, "n k"], b: Float[Array, "k m"]) -> Float[Array, "n m"
 
 def softplus(z: Float[Array, "*n"], beta: float) -> Float[Array, "*n"]:
     """σ(z) = log(1 + exp(β z))/β, without overflow."""
-    return jnp.maximum(z, 0.0) + jnp.log1p(jnp.exp(-jnp.abs(beta * z))) * (1.0 / beta)
+    t = beta * z
+    return (jnp.maximum(t, 0.0) + jnp.log1p(jnp.exp(-jnp.abs(t)))) / beta
 
 
 def _softplus_and_slope(z: Float[Array, "*n"], beta: float) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
     """σ and σ' = s, the logistic function of β z, from one exponential; σ'' = β s (1 - s)."""
-    e = jnp.exp(-jnp.abs(beta * z))
-    return jnp.maximum(z, 0.0) + jnp.log1p(e) * (1.0 / beta), jnp.where(z > 0.0, 1.0, e) / (1.0 + e)
+    t = beta * z
+    e = jnp.exp(-jnp.abs(t))
+    value = (jnp.maximum(t, 0.0) + jnp.log1p(e)) / beta
+    reciprocal = 1.0 / (1.0 + e)
+    return value, jnp.where(t > 0.0, reciprocal, e * reciprocal)
 
 
 def value(layers: Layers, beta: float, x: Float[Array, "n 3"]) -> Float[Array, "n"]:
