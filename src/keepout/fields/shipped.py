@@ -18,7 +18,7 @@ TARGETS = ("intelsat30", "iss", "tiangong")
 CHASER_RADII = (0.0, 0.5)
 """Metres. Every shipped field is certified for these."""
 SLOPE_PROVED = ("intelsat30",)
-"""Fields whose slope is proved too: minutes for a small network, longer than anyone waited for those of the stations."""
+"""Fields whose slope is proved too: minutes for a small network, much longer for those of the stations."""
 
 
 def _folder() -> Path:
