@@ -28,8 +28,8 @@ class Profile:
         large_steps, large_tuning_steps: the same where the bounding ball exceeds `LARGE_TARGET`.
         webs: worst under-statements of the near field that a round of the counter-example phase keeps. Without them
             webs grow in the corners between panels; with as many as of the over-statements the surface suffers.
-        large_webs: the same where the bounding ball exceeds `LARGE_TARGET`: none, for there the network has no room for
-            it (with 500, the largest error found at the chaser's radius around the ISS rose from 0.07 m to 0.28 m).
+        large_webs: the same where the bounding ball exceeds `LARGE_TARGET`: none, until it is known what it costs there
+            (docs/fields.md).
         optimizer: "adam" (Kingma, Ba 2015), or "muon" (Jordan et al. 2024): momentum made orthogonal for the hidden
             matrices, Adam for the rest.
         learning_rate: of Adam, at the start.

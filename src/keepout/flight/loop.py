@@ -64,8 +64,12 @@ def start(setup: FlightSetup, initial: MotionState, key: PRNGKeyArray) -> LoopSt
     """Give the loop's state before the first step. The control law starts from the estimate, not from the truth."""
     faults = setup.faults.initial_state(key)
     faults, estimate = setup.faults.estimate(faults, initial)
-    guard = () if setup.guard is None else setup.guard.initial_state(estimate)
-    return LoopState(initial, setup.controller.initial_state(estimate), guard, faults)
+    return LoopState(initial, *memories(setup, estimate), faults)
+
+
+def memories(setup: FlightSetup, estimate: MotionState) -> tuple[PyTree, PyTree]:
+    """Give the states of control law and guard before their first `command`; the guard's is () where there is none."""
+    return setup.controller.initial_state(estimate), () if setup.guard is None else setup.guard.initial_state(estimate)
 
 
 def command(

@@ -19,7 +19,7 @@ from keepout.flight.setup import FlightSetup
 from keepout.motion.relative import MotionState
 
 Numbers = Float[np.ndarray, "_"] | Array | Sequence[float]
-_ESTIMATE = ("time", "position", "velocity", "attitude", "angular_velocity", "target_orbit")
+"""One number a component, SI units."""
 
 
 class Order(NamedTuple):
@@ -58,14 +58,11 @@ class OnBoard:
             ControlError: a law or guard whose memory cannot be kept as numbers (a random key, say).
 
         """
-        memory = _started(setup, estimate)
         try:
-            packed, unpack = ravel_pytree(memory)
+            packed, unpack = ravel_pytree(loop.memories(setup, estimate))
         except TypeError as error:
             raise ControlError(f"on board: the memory of law and guard must be arrays of numbers: {error}") from None
-        size = len(packed)
-        self._numbers, unpack_estimate = _packed_estimate(estimate)
-        self._places = _places(estimate)
+        size, unpack_estimate = len(packed), ravel_pytree(estimate)[1]
 
         def step(whole: Float[Array, " n"], numbers: Float[Array, " m"]) -> Float[Array, " n"]:
             law, guard = unpack(whole[:size])
@@ -75,16 +72,15 @@ class OnBoard:
             given = [*vectors, jnp.stack([jnp.asarray(number, jnp.float64) for number in rest])]
             return jnp.concatenate([ravel_pytree((law, guard))[0], *given])
 
-        self._setup, self._size = setup, size
-        self._start = jnp.concatenate([packed, jnp.zeros(_WIDTH)])
-        self._step = jax.jit(step).lower(self._start, self._numbers).compile()
+        self._setup, self._size, self._places = setup, size, _places(estimate)
         self.restart(estimate)
+        self._step = jax.jit(step).lower(self._whole, self._numbers).compile()
 
     def restart(self, estimate: MotionState) -> None:
         """Forget what was learned in flight, and start law and guard from an estimate."""
-        packed = ravel_pytree(_started(self._setup, estimate))[0]
-        self._numbers = _packed_estimate(estimate)[0]
-        self._whole = self._start.at[: self._size].set(packed)
+        self._numbers = np.array(ravel_pytree(estimate)[0])
+        packed = ravel_pytree(loop.memories(self._setup, estimate))[0]
+        self._whole = jnp.concatenate([packed, jnp.zeros(_WIDTH)])
         self._latest = np.asarray(self._whole)
 
     def step(
@@ -135,7 +131,7 @@ class OnBoard:
 
     @property
     def order(self) -> Order:
-        """All that the last step gave."""
+        """All that the last step gave; zeros before the first."""
         given = self._latest[self._size :]
         force, commanded, desired, safe, disturbance = given[:15].reshape(5, 3)
         barrier, backstepping, lyapunov, control, guard = given[15:].tolist()
@@ -144,21 +140,10 @@ class OnBoard:
         )
 
 
-def _started(setup: FlightSetup, estimate: MotionState) -> tuple:
-    guard = () if setup.guard is None else setup.guard.initial_state(estimate)
-    return setup.controller.initial_state(estimate), guard
-
-
-def _packed_estimate(estimate: MotionState):
-    packed, unpack = ravel_pytree(estimate)
-    return np.array(packed), unpack
-
-
 def _places(estimate: MotionState) -> dict[str, tuple[slice, int]]:
     """Where each part of an estimate lies among its numbers, and how many it has."""
     places, first = {}, 0
-    for name in _ESTIMATE:
-        part = getattr(estimate, name)
+    for name, part in vars(estimate).items():
         if part is not None:
             places[name] = (slice(first, first + np.size(part)), np.size(part))
             first += np.size(part)
