@@ -50,6 +50,7 @@ def test_forces_are_those_of_the_loop(setup, on_board):
     state = loop.start(setup, MOTION.initial_state([0.5, 7.0, 4.0], np.zeros(3)), jax.random.key(0))
     step = eqx.filter_jit(loop.step)
     on_board.restart(state.motion)
+    assert on_board.one_kernel
     for _ in range(40):
         told = state.motion
         state, row = step(setup, state)

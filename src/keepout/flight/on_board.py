@@ -7,7 +7,6 @@ step is one array of numbers inside: passing trees of arrays through Python woul
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
@@ -15,6 +14,7 @@ from jaxtyping import Array, Float
 
 from keepout.errors import ControlError
 from keepout.flight import loop
+from keepout.flight.one_kernel import compiled
 from keepout.flight.setup import FlightSetup
 from keepout.motion.relative import MotionState
 
@@ -49,6 +49,11 @@ class OnBoard:
 
     For the shortest times start JAX with `jax.config.update("jax_cpu_enable_async_dispatch", False)`: handing over to
     another thread is most of the tail.
+
+    Attributes:
+        one_kernel: whether the step is compiled in one piece (`keepout.flight.one_kernel`): several times faster, not
+            otherwise different.
+
     """
 
     def __init__(self, setup: FlightSetup, estimate: MotionState) -> None:
@@ -74,7 +79,7 @@ class OnBoard:
 
         self._setup, self._size, self._places = setup, size, _places(estimate)
         self.restart(estimate)
-        self._step = jax.jit(step).lower(self._whole, self._numbers).compile()
+        self._step, self.one_kernel = compiled(step, self._whole, self._numbers)
 
     def restart(self, estimate: MotionState) -> None:
         """Forget what was learned in flight, and start law and guard from an estimate."""
