@@ -78,9 +78,10 @@ def value_gradient_hessian(
     J = jnp.broadcast_to(first.T[:, None, :], (3, n, first.shape[0]))
     tape = [(slope, J)]
     for W, b in zip(layers.weights[1:-1], layers.biases[1:-1]):
-        z = _times(a, W.T) + b
-        J = _times((slope * J).reshape(3 * n, -1), W.T).reshape(3, n, -1)
-        a, slope = _softplus_and_slope(z, beta)
+        # Value and tangents go through one product: the weights are read once.
+        Z = _times(jnp.concatenate([a[None], slope * J]).reshape(4 * n, -1), W.T).reshape(4, n, -1)
+        J = Z[1:]
+        a, slope = _softplus_and_slope(Z[0] + b, beta)
         tape.append((slope, J))
     out = _times(a, layers.weights[-1].T)[:, 0] + layers.biases[-1][0]
 
@@ -90,16 +91,29 @@ def value_gradient_hessian(
         z_bar = a_bar * slope
         curvatures.append((z_bar * (1.0 - slope), J))
         a_bar = _times(z_bar, W)
-    # Layers of one width are added up before the neurons are: few large sums are faster than many small ones.
+    return out, a_bar, beta * _sum_of_curvatures(curvatures)
+
+
+def _sum_of_curvatures(
+    curvatures: list[tuple[Float[Array, "n _"], Float[Array, "3 n _"]]],
+) -> Float[Array, "n 3 3"]:
+    """Return Σ_l J_lᵀ diag(c_l) J_l of each point.
+
+    Layers of one width are added up before the neurons are: few large sums are faster than many small ones.
+    """
     widths = sorted({c.shape[-1] for c, _ in curvatures})
     groups = [[(c, J) for c, J in curvatures if c.shape[-1] == width] for width in widths]
+    if curvatures[0][0].shape[0] == 1:
+        # For a single point the number of kernels counts, not that of products: all nine entries in one.
+        full = sum(jnp.sum(sum((c * J)[:, None] * J[None] for c, J in group), axis=-1) for group in groups)
+        return jnp.moveaxis(jnp.asarray(full), -1, 0)
     pairs = {
-        (i, j): beta * sum(jnp.sum(sum(c * J[i] * J[j] for c, J in group), axis=-1) for group in groups)
+        (i, j): sum(jnp.sum(sum(c * J[i] * J[j] for c, J in group), axis=-1) for group in groups)
         for i in range(3)
         for j in range(i, 3)
     }
     rows = [jnp.stack([pairs[min(i, j), max(i, j)] for j in range(3)], axis=-1) for i in range(3)]
-    return out, a_bar, jnp.stack(rows, axis=-2)
+    return jnp.stack(rows, axis=-2)
 
 
 def in_chunks(function, x: Float[Array, "n 3"], chunk: int = CHUNK):
