@@ -1,9 +1,8 @@
 """Counter-examples: where a field is most wrong, on the dangerous side and on the other, found anew as it learns."""
 
 import dataclasses
-from collections.abc import Callable
+from typing import Protocol, runtime_checkable
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -17,22 +16,41 @@ from keepout.fields.sampling import (
     normalised,
     onto_level,
     surface_points,
+    towards_level,
     training_points,
 )
 from keepout.geometry.distance import ExactDistance
 from keepout.geometry.offset_solid import OffsetSolid
 
-ON_SURFACE, ON_LEVEL, NEAR, NEAR_FIELD = 200_000, 200_000, 60_000, 1.2
-"""Candidates on the surface (new ones every round), on the chaser's contact surface, and within so many metres."""
+ON_SURFACE, ON_LEVEL, NEAR, NEAR_FIELD = 100_000, 100_000, 60_000, 1.2
+"""Candidates on the surface and on the chaser's contact surface, new ones every round; and those within so many metres,
+which stay."""
 WORST, ROUNDS_KEPT = 1500, 3
-"""Worst over-statements of each kind that a round keeps, and the rounds that are learned from."""
-ASCENT = (0.06, 0.03, 0.015)
-"""Metres. Random steps by which the worst candidates climb."""
+"""Over-statements of each kind that a round keeps, and the rounds that are learned from."""
+CLIMBERS = 4000
+"""Worst candidates that climb."""
+ASCENT = (0.08, 0.05, 0.03, 0.02, 0.01, 0.005)
+"""Metres. Steps by which they climb."""
+PEAKS, COPIES, PEAK_SIZE = 100, 5, 0.1
+"""Of the over-statements a round keeps, this many peaks, so many metres apart, are kept so many times: the error bound
+is that of the highest, however narrow."""
+HIGHEST = 4.0
+"""Weight of the highest peak; it falls to 1 for what is not over-stated."""
 JITTERED, JITTER = 0.6, 0.03
 """The share of them that is moved off its surface, and by how much, metres."""
 
-Values = Callable[[Float[np.ndarray, "_ 3"]], Float[np.ndarray, "_"]]
-"""f̃ in metres at points in metres."""
+
+@runtime_checkable
+class Learner(Protocol):
+    """The network as it is learned, metres."""
+
+    def value(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
+        """Return f̃."""
+        ...
+
+    def gradient(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+        """Return ∇f̃."""
+        ...
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,7 +63,6 @@ class Hunt:
         solid: the target's offset solid.
         domain: of the field.
         chaser_radius: metres.
-        contact: points where a chaser touches; none for radius 0 or a point cloud.
         near: labelled points near the surface.
         webs: worst under-statements that a round keeps.
 
@@ -54,7 +71,6 @@ class Hunt:
     solid: OffsetSolid
     domain: Domain
     chaser_radius: float
-    contact: Points
     near: Samples
     webs: int
 
@@ -64,56 +80,108 @@ class Hunt:
     ) -> "Hunt":
         """Sample the candidates that stay."""
         distance = solid.distance
-        contact = np.zeros((0, 3))
-        if isinstance(distance, ExactDistance) and chaser_radius > 0.0:
-            contact = level_points(distance, chaser_radius, ON_LEVEL, generator)
         near = training_points(distance, domain, 3 * NEAR, generator)
         near = label(solid, near[distance.distance(near) < NEAR_FIELD][:NEAR])
-        return cls(solid, domain, chaser_radius, contact, near, webs)
+        return cls(solid, domain, chaser_radius, near, webs)
+
+    @property
+    def levels(self) -> tuple[float, ...]:
+        """Distances at which a chaser touches: of a point, and of the chaser if that is another."""
+        if isinstance(self.solid.distance, ExactDistance) and self.chaser_radius > 0.0:
+            return (0.0, self.chaser_radius)
+        return (0.0,)
 
     @property
     def kept(self) -> int:
         """Number of counter-examples that are learned from at a time."""
-        return ROUNDS_KEPT * (WORST * (3 if len(self.contact) else 2) + self.webs)
+        return ROUNDS_KEPT * (WORST * (len(self.levels) + 1) + self.webs)
 
-    def worst(self, values: Values, generator: np.random.Generator) -> tuple[losses.Batch, float]:
-        """Return labelled counter-examples, and the largest f̃ - R found where a chaser touches, metres."""
-        surface = surface_points(self.solid.distance, ON_SURFACE, generator, by_area=0.5)
-        chosen, largest = [], -np.inf
-        for points, level in ((surface, 0.0), (self.contact, self.chaser_radius)):
-            if len(points):
-                points, value = self._climb(values, points, level, generator)
-                chosen.append(points)
-                largest = max(largest, float(value.max()) - level)
-        excess = values(self.near.points.astype(np.float64)) - self.near.distance
+    def worst(
+        self, learner: Learner, known: Points, generator: np.random.Generator, *, settling: bool = False
+    ) -> tuple[losses.Batch, float]:
+        """Return labelled counter-examples, and the largest f̃ - R found where a chaser touches, metres.
+
+        Args:
+            learner: the network.
+            known: (n, 3) points near which it was wrong before, metres: candidates again.
+            generator: of the new candidates.
+            settling: leave webs alone, and keep more over-statements of the near field in their place.
+
+        """
+        chosen, weights, largest = [], [], -np.inf
+        for level in self.levels:
+            points, value = self._climbed(learner, self._candidates(level, known, generator), level, generator)
+            peaks = _peaks(points, value)
+            best = np.concatenate([_largest(value, WORST - COPIES * len(peaks)), np.repeat(peaks, COPIES)])
+            over = np.maximum(value[best] - level, 0.0)
+            chosen.append(points[best])
+            weights.append(1.0 + (HIGHEST - 1.0) * over / max(over.max(), 1e-9))
+            largest = max(largest, float(value.max()) - level)
+        excess = learner.value(self.near.points.astype(np.float64)) - self.near.distance
         lack = np.where(self.near.hidden, -np.inf, -excess)
-        for best in (_largest(excess), _largest(lack, self.webs)):
+        webs = 0 if settling else self.webs
+        for best in (_largest(excess, WORST + self.webs - webs), _largest(lack, webs)):
             chosen.append(self.near.points[best].astype(np.float64))
+            weights.append(np.ones(len(best)))
         points = np.concatenate(chosen)
         points += JITTER * generator.normal(size=points.shape) * (generator.random((len(points), 1)) < JITTERED)
-        batch = normalised(label(self.solid, points), self.domain)
-        # Here every error counts in full, near the surface or not.
-        return batch._replace(weight=jnp.ones_like(batch.weight)), largest
+        return normalised(label(self.solid, points), self.domain, np.concatenate(weights)), largest
 
-    def _climb(
-        self, values: Values, points: Points, level: float, generator: np.random.Generator
+    def _candidates(self, level: float, known: Points, generator: np.random.Generator) -> Float[np.ndarray, "k 3"]:
+        """Return new points of a level set, and what is nearest on it to those known."""
+        distance = self.solid.distance
+        if not isinstance(distance, ExactDistance):
+            return surface_points(distance, ON_SURFACE, generator)
+        if level > 0.0:
+            new = level_points(distance, level, ON_LEVEL, generator)
+        else:
+            new = surface_points(distance, ON_SURFACE, generator, by_area=0.5)
+        return np.concatenate([new, onto_level(distance, known, level)])
+
+    def _climbed(
+        self, learner: Learner, points: Points, level: float, generator: np.random.Generator
     ) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k"]]:
-        """Return the worst candidates of one level set after a random ascent on it, and f̃ there."""
-        value = values(points)
-        best = _largest(value)
+        """Return the worst candidates of one level set, each after an ascent on it, and f̃ there."""
+        value = learner.value(points)
+        best = _largest(value, CLIMBERS)
         points, value = points[best], value[best]
         distance = self.solid.distance
         if not isinstance(distance, ExactDistance):
             return points, value
         for step in ASCENT:
-            moved = onto_level(distance, points + step * generator.normal(size=points.shape), level)
-            points, value = np.concatenate([points, moved]), np.concatenate([value, values(moved)])
-            best = _largest(value)
-            points, value = points[best], value[best]
+            # Along the slope, which narrow spikes need, and at random, which leads over the edges of the surface.
+            uphill = _tangential(distance, points, level, learner.gradient(points))
+            for move in (uphill, generator.normal(size=points.shape)):
+                moved, arrived = towards_level(distance, points + step * move, level)
+                moved_value = np.where(arrived, learner.value(moved), -np.inf)
+                higher = moved_value > value
+                points, value = np.where(higher[:, None], moved, points), np.where(higher, moved_value, value)
         return points, value
 
 
-def _largest(value: Float[np.ndarray, "_"], count: int = WORST) -> np.ndarray:
+def _tangential(
+    distance: ExactDistance, points: Points, level: float, gradient: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "n 3"]:
+    """Return the directions in which the field rises fastest along the level set: unit vectors."""
+    if level > 0.0:
+        normal = distance.distance_and_gradient(points)[1]
+    else:
+        a, b, c = np.moveaxis(distance.vertices[distance.faces[distance.closest(points)[2]]], 1, 0)
+        normal = np.cross(b - a, c - a)
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+    along = gradient - (gradient * normal).sum(axis=1, keepdims=True) * normal
+    return along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-30)
+
+
+def _peaks(points: Points, value: Float[np.ndarray, "n"]) -> np.ndarray:
+    """Return the indices of the highest points of the cells that have the highest ones."""
+    order = np.argsort(-value)
+    cells = np.floor(points[order] / PEAK_SIZE).astype(np.int64)
+    first = np.sort(np.unique(cells, axis=0, return_index=True)[1])
+    return order[first[:PEAKS]]
+
+
+def _largest(value: Float[np.ndarray, "_"], count: int) -> np.ndarray:
     """Return the indices of the `count` largest values, or of all if there are fewer."""
     if len(value) <= count:
         return np.arange(len(value))

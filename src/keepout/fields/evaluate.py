@@ -1,5 +1,6 @@
 """A field on many NumPy points, in pieces of one size, so that it is compiled once."""
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -29,31 +30,32 @@ def _value_gradient_hessian(field: Field, points):
     return field.value_gradient_hessian(points)
 
 
-def _in_pieces(function: Callable[..., Any], field: Field, points: Float[np.ndarray, "n 3"]) -> Any:
+def in_pieces(function: Callable[[Any], Any], points: Float[np.ndarray, "n 3"]) -> Any:
+    """Apply a function of `PIECE` rows to any number of them; every array it returns keeps the rows first."""
     answers = []
     for start in range(0, max(len(points), 1), PIECE):
         piece = points[start : start + PIECE]
-        padded = np.zeros((PIECE, 3))
+        padded = np.zeros((PIECE, 3), points.dtype)
         padded[: len(piece)] = piece
-        answers.append(jax.tree.map(np.asarray, function(field, jnp.asarray(padded))))
+        answers.append(jax.tree.map(np.asarray, function(jnp.asarray(padded))))
     joined = jax.tree.map(lambda *parts: np.concatenate(parts), *answers)
     return jax.tree.map(lambda a: a[: len(points)], joined)
 
 
 def values(field: Field, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
     """Signed distances in metres."""
-    return _in_pieces(_value, field, points)
+    return in_pieces(functools.partial(_value, field), points)
 
 
 def values_and_gradients(
     field: Field, points: Float[np.ndarray, "n 3"]
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 3"]]:
     """Signed distances in metres and gradients."""
-    return _in_pieces(_value_and_gradient, field, points)
+    return in_pieces(functools.partial(_value_and_gradient, field), points)
 
 
 def values_gradients_hessians(
     field: Field, points: Float[np.ndarray, "n 3"]
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 3"]]:
     """Signed distances in metres, gradients, and Hessians in 1/m."""
-    return _in_pieces(_value_gradient_hessian, field, points)
+    return in_pieces(functools.partial(_value_gradient_hessian, field), points)

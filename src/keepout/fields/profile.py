@@ -6,7 +6,7 @@ from typing import Literal
 from keepout.errors import FieldError
 
 LARGE_TARGET = 20.0
-"""Metres. A target whose bounding ball is larger gets the profile's larger network."""
+"""Metres. A target whose bounding ball is larger gets the profile's numbers for large targets, where it has any."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -18,18 +18,18 @@ class Profile:
             decides.
             "paper_pinball": the paper's loss with L_P read as κ max(e, 0) + max(-e, 0), e = f̃ - d. "paper_printed":
             L_P = (κ-1) max(e, 0) as printed, whose minimum is f̃ → -∞.
-        width, depth: hidden layers for targets of ordinary size.
-        large_width, large_depth: the same where the bounding ball exceeds `LARGE_TARGET`.
+        width, depth: hidden layers.
         beta: sharpness of the softplus, in normalised units.
         samples: labelled points.
         batch: points a step.
         steps: of the main phase.
         tuning_steps: of the counter-example phase.
-        large_steps, large_tuning_steps: the same where the bounding ball exceeds `LARGE_TARGET`.
         webs: worst under-statements of the near field that a round of the counter-example phase keeps. Without them
             webs grow in the corners between panels; with as many as of the over-statements the surface suffers.
-        large_webs: the same where the bounding ball exceeds `LARGE_TARGET`: none, until it is known what it costs there
-            (docs/fields.md).
+        near: metres; errors count in proportion to near/(|g| + near), g the signed distance, so that the surface
+            matters most and the far field is not lost (keepout loss).
+        room_share: share of the samples that are spread over the room next to the surface (`sampling.room_points`);
+            the rest has few in gaps that are wide, and small beside the target.
         optimizer: "adam" (Kingma, Ba 2015), or "muon" (Jordan et al. 2024): momentum made orthogonal for the hidden
             matrices, Adam for the rest.
         learning_rate: of Adam, at the start.
@@ -38,23 +38,21 @@ class Profile:
         over_weight: weight of over-statement against under-statement, 0.5 to 1 (keepout loss).
         gradient_weight: of the gradient term (keepout), or η of the eikonal term (paper).
         kappa: κ of the paper's loss.
+        large: the numbers for a target larger than `LARGE_TARGET`; None: the same.
 
     """
 
     loss: Literal["keepout", "paper_pinball", "paper_printed"] = "keepout"
     width: int = 96
     depth: int = 4
-    large_width: int = 128
-    large_depth: int = 5
     beta: float = 100.0
     samples: int = 600_000
     batch: int = 2048
     steps: int = 8_000
     tuning_steps: int = 4_000
-    large_steps: int = 10_000
-    large_tuning_steps: int = 7_000
     webs: int = 500
-    large_webs: int = 0
+    near: float = 0.15
+    room_share: float = 0.0
     optimizer: Literal["adam", "muon"] = "muon"
     learning_rate: float = 5e-3
     muon_rate: float = 0.01
@@ -62,29 +60,20 @@ class Profile:
     over_weight: float = 0.8
     gradient_weight: float = 0.02
     kappa: float = 2.0
+    large: "Profile | None" = None
 
     def for_size(self, radius: float) -> "Profile":
         """Return the numbers for a target whose bounding ball has this radius, metres."""
-        if radius <= LARGE_TARGET:
-            return self
-        return dataclasses.replace(
-            self,
-            width=self.large_width,
-            depth=self.large_depth,
-            steps=self.large_steps,
-            tuning_steps=self.large_tuning_steps,
-            webs=self.large_webs,
-        )
+        return self if self.large is None or radius <= LARGE_TARGET else self.large
 
 
+_STATION = Profile(
+    width=144, depth=5, steps=8_000, tuning_steps=6_000, webs=400, near=0.4, room_share=0.25, over_weight=0.65
+)
 _PAPER = Profile(
     loss="paper_pinball",
     width=512,
     depth=10,
-    large_width=512,
-    large_depth=10,
-    large_steps=10_000,
-    large_tuning_steps=0,
     samples=50_000,
     batch=50_000,
     steps=10_000,
@@ -96,18 +85,8 @@ _PAPER = Profile(
 )
 
 PROFILES: dict[str, Profile] = {
-    "default": Profile(),
-    "quick": Profile(
-        width=48,
-        depth=3,
-        large_width=48,
-        large_depth=3,
-        samples=60_000,
-        steps=1500,
-        tuning_steps=500,
-        large_steps=1500,
-        large_tuning_steps=500,
-    ),
+    "default": Profile(large=_STATION),
+    "quick": Profile(width=48, depth=3, samples=60_000, steps=1500, tuning_steps=500),
     "paper": _PAPER,
     "paper_printed": dataclasses.replace(_PAPER, loss="paper_printed"),
 }

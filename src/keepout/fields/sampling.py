@@ -16,10 +16,6 @@ HIDDEN_DEPTH = 0.1
 """Metres. In space that no chaser reaches, the field only has to stay below minus this (or the exact value nearer
 by)."""
 
-NEAR = 0.15
-"""Metres. Errors count in proportion to NEAR/(|g| + NEAR), so that the surface matters most and the far field is not
-lost."""
-
 
 @dataclasses.dataclass(frozen=True)
 class Domain:
@@ -41,6 +37,11 @@ class Domain:
     def learned_radius(self) -> float:
         """The largest radius at which the continuation asks the field."""
         return 0.5 * (self.domain_radius + self.outer_radius)
+
+    @property
+    def room(self) -> float:
+        """How far from the surface gaps between parts are sampled as densely as the rest of the room, metres."""
+        return max(1.2, 0.05 * self.target_radius)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -84,14 +85,27 @@ def surface_points(distance: Distance, count: int, generator: np.random.Generato
     return a + u[:, None] * (b - a) + v[:, None] * (c - a)
 
 
+def towards_level(
+    distance: ExactDistance, points: Points, level: float
+) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, "n"]]:
+    """Points moved along the distance's gradient to {d = level}, and which of them arrive there, to 1e-9 m."""
+    if level == 0.0:
+        return distance.closest(points)[1], np.ones(len(points), bool)
+    points, away = points.copy(), np.arange(len(points))
+    for _ in range(13):
+        d, gradient = distance.distance_and_gradient(points[away])
+        short = np.abs(level - d) >= 1e-9
+        away = away[short]
+        points[away] += ((level - d)[:, None] * gradient)[short]
+    arrived = np.ones(len(points), bool)
+    arrived[away] = np.abs(distance.distance(points[away]) - level) < 1e-9
+    return points, arrived
+
+
 def onto_level(distance: ExactDistance, points: Points, level: float) -> Float[np.ndarray, "m 3"]:
     """Points moved along the distance's gradient onto {d = level}; those that do not arrive are left out."""
-    if level == 0.0:
-        return distance.closest(points)[1]
-    for _ in range(12):
-        d, gradient = distance.distance_and_gradient(points)
-        points = points + (level - d)[:, None] * gradient
-    return points[np.abs(distance.distance(points) - level) < 1e-9]
+    points, arrived = towards_level(distance, points, level)
+    return points[arrived]
 
 
 def level_points(
@@ -128,18 +142,30 @@ def label(solid: OffsetSolid, points: Points) -> Samples:
     )
 
 
-def normalised(samples: Samples, domain: Domain) -> Batch:
-    """Bring samples into the form of the losses; their weights fall with the distance."""
+def normalised(samples: Samples, domain: Domain, weight: Float[np.ndarray, "n"]) -> Batch:
+    """Bring samples into the form of the losses, each with its weight."""
     x = ((samples.points.astype(np.float64) - domain.centre) / domain.learned_radius).astype(np.float32)
-    weight = (NEAR / (np.abs(samples.distance) + NEAR)).astype(np.float32)
-    rest = (samples.distance, samples.gradient, samples.smooth, samples.hidden, weight)
-    return Batch(jnp.asarray(x), *(jnp.asarray(a) for a in rest))
+    columns = (x, samples.distance, samples.gradient, samples.smooth, samples.hidden, weight.astype(np.float32))
+    return Batch(*(jnp.asarray(column) for column in columns))
 
 
-def training_points(distance: Distance, domain: Domain, count: int, generator: np.random.Generator) -> Points:
-    """Points around the target: on the surface, log-uniform in distance from it, and uniform in the learned ball."""
-    on, volume = count // 10, count // 6
-    near = count - on - volume
+def room_points(distance: Distance, domain: Domain, count: int, generator: np.random.Generator) -> Points:
+    """Points around the target: each anywhere in a ball of radius `Domain.room` about a point of the surface."""
+    start = surface_points(distance, count, generator, by_area=0.5)
+    direction = generator.normal(size=start.shape)
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    return start + domain.room * generator.random((count, 1)) ** (1 / 3) * direction
+
+
+def training_points(
+    distance: Distance, domain: Domain, count: int, generator: np.random.Generator, *, room_share: float = 0.0
+) -> Points:
+    """Points around the target: on the surface, log-uniform in distance from it, in the room next to it, in the ball.
+
+    Those in the ball are spread over the learned one, a little denser inside.
+    """
+    on, volume, room = count // 10, count // 6, round(room_share * count)
+    near = count - on - volume - room
     start = surface_points(distance, on + near, generator, by_area=0.5)
     direction = generator.normal(size=(on + near, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
@@ -147,6 +173,7 @@ def training_points(distance: Distance, domain: Domain, count: int, generator: n
     length[:on] = 0.0
     ball = generator.normal(size=(volume, 3))
     ball *= (domain.learned_radius * generator.random(volume) ** (1 / 2.2) / np.linalg.norm(ball, axis=1))[:, None]
-    points = np.concatenate([start + length[:, None] * direction, ball + domain.centre])
+    between = room_points(distance, domain, room, generator)
+    points = np.concatenate([start + length[:, None] * direction, ball + domain.centre, between])
     inside = np.linalg.norm(points - domain.centre, axis=1) <= domain.learned_radius
     return points[inside]

@@ -14,14 +14,14 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 import optax.contrib
-from jaxtyping import Array, Float, Float32, Int
+from jaxtyping import Array, Float32, Int
 
 from keepout.errors import FieldError
 from keepout.fields import checkpoint as checkpoints
 from keepout.fields import losses, mlp
 from keepout.fields.continuation import RadialContinuation
-from keepout.fields.counter_examples import Hunt, Values
-from keepout.fields.evaluate import PIECE
+from keepout.fields.counter_examples import Hunt
+from keepout.fields.learned import Learned
 from keepout.fields.model import FieldModel
 from keepout.fields.neural import NeuralField
 from keepout.fields.profile import Profile, find_profile
@@ -34,6 +34,9 @@ BLOCK = 250
 """Steps between progress reports, checkpoints and counter-example searches; one compiled loop runs them."""
 HARD_SHARE, HARD_WEIGHT = 0.3, 2.0
 TUNING_RATE = 0.4
+SETTLING = 1 / 3
+"""Last share of the counter-example phase, in which under-statement is no longer hunted: it holds what it has gained,
+and the certified side settles last."""
 
 
 class _State(NamedTuple):
@@ -85,9 +88,10 @@ def fit(
         solid = OffsetSolid.build(distance, progress=lambda part, text: progress(0.08 * part, f"offset solid: {text}"))
     generator = np.random.default_rng(seed)
     progress(0.08, "labelling samples")
-    samples = label(solid, training_points(distance, domain, numbers.samples, generator))
+    points = training_points(distance, domain, numbers.samples, generator, room_share=numbers.room_share)
+    samples = label(solid, points)
     hunt = Hunt.prepare(solid, domain, chaser_radius, numbers.webs, generator) if numbers.tuning_steps else None
-    data = normalised(samples, domain)
+    data = normalised(samples, domain, numbers.near / (np.abs(samples.distance) + numbers.near))
 
     fingerprint = _fingerprint(target, solid, numbers, chaser_radius, seed)
     state = _initial(numbers, data, hunt.kept if hunt else 0, seed)
@@ -99,8 +103,12 @@ def fit(
     for block in range(first, blocks):
         tuning = block >= main_blocks
         if hunt is not None and tuning:
+            known = np.asarray(state.hard.x, np.float64) * domain.learned_radius + domain.centre
             fresh, worst = hunt.worst(
-                functools.partial(_values, state.layers, numbers, domain), np.random.default_rng((seed, block))
+                Learned(state.layers, numbers.beta, domain),
+                known,
+                np.random.default_rng((seed, block)),
+                settling=blocks - block <= SETTLING * tuning_blocks,
             )
             hard = jax.tree.map(lambda new, old: jnp.concatenate([new, old])[: len(old)], fresh, state.hard)
             state = state._replace(hard=hard, worst=jnp.asarray(worst, jnp.float32))
@@ -119,9 +127,7 @@ def fit(
         text = f"distance {float(value_term):.4f}, gradient {float(slope_term):.4f}{found}, {left:.0f} s left"
         progress(0.1 + 0.89 * (block + 1) / blocks, text)
 
-    field = _finished(
-        state.layers, numbers, domain, solid, functools.partial(_values, state.layers, numbers, domain), generator
-    )
+    field = _finished(Learned(state.layers, numbers.beta, domain), solid, generator)
     training = {
         "profile": name,
         "numbers": dataclasses.asdict(numbers),
@@ -136,23 +142,6 @@ def fit(
         checkpoint.unlink(missing_ok=True)
     progress(1.0, "done")
     return FieldModel(field, target.name, target.sha256, solid.offset, training)
-
-
-@functools.partial(jax.jit, static_argnums=(1,))
-def _in_chunks(layers: mlp.Layers, beta: float, x: Float32[Array, "n 3"]) -> Float32[Array, "n"]:
-    return mlp.in_chunks(lambda rows: mlp.value(layers, beta, rows), x, 1024)
-
-
-def _values(
-    layers: mlp.Layers, profile: Profile, domain: Domain, points: Float[np.ndarray, "n 3"]
-) -> Float[np.ndarray, "n"]:
-    """Return f̃ in metres, of the network alone."""
-    x = ((points - domain.centre) / domain.learned_radius).astype(np.float32)
-    # Whole pieces, so that few sizes are compiled.
-    padded = np.zeros((-(-len(x) // PIECE) * PIECE, 3), np.float32)
-    padded[: len(x)] = x
-    value = np.asarray(_in_chunks(layers, profile.beta, jnp.asarray(padded)), np.float64)
-    return value[: len(x)] * domain.learned_radius
 
 
 def _fingerprint(target: Target, solid: OffsetSolid, profile: Profile, chaser_radius: float, seed: int) -> str:
@@ -241,27 +230,21 @@ def _train_block(profile: Profile, scale: float, tuning: bool, state: _State, da
     return layers, optimizer_state, value_term.mean(), slope_term.mean()
 
 
-def _finished(
-    layers: mlp.Layers,
-    profile: Profile,
-    domain: Domain,
-    solid: OffsetSolid,
-    values: Values,
-    generator: np.random.Generator,
-) -> NeuralField:
+def _finished(learned: Learned, solid: OffsetSolid, generator: np.random.Generator) -> NeuralField:
     """Give the field its continuation, lowered by what it over-states on the shell it continues from."""
+    domain = learned.domain
 
     def build(allowance: float) -> NeuralField:
         lengths = (domain.target_radius, domain.domain_radius, domain.outer_radius, allowance)
         continuation = RadialContinuation(
             jnp.asarray(domain.centre), *(jnp.asarray(length, jnp.float64) for length in lengths)
         )
-        return NeuralField(layers, jnp.asarray(domain.learned_radius, jnp.float64), continuation, profile.beta)
+        return NeuralField(learned.layers, jnp.asarray(domain.learned_radius, jnp.float64), continuation, learned.beta)
 
     direction = generator.normal(size=(40_000, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     radius = generator.uniform(domain.domain_radius, domain.learned_radius, size=(len(direction), 1))
     shell = domain.centre + radius * direction
-    excess = values(shell) - solid.signed_distance(shell)
+    excess = learned.value(shell) - solid.signed_distance(shell)
     # A quarter above the largest of 40,000 samples of a smooth far field; `certify` does not rest on it.
     return build(1.25 * max(float(excess.max()), 0.0) + 0.01)
