@@ -17,6 +17,7 @@ IN_ONE = {
     "all and any": lambda x: (jnp.all(x.reshape(3, 4) > 0.0, axis=1), jnp.any(x > 0.0)),
     "norm": lambda x: x / jnp.linalg.norm(x),
     "product of matrices": lambda x: jnp.asarray(MATRIX) @ x.reshape(4, 3),
+    "product of larger matrices": lambda x: jnp.tile(x, (4, 8)) @ jnp.ones((96, 96)),
     "branch": lambda x: jax.lax.cond(x[0] > 0.0, jnp.sin, jnp.cos, x),
     "loop": lambda x: jax.lax.while_loop(lambda y: jnp.sum(y * y) < 100.0, lambda y: 1.1 * y, x),
     "scan": lambda x: jax.lax.scan(lambda total, y: (total + y, total * y), 0.0, x),

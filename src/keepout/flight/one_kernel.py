@@ -2,7 +2,7 @@
 
 XLA runs a program as a row of kernels over a table of buffers. Where every array holds a few numbers, filling the table
 and going from kernel to kernel take several times as long as the arithmetic. Two rewrites, which leave the arithmetic
-and its order alone:
+alone, and its order too but for products of matrices:
 
 - a sum, product, extreme or conjunction over a few elements becomes a row of binary operations: every reduction brings
   three buffers of its own, those of its binary function;
@@ -23,6 +23,9 @@ from jax.extend.core import Jaxpr, JaxprEqn, Literal
 
 FEW = 16
 """Largest number of elements whose reduction is written out."""
+
+NO_LIBRARIES: dict[str, str | bool] = {"xla_cpu_experimental_ynn_fusion_type": ""}
+"""XLA hands small products of matrices to a library otherwise, which cannot be put into one kernel."""
 
 _REDUCTIONS: dict[str, Callable[[Any, Any], Any]] = {
     "reduce_sum": lax.add,
@@ -56,7 +59,7 @@ def compiled(function: Callable[..., Any], *arguments: Any) -> tuple[Callable[..
 
         # What XLA refuses it says in several ways; an error of the function itself comes again below.
         with contextlib.suppress(jax.errors.JaxRuntimeError):
-            return jax.jit(marked).lower(*arguments).compile(), True
+            return jax.jit(marked).lower(*arguments).compile(NO_LIBRARIES), True
     return jax.jit(function).lower(*arguments).compile(), False
 
 
