@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from test_neural_field import random_layers
 
-from keepout.fields import bounds, mlp
+from keepout.fields import bounds, mlp, relaxation
 
 BETA = 100.0
 
@@ -92,20 +92,50 @@ def test_float32_exponential_and_logarithm_are_as_exact_as_assumed():
     e = np.exp(-t.astype(np.float64))
     normal = e > 2.0**-125
     got = np.asarray(jax.jit(lambda x: jnp.exp(-x))(t), np.float64)
-    assert (np.abs(got - e)[normal] / e[normal]).max() < 0.5 * bounds.ELEMENTARY * 2.0**-23
+    assert (np.abs(got - e)[normal] / e[normal]).max() < 0.5 * relaxation.ELEMENTARY * 2.0**-23
     argument = np.exp(-t).astype(np.float32)
     log = np.log1p(argument.astype(np.float64))
     got = np.asarray(jax.jit(jnp.log1p)(argument), np.float64)
     kept = log > 2.0**-125
-    assert (np.abs(got - log)[kept] / log[kept]).max() < 0.5 * bounds.ELEMENTARY * 2.0**-23
+    assert (np.abs(got - log)[kept] / log[kept]).max() < 0.5 * relaxation.ELEMENTARY * 2.0**-23
 
 
-def test_float64_exponential_and_logarithm_are_as_exact_as_assumed():
-    t = np.concatenate([np.linspace(0.0, 700.0, 1_000_001), np.geomspace(1e-30, 1.0, 200_001)])
-    e = np.exp(-t.astype(np.longdouble))
-    got = np.asarray(jax.jit(lambda x: jnp.exp(-x))(t)).astype(np.longdouble)
-    assert (np.abs(got - e) / e).max() < 0.5 * bounds.ELEMENTARY * 2.0**-52
-    argument = np.exp(-t)
-    log = np.log1p(argument.astype(np.longdouble))
-    got = np.asarray(jax.jit(jnp.log1p)(argument)).astype(np.longdouble)
-    assert (np.abs(got - log) / log).max() < 0.5 * bounds.ELEMENTARY * 2.0**-52
+def test_float64_softplus_of_the_bounds_is_as_exact_as_assumed():
+    t = np.concatenate([np.linspace(-700.0, 700.0, 1_000_001), np.geomspace(1e-30, 1.0, 200_001)])
+    value, slope = (np.array(column) for column in zip(*(relaxation.softplus(one) for one in t)))
+    wide = t.astype(np.longdouble)
+    e = np.exp(-np.abs(wide))
+    units = relaxation.ELEMENTARY * 2.0**-53
+    assert (np.abs(value - (np.maximum(wide, 0.0) + np.log1p(e))) <= units * (np.abs(wide) + np.log1p(e))).all()
+    assert (np.abs(slope - np.where(wide > 0.0, 1.0, e) / (1.0 + e)) <= units * slope).all()
+
+
+def test_beyond_saturation_the_softplus_is_its_limit_to_the_tail():
+    t = np.linspace(relaxation.SATURATED, 50.0, 1001)
+    for sign in (1.0, -1.0):
+        value, slope = (np.array(column) for column in zip(*(relaxation.softplus(one) for one in sign * t)))
+        assert np.abs(value - np.maximum(sign * t, 0.0)).max() < relaxation.TAIL
+        assert np.abs(slope - (sign > 0.0)).max() < relaxation.TAIL
+
+
+@pytest.mark.parametrize("kind", ["triangle", "box"])
+def test_elements_are_bounded_alike_in_any_company(kind):
+    """Each alone, or among others, of which it takes the rounding only."""
+    layers = random_layers(4, (3, 32, 32, 32, 1), jnp.float32)
+    network, rng = bounds.Network.of(layers, BETA), np.random.default_rng(3)
+    elements = random_elements(kind, rng, 2 * bounds.CHUNK + 3, 0.01)
+    together = bounds.upper_bounds(network, elements)
+    for i in (0, bounds.CHUNK - 1, bounds.CHUNK, 2 * bounds.CHUNK + 2):
+        alone = bounds.upper_bounds(network, elements._replace(columns=elements.columns[:, i : i + 1]))
+        assert alone.upper[0] == pytest.approx(together.upper[i], abs=1e-10)
+        assert alone.slope[0] == pytest.approx(together.slope[i], abs=1e-10)
+        assert alone.evaluation_error[0] == pytest.approx(together.evaluation_error[i], rel=1e-5)
+
+
+def test_numbers_that_overflow_leave_a_bound_of_infinity():
+    layers = random_layers(6, (3, 16, 16, 16, 1), jnp.float32)
+    huge = mlp.Layers(tuple(W * np.float32(1e20) for W in layers.weights), layers.biases)
+    elements = random_elements("box", np.random.default_rng(4), 10, 0.1)
+    answer = bounds.upper_bounds(bounds.Network.of(huge, BETA), elements)
+    assert (answer.upper == np.inf).all()
+    assert (answer.evaluation_error == np.inf).all()

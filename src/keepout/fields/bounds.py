@@ -4,43 +4,56 @@ Each element is carried through the network as an affine form z ∈ A(x) + [-r, 
 of the softplus lost. The intervals so found feed one backward pass of linear bound propagation (CROWN: Zhang et al.
 2018), which bounds the output by a linear function of x, largest at a vertex. Alongside runs a bound of what
 evaluating the same network in float32 can add: every rounding times the largest slope of the output with respect to
-the number that was rounded. The argument is in docs/certificate.md.
+the number that was rounded. What only bounds an error (r, and all of float32's) is itself carried in float32 and
+enlarged by its own rounding: half the work. The argument is in docs/certificate.md.
 """
 
-import functools
 from typing import Literal, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float, Float32
+from threadpoolctl import threadpool_limits
 
-from keepout.fields import mlp
+from keepout.fields import mlp, relaxation
+from keepout.fields.relaxation import UNIT32, UNIT64
+from keepout.geometry.bvh import share_among_cores
 
-UNIT64, UNIT32 = 2.0**-53, 2.0**-24
-ELEMENTARY = 8.0
-"""Units in the last place by which exp and log1p may be wrong, in float32 and in float64; a test sweeps them."""
-
-Vector = Float[Array, "m n"]
+CHUNK = 128
+"""Elements carried together by one core: what they leave for the backward pass stays in its cache."""
 
 
 class Network(NamedTuple):
-    """A scalar softplus network in float64 (its float32 numbers, exactly)."""
+    """A scalar softplus network in float64 (its float32 numbers, exactly).
+
+    Attributes:
+        weights, biases: see `mlp.Layers`.
+        beta: sharpness of the softplus.
+        single: whether it is evaluated in float32.
+        rounded, absolute: W and |W| of each layer in float32, to its rounding.
+        spread: Σ |W| of each neuron.
+
+    """
 
     weights: tuple[Float[np.ndarray, "_ _"], ...]
     biases: tuple[Float[np.ndarray, "_"], ...]
     beta: float
     single: bool
-    """Whether it is evaluated in float32."""
+    rounded: tuple[Float32[np.ndarray, "_ _"], ...]
+    absolute: tuple[Float32[np.ndarray, "_ _"], ...]
+    spread: tuple[Float[np.ndarray, "_"], ...]
 
     @classmethod
     def of(cls, layers: mlp.Layers, beta: float) -> "Network":
         """Return the network of a neural field."""
+        weights = tuple(np.asarray(W, np.float64) for W in layers.weights)
         return cls(
-            tuple(np.asarray(W, np.float64) for W in layers.weights),
+            weights,
             tuple(np.asarray(b, np.float64) for b in layers.biases),
             beta,
             layers.weights[0].dtype == np.float32,
+            tuple(W.astype(np.float32) for W in weights),
+            tuple(np.abs(W).astype(np.float32) for W in weights),
+            tuple(np.abs(W).sum(axis=1) for W in weights),
         )
 
 
@@ -85,159 +98,138 @@ class Bounds(NamedTuple):
 
 
 def upper_bounds(network: Network, elements: Elements) -> Bounds:
-    """Bounds of the network over each element."""
-    answer = _bounds(
-        elements.kind, network.single, network.beta, network.weights, network.biases, jnp.asarray(elements.columns)
-    )
-    return Bounds(*(np.asarray(part) for part in answer))
+    """Bounds of the network over each element, on all cores."""
+    m = elements.columns.shape[1]
+    answer = Bounds(np.empty(m), np.empty((m, 3)), np.empty(m), np.empty(m))
+
+    def work(part: slice) -> None:
+        room = _Room.of(network, len(elements.columns))
+        for start in range(part.start, min(part.stop, m), CHUNK):
+            piece = elements.columns[:, start : min(start + CHUNK, part.stop)]
+            count = piece.shape[1]
+            padded = np.concatenate([piece, np.repeat(piece[:, -1:], CHUNK - count, axis=1)], axis=1)
+            with np.errstate(over="ignore", invalid="ignore"):  # what overflows is bounded by infinity
+                some = _bounds(network, elements.kind == "box", padded, room)
+            for whole, part_of_it in zip(answer, some):
+                whole[start : start + count] = part_of_it[:count]
+
+    # Every core has its own elements; products that are shared out among the cores as well only wait for each other.
+    with threadpool_limits(1, "blas"):
+        share_among_cores(work, m, chunk=8 * CHUNK)
+    return answer
 
 
-def _range(kind: str, columns: Float[Array, "k m n"]) -> tuple[Vector, Vector]:
-    if kind == "triangle":
-        return columns.min(axis=0), columns.max(axis=0)
-    reach = jnp.abs(columns[1:]).sum(axis=0)
-    return columns[0] - reach, columns[0] + reach
+class _Room(NamedTuple):
+    """Arrays of one core, used again for each chunk: asking the system for memory takes as long as the arithmetic.
 
+    Attributes:
+        columns, carried: of each layer's z, then of its activations; see `relaxation.relax`.
+        layers: the relaxations of the hidden layers.
+        rows, slopes: of the backward pass, with respect to each layer's input and to the last one's output.
 
-def _plus(kind: str, columns: Float[Array, "k m n"], constant: Array) -> Float[Array, "k m n"]:
-    """Add a constant to an affine form."""
-    return columns + constant if kind == "triangle" else columns.at[0].add(constant)
+    """
 
+    columns: list[Float[np.ndarray, "k m _"]]
+    carried: list[Float32[np.ndarray, "3 m _"]]
+    layers: list[relaxation.Layer]
+    rows: list[Float[np.ndarray, "m _"]]
+    slopes: list[Float32[np.ndarray, "2 m _"]]
 
-def _softplus(z: Array, beta: float) -> tuple[Array, Array]:
-    """σ and σ'."""
-    t = beta * z
-    e = jnp.exp(-jnp.abs(t))
-    slope = jnp.where(t > 0.0, 1.0, e) / (1.0 + e)
-    return (jnp.maximum(t, 0.0) + jnp.log1p(e)) / beta, slope
-
-
-class _Layer(NamedTuple):
-    """What the forward pass leaves for the backward pass, per element and neuron of one hidden layer."""
-
-    low: Vector
-    high: Vector
-    chord: Vector
-    """Slope of the chord of σ over [low, high]."""
-    above: Vector
-    """σ(z) ≤ chord z + above."""
-    magnitude: Float[Array, "n"]
-    """max |σ| over the batch."""
-    slope_low: Vector
-    slope_high: Vector
-    """σ' lies between these wherever exact and float32 evaluation may be."""
-    sum_rounding: Vector
-    """What float32 adds to z itself."""
-    activation_rounding: Vector
-    """What float32 adds to σ(z) itself."""
-
-
-def _forward(
-    kind: str, single: bool, beta: float, weights: tuple[Array, ...], biases: tuple[Array, ...], columns: Array
-) -> tuple[list[_Layer], Array, Array, Array, Array]:
-    """Return hidden layers, an upper bound of the output, its own rounding, its error, and the error of the input."""
-    low, high = _range(kind, columns)
-    size = jnp.maximum(jnp.abs(low), jnp.abs(high))
-    remainder = jnp.zeros_like(size)
-    # Casting x to float32; the float64 normalisation before it is far below that.
-    input_error = error = (1.01 * UNIT32 if single else 8.0 * UNIT64) * size
-    unit = UNIT32 if single else UNIT64
-    magnitude = size.max(axis=0)
-    layers: list[_Layer] = []
-    last = len(weights) - 1
-    for depth, (W, b) in enumerate(zip(weights, biases)):
-        n = W.shape[1]
-        absolute = jnp.abs(W)
-        reach = absolute @ magnitude + jnp.abs(b)  # no partial sum of this layer exceeds it
-        rounding = 8.0 * (n + 4) * UNIT64 * reach
-        columns = _plus(kind, columns @ W.T, b)
-        remainder, carried, total = jnp.stack([remainder, error, size + error]) @ absolute.T
-        remainder = remainder + rounding
-        low, high = _range(kind, columns)
-        low, high = low - remainder, high + remainder
-        sum_rounding = 1.01 * (n + 2) * unit * (total + jnp.abs(b))
-        error = carried * (1.0 + 1e-9) + sum_rounding
-        if depth == last:
-            return layers, high[:, 0], sum_rounding[:, 0], error[:, 0], input_error
-        at_low, _ = _softplus(low, beta)
-        at_high, _ = _softplus(high, beta)
-        width = high - low
-        chord = jnp.clip((at_high - at_low) / jnp.maximum(width, 1e-300), 0.0, 1.0)
-        above = jnp.maximum(at_low - chord * low, at_high - chord * high)
-        # σ - chord z is convex; its minimum lies where σ' = chord. A tangent at an approximate place, lowered by what
-        # its slope is off, is a lower bound whatever the rounding of that place.
-        inner = jnp.clip(chord, 1e-12, 1.0 - 1e-12)
-        place = jnp.clip(jnp.log(inner / (1.0 - inner)) / beta, low, high)
-        at_place, slope = _softplus(place, beta)
-        tilt = slope - chord
-        below = at_place - chord * place + jnp.minimum(tilt * (low - place), tilt * (high - place))
-        slack = 64.0 * UNIT64 * (jnp.abs(low) + jnp.abs(high) + 1.0 / beta)
-        above, below = above + slack, below - slack
-        magnitude = at_high.max(axis=0) + slack.max(axis=0)
-        _, steepest = _softplus(high + error, beta)
-        _, flattest = _softplus(low - error, beta)
-        activation_rounding = ELEMENTARY * unit * (at_high + error + 2.0 / beta)
-        layers.append(
-            _Layer(
-                low,
-                high,
-                chord,
-                above,
-                magnitude,
-                flattest * (1.0 - 1e-12),
-                steepest * (1.0 + 1e-12),
-                sum_rounding,
-                activation_rounding,
-            )
+    @classmethod
+    def of(cls, network: Network, k: int) -> "_Room":
+        outputs = [len(b) for b in network.biases]
+        inputs = [W.shape[1] for W in network.weights]
+        return cls(
+            [np.empty((k, CHUNK, n)) for n in outputs],
+            [np.empty((3, CHUNK, n), np.float32) for n in outputs],
+            [relaxation.Layer.empty(CHUNK, n) for n in outputs[:-1]],
+            [np.empty((CHUNK, n)) for n in inputs],
+            [np.empty((2, CHUNK, n), np.float32) for n in inputs],
         )
-        columns = _plus(kind, columns * chord, 0.5 * (above + below))
-        remainder = chord * remainder + 0.5 * (above - below)
-        size = at_high
-        error = steepest * error * (1.0 + 1e-9) + activation_rounding
-    raise AssertionError("a network ends in its output layer")
 
 
-@functools.partial(jax.jit, static_argnums=(0, 1, 2))
-def _bounds(
-    kind: str, single: bool, beta: float, weights: tuple[Array, ...], biases: tuple[Array, ...], columns: Array
-) -> tuple[Array, Array, Array, Array]:
-    layers, forward_upper, evaluation, forward_error, input_error = _forward(
-        kind, single, beta, weights, biases, columns
+def _rounding(
+    W: Float[np.ndarray, "p n"], b: Float[np.ndarray, "p"], magnitude: Float[np.ndarray, "n"]
+) -> Float[np.ndarray, "p"]:
+    """Float64 rounding of a layer's sums: no partial sum exceeds |W| a + |b|."""
+    return 8.0 * (W.shape[1] + 4) * UNIT64 * (np.abs(W) @ magnitude + np.abs(b))
+
+
+def _times(a: Float[np.ndarray, "*m n"], b: Float[np.ndarray, "n p"], out: Float[np.ndarray, "*m p"]) -> None:
+    np.matmul(a.reshape(-1, len(b)), b, out=out.reshape(-1, b.shape[1]))
+
+
+def _bounds(network: Network, box: bool, given: Float[np.ndarray, "k m 3"], room: _Room) -> Bounds:
+    weights, biases, m = network.weights, network.biases, CHUNK
+    unit = UNIT32 if network.single else UNIT64
+    # Share that a float32 sum of products of rounded numbers may lack of the sum of their sizes, doubled.
+    excess = 4.0 * (max(max(W.shape) for W in weights) + 16) * UNIT32
+    if box:
+        reach = np.abs(given[1:]).sum(axis=0)
+        low, high = given[0] - reach, given[0] + reach
+    else:
+        low, high = given.min(axis=0), given.max(axis=0)
+    size = np.maximum(np.abs(low), np.abs(high))
+    # Casting x to float32; the float64 normalisation before it is far below that.
+    input_error = (1.01 * UNIT32 if network.single else 8.0 * UNIT64) * size
+    columns, carried = given, np.stack([np.zeros_like(size), input_error, size + input_error]).astype(np.float32)
+    magnitude, extremes, active = size.max(axis=0), [], np.full(m, 3.0)
+    for depth, (W, b, absolute) in enumerate(zip(weights, biases, network.absolute)):
+        _times(columns, W.T, room.columns[depth])
+        _times(carried, absolute.T, room.carried[depth])
+        columns, carried = room.columns[depth], room.carried[depth]
+        if depth < len(weights) - 1:
+            extreme, magnitude = relaxation.relax(
+                room.layers[depth],
+                columns,
+                carried,
+                active,
+                _rounding(W, b, magnitude),
+                b,
+                network.spread[depth],
+                W.shape[1],
+                excess,
+                box,
+                network.beta,
+                unit,
+            )
+            extremes.append(extreme + magnitude + np.abs(b))
+
+    last, (left, error, total) = columns[:, :, 0], carried[:, :, 0].astype(np.float64) * (1.0 + excess)
+    left += _rounding(weights[-1], biases[-1], magnitude)
+    reach = np.abs(last[1:]).sum(axis=0)
+    low, high = (last[0] - reach, last[0] + reach) if box else (last.min(axis=0), last.max(axis=0))
+    low, high = low - left + biases[-1], high + left + biases[-1]
+    evaluation = relaxation.sum_rounding(
+        active,
+        weights[-1].shape[1],
+        total + np.abs(biases[-1]),
+        np.maximum(-low, high) + error,
+        network.spread[-1][0],
+        unit,
+        network.beta,
     )
-    m = columns.shape[1]
-    v = jnp.broadcast_to(weights[-1][0], (m, weights[-1].shape[1]))
-    constant = jnp.full(m, biases[-1][0])
-    absolute_v = jnp.abs(weights[-1][0])  # bounds |v| of every element, for the rounding
-    rounding = 0.0
-    # The output's slope with respect to an activation lies within `radius` of `centre`.
-    centre, radius = v, jnp.zeros_like(v)
-    for W, b, layer in zip(weights[-2::-1], biases[-2::-1], reversed(layers)):
-        absolute = jnp.abs(W)
-        evaluation = evaluation + ((jnp.abs(centre) + radius) * layer.activation_rounding).sum(axis=1)
-        slope_middle = 0.5 * (layer.slope_high + layer.slope_low)
-        slope_radius = 0.5 * (layer.slope_high - layer.slope_low)
-        centre, radius = centre * slope_middle, jnp.abs(centre) * slope_radius + radius * layer.slope_high
-        evaluation = evaluation + ((jnp.abs(centre) + radius) * layer.sum_rounding).sum(axis=1)
-        radius = (radius + 1e-12 * jnp.abs(centre)) @ absolute
+    forward_error = error + evaluation
 
-        middle = 0.5 * (layer.low + layer.high)
-        at_middle, tangent = _softplus(middle, beta)
-        below = at_middle - tangent * middle
-        slack = 64.0 * UNIT64 * (jnp.abs(layer.low) + jnp.abs(layer.high) + 1.0 / beta)
-        positive = v >= 0.0
-        slope = jnp.where(positive, layer.chord, tangent)
-        shift = jnp.where(positive, layer.above, below - slack)
-        n = W.shape[0]
-        size = jnp.maximum(jnp.abs(layer.low), jnp.abs(layer.high)).max(axis=0) + 1.0 / beta
-        rounding = rounding + 32.0 * (n + 8) * UNIT64 * (absolute_v @ (size + layer.magnitude + jnp.abs(b)))
-        scaled = v * slope
-        constant = constant + (v * shift).sum(axis=1) + scaled @ b
-        centre, v = jnp.stack([centre, scaled]) @ W
-        absolute_v = absolute_v @ absolute
-    evaluation = (evaluation + ((jnp.abs(centre) + radius) * input_error).sum(axis=1)) * (1.0 + 1e-9)
-    linear = jnp.einsum("kmi,mi->km", columns, v)
-    x_size = jnp.abs(columns).sum(axis=0).max(axis=0)
-    constant = constant + rounding + 32.0 * 16 * UNIT64 * (absolute_v @ x_size)
-    largest = linear.max(axis=0) if kind == "triangle" else linear[0] + jnp.abs(linear[1:]).sum(axis=0)
-    upper = jnp.minimum(largest + constant, forward_upper + 1e-12)
-    return upper, v, constant, jnp.minimum(evaluation, forward_error)
+    row, slopes = room.rows[-1], room.slopes[-1]
+    row[:], slopes[0] = weights[-1][0], network.rounded[-1][0]
+    slopes[1] = 2.0 * UNIT32 * np.abs(slopes[0])  # the output's own weights, rounded
+    constant = np.full(m, biases[-1][0])
+    size_of_row, rounding_back = np.abs(weights[-1][0]), 0.0  # |row| of every element is at most this
+    for depth in range(len(weights) - 2, -1, -1):
+        W, b = weights[depth], biases[depth]
+        rounding_back += 32.0 * (len(b) + 8) * UNIT64 * float(size_of_row @ extremes[depth])
+        relaxation.pull_back(room.layers[depth], b, row, slopes, excess, constant, evaluation)
+        _times(row, W, room.rows[depth])
+        _times(slopes[0], network.rounded[depth], room.slopes[depth][0])
+        _times(slopes[1], network.absolute[depth], room.slopes[depth][1])
+        row, slopes = room.rows[depth], room.slopes[depth]
+        size_of_row = size_of_row @ np.abs(W)
+    slopes = np.abs(slopes[0]) + slopes[1] * (1.0 + excess)
+    evaluation = (evaluation + (slopes * input_error).sum(axis=1)) * (1.0 + 1e-5)
+    linear = np.einsum("kmi,mi->km", given, row)
+    constant += rounding_back + 32.0 * 16 * UNIT64 * float(size_of_row @ np.abs(given).sum(axis=0).max(axis=0))
+    largest = linear[0] + np.abs(linear[1:]).sum(axis=0) if box else linear.max(axis=0)
+    upper = np.minimum(largest + constant, high + 1e-12)
+    error = np.minimum(evaluation, forward_error)
+    return Bounds(*(np.where(np.isnan(part), np.inf, part) for part in (upper, row, constant, error)))

@@ -24,14 +24,16 @@ from keepout.geometry.octree import CORNERS, straddling_cells
 from keepout.geometry.target import Target
 from keepout.progress import Progress, silent
 
-CHUNK = 1024
-RELATIVE_GAP, SMALLEST_GAP = 0.05, 0.005
-"""Splitting stops when the bound is within this of the largest value found: 5 %, or 5 mm."""
+PIECE = 32_768
+"""Elements bounded between two reports of progress."""
+RELATIVE_GAP, SMALLEST_GAP = 0.05, 0.003
+"""Splitting stops when the bound is within this of the largest value found: 5 %, or 3 mm."""
 MOST_ELEMENTS = 3_000_000
 """Splitting also stops after this many elements; the bound is then the largest of what is left: looser, and still
 proved."""
-ERROR_GAP = 1e-4
-"""Share of the domain's radius by which the float32 error may carry the bound further above the largest value found."""
+ERROR_GAP, POINT_LIKE = 2e-5, 0.005
+"""Share of the domain's radius by which the float32 error may carry the bound further above the largest value found,
+where an element is longer than so many metres: the error does not vanish at a point."""
 GRADIENT_ALLOWANCE = 0.2
 """Added to the largest gradient found, as a share of it, where the proof of a bound takes too long."""
 FIRST_LEAF, LARGEST_LEAF = 0.02, 0.4
@@ -192,8 +194,8 @@ def _bound_on_contact(
     while len(frontier):
         gap = max(RELATIVE_GAP * abs(found - radius), SMALLEST_GAP)
         upper, error = np.empty(len(frontier)), np.empty(len(frontier))
-        for first in range(0, len(frontier), CHUNK):
-            piece = frontier[first : first + CHUNK]
+        for first in range(0, len(frontier), PIECE):
+            piece = frontier[first : first + PIECE]
             part = slice(first, first + len(piece))
             upper[part], error[part] = _bounded(network, piece, distance, radius, centre, scale, normalisation)
         seen += len(frontier)
@@ -201,8 +203,8 @@ def _bound_on_contact(
         worst = frontier[np.argsort(-upper)[:LOOKED_AT]]
         places = worst.mean(axis=1) if radius == 0.0 else onto_level(distance, worst[:, 0], radius)
         found = max(found, float(values(field, places).max(initial=-np.inf)))
-        # Splitting does not bring the float32 error to zero, so it has its own allowance.
-        open_ = (upper - error > found + gap) | (upper > found + gap + ERROR_GAP * scale)
+        large = _length(frontier, radius) > POINT_LIKE
+        open_ = (upper - error > found + gap) | ((upper > found + gap + ERROR_GAP * scale) & large)
         if seen + 8 * int(open_.sum()) > MOST_ELEMENTS:
             open_[:] = False
         settled = max(settled, float(upper[~open_].max(initial=-np.inf)))
@@ -229,15 +231,12 @@ def _bounded(
 
     Minus infinity where the element does not meet {d = radius}.
     """
-    # Whole chunks only, so that the bounds are compiled once.
-    padded = np.concatenate([piece, np.repeat(piece[-1:], CHUNK - len(piece), axis=0)])
-    answer = bounds.upper_bounds(network, _elements(padded, radius, centre, scale, slack))
-    upper, slope, constant, error = (part[: len(piece)] for part in answer)
+    upper, slope, constant, error = bounds.upper_bounds(network, _elements(piece, radius, centre, scale, slack))
     if radius > 0.0:
         middle = piece[:, 0]
         at_middle = ((middle - centre) / scale * slope).sum(axis=1) + constant
         cut = largest_on_level(distance, radius, middle, piece[:, 1, 0] + slack, slope)
-        upper = np.minimum(upper, at_middle + cut / scale)
+        upper = np.fmin(upper, at_middle + cut / scale)
     return scale * (upper + error), scale * error
 
 
@@ -262,6 +261,13 @@ def _elements(
     if radius == 0.0:
         return bounds.triangles((piece - centre) / scale)
     return bounds.boxes((piece[:, 0] - centre) / scale, (piece[:, 1] + slack) / scale)
+
+
+def _length(elements: Float[np.ndarray, "m k 3"], radius: float) -> Float[np.ndarray, "m"]:
+    """Longest edge of each triangle, or side of each cube, metres."""
+    if radius == 0.0:
+        return np.linalg.norm(elements[:, [1, 2, 0]] - elements[:, [2, 0, 1]], axis=2).max(axis=1)
+    return 2.0 * elements[:, 1, 0]
 
 
 def _split(elements: Float[np.ndarray, "m k 3"], distance: ExactDistance, radius: float) -> Float[np.ndarray, "p k 3"]:

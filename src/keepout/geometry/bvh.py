@@ -90,9 +90,9 @@ def closest(
     return distance, nearest, face
 
 
-def share_among_cores(work: Callable[[slice], None], count: int) -> None:
+def share_among_cores(work: Callable[[slice], None], count: int, *, chunk: int = _CHUNK) -> None:
     """Call `work` for slices that together cover 0 to `count`, on all cores; it must release the interpreter's lock."""
-    parts = [slice(start, start + _CHUNK) for start in range(0, count, _CHUNK)]
+    parts = [slice(start, start + chunk) for start in range(0, count, chunk)]
     if len(parts) <= 1 or _WORKERS == 1:
         for part in parts:
             work(part)
