@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float32
 
-from keepout.fields import mlp
+from keepout.fields import mlp, second_sweep
 from keepout.fields.profile import Profile
 
 
@@ -28,7 +28,7 @@ def keepout_terms(
 
     Where the point is hidden, only over-statement counts.
     """
-    y, gradient = mlp.value_and_gradient(layers, profile.beta, batch.x)
+    y, gradient = second_sweep.value_and_gradient(layers, profile.beta, batch.x)
     e = y * jnp.float32(scale) - batch.distance
     over, under = jnp.maximum(e, 0.0), jnp.where(batch.hidden, 0.0, jnp.maximum(-e, 0.0))
     tau = jnp.float32(profile.over_weight)
@@ -46,7 +46,7 @@ def paper_terms(
     L_E = (‖∇f̃‖ - 1)². The printed L_P = (κ-1) max(e, 0) leaves f̃ → -∞ free; the pinball reading is
     ((κ-1)/2) e + ((κ+1)/2)|e| = κ max(e, 0) + max(-e, 0).
     """
-    y, gradient = mlp.value_and_gradient(layers, profile.beta, batch.x)
+    y, gradient = second_sweep.value_and_gradient(layers, profile.beta, batch.x)
     e = y - batch.distance / jnp.float32(scale)
     kappa = jnp.float32(profile.kappa)
     if profile.loss == "paper_printed":

@@ -21,7 +21,7 @@ class Layers(NamedTuple):
     biases: tuple[Float[Array, "_"], ...]
 
 
-def _times(a: Float[Array, "n k"], b: Float[Array, "k m"]) -> Float[Array, "n m"]:
+def times(a: Float[Array, "n k"], b: Float[Array, "k m"]) -> Float[Array, "n m"]:
     """Multiply in full precision on every device: a GPU's shorter products would break the certificate."""
     return jnp.matmul(a, b, precision=jax.lax.Precision.HIGHEST)
 
@@ -32,7 +32,7 @@ def softplus(z: Float[Array, "*n"], beta: float) -> Float[Array, "*n"]:
     return (jnp.maximum(t, 0.0) + jnp.log1p(jnp.exp(-jnp.abs(t)))) / beta
 
 
-def _softplus_and_slope(z: Float[Array, "*n"], beta: float) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
+def softplus_and_slope(z: Float[Array, "*n"], beta: float) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
     """σ and σ' = s, the logistic function of β z, from one exponential; σ'' = β s (1 - s)."""
     t = beta * z
     e = jnp.exp(-jnp.abs(t))
@@ -45,8 +45,8 @@ def value(layers: Layers, beta: float, x: Float[Array, "n 3"]) -> Float[Array, "
     """Return the network's value at each row of x."""
     a = x
     for W, b in zip(layers.weights[:-1], layers.biases[:-1]):
-        a = softplus(_times(a, W.T) + b, beta)
-    return _times(a, layers.weights[-1].T)[:, 0] + layers.biases[-1][0]
+        a = softplus(times(a, W.T) + b, beta)
+    return times(a, layers.weights[-1].T)[:, 0] + layers.biases[-1][0]
 
 
 def value_and_gradient(
@@ -55,12 +55,12 @@ def value_and_gradient(
     """Value and gradient at each row of x: one forward and one reverse sweep."""
     a, slopes = x, []
     for W, b in zip(layers.weights[:-1], layers.biases[:-1]):
-        a, slope = _softplus_and_slope(_times(a, W.T) + b, beta)
+        a, slope = softplus_and_slope(times(a, W.T) + b, beta)
         slopes.append(slope)
-    out = _times(a, layers.weights[-1].T)[:, 0] + layers.biases[-1][0]
+    out = times(a, layers.weights[-1].T)[:, 0] + layers.biases[-1][0]
     a_bar = jnp.broadcast_to(layers.weights[-1][0], a.shape)
     for W, slope in zip(layers.weights[-2::-1], reversed(slopes)):
-        a_bar = _times(a_bar * slope, W)
+        a_bar = times(a_bar * slope, W)
     return out, a_bar
 
 
@@ -74,23 +74,23 @@ def value_gradient_hessian(
     """
     n = x.shape[0]
     first = layers.weights[0]
-    a, slope = _softplus_and_slope(_times(x, first.T) + layers.biases[0], beta)
+    a, slope = softplus_and_slope(times(x, first.T) + layers.biases[0], beta)
     J = jnp.broadcast_to(first.T[:, None, :], (3, n, first.shape[0]))
     tape = [(slope, J)]
     for W, b in zip(layers.weights[1:-1], layers.biases[1:-1]):
         # Value and tangents go through one product: the weights are read once.
-        Z = _times(jnp.concatenate([a[None], slope * J]).reshape(4 * n, -1), W.T).reshape(4, n, -1)
+        Z = times(jnp.concatenate([a[None], slope * J]).reshape(4 * n, -1), W.T).reshape(4, n, -1)
         J = Z[1:]
-        a, slope = _softplus_and_slope(Z[0] + b, beta)
+        a, slope = softplus_and_slope(Z[0] + b, beta)
         tape.append((slope, J))
-    out = _times(a, layers.weights[-1].T)[:, 0] + layers.biases[-1][0]
+    out = times(a, layers.weights[-1].T)[:, 0] + layers.biases[-1][0]
 
     a_bar = jnp.broadcast_to(layers.weights[-1][0], a.shape)
     curvatures = []
     for W, (slope, J) in zip(layers.weights[-2::-1], reversed(tape)):
         z_bar = a_bar * slope
         curvatures.append((z_bar * (1.0 - slope), J))
-        a_bar = _times(z_bar, W)
+        a_bar = times(z_bar, W)
     return out, a_bar, beta * _sum_of_curvatures(curvatures)
 
 
