@@ -53,7 +53,7 @@ def test_a_planted_peak_is_climbed(solid, peak, level, width):
     # The highest counts most, and what is not over-stated once.
     weight = np.asarray(batch.weight)
     assert weight[near].max() == pytest.approx(HIGHEST)
-    assert np.all(weight[~near] == 1.0)
+    assert np.all(weight[:-WEBS][~near[:-WEBS]] == 1.0)
     # Their labels are the truth, not what the field said.
     truth = solid.distance.distance(found[near]) - solid.offset
     inside = np.asarray(batch.hidden)[near]
@@ -79,6 +79,11 @@ def test_a_web_is_found(solid):
     assert near.sum() >= 0.9 * (np.linalg.norm(hunt.near.points - web, axis=1) < 0.15).sum()
     truth = solid.distance.distance(found[near]) - solid.offset
     assert np.allclose(np.asarray(batch.distance)[-WEBS:][near], truth, atol=1e-5)
+    # The deepest counts most.
+    weight = np.asarray(batch.weight)[-WEBS:]
+    assert weight.max() == pytest.approx(HIGHEST)
+    assert weight[near].max() == weight.max()
+    assert weight.min() < 2.0
     # While the certified side settles, webs are left alone.
     settled, _ = hunt.worst(wrong, NOTHING_KNOWN, np.random.default_rng(1), settling=True)
     assert len(settled.x) == len(batch.x)

@@ -22,9 +22,11 @@ from keepout.fields.sampling import (
 from keepout.geometry.distance import ExactDistance
 from keepout.geometry.offset_solid import OffsetSolid
 
-ON_SURFACE, ON_LEVEL, NEAR, NEAR_FIELD = 100_000, 100_000, 60_000, 1.2
-"""Candidates on the surface and on the chaser's contact surface, new ones every round; and those within so many metres,
-which stay."""
+ON_SURFACE, ON_LEVEL, NEAR = 100_000, 100_000, 200_000
+"""Candidates on the surface and on the chaser's contact surface, new ones every round; and those in the room next to
+the surface (`Domain.room`), which stay."""
+NEAR_FIELD = 1.2
+"""Metres from the surface up to which over-statement is hunted in the room, too."""
 WORST, ROUNDS_KEPT = 1500, 3
 """Over-statements of each kind that a round keeps, and the rounds that are learned from."""
 CLIMBERS = 4000
@@ -35,7 +37,7 @@ PEAKS, COPIES, PEAK_SIZE = 100, 5, 0.1
 """Of the over-statements a round keeps, this many peaks, so many metres apart, are kept so many times: the error bound
 is that of the highest, however narrow."""
 HIGHEST = 4.0
-"""Weight of the highest peak; it falls to 1 for what is not over-stated."""
+"""Weight of the highest peak, and of the deepest web; it falls to 1 for what is not over- or under-stated."""
 JITTERED, JITTER = 0.6, 0.03
 """The share of them that is moved off its surface, and by how much, metres."""
 
@@ -76,12 +78,19 @@ class Hunt:
 
     @classmethod
     def prepare(
-        cls, solid: OffsetSolid, domain: Domain, chaser_radius: float, webs: int, generator: np.random.Generator
+        cls,
+        solid: OffsetSolid,
+        domain: Domain,
+        chaser_radius: float,
+        webs: int,
+        generator: np.random.Generator,
+        *,
+        room_share: float = 0.0,
     ) -> "Hunt":
-        """Sample the candidates that stay."""
+        """Sample the candidates that stay; `room_share` of them as `training_points` has it."""
         distance = solid.distance
-        near = training_points(distance, domain, 3 * NEAR, generator)
-        near = label(solid, near[distance.distance(near) < NEAR_FIELD][:NEAR])
+        near = training_points(distance, domain, 3 * NEAR, generator, room_share=room_share)
+        near = label(solid, near[distance.distance(near) < domain.room][:NEAR])
         return cls(solid, domain, chaser_radius, near, webs)
 
     @property
@@ -113,16 +122,17 @@ class Hunt:
             points, value = self._climbed(learner, self._candidates(level, known, generator), level, generator)
             peaks = _peaks(points, value)
             best = np.concatenate([_largest(value, WORST - COPIES * len(peaks)), np.repeat(peaks, COPIES)])
-            over = np.maximum(value[best] - level, 0.0)
             chosen.append(points[best])
-            weights.append(1.0 + (HIGHEST - 1.0) * over / max(over.max(), 1e-9))
+            weights.append(_weights(value[best] - level))
             largest = max(largest, float(value.max()) - level)
         excess = learner.value(self.near.points.astype(np.float64)) - self.near.distance
         lack = np.where(self.near.hidden, -np.inf, -excess)
+        excess = np.where(self.near.distance < NEAR_FIELD, excess, -np.inf)
         webs = 0 if settling else self.webs
-        for best in (_largest(excess, WORST + self.webs - webs), _largest(lack, webs)):
-            chosen.append(self.near.points[best].astype(np.float64))
-            weights.append(np.ones(len(best)))
+        over, under = _largest(excess, WORST + self.webs - webs), _largest(lack, webs)
+        chosen += [self.near.points[best].astype(np.float64) for best in (over, under)]
+        # A web is deep and rare: a loss that grows with the error alone would rather keep it.
+        weights += [np.ones(len(over)), _weights(lack[under])]
         points = np.concatenate(chosen)
         points += JITTER * generator.normal(size=points.shape) * (generator.random((len(points), 1)) < JITTERED)
         return normalised(label(self.solid, points), self.domain, np.concatenate(weights)), largest
@@ -179,6 +189,12 @@ def _peaks(points: Points, value: Float[np.ndarray, "n"]) -> np.ndarray:
     cells = np.floor(points[order] / PEAK_SIZE).astype(np.int64)
     first = np.sort(np.unique(cells, axis=0, return_index=True)[1])
     return order[first[:PEAKS]]
+
+
+def _weights(error: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+    """Return `HIGHEST` for the largest error, falling to 1 at none."""
+    error = np.maximum(error, 0.0)
+    return 1.0 + (HIGHEST - 1.0) * error / max(error.max(initial=0.0), 1e-9)
 
 
 def _largest(value: Float[np.ndarray, "_"], count: int) -> np.ndarray:

@@ -68,7 +68,7 @@ class Profile:
 
 
 _STATION = Profile(
-    width=144, depth=5, steps=8_000, tuning_steps=6_000, webs=400, near=0.4, room_share=0.25, over_weight=0.65
+    width=160, depth=5, steps=10_000, tuning_steps=7_000, webs=300, near=0.4, room_share=0.25, over_weight=0.65
 )
 _PAPER = Profile(
     loss="paper_pinball",
