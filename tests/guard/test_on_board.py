@@ -14,7 +14,9 @@ from keepout.errors import ControlError
 from keepout.fields.analytic import SphereField
 from keepout.flight import FlightSetup, loop
 from keepout.flight.on_board import OnBoard
+from keepout.mission import prepare
 from keepout.motion import Orbit, RelativeMotion, Thrusters, paper_disturbance
+from keepout.scenario import Scenario
 
 GOAL = jnp.array([0.0, -6.0, -3.0])
 MOTION = RelativeMotion(Orbit(6_778_137.0))
@@ -66,6 +68,35 @@ def test_forces_are_those_of_the_loop(setup, on_board):
     on_board.restart(told)
     on_board.step(float(told.time), told.position, told.velocity)
     assert np.linalg.norm(on_board.order.disturbance_estimate) == 0.0
+
+
+def test_a_mission_as_it_is_prepared_is_one_kernel(tmp_path, monkeypatch):
+    """Learned field, geodesic guidance, and the guard with its grid field."""
+    monkeypatch.setenv("KEEPOUT_CACHE", str(tmp_path))
+    mission = prepare(
+        Scenario.parse(
+            {
+                "duration": 100.0,
+                "target": {"source": "intelsat30"},
+                "control": {"guidance": "geodesic"},
+                "start": {"position": [4.0, 3.0, 2.0]},
+                "goal": {"position": [-4.0, -3.0, -2.0]},
+            }
+        )
+    )
+    assert mission.setup.guard is not None
+    on_board = OnBoard(mission.setup, mission.initial)
+    assert on_board.one_kernel
+    state, step = loop.start(mission.setup, mission.initial, jax.random.key(0)), eqx.filter_jit(loop.step)
+    largest = 0.0
+    for _ in range(30):
+        told = state.motion
+        state, row = step(mission.setup, state)
+        force = on_board.step(float(told.time), told.position, told.velocity, told.attitude, told.angular_velocity)
+        assert np.allclose(force, row.guarded_force, rtol=0.0, atol=1e-9)
+        assert on_board.order.guard_status == row.guard_status
+        largest = max(largest, float(np.linalg.norm(force)))
+    assert largest > 0.01
 
 
 def test_a_number_that_is_none_is_answered_and_forgotten(on_board):
