@@ -101,7 +101,7 @@ def test_float32_exponential_and_logarithm_are_as_exact_as_assumed():
 
 
 def test_float64_softplus_of_the_bounds_is_as_exact_as_assumed():
-    t = np.concatenate([np.linspace(-700.0, 700.0, 1_000_001), np.geomspace(1e-30, 1.0, 200_001)])
+    t = np.concatenate([np.linspace(-700.0, 700.0, 200_001), np.geomspace(1e-30, 1.0, 20_001)])
     value, slope = (np.array(column) for column in zip(*(relaxation.softplus(one) for one in t)))
     wide = t.astype(np.longdouble)
     e = np.exp(-np.abs(wide))
