@@ -1,5 +1,7 @@
 """Speed of value, gradient and Hessian: against sgemm, `jax.hessian` and `torch.func`, and for a single point.
 
+The field is part of the compiled program, as it is on board, and compiled with `keepout.xla.WIDE`.
+
 Run: python benchmarks/fields.py (pin it to one core, with taskset or the like, for figures per core). The ratio to
 `torch.func` needs PyTorch (extra `bench`) and is left out without it.
 """
@@ -15,6 +17,7 @@ import numpy as np
 from keepout.fields import mlp
 from keepout.fields.continuation import RadialContinuation
 from keepout.fields.neural import NeuralField
+from keepout.xla import WIDE
 
 BATCH, REPEATS = 1000, 7
 
@@ -96,7 +99,7 @@ def main():
     point = jnp.array(points[0])
     for width, depth in ((96, 4), (128, 4), (512, 10)):
         field = make(width, depth)
-        ours = jax.jit(lambda p, f=field: f.value_gradient_hessian(p))
+        ours = jax.jit(lambda p, f=field: f.value_gradient_hessian(p), compiler_options=WIDE)
         seconds, ratio = paired(lambda ours=ours: ours(points), lambda: a @ a)
         flops = 2 * BATCH * ((depth - 1) * width**2 * 5 + width * (3 * 2 + 1) + 7 * width * depth)
         share = ratio * flops / (2 * 1024**3)

@@ -29,13 +29,12 @@ from keepout.fields.sampling import Domain, label, normalised, training_points
 from keepout.geometry.offset_solid import OffsetSolid
 from keepout.geometry.target import Target
 from keepout.progress import Progress, silent
+from keepout.xla import NO_LIBRARIES
 
 BLOCK = 250
 """Steps between progress reports, checkpoints and counter-example searches; one compiled loop runs them."""
 HARD_SHARE, HARD_WEIGHT = 0.3, 2.0
 TUNING_RATE = 0.4
-NO_LIBRARIES: dict[str, str | bool] = {"xla_cpu_experimental_ynn_fusion_type": ""}
-"""For XLA on a CPU: its own products and sums instead of a library's, a tenth of a step faster."""
 SETTLING = 1 / 3
 """Last share of the counter-example phase, in which under-statement is no longer hunted: it holds what it has gained,
 and the certified side settles last."""

@@ -21,11 +21,10 @@ from jax import lax
 from jax.experimental.xla_metadata import set_xla_metadata
 from jax.extend.core import Jaxpr, JaxprEqn, Literal
 
+from keepout.xla import NO_LIBRARIES
+
 FEW = 16
 """Largest number of elements whose reduction is written out."""
-
-NO_LIBRARIES: dict[str, str | bool] = {"xla_cpu_experimental_ynn_fusion_type": ""}
-"""XLA hands small products of matrices to a library otherwise, which cannot be put into one kernel."""
 
 _REDUCTIONS: dict[str, Callable[[Any, Any], Any]] = {
     "reduce_sum": lax.add,
