@@ -53,15 +53,32 @@ def value_and_gradient(
     layers: Layers, beta: float, x: Float[Array, "n 3"]
 ) -> tuple[Float[Array, "n"], Float[Array, "n 3"]]:
     """Value and gradient at each row of x: one forward and one reverse sweep."""
-    a, slopes = x, []
+    return sweeps(layers, beta, x)[0]
+
+
+class Kept(NamedTuple):
+    """What the two sweeps meet on their way: a_l from x on, s_l = σ'(z_l), and ∂f/∂z_l, of each hidden layer."""
+
+    activations: list[Float[Array, "n _"]]
+    slopes: list[Float[Array, "n _"]]
+    z_bars: list[Float[Array, "n _"]]
+
+
+def sweeps(
+    layers: Layers, beta: float, x: Float[Array, "n 3"]
+) -> tuple[tuple[Float[Array, "n"], Float[Array, "n 3"]], Kept]:
+    """Value and gradient at each row of x, and what a further derivative needs of their sweeps."""
+    activations, slopes = [x], []
     for W, b in zip(layers.weights[:-1], layers.biases[:-1]):
-        a, slope = softplus_and_slope(times(a, W.T) + b, beta)
+        a, slope = softplus_and_slope(times(activations[-1], W.T) + b, beta)
+        activations.append(a)
         slopes.append(slope)
-    out = times(a, layers.weights[-1].T)[:, 0] + layers.biases[-1][0]
-    a_bar = jnp.broadcast_to(layers.weights[-1][0], a.shape)
+    out = times(activations[-1], layers.weights[-1].T)[:, 0] + layers.biases[-1][0]
+    a_bar, z_bars = jnp.broadcast_to(layers.weights[-1][0], activations[-1].shape), []
     for W, slope in zip(layers.weights[-2::-1], reversed(slopes)):
-        a_bar = times(a_bar * slope, W)
-    return out, a_bar
+        z_bars.append(a_bar * slope)
+        a_bar = times(z_bars[-1], W)
+    return (out, a_bar), Kept(activations, slopes, z_bars[::-1])
 
 
 def value_gradient_hessian(

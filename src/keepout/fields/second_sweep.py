@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from keepout.fields.mlp import Layers, softplus_and_slope, times
+from keepout.fields.mlp import Kept, Layers, sweeps, times
 
 
 def value_and_gradient(
@@ -25,25 +25,16 @@ def value_and_gradient(
 
 @functools.partial(jax.custom_vjp, nondiff_argnums=(1,))
 def _value_and_gradient(layers: Layers, beta: float, x: Float[Array, "n 3"]) -> Any:
-    return _forward(layers, beta, x)[0]
+    return sweeps(layers, beta, x)[0]
 
 
-def _forward(layers: Layers, beta: float, x: Float[Array, "n 3"]) -> tuple[tuple[Array, Array], Any]:
-    activations, slopes = [x], []
-    for W, b in zip(layers.weights[:-1], layers.biases[:-1]):
-        a, slope = softplus_and_slope(times(activations[-1], W.T) + b, beta)
-        activations.append(a)
-        slopes.append(slope)
-    out = times(activations[-1], layers.weights[-1].T)[:, 0] + layers.biases[-1][0]
-    a_bar, z_bars = jnp.broadcast_to(layers.weights[-1][0], activations[-1].shape), []
-    for W, slope in zip(layers.weights[-2::-1], reversed(slopes)):
-        z_bars.append(a_bar * slope)
-        a_bar = times(z_bars[-1], W)
-    return (out, a_bar), (layers, activations, slopes, z_bars[::-1])
+def _forward(layers: Layers, beta: float, x: Float[Array, "n 3"]) -> tuple[tuple[Array, Array], tuple[Layers, Kept]]:
+    answer, kept = sweeps(layers, beta, x)
+    return answer, (layers, kept)
 
 
-def _reverse(beta: float, kept: Any, seeds: tuple[Array, Array]) -> tuple[Layers, None]:
-    layers, activations, slopes, z_bars = kept
+def _reverse(beta: float, forward: tuple[Layers, Kept], seeds: tuple[Array, Array]) -> tuple[Layers, None]:
+    layers, (activations, slopes, z_bars) = forward
     seed, along = seeds
     tangents, moved = [along], []
     for W, slope in zip(layers.weights[:-1], slopes):
