@@ -76,12 +76,59 @@ def test_geodesic_leads_round_a_sphere():
     assert float(outside[0]) < -0.05
 
 
-def test_geodesic_gradient_is_that_of_the_interpolated_time():
+def test_geodesic_direction_is_a_smooth_unit_vector():
     grid = BarrierGrid.build(SPHERE, 0.5, np.full(3, -5.0), np.full(3, 5.0), spacing=0.5)
     guidance = geodesic_guidance(grid, SPHERE, 0.5, np.array([0.0, -4.0, 0.0]), speed=0.1, slowing_length=2.0)
-    turned = jax.jit(jax.jacfwd(guidance.gradient))(jnp.asarray([1.0, 3.3, 0.4]))
-    # A gradient's Jacobian is symmetric.
-    np.testing.assert_allclose(turned, np.asarray(turned).T, atol=1e-12)
+    position, along, step = jnp.asarray([1.0, 3.3, 0.4]), jnp.asarray([0.6, 0.0, -0.8]), 1e-5
+    direction = jax.jit(lambda r: guidance.direction(r))
+    assert float(jnp.linalg.norm(direction(position))) == pytest.approx(1.0)
+    turned = jax.jacfwd(direction)(position) @ along
+    difference = (direction(position + step * along) - direction(position - step * along)) / (2.0 * step)
+    np.testing.assert_allclose(turned, difference, atol=1e-8)
+    # Over a face of the grid's cells (x = 1.0) the derivative goes on without a step.
+    sides = [jax.jacfwd(direction)(position.at[0].add(side)) for side in (-1e-9, 1e-9)]
+    np.testing.assert_allclose(*sides, atol=1e-6)
+
+
+def slid(field, offset, guidance, start, steps):
+    """Follow v_c a second at a time, less what a safe velocity takes off it: where it ends, and the least barrier."""
+
+    def move(position, _):
+        value, normal = field.value_and_gradient(position)
+        desired = guidance.desired_velocity(position)
+        into = jnp.minimum(jnp.sum(desired * normal) + 0.08 * (value - offset), 0.0) / jnp.sum(normal * normal)
+        return position + desired - into * normal, value - offset
+
+    return jax.jit(lambda r: jax.lax.scan(move, r, length=steps))(jnp.asarray(start))
+
+
+@pytest.mark.parametrize(("half_width", "aside"), [(0.55, 0.0), (0.75, 0.12), (0.9, 0.12), (1.1, 0.0)])
+def test_geodesic_goes_through_a_gap_of_a_node_or_two(half_width, aside):
+    """A wall 1 m thick with a square hole: of which the chaser is left 0.1 to 1.2 m, on a grid of 0.5 m."""
+    near, far = aside - half_width, aside + half_width
+    lower = [[-4, -0.5, -4], [far, -0.5, -4], [-4, -0.5, -4], [-4, -0.5, far]]
+    upper = [[near, 0.5, 4], [4, 0.5, 4], [4, 0.5, near], [4, 0.5, 4]]
+    wall = BoxUnionField(jnp.asarray(lower, dtype=float), jnp.asarray(upper, dtype=float), jnp.asarray(0.005))
+    grid = BarrierGrid.build(wall, 0.5, np.full(3, -4.0), np.full(3, 4.0), spacing=0.5)
+    start, goal = np.array([0.9, 2.5, -0.7]), np.array([0.3, -2.5, 0.2])
+    guidance = geodesic_guidance(grid, wall, 0.5, goal, speed=0.1, slowing_length=1.0, start=start)
+    end, barrier = slid(wall, 0.5, guidance, start, 400)
+    np.testing.assert_allclose(end, goal, atol=1e-3)
+    assert float(jnp.min(barrier)) > 0.0
+
+
+def test_geodesic_leads_round_sheets_from_both_sides():
+    """Two crossed sheets: from every chamber to every other, also from close to a sheet to right behind it."""
+    lower, upper = [[-3, -0.01, -3], [-0.01, -3, -3]], [[3, 0.01, 3], [0.01, 3, 3]]
+    cross = BoxUnionField(jnp.asarray(lower, dtype=float), jnp.asarray(upper, dtype=float), jnp.asarray(0.005))
+    grid = BarrierGrid.build(cross, 0.5, np.full(3, -6.0), np.full(3, 6.0), spacing=0.45)
+    places = np.array([[1.5, 0.7, 0.2], [-0.7, 1.4, -1.0], [-2.0, -0.6, 0.5], [0.6, -0.6, 1.2]])
+    for goal in places:
+        guidance = geodesic_guidance(grid, cross, 0.5, goal, speed=0.1, slowing_length=1.0)
+        for start in places:
+            end, barrier = slid(cross, 0.5, guidance, start, 400)
+            np.testing.assert_allclose(end, goal, atol=1e-3)
+            assert float(jnp.min(barrier)) > 0.0
 
 
 def test_says_how_far_inside_a_goal_lies():

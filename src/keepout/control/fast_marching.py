@@ -8,7 +8,7 @@ from typing import no_type_check
 
 import numba
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Int8
 
 
 def travel_time(
@@ -143,6 +143,45 @@ def _update(time, walls, strides, node, cost):
     total = first + second + third
     square = first * first + second * second + third * third
     return (total + np.sqrt(max(total * total - 3.0 * (square - cost * cost), 0.0))) / 3.0
+
+
+def downhill(
+    time: Float[np.ndarray, "nx ny nz"],
+    walls: Bool[np.ndarray, "3 nx ny nz"],
+    directions: Int8[np.ndarray, "nx ny nz 3"],
+) -> None:
+    """Write into `directions`, in 127ths of a unit, the upwind direction down the time (s) of every node reached.
+
+    It leads to the neighbours that the node was reached from, so never through a wall. Nodes whose time is infinite,
+    and those without an earlier neighbour, keep what they have.
+    """
+    _downhill(time, walls, directions)
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _downhill(time, walls, directions):
+    step = np.zeros(3)
+    for node in np.ndindex(time.shape):
+        here = time[node]
+        if here == np.inf:
+            continue
+        square = 0.0
+        for axis in range(3):
+            step[axis] = 0.0
+            one = (int(axis == 0), int(axis == 1), int(axis == 2))
+            below = (node[0] - one[0], node[1] - one[1], node[2] - one[2])
+            above = (node[0] + one[0], node[1] + one[1], node[2] + one[2])
+            best = here
+            if below[axis] >= 0 and not walls[axis][below] and time[below] < best:
+                best = time[below]
+                step[axis] = best - here
+            if above[axis] < time.shape[axis] and not walls[axis][node] and time[above] < best:
+                step[axis] = here - time[above]
+            square += step[axis] * step[axis]
+        if square > 0.0:
+            for axis in range(3):
+                directions[node][axis] = round(127.0 * step[axis] / np.sqrt(square))
 
 
 def widest_way(barrier: Float[np.ndarray, "nx ny nz"], start: Int[np.ndarray, "3"], end: Int[np.ndarray, "3"]) -> float:

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int, Int8
 from scipy import ndimage
 
-from keepout.control.fast_marching import travel_time, widest_way
+from keepout.control.fast_marching import downhill, travel_time, widest_way
 from keepout.control.guidance import GeodesicGuidance
 from keepout.errors import ControlError
 from keepout.fields.evaluate import values as field_values
@@ -22,7 +22,7 @@ SLOWEST = 0.03
 _CHUNK = 65536
 _FEW = 1024  # more than the 8 samples on the way to each of 125 nodes around a goal
 _MOST_NODES = 4_000_000
-_FILL_SLOPE = 3.0  # rise of the travel time into the obstacle, s/m: only there to turn the spline's gradient outwards
+_OUTWARDS = 0.25  # weight of a node in the obstacle, whose direction leads out, beside 1 of a free one
 
 
 @dataclass(frozen=True)
@@ -30,11 +30,13 @@ class BarrierGrid:
     """h at the nodes of a regular grid: `values` (nx, ny, nz) m from corner `origin` (3,) m on, `spacing` m apart.
 
     `walls` (3, nx, ny, nz): edges to the next node along each axis that cross the obstacle between two free nodes.
-    Values are exact below `FULL_SPEED_BARRIER` and interpolated beyond.
+    Values are exact below `FULL_SPEED_BARRIER` and interpolated beyond. `outwards`: the direction in which h rises, in
+    127ths of a unit and shorter than one (see `_OUTWARDS`), for the nodes that no way to a goal crosses.
     """
 
     values: Float[np.ndarray, "nx ny nz"]
-    walls: np.ndarray
+    walls: Bool[np.ndarray, "3 nx ny nz"]
+    outwards: Int8[np.ndarray, "nx ny nz 3"]
     origin: Float[np.ndarray, "3"]
     spacing: float
 
@@ -89,7 +91,7 @@ class BarrierGrid:
         values[band] = sample(points, lambda f: progress(0.3 + 0.5 * f, "barrier"))
         walls = _walls(sample, values, axes, spacing)
         progress(1.0, "barrier")
-        return cls(values, walls, low, spacing)
+        return cls(values, walls, _outwards(values), low, spacing)
 
     def node(self, position: Float[np.ndarray, "3"]) -> np.ndarray:
         """Return the indices of the corner of the surrounding cell with the largest barrier."""
@@ -128,6 +130,15 @@ def _nodes(axes: list[np.ndarray]) -> np.ndarray:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
+def _outwards(values: Float[np.ndarray, "nx ny nz"]) -> Int8[np.ndarray, "nx ny nz 3"]:
+    directions = np.empty((*values.shape, 3), dtype=np.int8)
+    slopes = np.gradient(values.astype(np.float32))
+    size = np.sqrt(sum(slope * slope for slope in slopes))
+    for axis, slope in enumerate(slopes):
+        directions[..., axis] = np.rint(127.0 * _OUTWARDS * slope / np.maximum(size, 1e-6))
+    return directions
+
+
 def _walls(sample: _Sampler, values: np.ndarray, axes: list[np.ndarray], spacing: float) -> np.ndarray:
     """Edges between free nodes that may cross the obstacle, decided by sampling them (a distance is 1-Lipschitz)."""
     walls = np.zeros((3, *values.shape), dtype=bool)
@@ -161,10 +172,10 @@ def geodesic_guidance(
     slowing_length: float,
     start: Float[np.ndarray, "3"] | None = None,
 ) -> GeodesicGuidance:
-    """March the travel time from the goal through the free nodes of the grid.
+    """March the travel time from the goal through the free nodes of the grid, and keep the directions down it.
 
-    The travel speed is clip(h/0.6 m, 0.03, 1) m/s. Nodes in the obstacle get values that rise inwards from the
-    *largest* time beside them, so that on neither side of a sheet does the spline's slope lead through it.
+    The travel speed is clip(h/0.6 m, 0.03, 1) m/s. Directions in the obstacle lead out of it, and weigh little: in a
+    gap between two walls they must not stop the way that leads through.
 
     Raises:
         ControlError: goal or start lies outside the grid or in the obstacle, or no way as wide as the chaser joins
@@ -187,7 +198,7 @@ def geodesic_guidance(
         goal=jnp.asarray(goal),
         speed=jnp.asarray(float(speed)),
         slowing_length=jnp.asarray(float(slowing_length)),
-        travel_time=jnp.asarray(_fill(time, grid.spacing), dtype=jnp.float32),
+        directions=jnp.asarray(_directions(grid, time, sources, goal)),
         origin=jnp.asarray(grid.origin),
         spacing=jnp.asarray(grid.spacing),
         inner=jnp.asarray(max(0.6, grid.spacing)),
@@ -253,10 +264,16 @@ def _around_goal(grid: BarrierGrid, field: Field, offset: float, goal: np.ndarra
     return nodes[seen], times[seen]
 
 
-def _fill(time: np.ndarray, spacing: float) -> np.ndarray:
-    """Extend the times into unreached nodes, layer by layer, from the largest time beside them."""
-    filled = np.where(np.isfinite(time), time, -np.inf)
-    for _ in range(3):
-        beside = ndimage.maximum_filter(filled, size=3, mode="nearest") + _FILL_SLOPE * spacing
-        filled = np.where(np.isfinite(filled), filled, beside)
-    return np.where(np.isfinite(filled), filled, np.max(filled))
+def _directions(
+    grid: BarrierGrid,
+    time: Float[np.ndarray, "nx ny nz"],
+    sources: Int[np.ndarray, "n 3"],
+    goal: Float[np.ndarray, "3"],
+) -> Int8[np.ndarray, "nx ny nz 3"]:
+    """Return unit vectors in 127ths: down the time, straight at the sources, and `grid.outwards` where no way leads."""
+    directions = grid.outwards.copy()
+    downhill(time, grid.walls, directions)
+    straight = goal - (grid.origin + grid.spacing * sources)
+    length = np.linalg.norm(straight, axis=1, keepdims=True)
+    directions[tuple(sources.T)] = np.rint(127.0 * straight / np.maximum(length, 1e-12))
+    return directions

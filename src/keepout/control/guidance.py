@@ -5,7 +5,7 @@ import abc
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int8
 
 
 class Guidance(eqx.Module):
@@ -56,18 +56,21 @@ class StraightGuidance(Guidance):
 
 
 class GeodesicGuidance(Guidance):
-    """Down the travel time to the goal, blended into the straight line near it (design section 2.6).
+    """Along the shortest free way to the goal, blended into the straight line near it (design section 2.6).
 
-    `travel_time` holds the time at the nodes of a regular grid with corner `origin` (m) and `spacing` (m), the speed
-    far from everything being 1 m/s; it is read through cubic B-splines (twice continuously differentiable). Between
-    `inner` and `outer` metres from the goal the direction turns from straight to geodesic. Outside the grid the way
-    leads back to it. The speed is v_max tanh(‖r_e‖ / k_p). Build it with `keepout.control.geodesic.geodesic_guidance`.
+    `directions` holds at each node of a regular grid with corner `origin` (m) and `spacing` (m) the direction in which
+    the travel time falls, in 127ths; they are blended by cubic B-splines, so that v_c is twice continuously
+    differentiable. Directions and not times are blended, because times on two sides of a wall, or in it, may differ by
+    any amount: in a gap of one node their spline has a minimum before the gap, and a chaser would wait there.
+    Between `inner` and `outer` metres from the goal the direction turns from straight to geodesic. Outside the grid the
+    way leads back to it. The speed is v_max tanh(‖r_e‖ / k_p). Build it with
+    `keepout.control.geodesic.geodesic_guidance`.
     """
 
     goal: Float[Array, "3"]
     speed: Float[Array, ""]
     slowing_length: Float[Array, ""]
-    travel_time: Float[Array, "nx ny nz"]
+    directions: Int8[Array, "nx ny nz 3"]
     origin: Float[Array, "3"]
     spacing: Float[Array, ""]
     inner: Float[Array, ""]
@@ -76,45 +79,36 @@ class GeodesicGuidance(Guidance):
     def desired_velocity(self, position: Float[Array, "3"]) -> Float[Array, "3"]:
         """Return the desired velocity, m/s."""
         straight, distance = _towards(self.goal, position, self.slowing_length)
-        gradient = self.gradient(position)
-        size = jnp.sqrt(jnp.sum(gradient * gradient) + 1e-300)
-        geodesic = -gradient / size * jnp.tanh(distance / self.slowing_length)
+        geodesic = self.direction(position) * jnp.tanh(distance / self.slowing_length)
         s = jnp.clip((distance - self.inner) / (self.outer - self.inner), 0.0, 1.0)
         weight = s * s * (3.0 - 2.0 * s)
         return self.speed * (weight * geodesic + (1.0 - weight) * straight)
 
-    def gradient(self, position: Float[Array, "3"]) -> Float[Array, "3"]:
-        """Return the gradient of the travel time, s/m."""
-        last = jnp.asarray(self.travel_time.shape) - 2.0
+    def direction(self, position: Float[Array, "3"]) -> Float[Array, "3"]:
+        """Return the unit vector along the way to the goal, or zero where nothing leads there."""
+        last = jnp.asarray(self.directions.shape[:3]) - 2.0
         place = (position - self.origin) / self.spacing
         held = jnp.clip(place, 1.0, last - 1e-9)
         outside = place - held
         cell = jax.lax.stop_gradient(jnp.floor(held))
-        t = held - cell
-        start = cell.astype(jnp.int32) - 1
-        block = jax.lax.dynamic_slice(self.travel_time, (start[0], start[1], start[2]), (4, 4, 4)).astype(t.dtype)
-        w, dw = _cubic_weights(t)
-        along = jnp.stack(
-            [
-                _contract(block, dw[:, 0], w[:, 1], w[:, 2]),
-                _contract(block, w[:, 0], dw[:, 1], w[:, 2]),
-                _contract(block, w[:, 0], w[:, 1], dw[:, 2]),
-            ]
-        )
-        inside = jnp.where(outside == 0.0, along / self.spacing, 0.0)
-        size = jnp.sqrt(jnp.sum(jnp.where(outside == 0.0, 0.0, outside) ** 2) + 1e-300)
-        return inside + outside / size
+        start = jnp.append(cell.astype(jnp.int32) - 1, 0)
+        block = jax.lax.dynamic_slice(self.directions, start, (4, 4, 4, 3))
+        w = _cubic_weights(held - cell)
+        weights = w[:, 0][:, None, None] * w[:, 1][:, None] * w[:, 2]
+        blended = jnp.sum(weights[..., None] * block, axis=(0, 1, 2))
+        # Where the position is beyond the grid along some axis, that axis leads back and the others keep their say.
+        along = jnp.where(outside == 0.0, _unit(blended), 0.0) - _unit(outside)
+        return _unit(along)
 
 
-def _contract(block: Float[Array, "4 4 4"], x: Array, y: Array, z: Array) -> Array:
-    return jnp.sum(block * x[:, None, None] * y[:, None] * z)
+def _unit(vector: Float[Array, "3"]) -> Float[Array, "3"]:
+    """Return the vector at length 1, or zero; its derivative is finite everywhere."""
+    return vector / jnp.sqrt(jnp.sum(vector * vector) + 1e-300)
 
 
-def _cubic_weights(t: Float[Array, "3"]) -> tuple[Float[Array, "4 3"], Float[Array, "4 3"]]:
-    """Return the four cubic B-spline weights at t in [0, 1), and their derivatives."""
+def _cubic_weights(t: Float[Array, "3"]) -> Float[Array, "4 3"]:
+    """Return the four cubic B-spline weights at t in [0, 1)."""
     u = 1.0 - t
-    weights = jnp.stack(
+    return jnp.stack(
         [u**3 / 6.0, (4.0 - 6.0 * t**2 + 3.0 * t**3) / 6.0, (4.0 - 6.0 * u**2 + 3.0 * u**3) / 6.0, t**3 / 6.0]
     )
-    slopes = jnp.stack([-(u**2) / 2.0, (3.0 * t**2 - 4.0 * t) / 2.0, (4.0 * u - 3.0 * u**2) / 2.0, t**2 / 2.0])
-    return weights, slopes
