@@ -7,7 +7,8 @@ One row for each target, fault and disturbance; N flights in all, spread evenly 
 says whether the guard's theorem (docs/guard.md) covers the row; only there is zero contacts a promise. `hurt` flights
 came within the operator's margin or were not proved free of contact. The guard's field is a grid of exact distances;
 the law flies by the shipped field where the target has one (`law_field`), else by the same grid. Rows are saved to
-`--out` as they come, and are not flown again when the command is repeated.
+`--out` as they come, and are not flown again when the command is repeated with the same field (`digest`, of the mesh
+where the law has the grid).
 """
 
 import argparse
@@ -114,22 +115,29 @@ def disturbances(kind, flights, generator):
     )
 
 
+def look_up(name):
+    """Give the target of a name or mesh file, its shipped field or None, and the digest of what the law flies by."""
+    path = MESHES / name if (MESHES / name).is_file() else Path(name)
+    target = Target.load(path if path.suffix else name)
+    if path.stem not in shipped_names():
+        return target, None, target.sha256
+    model = load_shipped(path.stem, target=target)
+    return target, model, model.sha256
+
+
 class World:
     """A target with all that its rows share: the guard's field, the law and its field, the box of starts."""
 
     def __init__(self, name):
-        path = MESHES / name if (MESHES / name).is_file() else Path(name)
         self.name = Path(name).stem
-        self.target = Target.load(path if path.suffix else name)
+        self.target, shipped, self.digest = look_up(name)
         self.solid = OffsetSolid.build(self.target.distance, closing_radius=0.25)
         lower, upper = self.target.vertices.min(axis=0), self.target.vertices.max(axis=0)
         self.grid = guard_field(self.target, RADIUS)
         centre = 0.5 * (lower + upper)
         self.goal = np.array([centre[0], lower[1] - 4.0, centre[2] - 2.0])
         self.lower, self.upper = np.maximum(lower - 4.0, self.goal - REACH), np.minimum(upper + 4.0, self.goal + REACH)
-        self.model, self.law_field = self.grid, "grid"
-        if self.name in shipped_names():
-            self.model, self.law_field = load_shipped(self.name, target=self.target), "shipped"
+        self.model, self.law_field = (shipped, "shipped") if shipped else (self.grid, "grid")
         self.law = profiles.default(
             self.model.field,
             error_bound=self.model.certificate(RADIUS).error_bound,
@@ -266,6 +274,7 @@ def fly_row(world, setup, fault, shape, flights, duration, seed):
         "disturbance": shape,
         "within_assumptions": fault.within and shape != "twice the bound",
         "law_field": world.law_field,
+        "digest": world.digest,
         "flights": flights,
         "contacts": sum(a.contact is Contact.YES for a in verdicts),
         "undecided": sum(a.contact is Contact.UNDECIDED for a in verdicts),
@@ -353,8 +362,9 @@ def save(path, rows):
 
 
 def fly_all(arguments, show):
-    """Fly every row that is not in `--out` yet."""
-    rows = load(arguments.out)
+    """Fly every row that is not in `--out` yet; rows of another field than the law has now are dropped."""
+    digests = {Path(name).stem: look_up(name)[2] for name in arguments.targets}
+    rows = [r for r in load(arguments.out) if r.get("digest") == digests.get(r["target"], r.get("digest"))]
     flights = max(1, round(arguments.flights / (len(arguments.targets) * len(ROWS))))
     keys = ("target", "fault", "disturbance", "flights", "duration_s", "seed")
     done = {tuple(row[key] for key in keys) for row in rows}
