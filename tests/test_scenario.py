@@ -42,6 +42,7 @@ def test_every_example_is_valid(path: Path):
         ({"orbit": {"eccentricity": 1.2}}, ("orbit.eccentricity", "1.2", "less than 1")),
         ({"orbit": {"eccentricity": 0.9}}, ("perigee", "6.4e6")),
         ({"control": {"profile": "papre"}}, ("control.profile", "'papre'", "'default' or 'paper'")),
+        ({"control": {"guidance": "straight", "spacing": 0.2}}, ("control", "spacing 0.2", '"geodesic"')),
         ({"disturbance": {"kind": "constant"}}, ("disturbance", "needs force")),
         ({"disturbance": {"kind": "resonant"}}, ("disturbance", "needs amplitude")),
         ({"attitude": {"angular_velocity": [0, 0, 0.1]}}, ("attitude", "tumbling")),

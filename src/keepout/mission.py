@@ -283,7 +283,9 @@ def _controller(
     """
     control, chaser = scenario.control, scenario.chaser
     chosen = {
-        name: value for name in ("guidance", "circulation", "observer") if (value := getattr(control, name)) is not None
+        name: value
+        for name in ("guidance", "spacing", "circulation", "observer")
+        if (value := getattr(control, name)) is not None
     }
     build = partial(
         {"default": profiles.default, "paper": profiles.paper}[control.profile],

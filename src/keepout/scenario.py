@@ -130,12 +130,22 @@ class ControlEntry(Entry):
     )
     period: Positive = Field(default=1.0, description="between control steps, s")
     guidance: Literal["geodesic", "straight"] | None = Field(default=None, description="unset: the profile's own")
+    spacing: Positive | None = Field(
+        default=None, description="of the geodesic grid, m; unset: from the room and the zone's width"
+    )
     circulation: Literal["none", "printed", "skew", "switching"] | None = Field(
         default=None, description="unset: the profile's"
     )
     observer: Literal["harmonic", "constant", "printed", "off"] | None = Field(
         default=None, description="unset: the profile's own"
     )
+
+    @model_validator(mode="after")
+    def _spacing_of_a_grid(self) -> "ControlEntry":
+        guidance = self.guidance or ("geodesic" if self.profile == "default" else "straight")
+        if self.spacing is not None and guidance != "geodesic":
+            raise ValueError(f'spacing {self.spacing} m is for guidance = "geodesic", and guidance is "{guidance}"')
+        return self
 
 
 class OrbitEntry(Entry):

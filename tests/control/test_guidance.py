@@ -117,6 +117,22 @@ def test_geodesic_goes_through_a_gap_of_a_node_or_two(half_width, aside):
     assert float(jnp.min(barrier)) > 0.0
 
 
+def test_a_finer_grid_finds_a_gap_between_nodes():
+    """A slot of 0.3 m for the chaser, between two layers of nodes that are 0.5 m apart."""
+    lower, upper = [[-4, -0.5, -4], [0.9, -0.5, -4]], [[-0.4, 0.5, 4], [4, 0.5, 4]]
+    wall = BoxUnionField(jnp.asarray(lower, dtype=float), jnp.asarray(upper, dtype=float), jnp.asarray(0.005))
+    start, goal = np.array([0.9, 2.5, -0.7]), np.array([0.3, -2.5, 0.2])
+
+    def ends(spacing):
+        grid = BarrierGrid.build(wall, 0.5, np.full(3, -4.0), np.full(3, 4.0), spacing=spacing)
+        guidance = geodesic_guidance(grid, wall, 0.5, goal, speed=0.1, slowing_length=1.0, start=start)
+        return slid(wall, 0.5, guidance, start, 400)[0]
+
+    with pytest.raises(ControlError, match=r"not connected .* a smaller spacing may find a wider one"):
+        ends(0.5)
+    np.testing.assert_allclose(ends(0.25), goal, atol=1e-3)
+
+
 def test_geodesic_leads_round_sheets_from_both_sides():
     """Two crossed sheets: from every chamber to every other, also from close to a sheet to right behind it."""
     lower, upper = [[-3, -0.01, -3], [-0.01, -3, -3]], [[3, 0.01, 3], [0.01, 3, 3]]

@@ -210,10 +210,12 @@ def geodesic_guidance(
         grid.require_inside(start, "start")
         node = grid.node(start)
         if not np.isfinite(time[tuple(node)]):
-            width = widest_way(grid.values, node, sources[0])
+            missing = max(-widest_way(grid.values, node, sources[0]), 0.0)
+            # A way between nodes may be wider than over them, by no more than half the diagonal of a cell's face.
+            hint = "; a smaller spacing may find a wider one" if missing < np.sqrt(0.5) * grid.spacing else ""
             raise ControlError(
                 f"start: {start.tolist()} m is not connected to the goal {goal.tolist()} m for this chaser; the "
-                f"widest way between them misses {max(-width, 0.0):.3g} m of clearance (grid {grid.spacing:.3g} m)"
+                f"widest way between them misses {missing:.3g} m of clearance (grid {grid.spacing:.3g} m){hint}"
             )
     return guidance
 
