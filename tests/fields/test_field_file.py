@@ -38,6 +38,9 @@ def test_round_trip(tmp_path, model, box):
     points = np.random.default_rng(0).normal(size=(20, 3))
     np.testing.assert_array_equal(loaded.field.value(jnp.asarray(points)), model.field.value(jnp.asarray(points)))
     assert [p.name for p in tmp_path.iterdir()] == ["a.keepout"]
+    plain = tmp_path / "plain"
+    plain.touch()
+    assert path.stat().st_mode == plain.stat().st_mode
 
 
 def test_another_radius_is_refused_with_the_list(model):

@@ -131,7 +131,8 @@ class FieldModel:
         metadata = {"format": FORMAT, "header": json.dumps(header), "sha256": _digest(tensors, header)}
         temporary = path.with_name(f".{path.name}.{os.getpid()}")
         try:
-            safetensors.numpy.save_file(tensors, temporary, metadata)
+            # Not `save_file`, whose files only their owner may read.
+            temporary.write_bytes(safetensors.numpy.save(tensors, metadata))
             os.replace(temporary, path)
         except (OSError, safetensors.SafetensorError) as error:
             temporary.unlink(missing_ok=True)
