@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from threadpoolctl import threadpool_limits
 
 from keepout.fields.bounds import UNIT64, Network
 from keepout.fields.evaluate import values_and_gradients
@@ -102,7 +103,9 @@ def _bounds(prepared: Prepared, centres: Float[np.ndarray, "m 3"], half_width: f
             rows = centres[piece]
             answer[piece] = slope_bounds(prepared, rows, np.full(len(rows), half_width))
 
-    share_among_cores(work, len(centres))
+    # One core a share of the cubes: products shared among the cores once more would wait for each other.
+    with threadpool_limits(1, "blas"):
+        share_among_cores(work, len(centres))
     return answer
 
 
