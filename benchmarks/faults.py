@@ -433,7 +433,10 @@ def main():
 
     def show(row):
         if not arguments.json:
-            print("  ".join(f"{v!s:<36}" if k == "fault" else f"{v!s:>14}" for k, v in row.items()), flush=True)
+            print(
+                "  ".join(f"{v!s:<36}" if k == "fault" else f"{v!s:>14}" for k, v in row.items() if k != "digest"),
+                flush=True,
+            )
 
     if arguments.cost:
         rows = [row for name in there for row in cost(name, arguments.duration)]
