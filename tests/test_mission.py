@@ -5,8 +5,8 @@ import pytest
 import trimesh
 
 from keepout.commands import inspect_mesh
-from keepout.errors import MeshError
-from keepout.mission import load_target
+from keepout.errors import ControlError, MeshError
+from keepout.mission import load_target, prepare
 from keepout.scenario import Scenario
 
 
@@ -42,3 +42,21 @@ def test_a_mesh_report_has_the_sealed_volume(tmp_path):
     # The offset solid holds the 4 × 3 × 2 m box and at most a skin of offset and two leaves around it.
     assert 24.0 < summary["sealed_volume"] < (4.0 + 0.22) * (3.0 + 0.22) * (2.0 + 0.22)
     assert (tmp_path / "box.png").stat().st_size > 1000
+
+
+@pytest.mark.parametrize(
+    ("target", "goal", "said"),
+    [
+        # Between two wings, in a web: the field says a metre too little.
+        ("iss", (-41.15, 4.6, 0.0), r"the mesh is 1\.6\d? m away there and the field says 0\.66\d? m: move the goal"),
+        ("intelsat30", (0.0, 0.0, 0.0), r"no way as wide as the chaser leads there from outside"),
+        ("iss", (-52.7, 0.0, 0.0), r"at least 0\.743 m needed\)"),
+    ],
+)
+def test_a_goal_is_refused_with_the_reason(target, goal, said):
+    scenario = Scenario.parse(
+        {"target": {"source": target}, "start": {"position": [-60.0, 0.0, 20.0]}, "goal": {"position": goal}}
+    )
+    with pytest.raises(ControlError, match=rf"goal: .* inside the keep-out zone .*{said}.*") as refused:
+        prepare(scenario)
+    assert str(refused.value).count("; ") == (0 if "needed" in said else 1)

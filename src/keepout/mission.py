@@ -25,11 +25,15 @@ from keepout.flight.faults import BrokenLaw
 from keepout.flight.outcome import FlightOutcome, outcome
 from keepout.flight.record import FlightRecord
 from keepout.flight.setup import FlightSetup
+from keepout.geometry.offset_solid import OffsetSolid
 from keepout.geometry.target import Target
 from keepout.guard_field import guard_field
 from keepout.motion import MotionState, RelativeMotion
 from keepout.progress import Progress, silent
 from keepout.scenario import Scenario, TargetEntry
+
+_MISSED_ROOM = 0.2
+"""By so much (m) the field may say less than the mesh before a refusal mentions it: more than margins explain."""
 
 
 @dataclass(frozen=True)
@@ -169,9 +173,12 @@ def prepare(
     certificate = model.certificate(scenario.chaser.radius)
     _refuse_contact(scenario, target)
     motion = environment.relative_motion(scenario)
-    controller = _controller(
-        scenario, model, certificate, motion, lambda fraction, message: progress(0.6 * fraction, message)
-    )
+    try:
+        controller = _controller(
+            scenario, model, certificate, motion, lambda fraction, message: progress(0.6 * fraction, message)
+        )
+    except ControlError as refusal:
+        raise ControlError(f"{refusal}{_missed_room(str(refusal), scenario, target, model, progress)}") from None
     initial = motion.initial_state(np.asarray(scenario.start.position), np.asarray(scenario.start.velocity))
     guard, start_certified = None, None
     if scenario.guard.enabled:
@@ -274,6 +281,26 @@ def _refuse_contact(scenario: Scenario, target: Target) -> None:
             )
 
 
+def _missed_room(refusal: str, scenario: Scenario, target: Target, model: FieldModel, progress: Progress) -> str:
+    """Say of a start or goal in the keep-out zone why, where the mesh is much farther away than the field says."""
+    if "inside the keep-out zone" not in refusal:
+        return ""
+    name = refusal.partition(":")[0]
+    position = np.asarray(getattr(scenario, name).position)[None]
+    distance, said = float(target.distance.distance(position)[0]), float(values(model.field, position)[0])
+    if distance - said < _MISSED_ROOM:
+        return ""
+    solid = OffsetSolid.build(
+        target.distance, offset=model.offset, closing_radius=_closing_radius(model), progress=progress
+    )
+    if not solid.is_exterior(position)[0]:
+        return "; no way as wide as the chaser leads there from outside"
+    return (
+        f"; the mesh is {distance:.3g} m away there and the field says {said:.3g} m: "
+        f"move the {name}, or fit the field again with another seed"
+    )
+
+
 def _controller(
     scenario: Scenario, model: FieldModel, certificate: Certificate, motion: RelativeMotion, progress: Progress
 ) -> Controller:
@@ -334,6 +361,11 @@ def _flown_law(scenario: Scenario, law: Any, model: FieldModel, motion: Relative
     )
 
 
+def _closing_radius(model: FieldModel) -> float:
+    """Return the radius (m) of the gaps that the solid behind the field has sealed."""
+    return float(model.training.get("closing_radius", 0.25))
+
+
 def _guard(scenario: Scenario, target: Target, model: FieldModel, progress: Progress) -> Guard:
     """Build the guard, with the scenario's numbers as its assumptions and a field of its own (`guard_field`).
 
@@ -341,7 +373,7 @@ def _guard(scenario: Scenario, target: Target, model: FieldModel, progress: Prog
     in one is not an error in the other.
     """
     radius = scenario.chaser.radius
-    closing = float(model.training.get("closing_radius", 0.25))
+    closing = _closing_radius(model)
     grid = guard_field(target, radius, offset=model.offset, closing_radius=closing, progress=progress)
     certificate = grid.certificate(radius)
     return Guard(

@@ -121,6 +121,12 @@ def _guidance(
     spacing: float | None,
     progress: Progress,
 ) -> Guidance:
+    if kind not in ("geodesic", "straight"):
+        raise ControlError(f'guidance: "{kind}"; it must be "geodesic" or "straight"')
+    # Before the grid is built, which takes seconds.
+    require_free(field, offset, goal, "goal")
+    if start is not None:
+        require_free(field, offset, start, "start")
     if kind == "geodesic":
         if grid is None:
             if bounds is None:
@@ -129,11 +135,6 @@ def _guidance(
                 lower, upper = (_point("bounds", b) for b in bounds)
             grid = BarrierGrid.build(field, offset, lower, upper, spacing=spacing, progress=progress)
         return geodesic_guidance(grid, field, offset, goal, speed=speed, slowing_length=slowing_length, start=start)
-    if kind != "straight":
-        raise ControlError(f'guidance: "{kind}"; it must be "geodesic" or "straight"')
-    require_free(field, offset, goal, "goal")
-    if start is not None:
-        require_free(field, offset, start, "start")
     return StraightGuidance(jnp.asarray(goal), _scalar(speed), _scalar(slowing_length))
 
 
