@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from keepout.control.circulation import SwitchingCirculation, skew
-from keepout.control.fast_marching import travel_time, widest_way
+from keepout.control.fast_marching import downhill, travel_time, widest_way
 from keepout.control.geodesic import BarrierGrid, geodesic_guidance
 from keepout.control.guidance import ComponentwiseGuidance, StraightGuidance
 from keepout.errors import ControlError
@@ -43,9 +43,30 @@ def test_travel_time_goes_round_a_wall():
     corner = np.array([20.5, 35.0])
     legs = np.hypot(*(corner - start[:2])) + np.hypot(*(corner - end[:2]))
     assert time[tuple(end)] == pytest.approx(legs * spacing, rel=0.06)
+    directions = np.zeros((n, n, 3, 3), dtype=np.int8)
+    downhill(time, walls, directions)
+    # From beside the wall the way leads along it to the opening, and back along the other side: never across.
+    assert (directions[[20, 21], :35, :, 0] <= 0).all()
+    assert (directions[21, 5:34, 1, 1] > 0).all()
+    assert (directions[20, 6:34, 1, 1] < 0).all()
     walls[0, 20, :, :] = True
     shut = travel_time(np.ones((n, n, 3)), walls, start[None], np.zeros(1), spacing)
     assert np.isinf(shut[tuple(end)])
+
+
+def test_downhill_leads_straight_back_in_free_space():
+    n = 41
+    source = np.full(3, n // 2)
+    time = travel_time(np.ones((n, n, n)), np.zeros((3, n, n, n), dtype=bool), source[None], np.zeros(1), 0.1)
+    directions = np.zeros((n, n, n, 3), dtype=np.int8)
+    downhill(time, np.zeros((3, n, n, n), dtype=bool), directions)
+    back = source - np.stack(np.meshgrid(*[np.arange(n)] * 3, indexing="ij"), axis=-1)
+    length = np.linalg.norm(back, axis=-1)
+    cosine = np.sum(back * directions, axis=-1) / np.maximum(127.0 * length, 1e-9)
+    assert not directions[tuple(source)].any()
+    # First order: some degrees off at two cells from the source (nearer, guidance goes straight), and fewer beyond.
+    assert cosine[length > 2.0].min() > np.cos(np.radians(10.0))
+    assert np.median(cosine) > np.cos(np.radians(4.0))
 
 
 def test_widest_way_finds_the_saddle():
