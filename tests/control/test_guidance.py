@@ -64,8 +64,9 @@ def test_downhill_leads_straight_back_in_free_space():
     length = np.linalg.norm(back, axis=-1)
     cosine = np.sum(back * directions, axis=-1) / np.maximum(127.0 * length, 1e-9)
     assert not directions[tuple(source)].any()
-    # First order: some degrees off at two cells from the source (nearer, guidance goes straight), and fewer beyond.
-    assert cosine[length > 2.0].min() > np.cos(np.radians(10.0))
+    # First order: some degrees off beside the source, beside the axes most, and fewer far away.
+    assert cosine[length > 0.0].min() > np.cos(np.radians(12.0))
+    assert cosine[length > 10.0].min() > np.cos(np.radians(9.0))
     assert np.median(cosine) > np.cos(np.radians(4.0))
 
 
