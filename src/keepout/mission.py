@@ -290,11 +290,10 @@ def _missed_room(refusal: str, scenario: Scenario, target: Target, model: FieldM
     distance, said = float(target.distance.distance(position)[0]), float(values(model.field, position)[0])
     if distance - said < _MISSED_ROOM:
         return ""
-    solid = OffsetSolid.build(
-        target.distance, offset=model.offset, closing_radius=_closing_radius(model), progress=progress
-    )
+    closing = _closing_radius(model)
+    solid = OffsetSolid.build(target.distance, offset=model.offset, closing_radius=closing, progress=progress)
     if not solid.is_exterior(position)[0]:
-        return "; no way as wide as the chaser leads there from outside"
+        return f"; no gap of more than {2.0 * closing:g} m leads there from outside"
     return (
         f"; the mesh is {distance:.3g} m away there and the field says {said:.3g} m: "
         f"move the {name}, or fit the field again with another seed"
