@@ -263,10 +263,15 @@ def _elements(
     return bounds.boxes((piece[:, 0] - centre) / scale, (piece[:, 1] + slack) / scale)
 
 
+def _edges(triangles: Float[np.ndarray, "m 3 3"]) -> Float[np.ndarray, "m 3"]:
+    """Lengths of the edges across from each corner, metres."""
+    return np.linalg.norm(triangles[:, [1, 2, 0]] - triangles[:, [2, 0, 1]], axis=2)
+
+
 def _length(elements: Float[np.ndarray, "m k 3"], radius: float) -> Float[np.ndarray, "m"]:
     """Longest edge of each triangle, or side of each cube, metres."""
     if radius == 0.0:
-        return np.linalg.norm(elements[:, [1, 2, 0]] - elements[:, [2, 0, 1]], axis=2).max(axis=1)
+        return _edges(elements).max(axis=1)
     return 2.0 * elements[:, 1, 0]
 
 
@@ -275,8 +280,7 @@ def _split(elements: Float[np.ndarray, "m k 3"], distance: ExactDistance, radius
     if len(elements) == 0:
         return elements
     if radius == 0.0:
-        edges = np.linalg.norm(elements[:, [1, 2, 0]] - elements[:, [2, 0, 1]], axis=2)
-        apex = edges.argmax(axis=1)
+        apex = _edges(elements).argmax(axis=1)
         rows = np.arange(len(elements))
         a, b, c = (elements[rows, (apex + k) % 3] for k in range(3))
         middle = 0.5 * (b + c)
