@@ -21,5 +21,13 @@ class ControlError(KeepoutError):
     """A control design that violates a condition it needs."""
 
 
+class KeepOutZoneError(ControlError):
+    """A start or goal inside the law's keep-out zone; `place` says which of them."""
+
+    def __init__(self, message: str, place: str) -> None:
+        super().__init__(message)
+        self.place = place
+
+
 class FlightError(KeepoutError):
     """A flight file that is damaged or foreign."""

@@ -15,7 +15,7 @@ from keepout.control import profiles
 from keepout.control.controller import Controller, ControlStatus
 from keepout.control.delay import AheadOfDelay
 from keepout.control.guard import Guard, GuardFlag, GuardStatus, flag_names
-from keepout.errors import ControlError, FieldError, ScenarioError
+from keepout.errors import ControlError, FieldError, KeepOutZoneError, ScenarioError
 from keepout.fields.evaluate import values
 from keepout.fields.model import Certificate, FieldModel
 from keepout.fields.shipped import load_shipped, shipped_names
@@ -177,8 +177,9 @@ def prepare(
         controller = _controller(
             scenario, model, certificate, motion, lambda fraction, message: progress(0.6 * fraction, message)
         )
-    except ControlError as refusal:
-        raise ControlError(f"{refusal}{_missed_room(str(refusal), scenario, target, model, progress)}") from None
+    except KeepOutZoneError as refusal:
+        why = _missed_room(refusal.place, scenario, target, model, progress)
+        raise KeepOutZoneError(f"{refusal}{why}", refusal.place) from None
     initial = motion.initial_state(np.asarray(scenario.start.position), np.asarray(scenario.start.velocity))
     guard, start_certified = None, None
     if scenario.guard.enabled:
@@ -281,11 +282,8 @@ def _refuse_contact(scenario: Scenario, target: Target) -> None:
             )
 
 
-def _missed_room(refusal: str, scenario: Scenario, target: Target, model: FieldModel, progress: Progress) -> str:
+def _missed_room(name: str, scenario: Scenario, target: Target, model: FieldModel, progress: Progress) -> str:
     """Say of a start or goal in the keep-out zone why, where the mesh is much farther away than the field says."""
-    if "inside the keep-out zone" not in refusal:
-        return ""
-    name = refusal.partition(":")[0]
     position = np.asarray(getattr(scenario, name).position)[None]
     distance, said = float(target.distance.distance(position)[0]), float(values(model.field, position)[0])
     if distance - said < _MISSED_ROOM:

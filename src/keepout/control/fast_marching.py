@@ -10,6 +10,9 @@ import numba
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
 
+UNIT = 127.0
+"""What stands for 1 in a direction of 8-bit integers."""
+
 
 def travel_time(
     speed: Float[np.ndarray, "nx ny nz"],
@@ -150,7 +153,7 @@ def downhill(
     walls: Bool[np.ndarray, "3 nx ny nz"],
     directions: Int8[np.ndarray, "nx ny nz 3"],
 ) -> None:
-    """Write into `directions`, in 127ths of a unit, the upwind direction down the time (s) of every node reached.
+    """Write into `directions`, in 127ths (`UNIT`), the upwind direction down the time (s) of every node reached.
 
     It leads to the neighbours that the node was reached from, so never through a wall. Nodes whose time is infinite,
     and those without an earlier neighbour, keep what they have.
@@ -181,7 +184,7 @@ def _downhill(time, walls, directions):
             square += step[axis] * step[axis]
         if square > 0.0:
             for axis in range(3):
-                directions[node][axis] = round(127.0 * step[axis] / np.sqrt(square))
+                directions[node][axis] = round(UNIT * step[axis] / np.sqrt(square))
 
 
 def widest_way(barrier: Float[np.ndarray, "nx ny nz"], start: Int[np.ndarray, "3"], end: Int[np.ndarray, "3"]) -> float:

@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Int8
 from scipy import ndimage
 
-from keepout.control.fast_marching import downhill, travel_time, widest_way
+from keepout.control.fast_marching import UNIT, downhill, travel_time, widest_way
 from keepout.control.guidance import GeodesicGuidance
-from keepout.errors import ControlError
+from keepout.errors import ControlError, KeepOutZoneError
 from keepout.fields.evaluate import values as field_values
 from keepout.fields.field import Field
 from keepout.progress import Progress, silent
@@ -22,7 +22,7 @@ SLOWEST = 0.03
 _CHUNK = 65536
 _FEW = 1024  # more than the 8 samples on the way to each of 125 nodes around a goal
 _MOST_NODES = 4_000_000
-_OUTWARDS = 0.25  # weight of a node in the obstacle, whose direction leads out, beside 1 of a free one
+_OUTWARD_WEIGHT = 0.25  # weight of a node in the obstacle, whose direction leads out, beside 1 of a free one
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class BarrierGrid:
 
     `walls` (3, nx, ny, nz): edges to the next node along each axis that cross the obstacle between two free nodes.
     Values are exact below `FULL_SPEED_BARRIER` and interpolated beyond. `outwards`: the direction in which h rises, in
-    127ths of a unit and shorter than one (see `_OUTWARDS`), for the nodes that no way to a goal crosses.
+    127ths of a unit and shorter than one (see `_OUTWARD_WEIGHT`), for the nodes that no way to a goal crosses.
     """
 
     values: Float[np.ndarray, "nx ny nz"]
@@ -135,7 +135,7 @@ def _outwards(values: Float[np.ndarray, "nx ny nz"]) -> Int8[np.ndarray, "nx ny 
     slopes = np.gradient(values.astype(np.float32))
     size = np.sqrt(sum(slope * slope for slope in slopes))
     for axis, slope in enumerate(slopes):
-        directions[..., axis] = np.rint(127.0 * _OUTWARDS * slope / np.maximum(size, 1e-6))
+        directions[..., axis] = np.rint(UNIT * _OUTWARD_WEIGHT * slope / np.maximum(size, 1e-6))
     return directions
 
 
@@ -236,14 +236,15 @@ def require_free(field: Field, offset: float, position: Float[np.ndarray, "3"], 
     """Refuse a position where h = field − offset is not positive.
 
     Raises:
-        ControlError: it lies inside; the message says by how much.
+        KeepOutZoneError: it lies inside; the message says by how much.
 
     """
     barrier = float(_few_values(field, np.asarray(position, dtype=float)[None])[0]) - offset
     if not barrier > 0.0:
-        raise ControlError(
+        raise KeepOutZoneError(
             f"{name}: {np.asarray(position).tolist()} m lies {-barrier:.3g} m inside the keep-out zone "
-            f"(field value {barrier + offset:.3g} m, at least {offset:.3g} m needed)"
+            f"(field value {barrier + offset:.3g} m, at least {offset:.3g} m needed)",
+            name,
         )
 
 
@@ -277,5 +278,5 @@ def _directions(
     downhill(time, grid.walls, directions)
     straight = goal - (grid.origin + grid.spacing * sources)
     length = np.linalg.norm(straight, axis=1, keepdims=True)
-    directions[tuple(sources.T)] = np.rint(127.0 * straight / np.maximum(length, 1e-12))
+    directions[tuple(sources.T)] = np.rint(UNIT * straight / np.maximum(length, 1e-12))
     return directions
