@@ -22,32 +22,18 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from faults_world import BOUND, FORCE, MARGIN, MESHES, RADIUS, SPEED, World, disturbances, look_up
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from keepout import environment
-from keepout.control import profiles
-from keepout.control.delay import AheadOfDelay
-from keepout.control.guard import Guard, GuardFlag
-from keepout.fields.evaluate import values
-from keepout.fields.shipped import load_shipped, shipped_names
+from keepout.control.guard import GuardFlag
 from keepout.flight import faults as broken
 from keepout.flight.audit import Contact, audit_campaign
 from keepout.flight.campaign import campaign, initial_states
-from keepout.flight.setup import FlightSetup, NoFaults
+from keepout.flight.setup import NoFaults
 from keepout.flight.tube import FlightBounds
-from keepout.geometry.offset_solid import OffsetSolid
-from keepout.geometry.target import Target
-from keepout.guard_field import guard_field
-from keepout.motion.disturbance import CombinedDisturbance, SinusoidalDisturbance, SquareWaveDisturbance
-from keepout.scenario import Scenario
 
-MESHES = Path(__file__).resolve().parents[2] / "shared" / "meshes"
-RADIUS, MARGIN, MASS, FORCE, SPEED = 0.5, 0.1, 20.0, 0.1, 0.1
-BOUND = 0.0143
-"""Disturbance bound assumed by the guard, N: just above the paper's disturbance, 0.01 √2 N."""
-REACH = 25.0
-"""Starts are drawn within this of the goal along each axis, m, so that a flight of 600 s can get there."""
 TARGETS = ("intelsat30", "iss", "tiangong", "ssl1300.glb")
 VIOLATIONS = int(~np.int32(3) & ~np.int32(GuardFlag.COMMAND) & 0x7FFFFFFF)
 AUDITED = ("time", "position", "velocity", "force", "guard_status")
@@ -90,122 +76,6 @@ FAULTS = (
 )
 DISTURBANCES = ("paper", "constant", "bang-bang", "resonant", "twice the bound")
 ROWS = [(f, d) for f in FAULTS for d in DISTURBANCES if f.within or d != "twice the bound"]
-
-
-def disturbances(kind, flights, generator):
-    """Stack one disturbance a flight, in a direction of its own; all kinds have one structure of arrays."""
-    direction = generator.normal(size=(flights, 3))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    amplitude, frequency, phase = np.zeros((3, flights, 1, 3))
-    square, period = np.zeros((flights, 3)), 100.0
-    if kind == "paper":
-        amplitude[:], frequency[:], phase[:] = 0.01, [0.02, 0.02, 0.01], [0.0, np.pi / 2, 0.0]
-    elif kind in ("constant", "twice the bound"):
-        amplitude[:, 0], phase[:] = (0.999 if kind == "constant" else 2.0) * BOUND * direction, np.pi / 2
-    else:
-        square, period = 0.999 * BOUND * direction, 2.0 if kind == "resonant" else 2.0 * np.pi / 0.05
-    template = CombinedDisturbance(
-        (SinusoidalDisturbance(amplitude[0], frequency[0], phase[0]), SquareWaveDisturbance(square[0], period))
-    )
-    stacked = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (flights, *leaf.shape)), template)
-    return eqx.tree_at(
-        lambda d: (d.parts[0].amplitude, d.parts[0].frequency, d.parts[0].phase, d.parts[1].amplitude),
-        stacked,
-        tuple(map(jnp.asarray, (amplitude, frequency, phase, square))),
-    )
-
-
-def look_up(name):
-    """Give the target of a name or mesh file, its shipped field or None, and the digest of what the law flies by."""
-    path = MESHES / name if (MESHES / name).is_file() else Path(name)
-    target = Target.load(path if path.suffix else name)
-    if path.stem not in shipped_names():
-        return target, None, target.sha256
-    model = load_shipped(path.stem, target=target)
-    return target, model, model.sha256
-
-
-class World:
-    """A target with all that its rows share: the guard's field, the law and its field, the box of starts."""
-
-    def __init__(self, name):
-        self.name = Path(name).stem
-        self.target, shipped, self.digest = look_up(name)
-        self.solid = OffsetSolid.build(self.target.distance, closing_radius=0.25)
-        lower, upper = self.target.vertices.min(axis=0), self.target.vertices.max(axis=0)
-        self.grid = guard_field(self.target, RADIUS)
-        centre = 0.5 * (lower + upper)
-        self.goal = np.array([centre[0], lower[1] - 4.0, centre[2] - 2.0])
-        self.lower, self.upper = np.maximum(lower - 4.0, self.goal - REACH), np.minimum(upper + 4.0, self.goal + REACH)
-        self.model, self.law_field = (shipped, "shipped") if shipped else (self.grid, "grid")
-        self.law = profiles.default(
-            self.model.field,
-            error_bound=self.model.certificate(RADIUS).error_bound,
-            chaser_radius=RADIUS,
-            margin=MARGIN,
-            goal=self.goal,
-            motion=environment.relative_motion(self.scenario("", 600)),
-            mass=MASS,
-            force_limit=FORCE,
-            speed_limit=SPEED,
-            period=1.0,
-            disturbance_bound=BOUND,
-            bounds=(np.minimum(self.lower, self.goal) - 3.0, np.maximum(self.upper, self.goal) + 3.0),
-        )
-
-    def scenario(self, told, duration):
-        """Give the scenario behind a group of rows."""
-        entry = {"position_error": 0.01, "velocity_error": 3e-4, "gain_error": 0.02} if told else {}
-        entry |= {"delay": 1} if told == "late" else {}
-        return Scenario().replace(
-            goal={"position": tuple(self.goal)},
-            start={"position": tuple(self.upper)},
-            disturbance={"bound": BOUND},
-            guard=entry,
-            duration=float(duration),
-        )
-
-    def setup(self, told, duration):
-        """Give the setup of a group of rows: what differs within it are arrays (`varied`), so it compiles once."""
-        scenario = self.scenario(told, duration)
-        certificate = self.grid.certificate(RADIUS)
-        guard = Guard(
-            field=self.grid.field,
-            threshold=certificate.error_bound + RADIUS,
-            lipschitz=certificate.gradient_bound,
-            assumptions=environment.guard_assumptions(scenario, self.target),
-        )
-        motion = environment.relative_motion(scenario)
-        law = AheadOfDelay(self.law, motion, MASS, 1.0, 1) if told == "late" else self.law
-        stuck = broken.StuckThruster(1, 1, 0.0, start=jnp.inf)
-        parts = (broken.WrongEstimate(), broken.DroppedCommands(0.0), broken.ThrusterGain(0.0), stuck)
-        late = (broken.DelayedCommands(1),) if told == "late" else ()
-        return FlightSetup(
-            motion=motion,
-            disturbance=jax.tree.map(lambda leaf: leaf[0], disturbances("paper", 1, np.random.default_rng(0))),
-            thrusters=environment.thrusters(scenario),
-            controller=broken.BrokenLaw(law, self.grid.field, "none", FORCE, MASS, SPEED),
-            goal=self.goal,
-            mass=MASS,
-            guard=guard,
-            faults=broken.CombinedFaults((*parts, *late)),
-        )
-
-    def starts(self, guard, generator, count, *, close):
-        """Draw starts outside the target; `close` ones are inside the law's own margin, but outside the guard's."""
-        offset, kept = float(self.law.velocity.offset), []
-        for _ in range(200):
-            points = generator.uniform(self.lower, self.upper, (8192, 3))
-            points = points[values(self.grid.field, points) > guard.least_value + (0.02 if close else 0.5)]
-            points = points[self.solid.is_exterior(points)]
-            law_value = values(self.model.field, points)
-            kept.append(points[(law_value < offset) if close else (law_value > offset + 0.1)])
-            if sum(map(len, kept)) >= count:
-                break
-        found = np.concatenate(kept)
-        if len(found) == 0:
-            raise SystemExit(f"{self.name}: no room for starts around {self.goal.tolist()}")
-        return np.resize(found, (count, 3))
 
 
 def varied(setup):
