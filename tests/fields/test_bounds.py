@@ -93,11 +93,22 @@ def test_float32_exponential_and_logarithm_are_as_exact_as_assumed():
     normal = e > 2.0**-125
     got = np.asarray(jax.jit(lambda x: jnp.exp(-x))(t), np.float64)
     assert (np.abs(got - e)[normal] / e[normal]).max() < 0.5 * relaxation.ELEMENTARY * 2.0**-23
-    argument = np.exp(-t).astype(np.float32)
-    log = np.log1p(argument.astype(np.float64))
-    got = np.asarray(jax.jit(jnp.log1p)(argument), np.float64)
-    kept = log > 2.0**-125
-    assert (np.abs(got - log)[kept] / log[kept]).max() < 0.5 * relaxation.ELEMENTARY * 2.0**-23
+    every = np.arange(2**23 + 1, dtype=np.uint32) + np.float32(1.0).view(np.uint32)  # all numbers from 1 to 2
+    argument = every.view(np.float32)
+    log = np.log(argument.astype(np.float64))
+    got = np.asarray(jax.jit(jnp.log)(argument), np.float64)
+    assert (np.abs(got - log) <= 0.5 * relaxation.ELEMENTARY * 2.0**-23 * log).all()
+
+
+@pytest.mark.parametrize("function", [mlp.softplus, lambda z, beta: mlp.softplus_and_slope(z, beta)[0]])
+def test_float32_softplus_keeps_its_allowance(function):
+    z = np.concatenate([np.linspace(-1.5, 1.5, 2_000_001), np.geomspace(1e-30, 1.0, 100_001)]).astype(np.float32)
+    got = np.asarray(jax.jit(lambda z: function(z, BETA))(z), np.float64)
+    exact = np.logaddexp(0.0, BETA * z.astype(np.float64)) / BETA
+    allowed = relaxation.ELEMENTARY * relaxation.UNIT32 * (exact + 2.0 / BETA)
+    off = BETA * z < -relaxation.SATURATED
+    allowed[off] = np.minimum(allowed[off], relaxation.TAIL / BETA)
+    assert (np.abs(got - exact) <= allowed).all()
 
 
 def test_float64_softplus_of_the_bounds_is_as_exact_as_assumed():

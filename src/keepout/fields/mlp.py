@@ -27,17 +27,22 @@ def times(a: Float[Array, "n k"], b: Float[Array, "k m"]) -> Float[Array, "n m"]
 
 
 def softplus(z: Float[Array, "*n"], beta: float) -> Float[Array, "*n"]:
-    """σ(z) = log(1 + exp(β z))/β, without overflow."""
+    """σ(z) = log(1 + exp(β z))/β, without overflow.
+
+    The logarithm is not `log1p`, which keeps digits of σ far below 1/β that no later sum keeps, and costs a third of a
+    network's time.
+    """
     t = beta * z
-    return (jnp.maximum(t, 0.0) + jnp.log1p(jnp.exp(-jnp.abs(t)))) / beta
+    return (jnp.maximum(t, 0.0) + jnp.log(1.0 + jnp.exp(-jnp.abs(t)))) / beta
 
 
 def softplus_and_slope(z: Float[Array, "*n"], beta: float) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
     """σ and σ' = s, the logistic function of β z, from one exponential; σ'' = β s (1 - s)."""
     t = beta * z
     e = jnp.exp(-jnp.abs(t))
-    value = (jnp.maximum(t, 0.0) + jnp.log1p(e)) / beta
-    reciprocal = 1.0 / (1.0 + e)
+    both = 1.0 + e
+    value = (jnp.maximum(t, 0.0) + jnp.log(both)) / beta
+    reciprocal = 1.0 / both
     return value, jnp.where(t > 0.0, reciprocal, e * reciprocal)
 
 

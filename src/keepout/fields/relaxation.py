@@ -11,7 +11,8 @@ from jaxtyping import Float, Float32
 
 UNIT64, UNIT32 = 2.0**-53, 2.0**-24
 ELEMENTARY = 8.0
-"""Units in the last place by which exp and log1p may be wrong, in float32 and in float64; a test sweeps them."""
+"""Units of rounding by which exp and log may be wrong in float32, and exp and log1p in float64, relative to what they
+return; and those by which a float32 softplus may be, relative to |σ| + 2/β. A test sweeps them."""
 SATURATED = 16.0
 """Where |β z| exceeds it, σ and σ' differ from their limits by less than `TAIL`, relative to 1/β and to 1."""
 TAIL = 1.2e-7
