@@ -21,7 +21,7 @@ from keepout.fields.grid_certificate import certify_grid
 from keepout.fields.model import FieldModel
 from keepout.fields.neural import NeuralField
 from keepout.fields.quality import curvature, margin_cost
-from keepout.fields.training import fit
+from keepout.fields.training import HARD_SHARE, fit
 from keepout.geometry.offset_solid import OffsetSolid
 from keepout.geometry.target import Target
 
@@ -58,11 +58,18 @@ def megabytes(model: FieldModel, folder: Path) -> float:
 
 
 def product_flops(model: FieldModel) -> float:
-    """Flops of the fit's matrix products: value and gradient (2 sweeps), and their reverse (twice as much)."""
+    """Flops of the fit's matrix products.
+
+    Value and gradient take 2 sweeps, and their reverse twice as much; a value only takes half of both. Fields of
+    before 22 November 2026 learned a gradient at every point.
+    """
     numbers, field = model.training["numbers"], model.field
     assert isinstance(field, NeuralField)
     weights = sum(W.size for W in field.layers.weights)
-    return (numbers["steps"] + numbers["tuning_steps"]) * numbers["batch"] * 2.0 * weights * 2 * 3
+    sloped = model.training.get("sloped_share", 1.0)
+    hard = HARD_SHARE * numbers["tuning_steps"]
+    points = numbers["batch"] * (hard + (numbers["steps"] + numbers["tuning_steps"] - hard) * 0.5 * (1.0 + sloped))
+    return points * 2.0 * weights * 2 * 3
 
 
 def row(model: FieldModel, label: str, solid: OffsetSolid, name: str, folder: Path) -> dict:

@@ -29,7 +29,7 @@ NEAR_FIELD = 1.2
 """Metres from the surface up to which over-statement is hunted in the room, too."""
 WORST, ROUNDS_KEPT = 1500, 3
 """Over-statements of each kind that a round keeps, and the rounds that are learned from."""
-CLIMBERS = 4000
+CLIMBERS = 4096
 """Worst candidates that climb."""
 ASCENT = (0.08, 0.05, 0.03, 0.02, 0.01, 0.005)
 """Metres. Steps by which they climb."""

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from keepout.fields.field import Field
 
-PIECE = 8192
+PIECE = 4096
 
 
 @eqx.filter_jit

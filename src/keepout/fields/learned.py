@@ -10,8 +10,9 @@ from jaxtyping import Array, Float, Float32
 from keepout.fields import mlp
 from keepout.fields.evaluate import in_pieces
 from keepout.fields.sampling import Domain, Points
+from keepout.xla import WIDE
 
-ROWS = 1024
+ROWS = 2048
 """Points evaluated together, float32."""
 
 
@@ -43,11 +44,11 @@ class Learned:
         return ((points - self.domain.centre) / self.domain.learned_radius).astype(np.float32)
 
 
-@functools.partial(jax.jit, static_argnums=(1,))
+@functools.partial(jax.jit, static_argnums=(1,), compiler_options=WIDE)
 def _value(layers: mlp.Layers, beta: float, x: Float32[Array, "n 3"]) -> Float32[Array, "n"]:
     return mlp.in_chunks(lambda rows: mlp.value(layers, beta, rows), x, ROWS)
 
 
-@functools.partial(jax.jit, static_argnums=(1,))
+@functools.partial(jax.jit, static_argnums=(1,), compiler_options=WIDE)
 def _gradient(layers: mlp.Layers, beta: float, x: Float32[Array, "n 3"]) -> Float32[Array, "n 3"]:
     return mlp.in_chunks(lambda rows: mlp.value_and_gradient(layers, beta, rows)[1], x, ROWS)

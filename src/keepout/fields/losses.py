@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float32
 
 from keepout.fields import mlp, second_sweep
@@ -21,20 +22,35 @@ class Batch(NamedTuple):
     """How much the distance error of the point counts (Keepout's loss)."""
 
 
+class Parted(NamedTuple):
+    """Labelled points by what is learned from them: value and gradient, or the value only, at half the work."""
+
+    sloped: Batch
+    plain: Batch
+
+    @classmethod
+    def by(cls, profile: Profile, data: Batch) -> "Parted":
+        """Part points as the profile's loss takes them: the paper's asks every point for a gradient."""
+        sloped = np.asarray(data.smooth) | (profile.loss != "keepout")
+        return cls(Batch(*(column[sloped] for column in data)), Batch(*(column[~sloped] for column in data)))
+
+
 def keepout_terms(
-    layers: mlp.Layers, profile: Profile, scale: float, batch: Batch
-) -> tuple[Float32[Array, "n"], Float32[Array, "n"]]:
-    """For each point: the weighted pinball of the distance error, and the squared gradient error.
+    layers: mlp.Layers, profile: Profile, scale: float, batch: Batch, sloped: int
+) -> tuple[Float32[Array, "n"], Float32[Array, "{sloped}"]]:
+    """For each point: the weighted pinball of the distance error; for the first ones, the squared gradient error.
 
     Where the point is hidden, only over-statement counts.
     """
-    y, gradient = second_sweep.value_and_gradient(layers, profile.beta, batch.x)
+    y, gradient = second_sweep.value_and_gradient(layers, profile.beta, batch.x[:sloped])
+    y = jnp.concatenate([y, mlp.value(layers, profile.beta, batch.x[sloped:])])
     e = y * jnp.float32(scale) - batch.distance
     over, under = jnp.maximum(e, 0.0), jnp.where(batch.hidden, 0.0, jnp.maximum(-e, 0.0))
     tau = jnp.float32(profile.over_weight)
     value_term = batch.weight * (tau * over + (1 - tau) * under)
-    difference = jnp.sum((gradient - batch.gradient) ** 2, axis=-1)
-    slope_term = jnp.float32(profile.gradient_weight) * batch.smooth * difference / (1 + jnp.abs(batch.distance))
+    first = Batch(*(column[:sloped] for column in batch))
+    difference = jnp.sum((gradient - first.gradient) ** 2, axis=-1)
+    slope_term = jnp.float32(profile.gradient_weight) * first.smooth * difference / (1 + jnp.abs(first.distance))
     return value_term, slope_term
 
 
@@ -58,8 +74,9 @@ def paper_terms(
 
 
 def terms(
-    layers: mlp.Layers, profile: Profile, scale: float, batch: Batch
-) -> tuple[Float32[Array, "n"], Float32[Array, "n"]]:
-    """Return the two terms of the profile's loss at each point."""
-    chosen = keepout_terms if profile.loss == "keepout" else paper_terms
-    return chosen(layers, profile, scale, batch)
+    layers: mlp.Layers, profile: Profile, scale: float, batch: Batch, sloped: int
+) -> tuple[Float32[Array, "n"], Float32[Array, "{sloped}"]]:
+    """Return the two terms of the profile's loss: at each point, and at the first ones, which have a gradient term."""
+    if profile.loss == "keepout":
+        return keepout_terms(layers, profile, scale, batch, sloped)
+    return paper_terms(layers, profile, scale, batch)

@@ -95,6 +95,7 @@ def fit(
     if numbers.tuning_steps:
         hunt = Hunt.prepare(solid, domain, chaser_radius, numbers.webs, generator, room_share=numbers.room_share)
     data = normalised(samples, domain, numbers.near / (np.abs(samples.distance) + numbers.near))
+    examples = losses.Parted.by(numbers, data)
 
     fingerprint = _fingerprint(target, solid, numbers, chaser_radius, seed)
     state = _initial(numbers, data, hunt.kept if hunt else 0, seed)
@@ -118,7 +119,7 @@ def fit(
         if block == main_blocks:
             state = state._replace(optimizer=_optimizer(numbers, tuning).init(state.layers))
         layers, optimizer, value_term, slope_term = _train_block(
-            numbers, domain.learned_radius, tuning, state, data, jax.random.fold_in(jax.random.key(seed), block)
+            numbers, domain.learned_radius, tuning, state, examples, jax.random.fold_in(jax.random.key(seed), block)
         )
         state = state._replace(layers=layers, optimizer=optimizer, block=jnp.asarray(block + 1, state.block.dtype))
         if not math.isfinite(float(value_term)):
@@ -136,6 +137,7 @@ def fit(
         "numbers": dataclasses.asdict(numbers),
         "chaser_radius": chaser_radius,
         "seed": seed,
+        "sloped_share": len(examples.sloped.x) / len(data.x),
         "seconds": time.perf_counter() - start,
         "closing_radius": solid.closing_radius,
         "jax": jax.__version__,
@@ -200,30 +202,36 @@ def _hidden_matrices(layers: Any) -> Any:
 
 
 @functools.partial(jax.jit, static_argnums=(0, 1, 2), compiler_options=NO_LIBRARIES)
-def _train_block(profile: Profile, scale: float, tuning: bool, state: _State, data: losses.Batch, key: Array):
-    """`BLOCK` steps in one compiled loop."""
+def _train_block(profile: Profile, scale: float, tuning: bool, state: _State, data: losses.Parted, key: Array):
+    """`BLOCK` steps in one compiled loop.
+
+    Each step's easy points have the kinds of `losses.Parted` in the shares in which all of them have.
+    """
     optimizer = _optimizer(profile, tuning)
-    count = len(data.x)
-    batch = min(profile.batch, count)
-    hard_count = round(HARD_SHARE * batch) if tuning else 0
+    counts = [len(part.x) for part in data]
+    batch = min(profile.batch, sum(counts))
+    hard = round(HARD_SHARE * batch) if tuning else 0
+    plain = round((batch - hard) * counts[1] / sum(counts))
+    sloped = batch - hard - plain
 
     def loss(layers: mlp.Layers, rows: losses.Batch):
-        value_term, slope_term = losses.terms(layers, profile, scale, rows)
-        weight = jnp.ones(batch, jnp.float32).at[batch - hard_count :].set(HARD_WEIGHT)
-        value_mean, slope_mean = jnp.mean(weight * value_term), jnp.mean(weight * slope_term)
+        value_term, slope_term = losses.terms(layers, profile, scale, rows, hard + sloped)
+        weight = jnp.ones(batch, jnp.float32).at[:hard].set(HARD_WEIGHT)
+        value_mean, slope_mean = jnp.mean(weight * value_term), jnp.sum(weight[: hard + sloped] * slope_term) / batch
         return value_mean + slope_mean, (value_mean, slope_mean)
+
+    def drawn(key: Array, part: losses.Batch, number: int) -> losses.Batch:
+        row = jax.random.randint(key, (number,), 0, max(len(part.x), 1))
+        return jax.tree.map(lambda column: column[row], part)
 
     def step(carry, step_key):
         layers, optimizer_state = carry
-        if batch == count and not tuning:
-            rows = data
+        if batch == sum(counts) and not tuning:
+            parts = list(data)
         else:
-            easy_key, hard_key = jax.random.split(step_key)
-            easy = jax.random.randint(easy_key, (batch - hard_count,), 0, count)
-            rows = jax.tree.map(lambda a: a[easy], data)
-            if tuning:
-                hard = jax.random.randint(hard_key, (hard_count,), 0, len(state.hard.x))
-                rows = jax.tree.map(lambda a, b: jnp.concatenate([a, b[hard]]), rows, state.hard)
+            draws = zip(jax.random.split(step_key, 3), (state.hard, *data), (hard, sloped, plain))
+            parts = [drawn(*draw) for draw in draws]
+        rows = jax.tree.map(lambda *columns: jnp.concatenate(columns), *parts)
         (_, means), gradient = jax.value_and_grad(loss, has_aux=True)(layers, rows)
         updates, optimizer_state = optimizer.update(gradient, optimizer_state, layers)
         return (optax.apply_updates(layers, updates), optimizer_state), means
