@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 
 from keepout.fields.counter_examples import HIGHEST, JITTER, ROUNDS_KEPT, WORST, Hunt
+from keepout.fields.profile import Profile
 from keepout.fields.sampling import Domain
 from keepout.geometry.offset_solid import OffsetSolid
 from keepout.geometry.target import Target
 
 HEIGHT, WIDTH, WEBS = 0.2, 0.04, 300
+PROFILE = Profile(webs=WEBS)
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +42,7 @@ class Wrong:
 @pytest.mark.parametrize("width", [WIDTH, 0.2 * WIDTH])
 def test_a_planted_peak_is_climbed(solid, peak, level, width):
     domain = Domain.around(solid.distance)
-    hunt = Hunt.prepare(solid, domain, 0.3, WEBS, np.random.default_rng(0))
+    hunt = Hunt.prepare(solid, domain, 0.3, PROFILE, np.random.default_rng(0))
     assert hunt.levels == (0.0, 0.3)
     batch, largest = hunt.worst(
         Wrong(solid.distance, 0.05, peak, HEIGHT, width), NOTHING_KNOWN, np.random.default_rng(1)
@@ -61,14 +63,14 @@ def test_a_planted_peak_is_climbed(solid, peak, level, width):
 
 
 def test_a_point_chaser_is_hunted_on_the_surface_alone(solid):
-    hunt = Hunt.prepare(solid, Domain.around(solid.distance), 0.0, WEBS, np.random.default_rng(0))
+    hunt = Hunt.prepare(solid, Domain.around(solid.distance), 0.0, PROFILE, np.random.default_rng(0))
     assert hunt.levels == (0.0,)
     assert hunt.kept == ROUNDS_KEPT * (2 * WORST + WEBS)
 
 
 def test_a_web_is_found(solid):
     """A field that says too little in one place off the surface, where it endangers nothing."""
-    hunt = Hunt.prepare(solid, Domain.around(solid.distance), 0.0, WEBS, np.random.default_rng(0))
+    hunt = Hunt.prepare(solid, Domain.around(solid.distance), 0.0, PROFILE, np.random.default_rng(0))
     web = np.array([1.3, 0.8, 0.2])
 
     wrong = Wrong(solid.distance, solid.offset, web, -0.4, 0.1)
@@ -93,7 +95,7 @@ def test_a_web_is_found(solid):
 
 def test_a_peak_known_before_is_found_again(solid):
     """One too narrow to be met by chance, but near a counter-example of an earlier round."""
-    hunt = Hunt.prepare(solid, Domain.around(solid.distance), 0.0, WEBS, np.random.default_rng(0))
+    hunt = Hunt.prepare(solid, Domain.around(solid.distance), 0.0, PROFILE, np.random.default_rng(0))
     peak = np.array([1.0, 0.12, 0.31])
     wrong = Wrong(solid.distance, 0.05, peak, HEIGHT, 1e-3)
     heights = [

@@ -1,5 +1,7 @@
 """What training minimises: points that have no gradient to learn cost less, and count the same."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -50,17 +52,22 @@ def test_the_papers_eikonal_term_is_asked_of_every_point(name):
     assert len(parts.plain.x) == 0
 
 
+def test_the_near_field_reaches_beyond_where_the_chaser_touches():
+    assert PROFILE.for_chaser(0.3).near_field == PROFILE.near_field == 1.2
+    assert PROFILE.for_chaser(3.0).near_field == pytest.approx(3.7)
+
+
 def test_the_keepout_loss_by_hand():
-    """Pinball 0.8 : 0.2 times the weight; no under-statement where hidden; gradient errors less far out."""
+    """Weighted pinball, by another share beyond the near field; no under-statement where hidden; a slope's error."""
     x = jnp.asarray([[0.1, 0.2, 0.3], [0.1, 0.2, 0.3], [0.1, 0.2, 0.3]], jnp.float32)
     layers = random_layers(1, (3, 8, 1), jnp.float32)
     y, gradient = losses.second_sweep.value_and_gradient(layers, PROFILE.beta, x)
     f = float(y[0]) * SCALE
     distance = np.asarray([f + 1.0, f - 1.0, f + 1.0], np.float32)
+    profile = dataclasses.replace(PROFILE, over_weight=0.8, far_over_weight=0.6, near_field=f)
     off = gradient + jnp.asarray([0.0, 0.0, 1.0], jnp.float32)
     smooth, hidden = jnp.asarray([True, False, False]), jnp.asarray([False, False, True])
     batch = losses.Batch(x, jnp.asarray(distance), off, smooth, hidden, jnp.asarray([2.0, 3.0, 1.0], jnp.float32))
-    value_term, slope_term = losses.terms(layers, PROFILE, SCALE, batch, 1)
-    tau = PROFILE.over_weight
-    np.testing.assert_allclose(value_term, [2.0 * (1.0 - tau), 3.0 * tau, 0.0], rtol=1e-4, atol=1e-5)
+    value_term, slope_term = losses.terms(layers, profile, SCALE, batch, 1)
+    np.testing.assert_allclose(value_term, [2.0 * 0.4, 3.0 * 0.8, 0.0], rtol=1e-4, atol=1e-5)
     np.testing.assert_allclose(slope_term, [PROFILE.gradient_weight / (1.0 + abs(distance[0]))], rtol=1e-4)

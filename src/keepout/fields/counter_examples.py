@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from keepout.fields import losses
+from keepout.fields.profile import Profile
 from keepout.fields.sampling import (
     Domain,
     Points,
@@ -25,8 +26,6 @@ from keepout.geometry.offset_solid import OffsetSolid
 ON_SURFACE, ON_LEVEL, NEAR = 100_000, 100_000, 200_000
 """Candidates on the surface and on the chaser's contact surface, new ones every round; and those in the room next to
 the surface (`Domain.room`), which stay."""
-NEAR_FIELD = 1.2
-"""Metres from the surface up to which over-statement is hunted in the room, too."""
 WORST, ROUNDS_KEPT = 1500, 3
 """Over-statements of each kind that a round keeps, and the rounds that are learned from."""
 CLIMBERS = 4096
@@ -66,7 +65,7 @@ class Hunt:
         domain: of the field.
         chaser_radius: metres.
         near: labelled points near the surface.
-        webs: worst under-statements that a round keeps.
+        profile: the numbers of the fit.
 
     """
 
@@ -74,7 +73,7 @@ class Hunt:
     domain: Domain
     chaser_radius: float
     near: Samples
-    webs: int
+    profile: Profile
 
     @classmethod
     def prepare(
@@ -82,16 +81,14 @@ class Hunt:
         solid: OffsetSolid,
         domain: Domain,
         chaser_radius: float,
-        webs: int,
+        profile: Profile,
         generator: np.random.Generator,
-        *,
-        room_share: float = 0.0,
     ) -> "Hunt":
-        """Sample the candidates that stay; `room_share` of them as `training_points` has it."""
+        """Sample the candidates that stay."""
         distance = solid.distance
-        near = training_points(distance, domain, 3 * NEAR, generator, room_share=room_share)
+        near = training_points(distance, domain, 3 * NEAR, generator, room_share=profile.room_share)
         near = label(solid, near[distance.distance(near) < domain.room][:NEAR])
-        return cls(solid, domain, chaser_radius, near, webs)
+        return cls(solid, domain, chaser_radius, near, profile)
 
     @property
     def levels(self) -> tuple[float, ...]:
@@ -103,7 +100,7 @@ class Hunt:
     @property
     def kept(self) -> int:
         """Number of counter-examples that are learned from at a time."""
-        return ROUNDS_KEPT * (WORST * (len(self.levels) + 1) + self.webs)
+        return ROUNDS_KEPT * (WORST * (len(self.levels) + 1) + self.profile.webs)
 
     def worst(
         self, learner: Learner, known: Points, generator: np.random.Generator, *, settling: bool = False
@@ -127,9 +124,9 @@ class Hunt:
             largest = max(largest, float(value.max()) - level)
         excess = learner.value(self.near.points.astype(np.float64)) - self.near.distance
         lack = np.where(self.near.hidden, -np.inf, -excess)
-        excess = np.where(self.near.distance < NEAR_FIELD, excess, -np.inf)
-        webs = 0 if settling else self.webs
-        over, under = _largest(excess, WORST + self.webs - webs), _largest(lack, webs)
+        excess = np.where(self.near.distance < self.profile.near_field, excess, -np.inf)
+        webs = 0 if settling else self.profile.webs
+        over, under = _largest(excess, WORST + self.profile.webs - webs), _largest(lack, webs)
         chosen += [self.near.points[best].astype(np.float64) for best in (over, under)]
         # A web is deep and rare: a loss that grows with the error alone would rather keep it.
         weights += [np.ones(len(over)), _weights(lack[under])]

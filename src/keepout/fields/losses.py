@@ -46,7 +46,8 @@ def keepout_terms(
     y = jnp.concatenate([y, mlp.value(layers, profile.beta, batch.x[sloped:])])
     e = y * jnp.float32(scale) - batch.distance
     over, under = jnp.maximum(e, 0.0), jnp.where(batch.hidden, 0.0, jnp.maximum(-e, 0.0))
-    tau = jnp.float32(profile.over_weight)
+    near = batch.distance < profile.near_field
+    tau = jnp.where(near, jnp.float32(profile.over_weight), jnp.float32(profile.far_over_weight))
     value_term = batch.weight * (tau * over + (1 - tau) * under)
     first = Batch(*(column[:sloped] for column in batch))
     difference = jnp.sum((gradient - first.gradient) ** 2, axis=-1)

@@ -7,6 +7,8 @@ from keepout.errors import FieldError
 
 LARGE_TARGET = 20.0
 """Metres. A target whose bounding ball is larger gets the profile's numbers for large targets, where it has any."""
+BEYOND_CONTACT = 0.7
+"""Metres that the near field reaches beyond where a chaser touches."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,7 +37,9 @@ class Profile:
         learning_rate: of Adam, at the start.
         muon_rate: of the hidden matrices under Muon, at the start.
         halving: steps after which the learning rate halves; 0: cosine decay over the phase.
-        over_weight: weight of over-statement against under-statement, 0.5 to 1 (keepout loss).
+        over_weight: weight of over-statement against under-statement, 0.5 to 1, in the near field (keepout loss).
+        far_over_weight: the same beyond the near field, where over-statement costs no safety.
+        near_field: metres from the surface up to which over-statement is held and hunted; `for_chaser` extends it.
         gradient_weight: of the gradient term (keepout), or η of the eikonal term (paper).
         kappa: κ of the paper's loss.
         large: the numbers for a target larger than `LARGE_TARGET`; None: the same.
@@ -58,6 +62,8 @@ class Profile:
     muon_rate: float = 0.01
     halving: int = 0
     over_weight: float = 0.8
+    far_over_weight: float = 0.8
+    near_field: float = 1.2
     gradient_weight: float = 0.02
     kappa: float = 2.0
     large: "Profile | None" = None
@@ -66,9 +72,21 @@ class Profile:
         """Return the numbers for a target whose bounding ball has this radius, metres."""
         return self if self.large is None or radius <= LARGE_TARGET else self.large
 
+    def for_chaser(self, radius: float) -> "Profile":
+        """Return the numbers for a chaser of this radius, metres: the near field reaches beyond where it touches."""
+        return dataclasses.replace(self, near_field=max(self.near_field, radius + BEYOND_CONTACT))
+
 
 _STATION = Profile(
-    width=160, depth=5, steps=10_000, tuning_steps=7_000, webs=300, near=0.4, room_share=0.25, over_weight=0.65
+    width=160,
+    depth=5,
+    steps=10_000,
+    tuning_steps=7_000,
+    webs=300,
+    near=0.4,
+    room_share=0.25,
+    over_weight=0.65,
+    far_over_weight=0.5,
 )
 _PAPER = Profile(
     loss="paper_pinball",

@@ -80,7 +80,7 @@ def fit(
     start = time.perf_counter()
     distance = target.distance
     domain = Domain.around(distance)
-    numbers = find_profile(profile).for_size(domain.target_radius)
+    numbers = find_profile(profile).for_size(domain.target_radius).for_chaser(chaser_radius)
     name = profile if isinstance(profile, str) else "custom"
     largest = domain.domain_radius - domain.target_radius
     if not 0.0 <= chaser_radius <= largest:
@@ -93,7 +93,7 @@ def fit(
     samples = label(solid, points)
     hunt = None
     if numbers.tuning_steps:
-        hunt = Hunt.prepare(solid, domain, chaser_radius, numbers.webs, generator, room_share=numbers.room_share)
+        hunt = Hunt.prepare(solid, domain, chaser_radius, numbers, generator)
     data = normalised(samples, domain, numbers.near / (np.abs(samples.distance) + numbers.near))
     examples = losses.Parted.by(numbers, data)
 
