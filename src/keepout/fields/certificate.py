@@ -113,10 +113,7 @@ def certify(
 
 def _largest_found(field: NeuralField, distance: ExactDistance, radius: float, generator: np.random.Generator) -> float:
     """Return the largest f̃ found on {d = radius}: samples, then random ascent around the best of them."""
-    if radius > 0.0:
-        start = level_points(distance, radius, 60_000, generator)
-    else:
-        start = surface_points(distance, 60_000, generator, by_area=0.5)
+    start = level_points(distance, radius, 60_000, generator)
     value = values(field, start)
     best = float(value.max())
     points = start[np.argsort(-value)[:400]]

@@ -23,8 +23,8 @@ from keepout.fields.sampling import (
 from keepout.geometry.distance import ExactDistance
 from keepout.geometry.offset_solid import OffsetSolid
 
-ON_SURFACE, ON_LEVEL, NEAR = 100_000, 100_000, 200_000
-"""Candidates on the surface and on the chaser's contact surface, new ones every round; and those in the room next to
+ON_LEVEL, NEAR = 100_000, 200_000
+"""Candidates on the surface, as on the chaser's contact surface, new ones every round; and those in the room next to
 the surface (`Domain.room`), which stay."""
 WORST, ROUNDS_KEPT = 1500, 3
 """Over-statements of each kind that a round keeps, and the rounds that are learned from."""
@@ -138,11 +138,8 @@ class Hunt:
         """Return new points of a level set, and what is nearest on it to those known."""
         distance = self.solid.distance
         if not isinstance(distance, ExactDistance):
-            return surface_points(distance, ON_SURFACE, generator)
-        if level > 0.0:
-            new = level_points(distance, level, ON_LEVEL, generator)
-        else:
-            new = surface_points(distance, ON_SURFACE, generator, by_area=0.5)
+            return surface_points(distance, ON_LEVEL, generator)
+        new = level_points(distance, level, ON_LEVEL, generator)
         return np.concatenate([new, onto_level(distance, known, level)])
 
     def _climbed(

@@ -146,7 +146,7 @@ def _exterior_level(solid: OffsetSolid, level: float, count: int, generator: np.
     distance = solid.distance
     if not isinstance(distance, ExactDistance):
         raise TypeError("level sets are measured against a mesh")
-    points = level_points(distance, level, 2 * count, generator, by_area=1.0)
+    points = level_points(distance, level, 2 * count, generator, uniform=True)
     return points[solid.is_exterior(points)][:count]
 
 
