@@ -3,8 +3,8 @@
 Run: python benchmarks/fits.py intelsat30 ../shared/meshes/hubble.glb --fields FOLDER [--json FILE]
 
 A mesh file is taken in metres. A field found in the folder is measured again, not fitted again; its times are those of
-its fit. Beside each network stands the grid field whose certified level is as far from the surface. Times are given too
-as multiples of what the fit's matrix products alone take at the sgemm rate measured in the same run.
+its fit. Beside each network stands the grid field whose certified level is as far from the surface. A fit's time is
+given too as a multiple of what its matrix products alone take at the sgemm rate measured just before and after it.
 """
 
 import argparse
@@ -72,14 +72,13 @@ def product_flops(model: FieldModel) -> float:
     return points * 2.0 * weights * 2 * 3
 
 
-def row(model: FieldModel, label: str, solid: OffsetSolid, name: str, folder: Path) -> dict:
-    """Measure one certified field."""
+def row(model: FieldModel, label: str, solid: OffsetSolid, name: str, folder: Path, sgemm: float | None = None) -> dict:
+    """Measure one certified field; `sgemm` is the machine's rate while it was fitted, if that was in this run."""
     at = [model.certificate(radius) for radius in RADII]
     cost = [
         margin_cost(model.field, solid, error_bound=c.error_bound, chaser_radius=radius) for c, radius in zip(at, RADII)
     ]
     seconds = model.training["seconds"]
-    neural = isinstance(model.field, NeuralField)
     return {
         "target": label,
         "field": name,
@@ -93,7 +92,7 @@ def row(model: FieldModel, label: str, solid: OffsetSolid, name: str, folder: Pa
         "hessian_p99_at_0.3_m": curvature(model.field, solid, 0.3).percentile_99,
         "fit_s": seconds,
         "certify_s": sum(c.seconds for c in at),
-        "fit_over_sgemm": seconds / (product_flops(model) / sgemm_rate()) if neural else None,
+        "fit_over_sgemm": None if sgemm is None else seconds / (product_flops(model) / sgemm),
     }
 
 
@@ -102,10 +101,13 @@ def measure(source: str, folder: Path) -> list[dict]:
     target = Target.load(source, units="m") if Path(source).suffix else Target.load(source)
     solid = OffsetSolid.build(target.distance)
     path = folder / f"{Path(source).name}.keepout"
+    sgemm = None
     if path.exists():
         model = FieldModel.load(path, target=target)
     else:
+        before = sgemm_rate()
         model = fit(target, checkpoint=path.with_suffix(".checkpoint"), solid=solid, progress=show)
+        sgemm = 0.5 * (before + sgemm_rate())
         model.save(path)
     for radius in RADII:
         if all(abs(c.chaser_radius - radius) > 1e-9 for c in model.certificates):
@@ -114,7 +116,7 @@ def measure(source: str, folder: Path) -> list[dict]:
     field = model.field
     assert isinstance(field, NeuralField)
     shape = f"neural {len(field.layers.weights) - 1} x {field.layers.weights[0].shape[0]}"
-    rows = [row(model, Path(source).name, solid, shape, folder)]
+    rows = [row(model, Path(source).name, solid, shape, folder, sgemm)]
     spacing = float(np.round(rows[0]["p95_point_m"], 2))
     grid = build_grid(target, spacing=spacing, solid=solid, progress=show)
     for radius in RADII:
