@@ -12,7 +12,7 @@ from keepout import environment
 from keepout.control import profiles
 from keepout.control.delay import AheadOfDelay
 from keepout.control.guard import Guard
-from keepout.fields.evaluate import values
+from keepout.fields.evaluate import values, values_and_gradients
 from keepout.fields.shipped import load_shipped, shipped_names
 from keepout.flight import faults as broken
 from keepout.flight.setup import FlightSetup
@@ -28,6 +28,8 @@ BOUND = 0.0143
 """Disturbance bound assumed by the guard, N: just above the paper's disturbance, 0.01 √2 N."""
 REACH = 25.0
 """Starts are drawn within this of the goal along each axis, m, so that a flight of 600 s can get there."""
+CLOSE = 0.1
+"""Metres below the law's margin down to which close starts are drawn."""
 
 
 def disturbances(kind, flights, generator):
@@ -135,6 +137,8 @@ class World:
         offset, kept = float(self.law.velocity.offset), []
         for _ in range(200):
             points = generator.uniform(self.lower, self.upper, (8192, 3))
+            if close:
+                points = self._onto_law_level(points, offset - CLOSE * generator.random(len(points)))
             points = points[values(self.grid.field, points) > guard.least_value + (0.02 if close else 0.5)]
             points = points[self.solid.is_exterior(points)]
             law_value = values(self.model.field, points)
@@ -145,3 +149,11 @@ class World:
         if len(found) == 0:
             raise SystemExit(f"{self.name}: no room for starts around {self.goal.tolist()}")
         return np.resize(found, (count, 3))
+
+    def _onto_law_level(self, points, level):
+        """Move points to where the law's field has the values `level`: what is drawn at large is hardly ever there."""
+        for _ in range(4):
+            value, gradient = values_and_gradients(self.model.field, points)
+            squared = np.maximum((gradient**2).sum(axis=1), 0.1)
+            points = points + ((level - value) / squared)[:, None] * gradient
+        return points[((points > self.lower) & (points < self.upper)).all(axis=1)]
