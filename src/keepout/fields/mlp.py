@@ -29,8 +29,7 @@ def times(a: Float[Array, "n k"], b: Float[Array, "k m"]) -> Float[Array, "n m"]
 def softplus(z: Float[Array, "*n"], beta: float) -> Float[Array, "*n"]:
     """σ(z) = log(1 + exp(β z))/β, without overflow.
 
-    The logarithm is not `log1p`, which keeps digits of σ far below 1/β that no later sum keeps, and costs a third of a
-    network's time.
+    The logarithm is not `log1p`, which is slower, and keeps digits of σ far below 1/β that no later sum keeps.
     """
     t = beta * z
     return (jnp.maximum(t, 0.0) + jnp.log(1.0 + jnp.exp(-jnp.abs(t)))) / beta
