@@ -41,7 +41,7 @@ format: install
 	$(BIN)/ruff format .
 
 shipped: install
-	$(BIN)/python -m keepout.fields.shipped
+	$(BIN)/python -m keepout.learning.shipped
 
 clean:
 	rm -rf $(VENV) out .pytest_cache .ruff_cache

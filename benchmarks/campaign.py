@@ -16,7 +16,7 @@ import numpy as np
 from keepout.control import profiles
 from keepout.fields.model import FieldModel
 from keepout.flight import FlightSetup
-from keepout.flight.campaign import campaign, initial_states
+from keepout.flight.batches import campaign, initial_states
 from keepout.motion import Orbit, RelativeMotion, Thrusters, paper_disturbance
 
 

@@ -22,8 +22,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from keepout.control import profiles
-from keepout.control.cone import solve
-from keepout.control.program import Circulation, VelocityProgram
+from keepout.control.velocity_program.cone import solve
+from keepout.control.velocity_program.program import Circulation, VelocityProgram
 from keepout.fields import mlp
 from keepout.fields.analytic import SphereField
 from keepout.fields.continuation import RadialContinuation

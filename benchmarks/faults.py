@@ -26,13 +26,13 @@ from faults_world import BOUND, FORCE, MARGIN, MESHES, RADIUS, SPEED, World, dis
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from keepout import environment
-from keepout.control.guard import GuardFlag
+from keepout.audit.audit import Contact, audit_campaign
+from keepout.audit.tube import FlightBounds
 from keepout.flight import faults as broken
-from keepout.flight.audit import Contact, audit_campaign
-from keepout.flight.campaign import campaign, initial_states
+from keepout.flight.batches import campaign, initial_states
 from keepout.flight.setup import NoFaults
-from keepout.flight.tube import FlightBounds
+from keepout.guard.guard import GuardFlag
+from keepout.mission import environment
 
 TARGETS = ("intelsat30", "iss", "tiangong", "ssl1300.glb")
 VIOLATIONS = int(~np.int32(3) & ~np.int32(GuardFlag.COMMAND) & 0x7FFFFFFF)

@@ -8,19 +8,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from keepout import environment
 from keepout.control import profiles
 from keepout.control.delay import AheadOfDelay
-from keepout.control.guard import Guard
 from keepout.fields.evaluate import values, values_and_gradients
 from keepout.fields.shipped import load_shipped, shipped_names
 from keepout.flight import faults as broken
 from keepout.flight.setup import FlightSetup
 from keepout.geometry.offset_solid import OffsetSolid
 from keepout.geometry.target import Target
-from keepout.guard_field import guard_field
+from keepout.guard.field import guard_field
+from keepout.guard.guard import Guard
+from keepout.mission import environment
+from keepout.mission.scenario import Scenario
 from keepout.motion.disturbance import CombinedDisturbance, SinusoidalDisturbance, SquareWaveDisturbance
-from keepout.scenario import Scenario
 
 MESHES = Path(__file__).resolve().parents[2] / "shared" / "meshes"
 RADIUS, MARGIN, MASS, FORCE, SPEED = 0.5, 0.1, 20.0, 0.1, 0.1

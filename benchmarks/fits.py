@@ -15,15 +15,15 @@ from pathlib import Path
 import numpy as np
 from fields import sgemm_rate
 
-from keepout.fields.certificate import certify
 from keepout.fields.grid_build import build_grid
-from keepout.fields.grid_certificate import certify_grid
 from keepout.fields.model import FieldModel
 from keepout.fields.neural import NeuralField
-from keepout.fields.quality import curvature, margin_cost
-from keepout.fields.training import HARD_SHARE, fit
 from keepout.geometry.offset_solid import OffsetSolid
 from keepout.geometry.target import Target
+from keepout.learning.training import HARD_SHARE, fit
+from keepout.measures.quality import curvature, margin_cost
+from keepout.proof.certificate import certify
+from keepout.proof.grid import certify_grid
 
 RADII = (0.0, 0.5)
 COLUMNS = (

@@ -28,12 +28,12 @@ import numpy as np
 from reach_case import Case
 
 import keepout
-from keepout import environment
+from keepout.audit.audit import Contact, audit_campaign
 from keepout.control import profiles
-from keepout.control.geodesic import geodesic_guidance
-from keepout.flight.audit import Contact, audit_campaign
-from keepout.flight.campaign import BATCH, campaign
+from keepout.control.guidance.geodesic import geodesic_guidance
+from keepout.flight.batches import BATCH, campaign
 from keepout.flight.setup import FlightSetup
+from keepout.mission import environment
 from keepout.report import terminal
 
 LAWS = {

@@ -4,17 +4,17 @@ from pathlib import Path
 
 import numpy as np
 
-from keepout.control.fast_marching import travel_time
-from keepout.control.geodesic import BarrierGrid
-from keepout.fields.certificate import certify
+from keepout.control.guidance.fast_marching import travel_time
+from keepout.control.guidance.geodesic import BarrierGrid
 from keepout.fields.evaluate import values
 from keepout.fields.model import FieldModel
 from keepout.fields.shipped import load_shipped, shipped_names
-from keepout.fields.training import fit
 from keepout.geometry.offset_solid import OffsetSolid
 from keepout.geometry.target import Target
+from keepout.learning.training import fit
+from keepout.mission.scenario import Scenario
+from keepout.proof.certificate import certify
 from keepout.report import terminal
-from keepout.scenario import Scenario
 
 CLEARANCE = 0.5
 """Room round every start and goal, from the chaser's surface, m."""

@@ -8,7 +8,7 @@ import pytest
 import trimesh
 
 import keepout
-from keepout.scenario import Scenario
+from keepout.mission.scenario import Scenario
 
 README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
 

@@ -11,35 +11,36 @@ jax.config.update("jax_enable_x64", True)
 from keepout.errors import KeepoutError  # noqa: E402  (x64 must be on before anything builds an array)
 
 if TYPE_CHECKING:
-    from keepout.campaigns import Campaign, run_campaign
-    from keepout.fields.certificate import certify
     from keepout.fields.model import FieldModel
     from keepout.fields.shipped import load_shipped
-    from keepout.fields.training import fit
     from keepout.flight.on_board import OnBoard
     from keepout.flight.record import FlightRecord
     from keepout.geometry.target import Target
-    from keepout.mission import Flight, Mission, fly, prepare
-    from keepout.scenario import Scenario
+    from keepout.learning.training import fit
+    from keepout.mission.build import Mission, prepare
+    from keepout.mission.campaign import Campaign, run_campaign
+    from keepout.mission.flight import Flight, fly
+    from keepout.mission.scenario import Scenario
+    from keepout.proof.certificate import certify
 
 __version__ = "0.1.0"
 
 # Loaded on first use, so that the command line answers at once.
 _HOMES = {
-    "Campaign": "keepout.campaigns",
-    "run_campaign": "keepout.campaigns",
-    "certify": "keepout.fields.certificate",
+    "Campaign": "keepout.mission.campaign",
+    "run_campaign": "keepout.mission.campaign",
+    "certify": "keepout.proof.certificate",
     "FieldModel": "keepout.fields.model",
     "load_shipped": "keepout.fields.shipped",
-    "fit": "keepout.fields.training",
+    "fit": "keepout.learning.training",
     "OnBoard": "keepout.flight.on_board",
     "FlightRecord": "keepout.flight.record",
     "Target": "keepout.geometry.target",
-    "Flight": "keepout.mission",
-    "Mission": "keepout.mission",
-    "fly": "keepout.mission",
-    "prepare": "keepout.mission",
-    "Scenario": "keepout.scenario",
+    "Flight": "keepout.mission.flight",
+    "Mission": "keepout.mission.build",
+    "fly": "keepout.mission.flight",
+    "prepare": "keepout.mission.build",
+    "Scenario": "keepout.mission.scenario",
 }
 
 __all__ = [

@@ -182,7 +182,7 @@ def fly(
 ) -> None:
     """Fly one scenario, audit the clearance on the exact mesh, and draw it."""
     from keepout.commands import fly_to_folder
-    from keepout.scenario import Scenario
+    from keepout.mission.scenario import Scenario
 
     mission = Scenario.load(scenario)
     if seed is not None:
@@ -207,7 +207,7 @@ def campaign(
 ) -> None:
     """Fly a scenario from many random starts and audit every flight."""
     from keepout.commands import campaign_to_folder
-    from keepout.scenario import Scenario
+    from keepout.mission.scenario import Scenario
 
     mission = Scenario.load(scenario)
     if seed is not None:

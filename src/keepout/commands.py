@@ -9,24 +9,25 @@ from typing import Any
 
 import trimesh
 
-from keepout.campaigns import run_campaign
 from keepout.errors import FieldError, ScenarioError
-from keepout.fields.certificate import certify
-from keepout.fields.inspection import inspect_model
 from keepout.fields.model import FieldModel
-from keepout.fields.quality import surface_errors
 from keepout.fields.shipped import shipped_names
-from keepout.fields.training import fit
 from keepout.geometry.builtin import BUILTINS
 from keepout.geometry.survey import survey
 from keepout.geometry.target import Target
-from keepout.mission import fly, load_target
+from keepout.learning.training import fit
+from keepout.measures.inspection import inspect_model
+from keepout.measures.quality import surface_errors
+from keepout.mission.build import load_target
+from keepout.mission.campaign import run_campaign
+from keepout.mission.flight import fly
+from keepout.mission.scenario import Scenario, TargetEntry
 from keepout.progress import Progress, silent
+from keepout.proof.certificate import certify
 from keepout.report import target_view
 from keepout.report.campaign_view import draw_campaign
 from keepout.report.field_view import draw_slices, draw_surface
 from keepout.report.folder import write_flights
-from keepout.scenario import Scenario, TargetEntry
 
 
 def describe_targets(*, pictures: Path | None = None, progress: Progress = silent) -> list[dict[str, Any]]:

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from keepout.audit.audit import Contact, audit, audit_campaign
+from keepout.audit.outside import proved_outside
+from keepout.audit.tube import FlightBounds, Tube, nearest
 from keepout.errors import FlightError
-from keepout.flight.audit import Contact, audit, audit_campaign
-from keepout.flight.outside import proved_outside
-from keepout.flight.tube import FlightBounds, Tube, nearest
 from keepout.geometry.target import Target
 
 MASS = 20.0

@@ -1,21 +1,16 @@
 """The velocity program against solvers that share no code with it."""
 
-import sys
-from pathlib import Path
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from truths.velocity_programs import LIMIT, largest_rate, random_programs, reference
 
-from keepout.control.cone import ConeStatus, solve
-from keepout.control.program import Circulation, VelocityProgram
-from keepout.control.smoothed import solve_smoothed
+from keepout.control.velocity_program.cone import ConeStatus, solve
+from keepout.control.velocity_program.program import Circulation, VelocityProgram
+from keepout.control.velocity_program.smoothed import solve_smoothed
 from keepout.errors import ControlError
-
-sys.path.insert(0, str(Path(__file__).parent))
-from velocity_programs import LIMIT, largest_rate, random_programs, reference
 
 KINDS = {
     # circulation, box, speed cone; with gradient error the barrier row is a cone, without it a half-space

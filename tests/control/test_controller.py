@@ -10,7 +10,7 @@ import pytest
 
 from keepout.control import profiles
 from keepout.control.controller import ControlStatus
-from keepout.control.geodesic import BarrierGrid
+from keepout.control.guidance.geodesic import BarrierGrid
 from keepout.errors import ControlError
 from keepout.fields.analytic import BoxUnionField
 from keepout.motion.actuator import Thrusters

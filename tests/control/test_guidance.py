@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from keepout.control.circulation import SwitchingCirculation, skew
-from keepout.control.fast_marching import downhill, travel_time, widest_way
-from keepout.control.geodesic import BarrierGrid, geodesic_guidance
-from keepout.control.guidance import ComponentwiseGuidance, StraightGuidance
+from keepout.control.guidance.fast_marching import downhill, travel_time, widest_way
+from keepout.control.guidance.geodesic import BarrierGrid, geodesic_guidance
+from keepout.control.guidance.guidance import ComponentwiseGuidance, StraightGuidance
 from keepout.errors import ControlError
 from keepout.fields.analytic import BoxUnionField, SphereField
 

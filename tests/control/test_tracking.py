@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from keepout.control.guidance import StraightGuidance
+from keepout.control.guidance.guidance import StraightGuidance
 from keepout.control.tracking import Tracking, safety_gain
 from keepout.control.velocity import ClassK, SafeVelocity, SpeedCone
 from keepout.fields.analytic import SphereField

@@ -10,10 +10,10 @@ import pytest
 import trimesh
 
 from keepout import cli
+from keepout.audit.audit import Contact, audit_campaign
+from keepout.audit.tube import FlightBounds
 from keepout.control import profiles
 from keepout.fields.analytic import BoxUnionField
-from keepout.flight.audit import Contact, audit_campaign
-from keepout.flight.tube import FlightBounds
 from keepout.geometry.distance import ExactDistance
 from keepout.motion.actuator import Thrusters
 from keepout.motion.attitude import Tumbling

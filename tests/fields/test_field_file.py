@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import safetensors.numpy
-from test_neural_field import random_field
+from truths.networks import random_field
 
 from keepout.errors import FieldError
 from keepout.fields.model import Certificate, FieldModel

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from keepout.errors import FieldError
-from keepout.fields.certificate import onto_level
 from keepout.fields.evaluate import values, values_gradients_hessians
 from keepout.fields.grid_build import build_grid
-from keepout.fields.grid_certificate import certify_grid
 from keepout.fields.model import FieldModel
-from keepout.fields.sampling import surface_points
+from keepout.geometry.level_points import surface_points
 from keepout.geometry.offset_solid import OffsetSolid
 from keepout.geometry.target import Target
+from keepout.proof.certificate import onto_level
+from keepout.proof.grid import certify_grid
 
 H = 0.1
 

@@ -205,7 +205,7 @@ def test_parquet_reads_without_keepout(tmp_path):
 def test_a_flown_log_becomes_a_record(tmp_path):
     import jax
     import jax.numpy as jnp
-    from test_loop import KEY, make_setup, start_state
+    from truths.flights import KEY, make_setup, start_state
 
     from keepout.flight import fly, outcome
 

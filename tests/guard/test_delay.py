@@ -7,15 +7,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from guarded_worlds import ASSUMED, WORLDS, directions, motion_state
+from truths.guarded_worlds import ASSUMED, WORLDS, directions, motion_state
 
 from keepout.control import profiles
 from keepout.control.delay import AheadOfDelay
-from keepout.control.guard import WATCHED, Guard, GuardFlag, flag_names
 from keepout.errors import ControlError
 from keepout.fields.analytic import SphereField
 from keepout.flight import FlightSetup, fly
 from keepout.flight.faults import DelayedCommands
+from keepout.guard.guard import WATCHED, Guard, GuardFlag, flag_names
 from keepout.motion import ConstantDisturbance, Orbit, RelativeMotion, Thrusters
 
 PUSH = np.array([0.01, -0.008, 0.006])

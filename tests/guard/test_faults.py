@@ -5,9 +5,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from guarded_worlds import Ball, motion_state
+from truths.guarded_worlds import Ball, motion_state
 
-from keepout import environment
 from keepout.errors import ScenarioError
 from keepout.flight.faults import (
     KINDS,
@@ -20,7 +19,8 @@ from keepout.flight.faults import (
     WrongEstimate,
 )
 from keepout.flight.setup import NoFaults
-from keepout.scenario import Scenario
+from keepout.mission import environment
+from keepout.mission.scenario import Scenario
 
 KEY = jax.random.key(4)
 NOW = jnp.zeros(())

@@ -6,10 +6,10 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from guarded_worlds import ASSUMED, WORLDS, advance, motion_state
+from truths.guarded_worlds import ASSUMED, WORLDS, advance, motion_state
 
-from keepout.control.guard import Guard, GuardFlag, GuardStatus
 from keepout.errors import ControlError
+from keepout.guard.guard import Guard, GuardFlag, GuardStatus
 
 GUARD = Guard(WORLDS["ball"], threshold=0.5, lipschitz=1.0, assumptions=ASSUMED)
 STILL = jnp.zeros(3)

@@ -13,10 +13,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from guarded_worlds import ASSUMED, INTENTS, KINDS, WORLDS, fly_batch
+from truths.guarded_worlds import ASSUMED, INTENTS, KINDS, WORLDS, fly_batch
 
-from keepout.control.braking import radii
-from keepout.control.guard import Guard, GuardFlag
+from keepout.guard.braking import radii
+from keepout.guard.guard import Guard, GuardFlag
 
 THRESHOLD = 0.5
 

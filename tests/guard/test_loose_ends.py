@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from keepout import cli
+from keepout.audit.audit import Contact
 from keepout.errors import KeepoutError
 from keepout.fields.model import FieldModel
-from keepout.flight.audit import Contact
 from keepout.geometry.target import Target
-from keepout.guard_field import cache_folder, guard_field
-from keepout.mission import fly, prepare
-from keepout.scenario import Scenario
+from keepout.guard.field import cache_folder, guard_field
+from keepout.mission.build import prepare
+from keepout.mission.flight import fly
+from keepout.mission.scenario import Scenario
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -6,8 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from keepout import frames
-from keepout.motion import NoDisturbance, Orbit, RelativeMotion
+from keepout.motion import NoDisturbance, Orbit, RelativeMotion, frames
 
 spacecraft = pytest.importorskip(
     "Basilisk.simulation.spacecraft", reason="Basilisk is not installed: pip install 'keepout[basilisk]'"

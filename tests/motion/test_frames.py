@@ -6,8 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from keepout import frames, rotation
-from keepout.motion import Orbit
+from keepout.motion import Orbit, frames, rotation
 
 ORBIT = Orbit(9e6, 0.2, true_anomaly=0.7, inclination=0.9, right_ascension=2.0, argument_of_perigee=-1.1)
 TARGET = ORBIT.inertial_state(jnp.float64(400.0))

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from keepout import frames, rotation
 from keepout.motion import (
     J2,
     ConstantDisturbance,
@@ -17,7 +16,9 @@ from keepout.motion import (
     RelativeMotion,
     Tumbling,
     VVLHFixed,
+    frames,
     paper_disturbance,
+    rotation,
 )
 from keepout.motion.relative import gravity_difference
 

@@ -7,10 +7,10 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from keepout.control.cone import ConeStatus
 from keepout.control.observer import Observer
 from keepout.control.tracking import Tracking
 from keepout.control.velocity import SafeVelocity
+from keepout.control.velocity_program.cone import ConeStatus
 from keepout.motion.relative import MotionState, RelativeMotion
 
 if TYPE_CHECKING:

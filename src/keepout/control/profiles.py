@@ -18,8 +18,8 @@ from keepout.control.circulation import (
 )
 from keepout.control.conditions import Condition, conditions, drift_bound
 from keepout.control.controller import Controller
-from keepout.control.geodesic import BarrierGrid, geodesic_guidance, require_free
-from keepout.control.guidance import ComponentwiseGuidance, Guidance, StraightGuidance
+from keepout.control.guidance.geodesic import BarrierGrid, geodesic_guidance, require_free
+from keepout.control.guidance.guidance import ComponentwiseGuidance, Guidance, StraightGuidance
 from keepout.control.observer import NoObserver, Observer, constant_observer, continuous, harmonic_observer
 from keepout.control.tracking import Tracking
 from keepout.control.tuning import Tuning, tune

@@ -6,10 +6,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from keepout.control.circulation import CirculationLaw
-from keepout.control.cone import solve
-from keepout.control.guidance import Guidance
-from keepout.control.program import VelocityProgram
-from keepout.control.smoothed import solve_smoothed
+from keepout.control.guidance.guidance import Guidance
+from keepout.control.velocity_program.cone import solve
+from keepout.control.velocity_program.program import VelocityProgram
+from keepout.control.velocity_program.smoothed import solve_smoothed
 from keepout.fields.field import Field
 
 

@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from keepout.mission import fly, load_target
+from keepout.mission.build import load_target
+from keepout.mission.flight import fly
+from keepout.mission.scenario import Scenario
 from keepout.progress import Progress, silent
 from keepout.report.folder import write_flights
-from keepout.scenario import Scenario
 
 LAWS: dict[str, dict[str, Any]] = {
     "paper without circulation": {

@@ -8,9 +8,9 @@ from jaxtyping import Bool, Float, Float32, Int
 
 from keepout.errors import FieldError
 from keepout.fields.continuation import RadialContinuation
+from keepout.fields.domain import Domain
 from keepout.fields.grid import BLOCK, STORED, GridField
 from keepout.fields.model import FieldModel
-from keepout.fields.sampling import Domain
 from keepout.geometry.offset_solid import OffsetSolid
 from keepout.geometry.target import Target
 from keepout.progress import Progress, silent

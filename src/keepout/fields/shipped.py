@@ -1,33 +1,21 @@
-"""Fields of the built-in targets that come with the package, and the command that makes them anew.
+"""Fields of the built-in targets that come with the package (`learning/shipped.py` makes them anew)."""
 
-`python -m keepout.fields.shipped` fits and certifies every built-in target; names after it choose some.
-"""
-
-import sys
-from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
 
 from keepout.errors import FieldError
-from keepout.fields.certificate import certify
 from keepout.fields.model import FieldModel
-from keepout.fields.training import fit
 from keepout.geometry.target import Target
 
-TARGETS = ("intelsat30", "iss", "tiangong")
-CHASER_RADII = (0.0, 0.5)
-"""Metres. Every shipped field is certified for these."""
-SLOPE_PROVED = ("intelsat30",)
-"""Fields whose slope is proved too: minutes for a small network, much longer for those of the stations."""
 
-
-def _folder() -> Path:
+def shipped_folder() -> Path:
+    """Where the package keeps its fields."""
     return Path(str(resources.files("keepout"))) / "data" / "fields"
 
 
 def shipped_names() -> tuple[str, ...]:
     """Names of the built-in targets whose fields come with the package."""
-    return tuple(sorted(path.stem for path in _folder().glob("*.keepout")))
+    return tuple(sorted(path.stem for path in shipped_folder().glob("*.keepout")))
 
 
 def shipped_path(name: str) -> Path:
@@ -39,7 +27,7 @@ def shipped_path(name: str) -> Path:
     """
     if name not in shipped_names():
         raise FieldError(f"shipped field {name!r}: there is none; choose from {', '.join(shipped_names())}, or fit one")
-    return _folder() / f"{name}.keepout"
+    return shipped_folder() / f"{name}.keepout"
 
 
 def load_shipped(name: str, *, target: Target | None = None) -> FieldModel:
@@ -50,39 +38,3 @@ def load_shipped(name: str, *, target: Target | None = None) -> FieldModel:
 
     """
     return FieldModel.load(shipped_path(name), target=target)
-
-
-def make(name: str, *, seed: int = 0) -> FieldModel:
-    """Fit and certify the field of a built-in target with the default profile, and put it into the package."""
-
-    def progress(fraction: float, message: str) -> None:
-        print(f"\r{name} {100 * fraction:3.0f} % {message:<90.90}", end="", file=sys.stderr, flush=True)
-
-    target = Target.load(name)
-    path = _folder() / f"{name}.keepout"
-    model = fit(target, seed=seed, checkpoint=path.with_suffix(".checkpoint"), progress=progress)
-    # Saved after every step, so that a run that is stopped loses the certificate it was at, not the fit.
-    model.save(path)
-    for radius in CHASER_RADII:
-        model = certify(
-            model, target, chaser_radius=radius, prove_slope=name in SLOPE_PROVED, seed=seed, progress=progress
-        )
-        model.save(path)
-    print(file=sys.stderr)
-    return model
-
-
-def main(names: Sequence[str]) -> None:
-    """Make the named fields, or all."""
-    for name in names or TARGETS:
-        model = make(name)
-        for c in model.certificates:
-            print(
-                f"{name}: {c.kind} error bound {c.error_bound:+.4f} m at chaser radius {c.chaser_radius:g} m "
-                f"(largest found {c.sampled_maximum:+.4f} m), fitted in {model.training['seconds']:.0f} s, "
-                f"certified in {c.seconds:.0f} s"
-            )
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])

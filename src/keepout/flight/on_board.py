@@ -12,9 +12,9 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
+from keepout.compiled.one_kernel import compiled
 from keepout.errors import ControlError
 from keepout.flight import loop
-from keepout.flight.one_kernel import compiled
 from keepout.flight.setup import FlightSetup
 from keepout.motion.relative import MotionState
 
@@ -51,7 +51,7 @@ class OnBoard:
     another thread is most of the tail.
 
     Attributes:
-        one_kernel: whether the step is compiled in one piece (`keepout.flight.one_kernel`): several times faster, not
+        one_kernel: whether the step is compiled in one piece (`keepout.compiled.one_kernel`): several times faster, not
             otherwise different.
 
     """

@@ -14,7 +14,7 @@ from keepout.fields.field import Field
 from keepout.motion.actuator import Thrusters
 from keepout.motion.disturbance import Disturbance
 from keepout.motion.relative import MotionState, RelativeMotion
-from keepout.rotation import NumbersLike, Vector
+from keepout.motion.rotation import NumbersLike, Vector
 
 Scalar = Float[Array, ""]
 

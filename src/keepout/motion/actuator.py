@@ -6,7 +6,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
 from keepout.errors import ScenarioError
-from keepout.rotation import NumbersLike, Vector
+from keepout.motion.rotation import NumbersLike, Vector
 
 
 def _per_axis(value: NumbersLike) -> Array:

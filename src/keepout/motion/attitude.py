@@ -7,10 +7,10 @@ import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from keepout import rotation
 from keepout.errors import ScenarioError
+from keepout.motion import rotation
 from keepout.motion.orbit import OrbitalFrame
-from keepout.rotation import NumbersLike, Quaternion, Vector
+from keepout.motion.rotation import NumbersLike, Quaternion, Vector
 
 
 def _unit(value: NumbersLike) -> Array:

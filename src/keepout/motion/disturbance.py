@@ -11,7 +11,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from keepout.errors import ScenarioError
-from keepout.rotation import NumbersLike, Vector
+from keepout.motion.rotation import NumbersLike, Vector
 
 Scalar = Float[Array, ""]
 

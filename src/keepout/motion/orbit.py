@@ -9,9 +9,9 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from keepout.errors import ScenarioError
-from keepout.frames import orbital_rate, vvlh_axes
+from keepout.motion.frames import orbital_rate, vvlh_axes
 from keepout.motion.perturbation import EARTH_GRAVITATIONAL_PARAMETER, Perturbation, target_acceleration
-from keepout.rotation import NumbersLike, Vector
+from keepout.motion.rotation import NumbersLike, Vector
 
 Scalar = Float[Array, ""]
 

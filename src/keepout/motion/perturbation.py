@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from keepout.rotation import Vector
+from keepout.motion.rotation import Vector
 
 # EGM-96 / WGS-84 values.
 EARTH_GRAVITATIONAL_PARAMETER = 3.986004418e14  # m^3/s^2

@@ -7,14 +7,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from keepout import rotation
 from keepout.errors import ScenarioError
-from keepout.frames import vvlh_axes
+from keepout.motion import rotation
 from keepout.motion.attitude import AttitudeMotion, VVLHFixed
 from keepout.motion.disturbance import Disturbance
+from keepout.motion.frames import vvlh_axes
 from keepout.motion.orbit import Orbit, OrbitalFrame, perturbed_frame
 from keepout.motion.perturbation import Perturbation, target_acceleration
-from keepout.rotation import NumbersLike, Quaternion, Vector
+from keepout.motion.rotation import NumbersLike, Quaternion, Vector
 
 Scalar = Float[Array, ""]
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from keepout.campaigns import Campaign
+from keepout.mission.campaign import Campaign
 from keepout.report.style import COLOURS, figure
 
 

@@ -9,8 +9,8 @@ from matplotlib.colors import Normalize
 
 from keepout.fields.evaluate import values
 from keepout.fields.model import FieldModel
-from keepout.fields.surface import Surface
 from keepout.geometry.target import Target
+from keepout.measures.surface import Surface
 from keepout.report.raster import rasterise
 from keepout.report.style import COLOURS, figure
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from keepout.mission import Flight
+from keepout.mission.flight import Flight
 from keepout.report.style import COLOURS, figure
 
 

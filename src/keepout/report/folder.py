@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from keepout.mission import Flight
+from keepout.mission.flight import Flight
 from keepout.report import flight_view, target_view
 from keepout.report.page import write_page
 

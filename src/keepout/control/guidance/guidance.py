@@ -1,0 +1,114 @@
+"""Guidance: the desired velocity v_c before safety, as a function of position."""
+
+import abc
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int8
+
+
+class Guidance(eqx.Module):
+    """A desired velocity for each position; `goal` (3,) m is where it leads."""
+
+    goal: eqx.AbstractVar[Float[Array, "3"]]
+
+    @abc.abstractmethod
+    def desired_velocity(self, position: Float[Array, "3"]) -> Float[Array, "3"]:
+        """Return v_c in m/s at a position in m, both in the body frame."""
+
+
+class ComponentwiseGuidance(Guidance):
+    """The paper's v_c = −v_max tanh(r_e / k_p), component by component; up to √3 v_max in norm.
+
+    `speed` v_max in m/s, `slowing_length` k_p in m.
+    """
+
+    goal: Float[Array, "3"]
+    speed: Float[Array, ""]
+    slowing_length: Float[Array, ""]
+
+    def desired_velocity(self, position: Float[Array, "3"]) -> Float[Array, "3"]:
+        """Return −v_max tanh(r_e / k_p)."""
+        return -self.speed * jnp.tanh((position - self.goal) / self.slowing_length)
+
+
+def _towards(goal: Float[Array, "3"], position: Float[Array, "3"], length: Float[Array, ""]) -> tuple[Array, Array]:
+    """Return tanh(‖r_e‖/k_p) times the direction to the goal (smooth at the goal), and ‖r_e‖."""
+    error = goal - position
+    square = jnp.sum(error * error)
+    away = square > 1e-24
+    distance = jnp.sqrt(jnp.where(away, square, 1.0))
+    factor = jnp.where(away, jnp.tanh(distance / length) / distance, 1.0 / length)
+    return factor * error, jnp.where(away, distance, 0.0)
+
+
+class StraightGuidance(Guidance):
+    """Straight to the goal with speed v_max tanh(‖r_e‖ / k_p); never above v_max in norm."""
+
+    goal: Float[Array, "3"]
+    speed: Float[Array, ""]
+    slowing_length: Float[Array, ""]
+
+    def desired_velocity(self, position: Float[Array, "3"]) -> Float[Array, "3"]:
+        """Return v_max tanh(‖r_e‖/k_p) times the direction to the goal."""
+        return self.speed * _towards(self.goal, position, self.slowing_length)[0]
+
+
+class GeodesicGuidance(Guidance):
+    """Along the shortest free way to the goal, blended into the straight line near it (design section 2.6).
+
+    `directions` holds at each node of a regular grid with corner `origin` (m) and `spacing` (m) the direction in which
+    the travel time falls, in 127ths; they are blended by cubic B-splines, so that v_c is twice continuously
+    differentiable. Directions and not times are blended, because times on two sides of a wall, or in it, may differ by
+    any amount: in a gap of one node their spline has a minimum before the gap, and a chaser would wait there.
+    Between `inner` and `outer` metres from the goal the direction turns from straight to geodesic. Outside the grid the
+    way leads back to it. The speed is v_max tanh(‖r_e‖ / k_p). Build it with
+    `keepout.control.guidance.geodesic.geodesic_guidance`.
+    """
+
+    goal: Float[Array, "3"]
+    speed: Float[Array, ""]
+    slowing_length: Float[Array, ""]
+    directions: Int8[Array, "nx ny nz 3"]
+    origin: Float[Array, "3"]
+    spacing: Float[Array, ""]
+    inner: Float[Array, ""]
+    outer: Float[Array, ""]
+
+    def desired_velocity(self, position: Float[Array, "3"]) -> Float[Array, "3"]:
+        """Return the desired velocity, m/s."""
+        straight, distance = _towards(self.goal, position, self.slowing_length)
+        geodesic = self.direction(position) * jnp.tanh(distance / self.slowing_length)
+        s = jnp.clip((distance - self.inner) / (self.outer - self.inner), 0.0, 1.0)
+        weight = s * s * (3.0 - 2.0 * s)
+        return self.speed * (weight * geodesic + (1.0 - weight) * straight)
+
+    def direction(self, position: Float[Array, "3"]) -> Float[Array, "3"]:
+        """Return the unit vector along the way to the goal, or zero where nothing leads there."""
+        last = jnp.asarray(self.directions.shape[:3]) - 2.0
+        place = (position - self.origin) / self.spacing
+        held = jnp.clip(place, 1.0, last - 1e-9)
+        outside = place - held
+        cell = jax.lax.stop_gradient(jnp.floor(held))
+        start = jnp.append(cell.astype(jnp.int32) - 1, 0)
+        block = jax.lax.dynamic_slice(self.directions, start, (4, 4, 4, 3))
+        w = _cubic_weights(held - cell)
+        weights = w[:, 0][:, None, None] * w[:, 1][:, None] * w[:, 2]
+        blended = jnp.sum(weights[..., None] * block, axis=(0, 1, 2))
+        # Where the position is beyond the grid along some axis, that axis leads back and the others keep their say.
+        along = jnp.where(outside == 0.0, _unit(blended), 0.0) - _unit(outside)
+        return _unit(along)
+
+
+def _unit(vector: Float[Array, "3"]) -> Float[Array, "3"]:
+    """Return the vector at length 1, or zero; its derivative is finite everywhere."""
+    return vector / jnp.sqrt(jnp.sum(vector * vector) + 1e-300)
+
+
+def _cubic_weights(t: Float[Array, "3"]) -> Float[Array, "4 3"]:
+    """Return the four cubic B-spline weights at t in [0, 1)."""
+    u = 1.0 - t
+    return jnp.stack(
+        [u**3 / 6.0, (4.0 - 6.0 * t**2 + 3.0 * t**3) / 6.0, (4.0 - 6.0 * u**2 + 3.0 * u**3) / 6.0, t**3 / 6.0]
+    )

@@ -1,0 +1,1 @@
+"""The cone program behind the safe velocity, and its solvers."""

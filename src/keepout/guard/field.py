@@ -1,0 +1,73 @@
+"""The guard's own field: a spline of exact distances with proved bounds, built once for each target and kept on disk.
+
+It takes seconds to minutes to build and depends on nothing but the mesh and four numbers, so it is kept in the user's
+cache folder under the digest of all of them. A file from there is used only if its checksum, the target's digest and
+the certificate's digests agree (`FieldModel.load`); one that does not pass is built anew.
+"""
+
+import hashlib
+import json
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from keepout.errors import FieldError
+from keepout.fields.grid_build import build_grid
+from keepout.fields.model import FieldModel
+from keepout.geometry.offset_solid import OffsetSolid
+from keepout.geometry.target import Target
+from keepout.progress import Progress, silent
+from keepout.proof.grid import certify_grid
+
+_RECIPE = 1
+"""To be raised when offset solid or grid build would make another field of the same numbers."""
+
+
+def cache_folder() -> Path:
+    """Where fields are kept: KEEPOUT_CACHE if that is set, else the platform's folder for caches."""
+    chosen = os.environ.get("KEEPOUT_CACHE")
+    if chosen:
+        return Path(chosen)
+    if sys.platform == "win32":
+        base = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
+    elif sys.platform == "darwin":
+        base = Path.home() / "Library" / "Caches"
+    else:
+        base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return base / "keepout"
+
+
+def guard_field(
+    target: Target, radius: float, *, offset: float = 0.03, closing_radius: float = 0.25, progress: Progress = silent
+) -> FieldModel:
+    """Give the guard's field for a chaser radius (m), certified for it, from the cache or newly built.
+
+    The spacing is 0.1 m, coarser on targets above 40 m to keep the grid small. `offset` and `closing_radius` (m) are
+    those of the offset solid. A folder that cannot be written to costs the time of building, nothing else.
+    """
+    spacing = max(0.1, float(np.ptp(target.vertices, axis=0).max()) / 400.0)
+    band = radius + 0.3
+    numbers = {"offset": offset, "closing_radius": closing_radius, "spacing": spacing, "band": band, "radius": radius}
+    key = json.dumps({"recipe": _RECIPE, "target": target.sha256, **numbers}, sort_keys=True)
+    path = cache_folder() / f"guard-{hashlib.sha256(key.encode()).hexdigest()[:32]}.keepout"
+    if path.exists():
+        try:
+            kept = FieldModel.load(path, target=target)
+            kept.certificate(radius)
+            return kept
+        except FieldError as error:
+            progress(0.0, f"guard: a kept field is not used: {error}")
+    progress(0.0, "guard: offset solid")
+    solid = OffsetSolid.build(target.distance, offset=offset, closing_radius=closing_radius)
+    progress(0.4, "guard: grid field")
+    grid = build_grid(target, spacing=spacing, band=band, solid=solid)
+    progress(0.8, "guard: certificate")
+    made = certify_grid(grid, target, chaser_radius=radius)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        made.save(path)
+    except (OSError, FieldError) as error:
+        progress(0.95, f"guard: its field is not kept: {error}")
+    return made

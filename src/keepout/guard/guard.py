@@ -1,0 +1,396 @@
+"""The guard: the hard layer that accepts or replaces any commanded force, so that a free way to rest remains.
+
+The theorem, its assumptions and its proof are in docs/guard.md. At every control step the guard asks what the command
+leads to: one step under it, then the nominal braking motion to rest. If the field stays above its threshold over the
+tube around that motion, the command is passed on and the motion is kept as the plan; if not, the plan of an earlier
+step, which is still there to be followed, is followed. The field is the guard's own and need not be the control
+law's.
+"""
+
+import math
+from enum import IntEnum, IntFlag
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from keepout.compiled.on_demand import where_needed
+from keepout.errors import ControlError
+from keepout.fields.evaluate import values
+from keepout.fields.field import Field
+from keepout.guard.braking import BrakingDesign, GuardAssumptions, design
+from keepout.motion.relative import MotionState
+
+Vector = Float[Array, "3"]
+
+WATCHED = 32
+"""Steps over which velocity that no command explains is added up, before the sum is begun anew."""
+
+
+class GuardStatus(IntEnum):
+    """What the guard did in a step: the status's two lowest bits."""
+
+    CLEAR = 0
+    """The command was passed on (cut to the thrusters' limits, if it was beyond them)."""
+    BRAKING = 1
+    """The command was replaced; the plan's braking motion was followed."""
+    HOLDING = 2
+    """The command was replaced; the chaser is held at the plan's point of rest."""
+    ESCAPING = 3
+    """No certified plan: the shortest way out was taken. Nothing is promised until the status changes."""
+
+
+class GuardFlag(IntFlag):
+    """What the guard saw in a step: bits added to the status. Any flag but COMMAND means an assumption did not hold."""
+
+    STATE_JUMP = 4
+    """The estimate moved further than force, disturbance bound and estimate errors allow, in a step or in several."""
+    DISTURBANCE = 8
+    """The disturbance estimate is above one and a half times what the assumptions let an observer see."""
+    FIELD = 16
+    """The field is not finite here, or not above the threshold."""
+    REGION = 32
+    """The chaser is beyond the range or speed limit within which the drift is bounded."""
+    COMMAND = 64
+    """The command held a number that is not finite; it was replaced."""
+    OFF_PLAN = 128
+    """The chaser has left the tube around its plan."""
+    ESTIMATE = 256
+    """The estimate held a number that is not finite; the plan was followed blind."""
+
+
+def mode(status: Int[Array, "*batch"]) -> Int[Array, "*batch"]:
+    """Give the `GuardStatus` part of a status."""
+    return status & 3
+
+
+def flag_names(flags: int) -> tuple[str, ...]:
+    """Name the `GuardFlag` bits of a status, or of several joined by `|`."""
+    return tuple(flag.name.lower() for flag in GuardFlag if flag & flags and flag.name is not None)
+
+
+class GuardState(eqx.Module):
+    """The guard's memory: its plan, and what it expects to be told next.
+
+    plan_position (m), plan_velocity (m/s): the nominal braking motion when the next command takes effect. certified:
+    whether that motion's tube is known to be free. pending (m/s²): commands not yet in effect, the oldest first.
+    expected_position, expected_velocity: the next estimate, were there no disturbance. unexplained (m/s): the sum of
+    the velocity changes that no command accounts for, over the `counted` steps since it was last begun anew.
+    """
+
+    plan_position: Vector
+    plan_velocity: Vector
+    certified: Bool[Array, ""]
+    pending: Float[Array, "delay 3"]
+    expected_position: Vector
+    expected_velocity: Vector
+    unexplained: Vector
+    counted: Int[Array, ""]
+
+
+class Guard(eqx.Module):
+    """Accepts or replaces commanded forces; see docs/guard.md for what it proves.
+
+    field: a lower bound on clearance in the sense of its certificate. threshold: e_h + chaser radius, m: no contact
+    while field > threshold along the path. lipschitz: bound on the field's gradient. samples: parts into which the
+    stop segment is cut, where its ends alone do not decide; with the start and the steps of delay at most 20 field
+    values a step, and only one of them far from the target. escape_speed: m/s, of the way out of the margin.
+
+    Raises:
+        ControlError: a number out of range, more than 20 field values, or thrusters too weak for the assumptions.
+
+    """
+
+    field: Field
+    threshold: float = eqx.field(static=True)
+    lipschitz: float = eqx.field(static=True)
+    assumptions: GuardAssumptions = eqx.field(static=True)
+    samples: int = eqx.field(static=True, default=15)
+    escape_speed: float = eqx.field(static=True, default=0.02)
+    braking: BrakingDesign = eqx.field(static=True, init=False)
+
+    def __post_init__(self) -> None:
+        """Design the braking law."""
+        for name in ("threshold", "lipschitz", "escape_speed"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0.0):
+                raise ControlError(f"guard: {name} is {value}; it must be finite and greater than 0")
+        values = self.samples + self.assumptions.delay + 2
+        if self.samples < 1 or values > 20:
+            raise ControlError(
+                f"guard: samples is {self.samples}; with a delay of {self.assumptions.delay} steps it must be "
+                f"from 1 to {18 - self.assumptions.delay}"
+            )
+        self.braking = design(self.assumptions)
+
+    @property
+    def least_value(self) -> float:
+        """Field value, in metres, below which no plan is ever certified: threshold plus the tube's radius."""
+        return self.threshold + self.lipschitz * self.braking.position_radius
+
+    def initial_state(self, estimate: MotionState) -> GuardState:
+        """Give the memory before the first step: the plan is to brake at once, certified if that is free."""
+        return self._start(estimate.position, estimate.velocity)
+
+    def _start(self, position: Vector, velocity: Vector) -> GuardState:
+        pending = jnp.zeros((self.assumptions.delay, 3))
+        path, ahead, moving = self._predict(position, velocity, pending)
+        value = self.field.value(position)
+        free = self._free(position, value, path[1:-1], ahead, moving, jnp.asarray(True))
+        return GuardState(
+            plan_position=ahead,
+            plan_velocity=moving,
+            certified=free,
+            pending=pending,
+            expected_position=position,
+            expected_velocity=velocity,
+            unexplained=jnp.zeros(3),
+            counted=jnp.zeros((), jnp.int32),
+        )
+
+    def filter(
+        self, guard_state: GuardState, estimate: MotionState, force: Vector, disturbance_estimate: Vector
+    ) -> tuple[GuardState, Vector, Int[Array, ""]]:
+        """Accept or replace a commanded force (N, body axes).
+
+        Returns the memory for the next step, the force to command, and the status: a `GuardStatus` plus `GuardFlag`
+        bits. A command that is not finite is replaced; an estimate that is not finite leaves the plan to be followed
+        blind.
+        """
+        a, T = self.assumptions, self.assumptions.period
+        told = jnp.all(jnp.isfinite(estimate.position)) & jnp.all(jnp.isfinite(estimate.velocity))
+        position = jnp.where(told, estimate.position, guard_state.expected_position)
+        velocity = jnp.where(told, estimate.velocity, guard_state.expected_velocity)
+        path, ahead, moving = self._predict(position, velocity, guard_state.pending)
+        here = self.field.value(position)
+
+        drifted = ahead - guard_state.plan_position
+        off_plan = jnp.linalg.norm(drifted) > self._plan_radius
+        planned = guard_state.certified & ~off_plan & told
+        finite = jnp.all(jnp.isfinite(force))
+        asked = jnp.clip(jnp.where(finite, force, 0.0), -a.force_limit, a.force_limit) / a.mass
+        candidate = jnp.where(planned, asked, self._escape(position, moving, self._outward(position, ~planned)))
+        next_position = ahead + T * moving + 0.5 * T**2 * candidate
+        next_velocity = moving + T * candidate
+        usable = (finite | ~planned) & told
+        accepted = usable & self._free(position, here, path[1:], next_position, next_velocity, usable)
+
+        brake, rest = self._brake(guard_state.plan_velocity)
+        feedback = self.braking.position_gain * drifted + self.braking.velocity_gain * (
+            moving - guard_state.plan_velocity
+        )
+        followed = brake - jnp.where(told, feedback, 0.0)
+        follow = (planned | (guard_state.certified & ~told)) & ~accepted
+        chosen = jnp.where(follow, jnp.clip(followed, -a.authority, a.authority), candidate)
+        begun = guard_state.counted < WATCHED
+        counted = jnp.where(begun, guard_state.counted, 0) + 1
+        unexplained = jnp.where(begun, guard_state.unexplained, 0.0) + velocity - guard_state.expected_velocity
+        new = GuardState(
+            plan_position=jnp.where(
+                follow, guard_state.plan_position + T * guard_state.plan_velocity + 0.5 * T**2 * brake, next_position
+            ),
+            plan_velocity=jnp.where(follow, guard_state.plan_velocity + T * brake, next_velocity),
+            certified=accepted | follow,
+            pending=jnp.concatenate([guard_state.pending, chosen[None]])[1:],
+            expected_position=position + T * velocity + 0.5 * T**2 * self._in_effect(guard_state, chosen),
+            expected_velocity=velocity + T * self._in_effect(guard_state, chosen),
+            unexplained=unexplained,
+            counted=counted,
+        )
+        done = jnp.where(
+            accepted & planned,
+            GuardStatus.CLEAR,
+            jnp.where(follow, jnp.where(rest, GuardStatus.HOLDING, GuardStatus.BRAKING), GuardStatus.ESCAPING),
+        )
+        flags = (
+            jnp.where(
+                self._jumped(guard_state, position, velocity) | self._pushed(unexplained, counted),
+                GuardFlag.STATE_JUMP,
+                0,
+            )
+            + jnp.where(self._too_strong(disturbance_estimate), GuardFlag.DISTURBANCE, 0)
+            + jnp.where(here > self.threshold, 0, GuardFlag.FIELD)
+            + jnp.where(self._outside_region(position, velocity), GuardFlag.REGION, 0)
+            + jnp.where(finite, 0, GuardFlag.COMMAND)
+            + jnp.where(off_plan, GuardFlag.OFF_PLAN, 0)
+            + jnp.where(told, 0, GuardFlag.ESTIMATE)
+        )
+        return new, a.mass * chosen, (done + flags).astype(jnp.int32)
+
+    def certified(self, state: MotionState) -> Bool[Array, ""]:
+        """Whether braking at once from this estimate is certified free: then a guarded flight can start here."""
+        return self._start(state.position, state.velocity).certified
+
+    def require(self, start: MotionState, goal: Vector) -> bool:
+        """Refuse what cannot be flown; return whether the start is certified. Needs concrete values.
+
+        A start that is not certified is flown, but in mode `ESCAPING` until a braking plan is.
+
+        Raises:
+            ControlError: a start that is not finite, beyond the range limit or at or below the field's zero, or a goal
+                that the guard would never let the chaser rest at; the message names value and distance.
+
+        """
+        for name, vector in (("start.position", start.position), ("start.velocity", start.velocity), ("goal", goal)):
+            if not bool(jnp.all(jnp.isfinite(vector))):
+                raise ControlError(f"guard: {name} is {vector.tolist()}; it must be finite")
+        for name, point in (("start", start.position), ("goal", goal)):
+            away = float(jnp.linalg.norm(point)) + self.braking.position_radius
+            if away > self.assumptions.range_limit:
+                limit = self.assumptions.range_limit
+                raise ControlError(f"guard: {name} needs a range of {away:.3f} m; range_limit is {limit} m")
+        here, there = values(self.field, np.stack([np.asarray(start.position), np.asarray(goal)]))
+        value = float(here)
+        if not value > 0.0:
+            raise ControlError(f"guard: the field is {value:.3f} m at the start: inside the target; it must be above 0")
+        value = float(there)
+        if not value > self.least_value:
+            raise ControlError(
+                f"guard: the field is {value:.3f} m at the goal; the guard lets the chaser rest only above "
+                f"{self.least_value:.3f} m (threshold {self.threshold:.3f} m and tube)"
+            )
+        return bool(eqx.filter_jit(lambda guard, state: guard.certified(state))(self, start))
+
+    @property
+    def _plan_radius(self) -> float:
+        """How far the predicted position can be from the plan while the assumptions hold, m."""
+        a = self.assumptions
+        late = a.delay * a.period
+        return self.braking.position_radius + 0.5 * a.disturbance * late**2 + a.position_error + late * a.velocity_error
+
+    def _predict(
+        self, position: Vector, velocity: Vector, pending: Float[Array, "delay 3"]
+    ) -> tuple[Float[Array, "points 3"], Vector, Vector]:
+        """Positions now and after each pending command, and the state when the next command takes effect."""
+        T = self.assumptions.period
+        points = [position]
+        for i in range(self.assumptions.delay):
+            position = position + T * velocity + 0.5 * T**2 * pending[i]
+            velocity = velocity + T * pending[i]
+            points.append(position)
+        return jnp.stack(points), position, velocity
+
+    def _in_effect(self, guard_state: GuardState, chosen: Vector) -> Vector:
+        return guard_state.pending[0] if self.assumptions.delay else chosen
+
+    def _stop(self, velocity: Vector) -> Vector:
+        """From where the nominal braking motion begins to where it ends, m."""
+        T, a_b = self.assumptions.period, self.braking.deceleration
+        speed = jnp.linalg.norm(velocity)
+        rest = jnp.fmod(speed, a_b * T)
+        length = (speed**2 - rest**2) / (2.0 * a_b) + 0.5 * rest * T
+        return velocity * (length / jnp.maximum(speed, 1e-12))
+
+    def _slow(self, velocity: Vector) -> Bool[Array, ""]:
+        """Whether motion from this nominal velocity keeps the speed limit, within which the drift is bounded."""
+        return jnp.linalg.norm(velocity) + self.braking.velocity_radius <= self.assumptions.speed_limit
+
+    def _free(
+        self,
+        position: Vector,
+        value: Float[Array, ""],
+        between: Float[Array, "delay 3"],
+        end: Vector,
+        velocity: Vector,
+        wanted: Bool[Array, ""],
+    ) -> Bool[Array, ""]:
+        """Whether the tube around a path and the nominal braking from its end is free, within range and slow enough.
+
+        The path leads from `position`, where the field is `value`, over the points `between` to `end`, where the
+        nominal velocity is `velocity`. A step under a constant force is within its sagitta T² √3 A/8 of its chord; ρ
+        is added around everything. Where it is not `wanted`, the answer may be a mere no.
+
+        Three tests, each for what the one before leaves open: from `value` alone, as no point is further away than the
+        path's furthest corner; from the corners' values; from points along the stop segment.
+        """
+        a = self.assumptions
+        rest = end + self._stop(velocity)
+        corners = jnp.concatenate([between, end[None], rest[None]])
+        sagitta = 3.0**0.5 * a.authority * a.period**2 / 8.0
+        least = self.least_value + self.lipschitz * sagitta
+        # Both norms are convex, so that a polyline's largest is a corner's.
+        furthest = jnp.max(jnp.linalg.norm(corners - position, axis=-1))
+        range_ = jnp.maximum(jnp.max(jnp.linalg.norm(corners, axis=-1)), jnp.linalg.norm(position))
+        kept = self._slow(velocity) & (range_ + sagitta + self.braking.position_radius <= a.range_limit)
+        far = value - self.lipschitz * furthest > least
+        arrays, still = eqx.partition(self.field, eqx.is_array)
+
+        def at_corners(arrays: Field, position: Vector, value: Float[Array, ""], corners: Float[Array, "corners 3"]):
+            field = eqx.combine(arrays, still)
+            values = jnp.concatenate([value[None], field.value(corners)])
+            lowest = self._lowest(jnp.concatenate([position[None], corners]), values)
+            proved = lowest > least
+            return jnp.all(proved[:-1]), proved[-1], values[-2:]
+
+        def along(arrays: Field, ends: Float[Array, "2 3"], values: Float[Array, "2"]) -> Bool[Array, ""]:
+            field = eqx.combine(arrays, still)
+            points = ends[0] + jnp.linspace(0.0, 1.0, self.samples + 1)[:, None] * (ends[1] - ends[0])
+            inside = field.value(points[1:-1])
+            return jnp.all(self._lowest(points, jnp.concatenate([values[:1], inside, values[1:]])) > least)
+
+        no = jnp.asarray(False)
+        path_free, stop_free, values = where_needed(
+            at_corners, wanted & kept & ~far, (no, no, jnp.zeros(2)), arrays, position, value, corners
+        )
+        open_ = path_free & ~stop_free & jnp.all(values > least)
+        stop_free = stop_free | where_needed(along, open_, no, arrays, corners[-2:], values)
+        return kept & (far | (path_free & stop_free))
+
+    def _lowest(self, points: Float[Array, "points 3"], values: Float[Array, "points"]) -> Float[Array, "segments"]:
+        """Lower bound of the field on each segment of a polyline: between two points Δ apart, (f₁ + f₂ − L Δ)/2."""
+        length = jnp.linalg.norm(jnp.diff(points, axis=0), axis=-1)
+        return 0.5 * (values[:-1] + values[1:] - self.lipschitz * length)
+
+    def _outward(self, position: Vector, wanted: Bool[Array, ""]) -> Vector:
+        """Give the field's gradient where it is wanted, else zero."""
+        arrays, still = eqx.partition(self.field, eqx.is_array)
+
+        def gradient(arrays: Field, position: Vector) -> Vector:
+            return eqx.combine(arrays, still).value_and_gradient(position)[1]
+
+        return where_needed(gradient, wanted, jnp.zeros(3), arrays, position)
+
+    def _brake(self, velocity: Vector) -> tuple[Vector, Bool[Array, ""]]:
+        """Give the nominal braking acceleration, and whether the nominal motion is at rest."""
+        speed = jnp.linalg.norm(velocity)
+        size = jnp.minimum(self.braking.deceleration, speed / self.assumptions.period)
+        return -velocity * (size / jnp.maximum(speed, 1e-12)), speed < 1e-9
+
+    def _escape(self, position: Vector, velocity: Vector, outward: Vector) -> Vector:
+        """Acceleration along the field's growth, or back into range, at the escape speed, within the authority."""
+        a = self.assumptions
+        afar = jnp.linalg.norm(position) + self.braking.position_radius > 0.99 * a.range_limit
+        away = jnp.where(afar, -position, outward)
+        direction = away / jnp.maximum(jnp.linalg.norm(away), 1e-9)
+        wanted = (jnp.where(jnp.isfinite(direction), direction, 0.0) * self.escape_speed - velocity) / a.period
+        return wanted * jnp.minimum(1.0, a.authority / jnp.maximum(jnp.linalg.norm(wanted), 1e-12))
+
+    def _jumped(self, guard_state: GuardState, position: Vector, velocity: Vector) -> Bool[Array, ""]:
+        a, T = self.assumptions, self.assumptions.period
+        kick = a.disturbance * T + 2.0 * a.velocity_error
+        shift = 0.5 * a.disturbance * T**2 + 2.0 * a.position_error + T * a.velocity_error
+        moved = jnp.linalg.norm(position - guard_state.expected_position) > shift * (1.0 + 1e-6) + 1e-9
+        changed = jnp.linalg.norm(velocity - guard_state.expected_velocity) > kick * (1.0 + 1e-6) + 1e-9
+        return moved | changed
+
+    def _pushed(self, unexplained: Vector, counted: Int[Array, ""]) -> Bool[Array, ""]:
+        """Whether the velocity gained over several steps is more than the disturbance bound allows.
+
+        The steps' estimate errors cancel but for the first and the last, so that what `_jumped` cannot tell from them
+        is seen here, the sooner the larger it is.
+        """
+        a = self.assumptions
+        allowed = a.disturbance * a.period * counted + 2.0 * a.velocity_error
+        return jnp.linalg.norm(unexplained) > allowed * (1.0 + 1e-6) + 1e-9
+
+    def _too_strong(self, disturbance_estimate: Vector) -> Bool[Array, ""]:
+        a = self.assumptions
+        # An observer overshoots, and takes noise and scale errors for a force; `_jumped` is the exact test.
+        seen = a.mass * (a.disturbance - a.drift + 2.0 * a.velocity_error / a.period)
+        return ~(jnp.linalg.norm(disturbance_estimate) <= 1.5 * seen)
+
+    def _outside_region(self, position: Vector, velocity: Vector) -> Bool[Array, ""]:
+        a = self.assumptions
+        far = jnp.linalg.norm(position) > a.range_limit + a.position_error
+        return far | (jnp.linalg.norm(velocity) > a.speed_limit + a.velocity_error)

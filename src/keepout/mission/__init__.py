@@ -1,0 +1,1 @@
+"""A scenario and all that is built, flown and audited from it."""

@@ -1,0 +1,140 @@
+"""One scenario flown, and its clearance audited on the exact mesh."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from keepout.audit.audit import Audit, Contact, audit
+from keepout.control.controller import ControlStatus
+from keepout.fields.model import FieldModel
+from keepout.flight import loop
+from keepout.flight.outcome import FlightOutcome, outcome
+from keepout.flight.record import FlightRecord
+from keepout.geometry.target import Target
+from keepout.guard.guard import GuardFlag, GuardStatus, flag_names
+from keepout.mission import environment
+from keepout.mission.build import prepare
+from keepout.mission.scenario import Scenario
+from keepout.progress import Progress, silent
+
+
+@dataclass(frozen=True)
+class Flight:
+    """One flown scenario: what was recorded, what became of it, and the audit on the exact mesh.
+
+    `clearance` is the distance from the chaser's surface to the mesh at every recorded sample, m; `violated_conditions`
+    are the design conditions that the law does not meet, each with its numbers; `start_certified` says whether the
+    guard's theorem holds from the start (None without a guard).
+    """
+
+    scenario: Scenario
+    target: Target
+    record: FlightRecord
+    outcome: FlightOutcome
+    audit: Audit
+    clearance: Float[np.ndarray, "samples"]
+    violated_conditions: tuple[str, ...] = ()
+    start_certified: bool | None = None
+
+    def summary(self) -> dict[str, Any]:
+        """Give the flight's figures as plain numbers for JSON.
+
+        `contact` is true unless the audit proves that there was none; `contact_verdict` tells the cases apart.
+        """
+        legend = {"control": ControlStatus, "guard": GuardStatus}
+        counts = {
+            "control": np.asarray(self.outcome.control_status_counts),
+            "guard": np.asarray(self.outcome.guard_status_counts),
+        }
+        return {
+            "reached": bool(self.outcome.reached),
+            "contact": self.audit.contact is not Contact.NO,
+            "contact_verdict": str(self.audit.contact),
+            "minimum_clearance_m": self.audit.minimum_clearance,
+            "final_error_m": float(self.outcome.final_error),
+            "delta_v_mps": float(self.outcome.delta_v),
+            "saturated_fraction": float(self.outcome.saturated_fraction),
+            "guard_interventions": int(self.outcome.guard_interventions),
+            "time_to_reach_s": float(self.outcome.time_to_reach) if self.outcome.reached else None,
+            "largest_speed_mps": self.audit.largest_speed,
+            "statuses": {
+                layer: {status.name.lower(): int(counts[layer][status]) for status in kind if counts[layer][status]}
+                for layer, kind in legend.items()
+            },
+            "start_certified": self.start_certified,
+            "guard_flags": self.guard_flags(),
+            "faults": self.scenario.faults.model_dump(exclude_defaults=True),
+            "violated_conditions": list(self.violated_conditions),
+            "remarks": list(self.audit.remarks),
+        }
+
+    def guard_flags(self) -> dict[str, int]:
+        """Count the steps in which the guard raised each flag; flags never raised are left out."""
+        status = self.record.guard_status[:-1]
+        steps = {name: int(np.count_nonzero(status & flag)) for flag in GuardFlag for name in flag_names(flag)}
+        return {name: count for name, count in steps.items() if count}
+
+
+def fly(
+    scenario: Scenario | str | Path,
+    *,
+    target: Target | None = None,
+    model: FieldModel | None = None,
+    progress: Progress = silent,
+) -> Flight:
+    """Fly one scenario and audit its clearance on the exact mesh.
+
+    Args:
+        scenario: what to fly, or the path of its TOML file.
+        target: already loaded; else the scenario's.
+        model: its field, already loaded; else the scenario's.
+        progress: called as the work goes on.
+
+    Raises:
+        KeepoutError: something in the scenario cannot be flown; the message names the entry.
+
+    """
+    if not isinstance(scenario, Scenario):
+        scenario = Scenario.load(scenario)
+    progress(0.0, "preparing")
+    mission = prepare(
+        scenario,
+        target=target,
+        model=model,
+        progress=lambda fraction, message: progress(0.4 * fraction, message),
+    )
+    progress(0.4, "flying")
+    key = jax.random.key(scenario.seed)
+    log = loop.fly(mission.setup, mission.initial, mission.steps, key)
+    result = outcome(mission.setup, log)
+    progress(0.8, "audit")
+    record = FlightRecord.of_log(
+        log,
+        outcome=result,
+        scenario=scenario.model_dump_json(),
+        seed=scenario.seed,
+        target_sha256=mission.target.sha256,
+        statuses={
+            "control_status": {int(status): status.name.lower() for status in ControlStatus},
+            "guard_status": {int(status): status.name.lower() for status in GuardStatus}
+            | {int(flag): name for flag in GuardFlag for name in flag_names(flag)},
+        },
+    )
+    verdict = audit(
+        record,
+        mission.target,
+        chaser_radius=scenario.chaser.radius,
+        bounds=environment.flight_bounds(scenario),
+        force_limit=scenario.chaser.force_limit,
+        speed_limit=scenario.chaser.speed_limit,
+    )
+    clearance = mission.target.distance.distance(record.position) - scenario.chaser.radius
+    progress(1.0, "")
+    violated = tuple(str(c) for c in mission.setup.controller.conditions if not c.satisfied)
+    return Flight(
+        scenario, mission.target, record, result, verdict, clearance, violated, start_certified=mission.start_certified
+    )

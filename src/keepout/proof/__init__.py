@@ -1,0 +1,1 @@
+"""What is proved of a field: error bounds where the chaser touches, and bounds of the slope."""

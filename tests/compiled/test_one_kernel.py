@@ -1,0 +1,57 @@
+"""One kernel: the same numbers, to the bit, and a plain program where XLA cannot put an operation into one."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from keepout.compiled.one_kernel import FEW, compiled, written_out
+
+X = np.random.default_rng(0).normal(size=12)
+MATRIX = 3.0 * np.eye(4) + 0.1
+
+IN_ONE = {
+    "sum": lambda x: jnp.sum(x.reshape(3, 4), axis=1),
+    "product": lambda x: jnp.prod(x.reshape(3, 4), axis=0),
+    "extremes": lambda x: jnp.max(x.reshape(3, 2, 2), axis=(0, 2)) - jnp.min(x),
+    "all and any": lambda x: (jnp.all(x.reshape(3, 4) > 0.0, axis=1), jnp.any(x > 0.0)),
+    "norm": lambda x: x / jnp.linalg.norm(x),
+    "product of matrices": lambda x: jnp.asarray(MATRIX) @ x.reshape(4, 3),
+    "product of larger matrices": lambda x: jnp.tile(x, (4, 8)) @ jnp.ones((96, 96)),
+    "branch": lambda x: jax.lax.cond(x[0] > 0.0, jnp.sin, jnp.cos, x),
+    "loop": lambda x: jax.lax.while_loop(lambda y: jnp.sum(y * y) < 100.0, lambda y: 1.1 * y, x),
+    "scan": lambda x: jax.lax.scan(lambda total, y: (total + y, total * y), 0.0, x),
+    "slice": lambda x: jax.lax.dynamic_slice(x, (jnp.asarray(jnp.abs(x[0]), int),), (3,)),
+    "random": lambda x: x[:4] + jax.random.normal(jax.random.key(3), (4,)),
+    "derivative": jax.grad(lambda x: jnp.sum(jax.nn.relu(x)) + jnp.max(x)),
+}
+NOT_IN_ONE = {
+    "sort": jnp.sort,
+    "solve": lambda x: jnp.linalg.solve(jnp.asarray(MATRIX), x[:4]),
+    "scatter": lambda x: x.at[jnp.asarray(jnp.abs(x[:3]), int)].add(1.0),
+}
+
+
+@pytest.mark.parametrize("name", [*IN_ONE, *NOT_IN_ONE])
+def test_the_numbers_are_those_of_the_plain_program(name):
+    function = (IN_ONE | NOT_IN_ONE)[name]
+    program, one = compiled(function, X)
+    assert one == (name in IN_ONE)
+    for given, plain in zip(jax.tree.leaves(program(X)), jax.tree.leaves(jax.jit(function)(X)), strict=True):
+        assert np.array_equal(given, plain)
+
+
+def test_few_are_written_out_and_many_are_not():
+    def primitives(count):
+        return {e.primitive.name for e in jax.make_jaxpr(written_out(jnp.sum))(np.ones(count)).eqns}
+
+    assert "reduce_sum" not in primitives(FEW)
+    assert "reduce_sum" in primitives(FEW + 1)
+
+
+def test_an_error_of_the_function_is_its_own():
+    def wrong(x):
+        raise ValueError("of the function")
+
+    with pytest.raises(ValueError, match="of the function"):
+        compiled(wrong, X)

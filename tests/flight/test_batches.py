@@ -1,0 +1,102 @@
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from truths.flights import KEY, make_setup, start_state
+
+from keepout.errors import ScenarioError
+from keepout.flight import FlightOutcome, fly, outcome
+from keepout.flight.batches import campaign, initial_states
+from keepout.motion import ConstantDisturbance
+
+STEPS = 30
+NAMES = list(FlightOutcome.__annotations__)
+
+
+def shell(generator, count):
+    direction = generator.standard_normal((count, 3))
+    return 8 * direction / np.linalg.norm(direction, axis=1, keepdims=True), np.zeros((count, 3))
+
+
+@pytest.fixture(scope="module")
+def flown():
+    setup = make_setup()
+    states = initial_states(setup.motion, shell, 7, seed=3)
+    chunks, reports = {}, []
+    result = campaign(
+        setup,
+        states,
+        STEPS,
+        columns=("position", "guard_status"),
+        landed=lambda first, log: chunks.update({first: log}),
+        batch=3,
+        workers=2,
+        progress=lambda fraction, message: reports.append((fraction, message)),
+    )
+    return setup, states, result, chunks, reports
+
+
+def test_a_campaign_is_its_single_flights(flown):
+    setup, states, result, chunks, _ = flown
+    position = np.concatenate([chunks[first]["position"] for first in sorted(chunks)])
+    assert position.shape == (7, STEPS + 1, 3)
+    for index in (0, 4, 6):
+        log = fly(setup, jax.tree.map(lambda x, i=index: x[i], states), STEPS, KEY)
+        np.testing.assert_allclose(position[index], log.position, atol=1e-12)
+        alone = outcome(setup, log)
+        for name in NAMES:
+            np.testing.assert_allclose(getattr(result, name)[index], getattr(alone, name), rtol=1e-10, err_msg=name)
+
+
+def test_batches_land_whole_and_once(flown):
+    *_, chunks, reports = flown
+    assert {first: len(log["position"]) for first, log in chunks.items()} == {0: 3, 3: 3, 6: 1}
+    assert set(chunks[0]) == {"position", "guard_status"}
+    assert [fraction for fraction, _ in reports] == pytest.approx([3 / 7, 6 / 7, 1.0])
+    assert reports[-1][1] == "7 of 7 flights"
+
+
+def test_sampling_is_seeded():
+    motion = make_setup().motion
+    one, two, other = (initial_states(motion, shell, 5, seed=s) for s in (1, 1, 2))
+    np.testing.assert_array_equal(one.position, two.position)
+    assert not np.allclose(one.position, other.position)
+    np.testing.assert_allclose(np.linalg.norm(one.position, axis=1), 8)
+    assert one.attitude.shape == (5, 4)
+
+
+def test_what_varies_differs_between_flights():
+    pushes = jnp.array([[0.0, 0.0, 0.0], [0.05, 0.0, 0.0]])
+    setup = make_setup(disturbance=ConstantDisturbance([0.0, 0.0, 0.0]))
+    many = eqx.tree_at(lambda s: s.disturbance.constant, setup, pushes)
+    states = jax.vmap(lambda r: start_state(setup, r))(jnp.tile(jnp.array([8.0, 0.0, 0.0]), (2, 1)))
+    logs = {}
+    campaign(
+        many,
+        states,
+        STEPS,
+        vary=lambda s: s.disturbance,
+        columns=("position",),
+        landed=lambda first, log: logs.update(log),
+    )
+    for index in range(2):
+        own = make_setup(disturbance=ConstantDisturbance(pushes[index]))
+        log = fly(own, start_state(own, (8.0, 0.0, 0.0)), STEPS, KEY)
+        np.testing.assert_allclose(logs["position"][index], log.position, atol=1e-12)
+    assert np.abs(logs["position"][0] - logs["position"][1]).max() > 1e-3
+
+
+def test_impossible_campaigns_are_refused():
+    setup = make_setup()
+    states = initial_states(setup.motion, shell, 2, seed=0)
+    with pytest.raises(ScenarioError, match="columns: thrust"):
+        campaign(setup, states, 5, columns=("thrust",))
+    with pytest.raises(ScenarioError, match="leading axes"):
+        campaign(setup, states, 5, vary=lambda s: s.goal)  # (3,) is not one goal a flight
+    with pytest.raises(ScenarioError, match="flights: 0"):
+        initial_states(setup.motion, shell, 0, seed=0)
+    with pytest.raises(ScenarioError, match="sampled velocities"):
+        initial_states(setup.motion, lambda g, n: (np.zeros((n, 3)), np.zeros(3)), 2, seed=0)
+    with pytest.raises(ScenarioError, match="sampled positions"):
+        initial_states(setup.motion, lambda g, n: (np.full((n, 3), np.nan), np.zeros((n, 3))), 2, seed=0)

@@ -1,0 +1,125 @@
+"""Counter-examples: a small over-statement planted where the chaser touches is found and learned from."""
+
+import numpy as np
+import pytest
+
+from keepout.fields.domain import Domain
+from keepout.geometry.level_points import level_points
+from keepout.geometry.offset_solid import OffsetSolid
+from keepout.geometry.target import Target
+from keepout.learning.counter_examples import HIGHEST, JITTER, ROUNDS_KEPT, WORST, Hunt
+from keepout.learning.profile import Profile
+
+HEIGHT, WIDTH, WEBS = 0.2, 0.04, 300
+PROFILE = Profile(webs=WEBS)
+
+
+@pytest.fixture(scope="module")
+def solid():
+    return OffsetSolid.build(Target.load("box", parameters={"length": 2.0, "width": 1.0, "height": 1.0}).distance)
+
+
+NOTHING_KNOWN = np.zeros((0, 3))
+
+
+class Wrong:
+    """The distance less `less`, with a bump of a height and width in one place."""
+
+    def __init__(self, distance, less, place, height, width):
+        self.distance, self.less, self.place, self.height, self.width = distance, less, place, height, width
+
+    def _bump(self, points):
+        return self.height * np.exp(-((points - self.place) ** 2).sum(axis=1) / self.width**2)
+
+    def value(self, points):
+        return self.distance.distance(points) - self.less + self._bump(points)
+
+    def gradient(self, points):
+        bump = self._bump(points)[:, None] * -2.0 * (points - self.place) / self.width**2
+        return self.distance.distance_and_gradient(points)[1] + bump
+
+
+@pytest.mark.parametrize(("peak", "level"), [((1.0, 0.12, 0.31), 0.0), ((1.3, -0.22, 0.17), 0.3)])
+@pytest.mark.parametrize("width", [WIDTH, 0.2 * WIDTH])
+def test_a_planted_peak_is_climbed(solid, peak, level, width):
+    domain = Domain.around(solid.distance)
+    hunt = Hunt.prepare(solid, domain, 0.3, PROFILE, np.random.default_rng(0))
+    assert hunt.levels == (0.0, 0.3)
+    batch, largest = hunt.worst(
+        Wrong(solid.distance, 0.05, peak, HEIGHT, width), NOTHING_KNOWN, np.random.default_rng(1)
+    )
+    assert largest == pytest.approx(HEIGHT - 0.05, abs=2e-3)
+    assert len(batch.x) * ROUNDS_KEPT == hunt.kept
+    found = np.asarray(batch.x, np.float64) * domain.learned_radius + domain.centre
+    near = np.linalg.norm(found - peak, axis=1) < 2.0 * width + 4.0 * JITTER
+    assert near.sum() > 30
+    # The highest counts most, and what is not over-stated once.
+    weight = np.asarray(batch.weight)
+    assert weight[near].max() == pytest.approx(HIGHEST)
+    assert np.all(weight[:-WEBS][~near[:-WEBS]] == 1.0)
+    # Their labels are the truth, not what the field said.
+    truth = solid.distance.distance(found[near]) - solid.offset
+    inside = np.asarray(batch.hidden)[near]
+    assert np.allclose(np.asarray(batch.distance)[near][~inside], truth[~inside], atol=1e-5)
+
+
+@pytest.mark.parametrize("level", [0.0, 0.3])
+def test_corners_and_edges_get_their_share_of_the_candidates(solid, level):
+    distance = solid.distance
+
+    def shares(**choice):
+        """Of points whose nearest one on the box 2 x 1 x 1 m is on a face, an edge, a corner."""
+        points = level_points(distance, level, 20_000, np.random.default_rng(0), **choice)
+        assert len(points) > 18_000
+        assert np.abs(distance.distance(points) - level).max() < 1e-8
+        at_side = (np.abs(np.abs(distance.closest(points)[1]) - [1.0, 0.5, 0.5]) < 1e-9).sum(axis=1)
+        return np.array([(at_side == k).mean() for k in (1, 2, 3)])
+
+    sharp, even = shares(), shares(uniform=True)
+    assert sharp.sum() == even.sum() == pytest.approx(1.0)
+    assert sharp[1] > 0.1
+    assert sharp[2] > max(0.02, 4.0 * even[2])
+
+
+def test_a_point_chaser_is_hunted_on_the_surface_alone(solid):
+    hunt = Hunt.prepare(solid, Domain.around(solid.distance), 0.0, PROFILE, np.random.default_rng(0))
+    assert hunt.levels == (0.0,)
+    assert hunt.kept == ROUNDS_KEPT * (2 * WORST + WEBS)
+
+
+def test_a_web_is_found(solid):
+    """A field that says too little in one place off the surface, where it endangers nothing."""
+    hunt = Hunt.prepare(solid, Domain.around(solid.distance), 0.0, PROFILE, np.random.default_rng(0))
+    web = np.array([1.3, 0.8, 0.2])
+
+    wrong = Wrong(solid.distance, solid.offset, web, -0.4, 0.1)
+    batch, _ = hunt.worst(wrong, NOTHING_KNOWN, np.random.default_rng(1))
+    found = np.asarray(batch.x, np.float64)[-WEBS:] * hunt.domain.learned_radius + hunt.domain.centre
+    near = np.linalg.norm(found - web, axis=1) < 0.25
+    assert near.sum() > 10
+    assert near.sum() >= 0.9 * (np.linalg.norm(hunt.near.points - web, axis=1) < 0.15).sum()
+    truth = solid.distance.distance(found[near]) - solid.offset
+    assert np.allclose(np.asarray(batch.distance)[-WEBS:][near], truth, atol=1e-5)
+    # The deepest counts most.
+    weight = np.asarray(batch.weight)[-WEBS:]
+    assert weight.max() == pytest.approx(HIGHEST)
+    assert weight[near].max() == weight.max()
+    assert weight.min() < 2.0
+    # While the certified side settles, webs are left alone.
+    settled, _ = hunt.worst(wrong, NOTHING_KNOWN, np.random.default_rng(1), settling=True)
+    assert len(settled.x) == len(batch.x)
+    found = np.asarray(settled.x, np.float64) * hunt.domain.learned_radius + hunt.domain.centre
+    assert (np.linalg.norm(found - web, axis=1) < 0.15).sum() < 5
+
+
+def test_a_peak_known_before_is_found_again(solid):
+    """One too narrow to be met by chance, but near a counter-example of an earlier round."""
+    hunt = Hunt.prepare(solid, Domain.around(solid.distance), 0.0, PROFILE, np.random.default_rng(0))
+    peak = np.array([1.0, 0.12, 0.31])
+    wrong = Wrong(solid.distance, 0.05, peak, HEIGHT, 1e-3)
+    heights = [
+        hunt.worst(wrong, known, np.random.default_rng(1))[1]
+        for known in (NOTHING_KNOWN, peak[None] + [0.0, 5e-4, 0.0])
+    ]
+    assert heights[0] < 0.0
+    assert heights[1] > 0.5 * HEIGHT - 1e-9

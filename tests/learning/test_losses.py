@@ -1,0 +1,73 @@
+"""What training minimises: points that have no gradient to learn cost less, and count the same."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from truths.networks import random_layers
+
+from keepout.learning import losses
+from keepout.learning.profile import PROFILES
+
+PROFILE = PROFILES["quick"]
+SCALE = 12.0
+
+
+def labelled(count: int, share: float) -> losses.Batch:
+    """Points of which a share has a gradient, and half of the others are hidden."""
+    rng = np.random.default_rng(count)
+    smooth = rng.random(count) < share
+    hidden = ~smooth & (rng.random(count) < 0.5)
+    gradient = rng.normal(size=(count, 3)) * smooth[:, None]
+    columns = (rng.normal(size=(count, 3)), rng.normal(size=count), gradient, rng.uniform(0.5, 2.0, count))
+    x, distance, gradient, weight = (jnp.asarray(column, jnp.float32) for column in columns)
+    return losses.Batch(x, distance, gradient, jnp.asarray(smooth), jnp.asarray(hidden), weight)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.6, 1.0])
+def test_points_in_two_parts_count_as_if_each_had_its_gradient_evaluated(share):
+    layers, whole = random_layers(3, (3, 24, 24, 1), jnp.float32), labelled(80, share)
+    parts = losses.Parted.by(PROFILE, whole)
+    sloped = len(parts.sloped.x)
+    joined = jax.tree.map(lambda *columns: jnp.concatenate(columns), *parts)
+    assert sloped == int(whole.smooth.sum())
+
+    def total(layers, rows, sloped):
+        value_term, slope_term = losses.terms(layers, PROFILE, SCALE, rows, sloped)
+        return jnp.sum(value_term) + jnp.sum(slope_term)
+
+    ours, ours_slope = jax.value_and_grad(total)(layers, joined, sloped)
+    truth, truth_slope = jax.value_and_grad(total)(layers, whole, 80)
+    assert float(ours) == pytest.approx(float(truth), rel=1e-5)
+    for a, b in zip(jax.tree.leaves(ours_slope), jax.tree.leaves(truth_slope), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-5 * float(jnp.abs(b).max()))
+
+
+@pytest.mark.parametrize("name", ["paper", "paper_printed"])
+def test_the_papers_eikonal_term_is_asked_of_every_point(name):
+    parts = losses.Parted.by(PROFILES[name], labelled(50, 0.3))
+    assert len(parts.sloped.x) == 50
+    assert len(parts.plain.x) == 0
+
+
+def test_the_near_field_reaches_beyond_where_the_chaser_touches():
+    assert PROFILE.for_chaser(0.3).near_field == PROFILE.near_field == 1.2
+    assert PROFILE.for_chaser(3.0).near_field == pytest.approx(3.7)
+
+
+def test_the_keepout_loss_by_hand():
+    """Weighted pinball, by another share beyond the near field; no under-statement where hidden; a slope's error."""
+    x = jnp.asarray([[0.1, 0.2, 0.3], [0.1, 0.2, 0.3], [0.1, 0.2, 0.3]], jnp.float32)
+    layers = random_layers(1, (3, 8, 1), jnp.float32)
+    y, gradient = losses.second_sweep.value_and_gradient(layers, PROFILE.beta, x)
+    f = float(y[0]) * SCALE
+    distance = np.asarray([f + 1.0, f - 1.0, f + 1.0], np.float32)
+    profile = dataclasses.replace(PROFILE, over_weight=0.8, far_over_weight=0.6, near_field=f)
+    off = gradient + jnp.asarray([0.0, 0.0, 1.0], jnp.float32)
+    smooth, hidden = jnp.asarray([True, False, False]), jnp.asarray([False, False, True])
+    batch = losses.Batch(x, jnp.asarray(distance), off, smooth, hidden, jnp.asarray([2.0, 3.0, 1.0], jnp.float32))
+    value_term, slope_term = losses.terms(layers, profile, SCALE, batch, 1)
+    np.testing.assert_allclose(value_term, [2.0 * 0.4, 3.0 * 0.8, 0.0], rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(slope_term, [PROFILE.gradient_weight / (1.0 + abs(distance[0]))], rtol=1e-4)

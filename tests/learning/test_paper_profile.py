@@ -1,0 +1,68 @@
+"""The paper's profile end to end, shortened: both readings of its loss, and the certificate of what comes out."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from keepout.fields.model import FieldModel
+from keepout.fields.neural import NeuralField
+from keepout.geometry.offset_solid import OffsetSolid
+from keepout.geometry.target import Target
+from keepout.learning.profile import PROFILES
+from keepout.learning.training import fit
+from keepout.measures.quality import distance_errors, surface_errors
+from keepout.proof.certificate import certify
+
+pytestmark = pytest.mark.xdist_group("paper")
+
+
+@pytest.fixture(scope="module")
+def target() -> Target:
+    return Target.load("pocket")
+
+
+@pytest.fixture(scope="module")
+def solid(target) -> OffsetSolid:
+    return OffsetSolid.build(target.distance)
+
+
+def shortened(name: str, **changes):
+    numbers = {"width": 48, "depth": 4, "samples": 3000, "batch": 3000, "steps": 750, **changes}
+    return dataclasses.replace(PROFILES[name], **numbers)
+
+
+@pytest.fixture(scope="module")
+def pinball(target, solid) -> FieldModel:
+    return fit(target, profile=shortened("paper"), solid=solid)
+
+
+def test_the_pinball_reading_learns_the_distance(pinball, target, solid):
+    errors = distance_errors(pinball.field, solid, nearest=0.3, farthest=2.0)
+    assert errors.mean_absolute < 0.3
+    assert surface_errors(pinball.field, target, count=20_000).epsilon < 0.3
+
+
+def test_the_printed_loss_lets_the_field_sink(pinball, target, solid):
+    """L_P = (κ-1) max(e, 0) does not mind understatement: only the eikonal term holds the field up."""
+    printed = fit(target, profile=shortened("paper_printed"), solid=solid)
+    high = distance_errors(pinball.field, solid, nearest=0.3, farthest=2.0).mean_absolute
+    assert distance_errors(printed.field, solid, nearest=0.3, farthest=2.0).mean_absolute > 3.0 * high
+    assert surface_errors(printed.field, target, count=20_000).epsilon_plus < 0.1
+
+
+def test_a_field_of_the_paper_is_certified_like_any_other(pinball, target):
+    certificate = certify(pinball, target).certificate(0.0)
+    assert certificate.kind == "certified"
+    assert certificate.sampled_maximum <= certificate.error_bound
+    # The paper's Table I is a mean over samples, which the proved bound exceeds.
+    assert certificate.error_bound > surface_errors(pinball.field, target, count=20_000).epsilon_plus
+
+
+@pytest.mark.slow
+def test_the_network_of_the_paper_trains_at_its_own_size(target, solid):
+    numbers = {"samples": 512, "batch": 512, "steps": 250}
+    model = fit(target, profile=dataclasses.replace(PROFILES["paper"], **numbers), solid=solid)
+    assert isinstance(model.field, NeuralField)
+    assert [W.shape for W in model.field.layers.weights] == [(512, 3), *[(512, 512)] * 9, (1, 512)]
+    assert np.isfinite(surface_errors(model.field, target, count=2000).epsilon)

@@ -1,0 +1,35 @@
+"""Where a campaign's flights start."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from keepout.errors import ScenarioError
+from keepout.geometry.target import Target
+from keepout.mission.campaign import draw_starts
+from keepout.mission.scenario import Scenario
+
+
+@pytest.fixture(scope="module")
+def shell(tmp_path_factory):
+    """A hollow cube of 6 m: its inside has room for the chaser, and no way out."""
+    path = tmp_path_factory.mktemp("mesh") / "shell.stl"
+    trimesh.creation.box(extents=(6.0, 6.0, 6.0)).export(path)
+    return Target.load(path, units="m")
+
+
+def drawn(target, **campaign):
+    return draw_starts(Scenario().replace(campaign=campaign), target)
+
+
+def test_starts_are_seeded_outside_and_roomy(shell):
+    starts = drawn(shell, runs=50, lower=(-5.0, -5.0, -5.0), upper=(5.0, 5.0, 5.0))
+    assert starts.shape == (50, 3)
+    assert np.abs(starts).max(axis=1).min() > 3.0 + 0.8 / 3**0.5
+    assert shell.distance.distance(starts).min() > 0.8
+    np.testing.assert_array_equal(starts, drawn(shell, runs=50, lower=(-5.0, -5.0, -5.0), upper=(5.0, 5.0, 5.0)))
+
+
+def test_a_box_without_a_way_out_is_refused(shell):
+    with pytest.raises(ScenarioError, match="only 0 lie outside"):
+        drawn(shell, runs=5, lower=(-2.0, -2.0, -2.0), upper=(2.0, 2.0, 2.0))

@@ -1,0 +1,1 @@
+"""Truths and worlds that several test files share."""
