@@ -8,9 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from truths.guarded_worlds import ASSUMED, WORLDS, directions, motion_state
+from truths.operations import operation
 
 from keepout.control import profiles
 from keepout.control.delay import AheadOfDelay
+from keepout.control.guidance.plan import Straight
 from keepout.errors import ControlError
 from keepout.fields.analytic import SphereField
 from keepout.flight import FlightSetup, fly
@@ -25,18 +27,7 @@ FIELD = SphereField(jnp.zeros(3), jnp.asarray(2.0))
 def delayed_setup(delay, told):
     motion = RelativeMotion(Orbit(42_164_000.0))
     law = profiles.default(
-        FIELD,
-        error_bound=0.01,
-        chaser_radius=0.5,
-        margin=0.1,
-        goal=np.array([0.0, -6.0, 0.0]),
-        motion=motion,
-        mass=20.0,
-        force_limit=0.1,
-        speed_limit=0.1,
-        period=1.0,
-        disturbance_bound=0.0142,
-        guidance="straight",
+        FIELD, operation(motion=motion, error_bound=0.01), np.array([0.0, -6.0, 0.0]), guidance=Straight()
     )
     if told:
         law = AheadOfDelay(law, motion, 20.0, 1.0, delay)

@@ -20,6 +20,7 @@ from keepout.errors import ControlError
 from keepout.fields.evaluate import values
 from keepout.fields.field import Field
 from keepout.guard.braking import BrakingDesign, GuardAssumptions, design
+from keepout.guard.safety_layer import SafetyLayer
 from keepout.motion.relative import MotionState
 
 Vector = Float[Array, "3"]
@@ -89,7 +90,7 @@ class GuardState(eqx.Module):
     counted: Int[Array, ""]
 
 
-class Guard(eqx.Module):
+class Guard(SafetyLayer):
     """Accepts or replaces commanded forces; see docs/guard.md for what it proves.
 
     field: a lower bound on clearance in the sense of its certificate. threshold: e_h + chaser radius, m: no contact

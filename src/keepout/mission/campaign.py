@@ -14,15 +14,15 @@ from jaxtyping import Float
 
 from keepout.audit.audit import Audit, Contact, audit_campaign
 from keepout.audit.outside import proved_outside
-from keepout.control.controller import ControlStatus
 from keepout.errors import ScenarioError
 from keepout.flight.batches import campaign
 from keepout.flight.outcome import FlightOutcome
 from keepout.geometry.target import Target
-from keepout.guard.guard import GuardFlag, GuardStatus, flag_names
+from keepout.guard.guard import flag_names
 from keepout.mission import environment
 from keepout.mission.build import prepare
 from keepout.mission.scenario import Scenario
+from keepout.mission.statuses import flag_counts, status_counts
 from keepout.progress import Progress, silent
 
 _AUDITED = ("time", "position", "velocity", "force", "guard_status")
@@ -45,10 +45,6 @@ class Campaign:
     def summary(self) -> dict[str, Any]:
         """Give the campaign's figures as plain numbers for JSON; a contact is whatever the audit does not exclude."""
         verdicts = [audit.contact for audit in self.audits]
-        counts = {
-            "control": (ControlStatus, np.asarray(self.outcome.control_status_counts).sum(axis=0)),
-            "guard": (GuardStatus, np.asarray(self.outcome.guard_status_counts).sum(axis=0)),
-        }
         return {
             "runs": len(verdicts),
             "reached": int(np.sum(self.outcome.reached)),
@@ -58,10 +54,7 @@ class Campaign:
             "median_delta_v_mps": float(np.median(self.outcome.delta_v)),
             "saturated_fraction": float(np.mean(self.outcome.saturated_fraction)),
             "guard_interventions": int(np.sum(self.outcome.guard_interventions)),
-            "statuses": {
-                layer: {status.name.lower(): int(count[status]) for status in kind if count[status]}
-                for layer, (kind, count) in counts.items()
-            },
+            "statuses": status_counts(self.outcome),
             "flagged": self.flagged(),
             "faults": self.scenario.faults.model_dump(exclude_defaults=True),
             "seconds": self.seconds,
@@ -70,9 +63,7 @@ class Campaign:
 
     def flagged(self) -> dict[str, int]:
         """Count the flights in which the guard raised each flag; flags never raised are left out."""
-        flags = np.asarray(self.outcome.guard_flags)
-        flights = {name: int(np.count_nonzero(flags & flag)) for flag in GuardFlag for name in flag_names(flag)}
-        return {name: count for name, count in flights.items() if count}
+        return flag_counts(np.asarray(self.outcome.guard_flags))
 
     def save(self, path: Path) -> None:
         """Write one row a flight into a Parquet file, the scenario in its metadata."""

@@ -20,6 +20,7 @@ from keepout.geometry.target import Target
 from keepout.guard.braking import GuardAssumptions
 from keepout.mission.scenario import Scenario
 from keepout.motion import (
+    Chaser,
     ConstantDisturbance,
     Disturbance,
     InertiallyFixed,
@@ -27,7 +28,6 @@ from keepout.motion import (
     Orbit,
     RelativeMotion,
     SquareWaveDisturbance,
-    Thrusters,
     Tumbling,
     VVLHFixed,
     band_limited_noise,
@@ -92,9 +92,9 @@ def disturbance_bound(scenario: Scenario) -> float:
     return bound
 
 
-def thrusters(scenario: Scenario) -> Thrusters:
-    """Build the chaser's thrusters."""
-    return Thrusters(scenario.chaser.force_limit)
+def chaser(scenario: Scenario) -> Chaser:
+    """Give the chaser's body: mass, radius, thrusters and speed limit."""
+    return Chaser(**scenario.chaser.model_dump())
 
 
 def faults(scenario: Scenario) -> Faults:

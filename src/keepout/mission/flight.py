@@ -9,16 +9,15 @@ import numpy as np
 from jaxtyping import Float
 
 from keepout.audit.audit import Audit, Contact, audit
-from keepout.control.controller import ControlStatus
 from keepout.fields.model import FieldModel
 from keepout.flight import loop
 from keepout.flight.outcome import FlightOutcome, outcome
 from keepout.flight.record import FlightRecord
 from keepout.geometry.target import Target
-from keepout.guard.guard import GuardFlag, GuardStatus, flag_names
 from keepout.mission import environment
 from keepout.mission.build import prepare
 from keepout.mission.scenario import Scenario
+from keepout.mission.statuses import flag_counts, legend, status_counts
 from keepout.progress import Progress, silent
 
 
@@ -45,11 +44,6 @@ class Flight:
 
         `contact` is true unless the audit proves that there was none; `contact_verdict` tells the cases apart.
         """
-        legend = {"control": ControlStatus, "guard": GuardStatus}
-        counts = {
-            "control": np.asarray(self.outcome.control_status_counts),
-            "guard": np.asarray(self.outcome.guard_status_counts),
-        }
         return {
             "reached": bool(self.outcome.reached),
             "contact": self.audit.contact is not Contact.NO,
@@ -61,10 +55,7 @@ class Flight:
             "guard_interventions": int(self.outcome.guard_interventions),
             "time_to_reach_s": float(self.outcome.time_to_reach) if self.outcome.reached else None,
             "largest_speed_mps": self.audit.largest_speed,
-            "statuses": {
-                layer: {status.name.lower(): int(counts[layer][status]) for status in kind if counts[layer][status]}
-                for layer, kind in legend.items()
-            },
+            "statuses": status_counts(self.outcome),
             "start_certified": self.start_certified,
             "guard_flags": self.guard_flags(),
             "faults": self.scenario.faults.model_dump(exclude_defaults=True),
@@ -74,9 +65,7 @@ class Flight:
 
     def guard_flags(self) -> dict[str, int]:
         """Count the steps in which the guard raised each flag; flags never raised are left out."""
-        status = self.record.guard_status[:-1]
-        steps = {name: int(np.count_nonzero(status & flag)) for flag in GuardFlag for name in flag_names(flag)}
-        return {name: count for name, count in steps.items() if count}
+        return flag_counts(self.record.guard_status[:-1])
 
 
 def fly(
@@ -118,11 +107,7 @@ def fly(
         scenario=scenario.model_dump_json(),
         seed=scenario.seed,
         target_sha256=mission.target.sha256,
-        statuses={
-            "control_status": {int(status): status.name.lower() for status in ControlStatus},
-            "guard_status": {int(status): status.name.lower() for status in GuardStatus}
-            | {int(flag): name for flag in GuardFlag for name in flag_names(flag)},
-        },
+        statuses=legend(),
     )
     verdict = audit(
         record,
