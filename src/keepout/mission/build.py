@@ -24,7 +24,7 @@ from keepout.guard.guard import Guard
 from keepout.mission import environment
 from keepout.mission.scenario import Scenario, TargetEntry
 from keepout.motion import MotionState, RelativeMotion
-from keepout.progress import Progress, silent
+from keepout.progress import Progress, part_of, silent
 
 _MISSED_ROOM = 0.2
 """By so much (m) the field may say less than the mesh before a refusal mentions it: more than margins explain."""
@@ -81,7 +81,7 @@ def load_model(scenario: Scenario, target: Target) -> FieldModel:
             "make one with `keepout fit` and `keepout certify` and name its file"
         )
     model = load_shipped(scenario.target.source)
-    _require_same_target(model, target)
+    model.require_target(target, where="field")
     return model
 
 
@@ -106,21 +106,19 @@ def prepare(
     """
     target = load_target(scenario.target) if target is None else target
     model = load_model(scenario, target) if model is None else model
-    _require_same_target(model, target)
+    model.require_target(target, where="field")
     certificate = model.certificate(scenario.chaser.radius)
     _refuse_contact(scenario, target)
     motion = environment.relative_motion(scenario)
     try:
-        controller = _controller(
-            scenario, model, certificate, motion, lambda fraction, message: progress(0.6 * fraction, message)
-        )
+        controller = _controller(scenario, model, certificate, motion, part_of(progress, 0.0, 0.6))
     except KeepOutZoneError as refusal:
         why = _missed_room(refusal.place, scenario, target, model, progress)
         raise KeepOutZoneError(f"{refusal}{why}", refusal.place) from None
     initial = motion.initial_state(np.asarray(scenario.start.position), np.asarray(scenario.start.velocity))
     guard, start_certified = None, None
     if scenario.guard.enabled:
-        guard = _guard(scenario, target, model, lambda fraction, message: progress(0.6 + 0.4 * fraction, message))
+        guard = _guard(scenario, target, model, part_of(progress, 0.6, 1.0))
         start_certified = guard.require(initial, jnp.asarray(scenario.goal.position))
     setup = FlightSetup(
         motion=motion,
@@ -136,14 +134,6 @@ def prepare(
         tolerance=scenario.goal.tolerance,
     )
     return Mission(scenario, target, model, certificate, setup, initial, start_certified)
-
-
-def _require_same_target(model: FieldModel, target: Target) -> None:
-    if model.target_sha256 != target.sha256:
-        raise FieldError(
-            f"field: made for {model.target_name} ({model.target_sha256[:12]}), not for {target.name} "
-            f"({target.sha256[:12]}); other parameters, units or parts make another target, so fit and certify again"
-        )
 
 
 def _refuse_contact(scenario: Scenario, target: Target) -> None:

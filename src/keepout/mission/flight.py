@@ -19,7 +19,7 @@ from keepout.guard.guard import GuardFlag, GuardStatus, flag_names
 from keepout.mission import environment
 from keepout.mission.build import prepare
 from keepout.mission.scenario import Scenario
-from keepout.progress import Progress, silent
+from keepout.progress import Progress, part_of, silent
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ def fly(
         scenario,
         target=target,
         model=model,
-        progress=lambda fraction, message: progress(0.4 * fraction, message),
+        progress=part_of(progress, 0.0, 0.4),
     )
     progress(0.4, "flying")
     key = jax.random.key(scenario.seed)
