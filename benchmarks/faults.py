@@ -34,9 +34,10 @@ from keepout.flight.batches import campaign, initial_states
 from keepout.flight.setup import NoFaults
 from keepout.guard.guard import GuardFlag
 from keepout.mission import environment
+from keepout.whole_file import write_whole
 
 TARGETS = ("intelsat30", "iss", "tiangong", "ssl1300.glb")
-VIOLATIONS = int(~np.int32(3) & ~np.int32(GuardFlag.COMMAND) & 0x7FFFFFFF)
+VIOLATIONS = int(~GuardFlag.COMMAND)
 AUDITED = ("time", "position", "velocity", "force", "guard_status")
 
 
@@ -233,9 +234,7 @@ def load(path):
 
 
 def save(path, rows):
-    partial = path.with_name(path.name + ".partial")
-    partial.write_text("[\n" + ",\n".join(json.dumps(row) for row in rows) + "\n]\n")
-    partial.replace(path)
+    write_whole(path, "[\n" + ",\n".join(json.dumps(row) for row in rows) + "\n]\n")
 
 
 def fly_all(arguments, show):

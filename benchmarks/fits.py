@@ -24,6 +24,7 @@ from keepout.learning.training import HARD_SHARE, fit
 from keepout.measures.quality import curvature, margin_cost
 from keepout.proof.certificate import certify
 from keepout.proof.grid import certify_grid
+from keepout.whole_file import write_whole
 
 RADII = (0.0, 0.5)
 COLUMNS = (
@@ -142,7 +143,7 @@ def main() -> None:
             cells = ("-" if entry[name] is None else form.format(entry[name]) for name, form in COLUMNS)
             print("\r| " + " | ".join(cells) + " |", flush=True)
             if arguments.json:
-                arguments.json.write_text(json.dumps(rows, indent=1) + "\n")
+                write_whole(arguments.json, json.dumps(rows, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -39,6 +39,7 @@ from keepout.flight.setup import FlightSetup
 from keepout.mission import environment
 from keepout.mission.build import build_law, operation
 from keepout.report import terminal
+from keepout.whole_file import write_whole
 
 LAWS = {
     "geodesic": {"profile": "default", "guidance": "geodesic", "circulation": "none"},
@@ -315,7 +316,7 @@ def main():
             if row is None:
                 row = fly_row(case, law, rate) | mark
                 kept.append(row)
-                arguments.out.write_text(json.dumps(kept, indent=2) + "\n")
+                write_whole(arguments.out, json.dumps(kept, indent=2) + "\n")
             rows.append(row)
             sys.stderr.write(json.dumps(row) + "\n")
     if arguments.json:

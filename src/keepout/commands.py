@@ -1,6 +1,5 @@
 """Each command of the command line as a function from its arguments to its JSON summary."""
 
-import json
 import time
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -22,12 +21,12 @@ from keepout.mission.build import load_target
 from keepout.mission.campaign import run_campaign
 from keepout.mission.flight import fly
 from keepout.mission.scenario import Scenario, TargetEntry
-from keepout.progress import Progress, silent
+from keepout.progress import Progress, part_of, silent
 from keepout.proof.certificate import certify
 from keepout.report import target_view
 from keepout.report.campaign_view import draw_campaign
 from keepout.report.field_view import draw_slices, draw_surface
-from keepout.report.folder import write_flights
+from keepout.report.folder import write_flights, write_summary
 
 
 def describe_targets(*, pictures: Path | None = None, progress: Progress = silent) -> list[dict[str, Any]]:
@@ -155,9 +154,7 @@ def inspect_file(
     model = FieldModel.load(path, target=target)
     if out is not None:
         _folder(out)
-    measures, surface = inspect_model(
-        model, target, seed=seed, progress=lambda fraction, message: progress(0.9 * fraction, message)
-    )
+    measures, surface = inspect_model(model, target, seed=seed, progress=part_of(progress, 0.0, 0.9))
     summary: dict[str, Any] = {"field": str(path), **measures}
     if out is not None:
         progress(0.9, "pictures")
@@ -171,7 +168,7 @@ def inspect_file(
 def inspect_mesh(source: Mapping[str, Any], out: Path | None = None, *, progress: Progress = silent) -> dict[str, Any]:
     """Report what is known about a mesh before anything is learned from it; draw it into `out` if that is given."""
     target = load_target(_entry(source))
-    summary = asdict(survey(target, progress=lambda fraction, message: progress(0.95 * fraction, message)))
+    summary = asdict(survey(target, progress=part_of(progress, 0.0, 0.95)))
     if out is not None:
         _folder(out)
         picture = out / f"{target.name}.png"
@@ -198,14 +195,14 @@ def fly_to_folder(
 ) -> dict[str, Any]:
     """Fly a scenario; write flight file, figures, page and `summary.json` into `out`."""
     _folder(out)
-    flight = fly(scenario, progress=lambda fraction, message: progress(0.9 * fraction, message))
+    flight = fly(scenario, progress=part_of(progress, 0.0, 0.9))
     introduction = (
         f"Target {flight.target.name}, start {list(scenario.start.position)} m, goal {list(scenario.goal.position)} m."
     )
     [summary] = write_flights(
         out, {scenario.name: flight}, title=f"Flight {scenario.name}", introduction=introduction, figures=figures
     )
-    _write_summary(out, summary)
+    write_summary(out, summary)
     return summary
 
 
@@ -217,7 +214,7 @@ def campaign_to_folder(scenario: Scenario, out: Path, *, progress: Progress = si
     flown.save(flights)
     draw_campaign(out / "campaign.png", flown)
     summary = {**flown.summary(), "flights": str(flights)}
-    _write_summary(out, summary)
+    write_summary(out, summary)
     return summary
 
 
@@ -226,7 +223,3 @@ def _folder(out: Path) -> None:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ScenarioError(f"{out}: cannot be made a folder ({error.strerror}); give another --out") from None
-
-
-def _write_summary(out: Path, summary: Mapping[str, Any]) -> None:
-    (out / "summary.json").write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")

@@ -8,3 +8,8 @@ Progress = Callable[[float, str], None]
 
 def silent(fraction: float, message: str) -> None:
     """Report nothing: the default of every function that takes a `Progress`."""
+
+
+def part_of(progress: Progress, start: float, end: float) -> Progress:
+    """Give the progress of a part of the work: its 0 to 1 are `start` to `end` of the whole."""
+    return lambda fraction, message: progress(start + (end - start) * fraction, message)

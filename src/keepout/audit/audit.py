@@ -22,6 +22,9 @@ from keepout.audit.outside import proved_outside
 from keepout.audit.tube import FlightBounds, Tube, nearest
 from keepout.errors import FlightError
 
+_REPLACED = 0b11
+"""Bits of a recorded guard status that are not all 0 where the guard replaced the command (docs/guard.md)."""
+
 _ROUNDING = 1e-9
 """Metres taken off every clearance bound: far more than float64 loses at the size of a space station."""
 
@@ -186,7 +189,7 @@ def audit_campaign(
                 largest_speed=float(speed.max()),
                 speed_excess=float(speed.max()) - speed_limit,
                 speed_violations=int(np.sum(speed > speed_limit * (1.0 + 1e-9))),
-                guard_interventions=0 if guard_status is None else int(np.count_nonzero(guard_status[i] & 3)),
+                guard_interventions=0 if guard_status is None else int(np.count_nonzero(guard_status[i] & _REPLACED)),
                 steps=len(time) - 1,
                 remarks=remarks,
             )

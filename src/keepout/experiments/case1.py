@@ -1,6 +1,5 @@
 """The paper's Case 1 (section VI.C.1) without and with circulation, and the recommended law on the same mission."""
 
-import json
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ from keepout.mission.build import load_target
 from keepout.mission.flight import fly
 from keepout.mission.scenario import Scenario
 from keepout.progress import Progress, silent
-from keepout.report.folder import write_flights
+from keepout.report.folder import write_flights, write_summary
 
 LAWS: dict[str, dict[str, Any]] = {
     "paper without circulation": {
@@ -64,6 +63,6 @@ def reproduce_case1(out: Path, *, seed: int = 0, progress: Progress = silent) ->
     summaries = write_flights(
         out, flights, title="Case 1 of the paper, under three control laws", introduction=INTRODUCTION
     )
-    (out / "summary.json").write_text(json.dumps(summaries, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    write_summary(out, summaries)
     progress(1.0, "")
     return summaries

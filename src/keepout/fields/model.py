@@ -1,9 +1,8 @@
 """A field with its papers: what it was made from, how, and what was proved of it; and the file that holds them."""
 
 import dataclasses
-import hashlib
 import json
-import os
+from itertools import chain
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,6 +11,7 @@ import numpy as np
 import safetensors
 import safetensors.numpy
 
+from keepout.digest import digest
 from keepout.errors import FieldError
 from keepout.fields.continuation import RadialContinuation
 from keepout.fields.field import Field
@@ -19,6 +19,7 @@ from keepout.fields.grid import GridField
 from keepout.fields.mlp import Layers
 from keepout.fields.neural import NeuralField
 from keepout.geometry.target import Target
+from keepout.whole_file import write_whole
 
 FORMAT = "keepout-field"
 VERSION = 1
@@ -107,6 +108,20 @@ class FieldModel:
         ordered = sorted([*others, certificate], key=lambda c: c.chaser_radius)
         return dataclasses.replace(self, certificates=tuple(ordered))
 
+    def require_target(self, target: Target, *, where: str) -> None:
+        """Refuse a target that is not the one that the field was made for; `where` begins the message.
+
+        Raises:
+            FieldError: the triangles are others.
+
+        """
+        if target.sha256 != self.target_sha256:
+            raise FieldError(
+                f"{where}: the field was made for {self.target_name} ({self.target_sha256[:12]}), not for "
+                f"{target.name} ({target.sha256[:12]}); other parameters, units or parts make another target, so fit "
+                "and certify again"
+            )
+
     def with_training(self, **entries: Any) -> "FieldModel":
         """Return the same model with more entries (plain JSON values) in its training record."""
         return dataclasses.replace(self, training={**self.training, **entries})
@@ -119,6 +134,8 @@ class FieldModel:
 
         """
         path = Path(path)
+        if not path.absolute().parent.is_dir():
+            raise FieldError(f"{path}: cannot be written: the folder {path.parent} does not exist")
         tensors, description = _take_apart(self.field)
         header = {
             "version": VERSION,
@@ -129,14 +146,11 @@ class FieldModel:
             "certificates": [dataclasses.asdict(c) for c in self.certificates],
         }
         metadata = {"format": FORMAT, "header": json.dumps(header), "sha256": _digest(tensors, header)}
-        temporary = path.with_name(f".{path.name}.{os.getpid()}")
         try:
-            # Not `save_file`, whose files only their owner may read.
-            temporary.write_bytes(safetensors.numpy.save(tensors, metadata))
-            os.replace(temporary, path)
-        except (OSError, safetensors.SafetensorError) as error:
-            temporary.unlink(missing_ok=True)
+            content = safetensors.numpy.save(tensors, metadata)
+        except safetensors.SafetensorError as error:
             raise FieldError(f"{path}: cannot be written ({error})") from None
+        write_whole(path, content, refusal=FieldError)
 
     @classmethod
     def load(cls, path: str | Path, *, target: Target | None = None) -> "FieldModel":
@@ -165,20 +179,14 @@ class FieldModel:
                     f"{path}: its certificate for {certificate.chaser_radius:g} m belongs to another field or target; "
                     "certify again"
                 )
-        if target is not None and target.sha256 != model.target_sha256:
-            raise FieldError(
-                f"{path}: made for {model.target_name} ({model.target_sha256[:12]}), "
-                f"not for {target.name} ({target.sha256[:12]})"
-            )
+        if target is not None:
+            model.require_target(target, where=str(path))
         return model
 
 
 def _digest(tensors: dict[str, np.ndarray], description: dict) -> str:
-    digest = hashlib.sha256(json.dumps(description, sort_keys=True).encode())
-    for name in sorted(tensors):
-        digest.update(f"{name} {tensors[name].dtype} {tensors[name].shape}".encode())
-        digest.update(np.ascontiguousarray(tensors[name]).tobytes())
-    return digest.hexdigest()
+    named = ((f"{name} {tensors[name].dtype} {tensors[name].shape}", tensors[name]) for name in sorted(tensors))
+    return digest(json.dumps(description, sort_keys=True), *chain.from_iterable(named))
 
 
 def _read(path: Path) -> tuple[dict, dict[str, np.ndarray]]:

@@ -6,6 +6,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from keepout.flight.loop import FlightLog
 from keepout.flight.setup import FlightSetup
+from keepout.guard.safety_layer import mode
 
 STATUSES = 16
 """Status values 0 to 15 are counted apart; a status beyond counts as the last."""
@@ -46,6 +47,8 @@ def outcome(setup: FlightSetup, log: FlightLog) -> FlightOutcome:
     finite = jnp.all(jnp.isfinite(log.position)) & jnp.all(jnp.isfinite(log.velocity))
     finite = finite & jnp.all(jnp.isfinite(log.force[:-1]))
     reached = near[-1] & finite
+    guard_status = log.guard_status[:-1]
+    guard_mode = mode(guard_status)
     arrival_time = log.time[jnp.minimum(arrival, near.shape[0] - 1)] - log.time[0]
     return FlightOutcome(
         minimum_barrier=jnp.min(log.barrier),
@@ -54,10 +57,10 @@ def outcome(setup: FlightSetup, log: FlightLog) -> FlightOutcome:
         time_to_reach=jnp.where(reached, arrival_time, jnp.inf),
         delta_v=jnp.sum(jnp.linalg.norm(log.force[:-1], axis=-1)) * setup.period / setup.mass,
         saturated_fraction=jnp.mean(log.saturated[:-1].astype(jnp.float64)),
-        guard_interventions=jnp.sum(log.guard_status[:-1] & 3 != 0),
+        guard_interventions=jnp.sum(guard_mode != 0),
         control_status_counts=_count(log.control_status[:-1]),
-        guard_status_counts=_count(log.guard_status[:-1] & 3),
-        guard_flags=jnp.bitwise_or.reduce(log.guard_status[:-1] & ~3),
+        guard_status_counts=_count(guard_mode),
+        guard_flags=jnp.bitwise_or.reduce(guard_status - guard_mode),
         finite=finite,
     )
 

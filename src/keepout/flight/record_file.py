@@ -5,12 +5,9 @@ columns stands beside it, so that a file either reads back bit for bit or is ref
 column a component (`position_x`, `position_y`, `position_z`), for other programs to read without a schema.
 """
 
-import contextlib
-import hashlib
 import io
 import json
-import os
-import tempfile
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +15,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from keepout.digest import digest
 from keepout.errors import FlightError
+from keepout.whole_file import write_whole
 
 FORMAT = "keepout-flight"
 VERSION = 1
@@ -44,7 +43,7 @@ def write(path: Path, header: dict[str, Any], columns: Columns) -> Path:
     if json.loads(text) != header:
         raise FlightError(f"{path}: the header would not read back the same; use only strings as keys, and no tuples")
     envelope = {"format": FORMAT, "version": VERSION, "sha256": _digest(text, columns), "header": text}
-    _write_whole(path, encode(json.dumps(envelope), columns))
+    write_whole(path, encode(json.dumps(envelope), columns), refusal=FlightError)
     return path
 
 
@@ -84,12 +83,8 @@ def _is_parquet(path: Path) -> bool:
 
 
 def _digest(header: str, columns: Columns) -> str:
-    digest = hashlib.sha256(header.encode())
-    for name in sorted(columns):
-        array = columns[name]
-        digest.update(f"{name} {array.dtype.str} {array.shape}".encode())
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()
+    named = ((f"{name} {columns[name].dtype.str} {columns[name].shape}", columns[name]) for name in sorted(columns))
+    return digest(header, *chain.from_iterable(named))
 
 
 def _encode_npz(envelope: str, columns: Columns) -> bytes:
@@ -132,29 +127,6 @@ def _decode_parquet(content: bytes) -> tuple[str, Columns]:
         values = [table.column(part).to_numpy() for part in parts]
         columns[name] = np.stack(values, axis=1) if shape else values[0].copy()
     return described[_HEADER.encode()].decode(), columns
-
-
-def _write_whole(path: Path, content: bytes) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
-    except OSError as error:
-        raise FlightError(f"{path}: cannot be written: {error.strerror}") from error
-    try:
-        with os.fdopen(handle, "wb") as stream:
-            stream.write(content)
-            stream.flush()
-            os.fsync(stream.fileno())
-        # A temporary file is private; the finished one has the permissions any new file here would have.
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(temporary, 0o666 & ~mask)
-        os.replace(temporary, path)
-    except OSError as error:
-        raise FlightError(f"{path}: cannot be written: {error.strerror}") from error
-    finally:
-        with contextlib.suppress(FileNotFoundError):
-            os.unlink(temporary)
 
 
 def _one_line(error: BaseException) -> str:

@@ -4,6 +4,7 @@ import abc
 import math
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
@@ -84,7 +85,8 @@ class FlightSetup(eqx.Module):
         tolerance: m; a flight has reached its goal when it stays closer than this until its end.
 
     Raises:
-        ScenarioError: a mass, period or tolerance that is not positive and finite.
+        ScenarioError: a mass, period or tolerance that is not positive and finite, or a disturbance that jumps more
+            often in a step than it says.
 
     """
 
@@ -105,3 +107,11 @@ class FlightSetup(eqx.Module):
             value = getattr(self, name)
             if not isinstance(value, Tracer) and not (math.isfinite(value) and value > 0):
                 raise ScenarioError(f"{name}: {float(value):g} {unit}; it must be positive and finite")
+        if any(isinstance(value, Tracer) for value in jax.tree.leaves((self.disturbance, self.period))):
+            return  # values are not known yet inside a transformation
+        stretch, longest = float(self.period) / self.motion.substeps, self.disturbance.longest_stretch
+        if stretch > longest * (1 + 1e-9):
+            raise ScenarioError(
+                f"disturbance: it changes sign too often for a step of {stretch:g} s, which must be at most "
+                f"{longest:g} s; give it a longer period or more `most_switches`, or take more substeps"
+            )

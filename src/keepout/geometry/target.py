@@ -1,7 +1,6 @@
 """The target: one mesh or point cloud in its body frame, in metres."""
 
 import functools
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from keepout.digest import digest
 from keepout.errors import MeshError
 from keepout.geometry.builtin import BUILTINS
 from keepout.geometry.distance import BallCloudDistance, Distance, ExactDistance
@@ -87,11 +87,8 @@ class Target:
     @functools.cached_property
     def sha256(self) -> str:
         """Hex digest of the vertices (float64, little endian), the faces (int64) and, for a cloud, the ball radius."""
-        digest = hashlib.sha256(np.ascontiguousarray(self.vertices, dtype="<f8").tobytes())
-        digest.update(np.ascontiguousarray(self.faces, dtype="<i8").tobytes())
-        if self.ball_radius > 0.0:
-            digest.update(np.array([self.ball_radius], dtype="<f8").tobytes())
-        return digest.hexdigest()
+        balls = [np.array([self.ball_radius], dtype="<f8")] if self.ball_radius > 0.0 else []
+        return digest(np.asarray(self.vertices, dtype="<f8"), np.asarray(self.faces, dtype="<i8"), *balls)
 
 
 def _rotation(rotation: Sequence[Sequence[float]] | Float[np.ndarray, "3 3"] | None) -> Float[np.ndarray, "3 3"]:

@@ -5,14 +5,14 @@ cache folder under the digest of all of them. A file from there is used only if 
 the certificate's digests agree (`FieldModel.load`); one that does not pass is built anew.
 """
 
-import hashlib
 import json
 import os
-import sys
 from pathlib import Path
 
 import numpy as np
+import platformdirs
 
+from keepout.digest import digest
 from keepout.errors import FieldError
 from keepout.fields.grid_build import build_grid
 from keepout.fields.model import FieldModel
@@ -28,15 +28,7 @@ _RECIPE = 1
 def cache_folder() -> Path:
     """Where fields are kept: KEEPOUT_CACHE if that is set, else the platform's folder for caches."""
     chosen = os.environ.get("KEEPOUT_CACHE")
-    if chosen:
-        return Path(chosen)
-    if sys.platform == "win32":
-        base = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
-    elif sys.platform == "darwin":
-        base = Path.home() / "Library" / "Caches"
-    else:
-        base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return base / "keepout"
+    return Path(chosen) if chosen else platformdirs.user_cache_path("keepout", appauthor=False, opinion=False)
 
 
 def guard_field(
@@ -51,7 +43,7 @@ def guard_field(
     band = radius + 0.3
     numbers = {"offset": offset, "closing_radius": closing_radius, "spacing": spacing, "band": band, "radius": radius}
     key = json.dumps({"recipe": _RECIPE, "target": target.sha256, **numbers}, sort_keys=True)
-    path = cache_folder() / f"guard-{hashlib.sha256(key.encode()).hexdigest()[:32]}.keepout"
+    path = cache_folder() / f"guard-{digest(key)[:32]}.keepout"
     if path.exists():
         try:
             kept = FieldModel.load(path, target=target)

@@ -61,11 +61,6 @@ class GuardFlag(IntFlag):
     """The estimate held a number that is not finite; the plan was followed blind."""
 
 
-def mode(status: Int[Array, "*batch"]) -> Int[Array, "*batch"]:
-    """Give the `GuardStatus` part of a status."""
-    return status & 3
-
-
 def flag_names(flags: int) -> tuple[str, ...]:
     """Name the `GuardFlag` bits of a status, or of several joined by `|`."""
     return tuple(flag.name.lower() for flag in GuardFlag if flag & flags and flag.name is not None)

@@ -1,6 +1,5 @@
 """The state of an unfinished fit on disk, so that a killed run goes on where it stopped."""
 
-import os
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +10,18 @@ import safetensors
 import safetensors.numpy
 
 from keepout.errors import FieldError
+from keepout.whole_file import write_whole
 
 
 def save(path: Path, state: Any, fingerprint: str) -> None:
-    """Write a pytree of arrays, whole or not at all."""
+    """Write a pytree of arrays, whole or not at all.
+
+    Raises:
+        FieldError: the place cannot be written to.
+
+    """
     leaves = {f"{i:04d}": np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(state))}
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    safetensors.numpy.save_file(leaves, temporary, {"fingerprint": fingerprint})
-    os.replace(temporary, path)
+    write_whole(path, safetensors.numpy.save(leaves, {"fingerprint": fingerprint}), refusal=FieldError)
 
 
 def load(path: Path, like: Any, fingerprint: str) -> Any:

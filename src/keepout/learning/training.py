@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import hashlib
 import json
 import math
 import time
@@ -17,6 +16,7 @@ import optax.contrib
 from jaxtyping import Array, Float32, Int
 
 from keepout.compiled.xla import NO_LIBRARIES
+from keepout.digest import digest
 from keepout.errors import FieldError
 from keepout.fields import mlp
 from keepout.fields.continuation import RadialContinuation
@@ -153,7 +153,7 @@ def fit(
 
 def _fingerprint(target: Target, solid: OffsetSolid, profile: Profile, chaser_radius: float, seed: int) -> str:
     entries = [target.sha256, solid.offset, solid.closing_radius, dataclasses.asdict(profile), chaser_radius, seed]
-    return hashlib.sha256(json.dumps(entries).encode()).hexdigest()
+    return digest(json.dumps(entries))
 
 
 def _initial(profile: Profile, data: losses.Batch, hard_count: int, seed: int) -> _State:

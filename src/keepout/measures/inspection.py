@@ -9,7 +9,7 @@ from keepout.geometry.target import Target
 from keepout.measures.quality import curvature, distance_errors, margin_cost, surface_errors
 from keepout.measures.surface import Surface, extract_surface, steepest_slope, surface_distance
 from keepout.measures.volume import measure_volumes
-from keepout.progress import Progress, silent
+from keepout.progress import Progress, part_of, silent
 
 BANDS = ((0.05, 1.0), (1.0, 5.0))
 """Metres. Distances from the surface that count as near and far."""
@@ -45,13 +45,13 @@ def inspect_model(
     steepest = max((c.gradient_bound for c in certificates), default=0.0) or steepest_slope(field, target.distance)
     contact_level = next((c.error_bound for c in certificates if c.chaser_radius == 0.0), 0.0)
     surface = extract_surface(
-        field, target.distance, contact_level, steepest=steepest, progress=_between(progress, 0.3, 0.55)
+        field, target.distance, contact_level, steepest=steepest, progress=part_of(progress, 0.3, 0.55)
     )
     progress(0.55, "distance between the surfaces")
     apart = surface_distance(surface, solid, contact_level, seed=seed)
     levels = [(c.chaser_radius, c.chaser_radius + c.error_bound) for c in certificates] or [(0.0, 0.0)]
     volumes = measure_volumes(
-        field, solid, levels, steepest=steepest, seed=seed, progress=_between(progress, 0.65, 0.95)
+        field, solid, levels, steepest=steepest, seed=seed, progress=part_of(progress, 0.65, 0.95)
     )
     progress(0.95, "margins")
     summary = {
@@ -84,7 +84,3 @@ def inspect_model(
     }
     progress(1.0, "")
     return summary, surface
-
-
-def _between(progress: Progress, low: float, high: float) -> Progress:
-    return lambda fraction, message: progress(low + (high - low) * fraction, message)

@@ -35,7 +35,7 @@ from keepout.guard.guard import Guard
 from keepout.mission import environment
 from keepout.mission.scenario import Scenario, TargetEntry
 from keepout.motion import MotionState
-from keepout.progress import Progress, silent
+from keepout.progress import Progress, part_of, silent
 
 _MISSED_ROOM = 0.2
 """By so much (m) the field may say less than the mesh before a refusal mentions it: more than margins explain."""
@@ -92,7 +92,7 @@ def load_model(scenario: Scenario, target: Target) -> FieldModel:
             "make one with `keepout fit` and `keepout certify` and name its file"
         )
     model = load_shipped(scenario.target.source)
-    _require_same_target(model, target)
+    model.require_target(target, where="field")
     return model
 
 
@@ -117,12 +117,12 @@ def prepare(
     """
     target = load_target(scenario.target) if target is None else target
     model = load_model(scenario, target) if model is None else model
-    _require_same_target(model, target)
+    model.require_target(target, where="field")
     certificate = model.certificate(scenario.chaser.radius)
     _refuse_contact(scenario, target)
     motion = environment.relative_motion(scenario)
     try:
-        law = _law_or_way_out(scenario, model, lambda fraction, message: progress(0.6 * fraction, message))
+        law = _law_or_way_out(scenario, model, part_of(progress, 0.0, 0.6))
     except KeepOutZoneError as refusal:
         why = _missed_room(refusal.place, scenario, target, model, progress)
         raise KeepOutZoneError(f"{refusal}{why}", refusal.place) from None
@@ -134,7 +134,7 @@ def prepare(
             target,
             offset=model.offset,
             closing_radius=_closing_radius(model),
-            progress=lambda fraction, message: progress(0.6 + 0.4 * fraction, message),
+            progress=part_of(progress, 0.6, 1.0),
         )
         start_certified = guard.require(initial, jnp.asarray(scenario.goal.position))
     setup = FlightSetup(
@@ -151,14 +151,6 @@ def prepare(
         tolerance=scenario.goal.tolerance,
     )
     return Mission(scenario, target, model, certificate, setup, initial, start_certified)
-
-
-def _require_same_target(model: FieldModel, target: Target) -> None:
-    if model.target_sha256 != target.sha256:
-        raise FieldError(
-            f"field: made for {model.target_name} ({model.target_sha256[:12]}), not for {target.name} "
-            f"({target.sha256[:12]}); other parameters, units or parts make another target, so fit and certify again"
-        )
 
 
 def _refuse_contact(scenario: Scenario, target: Target) -> None:

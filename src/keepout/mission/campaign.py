@@ -1,5 +1,6 @@
 """Many flights of one scenario from random starts, each audited on the exact mesh."""
 
+import io
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +24,8 @@ from keepout.mission import environment
 from keepout.mission.build import prepare
 from keepout.mission.scenario import Scenario
 from keepout.mission.statuses import flag_counts, status_counts
-from keepout.progress import Progress, silent
+from keepout.progress import Progress, part_of, silent
+from keepout.whole_file import write_whole
 
 _AUDITED = ("time", "position", "velocity", "force", "guard_status")
 
@@ -80,9 +82,9 @@ class Campaign:
             "minimum_clearance": [audit.minimum_clearance for audit in self.audits],
         }
         table = pa.table(columns).replace_schema_metadata({"scenario": self.scenario.model_dump_json()})
-        temporary = path.with_name(f".{path.name}.partial")
-        pq.write_table(table, temporary)
-        temporary.replace(path)
+        stream = io.BytesIO()
+        pq.write_table(table, stream)
+        write_whole(path, stream.getvalue())
 
 
 def run_campaign(scenario: Scenario, *, target: Target | None = None, progress: Progress = silent) -> Campaign:
@@ -97,7 +99,7 @@ def run_campaign(scenario: Scenario, *, target: Target | None = None, progress: 
     """
     began = time.perf_counter()
     progress(0.0, "preparing")
-    mission = prepare(scenario, target=target, progress=lambda fraction, message: progress(0.1 * fraction, message))
+    mission = prepare(scenario, target=target, progress=part_of(progress, 0.0, 0.1))
     starts = draw_starts(scenario, mission.target)
     initial = eqx.filter_vmap(mission.setup.motion.initial_state)(jnp.asarray(starts), jnp.zeros_like(starts))
     audits: list[Audit | None] = [None] * len(starts)
@@ -125,7 +127,7 @@ def run_campaign(scenario: Scenario, *, target: Target | None = None, progress: 
         seed=scenario.seed,
         columns=_AUDITED,
         landed=landed,
-        progress=lambda fraction, message: progress(0.1 + 0.9 * fraction, message),
+        progress=part_of(progress, 0.1, 1.0),
     )
     done = tuple(audit for audit in audits if audit is not None)
     return Campaign(scenario, mission.target, starts, result, done, time.perf_counter() - began)

@@ -37,6 +37,9 @@ from keepout.motion import (
 
 _DIAGONAL = np.full(3, 1.0 / math.sqrt(3.0))
 
+_BANG_BANG_PERIOD = 100.0
+"""Of the bang-bang disturbance, s."""
+
 
 def relative_motion(scenario: Scenario) -> RelativeMotion:
     """Build the relative dynamics of the scenario's orbit and attitude."""
@@ -67,7 +70,8 @@ def disturbance(scenario: Scenario) -> Disturbance:
         case "constant":
             return ConstantDisturbance(np.asarray(entry.force))
         case "bang-bang":
-            return SquareWaveDisturbance(amplitude * _DIAGONAL, 100.0)
+            most_switches = math.ceil(scenario.control.period / (0.5 * _BANG_BANG_PERIOD))
+            return SquareWaveDisturbance(amplitude * _DIAGONAL, _BANG_BANG_PERIOD, most_switches=most_switches)
         case "resonant":
             return resonant(amplitude * _DIAGONAL, scenario.control.period)
         case "random":

@@ -18,7 +18,7 @@ from keepout.mission import environment
 from keepout.mission.build import prepare
 from keepout.mission.scenario import Scenario
 from keepout.mission.statuses import flag_counts, legend, status_counts
-from keepout.progress import Progress, silent
+from keepout.progress import Progress, part_of, silent
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ def fly(
         scenario,
         target=target,
         model=model,
-        progress=lambda fraction, message: progress(0.4 * fraction, message),
+        progress=part_of(progress, 0.0, 0.4),
     )
     progress(0.4, "flying")
     key = jax.random.key(scenario.seed)

@@ -1,6 +1,7 @@
 """Disturbance forces on the chaser as functions of time, in newtons, in the target's body axes, each with a bound."""
 
 import abc
+import math
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -18,17 +19,46 @@ Scalar = Float[Array, ""]
 # Bounds are sums and roots of float64 numbers; this covers their rounding.
 _OUTWARD = 1 + 1e-12
 
+_AT_SWITCH = 1e-9
+"""Within this part of a half period a time is a switch's own: control times carry rounding."""
+
 
 def _array(value: NumbersLike) -> Array:
     return jnp.asarray(value, dtype=jnp.float64)
 
 
 class Disturbance(eqx.Module):
-    """A force that the control law does not know."""
+    """A force that the control law does not know.
+
+    One that jumps says when (`switches`) and what it is between two jumps (`between_switches`), so that the motion can
+    be integrated piece by piece. The defaults are those of a force without jumps.
+    """
 
     @abc.abstractmethod
     def force(self, time: Scalar) -> Vector:
-        """Force at `time` (s), N, in body axes."""
+        """Force at `time` (s), N, in body axes; at a jump, and within rounding of one, the force after it."""
+
+    def switches(self, start: Scalar, duration: float | Scalar) -> Float[Array, "switches"]:
+        """Give the times after `start` (s) at which the force jumps.
+
+        Args:
+            start: of the stretch that is integrated, s.
+            duration: its length, s, at most `longest_stretch`.
+
+        Returns:
+            Rising times since `start` in [0, duration], s, always as many; those without a jump are `duration`.
+
+        """
+        return jnp.zeros(0)
+
+    def between_switches(self, middle: Scalar) -> "Disturbance":
+        """Give the force without jumps that this one is between the two neighbouring jumps of the time `middle` (s)."""
+        return self
+
+    @property
+    def longest_stretch(self) -> float:
+        """The longest duration, s, in which `switches` finds every jump. Needs concrete values, as `bound` does."""
+        return math.inf
 
     @property
     @abc.abstractmethod
@@ -112,28 +142,53 @@ class SinusoidalDisturbance(Disturbance):
 class SquareWaveDisturbance(Disturbance):
     """Bang-bang force: ±`amplitude` (3,) N, changing sign every half `period` (s), positive just after `delay` (s).
 
+    `most_switches`: how many changes of sign a stretch of integration may hold; each costs one more Runge–Kutta step.
+
     Raises:
-        ScenarioError: a period that is not positive.
+        ScenarioError: a period that is not positive, or fewer than one change of sign.
 
     """
 
     amplitude: Vector = eqx.field(converter=_array)
     period: Scalar = eqx.field(converter=_array)
     delay: Scalar = eqx.field(converter=_array, default=0.0)
+    most_switches: int = eqx.field(static=True, default=1)
 
     def __check_init__(self):
         if not isinstance(self.period, Tracer) and not self.period > 0:
             raise ScenarioError(f"period: {float(self.period):g} s; it must be positive")
+        if self.most_switches < 1:
+            raise ScenarioError(f"most_switches: {self.most_switches}; it must be at least 1")
 
     def force(self, time: Scalar) -> Vector:
         """Plus or minus the amplitude."""
-        half_periods = jnp.floor(2 * (time - self.delay) / self.period)
-        return self.amplitude * (1 - 2 * jnp.mod(half_periods, 2))
+        return self._in_half_period(jnp.floor(2 * (time - self.delay) / self.period + _AT_SWITCH))
+
+    def switches(self, start: Scalar, duration: float | Scalar) -> Float[Array, "switches"]:
+        """Give the ends of half periods; not numbers where the stretch holds more of them than `most_switches`."""
+        half = self.period / 2
+        current = jnp.floor((start - self.delay) / half)
+        after = (self.delay - start) + (current + jnp.arange(1, self.most_switches + 1)) * half
+        # A start within rounding of a switch may count it as still to come; that one then takes no time.
+        missed = self.most_switches * half < duration * (1 - _AT_SWITCH)
+        return jnp.where(missed, jnp.nan, jnp.clip(after, 0.0, duration))
+
+    def between_switches(self, middle: Scalar) -> Disturbance:
+        """Give the constant force of the half period."""
+        return ConstantDisturbance(self._in_half_period(jnp.floor(2 * (middle - self.delay) / self.period)))
+
+    def _in_half_period(self, number: Scalar) -> Vector:
+        return self.amplitude * (1 - 2 * jnp.mod(number, 2))
 
     @property
     def bound(self) -> float:
         """The amplitude's norm."""
         return float(np.linalg.norm(self.amplitude)) * _OUTWARD
+
+    @property
+    def longest_stretch(self) -> float:
+        """So many half periods."""
+        return self.most_switches * float(self.period) / 2
 
 
 class BandLimitedNoise(Disturbance):
@@ -167,6 +222,19 @@ class CombinedDisturbance(Disturbance):
             total = total + part.force(time)
         return total
 
+    def switches(self, start: Scalar, duration: float | Scalar) -> Float[Array, "switches"]:
+        """Give the jumps of all parts."""
+        return jnp.sort(jnp.concatenate([jnp.zeros(0), *(part.switches(start, duration) for part in self.parts)]))
+
+    def between_switches(self, middle: Scalar) -> Disturbance:
+        """Give the sum of what the parts are."""
+        return CombinedDisturbance(tuple(part.between_switches(middle) for part in self.parts))
+
+    @property
+    def longest_stretch(self) -> float:
+        """The shortest of the parts'."""
+        return min((part.longest_stretch for part in self.parts), default=math.inf)
+
     @property
     def bound(self) -> float:
         """The sum of the parts' bounds."""
@@ -182,15 +250,14 @@ def paper_disturbance() -> SinusoidalDisturbance:
     )
 
 
-def resonant(amplitude: NumbersLike, control_period: float) -> SinusoidalDisturbance:
-    """Sinusoid along `amplitude` (3,) N that changes sign every step: amplitude · sin(π t / control_period).
+def resonant(amplitude: NumbersLike, control_period: float) -> SquareWaveDisturbance:
+    """Square wave of ±`amplitude` (3,) N that changes sign with every control step.
 
     What a sampled observer measured over the last step is then the opposite of what acts over the next one.
     """
     if not control_period > 0:
         raise ScenarioError(f"control_period: {control_period:g} s; it must be positive")
-    vector = np.asarray(amplitude, dtype=np.float64).reshape(1, 3)
-    return SinusoidalDisturbance(vector, np.full((1, 3), np.pi / control_period), np.zeros((1, 3)))
+    return SquareWaveDisturbance(amplitude, 2 * control_period)
 
 
 def band_limited_noise(

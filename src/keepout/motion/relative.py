@@ -82,9 +82,37 @@ class RelativeMotion(eqx.Module):
     ) -> MotionState:
         """Advance by `duration` seconds: classical Runge–Kutta, the force (N, body axes) held, the disturbance not.
 
-        The disturbance is evaluated at the times of the Runge–Kutta stages.
+        The disturbance is evaluated at the times of the Runge–Kutta stages. At its jumps the steps are split, and a
+        piece sees the force of its own middle: a force that is constant between jumps acts with its full strength.
         """
         h = duration / self.substeps
+
+        def substep(at: MotionState) -> MotionState:
+            switches = disturbance.switches(at.time, h)
+            if switches.size == 0:
+                return self._runge_kutta(at, force, disturbance, h, mass)
+
+            def piece(now: MotionState, ends: Float[Array, "2"]) -> tuple[MotionState, None]:
+                smooth = disturbance.between_switches(at.time + 0.5 * (ends[0] + ends[1]))
+                return self._runge_kutta(now, force, smooth, ends[1] - ends[0], mass), None
+
+            ends = jnp.concatenate([jnp.zeros(1), switches, jnp.full(1, h)])
+            end, _ = jax.lax.scan(piece, at, jnp.stack([ends[:-1], ends[1:]], axis=1))
+            return eqx.tree_at(lambda state: state.time, end, at.time + h)
+
+        if self.substeps == 1:
+            return substep(state)
+        return jax.lax.fori_loop(0, self.substeps, lambda _, at: substep(at), state)
+
+    def _runge_kutta(
+        self,
+        start: MotionState,
+        force: Vector,
+        disturbance: Disturbance,
+        h: float | Scalar,
+        mass: float | Scalar,
+    ) -> MotionState:
+        """Take one step of `h` seconds under a disturbance without jumps."""
 
         def derivative(at: MotionState) -> MotionState:
             frame = self._frame(at.time, at.target_orbit)
@@ -100,26 +128,21 @@ class RelativeMotion(eqx.Module):
                 target_orbit=None if at.target_orbit is None else self._target_derivative(at.target_orbit),
             )
 
-        def runge_kutta(at: MotionState) -> MotionState:
-            # As a loop, the stages compile in half the time that they take written out, and run as fast.
-            def stage(slopes: tuple[MotionState, MotionState], weights: Float[Array, "2"]) -> Any:
-                last, total = slopes
-                slope = derivative(_advance(at, last, weights[0] * h))
-                return (slope, _advance(total, slope, weights[1])), None
+        # As a loop, the stages compile in half the time that they take written out, and run as fast.
+        def stage(slopes: tuple[MotionState, MotionState], weights: Float[Array, "2"]) -> Any:
+            last, total = slopes
+            slope = derivative(_advance(start, last, weights[0] * h))
+            return (slope, _advance(total, slope, weights[1])), None
 
-            rest = jax.tree.map(jnp.zeros_like, at)
-            stages = jnp.array([[0.0, 1 / 6], [1 / 2, 1 / 3], [1 / 2, 1 / 3], [1.0, 1 / 6]])
-            (_, mean), _ = jax.lax.scan(stage, (rest, rest), stages)
-            end = _advance(at, mean, h)
-            time = at.time + h  # whole periods stay whole numbers
-            attitude = rotation.normalise(end.attitude)
-            frame = self._frame(time, end.target_orbit)
-            omega, _ = self.attitude_motion.rates(attitude, end.angular_velocity, frame)
-            return MotionState(time, end.position, end.velocity, attitude, omega, end.target_orbit)
-
-        if self.substeps == 1:
-            return runge_kutta(state)
-        return jax.lax.fori_loop(0, self.substeps, lambda _, at: runge_kutta(at), state)
+        rest = jax.tree.map(jnp.zeros_like, start)
+        stages = jnp.array([[0.0, 1 / 6], [1 / 2, 1 / 3], [1 / 2, 1 / 3], [1.0, 1 / 6]])
+        (_, mean), _ = jax.lax.scan(stage, (rest, rest), stages)
+        end = _advance(start, mean, h)
+        time = start.time + h  # whole periods stay whole numbers
+        attitude = rotation.normalise(end.attitude)
+        frame = self._frame(time, end.target_orbit)
+        omega, _ = self.attitude_motion.rates(attitude, end.angular_velocity, frame)
+        return MotionState(time, end.position, end.velocity, attitude, omega, end.target_orbit)
 
     def _frame(self, time: Scalar, target_orbit: Float[Array, "6"] | None) -> OrbitalFrame:
         if target_orbit is None:

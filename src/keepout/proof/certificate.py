@@ -20,7 +20,7 @@ from keepout.geometry.level_cut import largest_on_level
 from keepout.geometry.level_points import level_points, onto_level, surface_points
 from keepout.geometry.octree import CORNERS, straddling_cells
 from keepout.geometry.target import Target
-from keepout.progress import Progress, silent
+from keepout.progress import Progress, part_of, silent
 from keepout.proof import bounds
 from keepout.proof.slope import Lipschitz, prove_lipschitz
 
@@ -69,11 +69,7 @@ def certify(
     """
     start = time.perf_counter()
     field, distance = model.field, target.distance
-    if target.sha256 != model.target_sha256:
-        raise FieldError(
-            f"{target.name} ({target.sha256[:12]}): "
-            f"the field was made for {model.target_name} ({model.target_sha256[:12]})"
-        )
+    model.require_target(target, where="certify")
     if not isinstance(field, NeuralField):
         raise FieldError(f"certify: a {type(field).__name__} cannot be certified; a neural field can")
     if not isinstance(distance, ExactDistance):
@@ -151,7 +147,7 @@ def _steepest(
         distance,
         found=found,
         clearance=radius,
-        progress=lambda fraction, message: progress(0.7 + 0.3 * fraction, message),
+        progress=part_of(progress, 0.7, 1.0),
     )
 
 

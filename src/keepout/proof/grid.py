@@ -35,8 +35,7 @@ def certify_grid(model: FieldModel, target: Target, *, chaser_radius: float = 0.
     field, distance = model.field, target.distance
     if not isinstance(field, GridField) or not isinstance(distance, ExactDistance):
         raise FieldError("certify_grid: needs a grid field of a mesh; `certify` is for neural fields")
-    if target.sha256 != model.target_sha256:
-        raise FieldError(f"{target.name}: the field was made for {model.target_name}, with other triangles")
+    model.require_target(target, where="certify_grid")
     room = float(field.continuation.domain_radius - field.continuation.target_radius)
     if not 0.0 <= chaser_radius < room:
         raise FieldError(f"chaser radius {chaser_radius:g} m: for this field it must be 0 to {room:.3g} m")

@@ -1,12 +1,19 @@
 """A folder of results: flight files, figures and one page to open."""
 
-from collections.abc import Mapping
+import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from keepout.mission.flight import Flight
 from keepout.report import flight_view, target_view
 from keepout.report.page import write_page
+from keepout.whole_file import write_whole
+
+
+def write_summary(out: Path, summary: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> None:
+    """Write figures as plain numbers into the folder's `summary.json`."""
+    write_whole(out / "summary.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
 
 
 def write_flights(

@@ -14,6 +14,7 @@ from jaxtyping import Float, Int
 from keepout.flight.record import FlightRecord
 from keepout.report.style import COLOURS, TARGET_COLOUR
 from keepout.report.terminal import FLIGHT_COLUMNS, shown
+from keepout.whole_file import write_whole
 
 _FRAMES = 150
 _SPHERE = trimesh.creation.icosphere(subdivisions=1)
@@ -55,12 +56,11 @@ def write_page(
         f'<p><img alt="{html.escape(image.stem)}" src="data:image/png;base64,{_base64(image)}"></p>'
         for image in figures
     )
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(
+    write_whole(
+        path,
         f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{html.escape(title)}</title>'
         f"<style>{_STYLE}</style><h1>{html.escape(title)}</h1><p>{html.escape(introduction)}</p>"
         f"{_table(summaries)}<h2>Replay</h2>{scene}<h2>Figures</h2>{images}</html>",
-        encoding="utf-8",
     )
 
 

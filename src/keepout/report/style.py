@@ -1,5 +1,6 @@
 """One look for every figure: colours that survive print and colour blindness, quiet axes."""
 
+import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,6 +12,8 @@ matplotlib.use("Agg")  # figures go to files; no display is needed or opened
 
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
+
+from keepout.whole_file import write_whole
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Okabe and Ito's palette, distinguishable by colour-blind readers."""
@@ -43,7 +46,8 @@ def figure(path: Path, *, width: float = 8.0, height: float = 4.5) -> Iterator[F
         drawing = plt.figure(figsize=(width, height), layout="constrained")
         try:
             yield drawing
-            path.parent.mkdir(parents=True, exist_ok=True)
-            drawing.savefig(path)
+            image = io.BytesIO()
+            drawing.savefig(image, format="png")
+            write_whole(path, image.getvalue())
         finally:
             plt.close(drawing)

@@ -1,0 +1,68 @@
+"""The small machinery that every room uses: files written whole, digests, and progress of a part."""
+
+import hashlib
+import os
+
+import numpy as np
+import pytest
+
+from keepout.digest import digest
+from keepout.errors import FlightError, KeepoutError
+from keepout.progress import part_of
+from keepout.report.folder import write_summary
+from keepout.whole_file import write_whole
+
+
+def test_a_file_is_written_into_a_new_folder_with_the_permissions_of_any_new_file(tmp_path):
+    path = tmp_path / "new" / "file.txt"
+    write_whole(path, "κ\n")
+    assert path.read_bytes() == "κ\n".encode()
+    (tmp_path / "other").touch()
+    assert path.stat().st_mode == (tmp_path / "other").stat().st_mode
+    write_whole(path, b"second")
+    assert path.read_bytes() == b"second"
+    assert list(path.parent.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("broken", ["fsync", "replace"])
+def test_a_disk_that_fails_halfway_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch, broken):
+    path = tmp_path / "file"
+    write_whole(path, b"old")
+
+    def fail(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(*((os, "fsync") if broken == "fsync" else (type(path), "replace")), fail)
+    with pytest.raises(FlightError, match="file: cannot be written: No space left on device"):
+        write_whole(path, b"new and longer", refusal=FlightError)
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_place_that_is_no_folder_is_refused_in_one_line(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(KeepoutError, match="cannot be written") as refusal:
+        write_whole(tmp_path / "file" / "inside", b"")
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_summary_that_json_does_not_hold_leaves_the_old_one(tmp_path):
+    write_summary(tmp_path, {"reached": True})
+    with pytest.raises(ValueError, match="JSON compliant"):
+        write_summary(tmp_path, {"reached": float("nan")})
+    assert (tmp_path / "summary.json").read_text() == '{\n  "reached": true\n}\n'
+
+
+def test_a_digest_is_that_of_the_parts_in_a_row():
+    numbers = np.arange(6.0).reshape(2, 3)
+    expected = hashlib.sha256("aµ".encode() + numbers.T.tobytes() + b"b").hexdigest()
+    assert digest("aµ", numbers.T, "b") == expected
+    assert digest(numbers) != digest(numbers.T)
+
+
+def test_progress_of_a_part():
+    told = []
+    inner = part_of(part_of(lambda fraction, message: told.append((fraction, message)), 0.5, 1.0), 0.0, 0.4)
+    inner(0.0, "a")
+    inner(1.0, "b")
+    assert told == [(0.5, "a"), (pytest.approx(0.7), "b")]
