@@ -22,6 +22,7 @@ from keepout.geometry.target import Target
 from keepout.guard.field import guard_field
 from keepout.guard.guard import Guard
 from keepout.mission import environment
+from keepout.mission.assumptions import broken_assumptions
 from keepout.mission.scenario import Scenario, TargetEntry
 from keepout.motion import MotionState, RelativeMotion
 from keepout.progress import Progress, silent
@@ -34,7 +35,9 @@ _MISSED_ROOM = 0.2
 class Mission:
     """Everything a scenario needs to be flown: target, field with its certificate, setup and initial state.
 
-    `start_certified`: whether the guard's theorem holds from the start; None without a guard.
+    `start_certified`: whether the guard's theorem holds from the start, whichever estimate of it within the errors the
+    guard is told, and no assumption is broken; None without a guard. `assumptions_broken`: what the scenario flies
+    beyond what it declares, each with its numbers.
     """
 
     scenario: Scenario
@@ -44,6 +47,7 @@ class Mission:
     setup: FlightSetup
     initial: MotionState
     start_certified: bool | None
+    assumptions_broken: tuple[str, ...] = ()
 
     @property
     def steps(self) -> int:
@@ -118,10 +122,10 @@ def prepare(
         why = _missed_room(refusal.place, scenario, target, model, progress)
         raise KeepOutZoneError(f"{refusal}{why}", refusal.place) from None
     initial = motion.initial_state(np.asarray(scenario.start.position), np.asarray(scenario.start.velocity))
-    guard, start_certified = None, None
+    guard, start_certified, broken = None, None, broken_assumptions(scenario)
     if scenario.guard.enabled:
         guard = _guard(scenario, target, model, lambda fraction, message: progress(0.6 + 0.4 * fraction, message))
-        start_certified = guard.require(initial, jnp.asarray(scenario.goal.position))
+        start_certified = guard.require(initial, jnp.asarray(scenario.goal.position)) and not broken
     setup = FlightSetup(
         motion=motion,
         disturbance=environment.disturbance(scenario),
@@ -135,7 +139,7 @@ def prepare(
         field=model.field,
         tolerance=scenario.goal.tolerance,
     )
-    return Mission(scenario, target, model, certificate, setup, initial, start_certified)
+    return Mission(scenario, target, model, certificate, setup, initial, start_certified, broken)
 
 
 def _require_same_target(model: FieldModel, target: Target) -> None:
