@@ -33,6 +33,7 @@ from keepout.geometry.target import Target
 from keepout.guard.field import guard_field
 from keepout.guard.guard import Guard
 from keepout.mission import environment
+from keepout.mission.assumptions import broken_assumptions
 from keepout.mission.scenario import Scenario, TargetEntry
 from keepout.motion import MotionState
 from keepout.progress import Progress, part_of, silent
@@ -45,7 +46,9 @@ _MISSED_ROOM = 0.2
 class Mission:
     """Everything a scenario needs to be flown: target, field with its certificate, setup and initial state.
 
-    `start_certified`: whether the guard's theorem holds from the start; None without a guard.
+    `start_certified`: whether the guard's theorem holds from the start, whichever estimate of it within the errors the
+    guard is told, and no assumption is broken; None without a guard. `assumptions_broken`: what the scenario flies
+    beyond what it declares, each with its numbers.
     """
 
     scenario: Scenario
@@ -55,6 +58,13 @@ class Mission:
     setup: FlightSetup
     initial: MotionState
     start_certified: bool | None
+    assumptions_broken: tuple[str, ...] = ()
+
+    @property
+    def guard(self) -> Guard | None:
+        """The guard that flies along."""
+        guard = self.setup.guard
+        return guard if isinstance(guard, Guard) else None
 
     @property
     def steps(self) -> int:
@@ -127,7 +137,7 @@ def prepare(
         why = _missed_room(refusal.place, scenario, target, model, progress)
         raise KeepOutZoneError(f"{refusal}{why}", refusal.place) from None
     initial = motion.initial_state(np.asarray(scenario.start.position), np.asarray(scenario.start.velocity))
-    guard, start_certified = None, None
+    guard, start_certified, broken = None, None, broken_assumptions(scenario)
     if scenario.guard.enabled:
         guard = build_guard(
             scenario,
@@ -136,7 +146,7 @@ def prepare(
             closing_radius=_closing_radius(model),
             progress=part_of(progress, 0.6, 1.0),
         )
-        start_certified = guard.require(initial, jnp.asarray(scenario.goal.position))
+        start_certified = guard.require(initial, jnp.asarray(scenario.goal.position)) and not broken
     setup = FlightSetup(
         motion=motion,
         disturbance=environment.disturbance(scenario),
@@ -150,7 +160,7 @@ def prepare(
         field=model.field,
         tolerance=scenario.goal.tolerance,
     )
-    return Mission(scenario, target, model, certificate, setup, initial, start_certified)
+    return Mission(scenario, target, model, certificate, setup, initial, start_certified, broken)
 
 
 def _refuse_contact(scenario: Scenario, target: Target) -> None:

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from keepout.audit.audit import Audit, Contact, audit_campaign
 from keepout.audit.outside import proved_outside
@@ -21,6 +21,7 @@ from keepout.flight.outcome import FlightOutcome
 from keepout.geometry.target import Target
 from keepout.guard.guard import flag_names
 from keepout.mission import environment
+from keepout.mission.assumptions import guard_numbers
 from keepout.mission.build import prepare
 from keepout.mission.scenario import Scenario
 from keepout.mission.statuses import flag_counts, status_counts
@@ -34,7 +35,9 @@ _AUDITED = ("time", "position", "velocity", "force", "guard_status")
 class Campaign:
     """What became of every flight of a campaign.
 
-    `starts` (flights, 3) m, body frame; `outcome` has one entry a flight; `audits` are in the same order.
+    `starts` (flights, 3) m, body frame; `outcome` has one entry a flight; `audits` are in the same order;
+    `starts_certified` says of each whether the guard's theorem holds from its start (None without a guard),
+    `assumptions_broken` what is flown beyond what the scenario declares, `guard` what the guard assumes, as numbers.
     """
 
     scenario: Scenario
@@ -43,6 +46,9 @@ class Campaign:
     outcome: FlightOutcome
     audits: tuple[Audit, ...]
     seconds: float
+    starts_certified: Bool[np.ndarray, "flights"] | None = None
+    assumptions_broken: tuple[str, ...] = ()
+    guard: dict[str, Any] | None = None
 
     def summary(self) -> dict[str, Any]:
         """Give the campaign's figures as plain numbers for JSON; a contact is whatever the audit does not exclude."""
@@ -57,6 +63,9 @@ class Campaign:
             "saturated_fraction": float(np.mean(self.outcome.saturated_fraction)),
             "guard_interventions": int(np.sum(self.outcome.guard_interventions)),
             "statuses": status_counts(self.outcome),
+            "starts_certified": None if self.starts_certified is None else int(self.starts_certified.sum()),
+            "assumptions_broken": list(self.assumptions_broken),
+            "guard": self.guard,
             "flagged": self.flagged(),
             "faults": self.scenario.faults.model_dump(exclude_defaults=True),
             "seconds": self.seconds,
@@ -102,6 +111,10 @@ def run_campaign(scenario: Scenario, *, target: Target | None = None, progress: 
     mission = prepare(scenario, target=target, progress=part_of(progress, 0.0, 0.1))
     starts = draw_starts(scenario, mission.target)
     initial = eqx.filter_vmap(mission.setup.motion.initial_state)(jnp.asarray(starts), jnp.zeros_like(starts))
+    guard, starts_certified = mission.guard, None
+    if guard is not None:
+        starts_certified = np.asarray(eqx.filter_jit(eqx.filter_vmap(guard.certified_start))(initial))
+        starts_certified = starts_certified & (not mission.assumptions_broken)
     audits: list[Audit | None] = [None] * len(starts)
     bounds = environment.flight_bounds(scenario)
 
@@ -130,7 +143,17 @@ def run_campaign(scenario: Scenario, *, target: Target | None = None, progress: 
         progress=part_of(progress, 0.1, 1.0),
     )
     done = tuple(audit for audit in audits if audit is not None)
-    return Campaign(scenario, mission.target, starts, result, done, time.perf_counter() - began)
+    return Campaign(
+        scenario,
+        mission.target,
+        starts,
+        result,
+        done,
+        time.perf_counter() - began,
+        starts_certified=starts_certified,
+        assumptions_broken=mission.assumptions_broken,
+        guard=None if guard is None else guard_numbers(guard),
+    )
 
 
 def draw_starts(scenario: Scenario, target: Target) -> Float[np.ndarray, "flights 3"]:

@@ -35,6 +35,10 @@ from keepout.motion import (
     resonant,
 )
 
+_NEAR = 1000.0
+"""Gravity is bounded at least this far from the target, m."""
+_FARTHEST = 100_000.0
+"""Gravity is bounded at most this far from the target's centre of mass, m."""
 _DIAGONAL = np.full(3, 1.0 / math.sqrt(3.0))
 
 _BANG_BANG_PERIOD = 100.0
@@ -55,7 +59,7 @@ def relative_motion(scenario: Scenario) -> RelativeMotion:
         turning = InertiallyFixed()
     else:
         turning = VVLHFixed()
-    return RelativeMotion(orbit, turning)
+    return RelativeMotion(orbit, turning, centre_of_mass=np.asarray(scenario.target.centre_of_mass))
 
 
 def disturbance(scenario: Scenario) -> Disturbance:
@@ -122,12 +126,16 @@ def faults(scenario: Scenario) -> Faults:
 
 
 def flight_bounds(scenario: Scenario) -> FlightBounds:
-    """Bound what a flight's record does not hold, for the audit: true disturbance, rotation, differential gravity."""
-    motion = relative_motion(scenario)
-    orbit = motion.orbit
-    mu = float(orbit.gravitational_parameter)
+    """Bound what a flight's record does not hold, for the audit: true disturbance, rotation, differential gravity.
+
+    Differential gravity is bounded within a range that holds every start and the goal twice over, and 1000 m at least.
+
+    Raises:
+        ScenarioError: start, goal or campaign are too far away for any bound.
+
+    """
+    mu = float(relative_motion(scenario).orbit.gravitational_parameter)
     a, e = scenario.orbit.semi_major_axis, scenario.orbit.eccentricity
-    perigee = a * (1.0 - e)
     # Largest true-anomaly rate, at perigee, and a bound on its derivative 2 μ e (1+e)³ / (a³ (1−e²)³).
     orbital_rate = math.sqrt(mu / (a * (1.0 - e * e)) ** 3) * (1.0 + e) ** 2
     orbital_acceleration = 2.0 * mu * e * (1.0 + e) ** 3 / (a * (1.0 - e * e)) ** 3
@@ -141,16 +149,62 @@ def flight_bounds(scenario: Scenario) -> FlightBounds:
         least = float(np.linalg.eigvalsh(inertia)[0])
         rate = math.sqrt(max(omega @ inertia @ omega, 0.0) / least)
         acceleration = float(np.linalg.norm(inertia @ omega)) * rate / least
-    # Differential gravity between target and chaser, whose own radius may be less than perigee by the flown region.
-    nearest = perigee - 1000.0
+    region = _region(scenario, _furthest(scenario))
     outward = 1.0 + 1e-9
     return FlightBounds(
         mass=scenario.chaser.mass,
         disturbance_force=disturbance(scenario).bound,
         angular_rate=rate * outward,
         angular_acceleration=acceleration * outward,
-        gravity_gradient=2.0 * mu / nearest**3,
+        gravity_gradient=_gravity_gradient(scenario, region),
+        origin_offset=_origin_offset(scenario),
+        range_limit=region,
     )
+
+
+def _origin_offset(scenario: Scenario) -> float:
+    """Distance of the body frame's origin from the target's centre of mass, m."""
+    return float(np.linalg.norm(scenario.target.centre_of_mass))
+
+
+def _furthest(scenario: Scenario) -> dict[str, float]:
+    """Give the distance from the origin, m, of each entry that says where the chaser flies."""
+    corner = np.maximum(np.abs(scenario.campaign.lower), np.abs(scenario.campaign.upper))
+    return {
+        "start.position": float(np.linalg.norm(scenario.start.position)),
+        "goal.position": float(np.linalg.norm(scenario.goal.position)),
+        "campaign": float(np.linalg.norm(corner)),
+    }
+
+
+def _region(scenario: Scenario, away: dict[str, float]) -> float:
+    """Give the range, m, within which gravity is bounded: twice the furthest of `away` plus 20 m, at least 1000 m.
+
+    Raises:
+        ScenarioError: that and the centre of mass's offset go beyond `_FARTHEST`.
+
+    """
+    entry = max(away, key=lambda name: away[name])
+    offset = _origin_offset(scenario)
+    region = max(_NEAR, 2.0 * away[entry] + 20.0)
+    if region + offset > _FARTHEST:
+        name, value = ("target.centre_of_mass", offset) if offset > away[entry] else (entry, away[entry])
+        raise ScenarioError(
+            f"{name}: {value:.6g} m from the body frame's origin; gravity is bounded within {_FARTHEST:g} m of the "
+            f"target's centre of mass, and twice the distance flown plus 20 m must lie within that"
+        )
+    return region
+
+
+def _gravity_gradient(scenario: Scenario, region: float) -> float:
+    """Bound the gradient of differential gravity for a chaser within `region` m of the origin, 1/s²: 2 μ / r³.
+
+    The least r from the Earth's centre to any point between target and chaser is the perigee's less their distance.
+    """
+    orbit = scenario.orbit
+    perigee = orbit.semi_major_axis * (1.0 - orbit.eccentricity)
+    nearest = perigee - max(_NEAR, region + _origin_offset(scenario))
+    return 2.0 * float(relative_motion(scenario).orbit.gravitational_parameter) / nearest**3
 
 
 def guard_assumptions(scenario: Scenario, target: Target) -> GuardAssumptions:
@@ -158,10 +212,15 @@ def guard_assumptions(scenario: Scenario, target: Target) -> GuardAssumptions:
 
     The drift is bounded inside a range of twice the furthest of start, goal and target plus 20 m, and up to one and a
     half times the speed limit; the guard flags a flight that leaves that region.
+
+    Raises:
+        ScenarioError: start, goal or target reach too far for gravity to be bounded.
+
     """
     bounds = flight_bounds(scenario)
-    reach = [float(np.linalg.norm(point)) for point in (scenario.start.position, scenario.goal.position)]
-    reach.append(float(np.linalg.norm(target.vertices, axis=1).max()))
+    away = {name: value for name, value in _furthest(scenario).items() if name != "campaign"}
+    away["target"] = float(np.linalg.norm(target.vertices, axis=1).max())
+    region = _region(scenario, away)
     entry = scenario.guard
     return GuardAssumptions(
         mass=scenario.chaser.mass,
@@ -170,12 +229,13 @@ def guard_assumptions(scenario: Scenario, target: Target) -> GuardAssumptions:
         disturbance_force=disturbance_bound(scenario),
         angular_rate=bounds.angular_rate,
         angular_acceleration=bounds.angular_acceleration,
-        gravity_gradient=bounds.gravity_gradient,
-        range_limit=2.0 * max(reach) + 20.0,
+        gravity_gradient=_gravity_gradient(scenario, region),
+        range_limit=2.0 * max(away.values()) + 20.0,
         speed_limit=1.5 * scenario.chaser.speed_limit,
         position_error=entry.position_error,
         velocity_error=entry.velocity_error,
         mass_error=entry.mass_error,
         gain_error=entry.gain_error,
         delay=entry.delay,
+        origin_offset=bounds.origin_offset,
     )

@@ -15,6 +15,7 @@ from keepout.flight.outcome import FlightOutcome, outcome
 from keepout.flight.record import FlightRecord
 from keepout.geometry.target import Target
 from keepout.mission import environment
+from keepout.mission.assumptions import guard_numbers
 from keepout.mission.build import prepare
 from keepout.mission.scenario import Scenario
 from keepout.mission.statuses import flag_counts, legend, status_counts
@@ -27,7 +28,8 @@ class Flight:
 
     `clearance` is the distance from the chaser's surface to the mesh at every recorded sample, m; `violated_conditions`
     are the design conditions that the law does not meet, each with its numbers; `start_certified` says whether the
-    guard's theorem holds from the start (None without a guard).
+    guard's theorem holds from the start (None without a guard), `assumptions_broken` what is flown beyond what the
+    scenario declares, `guard` what the guard assumes and what follows, as numbers.
     """
 
     scenario: Scenario
@@ -38,6 +40,8 @@ class Flight:
     clearance: Float[np.ndarray, "samples"]
     violated_conditions: tuple[str, ...] = ()
     start_certified: bool | None = None
+    assumptions_broken: tuple[str, ...] = ()
+    guard: dict[str, Any] | None = None
 
     def summary(self) -> dict[str, Any]:
         """Give the flight's figures as plain numbers for JSON.
@@ -57,6 +61,8 @@ class Flight:
             "largest_speed_mps": self.audit.largest_speed,
             "statuses": status_counts(self.outcome),
             "start_certified": self.start_certified,
+            "assumptions_broken": list(self.assumptions_broken),
+            "guard": self.guard,
             "guard_flags": self.guard_flags(),
             "faults": self.scenario.faults.model_dump(exclude_defaults=True),
             "violated_conditions": list(self.violated_conditions),
@@ -121,5 +127,14 @@ def fly(
     progress(1.0, "")
     violated = tuple(str(c) for c in mission.setup.controller.conditions if not c.satisfied)
     return Flight(
-        scenario, mission.target, record, result, verdict, clearance, violated, start_certified=mission.start_certified
+        scenario,
+        mission.target,
+        record,
+        result,
+        verdict,
+        clearance,
+        violated,
+        start_certified=mission.start_certified,
+        assumptions_broken=mission.assumptions_broken,
+        guard=None if mission.guard is None else guard_numbers(mission.guard),
     )
