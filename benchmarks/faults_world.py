@@ -114,6 +114,7 @@ class World:
             field=self.grid.field,
             threshold=certificate.error_bound + RADIUS,
             lipschitz=certificate.gradient_bound,
+            evaluation_error=certificate.evaluation_error,
             assumptions=environment.guard_assumptions(scenario, self.target),
         )
         motion = environment.relative_motion(scenario)

@@ -93,7 +93,8 @@ class Guard(eqx.Module):
     """Accepts or replaces commanded forces; see docs/guard.md for what it proves.
 
     field: a lower bound on clearance in the sense of its certificate. threshold: e_h + chaser radius, m: no contact
-    while field > threshold along the path. lipschitz: bound on the field's gradient. samples: parts into which the
+    while field > threshold along the path. lipschitz, evaluation_error: a function with gradient bound `lipschitz` is
+    within `evaluation_error`, m, of the field everywhere; 0 for a field in closed form. samples: parts into which the
     stop segment is cut, where its ends alone do not decide; with the start and the steps of delay at most 20 field
     values a step, and only one of them far from the target. escape_speed: m/s, of the way out of the margin.
 
@@ -108,6 +109,7 @@ class Guard(eqx.Module):
     assumptions: GuardAssumptions = eqx.field(static=True)
     samples: int = eqx.field(static=True, default=15)
     escape_speed: float = eqx.field(static=True, default=0.02)
+    evaluation_error: float = eqx.field(static=True, default=0.0)
     braking: BrakingDesign = eqx.field(static=True, init=False)
 
     def __post_init__(self) -> None:
@@ -116,6 +118,8 @@ class Guard(eqx.Module):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0.0):
                 raise ControlError(f"guard: {name} is {value}; it must be finite and greater than 0")
+        if not (math.isfinite(self.evaluation_error) and self.evaluation_error >= 0.0):
+            raise ControlError(f"guard: evaluation_error is {self.evaluation_error} m; it must be finite and at least 0")
         values = self.samples + self.assumptions.delay + 2
         if self.samples < 1 or values > 20:
             raise ControlError(
@@ -126,8 +130,13 @@ class Guard(eqx.Module):
 
     @property
     def least_value(self) -> float:
-        """Field value, in metres, below which no plan is ever certified: threshold plus the tube's radius."""
-        return self.threshold + self.lipschitz * self.braking.position_radius
+        """Field value, in metres, below which no plan is ever certified: threshold plus the tube's radius.
+
+        With f* the function within j = `evaluation_error` of the field f̃ whose gradient is at most L: contact needs
+        f* ≤ threshold + j, and f̃ at a point says no more than f* ≥ f̃ - j there; so 2j is added once, whatever follows
+        from f* by L.
+        """
+        return self.threshold + self.lipschitz * self.braking.position_radius + 2.0 * self.evaluation_error
 
     def initial_state(self, estimate: MotionState) -> GuardState:
         """Give the memory before the first step: the plan is to brake at once, certified if that is free."""

@@ -253,5 +253,6 @@ def _guard(scenario: Scenario, target: Target, model: FieldModel, progress: Prog
         field=grid.field,
         threshold=certificate.error_bound + radius,
         lipschitz=certificate.gradient_bound,
+        evaluation_error=certificate.evaluation_error,
         assumptions=environment.guard_assumptions(scenario, target),
     )
