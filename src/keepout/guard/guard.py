@@ -91,7 +91,8 @@ class Guard(SafetyLayer):
     """Accepts or replaces commanded forces; see docs/guard.md for what it proves.
 
     field: a lower bound on clearance in the sense of its certificate. threshold: e_h + chaser radius, m: no contact
-    while field > threshold along the path. lipschitz: bound on the field's gradient. samples: parts into which the
+    while field > threshold along the path. lipschitz, evaluation_error: a function with gradient bound `lipschitz` is
+    within `evaluation_error`, m, of the field everywhere; 0 for a field in closed form. samples: parts into which the
     stop segment is cut, where its ends alone do not decide; with the start and the steps of delay at most 20 field
     values a step, and only one of them far from the target; unset: 15, or what the delay leaves of them. escape_speed:
     m/s, of the way out of the margin.
@@ -107,6 +108,7 @@ class Guard(SafetyLayer):
     assumptions: GuardAssumptions = eqx.field(static=True)
     samples: int | None = eqx.field(static=True, default=None)
     escape_speed: float = eqx.field(static=True, default=0.02)
+    evaluation_error: float = eqx.field(static=True, default=0.0)
     braking: BrakingDesign = eqx.field(static=True, init=False)
     parts: int = eqx.field(static=True, init=False)
 
@@ -116,6 +118,10 @@ class Guard(SafetyLayer):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0.0):
                 raise ControlError(f"guard: {name} is {value}; it must be finite and greater than 0")
+        if not (math.isfinite(self.evaluation_error) and self.evaluation_error >= 0.0):
+            raise ControlError(
+                f"guard: evaluation_error is {self.evaluation_error} m; it must be finite and at least 0"
+            )
         most = 18 - self.assumptions.delay
         self.parts = min(15, most) if self.samples is None else self.samples
         if not 1 <= self.parts <= most:
@@ -127,8 +133,13 @@ class Guard(SafetyLayer):
 
     @property
     def least_value(self) -> float:
-        """Field value, in metres, below which no plan is ever certified: threshold plus the tube's radius."""
-        return self.threshold + self.lipschitz * self.braking.position_radius
+        """Field value, in metres, below which no plan is ever certified: threshold plus the tube's radius.
+
+        With f* the function within j = `evaluation_error` of the field f̃ whose gradient is at most L: contact needs
+        f* ≤ threshold + j, and f̃ at a point says no more than f* ≥ f̃ - j there; so 2j is added once, whatever follows
+        from f* by L.
+        """
+        return self.threshold + self.lipschitz * self.braking.position_radius + 2.0 * self.evaluation_error
 
     def initial_state(self, estimate: MotionState) -> GuardState:
         """Give the memory before the first step: the plan is to brake at once, certified if that is free."""
@@ -231,7 +242,10 @@ class Guard(SafetyLayer):
         a = self.assumptions
         fastest = jnp.linalg.norm(truth.velocity) + a.velocity_error
         longer = a.delay * a.period + fastest / self.braking.deceleration + 0.5 * a.period
-        return self._braking_free(truth, a.position_error + longer * a.velocity_error + _ROUNDING, a.velocity_error)
+        # What the field's joints lose between two values is as much as some way more.
+        joints = 2.0 * self.evaluation_error / self.lipschitz
+        moved = a.position_error + longer * a.velocity_error + joints + _ROUNDING
+        return self._braking_free(truth, moved, a.velocity_error)
 
     def _braking_free(self, state: MotionState, moved: Float[Array, ""], faster: float) -> Bool[Array, ""]:
         pending = jnp.zeros((self.assumptions.delay, 3))

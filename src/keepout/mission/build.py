@@ -356,5 +356,6 @@ def build_guard(
         field=grid.field,
         threshold=certificate.error_bound + radius,
         lipschitz=certificate.gradient_bound,
+        evaluation_error=certificate.evaluation_error,
         assumptions=environment.guard_assumptions(scenario, target),
     )
