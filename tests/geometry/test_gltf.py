@@ -1,5 +1,6 @@
 """glTF: every triangle of the shown scene in its place, and a word on all that is not taken."""
 
+import DracoPy
 import numpy as np
 import pytest
 import trimesh
@@ -325,6 +326,35 @@ def test_a_buffer_cut_short_or_missing_is_refused(tmp_path):
     assert f"declares {len(whole)} bytes and has {len(whole) - 1}" in refused(path)
     numbers.unlink()
     assert "its%20numbers.bin" in refused(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        (lambda primitive, tree: None, ""),
+        (lambda primitive, tree: tree["accessors"][0].update(count=9), "declares 9 positions and has 8"),
+        (lambda primitive, tree: tree["accessors"][1].update(count=33), "declares 33 corners and has 36"),
+        (lambda primitive, tree: primitive.update(mode=6), "no triangles"),
+        (lambda primitive, tree: primitive["extensions"].popitem(), "missing"),
+    ],
+)
+def test_compressed_primitives_are_as_many_as_declared(path, change, word):
+    file = GltfFile()
+    packed = file.view(DracoPy.encode(POINTS.astype(np.float32), faces=FACES.astype(np.uint32)))
+    file.tree["accessors"] = [
+        {"componentType": 5126, "count": 8, "type": "VEC3"},
+        {"componentType": 5125, "count": 36, "type": "SCALAR"},
+    ]
+    draco = {"KHR_draco_mesh_compression": {"bufferView": packed, "attributes": {"POSITION": 0}}}
+    primitive = {"attributes": {"POSITION": 0}, "indices": 1, "extensions": draco}
+    file.tree["meshes"][0]["primitives"].append(primitive)
+    change(primitive, file.tree)
+    if word:
+        assert word in refused(file.write(path))
+    else:
+        target = Target.load(file.write(path))
+        assert target.report.triangles == 12
+        assert target.report.extents == pytest.approx((2.0, 2.0, 2.0), abs=1e-3)
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 9))
