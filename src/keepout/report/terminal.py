@@ -150,7 +150,17 @@ def flights_table(summaries: Sequence[Mapping[str, Any]]) -> Table:
         table.add_column(FLIGHT_COLUMNS[key], justify="right")
     for summary in summaries:
         table.add_row(str(summary["name"]), *(shown(summary[key]) for key in columns))
+    table.caption, table.caption_justify = "\n".join(broken_assumptions(summaries)) or None, "left"
     return table
+
+
+def broken_assumptions(summaries: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Give a line for each flight that goes beyond what its guard's theorem assumes."""
+    return [
+        f"{summary['name']}: beyond the guard's assumptions, nothing is promised: {'; '.join(broken)}"
+        for summary in summaries
+        if (broken := summary["assumptions_broken"])
+    ]
 
 
 def targets_table(rows: Sequence[Mapping[str, Any]]) -> Table:
