@@ -43,7 +43,12 @@ def flight(name: str, figure: float, steps: int = 1500) -> dict:
         "contact": False,
         **{key: figure * (1.0 + 0.1 * k) for k, key in enumerate(figures)},
         "guard_interventions": steps,
+        "assumptions_broken": [],
     }
+
+
+def figures_of(one: dict) -> list:
+    return [value for key, value in one.items() if key != "assumptions_broken"]
 
 
 CASES = ("paper without circulation", "paper with circulation", "default law")
@@ -55,7 +60,15 @@ def test_flights(names, figure):
     flights = [flight(name, figure * (k + 1), steps=k + 7) for k, name in enumerate(names)]
     text = drawn(terminal.flights_table(flights))
     headings = [heading for key, heading in terminal.FLIGHT_COLUMNS.items() if key != "flight"]
-    check(text, *headings, *(value for one in flights for value in one.values()))
+    check(text, *headings, *(value for one in flights for value in figures_of(one)))
+
+
+def test_what_a_flight_goes_beyond_is_said_under_the_table():
+    said = ["disturbance: flown up to 0.028 N > disturbance.bound 0.0143 N", "faults.delay 2 != guard.delay 1"]
+    beyond = flight("stormy", 0.5) | {"assumptions_broken": said}
+    text = drawn(terminal.flights_table([flight("calm", 0.5), beyond]))
+    check(text, *(word for word in "; ".join(said).split()), "nothing", "promised:")
+    assert words(drawn(terminal.flights_table([flight("calm", 0.5)]))).isdisjoint({"promised:", "nothing"})
 
 
 def test_a_campaigns_facts():
@@ -136,7 +149,7 @@ def test_no_flights_figure_is_ever_cut(given_flights):
     flights = [flight(name, figure) for name, figure in given_flights]
     text = drawn(terminal.flights_table(flights))
     assert "…" not in text
-    assert {terminal.shown(value) for one in flights for value in list(one.values())[1:]} <= words(text)
+    assert {terminal.shown(value) for one in flights for value in figures_of(one)[1:]} <= words(text)
 
 
 def test_nothing_is_shown_as_none():

@@ -161,3 +161,34 @@ def _fly_batch(guard, starts, draws, size, kind, intent):
         return memory.certified, jax.lax.scan(step, initial, rows)[1]
 
     return jax.vmap(one)(starts, draws)
+
+
+def fly_too_fast(guard, seed, flights, *, steps=60):
+    """Fly chasers around the ball that begin near or above the speed limit, a constant push of norm D on each.
+
+    Returns, for each flight and step, whether the guard has a certified plan after it, its status, and the true speed
+    at the step's start.
+    """
+    a, generator = guard.assumptions, np.random.default_rng(seed)
+    speed = jnp.asarray(generator.uniform(0.9, 1.3, (flights, 1)) * a.speed_limit)
+    away = jnp.asarray(generator.uniform(6.0, 9.0, (flights, 1)))
+    starts = away * directions(generator, flights), speed * directions(generator, flights)
+    return tuple(map(np.asarray, _fly_too_fast(guard, *starts, a.disturbance * directions(generator, flights), steps)))
+
+
+@eqx.filter_jit
+def _fly_too_fast(guard, positions, velocities, pushes, steps):
+    def one(position, velocity, push):
+        def step(carry, _):
+            r, v, memory, queue = carry
+            before = jnp.linalg.norm(v)
+            memory, force, status = guard.filter(memory, motion_state(r, v), jnp.zeros(3), jnp.zeros(3))
+            queue = jnp.concatenate([queue, force[None]])
+            r, v, _ = advance(r, v, queue[0] / guard.assumptions.mass, jnp.broadcast_to(push, (PIECES, 3)))
+            return (r, v, memory, queue[1:]), (memory.certified, status, before)
+
+        first = guard.initial_state(motion_state(position, velocity))
+        queue = jnp.zeros((guard.assumptions.delay, 3))
+        return jax.lax.scan(step, (position, velocity, first, queue), length=steps)[1]
+
+    return jax.vmap(one)(positions, velocities, pushes)

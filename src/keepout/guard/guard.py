@@ -339,7 +339,7 @@ class Guard(SafetyLayer):
         rest = points[-1] + self._stop(velocities[-1])
         corners = jnp.concatenate([points, rest[None]])
         sagitta = 3.0**0.5 * a.authority * a.period**2 / 8.0
-        least = self.least_value + self.lipschitz * (sagitta + moved)
+        least = jnp.asarray(self.least_value + self.lipschitz * (sagitta + moved))
         # Both norms are convex, so that a polyline's largest is a corner's.
         furthest = jnp.max(jnp.linalg.norm(corners - position, axis=-1))
         range_ = jnp.maximum(jnp.max(jnp.linalg.norm(corners, axis=-1)), jnp.linalg.norm(position))
@@ -350,14 +350,23 @@ class Guard(SafetyLayer):
         far = value - self.lipschitz * furthest > least
         arrays, still = eqx.partition(self.field, eqx.is_array)
 
-        def at_corners(arrays: Field, position: Vector, value: Float[Array, ""], corners: Float[Array, "corners 3"]):
+        # `least` is handed on, not closed over: in a batch it differs from flight to flight where `moved` does.
+        def at_corners(
+            arrays: Field,
+            position: Vector,
+            value: Float[Array, ""],
+            corners: Float[Array, "corners 3"],
+            least: Float[Array, ""],
+        ):
             field = eqx.combine(arrays, still)
             values = jnp.concatenate([value[None], field.value(corners)])
             lowest = self._lowest(jnp.concatenate([position[None], corners]), values)
             proved = lowest > least
             return jnp.all(proved[:-1]), proved[-1], values[-2:]
 
-        def along(arrays: Field, ends: Float[Array, "2 3"], values: Float[Array, "2"]) -> Bool[Array, ""]:
+        def along(
+            arrays: Field, ends: Float[Array, "2 3"], values: Float[Array, "2"], least: Float[Array, ""]
+        ) -> Bool[Array, ""]:
             field = eqx.combine(arrays, still)
             points = ends[0] + jnp.linspace(0.0, 1.0, self.parts + 1)[:, None] * (ends[1] - ends[0])
             inside = field.value(points[1:-1])
@@ -365,10 +374,10 @@ class Guard(SafetyLayer):
 
         no = jnp.asarray(False)
         path_free, stop_free, values = where_needed(
-            at_corners, wanted & kept & ~far, (no, no, jnp.zeros(2)), arrays, position, value, corners
+            at_corners, wanted & kept & ~far, (no, no, jnp.zeros(2)), arrays, position, value, corners, least
         )
         open_ = path_free & ~stop_free & jnp.all(values > least)
-        stop_free = stop_free | where_needed(along, open_, no, arrays, corners[-2:], values)
+        stop_free = stop_free | where_needed(along, open_, no, arrays, corners[-2:], values, least)
         return kept & (far | (path_free & stop_free))
 
     def _lowest(self, points: Float[Array, "points 3"], values: Float[Array, "points"]) -> Float[Array, "segments"]:

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 
 from keepout.flight.record import FlightRecord
 from keepout.report.style import COLOURS, TARGET_COLOUR
-from keepout.report.terminal import FLIGHT_COLUMNS, shown
+from keepout.report.terminal import FLIGHT_COLUMNS, broken_assumptions, shown
 from keepout.whole_file import write_whole
 
 _FRAMES = 150
@@ -74,7 +74,8 @@ def _table(summaries: Sequence[Mapping[str, Any]]) -> str:
             bad = (key == "contact" and summary[key]) or (key == "reached" and not summary[key])
             cells.append(f"<td{' class=bad' if bad else ''}>{html.escape(shown(summary[key]))}</td>")
         rows.append(f"<tr>{''.join(cells)}</tr>")
-    return f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
+    notes = "".join(f"<p class=bad>{html.escape(line)}</p>" for line in broken_assumptions(summaries))
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>{notes}"
 
 
 def _replay(

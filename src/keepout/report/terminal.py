@@ -192,7 +192,18 @@ def flights_table(summaries: Sequence[Mapping[str, Any]]) -> Table:
     columns = [key for key in FLIGHT_COLUMNS if key != "flight"]
     headings = ["flight", *(FLIGHT_COLUMNS[key] for key in columns)]
     rows = [[str(summary["name"]), *(shown(summary[key]) for key in columns)] for summary in summaries]
-    return _laid_out("Flights", headings, rows, named=True)
+    table = _laid_out("Flights", headings, rows, named=True)
+    table.caption, table.caption_justify = "\n".join(broken_assumptions(summaries)) or None, "left"
+    return table
+
+
+def broken_assumptions(summaries: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Give a line for each flight that goes beyond what its guard's theorem assumes."""
+    return [
+        f"{summary['name']}: beyond the guard's assumptions, nothing is promised: {'; '.join(broken)}"
+        for summary in summaries
+        if (broken := summary["assumptions_broken"])
+    ]
 
 
 def targets_table(rows: Sequence[Mapping[str, Any]]) -> Table:
