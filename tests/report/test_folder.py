@@ -96,7 +96,7 @@ def test_the_flight_files_hold_the_flights(written):
 
 
 def test_the_page_stands_alone_and_says_what_the_summaries_say(written):
-    out, flights, summaries = written
+    out, _, summaries = written
     page = Page.read(out / "index.html")
     assert page.outside == []
     assert page.unclosed == []

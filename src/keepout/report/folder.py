@@ -4,9 +4,23 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from keepout.errors import ScenarioError
 from keepout.mission.flight import Flight
 from keepout.report import flight_view, target_view
 from keepout.report.page import write_page
+
+
+def make_folder(out: Path) -> None:
+    """Make the folder that results go into, with those above it; before anything is flown, so that no flight is lost.
+
+    Raises:
+        ScenarioError: it cannot be made, as where a file has its name.
+
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ScenarioError(f"{out}: cannot be made a folder ({error.strerror}); give another --out") from None
 
 
 def write_flights(
@@ -25,7 +39,7 @@ def write_flights(
         One summary a flight, with its `name` and the path of its flight file under `flight`.
 
     """
-    out.mkdir(parents=True, exist_ok=True)
+    make_folder(out)
     summaries = []
     for name, flight in flights.items():
         path = out / f"{flight.scenario.name}.parquet"
