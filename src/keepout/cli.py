@@ -255,12 +255,18 @@ def main() -> None:
     warnings.showwarning = _show_warning
     try:
         code = app(standalone_mode=False, prog_name="keepout")
+        if code == 130:  # typer turns an interrupt into this code, without a word
+            raise KeyboardInterrupt
     except KeepoutError as error:
         sys.stderr.write(f"keepout: {error}\n")
         code = 1
     except TyperException as error:
         sys.stderr.write(f"keepout: {error.format_message()}\n".replace("\n", " ").rstrip() + "\n")
         code = 2
+    except OSError as error:
+        place = "" if error.filename is None else f"{error.filename}: "
+        sys.stderr.write(f"keepout: {place}{error.strerror or error}\n")
+        code = 1
     except KeyboardInterrupt:
         sys.stderr.write("keepout: stopped\n")
         code = 130

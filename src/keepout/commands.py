@@ -8,7 +8,7 @@ from typing import Any
 
 import trimesh
 
-from keepout.errors import FieldError, ScenarioError
+from keepout.errors import FieldError
 from keepout.fields.model import FieldModel
 from keepout.fields.shipped import shipped_names
 from keepout.geometry.builtin import BUILTINS
@@ -26,7 +26,7 @@ from keepout.proof.certificate import certify
 from keepout.report import target_view
 from keepout.report.campaign_view import draw_campaign
 from keepout.report.field_view import draw_slices, draw_surface
-from keepout.report.folder import write_flights, write_summary
+from keepout.report.folder import make_folder, write_flights, write_summary
 
 
 def describe_targets(*, pictures: Path | None = None, progress: Progress = silent) -> list[dict[str, Any]]:
@@ -153,7 +153,7 @@ def inspect_file(
     target = load_target(_recorded_target(path, model, mesh))
     model = FieldModel.load(path, target=target)
     if out is not None:
-        _folder(out)
+        make_folder(out)
     measures, surface = inspect_model(model, target, seed=seed, progress=part_of(progress, 0.0, 0.9))
     summary: dict[str, Any] = {"field": str(path), **measures}
     if out is not None:
@@ -170,7 +170,7 @@ def inspect_mesh(source: Mapping[str, Any], out: Path | None = None, *, progress
     target = load_target(_entry(source))
     summary = asdict(survey(target, progress=part_of(progress, 0.0, 0.95)))
     if out is not None:
-        _folder(out)
+        make_folder(out)
         picture = out / f"{target.name}.png"
         target_view.draw_target(picture, target.name, target.vertices, target.faces)
         summary["picture"] = str(picture)
@@ -194,7 +194,7 @@ def fly_to_folder(
     scenario: Scenario, out: Path, *, figures: bool = True, progress: Progress = silent
 ) -> dict[str, Any]:
     """Fly a scenario; write flight file, figures, page and `summary.json` into `out`."""
-    _folder(out)
+    make_folder(out)
     flight = fly(scenario, progress=part_of(progress, 0.0, 0.9))
     introduction = (
         f"Target {flight.target.name}, start {list(scenario.start.position)} m, goal {list(scenario.goal.position)} m."
@@ -208,7 +208,7 @@ def fly_to_folder(
 
 def campaign_to_folder(scenario: Scenario, out: Path, *, progress: Progress = silent) -> dict[str, Any]:
     """Fly a scenario's campaign; write one row a flight, a figure and `summary.json` into `out`."""
-    _folder(out)
+    make_folder(out)
     flown = run_campaign(scenario, progress=progress)
     flights = out / f"{scenario.name}-flights.parquet"
     flown.save(flights)
@@ -216,10 +216,3 @@ def campaign_to_folder(scenario: Scenario, out: Path, *, progress: Progress = si
     summary = {**flown.summary(), "flights": str(flights)}
     write_summary(out, summary)
     return summary
-
-
-def _folder(out: Path) -> None:
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ScenarioError(f"{out}: cannot be made a folder ({error.strerror}); give another --out") from None

@@ -1,65 +1,28 @@
 """The audit against closed-form distances and densely integrated flights."""
 
-from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from truths.audited import (
+    BOUNDS,
+    MASS,
+    Mesh,
+    check_a_cavity_is_not_called_safe,
+    check_a_dip_between_samples_is_found,
+    check_a_push_not_recorded_leaves_room,
+    check_an_edited_position_is_caught,
+    judged,
+    straight,
+)
 
-from keepout.audit.audit import Contact, audit, audit_campaign
+from keepout.audit.audit import Contact, audit_campaign
 from keepout.audit.outside import proved_outside
 from keepout.audit.tube import FlightBounds, Tube, nearest
 from keepout.errors import FlightError
 from keepout.geometry.target import Target
-
-MASS = 20.0
-BOUNDS = FlightBounds(
-    mass=MASS, disturbance_force=0.015, angular_rate=1.2e-3, angular_acceleration=0.0, gravity_gradient=3e-6
-)
-
-
-@dataclass
-class Shell:
-    """Two boxes of zero thickness, 2 × 2 × 2 m and (if `cavity`) 10 × 10 × 10 m, as distances in closed form."""
-
-    halves: tuple[float, ...] = (1.0,)
-
-    @property
-    def vertices(self):
-        h = max(self.halves)
-        return np.array([[-h, -h, -h], [h, h, h]])
-
-    @property
-    def distance(self):
-        return self
-
-    def __call__(self, points):
-        return self.distance_to(points)
-
-    def distance_to(self, points):
-        def one(h):
-            q = np.abs(points) - h
-            out = np.linalg.norm(np.maximum(q, 0.0), axis=-1)
-            return np.abs(out + np.minimum(q.max(axis=-1), 0.0))
-
-        return np.min([one(h) for h in self.halves], axis=0)
-
-
-class Mesh:
-    def __init__(self, *halves):
-        self.shell = Shell(halves)
-        self.vertices = self.shell.vertices
-        self.queries = 0
-
-    @property
-    def distance(self):
-        return SimpleNamespace(distance=self._distance)
-
-    def _distance(self, points):
-        self.queries += len(points)
-        return self.shell.distance_to(points)
 
 
 def flown(rng, steps, *, start, velocity, thrust=0.1, period=1.0, fine=20):
@@ -95,18 +58,6 @@ def flown(rng, steps, *, start, velocity, thrust=0.1, period=1.0, fine=20):
     return SimpleNamespace(time=time, position=position, velocity=velocity, force=force), np.array(dense)
 
 
-def judged(record, mesh, radius=0.0, **options):
-    return audit(
-        record,
-        mesh,
-        chaser_radius=radius,
-        bounds=options.pop("bounds", BOUNDS),
-        force_limit=0.1,
-        speed_limit=0.2,
-        **options,
-    )
-
-
 @settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), period=st.sampled_from([1.0, 2.0, 0.37]))
 def test_tube_holds_the_dense_path_and_its_minimum(seed, period):
@@ -128,31 +79,11 @@ def test_tube_holds_the_dense_path_and_its_minimum(seed, period):
 
 
 def test_the_minimum_between_two_samples_is_found():
-    # A sphere's surface stays clear at both samples and dips by a quarter of a metre between them.
-    mesh = Mesh(1.0)
-    force = np.array([[0.0, 0.0, 20.0], [0.0, 0.0, 20.0]])
-    record = SimpleNamespace(
-        time=np.array([0.0, 2.0]),
-        position=np.array([[0.0, 0.0, 1.6], [0.0, 0.0, 1.6]]),
-        velocity=np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]),
-        force=force,
-    )
-    found = judged(record, mesh, radius=0.05, bounds=FlightBounds(MASS, 1e-6, 0.0, 0.0, 0.0))
-    assert found.contact is Contact.NO
-    assert found.minimum_clearance == pytest.approx(0.05, abs=1.1e-3)
-    assert found.minimum_time == pytest.approx(1.0, abs=0.05)
-    assert judged(record, mesh, radius=0.11, bounds=FlightBounds(MASS, 1e-6, 0.0, 0.0, 0.0)).contact is Contact.YES
-    # With a disturbance the record does not hold, the same samples leave room for a contact: not a "no".
-    loose = judged(record, mesh, radius=0.0999, bounds=FlightBounds(MASS, 0.1, 0.0, 0.0, 0.0))
-    assert loose.contact is Contact.UNDECIDED
-    assert "too close" in loose.remarks[0]
+    check_a_dip_between_samples_is_found()
 
 
-def straight(speed, steps, start=(-4.0, 0.0, 1.5)):
-    time = np.arange(steps + 1.0)
-    position = np.array(start) + np.outer(time, [speed, 0.0, 0.0])
-    velocity = np.tile([speed, 0.0, 0.0], (steps + 1, 1))
-    return SimpleNamespace(time=time, position=position, velocity=velocity, force=np.zeros((steps + 1, 3)))
+def test_what_the_record_does_not_hold_leaves_room_for_a_contact():
+    check_a_push_not_recorded_leaves_room()
 
 
 def test_a_straight_pass_has_its_closed_form_clearance():
@@ -164,17 +95,7 @@ def test_a_straight_pass_has_its_closed_form_clearance():
 
 
 def test_a_hand_edited_position_is_caught():
-    record = straight(0.1, 80)
-    record.position[40] = [0.0, 0.0, 0.2]
-    found = judged(record, Mesh(1.0), radius=0.3)
-    assert found.contact is not Contact.NO
-    assert {39, 40} <= set(found.inconsistent_steps)
-    # Deep inside a closed body the unsigned distance is large again: the edit is still caught, by the dynamics.
-    big = Mesh(5.0)
-    far = straight(0.1, 80, start=(-4.0, 0.0, 6.0))
-    assert judged(far, big, radius=0.3).contact is Contact.NO
-    far.position[40] = [0.0, 0.0, 0.0]
-    assert judged(far, big, radius=0.3).contact is not Contact.NO
+    check_an_edited_position_is_caught()
 
 
 @pytest.mark.parametrize("moved", [2e-3, 0.02, 0.5])
@@ -194,11 +115,7 @@ def test_edited_velocity_and_force_are_caught():
 
 
 def test_a_flight_inside_a_cavity_is_not_called_safe():
-    record = straight(0.02, 80, start=(-1.0, 0.0, 0.0))
-    inside = judged(record, Mesh(5.0), radius=0.1)
-    assert inside.minimum_clearance > 0.0
-    assert inside.contact is Contact.UNDECIDED
-    assert not inside.start_outside
+    check_a_cavity_is_not_called_safe()
 
 
 def test_a_flight_through_a_wall_is_a_contact():

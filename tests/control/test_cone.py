@@ -168,23 +168,18 @@ def perturbed(program, step, direction):
     return jax.tree.map(lambda x, d: x + step * d, program, direction)
 
 
-def check_derivatives(function, program, direction, step, tolerance):
-    """Central differences at two steps; where they disagree with one another the active set has changed between."""
+def check_derivatives(function, program, direction, step, tolerance, *, jumps=False):
+    """Every derivative against its central difference, but for the programs at which the solution itself jumps."""
     both = jax.jit(jax.vmap(lambda p, d: jax.jvp(function, (p,), (d,))))
     derivative = both(program, direction)[1]
 
     def batch(p):
         return both(p, direction)[0]
 
-    def central(h):
-        return (batch(perturbed(program, h, direction)) - batch(perturbed(program, -h, direction))) / (2.0 * h)
-
-    coarse, fine = central(2.0 * step), central(step)
-    scale = np.maximum(np.linalg.norm(fine, axis=-1), 1.0)
-    settled = np.linalg.norm(coarse - fine, axis=-1) < tolerance * scale
-    error = np.linalg.norm(derivative - fine, axis=-1) / scale
-    assert settled.mean() > 0.7
-    assert np.max(error[settled]) < tolerance, np.max(error[settled])
+    central = (batch(perturbed(program, step, direction)) - batch(perturbed(program, -step, direction))) / (2.0 * step)
+    scale = np.maximum(np.linalg.norm(central, axis=-1), 1.0)
+    error = np.linalg.norm(derivative - central, axis=-1) / scale
+    np.testing.assert_array_less(error[~np.broadcast_to(jumps, error.shape)], tolerance)
 
 
 def derivative_programs(count):
@@ -200,7 +195,12 @@ def derivative_programs(count):
 
 def test_derivative_is_the_central_difference():
     program, direction = derivative_programs(300)
-    check_derivatives(lambda p: solve(p).velocity / LIMIT, program, direction, 1e-6, 1e-6)
+    # With e = ‖n‖ and no room, the fastest way out is at full speed on one side of e = ‖n‖ and does not exist on the
+    # other: the solution jumps there, and has no derivative.
+    size = np.linalg.norm(program.normal, axis=-1)
+    jumps = (np.abs(program.gradient_error - size) < 1e-12) & (np.asarray(solve_batch(program).room) < 0.0)
+    assert 0 < jumps.sum() <= 2
+    check_derivatives(lambda p: solve(p).velocity / LIMIT, program, direction, 1e-6, 1e-6, jumps=jumps)
 
 
 def test_smoothed_derivative_is_the_central_difference():
@@ -254,13 +254,13 @@ def check_fuzz(count, seed):
     velocity, status = np.asarray(answer.velocity), np.asarray(answer.status)
     assert np.all(np.isfinite(velocity))
     assert not np.any(status == ConeStatus.NOT_FINITE)
-    limit = np.minimum(data["speed"], np.inf)
-    solved = status == ConeStatus.SOLVED
-    assert np.all(np.linalg.norm(velocity, axis=1)[solved] <= limit[solved] * (1 + 1e-9))
-    assert np.all(np.abs(velocity[solved]) <= LIMIT * (1 + 1e-9))
     speed = np.linalg.norm(velocity, axis=1)
+    assert np.all(speed <= data["speed"] * (1 + 1e-9))
+    assert np.all(np.abs(velocity) <= LIMIT * (1 + 1e-9))
+    solved = status == ConeStatus.SOLVED
     slack = np.sum(data["normal"] * velocity, axis=1) + data["barrier_rate"] - data["gradient_error"] * speed
-    size = (np.linalg.norm(data["normal"], axis=1) + data["gradient_error"]) * data["speed"]
+    fastest = np.minimum(data["speed"], np.sqrt(3.0) * LIMIT)
+    size = (np.linalg.norm(data["normal"], axis=1) + data["gradient_error"]) * fastest
     assert np.all(slack[solved] >= -1e-9 * size[solved] - 1e-300)
     return np.mean(status == ConeStatus.STALLED)
 

@@ -10,7 +10,7 @@ from keepout.mission.build import load_target
 from keepout.mission.flight import fly
 from keepout.mission.scenario import Scenario
 from keepout.progress import Progress, silent
-from keepout.report.folder import write_flights, write_summary
+from keepout.report.folder import make_folder, write_flights, write_summary
 
 LAWS: dict[str, dict[str, Any]] = {
     "paper without circulation": {
@@ -40,6 +40,7 @@ def case1_scenarios(seed: int) -> dict[str, Scenario]:
 
 def reproduce_case1(out: Path, *, seed: int = 0, progress: Progress = silent) -> list[dict[str, Any]]:
     """Fly Case 1 under three laws; write flights, figures, page and `summary.json` into `out`."""
+    make_folder(out)
     scenarios = case1_scenarios(seed)
     target = load_target(next(iter(scenarios.values())).target)
     target.distance.distance(np.zeros((1, 3)))  # built and compiled once, before the laws share it

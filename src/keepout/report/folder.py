@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from keepout.errors import ScenarioError
 from keepout.mission.flight import Flight
 from keepout.report import flight_view, target_view
 from keepout.report.page import write_page
@@ -14,6 +15,19 @@ from keepout.whole_file import write_whole
 def write_summary(out: Path, summary: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> None:
     """Write figures as plain numbers into the folder's `summary.json`."""
     write_whole(out / "summary.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
+
+
+def make_folder(out: Path) -> None:
+    """Make the folder that results go into, with those above it; before anything is flown, so that no flight is lost.
+
+    Raises:
+        ScenarioError: it cannot be made, as where a file has its name.
+
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ScenarioError(f"{out}: cannot be made a folder ({error.strerror}); give another --out") from None
 
 
 def write_flights(
@@ -32,7 +46,7 @@ def write_flights(
         One summary a flight, with its `name` and the path of its flight file under `flight`.
 
     """
-    out.mkdir(parents=True, exist_ok=True)
+    make_folder(out)
     summaries = []
     for name, flight in flights.items():
         path = out / f"{flight.scenario.name}.parquet"
