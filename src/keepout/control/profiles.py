@@ -159,7 +159,6 @@ def default(
     grid: BarrierGrid | None = None,
     spacing: float | None = None,
     frequencies: Sequence[float] = PAPER_FREQUENCIES,
-    smoothing: float | None = None,
     feedforward: bool = False,
     circulation_axis: Sequence[float] = (1.0, 1.0, 1.0),
     reach: float | None = None,
@@ -192,7 +191,6 @@ def default(
         grid: a `BarrierGrid` to share between goals; it must have been built for the same offset.
         spacing: of the geodesic grid, m.
         frequencies: of the harmonic observer, rad/s.
-        smoothing: weight of the barrier-smoothed program, m²/s²; None for the plain one.
         feedforward: whether to use ∂v_s/∂r v; only for fields of low curvature.
         circulation_axis: of the constant skew Ω.
         reach: distance from the target within which the drift is bounded for tuning, m; by default that of goal
@@ -246,7 +244,6 @@ def default(
         class_k=ClassK(_scalar(tuning.class_k_rate), _scalar(tuning.braking)),
         circulation=_circulation(circulation, level=0.1, slope=1.0, weight=1.0, axis=circulation_axis),
         speed=SpeedCone(_scalar(speed_limit), _scalar(tuning.authority), _scalar(tuning.speed_reserve)),
-        smoothing=None if smoothing is None else _scalar(smoothing),
         differentiate=feedforward,
     )
     tracking = Tracking(

@@ -18,13 +18,13 @@ from keepout.flight.faults import (
 from keepout.flight.setup import Faults, NoFaults
 from keepout.geometry.target import Target
 from keepout.guard.braking import GuardAssumptions
+from keepout.mission.orbit_bounds import differential_bounds, orbit_bounds, orbit_of, perturbations
 from keepout.mission.scenario import Scenario
 from keepout.motion import (
     ConstantDisturbance,
     Disturbance,
     InertiallyFixed,
     NoDisturbance,
-    Orbit,
     RelativeMotion,
     SquareWaveDisturbance,
     Thrusters,
@@ -34,6 +34,7 @@ from keepout.motion import (
     paper_disturbance,
     resonant,
 )
+from keepout.motion.perturbation import EARTH_GRAVITATIONAL_PARAMETER
 
 _DIAGONAL = np.full(3, 1.0 / math.sqrt(3.0))
 
@@ -43,11 +44,6 @@ _BANG_BANG_PERIOD = 100.0
 
 def relative_motion(scenario: Scenario) -> RelativeMotion:
     """Build the relative dynamics of the scenario's orbit and attitude."""
-    orbit = Orbit(
-        scenario.orbit.semi_major_axis,
-        eccentricity=scenario.orbit.eccentricity,
-        true_anomaly=scenario.orbit.true_anomaly,
-    )
     attitude = scenario.attitude
     if attitude.kind == "tumbling":
         turning = Tumbling(angular_velocity=np.asarray(attitude.angular_velocity), inertia=np.asarray(attitude.inertia))
@@ -55,7 +51,7 @@ def relative_motion(scenario: Scenario) -> RelativeMotion:
         turning = InertiallyFixed()
     else:
         turning = VVLHFixed()
-    return RelativeMotion(orbit, turning)
+    return RelativeMotion(orbit_of(scenario.orbit), turning, perturbations(scenario))
 
 
 def disturbance(scenario: Scenario) -> Disturbance:
@@ -122,16 +118,12 @@ def faults(scenario: Scenario) -> Faults:
 
 
 def flight_bounds(scenario: Scenario) -> FlightBounds:
-    """Bound what a flight's record does not hold, for the audit: true disturbance, rotation, differential gravity."""
-    motion = relative_motion(scenario)
-    orbit = motion.orbit
-    mu = float(orbit.gravitational_parameter)
-    a, e = scenario.orbit.semi_major_axis, scenario.orbit.eccentricity
-    perigee = a * (1.0 - e)
-    # Largest true-anomaly rate, at perigee, and a bound on its derivative 2 μ e (1+e)³ / (a³ (1−e²)³).
-    orbital_rate = math.sqrt(mu / (a * (1.0 - e * e)) ** 3) * (1.0 + e) ** 2
-    orbital_acceleration = 2.0 * mu * e * (1.0 + e) ** 3 / (a * (1.0 - e * e)) ** 3
-    rate, acceleration = orbital_rate, orbital_acceleration
+    """Bound what a flight's record does not hold, for the audit: true disturbance, rotation, differential gravity.
+
+    What perturbations add is part of the force (differential drag), the gravity gradient and the angular rate.
+    """
+    orbit = orbit_bounds(scenario)
+    rate, acceleration = orbit.rate, orbit.acceleration
     if scenario.attitude.kind == "inertial":
         rate, acceleration = 0.0, 0.0
     elif scenario.attitude.kind == "tumbling":
@@ -142,14 +134,16 @@ def flight_bounds(scenario: Scenario) -> FlightBounds:
         rate = math.sqrt(max(omega @ inertia @ omega, 0.0) / least)
         acceleration = float(np.linalg.norm(inertia @ omega)) * rate / least
     # Differential gravity between target and chaser, whose own radius may be less than perigee by the flown region.
-    nearest = perigee - 1000.0
+    nearest = orbit.lowest_radius - 1000.0
     outward = 1.0 + 1e-9
+    bent = differential_bounds(scenario, orbit, nearest=nearest, angular_rate=rate)
     return FlightBounds(
         mass=scenario.chaser.mass,
-        disturbance_force=disturbance(scenario).bound,
-        angular_rate=rate * outward,
+        disturbance_force=disturbance(scenario).bound + scenario.chaser.mass * bent.constant,
+        # Twice the rate multiplies the speed.
+        angular_rate=rate * outward + 0.5 * bent.per_speed,
         angular_acceleration=acceleration * outward,
-        gravity_gradient=2.0 * mu / nearest**3,
+        gravity_gradient=2.0 * EARTH_GRAVITATIONAL_PARAMETER / nearest**3 + bent.gradient,
     )
 
 
@@ -167,7 +161,7 @@ def guard_assumptions(scenario: Scenario, target: Target) -> GuardAssumptions:
         mass=scenario.chaser.mass,
         force_limit=scenario.chaser.force_limit,
         period=scenario.control.period,
-        disturbance_force=disturbance_bound(scenario),
+        disturbance_force=disturbance_bound(scenario) + (bounds.disturbance_force - disturbance(scenario).bound),
         angular_rate=bounds.angular_rate,
         angular_acceleration=bounds.angular_acceleration,
         gravity_gradient=bounds.gravity_gradient,
