@@ -14,10 +14,12 @@ from importlib import resources
 import numpy as np
 
 from keepout.control import profiles
+from keepout.control.guidance.plan import Straight
+from keepout.control.operation import Operation
 from keepout.fields.model import FieldModel
 from keepout.flight import FlightSetup
 from keepout.flight.batches import campaign, initial_states
-from keepout.motion import Orbit, RelativeMotion, Thrusters, paper_disturbance
+from keepout.motion import Chaser, Orbit, RelativeMotion, paper_disturbance
 
 
 def main():
@@ -28,21 +30,9 @@ def main():
     with resources.as_file(resources.files("keepout") / "data" / "fields" / "intelsat30.keepout") as path:
         field = FieldModel.load(path).field
     motion, goal = RelativeMotion(Orbit(7e6)), np.array([0.0, -10.0, -4.0])
-    law = profiles.default(
-        field,
-        error_bound=0.1,
-        chaser_radius=0.3,
-        margin=0.1,
-        goal=goal,
-        motion=motion,
-        mass=20.0,
-        force_limit=0.1,
-        speed_limit=0.1,
-        period=1.0,
-        disturbance_bound=paper_disturbance().bound,
-        guidance="straight",
-    )
-    setup = FlightSetup(motion, paper_disturbance(), Thrusters(0.1), law, goal, 20.0)
+    chaser = Chaser(mass=20.0, radius=0.3, force_limit=0.1, speed_limit=0.1)
+    law = profiles.default(field, Operation(chaser, motion, 0.1, paper_disturbance().bound), goal, guidance=Straight())
+    setup = FlightSetup(motion, paper_disturbance(), chaser.thrusters, law, goal, chaser.mass)
 
     def shell(generator, count):
         direction = generator.standard_normal((count, 3))

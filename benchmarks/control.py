@@ -22,6 +22,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from keepout.control import profiles
+from keepout.control.guidance.plan import Straight
+from keepout.control.operation import Operation
 from keepout.control.velocity_program.cone import solve
 from keepout.control.velocity_program.program import Circulation, VelocityProgram
 from keepout.fields import mlp
@@ -30,10 +32,11 @@ from keepout.fields.continuation import RadialContinuation
 from keepout.fields.neural import NeuralField
 from keepout.flight import FlightSetup
 from keepout.flight.on_board import OnBoard
-from keepout.motion import NoDisturbance, Thrusters
+from keepout.motion import Chaser, NoDisturbance
 from keepout.motion.orbit import Orbit
 from keepout.motion.relative import RelativeMotion
 
+CHASER = Chaser(mass=20.0, radius=0.5, force_limit=0.1, speed_limit=0.1)
 WIDTH, DEPTH, BETA = 96, 4, 100.0
 BATCH = 1024
 PROGRAMS = {
@@ -60,17 +63,9 @@ def neural_field():
 def default_law(field):
     return profiles.default(
         field,
-        error_bound=0.0,
-        chaser_radius=0.5,
-        margin=0.1,
-        goal=[0.0, -10.0, -4.0],
-        motion=RelativeMotion(Orbit(6_778_137.0)),
-        mass=20.0,
-        force_limit=0.1,
-        speed_limit=0.1,
-        period=1.0,
-        disturbance_bound=0.015,
-        guidance="straight",
+        Operation(CHASER, RelativeMotion(Orbit(6_778_137.0)), error_bound=0.0, disturbance_bound=0.015),
+        [0.0, -10.0, -4.0],
+        guidance=Straight(),
     )
 
 
@@ -82,7 +77,7 @@ def quantiles(seconds):
 def time_step(law, points, velocities):
     """Fly the law on board: numbers of the estimate in, the force out."""
     motion = RelativeMotion(Orbit(6_778_137.0))
-    setup = FlightSetup(motion, NoDisturbance(), Thrusters(0.1), law, law.goal, 20.0)
+    setup = FlightSetup(motion, NoDisturbance(), CHASER.thrusters, law, law.goal, CHASER.mass)
     on_board = OnBoard(setup, motion.initial_state(points[0], velocities[0]))
     seconds = []
     gc.collect()

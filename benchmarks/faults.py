@@ -28,6 +28,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from keepout.audit.audit import Contact, audit_campaign
 from keepout.audit.tube import FlightBounds
+from keepout.control.law import Command, Law
 from keepout.flight import faults as broken
 from keepout.flight.batches import campaign, initial_states
 from keepout.flight.setup import NoFaults
@@ -162,11 +163,15 @@ def fly_row(world, setup, fault, shape, flights, duration, seed):
     }
 
 
-class Coasting:
+class Coasting(Law):
     """A law that never pushes: what is left of a step without a law."""
 
-    def __init__(self, order):
-        self.order = jax.tree.map(jnp.zeros_like, order)
+    order: Command
+
+    @property
+    def goal(self):
+        """Nowhere in particular."""
+        return jnp.zeros(3)
 
     def initial_state(self, state):
         """No memory."""
@@ -191,7 +196,9 @@ def cost(name, duration, flights=128):
         full = row_setup(base, fault, "paper", flights, generator)
         is_none = {"is_leaf": lambda x: x is None}
         alone = eqx.tree_at(lambda s: s.guard, full, None, **is_none)
-        bare = eqx.tree_at(lambda s: (s.faults, s.controller), alone, (NoFaults(), Coasting(order)))
+        bare = eqx.tree_at(
+            lambda s: (s.faults, s.controller), alone, (NoFaults(), Coasting(jax.tree.map(jnp.zeros_like, order)))
+        )
         flown = {}
 
         def landed(_, columns):

@@ -8,8 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from keepout.control import profiles
-from keepout.control.delay import AheadOfDelay
+from keepout.control.guidance.plan import Geodesic
 from keepout.fields.evaluate import values, values_and_gradients
 from keepout.fields.shipped import load_shipped, shipped_names
 from keepout.flight import faults as broken
@@ -17,8 +16,8 @@ from keepout.flight.setup import FlightSetup
 from keepout.geometry.offset_solid import OffsetSolid
 from keepout.geometry.target import Target
 from keepout.guard.field import guard_field
-from keepout.guard.guard import Guard
 from keepout.mission import environment
+from keepout.mission.build import build_guard, build_law, flown_law
 from keepout.mission.scenario import Scenario
 from keepout.motion.disturbance import CombinedDisturbance, SinusoidalDisturbance, SquareWaveDisturbance
 
@@ -79,20 +78,8 @@ class World:
         self.goal = np.array([centre[0], lower[1] - 4.0, centre[2] - 2.0])
         self.lower, self.upper = np.maximum(lower - 4.0, self.goal - REACH), np.minimum(upper + 4.0, self.goal + REACH)
         self.model, self.law_field = (shipped, "shipped") if shipped else (self.grid, "grid")
-        self.law = profiles.default(
-            self.model.field,
-            error_bound=self.model.certificate(RADIUS).error_bound,
-            chaser_radius=RADIUS,
-            margin=MARGIN,
-            goal=self.goal,
-            motion=environment.relative_motion(self.scenario("", 600)),
-            mass=MASS,
-            force_limit=FORCE,
-            speed_limit=SPEED,
-            period=1.0,
-            disturbance_bound=BOUND,
-            bounds=(np.minimum(self.lower, self.goal) - 3.0, np.maximum(self.upper, self.goal) + 3.0),
-        )
+        room = (np.minimum(self.lower, self.goal) - 3.0, np.maximum(self.upper, self.goal) + 3.0)
+        self.law = build_law(self.scenario("", 600), self.model, guidance=Geodesic(bounds=room), from_start=False)
 
     def scenario(self, told, duration):
         """Give the scenario behind a group of rows."""
@@ -102,6 +89,8 @@ class World:
             goal={"position": tuple(self.goal)},
             start={"position": tuple(self.upper)},
             disturbance={"bound": BOUND},
+            chaser={"radius": RADIUS, "mass": MASS, "force_limit": FORCE, "speed_limit": SPEED},
+            safety={"margin": MARGIN},
             guard=entry,
             duration=float(duration),
         )
@@ -109,26 +98,19 @@ class World:
     def setup(self, told, duration):
         """Give the setup of a group of rows: what differs within it are arrays (`varied`), so it compiles once."""
         scenario = self.scenario(told, duration)
-        certificate = self.grid.certificate(RADIUS)
-        guard = Guard(
-            field=self.grid.field,
-            threshold=certificate.error_bound + RADIUS,
-            lipschitz=certificate.gradient_bound,
-            assumptions=environment.guard_assumptions(scenario, self.target),
-        )
-        motion = environment.relative_motion(scenario)
-        law = AheadOfDelay(self.law, motion, MASS, 1.0, 1) if told == "late" else self.law
+        chaser = environment.chaser(scenario)
+        law = flown_law(scenario, self.law, self.model)
         stuck = broken.StuckThruster(1, 1, 0.0, start=jnp.inf)
         parts = (broken.WrongEstimate(), broken.DroppedCommands(0.0), broken.ThrusterGain(0.0), stuck)
         late = (broken.DelayedCommands(1),) if told == "late" else ()
         return FlightSetup(
-            motion=motion,
+            motion=environment.relative_motion(scenario),
             disturbance=jax.tree.map(lambda leaf: leaf[0], disturbances("paper", 1, np.random.default_rng(0))),
-            thrusters=environment.thrusters(scenario),
+            thrusters=chaser.thrusters,
             controller=broken.BrokenLaw(law, self.grid.field, "none", FORCE, MASS, SPEED),
             goal=self.goal,
-            mass=MASS,
-            guard=guard,
+            mass=chaser.mass,
+            guard=build_guard(scenario, self.target),
             faults=broken.CombinedFaults((*parts, *late)),
         )
 

@@ -29,59 +29,42 @@ from reach_case import Case
 
 import keepout
 from keepout.audit.audit import Contact, audit_campaign
-from keepout.control import profiles
+from keepout.control.conditions import drift_bound
 from keepout.control.guidance.geodesic import geodesic_guidance
+from keepout.control.guidance.plan import Straight
+from keepout.control.profiles import ControlWarning
+from keepout.control.tuning import tune
 from keepout.flight.batches import BATCH, campaign
 from keepout.flight.setup import FlightSetup
 from keepout.mission import environment
+from keepout.mission.build import build_law, operation
 from keepout.report import terminal
 from keepout.whole_file import write_whole
 
 LAWS = {
-    "geodesic": ("default", {"guidance": "geodesic", "circulation": "none"}),
-    "none": ("default", {"guidance": "straight", "circulation": "none"}),
-    "printed": ("default", {"guidance": "straight", "circulation": "printed"}),
-    "skew": ("default", {"guidance": "straight", "circulation": "skew"}),
-    "switching": ("default", {"guidance": "straight", "circulation": "switching"}),
-    "paper": ("paper", {"guidance": "straight", "circulation": "printed"}),
+    "geodesic": {"profile": "default", "guidance": "geodesic", "circulation": "none"},
+    "none": {"profile": "default", "guidance": "straight", "circulation": "none"},
+    "printed": {"profile": "default", "guidance": "straight", "circulation": "printed"},
+    "skew": {"profile": "default", "guidance": "straight", "circulation": "skew"},
+    "switching": {"profile": "default", "guidance": "straight", "circulation": "switching"},
+    "paper": {"profile": "paper", "guidance": "straight", "circulation": "printed"},
 }
 TUMBLING_SPEED = {0.5: 0.05}
 """Speed limits (m/s) of fast tumblers, by rate in degrees a second: what the thrusters can follow there."""
 
 
-def law_arguments(case, scenario, choices, rate):
-    motion = environment.relative_motion(scenario)
-    chaser = scenario.chaser
-    limits = {
-        "mass": chaser.mass,
-        "force_limit": chaser.force_limit,
-        "speed_limit": chaser.speed_limit,
-        "period": scenario.control.period,
-        "disturbance_bound": environment.disturbance_bound(scenario),
-    }
-    common = {
-        "error_bound": case.certificate.error_bound,
-        "chaser_radius": chaser.radius,
-        "margin": scenario.safety.margin,
-        "motion": motion,
-        **limits,
-        **choices,
-    }
+def within_authority(case, scenario):
+    """Which pairs the thrusters can follow (those not further out than the last that `tune` accepts), and how far."""
     reach = np.linalg.norm(case.pairs, axis=-1).max(axis=-1)
-    if not rate:
-        return common, np.ones(len(reach), bool), reach.max(), None
-    flown, furthest, reason = within_authority(reach, motion, limits)
-    return common, flown, furthest, reason
-
-
-def within_authority(reach, motion, limits):
-    """Which pairs the thrusters can follow: those not further out than the last that `tune` accepts."""
+    designed = operation(scenario, case.model)
     ordered, reason = np.sort(reach), None
 
     def refusal(radius):
         try:
-            drift = profiles.drift_bound(motion, radius=float(radius), speed=limits["speed_limit"])
-            profiles.tune(**limits, drift_bound=drift)
+            tune(
+                designed,
+                drift_bound=drift_bound(designed.motion, radius=float(radius), speed=designed.chaser.speed_limit),
+            )
         except keepout.KeepoutError as refused:
             return f"at {radius:.1f} m from the target: {refused}"
         return None
@@ -100,14 +83,18 @@ def within_authority(reach, motion, limits):
 
 def fly_row(case, law, rate):
     """One row of the table."""
-    profile, choices = LAWS[law]
-    scenario = case.scenario
+    choices = LAWS[law]
+    profile = choices["profile"]
+    scenario = case.scenario.replace(control=choices)
     if rate:
         tumbling = {"kind": "tumbling", "angular_velocity": (0.0, 0.0, float(np.radians(rate)))}
         speed = TUMBLING_SPEED.get(rate, scenario.chaser.speed_limit)
         scenario = scenario.replace(attitude=tumbling, chaser={"speed_limit": speed})
     began = time.perf_counter()
-    common, flown, reach, reason = law_arguments(case, scenario, choices, rate)
+    reach, reason = float(np.linalg.norm(case.pairs, axis=-1).max()), None
+    flown = np.ones(case.flights, bool)
+    if rate:
+        flown, reach, reason = within_authority(case, scenario)
     refused = [] if reason is None else [reason] * int(np.sum(~flown))
     row = {"target": case.name, "profile": profile, "guidance": choices["circulation"] if law == "paper" else law}
     row |= {"flights": case.flights, "reached": 0, "contacts": 0, "minimum_clearance_m": None}
@@ -115,29 +102,28 @@ def fly_row(case, law, rate):
     row |= {"tumbling_deg_s": rate, "speed_limit_mps": scenario.chaser.speed_limit}
     index = np.flatnonzero(flown)
     if len(index):
-        if profile == "default":
-            common |= {"reach": float(reach)}
-        row |= fly_pairs(case, scenario, law, common, index, refused, rate)
+        chosen = {"reach": float(reach)} if profile == "default" else {}
+        row |= fly_pairs(case, scenario, law, chosen, index, refused, rate)
     row |= {"refused": len(refused), "seconds": time.perf_counter() - began}
     for line in sorted(set(refused))[:3]:
         sys.stderr.write(f"{case.name} {law} {rate:g} deg/s: refused: {line}\n")
     return row
 
 
-def fly_pairs(case, scenario, law, common, index, refused, rate):
-    profile, _ = LAWS[law]
+def fly_pairs(case, scenario, law, chosen, index, refused, rate):
     pairs = case.pairs
-    prototype = getattr(profiles, profile)(
-        case.model.field, goal=pairs[index[0], 1], **common | {"guidance": "straight"}
-    )
+    first = scenario.replace(goal={"position": tuple(pairs[index[0], 1])})
+    # Travel times are given to it pair by pair; until then it needs no grid.
+    plan = Straight() if law == "geodesic" else None
+    prototype = build_law(first, case.model, guidance=plan, from_start=False, **chosen)
     # The ways are measured with the default law's offset, for every law alike.
     offset = case.offset + float(prototype.nominal_offset)
     grid = case.grid(offset)
     ways = case.ways(offset)
     setup = FlightSetup(
-        motion=common["motion"],
+        motion=prototype.motion,
         disturbance=environment.disturbance(scenario),
-        thrusters=environment.thrusters(scenario),
+        thrusters=environment.chaser(scenario).thrusters,
         controller=prototype,
         goal=pairs[index[0], 1],
         mass=scenario.chaser.mass,
@@ -309,7 +295,7 @@ def main():
     parser.add_argument("--out", type=Path, default=Path("out/reach.json"), help="rows flown so far")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
-    warnings.simplefilter("ignore", profiles.ControlWarning)
+    warnings.simplefilter("ignore", ControlWarning)
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     kept = json.loads(arguments.out.read_text()) if arguments.out.exists() else []
     rows = []
@@ -317,9 +303,14 @@ def main():
         case = Case(source, arguments.out.parent, arguments.flights, arguments.seed)
         wanted = [(law, 0.0) for law in arguments.laws] + [("geodesic", rate) for rate in arguments.tumbling]
         for law, rate in wanted:
-            profile, choices = LAWS[law]
+            choices = LAWS[law]
             mark = {"seed": arguments.seed, "field_sha256": case.model.sha256, "version": keepout.__version__}
-            plan = {"target": case.name, "profile": profile, "tumbling_deg_s": rate, "flights": arguments.flights}
+            plan = {
+                "target": case.name,
+                "profile": choices["profile"],
+                "tumbling_deg_s": rate,
+                "flights": arguments.flights,
+            }
             plan |= {"guidance": choices["circulation"] if law == "paper" else law, **mark}
             row = next((row for row in kept if key(row) == key(plan)), None)
             if row is None:

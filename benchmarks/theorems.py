@@ -20,7 +20,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from keepout.control import profiles
+from keepout.control.guidance.plan import Straight
+from keepout.control.operation import Operation
 from keepout.fields.analytic import SphereField
+from keepout.motion.chaser import Chaser
 from keepout.motion.disturbance import paper_disturbance
 from keepout.motion.orbit import Orbit
 from keepout.motion.relative import RelativeMotion
@@ -40,22 +43,17 @@ CASES = {
 
 def law(profile, *, as_flown):
     field = SphereField(jnp.zeros(3), jnp.asarray(RADIUS))
-    arguments = {
-        "error_bound": 0.0,
-        "chaser_radius": 0.5,
-        "margin": 0.1,
-        "goal": [0.0, -9.0, 0.0],
-        "motion": RelativeMotion(Orbit(42_164_000.0)),
-        "mass": MASS,
-        "force_limit": FORCE,
-        "speed_limit": 0.1,
-        "period": PERIOD,
-        "disturbance_bound": paper_disturbance().bound,
-        "guidance": "straight",
-    }
+    told = Operation(
+        chaser=Chaser(mass=MASS, radius=0.5, force_limit=FORCE, speed_limit=0.1),
+        motion=RelativeMotion(Orbit(42_164_000.0)),
+        error_bound=0.0,
+        disturbance_bound=paper_disturbance().bound,
+        period=PERIOD,
+    )
+    goal = [0.0, -9.0, 0.0]
     if profile == "paper":
-        return profiles.paper(field, **arguments)
-    made = profiles.default(field, feedforward=not as_flown, **arguments)
+        return profiles.paper(field, told, goal)
+    made = profiles.default(field, told, goal, guidance=Straight(), feedforward=not as_flown)
     if as_flown:
         return made
     return dataclasses.replace(made, tracking=dataclasses.replace(made.tracking, acceleration_limit=None))

@@ -88,7 +88,13 @@ def targets(
 def fit(
     mesh: Annotated[str, typer.Argument(help="A mesh file, or a built-in target's name.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="The field file to write (.keepout).")],
-    profile: Annotated[str, typer.Option(help="default, or paper: the source paper's network and loss.")] = "default",
+    profile: Annotated[
+        str,
+        typer.Option(
+            help="default; quick, rough, for trying out; paper, the source paper's network and loss; "
+            "paper_printed, with the loss as printed."
+        ),
+    ] = "default",
     chaser_radius: ChaserRadius = 0.5,
     units: Units = None,
     scale: Scale = None,

@@ -7,10 +7,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from truths.operations import operation
 
 from keepout.control import profiles
-from keepout.control.controller import ControlStatus
+from keepout.control.circulation import NoCirculation
 from keepout.control.guidance.geodesic import BarrierGrid
+from keepout.control.guidance.guidance import StraightGuidance
+from keepout.control.guidance.plan import Geodesic, Straight
+from keepout.control.law import ControlStatus
+from keepout.control.observer import constant_observer
+from keepout.control.tuning import tune
 from keepout.errors import ControlError
 from keepout.fields.analytic import BoxUnionField
 from keepout.motion.actuator import Thrusters
@@ -25,18 +31,9 @@ PANELS = BoxUnionField(
 )
 MOTION = RelativeMotion(Orbit(6_778_137.0))
 PUSH = paper_disturbance()
-CASE = dict(
-    error_bound=0.05,
-    chaser_radius=0.5,
-    margin=0.1,
-    motion=MOTION,
-    mass=20.0,
-    force_limit=0.1,
-    speed_limit=0.1,
-    period=1.0,
-    disturbance_bound=PUSH.bound,
-)
+CASE = operation(motion=MOTION, disturbance_bound=PUSH.bound)
 GOAL, START = np.array([4.0, -4.0, 0.0]), np.array([-4.0, 3.0, 0.5])
+ELSEWHERE = StraightGuidance(jnp.asarray([9.0, 0.0, 0.0]), jnp.asarray(0.1), jnp.asarray(1.5))
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +43,7 @@ def grid():
 
 @pytest.fixture(scope="module")
 def default(grid):
-    return profiles.default(PANELS, goal=GOAL, start=START, grid=grid, **CASE)
+    return profiles.default(PANELS, CASE, GOAL, start=START, guidance=Geodesic(grid=grid))
 
 
 def fly(controller, position, steps):
@@ -80,7 +77,7 @@ def test_default_law_reaches_the_goal_without_contact_and_without_saturation(def
 
 def test_paper_law_says_what_it_violates():
     with pytest.warns(profiles.ControlWarning, match="observer outpaces filter violated"):
-        law = profiles.paper(PANELS, goal=GOAL, **CASE)
+        law = profiles.paper(PANELS, CASE, GOAL)
     broken = {c.name for c in law.conditions if not c.satisfied}
     assert {
         "observer outpaces filter",
@@ -94,15 +91,15 @@ def test_paper_law_says_what_it_violates():
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::keepout.control.profiles.ControlWarning")
 def test_paper_law_saturates_the_thrusters():
-    law = profiles.paper(PANELS, goal=GOAL, **CASE)
+    law = profiles.paper(PANELS, CASE, GOAL)
     _, _, command, _ = eqx.filter_jit(fly)(law, jnp.asarray(START), 300)
     assert np.mean(np.any(np.abs(command.force) >= 0.1 * (1 - 1e-9), axis=-1)) > 0.9
     assert np.all(np.isfinite(command.force))
 
 
 def test_goals_batch_by_vmap(default, grid):
-    other = profiles.default(PANELS, goal=[-4.0, -4.0, 2.0], grid=grid, **CASE)
-    one, two = (eqx.partition(dataclasses.replace(c, conditions=()), eqx.is_array) for c in (default, other))
+    other = profiles.default(PANELS, CASE, [-4.0, -4.0, 2.0], guidance=Geodesic(grid=grid))
+    one, two = (eqx.partition(dataclasses.replace(c, checked=()), eqx.is_array) for c in (default, other))
     both = eqx.combine(jax.tree.map(lambda a, b: jnp.stack([a, b]), one[0], two[0]), one[1])
     state = MOTION.initial_state(START, np.zeros(3))
     step = eqx.filter_jit(eqx.filter_vmap(lambda c: c.step(c.initial_state(state), state)[1].desired_velocity))
@@ -143,9 +140,7 @@ def test_observer_is_told_of_a_replaced_force(default):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"guidance": "curved"}, 'guidance: "curved"'),
-        ({"circulation": "left"}, 'circulation: "left"'),
-        ({"observer": "oracle"}, 'observer: "oracle"'),
+        ({"guidance": ELSEWHERE}, r"guidance: leads to \[9\.0, 0\.0, 0\.0\], and the goal is"),
         ({"goal": [0.0, 0.0, 1.0]}, r"goal: .* inside the keep-out zone"),
         ({"goal": [0.0, np.nan, 1.0]}, r"goal: .* three finite numbers"),
         ({"tracking_gain": 3.0}, r"sampled tracking violated .* 1\.5 against 1"),
@@ -153,14 +148,25 @@ def test_observer_is_told_of_a_replaced_force(default):
         ({"braking": 0.01}, "authority violated"),
         ({"disturbance_bound": 0.2}, "authority: disturbance"),
         ({"speed_limit": 0.5}, r"speed_limit: .* at most 0\.1"),
-        ({"mass": -1.0}, "mass: -1.0; it must be positive"),
+        ({"period": -1.0}, "period: -1.0 s; it must be positive"),
         ({"tracking": 1.0}, "gains: tracking not known"),
     ],
 )
 def test_refuses_a_law_that_cannot_work(change, message):
-    arguments = {**CASE, "goal": GOAL, "guidance": "straight", "observer": "constant", **change}
+    numbers = {"disturbance_bound", "speed_limit", "period"} & set(change)
+    told = operation(**{"motion": MOTION, "disturbance_bound": PUSH.bound} | {name: change[name] for name in numbers})
+    others = {name: value for name, value in change.items() if name not in numbers}
+    arguments = {"goal": GOAL, "guidance": Straight(), "observer": constant_observer(mass=20.0, period=1.0)} | others
     with pytest.raises(ControlError, match=message):
-        profiles.default(PANELS, **arguments)
+        profiles.default(PANELS, told, **arguments)
+
+
+def test_a_guidance_and_a_circulation_are_objects(default):
+    made = StraightGuidance(jnp.asarray(GOAL), jnp.asarray(0.05), jnp.asarray(2.0))
+    law = profiles.default(PANELS, CASE, GOAL, guidance=made, circulation=NoCirculation())
+    assert law.velocity.guidance is made
+    assert law.velocity.circulation is None
+    assert np.all(np.asarray(law.goal) == GOAL)
 
 
 def test_refuses_a_goal_that_turns_too_fast_to_hold():
@@ -168,13 +174,11 @@ def test_refuses_a_goal_that_turns_too_fast_to_hold():
 
     spinning = RelativeMotion(Orbit(6_778_137.0), Tumbling(np.radians([0.0, 0.0, 3.0]), np.diag([1.0, 2.0, 2.5])))
     with pytest.raises(ControlError, match=r"authority: .* drift"):
-        profiles.default(PANELS, **{**CASE, "motion": spinning}, goal=GOAL, guidance="straight")
+        profiles.default(PANELS, operation(motion=spinning), GOAL, guidance=Straight())
 
 
 def test_tuning_of_the_papers_case_is_the_prototypes():
-    found = profiles.tune(
-        mass=20.0, force_limit=0.1, period=1.0, disturbance_bound=0.01414, speed_limit=0.1, drift_bound=3e-4
-    )
+    found = tune(operation(disturbance_bound=0.01414), drift_bound=3e-4)
     assert found.authority == pytest.approx(0.004, rel=0.01)
     assert found.braking == pytest.approx(0.002, rel=0.01)
     assert (found.tracking_gain, found.class_k_rate) == (1.0, 0.08)

@@ -8,11 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
+from truths.operations import operation
 
 from keepout import cli
 from keepout.audit.audit import Contact, audit_campaign
 from keepout.audit.tube import FlightBounds
 from keepout.control import profiles
+from keepout.control.guidance.plan import Geodesic
 from keepout.fields.analytic import BoxUnionField
 from keepout.geometry.distance import ExactDistance
 from keepout.motion.actuator import Thrusters
@@ -46,19 +48,10 @@ def test_no_contact_round_a_tumbling_target(rate, speed):
     motion = RelativeMotion(Orbit(42_164_000.0), Tumbling(np.array([0.0, 0.0, omega]), np.eye(3)))
     law = profiles.default(
         field,
-        error_bound=0.05,
-        chaser_radius=0.5,
-        margin=0.1,
-        goal=[4.0, -3.0, 0.0],
-        motion=motion,
-        mass=20.0,
-        force_limit=0.1,
-        speed_limit=speed,
-        period=1.0,
-        disturbance_bound=PUSH.bound,
+        operation(motion=motion, speed_limit=speed, disturbance_bound=PUSH.bound),
+        [4.0, -3.0, 0.0],
         reach=10.0,
-        bounds=([-7.0, -10.0, -7.0], [7.0, 10.0, 7.0]),
-        spacing=0.4,
+        guidance=Geodesic(bounds=([-7.0, -10.0, -7.0], [7.0, 10.0, 7.0]), spacing=0.4),
     )
     starts = rng.uniform([-5, -7, -5], [5, 7, 5], (400, 3))
     starts = jnp.asarray(starts[np.asarray(field.value(jnp.asarray(starts))) > 1.2][:24])

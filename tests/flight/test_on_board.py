@@ -6,9 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from truths.guarded_worlds import ASSUMED
+from truths.operations import operation
 
 from keepout.control import profiles
-from keepout.control.controller import ControlStatus
+from keepout.control.guidance.plan import Straight
+from keepout.control.law import ControlStatus, Law
 from keepout.errors import ControlError
 from keepout.fields.analytic import SphereField
 from keepout.flight import FlightSetup, loop
@@ -29,20 +31,7 @@ MOTION = RelativeMotion(Orbit(6_778_137.0))
 @pytest.fixture(scope="module")
 def setup():
     sphere = SphereField(jnp.zeros(3), jnp.asarray(2.0))
-    law = profiles.default(
-        sphere,
-        error_bound=0.0,
-        chaser_radius=0.5,
-        margin=0.1,
-        goal=GOAL,
-        motion=MOTION,
-        mass=20.0,
-        force_limit=0.1,
-        speed_limit=0.1,
-        period=1.0,
-        disturbance_bound=0.0142,
-        guidance="straight",
-    )
+    law = profiles.default(sphere, operation(motion=MOTION, error_bound=0.0), GOAL, guidance=Straight())
     guard = Guard(field=sphere, threshold=0.5, lipschitz=1.0, assumptions=ASSUMED)
     return FlightSetup(MOTION, paper_disturbance(), Thrusters(0.1), law, GOAL, 20.0, guard=guard)
 
@@ -120,8 +109,12 @@ def test_wrong_numbers_are_named(on_board):
         on_board.step(0.0, np.ones(3), np.zeros(3), target_orbit=np.zeros(6))
 
 
-class Keyed:
+class Keyed(Law):
     """A law whose memory is a random key."""
+
+    @property
+    def goal(self):
+        return GOAL
 
     def initial_state(self, state):
         return jax.random.key(0)

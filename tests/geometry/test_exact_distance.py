@@ -1,18 +1,15 @@
 """Exact distance against float64 brute force, libigl and closed forms."""
 
-from pathlib import Path
-
 import igl
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from truths.messy_meshes import MESSY
+from truths.real_meshes import present
 
 from keepout.errors import MeshError
 from keepout.geometry import ExactDistance, Target, straddling_cells
-
-MESHES = Path(__file__).resolve().parents[3] / "shared" / "meshes"
-NAMES = ["iss.glb", "hubble.glb", "ssl1300.glb", "tdrs.glb", "aura_arbitrary_units.glb", "itokawa.obj"]
 
 
 def brute_force(points, triangles):
@@ -46,11 +43,9 @@ def queries(distance, count, seed=0):
     return np.concatenate([uniform, closest + rng.normal(size=closest.shape) * 1e-2])
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_agrees_with_brute_force_on_real_meshes(name):
-    if not (MESHES / name).exists():
-        pytest.skip(f"{MESHES / name} is absent: real meshes are not part of the repository")
-    target = Target.load(MESHES / name, scale=20.0 if name == "itokawa.obj" else 1.0)
+@pytest.mark.parametrize("mesh", [*MESSY.values(), *present()], ids=[*MESSY, *(mesh.name for mesh in present())])
+def test_agrees_with_brute_force_on_real_and_messy_meshes(mesh, tmp_path):
+    target = Target.load(mesh(tmp_path).path) if callable(mesh) else Target.load(mesh.path, scale=mesh.scale)
     distance = target.distance
     points = queries(distance, 60)
     truth = brute_force(points, target.vertices[target.faces])

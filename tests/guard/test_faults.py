@@ -1,12 +1,12 @@
 """Each fault does what its docstring says, within the bound it states, and the same seed gives the same fault."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from truths.guarded_worlds import Ball, motion_state
 
+from keepout.control.law import Command, Law
 from keepout.errors import ScenarioError
 from keepout.flight.faults import (
     KINDS,
@@ -96,20 +96,19 @@ def test_faults_combine_in_order():
     np.testing.assert_allclose(given, expected)
 
 
-class Resting:
-    """A law that never pushes."""
+class Resting(Law):
+    """A law that hardly pushes."""
 
-    goal = jnp.array([0.0, 9.0, 0.0])
+    @property
+    def goal(self):
+        return jnp.array([0.0, 9.0, 0.0])
 
     def initial_state(self, state):
         return ()
 
     def step(self, state, estimate):
-        return state, Order(jnp.full(3, 0.01))
-
-
-class Order(eqx.Module):
-    force: jax.Array
+        nothing, zero = jnp.zeros(3), jnp.zeros(())
+        return state, Command(jnp.full(3, 0.01), nothing, nothing, nothing, zero, zero, zero, jnp.zeros((), jnp.int32))
 
 
 @pytest.mark.parametrize("kind", KINDS)

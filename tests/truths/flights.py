@@ -4,40 +4,35 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from keepout.control.law import Command, Law
 from keepout.flight import Faults, FlightSetup
+from keepout.guard.safety_layer import SafetyLayer
 from keepout.motion import Orbit, RelativeMotion, Thrusters, paper_disturbance
 
 KEY = jax.random.key(0)
 GOAL = jnp.array([0.0, -10.0, -4.0])
 
 
-class Order(eqx.Module):
-    force: jax.Array
-    desired_velocity: jax.Array
-    safe_velocity: jax.Array
-    disturbance_estimate: jax.Array
-    barrier: jax.Array
-    backstepping_barrier: jax.Array
-    lyapunov: jax.Array
-    status: jax.Array
-
-
-class Spring(eqx.Module):
+class Spring(Law):
     """A damped spring to the goal that knows the orbital drift; its state counts its steps."""
 
     motion: RelativeMotion
-    goal: jax.Array
+    target: jax.Array
     stiffness: float = 0.02
     damping: float = 0.6
+
+    @property
+    def goal(self):
+        return self.target
 
     def initial_state(self, state):
         return jnp.zeros((), jnp.int32)
 
     def step(self, count, estimate):
-        error = estimate.position - self.goal
+        error = estimate.position - self.target
         acceleration = -self.stiffness * error - self.damping * estimate.velocity
         force = 20.0 * (acceleration - self.motion.drift_acceleration(estimate))
-        order = Order(
+        order = Command(
             force=force,
             desired_velocity=-error,
             safe_velocity=-0.5 * error,
@@ -50,7 +45,7 @@ class Spring(eqx.Module):
         return count + 1, order
 
 
-class Halving:
+class Halving(SafetyLayer):
     """A guard that halves every command and says so with the status of the sign of its estimate."""
 
     def initial_state(self, estimate):

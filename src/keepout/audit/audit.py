@@ -170,6 +170,8 @@ def audit_campaign(
         candidates = shown[i][np.linspace(0, len(time) - 1, 5).astype(int)] if clearance > 0.0 else shown[i][:1]
         outside = any(proved_outside(p, distance, lower, upper, radius=chaser_radius) for p in candidates)
         contact, remarks = _verdict(clearance, found, broken, excess[i], outside, time)
+        if tube.beyond[i].any():
+            contact, remarks = _beyond(contact, remarks, time[int(np.argmax(tube.beyond[i]))], bounds)
         largest = np.abs(force[i, :-1]).max(axis=-1)
         speed = np.linalg.norm(velocity[i], axis=-1)
         x, y, z = bound.position[i]
@@ -215,6 +217,14 @@ def _verdict(
     if not outside:
         remarks.append("no free way from the flight to the outside was found: it may have flown inside the target")
     return (Contact.UNDECIDED if remarks else Contact.NO), tuple(remarks)
+
+
+def _beyond(
+    contact: Contact, remarks: tuple[str, ...], since: float, bounds: FlightBounds
+) -> tuple[Contact, tuple[str, ...]]:
+    """Leave a flight undecided that was not seen to touch, but may have been where gravity is not bounded."""
+    remark = f"from {since:.6g} s on it may be beyond {bounds.range_limit:.6g} m, where gravity is not bounded"
+    return (Contact.UNDECIDED if contact is Contact.NO else contact), (*remarks, remark)
 
 
 def _unreadable(time: np.ndarray, position: np.ndarray, velocity: np.ndarray, force: np.ndarray) -> Audit:

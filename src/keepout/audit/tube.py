@@ -16,7 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from keepout.errors import FlightError
 
@@ -35,7 +35,9 @@ class FlightBounds:
 
     `mass` is the true mass in kg; `disturbance_force` the largest norm, in newton, of every force not recorded;
     `angular_rate` (rad/s) and `angular_acceleration` (rad/s²) bound the rotation of the body frame; `gravity_gradient`
-    (1/s²) bounds the norm of the gradient of differential gravity, 2 μ / r_perigee³ for a point mass.
+    (1/s²) bounds the norm of the gradient of differential gravity within `range_limit` (m) of the body frame's origin,
+    2 μ / r³ for a point mass with r the least distance from the Earth's centre; `origin_offset` (m) is the origin's
+    distance from the target's centre of mass.
     """
 
     mass: float
@@ -43,15 +45,19 @@ class FlightBounds:
     angular_rate: float
     angular_acceleration: float
     gravity_gradient: float
+    origin_offset: float = 0.0
+    range_limit: float = np.inf
 
     def __post_init__(self) -> None:
         """Refuse a number that bounds nothing."""
         if not (np.isfinite(self.mass) and self.mass > 0.0):
             raise FlightError(f"audit: mass is {self.mass} kg; it must be finite and greater than 0")
-        for name in ("disturbance_force", "angular_rate", "angular_acceleration", "gravity_gradient"):
+        for name in ("disturbance_force", "angular_rate", "angular_acceleration", "gravity_gradient", "origin_offset"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value >= 0.0):
                 raise FlightError(f"audit: {name} is {value}; a bound must be finite and at least 0")
+        if not self.range_limit > 0.0:
+            raise FlightError(f"audit: range_limit is {self.range_limit} m; it must be greater than 0")
 
 
 @dataclass(frozen=True)
@@ -59,6 +65,7 @@ class Tube:
     """Flights of equal length as recorded states and the bounds that hold between them.
 
     `residual` (m/s²) is b of the module's docstring and `speed` (m/s) bounds |ṙ| over the step, one of each a step.
+    `beyond` says of each step whether it can have left the range within which gravity is bounded.
     """
 
     time: Float[np.ndarray, "samples"]
@@ -67,6 +74,7 @@ class Tube:
     acceleration: Float[np.ndarray, "flights samples 3"]
     residual: Float[np.ndarray, "flights steps"]
     speed: Float[np.ndarray, "flights steps"]
+    beyond: Bool[np.ndarray, "flights steps"]
 
     @classmethod
     def of(
@@ -79,8 +87,10 @@ class Tube:
     ) -> "Tube":
         """Build the tube of recorded states; row k of `force` (newton) is held from sample k to sample k + 1.
 
-        The drift |2ω×v + ω̇×r + ω×(ω×r) + Δg| is at most 2ω|v| + κ|r|, κ = ω̇ + ω² + gravity gradient. With X the largest
-        speed in the step, |r| ≤ |r₀| + X T and X ≤ |v₀| + T (|a| + d/m + 2ωX + κ(|r₀| + X T)), which is solved for X.
+        The drift |2ω×v + ω̇×r + ω×(ω×r) + Δg| is at most 2ω|v| + κ|r|, κ = ω̇ + ω² + gravity gradient, r from the centre
+        of mass. With X the largest speed in the step, |r| ≤ |r₀| + X T and X ≤ |v₀| + T (|a| + d/m + 2ωX + κ(|r₀| +
+        X T)), which is solved for X. A path that is still within the range limit after |r₀| + X T never left it, so
+        that κ held all along; one that may not be is `beyond`.
         """
         step = np.diff(time)
         acceleration = force / bounds.mass
@@ -93,12 +103,13 @@ class Tube:
                 f"{bounds.angular_rate:.3g} rad/s; the record needs "
                 f"samples at most {0.4 / max(bounds.angular_rate, kappa**0.5):.3g} s apart"
             )
-        radius = np.linalg.norm(position[:, :-1], axis=-1)
+        away = np.linalg.norm(position[:, :-1], axis=-1)
+        radius = away + bounds.origin_offset
         start = np.linalg.norm(velocity[:, :-1], axis=-1)
         thrust = np.linalg.norm(acceleration[:, :-1], axis=-1)
         speed = (start + step * (thrust + disturbance + kappa * radius)) / slack
         residual = disturbance + 2.0 * bounds.angular_rate * speed + kappa * (radius + speed * step)
-        return cls(time, position, velocity, acceleration, residual, speed)
+        return cls(time, position, velocity, acceleration, residual, speed, away + speed * step > bounds.range_limit)
 
     def inconsistency(self) -> Float[np.ndarray, "flights steps"]:
         """How far, in metres, the end of each step lies beyond what its start and the bounds allow; ≤ 0 is consistent.

@@ -6,15 +6,22 @@ not skew, so its T is not tangent.
 """
 
 import abc
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from keepout.control.velocity_program.program import Circulation
 
 PRINTED = ((0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 """Ω as printed in the paper, section VI."""
+
+
+def _scalar(value: float | Array) -> Array:
+    return jnp.asarray(value, dtype=jnp.float64)
 
 
 def skew(axis: Float[Array, "3"]) -> Float[Array, "3 3"]:
@@ -57,12 +64,12 @@ class CirculationLaw(eqx.Module):
 
 
 class ConstantCirculation(CirculationLaw):
-    """A constant Ω (3, 3): the printed one, or a skew one."""
+    """A constant Ω (3, 3): `printed_circulation` has the paper's, `skew_circulation` a skew one."""
 
     omega: Float[Array, "3 3"]
-    level: Float[Array, ""]
-    slope: Float[Array, ""]
-    weight: Float[Array, ""]
+    level: Float[Array, ""] = eqx.field(converter=_scalar, default=0.1)
+    slope: Float[Array, ""] = eqx.field(converter=_scalar, default=1.0)
+    weight: Float[Array, ""] = eqx.field(converter=_scalar, default=1.0)
 
     def update(
         self,
@@ -89,10 +96,10 @@ class SwitchingCirculation(CirculationLaw):
     `degenerate`) T would vanish: the axis becomes n × v, which carries on in the direction of flight.
     """
 
-    level: Float[Array, ""]
-    slope: Float[Array, ""]
-    weight: Float[Array, ""]
-    degenerate: Float[Array, ""]
+    level: Float[Array, ""] = eqx.field(converter=_scalar, default=0.1)
+    slope: Float[Array, ""] = eqx.field(converter=_scalar, default=1.0)
+    weight: Float[Array, ""] = eqx.field(converter=_scalar, default=1.0)
+    degenerate: Float[Array, ""] = eqx.field(converter=_scalar, default=0.3)
 
     def update(
         self,
@@ -118,6 +125,22 @@ class SwitchingCirculation(CirculationLaw):
     def matrix(self, memory: Float[Array, "3"]) -> Float[Array, "3 3"]:
         """Return the cross product with the axis."""
         return skew(memory)
+
+
+@dataclass(frozen=True)
+class NoCirculation:
+    """No circulation, where a law has one of its own: the cone program has no such row."""
+
+
+def printed_circulation() -> ConstantCirculation:
+    """Return the paper's, with Ω as printed: it is not skew, so its T is not tangent."""
+    return ConstantCirculation(omega=jnp.asarray(PRINTED))
+
+
+def skew_circulation(axis: Sequence[float] = (1.0, 1.0, 1.0)) -> ConstantCirculation:
+    """Return one that turns about a constant axis (3,) of any length."""
+    direction = np.asarray(axis, dtype=float)
+    return ConstantCirculation(omega=skew(jnp.asarray(direction / np.linalg.norm(direction))))
 
 
 def _unit(vector: Float[Array, "3"]) -> Float[Array, "3"]:

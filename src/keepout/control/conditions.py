@@ -1,7 +1,6 @@
 """The design conditions of the control law, each with its number, its limit and whether it holds."""
 
 import dataclasses
-from typing import TYPE_CHECKING, NamedTuple
 
 import equinox as eqx
 import jax
@@ -10,29 +9,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from keepout.control.circulation import ConstantCirculation
+from keepout.control.controller import Controller
+from keepout.control.law import Condition
 from keepout.control.observer import ContinuousObserver, SampledObserver
+from keepout.control.operation import Operation
 from keepout.motion.relative import MotionState, RelativeMotion
-
-if TYPE_CHECKING:
-    from keepout.control.controller import Controller
-
-
-class Condition(NamedTuple):
-    """One condition: what it asks in words, the number found, the limit it is held against, and whether it holds.
-
-    A `required` condition is one without which the default law must not fly; the others void a theorem.
-    """
-
-    name: str
-    statement: str
-    value: float
-    limit: float
-    satisfied: bool
-    required: bool = True
-
-    def __str__(self) -> str:
-        verdict = "holds" if self.satisfied else "violated"
-        return f"{self.name} {verdict} ({self.statement}: {self.value:.4g} against {self.limit:.4g})"
 
 
 def drift_bound(motion: RelativeMotion, *, radius: float, speed: float, samples: int = 256) -> float:
@@ -61,16 +42,13 @@ def drift_bound(motion: RelativeMotion, *, radius: float, speed: float, samples:
 
 
 def conditions(
-    controller: "Controller",
-    *,
-    period: float,
-    disturbance_bound: float,
-    start: Float[np.ndarray, "3"] | None = None,
+    controller: Controller, operation: Operation, *, start: Float[np.ndarray, "3"] | None = None
 ) -> tuple[Condition, ...]:
-    """Check every design condition of a law (design section 2.8) for a period (s) and a disturbance bound (N).
+    """Check every design condition of a law (docs/control.md) for the operation that it is to fly.
 
     `start` (3,) m, at rest, adds the condition h₁(0) ≥ 0. The controller's arrays must hold one law, not a batch.
     """
+    period, disturbance_bound = operation.period, operation.disturbance_bound
     tracking, law = controller.tracking, controller.velocity
     beta_c, beta_e = float(tracking.barrier_rate), float(tracking.estimation_rate)
     alpha = float(law.class_k.rate)

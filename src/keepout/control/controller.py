@@ -1,31 +1,15 @@
 """The control law: observer, safe velocity and tracking composed into one step."""
 
-import enum
-from typing import TYPE_CHECKING
-
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
+from keepout.control.law import Command, Condition, ControlStatus, Law
 from keepout.control.observer import Observer
 from keepout.control.tracking import Tracking
 from keepout.control.velocity import SafeVelocity
 from keepout.control.velocity_program.cone import ConeStatus
 from keepout.motion.relative import MotionState, RelativeMotion
-
-if TYPE_CHECKING:
-    from keepout.control.conditions import Condition
-
-
-class ControlStatus(enum.IntEnum):
-    """What a control step has to say; where several apply, the gravest: the last one, `NOT_FINITE` before all."""
-
-    NOMINAL = 0
-    SATURATED = 1  # the force asked for was beyond the thrusters and has been cut off, axis by axis
-    OUTSIDE_SAFE_SET = 2  # no safe velocity exists here; the law flies the fastest way out
-    SOLVER_STALLED = 3  # the safe velocity could not be verified to rounding; the best iterate is used
-    NOT_FINITE = 4  # an input or the field was not a number; the force is zero
-    NO_WAY_OUT = 5  # no safe velocity exists and e_∇h ≥ ‖∇f̃‖: no direction is known to lead out, v_s is zero
 
 
 class ControllerState(eqx.Module):
@@ -39,31 +23,12 @@ class ControllerState(eqx.Module):
     started: Bool[Array, ""]
 
 
-class Command(eqx.Module):
-    """The answer of one control step.
-
-    force: N, body axes, within the thrusters' limits. desired_velocity v_c, safe_velocity v_s: m/s.
-    disturbance_estimate: N, now. barrier: h = field − error_bound − radius − margin, m (the law itself keeps its
-    nominal offset on top). backstepping_barrier: h₁ of the law, m, with the unknown estimation error taken as zero.
-    lyapunov: V₁, m². status: a `ControlStatus`.
-    """
-
-    force: Float[Array, "3"]
-    desired_velocity: Float[Array, "3"]
-    safe_velocity: Float[Array, "3"]
-    disturbance_estimate: Float[Array, "3"]
-    barrier: Float[Array, ""]
-    backstepping_barrier: Float[Array, ""]
-    lyapunov: Float[Array, ""]
-    status: Int[Array, ""]
-
-
-class Controller(eqx.Module):
+class Controller(Law):
     """The law as one pytree: it can be closed over, passed through `jit`, and batched with `vmap` (say over goals).
 
     `motion` is the model behind the drift compensation, `mass` in kg, `force_limit` (3,) in N per axis,
-    `nominal_offset` in m the part of the velocity layer's offset that is the law's own. `conditions` lists what
-    `profiles.conditions` found at construction.
+    `nominal_offset` in m the part of the velocity layer's offset that is the law's own. `checked` lists what
+    `conditions.conditions` found at construction.
     """
 
     velocity: SafeVelocity
@@ -73,7 +38,12 @@ class Controller(eqx.Module):
     mass: Float[Array, ""]
     force_limit: Float[Array, "3"]
     nominal_offset: Float[Array, ""]
-    conditions: tuple["Condition", ...] = eqx.field(static=True, default=())
+    checked: tuple[Condition, ...] = eqx.field(static=True, default=())
+
+    @property
+    def conditions(self) -> tuple[Condition, ...]:
+        """The design conditions, checked at construction."""
+        return self.checked
 
     @property
     def goal(self) -> Float[Array, "3"]:

@@ -1,17 +1,16 @@
 """A control law for thrusters that answer late: it is asked for the state in which its command will take effect."""
 
-from typing import Any
-
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
+from keepout.control.law import Command, Condition, Law
 from keepout.errors import ControlError
 from keepout.motion.disturbance import NoDisturbance
 from keepout.motion.relative import MotionState, RelativeMotion
 
 
-class AheadOfDelay(eqx.Module):
+class AheadOfDelay(Law):
     """A law whose commands take effect `delay` periods after they are given.
 
     Each estimate is moved ahead by the commands under way before the law sees it, without a disturbance. So the
@@ -26,7 +25,7 @@ class AheadOfDelay(eqx.Module):
 
     """
 
-    law: Any
+    law: Law
     motion: RelativeMotion
     mass: Float[Array, ""] = eqx.field(converter=lambda value: jnp.asarray(value, jnp.float64))
     period: Float[Array, ""] = eqx.field(converter=lambda value: jnp.asarray(value, jnp.float64))
@@ -42,7 +41,7 @@ class AheadOfDelay(eqx.Module):
         return self.law.goal
 
     @property
-    def conditions(self) -> tuple[Any, ...]:
+    def conditions(self) -> tuple[Condition, ...]:
         """The law's design conditions."""
         return self.law.conditions
 
@@ -60,10 +59,9 @@ class AheadOfDelay(eqx.Module):
     def with_applied_force(self, state: PyTree, force: Float[Array, "3"]) -> PyTree:
         """Return the state told that `force` (N) was commanded instead of the law's own."""
         memory, pending = state
-        told = getattr(self.law, "with_applied_force", None)
-        return (memory if told is None else told(memory, force)), pending.at[-1].set(force)
+        return self.law.with_applied_force(memory, force), pending.at[-1].set(force)
 
-    def step(self, state: PyTree, estimate: MotionState) -> tuple[PyTree, Any]:
+    def step(self, state: PyTree, estimate: MotionState) -> tuple[PyTree, Command]:
         """Run the law on the state ahead."""
         memory, pending = state
         memory, order = self.law.step(memory, self.ahead(estimate, pending))

@@ -152,6 +152,12 @@ def continuous(
     return ContinuousObserver(*(jnp.asarray(x, dtype=float) for x in arrays))
 
 
+def printed_observer(*, mass: float, period: float) -> ContinuousObserver:
+    """Build the observer with the matrices printed in the paper's section VI: A = C = I, L = 50 I (N s/m)."""
+    one = np.eye(3)
+    return continuous(one, one, 50.0 * one, mass=mass, period=period)
+
+
 class SampledObserver(Observer):
     """An observer of the mean disturbance over each period: residual = m Δv/T − m·drift − F.
 
@@ -209,8 +215,12 @@ def constant_observer(*, mass: float, period: float, gain: float = 0.9) -> Sampl
     return SampledObserver(one, one, one, gain * one, jnp.asarray(float(mass)), jnp.asarray(float(period)))
 
 
+PAPER_FREQUENCIES = (0.02, 0.01)
+"""Of the paper's disturbance, rad/s."""
+
+
 def harmonic_observer(
-    frequencies: Sequence[float],
+    frequencies: Sequence[float] = PAPER_FREQUENCIES,
     *,
     mass: float,
     period: float,

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from keepout.control.operation import Operation
 from keepout.errors import ControlError
 
 
@@ -36,38 +37,25 @@ class Tuning:
     honoured_speed: float
 
 
-def tune(
-    *,
-    mass: float,
-    force_limit: float,
-    period: float,
-    disturbance_bound: float,
-    speed_limit: float,
-    drift_bound: float = 0.0,
-    stopping_distance: float = 3.0,
-) -> Tuning:
+def tune(operation: Operation, *, drift_bound: float = 0.0, stopping_distance: float = 3.0) -> Tuning:
     """Compute the default law's gains, and say which speed the thrusters can honour.
 
     Args:
-        mass: kg.
-        force_limit: N per axis.
-        period: control period, s.
-        disturbance_bound: largest norm of the disturbance, N.
-        speed_limit: m/s.
+        operation: the chaser, the control period and the disturbance bound.
         drift_bound: largest drift acceleration on the way, m/s².
         stopping_distance: within which the chaser must be able to stop from its speed limit, m.
 
-    For the paper's case (20 kg, 0.1 N, 1 Hz, 0.1 m/s) the gains are those of the design's prototype: λ = 1/s, a_b =
-    4 mm/s², a_c = 2 mm/s², α₀ = 0.08/s.
+    For the paper's case (20 kg, 0.1 N, 1 Hz, 0.1 m/s) λ = 1/s, a_b = 4 mm/s², a_c = 2 mm/s², α₀ = 0.08/s.
 
     Raises:
-        ControlError: a number is not positive, disturbance and drift leave no authority, or the speed limit cannot
-        be honoured.
+        ControlError: a period that is not positive, disturbance and drift leave no authority, or the speed limit
+            cannot be honoured.
 
     """
-    for name, value in (("mass", mass), ("force_limit", force_limit), ("period", period), ("speed_limit", speed_limit)):
-        if not (np.isfinite(value) and value > 0.0):
-            raise ControlError(f"{name}: {value}; it must be positive and finite")
+    chaser, period, disturbance_bound = operation.chaser, operation.period, operation.disturbance_bound
+    mass, force_limit, speed_limit = chaser.mass, chaser.force_limit, chaser.speed_limit
+    if not (np.isfinite(period) and period > 0.0):
+        raise ControlError(f"period: {period} s; it must be positive and finite")
     authority = (force_limit - disturbance_bound) / mass - drift_bound
     if not authority > 0.0:
         raise ControlError(

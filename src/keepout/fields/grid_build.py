@@ -4,9 +4,10 @@ import time
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int
+from jaxtyping import Float, Float32, Int
 
 from keepout.errors import FieldError
+from keepout.fields.blocks import NODES, inherited_coefficients, own_nodes
 from keepout.fields.continuation import RadialContinuation
 from keepout.fields.domain import Domain
 from keepout.fields.grid import BLOCK, STORED, GridField
@@ -15,16 +16,7 @@ from keepout.geometry.offset_solid import OffsetSolid
 from keepout.geometry.target import Target
 from keepout.progress import Progress, silent
 
-NODES = np.arange(-1, BLOCK + 2)
 _COARSEST_BLOCKS = 6
-_SUBDIVISION = np.zeros((STORED, 7))
-"""Coefficients of a half block of parent cells (nodes -1 to 5) to those of the child block (nodes -1 to 9)."""
-for _row, _node in enumerate(NODES):
-    _k = _node // 2
-    if _node % 2 == 0:
-        _SUBDIVISION[_row, _k : _k + 3] = (1 / 8, 6 / 8, 1 / 8)
-    else:
-        _SUBDIVISION[_row, _k + 1 : _k + 3] = (1 / 2, 1 / 2)
 
 
 def build_grid(
@@ -78,7 +70,10 @@ def build_grid(
         coefficients.append(values)
         progress(0.3 + 0.7 * (levels - level) / levels, f"level {level}: {len(blocks)} blocks of {h:g} m cells")
 
-    lengths = (domain.target_radius, domain.domain_radius, domain.outer_radius, spacing * 2 ** (levels - 1))
+    # The spline of spacing h over-states d by at most √(d² + h²) - d (docs/certificate.md), and from ρ_0 on d is at
+    # least `away`.
+    away, coarsest = domain.domain_radius - domain.target_radius, spacing * 2 ** (levels - 1)
+    lengths = (domain.target_radius, domain.domain_radius, domain.outer_radius, np.hypot(away, coarsest) - away)
     continuation = RadialContinuation(jnp.asarray(domain.centre), *(jnp.asarray(x, jnp.float64) for x in lengths))
     field = GridField(
         jnp.asarray(np.concatenate(coefficients).reshape(-1)),
@@ -111,13 +106,8 @@ def _children(
     keep[keep] = solid.signed_distance(centres[keep]) + reach > -h  # all of the block is deep inside otherwise
     blocks = blocks[keep]
     first = numbered - len(parents)
-    inherited = np.empty((len(blocks), STORED, STORED, STORED))
-    for i, block in enumerate(blocks):
-        parent = parents[table[tuple(block // 2)] - first]
-        low = 4 * (block % 2)
-        window = parent[low[0] : low[0] + 7, low[1] : low[1] + 7, low[2] : low[2] + 7].astype(np.float64)
-        inherited[i] = np.einsum("ai,bj,ck,ijk->abc", _SUBDIVISION, _SUBDIVISION, _SUBDIVISION, window, optimize=True)
-    return blocks, inherited
+    own_parents = parents[table[tuple((blocks // 2).T)] - first]
+    return blocks, inherited_coefficients(own_parents, blocks)
 
 
 def _coefficients(
@@ -143,24 +133,6 @@ def _coefficients(
     shape = (len(blocks), STORED, STORED, STORED)
     signed = signed[back].reshape(shape)
     if inherited is not None:
-        signed = np.where(_own(table, blocks), signed, inherited)
+        signed = np.where(own_nodes(table, blocks), signed, inherited)
     rounded = signed.astype(np.float32)
     return np.where(rounded > signed, np.nextafter(rounded, np.float32(-np.inf)), rounded)
-
-
-def _own(table: Int[np.ndarray, "a b c"], blocks: Int[np.ndarray, "m 3"]) -> Bool[np.ndarray, "m 11 11 11"]:
-    """Whether every cell that a node reaches lies in a stored block, so that the node may leave the coarser spline."""
-    stored = np.pad(table >= 0, 1)
-    offsets = [(-1, 0) if n <= 1 else (0,) if n <= 6 else (0, 1) for n in NODES]
-    own = np.ones((len(blocks), STORED, STORED, STORED), dtype=bool)
-    near = np.empty((len(blocks), 3, 3, 3), dtype=bool)
-    for i in range(3):
-        for j in range(3):
-            for k in range(3):
-                near[:, i, j, k] = stored[blocks[:, 0] + i, blocks[:, 1] + j, blocks[:, 2] + k]
-    for a, x in enumerate(offsets):
-        for b, y in enumerate(offsets):
-            for c, z in enumerate(offsets):
-                reached = near[:, np.array(x)[:, None, None] + 1, np.array(y)[:, None] + 1, np.array(z) + 1]
-                own[:, a, b, c] = reached.all(axis=(1, 2, 3))
-    return own

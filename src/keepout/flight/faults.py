@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 
+from keepout.control.law import Command, Condition, Law
 from keepout.errors import ScenarioError
 from keepout.fields.field import Field
 from keepout.flight.setup import Faults
@@ -202,7 +203,7 @@ def _kind(value: str | Int[Array, "*batch"]) -> Int[Array, "*batch"]:
     return jnp.asarray(KINDS.index(value))
 
 
-class BrokenLaw(eqx.Module):
+class BrokenLaw(Law):
     """A control law whose force is replaced by a hostile one; all else it reports stays the law's own.
 
     law: the law that works. kind: a name or an index of `KINDS`: "none" (the law's own force), "into the body" (full
@@ -216,7 +217,7 @@ class BrokenLaw(eqx.Module):
 
     """
 
-    law: Any
+    law: Law
     field: Field
     kind: Int[Array, ""] = eqx.field(converter=_kind)
     force_limit: Scalar = eqx.field(converter=_scalar)
@@ -231,7 +232,7 @@ class BrokenLaw(eqx.Module):
         return self.law.goal
 
     @property
-    def conditions(self) -> tuple[Any, ...]:
+    def conditions(self) -> tuple[Condition, ...]:
         """The working law's design conditions."""
         return self.law.conditions
 
@@ -246,7 +247,7 @@ class BrokenLaw(eqx.Module):
         """Tell the working law what was applied."""
         return self.law.with_applied_force(state[0], force), state[1], state[2]
 
-    def step(self, state: PyTree, estimate: MotionState) -> tuple[PyTree, Any]:
+    def step(self, state: PyTree, estimate: MotionState) -> tuple[PyTree, Command]:
         """Run the working law, and replace its force."""
         memory, key, count = state
         memory, order = self.law.step(memory, estimate)

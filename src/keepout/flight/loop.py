@@ -4,13 +4,12 @@ The order within a step is fixed: estimate, control law, guard, what of the comm
 motion.
 """
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree
 
+from keepout.control.law import Command
 from keepout.flight.setup import FlightSetup
 from keepout.motion.relative import MotionState
 
@@ -74,7 +73,7 @@ def memories(setup: FlightSetup, estimate: MotionState) -> tuple[PyTree, PyTree]
 
 def command(
     setup: FlightSetup, controller_state: PyTree, guard_state: PyTree, estimate: MotionState
-) -> tuple[PyTree, PyTree, Any, Float[Array, "3"], Int[Array, ""]]:
+) -> tuple[PyTree, PyTree, Command, Float[Array, "3"], Int[Array, ""]]:
     """Run the on-board part of a step: control law, then guard.
 
     Returns the new states of law and guard, the law's `Command`, the force after the guard (N, body axes) and the
@@ -84,10 +83,7 @@ def command(
     if setup.guard is None:
         return controller_state, guard_state, order, order.force, jnp.zeros((), jnp.int32)
     guard_state, force, status = setup.guard.filter(guard_state, estimate, order.force, order.disturbance_estimate)
-    # A law that models the force it commanded must know which one was given, or it takes the difference for a
-    # disturbance. A law without such a model need not offer this.
-    told = getattr(setup.controller, "with_applied_force", None)
-    controller_state = controller_state if told is None else told(controller_state, force)
+    controller_state = setup.controller.with_applied_force(controller_state, force)
     return controller_state, guard_state, order, force, jnp.asarray(status, jnp.int32)
 
 

@@ -6,7 +6,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from keepout.flight.loop import FlightLog
 from keepout.flight.setup import FlightSetup
-from keepout.guard.guard import mode
+from keepout.guard.safety_layer import mode
 
 STATUSES = 16
 """Status values 0 to 15 are counted apart; a status beyond counts as the last."""

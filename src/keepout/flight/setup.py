@@ -2,7 +2,6 @@
 
 import abc
 import math
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -10,8 +9,10 @@ import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
+from keepout.control.law import Law
 from keepout.errors import ScenarioError
 from keepout.fields.field import Field
+from keepout.guard.safety_layer import SafetyLayer
 from keepout.motion.actuator import Thrusters
 from keepout.motion.disturbance import Disturbance
 from keepout.motion.relative import MotionState, RelativeMotion
@@ -70,11 +71,18 @@ class NoFaults(Faults):
 class FlightSetup(eqx.Module):
     """Everything about a flight but its initial state, its length and its random key.
 
-    motion, disturbance, thrusters: the world. controller: has `initial_state(state)` and `step(controller_state,
-    estimate)`, as in docs/architecture.md. guard: has `initial_state(estimate)` and `filter(guard_state, estimate,
-    force, disturbance_estimate)`, or None. goal: (3,) m, body axes. mass: kg. period: control period, s. tolerance:
-    m; a flight has reached its goal when it stays closer than this until its end. field: logged along the true path
-    where given.
+    Attributes:
+        motion: the true motion.
+        disturbance: the force that nobody commanded.
+        thrusters: the true ones.
+        controller: the control law.
+        goal: (3,) m, body axes.
+        mass: the true one, kg.
+        period: control period, s.
+        guard: the layer between law and thrusters, or None.
+        faults: what stands between truth and law.
+        field: logged along the true path where given.
+        tolerance: m; a flight has reached its goal when it stays closer than this until its end.
 
     Raises:
         ScenarioError: a mass, period or tolerance that is not positive and finite, or a disturbance that jumps more
@@ -85,11 +93,11 @@ class FlightSetup(eqx.Module):
     motion: RelativeMotion
     disturbance: Disturbance
     thrusters: Thrusters
-    controller: Any
+    controller: Law
     goal: Vector = eqx.field(converter=_array)
     mass: Scalar = eqx.field(converter=_array)
     period: Scalar = eqx.field(converter=_array, default=1.0)
-    guard: Any | None = None
+    guard: SafetyLayer | None = None
     faults: Faults = eqx.field(default_factory=NoFaults)
     field: Field | None = None
     tolerance: Scalar = eqx.field(converter=_array, default=0.1)

@@ -3,16 +3,17 @@
 from pathlib import Path
 
 import numpy as np
-import trimesh
 from jaxtyping import Float, Int
 
 from keepout.errors import MeshError
+from keepout.geometry.mesh_files import READERS, MeshContents
+from keepout.geometry.mesh_files.contents import counted, text_lines
 from keepout.geometry.mesh_report import Surface, part_labels, stray_faces, weld, zero_area
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
-_DECLARED = {"meter": "m", "centimeter": "cm", "millimeter": "mm", "inch": "in", "foot": "ft", "feet": "ft"}
-MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".stl", ".ply", ".off", ".3mf")
-CLOUD_SUFFIXES = (".ply", ".xyz", ".npy")
+_DECLARED = {"micron": 1e-6, "millimeter": 0.001, "centimeter": 0.01, "meter": 1.0, "inch": 0.0254, "foot": 0.3048}
+"""Metres in the units that a 3MF file can declare."""
+_POINT_SUFFIXES = (".xyz", ".npy")
 SMALLEST, LARGEST = 0.5, 500.0
 """Metres: a target outside this range without units is questioned."""
 _LIMIT = 1e6
@@ -29,19 +30,18 @@ def read_surface(
 
     """
     _check_file(path)
-    if path.suffix.lower() in (".xyz", ".npy"):
-        vertices, faces, declared = _read_points(path), np.zeros((0, 3), dtype=np.int64), None
-    else:
-        vertices, faces, declared = _read_scene(path)
-    factor, actions = _scale(path, units, scale, declared)
+    contents = _read_points(path) if path.suffix.lower() in _POINT_SUFFIXES else _read_mesh(path)
+    vertices, faces = contents.vertices, contents.faces
+    factor, actions = _scale(path, units, scale, contents.unit)
+    actions += contents.actions
     cloud = len(faces) == 0
     if cloud:
         if thickness is not None and not 0.0 < thickness < LARGEST:
             raise MeshError(f"{path.name}: thickness = {thickness}; it must be positive, in metres")
         if thickness is None:
             raise MeshError(
-                f"{path.name}: {len(vertices)} points and no triangles; give thickness, the diameter in metres of the "
-                "ball that each point stands for"
+                f"{path.name}: {len(vertices)} points and no triangles{_aside(contents)}; give thickness, the diameter "
+                "in metres of the ball that each point stands for"
             )
         faces = np.repeat(np.arange(len(vertices))[:, None], 3, axis=1)
     elif thickness is not None:
@@ -62,6 +62,9 @@ def read_surface(
         )
     if cloud:
         return Surface(vertices, faces, 0.5 * float(thickness or 0.0), tuple(actions))
+    unused = len(vertices) - len(np.unique(faces))
+    if unused:
+        actions.append(f"left out {counted(unused, 'point')} that no triangle uses")
     faces = _clean(path, vertices, faces, drop_stray, actions)
     kept, faces = np.unique(faces, return_inverse=True)
     return Surface(vertices[kept], faces.reshape(-1, 3).astype(np.int64), 0.0, tuple(actions))
@@ -72,43 +75,51 @@ def _check_file(path: Path) -> None:
         raise MeshError(f"{path}: no such file, and no built-in target of that name")
     if path.is_dir():
         raise MeshError(f"{path}: a directory; give one mesh file")
-    known = sorted({*MESH_SUFFIXES, *CLOUD_SUFFIXES})
+    known = sorted({*READERS, *_POINT_SUFFIXES})
     if path.suffix.lower() not in known:
         raise MeshError(f"{path.name}: suffix {path.suffix!r} is unknown; meshes come as {', '.join(known)}")
     if path.stat().st_size == 0:
         raise MeshError(f"{path.name}: the file is empty")
 
 
-def _read_points(path: Path) -> Float[np.ndarray, "v 3"]:
+def _read_points(path: Path) -> MeshContents:
+    actions = []
     try:
-        points = np.load(path, allow_pickle=False) if path.suffix.lower() == ".npy" else np.loadtxt(path, ndmin=2)
+        if path.suffix.lower() == ".npy":
+            points = np.load(path, allow_pickle=False)
+        else:
+            lines, actions = text_lines(path)
+            points = np.loadtxt(lines, ndmin=2)
     except Exception as cause:  # both readers raise many kinds on foreign content
         raise MeshError(f"{path.name}: not readable as points: {_one_line(cause)}") from cause
-    if points.ndim != 2 or points.shape[1] < 3 or len(points) == 0 or not np.issubdtype(points.dtype, np.number):
-        raise MeshError(f"{path.name}: an array of shape {points.shape}; points need rows of at least three numbers")
-    return np.ascontiguousarray(points[:, :3], dtype=np.float64)
+    real = np.issubdtype(points.dtype, np.number) and not np.issubdtype(points.dtype, np.complexfloating)
+    if points.ndim != 2 or points.shape[1] < 3 or len(points) == 0 or not real:
+        raise MeshError(
+            f"{path.name}: an array of {points.dtype} of shape {points.shape}; points need rows of at least three "
+            "numbers"
+        )
+    if points.shape[1] > 3:
+        actions = [*actions, f"took the first three of {points.shape[1]} columns"]
+    return MeshContents(
+        np.ascontiguousarray(points[:, :3], dtype=np.float64), np.zeros((0, 3), dtype=np.int64), tuple(actions)
+    )
 
 
-def _read_scene(path: Path) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"], str | None]:
-    """Read all meshes of a file, placed by their transforms, or else all points; and the units it declares."""
+def _read_mesh(path: Path) -> MeshContents:
+    """Read a mesh file with its format's reader; whatever that meets in a damaged file is one line."""
+    kind = f"{path.name}: not readable as {path.suffix[1:].upper()}"
     try:
-        scene = trimesh.load_scene(path, process=False)
-        placed = scene.dump()
-    except Exception as cause:  # trimesh's readers raise many kinds on foreign content
-        raise MeshError(f"{path.name}: not readable as {path.suffix[1:].upper()}: {_one_line(cause)}") from cause
-    vertices, faces, points, count = [], [], [], 0
-    for geometry in placed:
-        if isinstance(geometry, trimesh.Trimesh) and len(geometry.faces):
-            vertices.append(np.asarray(geometry.vertices, dtype=np.float64))
-            faces.append(np.asarray(geometry.faces, dtype=np.int64) + count)
-            count += len(geometry.vertices)
-        elif isinstance(geometry, trimesh.Trimesh | trimesh.PointCloud) and len(geometry.vertices):
-            points.append(np.asarray(geometry.vertices, dtype=np.float64))
-    if faces:
-        return np.concatenate(vertices), np.concatenate(faces), scene.units
-    if points:
-        return np.concatenate(points), np.zeros((0, 3), dtype=np.int64), scene.units
-    raise MeshError(f"{path.name}: no triangles and no points in it; export the geometry itself, not references to it")
+        contents = READERS[path.suffix.lower()](path)
+    except MeshError as refusal:
+        raise MeshError(f"{kind}: {' '.join(str(refusal).split())}") from refusal
+    except Exception as cause:  # a damaged tree or archive can miss anything anywhere
+        raise MeshError(f"{kind}: {type(cause).__name__}: {_one_line(cause)}") from cause
+    if len(contents.vertices) == 0:
+        raise MeshError(
+            f"{path.name}: no triangles and no points in it{_aside(contents)}; export the geometry itself, not "
+            "references to it"
+        )
+    return contents
 
 
 def _scale(path: Path, units: str | None, scale: float | None, declared: str | None) -> tuple[float, list[str]]:
@@ -119,9 +130,12 @@ def _scale(path: Path, units: str | None, scale: float | None, declared: str | N
         if not (np.isfinite(scale) and scale > 0.0):
             raise MeshError(f"{path.name}: scale = {scale}; it must be a positive number of metres a file unit")
         return float(scale), [f"scaled by {scale}"]
-    if units is None:
-        units = _DECLARED.get((declared or "").removesuffix("s"), "m")
-        return UNITS[units], [] if units == "m" else [f"converted from {units}, the unit that the file declares"]
+    if units is None and declared is not None:
+        if declared not in _DECLARED:
+            raise MeshError(f"{path.name}: declares the unit {declared[:40]!r}; valid are {', '.join(_DECLARED)}")
+        said = [] if declared == "meter" else [f"converted from {declared}, the unit that the file declares"]
+        return _DECLARED[declared], said
+    units = units or "m"
     if units not in UNITS:
         raise MeshError(f"{path.name}: units = {units!r}; valid are {', '.join(UNITS)}")
     return UNITS[units], [] if units == "m" else [f"converted from {units}"]
@@ -146,6 +160,11 @@ def _clean(
             actions.append(f"left out {len(np.unique(part[stray]))} stray parts, {int(stray.sum())} triangles")
             faces = faces[~stray]
     return faces
+
+
+def _aside(contents: MeshContents) -> str:
+    """Repeat what the reader said, for a refusal that may be due to it."""
+    return f" ({'; '.join(contents.actions)})" if contents.actions else ""
 
 
 def _one_line(cause: Exception) -> str:

@@ -29,7 +29,8 @@ class GuardAssumptions:
     the body frame's rotation. gravity_gradient: bound on the gradient of differential gravity, 1/s². range_limit (m),
     speed_limit (m/s): the region in which the drift is bounded. position_error (m), velocity_error (m/s): largest
     norms of the estimate's error. mass_error, gain_error: largest relative errors of the mass and of each thruster's
-    force. delay: control steps between a command and its effect.
+    force. delay: control steps between a command and its effect. origin_offset: from the body frame's origin, from
+    which positions are told, to the target's centre of mass, about which the frame turns, m.
 
     Raises:
         ControlError: a number that is not finite or outside its range.
@@ -50,6 +51,7 @@ class GuardAssumptions:
     mass_error: float = 0.0
     gain_error: float = 0.0
     delay: int = 0
+    origin_offset: float = 0.0
 
     def __post_init__(self) -> None:
         """Check each number against its range."""
@@ -71,6 +73,7 @@ class GuardAssumptions:
             ("position_error", "m"),
             ("velocity_error", "m/s"),
             ("gain_error", ""),
+            ("origin_offset", "m"),
         ):
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0.0):
@@ -87,9 +90,12 @@ class GuardAssumptions:
 
     @property
     def drift(self) -> float:
-        """Bound on the drift |2ω×v + ω̇×r + ω×(ω×r) + Δg| inside the range and speed limits, m/s²."""
+        """Bound on the drift |2ω×v + ω̇×r + ω×(ω×r) + Δg| inside the range and speed limits, m/s².
+
+        There r is from the centre of mass, which is up to `origin_offset` further away than the origin.
+        """
         kappa = self.angular_acceleration + self.angular_rate**2 + self.gravity_gradient
-        return 2.0 * self.angular_rate * self.speed_limit + kappa * self.range_limit
+        return 2.0 * self.angular_rate * self.speed_limit + kappa * (self.range_limit + self.origin_offset)
 
     @property
     def disturbance(self) -> float:
@@ -148,7 +154,7 @@ def design(assumptions: GuardAssumptions) -> BrakingDesign:
         raise ControlError(
             f"guard: disturbance, drift and errors ask for {needed * assumptions.mass:.4g} N in feedback alone, and "
             f"force_limit is {assumptions.force_limit:.4g} N; lower disturbance_force, the rates, range_limit, "
-            f"speed_limit or the errors, or raise force_limit"
+            f"speed_limit, the delay ({assumptions.delay} steps) or the errors, or raise force_limit"
         )
     return best
 
@@ -169,7 +175,8 @@ def radii(assumptions: GuardAssumptions, first_pole: float, second_pole: float) 
     errors = np.array([assumptions.position_error, assumptions.velocity_error])
     # The estimate's error reaches the thrusters through K Φⁿ, once a step.
     noise = float(np.abs(K @ ahead) @ errors)
-    start = powers @ np.linalg.matrix_power(step, n + 1)
+    # A candidate's plan is one step older when it is first followed than the plan that a flight starts with.
+    start = np.concatenate([powers @ np.linalg.matrix_power(step, n + 1), powers @ ahead])
     free = np.stack([np.linalg.matrix_power(step, m) for m in range(n)]) if n else np.zeros((0, 2, 2))
     response = np.concatenate([free, powers @ ahead])
 

@@ -21,7 +21,7 @@ from keepout.geometry.target import Target
 from keepout.progress import Progress, silent
 from keepout.proof.grid import certify_grid
 
-_RECIPE = 1
+_RECIPE = 2
 """To be raised when offset solid or grid build would make another field of the same numbers."""
 
 

@@ -19,13 +19,16 @@ from keepout.compiled.on_demand import where_needed
 from keepout.errors import ControlError
 from keepout.fields.evaluate import values
 from keepout.fields.field import Field
+from keepout.guard import watch
 from keepout.guard.braking import BrakingDesign, GuardAssumptions, design
+from keepout.guard.safety_layer import SafetyLayer
 from keepout.motion.relative import MotionState
 
 Vector = Float[Array, "3"]
 
-WATCHED = 32
-"""Steps over which velocity that no command explains is added up, before the sum is begun anew."""
+
+_ROUNDING = 1e-9
+"""Metres: far more than float64 loses between two evaluations of the same field value."""
 
 
 class GuardStatus(IntEnum):
@@ -60,11 +63,6 @@ class GuardFlag(IntFlag):
     """The estimate held a number that is not finite; the plan was followed blind."""
 
 
-def mode(status: Int[Array, "*batch"]) -> Int[Array, "*batch"]:
-    """Give the `GuardStatus` part of a status."""
-    return status & 3
-
-
 def flag_names(flags: int) -> tuple[str, ...]:
     """Name the `GuardFlag` bits of a status, or of several joined by `|`."""
     return tuple(flag.name.lower() for flag in GuardFlag if flag & flags and flag.name is not None)
@@ -75,8 +73,8 @@ class GuardState(eqx.Module):
 
     plan_position (m), plan_velocity (m/s): the nominal braking motion when the next command takes effect. certified:
     whether that motion's tube is known to be free. pending (m/s²): commands not yet in effect, the oldest first.
-    expected_position, expected_velocity: the next estimate, were there no disturbance. unexplained (m/s): the sum of
-    the velocity changes that no command accounts for, over the `counted` steps since it was last begun anew.
+    expected_position, expected_velocity: the next estimate, were there no disturbance. unexplained (m/s), counted: the
+    memory of `watch`.
     """
 
     plan_position: Vector
@@ -85,17 +83,19 @@ class GuardState(eqx.Module):
     pending: Float[Array, "delay 3"]
     expected_position: Vector
     expected_velocity: Vector
-    unexplained: Vector
+    unexplained: Float[Array, "windows 3"]
     counted: Int[Array, ""]
 
 
-class Guard(eqx.Module):
+class Guard(SafetyLayer):
     """Accepts or replaces commanded forces; see docs/guard.md for what it proves.
 
     field: a lower bound on clearance in the sense of its certificate. threshold: e_h + chaser radius, m: no contact
-    while field > threshold along the path. lipschitz: bound on the field's gradient. samples: parts into which the
+    while field > threshold along the path. lipschitz, evaluation_error: a function with gradient bound `lipschitz` is
+    within `evaluation_error`, m, of the field everywhere; 0 for a field in closed form. samples: parts into which the
     stop segment is cut, where its ends alone do not decide; with the start and the steps of delay at most 20 field
-    values a step, and only one of them far from the target. escape_speed: m/s, of the way out of the margin.
+    values a step, and only one of them far from the target; unset: 15, or what the delay leaves of them. escape_speed:
+    m/s, of the way out of the margin.
 
     Raises:
         ControlError: a number out of range, more than 20 field values, or thrusters too weak for the assumptions.
@@ -106,9 +106,11 @@ class Guard(eqx.Module):
     threshold: float = eqx.field(static=True)
     lipschitz: float = eqx.field(static=True)
     assumptions: GuardAssumptions = eqx.field(static=True)
-    samples: int = eqx.field(static=True, default=15)
+    samples: int | None = eqx.field(static=True, default=None)
     escape_speed: float = eqx.field(static=True, default=0.02)
+    evaluation_error: float = eqx.field(static=True, default=0.0)
     braking: BrakingDesign = eqx.field(static=True, init=False)
+    parts: int = eqx.field(static=True, init=False)
 
     def __post_init__(self) -> None:
         """Design the braking law."""
@@ -116,37 +118,43 @@ class Guard(eqx.Module):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0.0):
                 raise ControlError(f"guard: {name} is {value}; it must be finite and greater than 0")
-        values = self.samples + self.assumptions.delay + 2
-        if self.samples < 1 or values > 20:
+        if not (math.isfinite(self.evaluation_error) and self.evaluation_error >= 0.0):
+            raise ControlError(
+                f"guard: evaluation_error is {self.evaluation_error} m; it must be finite and at least 0"
+            )
+        most = 18 - self.assumptions.delay
+        self.parts = min(15, most) if self.samples is None else self.samples
+        if not 1 <= self.parts <= most:
             raise ControlError(
                 f"guard: samples is {self.samples}; with a delay of {self.assumptions.delay} steps it must be "
-                f"from 1 to {18 - self.assumptions.delay}"
+                f"from 1 to {most}"
             )
         self.braking = design(self.assumptions)
 
     @property
     def least_value(self) -> float:
-        """Field value, in metres, below which no plan is ever certified: threshold plus the tube's radius."""
-        return self.threshold + self.lipschitz * self.braking.position_radius
+        """Field value, in metres, below which no plan is ever certified: threshold plus the tube's radius.
+
+        With f* the function within j = `evaluation_error` of the field f̃ whose gradient is at most L: contact needs
+        f* ≤ threshold + j, and f̃ at a point says no more than f* ≥ f̃ - j there; so 2j is added once, whatever follows
+        from f* by L.
+        """
+        return self.threshold + self.lipschitz * self.braking.position_radius + 2.0 * self.evaluation_error
 
     def initial_state(self, estimate: MotionState) -> GuardState:
         """Give the memory before the first step: the plan is to brake at once, certified if that is free."""
-        return self._start(estimate.position, estimate.velocity)
-
-    def _start(self, position: Vector, velocity: Vector) -> GuardState:
         pending = jnp.zeros((self.assumptions.delay, 3))
-        path, ahead, moving = self._predict(position, velocity, pending)
-        value = self.field.value(position)
-        free = self._free(position, value, path[1:-1], ahead, moving, jnp.asarray(True))
+        path, velocities = self._predict(estimate.position, estimate.velocity, pending)
+        unexplained, counted = watch.begin(self.assumptions)
         return GuardState(
-            plan_position=ahead,
-            plan_velocity=moving,
-            certified=free,
+            plan_position=path[-1],
+            plan_velocity=velocities[-1],
+            certified=self.certified(estimate),
             pending=pending,
-            expected_position=position,
-            expected_velocity=velocity,
-            unexplained=jnp.zeros(3),
-            counted=jnp.zeros((), jnp.int32),
+            expected_position=estimate.position,
+            expected_velocity=estimate.velocity,
+            unexplained=unexplained,
+            counted=counted,
         )
 
     def filter(
@@ -162,7 +170,8 @@ class Guard(eqx.Module):
         told = jnp.all(jnp.isfinite(estimate.position)) & jnp.all(jnp.isfinite(estimate.velocity))
         position = jnp.where(told, estimate.position, guard_state.expected_position)
         velocity = jnp.where(told, estimate.velocity, guard_state.expected_velocity)
-        path, ahead, moving = self._predict(position, velocity, guard_state.pending)
+        path, velocities = self._predict(position, velocity, guard_state.pending)
+        ahead, moving = path[-1], velocities[-1]
         here = self.field.value(position)
 
         drifted = ahead - guard_state.plan_position
@@ -174,7 +183,9 @@ class Guard(eqx.Module):
         next_position = ahead + T * moving + 0.5 * T**2 * candidate
         next_velocity = moving + T * candidate
         usable = (finite | ~planned) & told
-        accepted = usable & self._free(position, here, path[1:], next_position, next_velocity, usable)
+        ahead_path = jnp.concatenate([path[1:], next_position[None]])
+        velocities = jnp.concatenate([velocities, next_velocity[None]])
+        accepted = usable & self._free(position, here, ahead_path, velocities, usable)
 
         brake, rest = self._brake(guard_state.plan_velocity)
         feedback = self.braking.position_gain * drifted + self.braking.velocity_gain * (
@@ -183,9 +194,13 @@ class Guard(eqx.Module):
         followed = brake - jnp.where(told, feedback, 0.0)
         follow = (planned | (guard_state.certified & ~told)) & ~accepted
         chosen = jnp.where(follow, jnp.clip(followed, -a.authority, a.authority), candidate)
-        begun = guard_state.counted < WATCHED
-        counted = jnp.where(begun, guard_state.counted, 0) + 1
-        unexplained = jnp.where(begun, guard_state.unexplained, 0.0) + velocity - guard_state.expected_velocity
+        unexplained, counted, jumped = watch.watch(
+            a,
+            guard_state.unexplained,
+            guard_state.counted,
+            position - guard_state.expected_position,
+            velocity - guard_state.expected_velocity,
+        )
         new = GuardState(
             plan_position=jnp.where(
                 follow, guard_state.plan_position + T * guard_state.plan_velocity + 0.5 * T**2 * brake, next_position
@@ -204,11 +219,7 @@ class Guard(eqx.Module):
             jnp.where(follow, jnp.where(rest, GuardStatus.HOLDING, GuardStatus.BRAKING), GuardStatus.ESCAPING),
         )
         flags = (
-            jnp.where(
-                self._jumped(guard_state, position, velocity) | self._pushed(unexplained, counted),
-                GuardFlag.STATE_JUMP,
-                0,
-            )
+            jnp.where(jumped, GuardFlag.STATE_JUMP, 0)
             + jnp.where(self._too_strong(disturbance_estimate), GuardFlag.DISTURBANCE, 0)
             + jnp.where(here > self.threshold, 0, GuardFlag.FIELD)
             + jnp.where(self._outside_region(position, velocity), GuardFlag.REGION, 0)
@@ -218,14 +229,35 @@ class Guard(eqx.Module):
         )
         return new, a.mass * chosen, (done + flags).astype(jnp.int32)
 
-    def certified(self, state: MotionState) -> Bool[Array, ""]:
-        """Whether braking at once from this estimate is certified free: then a guarded flight can start here."""
-        return self._start(state.position, state.velocity).certified
+    def certified(self, estimate: MotionState) -> Bool[Array, ""]:
+        """Whether braking at once from this estimate is certified free: then a guarded flight can start from it."""
+        return self._braking_free(estimate, jnp.zeros(()), 0.0)
+
+    def certified_start(self, truth: MotionState) -> Bool[Array, ""]:
+        """Whether a true state is `certified` by every estimate of it that the assumed errors allow.
+
+        Sufficient, not necessary: an estimate moves each point of the braking path by at most δ (docs/guard.md, section
+        4), so the true path is asked for L δ more of the field, δ more of the range, ε_v more of the speed limit.
+        """
+        a = self.assumptions
+        fastest = jnp.linalg.norm(truth.velocity) + a.velocity_error
+        longer = a.delay * a.period + fastest / self.braking.deceleration + 0.5 * a.period
+        # What the field's joints lose between two values is as much as some way more.
+        joints = 2.0 * self.evaluation_error / self.lipschitz
+        moved = a.position_error + longer * a.velocity_error + joints + _ROUNDING
+        return self._braking_free(truth, moved, a.velocity_error)
+
+    def _braking_free(self, state: MotionState, moved: Float[Array, ""], faster: float) -> Bool[Array, ""]:
+        pending = jnp.zeros((self.assumptions.delay, 3))
+        path, velocities = self._predict(state.position, state.velocity, pending)
+        value = self.field.value(state.position)
+        points = path[1:] if self.assumptions.delay else path
+        return self._free(state.position, value, points, velocities, jnp.asarray(True), moved, faster)
 
     def require(self, start: MotionState, goal: Vector) -> bool:
-        """Refuse what cannot be flown; return whether the start is certified. Needs concrete values.
+        """Refuse what cannot be flown; return `certified_start` of the true start. Needs concrete values.
 
-        A start that is not certified is flown, but in mode `ESCAPING` until a braking plan is.
+        A start that is not certified is flown; where its estimate is not either, in mode `ESCAPING` until a plan is.
 
         Raises:
             ControlError: a start that is not finite, beyond the range limit or at or below the field's zero, or a goal
@@ -250,7 +282,7 @@ class Guard(eqx.Module):
                 f"guard: the field is {value:.3f} m at the goal; the guard lets the chaser rest only above "
                 f"{self.least_value:.3f} m (threshold {self.threshold:.3f} m and tube)"
             )
-        return bool(eqx.filter_jit(lambda guard, state: guard.certified(state))(self, start))
+        return bool(eqx.filter_jit(lambda guard, state: guard.certified_start(state))(self, start))
 
     @property
     def _plan_radius(self) -> float:
@@ -261,15 +293,16 @@ class Guard(eqx.Module):
 
     def _predict(
         self, position: Vector, velocity: Vector, pending: Float[Array, "delay 3"]
-    ) -> tuple[Float[Array, "points 3"], Vector, Vector]:
-        """Positions now and after each pending command, and the state when the next command takes effect."""
+    ) -> tuple[Float[Array, "points 3"], Float[Array, "points 3"]]:
+        """Positions and velocities now and after each pending command; the next command takes effect at the last."""
         T = self.assumptions.period
-        points = [position]
+        points, velocities = [position], [velocity]
         for i in range(self.assumptions.delay):
             position = position + T * velocity + 0.5 * T**2 * pending[i]
             velocity = velocity + T * pending[i]
             points.append(position)
-        return jnp.stack(points), position, velocity
+            velocities.append(velocity)
+        return jnp.stack(points), jnp.stack(velocities)
 
     def _in_effect(self, guard_state: GuardState, chosen: Vector) -> Vector:
         return guard_state.pending[0] if self.assumptions.delay else chosen
@@ -282,37 +315,38 @@ class Guard(eqx.Module):
         length = (speed**2 - rest**2) / (2.0 * a_b) + 0.5 * rest * T
         return velocity * (length / jnp.maximum(speed, 1e-12))
 
-    def _slow(self, velocity: Vector) -> Bool[Array, ""]:
-        """Whether motion from this nominal velocity keeps the speed limit, within which the drift is bounded."""
-        return jnp.linalg.norm(velocity) + self.braking.velocity_radius <= self.assumptions.speed_limit
-
     def _free(
         self,
         position: Vector,
         value: Float[Array, ""],
-        between: Float[Array, "delay 3"],
-        end: Vector,
-        velocity: Vector,
+        points: Float[Array, "points 3"],
+        velocities: Float[Array, "states 3"],
         wanted: Bool[Array, ""],
+        moved: float | Float[Array, ""] = 0.0,
+        faster: float = 0.0,
     ) -> Bool[Array, ""]:
         """Whether the tube around a path and the nominal braking from its end is free, within range and slow enough.
 
-        The path leads from `position`, where the field is `value`, over the points `between` to `end`, where the
-        nominal velocity is `velocity`. A step under a constant force is within its sagitta T² √3 A/8 of its chord; ρ
-        is added around everything. Where it is not `wanted`, the answer may be a mere no.
+        The path leads from `position`, where the field is `value`, over `points`; `velocities` are the nominal ones
+        from now to its end. A step under a constant force is within its sagitta T² √3 A/8 of its chord; ρ is added
+        around everything. Where it is not `wanted`, the answer may be a mere no. With `moved` (m) and `faster` (m/s)
+        the answer holds for a path whose points are that far off, and its velocities too.
 
         Three tests, each for what the one before leaves open: from `value` alone, as no point is further away than the
         path's furthest corner; from the corners' values; from points along the stop segment.
         """
         a = self.assumptions
-        rest = end + self._stop(velocity)
-        corners = jnp.concatenate([between, end[None], rest[None]])
+        rest = points[-1] + self._stop(velocities[-1])
+        corners = jnp.concatenate([points, rest[None]])
         sagitta = 3.0**0.5 * a.authority * a.period**2 / 8.0
-        least = self.least_value + self.lipschitz * sagitta
+        least = self.least_value + self.lipschitz * (sagitta + moved)
         # Both norms are convex, so that a polyline's largest is a corner's.
         furthest = jnp.max(jnp.linalg.norm(corners - position, axis=-1))
         range_ = jnp.maximum(jnp.max(jnp.linalg.norm(corners, axis=-1)), jnp.linalg.norm(position))
-        kept = self._slow(velocity) & (range_ + sagitta + self.braking.position_radius <= a.range_limit)
+        # Until the path's end the commands under way may leave a speed above the limit that its end keeps.
+        fastest = jnp.max(jnp.linalg.norm(velocities, axis=-1)) + self.braking.velocity_radius + faster
+        within = range_ + sagitta + self.braking.position_radius + moved <= a.range_limit
+        kept = (fastest <= a.speed_limit) & within
         far = value - self.lipschitz * furthest > least
         arrays, still = eqx.partition(self.field, eqx.is_array)
 
@@ -325,7 +359,7 @@ class Guard(eqx.Module):
 
         def along(arrays: Field, ends: Float[Array, "2 3"], values: Float[Array, "2"]) -> Bool[Array, ""]:
             field = eqx.combine(arrays, still)
-            points = ends[0] + jnp.linspace(0.0, 1.0, self.samples + 1)[:, None] * (ends[1] - ends[0])
+            points = ends[0] + jnp.linspace(0.0, 1.0, self.parts + 1)[:, None] * (ends[1] - ends[0])
             inside = field.value(points[1:-1])
             return jnp.all(self._lowest(points, jnp.concatenate([values[:1], inside, values[1:]])) > least)
 
@@ -365,24 +399,6 @@ class Guard(eqx.Module):
         direction = away / jnp.maximum(jnp.linalg.norm(away), 1e-9)
         wanted = (jnp.where(jnp.isfinite(direction), direction, 0.0) * self.escape_speed - velocity) / a.period
         return wanted * jnp.minimum(1.0, a.authority / jnp.maximum(jnp.linalg.norm(wanted), 1e-12))
-
-    def _jumped(self, guard_state: GuardState, position: Vector, velocity: Vector) -> Bool[Array, ""]:
-        a, T = self.assumptions, self.assumptions.period
-        kick = a.disturbance * T + 2.0 * a.velocity_error
-        shift = 0.5 * a.disturbance * T**2 + 2.0 * a.position_error + T * a.velocity_error
-        moved = jnp.linalg.norm(position - guard_state.expected_position) > shift * (1.0 + 1e-6) + 1e-9
-        changed = jnp.linalg.norm(velocity - guard_state.expected_velocity) > kick * (1.0 + 1e-6) + 1e-9
-        return moved | changed
-
-    def _pushed(self, unexplained: Vector, counted: Int[Array, ""]) -> Bool[Array, ""]:
-        """Whether the velocity gained over several steps is more than the disturbance bound allows.
-
-        The steps' estimate errors cancel but for the first and the last, so that what `_jumped` cannot tell from them
-        is seen here, the sooner the larger it is.
-        """
-        a = self.assumptions
-        allowed = a.disturbance * a.period * counted + 2.0 * a.velocity_error
-        return jnp.linalg.norm(unexplained) > allowed * (1.0 + 1e-6) + 1e-9
 
     def _too_strong(self, disturbance_estimate: Vector) -> Bool[Array, ""]:
         a = self.assumptions

@@ -1,7 +1,6 @@
 """A scenario made flyable: load its target and field, build its law and its guard."""
 
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +8,20 @@ import jax.numpy as jnp
 import numpy as np
 
 from keepout.control import profiles
+from keepout.control.circulation import (
+    CirculationLaw,
+    NoCirculation,
+    SwitchingCirculation,
+    printed_circulation,
+    skew_circulation,
+)
 from keepout.control.controller import Controller
 from keepout.control.delay import AheadOfDelay
+from keepout.control.guidance.guidance import Guidance
+from keepout.control.guidance.plan import Componentwise, Geodesic, GuidancePlan, Straight
+from keepout.control.law import Law
+from keepout.control.observer import NoObserver, Observer, constant_observer, harmonic_observer, printed_observer
+from keepout.control.operation import Operation
 from keepout.errors import ControlError, FieldError, KeepOutZoneError, ScenarioError
 from keepout.fields.evaluate import values
 from keepout.fields.model import Certificate, FieldModel
@@ -22,8 +33,9 @@ from keepout.geometry.target import Target
 from keepout.guard.field import guard_field
 from keepout.guard.guard import Guard
 from keepout.mission import environment
+from keepout.mission.assumptions import broken_assumptions
 from keepout.mission.scenario import Scenario, TargetEntry
-from keepout.motion import MotionState, RelativeMotion
+from keepout.motion import MotionState
 from keepout.progress import Progress, part_of, silent
 
 _MISSED_ROOM = 0.2
@@ -34,7 +46,9 @@ _MISSED_ROOM = 0.2
 class Mission:
     """Everything a scenario needs to be flown: target, field with its certificate, setup and initial state.
 
-    `start_certified`: whether the guard's theorem holds from the start; None without a guard.
+    `start_certified`: whether the guard's theorem holds from the start, whichever estimate of it within the errors the
+    guard is told, and no assumption is broken; None without a guard. `assumptions_broken`: what the scenario flies
+    beyond what it declares, each with its numbers.
     """
 
     scenario: Scenario
@@ -44,6 +58,13 @@ class Mission:
     setup: FlightSetup
     initial: MotionState
     start_certified: bool | None
+    assumptions_broken: tuple[str, ...] = ()
+
+    @property
+    def guard(self) -> Guard | None:
+        """The guard that flies along."""
+        guard = self.setup.guard
+        return guard if isinstance(guard, Guard) else None
 
     @property
     def steps(self) -> int:
@@ -111,20 +132,26 @@ def prepare(
     _refuse_contact(scenario, target)
     motion = environment.relative_motion(scenario)
     try:
-        controller = _controller(scenario, model, certificate, motion, part_of(progress, 0.0, 0.6))
+        law = _law_or_way_out(scenario, model, part_of(progress, 0.0, 0.6))
     except KeepOutZoneError as refusal:
         why = _missed_room(refusal.place, scenario, target, model, progress)
         raise KeepOutZoneError(f"{refusal}{why}", refusal.place) from None
     initial = motion.initial_state(np.asarray(scenario.start.position), np.asarray(scenario.start.velocity))
-    guard, start_certified = None, None
+    guard, start_certified, broken = None, None, broken_assumptions(scenario)
     if scenario.guard.enabled:
-        guard = _guard(scenario, target, model, part_of(progress, 0.6, 1.0))
-        start_certified = guard.require(initial, jnp.asarray(scenario.goal.position))
+        guard = build_guard(
+            scenario,
+            target,
+            offset=model.offset,
+            closing_radius=_closing_radius(model),
+            progress=part_of(progress, 0.6, 1.0),
+        )
+        start_certified = guard.require(initial, jnp.asarray(scenario.goal.position)) and not broken
     setup = FlightSetup(
         motion=motion,
         disturbance=environment.disturbance(scenario),
-        thrusters=environment.thrusters(scenario),
-        controller=_flown_law(scenario, controller, model, motion),
+        thrusters=environment.chaser(scenario).thrusters,
+        controller=flown_law(scenario, law, model),
         goal=scenario.goal.position,
         mass=scenario.chaser.mass,
         period=scenario.control.period,
@@ -133,7 +160,7 @@ def prepare(
         field=model.field,
         tolerance=scenario.goal.tolerance,
     )
-    return Mission(scenario, target, model, certificate, setup, initial, start_certified)
+    return Mission(scenario, target, model, certificate, setup, initial, start_certified, broken)
 
 
 def _refuse_contact(scenario: Scenario, target: Target) -> None:
@@ -164,53 +191,122 @@ def _missed_room(name: str, scenario: Scenario, target: Target, model: FieldMode
     )
 
 
-def _controller(
-    scenario: Scenario, model: FieldModel, certificate: Certificate, motion: RelativeMotion, progress: Progress
-) -> Controller:
-    """Build the scenario's law; entries left unset keep the profile's own.
+def operation(scenario: Scenario, model: FieldModel) -> Operation:
+    """Gather the numbers that a scenario's law is designed for.
 
-    A start inside the law's keep-out zone is refused, unless a guard flies along: it leads the way out first.
+    Raises:
+        FieldError: the model has no certificate for the chaser's radius.
+        ScenarioError: the thrusters cannot hold against the disturbance.
+
     """
-    control, chaser = scenario.control, scenario.chaser
-    chosen = {
-        name: value
-        for name in ("guidance", "spacing", "circulation", "observer")
-        if (value := getattr(control, name)) is not None
-    }
-    build = partial(
-        {"default": profiles.default, "paper": profiles.paper}[control.profile],
-        model.field,
-        error_bound=certificate.error_bound,
-        chaser_radius=chaser.radius,
-        margin=scenario.safety.margin,
-        goal=np.asarray(scenario.goal.position),
-        motion=motion,
-        mass=chaser.mass,
-        force_limit=chaser.force_limit,
-        speed_limit=chaser.speed_limit,
-        period=control.period,
+    return Operation(
+        chaser=environment.chaser(scenario),
+        motion=environment.relative_motion(scenario),
+        error_bound=model.certificate(scenario.chaser.radius).error_bound,
         disturbance_bound=environment.disturbance_bound(scenario),
+        margin=scenario.safety.margin,
+        period=scenario.control.period,
+    )
+
+
+def build_law(
+    scenario: Scenario,
+    model: FieldModel,
+    *,
+    guidance: Guidance | GuidancePlan | None = None,
+    from_start: bool = True,
+    progress: Progress = silent,
+    **chosen: Any,
+) -> Controller:
+    """Build a scenario's control law, as its designers meant it: without its faults, and without a delay.
+
+    Args:
+        scenario: its entries `control`, `chaser`, `safety`, `goal`, `start`, `orbit`, `attitude` and `disturbance`.
+        model: the field, certified for the chaser's radius.
+        guidance: instead of the one that the scenario names.
+        from_start: whether the scenario's start must be free and connected to its goal.
+        progress: called while the guidance is made.
+        **chosen: further arguments of the profile (`control/profiles.py`), such as `reach`.
+
+    Raises:
+        KeepoutError: the law cannot be built; the message names the entry.
+
+    """
+    designed = operation(scenario, model)
+    profile = {"default": profiles.default, "paper": profiles.paper}[scenario.control.profile]
+    return profile(
+        model.field,
+        designed,
+        np.asarray(scenario.goal.position),
+        guidance=_named_guidance(scenario) if guidance is None else guidance,
+        circulation=_named_circulation(scenario),
+        observer=_named_observer(scenario),
+        start=np.asarray(scenario.start.position) if from_start else None,
         progress=progress,
         **chosen,
     )
-    start = np.asarray(scenario.start.position)
+
+
+def _named_guidance(scenario: Scenario) -> GuidancePlan | None:
+    """Give the guidance that a scenario names; None where the profile's own is to be had."""
+    control = scenario.control
+    if control.guidance == "geodesic" or control.spacing is not None:
+        return Geodesic(spacing=control.spacing)
+    if control.guidance == "straight":
+        return Straight() if control.profile == "default" else Componentwise()
+    return None
+
+
+def _named_circulation(scenario: Scenario) -> CirculationLaw | NoCirculation | None:
+    match scenario.control.circulation:
+        case "none":
+            return NoCirculation()
+        case "printed":
+            return printed_circulation()
+        case "skew":
+            return skew_circulation()
+        case "switching":
+            return SwitchingCirculation()
+        case None:
+            return None
+
+
+def _named_observer(scenario: Scenario) -> Observer | None:
+    mass, period = scenario.chaser.mass, scenario.control.period
+    match scenario.control.observer:
+        case "harmonic":
+            return harmonic_observer(mass=mass, period=period)
+        case "constant":
+            return constant_observer(mass=mass, period=period)
+        case "printed":
+            return printed_observer(mass=mass, period=period)
+        case "off":
+            return NoObserver()
+        case None:
+            return None
+
+
+def _law_or_way_out(scenario: Scenario, model: FieldModel, progress: Progress) -> Controller:
+    """Build the scenario's law; a start in its keep-out zone is refused, unless a guard leads the way out first."""
     try:
-        return build(start=start)
+        return build_law(scenario, model, progress=progress)
     except ControlError:
         if not scenario.guard.enabled:
             raise
-        law = build()
+        law = build_law(scenario, model, from_start=False, progress=progress)
         # Refused for another reason than being too near, or inside the target: then there is no way to lead out.
-        if not 0.0 < float(values(model.field, start[None])[0]) <= float(law.velocity.offset):
+        said = float(values(model.field, np.asarray(scenario.start.position)[None])[0])
+        if not 0.0 < said <= float(law.velocity.offset):
             raise
         return law
 
 
-def _flown_law(scenario: Scenario, law: Any, model: FieldModel, motion: RelativeMotion) -> Any:
-    """Tell the law of the delay that the scenario declares, and break it as the scenario's faults say."""
-    chaser, period = scenario.chaser, scenario.control.period
+def flown_law(scenario: Scenario, law: Law, model: FieldModel) -> Law:
+    """Tell a law of the delay that the scenario declares, and break it as the scenario's faults say."""
+    chaser = scenario.chaser
     if scenario.guard.delay:
-        law = AheadOfDelay(law, motion, chaser.mass, period, scenario.guard.delay)
+        motion = environment.relative_motion(scenario)
+        law = AheadOfDelay(law, motion, chaser.mass, scenario.control.period, scenario.guard.delay)
     if scenario.faults.law == "none":
         return law
     return BrokenLaw(
@@ -229,19 +325,37 @@ def _closing_radius(model: FieldModel) -> float:
     return float(model.training.get("closing_radius", 0.25))
 
 
-def _guard(scenario: Scenario, target: Target, model: FieldModel, progress: Progress) -> Guard:
-    """Build the guard, with the scenario's numbers as its assumptions and a field of its own (`guard_field`).
+def build_guard(
+    scenario: Scenario,
+    target: Target,
+    *,
+    offset: float = 0.03,
+    closing_radius: float = 0.25,
+    progress: Progress = silent,
+) -> Guard:
+    """Build the guard, with the scenario's numbers as its assumptions and a field of its own (`guard/field.py`).
 
     That field is a spline of exact distances whose error and gradient bounds are proved, not the learned one: an error
     in one is not an error in the other.
+
+    Args:
+        scenario: its entries `guard`, `chaser`, `disturbance`, `orbit`, `attitude`, `start` and `goal`.
+        target: the mesh.
+        offset: of the solid behind the field, m.
+        closing_radius: of the gaps that this solid seals, m.
+        progress: called while the field is built.
+
+    Raises:
+        KeepoutError: the thrusters cannot meet the assumptions; the message names the entry.
+
     """
     radius = scenario.chaser.radius
-    closing = _closing_radius(model)
-    grid = guard_field(target, radius, offset=model.offset, closing_radius=closing, progress=progress)
+    grid = guard_field(target, radius, offset=offset, closing_radius=closing_radius, progress=progress)
     certificate = grid.certificate(radius)
     return Guard(
         field=grid.field,
         threshold=certificate.error_bound + radius,
         lipschitz=certificate.gradient_bound,
+        evaluation_error=certificate.evaluation_error,
         assumptions=environment.guard_assumptions(scenario, target),
     )

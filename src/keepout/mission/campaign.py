@@ -11,19 +11,20 @@ import jax.numpy as jnp
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from keepout.audit.audit import Audit, Contact, audit_campaign
 from keepout.audit.outside import proved_outside
-from keepout.control.controller import ControlStatus
 from keepout.errors import ScenarioError
 from keepout.flight.batches import campaign
 from keepout.flight.outcome import FlightOutcome
 from keepout.geometry.target import Target
-from keepout.guard.guard import GuardFlag, GuardStatus, flag_names
+from keepout.guard.guard import flag_names
 from keepout.mission import environment
+from keepout.mission.assumptions import guard_numbers
 from keepout.mission.build import prepare
 from keepout.mission.scenario import Scenario
+from keepout.mission.statuses import flag_counts, status_counts
 from keepout.progress import Progress, part_of, silent
 from keepout.whole_file import write_whole
 
@@ -34,7 +35,9 @@ _AUDITED = ("time", "position", "velocity", "force", "guard_status")
 class Campaign:
     """What became of every flight of a campaign.
 
-    `starts` (flights, 3) m, body frame; `outcome` has one entry a flight; `audits` are in the same order.
+    `starts` (flights, 3) m, body frame; `outcome` has one entry a flight; `audits` are in the same order;
+    `starts_certified` says of each whether the guard's theorem holds from its start (None without a guard),
+    `assumptions_broken` what is flown beyond what the scenario declares, `guard` what the guard assumes, as numbers.
     """
 
     scenario: Scenario
@@ -43,14 +46,13 @@ class Campaign:
     outcome: FlightOutcome
     audits: tuple[Audit, ...]
     seconds: float
+    starts_certified: Bool[np.ndarray, "flights"] | None = None
+    assumptions_broken: tuple[str, ...] = ()
+    guard: dict[str, Any] | None = None
 
     def summary(self) -> dict[str, Any]:
         """Give the campaign's figures as plain numbers for JSON; a contact is whatever the audit does not exclude."""
         verdicts = [audit.contact for audit in self.audits]
-        counts = {
-            "control": (ControlStatus, np.asarray(self.outcome.control_status_counts).sum(axis=0)),
-            "guard": (GuardStatus, np.asarray(self.outcome.guard_status_counts).sum(axis=0)),
-        }
         return {
             "runs": len(verdicts),
             "reached": int(np.sum(self.outcome.reached)),
@@ -60,10 +62,10 @@ class Campaign:
             "median_delta_v_mps": float(np.median(self.outcome.delta_v)),
             "saturated_fraction": float(np.mean(self.outcome.saturated_fraction)),
             "guard_interventions": int(np.sum(self.outcome.guard_interventions)),
-            "statuses": {
-                layer: {status.name.lower(): int(count[status]) for status in kind if count[status]}
-                for layer, (kind, count) in counts.items()
-            },
+            "statuses": status_counts(self.outcome),
+            "starts_certified": None if self.starts_certified is None else int(self.starts_certified.sum()),
+            "assumptions_broken": list(self.assumptions_broken),
+            "guard": self.guard,
             "flagged": self.flagged(),
             "faults": self.scenario.faults.model_dump(exclude_defaults=True),
             "seconds": self.seconds,
@@ -72,9 +74,7 @@ class Campaign:
 
     def flagged(self) -> dict[str, int]:
         """Count the flights in which the guard raised each flag; flags never raised are left out."""
-        flags = np.asarray(self.outcome.guard_flags)
-        flights = {name: int(np.count_nonzero(flags & flag)) for flag in GuardFlag for name in flag_names(flag)}
-        return {name: count for name, count in flights.items() if count}
+        return flag_counts(np.asarray(self.outcome.guard_flags))
 
     def save(self, path: Path) -> None:
         """Write one row a flight into a Parquet file, the scenario in its metadata."""
@@ -111,6 +111,10 @@ def run_campaign(scenario: Scenario, *, target: Target | None = None, progress: 
     mission = prepare(scenario, target=target, progress=part_of(progress, 0.0, 0.1))
     starts = draw_starts(scenario, mission.target)
     initial = eqx.filter_vmap(mission.setup.motion.initial_state)(jnp.asarray(starts), jnp.zeros_like(starts))
+    guard, starts_certified = mission.guard, None
+    if guard is not None:
+        starts_certified = np.asarray(eqx.filter_jit(eqx.filter_vmap(guard.certified_start))(initial))
+        starts_certified = starts_certified & (not mission.assumptions_broken)
     audits: list[Audit | None] = [None] * len(starts)
     bounds = environment.flight_bounds(scenario)
 
@@ -139,7 +143,17 @@ def run_campaign(scenario: Scenario, *, target: Target | None = None, progress: 
         progress=part_of(progress, 0.1, 1.0),
     )
     done = tuple(audit for audit in audits if audit is not None)
-    return Campaign(scenario, mission.target, starts, result, done, time.perf_counter() - began)
+    return Campaign(
+        scenario,
+        mission.target,
+        starts,
+        result,
+        done,
+        time.perf_counter() - began,
+        starts_certified=starts_certified,
+        assumptions_broken=mission.assumptions_broken,
+        guard=None if guard is None else guard_numbers(guard),
+    )
 
 
 def draw_starts(scenario: Scenario, target: Target) -> Float[np.ndarray, "flights 3"]:

@@ -1,6 +1,7 @@
 """A scenario's surroundings: orbit, the target's turning, disturbance, thrusters, and bounds on all of them."""
 
 import math
+from dataclasses import replace
 
 import jax
 import numpy as np
@@ -18,16 +19,16 @@ from keepout.flight.faults import (
 from keepout.flight.setup import Faults, NoFaults
 from keepout.geometry.target import Target
 from keepout.guard.braking import GuardAssumptions
-from keepout.mission.orbit_bounds import differential_bounds, orbit_bounds, orbit_of, perturbations
+from keepout.mission.orbit_bounds import DifferentialBounds, differential_bounds, orbit_bounds, orbit_of, perturbations
 from keepout.mission.scenario import Scenario
 from keepout.motion import (
+    Chaser,
     ConstantDisturbance,
     Disturbance,
     InertiallyFixed,
     NoDisturbance,
     RelativeMotion,
     SquareWaveDisturbance,
-    Thrusters,
     Tumbling,
     VVLHFixed,
     band_limited_noise,
@@ -36,6 +37,10 @@ from keepout.motion import (
 )
 from keepout.motion.perturbation import EARTH_GRAVITATIONAL_PARAMETER
 
+_NEAR = 1000.0
+"""Gravity is bounded at least this far from the target, m."""
+_FARTHEST = 100_000.0
+"""Gravity is bounded at most this far from the target's centre of mass, m."""
 _DIAGONAL = np.full(3, 1.0 / math.sqrt(3.0))
 
 _BANG_BANG_PERIOD = 100.0
@@ -51,7 +56,12 @@ def relative_motion(scenario: Scenario) -> RelativeMotion:
         turning = InertiallyFixed()
     else:
         turning = VVLHFixed()
-    return RelativeMotion(orbit_of(scenario.orbit), turning, perturbations(scenario))
+    return RelativeMotion(
+        orbit_of(scenario.orbit),
+        turning,
+        perturbations(scenario),
+        centre_of_mass=np.asarray(scenario.target.centre_of_mass),
+    )
 
 
 def disturbance(scenario: Scenario) -> Disturbance:
@@ -92,9 +102,9 @@ def disturbance_bound(scenario: Scenario) -> float:
     return bound
 
 
-def thrusters(scenario: Scenario) -> Thrusters:
-    """Build the chaser's thrusters."""
-    return Thrusters(scenario.chaser.force_limit)
+def chaser(scenario: Scenario) -> Chaser:
+    """Give the chaser's body: mass, radius, thrusters and speed limit."""
+    return Chaser(**scenario.chaser.model_dump())
 
 
 def faults(scenario: Scenario) -> Faults:
@@ -120,31 +130,87 @@ def faults(scenario: Scenario) -> Faults:
 def flight_bounds(scenario: Scenario) -> FlightBounds:
     """Bound what a flight's record does not hold, for the audit: true disturbance, rotation, differential gravity.
 
-    What perturbations add is part of the force (differential drag), the gravity gradient and the angular rate.
+    Differential gravity is bounded within a range that holds every start and the goal twice over, and 1000 m at least.
+    Of what perturbations add, the constant is part of the force, and half of what grows with speed of the rate.
+
+    Raises:
+        ScenarioError: start, goal or campaign are too far away for any bound, or the orbit has none.
+
     """
-    orbit = orbit_bounds(scenario)
-    rate, acceleration = orbit.rate, orbit.acceleration
+    region = _region(scenario, _furthest(scenario))
+    rate, acceleration = _rotation(scenario)
+    differential = _differential(scenario, region)
+    return FlightBounds(
+        mass=scenario.chaser.mass,
+        disturbance_force=disturbance(scenario).bound + scenario.chaser.mass * differential.constant,
+        angular_rate=rate + 0.5 * differential.per_speed,
+        angular_acceleration=acceleration,
+        gravity_gradient=differential.gradient,
+        origin_offset=_origin_offset(scenario),
+        range_limit=region,
+    )
+
+
+def _rotation(scenario: Scenario) -> tuple[float, float]:
+    """Bound the body frame's inertial rate, rad/s, and its derivative, rad/s²."""
+    outward = 1.0 + 1e-9
     if scenario.attitude.kind == "inertial":
-        rate, acceleration = 0.0, 0.0
-    elif scenario.attitude.kind == "tumbling":
+        return 0.0, 0.0
+    if scenario.attitude.kind == "tumbling":
         # Torque-free: energy and momentum are kept, so ‖ω‖² ≤ 2E/I_min and ‖ω̇‖ ≤ ‖L‖‖ω‖/I_min.
         inertia = np.asarray(scenario.attitude.inertia)
         omega = np.asarray(scenario.attitude.angular_velocity)
         least = float(np.linalg.eigvalsh(inertia)[0])
         rate = math.sqrt(max(omega @ inertia @ omega, 0.0) / least)
-        acceleration = float(np.linalg.norm(inertia @ omega)) * rate / least
-    # Differential gravity between target and chaser, whose own radius may be less than perigee by the flown region.
-    nearest = orbit.lowest_radius - 1000.0
-    outward = 1.0 + 1e-9
-    bent = differential_bounds(scenario, orbit, nearest=nearest, angular_rate=rate)
-    return FlightBounds(
-        mass=scenario.chaser.mass,
-        disturbance_force=disturbance(scenario).bound + scenario.chaser.mass * bent.constant,
-        # Twice the rate multiplies the speed.
-        angular_rate=rate * outward + 0.5 * bent.per_speed,
-        angular_acceleration=acceleration * outward,
-        gravity_gradient=2.0 * EARTH_GRAVITATIONAL_PARAMETER / nearest**3 + bent.gradient,
-    )
+        return rate * outward, float(np.linalg.norm(inertia @ omega)) * rate / least * outward
+    orbit = orbit_bounds(scenario)
+    return orbit.rate * outward, orbit.acceleration * outward
+
+
+def _origin_offset(scenario: Scenario) -> float:
+    """Distance of the body frame's origin from the target's centre of mass, m."""
+    return float(np.linalg.norm(scenario.target.centre_of_mass))
+
+
+def _furthest(scenario: Scenario) -> dict[str, float]:
+    """Give the distance from the origin, m, of each entry that says where the chaser flies."""
+    corner = np.maximum(np.abs(scenario.campaign.lower), np.abs(scenario.campaign.upper))
+    return {
+        "start.position": float(np.linalg.norm(scenario.start.position)),
+        "goal.position": float(np.linalg.norm(scenario.goal.position)),
+        "campaign": float(np.linalg.norm(corner)),
+    }
+
+
+def _region(scenario: Scenario, away: dict[str, float]) -> float:
+    """Give the range, m, within which gravity is bounded: twice the furthest of `away` plus 20 m, at least 1000 m.
+
+    Raises:
+        ScenarioError: that and the centre of mass's offset go beyond `_FARTHEST`.
+
+    """
+    entry = max(away, key=lambda name: away[name])
+    offset = _origin_offset(scenario)
+    region = max(_NEAR, 2.0 * away[entry] + 20.0)
+    if region + offset > _FARTHEST:
+        name, value = ("target.centre_of_mass", offset) if offset > away[entry] else (entry, away[entry])
+        raise ScenarioError(
+            f"{name}: {value:.6g} m from the body frame's origin; gravity is bounded within {_FARTHEST:g} m of the "
+            f"target's centre of mass, and twice the distance flown plus 20 m must lie within that"
+        )
+    return region
+
+
+def _differential(scenario: Scenario, region: float) -> DifferentialBounds:
+    """Bound what gravity and perturbations do to chaser and target differently, for a chaser within `region` m.
+
+    The least r from the Earth's centre to any point between target and chaser is the lowest radius less their distance;
+    the gradient of a point mass's gravity is at most 2 μ / r³.
+    """
+    orbit = orbit_bounds(scenario)
+    nearest = orbit.lowest_radius - max(_NEAR, region + _origin_offset(scenario))
+    bent = differential_bounds(scenario, orbit, nearest=nearest, angular_rate=_rotation(scenario)[0])
+    return replace(bent, gradient=2.0 * EARTH_GRAVITATIONAL_PARAMETER / nearest**3 + bent.gradient)
 
 
 def guard_assumptions(scenario: Scenario, target: Target) -> GuardAssumptions:
@@ -152,24 +218,31 @@ def guard_assumptions(scenario: Scenario, target: Target) -> GuardAssumptions:
 
     The drift is bounded inside a range of twice the furthest of start, goal and target plus 20 m, and up to one and a
     half times the speed limit; the guard flags a flight that leaves that region.
+
+    Raises:
+        ScenarioError: start, goal or target reach too far for gravity to be bounded.
+
     """
-    bounds = flight_bounds(scenario)
-    reach = [float(np.linalg.norm(point)) for point in (scenario.start.position, scenario.goal.position)]
-    reach.append(float(np.linalg.norm(target.vertices, axis=1).max()))
+    away = {name: value for name, value in _furthest(scenario).items() if name != "campaign"}
+    away["target"] = float(np.linalg.norm(target.vertices, axis=1).max())
+    region = _region(scenario, away)
+    rate, acceleration = _rotation(scenario)
+    differential = _differential(scenario, region)
     entry = scenario.guard
     return GuardAssumptions(
         mass=scenario.chaser.mass,
         force_limit=scenario.chaser.force_limit,
         period=scenario.control.period,
-        disturbance_force=disturbance_bound(scenario) + (bounds.disturbance_force - disturbance(scenario).bound),
-        angular_rate=bounds.angular_rate,
-        angular_acceleration=bounds.angular_acceleration,
-        gravity_gradient=bounds.gravity_gradient,
-        range_limit=2.0 * max(reach) + 20.0,
+        disturbance_force=disturbance_bound(scenario) + scenario.chaser.mass * differential.constant,
+        angular_rate=rate + 0.5 * differential.per_speed,
+        angular_acceleration=acceleration,
+        gravity_gradient=differential.gradient,
+        range_limit=2.0 * max(away.values()) + 20.0,
         speed_limit=1.5 * scenario.chaser.speed_limit,
         position_error=entry.position_error,
         velocity_error=entry.velocity_error,
         mass_error=entry.mass_error,
         gain_error=entry.gain_error,
         delay=entry.delay,
+        origin_offset=_origin_offset(scenario),
     )

@@ -9,16 +9,16 @@ import numpy as np
 from jaxtyping import Float
 
 from keepout.audit.audit import Audit, Contact, audit
-from keepout.control.controller import ControlStatus
 from keepout.fields.model import FieldModel
 from keepout.flight import loop
 from keepout.flight.outcome import FlightOutcome, outcome
 from keepout.flight.record import FlightRecord
 from keepout.geometry.target import Target
-from keepout.guard.guard import GuardFlag, GuardStatus, flag_names
 from keepout.mission import environment
+from keepout.mission.assumptions import guard_numbers
 from keepout.mission.build import prepare
 from keepout.mission.scenario import Scenario
+from keepout.mission.statuses import flag_counts, legend, status_counts
 from keepout.progress import Progress, part_of, silent
 
 
@@ -28,7 +28,8 @@ class Flight:
 
     `clearance` is the distance from the chaser's surface to the mesh at every recorded sample, m; `violated_conditions`
     are the design conditions that the law does not meet, each with its numbers; `start_certified` says whether the
-    guard's theorem holds from the start (None without a guard).
+    guard's theorem holds from the start (None without a guard), `assumptions_broken` what is flown beyond what the
+    scenario declares, `guard` what the guard assumes and what follows, as numbers.
     """
 
     scenario: Scenario
@@ -39,17 +40,14 @@ class Flight:
     clearance: Float[np.ndarray, "samples"]
     violated_conditions: tuple[str, ...] = ()
     start_certified: bool | None = None
+    assumptions_broken: tuple[str, ...] = ()
+    guard: dict[str, Any] | None = None
 
     def summary(self) -> dict[str, Any]:
         """Give the flight's figures as plain numbers for JSON.
 
         `contact` is true unless the audit proves that there was none; `contact_verdict` tells the cases apart.
         """
-        legend = {"control": ControlStatus, "guard": GuardStatus}
-        counts = {
-            "control": np.asarray(self.outcome.control_status_counts),
-            "guard": np.asarray(self.outcome.guard_status_counts),
-        }
         return {
             "reached": bool(self.outcome.reached),
             "contact": self.audit.contact is not Contact.NO,
@@ -61,11 +59,10 @@ class Flight:
             "guard_interventions": int(self.outcome.guard_interventions),
             "time_to_reach_s": float(self.outcome.time_to_reach) if self.outcome.reached else None,
             "largest_speed_mps": self.audit.largest_speed,
-            "statuses": {
-                layer: {status.name.lower(): int(counts[layer][status]) for status in kind if counts[layer][status]}
-                for layer, kind in legend.items()
-            },
+            "statuses": status_counts(self.outcome),
             "start_certified": self.start_certified,
+            "assumptions_broken": list(self.assumptions_broken),
+            "guard": self.guard,
             "guard_flags": self.guard_flags(),
             "faults": self.scenario.faults.model_dump(exclude_defaults=True),
             "violated_conditions": list(self.violated_conditions),
@@ -74,9 +71,7 @@ class Flight:
 
     def guard_flags(self) -> dict[str, int]:
         """Count the steps in which the guard raised each flag; flags never raised are left out."""
-        status = self.record.guard_status[:-1]
-        steps = {name: int(np.count_nonzero(status & flag)) for flag in GuardFlag for name in flag_names(flag)}
-        return {name: count for name, count in steps.items() if count}
+        return flag_counts(self.record.guard_status[:-1])
 
 
 def fly(
@@ -118,11 +113,7 @@ def fly(
         scenario=scenario.model_dump_json(),
         seed=scenario.seed,
         target_sha256=mission.target.sha256,
-        statuses={
-            "control_status": {int(status): status.name.lower() for status in ControlStatus},
-            "guard_status": {int(status): status.name.lower() for status in GuardStatus}
-            | {int(flag): name for flag in GuardFlag for name in flag_names(flag)},
-        },
+        statuses=legend(),
     )
     verdict = audit(
         record,
@@ -136,5 +127,14 @@ def fly(
     progress(1.0, "")
     violated = tuple(str(c) for c in mission.setup.controller.conditions if not c.satisfied)
     return Flight(
-        scenario, mission.target, record, result, verdict, clearance, violated, start_certified=mission.start_certified
+        scenario,
+        mission.target,
+        record,
+        result,
+        verdict,
+        clearance,
+        violated,
+        start_certified=mission.start_certified,
+        assumptions_broken=mission.assumptions_broken,
+        guard=None if mission.guard is None else guard_numbers(mission.guard),
     )

@@ -44,6 +44,10 @@ class TargetEntry(Entry):
     thickness: Positive | None = Field(default=None, description="of a point cloud: each point is a ball this wide, m")
     rotation: tuple[Vector, Vector, Vector] | None = Field(default=None, description="from file axes to body axes")
     origin: Vector | None = Field(default=None, description="of the body frame, in file axes, m")
+    centre_of_mass: Vector = Field(
+        default=(0.0, 0.0, 0.0),
+        description="of the target, about which it turns and which orbits, in the body frame, m",
+    )
     parameters: dict[str, float] = Field(default_factory=dict, description="of a built-in: wing angle, wing span, …")
 
     @model_validator(mode="after")

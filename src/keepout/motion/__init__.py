@@ -2,6 +2,7 @@
 
 from keepout.motion.actuator import Thrusters
 from keepout.motion.attitude import AttitudeMotion, InertiallyFixed, Tumbling, VVLHFixed
+from keepout.motion.chaser import Chaser
 from keepout.motion.disturbance import (
     BandLimitedNoise,
     CombinedDisturbance,
@@ -22,6 +23,7 @@ __all__ = [
     "J2",
     "AttitudeMotion",
     "BandLimitedNoise",
+    "Chaser",
     "CombinedDisturbance",
     "ConstantDisturbance",
     "Disturbance",

@@ -37,18 +37,25 @@ class MotionState(eqx.Module):
     target_orbit: Float[Array, "6"] | None = None
 
 
+def _array(value: NumbersLike) -> Array:
+    return jnp.asarray(value, dtype=jnp.float64)
+
+
 class RelativeMotion(eqx.Module):
     """The relative dynamics (paper, section II, with the sign of g corrected).
 
         r̈ = −2 ω×ṙ − ω̇×r − ω×(ω×r) − g + (F + d)/m,    g = μ (r_S/‖r_S‖³ − r_T/‖r_T‖³)
 
-    `substeps` Runge–Kutta steps are taken for each control step; one a second is enough below 0.5 °/s of tumbling.
+    There r is measured from the target's centre of mass, which is at `centre_of_mass` (m, body axes) in the body frame;
+    `MotionState.position` is measured from the frame's origin. `substeps` Runge–Kutta steps are taken for each control
+    step; one a second is enough below 0.5 °/s of tumbling.
     """
 
     orbit: Orbit
     attitude_motion: AttitudeMotion = eqx.field(default_factory=VVLHFixed)
     perturbations: tuple[Perturbation, ...] = ()
     substeps: int = eqx.field(static=True, default=1)
+    centre_of_mass: Vector = eqx.field(converter=_array, default=(0.0, 0.0, 0.0))
 
     def __check_init__(self):
         if self.substeps < 1:
@@ -156,7 +163,7 @@ class RelativeMotion(eqx.Module):
         return jnp.concatenate([velocity, target_acceleration(position, velocity, mu, self.perturbations)])
 
     def _drift(self, state: MotionState, frame: OrbitalFrame, omega: Vector, omega_dot: Vector) -> Vector:
-        r, v = state.position, state.velocity
+        r, v = state.position - self.centre_of_mass, state.velocity
         body_from_vvlh = rotation.matrix(state.attitude)
         target = body_from_vvlh @ jnp.array([0.0, 0.0, -1.0]) * frame.radius
         drift = (

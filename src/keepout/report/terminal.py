@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+from rich.cells import cell_len
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
@@ -52,14 +53,13 @@ def _plain(console: Console, title: str) -> keepout_progress.Progress:
     return report
 
 
+WIDTH = 80
+"""Columns of the narrowest terminal that the tables are laid out for; in a wider one they look the same."""
+
+
 def facts_table(title: str, summary: Mapping[str, Any]) -> Table:
     """One row a figure, in the order of the summary."""
-    table = Table(title=title, show_header=False, title_justify="left")
-    table.add_column(style="bold")
-    table.add_column(justify="right")
-    for key, value in summary.items():
-        table.add_row(key, shown(value))
-    return table
+    return _laid_out(title, None, [[key, shown(value)] for key, value in summary.items()], named=True)
 
 
 def inspection_tables(summary: Mapping[str, Any]) -> list[Table]:
@@ -120,13 +120,59 @@ def inspection_tables(summary: Mapping[str, Any]) -> list[Table]:
 
 def _rows(title: str, columns: Mapping[str, str | tuple[str, ...]], entries: Sequence[Mapping[str, Any]]) -> Table:
     """One row an entry; a column shows one of its figures, or several."""
-    table = Table(title=title, title_justify="left")
-    for heading in columns:
-        table.add_column(heading, justify="right", overflow="fold")
+    rows = []
     for entry in entries:
         picked = ([entry[key]] if isinstance(key, str) else [entry[one] for one in key] for key in columns.values())
-        table.add_row(*(", ".join(shown(value) for value in values) for values in picked))
+        rows.append([", ".join(shown(value) for value in values) for values in picked])
+    return _laid_out(title, list(columns), rows)
+
+
+def _laid_out(title: str, headings: list[str] | None, rows: list[list[str]], *, named: bool = False) -> Table:
+    """Lay a table out in `WIDTH` columns so that text breaks at spaces only, and nothing is left out.
+
+    Where the longest words do not fit side by side, rows and columns change places. What is still too long, as a path
+    can be, is folded. `named` says that the first column names the rows.
+    """
+    if headings is not None and sum(_longest_words([headings, *rows])) + _frame(len(headings)) > WIDTH:
+        turned = [list(line) for line in zip(headings, *rows)]
+        headings, rows, named = turned[0], turned[1:], True
+    widths = _widths(rows if headings is None else [headings, *rows])
+    table = Table(title=title, show_header=headings is not None, title_justify="left")
+    for place, width in enumerate(widths):
+        first = named and place == 0
+        table.add_column(
+            "" if headings is None else headings[place],
+            style="bold" if first else None,
+            justify="left" if first else "right",
+            overflow="fold",
+            max_width=width,
+        )
+    for row in rows:
+        table.add_row(*row)
     return table
+
+
+def _frame(columns: int) -> int:
+    """Characters of the lines between and around columns, with a space on either side of each text."""
+    return 3 * columns + 1
+
+
+def _longest_words(lines: Sequence[Sequence[str]]) -> list[int]:
+    return [max(cell_len(word) for text in column for word in (text.split() or [""])) for column in zip(*lines)]
+
+
+def _widths(lines: Sequence[Sequence[str]]) -> list[int]:
+    """Width of each column: its longest word's, then as far as there is room its longest line's."""
+    widths = _longest_words(lines)
+    spare = WIDTH - _frame(len(widths)) - sum(widths)
+    if spare < 0:
+        widths[widths.index(max(widths))] += spare
+    for place, column in enumerate(zip(*lines)):
+        wanted = max(cell_len(line) for text in column for line in (text.splitlines() or [""])) - widths[place]
+        grown = max(min(wanted, spare), 0)
+        widths[place] += grown
+        spare -= grown
+    return [max(width, 1) for width in widths]
 
 
 FLIGHT_COLUMNS = {
@@ -142,29 +188,31 @@ FLIGHT_COLUMNS = {
 
 
 def flights_table(summaries: Sequence[Mapping[str, Any]]) -> Table:
-    """One row a flight, with the figures that say whether it was safe and what it cost."""
-    table = Table(title="Flights", title_justify="left")
-    table.add_column("flight", style="bold")
+    """One row a flight, or one column where that is too wide: whether it was safe, and what it cost."""
     columns = [key for key in FLIGHT_COLUMNS if key != "flight"]
-    for key in columns:
-        table.add_column(FLIGHT_COLUMNS[key], justify="right")
-    for summary in summaries:
-        table.add_row(str(summary["name"]), *(shown(summary[key]) for key in columns))
-    return table
+    headings = ["flight", *(FLIGHT_COLUMNS[key] for key in columns)]
+    rows = [[str(summary["name"]), *(shown(summary[key]) for key in columns)] for summary in summaries]
+    return _laid_out("Flights", headings, rows, named=True)
 
 
 def targets_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """One row a built-in target."""
-    table = Table(title="Built-in targets", title_justify="left")
-    table.add_column("name", style="bold")
-    for heading in ("extents m", "volume m³", "triangles", "field", "parameters"):
-        table.add_column(heading, justify="right", overflow="fold")
-    for row in rows:
-        extents = " × ".join(f"{extent:.1f}" for extent in row["extents_m"])
-        parameters = "\n".join(f"{key}={value:g}" for key, value in row["parameters"].items())
-        shipped = "shipped" if row["shipped_field"] else "to fit"
-        table.add_row(row["name"], extents, f"{row['volume_m3']:.1f}", str(row["triangles"]), shipped, parameters)
-    return table
+    return _laid_out(
+        "Built-in targets",
+        ["name", "extents m", "volume m³", "triangles", "field", "parameters"],
+        [
+            [
+                row["name"],
+                "×".join(f"{extent:.1f}" for extent in row["extents_m"]),
+                f"{row['volume_m3']:.1f}",
+                str(row["triangles"]),
+                "shipped" if row["shipped_field"] else "to fit",
+                "\n".join(f"{key}={value:g}" for key, value in row["parameters"].items()),
+            ]
+            for row in rows
+        ],
+        named=True,
+    )
 
 
 def shown(value: Any) -> str:
@@ -174,7 +222,7 @@ def shown(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.4g}"
     if isinstance(value, Mapping):
-        return ", ".join(f"{key} {shown(entry)}" for key, entry in value.items())
+        return ", ".join(f"{key} {shown(entry)}" for key, entry in value.items()) or "none"
     if isinstance(value, list | tuple):
         numbers = all(isinstance(entry, int | float) for entry in value)
         return (", " if numbers else "\n").join(shown(entry) for entry in value) or "none"

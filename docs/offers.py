@@ -1,0 +1,137 @@
+"""Write what each room offers the next into docs/architecture.md, from the code itself.
+
+python docs/offers.py           # write it
+python docs/offers.py --check   # exit 1 where the page is not of this version
+"""
+
+import importlib
+import inspect
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+PAGE = Path(__file__).with_name("architecture.md")
+BEGIN, END = "<!-- offers: written by docs/offers.py -->\n", "<!-- offers: end -->\n"
+OFFERS = {
+    "geometry": (
+        "geometry.target.Target.load",
+        "geometry.distance.ExactDistance",
+        "geometry.distance.ExactDistance.distance",
+        "geometry.distance.ExactDistance.closest",
+        "geometry.offset_solid.OffsetSolid.build",
+        "geometry.offset_solid.OffsetSolid.is_exterior",
+        "geometry.offset_solid.OffsetSolid.signed_distance",
+        "geometry.survey.survey",
+        "geometry.octree.straddling_cells",
+    ),
+    "fields": (
+        "fields.field.Field.value",
+        "fields.field.Field.value_and_gradient",
+        "fields.field.Field.value_gradient_hessian",
+        "fields.model.FieldModel.load",
+        "fields.model.FieldModel.save",
+        "fields.model.FieldModel.certificate",
+        "fields.shipped.load_shipped",
+        "fields.grid_build.build_grid",
+    ),
+    "learning, proof, measures": (
+        "learning.training.fit",
+        "proof.certificate.certify",
+        "proof.grid.certify_grid",
+        "measures.inspection.inspect_model",
+    ),
+    "motion": (
+        "motion.chaser.Chaser",
+        "motion.relative.RelativeMotion.initial_state",
+        "motion.relative.RelativeMotion.drift_acceleration",
+        "motion.relative.RelativeMotion.step",
+        "motion.disturbance.Disturbance.force",
+        "motion.actuator.Thrusters.apply",
+    ),
+    "control": (
+        "control.law.Law.initial_state",
+        "control.law.Law.step",
+        "control.law.Law.with_applied_force",
+        "control.operation.Operation",
+        "control.profiles.default",
+        "control.profiles.paper",
+        "control.guidance.guidance.Guidance.desired_velocity",
+        "control.guidance.plan.GuidancePlan.guidance",
+    ),
+    "guard": (
+        "guard.safety_layer.SafetyLayer.initial_state",
+        "guard.safety_layer.SafetyLayer.filter",
+        "guard.guard.Guard",
+        "guard.field.guard_field",
+    ),
+    "flight": (
+        "flight.setup.FlightSetup",
+        "flight.loop.fly",
+        "flight.loop.step",
+        "flight.outcome.outcome",
+        "flight.setup.Faults.estimate",
+        "flight.setup.Faults.command",
+        "flight.setup.Faults.actuate",
+        "flight.on_board.OnBoard.step",
+        "flight.record.FlightRecord.load",
+        "flight.record.FlightRecord.save",
+    ),
+    "audit": ("audit.audit.audit", "audit.audit.audit_campaign"),
+    "mission": (
+        "mission.scenario.Scenario.load",
+        "mission.build.prepare",
+        "mission.build.build_law",
+        "mission.build.build_guard",
+        "mission.flight.fly",
+        "mission.campaign.run_campaign",
+    ),
+}
+
+
+def offer(path: str) -> str:
+    """Give the signature of a function, method or class, and the first line of its docstring."""
+    parts = path.split(".")
+    cut = next(k for k, part in enumerate(parts) if k and (part[0].isupper() or k == len(parts) - 1))
+    thing = importlib.import_module("keepout." + ".".join(parts[:cut]))
+    for part in parts[cut:]:
+        thing = getattr(thing, part)
+    inside = inspect.unwrap(thing)
+    said = (inspect.getdoc(inside) or "").splitlines()[0]
+    return f"- `{'.'.join(parts[cut:])}({', '.join(arguments(inside))})` {said}"
+
+
+def arguments(thing: Callable[..., Any]) -> list[str]:
+    """Give the arguments as they are called: names and short defaults, `*` before those that need their names."""
+    shown, named = [], False
+    for parameter in inspect.signature(thing).parameters.values():
+        if parameter.name == "self":
+            continue
+        if parameter.kind is parameter.KEYWORD_ONLY and not named:
+            shown.append("*")
+            named = True
+        default = "" if parameter.default is parameter.empty else f"={parameter.default!r}"
+        stars = "**" if parameter.kind is parameter.VAR_KEYWORD else ""
+        shown.append(stars + parameter.name + (default if len(default) < 24 and "<" not in default else "=…"))
+    return shown
+
+
+def page(text: str) -> str:
+    """Give the page with today's offers."""
+    head, rest = text.split(BEGIN)
+    tail = rest.split(END)[1]
+    body = "".join(f"\n### {room}\n\n" + "\n".join(map(offer, offers)) + "\n" for room, offers in OFFERS.items())
+    return f"{head}{BEGIN}{body}\n{END}{tail}"
+
+
+def main() -> None:
+    """Write the page, or check it."""
+    old = PAGE.read_text(encoding="utf-8")
+    new = page(old)
+    if "--check" in sys.argv:
+        sys.exit(0 if new == old else f"{PAGE}: not of this version; run python docs/offers.py")
+    PAGE.write_text(new, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,28 @@
+"""One strict reader for each mesh format: what a file declares is there whole, or the file is refused.
+
+Nothing is left out without a line that says so with its number; an index points at a vertex or the file is refused.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from keepout.geometry.mesh_files.contents import MeshContents
+from keepout.geometry.mesh_files.gltf import read_gltf
+from keepout.geometry.mesh_files.obj import read_obj
+from keepout.geometry.mesh_files.off import read_off
+from keepout.geometry.mesh_files.ply import read_ply
+from keepout.geometry.mesh_files.stl import read_stl
+from keepout.geometry.mesh_files.three_mf import read_three_mf
+
+READERS: dict[str, Callable[[Path], MeshContents]] = {
+    ".glb": read_gltf,
+    ".gltf": read_gltf,
+    ".obj": read_obj,
+    ".stl": read_stl,
+    ".ply": read_ply,
+    ".off": read_off,
+    ".3mf": read_three_mf,
+}
+"""By file suffix. Each raises `MeshError` with the reason alone; the caller names the file."""
+
+__all__ = ["READERS", "MeshContents"]

@@ -1,0 +1,43 @@
+"""What a safety layer is to the flight loop: it stands between the control law and the thrusters."""
+
+import abc
+
+import equinox as eqx
+from jaxtyping import Array, Float, Int, PyTree
+
+from keepout.motion.relative import MotionState
+
+
+def mode(status: Int[Array, "*batch"]) -> Int[Array, "*batch"]:
+    """Give what a safety layer did: the two lowest bits of its status, 0 where it passed the command on."""
+    return status & 3
+
+
+class SafetyLayer(eqx.Module):
+    """Passes each commanded force on, or replaces it. What it remembers is a pytree that it takes and gives back."""
+
+    @abc.abstractmethod
+    def initial_state(self, estimate: MotionState) -> PyTree:
+        """Return the memory before the first step, at the estimate of the motion that the layer is told."""
+
+    @abc.abstractmethod
+    def filter(
+        self,
+        guard_state: PyTree,
+        estimate: MotionState,
+        force: Float[Array, "3"],
+        disturbance_estimate: Float[Array, "3"],
+    ) -> tuple[PyTree, Float[Array, "3"], Int[Array, ""]]:
+        """Accept or replace a commanded force.
+
+        Args:
+            guard_state: the memory.
+            estimate: of the motion, as the law was told it.
+            force: that the law commands, N, body axes.
+            disturbance_estimate: of the law, N.
+
+        Returns:
+            The memory for the next step, the force to command (N, body axes), and a status: 0 in its two lowest bits
+            where the command was passed on; the layer's own flags in the bits above.
+
+        """

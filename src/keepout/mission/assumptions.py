@@ -1,0 +1,79 @@
+"""What the guard's theorem assumes of a scenario, as numbers to show, and where the scenario flies beyond it."""
+
+from typing import Any
+
+from keepout.guard import watch
+from keepout.guard.guard import Guard
+from keepout.mission import environment
+from keepout.mission.scenario import Scenario
+
+_ROUNDING = 1e-9
+"""Relative: a bound declared is not broken by the rounding of the flown one."""
+
+
+def broken_assumptions(scenario: Scenario) -> tuple[str, ...]:
+    """Name what the scenario flies beyond what it declares to the guard, each with its numbers; () where nothing is.
+
+    A broken control law is none of it: the theorem holds whatever is commanded. Sufficient for the theorem, not
+    necessary: that needs the sum D only, and one part may use what another leaves.
+    """
+    guard, faults = scenario.guard, scenario.faults
+    found: list[str] = []
+
+    def compare(flown_name: str, flown: float, declared_name: str, declared: float, unit: str) -> None:
+        if flown > declared * (1.0 + _ROUNDING):
+            found.append(f"{flown_name} {flown:.6g}{unit} > {declared_name} {declared:.6g}{unit}")
+
+    compare(
+        "disturbance: flown up to",
+        environment.disturbance(scenario).bound,
+        "disturbance.bound",
+        environment.disturbance_bound(scenario),
+        " N",
+    )
+    for kind, unit in (("position", " m"), ("velocity", " m/s")):
+        flown = getattr(faults, f"{kind}_bias") + getattr(faults, f"{kind}_noise")
+        declared = getattr(guard, f"{kind}_error")
+        compare(f"faults.{kind}_bias + faults.{kind}_noise", flown, f"guard.{kind}_error", declared, unit)
+    compare("faults.gain_error", faults.gain_error, "guard.gain_error", guard.gain_error, "")
+    if faults.delay != guard.delay:
+        found.append(f"faults.delay {faults.delay} != guard.delay {guard.delay} (the delay assumed is exact)")
+    if faults.dropped:
+        found.append(f"faults.dropped {faults.dropped:.6g} > 0 (no command may be lost)")
+    if faults.stuck is not None and faults.stuck_from < scenario.duration:
+        found.append(
+            f"faults.stuck {faults.stuck} at {faults.stuck_force:.6g} N from {faults.stuck_from:.6g} s "
+            "(no thruster may be stuck)"
+        )
+    return tuple(found)
+
+
+def guard_numbers(guard: Guard) -> dict[str, Any]:
+    """Give what the guard assumes and what follows from it (docs/guard.md) as plain numbers for JSON, SI units."""
+    a, b = guard.assumptions, guard.braking
+    longest = watch.windows(a)[-1]
+    least = watch.SHARE * a.disturbance
+    return {
+        "disturbance_force_N": a.disturbance_force,
+        "angular_rate_radps": a.angular_rate,
+        "angular_acceleration_radps2": a.angular_acceleration,
+        "gravity_gradient_per_s2": a.gravity_gradient,
+        "origin_offset_m": a.origin_offset,
+        "range_limit_m": a.range_limit,
+        "speed_limit_mps": a.speed_limit,
+        "position_error_m": a.position_error,
+        "velocity_error_mps": a.velocity_error,
+        "mass_error": a.mass_error,
+        "gain_error": a.gain_error,
+        "delay": a.delay,
+        "disturbance_D_mps2": a.disturbance,
+        "deceleration_a_b_mps2": b.deceleration,
+        "reserve_U_mps2": b.reserve,
+        "position_radius_rho_m": b.position_radius,
+        "velocity_radius_sigma_mps": b.velocity_radius,
+        "threshold_theta_m": guard.threshold,
+        "lipschitz_L": guard.lipschitz,
+        "watched_steps": longest,
+        "lasting_excess_mps2": least,
+        "lasting_excess_seen_steps": watch.seen_within(a, least),
+    }
