@@ -6,12 +6,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import trimesh
-
 from keepout.errors import FieldError
 from keepout.fields.model import FieldModel
 from keepout.fields.shipped import shipped_names
 from keepout.geometry.builtin import BUILTINS
+from keepout.geometry.shape import enclosed_volume
 from keepout.geometry.survey import survey
 from keepout.geometry.target import Target
 from keepout.learning.training import fit
@@ -38,7 +37,7 @@ def describe_targets(*, pictures: Path | None = None, progress: Progress = silen
         row: dict[str, Any] = {
             "name": name,
             "extents_m": [float(extent) for extent in target.vertices.max(axis=0) - target.vertices.min(axis=0)],
-            "volume_m3": float(trimesh.Trimesh(target.vertices, target.faces, process=False).volume),
+            "volume_m3": enclosed_volume(target.vertices, target.faces),
             "triangles": len(target.faces),
             "shipped_field": name in shipped_names(),
             "parameters": {key: parameter.default for key, parameter in builtin.parameters.items()},

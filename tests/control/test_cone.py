@@ -1,6 +1,5 @@
 """The velocity program against solvers that share no code with it."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,7 +8,6 @@ from truths.velocity_programs import LIMIT, largest_rate, random_programs, refer
 
 from keepout.control.velocity_program.cone import ConeStatus, solve
 from keepout.control.velocity_program.program import Circulation, VelocityProgram
-from keepout.control.velocity_program.smoothed import solve_smoothed
 from keepout.errors import ControlError
 
 KINDS = {
@@ -22,7 +20,6 @@ KINDS = {
 }
 solve_one = jax.jit(solve)
 solve_batch = jax.jit(jax.vmap(solve))
-solve_smooth_batch = jax.jit(jax.vmap(solve_smoothed, in_axes=(0, None)))
 
 
 def build(data, *, circulation, box, speed, cone=True):
@@ -121,9 +118,9 @@ def test_says_where_no_way_out_is_known():
         gradient_error=jnp.asarray(1.2),
         speed=jnp.asarray(0.1),
     )
-    for answer in (solve_one(program), jax.jit(solve_smoothed)(program, jnp.asarray(1e-5))):
-        assert answer.status == ConeStatus.NO_WAY_OUT
-        np.testing.assert_array_equal(answer.velocity, 0.0)
+    answer = solve_one(program)
+    assert answer.status == ConeStatus.NO_WAY_OUT
+    np.testing.assert_array_equal(answer.velocity, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -201,35 +198,6 @@ def test_derivative_is_the_central_difference():
     jumps = (np.abs(program.gradient_error - size) < 1e-12) & (np.asarray(solve_batch(program).room) < 0.0)
     assert 0 < jumps.sum() <= 2
     check_derivatives(lambda p: solve(p).velocity / LIMIT, program, direction, 1e-6, 1e-6, jumps=jumps)
-
-
-def test_smoothed_derivative_is_the_central_difference():
-    program, direction = derivative_programs(200)
-    # At a tangent of exactly zero the circulation row appears or vanishes: there is no derivative to compare.
-    tangent = program.circulation.tangent
-    absent = jnp.all(tangent == 0.0, axis=-1, keepdims=True)
-    program = eqx.tree_at(
-        lambda p: p.circulation.tangent, program, jnp.where(absent, jnp.array([0.3, 0.0, 0.1]), tangent)
-    )
-    check_derivatives(
-        lambda p: solve_smoothed(p, jnp.asarray(1e-3 * LIMIT**2)).velocity / LIMIT, program, direction, 1e-6, 2e-6
-    )
-
-
-def test_smoothed_tends_to_the_plain_solution_from_inside():
-    data = random_programs(np.random.default_rng(21), 200)
-    program = build(data, circulation=False, box=False, speed=True)
-    plain = solve_batch(program)
-    usable = np.asarray(plain.room) > 0.01 * LIMIT
-    distances = []
-    for weight in (1e-3, 1e-5, 1e-7):
-        smooth = solve_smooth_batch(program, jnp.asarray(weight * LIMIT**2))
-        assert np.all(np.asarray(smooth.status)[usable] == ConeStatus.SOLVED)
-        speeds = np.linalg.norm(smooth.velocity, axis=1)[usable]
-        assert np.all(speeds < data["speed"][usable])
-        distances.append(np.linalg.norm(smooth.velocity - plain.velocity, axis=1)[usable].max() / LIMIT)
-    assert distances[0] > distances[1] > distances[2]
-    assert distances[2] < 5e-3
 
 
 def check_fuzz(count, seed):

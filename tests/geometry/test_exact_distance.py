@@ -91,14 +91,6 @@ def test_on_the_surface_the_gradient_is_zero():
     assert (gradient == 0.0).all()
 
 
-def test_a_bound_only_cuts_off():
-    target = Target.load("pocket")
-    points = queries(target.distance, 2000)
-    bound = np.random.default_rng(3).uniform(0.0, 2.0, size=len(points))
-    exact = np.minimum(target.distance.distance(points), bound)
-    np.testing.assert_allclose(target.distance.distance_within(points, bound), exact, rtol=1e-15)
-
-
 def test_no_points():
     assert Target.load("box").distance.distance(np.zeros((0, 3))).shape == (0,)
 

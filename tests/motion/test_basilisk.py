@@ -5,8 +5,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from truths import frames
 
-from keepout.motion import NoDisturbance, Orbit, RelativeMotion, frames
+from keepout.motion import NoDisturbance, Orbit, RelativeMotion
 
 spacecraft = pytest.importorskip(
     "Basilisk.simulation.spacecraft", reason="Basilisk is not installed: pip install 'keepout[basilisk]'"

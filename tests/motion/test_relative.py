@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from truths import frames
 
 from keepout.motion import (
     J2,
@@ -16,7 +17,6 @@ from keepout.motion import (
     RelativeMotion,
     Tumbling,
     VVLHFixed,
-    frames,
     paper_disturbance,
     rotation,
 )

@@ -10,7 +10,6 @@ chain of free balls from a recorded position to beyond the mesh's bounding box (
 samples no motion within the bounds can join has no path to bound, and its contact is "undecided", never "no".
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, Protocol, runtime_checkable
@@ -267,14 +266,3 @@ def _check(time: np.ndarray, *states_and_radius: Any) -> None:
             )
     if not (np.isfinite(radius) and radius >= 0.0):
         raise FlightError(f"audit: chaser_radius is {radius} m; it must be finite and at least 0")
-
-
-def summary(audits: Sequence[Audit]) -> dict[str, float]:
-    """Count over a campaign: flights, contacts, undecided, inconsistent, and the least clearance bound in metres."""
-    return {
-        "flights": len(audits),
-        "contacts": sum(a.contact is Contact.YES for a in audits),
-        "undecided": sum(a.contact is Contact.UNDECIDED for a in audits),
-        "inconsistent": sum(not a.consistent for a in audits),
-        "minimum_clearance_m": min((a.minimum_clearance for a in audits), default=float("nan")),
-    }

@@ -9,7 +9,6 @@ from keepout.control.circulation import CirculationLaw
 from keepout.control.guidance.guidance import Guidance
 from keepout.control.velocity_program.cone import solve
 from keepout.control.velocity_program.program import VelocityProgram
-from keepout.control.velocity_program.smoothed import solve_smoothed
 from keepout.fields.field import Field
 
 
@@ -71,9 +70,8 @@ class SafeVelocity(eqx.Module):
 
     Barrier h = field − `offset` (m; certified error, chaser radius, margin and the law's own nominal offset).
     `gradient_error` is the paper's e_∇h; None where the barrier's own gradient is exact. `box` is the paper's limit
-    on each component, `speed` the limit on the norm; at least one of them. `smoothing` in m²/s², where given, solves
-    the barrier-smoothed program, whose Jacobian is continuous. `differentiate` says whether ∂v_s/∂r is formed (it
-    needs the field's Hessian).
+    on each component, `speed` the limit on the norm; at least one of them. `differentiate` says whether ∂v_s/∂r is
+    formed (it needs the field's Hessian).
     """
 
     field: Field
@@ -84,7 +82,6 @@ class SafeVelocity(eqx.Module):
     gradient_error: Float[Array, ""] | None = None
     box: Float[Array, ""] | None = None
     speed: SpeedCone | None = None
-    smoothing: Float[Array, ""] | None = None
     differentiate: bool = eqx.field(static=True, default=True)
 
     def __call__(
@@ -109,7 +106,7 @@ class SafeVelocity(eqx.Module):
                 self.guidance.desired_velocity(position + shift) if self.differentiate else desired,
                 memory,
             )
-            solution = solve(program) if self.smoothing is None else solve_smoothed(program, self.smoothing)
+            solution = solve(program)
             return solution.velocity, solution.status
 
         shift = jnp.zeros(3)

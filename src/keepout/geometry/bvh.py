@@ -72,19 +72,15 @@ def _planes(corners: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, "f 9"]:
 
 
 def closest(
-    tree: Tree, points: Float[np.ndarray, "n 3"], bound: Float[np.ndarray, "n"] | None = None
+    tree: Tree, points: Float[np.ndarray, "n 3"]
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 3"], Int[np.ndarray, "n"]]:
-    """Distance, closest point and original face for each point.
-
-    Where nothing is closer than a given bound, the distance is the bound and the face -1.
-    """
-    within = np.full(len(points), np.inf) if bound is None else bound
+    """Distance, closest point and original face for each point; the face is -1 where the distance overflows."""
     distance, nearest = np.empty(len(points)), np.empty((len(points), 3))
     face = np.empty(len(points), dtype=np.int64)
     order = _along_curve(points)
 
     def work(part: slice) -> None:
-        _query(*tree, points, order[part], within, distance, nearest, face)
+        _query(*tree, points, order[part], distance, nearest, face)
 
     share_among_cores(work, len(points))
     return distance, nearest, face
@@ -216,13 +212,13 @@ def on_triangle(corners, plane, triangle, x, y, z):
 
 @numba.njit(cache=True, nogil=True)
 @no_type_check
-def _query(lower, upper, right, first, amount, corners, plane, face, points, order, within, distance, nearest, found):
+def _query(lower, upper, right, first, amount, corners, plane, face, points, order, distance, nearest, found):
     stack = np.empty(128, dtype=np.int64)
     bounds = np.empty(128)
     best_triangle = 0
     for i in order:
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        best, bx, by, bz = within[i] * within[i], 0.0, 0.0, 0.0
+        best, bx, by, bz = np.inf, 0.0, 0.0, 0.0
         hit = -1
         # The last point's triangle gives a first bound; then the tree.
         triangle, end = best_triangle, best_triangle + 1
@@ -258,7 +254,7 @@ def _query(lower, upper, right, first, amount, corners, plane, face, points, ord
                 node = near
             if node >= 0:
                 triangle, end = first[node], first[node] + amount[node]
-        distance[i] = np.sqrt(best) if hit >= 0 else within[i]
+        distance[i] = np.sqrt(best)
         nearest[i, 0], nearest[i, 1], nearest[i, 2] = bx, by, bz
         found[i] = face[hit] if hit >= 0 else -1
         if hit >= 0:

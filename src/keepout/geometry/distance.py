@@ -61,10 +61,6 @@ class ExactDistance:
         """Distance (n,) in metres, closest point (n, 3) on the soup, and the triangle (n,) it lies on."""
         return bvh.closest(self.tree, _checked(points))
 
-    def distance_within(self, points: Points, bound: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-        """Smaller of the distance and a bound (n,) for each point, in metres; cheap where the bound is small."""
-        return bvh.closest(self.tree, _checked(points), np.ascontiguousarray(bound, dtype=np.float64))[0]
-
     def distance_and_gradient(self, points: Points) -> tuple[Float[np.ndarray, "n"], Points]:
         """Distance (n,) in metres and its gradient (n, 3), the unit vector (p - c)/d away from the closest point c.
 

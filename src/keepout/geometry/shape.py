@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.spatial
-import trimesh
 from jaxtyping import Float
 
 from keepout.errors import MeshError
@@ -27,32 +26,6 @@ class Ellipsoid(NamedTuple):
     def volume(self) -> float:
         """Cubic metres."""
         return float(4.0 / 3.0 * np.pi / np.sqrt(np.linalg.det(self.matrix)))
-
-
-class Capsule(NamedTuple):
-    """All points within `radius` of the segment from `start` to `end`."""
-
-    start: Float[np.ndarray, "3"]
-    end: Float[np.ndarray, "3"]
-    radius: float
-
-    @property
-    def volume(self) -> float:
-        """Cubic metres."""
-        return float(np.pi * self.radius**2 * (np.linalg.norm(self.end - self.start) + 4.0 / 3.0 * self.radius))
-
-
-class OrientedBox(NamedTuple):
-    """A box with its own axes: columns of `axes`; full sizes along them."""
-
-    centre: Float[np.ndarray, "3"]
-    axes: Float[np.ndarray, "3 3"]
-    size: Float[np.ndarray, "3"]
-
-    @property
-    def volume(self) -> float:
-        """Cubic metres."""
-        return float(np.prod(self.size))
 
 
 def convex_hull(points: Cloud) -> tuple[Float[np.ndarray, "corners 3"], float]:
@@ -113,39 +86,3 @@ def smallest_ellipsoid(points: Cloud, tolerance: float = 1e-7) -> Ellipsoid:
     matrix = np.linalg.inv(covariance) / 3.0
     matrix /= np.einsum("ij,jk,ik->i", flat - centre, matrix, flat - centre).max()
     return Ellipsoid(centre * scale + middle, matrix / scale**2)
-
-
-def best_box(points: Cloud) -> OrientedBox:
-    """Find a box of small volume round all points, one of its sides along a face of the hull (trimesh)."""
-    corners, _ = convex_hull(points)
-    to_origin, size = trimesh.bounds.oriented_bounds(corners)
-    axes = to_origin[:3, :3].T
-    return OrientedBox(-axes @ to_origin[:3, 3], axes, np.asarray(size, dtype=np.float64))
-
-
-def best_capsule(points: Cloud) -> Capsule:
-    """Find a capsule of small volume round all points.
-
-    The axis passes through the centre of the smallest circle round the points seen along it; the directions tried are
-    the axes of the best box and of the smallest ellipsoid. For a direction, radius and ends are the least.
-    """
-    corners, _ = convex_hull(points)
-    ellipsoid = np.linalg.eigh(smallest_ellipsoid(corners, 1e-4).matrix)[1]
-    directions = np.column_stack([ellipsoid, best_box(corners).axes]).T
-    return min((_capsule_along(corners, direction) for direction in directions), key=lambda capsule: capsule.volume)
-
-
-def _capsule_along(corners: Cloud, direction: Float[np.ndarray, "3"]) -> Capsule:
-    across = np.linalg.svd(direction[None])[2][1:]
-    circle, radius = trimesh.nsphere.minimum_nsphere(corners @ across.T)
-    foot = np.asarray(circle) @ across
-    # No optimiser's rounding may leave a corner outside.
-    offsets = np.linalg.norm(corners @ across.T - circle, axis=1)
-    radius = max(float(radius), float(offsets.max()))
-    along = corners @ direction
-    slack = np.sqrt(np.maximum(radius**2 - offsets**2, 0.0))
-    first, last = float((along + slack).min()), float((along - slack).max())
-    if first > last:
-        first = last = 0.5 * (first + last)
-        radius = float(np.linalg.norm(corners - (foot + first * direction), axis=1).max())
-    return Capsule(foot + first * direction, foot + last * direction, radius)

@@ -5,7 +5,6 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float
 
-from keepout.fields.domain import Domain
 from keepout.fields.evaluate import values, values_and_gradients, values_gradients_hessians
 from keepout.fields.field import Field
 from keepout.geometry.distance import ExactDistance
@@ -149,16 +148,3 @@ def _exterior_level(solid: OffsetSolid, level: float, count: int, generator: np.
         raise TypeError("level sets are measured against a mesh")
     points = level_points(distance, level, 2 * count, generator, uniform=True)
     return points[solid.is_exterior(points)][:count]
-
-
-def farthest_overstatement(
-    field: Field, solid: OffsetSolid, *, times: float = 10.0, count: int = 50_000, seed: int = 0
-):
-    """Return the largest f̃ - g found from the domain's edge out to `times` the target's size, metres."""
-    generator = np.random.default_rng(seed)
-    domain = Domain.around(solid.distance)
-    direction = generator.normal(size=(count, 3))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    low, high = np.log(domain.domain_radius), np.log(2.0 * times * domain.target_radius)
-    points = domain.centre + np.exp(generator.uniform(low, high, size=(count, 1))) * direction
-    return float((values(field, points) - solid.signed_distance(points)).max())

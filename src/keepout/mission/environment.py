@@ -1,6 +1,7 @@
 """A scenario's surroundings: orbit, the target's turning, disturbance, thrusters, and bounds on all of them."""
 
 import math
+from dataclasses import replace
 
 import jax
 import numpy as np
@@ -18,6 +19,7 @@ from keepout.flight.faults import (
 from keepout.flight.setup import Faults, NoFaults
 from keepout.geometry.target import Target
 from keepout.guard.braking import GuardAssumptions
+from keepout.mission.orbit_bounds import DifferentialBounds, differential_bounds, orbit_bounds, orbit_of, perturbations
 from keepout.mission.scenario import Scenario
 from keepout.motion import (
     Chaser,
@@ -25,7 +27,6 @@ from keepout.motion import (
     Disturbance,
     InertiallyFixed,
     NoDisturbance,
-    Orbit,
     RelativeMotion,
     SquareWaveDisturbance,
     Tumbling,
@@ -34,6 +35,7 @@ from keepout.motion import (
     paper_disturbance,
     resonant,
 )
+from keepout.motion.perturbation import EARTH_GRAVITATIONAL_PARAMETER
 
 _NEAR = 1000.0
 """Gravity is bounded at least this far from the target, m."""
@@ -47,11 +49,6 @@ _BANG_BANG_PERIOD = 100.0
 
 def relative_motion(scenario: Scenario) -> RelativeMotion:
     """Build the relative dynamics of the scenario's orbit and attitude."""
-    orbit = Orbit(
-        scenario.orbit.semi_major_axis,
-        eccentricity=scenario.orbit.eccentricity,
-        true_anomaly=scenario.orbit.true_anomaly,
-    )
     attitude = scenario.attitude
     if attitude.kind == "tumbling":
         turning = Tumbling(angular_velocity=np.asarray(attitude.angular_velocity), inertia=np.asarray(attitude.inertia))
@@ -59,7 +56,12 @@ def relative_motion(scenario: Scenario) -> RelativeMotion:
         turning = InertiallyFixed()
     else:
         turning = VVLHFixed()
-    return RelativeMotion(orbit, turning, centre_of_mass=np.asarray(scenario.target.centre_of_mass))
+    return RelativeMotion(
+        orbit_of(scenario.orbit),
+        turning,
+        perturbations(scenario),
+        centre_of_mass=np.asarray(scenario.target.centre_of_mass),
+    )
 
 
 def disturbance(scenario: Scenario) -> Disturbance:
@@ -129,37 +131,40 @@ def flight_bounds(scenario: Scenario) -> FlightBounds:
     """Bound what a flight's record does not hold, for the audit: true disturbance, rotation, differential gravity.
 
     Differential gravity is bounded within a range that holds every start and the goal twice over, and 1000 m at least.
+    Of what perturbations add, the constant is part of the force, and half of what grows with speed of the rate.
 
     Raises:
-        ScenarioError: start, goal or campaign are too far away for any bound.
+        ScenarioError: start, goal or campaign are too far away for any bound, or the orbit has none.
 
     """
-    mu = float(relative_motion(scenario).orbit.gravitational_parameter)
-    a, e = scenario.orbit.semi_major_axis, scenario.orbit.eccentricity
-    # Largest true-anomaly rate, at perigee, and a bound on its derivative 2 μ e (1+e)³ / (a³ (1−e²)³).
-    orbital_rate = math.sqrt(mu / (a * (1.0 - e * e)) ** 3) * (1.0 + e) ** 2
-    orbital_acceleration = 2.0 * mu * e * (1.0 + e) ** 3 / (a * (1.0 - e * e)) ** 3
-    rate, acceleration = orbital_rate, orbital_acceleration
+    region = _region(scenario, _furthest(scenario))
+    rate, acceleration = _rotation(scenario)
+    differential = _differential(scenario, region)
+    return FlightBounds(
+        mass=scenario.chaser.mass,
+        disturbance_force=disturbance(scenario).bound + scenario.chaser.mass * differential.constant,
+        angular_rate=rate + 0.5 * differential.per_speed,
+        angular_acceleration=acceleration,
+        gravity_gradient=differential.gradient,
+        origin_offset=_origin_offset(scenario),
+        range_limit=region,
+    )
+
+
+def _rotation(scenario: Scenario) -> tuple[float, float]:
+    """Bound the body frame's inertial rate, rad/s, and its derivative, rad/s²."""
+    outward = 1.0 + 1e-9
     if scenario.attitude.kind == "inertial":
-        rate, acceleration = 0.0, 0.0
-    elif scenario.attitude.kind == "tumbling":
+        return 0.0, 0.0
+    if scenario.attitude.kind == "tumbling":
         # Torque-free: energy and momentum are kept, so ‖ω‖² ≤ 2E/I_min and ‖ω̇‖ ≤ ‖L‖‖ω‖/I_min.
         inertia = np.asarray(scenario.attitude.inertia)
         omega = np.asarray(scenario.attitude.angular_velocity)
         least = float(np.linalg.eigvalsh(inertia)[0])
         rate = math.sqrt(max(omega @ inertia @ omega, 0.0) / least)
-        acceleration = float(np.linalg.norm(inertia @ omega)) * rate / least
-    region = _region(scenario, _furthest(scenario))
-    outward = 1.0 + 1e-9
-    return FlightBounds(
-        mass=scenario.chaser.mass,
-        disturbance_force=disturbance(scenario).bound,
-        angular_rate=rate * outward,
-        angular_acceleration=acceleration * outward,
-        gravity_gradient=_gravity_gradient(scenario, region),
-        origin_offset=_origin_offset(scenario),
-        range_limit=region,
-    )
+        return rate * outward, float(np.linalg.norm(inertia @ omega)) * rate / least * outward
+    orbit = orbit_bounds(scenario)
+    return orbit.rate * outward, orbit.acceleration * outward
 
 
 def _origin_offset(scenario: Scenario) -> float:
@@ -196,15 +201,16 @@ def _region(scenario: Scenario, away: dict[str, float]) -> float:
     return region
 
 
-def _gravity_gradient(scenario: Scenario, region: float) -> float:
-    """Bound the gradient of differential gravity for a chaser within `region` m of the origin, 1/s²: 2 μ / r³.
+def _differential(scenario: Scenario, region: float) -> DifferentialBounds:
+    """Bound what gravity and perturbations do to chaser and target differently, for a chaser within `region` m.
 
-    The least r from the Earth's centre to any point between target and chaser is the perigee's less their distance.
+    The least r from the Earth's centre to any point between target and chaser is the lowest radius less their distance;
+    the gradient of a point mass's gravity is at most 2 μ / r³.
     """
-    orbit = scenario.orbit
-    perigee = orbit.semi_major_axis * (1.0 - orbit.eccentricity)
-    nearest = perigee - max(_NEAR, region + _origin_offset(scenario))
-    return 2.0 * float(relative_motion(scenario).orbit.gravitational_parameter) / nearest**3
+    orbit = orbit_bounds(scenario)
+    nearest = orbit.lowest_radius - max(_NEAR, region + _origin_offset(scenario))
+    bent = differential_bounds(scenario, orbit, nearest=nearest, angular_rate=_rotation(scenario)[0])
+    return replace(bent, gradient=2.0 * EARTH_GRAVITATIONAL_PARAMETER / nearest**3 + bent.gradient)
 
 
 def guard_assumptions(scenario: Scenario, target: Target) -> GuardAssumptions:
@@ -217,19 +223,20 @@ def guard_assumptions(scenario: Scenario, target: Target) -> GuardAssumptions:
         ScenarioError: start, goal or target reach too far for gravity to be bounded.
 
     """
-    bounds = flight_bounds(scenario)
     away = {name: value for name, value in _furthest(scenario).items() if name != "campaign"}
     away["target"] = float(np.linalg.norm(target.vertices, axis=1).max())
     region = _region(scenario, away)
+    rate, acceleration = _rotation(scenario)
+    differential = _differential(scenario, region)
     entry = scenario.guard
     return GuardAssumptions(
         mass=scenario.chaser.mass,
         force_limit=scenario.chaser.force_limit,
         period=scenario.control.period,
-        disturbance_force=disturbance_bound(scenario),
-        angular_rate=bounds.angular_rate,
-        angular_acceleration=bounds.angular_acceleration,
-        gravity_gradient=_gravity_gradient(scenario, region),
+        disturbance_force=disturbance_bound(scenario) + scenario.chaser.mass * differential.constant,
+        angular_rate=rate + 0.5 * differential.per_speed,
+        angular_acceleration=acceleration,
+        gravity_gradient=differential.gradient,
         range_limit=2.0 * max(away.values()) + 20.0,
         speed_limit=1.5 * scenario.chaser.speed_limit,
         position_error=entry.position_error,
@@ -237,5 +244,5 @@ def guard_assumptions(scenario: Scenario, target: Target) -> GuardAssumptions:
         mass_error=entry.mass_error,
         gain_error=entry.gain_error,
         delay=entry.delay,
-        origin_offset=bounds.origin_offset,
+        origin_offset=_origin_offset(scenario),
     )

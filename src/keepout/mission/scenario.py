@@ -23,6 +23,7 @@ def _finite(vector: tuple[float, ...]) -> tuple[float, ...]:
 Vector = Annotated[tuple[float, float, float], AfterValidator(_finite)]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Angle = Annotated[float, Field(ge=-6.3, le=6.3)]
 
 
 class Entry(BaseModel):
@@ -157,7 +158,11 @@ class OrbitEntry(Entry):
 
     semi_major_axis: Annotated[float, Field(gt=6.4e6, lt=1e9)] = Field(default=42_164_000.0, description="m")
     eccentricity: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
-    true_anomaly: Annotated[float, Field(ge=-6.3, le=6.3)] = Field(default=0.0, description="at the start, rad")
+    true_anomaly: Angle = Field(default=0.0, description="at the start, rad")
+    inclination: Angle = Field(default=0.0, description="rad; this and the next two count only with j2 or drag")
+    right_ascension: Angle = Field(default=0.0, description="of the ascending node, rad")
+    argument_of_perigee: Angle = Field(default=0.0, description="rad")
+    j2: bool = Field(default=False, description="whether the Earth's oblateness bends both orbits")
 
     @model_validator(mode="after")
     def _above_ground(self) -> "OrbitEntry":
@@ -165,6 +170,18 @@ class OrbitEntry(Entry):
         if perigee < 6.4e6:
             raise ValueError(f"the perigee radius is {perigee:.4g} m, inside the Earth; it must be at least 6.4e6 m")
         return self
+
+
+class DragEntry(Entry):
+    """Drag of both spacecraft in an exponential atmosphere that turns with the Earth."""
+
+    density: NonNegative = Field(default=0.0, description="of the air at `altitude`, kg/m3; 0: no drag")
+    altitude: NonNegative = Field(default=400_000.0, description="above the equatorial radius, m")
+    scale_height: Annotated[float, Field(ge=1e3, le=1e6)] = Field(
+        default=60_000.0, description="over which the density falls to a third (1/e), m"
+    )
+    target_area_to_mass: NonNegative = Field(default=0.02, description="drag coefficient × area / mass, m2/kg")
+    chaser_area_to_mass: NonNegative = Field(default=0.02, description="drag coefficient × area / mass, m2/kg")
 
 
 class AttitudeEntry(Entry):
@@ -245,6 +262,7 @@ class Scenario(Entry):
     guard: GuardEntry = GuardEntry()
     control: ControlEntry = ControlEntry()
     orbit: OrbitEntry = OrbitEntry()
+    drag: DragEntry = DragEntry()
     attitude: AttitudeEntry = AttitudeEntry()
     disturbance: DisturbanceEntry = DisturbanceEntry()
     faults: FaultsEntry = FaultsEntry()

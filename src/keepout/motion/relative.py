@@ -71,7 +71,7 @@ class RelativeMotion(eqx.Module):
 
     def drift_acceleration(self, state: MotionState) -> Vector:
         """Acceleration in body axes without force and disturbance, m/s²."""
-        frame = self._frame(state.time, state.target_orbit)
+        frame = self.orbital_frame(state)
         omega, omega_dot = self.attitude_motion.rates(state.attitude, state.angular_velocity, frame)
         return self._drift(state, frame, omega, omega_dot)
 
@@ -122,7 +122,7 @@ class RelativeMotion(eqx.Module):
         """Take one step of `h` seconds under a disturbance without jumps."""
 
         def derivative(at: MotionState) -> MotionState:
-            frame = self._frame(at.time, at.target_orbit)
+            frame = self.orbital_frame(at)
             omega, omega_dot = self.attitude_motion.rates(at.attitude, at.angular_velocity, frame)
             push = (force + disturbance.force(at.time)) / mass
             relative_rate = omega - rotation.matrix(at.attitude) @ frame.angular_velocity

@@ -30,11 +30,6 @@ def multiply(left: Quaternion, right: Quaternion) -> Quaternion:
     return jnp.concatenate([(a * b - u @ w)[None], a * w + b * u + jnp.cross(u, w)])
 
 
-def conjugate(quaternion: Quaternion) -> Quaternion:
-    """Return the opposite rotation."""
-    return quaternion * jnp.array([1.0, -1.0, -1.0, -1.0])
-
-
 def matrix(quaternion: Quaternion) -> Float[Array, "3 3"]:
     """Give the 3 × 3 matrix of a unit quaternion: `matrix(q) @ v` equals `q ⊗ v ⊗ q*`."""
     w, x, y, z = quaternion
@@ -45,26 +40,6 @@ def matrix(quaternion: Quaternion) -> Float[Array, "3 3"]:
             [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
         ]
     )
-
-
-def from_matrix(rotation: Float[Array, "3 3"]) -> Quaternion:
-    """Give the unit quaternion of a rotation matrix, with a non-negative scalar part.
-
-    Each column below is the quaternion times four times one of its own components; the column of the largest component
-    is the well conditioned one (Shepperd 1978).
-    """
-    ((a, b, c), (d, e, f), (g, h, i)) = rotation
-    columns = jnp.array(
-        [
-            [1 + a + e + i, h - f, c - g, d - b],
-            [h - f, 1 + a - e - i, b + d, c + g],
-            [c - g, b + d, 1 - a + e - i, f + h],
-            [d - b, c + g, f + h, 1 - a - e + i],
-        ]
-    )
-    column = columns[jnp.argmax(jnp.diagonal(columns))]
-    unit = column / jnp.linalg.norm(column)
-    return jnp.where(unit[0] < 0, -unit, unit)
 
 
 def normalise(quaternion: Quaternion) -> Quaternion:

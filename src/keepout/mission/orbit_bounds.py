@@ -1,0 +1,220 @@
+"""Bounds on a scenario's orbit: how fast its frame turns, how low it goes, and what perturbations add to the drift.
+
+Without perturbations they are closed forms of the Kepler ellipse. With them the target's orbit is still a known path:
+it is integrated in fine steps over the flight, and what can lie between two of them is added by bounds on its rates.
+Every symbol below is the largest (or least, where said) value over the flight; docs/motion.md derives them.
+"""
+
+import functools
+import math
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from keepout.errors import ScenarioError
+from keepout.mission.scenario import DragEntry, OrbitEntry, Scenario
+from keepout.motion import J2, Drag, Orbit, Perturbation
+from keepout.motion.perturbation import (
+    EARTH_EQUATORIAL_RADIUS,
+    EARTH_GRAVITATIONAL_PARAMETER,
+    EARTH_J2,
+    EARTH_ROTATION_RATE,
+    target_acceleration,
+)
+
+_OUTWARD = 1.0 + 1e-6
+"""Covers what the Runge–Kutta steps of the target's orbit lose: 1e-8 at most (tests/mission/test_orbit_bounds.py)."""
+_MOST_STEPS = 200_000
+_FASTEST = 100.0
+"""Relative speed, m/s, up to which differential drag is bounded."""
+_LOWEST = 6.39e6
+"""Metres from the Earth's centre below which a perturbed orbit is refused."""
+_STRONGEST = 12.0
+"""More than gravity and perturbations together give above that, m/s²; checked."""
+
+_OBLATENESS = EARTH_J2 * EARTH_GRAVITATIONAL_PARAMETER * EARTH_EQUATORIAL_RADIUS**2
+
+
+@dataclass(frozen=True)
+class OrbitBounds:
+    """Bounds that hold over a whole flight.
+
+    Attributes:
+        rate: of VVLH against inertial space, rad/s.
+        acceleration: its derivative, rad/s².
+        lowest_radius: least distance of the target from the Earth's centre, m.
+        air_speed: largest speed of the target against the air, m/s; 0 without perturbations.
+
+    """
+
+    rate: float
+    acceleration: float
+    lowest_radius: float
+    air_speed: float = 0.0
+
+
+@dataclass(frozen=True)
+class DifferentialBounds:
+    """Bound of the perturbations' differential acceleration: `constant` + `gradient` ‖r‖ + `per_speed` ‖v‖.
+
+    Attributes:
+        constant: m/s².
+        gradient: of the chaser's distance from the target, 1/s².
+        per_speed: of its speed relative to the target, 1/s.
+
+    """
+
+    constant: float = 0.0
+    gradient: float = 0.0
+    per_speed: float = 0.0
+
+
+def orbit_of(entry: OrbitEntry) -> Orbit:
+    """Build the Kepler ellipse that the target is on at the epoch."""
+    return Orbit(
+        entry.semi_major_axis,
+        eccentricity=entry.eccentricity,
+        true_anomaly=entry.true_anomaly,
+        inclination=entry.inclination,
+        right_ascension=entry.right_ascension,
+        argument_of_perigee=entry.argument_of_perigee,
+    )
+
+
+def perturbations(scenario: Scenario) -> tuple[Perturbation, ...]:
+    """Build what bends the scenario's orbits away from Kepler's."""
+    return _perturbations(scenario.orbit, scenario.drag)
+
+
+def _perturbations(orbit: OrbitEntry, drag: DragEntry) -> tuple[Perturbation, ...]:
+    oblate = (J2(),) if orbit.j2 else ()
+    return (*oblate, Drag(**drag.model_dump())) if drag.density > 0.0 else oblate
+
+
+def orbit_bounds(scenario: Scenario) -> OrbitBounds:
+    """Bound the target's orbit over the scenario's duration.
+
+    Raises:
+        ScenarioError: perturbations bring the target down to the Earth.
+
+    """
+    if perturbations(scenario):
+        # Frozen models hash by their entries, which pyright does not see.
+        return _perturbed(scenario.orbit, scenario.drag, scenario.duration)  # pyright: ignore[reportArgumentType]
+    mu = EARTH_GRAVITATIONAL_PARAMETER
+    a, e = scenario.orbit.semi_major_axis, scenario.orbit.eccentricity
+    # Largest true-anomaly rate, at perigee, and a bound on its derivative 2 μ e (1+e)³ / (a³ (1−e²)³).
+    rate = math.sqrt(mu / (a * (1.0 - e * e)) ** 3) * (1.0 + e) ** 2
+    acceleration = 2.0 * mu * e * (1.0 + e) ** 3 / (a * (1.0 - e * e)) ** 3
+    return OrbitBounds(rate, acceleration, a * (1.0 - e))
+
+
+def differential_bounds(
+    scenario: Scenario, orbit: OrbitBounds, *, nearest: float, angular_rate: float
+) -> DifferentialBounds:
+    """Bound the difference of the perturbations' accelerations of chaser and target.
+
+    J2 is half the second derivative of 1/r along the pole, so its gradient is a fourth derivative of 1/r, at most
+    ½ 4!/r⁵. Drag −½ B ρ w ‖w‖ changes with place by the density's scale height and by the air's turning, and with
+    velocity by B ρ ‖w‖; what remains is the difference of the B at the same place.
+
+    Args:
+        scenario: its orbit and drag.
+        orbit: its bounds.
+        nearest: least distance from the Earth's centre of any point between target and chaser, m.
+        angular_rate: largest inertial rate of the body frame, rad/s.
+
+    """
+    oblate = 12.0 * _OBLATENESS / nearest**5 if scenario.orbit.j2 else 0.0
+    drag = scenario.drag
+    if drag.density == 0.0:
+        return DifferentialBounds(gradient=oblate)
+    turning = angular_rate + EARTH_ROTATION_RATE
+    density = _density(drag, nearest)
+    wind = orbit.air_speed + _FASTEST + turning * (orbit.lowest_radius - nearest)
+    per_speed = drag.chaser_area_to_mass * density * wind
+    by_place = 0.5 * drag.chaser_area_to_mass * density * wind**2 / drag.scale_height
+    return DifferentialBounds(
+        constant=0.5 * abs(drag.chaser_area_to_mass - drag.target_area_to_mass) * density * wind**2,
+        gradient=oblate + by_place + per_speed * turning,
+        per_speed=per_speed,
+    )
+
+
+def _density(drag: DragEntry, radius: float) -> float:
+    """Give the air's density at a distance from the Earth's centre, kg/m³; it falls with the distance."""
+    return drag.density * math.exp(-(radius - EARTH_EQUATORIAL_RADIUS - drag.altitude) / drag.scale_height)
+
+
+@functools.lru_cache(maxsize=8)
+def _perturbed(entry: OrbitEntry, drag: DragEntry, duration: float) -> OrbitBounds:
+    mu, spin = EARTH_GRAVITATIONAL_PARAMETER, EARTH_ROTATION_RATE
+    steps = min(max(math.ceil(duration), 1), _MOST_STEPS)
+    half = 0.5 * duration / steps
+    position, velocity = _path(entry, drag, duration / steps, steps)
+    distance, speed = np.linalg.norm(position, axis=1), np.linalg.norm(velocity, axis=1)
+    momentum = np.linalg.norm(np.cross(position, velocity), axis=1)
+    radial = np.abs(np.einsum("ij,ij->i", position, velocity)) / distance
+    lowest = float(distance.min())
+    # Within half a step of a sample, as long as no acceleration is more than `_STRONGEST`.
+    fastest = float(speed.max()) * _OUTWARD + half * _STRONGEST
+    floor = lowest / _OUTWARD - half * fastest
+    ceiling = float(distance.max()) * _OUTWARD + half * fastest
+    if not floor >= _LOWEST:
+        raise ScenarioError(
+            f"orbit: drag or j2 bring the target to {lowest:.4g} m from the Earth's centre within "
+            f"{duration:g} s; it must stay above {_LOWEST:.4g} m"
+        )
+    wind = fastest + spin * ceiling
+    oblate = 3.0 * _OBLATENESS / floor**4 if entry.j2 else 0.0
+    dragged = 0.5 * drag.target_area_to_mass * _density(drag, floor) * wind**2
+    pull = mu / floor**2 + oblate + dragged
+    if pull > _STRONGEST:
+        raise ScenarioError(
+            f"drag: the target would feel {dragged:.3g} m/s2 at {floor:.4g} m from the Earth's centre; give thinner air"
+        )
+    bent = oblate + dragged
+    # r a for the largest push a: J2's falls with r, drag is taken at its largest everywhere.
+    turning = floor * oblate + ceiling * dragged
+    least_momentum = float(momentum.min()) / _OUTWARD - half * ceiling * bent
+    most_momentum = float(momentum.max()) * _OUTWARD + half * ceiling * bent
+    climbing = float(radial.max()) * _OUTWARD + half * (pull + most_momentum**2 / floor**3)
+    along, across = most_momentum / floor**2, turning / least_momentum
+    gradient = 12.0 * _OBLATENESS / floor**5 if entry.j2 else 0.0
+    per_speed = drag.target_area_to_mass * _density(drag, floor) * wind
+    gradient += dragged / drag.scale_height + per_speed * spin
+    bending = gradient * fastest + per_speed * pull + bent * across
+    along_change = bent / floor + 2.0 * along * climbing / floor
+    across_change = (climbing * bent + ceiling * bending) / least_momentum + (ceiling * bent / least_momentum) ** 2
+    return OrbitBounds(
+        rate=math.hypot(along, across),
+        acceleration=math.hypot(along_change, across_change),
+        lowest_radius=floor,
+        air_speed=wind,
+    )
+
+
+def _path(entry: OrbitEntry, drag: DragEntry, step: float, steps: int) -> tuple[np.ndarray, np.ndarray]:
+    """Integrate the target's ECI positions (m) and velocities (m/s), (steps + 1, 3) each, by classical Runge–Kutta."""
+    parts = _perturbations(entry, drag)
+
+    def derivative(state: jax.Array) -> jax.Array:
+        mu = jnp.asarray(EARTH_GRAVITATIONAL_PARAMETER)
+        return jnp.concatenate([state[3:], target_acceleration(state[:3], state[3:], mu, parts)])
+
+    @eqx.filter_jit
+    def path(start: jax.Array) -> jax.Array:
+        def advance(state: jax.Array, _: None) -> tuple[jax.Array, jax.Array]:
+            first = derivative(state)
+            second = derivative(state + 0.5 * step * first)
+            third = derivative(state + 0.5 * step * second)
+            fourth = derivative(state + step * third)
+            return state + step / 6.0 * (first + 2.0 * second + 2.0 * third + fourth), state
+
+        return jax.lax.scan(advance, start, length=steps + 1)[1]
+
+    states = np.asarray(path(jnp.concatenate(orbit_of(entry).inertial_state(jnp.zeros(())))))
+    return states[:, :3], states[:, 3:]

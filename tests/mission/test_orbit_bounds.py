@@ -1,0 +1,183 @@
+"""Bounds on bent orbits against paths by SciPy's DOP853 from formulas of the test's own, and against sampled drifts."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from keepout.audit.audit import Contact
+from keepout.errors import ScenarioError
+from keepout.flight.record import FlightRecord
+from keepout.mission import environment
+from keepout.mission.flight import fly
+from keepout.mission.orbit_bounds import _path, differential_bounds, orbit_bounds, orbit_of
+from keepout.mission.scenario import Scenario
+from keepout.motion import MotionState
+
+MU, EARTH, OBLATE, SPIN = 3.986004418e14, 6378137.0, 1.08262668e-3, 7.292115e-5
+CASES = {
+    "low and round": ({"semi_major_axis": 6.9e6, "inclination": 0.9, "j2": True}, {}, 6000.0),
+    "polar with drag": (
+        {"semi_major_axis": 6.8e6, "eccentricity": 0.01, "inclination": 1.57, "true_anomaly": -1.0, "j2": True},
+        {"density": 3e-11, "chaser_area_to_mass": 0.2, "target_area_to_mass": 0.01},
+        6000.0,
+    ),
+    "long ellipse": (
+        {"semi_major_axis": 2e7, "eccentricity": 0.6, "inclination": 0.5, "argument_of_perigee": 1.0, "j2": True},
+        {},
+        30000.0,
+    ),
+    "drag alone": ({"semi_major_axis": 6.75e6}, {"density": 1e-11, "chaser_area_to_mass": 0.05}, 3000.0),
+}
+
+
+def scenario_of(case):
+    orbit, drag, duration = CASES[case]
+    return Scenario().replace(orbit=orbit, drag=drag, duration=duration)
+
+
+def true_path(scenario):
+    """ECI states of the target every second of its duration, (times, 6)."""
+    oblate, drag = OBLATE if scenario.orbit.j2 else 0.0, scenario.drag
+
+    def derivative(_, y):
+        r, v = y[:3], y[3:]
+        R = np.linalg.norm(r)
+        u = (r[2] / R) ** 2
+        bulge = -1.5 * oblate * MU * EARTH**2 / R**5 * r * np.array([1 - 5 * u, 1 - 5 * u, 3 - 5 * u])
+        air = v - np.cross([0.0, 0.0, SPIN], r)
+        density = drag.density * np.exp(-(R - EARTH - drag.altitude) / drag.scale_height)
+        push = -0.5 * density * drag.target_area_to_mass * np.linalg.norm(air) * air
+        return np.concatenate([v, -MU * r / R**3 + bulge + push])
+
+    start = np.concatenate(orbit_of(scenario.orbit).inertial_state(jnp.zeros(())))
+    times = np.arange(0.0, scenario.duration + 0.5)
+    solution = solve_ivp(derivative, (0.0, times[-1]), start, "DOP853", times, rtol=1e-13, atol=1e-7, max_step=30.0)
+    return solution.y.T
+
+
+def turning(path):
+    """Norms of the angular velocity and acceleration of VVLH, from axes a second apart by central differences."""
+    r, v = path[:, :3], path[:, 3:]
+    z = -r / np.linalg.norm(r, axis=1, keepdims=True)
+    y = -np.cross(r, v)
+    y /= np.linalg.norm(y, axis=1, keepdims=True)
+    axes = np.stack([np.cross(y, z), y, z], axis=1)
+    rate = 0.5 * (axes[2:] - axes[:-2])
+    skew = np.einsum("tij,tkj->tik", rate, axes[1:-1])  # dC/dt Cᵀ = −[ω×] in the frame's own axes
+    omega = np.stack([skew[:, 1, 2], skew[:, 2, 0], skew[:, 0, 1]], axis=1)
+    change = 0.5 * (omega[2:] - omega[:-2])
+    return np.linalg.norm(omega, axis=1), np.linalg.norm(change, axis=1)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_frame_never_turns_faster_and_the_target_never_flies_lower(case):
+    scenario = scenario_of(case)
+    path, bounds = true_path(scenario), orbit_bounds(scenario)
+    rate, change = turning(path)
+    # A central difference over two seconds is low by (ω · 1 s)²/6, about 2e-7.
+    assert bounds.rate * (1 - 1e-6) >= rate.max() >= bounds.rate * (1 - 2e-3)
+    assert bounds.acceleration >= change.max()
+    distance = np.linalg.norm(path[:, :3], axis=1).min()
+    assert distance >= bounds.lowest_radius >= distance - 6000.0
+    air = path[:, 3:] - np.cross([0.0, 0.0, SPIN], path[:, :3])
+    assert bounds.air_speed >= np.linalg.norm(air, axis=1).max()
+
+
+@pytest.mark.parametrize("attitude", ["vvlh", "inertial", "tumbling"])
+@pytest.mark.parametrize("case", CASES)
+def test_no_sampled_drift_exceeds_the_bound(case, attitude):
+    scenario = scenario_of(case)
+    turned = {"angular_velocity": (0.01, -0.02, 0.005), "inertia": ((120.0, 8, -5), (8, 90, 4), (-5, 4, 60))}
+    scenario = scenario.replace(attitude={"kind": attitude} | (turned if attitude == "tumbling" else {}))
+    bounds, motion = environment.flight_bounds(scenario), environment.relative_motion(scenario)
+    path = true_path(scenario)
+    random = np.random.default_rng(0)
+    count = 10_000
+    at = path[random.integers(len(path), size=count)]
+    way = random.normal(size=(2, count, 3))
+    way /= np.linalg.norm(way, axis=2, keepdims=True)
+    r = way[0] * 10.0 ** random.uniform(-3, 3, (count, 1))
+    v = way[1] * 10.0 ** random.uniform(-4, 1, (count, 1))
+    initial = motion.initial_state(np.zeros(3), np.zeros(3))
+
+    @eqx.filter_jit
+    @jax.vmap
+    def drift(r, v, orbit):
+        state = MotionState(initial.time, r, v, initial.attitude, initial.angular_velocity, orbit)
+        return jnp.linalg.norm(motion.drift_acceleration(state))
+
+    found = np.asarray(drift(r, v, at))
+    away, speed = np.linalg.norm(r, axis=1), np.linalg.norm(v, axis=1)
+    kappa = bounds.angular_acceleration + bounds.angular_rate**2 + bounds.gravity_gradient
+    unknown = bounds.disturbance_force - environment.disturbance(scenario).bound
+    allowed = 2.0 * bounds.angular_rate * speed + kappa * away + unknown / scenario.chaser.mass
+    # Rounding: 1e-16 of gravity, 10 m/s².
+    assert np.all(found <= allowed + 1e-14)
+
+
+def test_each_part_of_the_differential_bound_is_needed():
+    """At rest beside the target only the difference of the drag remains; J2's gradient is met above a pole."""
+    scenario = scenario_of("polar with drag")
+    orbit, motion = orbit_bounds(scenario), environment.relative_motion(scenario)
+    bent = differential_bounds(scenario, orbit, nearest=orbit.lowest_radius, angular_rate=orbit.rate)
+    path = true_path(scenario)
+    lowest = path[np.argmin(np.linalg.norm(path[:, :3], axis=1))]
+    state = motion.initial_state(np.zeros(3), np.zeros(3))
+    beside = MotionState(
+        state.time, state.position, state.velocity, state.attitude, state.angular_velocity, jnp.asarray(lowest)
+    )
+    assert bent.constant >= float(jnp.linalg.norm(motion.drift_acceleration(beside))) > 0.5 * bent.constant
+    assert environment.flight_bounds(scenario).disturbance_force > environment.disturbance(scenario).bound
+    radius = 7e6
+    (oblate,) = environment.relative_motion(scenario_of("low and round")).perturbations
+    pole = jnp.array([0.0, 0.0, radius])
+    steepest = jnp.linalg.norm(jax.jacfwd(oblate.of_target)(pole, jnp.zeros(3)), ord=2)
+    plain = differential_bounds(scenario_of("low and round"), orbit, nearest=radius, angular_rate=orbit.rate)
+    assert float(steepest) == pytest.approx(plain.gradient, rel=1e-12)
+
+
+@pytest.mark.parametrize("case", ["polar with drag", "long ellipse"])
+def test_the_integrated_path_is_that_of_dop853(case):
+    scenario = scenario_of(case)
+    positions, velocities = _path(scenario.orbit, scenario.drag, 1.0, int(scenario.duration))
+    truth = true_path(scenario)
+    error = np.linalg.norm(positions - truth[:, :3], axis=1) / np.linalg.norm(positions, axis=1)
+    assert error.max() < 1e-8
+    assert (np.linalg.norm(velocities - truth[:, 3:], axis=1) / np.linalg.norm(velocities, axis=1)).max() < 1e-8
+
+
+def test_without_perturbations_the_bounds_are_keplers():
+    scenario = Scenario().replace(orbit={"semi_major_axis": 7e6, "eccentricity": 0.05, "inclination": 1.0})
+    bounds = orbit_bounds(scenario)
+    perigee = 7e6 * 0.95
+    assert bounds.rate == pytest.approx(np.sqrt(MU * 1.05 / perigee**3), rel=1e-12)
+    assert bounds.lowest_radius == pytest.approx(perigee)
+    assert differential_bounds(scenario, bounds, nearest=perigee, angular_rate=bounds.rate).gradient == 0.0
+    assert environment.relative_motion(scenario).perturbations == ()
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"orbit": {"semi_major_axis": 6.41e6, "j2": True}, "duration": 6000.0}, "orbit: .* stay above 6.39e"),
+        ({"orbit": {"semi_major_axis": 6.6e6}, "drag": {"density": 3e-7}, "duration": 2.0}, "drag: .* thinner air"),
+    ],
+)
+def test_orbits_without_a_bound_are_refused(changes, reason):
+    with pytest.raises(ScenarioError, match=reason):
+        environment.flight_bounds(Scenario().replace(**changes))
+
+
+def test_a_guarded_flight_in_a_low_orbit_keeps_its_promises_and_records_the_targets_orbit(tmp_path):
+    orbit, drag, _ = CASES["polar with drag"]
+    flight = fly(Scenario().replace(orbit=orbit, drag=drag | {"density": 3e-12}, duration=150.0))
+    assert flight.audit.contact is Contact.NO
+    assert flight.audit.inconsistent_steps == ()
+    assert flight.guard_flags() == {}
+    flight.record.save(tmp_path / "flight.parquet")
+    orbit_column = FlightRecord.load(tmp_path / "flight.parquet").target_orbit
+    truth = true_path(flight.scenario)
+    np.testing.assert_allclose(orbit_column[:, :3], truth[:, :3], atol=1e-4)
