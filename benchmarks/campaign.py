@@ -18,7 +18,7 @@ from keepout.control.guidance.plan import Straight
 from keepout.control.operation import Operation
 from keepout.fields.model import FieldModel
 from keepout.flight import FlightSetup
-from keepout.flight.batches import campaign, initial_states
+from keepout.flight.batches import fly_batches, initial_states
 from keepout.motion import Chaser, Orbit, RelativeMotion, paper_disturbance
 
 
@@ -44,7 +44,7 @@ def main():
         best = np.full(2, np.inf)
         for _ in range(4):  # the first one compiles
             began = np.array([time.perf_counter(), time.process_time()])
-            campaign(setup, states, arguments.steps, batch=batch, workers=workers)
+            fly_batches(setup, states, arguments.steps, batch=batch, workers=workers)
             best = np.minimum(best, np.array([time.perf_counter(), time.process_time()]) - began)
         return 1e6 * best / arguments.flights / arguments.steps
 

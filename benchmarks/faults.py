@@ -30,7 +30,7 @@ from keepout.audit.audit import Contact, audit_campaign
 from keepout.audit.tube import FlightBounds
 from keepout.control.law import Command, Law
 from keepout.flight import faults as broken
-from keepout.flight.batches import campaign, initial_states
+from keepout.flight.batches import fly_batches, initial_states
 from keepout.flight.setup import NoFaults
 from keepout.guard.guard import GuardFlag
 from keepout.mission import environment
@@ -135,7 +135,7 @@ def fly_row(world, setup, fault, shape, flights, duration, seed):
 
     began = time.perf_counter()
     flown = row_setup(setup, fault, shape, flights, generator)
-    result = campaign(
+    result = fly_batches(
         flown, initial, duration, seed=1000 * seed + number, vary=varied, columns=AUDITED, landed=landed, workers=1
     )
     hurt = np.array([a.contact is not Contact.NO or a.minimum_clearance < MARGIN for a in verdicts])
@@ -208,7 +208,7 @@ def cost(name, duration, flights=128):
             least = np.inf
             for _ in range(3):
                 began = time.process_time()
-                campaign(setup, initial, duration, vary=vary, columns=AUDITED, landed=landed, workers=1)  # noqa: B023
+                fly_batches(setup, initial, duration, vary=vary, columns=AUDITED, landed=landed, workers=1)  # noqa: B023
                 least = min(least, time.process_time() - began)
             return least / (flights * (duration + 1)) * 1e6
 

@@ -34,7 +34,7 @@ from keepout.control.guidance.geodesic import geodesic_guidance
 from keepout.control.guidance.plan import Straight
 from keepout.control.profiles import ControlWarning
 from keepout.control.tuning import tune
-from keepout.flight.batches import BATCH, campaign
+from keepout.flight.batches import BATCH, fly_batches
 from keepout.flight.setup import FlightSetup
 from keepout.mission import environment
 from keepout.mission.build import build_law, operation
@@ -231,7 +231,7 @@ class Results:
             push = np.linalg.norm(own["disturbance"], axis=-1).sum(axis=-1) * period
             floors.extend(push / chaser.mass + 2.0 * chaser.speed_limit)
 
-        outcome = campaign(
+        outcome = fly_batches(
             setup,
             initial,
             round(seconds / period),

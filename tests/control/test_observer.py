@@ -50,7 +50,7 @@ def test_harmonic_model_leaves_a_thousandth():
 
 
 def test_printed_generator_leaves_most_of_it():
-    """A = I, as printed, is unstable and not the generator of the printed sinusoids (design section 2.7)."""
+    """A = I, as printed, is unstable and not the generator of the printed sinusoids."""
     one = np.eye(3)
     errors = run(continuous(one, one, 50.0 * one, mass=MASS, period=PERIOD), 400)
     assert np.abs(errors[100:]).max() / 0.01 > 0.5

@@ -7,7 +7,7 @@ from truths.flights import KEY, make_setup, start_state
 
 from keepout.errors import ScenarioError
 from keepout.flight import FlightOutcome, fly, outcome
-from keepout.flight.batches import campaign, initial_states
+from keepout.flight.batches import fly_batches, initial_states
 from keepout.motion import ConstantDisturbance
 
 STEPS = 30
@@ -24,7 +24,7 @@ def flown():
     setup = make_setup()
     states = initial_states(setup.motion, shell, 7, seed=3)
     chunks, reports = {}, []
-    result = campaign(
+    result = fly_batches(
         setup,
         states,
         STEPS,
@@ -72,7 +72,7 @@ def test_what_varies_differs_between_flights():
     many = eqx.tree_at(lambda s: s.disturbance.constant, setup, pushes)
     states = jax.vmap(lambda r: start_state(setup, r))(jnp.tile(jnp.array([8.0, 0.0, 0.0]), (2, 1)))
     logs = {}
-    campaign(
+    fly_batches(
         many,
         states,
         STEPS,
@@ -91,9 +91,9 @@ def test_impossible_campaigns_are_refused():
     setup = make_setup()
     states = initial_states(setup.motion, shell, 2, seed=0)
     with pytest.raises(ScenarioError, match="columns: thrust"):
-        campaign(setup, states, 5, columns=("thrust",))
+        fly_batches(setup, states, 5, columns=("thrust",))
     with pytest.raises(ScenarioError, match="leading axes"):
-        campaign(setup, states, 5, vary=lambda s: s.goal)  # (3,) is not one goal a flight
+        fly_batches(setup, states, 5, vary=lambda s: s.goal)  # (3,) is not one goal a flight
     with pytest.raises(ScenarioError, match="flights: 0"):
         initial_states(setup.motion, shell, 0, seed=0)
     with pytest.raises(ScenarioError, match="sampled velocities"):

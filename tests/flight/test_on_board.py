@@ -17,7 +17,7 @@ from keepout.flight import FlightSetup, loop
 from keepout.flight.on_board import OnBoard
 from keepout.geometry.target import Target
 from keepout.guard.guard import Guard
-from keepout.learning.profile import Profile
+from keepout.learning.profile import TrainingProfile
 from keepout.learning.training import fit
 from keepout.mission.build import prepare
 from keepout.mission.scenario import Scenario
@@ -67,7 +67,9 @@ def test_a_mission_as_it_is_prepared_is_one_kernel(tmp_path, monkeypatch):
     """Learned field, geodesic guidance, and the guard with its grid field."""
     monkeypatch.setenv("KEEPOUT_CACHE", str(tmp_path))
     target = Target.load("box")
-    model = fit(target, profile=Profile(width=16, depth=2, samples=20_000, batch=512, steps=1000, tuning_steps=0))
+    model = fit(
+        target, profile=TrainingProfile(width=16, depth=2, samples=20_000, batch=512, steps=1000, tuning_steps=0)
+    )
     model = certify(model, target, chaser_radius=0.5)
     entries = {
         "target": {"source": "box"},

@@ -8,10 +8,10 @@ from keepout.geometry.level_points import level_points
 from keepout.geometry.offset_solid import OffsetSolid
 from keepout.geometry.target import Target
 from keepout.learning.counter_examples import HIGHEST, JITTER, ROUNDS_KEPT, WORST, Hunt
-from keepout.learning.profile import Profile
+from keepout.learning.profile import TrainingProfile
 
 HEIGHT, WIDTH, WEBS = 0.2, 0.04, 300
-PROFILE = Profile(webs=WEBS)
+PROFILE = TrainingProfile(webs=WEBS)
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ from keepout.fields.model import FieldModel
 from keepout.geometry.level_points import onto_level
 from keepout.geometry.offset_solid import OffsetSolid
 from keepout.geometry.target import Target
-from keepout.learning.profile import Profile
+from keepout.learning.profile import TrainingProfile
 from keepout.learning.training import fit
 from keepout.measures.quality import curvature, distance_errors, margin_cost, surface_errors
 from keepout.proof import certificate
@@ -28,7 +28,7 @@ from keepout.proof.certificate import certify
 # One worker fits the box for all of them.
 pytestmark = pytest.mark.xdist_group("fit_and_certify")
 
-TINY = Profile(width=24, depth=2, samples=20_000, batch=512, steps=1250, tuning_steps=500)
+TINY = TrainingProfile(width=24, depth=2, samples=20_000, batch=512, steps=1250, tuning_steps=500)
 
 
 @pytest.fixture(scope="module")
@@ -122,12 +122,12 @@ def test_splitting_that_runs_out_stays_sound(model, target, monkeypatch):
 _SCRIPT = """
 import sys
 from pathlib import Path
-from keepout.learning.profile import Profile
+from keepout.learning.profile import TrainingProfile
 from keepout.geometry.level_points import onto_level
 from keepout.learning.training import fit
 from keepout.geometry.target import Target
 target = Target.load("box", parameters={"length": 2.0, "width": 1.0, "height": 1.0})
-profile = Profile(width=24, depth=2, samples=20_000, batch=512, steps=1250, tuning_steps=500)
+profile = TrainingProfile(width=24, depth=2, samples=20_000, batch=512, steps=1250, tuning_steps=500)
 fit(target, profile=profile, checkpoint=Path(sys.argv[1])).save(sys.argv[2])
 """
 

@@ -49,7 +49,7 @@ def initial_states(motion: RelativeMotion, sampler: Sampler, flights: int, *, se
     return eqx.filter_vmap(motion.initial_state)(jnp.asarray(position), jnp.asarray(velocity))
 
 
-def campaign(
+def fly_batches(
     setup: FlightSetup,
     initial: MotionState,
     steps: int,

@@ -11,7 +11,7 @@ from keepout.geometry.distance import ExactDistance
 from keepout.geometry.level_points import Points, level_points, onto_level, surface_points, towards_level
 from keepout.geometry.offset_solid import OffsetSolid
 from keepout.learning import losses
-from keepout.learning.profile import Profile
+from keepout.learning.profile import TrainingProfile
 from keepout.learning.sampling import Samples, label, normalised, training_points
 
 ON_LEVEL, NEAR = 100_000, 200_000
@@ -64,7 +64,7 @@ class Hunt:
     domain: Domain
     chaser_radius: float
     near: Samples
-    profile: Profile
+    profile: TrainingProfile
 
     @classmethod
     def prepare(
@@ -72,7 +72,7 @@ class Hunt:
         solid: OffsetSolid,
         domain: Domain,
         chaser_radius: float,
-        profile: Profile,
+        profile: TrainingProfile,
         generator: np.random.Generator,
     ) -> "Hunt":
         """Sample the candidates that stay."""

@@ -8,7 +8,7 @@ from jaxtyping import Array, Bool, Float32
 
 from keepout.fields import mlp
 from keepout.learning import second_sweep
-from keepout.learning.profile import Profile
+from keepout.learning.profile import TrainingProfile
 
 
 class Batch(NamedTuple):
@@ -30,14 +30,14 @@ class Parted(NamedTuple):
     plain: Batch
 
     @classmethod
-    def by(cls, profile: Profile, data: Batch) -> "Parted":
+    def by(cls, profile: TrainingProfile, data: Batch) -> "Parted":
         """Part points as the profile's loss takes them: the paper's asks every point for a gradient."""
         sloped = np.asarray(data.smooth) | (profile.loss != "keepout")
         return cls(Batch(*(column[sloped] for column in data)), Batch(*(column[~sloped] for column in data)))
 
 
 def keepout_terms(
-    layers: mlp.Layers, profile: Profile, scale: float, batch: Batch, sloped: int
+    layers: mlp.Layers, profile: TrainingProfile, scale: float, batch: Batch, sloped: int
 ) -> tuple[Float32[Array, "n"], Float32[Array, "{sloped}"]]:
     """For each point: the weighted pinball of the distance error; for the first ones, the squared gradient error.
 
@@ -57,7 +57,7 @@ def keepout_terms(
 
 
 def paper_terms(
-    layers: mlp.Layers, profile: Profile, scale: float, batch: Batch
+    layers: mlp.Layers, profile: TrainingProfile, scale: float, batch: Batch
 ) -> tuple[Float32[Array, "n"], Float32[Array, "n"]]:
     """For each point: L_P and η L_E, after Zhou et al. Section IV, in normalised units.
 
@@ -76,7 +76,7 @@ def paper_terms(
 
 
 def terms(
-    layers: mlp.Layers, profile: Profile, scale: float, batch: Batch, sloped: int
+    layers: mlp.Layers, profile: TrainingProfile, scale: float, batch: Batch, sloped: int
 ) -> tuple[Float32[Array, "n"], Float32[Array, "{sloped}"]]:
     """Return the two terms of the profile's loss: at each point, and at the first ones, which have a gradient term."""
     if profile.loss == "keepout":

@@ -12,7 +12,7 @@ BEYOND_CONTACT = 0.7
 
 
 @dataclasses.dataclass(frozen=True)
-class Profile:
+class TrainingProfile:
     """The numbers of a fit.
 
     Attributes:
@@ -66,18 +66,18 @@ class Profile:
     near_field: float = 1.2
     gradient_weight: float = 0.02
     kappa: float = 2.0
-    large: "Profile | None" = None
+    large: "TrainingProfile | None" = None
 
-    def for_size(self, radius: float) -> "Profile":
+    def for_size(self, radius: float) -> "TrainingProfile":
         """Return the numbers for a target whose bounding ball has this radius, metres."""
         return self if self.large is None or radius <= LARGE_TARGET else self.large
 
-    def for_chaser(self, radius: float) -> "Profile":
+    def for_chaser(self, radius: float) -> "TrainingProfile":
         """Return the numbers for a chaser of this radius, metres: the near field reaches beyond where it touches."""
         return dataclasses.replace(self, near_field=max(self.near_field, radius + BEYOND_CONTACT))
 
 
-_STATION = Profile(
+_STATION = TrainingProfile(
     width=160,
     depth=5,
     steps=10_000,
@@ -88,7 +88,7 @@ _STATION = Profile(
     over_weight=0.65,
     far_over_weight=0.5,
 )
-_PAPER = Profile(
+_PAPER = TrainingProfile(
     loss="paper_pinball",
     width=512,
     depth=10,
@@ -102,22 +102,22 @@ _PAPER = Profile(
     gradient_weight=0.1,
 )
 
-PROFILES: dict[str, Profile] = {
-    "default": Profile(large=_STATION),
-    "quick": Profile(width=48, depth=3, samples=60_000, steps=1500, tuning_steps=500),
+PROFILES: dict[str, TrainingProfile] = {
+    "default": TrainingProfile(large=_STATION),
+    "quick": TrainingProfile(width=48, depth=3, samples=60_000, steps=1500, tuning_steps=500),
     "paper": _PAPER,
     "paper_printed": dataclasses.replace(_PAPER, loss="paper_printed"),
 }
 
 
-def find_profile(profile: str | Profile) -> Profile:
-    """Return a profile by name; a `Profile` is returned as it is.
+def find_profile(profile: str | TrainingProfile) -> TrainingProfile:
+    """Return a profile by name; a `TrainingProfile` is returned as it is.
 
     Raises:
         FieldError: no profile of that name.
 
     """
-    if isinstance(profile, Profile):
+    if isinstance(profile, TrainingProfile):
         return profile
     if profile not in PROFILES:
         raise FieldError(f"profile {profile!r}: there is none of that name; choose from {', '.join(PROFILES)}")

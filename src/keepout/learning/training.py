@@ -29,7 +29,7 @@ from keepout.learning import checkpoint as checkpoints
 from keepout.learning import losses
 from keepout.learning.counter_examples import Hunt
 from keepout.learning.learned import Learned
-from keepout.learning.profile import Profile, find_profile
+from keepout.learning.profile import TrainingProfile, find_profile
 from keepout.learning.sampling import label, normalised, training_points
 from keepout.progress import Progress, silent
 
@@ -56,7 +56,7 @@ class _State(NamedTuple):
 def fit(
     target: Target,
     *,
-    profile: str | Profile = "default",
+    profile: str | TrainingProfile = "default",
     chaser_radius: float = 0.5,
     seed: int = 0,
     checkpoint: Path | None = None,
@@ -67,7 +67,7 @@ def fit(
 
     Args:
         target: what to learn.
-        profile: "default", "quick" (rough, for trying out), "paper" or "paper_printed"; or a `Profile`.
+        profile: "default", "quick" (rough, for trying out), "paper" or "paper_printed"; or a `TrainingProfile`.
         chaser_radius: metres; where a chaser of this radius touches, over-statement is hunted as it is on the surface.
         seed: the same seed, target and profile on the same machine give the same field.
         checkpoint: a file kept up to date while training and deleted at the end; if it exists, the fit goes on from it.
@@ -151,12 +151,12 @@ def fit(
     return FieldModel(field, target.name, target.sha256, solid.offset, training)
 
 
-def _fingerprint(target: Target, solid: OffsetSolid, profile: Profile, chaser_radius: float, seed: int) -> str:
+def _fingerprint(target: Target, solid: OffsetSolid, profile: TrainingProfile, chaser_radius: float, seed: int) -> str:
     entries = [target.sha256, solid.offset, solid.closing_radius, dataclasses.asdict(profile), chaser_radius, seed]
     return digest(json.dumps(entries))
 
 
-def _initial(profile: Profile, data: losses.Batch, hard_count: int, seed: int) -> _State:
+def _initial(profile: TrainingProfile, data: losses.Batch, hard_count: int, seed: int) -> _State:
     """He-scaled weights (He et al. 2015); first-layer kinks spread over the unit ball; the output starts positive."""
     width, depth = profile.width, profile.depth
     sizes = [3] + [width] * depth + [1]
@@ -175,7 +175,7 @@ def _initial(profile: Profile, data: losses.Batch, hard_count: int, seed: int) -
     return _State(layers, optimizer, hard, jnp.asarray(0, jnp.int32), jnp.asarray(jnp.inf, jnp.float32))
 
 
-def _optimizer(profile: Profile, tuning: bool) -> optax.GradientTransformation:
+def _optimizer(profile: TrainingProfile, tuning: bool) -> optax.GradientTransformation:
     steps = profile.tuning_steps if tuning else profile.steps
 
     def schedule(start: float) -> optax.Schedule:
@@ -204,7 +204,7 @@ def _hidden_matrices(layers: Any) -> Any:
 
 
 @functools.partial(jax.jit, static_argnums=(0, 1, 2), compiler_options=NO_LIBRARIES)
-def _train_block(profile: Profile, scale: float, tuning: bool, state: _State, data: losses.Parted, key: Array):
+def _train_block(profile: TrainingProfile, scale: float, tuning: bool, state: _State, data: losses.Parted, key: Array):
     """`BLOCK` steps in one compiled loop.
 
     Each step's easy points have the kinds of `losses.Parted` in the shares in which all of them have.

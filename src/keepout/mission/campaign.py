@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 from keepout.audit.audit import Audit, Contact, audit_campaign
 from keepout.audit.outside import proved_outside
 from keepout.errors import ScenarioError
-from keepout.flight.batches import campaign
+from keepout.flight.batches import fly_batches
 from keepout.flight.outcome import FlightOutcome
 from keepout.geometry.target import Target
 from keepout.guard.guard import flag_names
@@ -133,7 +133,7 @@ def run_campaign(scenario: Scenario, *, target: Target | None = None, progress: 
         )
         audits[first : first + len(verdicts)] = verdicts
 
-    result = campaign(
+    result = fly_batches(
         mission.setup,
         initial,
         mission.steps,

@@ -56,7 +56,7 @@ class StraightGuidance(Guidance):
 
 
 class GeodesicGuidance(Guidance):
-    """Along the shortest free way to the goal, blended into the straight line near it (design section 2.6).
+    """Along the shortest free way to the goal, blended into the straight line near it (docs/control.md).
 
     `directions` holds at each node of a regular grid with corner `origin` (m) and `spacing` (m) the direction in which
     the travel time falls, in 127ths; they are blended by cubic B-splines, so that v_c is twice continuously

@@ -48,7 +48,7 @@ class ConeSolution(eqx.Module):
     """Answer of the velocity program.
 
     `velocity` (3,) m/s; `status` a `ConeStatus`; `room` in m/s: barrier_rate + g_max, the program is feasible
-    exactly if it is not negative (closed form, design section 2.5; above what any row can use it is cut off);
+    exactly if it is not negative (closed form, `program.py`; above what any row can use it is cut off);
     `iterations` of the interior point.
     """
 
