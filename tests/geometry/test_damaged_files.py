@@ -153,6 +153,55 @@ def test_the_json_of_a_scene_with_wrong_bytes(tmp_path_factory, whole, place, by
     assert target is None or np.isfinite(surface(target)).all()
 
 
+def places(tree, above=()):
+    """Paths to all entries of a JSON tree."""
+    entries = tree.items() if isinstance(tree, dict) else enumerate(tree) if isinstance(tree, list) else ()
+    for key, entry in entries:
+        yield (*above, key)
+        yield from places(entry, (*above, key))
+
+
+WRONG = [
+    None,
+    True,
+    -1,
+    0,
+    1,
+    7,
+    10**12,
+    1e300,
+    float("inf"),
+    float("nan"),
+    "x",
+    [],
+    [0],
+    {},
+    {"a": 1},
+    "POSITION",
+    5123,
+]
+
+
+@settings(max_examples=250)
+@given(st.integers(0, 10**6), st.one_of(st.just("drop"), st.sampled_from(WRONG)))
+def test_a_scene_with_one_wrong_entry(tmp_path_factory, place, value):
+    file = GltfFile()
+    file.primitive(MESH.vertices, MESH.faces.reshape(-1))
+    instances = {"EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": file.array(np.eye(3), "f4")}}}
+    file.tree["nodes"] = [{"children": [1], "translation": [1.0, 2.0, 3.0]}, {"mesh": 0, "extensions": instances}]
+    *above, last = sorted(places(file.tree), key=str)[place % len(list(places(file.tree)))]
+    entry = file.tree
+    for key in above:
+        entry = entry[key]
+    if value == "drop":
+        del entry[last]
+    else:
+        entry[last] = value
+    folder = tmp_path_factory.mktemp("entry")
+    target = read(folder, "glb", {}, file.write(folder / "a.glb").read_bytes())
+    assert target is None or np.isfinite(surface(target)).all()
+
+
 @settings(max_examples=60)
 @given(st.floats(0, 1), st.sampled_from(["", "0", "9", "-", "x", '"', "<", ">", " ", "/"]))
 def test_the_model_of_a_three_mf_with_wrong_characters(tmp_path_factory, whole, place, character):

@@ -306,7 +306,7 @@ def test_what_the_scene_does_not_show_is_said(path):
         (lambda tree: tree["meshes"][0]["primitives"][0]["attributes"].clear(), "POSITION"),
         (lambda tree: tree["asset"].update(version="1.0"), "version"),
         (lambda tree: tree.update(nodes="none"), "nodes"),
-        (lambda tree: tree.update(extensionsRequired="one"), "arrays"),
+        (lambda tree: tree.update(extensionsRequired="one"), "array"),
     ],
 )
 def test_a_wrong_tree_is_refused(path, change, word):

@@ -113,7 +113,7 @@ def _read_mesh(path: Path) -> MeshContents:
     except MeshError as refusal:
         raise MeshError(f"{kind}: {' '.join(str(refusal).split())}") from refusal
     except Exception as cause:  # a damaged tree or archive can miss anything anywhere
-        raise MeshError(f"{kind}: {type(cause).__name__}: {_one_line(cause)}") from cause
+        raise MeshError(f"{kind}: its structure is damaged ({type(cause).__name__}: {_one_line(cause)})") from cause
     if len(contents.vertices) == 0:
         raise MeshError(
             f"{path.name}: no triangles and no points in it{_aside(contents)}; export the geometry itself, not "

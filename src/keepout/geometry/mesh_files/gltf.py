@@ -10,7 +10,7 @@ from trimesh.transformations import quaternion_matrix
 
 from keepout.errors import MeshError
 from keepout.geometry.mesh_files.contents import MeshContents, counted, left_out
-from keepout.geometry.mesh_files.gltf_data import GltfData
+from keepout.geometry.mesh_files.gltf_data import GltfData, listed, part, parts
 from keepout.geometry.mesh_files.gltf_primitives import DRACO, QUANTIZATION, read_primitive
 
 INSTANCING = "EXT_mesh_gpu_instancing"
@@ -41,24 +41,23 @@ def read_gltf(path: Path) -> MeshContents:
     data = GltfData(path)
     passed_over = _extensions(data)
     scene = _Scene(data)
-    scene.walk()
+    with np.errstate(invalid="ignore", over="ignore"):  # what is not finite is refused where a triangle uses it
+        scene.walk()
     return scene.contents(passed_over)
 
 
 def _extensions(data: GltfData) -> list[str]:
     """Refuse a required extension that is not read, and say which others are passed over."""
-    required, used = data.tree.get("extensionsRequired", []), data.tree.get("extensionsUsed", [])
-    if not isinstance(required, list) or not isinstance(used, list):
-        raise MeshError("extensionsRequired and extensionsUsed must be arrays")
+    required, used = listed(data.tree, "extensionsRequired"), listed(data.tree, "extensionsUsed")
     for name in required:
         if not _known(str(name)):
             raise MeshError(
                 f"it requires the extension {str(name)[:60]}, which is not read; those that change geometry and are "
                 f"read: {', '.join(_READ)}"
             )
-    primitives = [primitive for mesh in data.rows("meshes") for primitive in mesh.get("primitives", [])]
+    primitives = [primitive for mesh in data.rows("meshes") for primitive in parts(mesh, "primitives")]
     holders = [*data.rows("nodes"), *data.rows("meshes"), *primitives]
-    found = {*map(str, used), *(name for holder in holders for name in holder.get("extensions", {}))}
+    found = {*map(str, used), *(name for holder in holders for name in part(holder, "extensions"))}
     others = sorted(name for name in found if not _known(name))
     return [f"passed over the extension {name[:60]}, which the file does not require" for name in others]
 
@@ -86,7 +85,7 @@ class _Scene:
             raise MeshError("no scene in it, so nothing says where its meshes are")
         scene = self._data.entry("scenes", self._data.tree.get("scene", 0))
         # The last node first: this order of the vertices is part of the target's hash, which learned fields carry.
-        queue = [(index, np.eye(4)) for index in scene.get("nodes", [])]
+        queue = [(index, np.eye(4)) for index in listed(scene, "nodes")]
         seen = set()
         while queue:
             index, parent = queue.pop()
@@ -95,10 +94,10 @@ class _Scene:
                 raise MeshError(f"node {index} has two parents, or is its own ancestor")
             seen.add(index)
             place = parent @ _placement(node, index)
-            queue.extend((child, place) for child in node.get("children", []))
+            queue.extend((child, place) for child in listed(node, "children"))
             if "mesh" in node:
                 self._node(node, index, place)
-        placed = {node.get("mesh") for node in nodes}
+        placed = [node.get("mesh") for node in nodes]
         self._left_out["node with a mesh, not in the shown scene"] = sum(
             "mesh" in node for index, node in enumerate(nodes) if index not in seen
         )
@@ -127,15 +126,15 @@ class _Scene:
         if "skin" in node:
             raise MeshError(f"node {index} has a skin, which joints bend; export the mesh in one pose without it")
         mesh = self._data.entry("meshes", node["mesh"])
-        weights = node.get("weights", mesh.get("weights", []))
+        weights = listed(node if "weights" in node else mesh, "weights")
         if any(weights):
             raise MeshError(f"node {index} has morph targets of weights {weights}; export the shape that they make")
         places = [place]
-        if INSTANCING in node.get("extensions", {}):
-            places = [place @ instance for instance in self._instances(node["extensions"][INSTANCING])]
-        for entry in mesh.get("primitives", []):
+        if INSTANCING in part(node, "extensions"):
+            places = [place @ instance for instance in self._instances(part(node["extensions"], INSTANCING))]
+        for entry in parts(mesh, "primitives"):
             primitive = read_primitive(self._data, entry)
-            self._morph_targets += len(entry.get("targets", []))
+            self._morph_targets += len(parts(entry, "targets"))
             self._left_out["line segment"] += primitive.segments * len(places)
             self._left_out["line primitive"] += len(places) if primitive.segments else 0
             self._left_out["joint, of strips or fans"] += primitive.joints * len(places)
@@ -152,16 +151,18 @@ class _Scene:
 
     def _instances(self, extension: dict[str, Any]) -> list[Float[np.ndarray, "4 4"]]:
         """One matrix for each instance of a node's mesh."""
-        attributes = extension.get("attributes", {})
-        parts = {
+        attributes = part(extension, "attributes")
+        tables = {
             key: self._data.numbers(attributes[key], shape, kinds=kinds)
             for key, shape, kinds in (("TRANSLATION", "VEC3", "f"), ("ROTATION", "VEC4", "if"), ("SCALE", "VEC3", "f"))
             if key in attributes
         }
-        counts = {len(part) for part in parts.values()}
+        counts = {len(table) for table in tables.values()}
         if len(counts) != 1:
             raise MeshError(f"{INSTANCING} with {sorted(counts)} instances; its attributes must agree on one number")
-        return [_matrix(**{key.lower(): part[number] for key, part in parts.items()}) for number in range(counts.pop())]
+        return [
+            _matrix(**{key.lower(): table[number] for key, table in tables.items()}) for number in range(counts.pop())
+        ]
 
 
 def _placement(node: dict[str, Any], index: int) -> Float[np.ndarray, "4 4"]:

@@ -14,6 +14,8 @@ from keepout.errors import MeshError
 
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_MOST_ZEROS = 10_000_000
+"""Entries of a sparse accessor without a view, which take no room in the file but do in memory."""
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 
 
@@ -30,7 +32,7 @@ class GltfData:
             tree = json.loads(data.decode("utf-8-sig"))
         except (UnicodeDecodeError, ValueError) as cause:
             raise MeshError(f"its JSON is damaged: {cause}") from None
-        version = tree.get("asset", {}).get("version") if isinstance(tree, dict) else None
+        version = part(tree, "asset").get("version") if isinstance(tree, dict) else None
         if not (isinstance(version, str) and version.split(".")[0] == "2"):
             raise MeshError(f"its asset version is {version!r}; it must be 2.x")
         self.tree: dict[str, Any] = tree
@@ -38,10 +40,7 @@ class GltfData:
 
     def rows(self, kind: str) -> list[dict[str, Any]]:
         """All entries of one kind, such as "nodes"; none if the file has no such array."""
-        entries = self.tree.get(kind, [])
-        if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
-            raise MeshError(f"{kind} is no array of objects")
-        return entries
+        return parts(self.tree, kind)
 
     def entry(self, kind: str, index: Any) -> dict[str, Any]:
         """One entry by its index, which may neither be negative nor past the end."""
@@ -73,18 +72,18 @@ class GltfData:
 
         """
         accessor = self.entry("accessors", index)
-        kind = _COMPONENTS.get(accessor.get("componentType", 0))
+        kind = _component(accessor)
         if accessor.get("type") != shape or kind is None or np.dtype(kind).kind not in kinds:
             found = f"type {accessor.get('type')!r}, componentType {accessor.get('componentType')!r}"
             raise MeshError(f"accessors {index} has {found}, which is not valid for what it holds")
         count, width = _whole(accessor, "count"), _WIDTHS[shape]
-        sparse = accessor.get("sparse")
+        sparse = part(accessor, "sparse") if "sparse" in accessor else None
         if "bufferView" in accessor:
             table = self._table(accessor, count, width, kind, stride=True)
-        elif sparse is not None:
+        elif sparse is not None and count <= _MOST_ZEROS:
             table = np.zeros((count, width), dtype=kind)
         else:
-            raise MeshError(f"accessors {index} has no bufferView, so its numbers are missing")
+            raise MeshError(f"accessors {index} of {count} entries has no bufferView, so its numbers are missing")
         if sparse is not None:
             table = self._with_sparse(table, sparse, kind)
         if "f" not in kinds:
@@ -102,7 +101,7 @@ class GltfData:
     def _table(self, accessor: dict[str, Any], count: int, width: int, kind: str, *, stride: bool) -> np.ndarray:
         data, start = self.view(accessor.get("bufferView")), _whole(accessor, "byteOffset", 0)
         view = self.entry("bufferViews", accessor.get("bufferView"))
-        if "EXT_meshopt_compression" in view.get("extensions", {}):
+        if "EXT_meshopt_compression" in part(view, "extensions"):
             raise MeshError("its numbers are compressed by EXT_meshopt_compression, which is not read")
         size = width * np.dtype(kind).itemsize
         step = _whole(view, "byteStride", size) if stride else size
@@ -117,14 +116,14 @@ class GltfData:
         return table.copy()
 
     def _with_sparse(self, table: np.ndarray, sparse: dict[str, Any], kind: str) -> np.ndarray:
-        count, places = _whole(sparse, "count"), sparse.get("indices", {})
-        place_kind = _COMPONENTS.get(places.get("componentType", 0), "")
+        count, places = _whole(sparse, "count"), part(sparse, "indices")
+        place_kind = _component(places) or ""
         if place_kind not in ("<u1", "<u2", "<u4"):
             raise MeshError(f"sparse indices of componentType {places.get('componentType')!r}")
         rows = self._table(places, count, 1, place_kind, stride=False)[:, 0].astype(np.int64)
         if (rows >= len(table)).any():
             raise MeshError(f"a sparse accessor has the index {rows.max()}; valid is 0 to {len(table) - 1}")
-        table[rows] = self._table(sparse.get("values", {}), count, table.shape[1], kind, stride=False)
+        table[rows] = self._table(part(sparse, "values"), count, table.shape[1], kind, stride=False)
         return table
 
     def _buffer(self, index: Any) -> bytes:
@@ -180,8 +179,37 @@ def _chunks(data: bytes) -> tuple[bytes, bytes | None]:
     return data[20 : 20 + json_length], found
 
 
+def _component(entry: dict[str, Any]) -> str | None:
+    kind = entry.get("componentType")
+    return _COMPONENTS.get(kind) if isinstance(kind, int) else None
+
+
 def _whole(entry: dict[str, Any], key: str, absent: int | None = None) -> int:
     value = entry.get(key, absent)
     if type(value) is not int or value < 0:
         raise MeshError(f"{key} = {value!r}; it must be a whole number, zero or more")
     return value
+
+
+def part(entry: dict[str, Any], key: str) -> dict[str, Any]:
+    """Look up an object inside an entry; empty if it is absent."""
+    found = entry.get(key, {})
+    if not isinstance(found, dict):
+        raise MeshError(f"{key} = {str(found)[:40]}; it must be an object")
+    return found
+
+
+def parts(entry: dict[str, Any], key: str) -> list[dict[str, Any]]:
+    """Look up an array of objects inside an entry; empty if it is absent."""
+    found = listed(entry, key)
+    if not all(isinstance(item, dict) for item in found):
+        raise MeshError(f"{key} = {str(found)[:40]}; it must be an array of objects")
+    return found
+
+
+def listed(entry: dict[str, Any], key: str) -> list[Any]:
+    """Look up an array inside an entry; empty if it is absent."""
+    found = entry.get(key, [])
+    if not isinstance(found, list):
+        raise MeshError(f"{key} = {str(found)[:40]}; it must be an array")
+    return found

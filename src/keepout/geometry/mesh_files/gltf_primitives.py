@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 from keepout.errors import MeshError
 from keepout.geometry.mesh_files.contents import check_indices
-from keepout.geometry.mesh_files.gltf_data import GltfData
+from keepout.geometry.mesh_files.gltf_data import GltfData, listed, part
 from keepout.geometry.mesh_files.strips import fan_triangles, strip_triangles
 
 DRACO, QUANTIZATION = "KHR_draco_mesh_compression", "KHR_mesh_quantization"
@@ -40,15 +40,15 @@ def read_primitive(data: GltfData, primitive: dict[str, Any]) -> Primitive:
     mode = primitive.get("mode", _TRIANGLES)
     if type(mode) is not int or not _POINTS <= mode <= _FAN:
         raise MeshError(f"a primitive has the mode {mode!r}; valid is 0 to 6")
-    extensions = primitive.get("extensions", {})
+    extensions = part(primitive, "extensions")
     if DRACO in extensions:
-        positions, faces = _draco(data, primitive, extensions[DRACO], mode)
+        positions, faces = _draco(data, primitive, part(extensions, DRACO), mode)
         check_indices(faces, len(positions), "a primitive")
         return Primitive(positions, faces, np.zeros(0, dtype=np.int64))
-    position = primitive.get("attributes", {}).get("POSITION")
+    position = part(primitive, "attributes").get("POSITION")
     if position is None:
         raise MeshError("a primitive has no POSITION, so its shape is not in the file")
-    quantized = QUANTIZATION in [*data.tree.get("extensionsUsed", []), *data.tree.get("extensionsRequired", [])]
+    quantized = QUANTIZATION in [*listed(data.tree, "extensionsUsed"), *listed(data.tree, "extensionsRequired")]
     positions = data.numbers(position, "VEC3", kinds="iuf" if quantized else "f")
     order = np.arange(len(positions))
     if "indices" in primitive:
@@ -74,7 +74,7 @@ def _draco(
 ) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
     """Positions and triangles of a compressed primitive; a strip is unpacked into triangles too."""
     decoded = DracoPy.decode(bytes(data.view(packed.get("bufferView"))))
-    wanted = packed.get("attributes", {}).get("POSITION")
+    wanted = part(packed, "attributes").get("POSITION")
     found = [entry["data"] for entry in decoded.attributes if entry["unique_id"] == wanted]
     faces = getattr(decoded, "faces", None)
     if len(found) != 1 or faces is None or mode not in (_TRIANGLES, _STRIP):
@@ -83,7 +83,7 @@ def _draco(
     if positions.dtype.kind != "f" or positions.ndim != 2 or positions.shape[1] != 3:
         raise MeshError(f"a primitive's compressed positions are {positions.dtype} of shape {positions.shape}")
     faces = np.asarray(faces).astype(np.int64).reshape(-1, 3)
-    declared = data.count(primitive.get("attributes", {}).get("POSITION"))
+    declared = data.count(part(primitive, "attributes").get("POSITION"))
     if declared != len(positions):
         raise MeshError(f"a compressed primitive declares {declared} positions and has {len(positions)}")
     if mode == _TRIANGLES and "indices" in primitive and data.count(primitive["indices"]) != faces.size:

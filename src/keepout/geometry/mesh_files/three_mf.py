@@ -135,7 +135,8 @@ class _Package:
             if key not in self._meshes:
                 self._meshes[key] = self._mesh(entry)
             vertices, faces = self._meshes[key]
-            self._vertices.append(vertices @ matrix[:3, :3].T + matrix[:3, 3])
+            with np.errstate(invalid="ignore", over="ignore"):  # what is not finite is refused where a triangle uses it
+                self._vertices.append(vertices @ matrix[:3, :3].T + matrix[:3, 3])
             self._faces.append(faces + self._count)
             self._count += len(vertices)
             if sum(map(len, self._faces)) > _MOST_TRIANGLES:
