@@ -171,7 +171,7 @@ def test_a_delay_that_the_thrusters_cannot_hold_is_refused_by_its_number(box):
 
 
 def test_the_figures_of_the_guards_document_are_the_default_scenarios():
-    text = (Path(__file__).parents[2] / "docs" / "guard.md").read_text(encoding="utf-8")
+    text = " ".join((Path(__file__).parents[2] / "docs" / "guard.md").read_text(encoding="utf-8").split())
     found = re.search(r"D = ([\d.]+) mm/s², a_b = ([\d.]+) mm/s², ρ = ([\d.]+) mm and σ = ([\d.]+) mm/s", text)
     assert found is not None
     assumed = environment.guard_assumptions(Scenario(), Target.load(Scenario().target.source))
