@@ -212,3 +212,15 @@ def test_a_real_target_against_dense_sampling():
     assert truth - 1.2e-3 <= found.minimum_clearance <= truth + 1e-9
     record.position[50] = [0.0, 0.0, 0.0]
     assert judged(record, target, radius=0.5).contact is not Contact.NO
+
+
+def test_a_flight_that_leaves_the_range_of_its_gravity_bound_is_not_called_safe():
+    record, mesh = straight(0.1, 10), Mesh(1.0)
+    furthest = np.linalg.norm(record.position, axis=1).max()
+    safe = FlightBounds(**(vars(BOUNDS) | {"range_limit": furthest + 1.0}))
+    assert judged(record, mesh, radius=0.05, bounds=safe).contact is Contact.NO
+    left = judged(record, mesh, radius=0.05, bounds=FlightBounds(**(vars(BOUNDS) | {"range_limit": furthest - 0.01})))
+    assert left.contact is Contact.UNDECIDED
+    assert "where gravity is not bounded" in left.remarks[-1]
+    with pytest.raises(FlightError, match="range_limit is nan"):
+        FlightBounds(**(vars(BOUNDS) | {"range_limit": np.nan}))

@@ -3,6 +3,9 @@
 import json
 import sys
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -15,6 +18,7 @@ from keepout.guard.field import cache_folder, guard_field
 from keepout.mission.build import prepare
 from keepout.mission.flight import fly
 from keepout.mission.scenario import Scenario
+from keepout.report.terminal import broken_assumptions
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -122,6 +126,48 @@ def test_a_start_inside_the_margin_is_led_out_and_flagged(base, target):
     assert flight.clearance.min() > flight.clearance[0] - 0.02
     with pytest.raises(KeepoutError, match="inside the keep-out zone"):
         prepare(base.replace(start={"position": start}, guard={"enabled": False}))
+
+
+def test_a_start_is_certified_only_from_every_estimate(base):
+    scenario = base.replace(guard={"position_error": 0.02})
+    mission = prepare(scenario)
+    assert mission.start_certified is True
+    guard = mission.setup.guard
+
+    def at(x):
+        return eqx.tree_at(lambda state: state.position, mission.initial, jnp.array([x, 0.0, 0.0]))
+
+    places = np.arange(2.6, 4.0, 0.005)
+    free = np.array(jax.vmap(lambda x: guard.certified(at(x)))(jnp.asarray(places)))
+    assert free[-1]
+    assert not free[0]
+    # The nearest place that is certified as it is: an estimate 20 mm nearer is not.
+    nearest = float(places[np.argmax(free)])
+    doubtful = prepare(scenario.replace(start={"position": (nearest, 0.0, 0.0)}))
+    assert bool(guard.certified(doubtful.initial))
+    assert not bool(guard.certified(at(nearest - 0.02)))
+    assert doubtful.start_certified is False
+    assert doubtful.assumptions_broken == ()
+
+
+def test_an_assumption_that_is_broken_is_named_and_nothing_is_promised(base):
+    summary = fly(base.replace(disturbance={"bound": 0.01}, duration=5.0)).summary()
+    assert summary["start_certified"] is False
+    assert summary["assumptions_broken"] == ["disturbance: flown up to 0.0141421 N > disturbance.bound 0.01 N"]
+    assert summary["guard"]["disturbance_force_N"] == 0.01
+    assert 0.0 < summary["guard"]["position_radius_rho_m"] < 0.1
+    lines = broken_assumptions([{"name": "here", **summary}])
+    assert lines == [f"here: beyond the guard's assumptions, nothing is promised: {summary['assumptions_broken'][0]}"]
+    assert json.loads(json.dumps(summary))["guard"] == summary["guard"]
+
+
+@pytest.mark.parametrize("delay", [6, pytest.param(8, marks=pytest.mark.slow)])
+def test_long_delays_fly(base, delay):
+    push = {"kind": "constant", "force": (0.002, 0.0, 0.0)}
+    flight = fly(base.replace(faults={"delay": delay}, guard={"delay": delay}, disturbance=push, duration=200.0))
+    summary = flight.summary()
+    assert (summary["reached"], summary["start_certified"], summary["guard_flags"]) == (True, True, {})
+    assert flight.audit.contact is Contact.NO
 
 
 @pytest.mark.slow

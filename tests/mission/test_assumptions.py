@@ -1,0 +1,180 @@
+"""What a scenario's numbers promise: bounds that hold where they are said to, and broken assumptions by name."""
+
+import re
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from keepout.audit.tube import Tube
+from keepout.errors import ControlError, ScenarioError
+from keepout.geometry.target import Target
+from keepout.guard.braking import design
+from keepout.mission import environment
+from keepout.mission.assumptions import broken_assumptions
+from keepout.mission.scenario import Scenario
+from keepout.motion import NoDisturbance
+from keepout.motion.relative import MotionState
+
+LOW = {"semi_major_axis": 6.8e6, "eccentricity": 0.01}
+TUMBLING = {
+    "kind": "tumbling",
+    "angular_velocity": (0.004, -0.002, 0.003),
+    "inertia": ((3.0, 0.0, 0.0), (0.0, 4.0, 0.0), (0.0, 0.0, 5.0)),
+}
+
+
+@pytest.fixture(scope="module")
+def box():
+    return Target.load("box")
+
+
+@pytest.mark.parametrize(
+    ("entries", "said"),
+    [
+        ({"disturbance": {"bound": 0.01}}, ("disturbance: flown up to 0.0141421 N", "disturbance.bound 0.01 N")),
+        ({"faults": {"delay": 2}, "guard": {"delay": 1}}, ("faults.delay 2 != guard.delay 1",)),
+        ({"guard": {"delay": 1}}, ("faults.delay 0 != guard.delay 1",)),
+        ({"faults": {"dropped": 0.1}}, ("faults.dropped 0.1",)),
+        ({"faults": {"stuck": "+x", "stuck_force": 0.1}}, ("faults.stuck +x at 0.1 N from 0 s",)),
+        ({"faults": {"gain_error": 0.05}, "guard": {"gain_error": 0.02}}, ("0.05 > guard.gain_error 0.02",)),
+        (
+            {"faults": {"position_bias": 0.01, "position_noise": 0.01}, "guard": {"position_error": 0.015}},
+            ("faults.position_bias + faults.position_noise 0.02 m > guard.position_error 0.015 m",),
+        ),
+        ({"faults": {"velocity_noise": 1e-3}}, ("faults.velocity_noise 0.001 m/s > guard.velocity_error 0 m/s",)),
+        ({"faults": {"dropped": 0.1, "delay": 1}}, ("faults.delay 1", "faults.dropped 0.1")),
+    ],
+)
+def test_what_is_flown_beyond_what_is_declared_is_named(entries, said):
+    broken = broken_assumptions(Scenario().replace(**entries))
+    assert len(broken) == (1 if "disturbance" in entries else len(said))
+    for part in said:
+        assert any(part in line for line in broken)
+
+
+@pytest.mark.parametrize(
+    "entries",
+    [
+        {},
+        {"disturbance": {"kind": "constant", "force": (0.01, 0.0, 0.0), "bound": 0.01}},
+        {"faults": {"law": "into the body"}},
+        {"faults": {"delay": 3, "gain_error": 0.02}, "guard": {"delay": 3, "gain_error": 0.02}},
+        {"faults": {"position_bias": 0.01, "position_noise": 0.01}, "guard": {"position_error": 0.02}},
+        {"faults": {"stuck": "+x", "stuck_from": 1e5}},
+    ],
+)
+def test_what_is_declared_breaks_nothing(entries):
+    assert broken_assumptions(Scenario().replace(**entries)) == ()
+
+
+def states(scenario, radius, speed, count, seed=0):
+    """States at random moments, with positions and velocities of given norms."""
+    motion, rng = environment.relative_motion(scenario), np.random.default_rng(seed)
+    directions = rng.normal(size=(2, count, 3))
+    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    first = motion.initial_state(np.zeros(3), np.zeros(3))
+    rows = [first]
+    step = jax.jit(lambda state: motion.step(state, jnp.zeros(3), NoDisturbance(), 40.0, 20.0))
+    for _ in range(30):
+        rows.append(step(rows[-1]))
+    made = []
+    for r, v in zip(radius * directions[0], speed * directions[1], strict=True):
+        at = rows[rng.integers(len(rows))]
+        made.append(MotionState(at.time, jnp.asarray(r), jnp.asarray(v), at.attitude, at.angular_velocity))
+    return motion, jax.tree.map(lambda *leaves: jnp.stack(leaves), *made)
+
+
+def test_the_centre_of_mass_shifts_where_the_drift_is_measured_from():
+    offset = np.array([2.0, -5.0, 1.0])
+    scenario = Scenario().replace(orbit=LOW, attitude=TUMBLING)
+    shifted = scenario.replace(target={"centre_of_mass": tuple(offset)})
+    plain, at = states(scenario, 12.0, 0.1, 50)
+    moved = environment.relative_motion(shifted)
+    further = eqx.tree_at(lambda states: states.position, at, at.position + offset)
+    np.testing.assert_array_equal(moved.centre_of_mass, offset)
+    np.testing.assert_allclose(
+        jax.vmap(moved.drift_acceleration)(further), jax.vmap(plain.drift_acceleration)(at), rtol=1e-12, atol=1e-16
+    )
+
+
+def test_the_guards_drift_holds_with_an_offset_and_not_without(box):
+    scenario = Scenario().replace(
+        orbit=LOW, attitude=TUMBLING, target={"source": "box", "centre_of_mass": (0.0, 120.0, 0.0)}
+    )
+    assumed = environment.guard_assumptions(scenario, box)
+    assert assumed.origin_offset == 120.0
+    motion, at = states(scenario, assumed.range_limit, assumed.speed_limit, 4000)
+    drift = np.linalg.norm(np.asarray(jax.vmap(motion.drift_acceleration)(at)), axis=-1)
+    assert drift.max() <= assumed.drift
+    without = scenario.replace(target={"centre_of_mass": (0.0, 0.0, 0.0)})
+    assert drift.max() > environment.guard_assumptions(without, box).drift
+
+
+def test_the_audit_joins_the_steps_of_a_flight_about_a_centre_of_mass_off_the_origin():
+    scenario = Scenario().replace(orbit=LOW, attitude=TUMBLING, target={"centre_of_mass": (0.0, 20.0, 0.0)})
+    motion = environment.relative_motion(scenario)
+    state, rows = motion.initial_state(np.array([0.0, -3.0, 0.0]), np.zeros(3)), []
+    step = jax.jit(lambda state: motion.step(state, jnp.zeros(3), NoDisturbance(), 1.0, 20.0))
+    for _ in range(60):
+        rows.append((float(state.time), np.asarray(state.position), np.asarray(state.velocity)))
+        state = step(state)
+    time, position, velocity = (np.array([row[i] for row in rows]) for i in range(3))
+    force = np.zeros_like(position)
+
+    def excess(**changes):
+        bounds = environment.flight_bounds(scenario.replace(disturbance={"kind": "none", "bound": 0.01}))
+        bounds = type(bounds)(**(vars(bounds) | changes))
+        return Tube.of(time, position[None], velocity[None], force[None], bounds).inconsistency().max()
+
+    assert excess() < 1e-9
+    assert excess(origin_offset=0.0) > 1e-6
+
+
+def test_gravity_is_bounded_over_the_whole_region(box):
+    near = Scenario().replace(orbit=LOW, attitude={"kind": "inertial"}, target={"source": "box"})
+    far = near.replace(start={"position": (0.0, 0.0, 20_000.0)})
+    assumed = environment.guard_assumptions(far, box)
+    assert assumed.range_limit == 40_020.0
+    motion, at = states(far, assumed.range_limit, 0.0, 4000)
+    pull = np.linalg.norm(np.asarray(jax.vmap(motion.drift_acceleration)(at)), axis=-1)
+    assert pull.max() <= assumed.gravity_gradient * assumed.range_limit
+    # A bound made for 1000 m does not hold there.
+    assert pull.max() > environment.guard_assumptions(near, box).gravity_gradient * assumed.range_limit
+    bounds = environment.flight_bounds(far)
+    assert (bounds.range_limit, bounds.gravity_gradient) == (assumed.range_limit, assumed.gravity_gradient)
+    assert environment.flight_bounds(near).range_limit == 1000.0
+
+
+@pytest.mark.parametrize(
+    ("entries", "said"),
+    [
+        ({"start": {"position": (0.0, 6e4, 0.0)}}, "start.position: 60000 m"),
+        ({"goal": {"position": (0.0, 6e4, 0.0)}}, "goal.position: 60000 m"),
+        ({"target": {"centre_of_mass": (0.0, 2e5, 0.0)}}, "target.centre_of_mass: 200000 m"),
+    ],
+)
+def test_what_lies_where_gravity_is_not_bounded_is_refused(box, entries, said):
+    for refused in (environment.flight_bounds, lambda s: environment.guard_assumptions(s, box)):
+        with pytest.raises(ScenarioError, match=re.escape(said)):
+            refused(Scenario().replace(**entries))
+
+
+def test_a_delay_that_the_thrusters_cannot_hold_is_refused_by_its_number(box):
+    weak = Scenario().replace(chaser={"force_limit": 0.02})
+    assert design(environment.guard_assumptions(weak, box)).deceleration > 0.0
+    with pytest.raises(ControlError, match=r"force_limit is 0\.02 N; .* the delay \(8 steps\)"):
+        design(environment.guard_assumptions(weak.replace(guard={"delay": 8}), box))
+
+
+def test_the_figures_of_the_guards_document_are_the_default_scenarios():
+    text = " ".join((Path(__file__).parents[2] / "docs" / "guard.md").read_text(encoding="utf-8").split())
+    found = re.search(r"D = ([\d.]+) mm/s², a_b = ([\d.]+) mm/s², ρ = ([\d.]+) mm and σ = ([\d.]+) mm/s", text)
+    assert found is not None
+    assumed = environment.guard_assumptions(Scenario(), Target.load(Scenario().target.source))
+    made = design(assumed)
+    figures = (assumed.disturbance, made.deceleration, made.position_radius, made.velocity_radius)
+    assert [f"{1e3 * figure:.3g}" for figure in figures] == list(found.groups())
