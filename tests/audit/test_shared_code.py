@@ -267,6 +267,7 @@ WORLDS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("world", WORLDS)
 def test_no_sampled_drift_passes_the_bound_and_the_largest_comes_near_it(world):
     entries, least = WORLDS[world]

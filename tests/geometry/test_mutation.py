@@ -44,6 +44,7 @@ def hide_nothing(monkeypatch):
     monkeypatch.setattr(offset_solid, "hidden_cells", without)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("broken", "check"),
     [

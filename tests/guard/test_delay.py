@@ -53,6 +53,7 @@ def delayed_setup(delay, told):
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("delay", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_a_law_told_of_the_delay_estimates_the_disturbance_and_arrives(delay):
     setup = delayed_setup(delay, told=True)
@@ -94,6 +95,7 @@ def flags_under(push, assumed, errors, seed, steps=3 * WATCHED):
     return np.asarray(flown(jnp.asarray(push)))
 
 
+@pytest.mark.long
 def test_a_push_beyond_the_bound_is_seen_through_estimate_errors():
     errors = (0.01, 1e-3)
     assumed = dataclasses.replace(ASSUMED, position_error=errors[0], velocity_error=errors[1])
