@@ -4,12 +4,13 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: help demo test test-all lint format install shipped clean
+.PHONY: help demo check test test-all lint format install shipped clean
 
 help:
 	@echo "make demo      set up, then fly the built-in demonstration; results in out/demo"
-	@echo "make test      set up, lint, type-check and run the tests (under 15 minutes on two cores)"
-	@echo "make test-all  the same with the long tests"
+	@echo "make check     set up, lint, type-check and run the quick tests (two minutes on two cores)"
+	@echo "make test      the same with the longer tests, as CI runs it (under 12 minutes on two cores)"
+	@echo "make test-all  the same with the tests that take hours"
 	@echo "make format    format the code"
 	@echo "make shipped   remake the learned fields that ship with the package"
 	@echo "make clean     remove the environment and all outputs"
@@ -30,6 +31,9 @@ lint: install
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 	$(BIN)/lint-imports
+
+check: lint
+	$(BIN)/pytest -m "not slow and not long" -n 2 --dist loadgroup
 
 test: lint
 	$(BIN)/pytest -m "not slow" -n 2 --dist loadgroup

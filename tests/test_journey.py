@@ -36,7 +36,7 @@ from keepout.mission.flight import fly
 from keepout.mission.scenario import Scenario
 from keepout.report.terminal import FLIGHT_COLUMNS, shown
 
-pytestmark = pytest.mark.xdist_group("journey")
+pytestmark = [pytest.mark.xdist_group("journey"), pytest.mark.long]
 
 RADIUS = 0.5
 MISSION = """

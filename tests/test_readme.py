@@ -18,6 +18,7 @@ def block(language: str) -> str:
     return found
 
 
+@pytest.mark.long
 def test_the_ten_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys):
     monkeypatch.chdir(tmp_path)
     trimesh.creation.box(extents=(4.0, 3.0, 2.0)).export("satellite.glb")

@@ -69,11 +69,13 @@ def check_against_references(kind, count, seed, *, cone=True):
     return status
 
 
+@pytest.mark.long
 def test_agrees_with_scs_and_clarabel():
     status = check_against_references("all rows", 150, seed=3)
     assert {ConeStatus.INFEASIBLE, ConeStatus.NO_WAY_OUT} <= set(status.tolist())
 
 
+@pytest.mark.long
 def test_half_spaces_agree_with_scs_and_clarabel():
     check_against_references("paper", 60, seed=4, cone=False)
 
@@ -85,6 +87,7 @@ def test_agrees_with_scs_and_clarabel_on_many(kind, cone):
     check_against_references(kind, 1200 if cone else 300, seed=11, cone=cone)
 
 
+@pytest.mark.long
 def test_half_space_and_ball_have_their_closed_form():
     """Without e_∇h the answer is a projection in closed form; with e_∇h = 0 the interior point must find the same."""
     data = random_programs(np.random.default_rng(5), 500)
@@ -109,6 +112,7 @@ def test_escapes_the_fastest_way_where_no_velocity_is_safe():
     assert float(answer.room) == pytest.approx(0.2 - 1.0)
 
 
+@pytest.mark.long
 def test_says_where_no_way_out_is_known():
     """With e ≥ ‖n‖ and α < 0 no velocity has n·v − e‖v‖ > 0: zero, and a status of its own."""
     program = VelocityProgram(
@@ -145,6 +149,7 @@ def test_apex(desired, expected):
     np.testing.assert_allclose(answer.velocity, expected, atol=1e-11)
 
 
+@pytest.mark.long
 def test_says_when_data_are_not_numbers():
     data = random_programs(np.random.default_rng(1), 4)
     data["normal"][0, 1] = np.nan
@@ -190,6 +195,7 @@ def derivative_programs(count):
     return program, direction
 
 
+@pytest.mark.long
 def test_derivative_is_the_central_difference():
     program, direction = derivative_programs(300)
     # With e = ‖n‖ and no room, the fastest way out is at full speed on one side of e = ‖n‖ and does not exist on the
@@ -233,6 +239,7 @@ def check_fuzz(count, seed):
     return np.mean(status == ConeStatus.STALLED)
 
 
+@pytest.mark.long
 def test_wild_numbers():
     """Of numbers spread over thirteen decades one program in a thousand may stay unverified, and then says so."""
     assert check_fuzz(4000, seed=0) <= 1e-3

@@ -61,6 +61,7 @@ def fly(controller, position, steps):
 flights = eqx.filter_jit(eqx.filter_vmap(fly, in_axes=(None, 0, None)))
 
 
+@pytest.mark.long
 def test_default_law_reaches_the_goal_without_contact_and_without_saturation(default):
     rng = np.random.default_rng(4)
     starts = rng.uniform([-6, -10, -5], [6, 10, 5], (400, 3))
@@ -97,6 +98,7 @@ def test_paper_law_saturates_the_thrusters():
     assert np.all(np.isfinite(command.force))
 
 
+@pytest.mark.long
 def test_goals_batch_by_vmap(default, grid):
     other = profiles.default(PANELS, CASE, [-4.0, -4.0, 2.0], guidance=Geodesic(grid=grid))
     one, two = (eqx.partition(dataclasses.replace(c, checked=()), eqx.is_array) for c in (default, other))
@@ -122,6 +124,7 @@ def test_a_sample_that_is_not_a_number_is_said_and_forgotten(default):
     assert np.all(np.isfinite(command.force))
 
 
+@pytest.mark.long
 def test_inside_the_keep_out_zone_it_flies_the_fastest_way_out(default):
     inside = MOTION.initial_state(np.array([0.0, 0.0, 1.6]), np.zeros(3))
     _, command = eqx.filter_jit(lambda s: default.step(default.initial_state(s), s))(inside)

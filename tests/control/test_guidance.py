@@ -155,6 +155,7 @@ def test_a_finer_grid_finds_a_gap_between_nodes():
     np.testing.assert_allclose(ends(0.25), goal, atol=1e-3)
 
 
+@pytest.mark.long
 def test_geodesic_leads_round_sheets_from_both_sides():
     """Two crossed sheets: from every chamber to every other, also from close to a sheet to right behind it."""
     lower, upper = [[-3, -0.01, -3], [-0.01, -3, -3]], [[3, 0.01, 3], [0.01, 3, 3]]

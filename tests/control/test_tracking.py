@@ -74,6 +74,7 @@ def states(count, seed):
     )
 
 
+@pytest.mark.long
 def test_safe_set_is_invariant():
     """ḣ₁ ≥ −β_c h₁ (paper, theorem safety_backstepping) under any estimation error."""
     position, velocity, error_d = states(1000, 2)
@@ -86,6 +87,7 @@ def test_safe_set_is_invariant():
     assert np.mean(np.asarray(unfiltered) < 0.0) > 0.05
 
 
+@pytest.mark.long
 def test_invariance_needs_the_observer_to_outpace_the_filter():
     """With 2β_e < β_c, as printed, the inequality fails for some states."""
     position, velocity, error_d = states(1000, 2)
@@ -96,6 +98,7 @@ def test_invariance_needs_the_observer_to_outpace_the_filter():
     assert np.min(slack) < -1e-3
 
 
+@pytest.mark.long
 def test_lyapunov_function_falls_where_the_desired_velocity_is_safe():
     """V̇₁ = r_eᵀ H₀ v_c − λ/(2 μ_v) ‖v − v_s‖² where v_s = v_c (paper, theorem stability_backstepping)."""
     velocity_law = dataclasses.replace(law(), field=SphereField(jnp.asarray([0.0, 0.0, 500.0]), jnp.asarray(2.0)))

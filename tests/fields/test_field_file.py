@@ -28,6 +28,7 @@ def model(box):
     return model.with_certificate(certificate)
 
 
+@pytest.mark.long
 def test_round_trip(tmp_path, model, box):
     path = tmp_path / "a.keepout"
     model.save(path)

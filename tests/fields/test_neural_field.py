@@ -10,6 +10,7 @@ from keepout.fields.analytic import BoxUnionField, SphereField
 from keepout.fields.continuation import RadialContinuation
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [0])
 def test_derivatives_equal_nested_autodiff_inside_and_beyond_the_domain(seed):
     field = random_field(seed)
@@ -24,6 +25,7 @@ def test_derivatives_equal_nested_autodiff_inside_and_beyond_the_domain(seed):
     assert abs(hessian).max() > 0.01
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("batch", [(), (2, 3), (300,)])
 def test_any_batch_shape_gives_the_single_point_answers(batch):
     field = random_field(0, dtype=jnp.float32)
@@ -57,6 +59,7 @@ def test_continuation_never_rises_faster_than_the_distance_to_anything_in_the_ba
     assert excess.min() < -0.1
 
 
+@pytest.mark.long
 def test_sphere_is_exact_and_box_union_never_overstates():
     rng = np.random.default_rng(1)
     points = rng.uniform(-4.0, 4.0, (500, 3))

@@ -37,6 +37,7 @@ def flown():
     return setup, states, result, chunks, reports
 
 
+@pytest.mark.long
 def test_a_campaign_is_its_single_flights(flown):
     setup, states, result, chunks, _ = flown
     position = np.concatenate([chunks[first]["position"] for first in sorted(chunks)])
@@ -66,6 +67,7 @@ def test_sampling_is_seeded():
     assert one.attitude.shape == (5, 4)
 
 
+@pytest.mark.long
 def test_what_varies_differs_between_flights():
     pushes = jnp.array([[0.0, 0.0, 0.0], [0.05, 0.0, 0.0]])
     setup = make_setup(disturbance=ConstantDisturbance([0.0, 0.0, 0.0]))

@@ -69,6 +69,7 @@ def test_stepping_by_hand_is_the_same_flight(flown):
         np.testing.assert_allclose(entry.force, log.force[row], atol=1e-16)
 
 
+@pytest.mark.long
 def test_batches_are_the_same_flights():
     setup = make_setup()
     starts = jnp.array([[0.0, 10.0, 6.0], [8.0, 1.0, -3.0], [-5.0, 5.0, 0.0]])

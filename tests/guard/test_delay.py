@@ -43,6 +43,7 @@ def delayed_setup(delay, told):
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("delay", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_a_law_told_of_the_delay_estimates_the_disturbance_and_arrives(delay):
     setup = delayed_setup(delay, told=True)

@@ -63,6 +63,7 @@ def test_flags():
     assert not step(state, at(5.0 + 5e-4, 0, 0, velocity=(1e-3, 0, 0)), STILL, STILL)[2] & GuardFlag.STATE_JUMP
 
 
+@pytest.mark.long
 def test_escape_leaves_the_margin_and_ends_certified():
     state = at(2.3, 0, 0, velocity=(-0.01, 0, 0))
     memory = GUARD.initial_state(state)

@@ -26,6 +26,7 @@ def labelled(count: int, share: float) -> losses.Batch:
     return losses.Batch(x, distance, gradient, jnp.asarray(smooth), jnp.asarray(hidden), weight)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("share", [0.0, 0.6, 1.0])
 def test_points_in_two_parts_count_as_if_each_had_its_gradient_evaluated(share):
     layers, whole = random_layers(3, (3, 24, 24, 1), jnp.float32), labelled(80, share)
@@ -57,6 +58,7 @@ def test_the_near_field_reaches_beyond_where_the_chaser_touches():
     assert PROFILE.for_chaser(3.0).near_field == pytest.approx(3.7)
 
 
+@pytest.mark.long
 def test_the_keepout_loss_by_hand():
     """Weighted pinball, by another share beyond the near field; no under-statement where hidden; a slope's error."""
     x = jnp.asarray([[0.1, 0.2, 0.3], [0.1, 0.2, 0.3], [0.1, 0.2, 0.3]], jnp.float32)

@@ -12,6 +12,7 @@ from keepout.learning import second_sweep
 BETA = 30.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("shape", [(3, 8, 1), (3, 16, 8, 1), (3, 32, 16, 24, 16, 1)])
 def test_it_is_the_derivative_that_jax_finds(shape):
     layers = random_layers(1, shape, jnp.float64)
@@ -30,6 +31,7 @@ def test_it_is_the_derivative_that_jax_finds(shape):
         np.testing.assert_allclose(a, b, rtol=1e-10, atol=1e-12 * float(jnp.abs(b).max()))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("part", [0, 1])
 def test_losses_of_the_value_alone_or_the_gradient_alone(part):
     layers = random_layers(2, (3, 16, 16, 1), jnp.float64)

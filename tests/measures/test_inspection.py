@@ -27,6 +27,7 @@ def path(tmp_path_factory):
     return path
 
 
+@pytest.mark.long
 def test_inspect_prints_every_measure_and_draws(path, tmp_path, monkeypatch, capsys):
     out = tmp_path / "out"
     monkeypatch.setattr(sys, "argv", ["keepout", "inspect", str(path), "-o", str(out), "--json"])

@@ -239,6 +239,7 @@ def test_tumbling_conserves_energy_and_angular_momentum():
     np.testing.assert_allclose(np.linalg.norm(last.attitude), 1, atol=1e-15)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "law",
     [

@@ -26,7 +26,7 @@ from keepout.proof import certificate
 from keepout.proof.certificate import certify
 
 # One worker fits the box for all of them.
-pytestmark = pytest.mark.xdist_group("fit_and_certify")
+pytestmark = [pytest.mark.xdist_group("fit_and_certify"), pytest.mark.long]
 
 TINY = TrainingProfile(width=24, depth=2, samples=20_000, batch=512, steps=1250, tuning_steps=500)
 

@@ -53,6 +53,7 @@ def check_no_search_beats_the_bound(box: Target, radius: float) -> None:
     assert max(excess(box, radius, seed) for seed in SEEDS) <= 0.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("radius", [0.0, 0.5])
 def test_without_a_break_no_search_beats_the_bound(box, radius):
     check_no_search_beats_the_bound(box, radius)
@@ -94,6 +95,7 @@ def bound_the_middle(monkeypatch):
     monkeypatch.setattr(certificate, "_bounded", without)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("radius", [0.0, 0.5])
 @pytest.mark.parametrize("broken", [lose_pieces, lose_elements, bound_the_middle])
 def test_a_broken_cover_is_noticed(box, radius, broken, monkeypatch):

@@ -32,6 +32,7 @@ def exact_slopes(layers, beta):
     return slopes
 
 
+@pytest.mark.long
 def test_fifty_random_networks_are_nowhere_steeper_than_their_bound():
     rng = np.random.default_rng(0)
     ratios = []
@@ -88,6 +89,7 @@ def steepest_by_ascent(field, rng, count):
     return np.linalg.norm(values_and_gradients(field, points)[1], axis=1).max()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_no_search_beats_the_proof_in_the_ball_and_beyond(seed, target, monkeypatch):
     monkeypatch.setattr(lipschitz, "FIRST_CUBES", 6)

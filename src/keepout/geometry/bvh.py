@@ -16,6 +16,8 @@ from jaxtyping import Float, Int
 
 # `no_type_check` below: run-time shape checks would wrap the functions that numba compiles.
 _LEAF_TRIANGLES = 4
+_THIN = 0.01
+"""Height over longest edge below which a triangle counts as a sliver."""
 _CHUNK = 8192
 _WORKERS = max(1, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
 
@@ -60,12 +62,18 @@ def _longest_edge_first(triangles: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarr
 
 
 def _planes(corners: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, "f 9"]:
-    """Orthonormal axes in each triangle's plane: by Gram-Schmidt from the longest edge, slivers keep full accuracy."""
+    """Orthonormal axes in each triangle's plane, by Gram-Schmidt from the longest edge; for slivers, a second time.
+
+    The first pass leaves `across` off a right angle by the rounding of the edge over the height, which moves the foot
+    of a point on a sliver by as much times the edge's length.
+    """
     edge, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     length = np.linalg.norm(edge, axis=1)
     along = edge / np.where(length > 0.0, length, 1.0)[:, None]
     foot = (other * along).sum(axis=1)
     across = other - foot[:, None] * along
+    thin = np.linalg.norm(across, axis=1) < _THIN * length
+    across[thin] -= (across[thin] * along[thin]).sum(axis=1, keepdims=True) * along[thin]
     height = np.linalg.norm(across, axis=1)
     across /= np.where(height > 0.0, height, 1.0)[:, None]
     return np.column_stack([along, across, length, foot, height])
