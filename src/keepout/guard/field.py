@@ -21,7 +21,7 @@ from keepout.geometry.target import Target
 from keepout.progress import Progress, silent
 from keepout.proof.grid import certify_grid
 
-_RECIPE = 2
+RECIPE = 2
 """To be raised when offset solid or grid build would make another field of the same numbers."""
 
 
@@ -42,7 +42,7 @@ def guard_field(
     spacing = max(0.1, float(np.ptp(target.vertices, axis=0).max()) / 400.0)
     band = radius + 0.3
     numbers = {"offset": offset, "closing_radius": closing_radius, "spacing": spacing, "band": band, "radius": radius}
-    key = json.dumps({"recipe": _RECIPE, "target": target.sha256, **numbers}, sort_keys=True)
+    key = json.dumps({"recipe": RECIPE, "target": target.sha256, **numbers}, sort_keys=True)
     path = cache_folder() / f"guard-{digest(key)[:32]}.keepout"
     if path.exists():
         try:
