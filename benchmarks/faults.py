@@ -36,7 +36,7 @@ from keepout.flight import faults as broken
 from keepout.flight.batches import fly_batches, initial_states
 from keepout.flight.setup import NoFaults
 from keepout.guard.field import RECIPE
-from keepout.guard.guard import GuardFlag
+from keepout.guard.status import GuardFlag
 from keepout.mission import environment
 from keepout.whole_file import write_whole
 

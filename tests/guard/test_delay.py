@@ -16,7 +16,8 @@ from keepout.errors import ControlError
 from keepout.fields.analytic import SphereField
 from keepout.flight import FlightSetup, fly
 from keepout.flight.faults import DelayedCommands
-from keepout.guard.guard import Guard, GuardFlag
+from keepout.guard.guard import Guard
+from keepout.guard.status import GuardFlag
 from keepout.motion import ConstantDisturbance, Orbit, RelativeMotion, Thrusters
 
 PUSH = np.array([0.01, -0.008, 0.006])

@@ -9,7 +9,8 @@ import pytest
 from truths.guarded_worlds import ASSUMED, WORLDS, advance, motion_state
 
 from keepout.errors import ControlError
-from keepout.guard.guard import Guard, GuardFlag, GuardStatus
+from keepout.guard.guard import Guard
+from keepout.guard.status import GuardFlag, GuardStatus
 
 GUARD = Guard(WORLDS["ball"], threshold=0.5, lipschitz=1.0, assumptions=ASSUMED)
 STILL = jnp.zeros(3)

@@ -16,7 +16,8 @@ import pytest
 from truths.guarded_worlds import ASSUMED, INTENTS, KINDS, WORLDS, fly_batch
 
 from keepout.guard.braking import radii
-from keepout.guard.guard import Guard, GuardFlag
+from keepout.guard.guard import Guard
+from keepout.guard.status import GuardFlag
 
 THRESHOLD = 0.5
 

@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from truths.guarded_worlds import ASSUMED, WORLDS, fly_too_fast, motion_state
 
-from keepout.guard.guard import Guard, GuardStatus
+from keepout.guard.guard import Guard
+from keepout.guard.status import GuardStatus
 
 ESTIMATES = 16
 

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from truths.guarded_worlds import ASSUMED, PIECES, WORLDS, advance, motion_state
 
 from keepout.guard import watch
-from keepout.guard.guard import Guard, GuardFlag
+from keepout.guard.guard import Guard
+from keepout.guard.status import GuardFlag
 
 AXIS = np.array([0.36, 0.48, 0.8])
 NOISY = dataclasses.replace(ASSUMED, position_error=0.01, velocity_error=5e-4)

@@ -19,7 +19,7 @@ from keepout.errors import ScenarioError
 from keepout.flight.batches import fly_batches
 from keepout.flight.outcome import FlightOutcome
 from keepout.geometry.target import Target
-from keepout.guard.guard import flag_names
+from keepout.guard.status import flag_names
 from keepout.mission import environment
 from keepout.mission.assumptions import guard_numbers
 from keepout.mission.build import prepare

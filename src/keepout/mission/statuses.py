@@ -8,7 +8,7 @@ from jaxtyping import Int
 
 from keepout.control.law import ControlStatus
 from keepout.flight.outcome import FlightOutcome
-from keepout.guard.guard import GuardFlag, GuardStatus, flag_names
+from keepout.guard.status import GuardFlag, GuardStatus, flag_names
 
 LAYERS: Mapping[str, type[IntEnum]] = {"control": ControlStatus, "guard": GuardStatus}
 """The enumeration of each layer's statuses."""
