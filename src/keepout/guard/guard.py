@@ -119,7 +119,9 @@ class Guard(eqx.Module):
             if not (math.isfinite(value) and value > 0.0):
                 raise ControlError(f"guard: {name} is {value}; it must be finite and greater than 0")
         if not (math.isfinite(self.evaluation_error) and self.evaluation_error >= 0.0):
-            raise ControlError(f"guard: evaluation_error is {self.evaluation_error} m; it must be finite and at least 0")
+            raise ControlError(
+                f"guard: evaluation_error is {self.evaluation_error} m; it must be finite and at least 0"
+            )
         values = self.samples + self.assumptions.delay + 2
         if self.samples < 1 or values > 20:
             raise ControlError(
