@@ -103,3 +103,74 @@ def test_a_later_version_is_refused(tmp_path, model):
 def test_a_folder_that_does_not_exist_is_refused(tmp_path, model):
     with pytest.raises(FieldError, match="cannot be written"):
         model.save(tmp_path / "none" / "a.keepout")
+
+
+def network(model, change, name="weights", layer=1):
+    """The model's field with one of its arrays changed."""
+    arrays = list(getattr(model.field.layers, name))
+    arrays[layer] = change(arrays[layer])
+    return dataclasses.replace(model.field, layers=model.field.layers._replace(**{name: tuple(arrays)}))
+
+
+def continued(field, **lengths):
+    changed = {name: jnp.asarray(value, jnp.float64) for name, value in lengths.items()}
+    return dataclasses.replace(field, continuation=dataclasses.replace(field.continuation, **changed))
+
+
+def cast(field, dtype):
+    layers = field.layers
+    return dataclasses.replace(
+        field, layers=type(layers)(*(tuple(array.astype(dtype) for array in group) for group in layers))
+    )
+
+
+INADMISSIBLE = {
+    "half": (lambda m: cast(m.field, jnp.float16), r"W0 is float16; a network must be float32 or float64"),
+    "brain": (lambda m: cast(m.field, jnp.bfloat16), r"W0 is bfloat16; a network must be float32 or float64"),
+    "mixed": (lambda m: network(m, lambda a: a.astype(jnp.float64)), r"W1 float64.*all must be of one type"),
+    "nan weight": (
+        lambda m: network(m, lambda a: a.at[2, 3].set(jnp.nan)),
+        r"W1: 1 of \d+ .*not finite.*nan",
+    ),
+    "inf bias": (lambda m: network(m, lambda a: a.at[0].set(jnp.inf), "biases", 0), r"b0: 1 of \d+ .*not finite.*inf"),
+    "scale": (lambda m: dataclasses.replace(m.field, scale=jnp.asarray(jnp.nan)), r"scale is nan; it must be finite"),
+    "beta": (lambda m: dataclasses.replace(m.field, beta=-1.0), r"beta is -1; it must be finite and above 0"),
+    "allowance": (lambda m: continued(m.field, allowance=-0.25), r"allowance is -0\.25 m; it must be at least 0"),
+    "centre": (lambda m: continued(m.field, centre=[0.0, jnp.nan, 0.0]), r"continuation\.centre: 1 of 3 numbers"),
+    "radii": (lambda m: continued(m.field, domain_radius=20.0), r"domain_radius 20 m, outer_radius 13 m; each must"),
+    "no target": (lambda m: continued(m.field, target_radius=0.0), r"target_radius 0 m.*the first above 0"),
+}
+
+
+@pytest.mark.parametrize("case", sorted(INADMISSIBLE))
+def test_a_field_of_which_nothing_can_be_proved_is_refused_everywhere(tmp_path, monkeypatch, model, box, case):
+    make, message = INADMISSIBLE[case]
+    with pytest.raises(FieldError, match=message) as refusal:
+        dataclasses.replace(model, field=make(model), certificates=())
+    assert "\n" not in str(refusal.value)
+    # A file that says so, written by something else: with every digest right.
+    path = tmp_path / "a.keepout"
+    with monkeypatch.context() as unchecked:
+        unchecked.setattr("keepout.fields.model.require_admissible", lambda field: None)
+        dataclasses.replace(model, field=make(model), certificates=()).save(path)
+    # Half floats do not get as far as the network: the file's own types are refused.
+    stored = {"half": "W0 is F16", "brain": "W0 is BF16"}.get(case, message)
+    with pytest.raises(FieldError, match=stored) as refusal:
+        FieldModel.load(path, target=box)
+    assert str(path) in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("error_bound", float("nan")), ("gradient_bound", -1.0), ("evaluation_error", float("inf"))],
+)
+def test_a_certificate_that_bounds_nothing_is_refused(tmp_path, monkeypatch, model, name, value):
+    good = model.certificates[0]
+    with pytest.raises(FieldError, match=f"certificate: {name} is"):
+        dataclasses.replace(good, **{name: value})
+    with monkeypatch.context() as unchecked:
+        unchecked.setattr(Certificate, "__post_init__", lambda self: None)
+        model.with_certificate(dataclasses.replace(good, **{name: value})).save(tmp_path / "a.keepout")
+    with pytest.raises(FieldError, match=f"certificate: {name} is"):
+        FieldModel.load(tmp_path / "a.keepout")

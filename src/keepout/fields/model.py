@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 from itertools import chain
 from pathlib import Path
 from typing import Any, Literal
@@ -13,6 +14,7 @@ import safetensors.numpy
 
 from keepout.digest import digest
 from keepout.errors import FieldError
+from keepout.fields.admissible import require_admissible
 from keepout.fields.continuation import RadialContinuation
 from keepout.fields.field import Field
 from keepout.fields.grid import GridField
@@ -23,6 +25,8 @@ from keepout.whole_file import write_whole
 
 FORMAT = "keepout-field"
 VERSION = 1
+STORED_TYPES = ("F32", "F64", "I32")
+"""Number types of a file's tensors, as safetensors names them."""
 _RADIUS_TOLERANCE = 1e-9
 
 
@@ -32,15 +36,15 @@ class Certificate:
 
     Attributes:
         kind: "certified" when `error_bound` is proved (docs/certificate.md); "sampled" when it is a largest sampled
-            value plus
-            a stated allowance, which proves nothing.
+            value plus a stated allowance, which proves nothing.
         chaser_radius: R, metres.
         error_bound: e_h(R), metres: f̃ ≤ R + e_h wherever the exact distance to the triangles is R. May be negative.
         allowance: metres added to the sampled maximum; zero for a certified bound.
         sampled_maximum: the largest f̃ - R found by search on that surface, metres: how much of the bound is slack.
         gradient_bound: a bound of ‖∇f̃‖ wherever d ≥ R (the Lipschitz number of the guard).
         gradient_kind: "certified" when that is proved; "sampled" when it is the largest found plus a stated allowance.
-        evaluation_error: the part of the bound that covers float32 evaluation, metres.
+        evaluation_error: metres. Neural: the part of the bound that covers evaluation in the network's float type, on
+            that surface. Grid: f̃ as evaluated is within this of a function with that gradient bound, everywhere.
         seconds: wall-clock time it took.
         target_sha256: digest of the triangles.
         field_sha256: digest of the field.
@@ -60,6 +64,19 @@ class Certificate:
     target_sha256: str
     field_sha256: str
     gradient_found: float | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what bounds nothing."""
+        for entry in dataclasses.fields(self):
+            value = getattr(self, entry.name)
+            if entry.name.endswith("kind"):
+                if value not in ("certified", "sampled"):
+                    raise FieldError(f"certificate: {entry.name} is {value!r}; it must be 'certified' or 'sampled'")
+            elif not entry.name.endswith("sha256") and value is not None and not math.isfinite(value):
+                raise FieldError(f"certificate: {entry.name} is {value}; it must be finite")
+        for name in ("gradient_bound", "evaluation_error"):
+            if getattr(self, name) < 0.0:
+                raise FieldError(f"certificate: {name} is {getattr(self, name)}; it must be at least 0")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,6 +99,10 @@ class FieldModel:
     offset: float
     training: dict[str, Any]
     certificates: tuple[Certificate, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse a field of which nothing could be proved; see `require_admissible`."""
+        require_admissible(self.field)
 
     @property
     def sha256(self) -> str:
@@ -157,7 +178,8 @@ class FieldModel:
         """Read a `.keepout` file, and check it against a target if one is given.
 
         Raises:
-            FieldError: missing, damaged, truncated, edited, not a field file, or made for another target.
+            FieldError: missing, damaged, truncated, edited, not a field file, made for another target, or with numbers
+                of which nothing can be proved (`require_admissible`).
 
         """
         path = Path(path)
@@ -171,6 +193,8 @@ class FieldModel:
                 training=dict(header["training"]),
                 certificates=tuple(Certificate(**c) for c in header["certificates"]),
             )
+        except FieldError as error:
+            raise FieldError(f"{path}: {error}") from None
         except (KeyError, TypeError, ValueError, IndexError) as error:
             raise FieldError(f"{path}: the header lacks or misuses an entry ({error!r}); fit the field again") from None
         for certificate in model.certificates:
@@ -196,7 +220,12 @@ def _read(path: Path) -> tuple[dict, dict[str, np.ndarray]]:
             if metadata.get("format") != FORMAT:
                 raise FieldError(f"{path}: not a field file: no entry format = {FORMAT!r} in its header")
             header = json.loads(metadata["header"])
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (not a mapping)
+            names = list(file.keys())
+            for name in names:
+                stored = file.get_slice(name).get_dtype()
+                if stored not in STORED_TYPES:
+                    raise FieldError(f"{path}: {name} is {stored}; a field file holds {', '.join(STORED_TYPES)}")
+            tensors = {name: file.get_tensor(name) for name in names}
     except FileNotFoundError:
         raise FieldError(f"{path}: no such file; a field is a .keepout file") from None
     except (OSError, safetensors.SafetensorError, KeyError, TypeError, ValueError) as error:

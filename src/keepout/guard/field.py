@@ -22,13 +22,18 @@ from keepout.progress import Progress, silent
 from keepout.proof.grid import certify_grid
 
 RECIPE = 2
-"""To be raised when offset solid or grid build would make another field of the same numbers."""
+"""To be raised when offset solid, grid build or proof would make another field or certificate of the same numbers."""
 
 
 def cache_folder() -> Path:
     """Where fields are kept: KEEPOUT_CACHE if that is set, else the platform's folder for caches."""
     chosen = os.environ.get("KEEPOUT_CACHE")
     return Path(chosen) if chosen else platformdirs.user_cache_path("keepout", appauthor=False, opinion=False)
+
+
+def grid_numbers(target: Target, radius: float) -> tuple[float, float]:
+    """Spacing and band, m, of the grid of a target for a chaser radius, m."""
+    return max(0.1, float(np.ptp(target.vertices, axis=0).max()) / 400.0), radius + 0.3
 
 
 def guard_field(
@@ -39,8 +44,7 @@ def guard_field(
     The spacing is 0.1 m, coarser on targets above 40 m to keep the grid small. `offset` and `closing_radius` (m) are
     those of the offset solid. A folder that cannot be written to costs the time of building, nothing else.
     """
-    spacing = max(0.1, float(np.ptp(target.vertices, axis=0).max()) / 400.0)
-    band = radius + 0.3
+    spacing, band = grid_numbers(target, radius)
     numbers = {"offset": offset, "closing_radius": closing_radius, "spacing": spacing, "band": band, "radius": radius}
     key = json.dumps({"recipe": RECIPE, "target": target.sha256, **numbers}, sort_keys=True)
     path = cache_folder() / f"guard-{digest(key)[:32]}.keepout"

@@ -31,7 +31,8 @@ def certify_grid(model: FieldModel, target: Target, *, chaser_radius: float = 0.
     `evaluation_error` of f̃, everywhere (`grid_spline`, `grid_slope`).
 
     Raises:
-        FieldError: not a grid field, another target's, blocks that do not nest, or a radius too large for the domain.
+        FieldError: not a grid field, another target's, blocks that do not nest or leave out part of the
+            domain, or a radius too large for it.
 
     """
     start = time.perf_counter()
@@ -42,6 +43,7 @@ def certify_grid(model: FieldModel, target: Target, *, chaser_radius: float = 0.
     room = float(field.continuation.domain_radius - field.continuation.target_radius)
     if not 0.0 <= chaser_radius < room:
         raise FieldError(f"chaser radius {chaser_radius:g} m: for this field it must be 0 to {room:.3g} m")
+    _require_cover(field)
     h = float(field.spacing)
     pad = chaser_radius + h
     centres, half = straddling_cells(
@@ -68,6 +70,19 @@ def certify_grid(model: FieldModel, target: Target, *, chaser_radius: float = 0.
         gradient_found=slope.found,
     )
     return model.with_certificate(certificate)
+
+
+def _require_cover(field: GridField) -> None:
+    """Refuse a grid that does not hold the ball from which the continuation asks."""
+    c = field.continuation
+    reach = 0.5 * float(c.domain_radius + c.outer_radius)
+    sides = BLOCK * float(field.spacing) * 2.0 ** (len(field.tables) - 1) * np.array(field.tables[-1].shape)
+    low = np.asarray(field.origin) - (np.asarray(c.centre) - reach)
+    if (low > 0.0).any() or (low + sides < 2.0 * reach).any():
+        raise FieldError(
+            f"grid field: its grid of {sides.tolist()} m from {np.asarray(field.origin).tolist()} does not hold the "
+            f"ball of {reach:g} m in which it is asked"
+        )
 
 
 def _largest_excess(

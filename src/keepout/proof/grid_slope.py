@@ -124,6 +124,11 @@ def grid_slope(field: GridField, spline: JoinedSpline) -> Slope:
     return Slope(found, largest * (1.0 + _ROUNDING) + _ROUNDING)
 
 
+def spline_slope(spline: JoinedSpline) -> float:
+    """Bound the spline's own slope by coefficient differences: quick, looser, and without lowering and continuation."""
+    return float(_by_differences(spline.coefficients, spline.spacing).max())
+
+
 def _rough_bounds(
     field: GridField, spline: JoinedSpline, zones: "_Zones"
 ) -> tuple[Float[np.ndarray, "m"], Int[np.ndarray, "m"], Int[np.ndarray, "m 3"]]:

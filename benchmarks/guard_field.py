@@ -1,0 +1,85 @@
+"""The guard's field of a target in numbers: what is proved of it, and what a search finds.
+
+Run: python benchmarks/guard_field.py (names of built-in targets after it choose some). Each field is built anew, for a
+chaser of 0.5 m, so the cache is neither read nor written.
+"""
+
+import sys
+import time
+
+import numpy as np
+
+from keepout.fields.evaluate import values, values_and_gradients
+from keepout.fields.grid import BLOCK
+from keepout.fields.grid_build import build_grid
+from keepout.geometry.level_points import surface_points
+from keepout.geometry.offset_solid import OffsetSolid
+from keepout.geometry.target import Target
+from keepout.guard.field import grid_numbers
+from keepout.proof.grid import certify_grid
+from keepout.proof.grid_slope import spline_slope
+from keepout.proof.grid_spline import joined_spline
+
+RADIUS, POINTS, ROUNDS = 0.5, 1_000_000, (0.3, 0.1, 0.03, 0.01, 0.003, 0.001)
+
+
+def steepest(field, distance, generator):
+    """Largest ‖∇f̃‖ found from a million points, near the surface, in the domain and beyond it, and by ascent."""
+    continuation = field.continuation
+    direction = generator.normal(size=(POINTS, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    half = POINTS // 2
+    near = surface_points(distance, half, generator, by_area=0.3)
+    near += generator.exponential(0.3, (half, 1)) * direction[:half]
+    radius = float(continuation.outer_radius) * generator.uniform(0.2, 2.0, (POINTS - half, 1))
+    points = np.concatenate([near, np.asarray(continuation.centre) + radius * direction[half:]])
+    slope = np.linalg.norm(values_and_gradients(field, points)[1], axis=1)
+    for step in ROUNDS:
+        best = np.argsort(-slope)[:500]
+        moved = (points[best, None] + step * generator.normal(size=(500, 20, 3))).reshape(-1, 3)
+        points = np.concatenate([points[best], moved])
+        slope = np.concatenate([slope[best], np.linalg.norm(values_and_gradients(field, moved)[1], axis=1)])
+    return slope.max()
+
+
+def largest_jump(field, generator):
+    """Largest step of f̃ found across the faces of the finest blocks, less what a slope of 1 makes."""
+    side = BLOCK * float(field.spacing)
+    reach = float(field.continuation.domain_radius) / 3.0**0.5
+    points = np.asarray(field.continuation.centre) + generator.uniform(-reach, reach, (POINTS, 3))
+    axis, rows = generator.integers(3, size=POINTS), np.arange(POINTS)
+    origin = np.asarray(field.origin)[axis]
+    points[rows, axis] = origin + side * np.round((points[rows, axis] - origin) / side)
+    aside = np.zeros_like(points)
+    aside[rows, axis] = 1e-10
+    return np.abs(values(field, points + aside) - values(field, points - aside)).max() - 2e-10
+
+
+def main(names):
+    """Print the numbers of each target."""
+    for name in names or ("intelsat30", "tiangong", "iss"):
+        target, generator = Target.load(name), np.random.default_rng(0)
+        times = [time.perf_counter()]
+        solid = OffsetSolid.build(target.distance)
+        times.append(time.perf_counter())
+        spacing, band = grid_numbers(target, RADIUS)
+        model = build_grid(target, spacing=spacing, band=band, solid=solid)
+        times.append(time.perf_counter())
+        model = certify_grid(model, target, chaser_radius=RADIUS)
+        times.append(time.perf_counter())
+        proof, field = model.certificate(RADIUS), model.field
+        spline = spline_slope(joined_spline(field))
+        print(
+            f"{name}: L {proof.gradient_bound:.4f} (search {steepest(field, target.distance, generator):.4f}; "
+            f"differences of coefficients alone {spline:.3f}), e_h {proof.error_bound:+.4f} m (largest found "
+            f"{proof.sampled_maximum:+.4f} m), threshold {RADIUS + proof.error_bound:.4f} m, j "
+            f"{proof.evaluation_error:.2g} m (largest jump found {largest_jump(field, generator):.2g} m, bound 2j), "
+            f"lowering {float(field.continuation.allowance):.3f} m; solid, grid, certificate "
+            + ", ".join(f"{seconds:.1f}" for seconds in np.diff(times))
+            + " s",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
