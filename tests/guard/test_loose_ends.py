@@ -113,7 +113,7 @@ def test_the_command_line_refuses_in_one_line(field_path, tmp_path, monkeypatch,
 
 @pytest.mark.long
 def test_a_start_inside_the_margin_is_led_out_and_flagged(base, target):
-    start = (2.56, 0.0, 0.0)
+    start = (2.52, 0.0, 0.0)
     assert 0.5 < target.distance.distance(np.array([start]))[0] < 0.5 + 0.1
     flight = fly(base.replace(start={"position": start}, duration=120.0))
     summary = flight.summary()
