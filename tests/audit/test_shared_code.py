@@ -248,10 +248,10 @@ def drifts(scenario, count, seed, *, speed=0.15, h=0.5):
 WORLDS = {
     # Scenario, and the share of the bound that the largest sampled drift reaches at least.
     "circular, VVLH": ({"orbit": {"semi_major_axis": 7e6}}, 0.95),
-    "eccentric, VVLH": ({"orbit": {"semi_major_axis": 1.2e7, "eccentricity": 0.4}}, 0.6),
+    "eccentric, VVLH": ({"orbit": {"semi_major_axis": 1.2e7, "eccentricity": 0.4}}, 0.9),
     "eccentric, fixed to the stars": (
         {"orbit": {"semi_major_axis": 1.2e7, "eccentricity": 0.4}, "attitude": {"kind": "inertial"}},
-        0.9,
+        0.95,
     ),
     "eccentric, tumbling": (
         {
@@ -262,7 +262,7 @@ WORLDS = {
                 "inertia": ((900.0, 30.0, 0.0), (30.0, 1400.0, -50.0), (0.0, -50.0, 1800.0)),
             },
         },
-        0.4,
+        0.65,
     ),
 }
 

@@ -10,6 +10,8 @@ from keepout.geometry.target import Target
 from keepout.learning.counter_examples import HIGHEST, JITTER, ROUNDS_KEPT, WORST, Hunt
 from keepout.learning.profile import TrainingProfile
 
+pytestmark = pytest.mark.long
+
 HEIGHT, WIDTH, WEBS = 0.2, 0.04, 300
 PROFILE = TrainingProfile(webs=WEBS)
 

@@ -14,7 +14,7 @@ from keepout.learning.training import fit
 from keepout.measures.quality import distance_errors, surface_errors
 from keepout.proof.certificate import certify
 
-pytestmark = pytest.mark.xdist_group("paper")
+pytestmark = [pytest.mark.xdist_group("paper"), pytest.mark.long]
 
 
 @pytest.fixture(scope="module")
@@ -37,14 +37,12 @@ def pinball(target, solid) -> FieldModel:
     return fit(target, profile=shortened("paper"), solid=solid)
 
 
-@pytest.mark.long
 def test_the_pinball_reading_learns_the_distance(pinball, target, solid):
     errors = distance_errors(pinball.field, solid, nearest=0.3, farthest=2.0)
     assert errors.mean_absolute < 0.3
     assert surface_errors(pinball.field, target, count=20_000).epsilon < 0.3
 
 
-@pytest.mark.long
 def test_the_printed_loss_lets_the_field_sink(pinball, target, solid):
     """L_P = (κ-1) max(e, 0) does not mind understatement: only the eikonal term holds the field up."""
     printed = fit(target, profile=shortened("paper_printed"), solid=solid)
