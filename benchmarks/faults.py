@@ -81,6 +81,8 @@ FAULTS = (
     Fault("commands a step late", told="late"),
     Fault("all three, into the body", law="into the body", gain=0.02, errors=(0.01, 3e-4), told="late"),
 )
+LAWLESS = ("nominal law into the body", "straight to the goal", "random forces", "bang-bang forces", "NaN from the law")
+FAULTS_BEYOND = tuple(fault.name for fault in FAULTS if not fault.within)
 DISTURBANCES = ("paper", "constant", "bang-bang", "resonant", "twice the bound")
 ROWS = [(f, d) for f in FAULTS for d in DISTURBANCES if f.within or d != "twice the bound"]
 
@@ -274,31 +276,25 @@ def fly_all(arguments, show):
 
 
 def totals(rows):
-    """Say in a few lines what all rows come to."""
-
-    def count(chosen, key):
-        return sum(row[key] for row in chosen)
-
-    within = [r for r in rows if r["within_assumptions"]]
-    beyond = [r for r in rows if not r["within_assumptions"]]
-    plain = [r for r in within if r["fault"] == "none"]
-    twice = [r for r in rows if r["disturbance"] == "twice the bound"]
-    yield (
-        f"within the assumptions: {count(within, 'flights')} flights, {count(within, 'contacts')} contacts, "
-        f"{count(within, 'undecided')} undecided, least clearance "
-        f"{min(r['minimum_clearance_m'] for r in within)} m, {count(within, 'inside_margin')} inside the margin, "
-        f"{count(within, 'flagged')} flagged"
-    )
-    share = float(np.average([r["guard_share"] for r in plain], weights=[r["flights"] for r in plain]))
-    yield (
-        f"nothing broken: {count(plain, 'reached')} of {count(plain, 'flights')} reached, the guard acted in "
-        f"{100 * share:.3f} % of steps"
-    )
-    for label, chosen in (("beyond the assumptions", beyond), ("disturbance at twice its bound", twice)):
-        yield (
-            f"{label}: {count(chosen, 'flights')} flights, {count(chosen, 'contacts')} contacts, "
-            f"{count(chosen, 'hurt')} hurt, of them {count(chosen, 'hurt_and_flagged')} flagged"
-        )
+    """Say in a table (Markdown) what all rows come to: docs/safety.md holds it."""
+    within = [row for row in rows if row["within_assumptions"]]
+    groups = {
+        "within the assumptions": within,
+        "- nothing broken": [row for row in within if row["fault"] == "none"],
+        "- a law that is none (hostile or random forces, NaN)": [row for row in within if row["fault"] in LAWLESS],
+    }
+    twice = [row for row in rows if row["disturbance"] == "twice the bound"]
+    other = [row for row in rows if not row["within_assumptions"] and row not in twice]
+    groups |= {f"beyond them: {fault}": [r for r in other if r["fault"] == fault] for fault in FAULTS_BEYOND}
+    groups["beyond them: disturbance at twice its bound"] = twice
+    columns = ("flights", "contacts", "undecided", "inside_margin", "flagged", "hurt", "hurt_and_flagged", "reached")
+    yield "| flights | " + " | ".join(("number", *columns[1:])).replace("_", " ") + " | least clearance m |"
+    yield "|" + " --- |" * (len(columns) + 2)
+    for name, chosen in groups.items():
+        if chosen:
+            counts = [f"{sum(row[key] for row in chosen):,}".replace(",", " ") for key in columns]
+            least = min(row["minimum_clearance_m"] for row in chosen)
+            yield f"| {name} | " + " | ".join(counts) + f" | {least:.3f} |"
 
 
 def main():
