@@ -53,6 +53,7 @@ OFFERS = {
         "control.law.Law.initial_state",
         "control.law.Law.step",
         "control.law.Law.with_applied_force",
+        "control.law.Command.of_force",
         "control.operation.Operation",
         "control.profiles.default",
         "control.profiles.paper",
@@ -81,9 +82,12 @@ OFFERS = {
     "mission": (
         "mission.scenario.Scenario.load",
         "mission.build.prepare",
+        "mission.build.Mission.with_law",
+        "mission.build.Mission.with_guard",
         "mission.build.build_law",
         "mission.build.build_guard",
         "mission.flight.fly",
+        "mission.flight.fly_mission",
         "mission.campaign.run_campaign",
     ),
 }
