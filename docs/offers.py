@@ -7,6 +7,7 @@ python docs/offers.py --check   # exit 1 where the page is not of this version
 import importlib
 import inspect
 import sys
+import textwrap
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -102,7 +103,8 @@ def offer(path: str) -> str:
         thing = getattr(thing, part)
     inside = inspect.unwrap(thing)
     said = (inspect.getdoc(inside) or "").splitlines()[0]
-    return f"- `{'.'.join(parts[cut:])}({', '.join(arguments(inside))})` {said}"
+    line = f"- `{'.'.join(parts[cut:])}({', '.join(arguments(inside))})` {said}"
+    return textwrap.fill(line, 130, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
 
 
 def arguments(thing: Callable[..., Any]) -> list[str]:
