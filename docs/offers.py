@@ -7,6 +7,7 @@ python docs/offers.py --check   # exit 1 where the page is not of this version
 import importlib
 import inspect
 import sys
+import textwrap
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -53,6 +54,7 @@ OFFERS = {
         "control.law.Law.initial_state",
         "control.law.Law.step",
         "control.law.Law.with_applied_force",
+        "control.law.Command.of_force",
         "control.operation.Operation",
         "control.profiles.default",
         "control.profiles.paper",
@@ -81,9 +83,12 @@ OFFERS = {
     "mission": (
         "mission.scenario.Scenario.load",
         "mission.build.prepare",
+        "mission.build.Mission.with_law",
+        "mission.build.Mission.with_guard",
         "mission.build.build_law",
         "mission.build.build_guard",
         "mission.flight.fly",
+        "mission.flight.fly_mission",
         "mission.campaign.run_campaign",
     ),
 }
@@ -98,7 +103,8 @@ def offer(path: str) -> str:
         thing = getattr(thing, part)
     inside = inspect.unwrap(thing)
     said = (inspect.getdoc(inside) or "").splitlines()[0]
-    return f"- `{'.'.join(parts[cut:])}({', '.join(arguments(inside))})` {said}"
+    line = f"- `{'.'.join(parts[cut:])}({', '.join(arguments(inside))})` {said}"
+    return textwrap.fill(line, 130, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
 
 
 def arguments(thing: Callable[..., Any]) -> list[str]:

@@ -1,6 +1,7 @@
 """The command line as a user meets it: one-line refusals, JSON on standard output, help with an example."""
 
 import json
+import subprocess
 import sys
 
 import pytest
@@ -42,6 +43,8 @@ def test_every_command_has_help_with_an_example(command, monkeypatch, capsys):
         (("certify", "field.keepout", "--chaser-radius", "-1"), "-1"),
         (("inspect", "absent.keepout"), "absent.keepout"),
         (("inspect", "pocket", "--shipped"), "'pocket': there is none"),
+        (("inspect", "box", "--mesh", "sphere"), "box is not a .keepout file"),
+        (("inspect", "box", "--scale", "-1"), "keepout: --scale: -1"),
         (("campaign", "absent.toml", "--runs", "0"), "0"),
         (("reproduce", "case7"), "case1"),
         (("targets", "--seed", "-1"), "-1"),
@@ -68,3 +71,23 @@ def test_targets_as_json(monkeypatch, capsys):
 def test_version(monkeypatch, capsys):
     assert run(monkeypatch, "--version") == 0
     assert capsys.readouterr().out.startswith("keepout ")
+
+
+def test_a_folder_that_cannot_be_made_is_told_before_anything_is_drawn(monkeypatch, capsys, tmp_path):
+    (tmp_path / "taken").write_text("", encoding="utf-8")
+    assert run(monkeypatch, "targets", "--pictures", tmp_path / "taken") == 1
+    assert f"{tmp_path / 'taken'}: cannot be made a folder" in capsys.readouterr().err
+
+
+def test_no_command_shows_the_help_and_nothing_else(monkeypatch, capsys):
+    assert run(monkeypatch) == 2
+    output = capsys.readouterr()
+    assert "Usage" in output.out + output.err
+    assert "keepout:" not in output.err
+
+
+def test_the_module_runs_as_a_program():
+    done = subprocess.run(
+        [sys.executable, "-m", "keepout.cli", "--version"], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.startswith("keepout ")

@@ -1,4 +1,4 @@
-"""The README's Python, run as it stands but for the time it takes, and its scenario."""
+"""The Python of README and docs/control.md, run as it stands but for the time it takes, and the README's scenario."""
 
 import re
 from pathlib import Path
@@ -10,11 +10,12 @@ import trimesh
 import keepout
 from keepout.mission.scenario import Scenario
 
-README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+REPOSITORY = Path(__file__).parents[1]
 
 
-def block(language: str) -> str:
-    [found] = re.findall(rf"```{language}\n(.*?)```", README, flags=re.DOTALL)
+def block(language: str, page: str = "README.md") -> str:
+    text = (REPOSITORY / page).read_text(encoding="utf-8")
+    [found] = re.findall(rf"```{language}\n(.*?)```", text, flags=re.DOTALL)
     return found
 
 
@@ -47,3 +48,32 @@ def test_the_scenario(tmp_path: Path):
     path.write_text(block("toml"), encoding="utf-8")
     scenario = Scenario.load(path)
     assert scenario.goal.position == (0.0, -10.0, -4.0)
+
+
+@pytest.mark.long
+def test_a_law_and_a_safety_layer_of_your_own(capsys):
+    names: dict = {}
+    exec(block("python", "docs/control.md"), names)
+    guarded, gated = names["guarded"], names["gated"]
+    mesh, radius = guarded.target.distance, guarded.scenario.chaser.radius
+    # The law flies into the bus: the guard must act and hold it off, and a layer that is none must not look like one.
+    assert guarded.start_certified is True
+    assert guarded.summary()["contact"] is False
+    assert guarded.outcome.guard_interventions > 0
+    assert 0.0 < guarded.audit.minimum_clearance <= (mesh.distance(guarded.record.position) - radius).min()
+    assert gated.start_certified is None
+    assert gated.guard is None
+    assert gated.summary()["contact"] is True
+    assert (mesh.distance(gated.record.position) - radius).min() < 0.0
+    # What was commanded is the law's own word, by its closed form at each recorded state.
+    record, goal = gated.record, np.array(gated.scenario.goal.position)
+    away = goal - record.position
+    wanted = 0.05 * away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1.0)
+    own = np.clip(4.0 * (wanted - record.velocity), -0.1, 0.1)
+    np.testing.assert_allclose(record.commanded_force, own, atol=1e-12)
+    fast = np.linalg.norm(record.velocity, axis=1) > 0.03
+    brake = np.clip(-20.0 * record.velocity, -0.1, 0.1)
+    np.testing.assert_allclose(record.guarded_force, np.where(fast[:, None], brake, own), atol=1e-12)
+    assert 0 < gated.outcome.guard_interventions == fast[:-1].sum()
+    assert np.isnan(record.barrier).all()
+    assert capsys.readouterr().out.startswith("False ")

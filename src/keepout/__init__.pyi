@@ -18,6 +18,7 @@ from .mission.campaign import Campaign as Campaign
 from .mission.campaign import run_campaign as run_campaign
 from .mission.flight import Flight as Flight
 from .mission.flight import fly as fly
+from .mission.flight import fly_mission as fly_mission
 from .mission.scenario import Scenario as Scenario
 from .motion.chaser import Chaser as Chaser
 from .motion.disturbance import Disturbance as Disturbance

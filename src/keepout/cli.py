@@ -163,8 +163,11 @@ def inspect(
     from keepout.commands import inspect_file, inspect_mesh
     from keepout.fields.shipped import shipped_path
 
+    of_field = shipped or source.endswith(".keepout")
+    if mesh is not None and not of_field:
+        raise typer.BadParameter(f"{mesh}: only a field has a mesh to be named; {source} is not a .keepout file")
     with terminal.progress(f"inspect {source}") as progress:
-        if shipped or source.endswith(".keepout"):
+        if of_field:
             path = shipped_path(source) if shipped else Path(source)
             summary = inspect_file(path, out, mesh=mesh, seed=seed, progress=progress)
             tables = terminal.inspection_tables(summary)
@@ -261,7 +264,9 @@ def main() -> None:
         sys.stderr.write(f"keepout: {error}\n")
         code = 1
     except TyperException as error:
-        sys.stderr.write(f"keepout: {error.format_message()}\n".replace("\n", " ").rstrip() + "\n")
+        said = error.format_message().replace("\n", " ").rstrip()
+        if said:  # without arguments the help has been shown, and there is nothing to add
+            sys.stderr.write(f"keepout: {said}\n")
         code = 2
     except OSError as error:
         place = "" if error.filename is None else f"{error.filename}: "
@@ -271,3 +276,7 @@ def main() -> None:
         sys.stderr.write("keepout: stopped\n")
         code = 130
     sys.exit(code if isinstance(code, int) else 0)
+
+
+if __name__ == "__main__":
+    main()

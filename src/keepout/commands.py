@@ -6,7 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from keepout.errors import FieldError
+from keepout.errors import FieldError, ScenarioError
 from keepout.fields.model import FieldModel
 from keepout.fields.shipped import shipped_names
 from keepout.geometry.builtin import BUILTINS
@@ -30,6 +30,8 @@ from keepout.report.folder import make_folder, write_flights, write_summary
 
 def describe_targets(*, pictures: Path | None = None, progress: Progress = silent) -> list[dict[str, Any]]:
     """List the built-in targets with size, triangles and parameters; draw them into `pictures` where it is given."""
+    if pictures is not None:
+        make_folder(pictures)
     rows = []
     for place, (name, builtin) in enumerate(BUILTINS.items()):
         progress(place / len(BUILTINS), name)
@@ -51,7 +53,11 @@ def describe_targets(*, pictures: Path | None = None, progress: Progress = silen
 
 
 def _entry(source: Mapping[str, Any]) -> TargetEntry:
-    return Scenario.parse({"target": {key: value for key, value in source.items() if value is not None}}).target
+    given = {key: value for key, value in source.items() if value is not None}
+    try:
+        return Scenario.parse({"target": given}).target
+    except ScenarioError as error:  # the user gave options, not a scenario
+        raise ScenarioError(str(error).replace("scenario: target.", "--")) from None
 
 
 def _field_path(path: Path) -> Path:

@@ -5,6 +5,7 @@ import enum
 from typing import NamedTuple
 
 import equinox as eqx
+import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PyTree
 
 from keepout.motion.relative import MotionState
@@ -44,6 +45,24 @@ class Command(eqx.Module):
     backstepping_barrier: Float[Array, ""]
     lyapunov: Float[Array, ""]
     status: Int[Array, ""]
+
+    @classmethod
+    def of_force(cls, force: Float[Array, "3"]) -> "Command":
+        """Give the answer of a law that has a force (N, body axes) to tell and nothing else.
+
+        The disturbance estimate is zero, and whatever the law has no word of is not a number.
+        """
+        unknown = jnp.full(3, jnp.nan)
+        return cls(
+            force=force,
+            desired_velocity=unknown,
+            safe_velocity=unknown,
+            disturbance_estimate=jnp.zeros(3),
+            barrier=unknown[0],
+            backstepping_barrier=unknown[0],
+            lyapunov=unknown[0],
+            status=jnp.asarray(ControlStatus.NOMINAL, jnp.int32),
+        )
 
 
 class Condition(NamedTuple):

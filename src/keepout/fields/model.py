@@ -121,7 +121,10 @@ class FieldModel:
             if abs(certificate.chaser_radius - chaser_radius) <= _RADIUS_TOLERANCE:
                 return certificate
         have = ", ".join(f"{c.chaser_radius:g} m" for c in self.certificates) or "none"
-        raise FieldError(f"chaser radius {chaser_radius:g} m: the field of {self.target_name} is certified for: {have}")
+        raise FieldError(
+            f"chaser radius {chaser_radius:g} m: the field of {self.target_name} is certified for: {have}; "
+            f"`keepout certify --chaser-radius {chaser_radius:g}` adds a certificate"
+        )
 
     def with_certificate(self, certificate: Certificate) -> "FieldModel":
         """Return the same model with one more certificate, which replaces one for the same radius."""

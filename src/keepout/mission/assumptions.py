@@ -73,6 +73,7 @@ def guard_numbers(guard: Guard) -> dict[str, Any]:
         "velocity_radius_sigma_mps": b.velocity_radius,
         "threshold_theta_m": guard.threshold,
         "lipschitz_L": guard.lipschitz,
+        "evaluation_error_j_m": guard.evaluation_error,
         "watched_steps": longest,
         "lasting_excess_mps2": least,
         "lasting_excess_seen_steps": watch.seen_within(a, least),

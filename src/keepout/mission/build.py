@@ -1,6 +1,6 @@
 """A scenario made flyable: load its target and field, build its law and its guard."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,7 @@ from keepout.geometry.offset_solid import OffsetSolid
 from keepout.geometry.target import Target
 from keepout.guard.field import guard_field
 from keepout.guard.guard import Guard
+from keepout.guard.safety_layer import SafetyLayer
 from keepout.mission import environment
 from keepout.mission.assumptions import broken_assumptions
 from keepout.mission.scenario import Scenario, TargetEntry
@@ -70,6 +71,18 @@ class Mission:
     def steps(self) -> int:
         """Control steps in the scenario's duration."""
         return round(self.scenario.duration / self.scenario.control.period)
+
+    def with_law(self, law: Law) -> "Mission":
+        """Give the same mission flown by another law, told of the scenario's delay and broken by its faults.
+
+        The guard's theorem holds for any law, so what is certified of the start stays.
+        """
+        flown = flown_law(self.scenario, law, self.model)
+        return replace(self, setup=replace(self.setup, controller=flown))
+
+    def with_guard(self, guard: SafetyLayer | None) -> "Mission":
+        """Give the same mission with another safety layer, or none; nothing is certified of it."""
+        return replace(self, setup=replace(self.setup, guard=guard), start_certified=None)
 
 
 def load_target(entry: TargetEntry) -> Target:

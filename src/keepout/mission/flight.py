@@ -16,7 +16,7 @@ from keepout.flight.record import FlightRecord
 from keepout.geometry.target import Target
 from keepout.mission import environment
 from keepout.mission.assumptions import guard_numbers
-from keepout.mission.build import prepare
+from keepout.mission.build import Mission, prepare
 from keepout.mission.scenario import Scenario
 from keepout.mission.statuses import flag_counts, legend, status_counts
 from keepout.progress import Progress, part_of, silent
@@ -102,11 +102,17 @@ def fly(
         model=model,
         progress=part_of(progress, 0.0, 0.4),
     )
-    progress(0.4, "flying")
+    return fly_mission(mission, progress=part_of(progress, 0.4, 1.0))
+
+
+def fly_mission(mission: Mission, *, progress: Progress = silent) -> Flight:
+    """Fly what `prepare` built, with the law and guard that its setup has now, and audit it on the exact mesh."""
+    scenario = mission.scenario
+    progress(0.0, "flying")
     key = jax.random.key(scenario.seed)
     log = loop.fly(mission.setup, mission.initial, mission.steps, key)
     result = outcome(mission.setup, log)
-    progress(0.8, "audit")
+    progress(0.7, "audit")
     record = FlightRecord.of_log(
         log,
         outcome=result,

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+from matplotlib.ticker import MaxNLocator
 
 from keepout.mission.campaign import Campaign
 from keepout.report.style import COLOURS, figure
@@ -26,3 +27,5 @@ def draw_campaign(path: Path, campaign: Campaign) -> None:
         if np.isfinite(speed).any():
             third.hist(speed[np.isfinite(speed)], bins=40, color=COLOURS[4])
         third.set(xlabel="Δv, m/s")
+        for axes in (first, second, third):
+            axes.yaxis.set_major_locator(MaxNLocator(integer=True))

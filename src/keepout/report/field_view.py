@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
+from matplotlib.lines import Line2D
 
 from keepout.fields.evaluate import values
 from keepout.fields.model import FieldModel
@@ -56,6 +57,11 @@ def draw_slices(path: Path, model: FieldModel, target: Target, *, nodes: int = 4
                 aspect="equal",
             )
             drawing.colorbar(shade, ax=axes, label="f̃ m", shrink=0.8)
+        lines = {f"d = {model.offset:g} m": "black", "f̃ = 0": COLOURS[1]}
+        if model.certificates:
+            lines["f̃ = R + e_h"] = COLOURS[2]
+        handles = [Line2D([], [], color=colour, label=label) for label, colour in lines.items()]
+        drawing.legend(handles=handles, loc="upper left")
 
 
 def draw_surface(path: Path, target: Target, surface: Surface, *, level: float) -> None:

@@ -27,7 +27,7 @@ def make_folder(out: Path) -> None:
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ScenarioError(f"{out}: cannot be made a folder ({error.strerror}); give another --out") from None
+        raise ScenarioError(f"{out}: cannot be made a folder ({error.strerror}); give another folder") from None
 
 
 def write_flights(

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
+from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
@@ -90,5 +91,9 @@ def _frame(axes: Axes3D, clouds: Sequence[np.ndarray], zoom: float = 1.0) -> Non
     axes.set_xlim(lower[0], upper[0])
     axes.set_ylim(lower[1], upper[1])
     axes.set_zlim(lower[2], upper[2])
+    # A short axis has room for few numbers.
+    share = (upper - lower) / max(float((upper - lower).max()), 1e-9)
+    for axis, part in zip((axes.xaxis, axes.yaxis, axes.zaxis), share, strict=True):
+        axis.set_major_locator(MaxNLocator(max(2, round(7 * part))))
     # Matplotlib infers an int from its default of 1, but any positive zoom is meant.
     axes.set_box_aspect(tuple(np.maximum(upper - lower, 1e-3)), zoom=zoom)  # pyright: ignore[reportArgumentType]
