@@ -6,6 +6,7 @@ from jaxtyping import Array, Float, PyTree
 
 from keepout.control.law import Command, Condition, Law
 from keepout.errors import ControlError
+from keepout.motion.arrays import as_float64
 from keepout.motion.disturbance import NoDisturbance
 from keepout.motion.relative import MotionState, RelativeMotion
 
@@ -27,8 +28,8 @@ class AheadOfDelay(Law):
 
     law: Law
     motion: RelativeMotion
-    mass: Float[Array, ""] = eqx.field(converter=lambda value: jnp.asarray(value, jnp.float64))
-    period: Float[Array, ""] = eqx.field(converter=lambda value: jnp.asarray(value, jnp.float64))
+    mass: Float[Array, ""] = eqx.field(converter=as_float64)
+    period: Float[Array, ""] = eqx.field(converter=as_float64)
     delay: int = eqx.field(static=True)
 
     def __check_init__(self):

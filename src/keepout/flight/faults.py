@@ -16,14 +16,11 @@ from keepout.control.law import Command, Condition, Law
 from keepout.errors import ScenarioError
 from keepout.fields.field import Field
 from keepout.flight.setup import Faults
+from keepout.motion.arrays import as_float64
 from keepout.motion.relative import MotionState
 
 Vector = Float[Array, "3"]
 Scalar = Float[Array, ""]
-
-
-def _scalar(value: float | Scalar) -> Scalar:
-    return jnp.asarray(value, dtype=jnp.float64)
 
 
 def _in_ball(key: PRNGKeyArray, radius: Scalar) -> Vector:
@@ -60,10 +57,10 @@ class WrongEstimate(_Transparent):
     full size and a direction drawn once a flight.
     """
 
-    position_bias: Scalar = eqx.field(converter=_scalar, default=0.0)
-    velocity_bias: Scalar = eqx.field(converter=_scalar, default=0.0)
-    position_noise: Scalar = eqx.field(converter=_scalar, default=0.0)
-    velocity_noise: Scalar = eqx.field(converter=_scalar, default=0.0)
+    position_bias: Scalar = eqx.field(converter=as_float64, default=0.0)
+    velocity_bias: Scalar = eqx.field(converter=as_float64, default=0.0)
+    position_noise: Scalar = eqx.field(converter=as_float64, default=0.0)
+    velocity_noise: Scalar = eqx.field(converter=as_float64, default=0.0)
 
     def initial_state(self, key: PRNGKeyArray) -> PyTree:
         """Draw the biases."""
@@ -111,7 +108,7 @@ class DelayedCommands(_Transparent):
 class DroppedCommands(_Transparent):
     """Each command is lost with a probability; the thrusters then go on as they were."""
 
-    probability: Scalar = eqx.field(converter=_scalar)
+    probability: Scalar = eqx.field(converter=as_float64)
 
     def initial_state(self, key: PRNGKeyArray) -> PyTree:
         """Start without force."""
@@ -134,8 +131,8 @@ class StuckThruster(_Transparent):
 
     axis: int = eqx.field(static=True)
     sign: int = eqx.field(static=True)
-    force: Scalar = eqx.field(converter=_scalar)
-    start: Scalar = eqx.field(converter=_scalar, default=0.0)
+    force: Scalar = eqx.field(converter=as_float64)
+    start: Scalar = eqx.field(converter=as_float64, default=0.0)
 
     def __check_init__(self):
         if self.axis not in (0, 1, 2) or self.sign not in (1, -1):
@@ -151,7 +148,7 @@ class StuckThruster(_Transparent):
 class ThrusterGain(_Transparent):
     """Each axis gives its command times a factor drawn once a flight from 1 ± error."""
 
-    error: Scalar = eqx.field(converter=_scalar)
+    error: Scalar = eqx.field(converter=as_float64)
 
     def initial_state(self, key: PRNGKeyArray) -> PyTree:
         """Draw the factors."""
@@ -220,9 +217,9 @@ class BrokenLaw(Law):
     law: Law
     field: Field
     kind: Int[Array, ""] = eqx.field(converter=_kind)
-    force_limit: Scalar = eqx.field(converter=_scalar)
-    mass: Scalar = eqx.field(converter=_scalar)
-    speed: Scalar = eqx.field(converter=_scalar)
+    force_limit: Scalar = eqx.field(converter=as_float64)
+    mass: Scalar = eqx.field(converter=as_float64)
+    speed: Scalar = eqx.field(converter=as_float64)
     seed: int = eqx.field(static=True, default=0)
     hold: int = eqx.field(static=True, default=15)
 

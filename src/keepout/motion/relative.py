@@ -9,12 +9,13 @@ from jaxtyping import Array, Float
 
 from keepout.errors import ScenarioError
 from keepout.motion import rotation
+from keepout.motion.arrays import NumbersLike, as_float64
 from keepout.motion.attitude import AttitudeMotion, VVLHFixed
 from keepout.motion.disturbance import Disturbance
 from keepout.motion.frames import vvlh_axes
 from keepout.motion.orbit import Orbit, OrbitalFrame, perturbed_frame
 from keepout.motion.perturbation import Perturbation, target_acceleration
-from keepout.motion.rotation import NumbersLike, Quaternion, Vector
+from keepout.motion.rotation import Quaternion, Vector
 
 Scalar = Float[Array, ""]
 
@@ -37,10 +38,6 @@ class MotionState(eqx.Module):
     target_orbit: Float[Array, "6"] | None = None
 
 
-def _array(value: NumbersLike) -> Array:
-    return jnp.asarray(value, dtype=jnp.float64)
-
-
 class RelativeMotion(eqx.Module):
     """The relative dynamics (paper, section II, with the sign of g corrected).
 
@@ -55,7 +52,7 @@ class RelativeMotion(eqx.Module):
     attitude_motion: AttitudeMotion = eqx.field(default_factory=VVLHFixed)
     perturbations: tuple[Perturbation, ...] = ()
     substeps: int = eqx.field(static=True, default=1)
-    centre_of_mass: Vector = eqx.field(converter=_array, default=(0.0, 0.0, 0.0))
+    centre_of_mass: Vector = eqx.field(converter=as_float64, default=(0.0, 0.0, 0.0))
 
     def __check_init__(self):
         if self.substeps < 1:
