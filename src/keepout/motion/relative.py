@@ -23,11 +23,14 @@ Scalar = Float[Array, ""]
 class MotionState(eqx.Module):
     """Where the chaser is and how the target turns, at one moment.
 
-    time: s since the orbit's epoch.
-    position (m), velocity (m/s): of the chaser relative to the target, as seen by one who turns with the body.
-    attitude: unit quaternion body ← VVLH, scalar first.
-    angular_velocity: the body's inertial angular velocity, rad/s, in body axes.
-    target_orbit: the target's ECI position (m) and velocity (m/s), carried only where perturbations bend its orbit.
+    Attributes:
+        time: s since the orbit's epoch.
+        position: of the chaser in the body frame, m.
+        velocity: of the chaser relative to the target, as seen by one who turns with the body, m/s.
+        attitude: unit quaternion body ← VVLH, scalar first.
+        angular_velocity: the body's inertial angular velocity, rad/s, in body axes.
+        target_orbit: the target's ECI position (m) and velocity (m/s), carried only where perturbations bend its orbit.
+
     """
 
     time: Scalar
