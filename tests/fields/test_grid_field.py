@@ -7,6 +7,7 @@ import pytest
 
 from keepout.errors import FieldError
 from keepout.fields.evaluate import values, values_gradients_hessians
+from keepout.fields.grid import BLOCK, GridField
 from keepout.fields.grid_build import build_grid
 from keepout.fields.model import FieldModel
 from keepout.geometry.level_points import surface_points
@@ -78,16 +79,46 @@ def test_derivatives_match_autodiff_and_the_gradient_bound(model):
     assert slope <= model.certificate(0.0).gradient_bound <= np.sqrt(3.0) + 1e-6
 
 
-def test_second_derivatives_join_across_blocks_and_levels(model):
+@pytest.fixture(scope="module")
+def nested(target, solid):
+    """Three levels, each block beside others of its level and of the next."""
+    field = build_grid(target, spacing=0.25 * H, band=0.1, solid=solid).field
+    assert isinstance(field, GridField)
+    assert len(field.tables) == 3
+    return field
+
+
+def faces_of_blocks(field, level, *, coarser):
+    """Points on the blocks' faces, one a face, and the faces' normals: those that part levels, or blocks of one."""
+    table = np.asarray(field.tables[level])
+    blocks = np.argwhere(table >= 0)
+    side = BLOCK * float(field.spacing) * 2**level
     rng = np.random.default_rng(3)
-    direction = rng.normal(size=(10, 3))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    steps = np.linspace(0.0, 1.9, 2000)
-    points = (steps[None, :, None] * direction[:, None, :]).reshape(-1, 3)
-    hessian = values_gradients_hessians(model.field, points)[2].reshape(10, -1, 9)
-    # A C² piecewise cubic changes its second derivative by a slope that its coefficients allow: no jump at a seam.
-    assert np.abs(np.diff(hessian, axis=1)).max() < 0.6
-    assert np.abs(hessian).max() > 1.0
+    points, normals = [], []
+    for normal in (*np.eye(3, dtype=int), *-np.eye(3, dtype=int)):
+        beyond = blocks + normal
+        inside = ((beyond >= 0) & (beyond < table.shape)).all(axis=1)
+        own, beyond = blocks[inside], beyond[inside]
+        parts = (table[tuple(beyond.T)] < 0) == coarser
+        place = rng.uniform(size=(int(parts.sum()), 3))
+        place[:, normal != 0] = float(normal.sum() > 0)
+        points.append(np.asarray(field.origin) + side * (own[parts] + place))
+        normals.append(np.broadcast_to(normal, place.shape))
+    return np.concatenate(points), np.concatenate(normals)
+
+
+@pytest.mark.parametrize("level", [0, 1])
+@pytest.mark.parametrize("coarser", [False, True], ids=["blocks", "levels"])
+def test_second_derivatives_join_across_blocks_and_levels(nested, level, coarser):
+    points, normals = faces_of_blocks(nested, level, coarser=coarser)
+    assert len(points) > 100
+    here, there = (values_gradients_hessians(nested, points + step * normals)[2] for step in (-1e-9, 1e-9))
+    # Only the coefficients' rounding to float32 is left: half a unit in the last place of each, on both sides, and the
+    # weights of a second derivative add up to at most 4/h².
+    largest, h = float(np.abs(nested.coefficients).max()), float(nested.spacing) * 2**level
+    rounding = 4.0 / h**2 * np.spacing(np.float32(largest))
+    assert np.abs(here - there).max() <= rounding
+    assert np.abs(here).max() > 100.0 * rounding
 
 
 def test_file_round_trip_and_refusals(tmp_path, model, target):

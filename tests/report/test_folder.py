@@ -102,9 +102,8 @@ def test_the_page_stands_alone_and_says_what_the_summaries_say(written):
     assert page.unclosed == []
     assert page.headings[0] == "Two <passes>"
     headings, *rows = page.table
-    columns = [key for key in terminal.FLIGHT_COLUMNS if key != "flight"]
-    assert headings == ["flight", *(terminal.FLIGHT_COLUMNS[key] for key in columns)]
-    assert rows == [[one["name"], *(terminal.shown(one[key]) for key in columns)] for one in summaries]
+    assert headings == ["flight", *terminal.FLIGHT_COLUMNS.values()]
+    assert rows == [[one["name"], *(terminal.shown(one[key]) for key in terminal.FLIGHT_COLUMNS)] for one in summaries]
     assert "class=bad" in (out / "index.html").read_text(encoding="utf-8")
     assert set(page.images) == {"paths", "clearance", "error", "high", "low"}
     for name, content in page.images.items():

@@ -101,24 +101,28 @@ def audit(
 ) -> Audit:
     """Judge one flight against the exact mesh.
 
-    `record` holds NumPy arrays `time (N,)` s, `position (N, 3)` m, `velocity (N, 3)` m/s and `force (N, 3)` N: the
-    true states in the body frame and the force truly applied from sample k to k + 1; `guard_status (N,)`, if it is
-    there, counts as an intervention wherever its two lowest bits are not 0. `force_limit` (N) is per axis,
-    `speed_limit` (m/s) on the norm; `tolerance` (m) is how close to the truth the clearance bound is driven;
-    `consistency` (m) is what the flight's own integrator may err by in a step. Raises FlightError where the record
-    cannot be read as a flight.
+    Args:
+        record: holds NumPy arrays `time (N,)` s, `position (N, 3)` m, `velocity (N, 3)` m/s and `force (N, 3)` N: the
+            true states in the body frame and the force truly applied from sample k to k + 1; `guard_status (N,)`, if it
+            is there, counts as an intervention wherever its two lowest bits are not 0.
+        target: the mesh.
+        chaser_radius: of the ball that holds the chaser, m.
+        bounds: on what the record does not hold.
+        force_limit: per axis, N.
+        speed_limit: on the norm, m/s.
+        tolerance: how close to the truth the clearance bound is driven, m.
+        consistency: what the flight's own integrator may err by in a step, m.
+
+    Raises:
+        FlightError: the record cannot be read as a flight.
+
     """
-    arrays = {
-        "position": np.asarray(record.position, float)[None],
-        "velocity": np.asarray(record.velocity, float)[None],
-        "force": np.asarray(record.force, float)[None],
-    }
     guard = getattr(record, "guard_status", None)
     return audit_campaign(
         np.asarray(record.time, float),
-        arrays["position"],
-        arrays["velocity"],
-        arrays["force"],
+        np.asarray(record.position, float)[None],
+        np.asarray(record.velocity, float)[None],
+        np.asarray(record.force, float)[None],
         target,
         guard_status=None if guard is None else np.asarray(guard)[None],
         chaser_radius=chaser_radius,

@@ -15,13 +15,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from keepout.control.velocity_program.program import Circulation
+from keepout.motion.arrays import as_float64
 
 PRINTED = ((0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 """Ω as printed in the paper, section VI."""
-
-
-def _scalar(value: float | Array) -> Array:
-    return jnp.asarray(value, dtype=jnp.float64)
 
 
 def skew(axis: Float[Array, "3"]) -> Float[Array, "3 3"]:
@@ -67,9 +64,9 @@ class ConstantCirculation(CirculationLaw):
     """A constant Ω (3, 3): `printed_circulation` has the paper's, `skew_circulation` a skew one."""
 
     omega: Float[Array, "3 3"]
-    level: Float[Array, ""] = eqx.field(converter=_scalar, default=0.1)
-    slope: Float[Array, ""] = eqx.field(converter=_scalar, default=1.0)
-    weight: Float[Array, ""] = eqx.field(converter=_scalar, default=1.0)
+    level: Float[Array, ""] = eqx.field(converter=as_float64, default=0.1)
+    slope: Float[Array, ""] = eqx.field(converter=as_float64, default=1.0)
+    weight: Float[Array, ""] = eqx.field(converter=as_float64, default=1.0)
 
     def update(
         self,
@@ -96,10 +93,10 @@ class SwitchingCirculation(CirculationLaw):
     `degenerate`) T would vanish: the axis becomes n × v, which carries on in the direction of flight.
     """
 
-    level: Float[Array, ""] = eqx.field(converter=_scalar, default=0.1)
-    slope: Float[Array, ""] = eqx.field(converter=_scalar, default=1.0)
-    weight: Float[Array, ""] = eqx.field(converter=_scalar, default=1.0)
-    degenerate: Float[Array, ""] = eqx.field(converter=_scalar, default=0.3)
+    level: Float[Array, ""] = eqx.field(converter=as_float64, default=0.1)
+    slope: Float[Array, ""] = eqx.field(converter=as_float64, default=1.0)
+    weight: Float[Array, ""] = eqx.field(converter=as_float64, default=1.0)
+    degenerate: Float[Array, ""] = eqx.field(converter=as_float64, default=0.3)
 
     def update(
         self,

@@ -13,7 +13,17 @@ from keepout.motion.relative import MotionState, RelativeMotion
 
 
 class ControllerState(eqx.Module):
-    """What the law carries from step to step: the previous sample, the force held since, and its layers' memories."""
+    """What the law carries from step to step: the previous sample, the force held since, and its layers' memories.
+
+    Attributes:
+        velocity: of the previous sample, m/s.
+        drift: acceleration without force and disturbance at the previous sample, m/s².
+        force: held since then, N.
+        observer: the disturbance observer's memory.
+        circulation: the circulation's memory.
+        started: whether there was a previous sample that was finite.
+
+    """
 
     velocity: Float[Array, "3"]
     drift: Float[Array, "3"]
@@ -26,9 +36,16 @@ class ControllerState(eqx.Module):
 class Controller(Law):
     """The law as one pytree: it can be closed over, passed through `jit`, and batched with `vmap` (say over goals).
 
-    `motion` is the model behind the drift compensation, `mass` in kg, `force_limit` (3,) in N per axis,
-    `nominal_offset` in m the part of the velocity layer's offset that is the law's own. `checked` lists what
-    `conditions.conditions` found at construction.
+    Attributes:
+        velocity: the layer that gives the safe velocity.
+        tracking: the layer that follows it.
+        observer: of the disturbance.
+        motion: the model behind the drift compensation.
+        mass: kg.
+        force_limit: of each body axis, N.
+        nominal_offset: the part of the velocity layer's offset that is the law's own, m.
+        checked: what `conditions.conditions` found at construction.
+
     """
 
     velocity: SafeVelocity

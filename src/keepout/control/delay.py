@@ -6,19 +6,25 @@ from jaxtyping import Array, Float, PyTree
 
 from keepout.control.law import Command, Condition, Law
 from keepout.errors import ControlError
+from keepout.motion.arrays import as_float64
 from keepout.motion.disturbance import NoDisturbance
 from keepout.motion.relative import MotionState, RelativeMotion
 
 
 class AheadOfDelay(Law):
-    """A law whose commands take effect `delay` periods after they are given.
+    """A law whose commands take effect some periods after they are given.
 
     Each estimate is moved ahead by the commands under way before the law sees it, without a disturbance. So the
     velocities that the law sees differ, from sample to sample, by the force it gave at the first of them, the drift
     and the disturbance that acted: its observer needs no change. What the law reports (barrier, safe velocity) is
     about the state ahead.
 
-    law: any control law. motion: the model of the drift. mass: kg. period: s. delay: whole periods, at least 1.
+    Attributes:
+        law: any control law.
+        motion: the model of the drift.
+        mass: kg.
+        period: between control steps, s.
+        delay: whole periods from command to effect, at least 1.
 
     Raises:
         ControlError: a delay below 1.
@@ -27,8 +33,8 @@ class AheadOfDelay(Law):
 
     law: Law
     motion: RelativeMotion
-    mass: Float[Array, ""] = eqx.field(converter=lambda value: jnp.asarray(value, jnp.float64))
-    period: Float[Array, ""] = eqx.field(converter=lambda value: jnp.asarray(value, jnp.float64))
+    mass: Float[Array, ""] = eqx.field(converter=as_float64)
+    period: Float[Array, ""] = eqx.field(converter=as_float64)
     delay: int = eqx.field(static=True)
 
     def __check_init__(self):

@@ -6,7 +6,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from keepout.control.circulation import CirculationLaw, NoCirculation, printed_circulation
 from keepout.control.conditions import conditions, drift_bound
@@ -21,15 +21,12 @@ from keepout.control.tuning import Tuning, tune
 from keepout.control.velocity import ClassK, SafeVelocity, SpeedCone
 from keepout.errors import ControlError
 from keepout.fields.field import Field
+from keepout.motion.arrays import as_float64
 from keepout.progress import Progress, silent
 
 
 class ControlWarning(UserWarning):
     """A law that flies although a condition of its theory is violated."""
-
-
-def _scalar(value: float | Array) -> Float[Array, ""]:
-    return jnp.asarray(value, dtype=jnp.float64)
 
 
 def _point(name: str, value: Any) -> Float[np.ndarray, "3"]:
@@ -135,24 +132,24 @@ def default(
         observer = harmonic_observer(mass=chaser.mass, period=operation.period)
     law = SafeVelocity(
         field=field,
-        offset=_scalar(offset),
+        offset=as_float64(offset),
         guidance=leader,
-        class_k=ClassK(_scalar(tuning.class_k_rate), _scalar(tuning.braking)),
+        class_k=ClassK(as_float64(tuning.class_k_rate), as_float64(tuning.braking)),
         circulation=_turning(circulation),
-        speed=SpeedCone(_scalar(chaser.speed_limit), _scalar(tuning.authority), _scalar(tuning.speed_reserve)),
+        speed=SpeedCone(as_float64(chaser.speed_limit), as_float64(tuning.authority), as_float64(tuning.speed_reserve)),
         differentiate=feedforward,
     )
     tracking = Tracking(
-        gain=_scalar(tuning.tracking_gain),
+        gain=as_float64(tuning.tracking_gain),
         position_weight=jnp.eye(3),
-        lyapunov_ratio=_scalar(tuning.lyapunov_ratio),
-        barrier_ratio=_scalar(tuning.barrier_ratio),
-        estimation_weight=_scalar(tuning.estimation_weight),
-        estimation_rate=_scalar(tuning.estimation_rate),
-        barrier_rate=_scalar(tuning.barrier_rate),
-        sharpness=_scalar(tuning.sharpness),
-        gradient_error=_scalar(0.0),
-        acceleration_limit=_scalar(tuning.authority),
+        lyapunov_ratio=as_float64(tuning.lyapunov_ratio),
+        barrier_ratio=as_float64(tuning.barrier_ratio),
+        estimation_weight=as_float64(tuning.estimation_weight),
+        estimation_rate=as_float64(tuning.estimation_rate),
+        barrier_rate=as_float64(tuning.barrier_rate),
+        sharpness=as_float64(tuning.sharpness),
+        gradient_error=as_float64(0.0),
+        acceleration_limit=as_float64(tuning.authority),
     )
     made = _composed(law, tracking, observer, operation, nominal_offset=tuning.nominal_offset)
     found = conditions(made, operation, start=start)
@@ -214,24 +211,24 @@ def paper(
     )
     law = SafeVelocity(
         field=field,
-        offset=_scalar(operation.keep_out),
+        offset=as_float64(operation.keep_out),
         guidance=leader,
-        class_k=ClassK(_scalar(0.08)),
+        class_k=ClassK(as_float64(0.08)),
         circulation=_turning(printed_circulation() if circulation is None else circulation),
         # Without e_∇h the barrier row is a half-space, and the program a quadratic one.
-        gradient_error=None if gradient_error == 0.0 else _scalar(gradient_error),
-        box=_scalar(chaser.speed_limit),
+        gradient_error=None if gradient_error == 0.0 else as_float64(gradient_error),
+        box=as_float64(chaser.speed_limit),
     )
     tracking = Tracking(
-        gain=_scalar(15.0),
+        gain=as_float64(15.0),
         position_weight=position_weight * jnp.eye(3),
-        lyapunov_ratio=_scalar(1e-4),
-        barrier_ratio=_scalar(2.0),
-        estimation_weight=_scalar(1.0),
-        estimation_rate=_scalar(0.1),
-        barrier_rate=_scalar(10.0),
-        sharpness=_scalar(sharpness),
-        gradient_error=_scalar(gradient_error),
+        lyapunov_ratio=as_float64(1e-4),
+        barrier_ratio=as_float64(2.0),
+        estimation_weight=as_float64(1.0),
+        estimation_rate=as_float64(0.1),
+        barrier_rate=as_float64(10.0),
+        sharpness=as_float64(sharpness),
+        gradient_error=as_float64(gradient_error),
     )
     if observer is None:
         observer = printed_observer(mass=chaser.mass, period=operation.period)
@@ -251,7 +248,7 @@ def _composed(
         tracking=tracking,
         observer=observer,
         motion=operation.motion,
-        mass=_scalar(operation.chaser.mass),
+        mass=as_float64(operation.chaser.mass),
         force_limit=jnp.full(3, operation.chaser.force_limit),
-        nominal_offset=_scalar(nominal_offset),
+        nominal_offset=as_float64(nominal_offset),
     )

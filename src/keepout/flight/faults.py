@@ -16,14 +16,11 @@ from keepout.control.law import Command, Condition, Law
 from keepout.errors import ScenarioError
 from keepout.fields.field import Field
 from keepout.flight.setup import Faults
+from keepout.motion.arrays import as_float64
 from keepout.motion.relative import MotionState
 
 Vector = Float[Array, "3"]
 Scalar = Float[Array, ""]
-
-
-def _scalar(value: float | Scalar) -> Scalar:
-    return jnp.asarray(value, dtype=jnp.float64)
 
 
 def _in_ball(key: PRNGKeyArray, radius: Scalar) -> Vector:
@@ -56,14 +53,18 @@ class _Transparent(Faults):
 class WrongEstimate(_Transparent):
     """A constant bias and a new error at every sample, each in a ball: the sum of bias and noise bounds the error.
 
-    position_bias, position_noise: m; velocity_bias, velocity_noise: m/s; each the radius of a ball. The bias has its
-    full size and a direction drawn once a flight.
+    Attributes:
+        position_bias: length of the bias, whose direction is drawn once a flight, m.
+        velocity_bias: likewise, m/s.
+        position_noise: radius of the ball that each sample's error is drawn from, m.
+        velocity_noise: likewise, m/s.
+
     """
 
-    position_bias: Scalar = eqx.field(converter=_scalar, default=0.0)
-    velocity_bias: Scalar = eqx.field(converter=_scalar, default=0.0)
-    position_noise: Scalar = eqx.field(converter=_scalar, default=0.0)
-    velocity_noise: Scalar = eqx.field(converter=_scalar, default=0.0)
+    position_bias: Scalar = eqx.field(converter=as_float64, default=0.0)
+    velocity_bias: Scalar = eqx.field(converter=as_float64, default=0.0)
+    position_noise: Scalar = eqx.field(converter=as_float64, default=0.0)
+    velocity_noise: Scalar = eqx.field(converter=as_float64, default=0.0)
 
     def initial_state(self, key: PRNGKeyArray) -> PyTree:
         """Draw the biases."""
@@ -91,7 +92,15 @@ class WrongEstimate(_Transparent):
 
 
 class DelayedCommands(_Transparent):
-    """Every command takes effect `steps` control periods late; before the first arrives there is no force."""
+    """Every command takes effect late; before the first arrives there is no force.
+
+    Attributes:
+        steps: control periods from command to effect, at least 1.
+
+    Raises:
+        ScenarioError: fewer steps.
+
+    """
 
     steps: int = eqx.field(static=True)
 
@@ -109,9 +118,14 @@ class DelayedCommands(_Transparent):
 
 
 class DroppedCommands(_Transparent):
-    """Each command is lost with a probability; the thrusters then go on as they were."""
+    """Each command is lost with a probability; the thrusters then go on as they were.
 
-    probability: Scalar = eqx.field(converter=_scalar)
+    Attributes:
+        probability: of each command, 0 to 1.
+
+    """
+
+    probability: Scalar = eqx.field(converter=as_float64)
 
     def initial_state(self, key: PRNGKeyArray) -> PyTree:
         """Start without force."""
@@ -126,16 +140,25 @@ class DroppedCommands(_Transparent):
 
 
 class StuckThruster(_Transparent):
-    """From `start` (s) on, the thruster that pushes along one direction of an axis is stuck.
+    """From some time on, the thruster that pushes along one direction of an axis is stuck.
 
-    axis: 0, 1 or 2; sign: +1 or -1, the direction it pushes. force: N that it then always gives: its limit if stuck
-    on, 0 if stuck off. The opposite thruster works on, so a stuck-on force can be held against but not beyond.
+    The opposite thruster works on, so a stuck-on force can be held against but not beyond.
+
+    Attributes:
+        axis: 0, 1 or 2.
+        sign: +1 or -1, the direction in which it pushes.
+        force: that it then always gives, N: its limit if stuck on, 0 if stuck off.
+        start: when it sticks, s since the orbit's epoch.
+
+    Raises:
+        ScenarioError: another axis or sign.
+
     """
 
     axis: int = eqx.field(static=True)
     sign: int = eqx.field(static=True)
-    force: Scalar = eqx.field(converter=_scalar)
-    start: Scalar = eqx.field(converter=_scalar, default=0.0)
+    force: Scalar = eqx.field(converter=as_float64)
+    start: Scalar = eqx.field(converter=as_float64, default=0.0)
 
     def __check_init__(self):
         if self.axis not in (0, 1, 2) or self.sign not in (1, -1):
@@ -149,9 +172,14 @@ class StuckThruster(_Transparent):
 
 
 class ThrusterGain(_Transparent):
-    """Each axis gives its command times a factor drawn once a flight from 1 ± error."""
+    """Each axis gives its command times a factor drawn once a flight.
 
-    error: Scalar = eqx.field(converter=_scalar)
+    Attributes:
+        error: the factors are drawn from 1 ± this.
+
+    """
+
+    error: Scalar = eqx.field(converter=as_float64)
 
     def initial_state(self, key: PRNGKeyArray) -> PyTree:
         """Draw the factors."""
@@ -206,11 +234,18 @@ def _kind(value: str | Int[Array, "*batch"]) -> Int[Array, "*batch"]:
 class BrokenLaw(Law):
     """A control law whose force is replaced by a hostile one; all else it reports stays the law's own.
 
-    law: the law that works. kind: a name or an index of `KINDS`: "none" (the law's own force), "into the body" (full
-    thrust against the field's gradient), "through" (straight to the goal at twice the speed, whatever is between),
-    "random" (each axis uniform within the limit), "bang-bang" (full thrust, a random corner of the box for `hold`
-    steps), "not a number" (every `hold`-th command is NaN). field: for "into the body". force_limit: N. mass: kg.
-    speed: m/s, for "through". As `kind` is an array, flights of one batch can differ in it.
+    Attributes:
+        law: the law that works.
+        field: for "into the body".
+        kind: a name or an index of `KINDS`: "none" (the law's own force), "into the body" (full thrust against the
+            field's gradient), "through" (straight to the goal at twice the speed, whatever is between), "random" (each
+            axis uniform within the limit), "bang-bang" (full thrust, a random corner of the box for `hold` steps),
+            "not a number" (every `hold`-th command is NaN). As it is an array, flights of one batch can differ in it.
+        force_limit: N.
+        mass: kg.
+        speed: for "through", m/s.
+        seed: of what is drawn.
+        hold: control steps, for the last two of `kind`.
 
     Raises:
         ScenarioError: an unknown kind.
@@ -220,9 +255,9 @@ class BrokenLaw(Law):
     law: Law
     field: Field
     kind: Int[Array, ""] = eqx.field(converter=_kind)
-    force_limit: Scalar = eqx.field(converter=_scalar)
-    mass: Scalar = eqx.field(converter=_scalar)
-    speed: Scalar = eqx.field(converter=_scalar)
+    force_limit: Scalar = eqx.field(converter=as_float64)
+    mass: Scalar = eqx.field(converter=as_float64)
+    speed: Scalar = eqx.field(converter=as_float64)
     seed: int = eqx.field(static=True, default=0)
     hold: int = eqx.field(static=True, default=15)
 

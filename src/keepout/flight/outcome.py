@@ -15,13 +15,20 @@ STATUSES = 16
 class FlightOutcome(eqx.Module):
     """Summary of one flight (leading axes: of many).
 
-    minimum_barrier: the least h, m. final_error: ‖r − goal‖ at the end, m. reached: whether the chaser was closer to
-    the goal than the tolerance from some time until the end; time_to_reach: that time, s after the start, infinite if
-    not reached. delta_v: Σ ‖F‖ T/m over the steps flown, m/s. saturated_fraction: of the steps flown.
-    guard_interventions: steps in which the guard replaced the command (its status's two lowest bits are not 0).
-    control_status_counts, guard_status_counts: steps by status value; the guard's without its flags. guard_flags:
-    every flag that the guard raised, as bits. finite: whether every position, velocity and force is a number; a
-    flight that is not finite is not reached.
+    Attributes:
+        minimum_barrier: the least h, m.
+        final_error: ‖r − goal‖ at the end, m.
+        reached: whether the chaser was closer to the goal than the tolerance from some time until the end, and the
+            flight is finite.
+        time_to_reach: that time, s after the start; infinite if not reached.
+        delta_v: Σ ‖F‖ T/m over the steps flown, m/s.
+        saturated_fraction: of the steps flown, those in which a thruster reached its limit.
+        guard_interventions: steps in which the guard replaced the command.
+        control_status_counts: steps by status value.
+        guard_status_counts: likewise, without the guard's flags.
+        guard_flags: every flag that the guard raised, as bits.
+        finite: whether every position, velocity and force is a number.
+
     """
 
     minimum_barrier: Float[Array, "*flights"]

@@ -5,7 +5,6 @@ import math
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
@@ -14,15 +13,12 @@ from keepout.errors import ScenarioError
 from keepout.fields.field import Field
 from keepout.guard.safety_layer import SafetyLayer
 from keepout.motion.actuator import Thrusters
+from keepout.motion.arrays import as_float64
 from keepout.motion.disturbance import Disturbance
 from keepout.motion.relative import MotionState, RelativeMotion
-from keepout.motion.rotation import NumbersLike, Vector
+from keepout.motion.rotation import Vector
 
 Scalar = Float[Array, ""]
-
-
-def _array(value: NumbersLike) -> Array:
-    return jnp.asarray(value, dtype=jnp.float64)
 
 
 class Faults(eqx.Module):
@@ -94,13 +90,13 @@ class FlightSetup(eqx.Module):
     disturbance: Disturbance
     thrusters: Thrusters
     controller: Law
-    goal: Vector = eqx.field(converter=_array)
-    mass: Scalar = eqx.field(converter=_array)
-    period: Scalar = eqx.field(converter=_array, default=1.0)
+    goal: Vector = eqx.field(converter=as_float64)
+    mass: Scalar = eqx.field(converter=as_float64)
+    period: Scalar = eqx.field(converter=as_float64, default=1.0)
     guard: SafetyLayer | None = None
     faults: Faults = eqx.field(default_factory=NoFaults)
     field: Field | None = None
-    tolerance: Scalar = eqx.field(converter=_array, default=0.1)
+    tolerance: Scalar = eqx.field(converter=as_float64, default=0.1)
 
     def __check_init__(self):
         for name, unit in (("mass", "kg"), ("period", "s"), ("tolerance", "m")):

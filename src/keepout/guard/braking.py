@@ -24,13 +24,23 @@ _AT_REST = 4.0
 class GuardAssumptions:
     """What the guard's theorem assumes of the flight; each number is checked here and watched in flight.
 
-    mass: the guard's value, kg. force_limit: per body axis, N. period: between control steps, s. disturbance_force:
-    largest norm of the force that nobody commanded, N. angular_rate (rad/s), angular_acceleration (rad/s²): bounds on
-    the body frame's rotation. gravity_gradient: bound on the gradient of differential gravity, 1/s². range_limit (m),
-    speed_limit (m/s): the region in which the drift is bounded. position_error (m), velocity_error (m/s): largest
-    norms of the estimate's error. mass_error, gain_error: largest relative errors of the mass and of each thruster's
-    force. delay: control steps between a command and its effect. origin_offset: from the body frame's origin, from
-    which positions are told, to the target's centre of mass, about which the frame turns, m.
+    Attributes:
+        mass: the guard's value, kg.
+        force_limit: per body axis, N.
+        period: between control steps, s.
+        disturbance_force: largest norm of the force that nobody commanded, N.
+        angular_rate: bound on the body frame's inertial rate, rad/s.
+        angular_acceleration: bound on its derivative, rad/s².
+        gravity_gradient: bound on the gradient of differential gravity, 1/s².
+        range_limit: distance from the body frame's origin within which the drift is bounded, m.
+        speed_limit: speed up to which the drift is bounded, m/s.
+        position_error: largest norm of the estimate's error, m.
+        velocity_error: likewise, m/s.
+        mass_error: largest relative error of the mass.
+        gain_error: largest relative error of each thruster's force.
+        delay: control steps between a command and its effect.
+        origin_offset: from the body frame's origin, from which positions are told, to the target's centre of mass,
+            about which the frame turns, m.
 
     Raises:
         ControlError: a number that is not finite or outside its range.
@@ -109,10 +119,15 @@ class GuardAssumptions:
 class BrakingDesign:
     """Gains and radii of the braking law (docs/guard.md, section 3).
 
-    position_gain k_p (1/s²), velocity_gain k_d (1/s); deceleration a_b (m/s²) of the nominal braking motion; reserve
-    U (m/s²): largest feedback acceleration, U + a_b = F_max/m; position_radius ρ (m) and velocity_radius σ (m/s): the
-    largest difference between the chaser and the nominal motion, at any instant. A chaser held at rest stays in a
-    ball of radius ρ.
+    Attributes:
+        position_gain: k_p, 1/s².
+        velocity_gain: k_d, 1/s.
+        deceleration: a_b of the nominal braking motion, m/s².
+        reserve: U, the largest feedback acceleration, m/s²; U + a_b = F_max/m.
+        position_radius: ρ, the largest distance between the chaser and the nominal motion, at any instant, m. A chaser
+            held at rest stays in a ball of this radius.
+        velocity_radius: σ, the same of their velocities, m/s.
+
     """
 
     position_gain: float

@@ -34,10 +34,18 @@ _ROUNDING = 1e-9
 class GuardState(eqx.Module):
     """The guard's memory: its plan, and what it expects to be told next.
 
-    plan_position (m), plan_velocity (m/s): the nominal braking motion when the next command takes effect. certified:
-    whether that motion's tube is known to be free. pending (m/s²): commands not yet in effect, the oldest first.
-    expected_position, expected_velocity: the next estimate, were there no disturbance. unexplained (m/s), counted: the
-    memory of `watch`.
+    Positions are in m, velocities in m/s, body axes.
+
+    Attributes:
+        plan_position: of the nominal braking motion when the next command takes effect.
+        plan_velocity: likewise.
+        certified: whether that motion's tube is known to be free.
+        pending: commanded accelerations not yet in effect, m/s², the oldest first.
+        expected_position: of the next estimate, were there no disturbance.
+        expected_velocity: likewise.
+        unexplained: the sums of velocity that `watch` keeps, one a window, m/s.
+        counted: the steps that `watch` has counted.
+
     """
 
     plan_position: Vector
@@ -53,12 +61,18 @@ class GuardState(eqx.Module):
 class Guard(SafetyLayer):
     """Accepts or replaces commanded forces; see docs/guard.md for what it proves.
 
-    field: a lower bound on clearance in the sense of its certificate. threshold: e_h + chaser radius, m: no contact
-    while field > threshold along the path. lipschitz, evaluation_error: a function with gradient bound `lipschitz` is
-    within `evaluation_error`, m, of the field everywhere; 0 for a field in closed form. samples: parts into which the
-    stop segment is cut, where its ends alone do not decide; with the start and the steps of delay at most 20 field
-    values a step, and only one of them far from the target; unset: 15, or what the delay leaves of them. escape_speed:
-    m/s, of the way out of the margin.
+    Attributes:
+        field: a lower bound on clearance in the sense of its certificate.
+        threshold: e_h + chaser radius, m: no contact while field > threshold along the path.
+        lipschitz: gradient bound L of a function that is within `evaluation_error` of the field everywhere.
+        assumptions: what the theorem assumes of the flight.
+        samples: parts into which the stop segment is cut, where its ends alone do not decide; with the start and the
+            steps of delay at most 20 field values a step, and only one of them far from the target. Unset: 15, or what
+            the delay leaves of them.
+        escape_speed: of the way out of the margin, m/s.
+        evaluation_error: see `lipschitz`, m; 0 for a field in closed form.
+        braking: the braking law that follows from the assumptions.
+        parts: `samples`, as used.
 
     Raises:
         ControlError: a number out of range, more than 20 field values, or thrusters too weak for the assumptions.
@@ -123,11 +137,20 @@ class Guard(SafetyLayer):
     def filter(
         self, guard_state: GuardState, estimate: MotionState, force: Vector, disturbance_estimate: Vector
     ) -> tuple[GuardState, Vector, Int[Array, ""]]:
-        """Accept or replace a commanded force (N, body axes).
+        """Accept or replace a commanded force.
 
-        Returns the memory for the next step, the force to command, and the status: a `GuardStatus` plus `GuardFlag`
-        bits. A command that is not finite is replaced; an estimate that is not finite leaves the plan to be followed
-        blind.
+        A command that is not finite is replaced; an estimate that is not finite leaves the plan to be followed blind.
+
+        Args:
+            guard_state: the memory.
+            estimate: of the motion, as the law was told it.
+            force: that the law commands, N, body axes.
+            disturbance_estimate: of the law, N.
+
+        Returns:
+            The memory for the next step, the force to command (N, body axes), and the status: a `GuardStatus` plus
+            `GuardFlag` bits.
+
         """
         a, T = self.assumptions, self.assumptions.period
         told = jnp.all(jnp.isfinite(estimate.position)) & jnp.all(jnp.isfinite(estimate.velocity))
@@ -374,7 +397,7 @@ class Guard(SafetyLayer):
 
     def _too_strong(self, disturbance_estimate: Vector) -> Bool[Array, ""]:
         a = self.assumptions
-        # An observer overshoots, and takes noise and scale errors for a force; `_jumped` is the exact test.
+        # An observer overshoots, and takes noise and scale errors for a force; `watch` is the exact test.
         seen = a.mass * (a.disturbance - a.drift + 2.0 * a.velocity_error / a.period)
         return ~(jnp.linalg.norm(disturbance_estimate) <= 1.5 * seen)
 

@@ -47,9 +47,17 @@ _MISSED_ROOM = 0.2
 class Mission:
     """Everything a scenario needs to be flown: target, field with its certificate, setup and initial state.
 
-    `start_certified`: whether the guard's theorem holds from the start, whichever estimate of it within the errors the
-    guard is told, and no assumption is broken; None without a guard. `assumptions_broken`: what the scenario flies
-    beyond what it declares, each with its numbers.
+    Attributes:
+        scenario: what to fly.
+        target: its mesh.
+        model: the field that the law flies by.
+        certificate: of that field for the chaser's radius.
+        setup: what the flight loop flies.
+        initial: the true state at the start.
+        start_certified: whether the guard's theorem holds from the start, whichever estimate of it within the errors
+            the guard is told, and no assumption is broken; None without a guard.
+        assumptions_broken: what the scenario flies beyond what it declares, each with its numbers.
+
     """
 
     scenario: Scenario

@@ -35,9 +35,17 @@ _AUDITED = ("time", "position", "velocity", "force", "guard_status")
 class Campaign:
     """What became of every flight of a campaign.
 
-    `starts` (flights, 3) m, body frame; `outcome` has one entry a flight; `audits` are in the same order;
-    `starts_certified` says of each whether the guard's theorem holds from its start (None without a guard),
-    `assumptions_broken` what is flown beyond what the scenario declares, `guard` what the guard assumes, as numbers.
+    Attributes:
+        scenario: as it was flown.
+        target: its mesh.
+        starts: positions, m, body frame, at rest.
+        outcome: with one entry a flight.
+        audits: the verdicts on the exact mesh, in the same order.
+        seconds: wall-clock time that it took.
+        starts_certified: of each flight, whether the guard's theorem holds from its start; None without a guard.
+        assumptions_broken: what is flown beyond what the scenario declares.
+        guard: what the guard assumes and what follows, as numbers; None without a guard.
+
     """
 
     scenario: Scenario

@@ -26,10 +26,18 @@ from keepout.progress import Progress, part_of, silent
 class Flight:
     """One flown scenario: what was recorded, what became of it, and the audit on the exact mesh.
 
-    `clearance` is the distance from the chaser's surface to the mesh at every recorded sample, m; `violated_conditions`
-    are the design conditions that the law does not meet, each with its numbers; `start_certified` says whether the
-    guard's theorem holds from the start (None without a guard), `assumptions_broken` what is flown beyond what the
-    scenario declares, `guard` what the guard assumes and what follows, as numbers.
+    Attributes:
+        scenario: as it was flown.
+        target: its mesh.
+        record: the flight's rows.
+        outcome: what became of it.
+        audit: the verdict on the exact mesh.
+        clearance: from the chaser's surface to the mesh at every recorded sample, m.
+        violated_conditions: the design conditions that the law does not meet, each with its numbers.
+        start_certified: whether the guard's theorem holds from the start; None without a guard.
+        assumptions_broken: what is flown beyond what the scenario declares.
+        guard: what the guard assumes and what follows, as numbers; None without a guard.
+
     """
 
     scenario: Scenario

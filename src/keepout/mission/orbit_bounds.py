@@ -102,8 +102,8 @@ def orbit_bounds(scenario: Scenario) -> OrbitBounds:
 
     """
     if perturbations(scenario):
-        # Frozen models hash by their entries, which pyright does not see.
-        return _perturbed(scenario.orbit, scenario.drag, scenario.duration)  # pyright: ignore[reportArgumentType]
+        orbit, drag = (tuple(entry.model_dump().items()) for entry in (scenario.orbit, scenario.drag))
+        return _perturbed(orbit, drag, scenario.duration)
     mu = EARTH_GRAVITATIONAL_PARAMETER
     a, e = scenario.orbit.semi_major_axis, scenario.orbit.eccentricity
     # Largest true-anomaly rate, at perigee, and a bound on its derivative 2 μ e (1+e)³ / (a³ (1−e²)³).
@@ -149,8 +149,13 @@ def _density(drag: DragEntry, radius: float) -> float:
     return drag.density * math.exp(-(radius - EARTH_EQUATORIAL_RADIUS - drag.altitude) / drag.scale_height)
 
 
+_Entries = tuple[tuple[str, float | bool], ...]
+"""An entry's names and numbers, which can be hashed."""
+
+
 @functools.lru_cache(maxsize=8)
-def _perturbed(entry: OrbitEntry, drag: DragEntry, duration: float) -> OrbitBounds:
+def _perturbed(orbit_entries: _Entries, drag_entries: _Entries, duration: float) -> OrbitBounds:
+    entry, drag = OrbitEntry.model_validate(dict(orbit_entries)), DragEntry.model_validate(dict(drag_entries))
     mu, spin = EARTH_GRAVITATIONAL_PARAMETER, EARTH_ROTATION_RATE
     steps = min(max(math.ceil(duration), 1), _MOST_STEPS)
     half = 0.5 * duration / steps

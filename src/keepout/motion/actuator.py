@@ -6,11 +6,12 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
 from keepout.errors import ScenarioError
-from keepout.motion.rotation import NumbersLike, Vector
+from keepout.motion.arrays import NumbersLike, as_float64
+from keepout.motion.rotation import Vector
 
 
 def _per_axis(value: NumbersLike) -> Array:
-    return jnp.broadcast_to(jnp.asarray(value, dtype=jnp.float64), (3,))
+    return jnp.broadcast_to(as_float64(value), (3,))
 
 
 class Thrusters(eqx.Module):

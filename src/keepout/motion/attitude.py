@@ -9,12 +9,13 @@ from jaxtyping import Array, Float
 
 from keepout.errors import ScenarioError
 from keepout.motion import rotation
+from keepout.motion.arrays import NumbersLike, as_float64
 from keepout.motion.orbit import OrbitalFrame
-from keepout.motion.rotation import NumbersLike, Quaternion, Vector
+from keepout.motion.rotation import Quaternion, Vector
 
 
 def _unit(value: NumbersLike) -> Array:
-    quaternion = jnp.asarray(value, dtype=jnp.float64)
+    quaternion = as_float64(value)
     return quaternion / jnp.linalg.norm(quaternion)
 
 
@@ -67,10 +68,6 @@ class InertiallyFixed(AttitudeMotion):
         return jnp.zeros(3), jnp.zeros(3)
 
 
-def _array(value: NumbersLike) -> Array:
-    return jnp.asarray(value, dtype=jnp.float64)
-
-
 class Tumbling(AttitudeMotion):
     """Torque-free rotation with a full inertia tensor: J ω̇ = −ω × J ω.
 
@@ -82,8 +79,8 @@ class Tumbling(AttitudeMotion):
 
     """
 
-    angular_velocity: Vector = eqx.field(converter=_array)
-    inertia: Float[Array, "3 3"] = eqx.field(converter=_array)
+    angular_velocity: Vector = eqx.field(converter=as_float64)
+    inertia: Float[Array, "3 3"] = eqx.field(converter=as_float64)
     attitude: Quaternion = eqx.field(converter=_unit, default_factory=rotation.identity)
 
     def __check_init__(self):

@@ -12,7 +12,8 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from keepout.errors import ScenarioError
-from keepout.motion.rotation import NumbersLike, Vector
+from keepout.motion.arrays import NumbersLike, as_float64
+from keepout.motion.rotation import Vector
 
 Scalar = Float[Array, ""]
 
@@ -21,10 +22,6 @@ _OUTWARD = 1 + 1e-12
 
 _AT_SWITCH = 1e-9
 """Within this part of a half period a time is a switch's own: control times carry rounding."""
-
-
-def _array(value: NumbersLike) -> Array:
-    return jnp.asarray(value, dtype=jnp.float64)
 
 
 class Disturbance(eqx.Module):
@@ -82,7 +79,7 @@ class NoDisturbance(Disturbance):
 class ConstantDisturbance(Disturbance):
     """A constant force (3,), N."""
 
-    constant: Vector = eqx.field(converter=_array)
+    constant: Vector = eqx.field(converter=as_float64)
 
     def force(self, time: Scalar) -> Vector:
         """Constant."""
@@ -104,9 +101,9 @@ class SinusoidalDisturbance(Disturbance):
 
     """
 
-    amplitude: Float[Array, "terms 3"] = eqx.field(converter=_array)
-    frequency: Float[Array, "terms 3"] = eqx.field(converter=_array)
-    phase: Float[Array, "terms 3"] = eqx.field(converter=_array)
+    amplitude: Float[Array, "terms 3"] = eqx.field(converter=as_float64)
+    frequency: Float[Array, "terms 3"] = eqx.field(converter=as_float64)
+    phase: Float[Array, "terms 3"] = eqx.field(converter=as_float64)
 
     def __check_init__(self):
         shape = self.amplitude.shape
@@ -149,9 +146,9 @@ class SquareWaveDisturbance(Disturbance):
 
     """
 
-    amplitude: Vector = eqx.field(converter=_array)
-    period: Scalar = eqx.field(converter=_array)
-    delay: Scalar = eqx.field(converter=_array, default=0.0)
+    amplitude: Vector = eqx.field(converter=as_float64)
+    period: Scalar = eqx.field(converter=as_float64)
+    delay: Scalar = eqx.field(converter=as_float64, default=0.0)
     most_switches: int = eqx.field(static=True, default=1)
 
     def __check_init__(self):
@@ -195,7 +192,7 @@ class BandLimitedNoise(Disturbance):
     """A sum of sinusoids whose norm is cut off at `limit`: random-looking, smooth but for the cut, and bounded."""
 
     sinusoids: SinusoidalDisturbance
-    limit: Scalar = eqx.field(converter=_array)
+    limit: Scalar = eqx.field(converter=as_float64)
 
     def force(self, time: Scalar) -> Vector:
         """Sum at `time`, shortened to `limit` where it is longer."""

@@ -9,15 +9,12 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from keepout.errors import ScenarioError
+from keepout.motion.arrays import as_float64
 from keepout.motion.frames import orbital_rate, vvlh_axes
 from keepout.motion.perturbation import EARTH_GRAVITATIONAL_PARAMETER, Perturbation, target_acceleration
-from keepout.motion.rotation import NumbersLike, Vector
+from keepout.motion.rotation import Vector
 
 Scalar = Float[Array, ""]
-
-
-def _scalar(value: NumbersLike) -> Array:
-    return jnp.asarray(value, dtype=jnp.float64)
 
 
 class OrbitalFrame(eqx.Module):
@@ -43,13 +40,13 @@ class Orbit(eqx.Module):
 
     """
 
-    semi_major_axis: Scalar = eqx.field(converter=_scalar)
-    eccentricity: Scalar = eqx.field(converter=_scalar, default=0.0)
-    true_anomaly: Scalar = eqx.field(converter=_scalar, default=0.0)
-    inclination: Scalar = eqx.field(converter=_scalar, default=0.0)
-    right_ascension: Scalar = eqx.field(converter=_scalar, default=0.0)
-    argument_of_perigee: Scalar = eqx.field(converter=_scalar, default=0.0)
-    gravitational_parameter: Scalar = eqx.field(converter=_scalar, default=EARTH_GRAVITATIONAL_PARAMETER)
+    semi_major_axis: Scalar = eqx.field(converter=as_float64)
+    eccentricity: Scalar = eqx.field(converter=as_float64, default=0.0)
+    true_anomaly: Scalar = eqx.field(converter=as_float64, default=0.0)
+    inclination: Scalar = eqx.field(converter=as_float64, default=0.0)
+    right_ascension: Scalar = eqx.field(converter=as_float64, default=0.0)
+    argument_of_perigee: Scalar = eqx.field(converter=as_float64, default=0.0)
+    gravitational_parameter: Scalar = eqx.field(converter=as_float64, default=EARTH_GRAVITATIONAL_PARAMETER)
 
     def __check_init__(self):
         if isinstance(self.semi_major_axis, Tracer) or isinstance(self.eccentricity, Tracer):

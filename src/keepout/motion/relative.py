@@ -9,12 +9,13 @@ from jaxtyping import Array, Float
 
 from keepout.errors import ScenarioError
 from keepout.motion import rotation
+from keepout.motion.arrays import NumbersLike, as_float64
 from keepout.motion.attitude import AttitudeMotion, VVLHFixed
 from keepout.motion.disturbance import Disturbance
 from keepout.motion.frames import vvlh_axes
 from keepout.motion.orbit import Orbit, OrbitalFrame, perturbed_frame
 from keepout.motion.perturbation import Perturbation, target_acceleration
-from keepout.motion.rotation import NumbersLike, Quaternion, Vector
+from keepout.motion.rotation import Quaternion, Vector
 
 Scalar = Float[Array, ""]
 
@@ -22,11 +23,14 @@ Scalar = Float[Array, ""]
 class MotionState(eqx.Module):
     """Where the chaser is and how the target turns, at one moment.
 
-    time: s since the orbit's epoch.
-    position (m), velocity (m/s): of the chaser relative to the target, as seen by one who turns with the body.
-    attitude: unit quaternion body ← VVLH, scalar first.
-    angular_velocity: the body's inertial angular velocity, rad/s, in body axes.
-    target_orbit: the target's ECI position (m) and velocity (m/s), carried only where perturbations bend its orbit.
+    Attributes:
+        time: s since the orbit's epoch.
+        position: of the chaser in the body frame, m.
+        velocity: of the chaser relative to the target, as seen by one who turns with the body, m/s.
+        attitude: unit quaternion body ← VVLH, scalar first.
+        angular_velocity: the body's inertial angular velocity, rad/s, in body axes.
+        target_orbit: the target's ECI position (m) and velocity (m/s), carried only where perturbations bend its orbit.
+
     """
 
     time: Scalar
@@ -35,10 +39,6 @@ class MotionState(eqx.Module):
     attitude: Quaternion
     angular_velocity: Vector
     target_orbit: Float[Array, "6"] | None = None
-
-
-def _array(value: NumbersLike) -> Array:
-    return jnp.asarray(value, dtype=jnp.float64)
 
 
 class RelativeMotion(eqx.Module):
@@ -55,7 +55,7 @@ class RelativeMotion(eqx.Module):
     attitude_motion: AttitudeMotion = eqx.field(default_factory=VVLHFixed)
     perturbations: tuple[Perturbation, ...] = ()
     substeps: int = eqx.field(static=True, default=1)
-    centre_of_mass: Vector = eqx.field(converter=_array, default=(0.0, 0.0, 0.0))
+    centre_of_mass: Vector = eqx.field(converter=as_float64, default=(0.0, 0.0, 0.0))
 
     def __check_init__(self):
         if self.substeps < 1:

@@ -5,17 +5,11 @@ A quaternion named `b_from_a` takes the components of a vector in frame a to its
 spacecraft literature writes the conjugate for the same attitude, so files that follow it convert at the edge.
 """
 
-from collections.abc import Sequence
-from typing import Any
-
 import jax.numpy as jnp
-from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 Quaternion = Float[Array, "4"]
 Vector = Float[Array, "3"]
-NumbersLike = ArrayLike | Sequence[Any]
-"""Anything that `jnp.asarray` turns into numbers: an array, a number, nested lists of numbers."""
 
 
 def identity() -> Quaternion:

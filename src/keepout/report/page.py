@@ -65,12 +65,11 @@ def write_page(
 
 
 def _table(summaries: Sequence[Mapping[str, Any]]) -> str:
-    columns = {key: label for key, label in FLIGHT_COLUMNS.items() if key != "flight"}
-    head = "".join(f"<th>{html.escape(label)}</th>" for label in ("flight", *columns.values()))
+    head = "".join(f"<th>{html.escape(label)}</th>" for label in ("flight", *FLIGHT_COLUMNS.values()))
     rows = []
     for summary in summaries:
         cells = [f"<td>{html.escape(str(summary['name']))}</td>"]
-        for key in columns:
+        for key in FLIGHT_COLUMNS:
             bad = (key == "contact" and summary[key]) or (key == "reached" and not summary[key])
             cells.append(f"<td{' class=bad' if bad else ''}>{html.escape(shown(summary[key]))}</td>")
         rows.append(f"<tr>{''.join(cells)}</tr>")

@@ -176,7 +176,6 @@ def _widths(lines: Sequence[Sequence[str]]) -> list[int]:
 
 
 FLIGHT_COLUMNS = {
-    "flight": "law",
     "reached": "reached",
     "contact": "contact",
     "minimum_clearance_m": "min clearance m",
@@ -185,14 +184,13 @@ FLIGHT_COLUMNS = {
     "saturated_fraction": "saturated",
     "guard_interventions": "guard steps",
 }
+"""Headings of a table of flights after the first, "flight", by entry of a flight's summary."""
 
 
 def flights_table(summaries: Sequence[Mapping[str, Any]]) -> Table:
     """One row a flight, or one column where that is too wide: whether it was safe, and what it cost."""
-    columns = [key for key in FLIGHT_COLUMNS if key != "flight"]
-    headings = ["flight", *(FLIGHT_COLUMNS[key] for key in columns)]
-    rows = [[str(summary["name"]), *(shown(summary[key]) for key in columns)] for summary in summaries]
-    table = _laid_out("Flights", headings, rows, named=True)
+    rows = [[str(summary["name"]), *(shown(summary[key]) for key in FLIGHT_COLUMNS)] for summary in summaries]
+    table = _laid_out("Flights", ["flight", *FLIGHT_COLUMNS.values()], rows, named=True)
     table.caption, table.caption_justify = "\n".join(broken_assumptions(summaries)) or None, "left"
     return table
 

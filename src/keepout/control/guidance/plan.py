@@ -13,6 +13,7 @@ from keepout.control.guidance.guidance import ComponentwiseGuidance, Guidance, S
 from keepout.errors import ControlError
 from keepout.fields.evaluate import values
 from keepout.fields.field import Field
+from keepout.motion.arrays import as_float64
 from keepout.progress import Progress, silent
 
 Point = Float[np.ndarray, "3"]
@@ -124,7 +125,7 @@ class Geodesic(GuidancePlan):
 
 
 def _leading(goal: Point, speed: float, slowing_length: float):
-    return jnp.asarray(goal), jnp.asarray(speed, jnp.float64), jnp.asarray(slowing_length, jnp.float64)
+    return jnp.asarray(goal), as_float64(speed), as_float64(slowing_length)
 
 
 def room_around(field: Field, offset: float, goal: Point, start: Point | None) -> tuple[Point, Point]:

@@ -199,39 +199,39 @@ def back_substitute(factors: tuple[list[list[Array]], list[Array]], rhs: Float[A
     return jnp.stack(x)
 
 
-def solve(program: ConicProgram, *, complementarity: float | Float[Array, ""] = 0.0) -> Iterate:
-    """Solve the program, or follow its central path to s ∘ z = `complementarity`.
+def solve(program: ConicProgram) -> Iterate:
+    """Solve the program.
 
     Infeasible start, predictor-corrector steps, a floor under the centring parameter, and a fraction of the step to the
     boundary that tends to one with the affine step. Returns the last iterate; `converged` says whether residuals and
     gap came below tolerance within `MAXIMUM_ITERATIONS`.
     """
-    target = jnp.asarray(complementarity, dtype=program.linear.dtype)
-    return jax.tree.map(lambda x: x[0], _solve_many(*jax.tree.map(lambda x: x[None], (program, target))))
+    return _each(_solve_many(_each(program, lambda x: x[None])), lambda x: x[0])
 
 
 @jax.custom_batching.custom_vmap
-def _solve_many(programs: ConicProgram, targets: Float[Array, " b"]) -> Iterate:
+def _solve_many(programs: ConicProgram) -> Iterate:
     """Solve programs along a first axis, on a CPU in chunks."""
-    data = (programs, targets)
-    count = targets.shape[0]
+    count = programs.linear.shape[0]
     if count <= 2 * CHUNK or jax.default_backend() != "cpu":
-        return _first_axis(_solve_chunk(*_last_axis(data)))
+        return _first_axis(_solve_chunk(_last_axis(programs)))
     chunks = -(-count // CHUNK)
     index = np.minimum(np.arange(chunks * CHUNK), count - 1).reshape(chunks, CHUNK)
-    answers = jax.lax.map(lambda chunk: _first_axis(_solve_chunk(*_last_axis(chunk))), _each(data, lambda x: x[index]))
+    answers = jax.lax.map(
+        lambda chunk: _first_axis(_solve_chunk(_last_axis(chunk))), _each(programs, lambda x: x[index])
+    )
     return _each(answers, lambda x: x.reshape(chunks * CHUNK, *x.shape[2:])[:count])
 
 
 @_solve_many.def_vmap
-def _merge_axes(axis_size: int, batched: PyTree, programs: ConicProgram, targets: Array) -> tuple[Iterate, PyTree]:
+def _merge_axes(axis_size: int, batched: PyTree, programs: ConicProgram) -> tuple[Iterate, PyTree]:
     """Let a further axis of programs join the first."""
 
     def merge(x: Array, has_axis: bool) -> Array:
         whole = x if has_axis else jnp.broadcast_to(x, (axis_size, *x.shape))
         return whole.reshape(axis_size * whole.shape[1], *whole.shape[2:])
 
-    answers = _solve_many(*jax.tree.map(merge, (programs, targets), tuple(batched)))
+    answers = _solve_many(jax.tree.map(merge, programs, batched[0]))
     answers = _each(answers, lambda x: x.reshape(axis_size, x.shape[0] // axis_size, *x.shape[1:]))
     return answers, _each(answers, lambda _: True)
 
@@ -248,7 +248,7 @@ def _first_axis(tree: PyTree) -> PyTree:
     return _each(tree, lambda x: jnp.moveaxis(x, -1, 0))
 
 
-def _solve_chunk(program: ConicProgram, target: Float[Array, " b"]) -> Iterate:
+def _solve_chunk(program: ConicProgram) -> Iterate:
     """Solve programs along the last axis until the last of them is done; finished ones are frozen."""
     linear = _Linear(program)
     bounds = program.bounds
@@ -303,7 +303,7 @@ def _solve_chunk(program: ConicProgram, target: Float[Array, " b"]) -> Iterate:
         affine_length = 1.0 / jnp.maximum(room(affine), 1.0)
         centring = jnp.maximum((1.0 - affine_length) ** 3, _CENTRING_FLOOR)
         # Below the floor the scaling has lost its digits, and the polish is better at what remains.
-        level = jnp.maximum(jnp.maximum(centring * mean, target), _LOWEST_LEVEL)
+        level = jnp.maximum(centring * mean, _LOWEST_LEVEL)
         second = _jordan_product(_unscale(scaling, affine.cone_slacks), _scale(scaling, affine.cone_multipliers))
         combined = direction(
             level - products - affine.row_slacks * affine.row_multipliers, level * _APEX - squares - second
@@ -313,13 +313,13 @@ def _solve_chunk(program: ConicProgram, target: Float[Array, " b"]) -> Iterate:
         moved = _Step(*(old + length * change for old, change in zip(at[:5], combined, strict=True)))
         residual = jnp.max(jnp.concatenate([jnp.abs(x).reshape(-1, x.shape[-1]) for x in residuals(moved)]), axis=0)
         gap = jnp.sum(moved.row_slacks * moved.row_multipliers, axis=0)
-        gap = jnp.abs(gap + jnp.sum(moved.cone_slacks * moved.cone_multipliers, axis=(0, 1)) - degree * target)
+        gap = jnp.abs(gap + jnp.sum(moved.cone_slacks * moved.cone_multipliers, axis=(0, 1)))
         # A step that lost its digits is refused and ends the iteration: the polish decides what the last good one is
         # worth.
         healthy = jnp.isfinite(residual + gap)
         going = unfinished(at)
         kept = _Step(*(jnp.where(going & healthy, new, old) for new, old in zip(moved, at[:5], strict=True)))
-        done = healthy & (residual <= _RESIDUAL) & (gap <= jnp.maximum(_GAP, 1e-3 * target))
+        done = healthy & (residual <= _RESIDUAL) & (gap <= _GAP)
         count = jnp.where(healthy, at.iterations + 1, MAXIMUM_ITERATIONS)
         return Iterate(
             *kept, converged=at.converged | (going & done), iterations=jnp.where(going, count, at.iterations)
@@ -334,7 +334,7 @@ def _solve_chunk(program: ConicProgram, target: Float[Array, " b"]) -> Iterate:
         row_multipliers=jnp.ones_like(row_offsets),
         cone_slacks=jnp.maximum(program.cone_offsets[:, :1], 1.0) * _APEX,
         cone_multipliers=jnp.ones_like(program.cone_offsets) * _APEX,
-        converged=jnp.zeros(target.shape, dtype=bool),
-        iterations=jnp.zeros(target.shape, dtype=jnp.int32),
+        converged=jnp.zeros(program.linear.shape[-1:], dtype=bool),
+        iterations=jnp.zeros(program.linear.shape[-1:], dtype=jnp.int32),
     )
     return jax.lax.while_loop(lambda at: jnp.any(unfinished(at)), iteration, start)

@@ -1,8 +1,9 @@
 """What a reader hands on, and the checks that all readers share."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -36,6 +37,11 @@ def left_out(number: int, noun: str) -> list[str]:
     return [f"left out {counted(number, head)}{comma}{tail}"] if number else []
 
 
+def with_plain_line_ends(text: str) -> str:
+    """Turn every kind of line end into one newline character."""
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
 def text_lines(path: Path) -> tuple[list[str], list[str]]:
     """Read a text file.
 
@@ -43,41 +49,44 @@ def text_lines(path: Path) -> tuple[list[str], list[str]]:
         Its lines, whatever the line ends, and an action line if the last one has no end.
 
     """
-    text = path.read_bytes().decode("utf-8-sig", errors="replace").replace("\r\n", "\n").replace("\r", "\n")
+    text = with_plain_line_ends(path.read_bytes().decode("utf-8-sig", errors="replace"))
     lines = text.split("\n")
     return lines, [] if text.endswith("\n") or not lines[-1].split() else [UNENDED]
 
 
-def to_numbers(words: Sequence[str]) -> Float[np.ndarray, "n"]:
+def to_numbers(words: Sequence[str], place: str) -> Float[np.ndarray, "n"]:
     """Convert words to float64.
 
     Raises:
-        ValueError: naming the first word that is no plain number; Python alone would also take 1_0 or other digits.
+        MeshError: beginning with `place`, and naming the first word that is no plain number.
 
     """
-    joined = "".join(words)
-    if "_" in joined or not joined.isascii():
-        raise ValueError(f"{next(w for w in words if '_' in w or not w.isascii())[:40]!r} is not a number")
-    try:
-        return np.array([float(word) for word in words], dtype=np.float64)
-    except ValueError as cause:
-        raise ValueError(f"{str(cause).rpartition(': ')[2][:40]} is not a number") from None
+    return np.array(_converted(words, float, place, "a number"), dtype=np.float64)
 
 
-def to_indices(words: Sequence[str]) -> list[int]:
+def to_indices(words: Sequence[str], place: str) -> list[int]:
     """Convert words to whole numbers.
 
     Raises:
-        ValueError: naming the first word that is no whole number.
+        MeshError: beginning with `place`, and naming the first word that is no whole number.
 
     """
+    return _converted(words, int, place, "a whole number")
+
+
+_Number = TypeVar("_Number", int, float)
+
+
+def _converted(words: Sequence[str], kind: Callable[[str], _Number], place: str, noun: str) -> list[_Number]:
     joined = "".join(words)
+    # Python would also take 1_0 or other digits.
     if "_" in joined or not joined.isascii():
-        raise ValueError(f"{next(w for w in words if '_' in w or not w.isascii())[:40]!r} is not a whole number")
+        wrong = next(word for word in words if "_" in word or not word.isascii())
+        raise MeshError(f"{place}{wrong[:40]!r} is not {noun}")
     try:
-        return [int(word) for word in words]
+        return [kind(word) for word in words]
     except ValueError as cause:
-        raise ValueError(f"{str(cause).rpartition(': ')[2][:40]} is not a whole number") from None
+        raise MeshError(f"{place}{str(cause).rpartition(': ')[2][:40]} is not {noun}") from None
 
 
 def index_refusal(what: str, index: int, vertices: int) -> MeshError:

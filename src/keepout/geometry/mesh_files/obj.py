@@ -63,10 +63,7 @@ def read_obj(path: Path) -> MeshContents:
                 raise MeshError(f"line {at}: {counted(len(values), 'number')}; a vertex needs three")
             words.extend(values[:3])
         elif statement in ("f", "fo"):
-            try:
-                indices = to_indices([value.split("/", 1)[0] for value in values])
-            except ValueError as cause:
-                raise MeshError(f"line {at}: {cause}") from None
+            indices = to_indices([value.split("/", 1)[0] for value in values], f"line {at}: ")
             so_far = len(words) // 3
             corners.extend([_zero_based(index, so_far, at) for index in indices])
             sizes.append(len(indices))
@@ -77,10 +74,7 @@ def read_obj(path: Path) -> MeshContents:
             raise MeshError(f"line {at}: the statement {statement[:20]!r} is not OBJ, or names another file")
     if held.split():
         raise MeshError(f"line {held_from}: goes on past the end of the file")
-    try:
-        vertices = to_numbers(words).reshape(-1, 3)
-    except ValueError as cause:
-        raise MeshError(f"in the vertices, {cause}") from None
+    vertices = to_numbers(words, "in the vertices, ").reshape(-1, 3)
     flat, counts = np.array(corners, dtype=np.int64), np.array(sizes, dtype=np.int64)
     if (flat >= len(vertices)).any():
         place = int(np.argmax(flat >= len(vertices)))

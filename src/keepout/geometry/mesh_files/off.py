@@ -39,9 +39,9 @@ def read_off(path: Path) -> MeshContents:
     if not rows:
         raise MeshError("the line of vertex and face counts is missing")
     try:
-        counts = to_indices(rows[0][1].split())
-    except ValueError as cause:
-        raise MeshError(f"line {rows[0][0]}: {cause}; vertex, face and edge counts belong there") from None
+        counts = to_indices(rows[0][1].split(), f"line {rows[0][0]}: ")
+    except MeshError as refusal:
+        raise MeshError(f"{refusal}; vertex, face and edge counts belong there") from None
     if len(counts) not in (2, 3) or min(counts) < 0:
         raise MeshError(f"line {rows[0][0]}: {rows[0][1][:40]!r}; vertex, face and edge counts belong there")
     vertex_count, face_count = counts[:2]
@@ -58,17 +58,11 @@ def read_off(path: Path) -> MeshContents:
         if len(row) < 3:
             raise MeshError(f"line {number}: {counted(len(row), 'number')}; a vertex needs three")
         words.extend(row[:3])
-    try:
-        vertices = to_numbers(words).reshape(-1, 3)
-    except ValueError as cause:
-        raise MeshError(f"in the vertices, {cause}") from None
+    vertices = to_numbers(words, "in the vertices, ").reshape(-1, 3)
     for number, text in rows[vertex_count:]:
         row = text.split()
-        try:
-            size = to_indices(row[:1])[0]
-            face = to_indices(row[1 : 1 + max(size, 0)])
-        except ValueError as cause:
-            raise MeshError(f"line {number}: {cause}") from None
+        size = to_indices(row[:1], f"line {number}: ")[0]
+        face = to_indices(row[1 : 1 + max(size, 0)], f"line {number}: ")
         if size < 0 or len(face) != size:
             raise MeshError(f"line {number}: the face declares {size} corners and has {len(face)}")
         if face and not 0 <= min(face) <= max(face) < vertex_count:

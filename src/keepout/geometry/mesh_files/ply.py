@@ -15,6 +15,7 @@ from keepout.geometry.mesh_files.contents import (
     fans,
     left_out,
     to_numbers,
+    with_plain_line_ends,
 )
 from keepout.geometry.mesh_files.strips import strip_triangles
 
@@ -151,7 +152,7 @@ def _short(element: _Element, there: int) -> MeshError:
 
 
 def _read_text(body: bytes, elements: list[_Element]) -> dict[str, _Values]:
-    text = body.decode("utf-8", errors="replace").replace("\r\n", "\n").replace("\r", "\n")
+    text = with_plain_line_ends(body.decode("utf-8", errors="replace"))
     rows = [line.split() for line in text.split("\n")]
     rows = [row for row in rows if row]
     position, values = 0, {}
@@ -196,10 +197,7 @@ def _columns(element: _Element, rows: list[list[str]]) -> _Values:
 def _cast(element: _Element, entry: _Property, words: list[str]) -> np.ndarray:
     """Round to the declared type, as the binary file would hold it."""
     place = f"property {entry.name[:40]!r} of element {element.name[:40]!r}"
-    try:
-        numbers = to_numbers(words)
-    except ValueError as cause:
-        raise MeshError(f"{place}: {cause}") from None
+    numbers = to_numbers(words, f"{place}: ")
     with np.errstate(invalid="ignore", over="ignore"):
         column = numbers.astype(entry.kind)
     if entry.kind[0] != "f" and (column.astype(np.float64) != numbers).any():

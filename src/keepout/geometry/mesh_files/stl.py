@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from keepout.errors import MeshError
-from keepout.geometry.mesh_files.contents import MeshContents, counted, to_numbers
+from keepout.geometry.mesh_files.contents import MeshContents, counted, to_numbers, with_plain_line_ends
 
 _HEADER, _TRIANGLE = 84, 50
 _VERTEX = r"\s+vertex\s+(\S+)\s+(\S+)\s+(\S+)"
@@ -32,7 +32,7 @@ def read_stl(path: Path) -> MeshContents:
         triangles = np.frombuffer(data, dtype=record, offset=_HEADER)["corners"]
         actions = []
     elif _looks_like_text(data):
-        triangles, actions = _ascii(data.decode("utf-8", errors="replace").replace("\r\n", "\n").replace("\r", "\n"))
+        triangles, actions = _ascii(with_plain_line_ends(data.decode("utf-8", errors="replace")))
     elif declared is None:
         raise MeshError(f"not a valid STL: {len(data)} bytes, and a binary header alone has {_HEADER}")
     else:
@@ -66,10 +66,7 @@ def _ascii(text: str) -> tuple[np.ndarray, list[str]]:
                 "begins neither a whole facet nor endsolid"
             )
         position = end.end()
-    try:
-        corners = to_numbers(words)
-    except ValueError as cause:
-        raise MeshError(f"not a valid STL: in a vertex, {cause}") from None
+    corners = to_numbers(words, "not a valid STL: in a vertex, ")
     return corners.reshape(-1, 3, 3), [f"{solids} solids taken together"] if solids > 1 else []
 
 

@@ -155,12 +155,13 @@ class _Package:
                 self._left_out[f"element, '{name[:40]}' of a mesh"] += 1
         words = [v.get(axis, "") for v in mesh.iterfind("{*}vertices/{*}vertex") for axis in "xyz"]
         corners = [t.get(v, "") for t in mesh.iterfind("{*}triangles/{*}triangle") for v in ("v1", "v2", "v3")]
+        name = f"the object {entry.get('id', '')[:40]!r}"
+        vertices = to_numbers(words, f"{name}: ").reshape(-1, 3)
         try:
-            vertices = to_numbers(words).reshape(-1, 3)
-            faces = np.array(to_indices(corners), dtype=np.int64).reshape(-1, 3)
-        except (ValueError, OverflowError) as cause:
-            raise MeshError(f"the object {entry.get('id', '')[:40]!r}: {cause}") from None
-        check_indices(faces, len(vertices), f"the object {entry.get('id', '')[:40]!r}")
+            faces = np.array(to_indices(corners, f"{name}: "), dtype=np.int64).reshape(-1, 3)
+        except OverflowError as cause:
+            raise MeshError(f"{name}: {cause}") from None
+        check_indices(faces, len(vertices), name)
         return vertices, faces
 
 
@@ -177,10 +178,7 @@ def _transform(element: etree._Element) -> Float[np.ndarray, "4 4"]:
     matrix = np.eye(4)
     words = element.get("transform", "").split()
     if words:
-        try:
-            values = to_numbers(words)
-        except ValueError as cause:
-            raise MeshError(f"a transform: {cause}") from None
+        values = to_numbers(words, "a transform: ")
         if len(values) != 12 or not np.isfinite(values).all():
             raise MeshError(f"a transform has {len(values)} numbers; twelve finite ones are valid")
         matrix[:3] = values.reshape(4, 3).T

@@ -1,0 +1,16 @@
+"""Numbers as users give them, turned into float64 arrays."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+from jaxtyping import Array
+
+NumbersLike = ArrayLike | Sequence[Any]
+"""Anything that `jnp.asarray` turns into numbers: an array, a number, nested lists of numbers."""
+
+
+def as_float64(value: NumbersLike) -> Array:
+    """Give a number, an array or nested lists of numbers as a float64 array of the same shape."""
+    return jnp.asarray(value, dtype=jnp.float64)
