@@ -137,7 +137,7 @@ class Guard(SafetyLayer):
     def filter(
         self, guard_state: GuardState, estimate: MotionState, force: Vector, disturbance_estimate: Vector
     ) -> tuple[GuardState, Vector, Int[Array, ""]]:
-        """Accept or replace a commanded force (`SafetyLayer.filter`); the status is a `GuardStatus` plus `GuardFlag` bits.
+        """Accept or replace a commanded force (N, body axes); the status is a `GuardStatus` plus `GuardFlag` bits.
 
         A command that is not finite is replaced; an estimate that is not finite leaves the plan to be followed blind.
         """
