@@ -95,17 +95,6 @@ class ContinuousObserver(Observer):
         """Return A − L C/m, whose eigenvalues (1/s) are the rates of convergence."""
         return self.generator - self.gain @ self.output / self.mass
 
-    def derivative(
-        self,
-        state: Float[Array, " q"],
-        velocity: Float[Array, "3"],
-        drift: Float[Array, "3"],
-        force: Float[Array, "3"],
-    ) -> Float[Array, " q"]:
-        """Return ż at a velocity (m/s), drift (m/s²) and force (N)."""
-        error = self.error_matrix()
-        return error @ (state + self.gain @ velocity) - self.gain @ (drift + force / self.mass)
-
     def initial_state(self, velocity: Float[Array, "3"]) -> Float[Array, " q"]:
         """Return z with ξ̂ = 0."""
         return -self.gain @ velocity

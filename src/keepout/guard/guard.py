@@ -137,20 +137,9 @@ class Guard(SafetyLayer):
     def filter(
         self, guard_state: GuardState, estimate: MotionState, force: Vector, disturbance_estimate: Vector
     ) -> tuple[GuardState, Vector, Int[Array, ""]]:
-        """Accept or replace a commanded force.
+        """Accept or replace a commanded force (N, body axes); the status is a `GuardStatus` plus `GuardFlag` bits.
 
         A command that is not finite is replaced; an estimate that is not finite leaves the plan to be followed blind.
-
-        Args:
-            guard_state: the memory.
-            estimate: of the motion, as the law was told it.
-            force: that the law commands, N, body axes.
-            disturbance_estimate: of the law, N.
-
-        Returns:
-            The memory for the next step, the force to command (N, body axes), and the status: a `GuardStatus` plus
-            `GuardFlag` bits.
-
         """
         a, T = self.assumptions, self.assumptions.period
         told = jnp.all(jnp.isfinite(estimate.position)) & jnp.all(jnp.isfinite(estimate.velocity))
