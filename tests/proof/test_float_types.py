@@ -74,3 +74,17 @@ def test_the_evaluation_error_covers_each_type(dtype):
     assert off.max() > 1e-3 * bound.max()
     if dtype == jnp.float64:
         assert bound.max() < 1e-9
+
+
+@pytest.mark.parametrize("dtype", [jnp.float16, jnp.bfloat16, jnp.float32])
+def test_a_continuation_of_shorter_floats_is_refused(dtype):
+    """The proof takes its radii as float64 numbers; squared in float16, 300 m is infinite and nothing is outside."""
+    field = random_field(3)
+    names = [entry.name for entry in dataclasses.fields(field.continuation)]
+    FieldModel(field, "any", "0" * 64, 0.03, {})
+    for name in names:
+        short = dataclasses.replace(
+            field.continuation, **{name: jnp.asarray(getattr(field.continuation, name)).astype(dtype)}
+        )
+        with pytest.raises(FieldError, match=f"continuation.{name} is .*; it must be float64"):
+            FieldModel(dataclasses.replace(field, continuation=short), "any", "0" * 64, 0.03, {})

@@ -33,7 +33,11 @@ def require_admissible(field: Field) -> None:
 
 def _require_continuation(continuation: RadialContinuation) -> None:
     for entry in dataclasses.fields(continuation):
-        _require_finite(f"continuation.{entry.name}", np.asarray(getattr(continuation, entry.name)))
+        array = np.asarray(getattr(continuation, entry.name))
+        # Squares of float16 radii overflow: then nothing is outside, and the field is asked where it was never made.
+        if array.dtype != np.float64:
+            raise FieldError(f"continuation.{entry.name} is {array.dtype.name}; it must be float64")
+        _require_finite(f"continuation.{entry.name}", array)
     allowance = float(continuation.allowance)
     if not allowance >= 0.0:
         raise FieldError(f"continuation.allowance is {allowance:g} m; it must be at least 0: it may only lower values")

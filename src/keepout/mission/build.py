@@ -69,7 +69,7 @@ class Mission:
     @property
     def steps(self) -> int:
         """Control steps in the scenario's duration."""
-        return round(self.scenario.duration / self.scenario.control.period)
+        return self.scenario.steps
 
 
 def load_target(entry: TargetEntry) -> Target:

@@ -95,7 +95,7 @@ def _perturbations(orbit: OrbitEntry, drag: DragEntry) -> tuple[Perturbation, ..
 
 
 def orbit_bounds(scenario: Scenario) -> OrbitBounds:
-    """Bound the target's orbit over the scenario's duration.
+    """Bound the target's orbit over the scenario's flight, whose last control period may end after its duration.
 
     Raises:
         ScenarioError: perturbations bring the target down to the Earth.
@@ -103,7 +103,8 @@ def orbit_bounds(scenario: Scenario) -> OrbitBounds:
     """
     if perturbations(scenario):
         # Frozen models hash by their entries, which pyright does not see.
-        return _perturbed(scenario.orbit, scenario.drag, scenario.duration)  # pyright: ignore[reportArgumentType]
+        flown = max(scenario.duration, scenario.steps * scenario.control.period)
+        return _perturbed(scenario.orbit, scenario.drag, flown)  # pyright: ignore[reportArgumentType]
     mu = EARTH_GRAVITATIONAL_PARAMETER
     a, e = scenario.orbit.semi_major_axis, scenario.orbit.eccentricity
     # Largest true-anomaly rate, at perigee, and a bound on its derivative 2 μ e (1+e)³ / (a³ (1−e²)³).

@@ -62,6 +62,10 @@ def read_obj(path: Path) -> MeshContents:
             if len(values) < 3:
                 raise MeshError(f"line {at}: {counted(len(values), 'number')}; a vertex needs three")
             words.extend(values[:3])
+            try:  # a weight or a colour; anything else is a statement that lost its line end
+                to_numbers(values[3:])
+            except ValueError as cause:
+                raise MeshError(f"line {at}: after a vertex, {cause}") from None
         elif statement in ("f", "fo"):
             try:
                 indices = to_indices([value.split("/", 1)[0] for value in values])
