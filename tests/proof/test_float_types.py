@@ -88,3 +88,11 @@ def test_a_continuation_of_shorter_floats_is_refused(dtype):
         )
         with pytest.raises(FieldError, match=f"continuation.{name} is .*; it must be float64"):
             FieldModel(dataclasses.replace(field, continuation=short), "any", "0" * 64, 0.03, {})
+
+
+@pytest.mark.parametrize("beta", [1e-42, 1e39])
+def test_a_sharpness_that_float32_does_not_hold_is_refused(beta):
+    """Of such a network nothing finite is evaluated, and the proof of a tiny one even fell to -inf."""
+    field = dataclasses.replace(random_field(3, dtype=jnp.float32), beta=beta)
+    with pytest.raises(FieldError, match="a float32 holds"):
+        FieldModel(field, "any", "0" * 64, 0.03, {})

@@ -66,6 +66,9 @@ def _require_network(field: NeuralField) -> None:
     for name, value in (("scale", float(field.scale)), ("beta", field.beta)):
         if not (np.isfinite(value) and value > 0.0):
             raise FieldError(f"network: {name} is {value:g}; it must be finite and above 0")
+    held = np.finfo(layers.weights[0].dtype)
+    if not float(held.tiny) <= field.beta <= float(held.max):
+        raise FieldError(f"network: beta is {field.beta:g}; a {held.dtype} holds {held.tiny:g} to {held.max:g} in full")
 
 
 def _require_grid(field: GridField) -> None:
