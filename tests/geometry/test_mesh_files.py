@@ -313,3 +313,28 @@ def test_stl_in_its_kinds(tmp_path):
     two = load(tmp_path / "a.stl", ASCII + ASCII.replace("1.0", "3.0"))
     assert two.report.triangles == 24
     assert "2 solids taken together" in two.report.actions
+
+
+FACET = "facet normal 0 0 1 outer loop vertex 0 0 0 vertex 1 0 0 vertex 0 1 0 endloop endfacet"
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        # Faces behind a vertex on one line, as where line ends were lost, went without a word.
+        ("a.obj", SQUARE + "v 2 0 0 f 1 2 3\nf 1 2 4\n", "line 5: after a vertex, 'f' is not a number"),
+        ("a.obj", SQUARE + "v 2 0 0\x0cf 1 2 3\nf 1 2 4\n", "line 5: after a vertex, 'f' is not a number"),
+        ("a.stl", f"solid a\n{FACET}\nendsolid a {FACET}\n", "line 3 has a facet where a name belongs"),
+        ("a.stl", f"solid a {FACET}\n{FACET}\nendsolid a\n", "line 1 has a facet where a name belongs"),
+        (
+            "a.ply",
+            "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
+            "element face 1\nproperty list uchar int vertex_indices\nproperty list uchar int vertex_index\nend_header\n"
+            "0 0 0\n1 0 0\n1 1 0\n0 1 0\n3 0 1 2 3 0 2 3\n",
+            "both vertex_indices and vertex_index",
+        ),
+    ],
+)
+def test_a_face_where_none_is_read_is_refused(tmp_path, name, content, said):
+    with pytest.raises(MeshError, match=said):
+        load(tmp_path / name, content)

@@ -115,3 +115,24 @@ def test_three_mf_units(tmp_path, unit, metres):
         tmp_path / "a.3mf", BODY.replace('x="1"', f'x="{size}"').replace('y="1"', f'y="{size}"'), ITEM, attributes
     )
     assert Target.load(path).report.extents[0] == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize(
+    ("resources", "build", "parts", "said"),
+    [
+        (BODY.replace("</mesh>", "</mesh>" + MESH), ITEM, (), "2 elements 'mesh'"),
+        (BODY, ITEM + "</build><build>" + ITEM, (), "2 elements 'build'"),
+        (BODY, ITEM, (("3d/3DMODEL.model", "<model/>"),), "twice|2 times"),
+    ],
+)
+def test_three_mf_what_may_be_there_once_is_refused_twice(tmp_path, resources, build, parts, said):
+    """Only the first mesh, the first build and the last part of a name were read, without a word."""
+    path = three_mf(tmp_path / "a.3mf", resources, build, parts=parts)
+    with pytest.raises(MeshError, match=said):
+        Target.load(path)
+
+
+def test_three_mf_a_strange_element_among_triangles_is_an_action(tmp_path):
+    body = BODY.replace("</triangles>", '<tri v1="0" v2="1" v3="3"/></triangles>')
+    target = Target.load(three_mf(tmp_path / "a.3mf", body, ITEM))
+    assert any("1 element, 'tri' among triangles" in action for action in target.report.actions)

@@ -181,3 +181,20 @@ def test_a_guarded_flight_in_a_low_orbit_keeps_its_promises_and_records_the_targ
     orbit_column = FlightRecord.load(tmp_path / "flight.parquet").target_orbit
     truth = true_path(flight.scenario)
     np.testing.assert_allclose(orbit_column[:, :3], truth[:, :3], atol=1e-4)
+
+
+def test_bounds_hold_to_the_end_of_the_last_control_period():
+    """15.1 s in periods of 10 s are flown for 20 s; towards a perigee the frame turns faster until then."""
+    orbit = {"semi_major_axis": 2.4e7, "eccentricity": 0.72, "true_anomaly": 5.6, "inclination": 1.0, "j2": True}
+    scenario = Scenario().replace(orbit=orbit, duration=15.1, control={"period": 10.0})
+    flown = scenario.steps * scenario.control.period
+    assert flown == 20.0
+    states = true_path(scenario.replace(duration=flown))
+    r, v = states[:, :3], states[:, 3:]
+    # The orbit's rate alone: the frame's, with J2, is at least that.
+    rates = np.linalg.norm(np.cross(r, v), axis=1) / np.sum(r * r, axis=1)
+    found = orbit_bounds(scenario)
+    assert rates.max() <= found.rate
+    assert np.linalg.norm(r, axis=1).min() >= found.lowest_radius
+    # With the duration's own end the bound would be exceeded, so that this test can fail.
+    assert rates.max() > orbit_bounds(scenario.replace(duration=15.0, control={"period": 1.0})).rate

@@ -74,3 +74,25 @@ def test_the_evaluation_error_covers_each_type(dtype):
     assert off.max() > 1e-3 * bound.max()
     if dtype == jnp.float64:
         assert bound.max() < 1e-9
+
+
+@pytest.mark.parametrize("dtype", [jnp.float16, jnp.bfloat16, jnp.float32])
+def test_a_continuation_of_shorter_floats_is_refused(dtype):
+    """The proof takes its radii as float64 numbers; squared in float16, 300 m is infinite and nothing is outside."""
+    field = random_field(3)
+    names = [entry.name for entry in dataclasses.fields(field.continuation)]
+    FieldModel(field, "any", "0" * 64, 0.03, {})
+    for name in names:
+        short = dataclasses.replace(
+            field.continuation, **{name: jnp.asarray(getattr(field.continuation, name)).astype(dtype)}
+        )
+        with pytest.raises(FieldError, match=f"continuation.{name} is .*; it must be float64"):
+            FieldModel(dataclasses.replace(field, continuation=short), "any", "0" * 64, 0.03, {})
+
+
+@pytest.mark.parametrize("beta", [1e-42, 1e39])
+def test_a_sharpness_that_float32_does_not_hold_is_refused(beta):
+    """Of such a network nothing finite is evaluated, and the proof of a tiny one even fell to -inf."""
+    field = dataclasses.replace(random_field(3, dtype=jnp.float32), beta=beta)
+    with pytest.raises(FieldError, match="a float32 holds"):
+        FieldModel(field, "any", "0" * 64, 0.03, {})

@@ -33,7 +33,11 @@ def require_admissible(field: Field) -> None:
 
 def _require_continuation(continuation: RadialContinuation) -> None:
     for entry in dataclasses.fields(continuation):
-        _require_finite(f"continuation.{entry.name}", np.asarray(getattr(continuation, entry.name)))
+        array = np.asarray(getattr(continuation, entry.name))
+        # Squares of float16 radii overflow: then nothing is outside, and the field is asked where it was never made.
+        if array.dtype != np.float64:
+            raise FieldError(f"continuation.{entry.name} is {array.dtype.name}; it must be float64")
+        _require_finite(f"continuation.{entry.name}", array)
     allowance = float(continuation.allowance)
     if not allowance >= 0.0:
         raise FieldError(f"continuation.allowance is {allowance:g} m; it must be at least 0: it may only lower values")
@@ -62,6 +66,16 @@ def _require_network(field: NeuralField) -> None:
     for name, value in (("scale", float(field.scale)), ("beta", field.beta)):
         if not (np.isfinite(value) and value > 0.0):
             raise FieldError(f"network: {name} is {value:g}; it must be finite and above 0")
+    domain = field.continuation
+    least, most = 1e-3 * float(domain.domain_radius), 1e3 * float(domain.outer_radius)
+    if not least <= float(field.scale) <= most:
+        # The proof's first cubes are a share of the scale: a tiny one would never end, a huge one never begin.
+        raise FieldError(
+            f"network: scale is {float(field.scale):g} m; for its domain it must be {least:g} to {most:g} m"
+        )
+    held = np.finfo(layers.weights[0].dtype)
+    if not float(held.tiny) <= field.beta <= float(held.max):
+        raise FieldError(f"network: beta is {field.beta:g}; a {held.dtype} holds {held.tiny:g} to {held.max:g} in full")
 
 
 def _require_grid(field: GridField) -> None:

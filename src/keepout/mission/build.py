@@ -78,7 +78,7 @@ class Mission:
     @property
     def steps(self) -> int:
         """Control steps in the scenario's duration."""
-        return round(self.scenario.duration / self.scenario.control.period)
+        return self.scenario.steps
 
     def with_law(self, law: Law) -> "Mission":
         """Give the same mission flown by another law, told of the scenario's delay and broken by its faults.

@@ -95,7 +95,7 @@ def _perturbations(orbit: OrbitEntry, drag: DragEntry) -> tuple[Perturbation, ..
 
 
 def orbit_bounds(scenario: Scenario) -> OrbitBounds:
-    """Bound the target's orbit over the scenario's duration.
+    """Bound the target's orbit over the scenario's flight, whose last control period may end after its duration.
 
     Raises:
         ScenarioError: perturbations bring the target down to the Earth.
@@ -103,7 +103,8 @@ def orbit_bounds(scenario: Scenario) -> OrbitBounds:
     """
     if perturbations(scenario):
         orbit, drag = (tuple(entry.model_dump().items()) for entry in (scenario.orbit, scenario.drag))
-        return _perturbed(orbit, drag, scenario.duration)
+        flown = max(scenario.duration, scenario.steps * scenario.control.period)
+        return _perturbed(orbit, drag, flown)
     mu = EARTH_GRAVITATIONAL_PARAMETER
     a, e = scenario.orbit.semi_major_axis, scenario.orbit.eccentricity
     # Largest true-anomaly rate, at perigee, and a bound on its derivative 2 μ e (1+e)³ / (a³ (1−e²)³).

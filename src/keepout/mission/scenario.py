@@ -285,6 +285,11 @@ class Scenario(Entry):
             )
         return self
 
+    @property
+    def steps(self) -> int:
+        """Whole control periods flown: the duration's, rounded to the nearest."""
+        return round(self.duration / self.control.period)
+
     @classmethod
     def parse(cls, tree: dict[str, Any], *, where: str = "scenario") -> "Scenario":
         """Validate a nested dictionary.

@@ -62,6 +62,8 @@ def read_obj(path: Path) -> MeshContents:
             if len(values) < 3:
                 raise MeshError(f"line {at}: {counted(len(values), 'number')}; a vertex needs three")
             words.extend(values[:3])
+            # A weight or a colour; anything else is a statement that lost its line end.
+            to_numbers(values[3:], f"line {at}: after a vertex, ")
         elif statement in ("f", "fo"):
             indices = to_indices([value.split("/", 1)[0] for value in values], f"line {at}: ")
             so_far = len(words) // 3

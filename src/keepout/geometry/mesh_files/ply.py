@@ -290,6 +290,8 @@ def _ragged(data: bytes, start: int, order: str, element: _Element) -> tuple[_Va
 
 
 def _corners(element: _Element, values: _Values) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "corners"]]:
+    if all(element.has(name) for name in _LISTS):
+        raise MeshError(f"element {element.name!r} has both {' and '.join(_LISTS)}; one list of corners is valid")
     for name in _LISTS:
         found = values.get(name)
         if isinstance(found, tuple):

@@ -13,6 +13,8 @@ _VERTEX = r"\s+vertex\s+(\S+)\s+(\S+)\s+(\S+)"
 _FACET = re.compile(
     rf"\s*facet\s+normal\s+\S+\s+\S+\s+\S+\s+outer\s+loop{3 * _VERTEX}\s+endloop\s+endfacet(?=\s)", re.IGNORECASE
 )
+_LOST = re.compile(r"[^\n]*(?<!\S)endfacet(?!\S)", re.IGNORECASE)
+"""A whole facet on the line of a solid's name, where it would be taken for the name."""
 _SOMETHING = re.compile(r"\S")
 _BEGIN = re.compile(r"\s*solid(?:[^\S\n][^\n]*)?(?:\n|$)", re.IGNORECASE)
 _END = re.compile(r"\s*end\s?solid(?:[^\S\n][^\n]*)?(?:\n|$)", re.IGNORECASE)
@@ -55,6 +57,8 @@ def _ascii(text: str) -> tuple[np.ndarray, list[str]]:
         begin = _BEGIN.match(text, position)
         if begin is None:
             raise MeshError(f"not a valid STL: line {_line(text, position)} should begin a solid")
+        if _LOST.match(begin.group().strip()):
+            raise MeshError(f"not a valid STL: line {_line(text, position)} has a facet where a name belongs")
         position, solids = begin.end(), solids + 1
         while facet := _FACET.match(text, position):
             words.extend(facet.groups())
@@ -65,6 +69,8 @@ def _ascii(text: str) -> tuple[np.ndarray, list[str]]:
                 f"not a valid STL: after {counted(len(words) // 9, 'whole facet')}, line {_line(text, position)} "
                 "begins neither a whole facet nor endsolid"
             )
+        if _LOST.match(end.group().strip()):
+            raise MeshError(f"not a valid STL: line {_line(text, position)} has a facet where a name belongs")
         position = end.end()
     corners = to_numbers(words, "not a valid STL: in a vertex, ")
     return corners.reshape(-1, 3, 3), [f"{solids} solids taken together"] if solids > 1 else []

@@ -54,7 +54,11 @@ class _Package:
 
     def __init__(self, archive: zipfile.ZipFile):
         self._archive = archive
-        self._names = {name.lower().strip("/"): name for name in archive.namelist()}
+        names = [name.lower().strip("/") for name in archive.namelist()]
+        twice = [name for name, number in Counter(names).items() if number > 1]
+        if twice:
+            raise MeshError(f"its archive has the part {twice[0][:60]!r} {names.count(twice[0])} times; once is valid")
+        self._names = dict(zip(names, archive.namelist()))
         self._objects: dict[_Key, etree._Element] = {}
         self._read: set[str] = set()
         self._meshes: dict[_Key, tuple[np.ndarray, np.ndarray]] = {}
@@ -67,7 +71,7 @@ class _Package:
         """Triangles of all build items."""
         main = self._main_part()
         root = self._part(main)
-        build = root.find("{*}build")
+        build = _only(root, "build")
         if build is None:
             raise MeshError("its model has no build, so nothing says what belongs to it")
         placed: set[_Key] = set()
@@ -131,7 +135,7 @@ class _Package:
             name = etree.QName(child).localname if isinstance(child.tag, str) else "metadata"
             if name not in _PLAIN:
                 self._left_out[f"element, '{name[:40]}' of an object"] += 1
-        if entry.find("{*}mesh") is not None:
+        if _only(entry, "mesh") is not None:
             if key not in self._meshes:
                 self._meshes[key] = self._mesh(entry)
             vertices, faces = self._meshes[key]
@@ -153,6 +157,10 @@ class _Package:
                 self._left_out["lattice beam"] += sum(1 for _ in child.iter("{*}beam"))
             elif name not in _PLAIN:
                 self._left_out[f"element, '{name[:40]}' of a mesh"] += 1
+        for child in mesh.iterfind("{*}triangles/*"):
+            name = etree.QName(child).localname
+            if name != "triangle":
+                self._left_out[f"element, '{name[:40]}' among triangles"] += 1
         words = [v.get(axis, "") for v in mesh.iterfind("{*}vertices/{*}vertex") for axis in "xyz"]
         corners = [t.get(v, "") for t in mesh.iterfind("{*}triangles/{*}triangle") for v in ("v1", "v2", "v3")]
         name = f"the object {entry.get('id', '')[:40]!r}"
@@ -163,6 +171,14 @@ class _Package:
             raise MeshError(f"{name}: {cause}") from None
         check_indices(faces, len(vertices), name)
         return vertices, faces
+
+
+def _only(parent: etree._Element, name: str) -> etree._Element | None:
+    """Find a child that there may be one of at most."""
+    children = parent.findall(f"{{*}}{name}")
+    if len(children) > 1:
+        raise MeshError(f"{etree.QName(parent).localname} has {len(children)} elements {name!r}; one is valid")
+    return children[0] if children else None
 
 
 def _parse(data: bytes) -> etree._Element:
