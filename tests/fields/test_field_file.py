@@ -135,7 +135,10 @@ INADMISSIBLE = {
     "inf bias": (lambda m: network(m, lambda a: a.at[0].set(jnp.inf), "biases", 0), r"b0: 1 of \d+ .*not finite.*inf"),
     "scale": (lambda m: dataclasses.replace(m.field, scale=jnp.asarray(jnp.nan)), r"scale is nan; it must be finite"),
     "beta": (lambda m: dataclasses.replace(m.field, beta=-1.0), r"beta is -1; it must be finite and above 0"),
-    "scale": (lambda m: dataclasses.replace(m.field, scale=jnp.asarray(1e-300)), r"scale is 1e-300 m; in its domain"),
+    "tiny scale": (
+        lambda m: dataclasses.replace(m.field, scale=jnp.asarray(1e-300)),
+        r"scale is 1e-300 m; in its domain",
+    ),
     "allowance": (lambda m: continued(m.field, allowance=-0.25), r"allowance is -0\.25 m; it must be at least 0"),
     "centre": (lambda m: continued(m.field, centre=[0.0, jnp.nan, 0.0]), r"continuation\.centre: 1 of 3 numbers"),
     "radii": (lambda m: continued(m.field, domain_radius=20.0), r"domain_radius 20 m, outer_radius 13 m; each must"),
