@@ -71,7 +71,7 @@ def _require_network(field: NeuralField) -> None:
     if not least <= float(field.scale) <= most:
         # The proof's first cubes are a share of the scale: a tiny one would never end, a huge one never begin.
         raise FieldError(
-            f"network: scale is {float(field.scale):g} m; for its domain it must be {least:g} to {most:g} m"
+            f"network: scale is {float(field.scale):g} m; in its domain it must be {least:g} to {most:g} m"
         )
     held = np.finfo(layers.weights[0].dtype)
     if not float(held.tiny) <= field.beta <= float(held.max):
