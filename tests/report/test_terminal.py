@@ -4,7 +4,7 @@ import io
 import re
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from rich.console import Console
 
@@ -141,6 +141,7 @@ def test_an_inspection(figure):
     assert text.count(terminal.shown(figure)) >= 30
 
 
+@example([("a", 0.0), *(("a" * 21, figure) for figure in (-7851.0, 0.0, 0.0))])
 @given(
     st.lists(st.tuples(st.text("abcdefgh -", min_size=1, max_size=30), st.floats(-1e9, 1e9)), min_size=1, max_size=4)
 )

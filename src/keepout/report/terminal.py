@@ -165,8 +165,9 @@ def _widths(lines: Sequence[Sequence[str]]) -> list[int]:
     """Width of each column: its longest word's, then as far as there is room its longest line's."""
     widths = _longest_words(lines)
     spare = WIDTH - _frame(len(widths)) - sum(widths)
-    if spare < 0:
-        widths[widths.index(max(widths))] += spare
+    while spare < 0 and max(widths) > 1:  # from the widest, and so never from a figure before a name
+        widths[widths.index(max(widths))] -= 1
+        spare += 1
     for place, column in enumerate(zip(*lines)):
         wanted = max(cell_len(line) for text in column for line in (text.splitlines() or [""])) - widths[place]
         grown = max(min(wanted, spare), 0)
