@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from truths.guarded_worlds import ASSUMED, PIECES, WORLDS, advance, motion_state
@@ -59,15 +60,22 @@ def test_a_lasting_excess_of_two_hundredths_is_seen():
     assert 32 * 0.02 * NOISY.disturbance * NOISY.period < 2 * NOISY.velocity_error
 
 
-@settings(max_examples=25, deadline=None)
-@given(
+LASTING = given(
     share=st.sampled_from([0.01, 0.017, 0.1, 0.5, 3.0]),
     velocity_error=st.sampled_from([0.0, 1e-5, 5e-4, 2e-3]),
     before=st.sampled_from([-1.0, 0.0, 1.0]),
     onset=st.integers(0, 300),
     hidden=st.booleans(),
 )
-def test_every_lasting_excess_is_seen_within_the_steps_stated(share, velocity_error, before, onset, hidden):
+ADMISSIBLE = given(
+    seed=st.integers(0, 2**32 - 1),
+    kind=st.sampled_from(["constant", "bang-bang", "random"]),
+    adversarial=st.booleans(),
+)
+FEW, MANY = settings(max_examples=8, deadline=None), settings(max_examples=200, deadline=None)
+
+
+def check_seen(share, velocity_error, before, onset, hidden):
     assumed = dataclasses.replace(NOISY, velocity_error=velocity_error)
     D = assumed.disturbance
     needed = watch.seen_within(assumed, share * D)
@@ -86,13 +94,7 @@ def test_every_lasting_excess_is_seen_within_the_steps_stated(share, velocity_er
     assert flagged[onset : onset + needed + 1].any()
 
 
-@settings(max_examples=25, deadline=None)
-@given(
-    seed=st.integers(0, 2**32 - 1),
-    kind=st.sampled_from(["constant", "bang-bang", "random"]),
-    adversarial=st.booleans(),
-)
-def test_it_is_silent_while_the_assumptions_hold(seed, kind, adversarial):
+def check_silent(seed, kind, adversarial):
     assumed, steps = NOISY, 600
     rng = np.random.default_rng(seed)
     D = assumed.disturbance * (1 - 1e-9)
@@ -109,6 +111,12 @@ def test_it_is_silent_while_the_assumptions_hold(seed, kind, adversarial):
     errors = hiding(assumed, steps) if adversarial else assumed.velocity_error * unit(steps + 1)
     flagged, _ = told(assumed, pushes, assumed.position_error * unit(steps + 1), -errors if seed % 2 else errors)
     assert not flagged.any()
+
+
+test_every_lasting_excess_is_seen_within_the_steps_stated = FEW(LASTING(check_seen))
+test_it_is_silent_while_the_assumptions_hold = FEW(ADMISSIBLE(check_silent))
+test_many_lasting_excesses = pytest.mark.slow(MANY(LASTING(check_seen)))
+test_it_is_silent_many_times = pytest.mark.slow(MANY(ADMISSIBLE(check_silent)))
 
 
 def test_a_pattern_of_zero_mean_within_a_step_is_not_seen():
