@@ -201,6 +201,7 @@ def test_refusals_name_the_number():
         judged(straight(0.1, 10), Mesh(1.0), bounds=FlightBounds(MASS, 0.0, 1.0, 0.0, 0.0))
 
 
+@pytest.mark.long
 def test_a_real_target_against_dense_sampling():
     target = Target.load("pocket")
     top = float(target.vertices[:, 2].max())

@@ -90,6 +90,7 @@ def shaped(rng, shape, thinness):
     return np.stack([a, b, c])[rng.permutation(3)]
 
 
+@pytest.mark.long
 @settings(max_examples=100)
 @given(
     seed=st.integers(0, 2**32 - 1),

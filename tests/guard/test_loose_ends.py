@@ -130,6 +130,7 @@ def test_a_start_inside_the_margin_is_led_out_and_flagged(base, target):
         prepare(base.replace(start={"position": start}, guard={"enabled": False}))
 
 
+@pytest.mark.long
 def test_a_start_is_certified_only_from_every_estimate(base):
     scenario = base.replace(guard={"position_error": 0.02})
     mission = prepare(scenario)
@@ -152,6 +153,7 @@ def test_a_start_is_certified_only_from_every_estimate(base):
     assert doubtful.assumptions_broken == ()
 
 
+@pytest.mark.long
 def test_an_assumption_that_is_broken_is_named_and_nothing_is_promised(base):
     summary = fly(base.replace(disturbance={"bound": 0.01}, duration=5.0)).summary()
     assert summary["start_certified"] is False
@@ -163,6 +165,7 @@ def test_an_assumption_that_is_broken_is_named_and_nothing_is_promised(base):
     assert json.loads(json.dumps(summary))["guard"] == summary["guard"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("delay", [6, pytest.param(8, marks=pytest.mark.slow)])
 def test_long_delays_fly(base, delay):
     push = {"kind": "constant", "force": (0.002, 0.0, 0.0)}

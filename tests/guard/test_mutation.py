@@ -52,6 +52,7 @@ def too_fast(kind):
     return int(((speed > assumed.speed_limit) & promised).any(axis=1).sum())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("broken", "count"), [(HalfTube, too_near), (NoPath, too_near), (LastSpeedOnly, too_fast)])
 def test_the_break_is_caught_and_the_whole_guard_passes(broken, count):
     assert count(broken) > 0

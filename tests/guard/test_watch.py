@@ -113,8 +113,8 @@ def check_silent(seed, kind, adversarial):
     assert not flagged.any()
 
 
-test_every_lasting_excess_is_seen_within_the_steps_stated = FEW(LASTING(check_seen))
-test_it_is_silent_while_the_assumptions_hold = FEW(ADMISSIBLE(check_silent))
+test_every_lasting_excess_is_seen_within_the_steps_stated = pytest.mark.long(FEW(LASTING(check_seen)))
+test_it_is_silent_while_the_assumptions_hold = pytest.mark.long(FEW(ADMISSIBLE(check_silent)))
 test_many_lasting_excesses = pytest.mark.slow(MANY(LASTING(check_seen)))
 test_it_is_silent_many_times = pytest.mark.slow(MANY(ADMISSIBLE(check_silent)))
 

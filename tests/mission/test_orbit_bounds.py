@@ -171,6 +171,7 @@ def test_orbits_without_a_bound_are_refused(changes, reason):
         environment.flight_bounds(Scenario().replace(**changes))
 
 
+@pytest.mark.long
 def test_a_guarded_flight_in_a_low_orbit_keeps_its_promises_and_records_the_targets_orbit(tmp_path):
     orbit, drag, _ = CASES["polar with drag"]
     flight = fly(Scenario().replace(orbit=orbit, drag=drag | {"density": 3e-12}, duration=150.0))
