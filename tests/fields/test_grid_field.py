@@ -16,6 +16,8 @@ from keepout.geometry.target import Target
 from keepout.proof.certificate import onto_level
 from keepout.proof.grid import certify_grid
 
+pytestmark = pytest.mark.long
+
 H = 0.1
 
 

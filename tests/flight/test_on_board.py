@@ -24,6 +24,8 @@ from keepout.mission.scenario import Scenario
 from keepout.motion import Orbit, RelativeMotion, Thrusters, paper_disturbance
 from keepout.proof.certificate import certify
 
+pytestmark = pytest.mark.long
+
 GOAL = jnp.array([0.0, -6.0, -3.0])
 MOTION = RelativeMotion(Orbit(6_778_137.0))
 

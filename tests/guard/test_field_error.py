@@ -11,6 +11,8 @@ from keepout.errors import ControlError
 from keepout.fields.field import Field
 from keepout.guard.guard import Guard
 
+pytestmark = pytest.mark.long
+
 THRESHOLD, ERROR = 0.5, 0.02
 
 

@@ -19,6 +19,8 @@ from keepout.guard.braking import radii
 from keepout.guard.guard import Guard
 from keepout.guard.status import GuardFlag
 
+pytestmark = pytest.mark.long
+
 THRESHOLD = 0.5
 
 

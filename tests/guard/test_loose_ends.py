@@ -20,6 +20,8 @@ from keepout.mission.flight import fly
 from keepout.mission.scenario import Scenario
 from keepout.report.terminal import broken_assumptions
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module", autouse=True)
 def cache(tmp_path_factory):

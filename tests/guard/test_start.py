@@ -14,6 +14,8 @@ from truths.guarded_worlds import ASSUMED, WORLDS, fly_too_fast, motion_state
 from keepout.guard.guard import Guard
 from keepout.guard.status import GuardStatus
 
+pytestmark = pytest.mark.long
+
 ESTIMATES = 16
 
 

@@ -14,6 +14,8 @@ from keepout.geometry.shape import Ellipsoid
 from keepout.geometry.target import Target
 from keepout.measures.volume import grown_ellipsoid_volume, grown_hull_volume, measure_volumes
 
+pytestmark = pytest.mark.long
+
 
 def ball_volume(radius):
     return 4.0 / 3.0 * np.pi * radius**3

@@ -17,6 +17,8 @@ from keepout.geometry.target import Target
 from keepout.mission.build import load_target, prepare
 from keepout.mission.scenario import Scenario
 
+pytestmark = pytest.mark.long
+
 
 def test_the_body_frame_is_the_users(tmp_path):
     path = tmp_path / "box.stl"

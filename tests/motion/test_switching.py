@@ -22,6 +22,8 @@ from keepout.motion import (
     resonant,
 )
 
+pytestmark = pytest.mark.long
+
 MASS = 20.0
 # So far from the Earth that a chaser near the target's centre feels no gravity difference: a double integrator.
 FREE = RelativeMotion(Orbit(1e16), InertiallyFixed())

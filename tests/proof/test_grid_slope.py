@@ -21,6 +21,8 @@ from keepout.proof.grid import ROUNDING, certify_grid
 from keepout.proof.grid_slope import grid_slope, spline_slope
 from keepout.proof.grid_spline import joined_spline
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def target():
