@@ -231,22 +231,33 @@ def campaign(
         Console().print(terminal.facts_table("Campaign", {k: v for k, v in summary.items() if k != "guard"}))
 
 
-@app.command(epilog=example("keepout reproduce case1 -o out/demo"))
+@app.command(epilog=example("keepout reproduce all --quick -o out/paper"))
 def reproduce(
-    experiment: Annotated[str, typer.Argument(help="case1: the paper's local-minimum case, three control laws.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for flights, figures and page.")] = Path("out"),
+    experiments: Annotated[
+        list[str], typer.Argument(help="all, or any of table1, surfaces, volumes, case1, case2, runtime, case3.")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for tables, figures and page.")] = Path("out"),
+    quick: Annotated[bool, typer.Option("--quick", help="Fewer flights, shipped fields: minutes.")] = False,
+    fields: Annotated[
+        Path | None, typer.Option(help="Folder with fields of the paper's network, instead of fitting them for hours.")
+    ] = None,
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
-    """Fly one of the source paper's experiments, and Keepout's own answer beside it."""
-    from keepout.experiments import run
+    """Repeat the source paper's tables, figures and flights, with Keepout's own answers beside them.
 
-    with terminal.progress(f"reproduce {experiment}") as progress:
-        summaries = run(experiment, out, seed=seed, progress=progress)
-    _answer(summaries, as_json)
+    The full run takes hours; one that was stopped goes on where it was.
+    """
+    from keepout.experiments import reproduce as repeat
+
+    with terminal.progress(f"reproduce {' '.join(experiments)}") as progress:
+        parts = repeat(experiments, out, quick=quick, seed=seed, fields=fields, progress=progress)
+    _answer([{"experiment": part.name, **row} for part in parts for row in part.rows], as_json)
     if not as_json:
-        Console().print(terminal.flights_table(summaries))
-        Console().print(f"open [bold]{out / 'index.html'}[/bold]; figures and flights stand beside it")
+        for part in parts:
+            for table in part.tables:
+                Console().print(terminal.entries_table(f"{part.title}: {table.caption}", table.rows))
+        Console().print(f"open [bold]{out / 'index.html'}[/bold]; tables (CSV) and figures stand beside it")
 
 
 def _show_warning(message: Warning | str, *_: Any) -> None:

@@ -18,8 +18,9 @@ from keepout.measures.inspection import inspect_model
 from keepout.measures.quality import surface_errors
 from keepout.mission.build import load_target
 from keepout.mission.campaign import run_campaign
+from keepout.mission.entries import TargetEntry
 from keepout.mission.flight import fly
-from keepout.mission.scenario import Scenario, TargetEntry
+from keepout.mission.scenario import Scenario
 from keepout.progress import Progress, part_of, silent
 from keepout.proof.certificate import certify
 from keepout.report import target_view

@@ -1,16 +1,17 @@
 """The paper's Case 1 (section VI.C.1) without and with circulation, and the recommended law on the same mission."""
 
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from keepout.experiments.part import Drawing, Part
+from keepout.experiments.work import Work
 from keepout.mission.build import load_target
 from keepout.mission.flight import fly
 from keepout.mission.scenario import Scenario
-from keepout.progress import Progress, silent
-from keepout.report.folder import make_folder, write_flights, write_summary
+from keepout.progress import Progress
+from keepout.report import flight_view, target_view
 
 LAWS: dict[str, dict[str, Any]] = {
     "paper without circulation": {
@@ -24,13 +25,6 @@ LAWS: dict[str, dict[str, Any]] = {
     "default law": {"control": {"profile": "default"}, "guard": {"enabled": True}},
 }
 
-INTRODUCTION = (
-    "Start [0, 10, 6] m, goal [0, −10, −4] m around the built-in communications satellite: 20 kg, 0.1 N per axis, "
-    "0.1 m/s, one control step a second, the paper's disturbance. The first two flights use the constants printed in "
-    "the paper, without and with its circulation inequality; the third uses Keepout's default law with the guard. "
-    "Clearances are those of the chaser's ball to the exact mesh, bounded between samples."
-)
-
 
 def case1_scenarios(seed: int) -> dict[str, Scenario]:
     """Give one scenario for each law; all else is equal."""
@@ -38,10 +32,9 @@ def case1_scenarios(seed: int) -> dict[str, Scenario]:
     return {law: base.replace(name=law.replace(" ", "-"), **changes) for law, changes in LAWS.items()}
 
 
-def reproduce_case1(out: Path, *, seed: int = 0, progress: Progress = silent) -> list[dict[str, Any]]:
-    """Fly Case 1 under three laws; write flights, figures, page and `summary.json` into `out`."""
-    make_folder(out)
-    scenarios = case1_scenarios(seed)
+def case1(work: Work) -> Part:
+    """Fly Case 1 under three laws."""
+    scenarios = case1_scenarios(work.seed)
     target = load_target(next(iter(scenarios.values())).target)
     target.distance.distance(np.zeros((1, 3)))  # built and compiled once, before the laws share it
     done = dict.fromkeys(scenarios, 0.0)
@@ -49,7 +42,7 @@ def reproduce_case1(out: Path, *, seed: int = 0, progress: Progress = silent) ->
     def reporter(law: str) -> Progress:
         def report(fraction: float, message: str) -> None:
             done[law] = fraction
-            progress(sum(done.values()) / (len(done) + 1), f"{law} {message}")
+            work.progress(sum(done.values()) / (len(done) + 1), f"{law} {message}")
 
         return report
 
@@ -60,10 +53,21 @@ def reproduce_case1(out: Path, *, seed: int = 0, progress: Progress = silent) ->
             for law, scenario in scenarios.items()
         }
         flights = {law: flight.result() for law, flight in flying.items()}
-    progress(len(scenarios) / (len(scenarios) + 1), "figures")
-    summaries = write_flights(
-        out, flights, title="Case 1 of the paper, under three control laws", introduction=INTRODUCTION
+    rows = []
+    for law, flight in flights.items():
+        path = work.folder / f"{flight.scenario.name}.parquet"
+        flight.record.save(path)
+        rows.append({"name": law, **flight.summary(), "flight": str(path)})
+    paths = {law: flight.record.position for law, flight in flights.items()}
+    goal = next(iter(scenarios.values())).goal.position
+    target_view.draw_paths(work.folder / "paths.png", target.vertices, target.faces, paths, goal)
+    flight_view.draw_clearance(work.folder / "clearance.png", flights)
+    return Part(
+        name="case1",
+        title="Case 1: local minimum",
+        paper="Without the circulation inequality the chaser is trapped in a local minimum; with it, it arrives.",
+        ours=["…"],
+        rows=rows,
+        drawings=[Drawing("paths", "Paths around the target"), Drawing("clearance", "Clearance and barrier over time")],
+        flights=flights,
     )
-    write_summary(out, summaries)
-    progress(1.0, "")
-    return summaries

@@ -35,7 +35,8 @@ from keepout.guard.guard import Guard
 from keepout.guard.safety_layer import SafetyLayer
 from keepout.mission import environment
 from keepout.mission.assumptions import broken_assumptions
-from keepout.mission.scenario import Scenario, TargetEntry
+from keepout.mission.entries import TargetEntry
+from keepout.mission.scenario import Scenario
 from keepout.motion import MotionState
 from keepout.progress import Progress, part_of, silent
 
@@ -255,6 +256,8 @@ def build_law(
     """
     designed = operation(scenario, model)
     profile = {"default": profiles.default, "paper": profiles.paper}[scenario.control.profile]
+    if scenario.control.profile == "paper":
+        chosen = scenario.control.paper.model_dump() | chosen
     return profile(
         model.field,
         designed,

@@ -15,7 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from keepout.errors import ScenarioError
-from keepout.mission.scenario import DragEntry, OrbitEntry, Scenario
+from keepout.mission.entries import DragEntry, OrbitEntry
+from keepout.mission.scenario import Scenario
 from keepout.motion import J2, Drag, Orbit, Perturbation
 from keepout.motion.perturbation import (
     EARTH_EQUATORIAL_RADIUS,

@@ -54,16 +54,12 @@ def write_flights(
         summaries.append({"name": name, **flight.summary(), "flight": str(path)})
     if figures:
         images = _draw(out, flights)
-        first = next(iter(flights.values()))
         write_page(
             out / "index.html",
             title=title,
             introduction=introduction,
             summaries=summaries,
-            records={name: flight.record for name, flight in flights.items()},
-            vertices=first.target.vertices,
-            faces=first.target.faces,
-            chaser_radius=first.scenario.chaser.radius,
+            flights=flights,
             figures=images,
         )
     return summaries

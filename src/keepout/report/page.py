@@ -9,16 +9,17 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 import trimesh
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from keepout.flight.record import FlightRecord
+from keepout.mission.flight import Flight
 from keepout.report.style import COLOURS, TARGET_COLOUR
 from keepout.report.terminal import FLIGHT_COLUMNS, broken_assumptions, shown
 from keepout.whole_file import write_whole
 
 _FRAMES = 150
 _SPHERE = trimesh.creation.icosphere(subdivisions=1)
-_STYLE = """
+STYLE = """
 body{font:15px/1.5 system-ui,sans-serif;max-width:1100px;margin:2em auto;padding:0 1em;color:#1c2430}
 table{border-collapse:collapse;margin:1em 0}th,td{border-bottom:1px solid #d5dae0;padding:.35em .8em;text-align:right}
 th:first-child,td:first-child{text-align:left}img{max-width:100%}.bad{color:#b00020;font-weight:600}
@@ -31,10 +32,7 @@ def write_page(
     title: str,
     introduction: str,
     summaries: Sequence[Mapping[str, Any]],
-    records: Mapping[str, FlightRecord],
-    vertices: Float[np.ndarray, "vertices 3"],
-    faces: Int[np.ndarray, "faces 3"],
-    chaser_radius: float,
+    flights: Mapping[str, Flight],
     figures: Sequence[Path],
 ) -> None:
     """Write a self-contained page with a replay of the flights around the target's mesh.
@@ -44,14 +42,10 @@ def write_page(
         title: heading.
         introduction: what was flown and what the table says, plain text.
         summaries: one row a flight, as `fly` reports it.
-        records: the flights to replay, by name.
-        vertices: of the target, body frame, m.
-        faces: of the target.
-        chaser_radius: of the ball that holds the chaser, m.
+        flights: to replay, by name; all around the same target.
         figures: PNG files to embed, in order.
 
     """
-    scene = _replay(records, vertices, faces, chaser_radius).to_html(full_html=False, include_plotlyjs=True)
     images = "\n".join(
         f'<p><img alt="{html.escape(image.stem)}" src="data:image/png;base64,{_base64(image)}"></p>'
         for image in figures
@@ -59,9 +53,23 @@ def write_page(
     write_whole(
         path,
         f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{html.escape(title)}</title>'
-        f"<style>{_STYLE}</style><h1>{html.escape(title)}</h1><p>{html.escape(introduction)}</p>"
-        f"{_table(summaries)}<h2>Replay</h2>{scene}<h2>Figures</h2>{images}</html>",
+        f"<style>{STYLE}</style><h1>{html.escape(title)}</h1><p>{html.escape(introduction)}</p>"
+        f"{_table(summaries)}<h2>Replay</h2>{replay(flights)}<h2>Figures</h2>{images}</html>",
     )
+
+
+def replay(flights: Mapping[str, Flight], *, with_library: bool = True) -> str:
+    """Give the HTML of a replay of flights around one target's mesh.
+
+    Args:
+        flights: by name; all around the same target.
+        with_library: whether the drawing library comes with it; the first replay of a page brings it for all.
+
+    """
+    first = next(iter(flights.values()))
+    records = {name: flight.record for name, flight in flights.items()}
+    drawing = _replay(records, first.target.vertices, first.target.faces, first.scenario.chaser.radius)
+    return drawing.to_html(full_html=False, include_plotlyjs=with_library)
 
 
 def _table(summaries: Sequence[Mapping[str, Any]]) -> str:

@@ -22,13 +22,14 @@ TARGET_COLOUR = "#9aa3ad"
 
 
 @contextmanager
-def figure(path: Path, *, width: float = 8.0, height: float = 4.5) -> Iterator[Figure]:
+def figure(path: Path, *, width: float = 8.0, height: float = 4.5, vector: bool = False) -> Iterator[Figure]:
     """Make a figure in the common style and save it to `path` when the block ends.
 
     Args:
         path: the image file to write (PNG).
         width: inches.
         height: inches.
+        vector: also write the same as SVG beside it, with text as text.
 
     """
     with plt.rc_context(
@@ -41,13 +42,16 @@ def figure(path: Path, *, width: float = 8.0, height: float = 4.5) -> Iterator[F
             "font.size": 9,
             "legend.frameon": False,
             "savefig.dpi": 150,
+            "svg.fonttype": "none",
+            "svg.hashsalt": "keepout",
         }
     ):
         drawing = plt.figure(figsize=(width, height), layout="constrained")
         try:
             yield drawing
-            image = io.BytesIO()
-            drawing.savefig(image, format="png")
-            write_whole(path, image.getvalue())
+            for form in ("png", "svg") if vector else ("png",):
+                image = io.BytesIO()
+                drawing.savefig(image, format=form, metadata={"Date": None} if form == "svg" else None)
+                write_whole(path.with_suffix(f".{form}"), image.getvalue())
         finally:
             plt.close(drawing)

@@ -80,6 +80,7 @@ def _shade(axes: Axes3D, vertices: np.ndarray, faces: np.ndarray, alpha: float =
     base = np.array([int(TARGET_COLOUR[i : i + 2], 16) / 255.0 for i in (1, 3, 5)])
     colours = np.column_stack([light[:, None] * base, np.full(len(faces), alpha)])
     shaded = Poly3DCollection(list(triangles), facecolors=colours, edgecolors="none")
+    shaded.set_rasterized(True)  # thousands of triangles would make a vector file unreadable
     shaded.set_clip_on(False)  # a zoomed target may reach beyond its subplot's rectangle
     axes.add_collection3d(shaded)
 

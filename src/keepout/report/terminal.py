@@ -62,6 +62,13 @@ def facts_table(title: str, summary: Mapping[str, Any]) -> Table:
     return _laid_out(title, None, [[key, shown(value)] for key, value in summary.items()], named=True)
 
 
+def entries_table(title: str, rows: Sequence[Mapping[str, Any]]) -> Table:
+    """One row an entry, one column a key; what an entry has no value for is a dash."""
+    headings = list(rows[0]) if rows else []
+    cells = [["–" if value is None else shown(value) for value in row.values()] for row in rows]
+    return _laid_out(title, headings, cells)
+
+
 def inspection_tables(summary: Mapping[str, Any]) -> list[Table]:
     """Give the single figures of a field, then one table for each kind of measure; lengths in metres."""
     single = {key: value for key, value in summary.items() if not isinstance(value, list | dict)}

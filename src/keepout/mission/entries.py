@@ -1,0 +1,262 @@
+"""The tables of a scenario, each an immutable set of entries with ranges; `scenario.py` puts them together.
+
+Every entry is in SI units. What depends on two entries of one table is checked in that table.
+"""
+
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+
+
+def _finite(vector: tuple[float, ...]) -> tuple[float, ...]:
+    if not all(abs(x) < float("inf") for x in vector):
+        raise ValueError("must be three finite numbers")
+    return vector
+
+
+Vector = Annotated[tuple[float, float, float], AfterValidator(_finite)]
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Angle = Annotated[float, Field(ge=-6.3, le=6.3)]
+
+
+class Entry(BaseModel):
+    """A table of a scenario: immutable, and without unknown keys."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class TargetEntry(Entry):
+    """What is flown around."""
+
+    source: str = Field(
+        default="intelsat30", description="a built-in target's name, or a mesh file (relative to the scenario)"
+    )
+    units: Literal["m", "cm", "mm", "in", "ft"] | None = Field(default=None, description="length unit of the mesh file")
+    scale: Positive | None = Field(default=None, description="metres per unit of the mesh file, instead of `units`")
+    drop_stray: bool = Field(default=False, description="leave out parts far from the rest")
+    thickness: Positive | None = Field(default=None, description="of a point cloud: each point is a ball this wide, m")
+    rotation: tuple[Vector, Vector, Vector] | None = Field(default=None, description="from file axes to body axes")
+    origin: Vector | None = Field(default=None, description="of the body frame, in file axes, m")
+    centre_of_mass: Vector = Field(
+        default=(0.0, 0.0, 0.0),
+        description="of the target, about which it turns and which orbits, in the body frame, m",
+    )
+    parameters: dict[str, float] = Field(default_factory=dict, description="of a built-in: wing angle, wing span, …")
+
+    @model_validator(mode="after")
+    def _one_scale(self) -> "TargetEntry":
+        if self.units is not None and self.scale is not None:
+            raise ValueError("give either units or scale, not both")
+        return self
+
+
+class FieldEntry(Entry):
+    """The learned field that the control law flies by."""
+
+    source: str = Field(default="shipped", description='"shipped" for a built-in target, or a .keepout file')
+
+
+class ChaserEntry(Entry):
+    """The chaser: a ball of `radius` with one thruster pair an axis."""
+
+    mass: Positive = Field(default=20.0, description="kg")
+    radius: NonNegative = Field(default=0.5, description="of the ball that holds the chaser, m")
+    force_limit: Positive = Field(default=0.1, description="per body axis, N")
+    speed_limit: Positive = Field(default=0.1, description="m/s")
+
+
+class SafetyEntry(Entry):
+    """What is kept between chaser and target beyond what is proved."""
+
+    margin: NonNegative = Field(default=0.1, description="the operator's own, m")
+
+
+class GuardEntry(Entry):
+    """The hard layer that accepts or replaces every commanded force, and what its theorem may assume."""
+
+    enabled: bool = True
+    position_error: NonNegative = Field(default=0.0, description="largest error of the position estimate, m")
+    velocity_error: NonNegative = Field(default=0.0, description="largest error of the velocity estimate, m/s")
+    mass_error: Annotated[float, Field(ge=0.0, lt=1.0)] = Field(default=0.0, description="largest relative error")
+    gain_error: Annotated[float, Field(ge=0.0, lt=1.0)] = Field(default=0.0, description="of the thrusters, relative")
+    delay: Annotated[int, Field(ge=0, le=8)] = Field(
+        default=0, description="from command to effect, control periods; the control law predicts its state over it too"
+    )
+
+
+class FaultsEntry(Entry):
+    """What goes wrong in flight, drawn from the scenario's seed; law and guard know only what `guard` says of it."""
+
+    law: Literal["none", "into the body", "through", "random", "bang-bang", "not a number"] = Field(
+        default="none",
+        description="what replaces the law's force: full thrust into the body, straight through to the goal at twice "
+        "the speed limit, random forces, full thrust in a random corner for 15 periods each, NaN in every 15th command",
+    )
+    position_bias: NonNegative = Field(default=0.0, description="constant error of the estimate, random direction, m")
+    velocity_bias: NonNegative = Field(default=0.0, description="the same of its velocity, m/s")
+    position_noise: NonNegative = Field(default=0.0, description="largest error drawn anew each period, m")
+    velocity_noise: NonNegative = Field(default=0.0, description="the same of its velocity, m/s")
+    delay: Annotated[int, Field(ge=0, le=100)] = Field(
+        default=0, description="true delay from command to effect, control periods"
+    )
+    dropped: Annotated[float, Field(ge=0.0, lt=1.0)] = Field(
+        default=0.0, description="probability that a command is lost; the last one then goes on"
+    )
+    gain_error: Annotated[float, Field(ge=0.0, lt=1.0)] = Field(
+        default=0.0, description="each axis gives 1 ± this of its command, drawn once a flight"
+    )
+    stuck: Literal["+x", "-x", "+y", "-y", "+z", "-z"] | None = Field(
+        default=None, description="the thruster that is stuck, by the direction it pushes in"
+    )
+    stuck_force: NonNegative = Field(
+        default=0.0, description="what it then gives: 0 stuck off, force_limit stuck on, N"
+    )
+    stuck_from: NonNegative = Field(default=0.0, description="when it sticks, s")
+
+    @model_validator(mode="after")
+    def _stuck_is_named(self) -> "FaultsEntry":
+        if self.stuck is None and (self.stuck_force or self.stuck_from):
+            raise ValueError('stuck_force and stuck_from need stuck = "+x", "-x", "+y", "-y", "+z" or "-z"')
+        return self
+
+
+class PaperEntry(Entry):
+    """What the paper's law needs and the paper does not print; only for `profile = "paper"`."""
+
+    slowing_length: Positive = Field(
+        default=1.5, description="k_p of the desired velocity v_max tanh(r_e/k_p), by component, m"
+    )
+    sharpness: Positive = Field(default=1.0, description="ε of the smooth safety filter")
+    position_weight: Positive = Field(default=1.0, description="H₀ of the Lyapunov function is this times the identity")
+    gradient_error: NonNegative = Field(default=0.0, description="e_∇h; above 0 the barrier row becomes a cone")
+
+
+class ControlEntry(Entry):
+    """The control law."""
+
+    profile: Literal["default", "paper"] = Field(
+        default="default", description="the recommended law, or the paper's constants"
+    )
+    period: Positive = Field(default=1.0, description="between control steps, s")
+    guidance: Literal["geodesic", "straight"] | None = Field(default=None, description="unset: the profile's own")
+    spacing: Positive | None = Field(
+        default=None, description="of the geodesic grid, m; unset: from the room and the zone's width"
+    )
+    circulation: Literal["none", "printed", "skew", "switching"] | None = Field(
+        default=None, description="unset: the profile's"
+    )
+    observer: Literal["harmonic", "constant", "printed", "off"] | None = Field(
+        default=None, description="unset: the profile's own"
+    )
+    paper: PaperEntry = PaperEntry()
+
+    @model_validator(mode="after")
+    def _paper_of_its_profile(self) -> "ControlEntry":
+        if self.profile != "paper" and self.paper != PaperEntry():
+            named = ", ".join(f"paper.{key}" for key in self.paper.model_dump(exclude_defaults=True))
+            raise ValueError(f'{named}: only for profile = "paper", and profile is "{self.profile}"')
+        return self
+
+    @model_validator(mode="after")
+    def _spacing_of_a_grid(self) -> "ControlEntry":
+        guidance = self.guidance or ("geodesic" if self.profile == "default" else "straight")
+        if self.spacing is not None and guidance != "geodesic":
+            raise ValueError(f'spacing {self.spacing} m is for guidance = "geodesic", and guidance is "{guidance}"')
+        return self
+
+
+class OrbitEntry(Entry):
+    """The target's orbit about the Earth."""
+
+    semi_major_axis: Annotated[float, Field(gt=6.4e6, lt=1e9)] = Field(default=42_164_000.0, description="m")
+    eccentricity: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
+    true_anomaly: Angle = Field(default=0.0, description="at the start, rad")
+    inclination: Angle = Field(default=0.0, description="rad; this and the next two count only with j2 or drag")
+    right_ascension: Angle = Field(default=0.0, description="of the ascending node, rad")
+    argument_of_perigee: Angle = Field(default=0.0, description="rad")
+    j2: bool = Field(default=False, description="whether the Earth's oblateness bends both orbits")
+
+    @model_validator(mode="after")
+    def _above_ground(self) -> "OrbitEntry":
+        perigee = self.semi_major_axis * (1.0 - self.eccentricity)
+        if perigee < 6.4e6:
+            raise ValueError(f"the perigee radius is {perigee:.4g} m, inside the Earth; it must be at least 6.4e6 m")
+        return self
+
+
+class DragEntry(Entry):
+    """Drag of both spacecraft in an exponential atmosphere that turns with the Earth."""
+
+    density: NonNegative = Field(default=0.0, description="of the air at `altitude`, kg/m3; 0: no drag")
+    altitude: NonNegative = Field(default=400_000.0, description="above the equatorial radius, m")
+    scale_height: Annotated[float, Field(ge=1e3, le=1e6)] = Field(
+        default=60_000.0, description="over which the density falls to a third (1/e), m"
+    )
+    target_area_to_mass: NonNegative = Field(default=0.02, description="drag coefficient × area / mass, m2/kg")
+    chaser_area_to_mass: NonNegative = Field(default=0.02, description="drag coefficient × area / mass, m2/kg")
+
+
+class AttitudeEntry(Entry):
+    """How the target turns."""
+
+    kind: Literal["vvlh", "inertial", "tumbling"] = Field(
+        default="vvlh", description="fixed to VVLH, fixed to the stars, free"
+    )
+    angular_velocity: Vector = Field(default=(0.0, 0.0, 0.0), description="tumbling: inertial, in body axes, rad/s")
+    inertia: tuple[Vector, Vector, Vector] = Field(
+        default=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), description="tumbling: tensor in body axes, kg m2"
+    )
+
+    @model_validator(mode="after")
+    def _only_tumbling_turns(self) -> "AttitudeEntry":
+        if self.kind != "tumbling" and any(self.angular_velocity):
+            raise ValueError(f'an angular_velocity needs kind = "tumbling", not "{self.kind}"')
+        return self
+
+
+class DisturbanceEntry(Entry):
+    """The force that nobody commanded, in body axes."""
+
+    kind: Literal["none", "paper", "constant", "bang-bang", "resonant", "random"] = "paper"
+    force: Vector | None = Field(default=None, description="constant: N")
+    amplitude: Positive | None = Field(default=None, description="bang-bang, resonant, random: largest norm, N")
+    bound: Positive | None = Field(
+        default=None, description="what the control law may assume, N; unset: the true bound"
+    )
+
+    @model_validator(mode="after")
+    def _complete(self) -> "DisturbanceEntry":
+        if self.kind == "constant" and self.force is None:
+            raise ValueError('kind = "constant" needs force = [x, y, z] in N')
+        if self.kind in ("bang-bang", "resonant", "random") and self.amplitude is None:
+            raise ValueError(f'kind = "{self.kind}" needs amplitude in N')
+        return self
+
+
+class StateEntry(Entry):
+    """The chaser's state relative to the target, in body axes."""
+
+    position: Vector = Field(default=(0.0, 10.0, 6.0), description="m")
+    velocity: Vector = Field(default=(0.0, 0.0, 0.0), description="m/s")
+
+
+class GoalEntry(Entry):
+    """Where to go."""
+
+    position: Vector = Field(default=(0.0, -10.0, -4.0), description="m")
+    tolerance: Positive = Field(default=0.1, description="reached when it stays within this, m")
+
+
+class CampaignEntry(Entry):
+    """Many flights from random starts at rest."""
+
+    runs: Annotated[int, Field(ge=1, le=1_000_000)] = 100
+    lower: Vector = Field(default=(-15.0, -5.0, -4.0), description="lower corner of the box of starts, m")
+    upper: Vector = Field(default=(15.0, 5.0, -4.0), description="upper corner of the box of starts, m")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> "CampaignEntry":
+        if any(low > high for low, high in zip(self.lower, self.upper)):
+            raise ValueError(f"lower {list(self.lower)} must not exceed upper {list(self.upper)}")
+        return self

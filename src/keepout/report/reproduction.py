@@ -1,0 +1,126 @@
+"""The folder and the page of a reproduction: what the paper states, ours, and every number as CSV."""
+
+import base64
+import csv
+import html
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from keepout.mission.flight import Flight
+from keepout.report.page import STYLE, replay
+from keepout.report.terminal import shown
+from keepout.whole_file import write_whole
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of a reproduction.
+
+    Attributes:
+        name: of its CSV file, without ending.
+        caption: what it shows, plain text with units.
+        rows: one dictionary a row, all with the same keys, which are the headings.
+
+    """
+
+    name: str
+    caption: str
+    rows: Sequence[Mapping[str, Any]]
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A figure of a reproduction: `<name>.png` and `<name>.svg` in the part's folder.
+
+    Attributes:
+        name: of its files, without ending.
+        caption: what it shows, plain text.
+
+    """
+
+    name: str
+    caption: str
+
+
+@dataclass(frozen=True)
+class Section:
+    """What the page shows of one part; see `keepout.experiments.part.Part`."""
+
+    name: str
+    title: str
+    paper: str
+    ours: Sequence[str]
+    tables: Sequence[Table]
+    drawings: Sequence[Drawing]
+    flights: Mapping[str, Flight] = field(default_factory=dict)
+
+
+def write_table(folder: Path, table: Table) -> Path:
+    """Write a table's CSV file into a folder and return its path."""
+    stream = io.StringIO()
+    writer = csv.DictWriter(stream, fieldnames=list(table.rows[0]) if table.rows else [], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(table.rows)
+    path = folder / f"{table.name}.csv"
+    write_whole(path, stream.getvalue())
+    return path
+
+
+def write_reproduction(out: Path, sections: Sequence[Section], *, introduction: str) -> None:
+    """Write the CSV files of all sections, and one self-contained page.
+
+    Args:
+        out: folder; each section's figures stand in the folder of its name.
+        sections: in the paper's order.
+        introduction: of the page, plain text.
+
+    """
+    for section in sections:
+        for table in section.tables:
+            write_table(out / section.name, table)
+    body, first_replay = [], True
+    for section in sections:
+        body.append(_section(out, section, with_library=first_replay))
+        first_replay = first_replay and not section.flights
+    contents = "".join(f'<li><a href="#{s.name}">{html.escape(s.title)}</a></li>' for s in sections)
+    title = "The paper's Section VI, repeated"
+    write_whole(
+        out / "index.html",
+        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{html.escape(title)}</title>'
+        f"<style>{STYLE}</style><h1>{html.escape(title)}</h1><p>{html.escape(introduction)}</p><ul>{contents}</ul>"
+        f"{''.join(body)}</html>",
+    )
+
+
+def _section(out: Path, section: Section, *, with_library: bool) -> str:
+    parts = [f'<h2 id="{section.name}">{html.escape(section.title)}</h2>']
+    parts.append(f"<p><b>The paper:</b> {html.escape(section.paper)}</p>")
+    parts += [f"<p>{html.escape(paragraph)}</p>" for paragraph in section.ours]
+    for table in section.tables:
+        link = f'<a href="{section.name}/{table.name}.csv">{table.name}.csv</a>'
+        parts.append(f"<p>{html.escape(table.caption)} ({link})</p>{_table(table)}")
+    if section.flights:
+        parts.append(f"<h3>Replay</h3>{replay(section.flights, with_library=with_library)}")
+    for drawing in section.drawings:
+        image = base64.b64encode((out / section.name / f"{drawing.name}.png").read_bytes()).decode("ascii")
+        link = f'<a href="{section.name}/{drawing.name}.svg">SVG</a>'
+        parts.append(
+            f'<figure><img alt="{html.escape(drawing.name)}" src="data:image/png;base64,{image}">'
+            f"<figcaption>{html.escape(drawing.caption)} ({link})</figcaption></figure>"
+        )
+    return "".join(parts)
+
+
+def _table(table: Table) -> str:
+    if not table.rows:
+        return "<p>no rows</p>"
+    head = "".join(f"<th>{html.escape(key)}</th>" for key in table.rows[0])
+    rows = (
+        "".join(f"<td>{html.escape('–' if value is None else shown(value))}</td>" for value in row.values())
+        for row in table.rows
+    )
+    lines = "".join(f"<tr>{row}</tr>" for row in rows)
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{lines}</tbody></table>"
