@@ -57,7 +57,7 @@ def reproduce(
         stretch = part_of(progress, place / len(chosen), (place + 1) / len(chosen))
         parts.append(PARTS[name](Work(out / name, quick, seed, fields, stretch)))
         # After each part, so that a page stands even if a later part is stopped.
-        write_reproduction(out, [part.section() for part in parts], introduction=INTRODUCTION)
+        write_reproduction(out, [part.section() for part in parts], introduction=INTRODUCTION, quick=quick)
         write_summary(out, [{"experiment": part.name, **row} for part in parts for row in part.rows])
     progress(1.0, "")
     return parts

@@ -2,14 +2,18 @@
 
 import base64
 import csv
+import datetime
 import html
 import io
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import keepout
 from keepout.mission.flight import Flight
+from keepout.report.machine import machine
 from keepout.report.page import STYLE, replay
 from keepout.report.terminal import shown
 from keepout.whole_file import write_whole
@@ -69,18 +73,22 @@ def write_table(folder: Path, table: Table) -> Path:
     return path
 
 
-def write_reproduction(out: Path, sections: Sequence[Section], *, introduction: str) -> None:
-    """Write the CSV files of all sections, and one self-contained page.
+def write_reproduction(out: Path, sections: Sequence[Section], *, introduction: str, quick: bool) -> None:
+    """Write the CSV files of all sections, `tables.json` with all of them, and one self-contained page.
 
     Args:
         out: folder; each section's figures stand in the folder of its name.
         sections: in the paper's order.
         introduction: of the page, plain text.
+        quick: whether the figures come from a quick run; the page says so.
 
     """
     for section in sections:
         for table in section.tables:
             write_table(out / section.name, table)
+    write_whole(out / "tables.json", json.dumps(_tables(sections, quick=quick), indent=1, ensure_ascii=False) + "\n")
+    if quick:
+        introduction += " This is a quick run: fewer flights, and the fields that are at hand."
     body, first_replay = [], True
     for section in sections:
         body.append(_section(out, section, with_library=first_replay))
@@ -93,6 +101,29 @@ def write_reproduction(out: Path, sections: Sequence[Section], *, introduction: 
         f"<style>{STYLE}</style><h1>{html.escape(title)}</h1><p>{html.escape(introduction)}</p><ul>{contents}</ul>"
         f"{''.join(body)}</html>",
     )
+
+
+def _tables(sections: Sequence[Section], *, quick: bool) -> dict[str, Any]:
+    """Gather the words and tables of all sections as plain values, with the machine and the day."""
+    return {
+        "machine": machine(),
+        "date": datetime.date.today().isoformat(),
+        "version": keepout.__version__,
+        "quick": quick,
+        "sections": [
+            {
+                "name": section.name,
+                "title": section.title,
+                "paper": section.paper,
+                "ours": list(section.ours),
+                "tables": [
+                    {"name": table.name, "caption": table.caption, "rows": [dict(row) for row in table.rows]}
+                    for table in section.tables
+                ],
+            }
+            for section in sections
+        ],
+    }
 
 
 def _section(out: Path, section: Section, *, with_library: bool) -> str:

@@ -1,0 +1,266 @@
+"""Measure what each misprint or slip of the source paper does: the effect column of docs/from-paper-to-code.md.
+
+    python benchmarks/errata.py --json
+
+Each row names the erratum as that page does, a quantity, its value as the text printed has it, and as Keepout has it.
+Nothing is flown but the case that the circulation matrix decides; the whole takes about a minute.
+"""
+
+import argparse
+import json
+import sys
+import warnings
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from keepout.control.observer import continuous, printed_observer
+from keepout.control.profiles import ControlWarning
+from keepout.fields.evaluate import values
+from keepout.fields.shipped import load_shipped
+from keepout.geometry.target import Target
+from keepout.mission.flight import fly
+from keepout.mission.scenario import Scenario
+from keepout.motion.disturbance import paper_disturbance
+from keepout.report import terminal
+from keepout.whole_file import write_whole
+
+EARTH = 3.986004418e14
+"""μ, m³/s²."""
+GEOSTATIONARY, LOW = 42_164_000.0, 6_778_000.0
+"""Orbit radii, m."""
+MASS, FORCE, SPEED, PERIOD = 20.0, 0.1, 0.1, 1.0
+BETA_E, BETA_C, BETA, GAIN = 0.1, 10.0, 1.0, 50.0
+"""The paper's β_e, β_c, β and L."""
+OMEGA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+START = np.array([0.0, 10.0, 6.0])
+
+
+def row(erratum, quantity, printed, mended, unit):
+    plain = [None if entry is None else float(entry) for entry in (printed, mended)]
+    return {"erratum": erratum, "quantity": quantity, "printed": plain[0], "mended": plain[1], "unit": unit}
+
+
+def directions(count, seed=0):
+    drawn = np.random.default_rng(seed).normal(size=(count, 3))
+    return drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
+
+
+def sign_of_gravity():
+    """Ten minutes of free motion by the relative equation, against the difference of two Kepler orbits."""
+
+    def pull(position):
+        return -EARTH * position / np.linalg.norm(position) ** 3
+
+    for name, radius in (("geostationary", GEOSTATIONARY), ("low", LOW)):
+        rate = np.sqrt(EARTH / radius**3)
+        spin = np.array([0.0, -rate, 0.0])  # VVLH: z to nadir, y against the orbit normal
+
+        def relative(_, state, sign, spin=spin, radius=radius):
+            r, v = state[:3], state[3:]
+            target = np.array([0.0, 0.0, -radius])
+            difference = pull(target + r) - pull(target)  # the chaser's gravity beyond the target's: -g
+            turning = -2.0 * np.cross(spin, v) - np.cross(spin, np.cross(spin, r))
+            return np.concatenate([v, turning + sign * difference])
+
+        def two_orbits(_, state):
+            return np.concatenate([state[3:6], pull(state[:3]), state[9:], pull(state[6:9])])
+
+        axes = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+        target, velocity = np.array([0.0, 0.0, -radius]), np.array([rate * radius, 0.0, 0.0])
+        inertial = np.concatenate([target, velocity, target + START, velocity + np.cross(spin, START)])
+        exact = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-9}
+        end = solve_ivp(two_orbits, (0.0, 600.0), inertial, **exact).y[:, -1]
+        angle = rate * 600.0
+        turned = np.array([[np.cos(angle), 0, -np.sin(angle)], [0, 1, 0], [np.sin(angle), 0, np.cos(angle)]])
+        truth = turned.T @ axes @ (end[6:9] - end[:3])
+        errors = []
+        for sign in (-1.0, 1.0):
+            flown = solve_ivp(relative, (0.0, 600.0), np.concatenate([START, np.zeros(3)]), args=(sign,), **exact)
+            errors.append(np.linalg.norm(flown.y[:3, -1] - truth))
+        yield row("+ g", f"error of the position after 600 s of free motion, {name} orbit", *errors, "m")
+
+
+def anomaly_for_rate():
+    rate = np.sqrt(EARTH / GEOSTATIONARY**3)
+    for name, turning in (("an hour after perigee", 3600.0 * rate),):
+        printed, mended = (spin**2 * 10.0 for spin in (turning, rate))
+        yield row("ω_o", f"centrifugal acceleration 10 m away, {name}, geostationary", printed, mended, "m/s²")
+
+
+def worst_gradient_error():
+    gradient, velocity = directions(200_000), directions(200_000, seed=1)
+    printed = -np.sum(gradient * velocity, axis=1)
+    missed = printed + 1.0
+    yield row("worst e₂", "mean of what e₂·v is left above its minimum, in e_∇h ‖v‖", missed.mean(), 0.0, "")
+    yield row("worst e₂", "the same flying straight at the surface", 2.0, 0.0, "")
+
+
+def circulation_matrix():
+    gradient = directions(200_000)
+    turned = gradient @ OMEGA.T
+    length = np.linalg.norm(turned, axis=1)
+    along = np.abs(np.sum(gradient * turned, axis=1)) / length
+    yield row("Ω", "mean angle by which Ω∇f̃ leaves the level set", np.degrees(np.arcsin(along)).mean(), 0.0, "°")
+    yield row("Ω ŷ = 0", "length of Ω∇f̃ on a face whose normal is ŷ", np.linalg.norm(OMEGA @ [0, 1, 0]), 1.0, "")
+
+
+def heading_along_y():
+    """Case 1 with start and goal straight behind each other along y, at k_p = 20 m and 1 Hz."""
+    base = Scenario().replace(
+        duration=1500.0,
+        start={"position": (0.0, 10.0, -2.0)},
+        goal={"position": (0.0, -10.0, -2.0)},
+        guard={"enabled": False},
+    )
+    for rate, force, name in ((1.0, 0.1, "1 Hz, 0.1 N"), (0.05, 10.0, "20 Hz, 10 N")):
+        left = []
+        for circulation in ("printed", "skew"):
+            control = {"profile": "paper", "circulation": circulation, "paper": {"slowing_length": 20.0}}
+            scenario = base.replace(control=control | {"period": rate}, chaser={"force_limit": force})
+            left.append(fly(scenario).outcome.final_error)
+        yield row("Ω ŷ = 0", f"distance left after 1500 s, (0, 10, -2) to (0, -10, -2), k_p = 20 m, {name}", *left, "m")
+
+
+def speed_box():
+    yield row("b_v", "largest ‖v_s‖ over v_max", np.sqrt(3.0), 1.0, "")
+
+
+def feasible_rest():
+    model = load_shipped("intelsat30")
+    certificate = model.certificate(0.5)
+    target = Target.load("intelsat30")
+    lower, upper = target.vertices.min(axis=0) - 2.0, target.vertices.max(axis=0) + 2.0
+    points = np.random.default_rng(0).uniform(lower, upper, (200_000, 3))
+    free = points[target.distance.distance(points) > 0.5]
+    barrier = values(model.field, free) - certificate.error_bound - 0.5 - Scenario().safety.margin
+    share = float(np.mean(barrier < 0.0))
+    yield row("Theorem 2", "share of contact-free places within 2 m where v_s = 0 is infeasible", share, None, "")
+
+
+def observer_rates():
+    # φ = ∂φ/∂r = I with the mass: A - I/m; the paper's A = I. With L = 50 I: A - L/m.
+    yield row("φ, ϕ, L", "growth of the estimation error, A - ϕC/m with ϕ = I", 1.0 - 1.0 / MASS, None, "1/s")
+    yield row("φ, ϕ, L", "gradient of φ = [1, 1, 1], which should be ϕ", 0.0, 1.0, "")
+    rate = GAIN / MASS - 1.0
+    yield row("β_e", "β_e that A = I, L = 50 I and m = 20 kg imply", BETA_E, rate, "1/s")
+    yield row("β_e", "2β_e, which must exceed β_c = 10", 2.0 * BETA_E, 2.0 * rate, "1/s")
+
+
+def remainder(observer, period):
+    """Share of the paper's disturbance that an observer leaves, RMS over 2000 s after it has settled."""
+    disturbance = paper_disturbance()
+    times = np.arange(0.0, 2000.0, period)
+    force = np.stack([np.asarray(disturbance.force(jnp.asarray(t))) for t in times])
+    velocity = np.zeros(3)
+    state = observer.initial_state(jnp.zeros(3))
+    left = []
+    for now in force:
+        after = velocity + period * now / MASS
+        left.append(now - np.asarray(observer.estimate(state, jnp.asarray(velocity))))
+        state = observer.update(state, jnp.asarray(velocity), jnp.asarray(after), jnp.zeros(3), jnp.zeros(3))
+        velocity = after
+    settled = times > 200.0
+    return np.sqrt(np.mean(np.square(left)[settled]) / np.mean(np.square(force)[settled]))
+
+
+def generator():
+    printed = printed_observer(mass=MASS, period=PERIOD)
+    mended = continuous(np.zeros((3, 3)), np.eye(3), GAIN * np.eye(3), mass=MASS, period=PERIOD)
+    yield row(
+        "A = I", "share of the paper's disturbance left, RMS", remainder(printed, 1.0), remainder(mended, 1.0), ""
+    )
+
+
+def sampled_tracking():
+    yield row("λ = 15", "factor on v - v_s from one second to the next, 1 - λT/2", 1.0 - 7.5, 1.0 - 0.5, "")
+
+
+def completed_square():
+    """Hold the identity of the first completion of squares against random errors, with β_e = 10: the roots exist."""
+    generator = np.random.default_rng(0)
+    error, other = generator.normal(size=(2, 100_000, 3))
+    rate = 10.0
+    left = np.sum(other * error, axis=1) + (BETA * rate - BETA * BETA_C / 2) * np.sum(error**2, axis=1)
+    gaps = []
+    for sign in (1.0, -1.0):
+        square = np.sqrt(BETA * rate + sign * BETA * BETA_C / 2) * error
+        square = square + other / np.sqrt(2.0 * BETA * (2.0 * rate - BETA_C))
+        right = np.sum(square**2, axis=1) - np.sum(other**2, axis=1) / (2.0 * BETA * (2.0 * rate - BETA_C))
+        gaps.append(np.abs(right - left).mean() / np.abs(left).mean())
+    yield row("first completion", "mean gap between the two sides of the identity, relative", *gaps, "")
+
+
+def lyapunov_decrease():
+    error = 10.0
+    yield row("V̇₁", "claimed decrease over the true one, 10 m off, k_p = 1.5 m", error / np.tanh(error / 1.5), 1.0, "")
+
+
+def authority():
+    bound = float(paper_disturbance().bound)
+    yield row("speed limits", "deceleration asked, α₀ v_max, and available", 8e-3, (FORCE - bound) / MASS, "m/s²")
+
+
+def inward_surface():
+    """Give the zero level of a sphere of 1 m whose distance is over-stated, or under-stated, by 0.1 m."""
+    yield row(
+        "over-estimating",
+        "radius at which a ball of 1 m is drawn, its distance over- or under-stated by 0.1 m",
+        0.9,
+        1.1,
+        "m",
+    )
+
+
+def goal_in_the_station():
+    mesh = Target.load("iss").distance
+    field = load_shipped("iss").field
+    places = np.array([[0.0, -10.0, 6.0], [0.0, -10.0, -6.0]])
+    yield row("ISS goal", "distance of the goal from the mesh, as printed and with z up", *mesh.distance(places), "m")
+    yield row("ISS goal", "learned signed distance there", *values(field, places), "m")
+
+
+ERRATA = (
+    sign_of_gravity,
+    anomaly_for_rate,
+    inward_surface,
+    worst_gradient_error,
+    circulation_matrix,
+    heading_along_y,
+    speed_box,
+    feasible_rest,
+    observer_rates,
+    generator,
+    sampled_tracking,
+    completed_square,
+    lyapunov_decrease,
+    authority,
+    goal_in_the_station,
+)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=Path("benchmarks/results/errata.json"))
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args()
+    warnings.simplefilter("ignore", ControlWarning)  # that the printed constants violate conditions is the subject
+    rows = []
+    with terminal.progress("errata") as progress:
+        for place, measure in enumerate(ERRATA):
+            progress(place / len(ERRATA), measure.__name__)
+            rows += measure()
+    lines = ",\n".join(json.dumps(entry, ensure_ascii=False) for entry in rows)
+    write_whole(arguments.out, f"[\n{lines}\n]\n")
+    if arguments.json:
+        json.dump(rows, sys.stdout, indent=2, ensure_ascii=False)
+        sys.stdout.write("\n")
+        return
+    for entry in rows:
+        sys.stdout.write(" | ".join(str(value) for value in entry.values()) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,114 @@
+"""Write docs/results.md: the tables of the paper's reproduction, of its errata, and of the rivals, as measured.
+
+python docs/results.py           # write it
+python docs/results.py --check   # exit 1 where the page is not of these results
+
+Every figure comes from a file under benchmarks/results, and every file from a command that the page names.
+"""
+
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+PAGE = Path(__file__).with_name("results.md")
+RESULTS = PAGE.parents[1] / "benchmarks" / "results"
+
+
+def shown(value: Any) -> str:
+    """Format a value for a cell: four digits, yes or no, a dash for nothing."""
+    if value is None:
+        return "–"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, list):
+        return ", ".join(shown(entry) for entry in value)
+    return str(value).replace("|", "\\|").replace("\n", " ")
+
+
+def table(rows: Sequence[Mapping[str, Any]], columns: Mapping[str, str] | None = None) -> list[str]:
+    """Give one line a row; the columns by their headings, or all of them."""
+    if not rows:
+        return ["No rows.", ""]
+    columns = columns or {key: key for key in rows[0]}
+    lines = ["| " + " | ".join(columns.values()) + " |", "|" + " --- |" * len(columns)]
+    lines += ["| " + " | ".join(shown(row[key]) for key in columns) + " |" for row in rows]
+    return [*lines, ""]
+
+
+def reproduction() -> list[str]:
+    """Give the paper's Section VI, part by part."""
+    path = RESULTS / "paper.json"
+    kept = json.loads(path.read_text(encoding="utf-8"))
+    lines = [
+        "## The paper's Section VI, repeated",
+        "",
+        "`keepout reproduce all -o out/paper`, of which this is `tables.json`.",
+    ]
+    lines += [f"Machine: {kept['machine']}. Date: {kept['date']}. Version: {kept['version']}.", ""]
+    for section in kept["sections"]:
+        lines += [f"### {section['title']}", "", f"The paper: {section['paper']}", ""]
+        for paragraph in section["ours"]:
+            lines += [paragraph, ""]
+        for entry in section["tables"]:
+            lines += [f"**{entry['caption']}**", "", *table(entry["rows"])]
+    return lines
+
+
+def errata() -> list[str]:
+    """Give what each slip of the paper does."""
+    rows = json.loads((RESULTS / "errata.json").read_text(encoding="utf-8"))
+    columns = {
+        "erratum": "erratum",
+        "quantity": "quantity",
+        "printed": "as printed",
+        "mended": "mended",
+        "unit": "unit",
+    }
+    lines = [
+        "## The paper's errata, measured",
+        "",
+        "`python benchmarks/errata.py`; discussed in from-paper-to-code.md.",
+        "",
+    ]
+    return [*lines, *table(rows, columns)]
+
+
+def rivals() -> list[str]:
+    """Give other methods on the same flights."""
+    rows = json.loads((RESULTS / "rivals.json").read_text(encoding="utf-8"))
+    columns = {
+        "target": "target",
+        "rival": "rival",
+        "guard": "guard",
+        "flights": "flights",
+        "reached": "reached",
+        "refused": "refused",
+        "contacts": "contacts",
+        "minimum_clearance_m": "least clearance m",
+        "delta_v_mps": "Δv m/s",
+        "time_over_bound": "time / bound",
+        "plan_s": "plan s",
+        "step_ms": "step ms",
+        "machine": "machine",
+    }
+    lines = ["## Rivals on the same loop", "", "`python benchmarks/rivals.py`; discussed in rivals.md.", ""]
+    ordered = sorted(rows, key=lambda row: (row["target"], row["rival"], row["guard"]))
+    return [*lines, *table(ordered, columns)]
+
+
+def page() -> str:
+    """Give the whole page."""
+    lines = ["# Results", "", "Written by `python docs/results.py` from the files under `benchmarks/results`.", ""]
+    return "\n".join([*lines, *reproduction(), *errata(), *rivals()]).rstrip() + "\n"
+
+
+if __name__ == "__main__":
+    if "--check" in sys.argv:
+        sys.exit(
+            0 if PAGE.read_text(encoding="utf-8") == page() else "docs/results.md is old: run python docs/results.py"
+        )
+    PAGE.write_text(page(), encoding="utf-8")
