@@ -10,11 +10,12 @@ import pytest
 import trimesh
 
 from keepout.commands import inspect_mesh
+from keepout.control.profiles import ControlWarning
 from keepout.errors import ControlError, MeshError
 from keepout.fields.neural import NeuralField
 from keepout.fields.shipped import load_shipped
 from keepout.geometry.target import Target
-from keepout.mission.build import load_target, prepare
+from keepout.mission.build import build_law, load_target, prepare
 from keepout.mission.scenario import Scenario
 
 pytestmark = pytest.mark.long
@@ -89,3 +90,14 @@ def test_a_goal_where_the_field_misses_the_room_is_refused_with_both_distances()
     reason = f"the mesh is 1.3 m away there and the field says {said:.3g} m: move the goal"
     with pytest.raises(ControlError, match=rf"goal: .* inside the keep-out zone .*; {re.escape(reason)}"):
         prepare(scenario, target=target, model=model)
+
+
+def test_what_the_paper_leaves_unprinted_reaches_its_law():
+    unprinted = {"slowing_length": 20.0, "sharpness": 3.0, "position_weight": 0.5, "gradient_error": 0.2}
+    scenario = Scenario().replace(control={"profile": "paper", "paper": unprinted})
+    with pytest.warns(ControlWarning):
+        law = build_law(scenario, load_shipped("intelsat30"))
+    assert float(law.velocity.guidance.slowing_length) == 20.0
+    assert float(law.tracking.sharpness) == 3.0
+    np.testing.assert_array_equal(law.tracking.position_weight, 0.5 * np.eye(3))
+    assert float(law.tracking.gradient_error) == float(law.velocity.gradient_error) == 0.2

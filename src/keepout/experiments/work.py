@@ -3,7 +3,9 @@
 import dataclasses
 import io
 import json
-from collections.abc import Callable, Mapping
+import zipfile
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -76,15 +78,10 @@ class Work:
         return self.folder / "kept" / f"{name}-{key[:16]}{suffix}"
 
 
-class _readable:  # noqa: N801
-    """Says of a kept file that cannot be read which one it is."""
-
-    def __init__(self, path: Path):
-        self.path = path
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, _kind: Any, error: BaseException | None, _trace: Any) -> None:
-        if isinstance(error, (OSError, ValueError, KeyError, EOFError)):
-            raise ScenarioError(f"{self.path}: cannot be read ({error}); delete it to compute it anew") from None
+@contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    """Say of a kept file that cannot be read which one it is."""
+    try:
+        yield
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise ScenarioError(f"{path}: cannot be read ({error}); delete it to compute it anew") from None
