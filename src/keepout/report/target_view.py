@@ -70,6 +70,48 @@ def draw_paths(
                 axes.legend(loc="upper left")
 
 
+def draw_path_panels(
+    path: Path,
+    vertices: Float[np.ndarray, "vertices 3"],
+    faces: Int[np.ndarray, "faces 3"],
+    panels: Mapping[str, Mapping[str, Float[np.ndarray, "samples 3"]]],
+    goal: Sequence[float],
+    *,
+    view: tuple[float, float] = (22.0, -60.0),
+) -> None:
+    """Draw flown paths (body frame, m) around the target side by side, a panel each set, into a PNG and an SVG.
+
+    Args:
+        path: the PNG file.
+        vertices: of the target.
+        faces: of the target.
+        panels: by title, the paths by name.
+        goal: m.
+        view: elevation and azimuth, degrees.
+
+    """
+    everything = [positions for paths in panels.values() for positions in paths.values()]
+    with figure(path, width=7.0, height=2.9, vector=True) as drawing:
+        for place, (title, paths) in enumerate(panels.items(), start=1):
+            axes = drawing.add_subplot(1, len(panels), place, projection="3d")
+            assert isinstance(axes, Axes3D)
+            _shade(axes, vertices, faces, alpha=0.85)
+            for colour, line, (label, positions) in zip(COLOURS, ("-", "--", "-."), paths.items()):
+                axes.plot(*positions.T, color=colour, linewidth=1.4, linestyle=line, label=label, zorder=10)
+                axes.plot(*positions[:1].T, color=colour, marker="s", markersize=4, zorder=11)
+                axes.plot(*positions[-1:].T, color=colour, marker="o", markersize=5, zorder=11)
+            mark = {"color": "black", "marker": "*", "markersize": 8, "linestyle": "", "zorder": 12}
+            axes.plot(*np.reshape(goal, (3, 1)), label="goal", **mark)
+            _frame(axes, [vertices, *everything, np.asarray([goal])], zoom=1.25)
+            axes.view_init(*view)
+            axes.tick_params(labelsize=7, pad=-3)
+            for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+                axis.labelpad = -4
+                axis.label.set_fontsize(8)
+            axes.set_title(title, fontsize=9)
+            axes.legend(loc="upper left", fontsize=7.5)
+
+
 def _shade(axes: Axes3D, vertices: np.ndarray, faces: np.ndarray, alpha: float = 1.0) -> None:
     triangles = vertices[faces]
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
