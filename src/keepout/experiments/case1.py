@@ -155,7 +155,7 @@ def case1(work: Work) -> Part:
     flights["default law"] = done["default"]
     if "default wing" in done:
         flights["wing, default law"] = done["default wing"]
-    network = _paper_network(work, target)
+    network = paper_network(work, target)
     if network is not None:
         for choice in CIRCULATIONS:
             one = dataclasses.replace(slow, name=", paper's network", passages={"": slow.passages[""]})
@@ -181,7 +181,7 @@ def case1(work: Work) -> Part:
                 "flights",
                 "1 Hz and 0.1 N; where 20 Hz is said, 10 N. end: trapped is at rest outside the goal's 0.1 m; after: "
                 "first within it; gap: from the chaser's ball to the exact mesh; h: the law's own barrier",
-                [_line(row) for row in rows],
+                [table_line(row) for row in rows],
             ),
             Table(
                 "map",
@@ -236,7 +236,7 @@ def _told(flown: _Flown, seed: int, choice: str, group: Group, landed: Landed) -
     return flights
 
 
-def _paper_network(work: Work, target: Target) -> _Flown | None:
+def paper_network(work: Work, target: Target) -> _Flown | None:
     """Give what flies by the paper's network, where a field of it was given."""
     if work.quick or work.fields is None:
         return None
@@ -269,7 +269,7 @@ def _row(work: Work, name: str, flight: Flight) -> dict[str, Any]:
     }
 
 
-def _line(row: Mapping[str, Any]) -> dict[str, Any]:
+def table_line(row: Mapping[str, Any]) -> dict[str, Any]:
     """Give a row of the table, which fits a terminal of 80 columns."""
     within = row["first_within_s"]
     return {

@@ -67,7 +67,7 @@ def draw_case(folder: Path, flights: Mapping[str, Flight], *, suffix: str, remar
     _by_axis(folder / f"safe-velocity{suffix}.png", pair, "safe_velocity", "v_s, m/s")
     _by_axis(folder / f"velocity{suffix}.png", pair, "velocity", "v, m/s")
     return [
-        (f"paths{suffix}", f"Paths (start: square, end: disc), {told}"),
+        (f"paths{suffix}", f"Paths (start: square, end: disc, goal: star), {told}"),
         (f"barrier{suffix}", f"Barrier h of the law's own field, {told}"),
         (f"error{suffix}", f"Distance to the goal, and its tolerance (dotted), {told}"),
         (f"safe-velocity{suffix}", f"Safe velocity by axis, and ±v_max (dotted), {told}"),
@@ -85,10 +85,10 @@ def draw_wing(folder: Path, flights: Mapping[str, Flight]) -> tuple[str, str]:
         first.target.faces,
         {name: {name: flight.record.position} for name, flight in flights.items()},
         first.scenario.goal.position,
-        view=(12.0, -70.0),
+        view=(20.0, -60.0),
     )
     start, goal = first.scenario.start.position, first.scenario.goal.position
-    return "wing", f"From {start} to {goal} m, across a wing, k_p = {length:g} m (start: square, end: disc)"
+    return "wing", f"From {start} to {goal} m, across a wing, k_p = {length:g} m (start: square, end: disc, goal: star)"
 
 
 def draw_map(folder: Path, counts: Sequence[Mapping[str, Any]]) -> tuple[str, str]:

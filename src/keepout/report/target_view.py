@@ -90,26 +90,29 @@ def draw_path_panels(
         view: elevation and azimuth, degrees.
 
     """
-    everything = [positions for paths in panels.values() for positions in paths.values()]
+    everything = {name: positions for paths in panels.values() for name, positions in paths.items()}
+    style = {name: {"color": COLOURS[k], "linestyle": ("-", "--", "-.")[k % 3]} for k, name in enumerate(everything)}
     with figure(path, width=7.0, height=2.9, vector=True) as drawing:
-        for place, (title, paths) in enumerate(panels.items(), start=1):
-            axes = drawing.add_subplot(1, len(panels), place, projection="3d")
+        drawing.set_layout_engine("none")  # one would make room for lines where they leave the box they are drawn in
+        for place, (title, paths) in enumerate(panels.items()):
+            axes = drawing.add_axes((place / len(panels), 0.0, 0.93 / len(panels), 0.93), projection="3d")
             assert isinstance(axes, Axes3D)
             _shade(axes, vertices, faces, alpha=0.85)
-            for colour, line, (label, positions) in zip(COLOURS, ("-", "--", "-."), paths.items()):
-                axes.plot(*positions.T, color=colour, linewidth=1.4, linestyle=line, label=label, zorder=10)
-                axes.plot(*positions[:1].T, color=colour, marker="s", markersize=4, zorder=11)
-                axes.plot(*positions[-1:].T, color=colour, marker="o", markersize=5, zorder=11)
-            mark = {"color": "black", "marker": "*", "markersize": 8, "linestyle": "", "zorder": 12}
+            for name, positions in paths.items():
+                axes.plot(*positions.T, linewidth=1.4, label=name, zorder=10, clip_on=False, **style[name])
+                for end, mark in ((positions[:1], "s"), (positions[-1:], "o")):
+                    axes.plot(*end.T, color=style[name]["color"], marker=mark, markersize=4.5, zorder=11, clip_on=False)
+            mark = {"color": "black", "marker": "*", "markersize": 8, "linestyle": "", "zorder": 12, "clip_on": False}
             axes.plot(*np.reshape(goal, (3, 1)), label="goal", **mark)
-            _frame(axes, [vertices, *everything, np.asarray([goal])], zoom=1.25)
+            _frame(axes, [vertices, *everything.values(), np.asarray([goal])], zoom=1.08)
             axes.view_init(*view)
             axes.tick_params(labelsize=7, pad=-3)
             for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
-                axis.labelpad = -4
+                axis.labelpad = -6 if axis is not axes.zaxis else -10
                 axis.label.set_fontsize(8)
             axes.set_title(title, fontsize=9)
-            axes.legend(loc="upper left", fontsize=7.5)
+            if len(paths) > 1:
+                axes.legend(loc="upper left", fontsize=7.5)
 
 
 def _shade(axes: Axes3D, vertices: np.ndarray, faces: np.ndarray, alpha: float = 1.0) -> None:
