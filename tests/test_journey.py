@@ -398,7 +398,7 @@ def test_the_demonstration_is_the_readmes(place, demonstration):
         # At rest or not, by the longest way between any two samples of the last five minutes.
         last = record.position[-301:]
         apart = np.linalg.norm(last[:, None] - last[None], axis=-1).max()
-        assert (apart < 0.5 and np.linalg.norm(last[-1] - goal) > 1.0) is trapped
+        assert bool(apart < 0.5 and np.linalg.norm(last[-1] - goal) > 1.0) is trapped
         if scenario.control.profile == "paper":
             # Each flight of a batch had its own goal and k_p: the paper's desired velocity in closed form.
             length = scenario.control.paper.slowing_length

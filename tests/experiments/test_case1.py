@@ -39,7 +39,7 @@ def test_the_map_counts_each_passage_once():
     landed = {
         "first_within_s": np.array([10.0, np.inf, np.inf, 20.0, 30.0, np.inf]),
         "trapped": np.array([False, True, False, False, False, True]),
-        "contact": np.array(["no", "yes", "undecided", "no", "no", "no"]),
+        "contact": np.array(["no", "yes", "undecided", "yes", "no", "no"]),
         "minimum_clearance_m": np.array([0.3, -0.2, 0.1, 0.5, 0.4, 0.6]),
     }
     first, second = map_rows("skew", [1.5, 20.0], 3, landed)
@@ -47,14 +47,14 @@ def test_the_map_counts_each_passage_once():
         "circulation": "skew",
         "k_p m": 1.5,
         "pairs": 3,
-        "arrived": 1,
         "trapped": 1,
-        "neither": 1,
+        "arrived": 1,
+        "clean": 1,
         "touched": 2,
         "least gap m": -0.2,
     }
-    assert (second["k_p m"], second["arrived"], second["trapped"], second["neither"]) == (20.0, 2, 1, 0)
-    assert second["touched"] == 0
+    assert (second["k_p m"], second["trapped"], second["arrived"], second["clean"]) == (20.0, 1, 2, 1)
+    assert second["touched"] == 1
 
 
 def unprepared() -> Any:
@@ -122,13 +122,13 @@ ROWS = [
 
 
 def test_the_words_are_those_of_the_numbers():
-    counts = [{"circulation": "none", "k_p m": 20.0, "trapped": 9, "pairs": 24, "touched": 6}]
+    counts = [{"circulation": "none", "k_p m": 20.0, "trapped": 9, "pairs": 24, "clean": 7, "touched": 6}]
     said = " ".join(findings(ROWS, counts, has_network=False))
     assert "Paper without circulation: comes to rest 12.8 m from the goal, without contact" in said
     assert "is within the goal's tolerance after 2861 s, and touches the target" in said
     assert "Default law: is still under way at the end, 12.8 m from the goal, contact undecided" in said
     assert "its least is -0.0175 m (paper without circulation)" in said
-    assert "At k_p = 20 m, trapped of the random pairs: none 9 of 24 (6 touched)." in said
+    assert "At k_p = 20 m, of 24 random pairs were trapped, arrived without a touch, touched: none 9, 7, 6." in said
     assert "none of the paper's network was given" in said
     assert "paper's network" not in " ".join(findings(ROWS, counts, has_network=True))
 

@@ -42,16 +42,16 @@ def map_rows(
     rows = []
     for place, length in enumerate(lengths):
         own = {name: column[place * pairs : (place + 1) * pairs] for name, column in landed.items()}
-        arrived, stuck = np.isfinite(own["first_within_s"]), own["trapped"]
+        arrived, touched = np.isfinite(own["first_within_s"]), own["contact"] != "no"
         rows.append(
             {
                 "circulation": choice,
                 "k_p m": length,
                 "pairs": pairs,
+                "trapped": int(own["trapped"].sum()),
                 "arrived": int(arrived.sum()),
-                "trapped": int(stuck.sum()),
-                "neither": int(np.sum(~arrived & ~stuck)),
-                "touched": int(np.sum(own["contact"] != "no")),
+                "clean": int(np.sum(arrived & ~touched)),
+                "touched": int(touched.sum()),
                 "least gap m": round(float(own["minimum_clearance_m"].min()), 4),
             }
         )

@@ -36,11 +36,12 @@ def findings(rows: Sequence[Mapping[str, Any]], counts: Sequence[Mapping[str, An
         said.append("All these flights are by Keepout's own learned field: none of the paper's network was given.")
     by_length: dict[Any, list[str]] = {}
     for count in counts:
-        words = f"{count['circulation']} {count['trapped']} of {count['pairs']} ({count['touched']} touched)"
+        words = f"{count['circulation']} {count['trapped']}, {count['clean']}, {count['touched']}"
         by_length.setdefault(count["k_p m"], []).append(words)
     for length, words in by_length.items():
-        at = "By the default law without guard" if length is None else f"At k_p = {length:g} m"
-        said.append(f"{at}, trapped of the random pairs: {'; '.join(words)}.")
+        at = "By the default law without its guard" if length is None else f"At k_p = {length:g} m"
+        of = f"of {counts[0]['pairs']} random pairs were trapped, arrived without a touch, touched"
+        said.append(f"{at}, {of}: {'; '.join(words)}.")
     return said
 
 

@@ -16,6 +16,7 @@ _COLUMN = 3.5
 _LINES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1)))
 _MARKERS = ("o", "s", "^", "D", "v")
 _SMALL = {"fontsize": 7.5}
+_TOLD = {"trapped": "trapped", "clean": "arrived untouched", "touched": "touched"}
 _MANY = 5000
 """Samples from which on a line is drawn as pixels in a vector file."""
 
@@ -92,11 +93,11 @@ def draw_wing(folder: Path, flights: Mapping[str, Flight]) -> tuple[str, str]:
 
 
 def draw_map(folder: Path, counts: Sequence[Mapping[str, Any]]) -> tuple[str, str]:
-    """Draw how often each choice of circulation is trapped, arrives, or touches, over k_p; returns name and caption."""
+    """Draw how often each choice of circulation is trapped, arrives, touches, over k_p; returns name and caption."""
     choices = list(dict.fromkeys(count["circulation"] for count in counts))
     with figure(folder / "map.png", width=_COLUMN, height=5.2, vector=True) as drawing:
         panels = drawing.subplots(3, 1, sharex=True)
-        for axes, what in zip(panels, ("trapped", "arrived", "touched"), strict=True):
+        for axes, what in zip(panels, ("trapped", "clean", "touched"), strict=True):
             for place, choice in enumerate(choices):
                 own = [count for count in counts if count["circulation"] == choice]
                 shares = [100.0 * count[what] / count["pairs"] for count in own]
@@ -105,11 +106,11 @@ def draw_map(folder: Path, counts: Sequence[Mapping[str, Any]]) -> tuple[str, st
                     axes.axhline(shares[0], **style)
                 else:
                     axes.plot([c["k_p m"] for c in own], shares, marker=_MARKERS[place], markersize=4, **style)
-            axes.set(ylabel=f"{what}, %", ylim=(-4.0, 104.0))
+            axes.set(ylabel=f"{_TOLD[what]}, %", ylim=(-4.0, 104.0))
         panels[-1].set(xlabel="k_p, m")
         drawing.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, **_SMALL)
     pairs = counts[0]["pairs"]
-    return "map", f"Of {pairs} random ±y pairs, the share that is trapped, that arrives and that touches, over k_p"
+    return "map", f"Of {pairs} random ±y pairs, the share that is trapped, arrives clean, or touches"
 
 
 def _by_axis(path: Path, flights: Mapping[str, Flight], column: str, label: str) -> None:
