@@ -91,7 +91,7 @@ def draw_path_panels(
 
     """
     everything = {name: positions for paths in panels.values() for name, positions in paths.items()}
-    style = {name: {"color": COLOURS[k], "linestyle": ("-", "--", "-.")[k % 3]} for k, name in enumerate(everything)}
+    style = {name: (COLOURS[k], ("-", "--", "-.")[k % 3]) for k, name in enumerate(everything)}
     with figure(path, width=7.0, height=2.9, vector=True) as drawing:
         drawing.set_layout_engine("none")  # one would make room for lines where they leave the box they are drawn in
         for place, (title, paths) in enumerate(panels.items()):
@@ -99,9 +99,12 @@ def draw_path_panels(
             assert isinstance(axes, Axes3D)
             _shade(axes, vertices, faces, alpha=0.85)
             for name, positions in paths.items():
-                axes.plot(*positions.T, linewidth=1.4, label=name, zorder=10, clip_on=False, **style[name])
+                colour, line = style[name]
+                axes.plot(
+                    *positions.T, color=colour, linestyle=line, linewidth=1.4, label=name, zorder=10, clip_on=False
+                )
                 for end, mark in ((positions[:1], "s"), (positions[-1:], "o")):
-                    axes.plot(*end.T, color=style[name]["color"], marker=mark, markersize=4.5, zorder=11, clip_on=False)
+                    axes.plot(*end.T, color=colour, marker=mark, markersize=4.5, zorder=11, clip_on=False)
             mark = {"color": "black", "marker": "*", "markersize": 8, "linestyle": "", "zorder": 12, "clip_on": False}
             axes.plot(*np.reshape(goal, (3, 1)), label="goal", **mark)
             _frame(axes, [vertices, *everything.values(), np.asarray([goal])], zoom=1.08)
