@@ -24,7 +24,7 @@ $(STAMP): pyproject.toml
 	@touch $(STAMP)
 
 demo: install
-	$(BIN)/keepout reproduce case1 --out out/demo
+	$(BIN)/keepout reproduce case1 --quick --out out/demo
 
 lint: install
 	$(BIN)/ruff check .

@@ -13,6 +13,7 @@ from keepout.control.controller import Controller
 from keepout.control.law import Condition
 from keepout.control.observer import ContinuousObserver, SampledObserver
 from keepout.control.operation import Operation
+from keepout.control.velocity import SafeVelocity, VelocityPoint
 from keepout.motion.relative import MotionState, RelativeMotion
 
 
@@ -39,6 +40,12 @@ def drift_bound(motion: RelativeMotion, *, radius: float, speed: float, samples:
     states = eqx.filter_jit(lambda time: motion.initial_state(jnp.zeros(3), jnp.zeros(3), time))
     times = jnp.linspace(0.0, period, 8, endpoint=False)
     return max(float(drift(states(time), positions, velocities)) for time in times)
+
+
+@eqx.filter_jit
+def _at_rest(law: SafeVelocity, position: Float[Array, "3"]) -> VelocityPoint:
+    """Give the velocity layer at a position (m) before anything is remembered; compiled once a kind of law."""
+    return law(position, jnp.zeros(3), jnp.zeros(3))[0]
 
 
 def conditions(
@@ -98,7 +105,7 @@ def conditions(
     if start is not None:
         # Only v_s is needed here, and its Jacobian is most of the time to compile.
         plain = dataclasses.replace(law, differentiate=False)
-        point, _ = eqx.filter_jit(lambda f, r: f(r, jnp.zeros(3), jnp.zeros(3)))(plain, jnp.asarray(start, dtype=float))
+        point = _at_rest(plain, jnp.asarray(start, dtype=float))
         square = float(jnp.sum(point.velocity**2))
         h1 = float(point.barrier) - square / (2.0 * float(tracking.barrier_ratio))
         h1 -= 0.5 * float(tracking.estimation_weight) * disturbance_bound**2

@@ -115,12 +115,24 @@ def fly(
 
 def fly_mission(mission: Mission, *, progress: Progress = silent) -> Flight:
     """Fly what `prepare` built, with the law and guard that its setup has now, and audit it on the exact mesh."""
-    scenario = mission.scenario
     progress(0.0, "flying")
-    key = jax.random.key(scenario.seed)
-    log = loop.fly(mission.setup, mission.initial, mission.steps, key)
-    result = outcome(mission.setup, log)
+    log = loop.fly(mission.setup, mission.initial, mission.steps, jax.random.key(mission.scenario.seed))
     progress(0.7, "audit")
+    flight = judged(mission, log)
+    progress(1.0, "")
+    return flight
+
+
+def judged(mission: Mission, log: loop.FlightLog) -> Flight:
+    """Give the flight of a mission that was already flown: its record, outcome, and audit on the exact mesh.
+
+    Args:
+        mission: what was flown.
+        log: of that one flight.
+
+    """
+    scenario = mission.scenario
+    result = outcome(mission.setup, log)
     record = FlightRecord.of_log(
         log,
         outcome=result,
@@ -138,7 +150,6 @@ def fly_mission(mission: Mission, *, progress: Progress = silent) -> Flight:
         speed_limit=scenario.chaser.speed_limit,
     )
     clearance = mission.target.distance.distance(record.position) - scenario.chaser.radius
-    progress(1.0, "")
     violated = tuple(str(c) for c in mission.setup.controller.conditions if not c.satisfied)
     return Flight(
         scenario,

@@ -70,6 +70,54 @@ def draw_paths(
                 axes.legend(loc="upper left")
 
 
+def draw_path_panels(
+    path: Path,
+    vertices: Float[np.ndarray, "vertices 3"],
+    faces: Int[np.ndarray, "faces 3"],
+    panels: Mapping[str, Mapping[str, Float[np.ndarray, "samples 3"]]],
+    goal: Sequence[float],
+    *,
+    view: tuple[float, float] = (22.0, -60.0),
+) -> None:
+    """Draw flown paths (body frame, m) around the target side by side, a panel each set, into a PNG and an SVG.
+
+    Args:
+        path: the PNG file.
+        vertices: of the target.
+        faces: of the target.
+        panels: by title, the paths by name.
+        goal: m.
+        view: elevation and azimuth, degrees.
+
+    """
+    everything = {name: positions for paths in panels.values() for name, positions in paths.items()}
+    style = {name: (COLOURS[k], ("-", "--", "-.")[k % 3]) for k, name in enumerate(everything)}
+    with figure(path, width=7.0, height=2.9, vector=True) as drawing:
+        drawing.set_layout_engine("none")  # one would make room for lines where they leave the box they are drawn in
+        for place, (title, paths) in enumerate(panels.items()):
+            axes = drawing.add_axes((place / len(panels), 0.0, 0.93 / len(panels), 0.93), projection="3d")
+            assert isinstance(axes, Axes3D)
+            _shade(axes, vertices, faces, alpha=0.85)
+            for name, positions in paths.items():
+                colour, line = style[name]
+                axes.plot(
+                    *positions.T, color=colour, linestyle=line, linewidth=1.4, label=name, zorder=10, clip_on=False
+                )
+                for end, mark in ((positions[:1], "s"), (positions[-1:], "o")):
+                    axes.plot(*end.T, color=colour, marker=mark, markersize=4.5, zorder=11, clip_on=False)
+            mark = {"color": "black", "marker": "*", "markersize": 8, "linestyle": "", "zorder": 12, "clip_on": False}
+            axes.plot(*np.reshape(goal, (3, 1)), label="goal", **mark)
+            _frame(axes, [vertices, *everything.values(), np.asarray([goal])], zoom=1.08)
+            axes.view_init(*view)
+            axes.tick_params(labelsize=7, pad=-3)
+            for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+                axis.labelpad = -6 if axis is not axes.zaxis else -10
+                axis.label.set_fontsize(8)
+            axes.set_title(title, fontsize=9)
+            if len(paths) > 1:
+                axes.legend(loc="upper left", fontsize=7.5)
+
+
 def _shade(axes: Axes3D, vertices: np.ndarray, faces: np.ndarray, alpha: float = 1.0) -> None:
     triangles = vertices[faces]
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
