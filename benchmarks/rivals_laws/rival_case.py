@@ -1,0 +1,103 @@
+"""What every rival is told of a target: field, envelope margins, chaser, motion, and the geodesic to each goal."""
+
+import functools
+import time
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from reach_case import Case
+
+from keepout.control import profiles
+from keepout.control.controller import Controller
+from keepout.control.guidance.geodesic import geodesic_guidance
+from keepout.control.guidance.guidance import GeodesicGuidance
+from keepout.control.guidance.plan import Straight
+from keepout.control.operation import Operation
+from keepout.errors import ControlError
+from keepout.fields.field import Field
+from keepout.guard.guard import Guard
+from keepout.mission.build import build_guard, operation
+
+Point = Float[np.ndarray, "3"]
+
+
+class RivalCase(Case):
+    """A `reach_case.Case` with what rivals build their laws from."""
+
+    def __init__(self, source, folder, flights, seed):
+        super().__init__(source, folder, flights, seed)
+        self._ways_to, self._made = {}, {}
+
+    def once(self, name, make):
+        """Give what `make()` made the first time it was asked for by this name: prototypes are shared by all flights."""
+        if name not in self._made:
+            self._made[name] = make()
+        return self._made[name]
+
+    @functools.cached_property
+    def reach(self) -> float:
+        """Distance from the origin to the furthest start or goal, m."""
+        return float(np.linalg.norm(self.pairs, axis=-1).max())
+
+    @functools.cached_property
+    def operation(self) -> Operation:
+        """Chaser, motion, certified error, disturbance bound, margin and period: the numbers that a law is tuned for."""
+        return operation(self.scenario, self.model)
+
+    @functools.cached_property
+    def default_law(self) -> Controller:
+        """Keepout's default law, led straight to the first goal: a prototype, and the gains of one that works."""
+        return self.default_law_on(self.model.field, self.operation)
+
+    def default_law_on(self, field: Field, operation: Operation) -> Controller:
+        """Give the default law on another field, led straight to a goal far away; `tree_at` gives it the true one."""
+        far = np.array([0.0, 0.0, 1.0]) * 2.0 * self.reach
+        return profiles.default(field, operation, far, guidance=Straight(), reach=self.reach)
+
+    @property
+    def law_offset(self) -> float:
+        """Value of the field, m, that the default law keeps: error bound, radius, margin and its nominal offset."""
+        return self.offset + float(self.default_law.nominal_offset)
+
+    def geodesic(self, start: Point, goal: Point) -> tuple[GeodesicGuidance, float]:
+        """Give the default law's geodesic guidance to a goal, and the seconds that it took to plan.
+
+        Planned once for all rivals.
+
+        Raises:
+            ControlError: no free way leads there.
+
+        """
+        key = (start.tobytes(), goal.tobytes())
+        if key not in self._ways_to:
+            grid = self.grid(self.law_offset)
+            leader = self.default_law.velocity.guidance
+            began = time.perf_counter()
+            try:
+                found = geodesic_guidance(
+                    grid,
+                    self.model.field,
+                    self.law_offset,
+                    goal,
+                    speed=float(leader.speed),
+                    slowing_length=float(leader.slowing_length),
+                    start=start,
+                )
+                # What all goals share must be the same arrays.
+                found = eqx.tree_at(lambda g: g.origin, found, jnp.asarray(grid.origin))
+            except ControlError as refusal:
+                found = refusal
+            self._ways_to[key] = (found, time.perf_counter() - began)
+        found, seconds = self._ways_to[key]
+        if isinstance(found, ControlError):
+            raise found
+        return found, seconds
+
+    @functools.cached_property
+    def guard(self) -> Guard:
+        """The guard of the scenario, for starts and goals as far away as any pair's."""
+        furthest = self.pairs.reshape(-1, 3)[np.argmax(np.linalg.norm(self.pairs.reshape(-1, 3), axis=1))]
+        scenario = self.scenario.replace(start={"position": tuple(furthest)}, goal={"position": tuple(furthest)})
+        return build_guard(scenario, self.target, offset=self.model.offset, closing_radius=0.25)
