@@ -42,7 +42,7 @@ class GeodesicOnly(Rival):
 
     def law(self, case: RivalCase, start: Point, goal: Point) -> GuidanceOnly:
         """Follow the geodesic."""
-        return GuidanceOnly(Plant.of(case), case.geodesic(start, goal)[0])
+        return GuidanceOnly(Plant.of(case), case.geodesic(start, goal))
 
 
 RIVALS = (GeodesicOnly(),)

@@ -23,7 +23,7 @@ class KeepoutDefault(Rival):
         """Give the default law its geodesic."""
         law = case.default_law
         leader = law.velocity.guidance
-        found = case.geodesic(start, goal)[0]
+        found = case.geodesic(start, goal)
         found = eqx.tree_at(lambda g: (g.speed, g.slowing_length), found, (leader.speed, leader.slowing_length))
         return eqx.tree_at(lambda l: l.velocity.guidance, law, found)
 
