@@ -1,10 +1,18 @@
-"""All rivals, in the order of the table."""
+"""All rivals, in the order of the table: each module offers its own tuple `RIVALS`."""
 
-from rivals_laws import geodesic_only, keepout_default
+from rivals_laws import (
+    barrier_program,
+    envelopes,
+    geodesic_only,
+    keepout_default,
+    potential_field,
+)
 from rivals_laws.rival import Rival
 
 RIVALS: tuple[Rival, ...] = (
     *keepout_default.RIVALS,
+    *envelopes.RIVALS,
+    *barrier_program.RIVALS,
+    *potential_field.RIVALS,
     *geodesic_only.RIVALS,
 )
-"""Each module offers its own tuple `RIVALS`."""

@@ -34,9 +34,10 @@ class RivalCase(Case):
 
     def once(self, name, make):
         """Give what `make()` made the first time it was asked for by this name: prototypes are shared by all flights."""
-        if name not in self._made:
-            self._made[name] = make()
-        return self._made[name]
+        key = str(name)
+        if key not in self._made:
+            self._made[key] = make()
+        return self._made[key]
 
     @functools.cached_property
     def reach(self) -> float:
