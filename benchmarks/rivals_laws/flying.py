@@ -1,5 +1,6 @@
 """Fly a rival's pairs in compiled batches, audit every flight, and time one control step."""
 
+import functools
 import gc
 import time
 
@@ -52,11 +53,24 @@ def laws_of(case: RivalCase, rival: Rival, index) -> tuple[list, list, list, lis
 
 
 def stacked(laws: list):
-    """Give one law whose arrays that differ between the laws have a leading axis, and which leaves those are."""
-    leaves = [jax.tree.leaves(law) for law in laws]
-    differs = [any(one is not first for one in column) for first, *column in zip(*leaves, strict=True)]
-    merged = [np.stack(column) if own else column[0] for own, column in zip(differs, zip(*leaves), strict=True)]
-    return jax.tree.unflatten(jax.tree.structure(laws[0]), merged), differs
+    """Give one law whose arrays that differ between the laws have a leading axis, and a function to select those."""
+    columns = list(zip(*(jax.tree.leaves(law) for law in laws), strict=True))
+    differs = [any(one is not column[0] for one in column) for column in columns]
+    merged = [np.stack(column) if own else column[0] for own, column in zip(differs, columns, strict=True)]
+    paths = [path for path, _ in jax.tree_util.tree_flatten_with_path(laws[0])[0]]
+    chosen = [path for own, path in zip(differs, paths, strict=True) if own]
+
+    def select(law) -> list:
+        return [functools.reduce(_inside, path, law) for path in chosen]
+
+    return jax.tree.unflatten(jax.tree.structure(laws[0]), merged), select
+
+
+def _inside(tree, key):
+    """Follow one step of a leaf's path."""
+    if isinstance(key, jax.tree_util.GetAttrKey):
+        return getattr(tree, key.name)
+    return tree[key.idx if isinstance(key, jax.tree_util.SequenceKey) else key.key]
 
 
 class Flown:
@@ -71,7 +85,7 @@ class Flown:
         """Fly and audit the pairs `part`; the batch is filled up to `size` with its own flights, then left out."""
         case, chaser = self.case, self.case.scenario.chaser
         goals, starts = (np.resize(case.pairs[part, end], (size, 3)) for end in (1, 0))
-        law, differs = stacked([laws[i % len(part)] for i in range(size)])
+        law, select = stacked([laws[i % len(part)] for i in range(size)])
         setup = setup_of(case, laws[0], goals[0], guarded)
         setup = eqx.tree_at(lambda s: (s.controller, s.goal), setup, (law, jnp.asarray(goals)))
 
@@ -94,7 +108,7 @@ class Flown:
             setup,
             eqx.filter_vmap(setup.motion.initial_state)(jnp.asarray(starts), jnp.zeros((size, 3))),
             round(case.seconds / case.scenario.control.period),
-            vary=lambda s: [s.goal, *(leaf for leaf, own in zip(jax.tree.leaves(s.controller), differs) if own)],
+            vary=lambda s: [s.goal, *select(s.controller)],
             columns=AUDITED,
             landed=landed,
             batch=size,

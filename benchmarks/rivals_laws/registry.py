@@ -6,6 +6,7 @@ from rivals_laws import (
     geodesic_only,
     keepout_default,
     potential_field,
+    sampling_mpc,
 )
 from rivals_laws.rival import Rival
 
@@ -14,5 +15,6 @@ RIVALS: tuple[Rival, ...] = (
     *envelopes.RIVALS,
     *barrier_program.RIVALS,
     *potential_field.RIVALS,
+    *sampling_mpc.RIVALS,
     *geodesic_only.RIVALS,
 )
