@@ -6,9 +6,9 @@
 Every rival has the same dynamics, thruster limits, disturbance, starts, goals and speed limit, and is judged between
 samples by the same audit on the exact mesh. Pairs of start and goal keep 0.5 m between chaser and mesh
 (`reach_case.py`). One row a rival, target and guard: alone, and with Keepout's guard under it. Flights that are
-`refused` (start or goal inside a rival's envelope, say) count as not reached. `time_over_bound` (median of time to reach
-over shortest way / speed limit), `delta_v_mps` and `plan_s` are medians over flights; `step_ms` is the median control
-step on board, one flight on one core. A rival whose package is missing, or that cannot run, has a row that says why.
+`refused` (start or goal inside a rival's envelope, say) count as not reached. `time_over_bound` (median of time to
+reach over shortest way / speed limit), `delta_v_mps` and `plan_s` are medians over flights; `step_ms` is the median
+control step on board, one flight on one core. A rival whose package is missing has a row that says what to install.
 
 Each row is written to `--out` as soon as it is flown. Rows already there with the same settings (`digest`) are printed,
 not flown again; so a run that was stopped goes on. `--figure` draws all rivals on one start and goal instead.
@@ -29,7 +29,7 @@ from keepout.report import terminal
 
 TARGETS = ("intelsat30", "iss", "pocket", "../shared/meshes/ssl1300.glb")
 HERE = Path(__file__).resolve().parent
-SHOWN = COLUMNS[: COLUMNS.index("step_ms") + 1] + ("refused", "plan_s", "largest_speed_mps", "note")
+SHOWN = (*COLUMNS[: COLUMNS.index("step_ms") + 1], "refused", "plan_s", "largest_speed_mps", "note")
 
 
 def show(rows):
@@ -61,7 +61,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     names = [rival.name for rival in RIVALS]
     parser.add_argument("--rivals", nargs="+", default=names, choices=names, metavar="NAME", help=", ".join(names))
-    parser.add_argument("--targets", nargs="+", default=list(TARGETS), help="built-in names, mesh files in metres, or MESH=FIELD")
+    parser.add_argument("--targets", nargs="+", default=list(TARGETS), help="names, mesh files in m, or MESH=FIELD")
     parser.add_argument("--flights", type=int, default=500, help="pairs for each row")
     parser.add_argument("--guard", action=argparse.BooleanOptionalAction, help="only with, or only without the guard")
     parser.add_argument("--seed", type=int, default=0)

@@ -39,9 +39,9 @@ class RoundField(Field):
 class EllipsoidField(RoundField):
     """Signed distance to an ellipsoid, exact outside it; inside, that to the surface along a line to the centre.
 
-    The closest point x of y has x_i = a_i² y_i/(a_i² + t) with Σ (a_i y_i/(a_i² + t))² = 1 (Eberly 2013). The root t ≥ 0
-    is found by Newton's method from below, where the convex function makes it rise to the root; two more steps, with
-    derivatives, make the first and second derivatives exact.
+    The closest point x of y has x_i = a_i² y_i/(a_i² + t) with Σ (a_i y_i/(a_i² + t))² = 1 (Eberly 2013). The root
+    t ≥ 0 is found by Newton's method from below, where the convex function makes it rise to the root; two more steps,
+    with derivatives, make the first and second derivatives exact.
 
     Attributes:
         centre: (3,) m.
@@ -66,7 +66,6 @@ class EllipsoidField(RoundField):
 
         outside = level > 1.0
         scaled = jnp.sqrt(jnp.maximum(level, 1e-12))
-        fixed = jax.lax.stop_gradient
         # A lower bound: with the largest axis in every denominator the sum is smaller, and its root is closed.
         first = jnp.maximum(jnp.sqrt(jnp.sum(weighted)) - jnp.max(squares), 0.0)
         root = jax.lax.fori_loop(0, 20, lambda _, t: jax.lax.stop_gradient(newton(t)), jax.lax.stop_gradient(first))

@@ -14,9 +14,6 @@ from typing import ClassVar
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from rivals_laws.envelope_fields import CapsuleField, EllipsoidField
-from rivals_laws.rival import Rival
-from rivals_laws.rival_case import Point, RivalCase
 
 from keepout.control.controller import Controller
 from keepout.control.guidance.geodesic import require_free
@@ -24,6 +21,9 @@ from keepout.fields.analytic import SphereField
 from keepout.fields.field import Field
 from keepout.geometry.envelopes import small_capsule, smallest_ball
 from keepout.geometry.shape import smallest_ellipsoid
+from rivals_laws.envelope_fields import CapsuleField, EllipsoidField
+from rivals_laws.rival import Rival
+from rivals_laws.rival_case import Point, RivalCase
 
 
 def ellipsoid_field(points: np.ndarray) -> EllipsoidField:
@@ -75,7 +75,7 @@ class Envelope(Rival):
         """Lead the law to its goal."""
         law = envelope_law(case, self.name, type(self).build)
         refuse_inside(law, start, goal)
-        return eqx.tree_at(lambda l: l.velocity.guidance.goal, law, jnp.asarray(goal))
+        return eqx.tree_at(lambda law: law.velocity.guidance.goal, law, jnp.asarray(goal))
 
 
 @dataclasses.dataclass(frozen=True)

@@ -8,8 +8,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from rivals_laws.rival import Rival
-from rivals_laws.rival_case import Point, RivalCase
 
 from keepout.audit.audit import Contact, audit_campaign
 from keepout.errors import KeepoutError
@@ -18,6 +16,8 @@ from keepout.flight.loop import fly
 from keepout.flight.on_board import OnBoard
 from keepout.flight.setup import FlightSetup
 from keepout.mission import environment
+from rivals_laws.rival import Rival
+from rivals_laws.rival_case import Point, RivalCase
 
 AUDITED = ("time", "position", "velocity", "force", "guard_status")
 TIMED = 200

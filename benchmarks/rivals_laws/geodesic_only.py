@@ -6,15 +6,13 @@ authority), so that the barrier is all that is missing.
 
 import dataclasses
 
-import equinox as eqx
-import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
-from rivals_laws.observed import ObservedLaw, Plant, tracking
-from rivals_laws.rival import Rival
-from rivals_laws.rival_case import Point, RivalCase
 
 from keepout.control.guidance.guidance import Guidance
 from keepout.motion.relative import MotionState
+from rivals_laws.observed import ObservedLaw, Plant, tracking
+from rivals_laws.rival import Rival
+from rivals_laws.rival_case import Point, RivalCase
 
 
 class GuidanceOnly(ObservedLaw):

@@ -1,16 +1,16 @@
-"""Keepout's own laws, for reference: the default law with geodesic guidance, and the paper's with its printed numbers."""
+"""Keepout's own laws, for reference: the default law with geodesic guidance, and the paper's with printed numbers."""
 
 import dataclasses
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from rivals_laws.rival import Rival
-from rivals_laws.rival_case import Point, RivalCase
 
 from keepout.control.controller import Controller
 from keepout.control.guidance.geodesic import require_free
 from keepout.mission.build import build_law
+from rivals_laws.rival import Rival
+from rivals_laws.rival_case import Point, RivalCase
 
 
 @dataclasses.dataclass(frozen=True)
@@ -25,7 +25,7 @@ class KeepoutDefault(Rival):
         leader = law.velocity.guidance
         found = case.geodesic(start, goal)
         found = eqx.tree_at(lambda g: (g.speed, g.slowing_length), found, (leader.speed, leader.slowing_length))
-        return eqx.tree_at(lambda l: l.velocity.guidance, law, found)
+        return eqx.tree_at(lambda law: law.velocity.guidance, law, found)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,7 +38,7 @@ class PaperPrinted(Rival):
         """Lead the paper's law straight to the goal."""
         for name, position in (("start", start), ("goal", goal)):
             require_free(case.model.field, case.offset, position, name)
-        return eqx.tree_at(lambda l: l.velocity.guidance.goal, prototype(case), jnp.asarray(goal))
+        return eqx.tree_at(lambda law: law.velocity.guidance.goal, prototype(case), jnp.asarray(goal))
 
 
 def prototype(case: RivalCase) -> Controller:

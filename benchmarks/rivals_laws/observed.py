@@ -5,11 +5,11 @@ import abc
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PyTree
-from rivals_laws.rival_case import RivalCase
 
 from keepout.control.law import Command, Law
 from keepout.control.observer import Observer
 from keepout.motion.relative import MotionState, RelativeMotion
+from rivals_laws.rival_case import RivalCase
 
 Vector = Float[Array, "3"]
 
@@ -46,7 +46,7 @@ class ObservedState(eqx.Module):
 
 
 class ObservedLaw(Law):
-    """A law that asks for an acceleration beside drift and disturbance; both are compensated as the default law does."""
+    """A law that asks for an acceleration; drift and disturbance are compensated as the default law does."""
 
     plant: eqx.AbstractVar[Plant]
 

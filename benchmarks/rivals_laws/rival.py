@@ -5,9 +5,8 @@ import dataclasses
 import importlib.util
 from typing import ClassVar
 
-from rivals_laws.rival_case import Point, RivalCase
-
 from keepout.control.law import Law
+from rivals_laws.rival_case import Point, RivalCase
 
 
 @dataclasses.dataclass(frozen=True)

@@ -3,8 +3,6 @@
 import functools
 import time
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from reach_case import Case
@@ -33,7 +31,7 @@ class RivalCase(Case):
         """Seconds of planning that laws were spared, because another rival had planned the same before."""
 
     def once(self, name, make):
-        """Give what `make()` made the first time it was asked for by this name: prototypes are shared by all flights."""
+        """Give what `make()` made the first time that it was asked for by this name: flights share prototypes."""
         key = str(name)
         if key not in self._made:
             self._made[key] = make()
@@ -46,7 +44,7 @@ class RivalCase(Case):
 
     @functools.cached_property
     def operation(self) -> Operation:
-        """Chaser, motion, certified error, disturbance bound, margin and period: the numbers that a law is tuned for."""
+        """Chaser, motion, certified error, disturbance bound, margin and period: what a law is tuned for."""
         return operation(self.scenario, self.model)
 
     @functools.cached_property

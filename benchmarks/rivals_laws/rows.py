@@ -1,18 +1,18 @@
 """The rows of `benchmarks/rivals.py`: what each holds, when one need not be flown again, and where they are kept."""
 
+import fcntl
 import json
 import platform
 import time
 from collections import Counter
 from pathlib import Path
 
-from rivals_laws.flying import Flown, laws_of, step_ms
-from rivals_laws.rival import Rival
-from rivals_laws.rival_case import RivalCase
-
 import keepout
 from keepout.digest import digest
 from keepout.whole_file import write_whole
+from rivals_laws.flying import Flown, laws_of, step_ms
+from rivals_laws.rival import Rival
+from rivals_laws.rival_case import RivalCase
 
 COLUMNS = (
     "rival",
@@ -87,11 +87,16 @@ def _said(refusals: list[str]) -> str:
 
 
 class Rows:
-    """Rows flown so far, kept in one file that is written whole after each."""
+    """Rows flown so far, in one file that is written whole after each; several runs may share it."""
 
     def __init__(self, path: Path):
         self.path = path
-        self.kept = json.loads(path.read_text()) if path.exists() else []
+        path.parent.mkdir(parents=True, exist_ok=True)
+
+    @property
+    def kept(self) -> list[dict]:
+        """All rows in the file now."""
+        return json.loads(self.path.read_text()) if self.path.exists() else []
 
     def find(self, plan: dict) -> dict | None:
         """Give the row of a plan, if it has been flown with the same settings."""
@@ -100,7 +105,7 @@ class Rows:
     def keep(self, row: dict) -> None:
         """Keep a row, in place of that of another number of flights or other settings, and write the file."""
         same = ("rival", "target", "guard", "seed")
-        self.kept = [old for old in self.kept if any(old.get(name) != row[name] for name in same)]
-        self.kept.append(row)
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(self.path, json.dumps(self.kept, indent=1) + "\n")
+        with open(self.path.with_suffix(".lock"), "w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)  # released as the file is closed
+            others = [old for old in self.kept if any(old.get(name) != row[name] for name in same)]
+            write_whole(self.path, json.dumps([*others, row], indent=1) + "\n")
