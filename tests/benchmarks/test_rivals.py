@@ -110,6 +110,7 @@ def closest_on_ellipsoid(point, semi_axes):
     return distance.min()
 
 
+@pytest.mark.long
 def test_the_ellipsoid_fields_distance_is_the_distance():
     semi_axes = np.array([5.0, 2.0, 0.7])
     field = EllipsoidField(jnp.zeros(3), jnp.eye(3), jnp.asarray(semi_axes))

@@ -20,6 +20,7 @@ def cloud(drawn):
     return scale * (generator.normal(size=(count, 3)) * generator.uniform(0.05, 1.0, 3) + generator.normal(size=3))
 
 
+@pytest.mark.long
 @settings(max_examples=6, deadline=None)
 @given(clouds())
 def test_ball_and_capsule_enclose_every_point(drawn):
