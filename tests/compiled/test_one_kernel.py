@@ -15,6 +15,7 @@ IN_ONE = {
     "product": lambda x: jnp.prod(x.reshape(3, 4), axis=0),
     "extremes": lambda x: jnp.max(x.reshape(3, 2, 2), axis=(0, 2)) - jnp.min(x),
     "all and any": lambda x: (jnp.all(x.reshape(3, 4) > 0.0, axis=1), jnp.any(x > 0.0)),
+    "over nothing": lambda x: (jnp.sum(x[:0]), jnp.all(x[:0] > 0.0), x[0]),
     "norm": lambda x: x / jnp.linalg.norm(x),
     "product of matrices": lambda x: jnp.asarray(MATRIX) @ x.reshape(4, 3),
     "product of larger matrices": lambda x: jnp.tile(x, (4, 8)) @ jnp.ones((96, 96)),

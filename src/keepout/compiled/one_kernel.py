@@ -87,7 +87,7 @@ def _applied(equation: JaxprEqn, values: list[Any]) -> Sequence[Any]:
     if name in _INLINED:
         inner = parameters["jaxpr"] if "jaxpr" in parameters else parameters["call_jaxpr"]
         return _evaluated(inner.jaxpr, inner.consts, values)
-    if name in _REDUCTIONS and math.prod(values[0].shape[axis] for axis in parameters["axes"]) <= FEW:
+    if name in _REDUCTIONS and 0 < math.prod(values[0].shape[axis] for axis in parameters["axes"]) <= FEW:
         return [_reduced(_REDUCTIONS[name], values[0], parameters["axes"])]
     with equation.ctx.manager:
         answer = equation.primitive.bind(*values, **equation.primitive.get_bind_params(parameters))

@@ -1,0 +1,167 @@
+"""Fly a rival's pairs in compiled batches, audit every flight, and time one control step."""
+
+import functools
+import gc
+import time
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from keepout.audit.audit import Contact, audit_campaign
+from keepout.errors import KeepoutError
+from keepout.flight.batches import fly_batches
+from keepout.flight.loop import fly
+from keepout.flight.on_board import OnBoard
+from keepout.flight.setup import FlightSetup
+from keepout.mission import environment
+from rivals_laws.rival import Rival
+from rivals_laws.rival_case import Point, RivalCase
+
+AUDITED = ("time", "position", "velocity", "force", "guard_status")
+TIMED = 200
+"""Control steps timed, spread over a flight."""
+
+
+def setup_of(case: RivalCase, law, goal: Point, guarded: bool) -> FlightSetup:
+    """Put a law on the loop that all rivals fly: motion, disturbance and thrusters of the scenario."""
+    return FlightSetup(
+        motion=environment.relative_motion(case.scenario),
+        disturbance=environment.disturbance(case.scenario),
+        thrusters=environment.chaser(case.scenario).thrusters,
+        controller=law,
+        goal=goal,
+        mass=case.scenario.chaser.mass,
+        period=case.scenario.control.period,
+        guard=case.guard if guarded else None,
+    )
+
+
+def laws_of(case: RivalCase, rival: Rival, index) -> tuple[list, list, list, list]:
+    """Make the laws of some pairs: those that can be flown, their laws, the refusals, and the seconds of each."""
+    flown, laws, refusals, seconds = [], [], [], []
+    for i in index:
+        case.seconds_spared, began = 0.0, time.perf_counter()
+        try:
+            laws.append(rival.law(case, *case.pairs[i]))
+            flown.append(i)
+        except KeepoutError as refusal:
+            refusals.append(str(refusal))
+        seconds.append(time.perf_counter() - began + case.seconds_spared)
+    return flown, laws, refusals, seconds
+
+
+def stacked(laws: list):
+    """Give one law whose arrays that differ between the laws have a leading axis, and a function to select those."""
+    columns = list(zip(*(jax.tree.leaves(law) for law in laws), strict=True))
+    differs = [any(one is not column[0] for one in column) for column in columns]
+    merged = [np.stack(column) if own else column[0] for own, column in zip(differs, columns, strict=True)]
+    paths = [path for path, _ in jax.tree_util.tree_flatten_with_path(laws[0])[0]]
+    chosen = [path for own, path in zip(differs, paths, strict=True) if own]
+
+    def select(law) -> list:
+        return [functools.reduce(_inside, path, law) for path in chosen]
+
+    return jax.tree.unflatten(jax.tree.structure(laws[0]), merged), select
+
+
+def _inside(tree, key):
+    """Follow one step of a leaf's path."""
+    if isinstance(key, jax.tree_util.GetAttrKey):
+        return getattr(tree, key.name)
+    return tree[key.idx if isinstance(key, jax.tree_util.SequenceKey) else key.key]
+
+
+class Flown:
+    """What became of the flights of a row."""
+
+    def __init__(self, case: RivalCase):
+        self.case, self.index, self.outcomes, self.audits = case, [], [], []
+        self.first = None
+        """Times, positions and velocities of the first flight."""
+
+    def add(self, part, laws, guarded, size, progress):
+        """Fly and audit the pairs `part`; the batch is filled up to `size` with its own flights, then left out."""
+        case, chaser = self.case, self.case.scenario.chaser
+        goals, starts = (np.resize(case.pairs[part, end], (size, 3)) for end in (1, 0))
+        law, select = stacked([laws[i % len(part)] for i in range(size)])
+        setup = setup_of(case, laws[0], goals[0], guarded)
+        setup = eqx.tree_at(lambda s: (s.controller, s.goal), setup, (law, jnp.asarray(goals)))
+
+        def landed(first, columns):
+            own = {name: column[: max(len(part) - first, 0)] for name, column in columns.items()}
+            if self.first is None:
+                self.first = (own["time"][0], own["position"][0], own["velocity"][0])
+            self.audits += audit_campaign(
+                own["time"][0],
+                *(own[name] for name in ("position", "velocity", "force")),
+                case.target,
+                guard_status=own["guard_status"],
+                chaser_radius=chaser.radius,
+                bounds=environment.flight_bounds(case.scenario),
+                force_limit=chaser.force_limit,
+                speed_limit=chaser.speed_limit,
+            )
+
+        outcome = fly_batches(
+            setup,
+            eqx.filter_vmap(setup.motion.initial_state)(jnp.asarray(starts), jnp.zeros((size, 3))),
+            round(case.seconds / case.scenario.control.period),
+            vary=lambda s: [s.goal, *select(s.controller)],
+            columns=AUDITED,
+            landed=landed,
+            batch=size,
+            progress=progress,
+        )
+        self.index += list(part)
+        self.outcomes.append(jax.tree.map(lambda array: array[: len(part)], outcome))
+
+    def row(self):
+        """Give the row's figures; None where nothing was flown."""
+        names = ("contacts", "minimum_clearance_m", "delta_v_mps", "time_over_bound")
+        if not self.index:
+            return {"reached": 0} | dict.fromkeys(names)
+        outcome = jax.tree.map(lambda *parts: np.concatenate(parts), *self.outcomes)
+        reached, contact = outcome.reached, np.array([a.contact is Contact.YES for a in self.audits])
+        ratio = outcome.time_to_reach * self.case.scenario.chaser.speed_limit
+        ratio = ratio / self.case.ways(self.case.law_offset)[self.index]
+        return {
+            "reached": int(reached.sum()),
+            "contacts": int(contact.sum()),
+            "minimum_clearance_m": min(a.minimum_clearance for a in self.audits),
+            "delta_v_mps": float(np.median(outcome.delta_v)),
+            "time_over_bound": float(np.median(ratio[reached])) if reached.any() else None,
+            "reached_without_contact": int(np.sum(reached & ~contact)),
+            "undecided": sum(a.contact is Contact.UNDECIDED for a in self.audits),
+            "guard_interventions": int(outcome.guard_interventions.sum()),
+            "largest_speed_mps": max(a.largest_speed for a in self.audits),
+        }
+
+
+def step_ms(case: RivalCase, law, goal: Point, flight, guarded: bool) -> float:
+    """Median milliseconds of a control step on board, at states along a flight (its times, positions, velocities)."""
+    setup = setup_of(case, law, goal, guarded)
+    times, positions, velocities = (column[:: max(1, len(column) // TIMED)] for column in flight)
+    board, seconds = OnBoard(setup, setup.motion.initial_state(positions[0], velocities[0])), []
+    gc.collect()
+    gc.disable()
+    for moment, position, velocity in zip(times, positions, velocities, strict=True):
+        began = time.perf_counter()
+        board.step(float(moment), position, velocity)
+        seconds.append(time.perf_counter() - began)
+    gc.enable()
+    return 1e3 * float(np.median(seconds))
+
+
+def path(case: RivalCase, rival: Rival, start: Point, goal: Point, guarded: bool) -> np.ndarray:
+    """Fly one pair and give its positions (steps + 1, 3) m.
+
+    Raises:
+        KeepoutError: the rival refuses the pair.
+
+    """
+    setup = setup_of(case, rival.law(case, start, goal), goal, guarded)
+    initial = setup.motion.initial_state(start, np.zeros(3))
+    steps = round(case.seconds / case.scenario.control.period)
+    return np.asarray(fly(setup, initial, steps, jax.random.key(0)).position)
