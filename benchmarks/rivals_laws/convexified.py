@@ -390,7 +390,7 @@ class PlannedOnce(Convexified):
 class PlannedOnceGeodesic(Convexified):
     """Keepout's field, and its geodesic as the guess."""
 
-    name: ClassVar[str] = "SCvx once, geodesic guess"
+    name: ClassVar[str] = "SCvx once (geodesic guess)"
     guess: str = "geodesic"
 
 
@@ -398,7 +398,7 @@ class PlannedOnceGeodesic(Convexified):
 class PlannedOnceEllipsoid(Convexified):
     """The smallest ellipsoid."""
 
-    name: ClassVar[str] = "SCvx once, ellipsoid"
+    name: ClassVar[str] = "SCvx once (ellipsoid)"
     shape: str = "ellipsoid"
 
 

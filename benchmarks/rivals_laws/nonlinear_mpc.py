@@ -278,7 +278,7 @@ class NonlinearMPC(Rival):
 class NonlinearMPCGeodesic(NonlinearMPC):
     """On Keepout's field, first guess along its geodesic."""
 
-    name: ClassVar[str] = "NMPC, geodesic guess"
+    name: ClassVar[str] = "NMPC (geodesic guess)"
     guess: str = "geodesic"
 
 
@@ -286,7 +286,7 @@ class NonlinearMPCGeodesic(NonlinearMPC):
 class NonlinearMPCEllipsoid(NonlinearMPC):
     """Round the smallest ellipsoid."""
 
-    name: ClassVar[str] = "NMPC, ellipsoid"
+    name: ClassVar[str] = "NMPC (ellipsoid)"
     shape: str = "ellipsoid"
 
 
