@@ -318,7 +318,7 @@ class Convexified(Rival):
     guess: str = "straight"
     metres_a_node: float = 2.5
     time_weight: float = 0.1
-    iterations: int = 100
+    iterations: int = 200
     miss_m: float = 0.05
     dip_m: float = 0.05
     wait_m: float = 0.3

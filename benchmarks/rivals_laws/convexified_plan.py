@@ -135,7 +135,8 @@ class Solver:
         def state(name, lower, upper):
             made = ox.State(name, shape=(3,))
             made.min, made.max = np.broadcast_to(lower, 3).copy(), np.broadcast_to(upper, 3).copy()
-            made.initial = made.final = 0.5 * (made.min + made.max)
+            # Until the first plan the library compiles here: not at the middle, where a distance may have no slope.
+            made.initial = made.final = 0.25 * made.min + 0.75 * made.max
             made.guess = np.tile(made.initial, (n, 1))
             return made
 
@@ -199,7 +200,7 @@ def serve(connection, task: Task) -> None:
         try:
             solver = Solver(task)
         except Exception as failure:
-            connection.send(f"{type(failure).__name__}: {failure}")
+            connection.send(_line(failure))
             return
         connection.send(None)
         while True:
@@ -210,8 +211,13 @@ def serve(connection, task: Task) -> None:
             try:
                 answer = solver.solve(*request)
             except Exception as failure:
-                answer = f"{type(failure).__name__}: {failure}"
+                answer = _line(failure)
             connection.send(answer)
+
+
+def _line(failure: Exception) -> str:
+    """Say it in one line: the library's messages may hold whole matrices."""
+    return f"{type(failure).__name__}: {str(failure).partition(chr(10))[0][:200]}"
 
 
 class Planner:

@@ -173,9 +173,8 @@ class Solver:
             status = self._solve.stats()["return_status"]
             self._seconds.append(time.perf_counter() - began)
             counts = status in GOOD or self._holds(found)
-            self._statuses[
-                status if status in GOOD else f"{status}, {'feasible' if counts else 'last plan flown on'}"
-            ] += 1
+            said = "" if status in GOOD else " but feasible" if counts else ": last plan flown on"
+            self._statuses[status + said] += 1
         if not counts:
             # The next solve begins anew from the last answer, without the multipliers that led nowhere.
             age = own.age + 1
