@@ -36,9 +36,8 @@ from jaxtyping import Array, Float, Int
 from keepout.control.guidance.geodesic import require_free
 from keepout.control.guidance.guidance import GeodesicGuidance
 from keepout.errors import ControlError
-from keepout.fields.evaluate import values
 from keepout.motion.relative import MotionState, RelativeMotion
-from rivals_laws.convexified_plan import Nodes, Planner, Task, guess_along, integrated, straight_guess
+from rivals_laws.convexified_plan import Nodes, Plan, Planner, Task, guess_along, integrated, straight_guess
 from rivals_laws.envelopes import ellipsoid_field
 from rivals_laws.observed import ObservedLaw, Plant
 from rivals_laws.rival import Rival
@@ -214,7 +213,7 @@ class Planning:
             speed = float(np.linalg.norm(velocity))
             slowed = velocity * min(1.0, 0.999 * self.task.speed / max(speed, 1e-9))
             found = self.planner.plan(position, slowed, goal, guess)
-            converged, refusal = found.converged, self._refusal(found.nodes, goal)
+            converged, refusal = found.converged, self._refusal(found, goal)
         except RuntimeError as failure:
             refusal = f"plan failed: {failure}"
         book.add(time.perf_counter() - began, converged, refusal)
@@ -222,16 +221,16 @@ class Planning:
             raise ControlError(refusal)
         return found.nodes
 
-    def _refusal(self, nodes: Nodes, goal: np.ndarray) -> str | None:
-        if not np.all(np.isfinite(nodes)):
+    def _refusal(self, found: Plan, goal: np.ndarray) -> str | None:
+        if not np.all(np.isfinite(found.nodes)):
             return "plan not finite: the solver gave no numbers"
-        _, position, _ = integrated(self.task, nodes)
+        _, position, _ = integrated(self.task, found.nodes)
         miss = float(np.linalg.norm(position[-1] - goal))
         if miss > self.miss:
             return f"plan misses the goal: by {miss:.3g} m when integrated, at most {self.miss:g} m are flown"
-        lowest = float(values(self.shape, position).min()) - self.task.keep_out
-        if lowest < -self.dip:
-            return f"plan enters the zone: by {-lowest:.3g} m, at most {self.dip:g} m are flown"
+        inside = self.task.keep_out - found.lowest
+        if not inside <= self.dip:
+            return f"plan enters the zone: by {inside:.3g} m, at most {self.dip:g} m are flown"
         return None
 
     def reference(self, nodes: Nodes, goal: np.ndarray, first: int, steps: int) -> np.ndarray:

@@ -69,11 +69,14 @@ class Task:
 
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """A solution: its nodes, whether the library calls it converged, and after how many iterations."""
+    """A solution: its nodes, whether the library calls it converged, and the least value of the shape on it, m.
+
+    The value is of the plan as integrated, and is asked here: the flight loop must not, inside a callback.
+    """
 
     nodes: Nodes
     converged: bool
-    iterations: int
+    lowest: float
 
 
 def straight_guess(task: Task, position: np.ndarray, velocity: np.ndarray, goal: np.ndarray) -> Nodes:
@@ -175,6 +178,7 @@ class Solver:
             discretizer={"diffrax_kwargs": {"atol": 1e-6}},
             float_dtype="float64",
         )
+        self._value = jax.jit(lambda points: shape.value(points))
         self.problem.settings.dev.printing = False
         self.problem.initialize()
 
@@ -191,7 +195,9 @@ class Solver:
         found = self.problem.solve()
         state = found.nodes
         columns = (state["time"] * TIME, state["position"], state["velocity"] / TIME, state["acceleration"] / TIME**2)
-        return Plan(np.hstack(columns).astype(float), bool(found.converged), int(self.problem.state.k) - 1)
+        nodes = np.hstack(columns).astype(float)
+        lowest = float(self._value(integrated(self.task, nodes)[1]).min())
+        return Plan(nodes, bool(found.converged), lowest)
 
 
 def serve(connection, task: Task) -> None:

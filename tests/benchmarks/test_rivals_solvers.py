@@ -11,7 +11,7 @@ import pytest
 import scipy.integrate
 import scipy.interpolate
 from rivals_laws.convexified import PlannedOnce, Planning, Replanned, shifted
-from rivals_laws.convexified_plan import guess_along, integrated, straight_guess
+from rivals_laws.convexified_plan import Plan, guess_along, integrated
 from rivals_laws.field_spline import FieldSpline
 from rivals_laws.nonlinear_mpc import NonlinearMPC
 
@@ -150,19 +150,19 @@ def test_a_replanned_flight_reaches_its_goal_and_says_how_often_it_planned(case)
 
 
 def test_a_plan_that_enters_the_zone_or_misses_is_refused_and_counted():
-    refused = SimpleNamespace(nodes=None, converged=True)
-    shape = SphereField(jnp.zeros(3), jnp.asarray(1.0))
     planning = object.__new__(Planning)
     planning.task = SimpleNamespace(**vars(task_of(6)), keep_out=0.6)
-    planning.shape, planning.miss, planning.dip = shape, 0.05, 0.05
-    planning.planner = SimpleNamespace(plan=lambda *_: refused)
+    planning.miss, planning.dip = 0.05, 0.05
+    still = np.hstack([1e-6 * np.arange(6.0)[:, None], np.tile(NEAR, (6, 1)), np.zeros((6, 6))])
     book = PlannedOnce().book(Round())
-    still = straight_guess(planning.task, NEAR, np.zeros(3), NEAR)
-    for position, goal, reason in ((NEAR, GOAL, "misses the goal"), (np.array([1.2, 0.0, 0.0]),) * 2 + ("enters",)):
-        refused.nodes = np.hstack([still[:, :1] * 1e-6, np.tile(position, (6, 1)), np.zeros((6, 6))])
+    for goal, lowest, reason in ((GOAL, 2.0, "misses the goal"), (NEAR, 0.5, "enters"), (NEAR, np.nan, "enters")):
+        planning.planner = SimpleNamespace(plan=lambda *_, lowest=lowest: Plan(still, True, lowest))
         with pytest.raises(ControlError, match=reason):
-            planning.plan(book, position, np.zeros(3), goal, still)
-    assert "2 plans: 2 converged, 2 not flown (1 plan enters the zone) (1 plan misses the goal)" in book.tell("plans")
+            planning.plan(book, NEAR, np.zeros(3), goal, still)
+    planning.planner = SimpleNamespace(plan=lambda *_: Plan(still, False, 0.56))
+    assert planning.plan(book, NEAR, np.zeros(3), NEAR, still) is still
+    said = "4 plans: 3 converged, 3 not flown (2 plan enters the zone) (1 plan misses the goal)"
+    assert said in book.tell("plans")
 
 
 @pytest.mark.long
