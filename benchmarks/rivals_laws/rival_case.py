@@ -1,6 +1,7 @@
 """What every rival is told of a target: field, envelope margins, chaser, motion, and the geodesic to each goal."""
 
 import functools
+import io
 import time
 
 import numpy as np
@@ -13,10 +14,12 @@ from keepout.control.guidance.geodesic import geodesic_guidance
 from keepout.control.guidance.guidance import GeodesicGuidance
 from keepout.control.guidance.plan import Straight
 from keepout.control.operation import Operation
+from keepout.digest import digest
 from keepout.errors import ControlError
 from keepout.fields.field import Field
 from keepout.guard.guard import Guard
 from keepout.mission.build import build_guard, operation
+from keepout.whole_file import write_whole
 
 Point = Float[np.ndarray, "3"]
 
@@ -26,6 +29,7 @@ class RivalCase(Case):
 
     def __init__(self, source, folder, flights, seed):
         super().__init__(source, folder, flights, seed)
+        self.folder = folder
         self._geodesics, self._made = {}, {}
         self.seconds_spared = 0.0
         """Seconds of planning that laws were spared, because another rival had planned the same before."""
@@ -61,6 +65,19 @@ class RivalCase(Case):
     def law_offset(self) -> float:
         """Value of the field, m, that the default law keeps: error bound, radius, margin and its nominal offset."""
         return self.offset + float(self.default_law.nominal_offset)
+
+    def ways(self, offset: float) -> Float[np.ndarray, " flights"]:
+        """Give the lengths of the shortest ways, kept in the folder of fields: they take minutes."""
+        numbers = f"{self.model.sha256} {offset} {self.flights} {self.seed}"
+        kept = self.folder / f"ways-{self.name}-{digest(numbers)[:16]}.npy"
+        if self._ways is None and kept.exists():
+            self._ways = np.load(kept)
+        lengths = super().ways(offset)
+        if not kept.exists():
+            made = io.BytesIO()
+            np.save(made, lengths)
+            write_whole(kept, made.getvalue())
+        return lengths
 
     def geodesic(self, start: Point, goal: Point) -> GeodesicGuidance:
         """Give the default law's geodesic guidance to a goal: planned once for all rivals.
