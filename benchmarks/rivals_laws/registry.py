@@ -2,9 +2,11 @@
 
 from rivals_laws import (
     barrier_program,
+    convexified,
     envelopes,
     geodesic_only,
     keepout_default,
+    nonlinear_mpc,
     potential_field,
     sampling_mpc,
 )
@@ -17,4 +19,6 @@ RIVALS: tuple[Rival, ...] = (
     *potential_field.RIVALS,
     *sampling_mpc.RIVALS,
     *geodesic_only.RIVALS,
+    *convexified.RIVALS,
+    *nonlinear_mpc.RIVALS,
 )
