@@ -135,6 +135,20 @@ def test_reachable_up_to_the_surface_from_outside_and_nowhere_inside():
     assert (depth > 0.0).sum() > 1000 < ((depth > 0.0) & ~solid.is_exterior(points)).sum()
 
 
+def test_no_walk_passes_through_a_plate_thinner_than_the_leaves():
+    lower, upper = np.zeros(3), np.array([2.0, 1.0, 0.05])
+    solid = OffsetSolid.build(ExactDistance(*boxes_mesh([(lower, upper)])), offset=1e-3, leaf=0.06)
+    assert solid.envelope > 0.1  # farther than the plate is thick
+    rng = np.random.default_rng(6)
+    flat = rng.uniform([0.1, 0.1], [1.9, 0.9], (600, 2))
+    inside = np.column_stack([flat, rng.uniform(2e-3, 0.048, 600)])
+    outside = np.column_stack([flat, rng.uniform(0.051, 0.2, 600)])
+    on_it = np.column_stack([flat, np.repeat([0.0, 0.05], 300)])
+    assert not solid.is_reachable(inside).any()
+    assert solid.is_reachable(outside).all()
+    assert solid.is_reachable(on_it).all()
+
+
 def test_both_sides_of_a_sheet_are_reachable_and_points_on_it():
     sheet = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [2.0, 2.0, 0.0], [0.0, 2.0, 0.0]])
     solid = OffsetSolid.build(ExactDistance(sheet, np.array([[0, 1, 2], [0, 2, 3]])))

@@ -23,8 +23,9 @@ _SURFACE_CELLS = 7e5
 _FLOOD_CELLS = 5.0
 """Flood cells are at most this many to the closing radius, or the leaf if that is larger."""
 
-_ASIDE, _WALK = 1e-3, 4
-"""Metres that a walk from a surface starts aside of it, and its steps."""
+_ASIDE, _WALK, _STRIDE = 1e-3, 24, 0.95
+"""Metres that a walk from a surface starts aside of it; its steps; and what share of the distance to the nearest
+surface a step may take: less than all, so that no walk passes through one."""
 
 
 class OffsetSolid:
@@ -143,10 +144,12 @@ class OffsetSolid:
         aside = np.random.default_rng(0).normal(size=(len(undecided), 3))
         aside *= (_ASIDE * (d < _ASIDE) / np.linalg.norm(aside, axis=1))[:, None]
         for side in (aside, -aside):
-            walkers = points[undecided] + side
+            walkers, going = points[undecided] + side, np.arange(len(undecided))
             for _ in range(_WALK):
-                here, gradient = self.distance.distance_and_gradient(walkers)
-                walkers = walkers + np.clip(1.1 * self.envelope - here, 0.0, None)[:, None] * gradient
+                here, gradient = self.distance.distance_and_gradient(walkers[going])
+                stride = np.clip(1.1 * self.envelope - here, 0.0, _STRIDE * here)
+                walkers[going] += stride[:, None] * gradient
+                going = going[stride > 0.0]
             reachable[undecided] |= self.is_exterior(walkers)
         return reachable
 
