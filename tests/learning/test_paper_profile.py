@@ -66,3 +66,13 @@ def test_the_network_of_the_paper_trains_at_its_own_size(target, solid):
     assert isinstance(model.field, NeuralField)
     assert [W.shape for W in model.field.layers.weights] == [(512, 3), *[(512, 512)] * 9, (1, 512)]
     assert np.isfinite(surface_errors(model.field, target, count=2000).epsilon)
+
+
+def test_the_training_curve_follows_the_field(pinball, target, solid):
+    """The last point of the curve is the mean error of the field itself, as measured elsewhere."""
+    curve = pinball.training["curve"]
+    assert curve["steps"] == [250, 500, 750]
+    assert np.all(np.isfinite([curve[name] for name in ("value_term", "gradient_term", "mean_error_m")]))
+    assert curve["value_term"][-1] < 0.5 * curve["value_term"][0]
+    errors = distance_errors(pinball.field, solid, nearest=0.3, farthest=2.0)
+    assert abs(curve["mean_error_m"][-1]) < 2.0 * errors.mean_absolute

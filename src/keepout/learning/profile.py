@@ -35,6 +35,7 @@ class TrainingProfile:
         optimizer: "adam" (Kingma, Ba 2015), or "muon" (Jordan et al. 2024): momentum made orthogonal for the hidden
             matrices, Adam for the rest.
         learning_rate: of Adam, at the start.
+        adam_b2: Adam's decay of the second moment.
         muon_rate: of the hidden matrices under Muon, at the start.
         halving: steps after which the learning rate halves; 0: cosine decay over the phase.
         over_weight: weight of over-statement against under-statement, 0.5 to 1, in the near field (keepout loss).
@@ -59,6 +60,7 @@ class TrainingProfile:
     room_share: float = 0.0
     optimizer: Literal["adam", "muon"] = "muon"
     learning_rate: float = 5e-3
+    adam_b2: float = 0.99
     muon_rate: float = 0.01
     halving: int = 0
     over_weight: float = 0.8
@@ -98,6 +100,7 @@ _PAPER = TrainingProfile(
     tuning_steps=0,
     optimizer="adam",
     learning_rate=5e-3,
+    adam_b2=0.999,
     halving=2000,
     gradient_weight=0.1,
 )

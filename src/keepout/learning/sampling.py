@@ -13,8 +13,8 @@ from keepout.geometry.offset_solid import OffsetSolid
 from keepout.learning.losses import Batch
 
 HIDDEN_DEPTH = 0.1
-"""Metres. In space that no chaser reaches, the field only has to stay below minus this (or the exact value nearer
-by)."""
+"""Metres. In space that no chaser reaches, Keepout's loss only asks the field to stay below minus this (or the exact
+value nearer by)."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,11 +37,19 @@ class Samples:
     hidden: Bool[np.ndarray, "n"]
 
 
-def label(solid: OffsetSolid, points: Points) -> Samples:
+def label(solid: OffsetSolid, points: Points, *, whole_depth: bool = False) -> Samples:
     """Exact labels for points: signed distance of the offset solid, gradient where one surface decides it.
 
     The cells that cover the solid's skin are left out of the labels, which are d - offset up to the surface; what the
     solid seals keeps them.
+
+    Args:
+        solid: the obstacle.
+        points: (n, 3) metres.
+        whole_depth: whether hidden points are labelled with their depth, for a loss that learns the distance inside
+            as well, instead of `HIDDEN_DEPTH` at most. It is exact where the nearest surface is the way out, and
+            within the size of the solid's cells elsewhere.
+
     """
     points = points.astype(np.float32).astype(np.float64)
     signed = solid.signed_distance(points)
@@ -51,7 +59,13 @@ def label(solid: OffsetSolid, points: Points) -> Samples:
         signed > 0.0, np.minimum(d - solid.offset, signed + solid.envelope - solid.offset), d - solid.offset
     )
     smooth = reachable & (bare == d - solid.offset) & (d > 1e-4)
-    depth = np.maximum(signed, -np.minimum(d + solid.offset, HIDDEN_DEPTH))
+    if whole_depth:
+        # The solid understates a depth by its offset and a cell's half-diagonal at most, and overstates it by what
+        # its cells reach past the surface.
+        slack = solid.offset + 0.5 * (solid.envelope + solid.offset)
+        depth = np.clip(-(d + solid.offset), signed - slack, signed + solid.envelope)
+    else:
+        depth = np.maximum(signed, -np.minimum(d + solid.offset, HIDDEN_DEPTH))
     return Samples(
         points.astype(np.float32),
         np.where(reachable, bare, np.minimum(depth, 0.0)).astype(np.float32),

@@ -30,16 +30,22 @@ from keepout.learning import losses
 from keepout.learning.counter_examples import Hunt
 from keepout.learning.learned import Learned
 from keepout.learning.profile import TrainingProfile, find_profile
-from keepout.learning.sampling import label, normalised, training_points
+from keepout.learning.sampling import Samples, label, normalised, training_points
 from keepout.progress import Progress, silent
 
 BLOCK = 250
 """Steps between progress reports, checkpoints and counter-example searches; one compiled loop runs them."""
+WATCHED = 4096
+"""Labelled points on which the training curve follows the field's mean error."""
 HARD_SHARE, HARD_WEIGHT = 0.3, 2.0
 TUNING_RATE = 0.4
 SETTLING = 1 / 3
 """Last share of the counter-example phase, in which under-statement is no longer hunted: it holds what it has gained,
 and the certified side settles last."""
+
+
+CURVE = ("value_term", "gradient_term", "mean_error_m")
+"""Columns of a training curve."""
 
 
 class _State(NamedTuple):
@@ -51,6 +57,8 @@ class _State(NamedTuple):
     block: Int[Array, ""]
     worst: Float32[Array, ""]
     """Largest f̃ - R found where a chaser touches, metres."""
+    curve: Float32[Array, "blocks 3"]
+    """After each block: the loss's two terms, and the mean of f̃ - d over `WATCHED` samples, metres."""
 
 
 def fit(
@@ -92,7 +100,8 @@ def fit(
     generator = np.random.default_rng(seed)
     progress(0.08, "labelling samples")
     points = training_points(distance, domain, numbers.samples, generator, room_share=numbers.room_share)
-    samples = label(solid, points)
+    samples = label(solid, points, whole_depth=numbers.loss != "keepout")
+    watched = _watched(samples)
     hunt = None
     if numbers.tuning_steps:
         hunt = Hunt.prepare(solid, domain, chaser_radius, numbers, generator)
@@ -123,7 +132,11 @@ def fit(
         layers, optimizer, value_term, slope_term = _train_block(
             numbers, domain.learned_radius, tuning, state, examples, jax.random.fold_in(jax.random.key(seed), block)
         )
-        state = state._replace(layers=layers, optimizer=optimizer, block=jnp.asarray(block + 1, state.block.dtype))
+        offset = Learned(layers, numbers.beta, domain).value(watched.points.astype(np.float64)) - watched.distance
+        reached = jnp.stack([value_term, slope_term, jnp.asarray(offset.mean(), jnp.float32)])
+        curve = state.curve.at[block].set(reached)
+        block_done = jnp.asarray(block + 1, state.block.dtype)
+        state = state._replace(layers=layers, optimizer=optimizer, block=block_done, curve=curve)
         if not math.isfinite(float(value_term)):
             raise FieldError(f"training of {target.name}: the loss is not finite at step {(block + 1) * BLOCK}")
         if checkpoint is not None:
@@ -142,6 +155,10 @@ def fit(
         "sloped_share": len(examples.sloped.x) / len(data.x),
         "seconds": time.perf_counter() - start,
         "closing_radius": solid.closing_radius,
+        "curve": {
+            "steps": [BLOCK * (block + 1) for block in range(blocks)],
+            **{name: column.tolist() for name, column in zip(CURVE, np.asarray(state.curve, np.float64).T)},
+        },
         "jax": jax.__version__,
         "device": jax.devices()[0].platform,
     }
@@ -172,7 +189,16 @@ def _initial(profile: TrainingProfile, data: losses.Batch, hard_count: int, seed
     layers = mlp.Layers(tuple(weights), tuple(biases))
     hard = jax.tree.map(lambda a: jnp.resize(a, (hard_count, *a.shape[1:])), data)
     optimizer = _optimizer(profile, tuning=False).init(layers)
-    return _State(layers, optimizer, hard, jnp.asarray(0, jnp.int32), jnp.asarray(jnp.inf, jnp.float32))
+    blocks = profile.steps // BLOCK + profile.tuning_steps // BLOCK
+    curve = jnp.full((blocks, len(CURVE)), jnp.nan, jnp.float32)
+    return _State(layers, optimizer, hard, jnp.asarray(0, jnp.int32), jnp.asarray(jnp.inf, jnp.float32), curve)
+
+
+def _watched(samples: Samples) -> Samples:
+    """Give the samples on which the training curve follows the field: evenly picked, of those with a label."""
+    labelled = np.flatnonzero(~samples.hidden)
+    picked = labelled[np.linspace(0, len(labelled) - 1, min(WATCHED, len(labelled))).astype(int)]
+    return Samples(*(getattr(samples, entry.name)[picked] for entry in dataclasses.fields(Samples)))
 
 
 def _optimizer(profile: TrainingProfile, tuning: bool) -> optax.GradientTransformation:
@@ -185,11 +211,11 @@ def _optimizer(profile: TrainingProfile, tuning: bool) -> optax.GradientTransfor
         return optax.warmup_cosine_decay_schedule(0.1 * rate, rate, min(100, steps // 10), steps, 0.01 * rate)
 
     if profile.optimizer == "adam":
-        return optax.adam(schedule(profile.learning_rate), b2=0.99)
+        return optax.adam(schedule(profile.learning_rate), b2=profile.adam_b2)
     return optax.contrib.muon(
         schedule(profile.muon_rate),
         adam_learning_rate=schedule(profile.learning_rate),
-        adam_b2=0.99,
+        adam_b2=profile.adam_b2,
         muon_weight_dimension_numbers=_hidden_matrices,  # pyright: ignore[reportArgumentType]
     )
 
