@@ -66,8 +66,8 @@ DEVIATIONS = (
     f"a batch of {BATCH} points a step, where the paper states none (its 50,000 points at once want a GPU); the points "
     "are log-uniform in their distance from the surface, where it states no distribution; distances are normalised by "
     "the learned ball's radius, so that η = 0.1 weighs the eikonal term against errors in shares of that radius, not "
-    "in metres; the labels are those of a solid with a skin δ = 1 mm on every surface; the activation is a softplus with "
-    "β = 100, where it states none; Adam's β₁ = 0.9 and β₂ = 0.999 are the published ones, where it states none."
+    "in metres; the labels are those of a solid with a skin δ = 1 mm on every surface; the activation is a softplus "
+    "with β = 100, where it states none; Adam's β₁ = 0.9 and β₂ = 0.999 are the published ones, where it states none."
 )
 
 

@@ -88,7 +88,7 @@ def table1(work: Work) -> Part:
         title="Table I: errors on the surface",
         paper=(
             "ε, ε₊ and e_h, ε and ε₊ on 100,000 points uniform over the surface: "
-            + "; ".join(f"{TARGETS[name]} {e}, {plus}, {h}" for name, (e, plus, h) in PRINTED_TABLE.items())
+            + "; ".join(f"{printed} {', '.join(map(str, PRINTED_TABLE[name]))}" for name, printed in TARGETS.items())
             + ". It gives no units, neither the scale of its meshes nor how e_h was found; e_h is read as the largest "
             "over-statement that was sampled, and all as metres."
         ),

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from keepout.report.style import COLOURS, figure
 
-Curve = Mapping[str, Sequence[float]]
+Curve = Mapping[str, Sequence[float] | Sequence[int]]
 """Of a fit: `steps`, `value_term`, `gradient_term` and `mean_error_m`."""
 _LINES = ("-", "--", "-.")
 
