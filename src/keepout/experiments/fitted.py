@@ -84,17 +84,17 @@ def solid_of(name: str, *, quick: bool) -> OffsetSolid:
     return OffsetSolid.build(distance, offset=OFFSET, leaf=2.0 * default_spacing(distance) if quick else None)
 
 
-def field_of(work: Work, recipe: Recipe, target: Target, *, fitting: bool) -> FieldModel | None:
+def field_of(work: Work, recipe: Recipe, target: Target, *, fitting: bool, certified: bool = True) -> FieldModel | None:
     """Give a target's field by a recipe: from the folder that was named, else from an earlier run, else by a fit.
 
-    A fit goes into `fields` in the part's folder, with a checkpoint beside it from which a stopped one goes on. A full
-    run adds the certificates that the field lacks.
+    A fit goes into `fields` in the part's folder, with a checkpoint beside it from which a stopped one goes on.
 
     Args:
         work: of the part; `work.fields` comes first.
         recipe: how it is made.
         target: the target, a built-in.
         fitting: whether to fit where there is none.
+        certified: whether a full run adds the certificates that the field lacks.
 
     Raises:
         FieldError: the file is damaged, or belongs to another target.
@@ -120,7 +120,7 @@ def field_of(work: Work, recipe: Recipe, target: Target, *, fitting: bool) -> Fi
         model.save(path)
     else:
         return None
-    if work.quick or recipe.bound is None:
+    if work.quick or not certified or recipe.bound is None:
         return model
     have = {certificate.chaser_radius for certificate in model.certificates}
     for radius in CHASER_RADII:
@@ -138,14 +138,19 @@ def _certificate(work: Work, bound: str, model: FieldModel, target: Target, radi
         done = prove_or_sample(model, target, chaser_radius=radius, seed=work.seed, progress=progress)
         return dataclasses.asdict(done.certificate(radius))
 
-    return Certificate(**work.numbers(f"certificate-{target.name}", [bound, model.sha256, radius, work.seed], make))
+    # Minutes for the paper's network: whichever part is first leaves it where the others look.
+    shared = dataclasses.replace(work, folder=work.folder.parent / "table1")
+    return Certificate(**shared.numbers(f"certificate-{target.name}", [bound, model.sha256, radius, work.seed], make))
 
 
-def shown_fields(work: Work, target: Target) -> dict[str, FieldModel]:
-    """Give every field that there is of a target, by label: the shipped one, then those of the recipes, none fitted."""
+def shown_fields(work: Work, target: Target, *, certified: bool) -> dict[str, FieldModel]:
+    """Give the fields that there are of a target, by label: the shipped one, then those of the recipes, none fitted.
+
+    The paper's network is left out of a quick run: to cut its surface takes minutes. See `field_of` for `certified`.
+    """
     fields = {SHIPPED: load_shipped(target.name, target=target)}
-    for recipe in (DEFAULT, PAPER):
-        model = field_of(work, recipe, target, fitting=False)
+    for recipe in (DEFAULT,) if work.quick else (DEFAULT, PAPER):
+        model = field_of(work, recipe, target, fitting=False, certified=certified)
         if model is not None:
             fields[recipe.label] = model
     return fields

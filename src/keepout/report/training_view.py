@@ -17,8 +17,8 @@ def draw_training(path: Path, curves: Mapping[str, Curve]) -> None:
         for (name, curve), colour, line in zip(curves.items(), COLOURS, _LINES):
             for axes, key in zip(panels, ("value_term", "gradient_term", "mean_error_m")):
                 axes.plot(curve["steps"], curve[key], color=colour, linestyle=line, linewidth=1.2, label=name)
-        panels[0].set(yscale="log", ylabel="L_P")
-        panels[1].set(yscale="log", ylabel="η L_E")
+        panels[0].set(yscale="log", ylabel="L_P (normalised)")
+        panels[1].set(yscale="log", ylabel="η L_E (normalised)")
         panels[2].set(ylabel="mean f̃ − d [m]", xlabel="step")
         panels[2].set_yscale("symlog", linthresh=0.01)
         panels[2].axhline(0.0, color="black", linewidth=0.8)
