@@ -114,7 +114,7 @@ def _found(rows: list[dict[str, Any]]) -> list[str]:
         lines.append("The zero level of a shipped field is meant to lie 0.03 m, its skin δ, outside the mesh.")
     if any(label != SHIPPED for label in labels):
         lines.append(
-            "With a skin of a millimetre the zero level may have holes in thin panels, wherever f̃ > 0 on the surface, and "
-            "no e_h shows in such a picture. Keepout flies by the level f̃ = R + e_h, which the certificate keeps whole."
+            "With a skin of a millimetre the zero level may have holes in thin panels, wherever f̃ > 0 on the surface, "
+            "and no e_h shows in such a picture. Keepout flies by the level f̃ = R + e_h, which the certificate keeps whole."
         )
     return lines
