@@ -115,6 +115,6 @@ def _found(rows: list[dict[str, Any]]) -> list[str]:
     if any(label != SHIPPED for label in labels):
         lines.append(
             "With a skin of a millimetre the zero level may have holes in thin panels, wherever f̃ > 0 on the surface, "
-            "and no e_h shows in such a picture. Keepout flies by the level f̃ = R + e_h, which the certificate keeps whole."
+            "and no e_h shows in such a picture. Keepout flies by f̃ = R + e_h, which the certificate keeps whole."
         )
     return lines
