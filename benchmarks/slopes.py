@@ -16,7 +16,7 @@ from keepout.fields.shipped import load_shipped
 from keepout.geometry.level_points import surface_points
 from keepout.geometry.target import Target
 from keepout.proof.bounds import Network
-from keepout.proof.certificate import GRADIENT_ALLOWANCE, _steepest_found
+from keepout.proof.certificate import GRADIENT_ALLOWANCE, steepest_found
 from keepout.proof.slope import prove_lipschitz
 from keepout.proof.slope_bounds import Prepared, slope_bounds
 
@@ -59,7 +59,7 @@ def main():
     cube_bounds(model.field, distance)
     if arguments.table:
         return
-    found = _steepest_found(model.field, distance, arguments.clearance, np.random.default_rng(1))
+    found = steepest_found(model.field, distance, arguments.clearance, np.random.default_rng(1))
     print(f"search: {found:.3f}; with the allowance {(1.0 + GRADIENT_ALLOWANCE) * found:.3f}")
     wall, processor = time.perf_counter(), time.process_time()
     answer = prove_lipschitz(

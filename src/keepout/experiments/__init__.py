@@ -6,12 +6,20 @@ from pathlib import Path
 from keepout.errors import ScenarioError
 from keepout.experiments.case1 import case1
 from keepout.experiments.part import Part
+from keepout.experiments.surfaces import surfaces
+from keepout.experiments.table1 import table1
+from keepout.experiments.volumes import volumes
 from keepout.experiments.work import Work
 from keepout.progress import Progress, part_of, silent
 from keepout.report.folder import make_folder, write_summary
 from keepout.report.reproduction import write_reproduction
 
-PARTS: dict[str, Callable[[Work], Part]] = {"case1": case1}
+PARTS: dict[str, Callable[[Work], Part]] = {
+    "table1": table1,
+    "surfaces": surfaces,
+    "volumes": volumes,
+    "case1": case1,
+}
 """In the paper's order."""
 
 INTRODUCTION = (

@@ -85,7 +85,7 @@ def certify(
     if not 0.0 <= chaser_radius <= largest:
         raise FieldError(f"chaser radius {chaser_radius:g} m: for this field it must be 0 to {largest:.3g} m")
 
-    found = _largest_found(field, distance, chaser_radius, np.random.default_rng(seed))
+    found = largest_found(field, distance, chaser_radius, np.random.default_rng(seed))
     progress(0.1, f"largest value found {found - chaser_radius:+.4f} m")
     upper, evaluation, found = _bound_on_contact(field, distance, chaser_radius, found, progress)
     slope = _steepest(model, distance, chaser_radius, np.random.default_rng(seed + 1), prove_slope, progress)
@@ -107,7 +107,7 @@ def certify(
     return model.with_certificate(certificate)
 
 
-def _largest_found(field: NeuralField, distance: ExactDistance, radius: float, generator: np.random.Generator) -> float:
+def largest_found(field: NeuralField, distance: ExactDistance, radius: float, generator: np.random.Generator) -> float:
     """Return the largest f̃ found on {d = radius}: samples, then random ascent around the best of them."""
     start = level_points(distance, radius, 60_000, generator)
     value = values(field, start)
@@ -136,7 +136,7 @@ def _steepest(
     What another certificate of the model proved for a smaller radius holds for this one.
     """
     assert isinstance(model.field, NeuralField)
-    found = _steepest_found(model.field, distance, radius, generator)
+    found = steepest_found(model.field, distance, radius, generator)
     for other in model.certificates:
         if other.gradient_kind == "certified" and other.chaser_radius <= radius and other.gradient_bound >= found:
             return Lipschitz(found, other.gradient_bound)
@@ -151,7 +151,7 @@ def _steepest(
     )
 
 
-def _steepest_found(
+def steepest_found(
     field: NeuralField, distance: ExactDistance, clearance: float, generator: np.random.Generator
 ) -> float:
     """Return the largest ‖∇f̃‖ found where d ≥ clearance: samples near and far, then random ascent."""

@@ -27,6 +27,14 @@ class View(NamedTuple):
     extent: tuple[float, float, float, float]
 
 
+def eye_axes(elevation: float, azimuth: float) -> Float[np.ndarray, "3 3"]:
+    """Rows to the right, up, and towards an eye that looks from this elevation and azimuth, degrees."""
+    e, a = np.radians([elevation, azimuth])
+    eye = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+    right = np.array([-np.sin(a), np.cos(a), 0.0])
+    return np.stack([right, np.cross(eye, right), eye])
+
+
 def rasterise(
     vertices: Float[np.ndarray, "v 3"],
     faces: Int[np.ndarray, "f 3"],
@@ -36,10 +44,7 @@ def rasterise(
     columns: int = 1200,
 ) -> View:
     """Draw a mesh orthographically from a direction given by elevation and azimuth in degrees."""
-    e, a = np.radians([elevation, azimuth])
-    eye = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
-    right = np.array([-np.sin(a), np.cos(a), 0.0])
-    axes = np.stack([right, np.cross(eye, right), eye])
+    axes = eye_axes(elevation, azimuth)
     middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     seen = (vertices - middle) @ axes.T
     low, high = seen.min(axis=0), seen.max(axis=0)
