@@ -1,5 +1,21 @@
 """Settings shared by all tests."""
 
+import atexit
+import os
+import shutil
+import tempfile
+
+# What one test compiles, the workers and the commands that tests start need not compile again. The folder is new for
+# every run, so that nothing of an earlier version is taken for today's. Before JAX is imported, which reads it once.
+if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+    _compiled = tempfile.mkdtemp(prefix="keepout-compiled-")
+    atexit.register(shutil.rmtree, _compiled, ignore_errors=True)
+    os.environ |= {
+        "JAX_COMPILATION_CACHE_DIR": _compiled,
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.3",
+        "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "0",
+    }
+
 from hypothesis import HealthCheck, settings
 from truths import real_meshes
 
