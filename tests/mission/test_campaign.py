@@ -19,7 +19,7 @@ def shell(tmp_path_factory):
 
 
 def drawn(target, **campaign):
-    return draw_starts(Scenario().replace(campaign=campaign), target)
+    return draw_starts(Scenario().replace(campaign=campaign), target).position
 
 
 def test_starts_are_seeded_outside_and_roomy(shell):

@@ -5,13 +5,16 @@ from pathlib import Path
 
 from keepout.errors import ScenarioError
 from keepout.experiments.case1 import case1
+from keepout.experiments.case2 import case2
+from keepout.experiments.case3 import case3
 from keepout.experiments.part import Part
+from keepout.experiments.runtime import runtime
 from keepout.experiments.work import Work
 from keepout.progress import Progress, part_of, silent
 from keepout.report.folder import make_folder, write_summary
 from keepout.report.reproduction import write_reproduction
 
-PARTS: dict[str, Callable[[Work], Part]] = {"case1": case1}
+PARTS: dict[str, Callable[[Work], Part]] = {"case1": case1, "case2": case2, "runtime": runtime, "case3": case3}
 """In the paper's order."""
 
 INTRODUCTION = (

@@ -1,0 +1,39 @@
+"""Several long computations at once, with one progress: compiling a law keeps only one core busy."""
+
+import os
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+from keepout.progress import Progress
+
+Answer = TypeVar("Answer")
+
+MOST = 2
+"""Computations at once, so that memory stays small."""
+
+
+def side_by_side(jobs: Mapping[str, Callable[[Progress], Answer]], progress: Progress) -> dict[str, Answer]:
+    """Run jobs at once, as many as there are cores and at most `MOST`; the first failure stops those not begun.
+
+    Args:
+        jobs: by name; each is given its own progress.
+        progress: told the mean over all jobs, with the name of the one that reports.
+
+    """
+    done = dict.fromkeys(jobs, 0.0)
+
+    def reporter(name: str) -> Progress:
+        def report(fraction: float, message: str) -> None:
+            done[name] = fraction
+            progress(sum(done.values()) / len(done), f"{name} {message}".rstrip())
+
+        return report
+
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    pool = ThreadPoolExecutor(min(MOST, cores))
+    try:
+        futures = {name: pool.submit(job, reporter(name)) for name, job in jobs.items()}
+        return {name: future.result() for name, future in futures.items()}
+    finally:
+        pool.shutdown(cancel_futures=True)
