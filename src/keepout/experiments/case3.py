@@ -122,7 +122,8 @@ def flown(work: Work, scenario: Scenario, target: Target, progress: Progress) ->
         progress(first / runs, f"{first} of {runs} flights")
 
         def fly(first: int = first, last: int = last) -> dict[str, np.ndarray]:
-            done = planned().fly(first, last)
+            # One size for all, so that the last chunk is not compiled anew.
+            done = planned().fly(first, last, batch=min(CHUNK, runs))
             assert done.series is not None
             again = {"starts_drawn_again": np.asarray(done.starts_drawn_again)}
             return {**done.columns(), "time": done.series.time, **done.series.values, **again}

@@ -76,7 +76,8 @@ def fly_batches(
             have a leading axis of flights.
         columns: names of `FlightLog` columns to hand to `landed`; without any, logs never leave the compiled program.
         landed: gets each batch's columns, in the order of the flights, called from the calling thread.
-        batch: flights in a batch; on a CPU 128, elsewhere all of them.
+        batch: flights in a batch, by which the program is compiled; on a CPU 128 or all if fewer, elsewhere all. A last
+            batch that is not full is filled up.
         workers: batches in flight at once; by default the number of cores this process may use, elsewhere 1.
         progress: told after each batch.
 
@@ -95,7 +96,7 @@ def fly_batches(
     cases = (varied, initial, keys)
     flights = _common_length(cases)
     on_cpu = jax.default_backend() == "cpu"
-    batch = min(flights, batch or (BATCH if on_cpu else flights))
+    batch = batch or min(flights, BATCH if on_cpu else flights)
     workers = workers or (_available_cores() if on_cpu else 1)
 
     def run(begin: int) -> tuple[FlightOutcome, dict[str, np.ndarray]]:
