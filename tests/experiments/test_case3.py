@@ -1,18 +1,21 @@
 """Case 3: a campaign goes on where it was stopped, and its figures are those of its flights."""
 
+import importlib
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from truths.results import check_picture
 
-from keepout.experiments import case3
 from keepout.experiments.work import Work
+from keepout.geometry.target import Target
+from keepout.mission.campaign import CampaignPlan
 from keepout.mission.scenario import Scenario
 from keepout.mission.series import SERIES, FlightSeries
 from keepout.progress import silent
 from keepout.report.series_view import draw_series, worst_flights
 
+case3 = importlib.import_module("keepout.experiments.case3")  # the package's attribute of that name is the function
 RUNS = 7
 SAMPLES = 5
 
@@ -36,7 +39,7 @@ def columns(first, last):
     }
 
 
-class Plan:
+class Plan(CampaignPlan):
     """A campaign that flies nothing and may be stopped."""
 
     def __init__(self, stop_at=None):
@@ -56,7 +59,7 @@ def fly(folder, monkeypatch, plan, **changes):
     monkeypatch.setattr(case3, "CHUNK", 3)
     monkeypatch.setattr(case3, "plan_campaign", lambda scenario, target: plan)
     scenario = Scenario().replace(campaign={"runs": RUNS}, **changes)
-    return case3.flown(Work(folder), scenario, SimpleNamespace(sha256="mesh"), silent)
+    return case3.flown(Work(folder), scenario, Target.load("box"), silent)
 
 
 def test_a_stopped_campaign_goes_on(tmp_path, monkeypatch):
@@ -94,7 +97,7 @@ def test_the_figures_are_those_of_the_flights(tmp_path, monkeypatch):
     )
     assert "6 of 7 reached" in said
     assert "2 of 7 flights around iss fall below 0" in said
-    assert "trapped" in said
+    assert "not all errors converge to zero" in said
 
 
 def test_the_scenarios_are_the_papers():

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from keepout.experiments.kept_flight import KeptFlight, kept_flight
+from keepout.experiments.paper_network import paper_network
 from keepout.experiments.part import Drawing, Part, Table
 from keepout.experiments.side_by_side import side_by_side
 from keepout.experiments.work import Work
@@ -24,44 +25,54 @@ OBSERVERS = {WITHOUT: "off", PRINTED: "printed", CONSTANT: "constant", HARMONIC:
 
 FAST = "printed constants, 20 Hz, 10 N"
 SLOW = "printed constants, 1 Hz, 0.1 N"
+NETWORK = "printed constants and network, 1 Hz, 0.1 N"
 PUSH = "extra: printed, 20 Hz, 10 N, constant push"
 DEFAULT = "default law with guard, 1 Hz, 0.1 N"
+
+_NAMES = {FAST: "fast", SLOW: "slow", NETWORK: "network", PUSH: "push", DEFAULT: "default"}
 
 SETTLED = 0.2
 """Last part of a flight over which it is taken for settled."""
 
 
-def case2_scenarios(seed: int, *, quick: bool) -> dict[tuple[str, str], Scenario]:
-    """Give one scenario for each comparison and observer; within a comparison all else is equal."""
+def case2_scenarios(seed: int, *, quick: bool, network: bool = False) -> dict[tuple[str, str], Scenario]:
+    """Give one scenario for each comparison and observer; within a comparison all else is equal.
+
+    With `network` there is one more comparison, to be flown by a field of the paper's network.
+    """
     paper = {"control": {"profile": "paper"}, "guard": {"enabled": False}}
     fast = {"control": {"profile": "paper", "period": 0.05}, "chaser": {"force_limit": 10.0}, "guard": paper["guard"]}
     push = {**fast, "disturbance": {"kind": "constant", "force": (5.0, 5.0, 5.0)}}
     flown: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
         FAST: (fast, (WITHOUT, PRINTED)),
         SLOW: (paper, (WITHOUT, PRINTED)),
+        **({NETWORK: (paper, (WITHOUT, PRINTED))} if network else {}),
         PUSH: (push, (WITHOUT, PRINTED) if quick else (WITHOUT, PRINTED, CONSTANT)),
         DEFAULT: ({}, (WITHOUT, HARMONIC) if quick else (WITHOUT, CONSTANT, HARMONIC)),
     }
     base = Scenario().replace(seed=seed, duration=500.0 if quick else 900.0)
     made = {}
-    for place, (comparison, (changes, observers)) in enumerate(flown.items()):
+    for comparison, (changes, observers) in flown.items():
         for observer in observers:
             control = {**changes.get("control", {}), "observer": OBSERVERS[observer]}
-            name = f"{place + 1}-{OBSERVERS[observer]}"
+            name = f"{_NAMES[comparison]}-{OBSERVERS[observer]}"
             made[comparison, observer] = base.replace(name=name, **{**changes, "control": control})
     return made
 
 
 def case2(work: Work) -> Part:
     """Fly Case 2's comparisons."""
-    scenarios = case2_scenarios(work.seed, quick=work.quick)
     target = load_target(Scenario().target)
     target.distance.distance(np.zeros((1, 3)))  # compiled once, before the flights share it
+    network = None if work.quick else paper_network(work, target)
+    scenarios = case2_scenarios(work.seed, quick=work.quick, network=network is not None)
 
-    def job(scenario: Scenario) -> Callable[[Progress], KeptFlight]:
-        return lambda progress: kept_flight(work, scenario, target, progress)
+    def job(comparison: str, scenario: Scenario) -> Callable[[Progress], KeptFlight]:
+        model = network if comparison == NETWORK else None
+        return lambda progress: kept_flight(work, scenario, target, progress, model=model)
 
-    flown = side_by_side({s.name: job(s) for s in scenarios.values()}, part_of(work.progress, 0.0, 0.95))
+    jobs = {scenario.name: job(key[0], scenario) for key, scenario in scenarios.items()}
+    flown = side_by_side(jobs, part_of(work.progress, 0.0, 0.95))
     flights = {key: flown[scenario.name] for key, scenario in scenarios.items()}
     rows = [row(*key, flight) for key, flight in flights.items()]
     _draw(work, flights)
@@ -108,7 +119,10 @@ def found(rows: list[dict[str, Any]], *, quick: bool) -> list[str]:
     error = {(entry["comparison"], entry["observer"]): entry["settled_error_rms_mm"] for entry in rows}
     low = {(entry["comparison"], entry["observer"]): entry["minimum_h_m"] for entry in rows}
     said = ["The flight is Case 1's, with the circulation; the paper does not print k_p, and 1.5 m is flown."]
-    for comparison in (FAST, SLOW):
+    for comparison in (FAST, SLOW, NETWORK):
+        if (comparison, PRINTED) not in error:
+            said.append("No field of the paper's network was given: all flights here are by the shipped field.")
+            continue
         said.append(
             f"{comparison}: the settled error is {error[comparison, PRINTED]:.3g} mm with the printed observer and "
             f"{error[comparison, WITHOUT]:.3g} mm without it; the least h is {low[comparison, PRINTED]:.3g} m with it "

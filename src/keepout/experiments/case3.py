@@ -205,7 +205,13 @@ def found(rows: list[dict[str, Any]], scenarios: dict[tuple[str, str], Scenario]
             + " fall below 0."
         )
     if any(entry["reached"] < entry["flights"] for entry in printed):
-        said.append("Nor do all errors converge to zero with them: the flights that do not reach the goal are trapped.")
+        said.append(
+            "With them not all errors converge to zero in the time flown: "
+            + ", ".join(
+                f"{e['flights'] - e['reached']} of {e['flights']} flights around {e['target']}" for e in printed
+            )
+            + " do not reach the goal."
+        )
     return said
 
 

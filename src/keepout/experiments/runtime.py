@@ -49,7 +49,9 @@ def runtime(work: Work) -> Part:
     cone = cone_rows(work, target, network)
     times = [row for row, _ in timed]
     drawn = {
-        row["contender"]: (np.arange(len(seconds)), 1e3 * seconds) for row, seconds in timed if seconds is not None
+        row["contender"]: (np.arange(float(len(seconds))), 1e3 * seconds)
+        for row, seconds in timed
+        if seconds is not None
     }
     draw_step_times(work.folder / "step-times.png", drawn, limit=LIMIT)
     return Part(

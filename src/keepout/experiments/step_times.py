@@ -7,6 +7,7 @@ nothing else of a reproduction takes the processor.
 import gc
 import multiprocessing
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from keepout.control.controller import Controller
+from keepout.control.profiles import ControlWarning
 from keepout.errors import ControlError
 from keepout.experiments.side_by_side import side_by_side
 from keepout.experiments.usual_way import TorchField, UsualWay
@@ -71,6 +73,8 @@ def time_apart(contenders: Sequence[Contender]) -> list[Timed]:
 def time_here(contenders: Sequence[Contender]) -> list[Timed]:
     """Make contenders ready side by side, then fly one after another; to be called before JAX has started."""
     jax.config.update("jax_cpu_enable_async_dispatch", False)
+    # The same law is flown in the process that asked, which says what its constants violate.
+    warnings.simplefilter("ignore", ControlWarning)
 
     def job(contender: Contender) -> Callable[[Progress], Callable[[], Timed]]:
         return lambda _: ready(contender)
