@@ -333,6 +333,9 @@ def test_a_campaigns_summary_is_that_of_its_rows(place, campaign):
     assert campaign["contacts"] == (rows["contact"] != "no").sum() == 0
     assert campaign["undecided"] == (rows["contact"] == "undecided").sum()
     assert campaign["minimum_clearance_m"] == rows["minimum_clearance"].min() > 0.1
+    assert campaign["minimum_barrier_m"] == rows["minimum_barrier"].min()
+    assert campaign["below_barrier"] == (rows["minimum_barrier"] < 0.0).sum()
+    assert campaign["starts_drawn_again"] >= 0
     assert campaign["median_delta_v_mps"] == np.median(rows["delta_v"])
     assert campaign["guard_interventions"] == rows["guard_interventions"].sum()
     assert sum(campaign["statuses"]["guard"].values()) == RUNS * 200
@@ -350,6 +353,15 @@ def test_the_verdicts_of_a_campaign_are_those_of_its_flights_one_by_one(place, c
     rows = pq.read_table(place / campaign["flights"]).to_pylist()
     scenario = Scenario.load(place / "mission.toml")
     [(time, position, velocity, force)] = landed
+    with np.load(place / campaign["series"], allow_pickle=False) as series:
+        assert campaign["series_stride"] == 1
+        np.testing.assert_array_equal(series["time"], time)
+        error = np.linalg.norm(position - np.asarray(scenario.goal.position), axis=2)
+        np.testing.assert_allclose(series["position_error"], error, rtol=1e-6)
+        np.testing.assert_allclose(series["speed"], np.linalg.norm(velocity, axis=2), rtol=1e-6, atol=1e-12)
+        least = [row["minimum_barrier"] for row in rows]
+        np.testing.assert_allclose(series["barrier"].min(axis=1), least, rtol=1e-6)
+        assert series["lyapunov"].shape == error.shape
     assert position.shape == (RUNS, 201, 3)
     for row, *states in zip(rows, position, velocity, force):
         np.testing.assert_array_equal(states[0][0], [row[f"start_{axis}"] for axis in "xyz"])

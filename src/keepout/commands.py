@@ -213,12 +213,16 @@ def fly_to_folder(
 
 
 def campaign_to_folder(scenario: Scenario, out: Path, *, progress: Progress = silent) -> dict[str, Any]:
-    """Fly a scenario's campaign; write one row a flight, a figure and `summary.json` into `out`."""
+    """Fly a scenario's campaign; write one row a flight, their series, a figure and `summary.json` into `out`."""
     make_folder(out)
     flown = run_campaign(scenario, progress=progress)
     flights = out / f"{scenario.name}-flights.parquet"
     flown.save(flights)
-    draw_campaign(out / "campaign.png", flown)
     summary = {**flown.summary(), "flights": str(flights)}
+    if flown.series is not None:
+        series = out / f"{scenario.name}-series.npz"
+        flown.series.save(series)
+        summary |= {"series": str(series), "series_stride": flown.series.stride}
+    draw_campaign(out / "campaign.png", flown)
     write_summary(out, summary)
     return summary

@@ -14,6 +14,7 @@ IN_ONE = {
     "sum": lambda x: jnp.sum(x.reshape(3, 4), axis=1),
     "product": lambda x: jnp.prod(x.reshape(3, 4), axis=0),
     "extremes": lambda x: jnp.max(x.reshape(3, 2, 2), axis=(0, 2)) - jnp.min(x),
+    "sum and extreme of nothing": lambda x: x + jnp.sum(x[:0]) + jnp.max(x[:0], initial=2.0),
     "all and any": lambda x: (jnp.all(x.reshape(3, 4) > 0.0, axis=1), jnp.any(x > 0.0)),
     "over nothing": lambda x: (jnp.sum(x[:0]), jnp.all(x[:0] > 0.0), x[0]),
     "norm": lambda x: x / jnp.linalg.norm(x),

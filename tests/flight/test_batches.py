@@ -8,6 +8,7 @@ from truths.flights import KEY, make_setup, start_state
 from keepout.errors import ScenarioError
 from keepout.flight import FlightOutcome, fly, outcome
 from keepout.flight.batches import fly_batches, initial_states
+from keepout.flight.faults import WrongEstimate
 from keepout.motion import ConstantDisturbance
 
 STEPS = 30
@@ -56,6 +57,26 @@ def test_batches_land_whole_and_once(flown):
     assert set(chunks[0]) == {"position", "guard_status"}
     assert [fraction for fraction, _ in reports] == pytest.approx([3 / 7, 6 / 7, 1.0])
     assert reports[-1][1] == "7 of 7 flights"
+
+
+@pytest.mark.long
+def test_flown_in_parts_each_flight_is_the_same():
+    noisy = WrongEstimate(0.0, 0.0, 0.1, 0.01)
+    setup = make_setup(faults=noisy)
+    states = initial_states(setup.motion, shell, 7, seed=3)
+
+    def positions(first, last, *, place=None):
+        place = first if place is None else place
+        part, parts = jax.tree.map(lambda x: x[first:last], states), []
+        landed = lambda _, log: parts.append(log["position"])  # noqa: E731
+        fly_batches(setup, part, STEPS, seed=5, first=place, columns=("position",), landed=landed, batch=4)
+        return np.concatenate(parts)
+
+    whole = positions(0, 7)
+    assert whole.shape == (7, STEPS + 1, 3)
+    np.testing.assert_array_equal(np.concatenate([positions(0, 4), positions(4, 7)]), whole)
+    # In another place, from the same starts, other noise.
+    assert np.abs(positions(4, 7, place=0) - whole[4:]).max() > 1e-3
 
 
 def test_sampling_is_seeded():

@@ -19,7 +19,7 @@ def shell(tmp_path_factory):
 
 
 def drawn(target, **campaign):
-    return draw_starts(Scenario().replace(campaign=campaign), target)
+    return draw_starts(Scenario().replace(campaign=campaign), target).position
 
 
 def test_starts_are_seeded_outside_and_roomy(shell):
@@ -33,3 +33,26 @@ def test_starts_are_seeded_outside_and_roomy(shell):
 def test_a_box_without_a_way_out_is_refused(shell):
     with pytest.raises(ScenarioError, match="only 0 lie outside"):
         drawn(shell, runs=5, lower=(-2.0, -2.0, -2.0), upper=(2.0, 2.0, 2.0))
+
+
+def test_starts_that_are_drawn_again_are_counted(shell):
+    campaign = {"runs": 50, "lower": (-5.0, -5.0, 3.0), "upper": (5.0, 5.0, 5.0)}
+    scenario = Scenario().replace(campaign=campaign)
+    draws = np.random.default_rng(scenario.seed).uniform(campaign["lower"], campaign["upper"], (1000, 3))
+    # Distance to the cube in closed form: every draw lies at or above its upper face.
+    away = np.linalg.norm(np.maximum(np.abs(draws) - 3.0, 0.0), axis=1)
+    fiftieth = np.flatnonzero(away > 0.8)[49]
+    starts = draw_starts(scenario, shell)
+    np.testing.assert_array_equal(starts.position, draws[: fiftieth + 1][away[: fiftieth + 1] > 0.8])
+    assert starts.drawn_again == fiftieth + 1 - 50 > 0
+
+
+def test_starts_without_a_way_out_are_counted(shell):
+    generous = drawn_again(shell, runs=50, lower=(-6.0, -6.0, -6.0), upper=(6.0, 6.0, 6.0))
+    near = (8.0**3 - 4.4**3) / 12.0**3  # too near the walls, from either side, but for rounded corners
+    inside = 4.4**3 / 12.0**3
+    assert 0.3 * 50 * (near + inside) < generous < 3.0 * 50 * (near + inside) / (1.0 - near - inside)
+
+
+def drawn_again(target, **campaign):
+    return draw_starts(Scenario().replace(campaign=campaign), target).drawn_again

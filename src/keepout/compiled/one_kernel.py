@@ -63,7 +63,7 @@ def compiled(function: Callable[..., Any], *arguments: Any) -> tuple[Callable[..
 
 
 def written_out(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return the same function with its reductions over at most `FEW` elements written out."""
+    """Return the same function with its reductions over 1 to `FEW` elements written out."""
 
     @functools.wraps(function)
     def rewritten(*args: Any) -> Any:
@@ -87,6 +87,7 @@ def _applied(equation: JaxprEqn, values: list[Any]) -> Sequence[Any]:
     if name in _INLINED:
         inner = parameters["jaxpr"] if "jaxpr" in parameters else parameters["call_jaxpr"]
         return _evaluated(inner.jaxpr, inner.consts, values)
+    # Over nothing there is nothing to write out: the plain reduction is a constant.
     if name in _REDUCTIONS and 0 < math.prod(values[0].shape[axis] for axis in parameters["axes"]) <= FEW:
         return [_reduced(_REDUCTIONS[name], values[0], parameters["axes"])]
     with equation.ctx.manager:

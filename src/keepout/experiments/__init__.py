@@ -5,7 +5,10 @@ from pathlib import Path
 
 from keepout.errors import ScenarioError
 from keepout.experiments.case1 import case1
+from keepout.experiments.case2 import case2
+from keepout.experiments.case3 import case3
 from keepout.experiments.part import Part
+from keepout.experiments.runtime import runtime
 from keepout.experiments.surfaces import surfaces
 from keepout.experiments.table1 import table1
 from keepout.experiments.volumes import volumes
@@ -19,6 +22,9 @@ PARTS: dict[str, Callable[[Work], Part]] = {
     "surfaces": surfaces,
     "volumes": volumes,
     "case1": case1,
+    "case2": case2,
+    "runtime": runtime,
+    "case3": case3,
 }
 """In the paper's order."""
 

@@ -55,6 +55,7 @@ def fly_batches(
     steps: int,
     *,
     seed: int = 0,
+    first: int = 0,
     vary: Callable[[FlightSetup], Any] | None = None,
     columns: Sequence[str] = (),
     landed: Landed | None = None,
@@ -69,11 +70,14 @@ def fly_batches(
         initial: states with a leading axis of flights, as `initial_states` draws them.
         steps: control steps of each flight.
         seed: of the flights' own random keys, one each.
+        first: place of the first of these flights among all that are flown from this seed: flown in parts, each
+            flight keeps its key.
         vary: selects the parts of `setup` that differ between flights, as for `equinox.tree_at`; all arrays in them
             have a leading axis of flights.
         columns: names of `FlightLog` columns to hand to `landed`; without any, logs never leave the compiled program.
         landed: gets each batch's columns, in the order of the flights, called from the calling thread.
-        batch: flights in a batch; on a CPU 128, elsewhere all of them.
+        batch: flights in a batch, by which the program is compiled; on a CPU 128 or all if fewer, elsewhere all. A last
+            batch that is not full is filled up.
         workers: batches in flight at once; by default the number of cores this process may use, elsewhere 1.
         progress: told after each batch.
 
@@ -88,35 +92,35 @@ def fly_batches(
     if unknown:
         raise ScenarioError(f"columns: {unknown[0]}; valid are {', '.join(FlightLog.__annotations__)}")
     varied = _filter(setup, vary)
-    keys = jax.random.split(jax.random.key(seed), initial.time.shape[0])
+    keys = jax.random.split(jax.random.key(seed), first + initial.time.shape[0])[first:]
     cases = (varied, initial, keys)
     flights = _common_length(cases)
     on_cpu = jax.default_backend() == "cpu"
-    batch = min(flights, batch or (BATCH if on_cpu else flights))
+    batch = batch or min(flights, BATCH if on_cpu else flights)
     workers = workers or (_available_cores() if on_cpu else 1)
 
-    def run(first: int) -> tuple[FlightOutcome, dict[str, np.ndarray]]:
+    def run(begin: int) -> tuple[FlightOutcome, dict[str, np.ndarray]]:
         # The last batch is filled up with its own first flight, so that only one shape is ever compiled.
-        index = np.arange(first, first + batch)
-        own = np.where(index < flights, index, first)
+        index = np.arange(begin, begin + batch)
+        own = np.where(index < flights, index, begin)
         result = _fly_batch(setup, jax.tree.map(lambda array: array[own], cases), steps, tuple(columns))
-        return jax.tree.map(lambda array: array[: flights - first], jax.device_get(result))
+        return jax.tree.map(lambda array: array[: flights - begin], jax.device_get(result))
 
     summaries: list[FlightOutcome] = []
 
-    def land(first: int, future: Future[tuple[FlightOutcome, dict[str, np.ndarray]]]) -> None:
+    def land(begin: int, future: Future[tuple[FlightOutcome, dict[str, np.ndarray]]]) -> None:
         summary, log = future.result()
         summaries.append(summary)
         if landed is not None:
-            landed(first, log)
-        done = min(first + batch, flights)
+            landed(begin, log)
+        done = min(begin + batch, flights)
         progress(done / flights, f"{done} of {flights} flights")
 
     under_way: deque[tuple[int, Future[tuple[FlightOutcome, dict[str, np.ndarray]]]]] = deque()
     pool = ThreadPoolExecutor(workers)
     try:
-        for first in range(0, flights, batch):
-            under_way.append((first, pool.submit(run, first)))
+        for begin in range(0, flights, batch):
+            under_way.append((begin, pool.submit(run, begin)))
             if len(under_way) > 2 * workers:  # no further ahead than this, so that logs do not fill the memory
                 land(*under_way.popleft())
         while under_way:

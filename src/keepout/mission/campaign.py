@@ -2,11 +2,13 @@
 
 import io
 import time
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pyarrow as pa
@@ -16,19 +18,33 @@ from jaxtyping import Bool, Float
 from keepout.audit.audit import Audit, Contact, audit_campaign
 from keepout.audit.outside import proved_outside
 from keepout.errors import ScenarioError
+from keepout.fields.model import FieldModel
 from keepout.flight.batches import fly_batches
 from keepout.flight.outcome import FlightOutcome
 from keepout.geometry.target import Target
 from keepout.guard.status import flag_names
 from keepout.mission import environment
 from keepout.mission.assumptions import guard_numbers
-from keepout.mission.build import prepare
+from keepout.mission.build import Mission, prepare
 from keepout.mission.scenario import Scenario
+from keepout.mission.series import SERIES, FlightSeries, SeriesKeeper
 from keepout.mission.statuses import flag_counts, status_counts
+from keepout.motion.relative import MotionState
 from keepout.progress import Progress, part_of, silent
 from keepout.whole_file import write_whole
 
 _AUDITED = ("time", "position", "velocity", "force", "guard_status")
+
+
+class Starts(NamedTuple):
+    """Where a campaign's flights start.
+
+    `position` (flights, 3) m, body frame. `drawn_again` counts the draws in their place that lay inside the target,
+    too near it, or where no free way out was found.
+    """
+
+    position: Float[np.ndarray, "flights 3"]
+    drawn_again: int
 
 
 @dataclass(frozen=True)
@@ -45,6 +61,8 @@ class Campaign:
         starts_certified: of each flight, whether the guard's theorem holds from its start; None without a guard.
         assumptions_broken: what is flown beyond what the scenario declares.
         guard: what the guard assumes and what follows, as numbers; None without a guard.
+        starts_drawn_again: draws of the whole campaign that could not be starts; see `Starts`.
+        series: what is kept of every flight over time.
 
     """
 
@@ -57,6 +75,8 @@ class Campaign:
     starts_certified: Bool[np.ndarray, "flights"] | None = None
     assumptions_broken: tuple[str, ...] = ()
     guard: dict[str, Any] | None = None
+    starts_drawn_again: int = 0
+    series: FlightSeries | None = None
 
     def summary(self) -> dict[str, Any]:
         """Give the campaign's figures as plain numbers for JSON; a contact is whatever the audit does not exclude."""
@@ -67,6 +87,9 @@ class Campaign:
             "contacts": sum(verdict is not Contact.NO for verdict in verdicts),
             "undecided": sum(verdict is Contact.UNDECIDED for verdict in verdicts),
             "minimum_clearance_m": min(audit.minimum_clearance for audit in self.audits),
+            "minimum_barrier_m": _least(self.outcome.minimum_barrier),
+            "below_barrier": int(np.sum(np.asarray(self.outcome.minimum_barrier) < 0.0)),
+            "starts_drawn_again": self.starts_drawn_again,
             "median_delta_v_mps": float(np.median(self.outcome.delta_v)),
             "saturated_fraction": float(np.mean(self.outcome.saturated_fraction)),
             "guard_interventions": int(np.sum(self.outcome.guard_interventions)),
@@ -84,9 +107,9 @@ class Campaign:
         """Count the flights in which the guard raised each flag; flags never raised are left out."""
         return flag_counts(np.asarray(self.outcome.guard_flags))
 
-    def save(self, path: Path) -> None:
-        """Write one row a flight into a Parquet file, the scenario in its metadata."""
-        columns = {
+    def columns(self) -> dict[str, np.ndarray]:
+        """Give one entry a flight of each figure that is kept of it: numbers, and text for the verdict and flags."""
+        return {
             **{f"start_{axis}": self.starts[:, k] for k, axis in enumerate("xyz")},
             "reached": np.asarray(self.outcome.reached),
             "final_error": np.asarray(self.outcome.final_error),
@@ -94,21 +117,169 @@ class Campaign:
             "delta_v": np.asarray(self.outcome.delta_v),
             "saturated_fraction": np.asarray(self.outcome.saturated_fraction),
             "guard_interventions": np.asarray(self.outcome.guard_interventions),
-            "guard_flags": [" ".join(flag_names(int(flags))) for flags in np.asarray(self.outcome.guard_flags)],
-            "contact": [str(audit.contact) for audit in self.audits],
-            "minimum_clearance": [audit.minimum_clearance for audit in self.audits],
+            "guard_flags": np.array([" ".join(flag_names(int(f))) for f in np.asarray(self.outcome.guard_flags)], str),
+            "contact": np.array([str(audit.contact) for audit in self.audits], str),
+            "minimum_clearance": np.array([audit.minimum_clearance for audit in self.audits]),
+            "minimum_barrier": np.asarray(self.outcome.minimum_barrier),
+            "largest_speed": np.array([audit.largest_speed for audit in self.audits]),
         }
-        table = pa.table(columns).replace_schema_metadata({"scenario": self.scenario.model_dump_json()})
+
+    def save(self, path: Path) -> None:
+        """Write one row a flight into a Parquet file, the scenario in its metadata."""
+        table = pa.table(self.columns()).replace_schema_metadata({"scenario": self.scenario.model_dump_json()})
         stream = io.BytesIO()
         pq.write_table(table, stream)
         write_whole(path, stream.getvalue())
 
 
-def run_campaign(scenario: Scenario, *, target: Target | None = None, progress: Progress = silent) -> Campaign:
-    """Fly `scenario.campaign.runs` flights from random starts at rest in its box, and audit each.
+def _least(values: Any) -> float | None:
+    """Give the least, or None where none is a number."""
+    least = float(np.min(np.asarray(values)))
+    return least if np.isfinite(least) else None
+
+
+@dataclass(frozen=True)
+class CampaignPlan:
+    """A campaign made flyable: the mission, and where each flight starts. Build with `plan_campaign`.
+
+    Attributes:
+        mission: all that the flights share.
+        starts: of all flights.
+        initial: their states at rest.
+        starts_certified: of each flight, whether the guard's theorem holds from its start; None without a guard.
+
+    """
+
+    mission: Mission
+    starts: Starts
+    initial: MotionState
+    starts_certified: Bool[np.ndarray, "flights"] | None
+
+    def fly(
+        self,
+        first: int = 0,
+        last: int | None = None,
+        *,
+        series: Sequence[str] = tuple(SERIES),
+        stride: int | None = None,
+        batch: int | None = None,
+        progress: Progress = silent,
+    ) -> Campaign:
+        """Fly the flights from place `first` up to `last` (by default all) and audit each.
+
+        A flight is the same whether it is flown with all others or in a part.
+
+        Args:
+            first: place of the first flight.
+            last: place after the last one.
+            series: what to keep of every flight over time, names of `series.SERIES`.
+            stride: control steps from sample to sample of it; by default 1, or as many as keep the series of these
+                flights below `series.MOST_NUMBERS`.
+            batch: flights in a batch; see `fly_batches`.
+            progress: told after each batch.
+
+        """
+        began = time.perf_counter()
+        mission, scenario = self.mission, self.mission.scenario
+        positions = self.starts.position[first:last]
+        keeper = SeriesKeeper(
+            series,
+            flights=len(positions),
+            steps=mission.steps,
+            period=scenario.control.period,
+            goal=scenario.goal.position,
+            stride=stride,
+        )
+        audits: list[Audit | None] = [None] * len(positions)
+        bounds = environment.flight_bounds(scenario)
+
+        def landed(begin: int, columns: dict[str, np.ndarray]) -> None:
+            verdicts = audit_campaign(
+                columns["time"][0],
+                columns["position"],
+                columns["velocity"],
+                columns["force"],
+                mission.target,
+                guard_status=columns["guard_status"],
+                chaser_radius=scenario.chaser.radius,
+                bounds=bounds,
+                force_limit=scenario.chaser.force_limit,
+                speed_limit=scenario.chaser.speed_limit,
+            )
+            audits[begin : begin + len(verdicts)] = verdicts
+            keeper.land(begin, columns)
+
+        result = fly_batches(
+            mission.setup,
+            jax.tree.map(lambda array: array[first:last], self.initial),
+            mission.steps,
+            seed=scenario.seed,
+            first=first,
+            columns=tuple(dict.fromkeys((*_AUDITED, *keeper.columns))),
+            landed=landed,
+            batch=batch,
+            progress=progress,
+        )
+        return Campaign(
+            scenario,
+            mission.target,
+            positions,
+            result,
+            tuple(audit for audit in audits if audit is not None),
+            time.perf_counter() - began,
+            starts_certified=None if self.starts_certified is None else self.starts_certified[first:last],
+            assumptions_broken=mission.assumptions_broken,
+            guard=None if mission.guard is None else guard_numbers(mission.guard),
+            starts_drawn_again=self.starts.drawn_again,
+            series=keeper.kept(),
+        )
+
+
+def plan_campaign(
+    scenario: Scenario,
+    *,
+    target: Target | None = None,
+    model: FieldModel | None = None,
+    progress: Progress = silent,
+) -> CampaignPlan:
+    """Build what a campaign's flights share, and draw their starts: at rest in its box.
 
     Starts are uniform over the part of the box that lies outside the target, with the chaser's radius, the margin and
     0.2 m of clearance; the same seed draws the same starts.
+
+    Args:
+        scenario: what to fly.
+        target: already loaded; else the scenario's.
+        model: its field, already loaded; else the scenario's.
+        progress: called while it is built.
+
+    Raises:
+        KeepoutError: something in the scenario cannot be flown, or the box leaves almost no room outside the target.
+
+    """
+    mission = prepare(scenario, target=target, model=model, progress=progress)
+    starts = draw_starts(scenario, mission.target)
+    at_rest = jnp.asarray(starts.position), jnp.zeros_like(starts.position)
+    initial = eqx.filter_vmap(mission.setup.motion.initial_state)(*at_rest)
+    guard, certified = mission.guard, None
+    if guard is not None:
+        certified = np.asarray(eqx.filter_jit(eqx.filter_vmap(guard.certified_start))(initial))
+        certified = certified & (not mission.assumptions_broken)
+    return CampaignPlan(mission, starts, initial, certified)
+
+
+def run_campaign(
+    scenario: Scenario,
+    *,
+    target: Target | None = None,
+    series: Sequence[str] = tuple(SERIES),
+    stride: int | None = None,
+    progress: Progress = silent,
+) -> Campaign:
+    """Fly `scenario.campaign.runs` flights from random starts at rest in its box, and audit each.
+
+    Starts are drawn as `plan_campaign` says; `series` and `stride` say what is kept over time, as for
+    `CampaignPlan.fly`.
 
     Raises:
         ScenarioError: the box leaves almost no room outside the target.
@@ -116,56 +287,13 @@ def run_campaign(scenario: Scenario, *, target: Target | None = None, progress: 
     """
     began = time.perf_counter()
     progress(0.0, "preparing")
-    mission = prepare(scenario, target=target, progress=part_of(progress, 0.0, 0.1))
-    starts = draw_starts(scenario, mission.target)
-    initial = eqx.filter_vmap(mission.setup.motion.initial_state)(jnp.asarray(starts), jnp.zeros_like(starts))
-    guard, starts_certified = mission.guard, None
-    if guard is not None:
-        starts_certified = np.asarray(eqx.filter_jit(eqx.filter_vmap(guard.certified_start))(initial))
-        starts_certified = starts_certified & (not mission.assumptions_broken)
-    audits: list[Audit | None] = [None] * len(starts)
-    bounds = environment.flight_bounds(scenario)
-
-    def landed(first: int, columns: dict[str, np.ndarray]) -> None:
-        verdicts = audit_campaign(
-            columns["time"][0],
-            columns["position"],
-            columns["velocity"],
-            columns["force"],
-            mission.target,
-            guard_status=columns["guard_status"],
-            chaser_radius=scenario.chaser.radius,
-            bounds=bounds,
-            force_limit=scenario.chaser.force_limit,
-            speed_limit=scenario.chaser.speed_limit,
-        )
-        audits[first : first + len(verdicts)] = verdicts
-
-    result = fly_batches(
-        mission.setup,
-        initial,
-        mission.steps,
-        seed=scenario.seed,
-        columns=_AUDITED,
-        landed=landed,
-        progress=part_of(progress, 0.1, 1.0),
-    )
-    done = tuple(audit for audit in audits if audit is not None)
-    return Campaign(
-        scenario,
-        mission.target,
-        starts,
-        result,
-        done,
-        time.perf_counter() - began,
-        starts_certified=starts_certified,
-        assumptions_broken=mission.assumptions_broken,
-        guard=None if guard is None else guard_numbers(guard),
-    )
+    plan = plan_campaign(scenario, target=target, progress=part_of(progress, 0.0, 0.1))
+    flown = plan.fly(series=series, stride=stride, progress=part_of(progress, 0.1, 1.0))
+    return replace(flown, seconds=time.perf_counter() - began)
 
 
-def draw_starts(scenario: Scenario, target: Target) -> Float[np.ndarray, "flights 3"]:
-    """Draw the campaign's starting positions, m, body frame: each with a free way out of the target for the chaser."""
+def draw_starts(scenario: Scenario, target: Target) -> Starts:
+    """Draw the campaign's starting positions: each with a free way out of the target for the chaser."""
     entry = scenario.campaign
     generator = np.random.default_rng(scenario.seed)
     lower, upper = np.asarray(entry.lower), np.asarray(entry.upper)
@@ -178,11 +306,15 @@ def draw_starts(scenario: Scenario, target: Target) -> Float[np.ndarray, "flight
         )
 
     kept: list[np.ndarray] = []
-    drawn, found, enclosed, wanted = 0, 0, 0, entry.runs
+    drawn, found, enclosed, near, wanted = 0, 0, 0, 0, entry.runs
     while found < wanted:
         points = generator.uniform(lower, upper, (max(wanted, 1000), 3))
         drawn += len(points)
-        points = points[mesh.distance(points) > room][: wanted - found]
+        roomy = np.flatnonzero(mesh.distance(points) > room)
+        # Those after the last one needed were never asked for.
+        asked = len(points) if len(roomy) < wanted - found else roomy[wanted - found - 1] + 1
+        points = points[roomy[: wanted - found]]
+        near += int(asked) - len(points)
         free = np.array([way_out(point) for point in points], dtype=bool)
         kept.append(points[free])
         found += int(free.sum())
@@ -193,4 +325,4 @@ def draw_starts(scenario: Scenario, target: Target) -> Float[np.ndarray, "flight
                 f"campaign: of {drawn} starts drawn between {list(entry.lower)} m and {list(entry.upper)} m only "
                 f"{found} lie outside the target with {room:.2f} m of room; widen the box"
             )
-    return np.concatenate(kept)
+    return Starts(np.concatenate(kept), near + enclosed)

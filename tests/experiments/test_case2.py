@@ -1,0 +1,68 @@
+"""Case 2: its scenarios, its figures of a flight known in closed form, and its drawings."""
+
+import importlib
+
+import numpy as np
+import pytest
+from truths.results import check_picture
+
+from keepout.experiments.kept_flight import KeptFlight
+from keepout.report.case2_view import draw_comparisons
+
+case2 = importlib.import_module("keepout.experiments.case2")  # the package's attribute of that name is the function
+
+
+def flight(scenario, error):
+    """At rest `error` m from the goal for the last fifth of the flight, far from it before, pushed by 3 and 4 N."""
+    time = np.arange(101.0)
+    away = np.where(time < 80.0, 5.0, error)
+    position = np.asarray(scenario.goal.position) + away[:, None] * [0.0, 1.0, 0.0]
+    summary = {"reached": True, "minimum_clearance_m": 1.0, "contact_verdict": "no", "saturated_fraction": 0.5}
+    force = np.tile([3.0, 0.0, 4.0], (101, 1))
+    force[-1] = 1e3  # was not flown
+    return KeptFlight(scenario, summary, time, position, 0.0 * position, force, away - 2.0, away**2)
+
+
+def test_the_figures_are_those_of_the_settled_flight():
+    scenarios = case2.case2_scenarios(0, quick=False)
+    key = (case2.SLOW, case2.PRINTED)
+    row = case2.row(*key, flight(scenarios[key], 0.003))
+    assert row["settled_error_rms_mm"] == pytest.approx(3.0)
+    assert row["settled_error_largest_mm"] == pytest.approx(3.0)
+    assert row["minimum_h_m"] == pytest.approx(0.003 - 2.0)
+    assert row["settled_v1_median_m2"] == pytest.approx(9e-6)
+    assert row["largest_force_n"] == row["settled_force_rms_n"] == pytest.approx(5.0)
+
+
+@pytest.mark.parametrize("quick", [True, False])
+def test_what_was_found_quotes_the_rows(quick):
+    scenarios = case2.case2_scenarios(0, quick=quick)
+    errors = {key: 0.001 * (k + 1) for k, key in enumerate(scenarios)}
+    rows = [case2.row(*key, flight(scenario, errors[key])) for key, scenario in scenarios.items()]
+    said = " ".join(case2.found(rows, quick=quick))
+    for error in errors.values():
+        assert f"{1e3 * error:.3g} mm" in said
+
+
+def test_a_comparison_differs_by_its_observer_only():
+    for quick in (True, False):
+        scenarios = case2.case2_scenarios(0, quick=quick)
+        assert len({scenario.name for scenario in scenarios.values()}) == len(scenarios)
+        for comparison in (case2.FAST, case2.SLOW, case2.PUSH, case2.DEFAULT):
+            same = [
+                scenario.replace(name="same", control={"observer": None}).model_dump()
+                for key, scenario in scenarios.items()
+                if key[0] == comparison
+            ]
+            assert len(same) >= 2
+            assert all(other == same[0] for other in same)
+    fast = scenarios[case2.FAST, case2.PRINTED]
+    assert (fast.control.period, fast.chaser.force_limit, fast.guard.enabled) == (0.05, 10.0, False)
+
+
+def test_the_figure_shows_something(tmp_path):
+    time = np.arange(4000.0)
+    lines = {"no observer": (time, np.exp(-time / 500.0)), "printed observer": (time, np.exp(-time / 300.0))}
+    draw_comparisons(tmp_path / "error.png", {"a": lines, "b": lines}, label="m", logarithmic=True, levels=(0.1,))
+    check_picture(tmp_path / "error.png")
+    assert (tmp_path / "error.svg").exists()

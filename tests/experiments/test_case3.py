@@ -1,0 +1,134 @@
+"""Case 3: a campaign goes on where it was stopped, and its figures are those of its flights."""
+
+import importlib
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from truths.results import check_picture
+
+from keepout.experiments.work import Work
+from keepout.geometry.target import Target
+from keepout.mission.campaign import CampaignPlan
+from keepout.mission.scenario import Scenario
+from keepout.mission.series import SERIES, FlightSeries
+from keepout.progress import silent
+from keepout.report.series_view import draw_series, worst_flights
+
+case3 = importlib.import_module("keepout.experiments.case3")  # the package's attribute of that name is the function
+RUNS = 7
+SAMPLES = 5
+
+
+def columns(first, last):
+    """Flights whose every number tells which flight it is."""
+    flight = np.arange(first, last, dtype=float)
+    return {
+        **{f"start_{axis}": flight + k for k, axis in enumerate("xyz")},
+        "reached": flight != 2,
+        "final_error": flight,
+        "time_to_reach": 100.0 + flight,
+        "delta_v": flight,
+        "saturated_fraction": 0.0 * flight,
+        "guard_interventions": np.zeros(len(flight), int),
+        "guard_flags": np.array([""] * len(flight), str),
+        "contact": np.array(["yes" if f == 3 else "undecided" if f == 4 else "no" for f in flight], str),
+        "minimum_clearance": flight - 3.5,
+        "minimum_barrier": flight - 1.5,
+        "largest_speed": 0.1 + 0.01 * flight,
+    }
+
+
+class Plan(CampaignPlan):
+    """A campaign that flies nothing and may be stopped."""
+
+    def __init__(self, stop_at=None):
+        self.flown, self.stop_at = [], stop_at
+
+    def fly(self, first, last, *, batch):
+        if first == self.stop_at:
+            raise KeyboardInterrupt
+        self.flown.append((first, last, batch))
+        flight = np.arange(first, last)[:, None]
+        values = {name: (flight + 0.1 * np.arange(SAMPLES)).astype(np.float32) for name in SERIES}
+        series = FlightSeries(np.arange(SAMPLES, dtype=float), values, 1)
+        return SimpleNamespace(columns=lambda: columns(first, last), series=series, starts_drawn_again=11)
+
+
+def fly(folder, monkeypatch, plan, **changes):
+    monkeypatch.setattr(case3, "CHUNK", 3)
+    monkeypatch.setattr(case3, "plan_campaign", lambda scenario, target: plan)
+    scenario = Scenario().replace(campaign={"runs": RUNS}, **changes)
+    return case3.flown(Work(folder), scenario, Target.load("box"), silent)
+
+
+def test_a_stopped_campaign_goes_on(tmp_path, monkeypatch):
+    with pytest.raises(KeyboardInterrupt):
+        fly(tmp_path, monkeypatch, Plan(stop_at=6))
+    rest, whole, again = Plan(), Plan(), Plan()
+    resumed = fly(tmp_path, monkeypatch, rest)
+    assert rest.flown == [(6, 7, 3)]
+    unbroken = fly(tmp_path / "other", monkeypatch, whole)
+    assert whole.flown == [(0, 3, 3), (3, 6, 3), (6, 7, 3)]
+    assert set(resumed) == set(unbroken)
+    for name, array in unbroken.items():
+        np.testing.assert_array_equal(resumed[name], array, err_msg=name)
+    np.testing.assert_array_equal(resumed["start_x"], np.arange(RUNS))
+    assert resumed["barrier"].shape == (RUNS, SAMPLES)
+    fly(tmp_path, monkeypatch, again)
+    assert not again.flown
+    fly(tmp_path, monkeypatch, again, seed=1)
+    assert len(again.flown) == 3
+
+
+def test_the_figures_are_those_of_the_flights(tmp_path, monkeypatch):
+    arrays = fly(tmp_path, monkeypatch, Plan())
+    arrays["barrier"][0, 0] = -0.1
+    scenario = case3.case3_scenarios(0, quick=True)["iss", case3.PRINTED]
+    row = case3.row("iss", case3.PRINTED, scenario, arrays)
+    counts = ("flights", "reached", "contacts", "undecided", "starts_below_h_0", "below_h_0", "starts_drawn_again")
+    assert [row[name] for name in counts] == [7, 6, 2, 1, 1, 2, 11]
+    assert row["minimum_clearance_m"] == -3.5
+    assert row["median_time_to_reach_s"] == np.median([100, 101, 103, 104, 105, 106])
+    assert row["largest_final_error_m"] == pytest.approx(6.4)
+    assert row["over_axis_limit"] == 7
+    said = " ".join(
+        case3.found([row], {("iss", case3.PRINTED): scenario} | {("intelsat30", case3.PRINTED): scenario}, quick=True)
+    )
+    assert "6 of 7 reached" in said
+    assert "2 of 7 flights around iss fall below 0" in said
+    assert "not all errors converge to zero" in said
+
+
+def test_the_scenarios_are_the_papers():
+    full = case3.case3_scenarios(3, quick=False)
+    assert {scenario.campaign.runs for scenario in full.values()} == {1000}
+    assert {key: scenario.duration for key, scenario in full.items() if key[1] == case3.PRINTED} == {
+        ("intelsat30", case3.PRINTED): 3000.0,
+        ("iss", case3.PRINTED): 4000.0,
+    }
+    for law in case3.LAWS:
+        near, far = full["intelsat30", law], full["iss", law]
+        assert (near.campaign.lower, near.campaign.upper) == ((-15.0, -5.0, -4.0), (15.0, 5.0, -4.0))
+        assert (far.campaign.lower, far.campaign.upper) == ((-60.0, -40.0, 30.0), (60.0, 40.0, 30.0))
+        assert (near.goal.position, far.goal.position) == ((0.0, -10.0, 6.0), (0.0, -10.0, -6.0))
+        assert near.guard.enabled == (law == case3.DEFAULTS)
+
+
+def test_the_worst_flights():
+    values = np.array([[0.0, 5.0, 1.0], [9.0, 0.0, 2.0], [1.0, 1.0, 8.0], [-4.0, 0.0, 0.0]])
+    assert list(worst_flights("barrier", values)[:1]) == [3]
+    assert list(worst_flights("position_error", values)) == [2, 1, 0]
+    assert list(worst_flights("axis_speed", values)) == [1, 2, 0]
+    values[0, 1] = np.nan
+    assert worst_flights("barrier", values)[0] == 0
+
+
+def test_the_figure_shows_something(tmp_path):
+    draw = np.random.default_rng(0)
+    time = np.arange(300.0)
+    values = {name: np.abs(draw.normal(size=(20, 300))).astype(np.float32) for name in SERIES}
+    series = FlightSeries(time, values, 1)
+    draw_series(tmp_path / "many.png", {"one": series, "two": series}, tolerance=0.1, speed_limit=0.1, vector=True)
+    check_picture(tmp_path / "many.png")
+    assert "<svg" in (tmp_path / "many.svg").read_text(encoding="utf-8")
