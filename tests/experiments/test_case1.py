@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from keepout.errors import FieldError
 from keepout.experiments import passages as flying
-from keepout.experiments.case1 import paper_network, table_line
+from keepout.experiments.case1 import table_line
 from keepout.experiments.case1_map import draw_pairs, map_rows
 from keepout.experiments.case1_words import findings
 from keepout.experiments.part import Table
@@ -142,13 +141,3 @@ def test_the_table_of_flights_fits_a_terminal_with_a_row_each(tmp_path):
         read = list(csv.DictReader(stream))
     assert [one["end"] for one in read] == ["trapped", "arrived", "under way"]
     assert [float(one["least h m"]) for one in read] == [-0.0175, 0.0, 0.9]
-
-
-def test_a_field_of_the_papers_network_is_flown_only_where_it_is_given(tmp_path):
-    target = Target.load("intelsat30")
-    assert paper_network(Work(tmp_path), target) is None
-    assert paper_network(Work(tmp_path, fields=tmp_path), target) is None
-    (tmp_path / "intelsat30.keepout").write_bytes(b"damaged")
-    assert paper_network(Work(tmp_path, quick=True, fields=tmp_path), target) is None
-    with pytest.raises(FieldError, match=r"intelsat30\.keepout"):
-        paper_network(Work(tmp_path, fields=tmp_path), target)

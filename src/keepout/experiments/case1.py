@@ -10,9 +10,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from keepout.errors import FieldError
 from keepout.experiments.case1_map import draw_pairs, geodesic_passages, map_rows, only
 from keepout.experiments.case1_words import PAPER, findings
+from keepout.experiments.fitted import PAPER_NETWORK, field_of
 from keepout.experiments.part import Drawing, Part, Table
 from keepout.experiments.passages import Landed, Passage, Triple, fly_passages, log_of
 from keepout.experiments.rest import first_within, trapped
@@ -126,7 +126,7 @@ def case1(work: Work) -> Part:
     """Fly the trap, the escape and the default law; then, over k_p and random pairs, count the trapped."""
     entry = Scenario()
     target = load_target(entry.target)
-    flown, network = _Flown(work, target, load_model(entry, target)), paper_network(work, target)
+    flown, network = _Flown(work, target, load_model(entry, target)), _paper_network(work, target)
     pairs = draw_pairs(24 if work.quick else 300, seed=work.seed)
     lengths = (1.5, MAIN_LENGTH) if work.quick else (1.5, 5.0, 10.0, 15.0, 20.0, 30.0)
     slow, fast = _groups(quick=work.quick)
@@ -238,17 +238,10 @@ def _told(flown: _Flown, seed: int, choice: str, group: Group, landed: Landed) -
     return flights
 
 
-def paper_network(work: Work, target: Target) -> _Flown | None:
-    """Give what flies by the paper's network, where a field of it was given."""
-    if work.quick or work.fields is None:
-        return None
-    path = work.fields / f"{target.name}.keepout"
-    if not path.exists():
-        return None
-    model = FieldModel.load(path, target=target)
-    if not any(c.chaser_radius == Scenario().chaser.radius for c in model.certificates):
-        raise FieldError(f"{path}: has no certificate for a chaser of radius {Scenario().chaser.radius:g} m")
-    return _Flown(work, target, model)
+def _paper_network(work: Work, target: Target) -> _Flown | None:
+    """Give what flies by the paper's network, where there is a field of it and time for it."""
+    model = None if work.quick else field_of(work, PAPER_NETWORK, target, fitting=False)
+    return None if model is None else _Flown(work, target, model)
 
 
 def _row(work: Work, name: str, flight: Flight) -> dict[str, Any]:

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from keepout.experiments.fitted import PAPER_NETWORK, field_of
 from keepout.experiments.kept_flight import KeptFlight, kept_flight
-from keepout.experiments.paper_network import paper_network
 from keepout.experiments.part import Drawing, Part, Table
 from keepout.experiments.side_by_side import side_by_side
 from keepout.experiments.work import Work
@@ -64,7 +64,7 @@ def case2(work: Work) -> Part:
     """Fly Case 2's comparisons."""
     target = load_target(Scenario().target)
     target.distance.distance(np.zeros((1, 3)))  # compiled once, before the flights share it
-    network = None if work.quick else paper_network(work, target)
+    network = None if work.quick else field_of(work, PAPER_NETWORK, target, fitting=False)
     scenarios = case2_scenarios(work.seed, quick=work.quick, network=network is not None)
 
     def job(comparison: str, scenario: Scenario) -> Callable[[Progress], KeptFlight]:

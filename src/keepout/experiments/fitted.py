@@ -54,7 +54,7 @@ class Recipe:
 SHIPPED = "shipped, δ = 30 mm"
 """Label of the fields that come with the package."""
 DEFAULT = Recipe("default, δ = 1 mm", "-default", PROFILES["default"], "proved")
-PAPER = Recipe("10 x 512, δ = 1 mm", "", dataclasses.replace(PROFILES["paper"], batch=BATCH), "sampled")
+PAPER_NETWORK = Recipe("10 x 512, δ = 1 mm", "", dataclasses.replace(PROFILES["paper"], batch=BATCH), "sampled")
 PRINTED = Recipe(
     "10 x 512, L_P as printed",
     "-printed",
@@ -149,7 +149,7 @@ def shown_fields(work: Work, target: Target, *, certified: bool) -> dict[str, Fi
     The paper's network is left out of a quick run: to cut its surface takes minutes. See `field_of` for `certified`.
     """
     fields = {SHIPPED: load_shipped(target.name, target=target)}
-    for recipe in (DEFAULT,) if work.quick else (DEFAULT, PAPER):
+    for recipe in (DEFAULT,) if work.quick else (DEFAULT, PAPER_NETWORK):
         model = field_of(work, recipe, target, fitting=False, certified=certified)
         if model is not None:
             fields[recipe.label] = model

@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from keepout.experiments.fitted import PAPER_NETWORK, field_of
 from keepout.experiments.kept_flight import KeptFlight, kept_flight
-from keepout.experiments.paper_network import paper_network
 from keepout.experiments.part import Drawing, Part, Table
+from keepout.experiments.rest import trapped
 from keepout.experiments.side_by_side import side_by_side
 from keepout.experiments.step_times import Contender, Timed, time_apart
 from keepout.experiments.usual_way import missing_extra
@@ -32,11 +33,6 @@ TIMED_ERROR = 0.2
 NETWORK = (10, 512)
 """The paper's: hidden layers and their width."""
 
-AT_REST = 0.1
-"""A chaser that moves less than this, m, in the last `REST` of its flight has come to rest."""
-REST = 100.0
-"""s."""
-
 _NO_FIELD = "no such field: give --fields with one of the paper's network"
 
 
@@ -44,7 +40,7 @@ def runtime(work: Work) -> Part:
     """Time control steps over a flight, and fly the law with a true cone."""
     target = load_target(Scenario().target)
     target.distance.distance(np.zeros((1, 3)))  # compiled once, before the flights share it
-    network = None if work.quick else paper_network(work, target)
+    network = None if work.quick else field_of(work, PAPER_NETWORK, target, fitting=False)
     timed = step_rows(work, network)
     cone = cone_rows(work, target, network)
     times = [row for row, _ in timed]
@@ -168,14 +164,12 @@ def _job(work: Work, scenario: Scenario, target: Target, model: FieldModel | Non
 
 
 def _cone_row(flight: KeptFlight) -> dict[str, Any]:
-    late = flight.position[flight.time >= flight.time[-1] - REST]
-    moved = float(np.linalg.norm(late - late[-1], axis=1).max())
-    reached = bool(flight.summary["reached"])
+    goal = flight.scenario.goal
     return {
         "field": "10 x 512" if flight.scenario.name.startswith("cone-network") else "shipped",
         "gradient_error": flight.scenario.control.paper.gradient_error,
-        "reached": reached,
-        "trapped": not reached and moved < AT_REST,
+        "reached": bool(flight.summary["reached"]),
+        "trapped": trapped(flight.time, flight.position, np.asarray(goal.position), goal.tolerance),
         "time_to_reach_s": flight.summary["time_to_reach_s"],
         "final_error_m": flight.summary["final_error_m"],
         "end_m": [round(float(x), 3) for x in flight.position[-1]],
@@ -205,11 +199,11 @@ def found(times: Sequence[dict[str, Any]], cone: Sequence[dict[str, Any]]) -> li
     for field in dict.fromkeys(row["field"] for row in cone):
         own = [row for row in cone if row["field"] == field]
         arrived = ", ".join(f"{row['gradient_error']:g}" for row in own if row["reached"]) or "none"
-        trapped = ", ".join(f"{row['gradient_error']:g}" for row in own if row["trapped"]) or "none"
+        stuck = ", ".join(f"{row['gradient_error']:g}" for row in own if row["trapped"]) or "none"
         moving = [f"{row['gradient_error']:g}" for row in own if not row["reached"] and not row["trapped"]]
         said.append(
             f"Case 1 with the printed constants at 1 Hz and 0.1 N by the {field} field: it arrives with e_∇h = "
-            f"{arrived}; it is trapped with {trapped}"
+            f"{arrived}; it is trapped with {stuck}"
             + (f"; it neither arrives nor rests with {', '.join(moving)}." if moving else ".")
         )
     return said

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from keepout.experiments import fitted
-from keepout.experiments.fitted import DEFAULT, DEVIATIONS, OFFSET, PAPER, PRINTED, SHIPPED, TARGETS
+from keepout.experiments.fitted import DEFAULT, DEVIATIONS, OFFSET, PAPER_NETWORK, PRINTED, SHIPPED, TARGETS
 from keepout.experiments.part import Drawing, Part, Table
 from keepout.experiments.work import Work
 from keepout.fields.evaluate import values
@@ -56,8 +56,8 @@ def table1(work: Work) -> Part:
         stretch.progress(0.0, name)
         target = fitted.target_of(name)
         models = _models(stretch, target)
-        if PAPER.label in models:
-            networks[name] = models[PAPER.label]
+        if PAPER_NETWORK.label in models:
+            networks[name] = models[PAPER_NETWORK.label]
         epsilon, epsilon_plus, bound = PRINTED_TABLE[name]
         printed = (epsilon, epsilon_plus, bound, None, None)
         errors.append(_row(name, "paper, no units", "all", printed))
@@ -66,7 +66,7 @@ def table1(work: Work) -> Part:
             errors += _error_rows(name, label, model, surface)
             reachable[name] = surface["share reachable"]
             slopes.append({"target": name, "field": label, **gradient})
-            if label == PAPER.label:
+            if label == PAPER_NETWORK.label:
                 proofs += [{"target": name, **row} for row in _proof_attempt(stretch, target, model)]
     drawings = _drawings(work, networks)
     rows = [{"table": "errors", **row} for row in errors] + [{"table": "gradient_error", **row} for row in slopes]
@@ -114,7 +114,7 @@ def _count(work: Work) -> int:
 def _models(work: Work, target: Target) -> dict[str, FieldModel]:
     """Give the fields of a target by label; a full run fits those that there are not."""
     models = {SHIPPED: load_shipped(target.name, target=target)}
-    for recipe, fitting in ((DEFAULT, True), (PAPER, work.fields is None)):
+    for recipe, fitting in ((DEFAULT, True), (PAPER_NETWORK, work.fields is None)):
         model = fitted.field_of(work, recipe, target, fitting=fitting and not work.quick)
         if model is not None:
             models[recipe.label] = model
@@ -292,10 +292,10 @@ def _found(
             "weighs over-statement more than under-statement, so it lies low, which ε counts and safety does not. A "
             "thinner skin would change little: ε is many times the skin."
         )
-    if figures(PAPER.label, "epsilon"):
+    if figures(PAPER_NETWORK.label, "epsilon"):
         lines += [
             f"The paper's network, 10 x 512, pinball reading of L_P, η = 0.1, a skin of {1e3 * OFFSET:g} mm: ε "
-            f"{figures(PAPER.label, 'epsilon')}; largest sampled {figures(PAPER.label, 'e_h_sampled')}.",
+            f"{figures(PAPER_NETWORK.label, 'epsilon')}; largest sampled {figures(PAPER_NETWORK.label, 'e_h_sampled')}.",
             f"Where its training departs from the paper or the paper is silent: {DEVIATIONS}",
         ]
     else:
