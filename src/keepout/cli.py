@@ -239,7 +239,10 @@ def reproduce(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for tables, figures and page.")] = Path("out"),
     quick: Annotated[bool, typer.Option("--quick", help="Fewer flights, shipped fields: minutes.")] = False,
     fields: Annotated[
-        Path | None, typer.Option(help="Folder with fields of the paper's network, instead of fitting them for hours.")
+        Path | None,
+        typer.Option(
+            help="Folder with fields of the paper's network, instead of fitting them for hours; a checkout has benchmarks/results/fields."
+        ),
     ] = None,
     seed: Seed = 0,
     as_json: AsJson = False,

@@ -1,5 +1,7 @@
 """Experiments: the source paper's Section VI, repeated by one command, part by part."""
 
+import functools
+import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -9,6 +11,7 @@ from keepout.experiments.case2 import case2
 from keepout.experiments.case3 import case3
 from keepout.experiments.part import Part
 from keepout.experiments.runtime import runtime
+from keepout.experiments.side_by_side import side_by_side
 from keepout.experiments.surfaces import surfaces
 from keepout.experiments.table1 import table1
 from keepout.experiments.volumes import volumes
@@ -27,6 +30,8 @@ PARTS: dict[str, Callable[[Work], Part]] = {
     "case3": case3,
 }
 """In the paper's order."""
+ALONE = ("runtime",)
+"""Parts that measure times, and so run while nothing else does."""
 
 INTRODUCTION = (
     "Zhou et al., Spacecraft Safe Robust Control Using Implicit Neural Representation for Geometrically Complex "
@@ -65,13 +70,25 @@ def reproduce(
             raise ScenarioError(f"experiment: {name!r} is not known; valid: all, {', '.join(PARTS)}")
     if fields is not None and not fields.is_dir():
         raise ScenarioError(f"--fields: {fields} is not a folder; give the one that an earlier run has written")
-    parts: list[Part] = []
-    for place, name in enumerate(chosen):
+    for name in chosen:
         make_folder(out / name)
-        stretch = part_of(progress, place / len(chosen), (place + 1) / len(chosen))
-        parts.append(PARTS[name](Work(out / name, quick, seed, fields, stretch)))
-        # After each part, so that a page stands even if a later part is stopped.
-        write_reproduction(out, [part.section() for part in parts], introduction=INTRODUCTION, quick=quick)
-        write_summary(out, [{"experiment": part.name, **row} for part in parts for row in part.rows])
+    done: dict[str, Part] = {}
+    writing = threading.Lock()
+
+    def repeated(name: str, progress: Progress) -> Part:
+        part = PARTS[name](Work(out / name, quick, seed, fields, progress))
+        with writing:
+            done[name] = part
+            # After each part, so that a page stands even if a later part is stopped.
+            finished = [done[name] for name in chosen if name in done]
+            write_reproduction(out, [part.section() for part in finished], introduction=INTRODUCTION, quick=quick)
+            write_summary(out, [{"experiment": part.name, **row} for part in finished for row in part.rows])
+        return part
+
+    together = {name: functools.partial(repeated, name) for name in chosen if name not in ALONE}
+    share = len(together) / len(chosen)
+    side_by_side(together, part_of(progress, 0.0, share))
+    for name in (name for name in chosen if name in ALONE):
+        repeated(name, part_of(progress, share, 1.0))
     progress(1.0, "")
-    return parts
+    return [done[name] for name in chosen]

@@ -127,7 +127,7 @@ def case1(work: Work) -> Part:
     entry = Scenario()
     target = load_target(entry.target)
     flown, network = _Flown(work, target, load_model(entry, target)), _paper_network(work, target)
-    pairs = draw_pairs(24 if work.quick else 300, seed=work.seed)
+    pairs = draw_pairs(8 if work.quick else 300, seed=work.seed)
     lengths = (1.5, MAIN_LENGTH) if work.quick else (1.5, 5.0, 10.0, 15.0, 20.0, 30.0)
     slow, fast = _groups(quick=work.quick)
     crossings = [Passage(*pair, length) for length in lengths for pair in pairs]

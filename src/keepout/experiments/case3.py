@@ -35,7 +35,7 @@ CHUNK = 128
 
 def case3_scenarios(seed: int, *, quick: bool) -> dict[tuple[str, str], Scenario]:
     """Give one scenario for each target and law; a quick one flies fewer flights and shorter."""
-    runs = 24 if quick else 1000
+    runs = 12 if quick else 1000
     around = {
         "intelsat30": {
             "duration": 600.0 if quick else 3000.0,

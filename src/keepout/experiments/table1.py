@@ -295,7 +295,8 @@ def _found(
     if figures(PAPER_NETWORK.label, "epsilon"):
         lines += [
             f"The paper's network, 10 x 512, pinball reading of L_P, η = 0.1, a skin of {1e3 * OFFSET:g} mm: ε "
-            f"{figures(PAPER_NETWORK.label, 'epsilon')}; largest sampled {figures(PAPER_NETWORK.label, 'e_h_sampled')}.",
+            f"{figures(PAPER_NETWORK.label, 'epsilon')}; largest sampled "
+            f"{figures(PAPER_NETWORK.label, 'e_h_sampled')}.",
             f"Where its training departs from the paper or the paper is silent: {DEVIATIONS}",
         ]
     else:

@@ -1,6 +1,7 @@
 """One look for every figure: colours that survive print and colour blindness, quiet axes."""
 
 import io
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,6 +22,10 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#0
 TARGET_COLOUR = "#9aa3ad"
 
 
+_ONE_AT_A_TIME = threading.RLock()
+"""Matplotlib's settings and its list of figures are of the whole process."""
+
+
 @contextmanager
 def figure(path: Path, *, width: float = 8.0, height: float = 4.5, vector: bool = False) -> Iterator[Figure]:
     """Make a figure in the common style and save it to `path` when the block ends.
@@ -32,19 +37,22 @@ def figure(path: Path, *, width: float = 8.0, height: float = 4.5, vector: bool 
         vector: also write the same as SVG beside it, with text as text.
 
     """
-    with plt.rc_context(
-        {
-            "axes.grid": True,
-            "grid.alpha": 0.3,
-            "axes.spines.top": False,
-            "axes.spines.right": False,
-            "axes.prop_cycle": cycler(color=COLOURS),
-            "font.size": 9,
-            "legend.frameon": False,
-            "savefig.dpi": 150,
-            "svg.fonttype": "none",
-            "svg.hashsalt": "keepout",
-        }
+    with (
+        _ONE_AT_A_TIME,
+        plt.rc_context(
+            {
+                "axes.grid": True,
+                "grid.alpha": 0.3,
+                "axes.spines.top": False,
+                "axes.spines.right": False,
+                "axes.prop_cycle": cycler(color=COLOURS),
+                "font.size": 9,
+                "legend.frameon": False,
+                "savefig.dpi": 150,
+                "svg.fonttype": "none",
+                "svg.hashsalt": "keepout",
+            }
+        ),
     ):
         drawing = plt.figure(figsize=(width, height), layout="constrained")
         try:
