@@ -241,7 +241,7 @@ def reproduce(
     fields: Annotated[
         Path | None,
         typer.Option(
-            help="Folder with fields of the paper's network, instead of fitting them for hours; a checkout has benchmarks/results/fields."
+            help="Folder with fields of the paper's network, instead of hours of fitting: benchmarks/results/fields."
         ),
     ] = None,
     seed: Seed = 0,
