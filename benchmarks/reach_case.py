@@ -16,6 +16,8 @@ from keepout.mission.scenario import Scenario
 from keepout.proof.certificate import certify
 from keepout.report import terminal
 
+FIELDS = Path(__file__).parent / "results" / "fields"
+"""Fields that the kept rows were flown by."""
 CLEARANCE = 0.5
 """Room round every start and goal, from the chaser's surface, m."""
 ALONG = 0.1
@@ -46,9 +48,11 @@ class Case:
             return FieldModel.load(path, target=self.target)
         if self.name in shipped_names():
             return load_shipped(self.name, target=self.target)
-        kept = folder / f"{self.name}-{self.target.sha256[:12]}.keepout"
-        if kept.exists():
-            return FieldModel.load(kept, target=self.target)
+        file = f"{self.name}-{self.target.sha256[:12]}.keepout"
+        kept = folder / file
+        for place in (kept, FIELDS / file):
+            if place.exists():
+                return FieldModel.load(place, target=self.target)
         with terminal.progress(f"field of {self.name}") as progress:
             model = fit(self.target, progress=lambda f, m: progress(0.8 * f, m))
             radius = self.scenario.chaser.radius

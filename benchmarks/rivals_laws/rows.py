@@ -2,13 +2,13 @@
 
 import fcntl
 import json
-import platform
 import time
 from collections import Counter
 from pathlib import Path
 
 import keepout
 from keepout.digest import digest
+from keepout.report.machine import machine
 from keepout.whole_file import write_whole
 from rivals_laws.flying import Flown, laws_of, step_ms
 from rivals_laws.rival import Rival
@@ -39,14 +39,6 @@ COLUMNS = (
 )
 """Of every row; where a rival cannot run, the numbers are None and `note` says why."""
 KEY = ("rival", "target", "guard", "flights", "seed", "digest")
-
-
-def machine() -> str:
-    """Name the processor that timed the rows."""
-    cpus = Path("/proc/cpuinfo")
-    lines = cpus.read_text().splitlines() if cpus.exists() else []
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor() or platform.machine()
 
 
 def planned(case: RivalCase, rival: Rival, guarded: bool, flights: int) -> dict:
