@@ -9,7 +9,7 @@ from keepout.experiments.part import Drawing, Part, Table
 from keepout.experiments.side_by_side import side_by_side
 from keepout.experiments.work import Work
 from keepout.geometry.target import Target
-from keepout.mission.build import load_target
+from keepout.mission.build import load_model, load_target
 from keepout.mission.campaign import CampaignPlan, plan_campaign
 from keepout.mission.scenario import Scenario
 from keepout.mission.series import SERIES, FlightSeries
@@ -95,7 +95,7 @@ def case3(work: Work) -> Part:
         tables=[
             Table("flights", "Each campaign, by the audit on the exact mesh (metres, seconds, m/s, m²)", rows),
             *(
-                Table(f"{scenarios[key].name}-flights", f"Around {key[0]}, {key[1]}: the worst ten flights by h", worst)
+                Table(f"{scenarios[key].name}-flights", f"Around {key[0]}, {key[1]}: the ten flights of least h", worst)
                 for key, worst in ((key, _worst(arrays)) for key, arrays in kept.items())
             ),
         ],
@@ -115,7 +115,12 @@ def flown(work: Work, scenario: Scenario, target: Target, progress: Progress) ->
             plan.append(plan_campaign(scenario, target=target))
         return plan[0]
 
-    made_of = {"scenario": scenario.model_dump(mode="json"), "target": target.sha256, "series": list(SERIES)}
+    made_of = {
+        "scenario": scenario.model_dump(mode="json"),
+        "target": target.sha256,
+        "field": load_model(scenario, target).sha256,
+        "series": list(SERIES),
+    }
     runs, parts = scenario.campaign.runs, []
     for first in range(0, runs, CHUNK):
         last = min(first + CHUNK, runs)
@@ -223,11 +228,27 @@ def _caption(target: str, scenario: Scenario) -> str:
     )
 
 
+_WORST = {
+    "x m": "start_x",
+    "y m": "start_y",
+    "z m": "start_z",
+    "contact": "contact",
+    "gap m": "minimum_clearance",
+    "least h": "minimum_barrier",
+    "error m": "final_error",
+    "v m/s": "largest_speed",
+}
+"""Headings that fit a terminal, and the columns of a campaign below them."""
+
+
 def _worst(arrays: dict[str, np.ndarray]) -> list[dict[str, Any]]:
-    shown = ("start_x", "start_y", "start_z", "reached", "final_error", "contact", "minimum_clearance")
-    shown = (*shown, "minimum_barrier", "largest_speed")
     order = np.argsort(arrays["minimum_barrier"], kind="stable")[:10]
-    return [{name: _plain(arrays[name][flight]) for name in shown} for flight in order]
+    return [{heading: _rounded(arrays[name][flight]) for heading, name in _WORST.items()} for flight in order]
+
+
+def _rounded(value: Any) -> Any:
+    plain = _plain(value)
+    return round(plain, 3) if isinstance(plain, float) else plain
 
 
 def _plain(value: Any) -> Any:

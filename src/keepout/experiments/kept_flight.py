@@ -10,6 +10,7 @@ from jaxtyping import Float
 from keepout.experiments.work import Work
 from keepout.fields.model import FieldModel
 from keepout.geometry.target import Target
+from keepout.mission.build import load_model
 from keepout.mission.flight import fly
 from keepout.mission.scenario import Scenario
 from keepout.progress import Progress
@@ -55,9 +56,8 @@ def kept_flight(
         columns = {name: getattr(flight.record, name) for name in _COLUMNS}
         return {**columns, "summary": np.asarray(json.dumps(flight.summary()))}
 
-    made_of = {"scenario": scenario.model_dump(mode="json"), "target": target.sha256}
-    if model is not None:
-        made_of["field"] = model.sha256
+    model = load_model(scenario, target) if model is None else model
+    made_of = {"scenario": scenario.model_dump(mode="json"), "target": target.sha256, "field": model.sha256}
     arrays = work.arrays(scenario.name, made_of, make)
     progress(1.0, "")
     return KeptFlight(scenario, json.loads(str(arrays["summary"])), **{name: arrays[name] for name in _COLUMNS})

@@ -167,7 +167,7 @@ class CampaignPlan:
     ) -> Campaign:
         """Fly the flights from place `first` up to `last` (by default all) and audit each.
 
-        A flight is the same whether it is flown with all others or in a part.
+        A flight is the same to the bit whether it is flown with all others or in a part, in batches of one size.
 
         Args:
             first: place of the first flight.
