@@ -59,7 +59,7 @@ def fly(folder, monkeypatch, plan, **changes):
     monkeypatch.setattr(case3, "CHUNK", 3)
     monkeypatch.setattr(case3, "plan_campaign", lambda scenario, target: plan)
     scenario = Scenario().replace(campaign={"runs": RUNS}, **changes)
-    return case3.flown(Work(folder), scenario, Target.load("box"), silent)
+    return case3.flown(Work(folder), scenario, Target.load("intelsat30"), silent)
 
 
 def test_a_stopped_campaign_goes_on(tmp_path, monkeypatch):
