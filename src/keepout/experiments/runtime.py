@@ -81,8 +81,11 @@ def contenders(work: Work, network: FieldModel | None) -> list[Contender]:
     ]
     if not work.quick:
         made.append(Contender("usual way: printed constants, shipped field", printed, usual=True))
-    if network is not None and work.fields is not None:
-        file = work.fields / f"{network.target_name}.keepout"
+    if network is not None:
+        # With its certificate, for the process that times; a folder that was named is not written to.
+        file = PAPER_NETWORK.path(work.folder / "fields", network.target_name)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        network.save(file)
         made.append(Contender("Keepout: printed constants, 10 x 512", printed, field=file))
         made.append(Contender("usual way: printed constants, 10 x 512", printed, usual=True, field=file))
     else:
