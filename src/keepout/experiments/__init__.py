@@ -76,7 +76,7 @@ def reproduce(
             # After each part, so that a page stands even if a later part is stopped.
             finished = [done[name] for name in chosen if name in done]
             write_reproduction(out, [part.section() for part in finished], introduction=INTRODUCTION, quick=quick)
-            write_summary(out, [{"experiment": part.name, **row} for part in finished for row in part.rows])
+            write_summary(out, [row for part in finished for row in part.named_rows])
         return part
 
     together = {name: functools.partial(repeated, name) for name in chosen if name not in ALONE}
