@@ -249,8 +249,8 @@ def reproduce(
 ) -> None:
     """Repeat the source paper's tables, figures and flights, with Keepout's own answers beside them.
 
-    The full run takes hours: it fits the paper's network, about an hour for each of three targets, unless --fields names
-    a folder with its fields. A run that was stopped goes on where it was.
+    The full run takes hours: it fits the paper's network, about an hour for each of three targets, unless --fields
+    names a folder with its fields. A run that was stopped goes on where it was.
     """
     from keepout.experiments import reproduce as repeat
 
