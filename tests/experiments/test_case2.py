@@ -1,15 +1,12 @@
 """Case 2: its scenarios, its figures of a flight known in closed form, and its drawings."""
 
-import importlib
-
 import numpy as np
 import pytest
 from truths.results import check_picture
 
+from keepout.experiments import case2
 from keepout.experiments.kept_flight import KeptFlight
 from keepout.report.case2_view import draw_comparisons
-
-case2 = importlib.import_module("keepout.experiments.case2")  # the package's attribute of that name is the function
 
 
 def flight(scenario, error):

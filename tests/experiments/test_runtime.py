@@ -1,7 +1,6 @@
 """Computation time: the usual way is the same law, and what is missing is said."""
 
 import dataclasses
-import importlib
 import importlib.util
 import warnings
 
@@ -12,15 +11,13 @@ from truths.results import check_picture
 
 from keepout.control.velocity import VelocityPoint
 from keepout.control.velocity_program.cone import ConeStatus
-from keepout.experiments import step_times, usual_way
+from keepout.experiments import runtime, step_times, usual_way
 from keepout.experiments.kept_flight import KeptFlight
 from keepout.experiments.step_times import Timed
 from keepout.experiments.work import Work
 from keepout.mission.build import prepare
 from keepout.mission.scenario import Scenario
 from keepout.report.runtime_view import draw_step_times
-
-runtime = importlib.import_module("keepout.experiments.runtime")  # the package's attribute is the function
 
 
 @pytest.fixture

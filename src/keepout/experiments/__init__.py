@@ -6,28 +6,22 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from keepout.errors import ScenarioError
-from keepout.experiments.case1 import case1
-from keepout.experiments.case2 import case2
-from keepout.experiments.case3 import case3
+from keepout.experiments import case1, case2, case3, runtime, surfaces, table1, volumes
 from keepout.experiments.part import Part
-from keepout.experiments.runtime import runtime
 from keepout.experiments.side_by_side import side_by_side
-from keepout.experiments.surfaces import surfaces
-from keepout.experiments.table1 import table1
-from keepout.experiments.volumes import volumes
 from keepout.experiments.work import Work
 from keepout.progress import Progress, part_of, silent
 from keepout.report.folder import make_folder, write_summary
 from keepout.report.reproduction import write_reproduction
 
 PARTS: dict[str, Callable[[Work], Part]] = {
-    "table1": table1,
-    "surfaces": surfaces,
-    "volumes": volumes,
-    "case1": case1,
-    "case2": case2,
-    "runtime": runtime,
-    "case3": case3,
+    "table1": table1.table1,
+    "surfaces": surfaces.surfaces,
+    "volumes": volumes.volumes,
+    "case1": case1.case1,
+    "case2": case2.case2,
+    "runtime": runtime.runtime,
+    "case3": case3.case3,
 }
 """In the paper's order."""
 ALONE = ("runtime",)
@@ -82,7 +76,7 @@ def reproduce(
             # After each part, so that a page stands even if a later part is stopped.
             finished = [done[name] for name in chosen if name in done]
             write_reproduction(out, [part.section() for part in finished], introduction=INTRODUCTION, quick=quick)
-            write_summary(out, [{"experiment": part.name, **row} for part in finished for row in part.rows])
+            write_summary(out, [row for part in finished for row in part.named_rows])
         return part
 
     together = {name: functools.partial(repeated, name) for name in chosen if name not in ALONE}
