@@ -18,7 +18,7 @@ from keepout.fields.model import FieldModel
 from keepout.geometry.target import Target
 from keepout.mission.build import load_target
 from keepout.mission.scenario import Scenario
-from keepout.progress import Progress, part_of
+from keepout.progress import Progress
 from keepout.report.runtime_view import draw_step_times
 
 PAPER = (
@@ -38,11 +38,9 @@ _NO_FIELD = "no such field: give --fields with one of the paper's network"
 
 def runtime(work: Work) -> Part:
     """Time control steps over a flight, and fly the law with a true cone."""
-    target = load_target(Scenario().target)
-    target.distance.distance(np.zeros((1, 3)))  # compiled once, before the flights share it
-    network = None if work.quick else field_of(work, PAPER_NETWORK, target, fitting=False)
-    timed = step_rows(work, network)
-    cone = cone_rows(work, target, network)
+    target, network = _flown_around(work)
+    timed = step_rows(work.within(0.0, 0.5), network)
+    cone = cone_rows(work.within(0.5, 1.0), target, network)
     times = [row for row, _ in timed]
     drawn = {
         row["contender"]: (np.arange(float(len(seconds))), 1e3 * seconds)
@@ -67,6 +65,19 @@ def runtime(work: Work) -> Part:
         ],
         drawings=[Drawing("step-times", "Time of each control step over the flight; thick: its median")],
     )
+
+
+def fly_cones(work: Work) -> None:
+    """Fly the flights with a true cone, which are kept: they may be flown while other parts keep the cores busy."""
+    target, network = _flown_around(work)
+    cone_rows(work, target, network)
+
+
+def _flown_around(work: Work) -> tuple[Target, FieldModel | None]:
+    """Give the target and, where there is one, its field of the paper's network."""
+    target = load_target(Scenario().target)
+    target.distance.distance(np.zeros((1, 3)))  # compiled once, before the flights share it
+    return target, None if work.quick else field_of(work, PAPER_NETWORK, target, fitting=False)
 
 
 def contenders(work: Work, network: FieldModel | None) -> list[Contender]:
@@ -113,8 +124,8 @@ def step_rows(work: Work, network: FieldModel | None) -> list[tuple[dict[str, An
         "network": None if network is None else network.sha256,
         "machine": platform.machine(),
     }
-    arrays = work.within(0.0, 0.5).arrays("step-times", made_of, make)
-    work.progress(0.5, "steps timed")
+    arrays = work.arrays("step-times", made_of, make)
+    work.progress(1.0, "steps timed")
     answers = {
         contender.name: Timed(arrays[f"{place}-seconds"], arrays[f"{place}-position"], int(arrays[f"{place}-unsolved"]))
         for place, contender in enumerate(run)
@@ -158,7 +169,7 @@ def cone_rows(work: Work, target: Target, network: FieldModel | None) -> list[di
             control = {"profile": "paper", "paper": {"gradient_error": error}}
             scenario = base.replace(name=f"cone-{kind}-{error:g}", control=control)
             jobs[scenario.name] = _job(work, scenario, target, model)
-    flights = side_by_side(jobs, part_of(work.progress, 0.5, 1.0))
+    flights = side_by_side(jobs, work.progress)
     return [_cone_row(flight) for flight in flights.values()]
 
 
