@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from truths.invented_flight import Invented
 from truths.results import check_picture
 
 from keepout.experiments import case2
-from keepout.experiments.kept_flight import KeptFlight
 from keepout.report.case2_view import draw_comparisons
 
 
@@ -17,7 +17,7 @@ def flight(scenario, error):
     summary = {"reached": True, "minimum_clearance_m": 1.0, "contact_verdict": "no", "saturated_fraction": 0.5}
     force = np.tile([3.0, 0.0, 4.0], (101, 1))
     force[-1] = 1e3  # was not flown
-    return KeptFlight(scenario, summary, time, position, 0.0 * position, force, away - 2.0, away**2)
+    return Invented(scenario, summary, time=time, position=position, force=force, barrier=away - 2.0, lyapunov=away**2)
 
 
 def test_the_figures_are_those_of_the_settled_flight():

@@ -43,7 +43,10 @@ def test_table_1_of_one_target_and_its_kept_numbers(one_target, tmp_path, monkey
 
 
 def test_surfaces_are_cut_once_measured_and_drawn(one_target, tmp_path, monkeypatch):
-    part = surfaces.surfaces(Work(tmp_path, quick=True))
+    done: list[float] = []
+    part = surfaces.surfaces(Work(tmp_path, quick=True, progress=lambda fraction, _: done.append(fraction)))
+    assert 0.0 == done[0] < done[-1] < 1.0  # the figures are drawn after the last of it
+    assert done == sorted(done)
     (row,) = part.rows
     assert 0.5 * 0.03 < row["Chamfer m"] < row["p95 m"] < row["Hausdorff m"] < 0.5
     for drawing in part.drawings:

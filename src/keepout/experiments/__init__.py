@@ -10,7 +10,7 @@ from keepout.experiments import case1, case2, case3, runtime, surfaces, table1, 
 from keepout.experiments.part import Part
 from keepout.experiments.side_by_side import side_by_side
 from keepout.experiments.work import Work
-from keepout.progress import Progress, part_of, silent
+from keepout.progress import Progress, never_back, part_of, silent
 from keepout.report.folder import make_folder, write_summary
 from keepout.report.reproduction import write_reproduction
 
@@ -69,6 +69,7 @@ def reproduce(
     for name in chosen:
         make_folder(out / name)
     done: dict[str, Part] = {}
+    progress = never_back(progress)
     writing = threading.Lock()
 
     def repeated(name: str, progress: Progress) -> Part:
