@@ -24,8 +24,8 @@ PARTS: dict[str, Callable[[Work], Part]] = {
     "case3": case3.case3,
 }
 """In the paper's order."""
-LONGEST_FIRST = ("case3", "case1", "case2", "runtime", "table1", "surfaces", "volumes")
-"""So that the last ones, side by side, end at about the same time."""
+LONG = ("case3", "case1", "case2", "runtime")
+"""Begun first, so that the last ones, side by side, end at about the same time."""
 ALONE: dict[str, Callable[[Work], object]] = {"runtime": runtime.fly_cones}
 """Parts that measure times, and so run while nothing else does; each with what of it is kept before, beside others."""
 
@@ -87,9 +87,8 @@ def reproduce(
 
     alone = [name for name in chosen if name in ALONE]
     share = 1.0 - 0.5 * len(alone) / len(chosen)
-    jobs = {
-        name: functools.partial(ahead if name in ALONE else repeated, name) for name in LONGEST_FIRST if name in chosen
-    }
+    order = sorted(chosen, key=lambda name: LONG.index(name) if name in LONG else len(LONG))
+    jobs = {name: functools.partial(ahead if name in ALONE else repeated, name) for name in order}
     side_by_side(jobs, part_of(progress, 0.0, share))
     for name in alone:
         repeated(name, part_of(progress, share, 1.0))
