@@ -5,6 +5,7 @@ import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from keepout.compiled.kept_programs import keep_programs
 from keepout.errors import ScenarioError
 from keepout.experiments.case1 import case1
 from keepout.experiments.case2 import case2
@@ -64,6 +65,7 @@ def reproduce(
         ScenarioError: a part of that name does not exist, or the folder cannot be written to.
 
     """
+    keep_programs()
     chosen = [name for name in PARTS if name in names or "all" in names]
     for name in names:
         if name not in PARTS and name != "all":
