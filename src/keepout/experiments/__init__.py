@@ -5,6 +5,7 @@ import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from keepout.compiled.kept_programs import keep_programs
 from keepout.errors import ScenarioError
 from keepout.experiments import case1, case2, case3, runtime, surfaces, table1, volumes
 from keepout.experiments.part import Part
@@ -60,6 +61,7 @@ def reproduce(
         ScenarioError: a part of that name does not exist, or the folder cannot be written to.
 
     """
+    keep_programs()
     chosen = [name for name in PARTS if name in names or "all" in names]
     for name in names:
         if name not in PARTS and name != "all":

@@ -11,6 +11,7 @@ import time
 import numpy as np
 from jaxtyping import Float
 
+from keepout.compiled.kept_programs import keep_programs
 from keepout.errors import FieldError
 from keepout.fields.evaluate import values, values_and_gradients
 from keepout.fields.model import Certificate, FieldModel
@@ -67,6 +68,7 @@ def certify(
             domain.
 
     """
+    keep_programs()
     start = time.perf_counter()
     field, distance = require_network_and_mesh(model, target, where="certify")
     reach = float(
