@@ -1,9 +1,12 @@
 """Settings shared by all tests."""
 
 import atexit
+import contextlib
+import gc
 import os
 import shutil
 import tempfile
+from pathlib import Path
 
 # What one test compiles, the workers and the commands that tests start need not compile again. The folder is new for
 # every run, so that nothing of an earlier version is taken for today's. Before JAX is imported, which reads it once.
@@ -16,12 +19,38 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "0",
     }
 
+import equinox as eqx
+import jax
+import pytest
 from hypothesis import HealthCheck, settings
 from truths import real_meshes
 
 # A shared or slow machine must not fail a property: only its truth may.
 settings.register_profile("keepout", deadline=None, suppress_health_check=[HealthCheck.too_slow], print_blob=True)
 settings.load_profile("keepout")
+
+MOST_MEMORY = 2.5e9
+"""A process that holds more (bytes) at the end of a file of tests forgets what it compiled: it stays on disk."""
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _forgetful():
+    yield
+    with contextlib.suppress(OSError):
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        if pages * os.sysconf("SC_PAGE_SIZE") > MOST_MEMORY:
+            eqx.clear_caches()
+            jax.clear_caches()
+            gc.collect()
+
+
+FIRST = ("test_journey.py", "test_readme.py", "test_demonstration.py", "test_cli.py")
+"""What a user runs first is tested first; these take longest too, so that no worker ends with one while others wait."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the files named in `FIRST` before all others."""
+    items.sort(key=lambda item: FIRST.index(item.path.name) if item.path.name in FIRST else len(FIRST))
 
 
 def pytest_report_header() -> str:
