@@ -14,6 +14,7 @@ from keepout.control.law import Condition
 from keepout.control.observer import ContinuousObserver, SampledObserver
 from keepout.control.operation import Operation
 from keepout.control.velocity import SafeVelocity, VelocityPoint
+from keepout.motion.arrays import as_float64
 from keepout.motion.relative import MotionState, RelativeMotion
 
 
@@ -26,26 +27,43 @@ def drift_bound(motion: RelativeMotion, *, radius: float, speed: float, samples:
     directions = rng.normal(size=(2, samples, 3))
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
     orbit = motion.orbit
-    period = 2.0 * np.pi * float(jnp.sqrt(orbit.semi_major_axis**3 / orbit.gravitational_parameter))
-    positions, velocities = jnp.asarray(radius * directions[0]), jnp.asarray(speed * directions[1])
+    axis = float(orbit.semi_major_axis)
+    period = 2.0 * np.pi * float(np.sqrt(axis * axis * axis / float(orbit.gravitational_parameter)))
+    positions, velocities = as_float64(radius * directions[0]), as_float64(speed * directions[1])
 
-    @eqx.filter_jit
-    def drift(at: MotionState, position: Array, velocity: Array) -> Array:
-        def single(r: Array, v: Array) -> Array:
-            moved = MotionState(at.time, r, v, at.attitude, at.angular_velocity, at.target_orbit)
-            return jnp.linalg.norm(motion.drift_acceleration(moved))
+    times = np.linspace(0.0, period, 8, endpoint=False)
+    return max(float(_largest_drift(motion, as_float64(time), positions, velocities)) for time in times)
 
-        return jnp.max(jax.vmap(single)(position, velocity))
 
-    states = eqx.filter_jit(lambda time: motion.initial_state(jnp.zeros(3), jnp.zeros(3), time))
-    times = jnp.linspace(0.0, period, 8, endpoint=False)
-    return max(float(drift(states(time), positions, velocities)) for time in times)
+@eqx.filter_jit
+def _largest_drift(
+    motion: RelativeMotion, time: Float[Array, ""], positions: Float[Array, "n 3"], velocities: Float[Array, "n 3"]
+) -> Float[Array, ""]:
+    """Give the largest drift acceleration (m/s²) at a moment (s) over positions (m) and velocities (m/s)."""
+    at = motion.initial_state(jnp.zeros(3), jnp.zeros(3), time)
+
+    def single(r: Float[Array, "3"], v: Float[Array, "3"]) -> Float[Array, ""]:
+        moved = MotionState(at.time, r, v, at.attitude, at.angular_velocity, at.target_orbit)
+        return jnp.linalg.norm(motion.drift_acceleration(moved))
+
+    return jnp.max(jax.vmap(single)(positions, velocities))
 
 
 @eqx.filter_jit
 def _at_rest(law: SafeVelocity, position: Float[Array, "3"]) -> VelocityPoint:
     """Give the velocity layer at a position (m) before anything is remembered; compiled once a kind of law."""
     return law(position, jnp.zeros(3), jnp.zeros(3))[0]
+
+
+@eqx.filter_jit
+def _drift_at_rest(motion: RelativeMotion, position: Float[Array, "3"]) -> Float[Array, ""]:
+    """Give the drift acceleration (m/s²) of a chaser at rest at a position (m) at the epoch."""
+    return jnp.linalg.norm(motion.drift_acceleration(motion.initial_state(position, jnp.zeros(3))))
+
+
+@eqx.filter_jit
+def _error_matrix(observer: ContinuousObserver | SampledObserver) -> Float[Array, "q q"]:
+    return observer.error_matrix()
 
 
 def conditions(
@@ -59,7 +77,7 @@ def conditions(
     tracking, law = controller.tracking, controller.velocity
     beta_c, beta_e = float(tracking.barrier_rate), float(tracking.estimation_rate)
     alpha = float(law.class_k.rate)
-    mass, force = float(controller.mass), float(jnp.min(controller.force_limit))
+    mass, force = float(controller.mass), float(np.min(np.asarray(controller.force_limit)))
     left = (force - disturbance_bound) / mass
     cap = law.speed.limit if law.speed is not None else law.box
     assert cap is not None
@@ -76,7 +94,7 @@ def conditions(
     smallest = float(np.linalg.eigvalsh(np.asarray(tracking.position_weight)).min())
     add("position weight", "smallest eigenvalue of H_0 > 0", smallest, 0.0, smallest > 0.0)
     if isinstance(controller.observer, ContinuousObserver):
-        error = np.asarray(controller.observer.error_matrix())
+        error = np.asarray(_error_matrix(controller.observer))
         rate = float(np.linalg.eigvals(error).real.max())
         add("observer", "largest real part of A - L C/m < 0, 1/s", rate, 0.0, rate < 0.0)
         factor = float(np.abs(1.0 + period * np.linalg.eigvals(error)).max())
@@ -84,7 +102,7 @@ def conditions(
         model = float(np.linalg.eigvals(np.asarray(controller.observer.generator)).real.max())
         add("disturbance model", "largest real part of A <= 0, 1/s", model, 0.0, model <= 1e-12, required=False)
     elif isinstance(controller.observer, SampledObserver):
-        factor = float(np.abs(np.linalg.eigvals(np.asarray(controller.observer.error_matrix()))).max())
+        factor = float(np.abs(np.linalg.eigvals(np.asarray(_error_matrix(controller.observer)))).max())
         add("observer sampled", "largest |eigenvalue| of Phi - K C < 1", factor, 1.0, factor < 1.0)
     if law.circulation is not None:
         level = float(law.circulation.level)
@@ -99,14 +117,13 @@ def conditions(
     else:
         braking = float(law.class_k.braking)
         add("authority", "a_c <= (F_max - d_max)/m, m/s2", braking, left, braking <= left)
-    rest = controller.motion.initial_state(controller.goal, np.zeros(3))
-    hold = mass * float(jnp.linalg.norm(controller.motion.drift_acceleration(rest))) + disturbance_bound
+    hold = mass * float(_drift_at_rest(controller.motion, controller.goal)) + disturbance_bound
     add("hold at the goal", "m |drift(goal)| + d_max <= F_max, N", hold, force, hold <= force)
     if start is not None:
         # Only v_s is needed here, and its Jacobian is most of the time to compile.
         plain = dataclasses.replace(law, differentiate=False)
-        point = _at_rest(plain, jnp.asarray(start, dtype=float))
-        square = float(jnp.sum(point.velocity**2))
+        point = _at_rest(plain, as_float64(start))
+        square = float(np.sum(np.asarray(point.velocity) ** 2))
         h1 = float(point.barrier) - square / (2.0 * float(tracking.barrier_ratio))
         h1 -= 0.5 * float(tracking.estimation_weight) * disturbance_bound**2
         add("start in the safe set", "h_1(0) >= 0 at rest, m", h1, 0.0, h1 >= 0.0, required=False)

@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 from scipy import linalg
 
 from keepout.errors import ControlError
+from keepout.motion.arrays import as_float64
 
 
 class Observer(eqx.Module):
@@ -138,7 +139,7 @@ def continuous(
     block[q : 2 * q, 2 * q :] = np.eye(q)
     whole = linalg.expm(block)
     arrays = (generator, output, gain, mass, whole[:q, :q], whole[:q, q : 2 * q], whole[:q, 2 * q :])
-    return ContinuousObserver(*(jnp.asarray(x, dtype=float) for x in arrays))
+    return ContinuousObserver(*(as_float64(x) for x in arrays))
 
 
 def printed_observer(*, mass: float, period: float) -> ContinuousObserver:
@@ -200,8 +201,8 @@ def constant_observer(*, mass: float, period: float, gain: float = 0.9) -> Sampl
     """
     if not 0.0 < gain < 2.0:
         raise ControlError(f"observer gain: {gain}; the sampled observer converges only for a gain in (0, 2)")
-    one = jnp.eye(3)
-    return SampledObserver(one, one, one, gain * one, jnp.asarray(float(mass)), jnp.asarray(float(period)))
+    one = np.eye(3)
+    return SampledObserver(*(as_float64(x) for x in (one, one, one, gain * one, mass, period)))
 
 
 PAPER_FREQUENCIES = (0.02, 0.01)
@@ -260,5 +261,5 @@ def harmonic_observer(
     for factor in factors:
         gain = companion @ gain - (factor - 1.0) / scale * gain
     matrices = (np.eye(q) + scale * companion, np.eye(1, q), np.linalg.solve(basis.T, output.T).T, scale * gain)
-    arrays = [jnp.asarray(np.kron(np.eye(3), x)) for x in matrices]
-    return SampledObserver(*arrays, mass=jnp.asarray(float(mass)), period=jnp.asarray(float(period)))
+    arrays = [as_float64(np.kron(np.eye(3), x)) for x in matrices]
+    return SampledObserver(*arrays, mass=as_float64(mass), period=as_float64(period))

@@ -4,7 +4,6 @@ import dataclasses
 import warnings
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -141,7 +140,7 @@ def default(
     )
     tracking = Tracking(
         gain=as_float64(tuning.tracking_gain),
-        position_weight=jnp.eye(3),
+        position_weight=as_float64(np.eye(3)),
         lyapunov_ratio=as_float64(tuning.lyapunov_ratio),
         barrier_ratio=as_float64(tuning.barrier_ratio),
         estimation_weight=as_float64(tuning.estimation_weight),
@@ -221,7 +220,7 @@ def paper(
     )
     tracking = Tracking(
         gain=as_float64(15.0),
-        position_weight=position_weight * jnp.eye(3),
+        position_weight=as_float64(position_weight * np.eye(3)),
         lyapunov_ratio=as_float64(1e-4),
         barrier_ratio=as_float64(2.0),
         estimation_weight=as_float64(1.0),
@@ -249,6 +248,6 @@ def _composed(
         observer=observer,
         motion=operation.motion,
         mass=as_float64(operation.chaser.mass),
-        force_limit=jnp.full(3, operation.chaser.force_limit),
+        force_limit=as_float64(np.full(3, operation.chaser.force_limit)),
         nominal_offset=as_float64(nominal_offset),
     )

@@ -6,7 +6,6 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -37,7 +36,7 @@ def in_pieces(function: Callable[[Any], Any], points: Float[np.ndarray, "n 3"]) 
         piece = points[start : start + PIECE]
         padded = np.zeros((PIECE, 3), points.dtype)
         padded[: len(piece)] = piece
-        answers.append(jax.tree.map(np.asarray, function(jnp.asarray(padded))))
+        answers.append(jax.tree.map(np.asarray, function(jax.device_put(padded))))
     joined = jax.tree.map(lambda *parts: np.concatenate(parts), *answers)
     return jax.tree.map(lambda a: a[: len(points)], joined)
 

@@ -7,10 +7,11 @@ from itertools import chain
 from pathlib import Path
 from typing import Any, Literal
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 import safetensors
 import safetensors.numpy
+from jaxtyping import Array
 
 from keepout.digest import digest
 from keepout.errors import FieldError
@@ -269,23 +270,28 @@ def _take_apart(field: Field) -> tuple[dict[str, np.ndarray], dict]:
     return tensors, description
 
 
+def _placed(numbers: float | list) -> Array:
+    """Give float64 numbers as an array, without a program of their shape that `jnp.asarray` would compile."""
+    return jax.device_put(np.asarray(numbers, np.float64))
+
+
 def _put_together(tensors: dict[str, np.ndarray], description: dict) -> Field:
-    numbers = {name: jnp.asarray(value, jnp.float64) for name, value in description["continuation"].items()}
+    numbers = {name: _placed(value) for name, value in description["continuation"].items()}
     continuation = RadialContinuation(**numbers)
     if description["kind"] == "grid":
-        tables = tuple(jnp.asarray(tensors[f"table{i}"]) for i in range(int(description["levels"])))
-        origin, spacing = (jnp.asarray(description[name], jnp.float64) for name in ("origin", "spacing"))
-        return GridField(jnp.asarray(tensors["coefficients"]), tables, origin, spacing, continuation)
+        tables = tuple(jax.device_put(tensors[f"table{i}"]) for i in range(int(description["levels"])))
+        origin, spacing = (_placed(description[name]) for name in ("origin", "spacing"))
+        return GridField(jax.device_put(tensors["coefficients"]), tables, origin, spacing, continuation)
     if description["kind"] != "neural":
         raise ValueError(f"field kind {description['kind']!r}")
     count = int(description["hidden_layers"]) + 1
     layers = Layers(
-        tuple(jnp.asarray(tensors[f"W{i}"]) for i in range(count)),
-        tuple(jnp.asarray(tensors[f"b{i}"]) for i in range(count)),
+        tuple(jax.device_put(tensors[f"W{i}"]) for i in range(count)),
+        tuple(jax.device_put(tensors[f"b{i}"]) for i in range(count)),
     )
     width = 3
     for W, b in zip(layers.weights, layers.biases):
         if W.ndim != 2 or W.shape[1] != width or b.shape != (W.shape[0],):
             raise ValueError(f"layer shapes {W.shape}, {b.shape} do not follow on width {width}")
         width = W.shape[0]
-    return NeuralField(layers, jnp.asarray(description["scale"], jnp.float64), continuation, float(description["beta"]))
+    return NeuralField(layers, _placed(description["scale"]), continuation, float(description["beta"]))

@@ -101,7 +101,7 @@ class FlightSetup(eqx.Module):
     def __check_init__(self):
         for name, unit in (("mass", "kg"), ("period", "s"), ("tolerance", "m")):
             value = getattr(self, name)
-            if not isinstance(value, Tracer) and not (math.isfinite(value) and value > 0):
+            if not isinstance(value, Tracer) and not (math.isfinite(value) and float(value) > 0):
                 raise ScenarioError(f"{name}: {float(value):g} {unit}; it must be positive and finite")
         if any(isinstance(value, Tracer) for value in jax.tree.leaves((self.disturbance, self.period))):
             return  # values are not known yet inside a transformation

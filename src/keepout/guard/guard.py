@@ -16,7 +16,6 @@ from jaxtyping import Array, Bool, Float, Int
 
 from keepout.compiled.on_demand import where_needed
 from keepout.errors import ControlError
-from keepout.fields.evaluate import values
 from keepout.fields.field import Field
 from keepout.guard import watch
 from keepout.guard.braking import BrakingDesign, GuardAssumptions, design
@@ -240,14 +239,14 @@ class Guard(SafetyLayer):
 
         """
         for name, vector in (("start.position", start.position), ("start.velocity", start.velocity), ("goal", goal)):
-            if not bool(jnp.all(jnp.isfinite(vector))):
+            if not np.all(np.isfinite(np.asarray(vector))):
                 raise ControlError(f"guard: {name} is {vector.tolist()}; it must be finite")
         for name, point in (("start", start.position), ("goal", goal)):
-            away = float(jnp.linalg.norm(point)) + self.braking.position_radius
+            away = float(np.linalg.norm(np.asarray(point))) + self.braking.position_radius
             if away > self.assumptions.range_limit:
                 limit = self.assumptions.range_limit
                 raise ControlError(f"guard: {name} needs a range of {away:.3f} m; range_limit is {limit} m")
-        here, there = values(self.field, np.stack([np.asarray(start.position), np.asarray(goal)]))
+        here, there, certified = _looked_at(self, start, goal)
         value = float(here)
         if not value > 0.0:
             raise ControlError(f"guard: the field is {value:.3f} m at the start: inside the target; it must be above 0")
@@ -257,7 +256,7 @@ class Guard(SafetyLayer):
                 f"guard: the field is {value:.3f} m at the goal; the guard lets the chaser rest only above "
                 f"{self.least_value:.3f} m (threshold {self.threshold:.3f} m and tube)"
             )
-        return bool(eqx.filter_jit(lambda guard, state: guard.certified_start(state))(self, start))
+        return bool(certified)
 
     @property
     def _plan_radius(self) -> float:
@@ -394,3 +393,12 @@ class Guard(SafetyLayer):
         a = self.assumptions
         far = jnp.linalg.norm(position) > a.range_limit + a.position_error
         return far | (jnp.linalg.norm(velocity) > a.speed_limit + a.velocity_error)
+
+
+@eqx.filter_jit
+def _looked_at(
+    guard: Guard, start: MotionState, goal: Vector
+) -> tuple[Float[Array, ""], Float[Array, ""], Bool[Array, ""]]:
+    """Give the field (m) at start and goal, and `certified_start`: one program instead of one each."""
+    here, there = guard.field.value(jnp.stack([start.position, goal]))
+    return here, there, guard.certified_start(start)

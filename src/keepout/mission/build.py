@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from keepout.compiled.kept_programs import keep_programs
@@ -39,6 +38,7 @@ from keepout.mission.assumptions import broken_assumptions
 from keepout.mission.entries import TargetEntry
 from keepout.mission.scenario import Scenario
 from keepout.motion import MotionState
+from keepout.motion.arrays import as_float64
 from keepout.progress import Progress, part_of, silent
 
 _MISSED_ROOM = 0.2
@@ -170,7 +170,7 @@ def prepare(
             closing_radius=_closing_radius(model),
             progress=part_of(progress, 0.6, 1.0),
         )
-        start_certified = guard.require(initial, jnp.asarray(scenario.goal.position)) and not broken
+        start_certified = guard.require(initial, as_float64(scenario.goal.position)) and not broken
     setup = FlightSetup(
         motion=motion,
         disturbance=environment.disturbance(scenario),

@@ -1,7 +1,9 @@
 """Thrusters: from the commanded force to the one that can be given."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
@@ -11,7 +13,9 @@ from keepout.motion.rotation import Vector
 
 
 def _per_axis(value: NumbersLike) -> Array:
-    return jnp.broadcast_to(as_float64(value), (3,))
+    if isinstance(value, jax.Array):
+        return jnp.broadcast_to(as_float64(value), (3,))
+    return as_float64(np.broadcast_to(np.asarray(value), (3,)))
 
 
 class Thrusters(eqx.Module):
@@ -29,7 +33,7 @@ class Thrusters(eqx.Module):
     def __check_init__(self):
         if isinstance(self.force_limit, Tracer):
             return  # values are not known yet inside a transformation
-        if not bool(jnp.all(self.force_limit > 0)):
+        if not np.all(np.asarray(self.force_limit) > 0):
             raise ScenarioError(f"force_limit: {self.force_limit.tolist()} N; every axis must be positive")
 
     def apply(self, command: Vector) -> Vector:

@@ -3,7 +3,9 @@
 from collections.abc import Sequence
 from typing import Any
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
@@ -13,4 +15,7 @@ NumbersLike = ArrayLike | Sequence[Any]
 
 def as_float64(value: NumbersLike) -> Array:
     """Give a number, an array or nested lists of numbers as a float64 array of the same shape."""
-    return jnp.asarray(value, dtype=jnp.float64)
+    if any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(value)):
+        return jnp.asarray(value, dtype=jnp.float64)
+    # `jnp.asarray` would compile a program for each shape of numbers that are not JAX's yet.
+    return jax.device_put(np.asarray(value, dtype=np.float64))

@@ -3,6 +3,7 @@
 import abc
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Array, Float
@@ -15,7 +16,11 @@ from keepout.motion.rotation import Quaternion, Vector
 
 
 def _unit(value: NumbersLike) -> Array:
-    quaternion = as_float64(value)
+    return _normalised(as_float64(value))
+
+
+@jax.jit
+def _normalised(quaternion: Quaternion) -> Quaternion:
     return quaternion / jnp.linalg.norm(quaternion)
 
 

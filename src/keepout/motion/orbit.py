@@ -51,9 +51,9 @@ class Orbit(eqx.Module):
     def __check_init__(self):
         if isinstance(self.semi_major_axis, Tracer) or isinstance(self.eccentricity, Tracer):
             return  # values are not known yet inside a transformation
-        if not (math.isfinite(self.semi_major_axis) and self.semi_major_axis > 0):
+        if not (math.isfinite(self.semi_major_axis) and float(self.semi_major_axis) > 0):
             raise ScenarioError(f"semi_major_axis: {float(self.semi_major_axis):g} m; it must be positive and finite")
-        if not 0 <= self.eccentricity < 1:
+        if not 0 <= float(self.eccentricity) < 1:
             raise ScenarioError(f"eccentricity: {float(self.eccentricity):g}; it must lie in [0, 1)")
 
     @property

@@ -66,7 +66,7 @@ class RelativeMotion(eqx.Module):
 
         The attitude and the tumbling rate given at construction are those at this time.
         """
-        numbers = (jnp.asarray(value, dtype=jnp.float64) for value in (position, velocity, time))
+        numbers = (as_float64(value) for value in (position, velocity, time))
         return _initial_state(self, *numbers)
 
     def drift_acceleration(self, state: MotionState) -> Vector:

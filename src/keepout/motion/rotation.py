@@ -5,7 +5,9 @@ A quaternion named `b_from_a` takes the components of a vector in frame a to its
 spacecraft literature writes the conjugate for the same attitude, so files that follow it convert at the edge.
 """
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 Quaternion = Float[Array, "4"]
@@ -14,7 +16,7 @@ Vector = Float[Array, "3"]
 
 def identity() -> Quaternion:
     """Return the quaternion that changes nothing."""
-    return jnp.array([1.0, 0.0, 0.0, 0.0])
+    return jax.device_put(np.array([1.0, 0.0, 0.0, 0.0]))
 
 
 def multiply(left: Quaternion, right: Quaternion) -> Quaternion:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import equinox as eqx
-import jax.numpy as jnp
+import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Int8
 from scipy import ndimage
@@ -14,6 +14,7 @@ from keepout.control.guidance.guidance import GeodesicGuidance
 from keepout.errors import ControlError, KeepOutZoneError
 from keepout.fields.evaluate import values as field_values
 from keepout.fields.field import Field
+from keepout.motion.arrays import as_float64
 from keepout.progress import Progress, silent
 
 FULL_SPEED_BARRIER = 0.6
@@ -195,14 +196,14 @@ def geodesic_guidance(
         )
     time = travel_time(speeds, grid.walls, sources, times, grid.spacing)
     guidance = GeodesicGuidance(
-        goal=jnp.asarray(goal),
-        speed=jnp.asarray(float(speed)),
-        slowing_length=jnp.asarray(float(slowing_length)),
-        directions=jnp.asarray(_directions(grid, time, sources, goal)),
-        origin=jnp.asarray(grid.origin),
-        spacing=jnp.asarray(grid.spacing),
-        inner=jnp.asarray(max(0.6, grid.spacing)),
-        outer=jnp.asarray(max(1.2, 2.0 * grid.spacing)),
+        goal=as_float64(goal),
+        speed=as_float64(speed),
+        slowing_length=as_float64(slowing_length),
+        directions=jax.device_put(_directions(grid, time, sources, goal)),
+        origin=as_float64(grid.origin),
+        spacing=as_float64(grid.spacing),
+        inner=as_float64(max(0.6, grid.spacing)),
+        outer=as_float64(max(1.2, 2.0 * grid.spacing)),
     )
     if start is not None:
         start = np.asarray(start, dtype=float)
@@ -229,7 +230,7 @@ def _few_values(field: Field, points: Float[np.ndarray, "n 3"]) -> Float[np.ndar
     """Field values (m) at up to `_FEW` points: a goal asks for so few that a full piece would be most of its cost."""
     padded = np.zeros((_FEW, 3))
     padded[: len(points)] = points
-    return np.asarray(_value(field, jnp.asarray(padded)))[: len(points)]
+    return np.asarray(_value(field, jax.device_put(padded)))[: len(points)]
 
 
 def require_free(field: Field, offset: float, position: Float[np.ndarray, "3"], name: str) -> None:
