@@ -14,7 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import PyTree
+from jaxtyping import Array, Int, PRNGKeyArray, PyTree
 
 from keepout.errors import ScenarioError
 from keepout.flight.loop import FlightLog, trace
@@ -57,6 +57,7 @@ def fly_batches(
     seed: int = 0,
     first: int = 0,
     vary: Callable[[FlightSetup], Any] | None = None,
+    alike: Sequence[str] | None = None,
     columns: Sequence[str] = (),
     landed: Landed | None = None,
     batch: int | None = None,
@@ -92,9 +93,10 @@ def fly_batches(
     if unknown:
         raise ScenarioError(f"columns: {unknown[0]}; valid are {', '.join(FlightLog.__annotations__)}")
     varied = _filter(setup, vary)
-    keys = jax.random.split(jax.random.key(seed), first + initial.time.shape[0])[first:]
-    cases = (varied, initial, keys)
-    flights = _common_length(cases)
+    flights = _common_length((varied, initial))
+    alike = alike_among(initial) if alike is None else tuple(alike)
+    shared, own_states = _shared(initial, alike)
+    cases = (varied, own_states, _keys(seed, jnp.arange(first, first + flights)))
     on_cpu = jax.default_backend() == "cpu"
     batch = batch or min(flights, BATCH if on_cpu else flights)
     workers = workers or (_available_cores() if on_cpu else 1)
@@ -103,7 +105,7 @@ def fly_batches(
         # The last batch is filled up with its own first flight, so that only one shape is ever compiled.
         index = np.arange(begin, begin + batch)
         own = np.where(index < flights, index, begin)
-        result = _fly_batch(setup, jax.tree.map(lambda array: array[own], cases), steps, tuple(columns))
+        result = _fly_batch(setup, shared, jax.tree.map(lambda array: array[own], cases), steps, tuple(columns))
         return jax.tree.map(lambda array: array[: flights - begin], jax.device_get(result))
 
     summaries: list[FlightOutcome] = []
@@ -130,14 +132,33 @@ def fly_batches(
     return jax.tree.map(lambda *parts: np.concatenate(parts), *summaries)
 
 
+def alike_among(initial: MotionState) -> tuple[str, ...]:
+    """Name the entries of these states (leading axis: flights) that are the same in all of them, to the bit."""
+    entries = {name: np.asarray(value) for name, value in vars(initial).items() if value is not None}
+    return tuple(name for name, value in entries.items() if (value == value[:1]).all())
+
+
+def _shared(initial: MotionState, alike: Sequence[str]) -> tuple[MotionState, MotionState]:
+    """Split states into the entries that flights share, without an axis of flights, and their own; None elsewhere."""
+    entries = vars(initial)
+    common = {name: None if name not in alike or value is None else value[0] for name, value in entries.items()}
+    own = {name: None if name in alike else value for name, value in entries.items()}
+    return MotionState(**common), MotionState(**own)
+
+
+@jax.jit
+def _keys(seed: Int[Array, ""], places: Int[Array, "flights"]) -> PRNGKeyArray:
+    return jax.vmap(lambda place: jax.random.fold_in(jax.random.key(seed), place))(places)
+
+
 @eqx.filter_jit
 def _fly_batch(
-    setup: FlightSetup, cases: PyTree, steps: int, columns: tuple[str, ...]
+    setup: FlightSetup, shared: MotionState, cases: PyTree, steps: int, columns: tuple[str, ...]
 ) -> tuple[FlightOutcome, dict[str, jax.Array]]:
     def one(case: PyTree) -> tuple[FlightOutcome, dict[str, jax.Array]]:
         varied, state, key = case
         own = eqx.combine(varied, setup)
-        log = trace(own, state, steps, key)
+        log = trace(own, eqx.combine(state, shared), steps, key)
         return outcome(own, log), {name: getattr(log, name) for name in columns}
 
     return eqx.filter_vmap(one)(cases)

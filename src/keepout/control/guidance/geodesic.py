@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int, Int8
 from scipy import ndimage
 
 from keepout.control.guidance.fast_marching import UNIT, downhill, travel_time, widest_way
-from keepout.control.guidance.guidance import GeodesicGuidance
+from keepout.control.guidance.guidance import GeodesicGuidance, packed
 from keepout.errors import ControlError, KeepOutZoneError
 from keepout.fields.evaluate import values as field_values
 from keepout.fields.field import Field
@@ -198,7 +198,7 @@ def geodesic_guidance(
         goal=jnp.asarray(goal),
         speed=jnp.asarray(float(speed)),
         slowing_length=jnp.asarray(float(slowing_length)),
-        directions=jnp.asarray(_directions(grid, time, sources, goal)),
+        directions=jnp.asarray(packed(_directions(grid, time, sources, goal))),
         origin=jnp.asarray(grid.origin),
         spacing=jnp.asarray(grid.spacing),
         inner=jnp.asarray(max(0.6, grid.spacing)),
