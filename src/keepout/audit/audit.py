@@ -201,7 +201,7 @@ def audit_campaign(
 
 
 def _finite(array: Float[np.ndarray, "flights samples 3"]) -> Bool[np.ndarray, "flights"]:
-    return np.isfinite(array.reshape(len(array), -1)).all(axis=1)
+    return np.asarray(np.isfinite(array.reshape(len(array), -1)).all(axis=1))
 
 
 def _or_zero(

@@ -1,17 +1,17 @@
-"""A function of rows keeps its rows together in a batch: the flights' axis joins the rows instead of coming before them.
+"""A function of rows keeps its rows together in a batch: the axis of flights joins the rows, and does not precede them.
 
 Under `jax.vmap` a function of (n, 3) points sees (flights, n, 3), and whatever it does to bring its points to the last
 axis, where a processor's wide registers want them, is undone by the axis of flights. A table look-up with a weighted
 sum of what it finds then takes several times as long as it needs to.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax.custom_batching import custom_vmap
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, PyTree
 
 
 def joined_rows(function: Callable[[PyTree, PyTree], PyTree], shared: PyTree, rows: PyTree) -> PyTree:
@@ -64,13 +64,3 @@ def rows_last(found: Array) -> Array:
     more for every use, number by number.
     """
     return jax.lax.optimization_barrier(jnp.moveaxis(jax.lax.optimization_barrier(found), 0, -1))
-
-
-def contracted(blocks: Float[Array, "a b c n"], weights: Sequence[Sequence[Float[Array, "n"]]]) -> Float[Array, "n"]:
-    """Sum a block of numbers a row, rows last, with one set of weights an axis.
-
-    The barriers keep XLA from writing 4 × 4 × 4 terms into one expression, which takes minutes to compile.
-    """
-    for weight in weights:
-        blocks = jax.lax.optimization_barrier(sum(w * block for w, block in zip(weight, blocks, strict=True)))
-    return blocks

@@ -1,6 +1,8 @@
 """Guidance: the desired velocity v_c before safety, as a function of position."""
 
 import abc
+import functools
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
@@ -8,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int8, Int32
 
-from keepout.compiled.joined_rows import contracted, joined_rows, rows_last
+from keepout.compiled.joined_rows import joined_rows, rows_last
 
 
 class Guidance(eqx.Module):
@@ -63,8 +65,9 @@ class GeodesicGuidance(Guidance):
 
     `directions` holds at each node of a regular grid with corner `origin` (m) and `spacing` (m) the direction in which
     the travel time falls, in 127ths, its three components packed into one number (`packed`); they are blended by cubic
-    B-splines, so that v_c is twice continuously differentiable. Directions and not times are blended, because times on two sides of a wall, or in it, may differ by
-    any amount: in a gap of one node their spline has a minimum before the gap, and a chaser would wait there.
+    B-splines, so that v_c is twice continuously differentiable. Directions and not times are blended, because times on
+    two sides of a wall, or in it, may differ by any amount: in a gap of one node their spline has a minimum before the
+    gap, and a chaser would wait there.
     Between `inner` and `outer` metres from the goal the direction turns from straight to geodesic. Outside the grid the
     way leads back to it. The speed is v_max tanh(‖r_e‖ / k_p). Build it with
     `keepout.control.guidance.geodesic.geodesic_guidance`.
@@ -117,8 +120,19 @@ def _blended(
     components = []
     for shift in (24, 16, 8):
         # The byte moved to the top and back down brings its sign along.
-        components.append(contracted(((blocks << shift) >> 24).astype(jnp.float64), weights))
+        components.append(_contracted(((blocks << shift) >> 24).astype(jnp.float64), weights))
     return jnp.stack(components, axis=-1)
+
+
+def _contracted(blocks: Float[Array, "4 4 4 n"], weights: Sequence[Sequence[Float[Array, "n"]]]) -> Float[Array, "n"]:
+    """Sum a block of numbers a row, rows last, with one set of weights an axis.
+
+    The barriers keep XLA from writing all 64 terms into one expression, which takes minutes to compile.
+    """
+    for weight in weights:
+        terms = [w * block for w, block in zip(weight, blocks, strict=True)]
+        blocks = jax.lax.optimization_barrier(functools.reduce(jnp.add, terms))
+    return blocks
 
 
 def _unit(vector: Float[Array, "3"]) -> Float[Array, "3"]:
