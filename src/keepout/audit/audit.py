@@ -18,10 +18,10 @@ from enum import StrEnum
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from keepout.audit.outside import proved_outside
-from keepout.audit.tube import FlightBounds, Tube, nearest
+from keepout.audit.tube import FlightBounds, Tube, components, lengths, nearest
 from keepout.errors import FlightError
 
 _REPLACED = 0b11
@@ -151,15 +151,9 @@ def audit_campaign(
 ) -> list[Audit]:
     """Judge flights that share their sample times; the arguments are those of `audit`, with a leading flight axis."""
     _check(time, position, velocity, force, chaser_radius)
-    finite = np.all(np.isfinite(position) & np.isfinite(velocity) & np.isfinite(force), axis=(1, 2))
-    shown = np.where(finite[:, None, None], position, 0.0)
-    tube = Tube.of(
-        time,
-        shown,
-        np.where(finite[:, None, None], velocity, 0.0),
-        np.where(finite[:, None, None], force, 0.0),
-        bounds,
-    )
+    finite = _finite(position) & _finite(velocity) & _finite(force)
+    shown, moving, pushed = (_or_zero(array, finite) for array in (position, velocity, force))
+    tube = Tube.of(time, shown, moving, pushed, bounds)
     distance = target.distance.distance
     bound = nearest(tube, distance, tolerance=tolerance)
     excess = tube.inconsistency()
@@ -179,8 +173,9 @@ def audit_campaign(
         contact, remarks = _verdict(clearance, found, broken, excess[i], outside, time)
         if tube.beyond[i].any():
             contact, remarks = _beyond(contact, remarks, time[int(np.argmax(tube.beyond[i]))], bounds)
-        largest = np.abs(force[i, :-1]).max(axis=-1)
-        speed = np.linalg.norm(velocity[i], axis=-1)
+        x, y, z = (np.abs(part) for part in components(force[i, :-1]))
+        largest = np.maximum(np.maximum(x, y), z)
+        speed = lengths(velocity[i])
         x, y, z = bound.position[i]
         audits.append(
             Audit(
@@ -203,6 +198,17 @@ def audit_campaign(
             )
         )
     return audits
+
+
+def _finite(array: Float[np.ndarray, "flights samples 3"]) -> Bool[np.ndarray, "flights"]:
+    return np.asarray(np.isfinite(array.reshape(len(array), -1)).all(axis=1))
+
+
+def _or_zero(
+    array: Float[np.ndarray, "flights samples 3"], finite: Bool[np.ndarray, "flights"]
+) -> Float[np.ndarray, "flights samples 3"]:
+    """Give zeros for the flights that are not finite; the array itself where all are."""
+    return array if finite.all() else np.where(finite[:, None, None], array, 0.0)
 
 
 def _verdict(

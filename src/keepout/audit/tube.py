@@ -12,7 +12,7 @@ of path, less the piece's radius, bounds the whole piece from below; pieces are 
 first, until the bound is within the tolerance asked.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,6 +60,21 @@ class FlightBounds:
             raise FlightError(f"audit: range_limit is {self.range_limit} m; it must be greater than 0")
 
 
+def components(vectors: Float[np.ndarray, "*batch 3"]) -> list[Float[np.ndarray, "*batch"]]:
+    """Give views of the three components: NumPy is several times as fast along a long axis as along one of three."""
+    return [vectors[..., axis] for axis in range(3)]
+
+
+def _length(parts: Sequence[Float[np.ndarray, "*batch"]]) -> Float[np.ndarray, "*batch"]:
+    x, y, z = parts
+    return np.sqrt(x * x + y * y + z * z)
+
+
+def lengths(vectors: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch"]:
+    """Euclidean norms, by components."""
+    return _length(components(vectors))
+
+
 @dataclass(frozen=True)
 class Tube:
     """Flights of equal length as recorded states and the bounds that hold between them.
@@ -103,10 +118,10 @@ class Tube:
                 f"{bounds.angular_rate:.3g} rad/s; the record needs "
                 f"samples at most {0.4 / max(bounds.angular_rate, kappa**0.5):.3g} s apart"
             )
-        away = np.linalg.norm(position[:, :-1], axis=-1)
+        away = lengths(position[:, :-1])
         radius = away + bounds.origin_offset
-        start = np.linalg.norm(velocity[:, :-1], axis=-1)
-        thrust = np.linalg.norm(acceleration[:, :-1], axis=-1)
+        start = lengths(velocity[:, :-1])
+        thrust = lengths(acceleration[:, :-1])
         speed = (start + step * (thrust + disturbance + kappa * radius)) / slack
         residual = disturbance + 2.0 * bounds.angular_rate * speed + kappa * (radius + speed * step)
         return cls(time, position, velocity, acceleration, residual, speed, away + speed * step > bounds.range_limit)
@@ -117,13 +132,17 @@ class Tube:
         The velocity's excess is counted over the step's length, so that one number covers both.
         """
         step = np.diff(self.time)[None, :]
-        held = self.acceleration[:, :-1]
-        start, end = self.position[:, :-1], self.position[:, 1:]
-        moving, moved = self.velocity[:, :-1], self.velocity[:, 1:]
-        tau = step[..., None]
-        jump = np.linalg.norm(end - start - moving * tau - 0.5 * held * tau**2, axis=-1)
-        backward = np.linalg.norm(end - start - moved * tau + 0.5 * held * tau**2, axis=-1)
-        kick = np.linalg.norm(moved - moving - held * tau, axis=-1)
+
+        def apart(axis: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            """Along one axis: how far the end is off, going forwards and going back, and the change of velocity."""
+            position, velocity = self.position[..., axis], self.velocity[..., axis]
+            held = self.acceleration[:, :-1, axis] * step
+            moved = position[:, 1:] - position[:, :-1]
+            forwards = moved - (velocity[:, :-1] + 0.5 * held) * step
+            backwards = moved - (velocity[:, 1:] - 0.5 * held) * step
+            return forwards, backwards, velocity[:, 1:] - velocity[:, :-1] - held
+
+        jump, backward, kick = (_length(parts) for parts in zip(*map(apart, range(3)), strict=True))
         allowed = 0.5 * self.residual * step**2
         return np.maximum(np.maximum(jump, backward) - allowed, (kick - self.residual * step) * step)
 
@@ -210,8 +229,9 @@ class _Search:
         last = tube.position.shape[1] - 1
         index = np.minimum(first[:, None] + np.arange(length + 1), last)
         points = tube.position[flight[:, None], index]
-        centre = 0.5 * (points.min(axis=1) + points.max(axis=1))
-        away = np.linalg.norm(points - centre[:, None], axis=-1)
+        middles = [0.5 * (x.min(axis=1) + x.max(axis=1)) for x in components(points)]
+        centre = np.stack(middles, axis=-1)
+        away = _length([x - middle[:, None] for x, middle in zip(components(points), middles, strict=True)])
         # Between two samples the path is at most half a step's travel from the nearer one.
         travel = 0.5 * np.diff(tube.time)[index[:, :-1] - (index[:, :-1] == last)]
         excess = (travel * tube.speed[flight[:, None], np.minimum(index[:, :-1], last - 1)]).max(axis=1)

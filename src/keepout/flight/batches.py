@@ -2,11 +2,20 @@
 
 A batch is large enough to hide what it costs to start one and small enough to spread over the cores, each of which
 flies its own batch in its own thread: `benchmarks/campaign.py` times the choices.
+
+What flights share keeps no axis of flights: where time and target are alike, the orbit, the attitude and their
+Runge–Kutta stages are computed once a step for the whole batch.
+
+The size of a batch is part of a campaign's identity. A flight is the same to the bit in whatever place of a batch, with
+whatever flights beside it, and however many workers there are; but a processor adds up the products of a network in
+another order for another size (2.9e-6 m in the field between 32 and 128 flights). So run k of a campaign is flown again
+alone, to the same bits, by `fly_batches(setup, states[k : k + 1], steps, seed=seed, first=k, batch=batch, alike=alike)`
+with the `batch` and `alike` of the whole.
 """
 
 import os
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
@@ -14,7 +23,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import PyTree
+from jaxtyping import Array, Int, Key, PyTree
 
 from keepout.errors import ScenarioError
 from keepout.flight.loop import FlightLog, trace
@@ -28,6 +37,9 @@ BATCH = 128
 
 Sampler = Callable[[np.random.Generator, int], tuple[np.ndarray, np.ndarray]]
 """Draws a number of starts: positions (m) and velocities (m/s), both (flights, 3), in body axes."""
+
+TARGET = ("time", "attitude", "angular_velocity", "target_orbit")
+"""Entries of a `MotionState` that tell where the target is and how it turns: what flights can have in common."""
 
 Landed = Callable[[int, dict[str, np.ndarray]], None]
 """Called with the index of a batch's first flight and its log columns, each (flights in the batch, steps + 1, ...)."""
@@ -57,23 +69,28 @@ def fly_batches(
     seed: int = 0,
     first: int = 0,
     vary: Callable[[FlightSetup], Any] | None = None,
+    alike: Sequence[str] | None = None,
     columns: Sequence[str] = (),
     landed: Landed | None = None,
     batch: int | None = None,
     workers: int | None = None,
     progress: Progress = silent,
 ) -> FlightOutcome:
-    """Fly one setup from many initial states; the outcome of each flight does not depend on batches and workers.
+    """Fly one setup from many initial states; a flight's bits depend on a batch's size, not on its place in it.
 
     Args:
         setup: of every flight.
         initial: states with a leading axis of flights, as `initial_states` draws them.
         steps: control steps of each flight.
-        seed: of the flights' own random keys, one each.
-        first: place of the first of these flights among all that are flown from this seed: flown in parts, each
-            flight keeps its key.
+        seed: of the flights' own random keys, one each: the seed's key with the flight's place folded in, however many
+            flights there are.
+        first: place of the first of these flights among all that are flown from this seed: flown in parts or alone,
+            each flight keeps its key.
         vary: selects the parts of `setup` that differ between flights, as for `equinox.tree_at`; all arrays in them
             have a leading axis of flights.
+        alike: which entries of `TARGET` are the same in all flights and computed once for all of them; the first
+            flight's are taken. By default those that are the same in the flights given here (`alike_among`). A campaign
+            flown in parts names those of the whole: the last digits depend on what is shared.
         columns: names of `FlightLog` columns to hand to `landed`; without any, logs never leave the compiled program.
         landed: gets each batch's columns, in the order of the flights, called from the calling thread.
         batch: flights in a batch, by which the program is compiled; on a CPU 128 or all if fewer, elsewhere all. A last
@@ -85,16 +102,16 @@ def fly_batches(
         The outcomes as NumPy arrays with a leading axis of flights, in the order of `initial`.
 
     Raises:
-        ScenarioError: an unknown column, or arrays without a common number of flights.
+        ScenarioError: an unknown column or entry, or arrays without a common number of flights.
 
     """
-    unknown = sorted(set(columns) - set(FlightLog.__annotations__))
-    if unknown:
-        raise ScenarioError(f"columns: {unknown[0]}; valid are {', '.join(FlightLog.__annotations__)}")
+    _refuse_unknown("columns", columns, FlightLog.__annotations__)
+    _refuse_unknown("alike", alike or (), TARGET)
     varied = _filter(setup, vary)
-    keys = jax.random.split(jax.random.key(seed), first + initial.time.shape[0])[first:]
-    cases = (varied, initial, keys)
-    flights = _common_length(cases)
+    flights = _common_length((varied, initial))
+    alike = alike_among(initial) if alike is None else tuple(alike)
+    shared, own_states = _shared(initial, alike)
+    cases = (varied, own_states, _keys(seed, jnp.arange(first, first + flights)))
     on_cpu = jax.default_backend() == "cpu"
     batch = batch or min(flights, BATCH if on_cpu else flights)
     workers = workers or (_available_cores() if on_cpu else 1)
@@ -103,7 +120,7 @@ def fly_batches(
         # The last batch is filled up with its own first flight, so that only one shape is ever compiled.
         index = np.arange(begin, begin + batch)
         own = np.where(index < flights, index, begin)
-        result = _fly_batch(setup, jax.tree.map(lambda array: array[own], cases), steps, tuple(columns))
+        result = _fly_batch(setup, shared, jax.tree.map(lambda array: array[own], cases), steps, tuple(columns))
         return jax.tree.map(lambda array: array[: flights - begin], jax.device_get(result))
 
     summaries: list[FlightOutcome] = []
@@ -130,17 +147,41 @@ def fly_batches(
     return jax.tree.map(lambda *parts: np.concatenate(parts), *summaries)
 
 
+def alike_among(initial: MotionState) -> tuple[str, ...]:
+    """Name the entries of `TARGET` that are the same, to the bit, in all of these states (leading axis: flights)."""
+    entries = {name: np.asarray(getattr(initial, name)) for name in TARGET if getattr(initial, name) is not None}
+    return tuple(name for name, value in entries.items() if (value == value[:1]).all())
+
+
+def _shared(initial: MotionState, alike: Sequence[str]) -> tuple[MotionState, MotionState]:
+    """Split states into the entries that flights share, without an axis of flights, and their own; None elsewhere."""
+    chosen = jax.tree_util.tree_map_with_path(lambda path, _: path[0].name in alike, initial)
+    common, own = eqx.partition(initial, chosen)
+    return jax.tree.map(lambda array: array[0], common), own
+
+
+@jax.jit
+def _keys(seed: int | Int[Array, ""], places: Int[Array, "flights"]) -> Key[Array, "flights"]:
+    return jax.vmap(lambda place: jax.random.fold_in(jax.random.key(seed), place))(places)
+
+
 @eqx.filter_jit
 def _fly_batch(
-    setup: FlightSetup, cases: PyTree, steps: int, columns: tuple[str, ...]
+    setup: FlightSetup, shared: MotionState, cases: PyTree, steps: int, columns: tuple[str, ...]
 ) -> tuple[FlightOutcome, dict[str, jax.Array]]:
     def one(case: PyTree) -> tuple[FlightOutcome, dict[str, jax.Array]]:
         varied, state, key = case
         own = eqx.combine(varied, setup)
-        log = trace(own, state, steps, key)
+        log = trace(own, eqx.combine(state, shared), steps, key)
         return outcome(own, log), {name: getattr(log, name) for name in columns}
 
     return eqx.filter_vmap(one)(cases)
+
+
+def _refuse_unknown(what: str, names: Iterable[str], valid: Iterable[str]) -> None:
+    unknown = sorted(set(names) - set(valid))
+    if unknown:
+        raise ScenarioError(f"{what}: {unknown[0]}; valid are {', '.join(valid)}")
 
 
 def _filter(setup: FlightSetup, vary: Callable[[FlightSetup], Any] | None) -> FlightSetup:

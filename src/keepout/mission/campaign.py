@@ -19,7 +19,7 @@ from keepout.audit.audit import Audit, Contact, audit_campaign
 from keepout.audit.outside import proved_outside
 from keepout.errors import ScenarioError
 from keepout.fields.model import FieldModel
-from keepout.flight.batches import fly_batches
+from keepout.flight.batches import alike_among, fly_batches
 from keepout.flight.outcome import FlightOutcome
 from keepout.geometry.target import Target
 from keepout.guard.status import flag_names
@@ -167,7 +167,8 @@ class CampaignPlan:
     ) -> Campaign:
         """Fly the flights from place `first` up to `last` (by default all) and audit each.
 
-        A flight is the same to the bit whether it is flown with all others or in a part, in batches of one size.
+        A flight is the same to the bit whether it is flown with all others or in a part, in batches of one size; the
+        batch's size is part of a campaign's identity (`flight/batches.py`).
 
         Args:
             first: place of the first flight.
@@ -215,6 +216,7 @@ class CampaignPlan:
             mission.steps,
             seed=scenario.seed,
             first=first,
+            alike=alike_among(self.initial),
             columns=tuple(dict.fromkeys((*_AUDITED, *keeper.columns))),
             landed=landed,
             batch=batch,

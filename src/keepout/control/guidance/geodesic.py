@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int, Int8
 from scipy import ndimage
 
 from keepout.control.guidance.fast_marching import UNIT, downhill, travel_time, widest_way
-from keepout.control.guidance.guidance import GeodesicGuidance
+from keepout.control.guidance.guidance import GeodesicGuidance, packed
 from keepout.errors import ControlError, KeepOutZoneError
 from keepout.fields.evaluate import values as field_values
 from keepout.fields.field import Field
@@ -199,7 +199,7 @@ def geodesic_guidance(
         goal=as_float64(goal),
         speed=as_float64(speed),
         slowing_length=as_float64(slowing_length),
-        directions=jax.device_put(_directions(grid, time, sources, goal)),
+        directions=jax.device_put(packed(_directions(grid, time, sources, goal))),
         origin=as_float64(grid.origin),
         spacing=as_float64(grid.spacing),
         inner=as_float64(max(0.6, grid.spacing)),

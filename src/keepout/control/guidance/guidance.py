@@ -1,11 +1,16 @@
 """Guidance: the desired velocity v_c before safety, as a function of position."""
 
 import abc
+import functools
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int8
+import numpy as np
+from jaxtyping import Array, Float, Int8, Int32
+
+from keepout.compiled.joined_rows import joined_rows, rows_last
 
 
 class Guidance(eqx.Module):
@@ -59,9 +64,10 @@ class GeodesicGuidance(Guidance):
     """Along the shortest free way to the goal, blended into the straight line near it (docs/control.md).
 
     `directions` holds at each node of a regular grid with corner `origin` (m) and `spacing` (m) the direction in which
-    the travel time falls, in 127ths; they are blended by cubic B-splines, so that v_c is twice continuously
-    differentiable. Directions and not times are blended, because times on two sides of a wall, or in it, may differ by
-    any amount: in a gap of one node their spline has a minimum before the gap, and a chaser would wait there.
+    the travel time falls, in 127ths, its three components packed into one number (`packed`); they are blended by cubic
+    B-splines, so that v_c is twice continuously differentiable. Directions and not times are blended, because times on
+    two sides of a wall, or in it, may differ by any amount: in a gap of one node their spline has a minimum before the
+    gap, and a chaser would wait there.
     Between `inner` and `outer` metres from the goal the direction turns from straight to geodesic. Outside the grid the
     way leads back to it. The speed is v_max tanh(‖r_e‖ / k_p). Build it with
     `keepout.control.guidance.geodesic.geodesic_guidance`.
@@ -70,7 +76,7 @@ class GeodesicGuidance(Guidance):
     goal: Float[Array, "3"]
     speed: Float[Array, ""]
     slowing_length: Float[Array, ""]
-    directions: Int8[Array, "nx ny nz 3"]
+    directions: Int32[Array, "nx ny nz"]
     origin: Float[Array, "3"]
     spacing: Float[Array, ""]
     inner: Float[Array, ""]
@@ -86,19 +92,47 @@ class GeodesicGuidance(Guidance):
 
     def direction(self, position: Float[Array, "3"]) -> Float[Array, "3"]:
         """Return the unit vector along the way to the goal, or zero where nothing leads there."""
-        last = jnp.asarray(self.directions.shape[:3]) - 2.0
+        last = jnp.asarray(self.directions.shape) - 2.0
         place = (position - self.origin) / self.spacing
         held = jnp.clip(place, 1.0, last - 1e-9)
         outside = place - held
         cell = jax.lax.stop_gradient(jnp.floor(held))
-        start = jnp.append(cell.astype(jnp.int32) - 1, 0)
-        block = jax.lax.dynamic_slice(self.directions, start, (4, 4, 4, 3))
-        w = _cubic_weights(held - cell)
-        weights = w[:, 0][:, None, None] * w[:, 1][:, None] * w[:, 2]
-        blended = jnp.sum(weights[..., None] * block, axis=(0, 1, 2))
+        start = cell.astype(jnp.int32) - 1
+        blended = joined_rows(_blended, self.directions, (start[None], (held - cell)[None]))[0]
         # Where the position is beyond the grid along some axis, that axis leads back and the others keep their say.
         along = jnp.where(outside == 0.0, _unit(blended), 0.0) - _unit(outside)
         return _unit(along)
+
+
+def packed(directions: Int8[np.ndarray, "nx ny nz 3"]) -> Int32[np.ndarray, "nx ny nz"]:
+    """Put three numbers of a byte into one, x lowest: a third as many look-ups, and a whole number a node."""
+    bytes_ = directions.view(np.uint8).astype(np.int32)
+    return bytes_[..., 0] | bytes_[..., 1] << 8 | bytes_[..., 2] << 16
+
+
+def _blended(
+    directions: Int32[Array, "nx ny nz"], at: tuple[Int32[Array, "n 3"], Float[Array, "n 3"]]
+) -> Float[Array, "n 3"]:
+    """Blend the 4 × 4 × 4 directions from each node `at[0]` on, at the places `at[1]` in [0, 1) of the middle cell."""
+    start, place = at
+    blocks = jax.vmap(lambda node: jax.lax.dynamic_slice(directions, node, (4, 4, 4)))(start)
+    blocks, weights = rows_last(blocks), [_cubic_weights(place[:, axis]) for axis in range(3)]
+    components = []
+    for shift in (24, 16, 8):
+        # The byte moved to the top and back down brings its sign along.
+        components.append(_contracted(((blocks << shift) >> 24).astype(jnp.float64), weights))
+    return jnp.stack(components, axis=-1)
+
+
+def _contracted(blocks: Float[Array, "4 4 4 n"], weights: Sequence[Sequence[Float[Array, "n"]]]) -> Float[Array, "n"]:
+    """Sum a block of numbers a row, rows last, with one set of weights an axis.
+
+    The barriers keep XLA from writing all 64 terms into one expression, which takes minutes to compile.
+    """
+    for weight in weights:
+        terms = [w * block for w, block in zip(weight, blocks, strict=True)]
+        blocks = jax.lax.optimization_barrier(functools.reduce(jnp.add, terms))
+    return blocks
 
 
 def _unit(vector: Float[Array, "3"]) -> Float[Array, "3"]:
@@ -106,9 +140,7 @@ def _unit(vector: Float[Array, "3"]) -> Float[Array, "3"]:
     return vector / jnp.sqrt(jnp.sum(vector * vector) + 1e-300)
 
 
-def _cubic_weights(t: Float[Array, "3"]) -> Float[Array, "4 3"]:
+def _cubic_weights(t: Float[Array, "n"]) -> tuple[Float[Array, "n"], ...]:
     """Return the four cubic B-spline weights at t in [0, 1)."""
     u = 1.0 - t
-    return jnp.stack(
-        [u**3 / 6.0, (4.0 - 6.0 * t**2 + 3.0 * t**3) / 6.0, (4.0 - 6.0 * u**2 + 3.0 * u**3) / 6.0, t**3 / 6.0]
-    )
+    return u**3 / 6.0, (4.0 - 6.0 * t**2 + 3.0 * t**3) / 6.0, (4.0 - 6.0 * u**2 + 3.0 * u**3) / 6.0, t**3 / 6.0
