@@ -184,7 +184,7 @@ def usual():
         start={"position": start}, duration=float(USUAL_STEPS)
     )
     [timed] = time_here([Contender("usual", scenario, usual=True)])
-    theirs = 1e6 * statistics.median(timed.seconds)
+    theirs = 1e6 * float(statistics.median(timed.seconds))
     return {"us a step": round(theirs, 1), "Keepout's us": round(ours, 2), "ratio": round(theirs / ours)}
 
 
