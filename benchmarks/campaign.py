@@ -1,62 +1,191 @@
-"""Time of a control step in a campaign, by batch size and threads, with the default law and the shipped field.
+"""Speed of campaigns: Case 3's flights around intelsat30 with the default field and law, guard on.
 
-    python benchmarks/campaign.py [--flights 256] [--steps 60]
+    python benchmarks/campaign.py [--flights 1000] [--steps 3000] [--cores 1 2] [--scaling 100 1000 10000] [--json OUT]
 
-Every figure is the best of three runs of one compiled program; `ratio` is against all flights in one batch, by the
-clock. On a machine that does other work, compare the processor time, `cpu`.
+Three tables. Time: microseconds a flight-step by the clock and of processor time, audit left out and included, on so
+many cores, after start-up; medians of three. Shares: what each part costs alone on one core. Ratio: against the same
+law (printed constants, no guard) written the usual way, a flight at a time with CVXPY, Clarabel and PyTorch. With
+`--scaling`, time against the number of runs. Each number of cores has a process of its own, which is kept to them. On a
+machine that does other work, compare the processor time.
 """
 
 import argparse
+import json
+import multiprocessing
 import os
+import statistics
 import time
-from importlib import resources
+from concurrent.futures import ProcessPoolExecutor
 
-import numpy as np
-
-from keepout.control import profiles
-from keepout.control.guidance.plan import Straight
-from keepout.control.operation import Operation
-from keepout.fields.model import FieldModel
-from keepout.flight import FlightSetup
-from keepout.flight.batches import fly_batches, initial_states
-from keepout.motion import Chaser, Orbit, RelativeMotion, paper_disturbance
+REPEATS = 3
+USUAL_STEPS = 200
 
 
 def main():
+    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--flights", type=int, default=256)
-    parser.add_argument("--steps", type=int, default=60)
+    parser.add_argument("--flights", type=int, default=1000)
+    parser.add_argument("--steps", type=int, default=3000)
+    parser.add_argument("--cores", type=int, nargs="+", default=[1, 2])
+    parser.add_argument("--scaling", type=int, nargs="+", default=[], metavar="RUNS")
+    parser.add_argument("--no-usual", action="store_true", help="leave the usual way out")
+    parser.add_argument("--json", metavar="OUT", help="write all figures here too")
     arguments = parser.parse_args()
-    with resources.as_file(resources.files("keepout") / "data" / "fields" / "intelsat30.keepout") as path:
-        field = FieldModel.load(path).field
-    motion, goal = RelativeMotion(Orbit(7e6)), np.array([0.0, -10.0, -4.0])
-    chaser = Chaser(mass=20.0, radius=0.3, force_limit=0.1, speed_limit=0.1)
-    law = profiles.default(field, Operation(chaser, motion, 0.1, paper_disturbance().bound), goal, guidance=Straight())
-    setup = FlightSetup(motion, paper_disturbance(), chaser.thrusters, law, goal, chaser.mass)
+    found = {"load at the start": os.getloadavg()[0], "times": [], "scaling": []}
+    print(f"{arguments.flights} flights of {arguments.steps} steps; load of the machine {os.getloadavg()[0]:.1f}")
+    print(f"{'cores':>5} {'audit':>6} {'clock us':>9} {'cpu us':>7} {'seconds':>8}   a flight-step; the whole campaign")
+    for cores in arguments.cores:
+        for row in apart(cores, times, arguments.flights, arguments.steps):
+            found["times"].append(row)
+            print(
+                f"{row['cores']:>5} {'yes' if row['audit'] else 'no':>6} {row['clock_us']:>9.2f} {row['cpu_us']:>7.2f} "
+                f"{row['seconds']:>8.1f}",
+                flush=True,
+            )
+    found["shares_us"] = apart(1, part_shares)
+    print("\nshares of one core, us a flight-step, each part compiled alone")
+    for name, figure in found["shares_us"].items():
+        print(f"  {name:38} {figure:6.2f}")
+    if not arguments.no_usual:
+        found["usual way"] = apart(1, usual)
+        print("\nthe usual way: " + "; ".join(f"{name} {figure}" for name, figure in found["usual way"].items()))
+    if arguments.scaling:
+        print(f"\n{'runs':>8} {'seconds':>9} {'cpu us':>7}   with audit, on {max(arguments.cores)} cores")
+        found["scaling"] = apart(max(arguments.cores), scaling, arguments.scaling, arguments.steps)
+        for row in found["scaling"]:
+            print(f"{row['runs']:>8} {row['seconds']:>9.2f} {row['cpu_us']:>7.2f}")
+        each = [row["seconds"] / row["runs"] for row in found["scaling"]]
+        print(f"linear within {100 * (max(each) / min(each) - 1):.0f} %")
+    if arguments.json:
+        with open(arguments.json, "w", encoding="utf-8") as file:
+            json.dump(found, file, indent=1)
 
-    def shell(generator, count):
-        direction = generator.standard_normal((count, 3))
-        return 25 * direction / np.linalg.norm(direction, axis=1, keepdims=True), np.zeros((count, 3))
 
-    states = initial_states(motion, shell, arguments.flights, seed=0)
+def apart(cores, function, *arguments):
+    """Call a function in a new process that is kept to so many cores: XLA reads their number once, when it starts."""
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), keep_to, (cores,)) as pool:
+        return pool.submit(function, *arguments).result()
 
-    def microseconds(batch, workers):
-        best = np.full(2, np.inf)
-        for _ in range(4):  # the first one compiles
-            began = np.array([time.perf_counter(), time.process_time()])
-            fly_batches(setup, states, arguments.steps, batch=batch, workers=workers)
-            best = np.minimum(best, np.array([time.perf_counter(), time.process_time()]) - began)
-        return 1e6 * best / arguments.flights / arguments.steps
 
-    reference = microseconds(arguments.flights, 1)
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    print(f"{cores} cores, {arguments.flights} flights of {arguments.steps} steps")
-    print(f"{'batch':>6} {'threads':>8} {'us/step':>9} {'cpu us/step':>12} {'ratio':>6}")
-    print(f"{arguments.flights:>6} {1:>8} {reference[0]:>9.1f} {reference[1]:>12.1f} {1.0:>6.2f}")
-    for batch in (16, 64, 128):
-        for workers in sorted({1, cores}):
-            figure = microseconds(batch, workers)
-            print(f"{batch:>6} {workers:>8} {figure[0]:>9.1f} {figure[1]:>12.1f} {reference[0] / figure[0]:>6.2f}")
+def keep_to(cores):
+    """Keep this process, and every thread that it starts, to the first of the cores that it may use."""
+    os.environ["OMP_NUM_THREADS"] = str(cores)
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:cores])
+
+
+def planned(runs, *, law="default"):
+    """Plan Case 3's campaign around intelsat30."""
+    from keepout.experiments.case3 import DEFAULTS, PRINTED, case3_scenarios
+    from keepout.mission.campaign import plan_campaign
+
+    scenario = case3_scenarios(0, quick=False)["intelsat30", DEFAULTS if law == "default" else PRINTED]
+    return plan_campaign(scenario.replace(campaign={"runs": runs}))
+
+
+def flown(plan, runs, steps, *, audit):
+    """Fly the first runs of a plan; seconds by the clock and of processor time."""
+    import jax
+
+    from keepout.audit.audit import audit_campaign
+    from keepout.flight.batches import BATCH, fly_batches
+    from keepout.mission import environment
+
+    scenario, target = plan.mission.scenario, plan.mission.target
+    bounds, chaser, verdicts = environment.flight_bounds(scenario), scenario.chaser, []
+
+    def landed(_, columns):
+        verdicts.extend(
+            audit_campaign(
+                *(columns[name] if name != "time" else columns[name][0] for name in audited[:4]),
+                target,
+                guard_status=columns["guard_status"],
+                chaser_radius=chaser.radius,
+                bounds=bounds,
+                force_limit=chaser.force_limit,
+                speed_limit=chaser.speed_limit,
+            )
+        )
+
+    audited = ("time", "position", "velocity", "force", "guard_status")
+    began = time.perf_counter(), time.process_time()
+    fly_batches(
+        plan.mission.setup,
+        jax.tree.map(lambda array: array[:runs], plan.initial),
+        steps,
+        seed=scenario.seed,
+        columns=audited if audit else (),
+        landed=landed if audit else None,
+        batch=BATCH,
+    )
+    assert len(verdicts) == (runs if audit else 0)
+    return time.perf_counter() - began[0], time.process_time() - began[1]
+
+
+def times(flights, steps):
+    """Time the campaign without and with audit on the cores of this process."""
+    plan, rows = planned(flights), []
+    for audit in (False, True):
+        flown(plan, 1, steps, audit=audit)  # compiles
+        pairs = [flown(plan, flights, steps, audit=audit) for _ in range(REPEATS)]
+        clock, processor = (statistics.median(values) for values in zip(*pairs, strict=True))
+        rows.append(
+            {
+                "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+                "audit": audit,
+                "clock_us": 1e6 * clock / flights / steps,
+                "cpu_us": 1e6 * processor / flights / steps,
+                "seconds": clock,
+            }
+        )
+    return rows
+
+
+def scaling(numbers, steps):
+    """Time campaigns of these numbers of runs, audit included."""
+    plan, rows = planned(max(numbers)), []
+    flown(plan, 1, steps, audit=True)
+    for runs in numbers:
+        clock, processor = flown(plan, runs, steps, audit=True)
+        rows.append({"runs": runs, "seconds": clock, "cpu_us": 1e6 * processor / runs / steps})
+    return rows
+
+
+def part_shares():
+    """Time each part alone."""
+    from campaign_parts import shares
+
+    from keepout.flight.batches import BATCH
+
+    return shares(planned(BATCH))
+
+
+def usual():
+    """Time the printed law a step in a campaign, and written the usual way; say what is missing if it is."""
+    import warnings
+
+    from keepout.control.profiles import ControlWarning
+    from keepout.experiments.case3 import PRINTED, case3_scenarios
+    from keepout.experiments.step_times import Contender, time_here
+    from keepout.experiments.usual_way import missing_extra
+    from keepout.flight.batches import BATCH
+
+    warnings.simplefilter("ignore", ControlWarning)
+    missing = missing_extra()
+    if missing is not None:
+        return {"ratio": "none", "why": missing}
+    plan = planned(BATCH, law="printed")
+    flown(plan, 1, USUAL_STEPS, audit=False)
+    _, processor = flown(plan, BATCH, USUAL_STEPS, audit=False)
+    ours = 1e6 * processor / BATCH / USUAL_STEPS
+    # Its network is asked only where it was learned: a start of Case 3 within that ball.
+    start = (8.0, 5.0, -4.0)
+    scenario = case3_scenarios(0, quick=False)["intelsat30", PRINTED].replace(
+        start={"position": start}, duration=float(USUAL_STEPS)
+    )
+    [timed] = time_here([Contender("usual", scenario, usual=True)])
+    theirs = 1e6 * float(statistics.median(timed.seconds))
+    return {"us a step": round(theirs, 1), "Keepout's us": round(ours, 2), "ratio": round(theirs / ours)}
 
 
 if __name__ == "__main__":
