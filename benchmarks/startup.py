@@ -1,0 +1,123 @@
+"""How long a command takes from its start: a first flight and a first campaign, with kept programs and without.
+
+Each row is a process of its own, with a fresh folder for compiled programs (cold), the same folder again (warm), or
+none (off); the median of several. Seconds depend on the machine and on what else it does, so that a reference stands in
+every round: a Python that imports what any such program must. `cpu` is what the process and its threads used.
+
+    python benchmarks/startup.py --repeats 3 --json startup.json
+"""
+
+import argparse
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+SCENARIO = Path(__file__).parents[1] / "examples" / "case1.toml"
+REFERENCE = "import jax, numpy, scipy"
+PROGRAM = """
+import sys, time
+begin = time.perf_counter()
+compiled, taken, first = [], [], []
+def watch():
+    from jax import monitoring
+    monitoring.register_event_duration_secs_listener(
+        lambda name, seconds, **_: compiled.append(seconds) if name.endswith("backend_compile_duration") else None
+    )
+    monitoring.register_event_listener(lambda name, **_: taken.append(name) if name.endswith("cache_hits") else None)
+from keepout import cli
+from keepout.mission import campaign
+watch()
+told = campaign.fly_batches
+def landed_first(*arguments, **named):
+    landed = named["landed"]
+    def landing(*given):
+        first.append(time.perf_counter() - begin)
+        return landed(*given)
+    return told(*arguments, **(named | {"landed": landing}))
+campaign.fly_batches = landed_first
+sys.argv = ["keepout", *sys.argv[1:]]
+try:
+    cli.main()
+except SystemExit as stop:
+    code = stop.code
+print("PROGRAMS", len(compiled), len(taken), first[0] if first else "-", file=sys.stderr)
+sys.exit(code)
+"""
+
+
+def measured(arguments: list[str], folder: Path | str) -> dict[str, float]:
+    """Run one process; seconds by the clock and of processor, programs compiled, programs taken from the folder."""
+    own = {name: value for name, value in os.environ.items() if not name.startswith("JAX_")}
+    before, begin = os.times(), time.perf_counter()
+    done = subprocess.run(
+        [sys.executable, *arguments], env=own | {"KEEPOUT_COMPILE_CACHE": str(folder)}, capture_output=True, text=True
+    )
+    seconds, after = time.perf_counter() - begin, os.times()
+    if done.returncode:
+        raise RuntimeError(done.stderr)
+    cpu = after.children_user + after.children_system - before.children_user - before.children_system
+    row = {"seconds": seconds, "cpu": cpu}
+    for line in done.stderr.splitlines():
+        if line.startswith("PROGRAMS"):
+            _, asked, taken, first = line.split()
+            row |= {"programs": int(asked), "taken": int(taken)}
+            row |= {} if first == "-" else {"first": float(first)}
+    return row
+
+
+def rounds(repeats: int, out: Path) -> dict[str, list[dict[str, float]]]:
+    """Measure every row once a round."""
+    rows: dict[str, list[dict[str, float]]] = {}
+    run = ["-c", PROGRAM]
+    fly = [*run, "fly", str(SCENARIO), "--json", "-o", str(out / "fly")]
+    campaign = [*run, "campaign", str(SCENARIO), "--runs", "8", "--json", "-o", str(out / "campaign")]
+    for round_ in range(repeats):
+        kept = out / f"compiled-{round_}"
+        kept_campaign = out / f"compiled-campaign-{round_}"
+        cases = {
+            "reference: " + REFERENCE: (["-c", REFERENCE], "off"),
+            "keepout --help": ([*("-m", "keepout.cli"), "--help"], "off"),
+            "fly, cold": ([*fly, "--no-figures"], kept),
+            "fly, warm": ([*fly, "--no-figures"], kept),
+            "fly with figures, warm": (fly, kept),
+            "fly, nothing kept": ([*fly, "--no-figures"], "off"),
+            "campaign of 8, cold": (campaign, kept_campaign),
+            "campaign of 8, warm": (campaign, kept_campaign),
+        }
+        for name, (arguments, folder) in cases.items():
+            rows.setdefault(name, []).append(measured(arguments, folder))
+            sys.stderr.write(f"round {round_ + 1}: {name}: {rows[name][-1]}\n")
+    return rows
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--json", type=Path, help="also write the rows into this file")
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        rows = rounds(given.repeats, Path(folder))
+    keys = ("seconds", "cpu", "programs", "taken", "first")
+    medians = {
+        name: {key: statistics.median(one[key] for one in runs) for key in keys if key in runs[0]}
+        for name, runs in rows.items()
+    }
+    reference = next(iter(medians.values()))["cpu"]
+    print(f"{'':34s}{'seconds':>9s}{'cpu s':>8s}{'÷ ref':>7s}{'programs':>10s}{'taken':>7s}{'first flight s':>16s}")
+    for name, row in medians.items():
+        counts = "".join(
+            f"{row[key]:>{width}.0f}" if key in row else " " * width for key, width in (("programs", 10), ("taken", 7))
+        )
+        first = f"{row['first']:16.2f}" if "first" in row else ""
+        print(f"{name:34s}{row['seconds']:9.2f}{row['cpu']:8.2f}{row['cpu'] / reference:7.2f}{counts}{first}")
+    if given.json:
+        given.json.write_text(json.dumps({"cores": len(os.sched_getaffinity(0)), "medians": medians, "rows": rows}))
+
+
+if __name__ == "__main__":
+    main()
