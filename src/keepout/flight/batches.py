@@ -14,7 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import PyTree
+from jaxtyping import Int, PyTree
 
 from keepout.errors import ScenarioError
 from keepout.flight.loop import FlightLog, trace
@@ -56,7 +56,8 @@ def fly_batches(
     *,
     seed: int = 0,
     first: int = 0,
-    vary: Callable[[FlightSetup], Any] | None = None,
+    places: Int[np.ndarray, "flights"] | None = None,
+    vary: Callable[[FlightSetup], Any] | PyTree[bool] | None = None,
     columns: Sequence[str] = (),
     landed: Landed | None = None,
     batch: int | None = None,
@@ -72,8 +73,10 @@ def fly_batches(
         seed: of the flights' own random keys, one each.
         first: place of the first of these flights among all that are flown from this seed: flown in parts, each
             flight keeps its key.
-        vary: selects the parts of `setup` that differ between flights, as for `equinox.tree_at`; all arrays in them
-            have a leading axis of flights.
+        places: of these flights among all, each from 0 on, where they do not follow one another; their keys are then
+            folded from the seed's, one by one.
+        vary: selects the parts of `setup` that differ between flights, as for `equinox.tree_at`, or has the setup's
+            structure and says it of each leaf; all arrays in them have a leading axis of flights.
         columns: names of `FlightLog` columns to hand to `landed`; without any, logs never leave the compiled program.
         landed: gets each batch's columns, in the order of the flights, called from the calling thread.
         batch: flights in a batch, by which the program is compiled; on a CPU 128 or all if fewer, elsewhere all. A last
@@ -92,7 +95,13 @@ def fly_batches(
     if unknown:
         raise ScenarioError(f"columns: {unknown[0]}; valid are {', '.join(FlightLog.__annotations__)}")
     varied = _filter(setup, vary)
-    keys = jax.random.split(jax.random.key(seed), first + initial.time.shape[0])[first:]
+    shared = jax.tree.map(
+        lambda own, leaf: leaf if own is None else None, varied, setup, is_leaf=lambda leaf: leaf is None
+    )
+    if places is None:
+        keys = jax.random.split(jax.random.key(seed), first + initial.time.shape[0])[first:]
+    else:
+        keys = jax.vmap(jax.random.fold_in, (None, 0))(jax.random.key(seed), jnp.asarray(places, jnp.uint32))
     cases = (varied, initial, keys)
     flights = _common_length(cases)
     on_cpu = jax.default_backend() == "cpu"
@@ -103,7 +112,7 @@ def fly_batches(
         # The last batch is filled up with its own first flight, so that only one shape is ever compiled.
         index = np.arange(begin, begin + batch)
         own = np.where(index < flights, index, begin)
-        result = _fly_batch(setup, jax.tree.map(lambda array: array[own], cases), steps, tuple(columns))
+        result = _fly_batch(shared, jax.tree.map(lambda array: array[own], cases), steps, tuple(columns))
         return jax.tree.map(lambda array: array[: flights - begin], jax.device_get(result))
 
     summaries: list[FlightOutcome] = []
@@ -143,10 +152,11 @@ def _fly_batch(
     return eqx.filter_vmap(one)(cases)
 
 
-def _filter(setup: FlightSetup, vary: Callable[[FlightSetup], Any] | None) -> FlightSetup:
+def _filter(setup: FlightSetup, vary: Callable[[FlightSetup], Any] | PyTree[bool] | None) -> FlightSetup:
     """Only the arrays of the varying parts of a setup; None elsewhere."""
-    nothing = jax.tree.map(lambda _: False, setup)
-    chosen = nothing if vary is None else eqx.tree_at(vary, nothing, replace_fn=lambda part: jax.tree.map(_true, part))
+    chosen = jax.tree.map(lambda _: False, setup) if vary is None or callable(vary) else vary
+    if callable(vary):
+        chosen = eqx.tree_at(vary, chosen, replace_fn=lambda part: jax.tree.map(_true, part))
     return eqx.filter(setup, jax.tree.map(lambda flag, leaf: flag and eqx.is_array(leaf), chosen, setup))
 
 

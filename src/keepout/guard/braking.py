@@ -9,8 +9,8 @@ so the largest error that any admissible disturbance can build up is the sum of 
 """
 
 import math
-from dataclasses import dataclass
 
+import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
@@ -20,9 +20,11 @@ _AT_REST = 4.0
 """Weight of ρ against the stop length when gains are chosen."""
 
 
-@dataclass(frozen=True)
-class GuardAssumptions:
+class GuardAssumptions(eqx.Module):
     """What the guard's theorem assumes of the flight; each number is checked here and watched in flight.
+
+    The numbers are Python's, and part of a compiled program; in a campaign that varies them they are arrays, one entry
+    a flight.
 
     Attributes:
         mass: the guard's value, kg.
@@ -60,10 +62,10 @@ class GuardAssumptions:
     velocity_error: float = 0.0
     mass_error: float = 0.0
     gain_error: float = 0.0
-    delay: int = 0
+    delay: int = eqx.field(static=True, default=0)
     origin_offset: float = 0.0
 
-    def __post_init__(self) -> None:
+    def __check_init__(self) -> None:
         """Check each number against its range."""
         for name, unit in (
             ("mass", "kg"),
@@ -115,8 +117,7 @@ class GuardAssumptions:
         return push + self.drift + scale * math.sqrt(3.0) * self.authority
 
 
-@dataclass(frozen=True)
-class BrakingDesign:
+class BrakingDesign(eqx.Module):
     """Gains and radii of the braking law (docs/guard.md, section 3).
 
     Attributes:
