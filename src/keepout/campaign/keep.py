@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 import pyarrow as pa
@@ -22,7 +21,7 @@ class Keep:
     worst: int | None
 
     @classmethod
-    def parse(cls, text: str) -> Self:
+    def parse(cls, text: str) -> "Keep":
         """Read `none`, `all` or `worst:20`.
 
         Raises:

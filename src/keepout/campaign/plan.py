@@ -2,7 +2,7 @@
 
 import json
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 import jax
 import numpy as np
@@ -114,7 +114,7 @@ class Plan:
         model: FieldModel | None = None,
         batch: int | None = None,
         progress: Progress = silent,
-    ) -> Self:
+    ) -> "Plan":
         """Build what a campaign's runs share, and look at its first few.
 
         Args:
