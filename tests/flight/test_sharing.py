@@ -8,7 +8,7 @@ import pytest
 from truths.flights import make_setup
 
 from keepout.errors import ScenarioError
-from keepout.flight.batches import TARGET, _fly_batch, _keys, _shared, alike_among, fly_batches, initial_states
+from keepout.flight.batches import TARGET, _fly_batch, _shared, alike_among, flight_key, fly_batches, initial_states
 from keepout.flight.faults import WrongEstimate
 from keepout.motion import Tumbling
 
@@ -55,10 +55,10 @@ def test_what_is_shared_has_no_axis_of_flights_in_the_loop():
     def carried(alike):
         shared, own = _shared(states, alike)
         nothing = eqx.filter(setup, jax.tree.map(lambda _: False, setup))
-        cases = (nothing, own, _keys(0, jnp.arange(4)))
-        program = jax.make_jaxpr(lambda shared, cases: _fly_batch(setup, shared, cases, 3, ("position",)))(
-            shared, cases
-        )
+        cases = (nothing, own, jnp.arange(4))
+        program = jax.make_jaxpr(
+            lambda shared, cases: _fly_batch(setup, shared, jnp.asarray(0), cases, 3, ("position",))
+        )(shared, cases)
         return [v.aval.shape for loop in _loops(program.jaxpr) for v in loop.outvars[: loop.params["num_carry"]]]
 
     # The flights' time and attitude: numbers of no axis and of four, and of one and of four more, where not shared.
@@ -103,12 +103,10 @@ def test_a_run_flown_alone_is_the_run_of_the_campaign(k):
     assert np.abs(flown(setup, states, seed=5, batch=4)["position"][0] - whole["position"][k]).max() > 1e-3 or k == 0
 
 
-def test_keys_do_not_depend_on_the_number_of_runs():
-    few, many = _keys(7, jnp.arange(3)), _keys(7, jnp.arange(100_000))
-    np.testing.assert_array_equal(jax.random.key_data(few), jax.random.key_data(many)[:3])
-    later = _keys(7, jnp.arange(99_990, 100_000))
-    np.testing.assert_array_equal(jax.random.key_data(later), jax.random.key_data(many)[-10:])
-    assert len(np.unique(jax.random.key_data(many), axis=0)) == 100_000
+def test_keys_of_flights_differ():
+    keys = jax.vmap(lambda place: flight_key(7, place))(jnp.arange(100_000))
+    assert len(np.unique(jax.random.key_data(keys), axis=0)) == 100_000
+    np.testing.assert_array_equal(jax.random.key_data(flight_key(7, 99_990)), jax.random.key_data(keys)[99_990])
 
 
 def test_an_entry_that_no_target_has_is_refused():

@@ -68,7 +68,8 @@ def fly_batches(
     *,
     seed: int = 0,
     first: int = 0,
-    vary: Callable[[FlightSetup], Any] | None = None,
+    places: Int[np.ndarray, "flights"] | None = None,
+    vary: Callable[[FlightSetup], Any] | PyTree[bool] | None = None,
     alike: Sequence[str] | None = None,
     columns: Sequence[str] = (),
     landed: Landed | None = None,
@@ -86,8 +87,9 @@ def fly_batches(
             flights there are.
         first: place of the first of these flights among all that are flown from this seed: flown in parts or alone,
             each flight keeps its key.
-        vary: selects the parts of `setup` that differ between flights, as for `equinox.tree_at`; all arrays in them
-            have a leading axis of flights.
+        places: of these flights among all, each from 0 on, where they do not follow one another.
+        vary: selects the parts of `setup` that differ between flights, as for `equinox.tree_at`, or has the setup's
+            structure and says it of each leaf; all arrays in them have a leading axis of flights.
         alike: which entries of `TARGET` are the same in all flights and computed once for all of them; the first
             flight's are taken. By default those that are the same in the flights given here (`alike_among`). A campaign
             flown in parts names those of the whole: the last digits depend on what is shared.
@@ -108,19 +110,24 @@ def fly_batches(
     _refuse_unknown("columns", columns, FlightLog.__annotations__)
     _refuse_unknown("alike", alike or (), TARGET)
     varied = _filter(setup, vary)
+    common = jax.tree.map(
+        lambda own, leaf: leaf if own is None else None, varied, setup, is_leaf=lambda leaf: leaf is None
+    )
     flights = _common_length((varied, initial))
     alike = alike_among(initial) if alike is None else tuple(alike)
-    shared, own_states = _shared(initial, alike)
-    cases = (varied, own_states, _keys(seed, jnp.arange(first, first + flights)))
+    target, own_states = _shared(initial, alike)
+    numbers = np.arange(first, first + flights) if places is None else np.asarray(places)
+    cases = (varied, own_states, jnp.asarray(numbers, jnp.int64))
     on_cpu = jax.default_backend() == "cpu"
     batch = batch or min(flights, BATCH if on_cpu else flights)
-    workers = workers or (_available_cores() if on_cpu else 1)
+    workers = workers or (available_cores() if on_cpu else 1)
 
     def run(begin: int) -> tuple[FlightOutcome, dict[str, np.ndarray]]:
         # The last batch is filled up with its own first flight, so that only one shape is ever compiled.
         index = np.arange(begin, begin + batch)
         own = np.where(index < flights, index, begin)
-        result = _fly_batch(setup, shared, jax.tree.map(lambda array: array[own], cases), steps, tuple(columns))
+        mine = jax.tree.map(lambda array: array[own], cases)
+        result = _fly_batch(common, target, jnp.asarray(seed, jnp.int64), mine, steps, tuple(columns))
         return jax.tree.map(lambda array: array[: flights - begin], jax.device_get(result))
 
     summaries: list[FlightOutcome] = []
@@ -160,19 +167,24 @@ def _shared(initial: MotionState, alike: Sequence[str]) -> tuple[MotionState, Mo
     return jax.tree.map(lambda array: array[0], common), own
 
 
-@jax.jit
-def _keys(seed: int | Int[Array, ""], places: Int[Array, "flights"]) -> Key[Array, "flights"]:
-    return jax.vmap(lambda place: jax.random.fold_in(jax.random.key(seed), place))(places)
+def flight_key(seed: int | Int[Array, ""], place: int | Int[Array, ""]) -> Key[Array, ""]:
+    """Give the random key of the flight at a place of those flown from a seed, however many they are."""
+    return jax.random.fold_in(jax.random.key(seed), place)
 
 
 @eqx.filter_jit
 def _fly_batch(
-    setup: FlightSetup, shared: MotionState, cases: PyTree, steps: int, columns: tuple[str, ...]
+    setup: FlightSetup,
+    target: MotionState,
+    seed: Int[Array, ""],
+    cases: PyTree,
+    steps: int,
+    columns: tuple[str, ...],
 ) -> tuple[FlightOutcome, dict[str, jax.Array]]:
     def one(case: PyTree) -> tuple[FlightOutcome, dict[str, jax.Array]]:
-        varied, state, key = case
+        varied, state, place = case
         own = eqx.combine(varied, setup)
-        log = trace(own, eqx.combine(state, shared), steps, key)
+        log = trace(own, eqx.combine(state, target), steps, flight_key(seed, place))
         return outcome(own, log), {name: getattr(log, name) for name in columns}
 
     return eqx.filter_vmap(one)(cases)
@@ -184,10 +196,11 @@ def _refuse_unknown(what: str, names: Iterable[str], valid: Iterable[str]) -> No
         raise ScenarioError(f"{what}: {unknown[0]}; valid are {', '.join(valid)}")
 
 
-def _filter(setup: FlightSetup, vary: Callable[[FlightSetup], Any] | None) -> FlightSetup:
+def _filter(setup: FlightSetup, vary: Callable[[FlightSetup], Any] | PyTree[bool] | None) -> FlightSetup:
     """Only the arrays of the varying parts of a setup; None elsewhere."""
-    nothing = jax.tree.map(lambda _: False, setup)
-    chosen = nothing if vary is None else eqx.tree_at(vary, nothing, replace_fn=lambda part: jax.tree.map(_true, part))
+    chosen = jax.tree.map(lambda _: False, setup) if vary is None or callable(vary) else vary
+    if callable(vary):
+        chosen = eqx.tree_at(vary, chosen, replace_fn=lambda part: jax.tree.map(_true, part))
     return eqx.filter(setup, jax.tree.map(lambda flag, leaf: flag and eqx.is_array(leaf), chosen, setup))
 
 
@@ -202,5 +215,6 @@ def _common_length(cases: PyTree) -> int:
     return lengths.pop()[0]
 
 
-def _available_cores() -> int:
+def available_cores() -> int:
+    """Count the cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -10,6 +10,7 @@ law's.
 import math
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
@@ -21,6 +22,7 @@ from keepout.guard import watch
 from keepout.guard.braking import BrakingDesign, GuardAssumptions, design
 from keepout.guard.safety_layer import SafetyLayer
 from keepout.guard.status import GuardFlag, GuardStatus
+from keepout.motion.arrays import as_float64
 from keepout.motion.relative import MotionState
 
 Vector = Float[Array, "3"]
@@ -71,6 +73,7 @@ class Guard(SafetyLayer):
         escape_speed: of the way out of the margin, m/s.
         evaluation_error: see `lipschitz`, m; 0 for a field in closed form.
         braking: the braking law that follows from the assumptions.
+        windows: lengths in steps over which `watch` watches, which follow from the assumptions too.
         parts: `samples`, as used.
 
     Raises:
@@ -81,31 +84,40 @@ class Guard(SafetyLayer):
     field: Field
     threshold: float = eqx.field(static=True)
     lipschitz: float = eqx.field(static=True)
-    assumptions: GuardAssumptions = eqx.field(static=True)
-    samples: int | None = eqx.field(static=True, default=None)
-    escape_speed: float = eqx.field(static=True, default=0.02)
-    evaluation_error: float = eqx.field(static=True, default=0.0)
-    braking: BrakingDesign = eqx.field(static=True, init=False)
-    parts: int = eqx.field(static=True, init=False)
+    assumptions: GuardAssumptions
+    samples: int | None = eqx.field(static=True)
+    escape_speed: float = eqx.field(static=True)
+    evaluation_error: float = eqx.field(static=True)
+    braking: BrakingDesign
+    windows: tuple[int, ...] = eqx.field(static=True)
+    parts: int = eqx.field(static=True)
 
-    def __post_init__(self) -> None:
-        """Design the braking law."""
-        for name in ("threshold", "lipschitz", "escape_speed"):
-            value = getattr(self, name)
+    def __init__(
+        self,
+        field: Field,
+        threshold: float,
+        lipschitz: float,
+        assumptions: GuardAssumptions,
+        samples: int | None = None,
+        escape_speed: float = 0.02,
+        evaluation_error: float = 0.0,
+    ) -> None:
+        for name, value in (("threshold", threshold), ("lipschitz", lipschitz), ("escape_speed", escape_speed)):
             if not (math.isfinite(value) and value > 0.0):
                 raise ControlError(f"guard: {name} is {value}; it must be finite and greater than 0")
-        if not (math.isfinite(self.evaluation_error) and self.evaluation_error >= 0.0):
+        if not (math.isfinite(evaluation_error) and evaluation_error >= 0.0):
+            raise ControlError(f"guard: evaluation_error is {evaluation_error} m; it must be finite and at least 0")
+        most = 18 - assumptions.delay
+        parts = min(15, most) if samples is None else samples
+        if not 1 <= parts <= most:
             raise ControlError(
-                f"guard: evaluation_error is {self.evaluation_error} m; it must be finite and at least 0"
+                f"guard: samples is {samples}; with a delay of {assumptions.delay} steps it must be from 1 to {most}"
             )
-        most = 18 - self.assumptions.delay
-        self.parts = min(15, most) if self.samples is None else self.samples
-        if not 1 <= self.parts <= most:
-            raise ControlError(
-                f"guard: samples is {self.samples}; with a delay of {self.assumptions.delay} steps it must be "
-                f"from 1 to {most}"
-            )
-        self.braking = design(self.assumptions)
+        self.field, self.threshold, self.lipschitz, self.assumptions = field, threshold, lipschitz, assumptions
+        self.samples, self.escape_speed, self.evaluation_error = samples, escape_speed, evaluation_error
+        self.parts = parts
+        self.braking = design(assumptions)
+        self.windows = watch.windows(assumptions)
 
     @property
     def least_value(self) -> float:
@@ -121,7 +133,7 @@ class Guard(SafetyLayer):
         """Give the memory before the first step: the plan is to brake at once, certified if that is free."""
         pending = jnp.zeros((self.assumptions.delay, 3))
         path, velocities = self._predict(estimate.position, estimate.velocity, pending)
-        unexplained, counted = watch.begin(self.assumptions)
+        unexplained, counted = watch.begin(self.windows)
         return GuardState(
             plan_position=path[-1],
             plan_velocity=velocities[-1],
@@ -170,6 +182,7 @@ class Guard(SafetyLayer):
         chosen = jnp.where(follow, jnp.clip(followed, -a.authority, a.authority), candidate)
         unexplained, counted, jumped = watch.watch(
             a,
+            self.windows,
             guard_state.unexplained,
             guard_state.counted,
             position - guard_state.expected_position,
@@ -246,7 +259,7 @@ class Guard(SafetyLayer):
             if away > self.assumptions.range_limit:
                 limit = self.assumptions.range_limit
                 raise ControlError(f"guard: {name} needs a range of {away:.3f} m; range_limit is {limit} m")
-        here, there, certified = _looked_at(self, start, goal)
+        here, there, certified = _looked_at(_as_arrays(self), start, goal)
         value = float(here)
         if not value > 0.0:
             raise ControlError(f"guard: the field is {value:.3f} m at the start: inside the target; it must be above 0")
@@ -402,3 +415,21 @@ def _looked_at(
     """Give the field (m) at start and goal, and `certified_start`: one program instead of one each."""
     here, there = guard.field.value(jnp.stack([start.position, goal]))
     return here, there, guard.certified_start(start)
+
+
+def starts_certified(guard: Guard, truth: MotionState) -> bool:
+    """Whether a true state is one of `Guard.certified_start`; needs concrete values.
+
+    Guards of other numbers share what is compiled, as their numbers are handed over as arrays.
+    """
+    return bool(_certified_start(_as_arrays(guard), truth))
+
+
+def _as_arrays(guard: Guard) -> Guard:
+    """Give the guard with arrays for its plain numbers, which a compiled program would otherwise be made for."""
+    return jax.tree.map(lambda leaf: as_float64(leaf) if isinstance(leaf, float) else leaf, guard)
+
+
+@eqx.filter_jit
+def _certified_start(guard: Guard, truth: MotionState) -> Bool[Array, ""]:
+    return guard.certified_start(truth)

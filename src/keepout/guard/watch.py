@@ -51,13 +51,14 @@ def seen_within(assumptions: GuardAssumptions, excess: float) -> int | None:
     return int(long_enough[0] - 1 + needed) if long_enough else None
 
 
-def begin(assumptions: GuardAssumptions) -> tuple[Float[Array, "windows 3"], Int[Array, ""]]:
-    """Give the sums of unexplained velocity (m/s), and the steps counted, before the first step."""
-    return jnp.zeros((len(windows(assumptions)), 3)), jnp.zeros((), jnp.int32)
+def begin(lengths: tuple[int, ...]) -> tuple[Float[Array, "windows 3"], Int[Array, ""]]:
+    """Give the sums of unexplained velocity (m/s) of the windows, and the steps counted, before the first step."""
+    return jnp.zeros((len(lengths), 3)), jnp.zeros((), jnp.int32)
 
 
 def watch(
     assumptions: GuardAssumptions,
+    lengths: tuple[int, ...],
     unexplained: Float[Array, "windows 3"],
     counted: Int[Array, ""],
     moved: Float[Array, "3"],
@@ -67,6 +68,7 @@ def watch(
 
     Args:
         assumptions: of the guard.
+        lengths: of the windows that follow from them, in steps.
         unexplained: for each window, the velocity since it was begun that no command accounts for, m/s.
         counted: steps since the longest window was begun.
         moved: the position told less the one expected without a disturbance, m.
@@ -77,8 +79,7 @@ def watch(
 
     """
     a, T = assumptions, assumptions.period
-    lengths = jnp.asarray(windows(a), jnp.int32)
-    place = counted % lengths
+    place = counted % jnp.asarray(lengths, jnp.int32)
     unexplained = jnp.where((place == 0)[:, None], 0.0, unexplained) + changed
     allowed = a.disturbance * T * (place + 1) + 2.0 * a.velocity_error
     pushed = jnp.any(jnp.linalg.norm(unexplained, axis=-1) > allowed * (1.0 + _LOOSE) + _ROUNDING)

@@ -134,6 +134,8 @@ def prepare(
     *,
     target: Target | None = None,
     model: FieldModel | None = None,
+    guidance: Guidance | GuidancePlan | None = None,
+    guard_grid: FieldModel | None = None,
     progress: Progress = silent,
 ) -> Mission:
     """Build everything that flying a scenario needs.
@@ -142,6 +144,8 @@ def prepare(
         scenario: what to fly.
         target: already loaded; else the scenario's.
         model: its field, already loaded; else the scenario's.
+        guidance: instead of the one that the scenario names.
+        guard_grid: the guard's own field, already built; else from the cache or newly built.
         progress: called while guidance is built.
 
     Raises:
@@ -156,7 +160,7 @@ def prepare(
     _refuse_contact(scenario, target)
     motion = environment.relative_motion(scenario)
     try:
-        law = _law_or_way_out(scenario, model, part_of(progress, 0.0, 0.6))
+        law = _law_or_way_out(scenario, model, guidance, part_of(progress, 0.0, 0.6))
     except KeepOutZoneError as refusal:
         why = _missed_room(refusal.place, scenario, target, model, progress)
         raise KeepOutZoneError(f"{refusal}{why}", refusal.place) from None
@@ -167,7 +171,8 @@ def prepare(
             scenario,
             target,
             offset=model.offset,
-            closing_radius=_closing_radius(model),
+            closing_radius=closing_radius(model),
+            grid=guard_grid,
             progress=part_of(progress, 0.6, 1.0),
         )
         start_certified = guard.require(initial, as_float64(scenario.goal.position)) and not broken
@@ -205,7 +210,7 @@ def _missed_room(name: str, scenario: Scenario, target: Target, model: FieldMode
     distance, said = float(target.distance.distance(position)[0]), float(values(model.field, position)[0])
     if distance - said < _MISSED_ROOM:
         return ""
-    closing = _closing_radius(model)
+    closing = closing_radius(model)
     solid = OffsetSolid.build(target.distance, offset=model.offset, closing_radius=closing, progress=progress)
     if not solid.is_exterior(position)[0]:
         return f"; no gap of more than {2.0 * closing:g} m leads there from outside"
@@ -264,7 +269,7 @@ def build_law(
         model.field,
         designed,
         np.asarray(scenario.goal.position),
-        guidance=_named_guidance(scenario) if guidance is None else guidance,
+        guidance=named_guidance(scenario) if guidance is None else guidance,
         circulation=_named_circulation(scenario),
         observer=_named_observer(scenario),
         start=np.asarray(scenario.start.position) if from_start else None,
@@ -273,7 +278,7 @@ def build_law(
     )
 
 
-def _named_guidance(scenario: Scenario) -> GuidancePlan | None:
+def named_guidance(scenario: Scenario) -> GuidancePlan | None:
     """Give the guidance that a scenario names; None where the profile's own is to be had."""
     control = scenario.control
     if control.guidance == "geodesic" or control.spacing is not None:
@@ -312,14 +317,16 @@ def _named_observer(scenario: Scenario) -> Observer | None:
             return None
 
 
-def _law_or_way_out(scenario: Scenario, model: FieldModel, progress: Progress) -> Controller:
+def _law_or_way_out(
+    scenario: Scenario, model: FieldModel, guidance: Guidance | GuidancePlan | None, progress: Progress
+) -> Controller:
     """Build the scenario's law; a start in its keep-out zone is refused, unless a guard leads the way out first."""
     try:
-        return build_law(scenario, model, progress=progress)
+        return build_law(scenario, model, guidance=guidance, progress=progress)
     except ControlError:
         if not scenario.guard.enabled:
             raise
-        law = build_law(scenario, model, from_start=False, progress=progress)
+        law = build_law(scenario, model, guidance=guidance, from_start=False, progress=progress)
         # Refused for another reason than being too near, or inside the target: then there is no way to lead out.
         said = float(values(model.field, np.asarray(scenario.start.position)[None])[0])
         if not 0.0 < said <= float(law.velocity.offset):
@@ -346,7 +353,7 @@ def flown_law(scenario: Scenario, law: Law, model: FieldModel) -> Law:
     )
 
 
-def _closing_radius(model: FieldModel) -> float:
+def closing_radius(model: FieldModel) -> float:
     """Return the radius (m) of the gaps that the solid behind the field has sealed."""
     return float(model.training.get("closing_radius", 0.25))
 
@@ -357,6 +364,7 @@ def build_guard(
     *,
     offset: float = 0.03,
     closing_radius: float = 0.25,
+    grid: FieldModel | None = None,
     progress: Progress = silent,
 ) -> Guard:
     """Build the guard, with the scenario's numbers as its assumptions and a field of its own (`guard/field.py`).
@@ -369,6 +377,7 @@ def build_guard(
         target: the mesh.
         offset: of the solid behind the field, m.
         closing_radius: of the gaps that this solid seals, m.
+        grid: that field, where it is there already.
         progress: called while the field is built.
 
     Raises:
@@ -376,7 +385,8 @@ def build_guard(
 
     """
     radius = scenario.chaser.radius
-    grid = guard_field(target, radius, offset=offset, closing_radius=closing_radius, progress=progress)
+    if grid is None:
+        grid = guard_field(target, radius, offset=offset, closing_radius=closing_radius, progress=progress)
     certificate = grid.certificate(radius)
     return Guard(
         field=grid.field,

@@ -294,19 +294,23 @@ def run_campaign(
     return replace(flown, seconds=time.perf_counter() - began)
 
 
+def room_to_start(scenario: Scenario) -> float:
+    """Give the distance (m) from the mesh that a random start needs: chaser, margin and 0.2 m."""
+    return scenario.chaser.radius + scenario.safety.margin + 0.2
+
+
+def has_way_out(scenario: Scenario, target: Target, point: Float[np.ndarray, "3"]) -> bool:
+    """Whether the chaser is proved to get from a point (m) out of the target; see `proved_outside`."""
+    mesh = target.distance
+    return proved_outside(point, mesh.distance, mesh.lower, mesh.upper, radius=scenario.chaser.radius, expansions=100)
+
+
 def draw_starts(scenario: Scenario, target: Target) -> Starts:
     """Draw the campaign's starting positions: each with a free way out of the target for the chaser."""
     entry = scenario.campaign
     generator = np.random.default_rng(scenario.seed)
     lower, upper = np.asarray(entry.lower), np.asarray(entry.upper)
-    room = scenario.chaser.radius + scenario.safety.margin + 0.2
-    mesh = target.distance
-
-    def way_out(point: Float[np.ndarray, "3"]) -> bool:
-        return proved_outside(
-            point, mesh.distance, mesh.lower, mesh.upper, radius=scenario.chaser.radius, expansions=100
-        )
-
+    room, mesh = room_to_start(scenario), target.distance
     kept: list[np.ndarray] = []
     drawn, found, enclosed, near, wanted = 0, 0, 0, 0, entry.runs
     while found < wanted:
@@ -317,7 +321,7 @@ def draw_starts(scenario: Scenario, target: Target) -> Starts:
         asked = len(points) if len(roomy) < wanted - found else roomy[wanted - found - 1] + 1
         points = points[roomy[: wanted - found]]
         near += int(asked) - len(points)
-        free = np.array([way_out(point) for point in points], dtype=bool)
+        free = np.array([has_way_out(scenario, target, point) for point in points], dtype=bool)
         kept.append(points[free])
         found += int(free.sum())
         enclosed += int((~free).sum())

@@ -3,7 +3,7 @@
 Every entry is in SI units. What depends on two entries of one table is checked in that table.
 """
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
@@ -248,12 +248,78 @@ class GoalEntry(Entry):
     tolerance: Positive = Field(default=0.1, description="reached when it stays within this, m")
 
 
-class CampaignEntry(Entry):
-    """Many flights from random starts at rest."""
+Amount = float | Vector
+"""A number, or one for each component of a vector."""
 
-    runs: Annotated[int, Field(ge=1, le=1_000_000)] = 100
-    lower: Vector = Field(default=(-15.0, -5.0, -4.0), description="lower corner of the box of starts, m")
-    upper: Vector = Field(default=(15.0, 5.0, -4.0), description="upper corner of the box of starts, m")
+
+class DispersionEntry(Entry):
+    """How one entry varies from run to run of a campaign: one of `uniform`, `normal`, `choice` and `sphere`."""
+
+    uniform: tuple[Amount, Amount] | None = Field(
+        default=None, description="[least, largest]; of a vector: two corners of a box"
+    )
+    normal: tuple[Amount, Amount] | None = Field(
+        default=None, description="[mean, standard deviation], cut off at `within`; of a vector: each component"
+    )
+    within: Annotated[float, Field(gt=0.0, le=8.0)] = Field(
+        default=3.0, description="of normal: cut off at so many standard deviations"
+    )
+    choice: tuple[Any, ...] | None = Field(default=None, description="values to choose from")
+    weights: tuple[NonNegative, ...] | None = Field(
+        default=None, description="of choice: how often each, relative to the others; unset: all alike"
+    )
+    sphere: NonNegative | tuple[NonNegative, NonNegative] | None = Field(
+        default=None, description="of a vector: any direction, with this length or one between [least, largest]"
+    )
+    centre: Vector = Field(default=(0.0, 0.0, 0.0), description="of sphere: what the vector is added to")
+
+    @model_validator(mode="after")
+    def _one_of_its_kinds(self) -> "DispersionEntry":
+        kinds = ("uniform", "normal", "choice", "sphere")
+        given = [kind for kind in kinds if getattr(self, kind) is not None]
+        if len(given) != 1:
+            raise ValueError(f"needs one of {', '.join(kinds)}, and has {' and '.join(given) or 'none'}")
+        for key, of in (("within", "normal"), ("weights", "choice"), ("centre", "sphere")):
+            if getattr(self, key) != type(self).model_fields[key].default and of != given[0]:
+                raise ValueError(f"{key} is for {of}, and this is {given[0]}")
+        return self
+
+    @model_validator(mode="after")
+    def _in_order(self) -> "DispersionEntry":
+        for kind in ("uniform", "sphere"):
+            ends = getattr(self, kind)
+            if isinstance(ends, tuple):
+                pairs = zip(*(end if isinstance(end, tuple) else (end,) for end in ends))
+                if not all(-float("inf") < low <= high < float("inf") for low, high in pairs):
+                    raise ValueError(f"{kind} {list(ends)}: finite, and the first must not exceed the second")
+        if self.normal is not None:
+            spread = self.normal[1] if isinstance(self.normal[1], tuple) else (self.normal[1],)
+            if not all(0.0 <= part < float("inf") for part in spread):
+                raise ValueError(f"normal: a standard deviation of {self.normal[1]}; it must be finite and at least 0")
+        if self.choice is not None and not self.choice:
+            raise ValueError("choice: no values to choose from")
+        if self.weights is not None and (len(self.weights) != len(self.choice or ()) or not sum(self.weights) > 0.0):
+            raise ValueError(f"weights: {list(self.weights)}; one for each value of choice, not all 0")
+        return self
+
+
+class CampaignEntry(Entry):
+    """Many flights: from random starts at rest in a box, or with whatever `dispersions` names drawn anew for each."""
+
+    runs: Annotated[int, Field(ge=1, le=1_000_000_000)] = 100
+    lower: Vector = Field(
+        default=(-15.0, -5.0, -4.0), description="lower corner of the box of starts, m; without dispersions"
+    )
+    upper: Vector = Field(
+        default=(15.0, 5.0, -4.0), description="upper corner of the box of starts, m; without dispersions"
+    )
+    sampling: Literal["random", "latin-hypercube", "sobol"] = Field(
+        default="random", description="how the dispersed numbers are drawn, over all of them together"
+    )
+    dispersions: dict[str, DispersionEntry] = Field(
+        default_factory=dict,
+        description='what varies, by dotted name: `"chaser.mass" = {uniform = [18, 22]}`; see docs/campaigns.md',
+    )
 
     @model_validator(mode="after")
     def _ordered(self) -> "CampaignEntry":

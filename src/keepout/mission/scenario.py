@@ -17,6 +17,7 @@ from keepout.mission.entries import (
     CampaignEntry,
     ChaserEntry,
     ControlEntry,
+    DispersionEntry,
     DisturbanceEntry,
     DragEntry,
     Entry,
@@ -147,6 +148,10 @@ def _reason(item: Any, model: type[BaseModel]) -> str:
 def _valid_keys(location: tuple[Any, ...], model: type[BaseModel]) -> list[str]:
     for part in location:
         annotation = model.model_fields[str(part)].annotation if str(part) in model.model_fields else None
+        if model is CampaignEntry and str(part) not in model.model_fields:  # the name of what is dispersed
+            annotation = DispersionEntry
+        if annotation == dict[str, DispersionEntry]:
+            continue
         if not (isinstance(annotation, type) and issubclass(annotation, BaseModel)):
             return []
         model = annotation
