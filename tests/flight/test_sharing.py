@@ -1,5 +1,7 @@
 """What flights share is computed once for all of them: the flights stay what they are."""
 
+import functools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -56,9 +58,8 @@ def test_what_is_shared_has_no_axis_of_flights_in_the_loop():
         shared, own = _shared(states, alike)
         nothing = eqx.filter(setup, jax.tree.map(lambda _: False, setup))
         cases = (nothing, own, jnp.arange(4))
-        program = jax.make_jaxpr(
-            lambda shared, cases: _fly_batch(setup, shared, jnp.asarray(0), cases, 3, ("position",))
-        )(shared, cases)
+        fly = functools.partial(_fly_batch, setup, steps=3, columns=("position",))
+        program = jax.make_jaxpr(lambda shared, cases: fly(shared, jnp.asarray(0), cases))(shared, cases)
         return [v.aval.shape for loop in _loops(program.jaxpr) for v in loop.outvars[: loop.params["num_carry"]]]
 
     # The flights' time and attitude: numbers of no axis and of four, and of one and of four more, where not shared.

@@ -9,11 +9,9 @@ so the largest error that any admissible disturbance can build up is the sum of 
 """
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
 
 import equinox as eqx
-import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -120,9 +118,7 @@ class GuardAssumptions(eqx.Module):
         return push + self.drift + scale * math.sqrt(3.0) * self.authority
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class BrakingDesign:
+class BrakingDesign(eqx.Module):
     """Gains and radii of the braking law (docs/guard.md, section 3).
 
     Attributes:
