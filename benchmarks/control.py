@@ -13,7 +13,6 @@ import gc
 import importlib.util
 import itertools
 import json
-import platform
 import time
 
 import equinox as eqx
@@ -35,6 +34,7 @@ from keepout.flight.on_board import OnBoard
 from keepout.motion import Chaser, NoDisturbance
 from keepout.motion.orbit import Orbit
 from keepout.motion.relative import RelativeMotion
+from keepout.report.machine import machine
 
 CHASER = Chaser(mass=20.0, radius=0.5, force_limit=0.1, speed_limit=0.1)
 WIDTH, DEPTH, BETA = 96, 4, 100.0
@@ -186,7 +186,7 @@ def main():
         usual["ratio_to_default"] = usual["median_us"] / rows[1]["median_us"]
         rows.append({"law": "usual way: CVXPY + Clarabel + PyTorch", **usual})
     rows += [{"law": f"velocity program: {kind}", **time_programs(kind)} for kind in PROGRAMS]
-    result = {"machine": platform.processor() or platform.machine(), "jax": jax.__version__, "rows": rows}
+    result = {"machine": machine(), "jax": jax.__version__, "rows": rows}
     if arguments.json:
         print(json.dumps(result, indent=2))
         return

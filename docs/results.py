@@ -12,21 +12,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from keepout.report.terminal import shown
+
 PAGE = Path(__file__).with_name("results.md")
 RESULTS = PAGE.parents[1] / "benchmarks" / "results"
 
 
-def shown(value: Any) -> str:
-    """Format a value for a cell: four digits, yes or no, a dash for nothing."""
-    if value is None:
-        return "–"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    if isinstance(value, list):
-        return ", ".join(shown(entry) for entry in value)
-    return str(value).replace("|", "\\|").replace("\n", " ")
+def cell(value: Any) -> str:
+    """Format a value for a cell: as in the terminal, on one line, and a dash for nothing."""
+    return "–" if value is None else shown(value).replace("|", "\\|").replace("\n", " ")
 
 
 def table(rows: Sequence[Mapping[str, Any]], columns: Mapping[str, str] | None = None) -> list[str]:
@@ -35,7 +29,7 @@ def table(rows: Sequence[Mapping[str, Any]], columns: Mapping[str, str] | None =
         return ["No rows.", ""]
     columns = columns or {key: key for key in rows[0]}
     lines = ["| " + " | ".join(columns.values()) + " |", "|" + " --- |" * len(columns)]
-    lines += ["| " + " | ".join(shown(row[key]) for key in columns) + " |" for row in rows]
+    lines += ["| " + " | ".join(cell(row[key]) for key in columns) + " |" for row in rows]
     return [*lines, ""]
 
 
@@ -58,50 +52,63 @@ def reproduction() -> list[str]:
     return lines
 
 
+ERRATA = {
+    "erratum": "erratum",
+    "quantity": "quantity",
+    "printed": "as printed",
+    "mended": "mended",
+    "unit": "unit",
+}
+RIVALS = {
+    "target": "target",
+    "rival": "rival",
+    "guard": "guard",
+    "flights": "flights",
+    "reached": "reached",
+    "refused": "refused",
+    "contacts": "contacts",
+    "minimum_clearance_m": "least clearance m",
+    "delta_v_mps": "Δv m/s",
+    "time_over_bound": "time / bound",
+    "plan_s": "plan s",
+    "step_ms": "step ms",
+    "machine": "machine",
+    "note": "note",
+}
+BUSY = (
+    "Times of steps and plans were taken on a machine that flew other rows at the same time: they compare rivals by "
+    "orders of magnitude, not by tenths."
+)
+
+
+def measured(
+    title: str, words: Sequence[str], rows: Sequence[Mapping[str, Any]], columns: Mapping[str, str]
+) -> list[str]:
+    """Give the section of one benchmark: its title, a paragraph for each of the words, and its rows."""
+    lines = [f"## {title}", ""]
+    for paragraph in words:
+        lines += [paragraph, ""]
+    return [*lines, *table(rows, columns)]
+
+
 def errata() -> list[str]:
     """Give what each slip of the paper does."""
-    rows = json.loads((RESULTS / "errata.json").read_text(encoding="utf-8"))
-    columns = {
-        "erratum": "erratum",
-        "quantity": "quantity",
-        "printed": "as printed",
-        "mended": "mended",
-        "unit": "unit",
-    }
-    lines = [
-        "## The paper's errata, measured",
-        "",
-        "`python benchmarks/errata.py`; discussed in from-paper-to-code.md.",
-        "",
-    ]
-    return [*lines, *table(rows, columns)]
+    words = ["`python benchmarks/errata.py`; discussed in from-paper-to-code.md."]
+    return measured("The paper's errata, measured", words, kept_rows("errata"), ERRATA)
 
 
 def rivals() -> list[str]:
     """Give other methods on the same flights."""
-    rows = json.loads((RESULTS / "rivals.json").read_text(encoding="utf-8"))
-    columns = {
-        "target": "target",
-        "rival": "rival",
-        "guard": "guard",
-        "flights": "flights",
-        "reached": "reached",
-        "refused": "refused",
-        "contacts": "contacts",
-        "minimum_clearance_m": "least clearance m",
-        "delta_v_mps": "Δv m/s",
-        "time_over_bound": "time / bound",
-        "plan_s": "plan s",
-        "step_ms": "step ms",
-        "machine": "machine",
-        "note": "note",
-    }
-    lines = ["## Rivals on the same loop", "", "`python benchmarks/rivals.py`; discussed in rivals.md.", ""]
-    most: dict[tuple[str, str, bool], dict[str, Any]] = {}
-    for row in sorted(rows, key=lambda row: row["flights"]):
+    most: dict[tuple[str, str, bool], Mapping[str, Any]] = {}
+    for row in sorted(kept_rows("rivals"), key=lambda row: row["flights"]):
         most[row["target"], row["rival"], row["guard"]] = row  # a row of fewer flights was flown first
-    ordered = [most[key] for key in sorted(most)]
-    return [*lines, *table(ordered, columns)]
+    words = ["`python benchmarks/rivals.py`; discussed in rivals.md.", BUSY]
+    return measured("Rivals on the same loop", words, [most[key] for key in sorted(most)], RIVALS)
+
+
+def kept_rows(name: str) -> list[dict[str, Any]]:
+    """Read the rows that a benchmark has left."""
+    return json.loads((RESULTS / f"{name}.json").read_text(encoding="utf-8"))
 
 
 def page() -> str:

@@ -91,3 +91,38 @@ def test_the_module_runs_as_a_program():
         [sys.executable, "-m", "keepout.cli", "--version"], capture_output=True, text=True, check=True
     )
     assert done.stdout.startswith("keepout ")
+
+
+HEAVY = ("jax", "equinox", "matplotlib", "plotly", "trimesh", "optax", "skimage")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "unneeded"),
+    [
+        (["--help"], (*HEAVY, "numpy", "scipy", "numba", "pyarrow")),
+        (["--version"], (*HEAVY, "numpy", "scipy", "numba", "pyarrow")),
+        (["fly", "--help"], (*HEAVY, "numpy", "scipy", "numba", "pyarrow")),
+        (["targets"], HEAVY),
+        (["fly", "absent.toml"], (*HEAVY, "numpy", "scipy")),
+        (["inspect", "box"], ("matplotlib", "plotly", "trimesh", "optax", "skimage")),
+    ],
+)
+def test_light_commands_import_nothing_heavy(arguments, unneeded):
+    program = (
+        "import sys\nfrom keepout import cli\n"
+        f"sys.argv = ['keepout', *{arguments}]\n"
+        "try:\n    cli.main()\nexcept SystemExit:\n    pass\n"
+        f"print('LOADED', [name for name in {unneeded} if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "LOADED []"
+
+
+@pytest.mark.parametrize(
+    "imports",
+    ["import keepout, jax", "import jax, keepout", "import keepout, jax.numpy", "from keepout import Scenario, fly"],
+)
+def test_jax_computes_in_double_precision_whichever_is_imported_first(imports):
+    program = f"{imports}\nimport jax.numpy as jnp\nprint(jnp.ones(1).dtype)"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout == "float64\n"

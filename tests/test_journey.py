@@ -4,13 +4,10 @@ One fit serves all of it, so that one worker runs all of it. The truths are the 
 files say when read without the code that wrote them.
 """
 
-import contextlib
-import io
 import json
 import shutil
 import subprocess
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -19,10 +16,11 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from truths.boxes import HALF, box_distance, contact_with_box
+from truths.command_line import keepout_command
 from truths.results import Page, check_picture, numbers
 
 import keepout
-from keepout import cli, commands
+from keepout import commands
 from keepout.audit.audit import Audit, audit, audit_campaign
 from keepout.fields.evaluate import values
 from keepout.fields.model import FieldModel
@@ -50,30 +48,6 @@ campaign.lower = [-4.0, 3.0, -2.0]
 campaign.upper = [4.0, 5.0, 2.0]
 """
 RUNS = 5
-
-
-@dataclass
-class Answer:
-    """What a command left behind: its exit code and its two streams."""
-
-    code: int
-    out: str
-    err: str
-
-    @property
-    def json(self) -> Any:
-        assert self.code == 0, self.err
-        return json.loads(self.out)
-
-
-def keepout_command(*arguments: object) -> Answer:
-    """Run a command in this process, as the console script does."""
-    out, err = io.StringIO(), io.StringIO()
-    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        patch.setattr(sys, "argv", ["keepout", *(str(argument) for argument in arguments)])
-        with pytest.raises(SystemExit) as stop:
-            cli.main()
-    return Answer(int(stop.value.code or 0), out.getvalue(), err.getvalue())
 
 
 def judged(record: Any, scenario: Scenario) -> Audit:
@@ -145,11 +119,6 @@ def campaign(place, certified, landed):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(campaigns, "audit_campaign", audit_and_keep)
         return keepout_command("campaign", "mission.toml", "--runs", RUNS, "--seed", 3, "-o", "many", "--json").json
-
-
-@pytest.fixture(scope="module")
-def demonstration(place):
-    return keepout_command("reproduce", "case1", "--quick", "-o", "demo")
 
 
 def test_the_installed_command_lists_the_targets():
@@ -373,76 +342,6 @@ def test_the_verdicts_of_a_campaign_are_those_of_its_flights_one_by_one(place, c
         error = np.linalg.norm(states[0] - [0.5, -4.0, -1.5], axis=1)
         assert row["final_error"] == pytest.approx(error[-1], abs=1e-12)
         assert row["time_to_reach"] == np.flatnonzero(error >= 0.1)[-1] + 1
-
-
-README_TABLE = {
-    # Trapped, within 0.1 m of the goal after (s), least clearance m, final error m, Δv m/s, share of steps saturated,
-    # as README.md prints them. The paper's law chatters where it touches its safe set, and another processor's rounding
-    # leads to another chatter: the tolerances allow for it.
-    "paper without circulation": (True, None, 0.125, 12.8, 25.3, 0.999),
-    "wing, paper without circulation": (True, None, 0.109, 6.3, 25.0, 0.997),
-    "paper with circulation": (False, 1151.0, 0.111, 0.08, 24.5, 0.997),
-    "wing, paper with circulation": (False, 433.0, 0.110, 0.02, 24.4, 0.997),
-    "default law": (False, 283.0, 1.03, 0.00001, 2.06, 0.0),
-}
-
-
-def test_the_demonstration_is_the_readmes(place, demonstration):
-    assert demonstration.code == 0, demonstration.err
-    assert "…" not in demonstration.out
-    summaries = json.loads((place / "demo" / "summary.json").read_text(encoding="utf-8"))
-    assert [one["name"] for one in summaries] == list(README_TABLE)
-    assert {one["experiment"] for one in summaries} == {"case1"}
-    for one, (trapped, within, clearance, error, speed, saturated) in zip(summaries, README_TABLE.values()):
-        assert one["trapped"] is trapped
-        assert one["contact"] is False
-        assert one["first_within_s"] == (within if within is None else pytest.approx(within, rel=0.1))
-        assert one["minimum_clearance_m"] == pytest.approx(clearance, abs=0.05)
-        assert one["final_error_m"] == pytest.approx(error, abs=0.6 if trapped else 0.15)
-        assert one["delta_v_mps"] == pytest.approx(speed, abs=0.5)
-        assert one["saturated_fraction"] == pytest.approx(saturated, abs=0.005)
-        assert shown(round(one["minimum_clearance_m"], 4)) in demonstration.out
-        record = FlightRecord.load(one["flight"])
-        scenario = Scenario.parse(json.loads(record.header["scenario"]))
-        goal = np.asarray(scenario.goal.position)
-        assert scenario.steps == record.steps == 3000
-        assert scenario.start.position == tuple(record.position[0])
-        # At rest or not, by the longest way between any two samples of the last five minutes.
-        last = record.position[-301:]
-        apart = np.linalg.norm(last[:, None] - last[None], axis=-1).max()
-        assert bool(apart < 0.5 and np.linalg.norm(last[-1] - goal) > 1.0) is trapped
-        if scenario.control.profile == "paper":
-            # Each flight of a batch had its own goal and k_p: the paper's desired velocity in closed form.
-            length = scenario.control.paper.slowing_length
-            assert length == one["slowing_length_m"] == (1.5 if "wing" in one["name"] else 20.0)
-            desired = -0.1 * np.tanh((record.position - goal) / length)
-            np.testing.assert_allclose(record.desired_velocity, desired, atol=1e-12)
-    check_reproduction(place / "demo", "case1", summaries)
-
-
-def check_reproduction(out: Path, part: str, summaries):
-    """The page of a reproduction holds the part's figures and tables as they stand in its folder, and its replay."""
-    page = Page.read(out / "index.html")
-    assert page.unclosed == []
-    for address in page.outside:
-        assert address == f"#{part}" or (out / address).stat().st_size > 100
-    pictures = {path.stem: path for path in (out / part).glob("*.png")}
-    assert (
-        {"paths", "barrier", "error", "safe-velocity", "velocity", "wing", "map"} == set(pictures) == set(page.images)
-    )
-    for name, path in pictures.items():
-        assert page.images[name] == path.read_bytes()
-        assert f"{part}/{name}.svg" in page.outside
-        check_picture(path)
-    for table in ("flights", "map"):
-        assert f"{part}/{table}.csv" in page.outside
-    assert [line[0] for line in page.table[1 : 1 + len(summaries)]] == [one["name"] for one in summaries]
-    paths = {trace.get("name"): trace for trace in page.replay[0] if trace["type"] == "scatter3d"}
-    assert list(paths) == [one["name"] for one in summaries if "wing" not in one["name"]]
-    for one in summaries:
-        if one["name"] in paths:
-            path = np.column_stack([numbers(paths[one["name"]][axis]) for axis in "xyz"])
-            np.testing.assert_array_equal(path, FlightRecord.load(one["flight"]).position)
 
 
 def test_a_stopped_fit_goes_on_where_it_was(place, fitted, monkeypatch):

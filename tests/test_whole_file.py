@@ -8,7 +8,7 @@ import pytest
 
 from keepout.digest import digest
 from keepout.errors import FlightError, KeepoutError
-from keepout.progress import part_of
+from keepout.progress import never_back, part_of
 from keepout.report.folder import write_summary
 from keepout.whole_file import write_whole
 
@@ -66,3 +66,11 @@ def test_progress_of_a_part():
     inner(0.0, "a")
     inner(1.0, "b")
     assert told == [(0.5, "a"), (pytest.approx(0.7), "b")]
+
+
+def test_progress_never_goes_back():
+    told = []
+    progress = never_back(lambda fraction, message: told.append((fraction, message)))
+    for fraction, message in ((0.2, "a"), (0.1, "b"), (0.5, "c")):
+        progress(fraction, message)
+    assert told == [(0.2, "a"), (0.2, "b"), (0.5, "c")]

@@ -30,10 +30,10 @@ from jaxtyping import Array, Float, Int
 from keepout.control.guidance.geodesic import require_free
 from keepout.fields.evaluate import values
 from keepout.motion.relative import MotionState
-from rivals_laws.convexified import geodesic_way, linearised
 from rivals_laws.envelopes import ellipsoid_field
 from rivals_laws.field_spline import FieldSpline
-from rivals_laws.observed import ObservedLaw, Plant
+from rivals_laws.geodesic_way import geodesic_way
+from rivals_laws.observed import ObservedLaw, Plant, linearised
 from rivals_laws.rival import Rival
 from rivals_laws.rival_case import Point, RivalCase
 

@@ -3,7 +3,9 @@
 import abc
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, PyTree
 
 from keepout.control.law import Command, Law
@@ -89,3 +91,15 @@ def tracking(plant: Plant, wanted: Vector, velocity: Vector) -> Vector:
     """Give the acceleration (m/s²) towards a wanted velocity (m/s): gain 0.5/s, limited to the authority."""
     pull = 0.5 * (wanted - velocity)
     return pull * jnp.minimum(1.0, plant.authority / jnp.sqrt(jnp.sum(pull * pull) + 1e-300))
+
+
+def linearised(motion: RelativeMotion) -> tuple[np.ndarray, np.ndarray]:
+    """Give the derivatives of the drift by position (1/s²) and velocity (1/s) at the target and the orbit's epoch."""
+    rest = motion.initial_state(np.zeros(3), np.zeros(3))
+
+    def drift(position, velocity):
+        moved = eqx.tree_at(lambda s: (s.position, s.velocity), rest, (position, velocity))
+        return motion.drift_acceleration(moved)
+
+    by_position, by_velocity = jax.jacfwd(drift, argnums=(0, 1))(rest.position, rest.velocity)
+    return np.asarray(by_position), np.asarray(by_velocity)

@@ -63,7 +63,7 @@ def flown_row(case: RivalCase, rival: Rival, plan: dict, progress) -> dict:
         if laws:
             timed = (laws[0], case.pairs[index[0], 1]) if timed is None else timed
             done = first / plan["flights"]
-            share = size / plan["flights"]
+            share = min(size, plan["flights"] - first) / plan["flights"]
             flown.add(index, laws, plan["guard"], size, lambda f, m, d=done, s=share: progress(d + s * f, m))
     row |= flown.row() | {"refused": len(refusals), "plan_s": sorted(seconds)[len(seconds) // 2]}
     if timed is not None:

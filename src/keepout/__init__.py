@@ -1,10 +1,11 @@
 """Keepout: learn a spacecraft's shape, prove how wrong it can be, and fly around it without touching it."""
 
-import jax
 import lazy_loader
 
+from keepout.compiled.double_precision import require_double_precision
+
 # Dynamics, cone program and observer need float64; switching it on here makes forgetting it impossible.
-jax.config.update("jax_enable_x64", True)
+require_double_precision()
 
 __version__ = "0.1.0"
 

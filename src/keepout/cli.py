@@ -249,13 +249,14 @@ def reproduce(
 ) -> None:
     """Repeat the source paper's tables, figures and flights, with Keepout's own answers beside them.
 
-    The full run takes hours; one that was stopped goes on where it was.
+    The full run takes hours: it fits the paper's network, about an hour for each of three targets, unless --fields
+    names a folder with its fields. A run that was stopped goes on where it was.
     """
     from keepout.experiments import reproduce as repeat
 
     with terminal.progress(f"reproduce {' '.join(experiments)}") as progress:
         parts = repeat(experiments, out, quick=quick, seed=seed, fields=fields, progress=progress)
-    _answer([{"experiment": part.name, **row} for part in parts for row in part.rows], as_json)
+    _answer([row for part in parts for row in part.named_rows], as_json)
     if not as_json:
         for part in parts:
             for table in part.tables:

@@ -1,36 +1,31 @@
-"""Each command of the command line as a function from its arguments to its JSON summary."""
+"""Each command of the command line as a function from its arguments to its JSON summary.
+
+Each imports what it needs when it is called: who lists targets does not wait for what flies and draws.
+"""
 
 import time
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from keepout.errors import FieldError, ScenarioError
-from keepout.fields.model import FieldModel
-from keepout.fields.shipped import shipped_names
-from keepout.geometry.builtin import BUILTINS
-from keepout.geometry.shape import enclosed_volume
-from keepout.geometry.survey import survey
-from keepout.geometry.target import Target
-from keepout.learning.training import fit
-from keepout.measures.inspection import inspect_model
-from keepout.measures.quality import surface_errors
-from keepout.mission.build import load_target
-from keepout.mission.campaign import run_campaign
-from keepout.mission.entries import TargetEntry
-from keepout.mission.flight import fly
-from keepout.mission.scenario import Scenario
 from keepout.progress import Progress, part_of, silent
-from keepout.proof.certificate import certify
-from keepout.report import target_view
-from keepout.report.campaign_view import draw_campaign
-from keepout.report.field_view import draw_slices, draw_surface
-from keepout.report.folder import make_folder, write_flights, write_summary
+
+if TYPE_CHECKING:
+    from keepout.fields.model import FieldModel
+    from keepout.mission.entries import TargetEntry
+    from keepout.mission.scenario import Scenario
 
 
 def describe_targets(*, pictures: Path | None = None, progress: Progress = silent) -> list[dict[str, Any]]:
     """List the built-in targets with size, triangles and parameters; draw them into `pictures` where it is given."""
+    from keepout.fields.shipped import shipped_names
+    from keepout.geometry.builtin import BUILTINS
+    from keepout.geometry.shape import enclosed_volume
+    from keepout.geometry.target import Target
+    from keepout.report.folder import make_folder
+
     if pictures is not None:
         make_folder(pictures)
     rows = []
@@ -46,6 +41,8 @@ def describe_targets(*, pictures: Path | None = None, progress: Progress = silen
             "parameters": {key: parameter.default for key, parameter in builtin.parameters.items()},
         }
         if pictures is not None:
+            from keepout.report import target_view
+
             picture = pictures / f"{name}.png"
             target_view.draw_target(picture, name, target.vertices, target.faces)
             row["picture"] = str(picture)
@@ -53,7 +50,9 @@ def describe_targets(*, pictures: Path | None = None, progress: Progress = silen
     return rows
 
 
-def _entry(source: Mapping[str, Any]) -> TargetEntry:
+def _entry(source: Mapping[str, Any]) -> "TargetEntry":
+    from keepout.mission.scenario import Scenario
+
     given = {key: value for key, value in source.items() if value is not None}
     try:
         return Scenario.parse({"target": given}).target
@@ -82,6 +81,10 @@ def fit_to_file(
 
     While it runs, a checkpoint stands beside `out`; a run that was killed goes on from there.
     """
+    from keepout.learning.training import fit
+    from keepout.measures.quality import surface_errors
+    from keepout.mission.build import load_target
+
     out = _field_path(out)
     entry = _entry(source)
     target = load_target(entry)
@@ -125,6 +128,10 @@ def certify_file(
     progress: Progress = silent,
 ) -> dict[str, Any]:
     """Add a certificate for a chaser radius to a field file; the mesh is found where `fit` found it unless given."""
+    from keepout.fields.model import FieldModel
+    from keepout.mission.build import load_target
+    from keepout.proof.certificate import certify
+
     model = FieldModel.load(path)
     entry = _recorded_target(path, model, mesh)
     model = certify(
@@ -155,6 +162,11 @@ def inspect_file(
     path: Path, out: Path | None = None, *, mesh: str | None = None, seed: int = 0, progress: Progress = silent
 ) -> dict[str, Any]:
     """Measure a field against its mesh and list its certificates; draw slices and surface into `out` if given."""
+    from keepout.fields.model import FieldModel
+    from keepout.measures.inspection import inspect_model
+    from keepout.mission.build import load_target
+    from keepout.report.folder import make_folder
+
     model = FieldModel.load(path)
     target = load_target(_recorded_target(path, model, mesh))
     model = FieldModel.load(path, target=target)
@@ -163,6 +175,8 @@ def inspect_file(
     measures, surface = inspect_model(model, target, seed=seed, progress=part_of(progress, 0.0, 0.9))
     summary: dict[str, Any] = {"field": str(path), **measures}
     if out is not None:
+        from keepout.report.field_view import draw_slices, draw_surface
+
         progress(0.9, "pictures")
         draw_slices(out / "slices.png", model, target)
         draw_surface(out / "surface.png", target, surface, level=measures["surface"]["level"])
@@ -173,9 +187,15 @@ def inspect_file(
 
 def inspect_mesh(source: Mapping[str, Any], out: Path | None = None, *, progress: Progress = silent) -> dict[str, Any]:
     """Report what is known about a mesh before anything is learned from it; draw it into `out` if that is given."""
+    from keepout.geometry.survey import survey
+    from keepout.mission.build import load_target
+    from keepout.report.folder import make_folder
+
     target = load_target(_entry(source))
     summary = asdict(survey(target, progress=part_of(progress, 0.0, 0.95)))
     if out is not None:
+        from keepout.report import target_view
+
         make_folder(out)
         picture = out / f"{target.name}.png"
         target_view.draw_target(picture, target.name, target.vertices, target.faces)
@@ -184,8 +204,10 @@ def inspect_mesh(source: Mapping[str, Any], out: Path | None = None, *, progress
     return summary
 
 
-def _recorded_target(path: Path, model: FieldModel, mesh: str | None) -> TargetEntry:
+def _recorded_target(path: Path, model: "FieldModel", mesh: str | None) -> "TargetEntry":
     """Say where a field's mesh is: as given, or as `fit` recorded it, or the built-in of its name."""
+    from keepout.geometry.builtin import BUILTINS
+
     recorded = model.training.get("target")
     if mesh is not None:
         return _entry({**(recorded or {}), "source": mesh})
@@ -197,9 +219,12 @@ def _recorded_target(path: Path, model: FieldModel, mesh: str | None) -> TargetE
 
 
 def fly_to_folder(
-    scenario: Scenario, out: Path, *, figures: bool = True, progress: Progress = silent
+    scenario: "Scenario", out: Path, *, figures: bool = True, progress: Progress = silent
 ) -> dict[str, Any]:
     """Fly a scenario; write flight file, figures, page and `summary.json` into `out`."""
+    from keepout.mission.flight import fly
+    from keepout.report.folder import make_folder, write_flights, write_summary
+
     make_folder(out)
     flight = fly(scenario, progress=part_of(progress, 0.0, 0.9))
     introduction = (
@@ -212,8 +237,12 @@ def fly_to_folder(
     return summary
 
 
-def campaign_to_folder(scenario: Scenario, out: Path, *, progress: Progress = silent) -> dict[str, Any]:
+def campaign_to_folder(scenario: "Scenario", out: Path, *, progress: Progress = silent) -> dict[str, Any]:
     """Fly a scenario's campaign; write one row a flight, their series, a figure and `summary.json` into `out`."""
+    from keepout.mission.campaign import run_campaign
+    from keepout.report.campaign_view import draw_campaign
+    from keepout.report.folder import make_folder, write_summary
+
     make_folder(out)
     flown = run_campaign(scenario, progress=progress)
     flights = out / f"{scenario.name}-flights.parquet"

@@ -156,6 +156,32 @@ def test_a_rival_whose_package_is_missing_has_a_row_that_says_how_to_install_it(
     assert row["reached"] is None
 
 
+def test_progress_of_a_row_ends_at_its_end_where_the_last_batch_is_not_full(monkeypatch):
+    class Landed:
+        first = None
+
+        def __init__(self, case):
+            pass
+
+        def add(self, index, laws, guarded, size, progress):
+            progress(1.0, "")
+
+        def row(self):
+            return {}
+
+    class Present(Absent):
+        packages, batch = (), 4
+
+    monkeypatch.setattr(rows, "Flown", Landed)
+    monkeypatch.setattr(rows, "laws_of", lambda case, rival, index: (list(index), [None for _ in index], [], [0.0]))
+    monkeypatch.setattr(rows, "step_ms", lambda *_: 0.0)
+    case, done = Prepared(), []
+    case.pairs = np.zeros((10, 2, 3))
+    plan = rows.planned(case, Present(), False, 10)
+    rows.flown_row(case, Present(), plan, lambda fraction, _: done.append(fraction))
+    assert done == pytest.approx([0.4, 0.8, 1.0])
+
+
 def test_rows_are_kept_and_found_again_only_with_the_same_settings(tmp_path: Path):
     store = rows.Rows(tmp_path / "rows.json")
     plan = rows.planned(Prepared(), Absent(), True, 5)

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 import scipy.integrate
 import scipy.interpolate
-from rivals_laws.convexified import PlannedOnce, Planning, Replanned, shifted
+from rivals_laws.checked_planning import Planning, shifted
+from rivals_laws.convexified import PlannedOnce, Replanned
 from rivals_laws.convexified_plan import Plan, guess_along, integrated
 from rivals_laws.field_spline import FieldSpline
 from rivals_laws.nonlinear_mpc import NonlinearMPC

@@ -1,4 +1,4 @@
-"""Case 1's pairs, counts, kept batches and words; its flights are those of the demonstration's test (test_journey)."""
+"""Case 1: pairs, counts, kept batches and words; its flights are those of the demonstration (test_demonstration)."""
 
 import csv
 from types import SimpleNamespace

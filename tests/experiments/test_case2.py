@@ -1,15 +1,12 @@
 """Case 2: its scenarios, its figures of a flight known in closed form, and its drawings."""
 
-import importlib
-
 import numpy as np
 import pytest
+from truths.invented_flight import Invented
 from truths.results import check_picture
 
-from keepout.experiments.kept_flight import KeptFlight
+from keepout.experiments import case2
 from keepout.report.case2_view import draw_comparisons
-
-case2 = importlib.import_module("keepout.experiments.case2")  # the package's attribute of that name is the function
 
 
 def flight(scenario, error):
@@ -20,7 +17,7 @@ def flight(scenario, error):
     summary = {"reached": True, "minimum_clearance_m": 1.0, "contact_verdict": "no", "saturated_fraction": 0.5}
     force = np.tile([3.0, 0.0, 4.0], (101, 1))
     force[-1] = 1e3  # was not flown
-    return KeptFlight(scenario, summary, time, position, 0.0 * position, force, away - 2.0, away**2)
+    return Invented(scenario, summary, time=time, position=position, force=force, barrier=away - 2.0, lyapunov=away**2)
 
 
 def test_the_figures_are_those_of_the_settled_flight():

@@ -1,12 +1,12 @@
 """Case 3: a campaign goes on where it was stopped, and its figures are those of its flights."""
 
-import importlib
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from truths.results import check_picture
 
+from keepout.experiments import case3
 from keepout.experiments.work import Work
 from keepout.geometry.target import Target
 from keepout.mission.campaign import CampaignPlan
@@ -15,7 +15,6 @@ from keepout.mission.series import SERIES, FlightSeries
 from keepout.progress import silent
 from keepout.report.series_view import draw_series, worst_flights
 
-case3 = importlib.import_module("keepout.experiments.case3")  # the package's attribute of that name is the function
 RUNS = 7
 SAMPLES = 5
 

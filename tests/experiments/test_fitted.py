@@ -21,6 +21,7 @@ TINY = Recipe(
     dataclasses.replace(PROFILES["paper"], width=8, depth=2, samples=2000, batch=200, steps=500),
     None,
 )
+SAMPLED = dataclasses.replace(TINY, bound="sampled")
 
 
 @pytest.fixture(scope="module")
@@ -78,3 +79,18 @@ def test_a_field_of_another_target_is_refused_by_name(fitted_once, tmp_path):
     fitted_once[1].save(tmp_path / "intelsat30-tiny.keepout")
     with pytest.raises(FieldError, match=r"intelsat30-tiny\.keepout: the field was made for pocket"):
         field_of(Work(tmp_path / "table1", fields=tmp_path), TINY, Target.load("intelsat30"), fitting=False)
+
+
+@pytest.mark.parametrize("fitting", [True, False])
+def test_progress_runs_to_its_end_once_with_both_certificates(target, fitted_once, tmp_path, fitting):
+    done: list[float] = []
+    work = Work(
+        tmp_path / "part",
+        fields=None if fitting else fitted_once[0] / "fields",
+        progress=lambda fraction, _: done.append(fraction),
+    )
+    model = field_of(work, SAMPLED, target, fitting=fitting)
+    assert [certificate.chaser_radius for certificate in model.certificates] == list(fitted.CHASER_RADII)
+    assert done == sorted(done)
+    assert done[-1] == pytest.approx(1.0)
+    assert sum(fraction > 0.999 for fraction in done) == 1

@@ -1,26 +1,23 @@
 """Computation time: the usual way is the same law, and what is missing is said."""
 
 import dataclasses
-import importlib
 import importlib.util
 import warnings
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from truths.invented_flight import Invented
 from truths.results import check_picture
 
 from keepout.control.velocity import VelocityPoint
 from keepout.control.velocity_program.cone import ConeStatus
-from keepout.experiments import step_times, usual_way
-from keepout.experiments.kept_flight import KeptFlight
+from keepout.experiments import runtime, step_times, usual_way
 from keepout.experiments.step_times import Timed
 from keepout.experiments.work import Work
 from keepout.mission.build import prepare
 from keepout.mission.scenario import Scenario
 from keepout.report.runtime_view import draw_step_times
-
-runtime = importlib.import_module("keepout.experiments.runtime")  # the package's attribute is the function
 
 
 @pytest.fixture
@@ -75,8 +72,7 @@ def test_trapped_is_at_rest_away_from_the_goal(error, drifts, trapped):
     position = np.asarray(scenario.goal.position) + error + drifts * time[:, None] * [1.0, 0.0, 0.0]
     summary = {"reached": error < 0.1, "time_to_reach_s": None, "final_error_m": error}
     summary |= {"minimum_clearance_m": 1.0, "contact_verdict": "no"}
-    flight = KeptFlight(scenario, summary, time, position, 0 * position, 0 * position, time, time)
-    row = runtime._cone_row(flight)
+    row = runtime._cone_row(Invented(scenario, summary, time=time, position=position, barrier=time))
     assert (row["trapped"], row["gradient_error"]) == (trapped, 0.3)
     said = runtime.found([], [row])[-1]
     assert ("trapped with 0.3" in said) == trapped

@@ -1,20 +1,15 @@
 """The volumes part against closed forms."""
 
-import importlib
-
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
 
-from keepout.experiments import fitted
-from keepout.experiments import volumes as part
+from keepout.experiments import fitted, volumes
 from keepout.experiments.work import Work
 from keepout.fields.analytic import SphereField
 from keepout.fields.model import Certificate, FieldModel
 from keepout.geometry.target import Target
-
-volumes = importlib.import_module(part.__module__)  # the package offers a function of that name
 
 
 class Ball(FieldModel):

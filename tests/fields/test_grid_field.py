@@ -43,7 +43,6 @@ def exact_box_distance(target, points):
     return np.where((q > 0).any(axis=1), np.linalg.norm(np.maximum(q, 0.0), axis=1), -q.max(axis=1))
 
 
-@pytest.mark.long
 def test_within_one_spacing_of_the_distance_everywhere_in_the_band(model, target, solid):
     rng = np.random.default_rng(0)
     points = rng.uniform(-1.2, 1.2, (50_000, 3))
@@ -68,7 +67,6 @@ def test_certificate_holds_on_the_contact_surface(model, target, radius):
     assert worst <= proof.error_bound <= H - model.offset + 1e-6
 
 
-@pytest.mark.long
 def test_derivatives_match_autodiff_and_the_gradient_bound(model):
     rng = np.random.default_rng(2)
     points = rng.uniform(-1.5, 1.5, (300, 3))

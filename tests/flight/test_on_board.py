@@ -43,7 +43,6 @@ def on_board(setup):
     return OnBoard(setup, MOTION.initial_state([0.5, 7.0, 4.0], np.zeros(3)))
 
 
-@pytest.mark.long
 def test_forces_are_those_of_the_loop(setup, on_board):
     state = loop.start(setup, MOTION.initial_state([0.5, 7.0, 4.0], np.zeros(3)), jax.random.key(0))
     step = eqx.filter_jit(loop.step)
@@ -66,7 +65,6 @@ def test_forces_are_those_of_the_loop(setup, on_board):
     assert np.linalg.norm(on_board.order.disturbance_estimate) == 0.0
 
 
-@pytest.mark.long
 def test_a_mission_as_it_is_prepared_is_one_kernel(tmp_path, monkeypatch):
     """Learned field, geodesic guidance, and the guard with its grid field."""
     monkeypatch.setenv("KEEPOUT_CACHE", str(tmp_path))

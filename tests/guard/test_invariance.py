@@ -69,7 +69,6 @@ def certified_states(guard, memory, r, v, D):
     return np.asarray(within) & (excess <= 1e-7) & np.asarray(memory.certified), excess
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("world", WORLDS)
 def test_one_step_leaves_a_certified_state(world):
     guard = guard_for(world)
@@ -103,7 +102,6 @@ def deepest(
     return guard, np.asarray(rows[3])[chosen].min(), np.asarray(rows[4])[chosen]
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("changes", "errors", "gain"),
     [
@@ -146,7 +144,6 @@ def test_with_its_disturbance_bound_halved_the_guard_fails_and_says_so():
     assert np.all(np.any(status & int(GuardFlag.STATE_JUMP), axis=1))
 
 
-@pytest.mark.long
 def test_resting_chaser_stays_in_the_ball():
     guard = guard_for("ball", disturbance_force=0.02)
     D = guard.assumptions.disturbance

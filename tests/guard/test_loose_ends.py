@@ -57,7 +57,6 @@ def base(field_path):
     )
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("entries", "said"),
     [
@@ -113,7 +112,6 @@ def test_the_command_line_refuses_in_one_line(field_path, tmp_path, monkeypatch,
     assert output.out == ""
 
 
-@pytest.mark.long
 def test_a_start_inside_the_margin_is_led_out_and_flagged(base, target):
     start = (2.52, 0.0, 0.0)
     assert 0.5 < target.distance.distance(np.array([start]))[0] < 0.5 + 0.1
@@ -132,7 +130,6 @@ def test_a_start_inside_the_margin_is_led_out_and_flagged(base, target):
         prepare(base.replace(start={"position": start}, guard={"enabled": False}))
 
 
-@pytest.mark.long
 def test_a_start_is_certified_only_from_every_estimate(base):
     scenario = base.replace(guard={"position_error": 0.02})
     mission = prepare(scenario)
@@ -155,7 +152,6 @@ def test_a_start_is_certified_only_from_every_estimate(base):
     assert doubtful.assumptions_broken == ()
 
 
-@pytest.mark.long
 def test_an_assumption_that_is_broken_is_named_and_nothing_is_promised(base):
     summary = fly(base.replace(disturbance={"bound": 0.01}, duration=5.0)).summary()
     assert summary["start_certified"] is False
@@ -167,7 +163,6 @@ def test_an_assumption_that_is_broken_is_named_and_nothing_is_promised(base):
     assert json.loads(json.dumps(summary))["guard"] == summary["guard"]
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("delay", [6, pytest.param(8, marks=pytest.mark.slow)])
 def test_long_delays_fly(base, delay):
     push = {"kind": "constant", "force": (0.002, 0.0, 0.0)}

@@ -70,7 +70,6 @@ ERRORS = [
 ]
 
 
-@pytest.mark.long
 @settings(max_examples=6, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), world=st.sampled_from(["union", "slot"]), errors=st.sampled_from(ERRORS))
 def test_a_certified_start_is_certified_from_every_estimate(seed, world, errors):

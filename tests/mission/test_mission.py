@@ -55,7 +55,6 @@ def test_a_mesh_report_has_the_sealed_volume(tmp_path):
     assert (tmp_path / "box.png").stat().st_size > 1000
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("target", "goal", "said"),
     [
@@ -72,7 +71,6 @@ def test_a_goal_is_refused_with_the_reason(target, goal, said):
     assert str(refused.value).count("; ") == (0 if "needed" in said else 1)
 
 
-@pytest.mark.long
 def test_a_goal_where_the_field_misses_the_room_is_refused_with_both_distances():
     target, shipped = Target.load("intelsat30"), load_shipped("intelsat30")
     field = shipped.field

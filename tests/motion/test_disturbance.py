@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
 
 from keepout.errors import ScenarioError
 from keepout.motion import (
@@ -17,6 +18,7 @@ from keepout.motion import (
     band_limited_noise,
     paper_disturbance,
     resonant,
+    steady,
 )
 
 TIMES = jnp.linspace(0.0, 5000.0, 20_001)
@@ -137,3 +139,14 @@ def test_thrusters_cut_each_axis_alone():
     for limit in (0.0, [0.1, -0.1, 0.1], float("nan")):
         with pytest.raises(ScenarioError, match="force_limit"):
             Thrusters(limit)
+
+
+@given(force=hnp.arrays(float, 3, elements=st.floats(-1e3, 1e3)), time=st.floats(0.0, 1e6))
+def test_a_steady_force_is_that_force_and_flies_by_the_papers_program(force, time):
+    own, papers = steady(force), paper_disturbance()
+    # Numbers below 1e-307 count as zero to a processor that flushes them.
+    np.testing.assert_allclose(own.force(jnp.asarray(time)), force, rtol=1e-15, atol=1e-300)
+    assert own.bound == pytest.approx(np.linalg.norm(force), rel=1e-11)
+    assert own.bound >= np.linalg.norm(force)
+    assert jax.tree.structure(own) == jax.tree.structure(papers)
+    assert [leaf.shape for leaf in jax.tree.leaves(own)] == [leaf.shape for leaf in jax.tree.leaves(papers)]

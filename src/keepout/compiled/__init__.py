@@ -1,1 +1,1 @@
-"""How programs are compiled for this machine: compiler options, one kernel a step, evaluation on demand."""
+"""How programs are compiled for this machine, and kept: options, one kernel a step, evaluation on demand."""

@@ -6,20 +6,19 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from keepout.experiments.case1_map import draw_pairs, geodesic_passages, map_rows, only
 from keepout.experiments.case1_words import PAPER, findings
 from keepout.experiments.fitted import PAPER_NETWORK, field_of
+from keepout.experiments.kept_flight import kept_flight
 from keepout.experiments.part import Drawing, Part, Table
 from keepout.experiments.passages import Landed, Passage, Triple, fly_passages, log_of
 from keepout.experiments.rest import first_within, trapped
 from keepout.experiments.side_by_side import side_by_side
 from keepout.experiments.work import Work
 from keepout.fields.model import FieldModel
-from keepout.flight.loop import FlightLog, fly
+from keepout.flight.loop import FlightLog
 from keepout.geometry.target import Target
 from keepout.mission.build import Mission, load_model, load_target, prepare
 from keepout.mission.flight import Flight, judged
@@ -105,22 +104,6 @@ class _Flown:
         """Give the flight of a scenario from its log."""
         return judged(prepare(scenario, target=self.target, model=self.model), log)
 
-    def single(self, scenario: Scenario, progress: Progress) -> Flight:
-        """Fly a scenario, or read its log where an earlier run has flown it."""
-        mission = prepare(scenario, target=self.target, model=self.model)
-        progress(0.3, scenario.name)
-
-        def make() -> dict[str, np.ndarray]:
-            log = fly(mission.setup, mission.initial, mission.steps, jax.random.key(scenario.seed))
-            arrays = {name: getattr(log, name) for name in FlightLog.__annotations__}
-            return {name: np.asarray(array) for name, array in arrays.items() if array is not None}
-
-        made_of = [scenario.model_dump(mode="json"), *self.made_with]
-        kept = self.work.arrays(scenario.name, made_of, make)
-        flight = judged(mission, FlightLog(**{name: jnp.asarray(array) for name, array in kept.items()}))
-        progress(1.0, scenario.name)
-        return flight
-
 
 def case1(work: Work) -> Part:
     """Fly the trap, the escape and the default law; then, over k_p and random pairs, count the trapped."""
@@ -138,9 +121,9 @@ def case1(work: Work) -> Part:
         told = list(slow.passages.values()) if choice in CIRCULATIONS else []
         scenario = _scenario(work.seed, choice, slow)
         tasks[f"slow {choice}"] = _laws_passages(flown, scenario, [*told, *crossings], len(told))
-    tasks["default"] = functools.partial(flown.single, _default_scenario(work.seed, CASE, "default-law"))
+    tasks["default"] = _default_flight(flown, CASE, "default-law")
     if fast is not None:
-        tasks["default wing"] = functools.partial(flown.single, _default_scenario(work.seed, WING, "wing-default-law"))
+        tasks["default wing"] = _default_flight(flown, WING, "wing-default-law")
         tasks["default map"] = functools.partial(_default_map, flown, pairs)
         for choice in CIRCULATIONS:
             told = list(fast.passages.values())
@@ -150,7 +133,7 @@ def case1(work: Work) -> Part:
         for choice in CIRCULATIONS:
             told = list(alone.passages.values())
             tasks[f"network {choice}"] = _laws_passages(network, _scenario(work.seed, choice, alone), told, len(told))
-    done = side_by_side(tasks, part_of(work.progress, 0.0, 0.9))
+    done = side_by_side(tasks, part_of(work.progress, 0.1, 0.9))
 
     flights: dict[str, Flight] = {}
     for group, speed in ((slow, "slow"), (fast, "fast")):
@@ -212,6 +195,11 @@ def _default_scenario(seed: int, pair: tuple[Triple, Triple], name: str) -> Scen
     return Passage(*pair).scenario(Scenario().replace(name=name, seed=seed, duration=3000.0))
 
 
+def _default_flight(flown: _Flown, pair: tuple[Triple, Triple], name: str) -> Callable[[Progress], Flight]:
+    scenario = _default_scenario(flown.work.seed, pair, name)
+    return lambda progress: kept_flight(flown.work, scenario, flown.target, progress, model=flown.model)
+
+
 def _default_map(flown: _Flown, pairs: Sequence[tuple[Triple, Triple]], progress: Progress) -> Landed:
     """Fly the pairs by the default law, without its guard."""
     work, passages = dataclasses.replace(flown.work, progress=progress), [Passage(*pair) for pair in pairs]
@@ -240,7 +228,7 @@ def _told(flown: _Flown, seed: int, choice: str, group: Group, landed: Landed) -
 
 def _paper_network(work: Work, target: Target) -> _Flown | None:
     """Give what flies by the paper's network, where there is a field of it and time for it."""
-    model = None if work.quick else field_of(work, PAPER_NETWORK, target, fitting=False)
+    model = None if work.quick else field_of(work.within(0.0, 0.1), PAPER_NETWORK, target, fitting=False)
     return None if model is None else _Flown(work, target, model)
 
 

@@ -4,13 +4,15 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from keepout.experiments.fitted import PAPER_NETWORK, field_of
-from keepout.experiments.kept_flight import KeptFlight, kept_flight
+from keepout.experiments.kept_flight import kept_flight
 from keepout.experiments.part import Drawing, Part, Table
 from keepout.experiments.side_by_side import side_by_side
 from keepout.experiments.work import Work
 from keepout.mission.build import load_target
+from keepout.mission.flight import Flight
 from keepout.mission.scenario import Scenario
 from keepout.progress import Progress, part_of
 from keepout.report.case2_view import draw_comparisons
@@ -65,15 +67,15 @@ def case2(work: Work) -> Part:
     """Fly Case 2's comparisons."""
     target = load_target(Scenario().target)
     target.distance.distance(np.zeros((1, 3)))  # compiled once, before the flights share it
-    network = None if work.quick else field_of(work, PAPER_NETWORK, target, fitting=False)
+    network = None if work.quick else field_of(work.within(0.0, 0.1), PAPER_NETWORK, target, fitting=False)
     scenarios = case2_scenarios(work.seed, quick=work.quick, network=network is not None)
 
-    def job(comparison: str, scenario: Scenario) -> Callable[[Progress], KeptFlight]:
+    def job(comparison: str, scenario: Scenario) -> Callable[[Progress], Flight]:
         model = network if comparison == NETWORK else None
         return lambda progress: kept_flight(work, scenario, target, progress, model=model)
 
     jobs = {scenario.name: job(key[0], scenario) for key, scenario in scenarios.items()}
-    flown = side_by_side(jobs, part_of(work.progress, 0.0, 0.95))
+    flown = side_by_side(jobs, part_of(work.progress, 0.1, 0.95))
     flights = {key: flown[scenario.name] for key, scenario in scenarios.items()}
     rows = [row(*key, flight) for key, flight in flights.items()]
     _draw(work, flights)
@@ -95,24 +97,30 @@ def case2(work: Work) -> Part:
     )
 
 
-def row(comparison: str, observer: str, flight: KeptFlight) -> dict[str, Any]:
+def row(comparison: str, observer: str, flight: Flight) -> dict[str, Any]:
     """Give one flight's figures."""
-    settled = flight.time >= (1.0 - SETTLED) * flight.time[-1]
-    effort = np.linalg.norm(flight.force, axis=1)
+    record, summary, error = flight.record, flight.summary(), goal_error(flight)
+    settled = record.time >= (1.0 - SETTLED) * record.time[-1]
+    effort = np.linalg.norm(record.force, axis=1)
     return {
         "comparison": comparison,
         "observer": observer,
-        "reached": flight.summary["reached"],
-        "settled_error_rms_mm": 1e3 * float(np.sqrt(np.mean(flight.error[settled] ** 2))),
-        "settled_error_largest_mm": 1e3 * float(flight.error[settled].max()),
-        "settled_v1_median_m2": float(np.median(flight.lyapunov[settled])),
-        "minimum_h_m": float(flight.barrier.min()),
-        "minimum_clearance_m": flight.summary["minimum_clearance_m"],
-        "contact": flight.summary["contact_verdict"],
+        "reached": summary["reached"],
+        "settled_error_rms_mm": 1e3 * float(np.sqrt(np.mean(error[settled] ** 2))),
+        "settled_error_largest_mm": 1e3 * float(error[settled].max()),
+        "settled_v1_median_m2": float(np.median(record.lyapunov[settled])),
+        "minimum_h_m": float(record.barrier.min()),
+        "minimum_clearance_m": summary["minimum_clearance_m"],
+        "contact": summary["contact_verdict"],
         "largest_force_n": float(effort[:-1].max()),
         "settled_force_rms_n": float(np.sqrt(np.mean(effort[:-1][settled[:-1]] ** 2))),
-        "saturated_fraction": flight.summary["saturated_fraction"],
+        "saturated_fraction": summary["saturated_fraction"],
     }
+
+
+def goal_error(flight: Flight) -> Float[np.ndarray, "N"]:
+    """Give the distance to the goal, m."""
+    return np.linalg.norm(flight.record.position - np.asarray(flight.scenario.goal.position), axis=1)
 
 
 def found(rows: list[dict[str, Any]], *, quick: bool) -> list[str]:
@@ -157,30 +165,32 @@ _CAPTIONS = {
 }
 
 
-def _draw(work: Work, flights: dict[tuple[str, str], KeptFlight]) -> None:
+def _draw(work: Work, flights: dict[tuple[str, str], Flight]) -> None:
     tolerance = Scenario().goal.tolerance
 
-    def panels(values: Callable[[KeptFlight], np.ndarray]) -> dict[str, dict[str, tuple[np.ndarray, np.ndarray]]]:
+    def panels(values: Callable[[Flight], np.ndarray]) -> dict[str, dict[str, tuple[np.ndarray, np.ndarray]]]:
         made: dict[str, dict[str, tuple[np.ndarray, np.ndarray]]] = {}
         for (comparison, observer), flight in flights.items():
             shown = values(flight)
-            made.setdefault(comparison, {})[observer] = (flight.time[: len(shown)], shown)
+            made.setdefault(comparison, {})[observer] = (flight.record.time[: len(shown)], shown)
         return made
 
     draw_comparisons(
         work.folder / "error.png",
-        panels(lambda flight: flight.error),
+        panels(goal_error),
         label="‖r − goal‖, m",
         logarithmic=True,
         levels=(tolerance,),
     )
-    draw_comparisons(work.folder / "barrier.png", panels(lambda flight: flight.barrier), label="h, m", levels=(0.0,))
     draw_comparisons(
-        work.folder / "lyapunov.png", panels(lambda flight: flight.lyapunov), label="V₁, m²", logarithmic=True
+        work.folder / "barrier.png", panels(lambda flight: flight.record.barrier), label="h, m", levels=(0.0,)
+    )
+    draw_comparisons(
+        work.folder / "lyapunov.png", panels(lambda flight: flight.record.lyapunov), label="V₁, m²", logarithmic=True
     )
     draw_comparisons(
         work.folder / "force.png",
-        panels(lambda flight: np.linalg.norm(flight.force[:-1], axis=1)),
+        panels(lambda flight: np.linalg.norm(flight.record.force[:-1], axis=1)),
         label="‖F‖, N",
         logarithmic=True,
     )

@@ -13,7 +13,6 @@ from keepout.geometry.target import Target
 from keepout.learning.profile import PROFILES, TrainingProfile
 from keepout.learning.training import fit
 from keepout.measures.surface import default_spacing
-from keepout.progress import part_of
 from keepout.proof.certificate import certify
 from keepout.proof.sampled import sample_certificate
 
@@ -115,27 +114,27 @@ def field_of(work: Work, recipe: Recipe, target: Target, *, fitting: bool, certi
             seed=work.seed,
             solid=OffsetSolid.build(target.distance, offset=OFFSET),
             checkpoint=path.with_suffix(".checkpoint"),
-            progress=part_of(work.progress, 0.0, 0.9),
+            progress=work.within(0.0, 0.8).progress,
         )
         model.save(path)
+        work = work.within(0.8, 1.0)
     else:
         return None
     if work.quick or not certified or recipe.bound is None:
         return model
     have = {certificate.chaser_radius for certificate in model.certificates}
-    for radius in CHASER_RADII:
-        if radius not in have:
-            model = model.with_certificate(_certificate(work, recipe.bound, model, target, radius))
-            if path.parent == own:
-                model.save(path)
+    lacking = [radius for radius in CHASER_RADII if radius not in have]
+    for stretch, radius in work.stretches(lacking):
+        model = model.with_certificate(_certificate(stretch, recipe.bound, model, target, radius))
+        if path.parent == own:
+            model.save(path)
     return model
 
 
 def _certificate(work: Work, bound: str, model: FieldModel, target: Target, radius: float) -> Certificate:
     def make() -> dict[str, Any]:
         prove_or_sample = certify if bound == "proved" else sample_certificate
-        progress = part_of(work.progress, 0.9, 1.0)
-        done = prove_or_sample(model, target, chaser_radius=radius, seed=work.seed, progress=progress)
+        done = prove_or_sample(model, target, chaser_radius=radius, seed=work.seed, progress=work.progress)
         return dataclasses.asdict(done.certificate(radius))
 
     # Minutes for the paper's network: whichever part is first leaves it where the others look.
@@ -149,8 +148,8 @@ def shown_fields(work: Work, target: Target, *, certified: bool) -> dict[str, Fi
     The paper's network is left out of a quick run: to cut its surface takes minutes. See `field_of` for `certified`.
     """
     fields = {SHIPPED: load_shipped(target.name, target=target)}
-    for recipe in (DEFAULT,) if work.quick else (DEFAULT, PAPER_NETWORK):
-        model = field_of(work, recipe, target, fitting=False, certified=certified)
+    for stretch, recipe in work.stretches((DEFAULT,) if work.quick else (DEFAULT, PAPER_NETWORK)):
+        model = field_of(stretch, recipe, target, fitting=False, certified=certified)
         if model is not None:
             fields[recipe.label] = model
     return fields

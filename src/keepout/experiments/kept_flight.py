@@ -1,46 +1,23 @@
-"""One flight of a reproduction, kept as arrays: its states and forces over time, and what the audit found."""
+"""One flight of a reproduction, kept as its log, so that it is flown once."""
 
-import json
-from dataclasses import dataclass
-from typing import Any
-
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
 from keepout.experiments.work import Work
 from keepout.fields.model import FieldModel
+from keepout.flight.loop import FlightLog, fly
 from keepout.geometry.target import Target
-from keepout.mission.build import load_model
-from keepout.mission.flight import fly
+from keepout.mission.build import load_model, prepare
+from keepout.mission.flight import Flight, judged
 from keepout.mission.scenario import Scenario
-from keepout.progress import Progress
-
-_COLUMNS = ("time", "position", "velocity", "force", "barrier", "lyapunov")
-
-
-@dataclass(frozen=True)
-class KeptFlight:
-    """A flight's columns, named as in `FlightRecord`, and its `Flight.summary`."""
-
-    scenario: Scenario
-    summary: dict[str, Any]
-    time: Float[np.ndarray, "N"]
-    position: Float[np.ndarray, "N 3"]
-    velocity: Float[np.ndarray, "N 3"]
-    force: Float[np.ndarray, "N 3"]
-    barrier: Float[np.ndarray, "N"]
-    lyapunov: Float[np.ndarray, "N"]
-
-    @property
-    def error(self) -> Float[np.ndarray, "N"]:
-        """Distance to the goal, m."""
-        return np.linalg.norm(self.position - np.asarray(self.scenario.goal.position), axis=1)
+from keepout.progress import Progress, part_of
 
 
 def kept_flight(
     work: Work, scenario: Scenario, target: Target, progress: Progress, *, model: FieldModel | None = None
-) -> KeptFlight:
-    """Fly a scenario and keep it; one that an earlier run kept is not flown again.
+) -> Flight:
+    """Fly a scenario and keep its log; one that an earlier run kept is not flown again, but audited again.
 
     Args:
         work: where it is kept.
@@ -50,14 +27,15 @@ def kept_flight(
         model: the field to fly by, instead of the scenario's.
 
     """
+    model = load_model(scenario, target) if model is None else model
+    mission = prepare(scenario, target=target, model=model, progress=part_of(progress, 0.0, 0.3))
+    progress(0.3, "flying")
 
     def make() -> dict[str, np.ndarray]:
-        flight = fly(scenario, target=target, model=model, progress=progress)
-        columns = {name: getattr(flight.record, name) for name in _COLUMNS}
-        return {**columns, "summary": np.asarray(json.dumps(flight.summary()))}
+        log = fly(mission.setup, mission.initial, mission.steps, jax.random.key(scenario.seed))
+        arrays = {name: getattr(log, name) for name in FlightLog.__annotations__}
+        return {name: np.asarray(array) for name, array in arrays.items() if array is not None}
 
-    model = load_model(scenario, target) if model is None else model
-    made_of = {"scenario": scenario.model_dump(mode="json"), "target": target.sha256, "field": model.sha256}
-    arrays = work.arrays(scenario.name, made_of, make)
-    progress(1.0, "")
-    return KeptFlight(scenario, json.loads(str(arrays["summary"])), **{name: arrays[name] for name in _COLUMNS})
+    kept = work.arrays(scenario.name, [scenario.model_dump(mode="json"), target.sha256, model.sha256], make)
+    progress(0.8, "audit")
+    return judged(mission, FlightLog(**{name: jnp.asarray(array) for name, array in kept.items()}))

@@ -19,7 +19,7 @@ class Part:
         title: heading on the page.
         paper: what the paper states of it, plain text.
         ours: what was found, plain text, a paragraph each.
-        rows: what `--json` and `summary.json` hold of it, one row a flight, field or campaign.
+        rows: one row a flight, field or campaign; see `named_rows`.
         tables: each becomes a CSV file and a table of the page.
         drawings: each is a PNG and an SVG file that stand in the part's folder.
         flights: to be replayed on the page, all around one target.
@@ -34,6 +34,11 @@ class Part:
     tables: Sequence[Table] = ()
     drawings: Sequence[Drawing] = ()
     flights: Mapping[str, Flight] = field(default_factory=dict)
+
+    @property
+    def named_rows(self) -> list[dict[str, Any]]:
+        """Its rows as `--json` and `summary.json` list them among those of other parts: each with its name first."""
+        return [{"experiment": self.name, **row} for row in self.rows]
 
     def section(self) -> Section:
         """Give what the page shows of it."""

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from keepout.experiments.fitted import PAPER_NETWORK, field_of
-from keepout.experiments.kept_flight import KeptFlight, kept_flight
+from keepout.experiments.kept_flight import kept_flight
 from keepout.experiments.part import Drawing, Part, Table
 from keepout.experiments.rest import trapped
 from keepout.experiments.side_by_side import side_by_side
@@ -17,8 +17,9 @@ from keepout.experiments.work import Work
 from keepout.fields.model import FieldModel
 from keepout.geometry.target import Target
 from keepout.mission.build import load_target
+from keepout.mission.flight import Flight
 from keepout.mission.scenario import Scenario
-from keepout.progress import Progress, part_of
+from keepout.progress import Progress
 from keepout.report.runtime_view import draw_step_times
 
 PAPER = (
@@ -38,11 +39,9 @@ _NO_FIELD = "no such field: give --fields with one of the paper's network"
 
 def runtime(work: Work) -> Part:
     """Time control steps over a flight, and fly the law with a true cone."""
-    target = load_target(Scenario().target)
-    target.distance.distance(np.zeros((1, 3)))  # compiled once, before the flights share it
-    network = None if work.quick else field_of(work, PAPER_NETWORK, target, fitting=False)
-    timed = step_rows(work, network)
-    cone = cone_rows(work, target, network)
+    target, network = _flown_around(work)
+    timed = step_rows(work.within(0.1, 0.5), network)
+    cone = cone_rows(work.within(0.5, 0.95), target, network)
     times = [row for row, _ in timed]
     drawn = {
         row["contender"]: (np.arange(float(len(seconds))), 1e3 * seconds)
@@ -67,6 +66,19 @@ def runtime(work: Work) -> Part:
         ],
         drawings=[Drawing("step-times", "Time of each control step over the flight; thick: its median")],
     )
+
+
+def fly_cones(work: Work) -> None:
+    """Fly the flights with a true cone, which are kept: they may be flown while other parts keep the cores busy."""
+    target, network = _flown_around(work)
+    cone_rows(work.within(0.1, 1.0), target, network)
+
+
+def _flown_around(work: Work) -> tuple[Target, FieldModel | None]:
+    """Give the target and, where there is one, its field of the paper's network."""
+    target = load_target(Scenario().target)
+    target.distance.distance(np.zeros((1, 3)))  # compiled once, before the flights share it
+    return target, None if work.quick else field_of(work.within(0.0, 0.1), PAPER_NETWORK, target, fitting=False)
 
 
 def contenders(work: Work, network: FieldModel | None) -> list[Contender]:
@@ -113,8 +125,8 @@ def step_rows(work: Work, network: FieldModel | None) -> list[tuple[dict[str, An
         "network": None if network is None else network.sha256,
         "machine": platform.machine(),
     }
-    arrays = work.within(0.0, 0.5).arrays("step-times", made_of, make)
-    work.progress(0.5, "steps timed")
+    arrays = work.arrays("step-times", made_of, make)
+    work.progress(1.0, "steps timed")
     answers = {
         contender.name: Timed(arrays[f"{place}-seconds"], arrays[f"{place}-position"], int(arrays[f"{place}-unsolved"]))
         for place, contender in enumerate(run)
@@ -150,7 +162,7 @@ def cone_rows(work: Work, target: Target, network: FieldModel | None) -> list[di
     """Fly Case 1 with the printed constants for several e_∇h."""
     errors = (TIMED_ERROR,) if work.quick else (0.0, 0.1, 0.2, 0.3, 0.4)
     base = Scenario().replace(seed=work.seed, duration=600.0 if work.quick else 1500.0, guard={"enabled": False})
-    jobs: dict[str, Callable[[Progress], KeptFlight]] = {}
+    jobs: dict[str, Callable[[Progress], Flight]] = {}
     for kind, model in (("shipped", None), ("network", network)):
         if kind == "network" and model is None:
             continue
@@ -158,27 +170,27 @@ def cone_rows(work: Work, target: Target, network: FieldModel | None) -> list[di
             control = {"profile": "paper", "paper": {"gradient_error": error}}
             scenario = base.replace(name=f"cone-{kind}-{error:g}", control=control)
             jobs[scenario.name] = _job(work, scenario, target, model)
-    flights = side_by_side(jobs, part_of(work.progress, 0.5, 1.0))
+    flights = side_by_side(jobs, work.progress)
     return [_cone_row(flight) for flight in flights.values()]
 
 
-def _job(work: Work, scenario: Scenario, target: Target, model: FieldModel | None) -> Callable[[Progress], KeptFlight]:
+def _job(work: Work, scenario: Scenario, target: Target, model: FieldModel | None) -> Callable[[Progress], Flight]:
     return lambda progress: kept_flight(work, scenario, target, progress, model=model)
 
 
-def _cone_row(flight: KeptFlight) -> dict[str, Any]:
-    goal = flight.scenario.goal
+def _cone_row(flight: Flight) -> dict[str, Any]:
+    goal, record, summary = flight.scenario.goal, flight.record, flight.summary()
     return {
         "field": "10 x 512" if flight.scenario.name.startswith("cone-network") else "shipped",
         "gradient_error": flight.scenario.control.paper.gradient_error,
-        "reached": bool(flight.summary["reached"]),
-        "trapped": trapped(flight.time, flight.position, np.asarray(goal.position), goal.tolerance),
-        "time_to_reach_s": flight.summary["time_to_reach_s"],
-        "final_error_m": flight.summary["final_error_m"],
-        "end_m": [round(float(x), 3) for x in flight.position[-1]],
-        "minimum_h_m": float(flight.barrier.min()),
-        "minimum_clearance_m": flight.summary["minimum_clearance_m"],
-        "contact": flight.summary["contact_verdict"],
+        "reached": bool(summary["reached"]),
+        "trapped": trapped(record.time, record.position, np.asarray(goal.position), goal.tolerance),
+        "time_to_reach_s": summary["time_to_reach_s"],
+        "final_error_m": summary["final_error_m"],
+        "end_m": [round(float(x), 3) for x in record.position[-1]],
+        "minimum_h_m": float(record.barrier.min()),
+        "minimum_clearance_m": summary["minimum_clearance_m"],
+        "contact": summary["contact_verdict"],
     }
 
 

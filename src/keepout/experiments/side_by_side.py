@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
-from keepout.progress import Progress
+from keepout.progress import Progress, never_back
 
 Answer = TypeVar("Answer")
 
@@ -22,18 +22,25 @@ def side_by_side(jobs: Mapping[str, Callable[[Progress], Answer]], progress: Pro
 
     """
     done = dict.fromkeys(jobs, 0.0)
+    whole = never_back(progress)
 
     def reporter(name: str) -> Progress:
         def report(fraction: float, message: str) -> None:
             done[name] = fraction
-            progress(sum(done.values()) / len(done), f"{name} {message}".rstrip())
+            whole(sum(done.values()) / len(done), f"{name} {message}".rstrip())
 
-        return report
+        return never_back(report)
+
+    def run(name: str) -> Answer:
+        own = reporter(name)
+        answer = jobs[name](own)
+        own(1.0, "")
+        return answer
 
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     pool = ThreadPoolExecutor(min(MOST, cores))
     try:
-        futures = {name: pool.submit(job, reporter(name)) for name, job in jobs.items()}
+        futures = {name: pool.submit(run, name) for name in jobs}
         return {name: future.result() for name, future in futures.items()}
     finally:
         pool.shutdown(cancel_futures=True)

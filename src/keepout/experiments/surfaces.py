@@ -27,15 +27,15 @@ def surfaces(work: Work) -> Part:
     rows: list[dict[str, Any]] = []
     drawings: list[Drawing] = []
     enclosed = {}
-    for place, name in enumerate(TARGETS):
-        stretch = work.within(place / 3, (place + 1) / 3)
+    for stretch, name in work.stretches(TARGETS):
         target = fitted.target_of(name)
         shown = {"mesh": Triangles(target.vertices, target.faces)}
         best = shown["mesh"]
-        for label, model in fitted.shown_fields(stretch, target, certified=False).items():
-            stretch.progress(0.1, f"{name}: {label}")
-            surface = _surface(stretch, target, model)
-            rows.append({"target": name, "field": label, **_distances(stretch, target, model, surface)})
+        fields = fitted.shown_fields(stretch, target, certified=False)
+        for own, (label, model) in stretch.within(0.0, 0.9).stretches(fields.items()):
+            own.progress(0.0, f"{name}: {label}")
+            surface = _surface(own.within(0.0, 0.8), target, model)
+            rows.append({"target": name, "field": label, **_distances(own, target, model, surface)})
             best = shown[f"f̃ = 0, {label}"] = Triangles(surface.vertices, surface.faces)
         surface_view.draw_surfaces(work.folder / f"surfaces-{name}.png", shown)
         drawings.append(

@@ -51,11 +51,10 @@ def table1(work: Work) -> Part:
     proofs: list[dict[str, Any]] = []
     networks: dict[str, FieldModel] = {}
     reachable: dict[str, float] = {}
-    for place, name in enumerate(TARGETS):
-        stretch = work.within(place / 3, (place + 1) / 3)
+    for stretch, name in work.within(0.0, 0.9).stretches(TARGETS):
         stretch.progress(0.0, name)
         target = fitted.target_of(name)
-        models = _models(stretch, target)
+        models = _models(stretch.within(0.0, 0.9), target)
         if PAPER_NETWORK.label in models:
             networks[name] = models[PAPER_NETWORK.label]
         epsilon, epsilon_plus, bound = PRINTED_TABLE[name]
@@ -68,7 +67,7 @@ def table1(work: Work) -> Part:
             slopes.append({"target": name, "field": label, **gradient})
             if label == PAPER_NETWORK.label:
                 proofs += [{"target": name, **row} for row in _proof_attempt(stretch, target, model)]
-    drawings = _drawings(work, networks)
+    drawings = _drawings(work.within(0.9, 1.0), networks)
     rows = [{"table": "errors", **row} for row in errors] + [{"table": "gradient_error", **row} for row in slopes]
     tables = [
         Table(
@@ -114,8 +113,8 @@ def _count(work: Work) -> int:
 def _models(work: Work, target: Target) -> dict[str, FieldModel]:
     """Give the fields of a target by label; a full run fits those that there are not."""
     models = {SHIPPED: load_shipped(target.name, target=target)}
-    for recipe, fitting in ((DEFAULT, True), (PAPER_NETWORK, work.fields is None)):
-        model = fitted.field_of(work, recipe, target, fitting=fitting and not work.quick)
+    for stretch, (recipe, fitting) in work.stretches(((DEFAULT, True), (PAPER_NETWORK, work.fields is None))):
+        model = fitted.field_of(stretch, recipe, target, fitting=fitting and not work.quick)
         if model is not None:
             models[recipe.label] = model
     return models

@@ -22,12 +22,12 @@ QUICK_COARSENING = 2.0
 def volumes(work: Work) -> Part:
     """Measure the volumes of every field there is, at its zero level and at its certified levels."""
     rows: list[dict[str, Any]] = []
-    for place, name in enumerate(TARGETS):
-        stretch = work.within(place / 3, (place + 1) / 3)
+    for stretch, name in work.within(0.0, 0.99).stretches(TARGETS):
         target = fitted.target_of(name)
-        for label, model in fitted.shown_fields(stretch, target, certified=True).items():
-            stretch.progress(0.1, f"{name}: {label}")
-            rows += [{"target": name, "field": label, **row} for row in _measured(stretch, target, model)]
+        fields = fitted.shown_fields(stretch.within(0.0, 0.5), target, certified=True)
+        for own, (label, model) in stretch.within(0.5, 1.0).stretches(fields.items()):
+            own.progress(0.0, f"{name}: {label}")
+            rows += [{"target": name, "field": label, **row} for row in _measured(own, target, model)]
     return Part(
         name="volumes",
         title="Volumes",

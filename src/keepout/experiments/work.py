@@ -4,10 +4,10 @@ import dataclasses
 import io
 import json
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -16,6 +16,8 @@ from keepout.digest import digest
 from keepout.errors import ScenarioError
 from keepout.progress import Progress, part_of, silent
 from keepout.whole_file import write_whole
+
+Thing = TypeVar("Thing")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,6 +74,12 @@ class Work:
     def within(self, start: float, end: float) -> "Work":
         """Give the same work for a stretch of its progress."""
         return dataclasses.replace(self, progress=part_of(self.progress, start, end))
+
+    def stretches(self, things: Iterable[Thing]) -> Iterator[tuple["Work", Thing]]:
+        """Give each of some things with the same work for its share of the progress, all alike."""
+        every = list(things)
+        for place, thing in enumerate(every):
+            yield self.within(place / len(every), (place + 1) / len(every)), thing
 
     def _place(self, name: str, made_of: Any, suffix: str) -> Path:
         key = digest(json.dumps([keepout.__version__, made_of], sort_keys=True))

@@ -2,10 +2,13 @@
 
 from importlib import resources
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from keepout.errors import FieldError
-from keepout.fields.model import FieldModel
 from keepout.geometry.target import Target
+
+if TYPE_CHECKING:
+    from keepout.fields.model import FieldModel
 
 
 def shipped_folder() -> Path:
@@ -30,11 +33,13 @@ def shipped_path(name: str) -> Path:
     return shipped_folder() / f"{name}.keepout"
 
 
-def load_shipped(name: str, *, target: Target | None = None) -> FieldModel:
+def load_shipped(name: str, *, target: Target | None = None) -> "FieldModel":
     """Read the shipped field of a built-in target, and check it against the target if that is given.
 
     Raises:
         FieldError: no field of that name comes with the package, or it was made for other geometry than `target`'s.
 
     """
+    from keepout.fields.model import FieldModel  # which imports JAX; the names alone do without
+
     return FieldModel.load(shipped_path(name), target=target)

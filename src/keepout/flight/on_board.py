@@ -12,6 +12,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
+from keepout.compiled.kept_programs import keep_programs
 from keepout.compiled.one_kernel import compiled
 from keepout.errors import ControlError
 from keepout.flight import loop
@@ -63,6 +64,7 @@ class OnBoard:
             ControlError: a law or guard whose memory cannot be kept as numbers (a random key, say).
 
         """
+        keep_programs()
         try:
             packed, unpack = ravel_pytree(loop.memories(setup, estimate))
         except TypeError as error:

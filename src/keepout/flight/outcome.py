@@ -1,12 +1,14 @@
 """What became of a flight, in a few numbers."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from keepout.flight.loop import FlightLog
-from keepout.flight.setup import FlightSetup
+from keepout.flight.setup import FlightSetup, Scalar
 from keepout.guard.safety_layer import mode
+from keepout.motion.rotation import Vector
 
 STATUSES = 16
 """Status values 0 to 15 are counted apart; a status beyond counts as the last."""
@@ -44,11 +46,15 @@ class FlightOutcome(eqx.Module):
     finite: Bool[Array, "*flights"]
 
 
-@eqx.filter_jit
 def outcome(setup: FlightSetup, log: FlightLog) -> FlightOutcome:
     """Summarise one flight's log (`steps` + 1 rows; what was done in the last row was not flown)."""
-    error = jnp.linalg.norm(log.position - setup.goal, axis=-1)
-    near = error < setup.tolerance  # false where the error is not a number
+    return _summary(log, setup.goal, setup.tolerance, setup.period, setup.mass)
+
+
+@jax.jit  # of the numbers alone, so that flights of one length share a program whatever steers them
+def _summary(log: FlightLog, goal: Vector, tolerance: Scalar, period: Scalar, mass: Scalar) -> FlightOutcome:
+    error = jnp.linalg.norm(log.position - goal, axis=-1)
+    near = error < tolerance  # false where the error is not a number
     away = jnp.where(near, -1, jnp.arange(near.shape[0]))
     arrival = jnp.max(away) + 1
     finite = jnp.all(jnp.isfinite(log.position)) & jnp.all(jnp.isfinite(log.velocity))
@@ -62,7 +68,7 @@ def outcome(setup: FlightSetup, log: FlightLog) -> FlightOutcome:
         final_error=error[-1],
         reached=reached,
         time_to_reach=jnp.where(reached, arrival_time, jnp.inf),
-        delta_v=jnp.sum(jnp.linalg.norm(log.force[:-1], axis=-1)) * setup.period / setup.mass,
+        delta_v=jnp.sum(jnp.linalg.norm(log.force[:-1], axis=-1)) * period / mass,
         saturated_fraction=jnp.mean(log.saturated[:-1].astype(jnp.float64)),
         guard_interventions=jnp.sum(guard_mode != 0),
         control_status_counts=_count(log.control_status[:-1]),

@@ -15,6 +15,7 @@ import optax
 import optax.contrib
 from jaxtyping import Array, Float32, Int
 
+from keepout.compiled.kept_programs import keep_programs
 from keepout.compiled.xla import NO_LIBRARIES
 from keepout.digest import digest
 from keepout.errors import FieldError
@@ -87,6 +88,7 @@ def fit(
             that is not finite.
 
     """
+    keep_programs()
     start = time.perf_counter()
     distance = target.distance
     domain = Domain.around(distance)

@@ -3,6 +3,7 @@
 from dataclasses import asdict
 from typing import Any
 
+from keepout.compiled.kept_programs import keep_programs
 from keepout.fields.model import FieldModel
 from keepout.geometry.offset_solid import OffsetSolid
 from keepout.geometry.target import Target
@@ -33,6 +34,7 @@ def inspect_model(
         measured: the level certified for radius 0, or the zero level where there is none.
 
     """
+    keep_programs()
     progress(0.0, "offset solid")
     closing = float(model.training.get("closing_radius", 0.25))
     solid = OffsetSolid.build(target.distance, offset=model.offset, closing_radius=closing)

@@ -7,6 +7,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from keepout.compiled.kept_programs import keep_programs
 from keepout.control import profiles
 from keepout.control.circulation import (
     CirculationLaw,
@@ -151,6 +152,7 @@ def prepare(
         KeepoutError: something in the scenario cannot be flown; the message names the entry.
 
     """
+    keep_programs()
     target = load_target(scenario.target) if target is None else target
     model = load_model(scenario, target) if model is None else model
     model.require_target(target, where="field")

@@ -23,7 +23,6 @@ from keepout.mission.orbit_bounds import DifferentialBounds, differential_bounds
 from keepout.mission.scenario import Scenario
 from keepout.motion import (
     Chaser,
-    ConstantDisturbance,
     Disturbance,
     InertiallyFixed,
     NoDisturbance,
@@ -34,6 +33,7 @@ from keepout.motion import (
     band_limited_noise,
     paper_disturbance,
     resonant,
+    steady,
 )
 from keepout.motion.perturbation import EARTH_GRAVITATIONAL_PARAMETER
 
@@ -74,7 +74,7 @@ def disturbance(scenario: Scenario) -> Disturbance:
         case "paper":
             return paper_disturbance()
         case "constant":
-            return ConstantDisturbance(np.asarray(entry.force))
+            return steady(np.asarray(entry.force))
         case "bang-bang":
             most_switches = math.ceil(scenario.control.period / (0.5 * _BANG_BANG_PERIOD))
             return SquareWaveDisturbance(amplitude * _DIAGONAL, _BANG_BANG_PERIOD, most_switches=most_switches)

@@ -14,6 +14,7 @@ from keepout.motion.disturbance import (
     band_limited_noise,
     paper_disturbance,
     resonant,
+    steady,
 )
 from keepout.motion.orbit import Orbit, OrbitalFrame
 from keepout.motion.perturbation import J2, Drag, Perturbation
@@ -43,4 +44,5 @@ __all__ = [
     "band_limited_noise",
     "paper_disturbance",
     "resonant",
+    "steady",
 ]

@@ -247,6 +247,13 @@ def paper_disturbance() -> SinusoidalDisturbance:
     )
 
 
+def steady(force: NumbersLike) -> SinusoidalDisturbance:
+    """Give a constant force (3,), N, as one sinusoid of rate zero: it shares its compiled flights with the paper's."""
+    return SinusoidalDisturbance(
+        amplitude=np.asarray(force, float)[None], frequency=np.zeros((1, 3)), phase=np.full((1, 3), np.pi / 2)
+    )
+
+
 def resonant(amplitude: NumbersLike, control_period: float) -> SquareWaveDisturbance:
     """Square wave of ±`amplitude` (3,) N that changes sign with every control step.
 

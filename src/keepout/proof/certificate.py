@@ -11,6 +11,7 @@ import time
 import numpy as np
 from jaxtyping import Float
 
+from keepout.compiled.kept_programs import keep_programs
 from keepout.errors import FieldError
 from keepout.fields.evaluate import values, values_and_gradients
 from keepout.fields.model import Certificate, FieldModel
@@ -67,13 +68,9 @@ def certify(
             domain.
 
     """
+    keep_programs()
     start = time.perf_counter()
-    field, distance = model.field, target.distance
-    model.require_target(target, where="certify")
-    if not isinstance(field, NeuralField):
-        raise FieldError(f"certify: a {type(field).__name__} cannot be certified; a neural field can")
-    if not isinstance(distance, ExactDistance):
-        raise FieldError(f"{target.name}: a point cloud has no triangles to certify against; give a mesh")
+    field, distance = require_network_and_mesh(model, target, where="certify")
     reach = float(
         np.linalg.norm(
             np.maximum(
@@ -105,6 +102,22 @@ def certify(
     )
     progress(1.0, f"error bound {certificate.error_bound:+.4f} m, largest found {certificate.sampled_maximum:+.4f} m")
     return model.with_certificate(certificate)
+
+
+def require_network_and_mesh(model: FieldModel, target: Target, *, where: str) -> tuple[NeuralField, ExactDistance]:
+    """Give the network and the distance to the triangles that a certificate is about; `where` begins a refusal.
+
+    Raises:
+        FieldError: another target's model, a field that is no network, or a point cloud.
+
+    """
+    field, distance = model.field, target.distance
+    model.require_target(target, where=where)
+    if not isinstance(field, NeuralField):
+        raise FieldError(f"{where}: a {type(field).__name__} is no network; `certify_grid` certifies grid fields")
+    if not isinstance(distance, ExactDistance):
+        raise FieldError(f"{where}: {target.name} is a point cloud, which has no triangles; give a mesh")
+    return field, distance
 
 
 def largest_found(field: NeuralField, distance: ExactDistance, radius: float, generator: np.random.Generator) -> float:

@@ -6,11 +6,9 @@ import numpy as np
 
 from keepout.errors import FieldError
 from keepout.fields.model import Certificate, FieldModel
-from keepout.fields.neural import NeuralField
-from keepout.geometry.distance import ExactDistance
 from keepout.geometry.target import Target
 from keepout.progress import Progress, silent
-from keepout.proof.certificate import GRADIENT_ALLOWANCE, largest_found, steepest_found
+from keepout.proof.certificate import GRADIENT_ALLOWANCE, largest_found, require_network_and_mesh, steepest_found
 
 
 def sample_certificate(
@@ -42,12 +40,7 @@ def sample_certificate(
 
     """
     start = time.perf_counter()
-    field, distance = model.field, target.distance
-    model.require_target(target, where="sampled certificate")
-    if not isinstance(field, NeuralField):
-        raise FieldError(f"sampled certificate: a {type(field).__name__} gets none; `certify_grid` proves one quickly")
-    if not isinstance(distance, ExactDistance):
-        raise FieldError(f"{target.name}: a point cloud has no triangles to sample; give a mesh")
+    field, distance = require_network_and_mesh(model, target, where="sampled certificate")
     for name, value in (("chaser radius", chaser_radius), ("allowance", allowance)):
         if not 0.0 <= value < np.inf:
             raise FieldError(f"sampled certificate: {name} {value:g} m; it must be 0 or more, and finite")

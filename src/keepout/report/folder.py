@@ -3,13 +3,13 @@
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from keepout.errors import ScenarioError
-from keepout.mission.flight import Flight
-from keepout.report import flight_view, target_view
-from keepout.report.page import write_page
 from keepout.whole_file import write_whole
+
+if TYPE_CHECKING:
+    from keepout.mission.flight import Flight
 
 
 def write_summary(out: Path, summary: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> None:
@@ -31,7 +31,7 @@ def make_folder(out: Path) -> None:
 
 
 def write_flights(
-    out: Path, flights: Mapping[str, Flight], *, title: str, introduction: str, figures: bool = True
+    out: Path, flights: Mapping[str, "Flight"], *, title: str, introduction: str, figures: bool = True
 ) -> list[dict[str, Any]]:
     """Write the flights of one mission, flown in several ways, and what there is to see of them.
 
@@ -53,6 +53,8 @@ def write_flights(
         flight.record.save(path)
         summaries.append({"name": name, **flight.summary(), "flight": str(path)})
     if figures:
+        from keepout.report.page import write_page
+
         images = _draw(out, flights)
         write_page(
             out / "index.html",
@@ -65,7 +67,9 @@ def write_flights(
     return summaries
 
 
-def _draw(out: Path, flights: Mapping[str, Flight]) -> list[Path]:
+def _draw(out: Path, flights: Mapping[str, "Flight"]) -> list[Path]:
+    from keepout.report import flight_view, target_view  # drawing libraries, for which nobody waits who draws nothing
+
     first = next(iter(flights.values()))
     goal = first.scenario.goal.position
     paths = out / "paths.png"

@@ -1,6 +1,7 @@
 """One HTML page that holds everything: a turnable replay, the table and the figures. It needs no network to open."""
 
 import base64
+import functools
 import html
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -8,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
-import trimesh
-from jaxtyping import Float
+from jaxtyping import Float, Int
+from scipy.spatial import ConvexHull
 
 from keepout.flight.record import FlightRecord
 from keepout.mission.flight import Flight
@@ -18,11 +19,11 @@ from keepout.report.terminal import FLIGHT_COLUMNS, broken_assumptions, shown
 from keepout.whole_file import write_whole
 
 _FRAMES = 150
-_SPHERE = trimesh.creation.icosphere(subdivisions=1)
 STYLE = """
 body{font:15px/1.5 system-ui,sans-serif;max-width:1100px;margin:2em auto;padding:0 1em;color:#1c2430}
 table{border-collapse:collapse;margin:1em 0}th,td{border-bottom:1px solid #d5dae0;padding:.35em .8em;text-align:right}
 th:first-child,td:first-child{text-align:left}img{max-width:100%}.bad{color:#b00020;font-weight:600}
+.wide{overflow-x:auto}.wide td{white-space:nowrap}
 """
 
 
@@ -157,9 +158,21 @@ def _replay(
 
 
 def _ball(centre: Float[np.ndarray, "3"], radius: float, colour: str) -> go.Mesh3d:
-    x, y, z = np.round(centre + radius * _SPHERE.vertices, 4).T
-    i, j, k = _SPHERE.faces.T
+    vertices, (i, j, k) = _sphere()
+    x, y, z = np.round(centre + radius * vertices, 4).T
     return go.Mesh3d(x=x, y=y, z=z, i=i, j=j, k=k, color=colour, hoverinfo="skip", showlegend=False)
+
+
+@functools.cache
+def _sphere() -> tuple[Float[np.ndarray, "vertices 3"], Int[np.ndarray, "3 faces"]]:
+    """Vertices and corners of the faces of a unit icosahedron with its faces cut in four."""
+    golden = (1.0 + 5.0**0.5) / 2.0
+    one = np.array([[0.0, y, z] for y in (-1.0, 1.0) for z in (-golden, golden)])
+    corners = np.concatenate([np.roll(one, axis, axis=1) for axis in range(3)])
+    first, second = np.nonzero(np.triu(np.isclose(np.linalg.norm(corners[:, None] - corners, axis=-1), 2.0)))
+    vertices = np.concatenate([corners, 0.5 * (corners[first] + corners[second])])
+    vertices /= np.linalg.norm(vertices, axis=1, keepdims=True)
+    return vertices, ConvexHull(vertices).simplices.T
 
 
 def _base64(path: Path) -> str:

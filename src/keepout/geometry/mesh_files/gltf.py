@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from trimesh.transformations import quaternion_matrix
 
 from keepout.errors import MeshError
 from keepout.geometry.mesh_files.contents import MeshContents, counted, left_out
@@ -196,6 +195,8 @@ def _matrix(
     if rotation is not None:
         if not 0.5 < np.linalg.norm(rotation) < 2.0:
             raise MeshError(f"a rotation is the quaternion {rotation.tolist()}; it must have length one")
+        from trimesh.transformations import quaternion_matrix  # trimesh takes half a second, and few files turn parts
+
         matrix = np.asarray(quaternion_matrix(rotation[[3, 0, 1, 2]]), dtype=np.float64)
     if scale is not None:
         matrix = matrix @ np.diag([*scale, 1.0])

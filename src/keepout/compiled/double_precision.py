@@ -1,0 +1,41 @@
+"""JAX in double precision from its first import on, without importing it: what needs no JAX must not wait for it."""
+
+import importlib.util
+import sys
+from collections.abc import Sequence
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec
+from types import ModuleType
+from typing import Any
+
+
+class _FirstImport(MetaPathFinder):
+    """Finds JAX as all others do, once, and has it switched to double precision as soon as it is loaded."""
+
+    def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
+        if name != "jax" or self not in sys.meta_path:
+            return None
+        sys.meta_path.remove(self)
+        spec = importlib.util.find_spec("jax")
+        if spec is not None and spec.loader is not None:
+            loader: Any = spec.loader
+            load = loader.exec_module
+
+            def loaded(module: ModuleType) -> None:
+                load(module)
+                _switch(module)
+
+            loader.exec_module = loaded
+        return spec
+
+
+def require_double_precision() -> None:
+    """Switch JAX to double precision: now if it is loaded, else when it is."""
+    if "jax" in sys.modules:
+        _switch(sys.modules["jax"])
+    else:
+        sys.meta_path.insert(0, _FirstImport())
+
+
+def _switch(jax: Any) -> None:
+    jax.config.update("jax_enable_x64", True)

@@ -1,0 +1,33 @@
+"""Flights that nobody flew, for what reads flights: chosen columns, zeros in all others, and a chosen summary."""
+
+from typing import Any
+
+import numpy as np
+
+from keepout.flight.loop import FlightLog
+from keepout.flight.record import FlightRecord
+from keepout.mission.flight import Flight
+from keepout.mission.scenario import Scenario
+
+NUMBERS = ("time", "barrier", "backstepping_barrier", "lyapunov", "field_value")
+KINDS = {"control_status": np.int32, "guard_status": np.int32, "saturated": np.bool_}
+SHAPES = {"attitude": (4,)} | dict.fromkeys([*NUMBERS, *KINDS], ())
+
+
+class Invented(Flight):
+    """A flight whose summary is what it was given."""
+
+    def __init__(self, scenario: Scenario, summary: dict[str, Any], **columns: np.ndarray):
+        rows = len(columns["time"])
+        zeros = {
+            name: np.zeros((rows, *SHAPES.get(name, (3,))), KINDS.get(name, np.float64))
+            for name in FlightLog.__annotations__
+            if name != "target_orbit"
+        }
+        object.__setattr__(self, "scenario", scenario)
+        object.__setattr__(self, "record", FlightRecord({}, **{**zeros, **columns}))
+        object.__setattr__(self, "told", summary)
+
+    def summary(self) -> dict[str, Any]:
+        """Give what it was given."""
+        return self.told
