@@ -29,17 +29,24 @@ def drift_bound(motion: RelativeMotion, *, radius: float, speed: float, samples:
     period = 2.0 * np.pi * float(jnp.sqrt(orbit.semi_major_axis**3 / orbit.gravitational_parameter))
     positions, velocities = jnp.asarray(radius * directions[0]), jnp.asarray(speed * directions[1])
 
-    @eqx.filter_jit
-    def drift(at: MotionState, position: Array, velocity: Array) -> Array:
-        def single(r: Array, v: Array) -> Array:
-            moved = MotionState(at.time, r, v, at.attitude, at.angular_velocity, at.target_orbit)
-            return jnp.linalg.norm(motion.drift_acceleration(moved))
-
-        return jnp.max(jax.vmap(single)(position, velocity))
-
-    states = eqx.filter_jit(lambda time: motion.initial_state(jnp.zeros(3), jnp.zeros(3), time))
     times = jnp.linspace(0.0, period, 8, endpoint=False)
-    return max(float(drift(states(time), positions, velocities)) for time in times)
+    return max(float(_largest_drift(motion, _at_origin(motion, time), positions, velocities)) for time in times)
+
+
+@eqx.filter_jit
+def _at_origin(motion: RelativeMotion, time: Array) -> MotionState:
+    return motion.initial_state(jnp.zeros(3), jnp.zeros(3), time)
+
+
+@eqx.filter_jit
+def _largest_drift(motion: RelativeMotion, at: MotionState, position: Array, velocity: Array) -> Array:
+    """Compiled once for all motions of one kind, which a campaign builds by the thousand."""
+
+    def single(r: Array, v: Array) -> Array:
+        moved = MotionState(at.time, r, v, at.attitude, at.angular_velocity, at.target_orbit)
+        return jnp.linalg.norm(motion.drift_acceleration(moved))
+
+    return jnp.max(jax.vmap(single)(position, velocity))
 
 
 @eqx.filter_jit

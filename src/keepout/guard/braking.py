@@ -9,8 +9,11 @@ so the largest error that any admissible disturbance can build up is the sum of 
 """
 
 import math
+from dataclasses import dataclass
+from functools import lru_cache
 
 import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -117,7 +120,9 @@ class GuardAssumptions(eqx.Module):
         return push + self.drift + scale * math.sqrt(3.0) * self.authority
 
 
-class BrakingDesign(eqx.Module):
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class BrakingDesign:
     """Gains and radii of the braking law (docs/guard.md, section 3).
 
     Attributes:
@@ -177,20 +182,43 @@ def design(assumptions: GuardAssumptions) -> BrakingDesign:
 
 def radii(assumptions: GuardAssumptions, first_pole: float, second_pole: float) -> BrakingDesign:
     """Derive the radii for given closed-loop poles, 0 < pole < 1 (docs/guard.md, section 3)."""
-    T, n, D = assumptions.period, assumptions.delay, assumptions.disturbance
+    T, D = assumptions.period, assumptions.disturbance
+    k_p, k_d, heard, (feedback, position, velocity) = _responses(T, assumptions.delay, first_pole, second_pole)
+    errors = np.array([assumptions.position_error, assumptions.velocity_error])
+    # The estimate's error reaches the thrusters through K Φⁿ, once a step.
+    noise = float(heard @ errors)
+
+    def reach(response: tuple[float, float, Float[np.ndarray, "starts 2"]]) -> float:
+        peak, driven, started = response
+        return D * peak + noise * driven + float(np.max(started @ errors))
+
+    reserve = reach(feedback) + noise
+    bow = T**2 / 8.0 * (reserve + D)
+    return BrakingDesign(
+        position_gain=k_p,
+        velocity_gain=k_d,
+        deceleration=assumptions.authority - reserve,
+        reserve=reserve,
+        position_radius=reach(position) + bow,
+        velocity_radius=reach(velocity) + 0.5 * D * T,
+    )
+
+
+@lru_cache(maxsize=2048)
+def _responses(T: float, n: int, first_pole: float, second_pole: float):
+    """Give all of `radii` that depends on period, delay and poles alone: guards of one period have it in common.
+
+    Gains k_p, k_d and |K Φⁿ|, and how feedback, position and velocity respond: to a disturbance, to noise in the
+    feedback, and (a row a start) to the errors that a plan starts with.
+    """
     total, product = first_pole + second_pole, first_pole * second_pole
     k_p = (1.0 - total + product) / T**2
     k_d = (1.0 - product) / T + 0.5 * k_p * T
     step = np.array([[1.0, T], [0.0, 1.0]])
     held = np.array([0.5 * T**2, T])
     K = -np.array([k_p, k_d])
-    closed = step + np.outer(held, K)
     ahead = np.linalg.matrix_power(step, n)
-    powers = _powers(closed)
-    position, velocity = np.array([1.0, 0.0]), np.array([0.0, 1.0])
-    errors = np.array([assumptions.position_error, assumptions.velocity_error])
-    # The estimate's error reaches the thrusters through K Φⁿ, once a step.
-    noise = float(np.abs(K @ ahead) @ errors)
+    powers = _powers(step + np.outer(held, K))
     # A candidate's plan is one step older when it is first followed than the plan that a flight starts with.
     start = np.concatenate([powers @ np.linalg.matrix_power(step, n + 1), powers @ ahead])
     free = np.stack([np.linalg.matrix_power(step, m) for m in range(n)]) if n else np.zeros((0, 2, 2))
@@ -203,21 +231,13 @@ def radii(assumptions: GuardAssumptions, first_pole: float, second_pole: float) 
         crossing = (late**2 + early**2) / np.maximum(size, 1e-300)
         return float(0.5 * T * np.sum(np.where(late * early < 0.0, crossing, size)))
 
-    def reach(row: Float[np.ndarray, "2"], pulses: Float[np.ndarray, "steps 2 2"]) -> float:
+    def respond(row: Float[np.ndarray, "2"], pulses: Float[np.ndarray, "steps 2 2"]):
         driven = float(np.sum(np.abs(powers @ held @ row)))
-        initial = float(np.max(np.abs(np.einsum("i,mij->mj", row, start)) @ errors))
-        return D * peak(row, pulses) + noise * driven + initial
+        return peak(row, pulses), driven, np.abs(np.einsum("i,mij->mj", row, start))
 
-    reserve = reach(K, powers @ ahead) + noise
-    bow = T**2 / 8.0 * (reserve + D)
-    return BrakingDesign(
-        position_gain=k_p,
-        velocity_gain=k_d,
-        deceleration=assumptions.authority - reserve,
-        reserve=reserve,
-        position_radius=reach(position, response) + bow,
-        velocity_radius=reach(velocity, response) + 0.5 * D * T,
-    )
+    position, velocity = np.array([1.0, 0.0]), np.array([0.0, 1.0])
+    rows = respond(K, powers @ ahead), respond(position, response), respond(velocity, response)
+    return k_p, k_d, np.abs(K @ ahead), rows
 
 
 def _powers(closed: Float[np.ndarray, "2 2"]) -> Float[np.ndarray, "steps 2 2"]:

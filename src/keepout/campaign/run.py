@@ -1,0 +1,119 @@
+"""A campaign flown into a folder: what is missing there is flown, and nothing else."""
+
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass
+from threading import Lock
+
+from keepout.campaign.chunk import ChunkResult, Told, fly_chunk
+from keepout.campaign.dataset import Dataset
+from keepout.campaign.plan import Plan
+from keepout.flight.batches import available_cores
+
+Flyer = Callable[[Plan, list[int], Told], Iterator[ChunkResult]]
+"""Flies chunks of a plan by their numbers, in any order, and gives each when it is there; may tell of flights before."""
+
+
+@dataclass(frozen=True)
+class Standing:
+    """How far a campaign is.
+
+    Attributes:
+        runs: of the whole campaign.
+        done: runs in chunks that are written, and flights that landed since.
+        flown: flights that landed since this start.
+        reached: of these, how many reached their goal.
+        contacts: of these, how many the audit does not clear of a contact.
+        seconds: since this start.
+
+    """
+
+    runs: int
+    done: int
+    flown: int
+    reached: int
+    contacts: int
+    seconds: float
+
+    @property
+    def rate(self) -> float:
+        """Flights a second since this start."""
+        return self.flown / self.seconds if self.seconds > 0.0 else 0.0
+
+    @property
+    def seconds_left(self) -> float | None:
+        """Time left at this rate, s; None before the first flight."""
+        return (self.runs - self.done) / self.rate if self.flown else None
+
+    def line(self) -> str:
+        """Say it in a line."""
+        return f"{self.done} of {self.runs}, {self.rate:.3g} flights/s, {self.reached} reached, {self.contacts} contacts"
+
+
+def in_threads(plan: Plan, numbers: list[int], told: Told) -> Iterator[ChunkResult]:
+    """Fly chunks in this process, each in a thread of its own, one for each core at once."""
+    workers = min(available_cores(), max(len(numbers), 1))
+    waiting = iter(numbers)
+    pool = ThreadPoolExecutor(workers)
+
+    def fly(number: int) -> ChunkResult:
+        return fly_chunk(plan, number, workers=1 if workers > 1 else None, told=told)
+
+    try:
+        under_way: set[Future[ChunkResult]] = {pool.submit(fly, n) for _, n in zip(range(workers), waiting)}
+        while under_way:
+            ready, under_way = wait(under_way, return_when=FIRST_COMPLETED)
+            for future in ready:
+                following = next(waiting, None)
+                if following is not None:
+                    under_way.add(pool.submit(fly, following))
+                yield future.result()
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def fly_campaign(
+    plan: Plan,
+    dataset: Dataset,
+    *,
+    flyer: Flyer = in_threads,
+    told: Callable[[Standing], None] = lambda standing: None,
+) -> Standing:
+    """Fly what is missing in a campaign's folder, each chunk written as soon as it is there.
+
+    Stopped at any moment, by whatever means, it goes on when called again, to the same tables bit for bit.
+
+    Args:
+        plan: of the campaign.
+        dataset: its folder (`Dataset.begin`), locked by the caller.
+        flyer: who flies the chunks.
+        told: called as flights land and chunks are written.
+
+    Raises:
+        FlightError: a file cannot be written.
+
+    """
+    began, lock = time.perf_counter(), Lock()
+    missing = dataset.missing()
+    before = plan.runs - sum(last - first for first, last in map(plan.chunk_runs, missing))
+    counted = [0, 0, 0]
+    written = before
+
+    def standing() -> Standing:
+        done = min(max(before + counted[0], written), plan.runs)
+        return Standing(plan.runs, done, *counted, time.perf_counter() - began)
+
+    def landed(flights: int, reached: int, contacts: int) -> None:
+        with lock:
+            for place, more in enumerate((flights, reached, contacts)):
+                counted[place] += more
+            told(standing())
+
+    for result in flyer(plan, missing, landed):
+        dataset.write(result)
+        with lock:
+            first, last = plan.chunk_runs(result.number)
+            written += last - first
+            told(standing())
+    return standing()
