@@ -8,7 +8,7 @@ import itertools
 import logging
 import pickle
 import time
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from typing import Any
 
@@ -57,7 +57,7 @@ class Cluster:
         self.workers_seconds = workers_seconds
         self.states: dict[str, WorkerState] = {}
 
-    def __call__(self, plan: Plan, numbers: list[int], told: Told) -> Iterator[ChunkResult]:
+    def __call__(self, plan: Plan, numbers: list[int], told: Told) -> Generator[ChunkResult, None, None]:
         """Fly chunks, in any order, and give each once. Closed early, it cancels what is not finished.
 
         Raises:
@@ -154,7 +154,9 @@ class Cluster:
             if refusal:
                 raise ClusterError(f"worker {address}: {refusal}; install the same there as here")
 
-    def _flown(self, client: Client, name: str, plan: Plan, numbers: list[int], told: Told) -> Iterator[ChunkResult]:
+    def _flown(
+        self, client: Client, name: str, plan: Plan, numbers: list[int], told: Told
+    ) -> Generator[ChunkResult, None, None]:
         waiting = iter(numbers)
         under_way: dict[Future, int] = {}
         landing = as_completed(loop=client.loop)

@@ -12,6 +12,7 @@ stands in its place is flown again.
 import fcntl
 import json
 import os
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -20,6 +21,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 
 from keepout.campaign import table
 from keepout.campaign.bands import Bands
@@ -154,6 +156,11 @@ class Dataset:
         assert whole is not None
         return whole
 
+    def processors(self) -> dict[str, int]:
+        """Count the chunks that each kind of processor flew: on another kind the last bits are others."""
+        marks = (pq.read_schema(self._table(number)).metadata or {} for number in range(self.chunks))
+        return dict(Counter(mark.get(b"processor", b"unknown").decode() for mark in marks))
+
     def kept(self, run: int) -> Path:
         """Where the flight file of a run is, if it is kept."""
         return self.folder / "kept" / f"run-{run:010d}.parquet"
@@ -178,12 +185,13 @@ class Dataset:
 def _read_identity(path: Path) -> dict[str, Any]:
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
-        found["scenario"]["campaign"]["runs"], found["chunk"], found["batch"]
+        if all(isinstance(n, int) for n in (found["scenario"]["campaign"]["runs"], found["chunk"], found["batch"])):
+            return found
     except OSError as error:
         raise ScenarioError(f"{path}: cannot be read ({error.strerror}); no campaign was flown here") from None
     except (ValueError, KeyError, TypeError):
-        raise ScenarioError(f"{path}: not what a campaign writes; give another folder") from None
-    return found
+        pass  # refused below, as is one with other values
+    raise ScenarioError(f"{path}: not what a campaign writes; give another folder")
 
 
 def _differing(kept: Any, own: Any, name: str = "") -> list[str]:

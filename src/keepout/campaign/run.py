@@ -1,8 +1,9 @@
 """A campaign flown into a folder: what is missing there is flown, and nothing else."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import closing
 from dataclasses import dataclass
 from threading import Lock
 
@@ -11,8 +12,8 @@ from keepout.campaign.dataset import Dataset
 from keepout.campaign.plan import Plan
 from keepout.flight.batches import available_cores
 
-Flyer = Callable[[Plan, list[int], Told], Iterator[ChunkResult]]
-"""Flies chunks of a plan by their numbers, in any order, and gives each when it is there; may tell of flights before."""
+Flyer = Callable[[Plan, list[int], Told], Generator[ChunkResult, None, None]]
+"""Flies chunks of a plan by their numbers, in any order, and gives each when it is there; tells of landed flights."""
 
 
 @dataclass(frozen=True)
@@ -48,10 +49,12 @@ class Standing:
 
     def line(self) -> str:
         """Say it in a line."""
-        return f"{self.done} of {self.runs}, {self.rate:.3g} flights/s, {self.reached} reached, {self.contacts} contacts"
+        return (
+            f"{self.done} of {self.runs}, {self.rate:.3g} flights/s, {self.reached} reached, {self.contacts} contacts"
+        )
 
 
-def in_threads(plan: Plan, numbers: list[int], told: Told) -> Iterator[ChunkResult]:
+def in_threads(plan: Plan, numbers: list[int], told: Told) -> Generator[ChunkResult, None, None]:
     """Fly chunks in this process, each in a thread of its own, one for each core at once."""
     workers = min(available_cores(), max(len(numbers), 1))
     waiting = iter(numbers)
@@ -97,23 +100,24 @@ def fly_campaign(
     began, lock = time.perf_counter(), Lock()
     missing = dataset.missing()
     before = plan.runs - sum(last - first for first, last in map(plan.chunk_runs, missing))
-    counted = [0, 0, 0]
+    flown = reached = contacts = 0
     written = before
 
     def standing() -> Standing:
-        done = min(max(before + counted[0], written), plan.runs)
-        return Standing(plan.runs, done, *counted, time.perf_counter() - began)
+        done = min(max(before + flown, written), plan.runs)
+        return Standing(plan.runs, done, flown, reached, contacts, time.perf_counter() - began)
 
-    def landed(flights: int, reached: int, contacts: int) -> None:
+    def landed(flights: int, at_goal: int, touching: int) -> None:
+        nonlocal flown, reached, contacts
         with lock:
-            for place, more in enumerate((flights, reached, contacts)):
-                counted[place] += more
+            flown, reached, contacts = flown + flights, reached + at_goal, contacts + touching
             told(standing())
 
-    for result in flyer(plan, missing, landed):
-        dataset.write(result)
-        with lock:
-            first, last = plan.chunk_runs(result.number)
-            written += last - first
-            told(standing())
+    with closing(flyer(plan, missing, landed)) as results:  # an interrupt between two results stops it at once
+        for result in results:
+            dataset.write(result)
+            with lock:
+                first, last = plan.chunk_runs(result.number)
+                written += last - first
+                told(standing())
     return standing()
