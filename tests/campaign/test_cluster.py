@@ -43,7 +43,9 @@ def test_a_killed_worker_loses_only_its_chunks_and_no_bit_differs(tmp_path):
     plan = small_plan()
     dataset = Dataset.begin(tmp_path / "out", plan)
     with (
-        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None, memory_limit=0) as cluster,
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0", memory_limit=0
+        ) as cluster,
         distributed.Client(cluster, set_as_default=False) as watching,
     ):
         pids = watching.run(os.getpid)
@@ -153,7 +155,6 @@ from keepout.campaign.worker import keep_to
 core = min(os.sched_getaffinity(0))
 numpy.ones((300, 300)) @ numpy.ones((300, 300))
 keep_to(1, (core,))
-before = len(os.listdir("/proc/self/task"))
 jax.jit(lambda x: x @ x)(jax.numpy.ones((500, 500))).block_until_ready()
 pools = [open(f"/proc/self/task/{task}/comm").read().strip() for task in os.listdir("/proc/self/task")]
 cores = {tuple(os.sched_getaffinity(int(task))) for task in os.listdir("/proc/self/task")}
@@ -174,7 +175,9 @@ def here(monkeypatch):
     """A cluster whose one worker is a thread here, left with the threads and cores it has."""
     monkeypatch.setattr(worker, "keep_to", lambda threads, cores: None)
     monkeypatch.setattr(worker, "fly_chunk", lambda plan, number, **_: flown_here(number))
-    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as made:
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address="127.0.0.1:0"
+    ) as made:
         yield made
 
 
@@ -272,7 +275,7 @@ def test_several_kinds_of_processor_are_refused_unless_allowed(here, monkeypatch
 
 
 def test_a_cluster_without_workers_is_said_so():
-    with distributed.LocalCluster(n_workers=0, processes=False, dashboard_address=None) as empty:
+    with distributed.LocalCluster(n_workers=0, processes=False, dashboard_address="127.0.0.1:0") as empty:
         flyer = cluster_at(empty, workers_seconds=0.5)
         with pytest.raises(ClusterError, match=r"scheduler: inproc://.* has had no worker for 0\.5 s; start workers"):
             flown(flyer)

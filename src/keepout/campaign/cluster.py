@@ -39,7 +39,8 @@ class Cluster:
         mixed_processors: whether workers may have several kinds of processor.
         connect_seconds: the longest wait for the scheduler.
         workers_seconds: the longest time without any worker.
-        states: what each worker said of itself at the start, by address; kept up by `look`.
+        states: what each worker said of itself at the start, by address.
+        costs: processor time of each chunk (s) on each worker, in the order they came back; the first one compiles.
 
     """
 
@@ -56,6 +57,7 @@ class Cluster:
         self.connect_seconds = connect_seconds
         self.workers_seconds = workers_seconds
         self.states: dict[str, WorkerState] = {}
+        self.costs: dict[str, list[float]] = {}
 
     def __call__(self, plan: Plan, numbers: list[int], told: Told) -> Generator[ChunkResult, None, None]:
         """Fly chunks, in any order, and give each once. Closed early, it cancels what is not finished.
@@ -72,10 +74,10 @@ class Cluster:
             self._check_versions(client)
             name = f"keepout-{plan.sha256[:12]}-{client.id}"
             stack.enter_context(_handed_out(client, name, plan, self._cores()))
-            self.look(client, name)
+            self._look(client, name)
             yield from self._flown(client, name, plan, numbers, told)
 
-    def look(self, client: Client, name: str) -> dict[str, WorkerState]:
+    def _look(self, client: Client, name: str) -> None:
         """Ask all workers how they are.
 
         Raises:
@@ -89,7 +91,6 @@ class Cluster:
                 raise ClusterError(f"worker {address}: {state.refusal}; install the same there as here")
         for address, state in self.states.items():
             self._require_same_kind(address, state.processor)
-        return self.states
 
     def _require_same_kind(self, address: str, processor: str) -> None:
         kinds = {state.processor: known for known, state in reversed(self.states.items())}
@@ -183,6 +184,7 @@ class Cluster:
                 future = next(landing)
                 number = under_way.pop(future)
                 landed = self._landed(future, plan, number)
+                self.costs.setdefault(landed.worker, []).append(landed.processor_seconds)
                 future.release()
                 hand_out()
                 told(landed.flights, landed.reached, landed.contacts)
@@ -253,7 +255,7 @@ def _processes(count: int) -> Iterator[LocalCluster]:
         protocol="tls://",
         security=True,  # else any user of this machine could have the workers run code
         memory_limit=0,  # a share of the machine's memory, as by default, says nothing of what is free
-        dashboard_address=None,  # pyright: ignore[reportArgumentType]
+        dashboard_address="127.0.0.1:0",
         silence_logs=logging.CRITICAL,
     )
     try:

@@ -8,6 +8,7 @@ import functools
 import os
 import pickle
 import sys
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -37,6 +38,8 @@ class Landed:
         reached: of these, how many reached their goal.
         contacts: of these, how many the audit does not clear of a contact.
         processor: that flew them.
+        worker: its address.
+        processor_seconds: that its process used meanwhile; for other chunks too, where it flies several at once.
 
     """
 
@@ -45,6 +48,8 @@ class Landed:
     reached: int
     contacts: int
     processor: str
+    worker: str
+    processor_seconds: float
 
 
 @dataclass(frozen=True)
@@ -142,10 +147,9 @@ def keep_to(threads: int, cores: tuple[int, ...]) -> None:
     import pyarrow
     from threadpoolctl import threadpool_limits
 
-    threadpool_limits(threads)
     numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))  # pyright: ignore
+    threadpool_limits(threads)  # last: numba loads OpenMP
     pyarrow.set_cpu_count(threads)
-    pyarrow.set_io_thread_count(1)
 
 
 def fly(name: str, number: int, where: Callable[[], str]) -> Landed:
@@ -168,12 +172,13 @@ def fly(name: str, number: int, where: Callable[[], str]) -> Landed:
     def told(*more: int) -> None:
         counted[:] = (a + b for a, b in zip(counted, more, strict=True))
 
+    began = time.process_time()
     try:
         result = fly_chunk(plan, number, workers=1, told=told)
     except KeepoutError as error:
         raise ClusterError(f"{chunk_name(plan, number)}, on worker {where()}: {error}") from None
     flights, reached, contacts = counted
-    return Landed(result, flights, reached, contacts, processor())
+    return Landed(result, flights, reached, contacts, processor(), where(), time.process_time() - began)
 
 
 def allowed_cores() -> tuple[int, ...]:
