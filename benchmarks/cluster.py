@@ -24,7 +24,6 @@ from keepout.campaign.cluster import Cluster
 from keepout.campaign.dataset import Dataset
 from keepout.campaign.plan import Plan
 from keepout.campaign.run import fly_campaign
-from keepout.campaign.scheduler import Scheduler
 from keepout.mission.scenario import Scenario
 
 HOURS = (1.0, 10.0, 100.0)
@@ -32,7 +31,9 @@ HOURS = (1.0, 10.0, 100.0)
 
 
 class Watch(threading.Thread):
-    """Looks at worker processes four times a second: most threads, and processor time per second of the clock."""
+    """Looks at worker processes four times a second: most threads, those of them with more than a twentieth of the
+    processor time, and processor time per second of the clock.
+    """
 
     def __init__(self, flyer):
         super().__init__(daemon=True)
@@ -45,13 +46,16 @@ class Watch(threading.Thread):
                 try:
                     process = psutil.Process(state.process)
                     used = sum(process.cpu_times()[:2])
-                    threads, cores = process.num_threads(), len(process.cpu_affinity())
+                    threads, cores = process.threads(), len(process.cpu_affinity())
+                    busy = sum(20 * (thread.user_time + thread.system_time) > used for thread in threads)
                     memory = process.memory_info().rss
                 except psutil.Error:  # it has ended
                     continue
-                most = self.most.setdefault(state.process, {"threads": 0, "cores": 0, "memory": 0})
-                now = {"threads": threads, "cores": cores, "memory": memory}
-                self.most[state.process] = {name: max(value, now[name]) for name, value in most.items()}
+                now = {"threads": len(threads), "busy": busy, "cores": cores, "memory": memory}
+                most = self.most.setdefault(state.process, now)
+                self.most[state.process] = {name: max(value, most[name]) for name, value in now.items()} | {
+                    "busy": busy
+                }
                 first = self.ends.get(state.process, [(time.perf_counter(), used)])[0]
                 self.ends[state.process] = [first, (time.perf_counter(), used)]
 
@@ -60,7 +64,7 @@ def measure(scenario, workers):
     """Fly a campaign; give what its workers, its flights and its files took."""
     began = time.perf_counter()
     plan = Plan.of(scenario)
-    flyer = Cluster(Scheduler(workers=workers))
+    flyer = Cluster(workers=workers)
     watch = Watch(flyer)
     watch.start()
     writing = []
@@ -135,10 +139,10 @@ def show(measured, planned):
         f"{m['mission']}: {m['runs']} flights of {m['seconds_a_flight_lasts']:g} s in {m['chunks']} chunks of "
         f"{m['runs_a_chunk']}; {m['seconds']:.1f} s by the clock, start-up of the workers included"
     )
-    print(f"{'worker':>8} {'cores':>6} {'threads':>8} {'processor share':>16} {'memory MB':>10}")
+    print(f"{'worker':>8} {'cores':>6} {'threads':>8} {'busy':>5} {'processor share':>16} {'memory MB':>10}")
     for each in m["workers"]:
         print(
-            f"{each['process']:>8} {each['cores']:>6} {each['threads']:>8} {each['processor_share']:>16.2f} "
+            f"{each['process']:>8} {each['cores']:>6} {each['threads']:>8} {each['busy']:>5} {each['processor_share']:>16.2f} "
             f"{each['memory'] / 1e6:>10.0f}"
         )
     print(

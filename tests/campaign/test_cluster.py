@@ -13,7 +13,7 @@ from truths.small_campaigns import flown_here, small_plan
 from keepout.campaign import worker
 from keepout.campaign.dataset import Dataset
 from keepout.campaign.run import fly_campaign
-from keepout.campaign.scheduler import Scheduler, flyer_on
+from keepout.campaign.scheduler import flyer_on
 from keepout.errors import ClusterError, KeepOutZoneError
 
 distributed = pytest.importorskip("distributed", reason="needs keepout[cluster]")
@@ -65,7 +65,7 @@ def test_a_killed_worker_loses_only_its_chunks_and_no_bit_differs(tmp_path):
                 killed.append(in_hand)
                 yield from flying
 
-        flyer = Killing(Scheduler.parse(cluster.scheduler_address))
+        flyer = Killing(cluster.scheduler_address)
         standing = fly_campaign(plan, dataset, flyer=flyer)
         assert all(not state.refusal for state in flyer.states.values())
         assert set(pids.values()) - set(watching.run(os.getpid).values()) == {next(iter(pids.values()))}
@@ -182,7 +182,7 @@ def here(monkeypatch):
 
 
 def cluster_at(made, **more):
-    return Cluster(Scheduler(address=made.scheduler_address), **more)
+    return Cluster(made.scheduler_address, **more)
 
 
 def flown(flyer, numbers=range(6)):
@@ -290,7 +290,7 @@ def test_workers_that_all_go_and_never_come_back_are_said_so(here):
 
 
 def test_a_scheduler_that_does_not_answer_is_named():
-    flyer = Cluster(Scheduler.parse("tcp://127.0.0.1:1"), connect_seconds=1.0)
+    flyer = Cluster("tcp://127.0.0.1:1", connect_seconds=1.0)
     with pytest.raises(ClusterError, match=r"scheduler: tcp://127\.0\.0\.1:1 did not answer in 1 s") as raised:
         flown(flyer)
     assert "\n" not in str(raised.value)

@@ -17,7 +17,6 @@ from distributed import Client, Future, KilledWorker, LocalCluster, Worker, Work
 from keepout.campaign import worker
 from keepout.campaign.chunk import ChunkResult, Told
 from keepout.campaign.plan import Plan
-from keepout.campaign.scheduler import Scheduler
 from keepout.campaign.worker import Landed, WorkerState, drop_plan, take_plan
 from keepout.errors import ClusterError
 from keepout.flight.batches import available_cores
@@ -35,7 +34,8 @@ class Cluster:
     """Flies chunks on a cluster: a `Flyer`.
 
     Attributes:
-        scheduler: where it is, or how many processes to start here.
+        address: of its scheduler; empty where workers are started here.
+        workers: processes to start here.
         mixed_processors: whether workers may have several kinds of processor.
         connect_seconds: the longest wait for the scheduler.
         workers_seconds: the longest time without any worker.
@@ -46,13 +46,15 @@ class Cluster:
 
     def __init__(
         self,
-        scheduler: Scheduler,
+        address: str = "",
         *,
+        workers: int = 0,
         mixed_processors: bool = False,
         connect_seconds: float = CONNECT_SECONDS,
         workers_seconds: float = WORKERS_SECONDS,
     ) -> None:
-        self.scheduler = scheduler
+        self.address = address
+        self.workers = workers
         self.mixed_processors = mixed_processors
         self.connect_seconds = connect_seconds
         self.workers_seconds = workers_seconds
@@ -104,9 +106,9 @@ class Cluster:
     @contextmanager
     def _client(self) -> Iterator[Client]:
         with ExitStack() as stack:
-            address: Any = self.scheduler.address
+            address: Any = self.address
             if not address:
-                address = stack.enter_context(_processes(self.scheduler.workers))
+                address = stack.enter_context(_processes(self.workers))
             try:
                 client = Client(address, timeout=self.connect_seconds, set_as_default=False, name="keepout")
             except (OSError, ValueError) as error:
@@ -120,9 +122,9 @@ class Cluster:
 
     def _cores(self) -> dict[Any, tuple[int, ...]]:
         """Give each process started here cores of its own, by its name; none elsewhere, where others may run too."""
-        if self.scheduler.address:
+        if self.address:
             return {}
-        cores, count = worker.allowed_cores(), self.scheduler.workers
+        cores, count = worker.allowed_cores(), self.workers
         each = len(cores) // count
         return {place: cores[place * each : (place + 1) * each] for place in range(count)} if cores else {}
 
@@ -134,7 +136,7 @@ class Cluster:
 
     def _without_workers(self) -> str:
         return (
-            f"scheduler: {self.scheduler.address or 'local'} has had no worker for {self.workers_seconds:g} s; "
+            f"scheduler: {self.address or 'local'} has had no worker for {self.workers_seconds:g} s; "
             "start workers, and the same command again to go on"
         )
 
@@ -195,7 +197,7 @@ class Cluster:
 
     def _landed(self, future: Future, plan: Plan, number: int) -> Landed:
         if future.cancelled():
-            at = self.scheduler.address or "local"
+            at = self.address or "local"
             raise ClusterError(f"scheduler: {at} was lost; start the same command again to go on")
         try:
             landed: Landed = future.result()

@@ -63,4 +63,4 @@ def flyer_on(scheduler: str, *, mixed_processors: bool = False) -> Flyer:
         raise ClusterError(f"scheduler: {missing[0]} is not installed; pip install 'keepout[cluster]'")
     from keepout.campaign.cluster import Cluster
 
-    return Cluster(parsed, mixed_processors=mixed_processors)
+    return Cluster(parsed.address, workers=parsed.workers, mixed_processors=mixed_processors)
