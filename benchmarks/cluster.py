@@ -31,8 +31,10 @@ HOURS = (1.0, 10.0, 100.0)
 
 
 class Watch(threading.Thread):
-    """Looks at worker processes four times a second: most threads, those of them with more than a twentieth of the
-    processor time, and processor time per second of the clock.
+    """Looks at worker processes four times a second.
+
+    It keeps the most threads and memory, how many threads have used a twentieth of the processor time or more, and the
+    processor time per second of the clock.
     """
 
     def __init__(self, flyer):
@@ -142,8 +144,8 @@ def show(measured, planned):
     print(f"{'worker':>8} {'cores':>6} {'threads':>8} {'busy':>5} {'processor share':>16} {'memory MB':>10}")
     for each in m["workers"]:
         print(
-            f"{each['process']:>8} {each['cores']:>6} {each['threads']:>8} {each['busy']:>5} {each['processor_share']:>16.2f} "
-            f"{each['memory'] / 1e6:>10.0f}"
+            f"{each['process']:>8} {each['cores']:>6} {each['threads']:>8} {each['busy']:>5} "
+            f"{each['processor_share']:>16.2f} {each['memory'] / 1e6:>10.0f}"
         )
     print(
         f"a flight: {1e3 * m['core_seconds_a_flight']:.2f} ms of one core, {m['table_bytes_a_flight']:.0f} bytes of "

@@ -3,8 +3,10 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
+from truths.command_line import keepout_command
 
 from keepout.campaign import scheduler
 from keepout.campaign.scheduler import Scheduler, flyer_on
@@ -41,6 +43,14 @@ def test_without_dask_the_line_that_installs_it_is_named(monkeypatch):
     monkeypatch.setattr(scheduler.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(ClusterError, match=r"distributed is not installed; pip install 'keepout\[cluster\]'"):
         flyer_on("local:1")
+
+
+def test_the_command_refuses_in_a_line_before_it_builds_anything(tmp_path):
+    example = Path(__file__).parents[2] / "examples" / "case1.toml"
+    answer = keepout_command("campaign", example, "-o", tmp_path / "out", "--scheduler", "host:8786")
+    assert answer.code == 1
+    assert "scheduler: 'host:8786' is not valid; valid are tcp://HOST:PORT" in " ".join(answer.err.split())
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.long
