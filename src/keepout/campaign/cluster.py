@@ -7,6 +7,7 @@ each worker, one that joins later or takes a dead one's place too, gets it once,
 import itertools
 import logging
 import pickle
+import re
 import time
 from collections.abc import Generator, Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -112,7 +113,7 @@ class Cluster:
             try:
                 client = Client(address, timeout=self.connect_seconds, set_as_default=False, name="keepout")
             except (OSError, ValueError) as error:
-                said = " ".join(str(error.__cause__ or error).split())[:200]
+                said = re.sub(r"^in <[^>]*>: ", "", " ".join(str(error.__cause__ or error).split()))[:200]
                 raise ClusterError(
                     f"scheduler: {address} did not answer in {self.connect_seconds:g} s ({said}); "
                     "is it running, and can it be reached from here?"
