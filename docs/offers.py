@@ -99,6 +99,7 @@ OFFERS = {
         "campaign.dataset.Dataset.table",
         "campaign.dataset.Dataset.bands",
         "campaign.run.fly_campaign",
+        "campaign.scheduler.flyer_on",
         "campaign.replay.replay",
         "campaign.summary.summary",
     ),

@@ -218,7 +218,7 @@ campaigns = typer.Typer(
     cls=_FlyUnlessNamed,
     help="Fly a scenario many times, with whatever varies drawn anew for each flight, and audit every flight.\n\n"
     "`keepout campaign MISSION.toml -o OUT` is short for `keepout campaign fly MISSION.toml -o OUT`; its options are "
-    "--runs, --keep, --batch, --seed and --json.",
+    "--runs, --keep, --batch, --scheduler, --mixed-processors, --seed and --json.",
     epilog=example(
         "keepout campaign examples/case1.toml --runs 1000 -o out/campaign",
         "keepout campaign replay out/campaign --run 47",
@@ -240,6 +240,13 @@ def campaign(
     batch: Annotated[
         int | None, typer.Option(callback=_at_least(1), help="Flights at once; part of what the campaign is.")
     ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(help="Who flies: tcp://HOST:PORT, a dask.distributed cluster; local or local:N, processes here."),
+    ] = None,
+    mixed_processors: Annotated[
+        bool, typer.Option("--mixed-processors", help="Let processors of several kinds fly, with other last bits.")
+    ] = False,
     seed: ScenarioSeed = None,
     as_json: AsJson = False,
 ) -> None:
@@ -255,11 +262,12 @@ def campaign(
         mission = mission.replace(seed=seed)
     if runs is not None:
         mission = mission.replace(campaign={"runs": runs})
+    chosen = {"batch": batch, "keep": keep, "scheduler": scheduler, "mixed_processors": mixed_processors}
     if as_json:
-        summary = campaign_to_folder(mission, out, batch=batch, keep=keep, told=terminal.standing_lines())
+        summary = campaign_to_folder(mission, out, **chosen, told=terminal.standing_lines())
     else:
         with terminal.progress(f"campaign {mission.name}") as progress:
-            summary = campaign_to_folder(mission, out, batch=batch, keep=keep, progress=progress)
+            summary = campaign_to_folder(mission, out, **chosen, progress=progress)
     _answer(summary, as_json)
     if not as_json:
         # What the guard assumes is for the file: two dozen numbers.

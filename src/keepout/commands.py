@@ -245,22 +245,27 @@ def campaign_to_folder(
     *,
     batch: int | None = None,
     keep: str = "worst:20",
+    scheduler: str | None = None,
+    mixed_processors: bool = False,
     told: "Callable[[Standing], None]" = lambda standing: None,
     progress: Progress = silent,
 ) -> dict[str, Any]:
     """Fly a scenario's campaign into `out`, or what is missing of it there; then its bands, figure and `summary.json`.
 
-    `told` hears how far it is as flights land; `progress` too, in words.
+    `scheduler` names who flies, if not this process (`flyer_on`). `told` hears how far it is as flights land;
+    `progress` too, in words.
     """
     from keepout.campaign.dataset import Dataset
     from keepout.campaign.keep import Keep, keep_flights
     from keepout.campaign.plan import Plan
-    from keepout.campaign.run import fly_campaign
+    from keepout.campaign.run import fly_campaign, in_threads
+    from keepout.campaign.scheduler import flyer_on
     from keepout.campaign.summary import band_figures, summary
     from keepout.report.campaign_view import DRAWN, draw_campaign
     from keepout.report.folder import write_summary
     from keepout.whole_file import write_whole
 
+    flyer = in_threads if scheduler is None else flyer_on(scheduler, mixed_processors=mixed_processors)
     began, chosen = time.perf_counter(), Keep.parse(keep)
     progress(0.0, "preparing")
     plan = Plan.of(scenario, batch=batch)
@@ -271,7 +276,7 @@ def campaign_to_folder(
         progress(0.05 + 0.9 * standing.done / standing.runs, standing.line())
 
     with dataset.lock():
-        standing = fly_campaign(plan, dataset, told=tell)
+        standing = fly_campaign(plan, dataset, flyer=flyer, told=tell)
         kept = keep_flights(plan, dataset, chosen, told=lambda done, of: progress(0.95, f"{done} of {of} flights kept"))
         bands = out / "bands.json"
         write_whole(bands, json.dumps(band_figures(dataset), allow_nan=False) + "\n")
@@ -281,6 +286,7 @@ def campaign_to_folder(
             "batch": plan.batch,
             "seconds": time.perf_counter() - began,
             "flown_now": standing.flown,
+            "processors": dataset.processors(),
             "flights": str(out / "flights"),
             "bands": str(bands),
             "kept": [str(dataset.kept(run)) for run in kept],

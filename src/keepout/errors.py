@@ -31,3 +31,7 @@ class KeepOutZoneError(ControlError):
 
 class FlightError(KeepoutError):
     """A flight file that is damaged or foreign."""
+
+
+class ClusterError(KeepoutError):
+    """A cluster that cannot be reached, a worker that would fly otherwise than the others, or a chunk that failed."""

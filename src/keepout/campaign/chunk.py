@@ -16,6 +16,7 @@ from keepout.campaign import bands, table
 from keepout.campaign.drawing import Run
 from keepout.campaign.flying import Landed, bounds_of, fly_runs, initial_state
 from keepout.campaign.plan import Plan
+from keepout.compiled.kept_programs import processor
 from keepout.digest import digest
 from keepout.guard.guard import Guard, starts_certified
 
@@ -33,8 +34,8 @@ class ChunkResult:
 
     Attributes:
         number: of the chunk.
-        table: a Parquet file with one row a run (`table.py`). Its metadata names the plan (`plan`), the chunk (`chunk`)
-            and the digest of the bands (`bands`).
+        table: a Parquet file with one row a run (`table.py`). Its metadata names the plan (`plan`), the chunk
+            (`chunk`), the digest of the bands (`bands`) and the kind of processor (`processor`).
         bands: an `.npz` file with the chunk's `Bands`.
 
     """
@@ -63,6 +64,7 @@ def fly_chunk(plan: Plan, number: int, *, workers: int | None = None, told: Told
         "chunk": str(number),
         "bands": digest(np.frombuffer(sketch, np.uint8)),
         "scenario": plan.scenario.model_dump_json(),
+        "processor": processor(),
     }
     return ChunkResult(number, table.to_bytes(rows, marks), sketch)
 

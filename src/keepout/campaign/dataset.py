@@ -12,6 +12,7 @@ stands in its place is flown again.
 import fcntl
 import json
 import os
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -20,6 +21,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 
 from keepout.campaign import table
 from keepout.campaign.bands import Bands
@@ -153,6 +155,11 @@ class Dataset:
                 whole.add(part)
         assert whole is not None
         return whole
+
+    def processors(self) -> dict[str, int]:
+        """Count the chunks that each kind of processor flew: on another kind the last bits are others."""
+        marks = (pq.read_schema(self._table(number)).metadata or {} for number in range(self.chunks))
+        return dict(Counter(mark.get(b"processor", b"unknown").decode() for mark in marks))
 
     def kept(self, run: int) -> Path:
         """Where the flight file of a run is, if it is kept."""

@@ -1,8 +1,9 @@
 """A campaign flown into a folder: what is missing there is flown, and nothing else."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import closing
 from dataclasses import dataclass
 from threading import Lock
 
@@ -11,7 +12,7 @@ from keepout.campaign.dataset import Dataset
 from keepout.campaign.plan import Plan
 from keepout.flight.batches import available_cores
 
-Flyer = Callable[[Plan, list[int], Told], Iterator[ChunkResult]]
+Flyer = Callable[[Plan, list[int], Told], Generator[ChunkResult, None, None]]
 """Flies chunks of a plan by their numbers, in any order, and gives each when it is there; tells of landed flights."""
 
 
@@ -53,7 +54,7 @@ class Standing:
         )
 
 
-def in_threads(plan: Plan, numbers: list[int], told: Told) -> Iterator[ChunkResult]:
+def in_threads(plan: Plan, numbers: list[int], told: Told) -> Generator[ChunkResult, None, None]:
     """Fly chunks in this process, each in a thread of its own, one for each core at once."""
     workers = min(available_cores(), max(len(numbers), 1))
     waiting = iter(numbers)
@@ -112,10 +113,11 @@ def fly_campaign(
             flown, reached, contacts = flown + flights, reached + at_goal, contacts + touching
             told(standing())
 
-    for result in flyer(plan, missing, landed):
-        dataset.write(result)
-        with lock:
-            first, last = plan.chunk_runs(result.number)
-            written += last - first
-            told(standing())
+    with closing(flyer(plan, missing, landed)) as results:  # an interrupt between two results stops it at once
+        for result in results:
+            dataset.write(result)
+            with lock:
+                first, last = plan.chunk_runs(result.number)
+                written += last - first
+                told(standing())
     return standing()

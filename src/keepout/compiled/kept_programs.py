@@ -138,6 +138,15 @@ def identity() -> tuple[str, ...]:
     return (*compiler, f"{platform.system()} {platform.machine()}", f"{cores} cores", *_processors())
 
 
+@functools.cache
+def processor() -> str:
+    """Name this machine's kind of processor: model, and a digest of all that compiled code may depend on."""
+    told = "\n".join(_processors())
+    named = ("model name", "CPU part", "uarch", "machdep.cpu.brand_string")
+    models = [line.split(":", 1)[1].strip() for line in told.splitlines() if line.startswith(named)]
+    return f"{platform.machine()} {' '.join(models) or 'processor'} ({digest(told)[:8]})"
+
+
 def _processors() -> tuple[str, ...]:
     """Tell the processors' models and instruction sets."""
     if sys.platform == "darwin":

@@ -1,0 +1,22 @@
+"""A campaign of few short flights of the bare law around a built-in target: as cheap to compile as flights are."""
+
+from functools import cache
+
+from keepout.campaign.chunk import ChunkResult, fly_chunk
+from keepout.campaign.plan import Plan
+from keepout.mission.scenario import Scenario
+
+
+@cache
+def small_plan() -> Plan:
+    """Make the plan: 6 chunks of 4 flights."""
+    scenario = Scenario().replace(duration=20.0, guard={"enabled": False}, campaign={"runs": 24})
+    plan = Plan.of(scenario, batch=2)
+    assert (plan.chunks, plan.chunk) == (6, 4)
+    return plan
+
+
+@cache
+def flown_here(number: int) -> ChunkResult:
+    """Fly a chunk of it in this process."""
+    return fly_chunk(small_plan(), number)
