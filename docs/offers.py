@@ -91,6 +91,17 @@ OFFERS = {
         "mission.flight.fly_mission",
         "mission.campaign.run_campaign",
     ),
+    "campaign": (
+        "campaign.plan.Plan.of",
+        "campaign.chunk.fly_chunk",
+        "campaign.dataset.Dataset.begin",
+        "campaign.dataset.Dataset.open",
+        "campaign.dataset.Dataset.table",
+        "campaign.dataset.Dataset.bands",
+        "campaign.run.fly_campaign",
+        "campaign.replay.replay",
+        "campaign.summary.summary",
+    ),
 }
 
 

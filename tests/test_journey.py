@@ -24,13 +24,13 @@ from truths.results import Page, check_picture, numbers
 import keepout
 from keepout import cli, commands
 from keepout.audit.audit import Audit, audit, audit_campaign
+from keepout.campaign import chunk as chunks
 from keepout.fields.evaluate import values
 from keepout.fields.model import FieldModel
 from keepout.flight.record import FlightRecord
 from keepout.geometry.builtin import BUILTINS
 from keepout.geometry.target import Target
 from keepout.learning import checkpoint
-from keepout.mission import campaign as campaigns
 from keepout.mission import environment
 from keepout.mission.flight import fly
 from keepout.mission.scenario import Scenario
@@ -143,8 +143,9 @@ def campaign(place, certified, landed):
         return audit_campaign(*arguments, **options)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(campaigns, "audit_campaign", audit_and_keep)
-        return keepout_command("campaign", "mission.toml", "--runs", RUNS, "--seed", 3, "-o", "many", "--json").json
+        patch.setattr(chunks, "audit_campaign", audit_and_keep)
+        command = ("campaign", "mission.toml", "--runs", RUNS, "--seed", 3, "-o", "many", "--keep", "all", "--json")
+        return keepout_command(*command).json
 
 
 @pytest.fixture(scope="module")
@@ -352,16 +353,20 @@ def test_a_campaigns_summary_is_that_of_its_rows(place, campaign):
 def test_the_verdicts_of_a_campaign_are_those_of_its_flights_one_by_one(place, campaign, landed):
     rows = pq.read_table(place / campaign["flights"]).to_pylist()
     scenario = Scenario.load(place / "mission.toml")
-    [(time, position, velocity, force)] = landed
-    with np.load(place / campaign["series"], allow_pickle=False) as series:
-        assert campaign["series_stride"] == 1
-        np.testing.assert_array_equal(series["time"], time)
-        error = np.linalg.norm(position - np.asarray(scenario.goal.position), axis=2)
-        np.testing.assert_allclose(series["position_error"], error, rtol=1e-6)
-        np.testing.assert_allclose(series["speed"], np.linalg.norm(velocity, axis=2), rtol=1e-6, atol=1e-12)
-        least = [row["minimum_barrier"] for row in rows]
-        np.testing.assert_allclose(series["barrier"].min(axis=1), least, rtol=1e-6)
-        assert series["lyapunov"].shape == error.shape
+    time, position, velocity, force = landed[0]  # those of the campaign; what follows is flown again to be kept
+    assert len(campaign["kept"]) == RUNS
+    for row in rows:
+        record = FlightRecord.load(place / "many" / "kept" / f"run-{row['run']:010d}.parquet")
+        np.testing.assert_array_equal(record.time, time)
+        np.testing.assert_array_equal(record.position, position[row["run"]])
+        np.testing.assert_array_equal(record.velocity, velocity[row["run"]])
+        assert record.barrier.min() == row["minimum_barrier"]
+    bands = json.loads((place / campaign["bands"]).read_text(encoding="utf-8"))
+    at = np.rint(bands["time_s"]).astype(int)
+    errors = np.linalg.norm(position - np.asarray(scenario.goal.position), axis=2)[:, at]
+    for share, quantile in zip(bands["shares"], bands["position_error"], strict=True):
+        ranked = np.sort(errors, axis=0)[max(int(np.ceil(share * RUNS)), 1) - 1]
+        np.testing.assert_allclose(quantile, ranked, rtol=0.0101, atol=1e-6)
     assert position.shape == (RUNS, 201, 3)
     for row, *states in zip(rows, position, velocity, force):
         np.testing.assert_array_equal(states[0][0], [row[f"start_{axis}"] for axis in "xyz"])

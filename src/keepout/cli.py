@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
+from typer.core import TyperGroup
 from typer.exceptions import TyperException
 
 import keepout
@@ -204,17 +205,47 @@ def fly(
         Console().print(f"written to [bold]{out}[/bold]")
 
 
-@app.command(epilog=example("keepout campaign examples/case1.toml --runs 1000 -o out/campaign"))
+class _FlyUnlessNamed(TyperGroup):
+    """A group whose first command is meant where none is named: `keepout campaign mission.toml` flies."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        first = args[0] if args else None
+        return super().parse_args(ctx, args if first in (*self.commands, "--help") else ["fly", *args])
+
+
+campaigns = typer.Typer(
+    cls=_FlyUnlessNamed,
+    help="Fly a scenario many times, with whatever varies drawn anew for each flight, and audit every flight.\n\n"
+    "`keepout campaign MISSION.toml -o OUT` is short for `keepout campaign fly MISSION.toml -o OUT`; its options are "
+    "--runs, --keep, --batch, --seed and --json.",
+    epilog=example(
+        "keepout campaign examples/case1.toml --runs 1000 -o out/campaign",
+        "keepout campaign replay out/campaign --run 47",
+    ),
+)
+app.add_typer(campaigns, name="campaign")
+
+
+@campaigns.command("fly", epilog=example("keepout campaign examples/case1.toml --runs 1000 -o out/campaign"))
 def campaign(
     scenario: Annotated[Path, typer.Argument(help="A scenario file (TOML) with its [campaign] table.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for results and figure.")] = Path("out"),
     runs: Annotated[
         int | None, typer.Option(callback=_at_least(1), help="Replaces the scenario's own number of flights.")
     ] = None,
+    keep: Annotated[
+        str, typer.Option(help="Flights that become flight files: worst:N, by least clearance, all or none.")
+    ] = "worst:20",
+    batch: Annotated[
+        int | None, typer.Option(callback=_at_least(1), help="Flights at once; part of what the campaign is.")
+    ] = None,
     seed: ScenarioSeed = None,
     as_json: AsJson = False,
 ) -> None:
-    """Fly a scenario from many random starts and audit every flight."""
+    """Fly a scenario's campaign into a folder; stopped and started again, it goes on.
+
+    With --json, a line of JSON a second says on standard error how far it is.
+    """
     from keepout.commands import campaign_to_folder
     from keepout.mission.scenario import Scenario
 
@@ -223,12 +254,38 @@ def campaign(
         mission = mission.replace(seed=seed)
     if runs is not None:
         mission = mission.replace(campaign={"runs": runs})
-    with terminal.progress(f"campaign {mission.name}") as progress:
-        summary = campaign_to_folder(mission, out, progress=progress)
+    if as_json:
+        summary = campaign_to_folder(mission, out, batch=batch, keep=keep, told=terminal.standing_lines())
+    else:
+        with terminal.progress(f"campaign {mission.name}") as progress:
+            summary = campaign_to_folder(mission, out, batch=batch, keep=keep, progress=progress)
     _answer(summary, as_json)
     if not as_json:
         # What the guard assumes is for the file: two dozen numbers.
-        Console().print(terminal.facts_table("Campaign", {k: v for k, v in summary.items() if k != "guard"}))
+        left_out = ("guard", "kept", "refusals")
+        Console().print(terminal.facts_table("Campaign", {k: v for k, v in summary.items() if k not in left_out}))
+
+
+@campaigns.command("replay", epilog=example("keepout campaign replay out/campaign --run 47"))
+def replay_run(
+    folder: Annotated[Path, typer.Argument(help="The folder of a campaign.")],
+    run: Annotated[int, typer.Option(callback=_at_least(0), help="Number of the run, as in the table.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Folder to write; by default run-N in that of the campaign.")
+    ] = None,
+    figures: Annotated[bool, typer.Option(help="Draw figures and the page.")] = True,
+    as_json: AsJson = False,
+) -> None:
+    """Fly one run of a campaign again, to the same bits; write its flight file, figures and page."""
+    from keepout.commands import replay_to_folder
+
+    with terminal.progress(f"replay {run}") as progress:
+        summary = replay_to_folder(folder, run, out, figures=figures, progress=progress)
+    _answer(summary, as_json)
+    if not as_json:
+        Console().print(terminal.flights_table([summary]))
+        same = "equal to its row in the campaign" if summary["equal"] else f"differs: {summary['differences']}"
+        Console().print(f"run {run}: {same}", highlight=False, markup=False)
 
 
 @app.command(epilog=example("keepout reproduce all --quick -o out/paper"))

@@ -1,11 +1,18 @@
 """Each command of the command line as a function from its arguments to its JSON summary."""
 
+import json
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from keepout.campaign.dataset import Dataset
+from keepout.campaign.keep import Keep, keep_flights
+from keepout.campaign.plan import Plan
+from keepout.campaign.replay import differences, replay
+from keepout.campaign.run import Standing, fly_campaign
+from keepout.campaign.summary import band_figures, summary
 from keepout.errors import FieldError, ScenarioError
 from keepout.fields.model import FieldModel
 from keepout.fields.shipped import shipped_names
@@ -17,16 +24,16 @@ from keepout.learning.training import fit
 from keepout.measures.inspection import inspect_model
 from keepout.measures.quality import surface_errors
 from keepout.mission.build import load_target
-from keepout.mission.campaign import run_campaign
 from keepout.mission.entries import TargetEntry
 from keepout.mission.flight import fly
 from keepout.mission.scenario import Scenario
 from keepout.progress import Progress, part_of, silent
 from keepout.proof.certificate import certify
 from keepout.report import target_view
-from keepout.report.campaign_view import draw_campaign
+from keepout.report.campaign_view import DRAWN, draw_campaign
 from keepout.report.field_view import draw_slices, draw_surface
 from keepout.report.folder import make_folder, write_flights, write_summary
+from keepout.whole_file import write_whole
 
 
 def describe_targets(*, pictures: Path | None = None, progress: Progress = silent) -> list[dict[str, Any]]:
@@ -212,17 +219,79 @@ def fly_to_folder(
     return summary
 
 
-def campaign_to_folder(scenario: Scenario, out: Path, *, progress: Progress = silent) -> dict[str, Any]:
-    """Fly a scenario's campaign; write one row a flight, their series, a figure and `summary.json` into `out`."""
-    make_folder(out)
-    flown = run_campaign(scenario, progress=progress)
-    flights = out / f"{scenario.name}-flights.parquet"
-    flown.save(flights)
-    summary = {**flown.summary(), "flights": str(flights)}
-    if flown.series is not None:
-        series = out / f"{scenario.name}-series.npz"
-        flown.series.save(series)
-        summary |= {"series": str(series), "series_stride": flown.series.stride}
-    draw_campaign(out / "campaign.png", flown)
+def campaign_to_folder(
+    scenario: Scenario,
+    out: Path,
+    *,
+    batch: int | None = None,
+    keep: str = "worst:20",
+    told: Callable[[Standing], None] = lambda standing: None,
+    progress: Progress = silent,
+) -> dict[str, Any]:
+    """Fly a scenario's campaign into `out`, or what is missing of it there; then its bands, figure and `summary.json`.
+
+    `told` hears how far it is as flights land; `progress` too, in words.
+    """
+    began, chosen = time.perf_counter(), Keep.parse(keep)
+    progress(0.0, "preparing")
+    plan = Plan.of(scenario, batch=batch)
+    dataset = Dataset.begin(out, plan)
+
+    def tell(standing: Standing) -> None:
+        told(standing)
+        progress(0.05 + 0.9 * standing.done / standing.runs, standing.line())
+
+    with dataset.lock():
+        standing = fly_campaign(plan, dataset, told=tell)
+        kept = keep_flights(plan, dataset, chosen, told=lambda done, of: progress(0.95, f"{done} of {of} flights kept"))
+        bands = out / "bands.json"
+        write_whole(bands, json.dumps(band_figures(dataset), allow_nan=False) + "\n")
+        figures = {
+            **summary(dataset, scenario),
+            "guard": plan.guard_numbers(),
+            "batch": plan.batch,
+            "seconds": time.perf_counter() - began,
+            "flown_now": standing.flown,
+            "flights": str(out / "flights"),
+            "bands": str(bands),
+            "kept": [str(dataset.kept(run)) for run in kept],
+        }
+        draw_campaign(out / "campaign.png", dataset.table(list(DRAWN)))
+        write_summary(out, figures)
+    return figures
+
+
+def replay_to_folder(
+    campaign: Path, run: int, out: Path | None = None, *, figures: bool = True, progress: Progress = silent
+) -> dict[str, Any]:
+    """Fly one run of a campaign's folder again; write what `fly_to_folder` writes, and say whether it is the same."""
+    dataset = Dataset.open(campaign)
+    identity = dataset.identity
+    scenario = Scenario.parse(identity["scenario"], where=str(campaign / "campaign.json"))
+    progress(0.0, "preparing")
+    plan = Plan.of(scenario, batch=identity["batch"])
+    dataset = Dataset.begin(campaign, plan)  # refused where mesh, field or version are others now
+    out = campaign / f"run-{run}" if out is None else out
+    progress(0.4, "flying")
+    [again] = replay(plan, [run])
+    kept = dataset.part(run // plan.chunk).slice(run % plan.chunk, 1)
+    differing = differences(kept, again.row)
+    progress(0.8, "writing")
+    introduction = f"Run {run} of the campaign {scenario.name}, flown again."
+    [summary] = write_flights(
+        out,
+        {f"run {run}": again.flight},
+        title=f"Run {run} of {scenario.name}",
+        introduction=introduction,
+        figures=figures,
+    )
+    summary |= {
+        "run": run,
+        "equal": not differing,
+        "differences": {name: {"campaign": a, "replay": b} for name, (a, b) in differing.items()},
+        "record_apart": again.apart,
+        "drawn": dict(again.run.values),
+        "seed": scenario.seed,
+    }
     write_summary(out, summary)
     return summary

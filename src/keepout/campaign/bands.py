@@ -10,7 +10,6 @@ import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -51,7 +50,7 @@ class Bands:
     largest: Float[np.ndarray, "quantities samples"]
 
     @classmethod
-    def empty(cls, duration: float, period: float) -> Self:
+    def empty(cls, duration: float, period: float) -> "Bands":
         """Begin with no flights: control times spread evenly over `duration` (s), with its end, `SAMPLES` at most."""
         steps = round(duration / period)
         rows = np.unique(np.rint(np.linspace(0, steps, min(steps + 1, SAMPLES))).astype(int))
@@ -160,7 +159,7 @@ class Bands:
         return stream.getvalue()
 
     @classmethod
-    def of_bytes(cls, content: bytes) -> Self:
+    def of_bytes(cls, content: bytes) -> "Bands":
         """Read what `to_bytes` gave."""
         with np.load(io.BytesIO(content), allow_pickle=False) as kept:
             part, first = kept["counts"], int(kept["first"])

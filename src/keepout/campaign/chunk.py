@@ -8,12 +8,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import pyarrow as pa
 
 from keepout.audit.audit import Audit, audit_campaign
 from keepout.audit.tube import FlightBounds
 from keepout.campaign import bands, table
 from keepout.campaign.drawing import Run
-from keepout.campaign.flying import bounds_of, fly_runs, initial_state
+from keepout.campaign.flying import Landed, bounds_of, fly_runs, initial_state
 from keepout.campaign.plan import Plan
 from keepout.digest import digest
 from keepout.guard.guard import Guard, starts_certified
@@ -54,17 +55,48 @@ def fly_chunk(plan: Plan, number: int, *, workers: int | None = None, told: Told
 
     """
     first, last = plan.chunk_runs(number)
-    runs = plan.draw(first, last)
     counted = plan.bands()
+    rows = fly_rows(plan, plan.draw(first, last), workers=workers, told=told, counted=counted)
+    sketch = counted.to_bytes()
+    marks = {
+        "plan": plan.sha256,
+        "chunk": str(number),
+        "bands": digest(np.frombuffer(sketch, np.uint8)),
+        "scenario": plan.scenario.model_dump_json(),
+    }
+    return ChunkResult(number, table.to_bytes(rows, marks), sketch)
+
+
+def fly_rows(
+    plan: Plan,
+    runs: Sequence[Run],
+    *,
+    workers: int | None = None,
+    told: Told | None = None,
+    counted: bands.Bands | None = None,
+    landed: Landed | None = None,
+) -> pa.Table:
+    """Fly drawn runs and give their rows, the same whichever runs are flown together.
+
+    Args:
+        plan: of the campaign.
+        runs: as it draws them.
+        workers: batches in flight at once; by default one for each core.
+        told: called as flights land.
+        counted: bands to count them into.
+        landed: called with their log columns too.
+
+    """
     verdicts: dict[int, Audit] = {}
 
-    def landed(members: Sequence[Run], log: dict[str, np.ndarray]) -> None:
+    def land(members: Sequence[Run], log: dict[str, np.ndarray]) -> None:
         found = audits(members, log)
         verdicts.update(zip((run.number for run in members), found))
-        for run, place in zip(members, range(len(members))):
-            scenario = run.scenario
-            one = {name: log[name][place : place + 1] for name in bands.COLUMNS}
-            counted.count(one, np.asarray(scenario.goal.position)[None], scenario.control.period)
+        if counted is not None:
+            goals = np.array([run.scenario.goal.position for run in members])
+            counted.count(log, goals, members[0].scenario.control.period)
+        if landed is not None:
+            landed(members, log)
         if told is not None:
             near = np.linalg.norm(log["position"][:, -1] - [run.scenario.goal.position for run in members], axis=-1)
             reached = near < [run.scenario.goal.tolerance for run in members]
@@ -76,13 +108,11 @@ def fly_chunk(plan: Plan, number: int, *, workers: int | None = None, told: Told
         seed=plan.scenario.seed,
         batch=plan.batch,
         columns=COLUMNS,
-        landed=landed,
+        landed=land,
         workers=workers,
     )
     flown = {run.number: (outcomes[run.number], verdicts[run.number], certified(run)) for run in runs if run.mission}
-    sketch = counted.to_bytes()
-    marks = {"plan": plan.sha256, "chunk": str(number), "bands": digest(np.frombuffer(sketch, np.uint8))}
-    return ChunkResult(number, table.to_bytes(table.table_of(plan.design, runs, flown), marks), sketch)
+    return table.table_of(plan.design, runs, flown)
 
 
 def audits(runs: Sequence[Run], log: dict[str, np.ndarray]) -> list[Audit]:

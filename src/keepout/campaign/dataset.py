@@ -178,12 +178,13 @@ class Dataset:
 def _read_identity(path: Path) -> dict[str, Any]:
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
-        found["scenario"]["campaign"]["runs"], found["chunk"], found["batch"]
+        if all(isinstance(n, int) for n in (found["scenario"]["campaign"]["runs"], found["chunk"], found["batch"])):
+            return found
     except OSError as error:
         raise ScenarioError(f"{path}: cannot be read ({error.strerror}); no campaign was flown here") from None
     except (ValueError, KeyError, TypeError):
-        raise ScenarioError(f"{path}: not what a campaign writes; give another folder") from None
-    return found
+        pass  # refused below, as is one with other values
+    raise ScenarioError(f"{path}: not what a campaign writes; give another folder")
 
 
 def _differing(kept: Any, own: Any, name: str = "") -> list[str]:

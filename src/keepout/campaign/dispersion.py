@@ -1,8 +1,8 @@
 """What varies from run to run, and the values of each run: a function of seed, name and run, whoever asks.
 
 Every dispersed entry is a map from a few numbers between 0 and 1 to its value. Those numbers come from one of three
-designs. `random` draws them from a generator of its own for each name, run and attempt (Philox, a counter-based one), so
-that run k is the same in a campaign of any length, and what one entry draws does not depend on which others vary.
+designs. `random` draws them from a generator of its own for each name, run and attempt (Philox, which counts), so that
+run k is the same in a campaign of any length, and what one entry draws does not depend on which others vary.
 `latin-hypercube` and `sobol` (scipy.stats.qmc, scrambled) lay out all runs together: run k then depends on the number
 of runs too.
 """
@@ -154,10 +154,11 @@ def _dispersion(name: str, entry: DispersionEntry) -> Dispersion:
         return _sphere(name, entry.sphere, entry.centre)
     ends = entry.uniform or entry.normal
     assert ends is not None
-    if any(isinstance(end, tuple) != (kind == "vector") for end in ends):
-        if kind == "number" or not (entry.normal and isinstance(ends[0], tuple)):
-            needed = "two vectors of three" if kind == "vector" else "two numbers"
-            raise ScenarioError(f"campaign.dispersions: {name}: {list(ends)}; needed are {needed}")
+    # One standard deviation may be that of all components.
+    told = ends[:1] if kind == "vector" and entry.normal is not None else ends
+    if any(isinstance(end, tuple) != (kind == "vector") for end in told):
+        needed = "two vectors of three" if kind == "vector" else "two numbers"
+        raise ScenarioError(f"campaign.dispersions: {name}: {list(ends)}; needed are {needed}")
     first, second = np.asarray(ends[0], float), np.asarray(ends[1], float)
     if entry.normal is not None:
         return _normal(name, first, second, entry.within)

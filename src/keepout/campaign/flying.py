@@ -69,13 +69,15 @@ def fly_runs(
         if run.mission is not None:
             setup = flown_setup(run.mission.setup)
             key, program = program_for(programs, setup)
-            _, members, setups = groups.setdefault((key, run.mission.steps), (program, [], []))
+            _, members, setups = groups.setdefault(
+                (key, run.mission.steps, run.scenario.control.period), (program, [], [])
+            )
             members.append(run)
             setups.append(setup)
     total = sum(len(members) for _, members, _ in groups.values())
     outcomes: dict[int, FlightOutcome] = {}
     done = 0
-    for (_, steps), (program, members, setups) in groups.items():
+    for (_, steps, _), (program, members, setups) in groups.items():
         states = [initial_state(run) for run in members]
         initial = jax.tree.map(lambda *leaves: jnp.asarray(np.stack([np.asarray(leaf) for leaf in leaves])), *states)
 

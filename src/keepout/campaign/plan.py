@@ -2,7 +2,7 @@
 
 import json
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 import jax
 import numpy as np
@@ -18,6 +18,8 @@ from keepout.errors import ScenarioError
 from keepout.fields.model import FieldModel
 from keepout.flight.batches import BATCH
 from keepout.geometry.target import Target
+from keepout.guard.guard import Guard
+from keepout.mission.assumptions import guard_numbers
 from keepout.mission.build import load_model, load_target
 from keepout.mission.scenario import Scenario
 from keepout.progress import Progress, silent
@@ -81,6 +83,11 @@ class Plan:
         """Begin the campaign's bands, with no flights."""
         return Bands.empty(self.scenario.duration, self.scenario.control.period)
 
+    def guard_numbers(self) -> dict[str, Any] | None:
+        """Give what the guard of the first run that can be flown assumes, and what follows; None without a guard."""
+        guard = self.programs[0].setup.guard
+        return guard_numbers(guard) if isinstance(guard, Guard) else None
+
     def identity(self) -> dict[str, Any]:
         """Give all that the campaign's table depends on, as JSON values: two campaigns are one where these agree."""
         return {
@@ -107,7 +114,7 @@ class Plan:
         model: FieldModel | None = None,
         batch: int | None = None,
         progress: Progress = silent,
-    ) -> Self:
+    ) -> "Plan":
         """Build what a campaign's runs share, and look at its first few.
 
         Args:

@@ -1,8 +1,8 @@
 """What differs between the flights of one compiled program, and which flights share one.
 
-The setups of two runs are flown by one program where they have the same structure and differ in small arrays only: these
-are then stacked, one entry a flight. Which arrays are stacked is settled once for the whole campaign, from its first few
-runs, and not for each batch, since a compiled program's last bits depend on it. A run that differs elsewhere than these
+The setups of two runs are flown by one program where they have the same structure and differ in small arrays only:
+these are then stacked, one entry a flight. Which arrays are stacked is settled once for the whole campaign, from its
+first few runs, and not for each batch, since a compiled program's last bits depend on it. A run that differs elsewhere
 is flown by a program of its structure in which all small arrays are stacked: again whatever is flown beside it.
 """
 

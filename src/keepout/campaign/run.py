@@ -12,7 +12,7 @@ from keepout.campaign.plan import Plan
 from keepout.flight.batches import available_cores
 
 Flyer = Callable[[Plan, list[int], Told], Iterator[ChunkResult]]
-"""Flies chunks of a plan by their numbers, in any order, and gives each when it is there; may tell of flights before."""
+"""Flies chunks of a plan by their numbers, in any order, and gives each when it is there; tells of landed flights."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,9 @@ class Standing:
 
     def line(self) -> str:
         """Say it in a line."""
-        return f"{self.done} of {self.runs}, {self.rate:.3g} flights/s, {self.reached} reached, {self.contacts} contacts"
+        return (
+            f"{self.done} of {self.runs}, {self.rate:.3g} flights/s, {self.reached} reached, {self.contacts} contacts"
+        )
 
 
 def in_threads(plan: Plan, numbers: list[int], told: Told) -> Iterator[ChunkResult]:
@@ -97,17 +99,17 @@ def fly_campaign(
     began, lock = time.perf_counter(), Lock()
     missing = dataset.missing()
     before = plan.runs - sum(last - first for first, last in map(plan.chunk_runs, missing))
-    counted = [0, 0, 0]
+    flown = reached = contacts = 0
     written = before
 
     def standing() -> Standing:
-        done = min(max(before + counted[0], written), plan.runs)
-        return Standing(plan.runs, done, *counted, time.perf_counter() - began)
+        done = min(max(before + flown, written), plan.runs)
+        return Standing(plan.runs, done, flown, reached, contacts, time.perf_counter() - began)
 
-    def landed(flights: int, reached: int, contacts: int) -> None:
+    def landed(flights: int, at_goal: int, touching: int) -> None:
+        nonlocal flown, reached, contacts
         with lock:
-            for place, more in enumerate((flights, reached, contacts)):
-                counted[place] += more
+            flown, reached, contacts = flown + flights, reached + at_goal, contacts + touching
             told(standing())
 
     for result in flyer(plan, missing, landed):

@@ -298,9 +298,8 @@ class DispersionEntry(Entry):
                 raise ValueError(f"normal: a standard deviation of {self.normal[1]}; it must be finite and at least 0")
         if self.choice is not None and not self.choice:
             raise ValueError("choice: no values to choose from")
-        if self.choice is not None and self.weights is not None:
-            if len(self.weights) != len(self.choice) or not sum(self.weights) > 0.0:
-                raise ValueError(f"weights: {len(self.weights)} for {len(self.choice)} values; one each, not all 0")
+        if self.weights is not None and (len(self.weights) != len(self.choice or ()) or not sum(self.weights) > 0.0):
+            raise ValueError(f"weights: {list(self.weights)}; one for each value of choice, not all 0")
         return self
 
 

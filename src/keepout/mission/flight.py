@@ -1,5 +1,6 @@
 """One scenario flown, and its clearance audited on the exact mesh."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -123,16 +124,24 @@ def fly_mission(mission: Mission, *, progress: Progress = silent) -> Flight:
     return flight
 
 
-def judged(mission: Mission, log: loop.FlightLog) -> Flight:
+def judged(
+    mission: Mission,
+    log: loop.FlightLog,
+    *,
+    result: FlightOutcome | None = None,
+    extra: Mapping[str, Any] | None = None,
+) -> Flight:
     """Give the flight of a mission that was already flown: its record, outcome, and audit on the exact mesh.
 
     Args:
         mission: what was flown.
         log: of that one flight.
+        result: its outcome, where it is known already.
+        extra: further entries of the record's header.
 
     """
     scenario = mission.scenario
-    result = outcome(mission.setup, log)
+    result = outcome(mission.setup, log) if result is None else result
     record = FlightRecord.of_log(
         log,
         outcome=result,
@@ -140,6 +149,7 @@ def judged(mission: Mission, log: loop.FlightLog) -> Flight:
         seed=scenario.seed,
         target_sha256=mission.target.sha256,
         statuses=legend(),
+        extra=extra,
     )
     verdict = audit(
         record,

@@ -1,9 +1,13 @@
 """What a person sees in the terminal: progress bars, and tables of flights, fits and targets."""
 
+import json
+import math
+import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
 
 from rich.cells import cell_len
 from rich.console import Console
@@ -11,6 +15,9 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from rich.table import Table
 
 from keepout import progress as keepout_progress
+
+if TYPE_CHECKING:  # which compiles, and a terminal must be there at once
+    from keepout.campaign.run import Standing
 
 
 @contextmanager
@@ -51,6 +58,21 @@ def _plain(console: Console, title: str) -> keepout_progress.Progress:
             console.print(f"{title}: {fraction:.0%} {message}", highlight=False, markup=False)
 
     return report
+
+
+def standing_lines() -> "Callable[[Standing], None]":
+    """Give what writes how far a campaign is on standard error: a line of JSON a second, and one at its end."""
+    last = -math.inf
+
+    def tell(standing: "Standing") -> None:
+        nonlocal last
+        if time.monotonic() - last >= 1.0 or standing.done == standing.runs:
+            last = time.monotonic()
+            line = {**asdict(standing), "flights_per_second": standing.rate, "seconds_left": standing.seconds_left}
+            sys.stderr.write(json.dumps(line, allow_nan=False) + "\n")
+            sys.stderr.flush()
+
+    return tell
 
 
 WIDTH = 80
