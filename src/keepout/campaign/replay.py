@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pyarrow as pa
 
@@ -77,7 +78,8 @@ def replay(plan: Plan, numbers: Sequence[int], *, workers: int | None = None) ->
     )
     made = []
     for run, row in zip(runs, rows, strict=True):
-        log = FlightLog(**{name: full[run.number].get(name) for name in _EVERYTHING})  # pyright: ignore
+        arrays = {name: jnp.asarray(array) for name, array in full[run.number].items()}
+        log = FlightLog(**arrays)  # pyright: ignore[reportArgumentType]
         header = {"campaign": plan.sha256, "run": run.number}
         flight = judged(mission_of(run), log, result=jax.device_get(outcomes[run.number]), extra=header)
         apart = max(_apart(exact[run.number][name], full[run.number][name]) for name in COLUMNS)
