@@ -30,6 +30,7 @@ from keepout.mission.scenario import Scenario
 from keepout.progress import Progress, part_of, silent
 from keepout.proof.certificate import certify
 from keepout.report import target_view
+from keepout.report.campaign_page import report_campaign
 from keepout.report.campaign_view import DRAWN, draw_campaign
 from keepout.report.field_view import draw_slices, draw_surface
 from keepout.report.folder import make_folder, write_flights, write_summary
@@ -228,7 +229,7 @@ def campaign_to_folder(
     told: Callable[[Standing], None] = lambda standing: None,
     progress: Progress = silent,
 ) -> dict[str, Any]:
-    """Fly a scenario's campaign into `out`, or what is missing of it there; then its bands, figure and `summary.json`.
+    """Fly a scenario's campaign into `out`, or what is missing of it there; then its bands, page and `summary.json`.
 
     `told` hears how far it is as flights land; `progress` too, in words.
     """
@@ -257,6 +258,8 @@ def campaign_to_folder(
             "kept": [str(dataset.kept(run)) for run in kept],
         }
         draw_campaign(out / "campaign.png", dataset.table(list(DRAWN)))
+        page = report_campaign(out, progress=part_of(progress, 0.97, 1.0))
+        figures |= {"page": page["page"], "rates": page["rates"]}
         write_summary(out, figures)
     return figures
 

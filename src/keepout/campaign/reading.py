@@ -150,7 +150,9 @@ class Reading:
             else:
                 levels, codes = np.unique(of, return_inverse=True)
                 own = [f"{level:g}" for level in levels]
-            places = places * len(own) + codes
+            order = np.argsort(np.argsort(own)) if isinstance(of, Words) else np.arange(len(own))
+            places = places * len(own) + order[codes]
+            own = sorted(own) if isinstance(of, Words) else own
             texts = [f"{text}, {value}" if text else value for text in texts for value in own]
         used, places = np.unique(places, return_inverse=True)
         return Factor(name, places, tuple(texts[place] for place in used))

@@ -21,8 +21,8 @@ SCATTERED = 4
 """Pairs of factor and figure that points are kept of, the strongest."""
 POINTS = 1500
 """Runs drawn in a scatter plot, at most."""
-_ROOM = 16
-"""Columns of numbers read at once: at a million runs 8 MB each."""
+_ROOM = 8
+"""Factors read at once: at a million runs 8 MB each."""
 _SEED = 20261
 """Of the choice of runs that are drawn as points."""
 

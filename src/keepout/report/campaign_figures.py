@@ -130,7 +130,7 @@ def _draw_scatter(axes: Axes, of: Scatter) -> None:
     across, levels = np.asarray(of.factor.values, float), of.factor.levels
     if levels is not None:
         across = across + np.random.default_rng(0).uniform(-0.3, 0.3, len(across))
-        axes.set_xticks(range(len(levels)), [_short(level) for level in levels])
+        axes.set_xticks(range(len(levels)), [_short(level, max(24 // len(levels), 3)) for level in levels])
     size = float(np.clip(400.0 / max(len(across), 1), 1.0, 9.0))
     clear = ~of.contact
     axes.scatter(across[clear], of.values[clear], s=size, color=COLOURS[0], alpha=0.5, linewidths=0, rasterized=True)
@@ -139,7 +139,8 @@ def _draw_scatter(axes: Axes, of: Scatter) -> None:
         axes.set_yscale("log")
     axes.set_xlabel("\n".join(textwrap.wrap(of.factor.name.replace(".", ". "), 22)).replace(". ", "."), fontsize=SMALL)
     axes.set_ylabel(of.figure.label, fontsize=SMALL)
-    axes.set_title(_cell(of.influence)[2], fontsize=SMALL)
+    signed, _, text = _cell(of.influence)
+    axes.set_title(f"ρ {text}" if signed else text, fontsize=SMALL)
     axes.tick_params(labelsize=SMALL)
 
 
@@ -147,7 +148,7 @@ def _cell(one: Influence) -> tuple[bool, float | None, str]:
     """Give whether it has a sign, the number and its text: ρ, or η of a choice and of what goes up and down again."""
     rho, ratio = one.correlation, one.ratio
     if rho is not None and (ratio is None or ratio < abs(rho) + 0.1):
-        return True, rho, f"{rho:+.2f}".replace("-", "−")
+        return True, rho, f"{rho:+.2f}".replace("-", "−").replace("+0.00", "0.00").replace("−0.00", "0.00")
     return False, ratio, "–" if ratio is None else f"η {ratio:.2f}"
 
 
@@ -163,5 +164,5 @@ def _square(column: int, row: int, face: Any) -> Rectangle:
     return Rectangle((column - 0.5, row - 0.5), 1.0, 1.0, facecolor=face, edgecolor="#d5dae0", linewidth=0.6)
 
 
-def _short(text: str) -> str:
-    return text if len(text) <= 12 else text[:11] + "…"
+def _short(text: str, most: int) -> str:
+    return text if len(text) <= most else text[: most - 1] + "…"

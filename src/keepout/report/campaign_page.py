@@ -239,7 +239,7 @@ def _influence_parts(folder: Path, found: Results) -> list[str]:
         return [_paragraph("Nothing was dispersed.")]
     parts = [_drawing(folder, "influences", _INFLUENCES), _link("influences.csv")]
     if found.scatters:
-        words = "The strongest pairs, some runs of each; contacts and undecided flights are crosses."
+        words = "The strongest pairs, some runs of each, in SI units; contacts and undecided flights are crosses."
         parts += [_drawing(folder, "scatter", words), _link("scatter.csv")]
     return parts
 
@@ -301,10 +301,14 @@ def _link(name: str) -> str:
 
 
 def _table(rows: Sequence[Mapping[str, Any]], table: Table, *, bad: set[str] | None = None) -> str:
-    heads = [_text(key) for key in rows[0]]
     marked = [bool(bad) and row.get("") in (bad or ()) and not str(row["runs"]).startswith("0 ") for row in rows]
-    cells = [[_text(_value(value)) for value in row.values()] for row in rows]
-    return _grid(heads, cells, marked) + _link(f"{table.name}.csv")
+    return html_table(rows, marked) + _link(f"{table.name}.csv")
+
+
+def html_table(rows: Sequence[Mapping[str, Any]], marked: Sequence[bool] | None = None) -> str:
+    """Give rows with the same keys as an HTML table; marked rows stand out."""
+    heads = [_text(key) for key in rows[0]]
+    return _grid(heads, [[_text(_value(value)) for value in row.values()] for row in rows], marked)
 
 
 def _grid(heads: Sequence[str], rows: Sequence[Sequence[str]], marked: Sequence[bool] | None = None) -> str:
