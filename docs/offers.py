@@ -100,6 +100,9 @@ OFFERS = {
         "campaign.dataset.Dataset.bands",
         "campaign.run.fly_campaign",
         "campaign.replay.replay",
+        "campaign.reading.read_campaign",
+        "campaign.results.results",
+        "campaign.comparison.compare",
         "campaign.summary.summary",
     ),
 }

@@ -51,7 +51,7 @@ _BANDS = (
 _INFLUENCES = (
     "Spearman's ρ, with its sign, for numbers; η (0 to 1, less what chance gives) for choices and where a figure goes "
     f"up and down again over {GROUPS} groups of a number's draws. Coloured where the corrected p-value (Holm, over all "
-    f"pairs) is below {SIGNIFICANT}; the others may be chance."
+    f"pairs) is below {SIGNIFICANT}: orange for ρ above 0, purple below 0, green for η. The others may be chance."
 )
 
 
