@@ -101,6 +101,9 @@ OFFERS = {
         "campaign.run.fly_campaign",
         "campaign.scheduler.flyer_on",
         "campaign.replay.replay",
+        "campaign.reading.read_campaign",
+        "campaign.results.results",
+        "campaign.comparison.compare",
         "campaign.summary.summary",
     ),
 }

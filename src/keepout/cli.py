@@ -271,8 +271,53 @@ def campaign(
     _answer(summary, as_json)
     if not as_json:
         # What the guard assumes is for the file: two dozen numbers.
-        left_out = ("guard", "kept", "refusals")
+        left_out = ("guard", "kept", "refusals", "rates", "page")
         Console().print(terminal.facts_table("Campaign", {k: v for k, v in summary.items() if k not in left_out}))
+        _print_rates(summary)
+
+
+def _print_rates(report: dict[str, Any]) -> None:
+    Console().print(terminal.rates_table(report["rates"]))
+    Console().print(f"open {report['page']}", highlight=False, markup=False, soft_wrap=True)
+
+
+@campaigns.command("report", epilog=example("keepout campaign report out/campaign"))
+def report(
+    folder: Annotated[Path, typer.Argument(help="The folder of a campaign, finished or not.")],
+    as_json: AsJson = False,
+) -> None:
+    """Write a campaign's page, figures and CSV files anew: rates, distributions, what matters, the worst flights."""
+    from keepout.report.campaign_page import report_campaign
+
+    with terminal.progress(f"report {folder.name}") as progress:
+        summary = report_campaign(folder, progress=progress)
+    _answer(summary, as_json)
+    if not as_json:
+        _print_rates(summary)
+
+
+@campaigns.command("compare", epilog=example("keepout campaign compare out/guarded out/unguarded -o out/compared"))
+def compare(
+    first: Annotated[Path, typer.Argument(help="The folder of a finished campaign.")],
+    second: Annotated[Path, typer.Argument(help="Another one.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Also write page, figures and CSV files into this folder.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Compare two finished campaigns: rates, quantiles, and run by run where both drew the same."""
+    from keepout.report.comparison_page import compare_campaigns
+
+    with terminal.progress("compare") as progress:
+        summary = compare_campaigns(first, second, out, progress=progress)
+    _answer(summary, as_json)
+    if not as_json:
+        for table in terminal.comparison_tables(summary):
+            Console().print(table)
+        for words in summary["words"]:
+            Console().print(words, highlight=False, markup=False)
+        if "page" in summary:
+            Console().print(f"open {summary['page']}", highlight=False, markup=False, soft_wrap=True)
 
 
 @campaigns.command("replay", epilog=example("keepout campaign replay out/campaign --run 47"))

@@ -250,7 +250,7 @@ def campaign_to_folder(
     told: "Callable[[Standing], None]" = lambda standing: None,
     progress: Progress = silent,
 ) -> dict[str, Any]:
-    """Fly a scenario's campaign into `out`, or what is missing of it there; then its bands, figure and `summary.json`.
+    """Fly a scenario's campaign into `out`, or what is missing of it there; then its bands, page and `summary.json`.
 
     `scheduler` names who flies, if not this process (`flyer_on`). `told` hears how far it is as flights land;
     `progress` too, in words.
@@ -261,6 +261,7 @@ def campaign_to_folder(
     from keepout.campaign.run import fly_campaign, in_threads
     from keepout.campaign.scheduler import flyer_on
     from keepout.campaign.summary import band_figures, summary
+    from keepout.report.campaign_page import report_campaign
     from keepout.report.campaign_view import DRAWN, draw_campaign
     from keepout.report.folder import write_summary
     from keepout.whole_file import write_whole
@@ -292,6 +293,8 @@ def campaign_to_folder(
             "kept": [str(dataset.kept(run)) for run in kept],
         }
         draw_campaign(out / "campaign.png", dataset.table(list(DRAWN)))
+        page = report_campaign(out, progress=part_of(progress, 0.97, 1.0))
+        figures |= {"page": page["page"], "rates": page["rates"]}
         write_summary(out, figures)
     return figures
 

@@ -101,6 +101,22 @@ class Bands:
         np.minimum(self.least, other.least, out=self.least)
         np.maximum(self.largest, other.largest, out=self.largest)
 
+    def add_bytes(self, content: bytes) -> None:
+        """Add what `to_bytes` gave, as `add` does, touching only the bins that are in use there.
+
+        Raises:
+            FlightError: other times.
+
+        """
+        with np.load(io.BytesIO(content), allow_pickle=False) as kept:
+            if not np.array_equal(self.time, kept["time"]):
+                raise FlightError("bands: counted at other times; they belong to another campaign")
+            part, first = kept["counts"], int(kept["first"])
+            self.counts[:, :, first : first + part.shape[2]] += part
+            self.lost[...] += kept["lost"]
+            np.minimum(self.least, kept["least"], out=self.least)
+            np.maximum(self.largest, kept["largest"], out=self.largest)
+
     def quantiles(self, quantity: str, shares: Sequence[float]) -> Float[np.ndarray, "shares samples"]:
         """Give quantiles over time: of n values that of rank ⌈q n⌉, within the bounds that the module states.
 

@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull
 
 from keepout.flight.record import FlightRecord
+from keepout.geometry.target import Target
 from keepout.mission.flight import Flight
 from keepout.report.style import COLOURS, TARGET_COLOUR
 from keepout.report.terminal import FLIGHT_COLUMNS, broken_assumptions, shown
@@ -69,7 +70,14 @@ def replay(flights: Mapping[str, Flight], *, with_library: bool = True) -> str:
     """
     first = next(iter(flights.values()))
     records = {name: flight.record for name, flight in flights.items()}
-    drawing = _replay(records, first.target.vertices, first.target.faces, first.scenario.chaser.radius)
+    return replay_records(records, first.target, first.scenario.chaser.radius, with_library=with_library)
+
+
+def replay_records(
+    records: Mapping[str, FlightRecord], target: Target, chaser_radius: float, *, with_library: bool = True
+) -> str:
+    """Give the HTML of a replay of what was recorded around a target's mesh; see `replay`."""
+    drawing = _replay(records, target.vertices, target.faces, chaser_radius)
     return drawing.to_html(full_html=False, include_plotlyjs=with_library)
 
 

@@ -91,6 +91,44 @@ def entries_table(title: str, rows: Sequence[Mapping[str, Any]]) -> Table:
     return _laid_out(title, headings, cells)
 
 
+def rates_table(rates: Sequence[Mapping[str, Any]]) -> Table:
+    """One row a rate of a campaign, with its interval."""
+    rows = [
+        [
+            rate["name"],
+            f"{rate['count']} of {rate['of']}",
+            "–" if rate["rate"] is None else _percent(rate["rate"]),
+            _percent(rate["low"]),
+            _percent(rate["high"]),
+        ]
+        for rate in rates
+    ]
+    return _laid_out("Rates", ["", "runs", "rate %", "95 % from", "to"], rows, named=True)
+
+
+def comparison_tables(summary: Mapping[str, Any]) -> list[Table]:
+    """Rates of two campaigns and their differences, and medians and their differences."""
+    rates = [
+        [
+            row["what"],
+            *("–" if row[key] is None else _percent(row[key]) for key in ("A", "B", "A - B", "low", "high")),
+            shown(row["p"]),
+        ]
+        for row in summary["rates"]
+    ]
+    tables = [_laid_out("Rates", ["", "A %", "B %", "A − B", "95 % from", "to", "p"], rates, named=True)]
+    medians = [row for row in summary["quantiles"] if row["quantile"] == "50 %"]
+    if medians:
+        tables.append(entries_table("Medians", [{k: v for k, v in row.items() if k != "quantile"} for row in medians]))
+    if summary["by_run"]:
+        tables.append(entries_table("A less B, run by run", summary["by_run"]))
+    return tables
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.4g}"
+
+
 def inspection_tables(summary: Mapping[str, Any]) -> list[Table]:
     """Give the single figures of a field, then one table for each kind of measure; lengths in metres."""
     single = {key: value for key, value in summary.items() if not isinstance(value, list | dict)}

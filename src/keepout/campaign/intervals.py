@@ -1,0 +1,144 @@
+"""Intervals and exact tests for what a campaign counts: rates, differences of rates, quantiles.
+
+All are for independent runs. The rates' intervals are Clopper and Pearson's, which cover their probability at least as
+often as they say; those of differences are Newcombe's, which do so closely but not always.
+"""
+
+import math
+
+import numpy as np
+from jaxtyping import Float
+from scipy import stats
+
+Interval = tuple[float, float]
+
+CONFIDENCE = 0.95
+
+
+def clopper_pearson(count: int, total: int, confidence: float = CONFIDENCE) -> Interval:
+    """Bound the probability of what happened `count` times in `total` independent runs.
+
+    Whatever the probability is, at least `confidence` of such intervals hold it (Clopper and Pearson, Biometrika 26,
+    1934).
+
+    Returns:
+        From 0 to 1 without runs.
+
+    """
+    if total == 0:
+        return 0.0, 1.0
+    found = stats.binomtest(count, total).proportion_ci(confidence, method="exact")
+    return float(found.low), float(found.high)
+
+
+def none_seen_bound(total: int, confidence: float = CONFIDENCE) -> float:
+    """Give the upper bound, from one side, of a probability of what never happened: close to 3/total at 95 %."""
+    return 1.0 - (1.0 - confidence) ** (1.0 / total) if total else 1.0
+
+
+def newcombe(first: tuple[int, int], second: tuple[int, int], confidence: float = CONFIDENCE) -> Interval:
+    """Bound the first probability less the second from separate runs: Newcombe's hybrid score interval.
+
+    Args:
+        first: how often, and of how many runs.
+        second: likewise.
+        confidence: about so many of such intervals hold the difference (Newcombe, Statistics in Medicine 17, 1998,
+            pp. 873-890, method 10).
+
+    """
+    if not (first[1] and second[1]):
+        return -1.0, 1.0
+    rates = first[0] / first[1], second[0] / second[1]
+    return _square_and_add(rates, (_wilson(*first, confidence), _wilson(*second, confidence)), 0.0)
+
+
+def newcombe_paired(
+    both: int, first_only: int, second_only: int, neither: int, confidence: float = CONFIDENCE
+) -> Interval:
+    """Bound the first probability less the second from pairs: Newcombe's interval for paired data.
+
+    Method 10 of Newcombe, Statistics in Medicine 17, 1998, pp. 2635-2650.
+
+    Args:
+        both: pairs in which it happened in both.
+        first_only: in the first alone.
+        second_only: in the second alone.
+        neither: in neither.
+        confidence: about so many of such intervals hold the difference.
+
+    """
+    total = both + first_only + second_only + neither
+    if total == 0:
+        return -1.0, 1.0
+    counts = both + first_only, both + second_only
+    margins = math.sqrt(math.prod((*(float(count) for count in counts), *(float(total - count) for count in counts))))
+    product = float(both) * neither - float(first_only) * second_only
+    if product > 0.0:  # a continuity correction, towards no correlation
+        product = max(product - total / 2.0, 0.0)
+    correlation = product / margins if margins else 0.0
+    rates = counts[0] / total, counts[1] / total
+    sides = _wilson(counts[0], total, confidence), _wilson(counts[1], total, confidence)
+    return _square_and_add(rates, sides, correlation)
+
+
+def fisher(first: tuple[int, int], second: tuple[int, int]) -> float:
+    """Give Fisher's exact p-value, two-sided, of two rates being one."""
+    table = [[first[0], first[1] - first[0]], [second[0], second[1] - second[0]]]
+    return float(stats.fisher_exact(table).pvalue)  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def mcnemar(first_only: int, second_only: int) -> float:
+    """Give McNemar's exact p-value, two-sided, of pairs being as likely to differ one way as the other."""
+    total = first_only + second_only
+    return float(stats.binomtest(first_only, total, 0.5).pvalue) if total else 1.0
+
+
+def quantile_interval(
+    ordered: Float[np.ndarray, "n"], share: float, confidence: float = CONFIDENCE
+) -> tuple[float, float]:
+    """Bound a quantile by two of the values seen, whatever the distribution.
+
+    Args:
+        ordered: independent values, ascending.
+        share: of the quantile, strictly between 0 and 1.
+        confidence: at least so many of such intervals hold the quantile.
+
+    Returns:
+        Infinite on a side on which the values are too few.
+
+    """
+    n, tail = len(ordered), (1.0 - confidence) / 2.0
+    low = int(stats.binom.ppf(tail, n, share)) if n else 0
+    high = int(stats.binom.ppf(1.0 - tail, n, share)) + 1 if n else 1
+    return (
+        float(ordered[low - 1]) if low >= 1 else -math.inf,
+        float(ordered[high - 1]) if high <= n else math.inf,
+    )
+
+
+def difference_of_quantiles(first: tuple[float, Interval], second: tuple[float, Interval]) -> Interval:
+    """Bound the first of two quantiles of separate runs less the second; each comes with its own interval.
+
+    Distances to the ends are squared and added, as in Newcombe's interval (Zou and Donner, Statistics in Medicine 27,
+    2008): about as sure as the two intervals are.
+    """
+    return _square_and_add((first[0], second[0]), (first[1], second[1]), 0.0)
+
+
+def _wilson(count: int, total: int, confidence: float) -> Interval:
+    found = stats.binomtest(count, total).proportion_ci(confidence, method="wilson")
+    return float(found.low), float(found.high)
+
+
+def _square_and_add(values: tuple[float, float], sides: tuple[Interval, Interval], correlation: float) -> Interval:
+    """Give the difference's interval from those of its two sides."""
+    (first, second), ((low_1, high_1), (low_2, high_2)) = values, sides
+    down, up = (first - low_1, high_2 - second), (high_1 - first, second - low_2)
+    return tuple(  # pyright: ignore[reportReturnType]
+        first - second + sign * (math.inf if math.inf in way else _length(way, correlation))
+        for sign, way in ((-1.0, down), (1.0, up))
+    )
+
+
+def _length(way: tuple[float, float], correlation: float) -> float:
+    return math.sqrt(max(way[0] ** 2 - 2.0 * correlation * way[0] * way[1] + way[1] ** 2, 0.0))

@@ -1,0 +1,138 @@
+"""Pages of campaigns whose numbers a test wrote: links, escapes, commands, tables."""
+
+import csv
+import html
+import json
+import re
+import shlex
+
+import numpy as np
+import pytest
+from truths.campaigns import drawn, flown, scenario, write_campaign
+
+from keepout.cli import app
+from keepout.errors import ScenarioError
+from keepout.report.campaign_page import PLACE, replay_command, report_campaign
+from keepout.report.comparison_page import compare_campaigns
+
+FIGURES = ("distributions", "bands", "influences")
+TABLES = ("rates", "quantiles", "distributions", "bands", "influences", "scatter", "worst", "refused")
+
+
+def links(page):
+    return re.findall(r'(?:href|src)="([^"]+)"', page.read_text(encoding="utf-8"))
+
+
+def check_links(page):
+    found = [link.partition("#")[0] for link in links(page) if not link.startswith("data:")]
+    assert found
+    for link in found:
+        assert (page.parent / link).is_file(), link
+
+
+def campaign(folder, runs=200, *, sampling="random", done=None, **columns):
+    generator = np.random.default_rng(1)
+    made = drawn(runs) | flown(runs, **({"minimum_clearance": generator.random(runs)} | columns))
+    return write_campaign(folder, scenario(runs, sampling=sampling), made, chunk=64, done=done)
+
+
+def test_page_figures_and_tables_stand(tmp_path):
+    folder = campaign(tmp_path / "out", delta_v=np.arange(200.0))
+    answer = report_campaign(folder)
+    assert answer["page"] == str(folder / "index.html")
+    check_links(folder / "index.html")
+    for name in FIGURES:
+        assert (folder / PLACE / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+        assert "<svg" in (folder / PLACE / f"{name}.svg").read_text(encoding="utf-8")
+    for name in TABLES:
+        assert (folder / PLACE / f"{name}.csv").is_file()
+    with open(folder / PLACE / "rates.csv", encoding="utf-8") as stream:
+        rows = {row["what"]: row for row in csv.DictReader(stream)}
+    assert float(rows["contact"]["high"]) == pytest.approx(1.0 - 0.025 ** (1.0 / 200))
+    assert "No contact in 200 flights" in (folder / "index.html").read_text(encoding="utf-8")
+    json.dumps(answer, allow_nan=False)
+
+
+def test_what_a_file_says_is_text_on_the_page(tmp_path):
+    evil = '<script>alert("x")</script>'
+    status = np.where(np.arange(200) < 3, "refused", "flown")
+    reason = np.where(np.arange(200) < 3, evil, "")
+    folder = campaign(tmp_path / "out", status=status, reason=reason, remarks=evil)
+    report_campaign(folder)
+    page = (folder / "index.html").read_text(encoding="utf-8")
+    assert "<script" not in page
+    assert page.count("&lt;script&gt;") >= 2
+
+
+def test_the_command_flies_the_run_of_that_folder(tmp_path):
+    folder = campaign(tmp_path / "a b'c <d>")
+    worst = report_campaign(folder)["worst_runs"][0]
+    words = shlex.split(replay_command(folder, worst))
+    assert words == ["keepout", "campaign", "replay", str(folder.absolute()), "--run", str(worst)]
+    commands = re.findall(r"<code>(.*?)</code>", (folder / "index.html").read_text(encoding="utf-8"))
+    assert html.unescape(commands[0]) == replay_command(folder, worst)
+
+
+@pytest.mark.parametrize(("sampling", "words"), [("latin-hypercube", "not independent"), ("sobol", "not independent")])
+def test_samples_that_are_not_independent_are_called_so(tmp_path, sampling, words):
+    folder = campaign(tmp_path / "out", 64, sampling=sampling)
+    report_campaign(folder)
+    page = (folder / "index.html").read_text(encoding="utf-8")
+    assert words in page
+    assert "approximate" in page
+    assert "No contact in" not in page  # that bound is for independent runs
+
+
+def test_an_unfinished_campaign_says_so(tmp_path):
+    folder = campaign(tmp_path / "out", done=2)
+    answer = report_campaign(folder)
+    assert (answer["done"], answer["complete"]) == (128, False)
+    assert "128 of 200 runs are done. The campaign is not finished" in (folder / "index.html").read_text(
+        encoding="utf-8"
+    )
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("runs", [1, 3])
+@pytest.mark.parametrize(
+    "columns",
+    [
+        {},
+        {"reached": False, "time_to_reach": np.inf},
+        {"status": "refused", "reason": "start: 3 m"},
+        {"contact": "undecided", "minimum_clearance": -np.inf, "delta_v": np.nan, "final_error": np.nan},
+    ],
+    ids=["fine", "none reached", "all refused", "not finite"],
+)
+def test_degenerate_campaigns_have_a_page(tmp_path, runs, columns):
+    folder = campaign(tmp_path / "out", runs, **columns)
+    json.dumps(report_campaign(folder), allow_nan=False)
+    check_links(folder / "index.html")
+
+
+def test_two_campaigns_compared(tmp_path):
+    first = campaign(tmp_path / "a", delta_v=np.arange(200.0))
+    second = campaign(tmp_path / "b", delta_v=np.arange(200.0) + 1.0)
+    out = tmp_path / "compared"
+    answer = compare_campaigns(first, second, out)
+    json.dumps(answer, allow_nan=False)
+    assert answer["paired"] == 200
+    [row] = [row for row in answer["by_run"] if row["figure"].startswith("Δv")]
+    assert row["mean A - B"] == -1.0
+    check_links(out / "index.html")
+    with pytest.raises(ScenarioError, match="holds a campaign"):
+        compare_campaigns(first, second, first)
+
+
+def test_the_command_line_says_rates_and_page(tmp_path, capsys):
+    folder = campaign(tmp_path / "out")
+    app(["campaign", "report", str(folder)], standalone_mode=False)
+    said = capsys.readouterr().out
+    assert "contact or undecided" in said
+    assert f"open {folder / 'index.html'}" in said.replace("\n", "")
+    app(["campaign", "compare", str(folder), str(folder), "--json"], standalone_mode=False)
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["paired"] == 200
+    assert all(row["A - B"] == 0.0 for row in answer["rates"])
+    with pytest.raises(ScenarioError, match="no campaign was flown here"):
+        app(["campaign", "compare", str(folder), str(tmp_path)], standalone_mode=False)
