@@ -23,10 +23,12 @@ from keepout.mission.flight import fly
 from keepout.mission.scenario import Scenario
 from keepout.progress import Progress, part_of, silent
 from keepout.proof.certificate import certify
+from keepout.rare_events.event import FLIGHTS, RUNS, rare
 from keepout.report import target_view
 from keepout.report.campaign_view import draw_campaign
 from keepout.report.field_view import draw_slices, draw_surface
 from keepout.report.folder import make_folder, write_flights, write_summary
+from keepout.report.rare_view import write_rare
 
 
 def describe_targets(*, pictures: Path | None = None, progress: Progress = silent) -> list[dict[str, Any]]:
@@ -224,5 +226,25 @@ def campaign_to_folder(scenario: Scenario, out: Path, *, progress: Progress = si
         flown.series.save(series)
         summary |= {"series": str(series), "series_stride": flown.series.stride}
     draw_campaign(out / "campaign.png", flown)
+    write_summary(out, summary)
+    return summary
+
+
+def rare_to_folder(
+    scenario: Scenario,
+    out: Path,
+    *,
+    below: float = 0.0,
+    runs: int = RUNS,
+    flights: int = FLIGHTS,
+    progress: Progress = silent,
+) -> dict[str, Any]:
+    """Measure a rare event; write levels, curve, the worst flight, a page and `summary.json` into `out`.
+
+    Stopped, it goes on from its last level when it is started again.
+    """
+    make_folder(out)
+    event = rare(scenario, below=below, runs=runs, flights=flights, state=out, progress=part_of(progress, 0.0, 0.97))
+    summary = write_rare(out, event)
     write_summary(out, summary)
     return summary

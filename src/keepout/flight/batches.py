@@ -97,7 +97,7 @@ def fly_batches(
     flights = _common_length(cases)
     on_cpu = jax.default_backend() == "cpu"
     batch = batch or min(flights, BATCH if on_cpu else flights)
-    workers = workers or (_available_cores() if on_cpu else 1)
+    workers = workers or (available_cores() if on_cpu else 1)
 
     def run(begin: int) -> tuple[FlightOutcome, dict[str, np.ndarray]]:
         # The last batch is filled up with its own first flight, so that only one shape is ever compiled.
@@ -161,5 +161,6 @@ def _common_length(cases: PyTree) -> int:
     return lengths.pop()[0]
 
 
-def _available_cores() -> int:
+def available_cores() -> int:
+    """Count the cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
