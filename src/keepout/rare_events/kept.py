@@ -29,7 +29,7 @@ def save(path: Path, simulation: Simulation) -> None:
     for name in _OF_LEVEL:
         arrays[f"level_{name}"] = np.stack([np.asarray(getattr(level, name)) for level in simulation.levels])
     stream = io.BytesIO()
-    np.savez(stream, ended=np.asarray(simulation.ended), **arrays)
+    np.savez(stream, ended=np.asarray(simulation.ended), **arrays)  # pyright: ignore[reportArgumentType]
     write_whole(path, stream.getvalue(), refusal=ScenarioError)
 
 
