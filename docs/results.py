@@ -124,11 +124,11 @@ def rare_events() -> list[str]:
         "## Rare events",
         "",
         "`python benchmarks/rare.py crossing`, `flights` and `table`; discussed in rare.md. A group is one "
-        "answer: 8 runs of 1024 tapes a level, and the 95 % interval from their spread. Cover is the share of groups whose "
-        "interval holds the truth.",
+        "answer: 8 runs of 1024 tapes a level, and the 95 % interval from their spread. Cover is the share of groups "
+        "whose interval holds the truth.",
         "",
-        "**The maximum of an Ornstein–Uhlenbeck process (correlation time, s, of so many samples a second apart), truth "
-        "by quadrature; 58 368 tapes a group**",
+        "**The maximum of an Ornstein–Uhlenbeck process (correlation time, s, of so many samples a second apart), "
+        "truth by quadrature; 58 368 tapes a group**",
         "",
         *table([{"case": name, **row} for name, row in kept["crossing"].items()], columns),
     ]
