@@ -135,7 +135,9 @@ def simulate(
     _check(numbers, below, runs, tapes, seed, most_levels)
     if resumed is None:
         progress(0.0, "level 1")
-        drawn = np.stack([_generator(seed, run, 0, 0).standard_normal((tapes, numbers)) for run in range(runs)])
+        drawn = np.empty((runs, tapes, numbers))
+        for run in range(runs):
+            _generator(seed, run, 0, 0).standard_normal(out=drawn[run])
         first = Level(_evaluated(performance, drawn), math.inf, np.ones(runs), 1.0, _FIRST_STEP)
         found = _after_level(drawn, first, None, below, seed, most_levels)
     else:
@@ -155,7 +157,11 @@ def _advance(
     """Fly one more level of every run."""
     number = len(found.levels)
     tapes, values, step = found.seeds, found.seed_values, found.levels[-1].step
-    all_tapes, all_values, shares = [tapes], [values], []
+    chains = tapes.shape[1]
+    # Filled sweep by sweep: the tapes of a level are most of the memory that this takes.
+    all_tapes = np.empty((len(tapes), SHARE * chains, tapes.shape[2]))
+    all_values, shares = np.empty(all_tapes.shape[:2]), []
+    all_tapes[:, :chains], all_values[:, :chains] = tapes, values
     for sweep in range(1, SHARE):
         # Nobody knows how many levels there will be: as far as the last ones went, and as far again to go, at least.
         done = (number + sweep / SHARE) / max(_levels_needed(found, below), number + 1)
@@ -166,14 +172,12 @@ def _advance(
         taken = reached <= found.next_threshold
         tapes = np.where(taken[:, :, None], proposed, tapes)
         values = np.where(taken, reached, values)
-        all_tapes.append(tapes)
-        all_values.append(values)
+        now = slice(sweep * chains, (sweep + 1) * chains)
+        all_tapes[:, now], all_values[:, now] = tapes, values
         shares.append(float(taken.mean()))
         step = float(np.clip(step * math.exp(shares[-1] - _ACCEPTANCE), *_STEPS))
-    level = Level(
-        np.concatenate(all_values, axis=1), found.next_threshold, found.next_probability, float(np.mean(shares)), step
-    )
-    return _after_level(np.concatenate(all_tapes, axis=1), level, found, below, seed, most_levels)
+    level = Level(all_values, found.next_threshold, found.next_probability, float(np.mean(shares)), step)
+    return _after_level(all_tapes, level, found, below, seed, most_levels)
 
 
 def _after_level(
