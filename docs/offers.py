@@ -106,6 +106,15 @@ OFFERS = {
         "campaign.comparison.compare",
         "campaign.summary.summary",
     ),
+    "rare_events": (
+        "rare_events.event.rare",
+        "rare_events.event.RareEvent.summary",
+        "rare_events.subset.simulate",
+        "rare_events.estimate.estimate",
+        "rare_events.tape.Tape.of",
+        "rare_events.flights.TapedFlights.clearance",
+        "rare_events.flights.TapedFlights.fly",
+    ),
 }
 
 

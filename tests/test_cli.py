@@ -8,7 +8,7 @@ import pytest
 
 from keepout import cli
 
-COMMANDS = ("targets", "fit", "certify", "fly", "campaign", "reproduce", "inspect")
+COMMANDS = ("targets", "fit", "certify", "fly", "campaign", "rare", "reproduce", "inspect")
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
@@ -46,6 +46,8 @@ def test_every_command_has_help_with_an_example(command, monkeypatch, capsys):
         (("inspect", "box", "--mesh", "sphere"), "box is not a .keepout file"),
         (("inspect", "box", "--scale", "-1"), "keepout: --scale: -1"),
         (("campaign", "absent.toml", "--runs", "0"), "0"),
+        (("rare", "absent.toml", "--runs", "1"), "1"),
+        (("rare", "absent.toml", "--flights", "8"), "8"),
         (("reproduce", "case7"), "case1"),
         (("targets", "--seed", "-1"), "-1"),
     ],

@@ -23,5 +23,7 @@ from .mission.scenario import Scenario as Scenario
 from .motion.chaser import Chaser as Chaser
 from .motion.disturbance import Disturbance as Disturbance
 from .proof.certificate import certify as certify
+from .rare_events.event import RareEvent as RareEvent
+from .rare_events.event import rare as rare
 
 __version__: str

@@ -342,6 +342,39 @@ def replay_run(
         Console().print(f"run {run}: {same}", highlight=False, markup=False)
 
 
+@app.command(epilog=example("keepout rare examples/case1.toml --below 0 -o out/rare"))
+def rare(
+    scenario: Annotated[Path, typer.Argument(help="A scenario file (TOML) in which something is random.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for results, figure and page.")] = Path("out"),
+    below: Annotated[float, typer.Option(help="The clearance, m; 0 is contact.")] = 0.0,
+    runs: Annotated[int, typer.Option(callback=_at_least(2), help="Whose spread gives the interval.")] = 8,
+    flights: Annotated[
+        int, typer.Option(callback=_at_least(64), help="Of each level and run; a multiple of 8.")
+    ] = 1024,
+    quick: Annotated[bool, typer.Option("--quick", help="256 flights of each level and run: a rough answer.")] = False,
+    seed: ScenarioSeed = None,
+    as_json: AsJson = False,
+) -> None:
+    """Measure how probable a contact is where nothing is proved, by subset simulation.
+
+    A killed run goes on from its last level when started again.
+    """
+    from keepout.commands import rare_to_folder
+    from keepout.mission.scenario import Scenario
+
+    mission = Scenario.load(scenario)
+    if seed is not None:
+        mission = mission.replace(seed=seed)
+    with terminal.progress(f"rare {mission.name}") as progress:
+        summary = rare_to_folder(
+            mission, out, below=below, runs=runs, flights=256 if quick else flights, progress=progress
+        )
+    _answer(summary, as_json)
+    if not as_json:
+        Console().print(summary["said"])
+        Console().print(f"written to [bold]{out}[/bold]")
+
+
 @app.command(epilog=example("keepout reproduce all --quick -o out/paper"))
 def reproduce(
     experiments: Annotated[

@@ -14,6 +14,7 @@ from keepout.flight.faults import (
     CombinedFaults,
     DelayedCommands,
     DroppedCommands,
+    GaussianEstimate,
     StuckThruster,
     ThrusterGain,
     WrongEstimate,
@@ -154,3 +155,32 @@ def test_a_scenarios_entries_become_faults():
     assert delayed.steps == 2
     assert float(gain.error) == 0.02
     assert (stuck.axis, stuck.sign, float(stuck.force), float(stuck.start)) == (1, -1, 0.05, 9.0)
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.8])
+def test_a_gaussian_estimate_has_its_spread_and_forgets_at_its_rate(memory):
+    fault = GaussianEstimate(0.03, 0.002, memory)
+    truth = motion_state(jnp.array([1.0, 2.0, 3.0]), jnp.array([0.1, 0.0, -0.1]))
+
+    def flight(key):
+        def step(state, _):
+            state, told = fault.estimate(state, truth)
+            return state, jnp.concatenate([told.position - truth.position, told.velocity - truth.velocity])
+
+        return jax.lax.scan(step, fault.initial_state(key), length=60)[1]
+
+    errors = np.asarray(jax.vmap(flight)(jax.random.split(KEY, 2000))) / np.array([0.03] * 3 + [0.002] * 3)
+    assert np.std(errors, axis=(0, 1)) == pytest.approx(np.ones(6), rel=0.03)
+    assert np.std(errors[:, 0]) == pytest.approx(1.0, rel=0.03)
+    assert np.mean(errors[:, 1:] * errors[:, :-1]) == pytest.approx(memory, abs=0.01)
+    assert np.abs(errors).max() > 4.0  # no bound
+    assert np.abs(np.mean(errors[..., 0] * errors[..., 1])) < 0.02
+    assert np.array_equal(flight(KEY), flight(KEY))
+
+
+def test_gaussian_noise_is_flown_by_its_scenario():
+    entry = {"position_noise_std": 0.03, "velocity_noise_std": 0.002, "noise_correlation_time": 4.0}
+    [part] = environment.faults(Scenario().replace(faults=entry)).parts
+    assert isinstance(part, GaussianEstimate)
+    assert float(part.memory) == pytest.approx(np.exp(-0.25))
+    assert isinstance(environment.faults(Scenario()), NoFaults)

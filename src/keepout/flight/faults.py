@@ -30,7 +30,13 @@ def _in_ball(key: PRNGKeyArray, radius: Scalar) -> Vector:
     return radius * jax.random.uniform(b) ** (1.0 / 3.0) * direction / jnp.linalg.norm(direction)
 
 
-class _Transparent(Faults):
+def wrong_by(true_state: MotionState, position: Vector, velocity: Vector) -> MotionState:
+    """Give an estimate that is wrong by a position (m) and a velocity (m/s)."""
+    wrong = true_state.position + position, true_state.velocity + velocity
+    return eqx.tree_at(lambda s: (s.position, s.velocity), true_state, wrong)
+
+
+class Transparent(Faults):
     """A fault that leaves alone whatever it does not override."""
 
     def initial_state(self, key: PRNGKeyArray) -> PyTree:
@@ -50,7 +56,7 @@ class _Transparent(Faults):
         return fault_state, force
 
 
-class WrongEstimate(_Transparent):
+class WrongEstimate(Transparent):
     """A constant bias and a new error at every sample, each in a ball: the sum of bias and noise bounds the error.
 
     Attributes:
@@ -91,7 +97,35 @@ class WrongEstimate(_Transparent):
         return (key, position_bias, velocity_bias), told
 
 
-class DelayedCommands(_Transparent):
+class GaussianEstimate(Transparent):
+    """A Gaussian error of the estimate, without a bound, that fades from sample to sample: a Gauss–Markov process.
+
+    Attributes:
+        position_std: standard deviation of each axis, m.
+        velocity_std: likewise, m/s.
+        memory: share of the error that is left a sample later, 0 to 1; the rest is drawn anew.
+
+    """
+
+    position_std: Scalar = eqx.field(converter=as_float64, default=0.0)
+    velocity_std: Scalar = eqx.field(converter=as_float64, default=0.0)
+    memory: Scalar = eqx.field(converter=as_float64, default=0.0)
+
+    def initial_state(self, key: PRNGKeyArray) -> PyTree:
+        """Draw the first error, as multiples of the standard deviations."""
+        key, draw = jax.random.split(key)
+        return key, jax.random.normal(draw, (6,))
+
+    def estimate(self, fault_state: PyTree, true_state: MotionState) -> tuple[PyTree, MotionState]:
+        """Add the error to position and velocity, and draw the next one."""
+        key, error = fault_state
+        told = wrong_by(true_state, self.position_std * error[:3], self.velocity_std * error[3:])
+        key, draw = jax.random.split(key)
+        fresh = jnp.sqrt(1.0 - self.memory**2) * jax.random.normal(draw, (6,))
+        return (key, self.memory * error + fresh), told
+
+
+class DelayedCommands(Transparent):
     """Every command takes effect late; before the first arrives there is no force.
 
     Attributes:
@@ -117,7 +151,7 @@ class DelayedCommands(_Transparent):
         return jnp.concatenate([fault_state[1:], force[None]]), fault_state[0]
 
 
-class DroppedCommands(_Transparent):
+class DroppedCommands(Transparent):
     """Each command is lost with a probability; the thrusters then go on as they were.
 
     Attributes:
@@ -139,7 +173,7 @@ class DroppedCommands(_Transparent):
         return (key, arrived), arrived
 
 
-class StuckThruster(_Transparent):
+class StuckThruster(Transparent):
     """From some time on, the thruster that pushes along one direction of an axis is stuck.
 
     The opposite thruster works on, so a stuck-on force can be held against but not beyond.
@@ -171,7 +205,7 @@ class StuckThruster(_Transparent):
         return fault_state, jnp.where(time >= self.start, stuck, force)
 
 
-class ThrusterGain(_Transparent):
+class ThrusterGain(Transparent):
     """Each axis gives its command times a factor drawn once a flight.
 
     Attributes:

@@ -35,6 +35,9 @@ def broken_assumptions(scenario: Scenario) -> tuple[str, ...]:
         flown = getattr(faults, f"{kind}_bias") + getattr(faults, f"{kind}_noise")
         declared = getattr(guard, f"{kind}_error")
         compare(f"faults.{kind}_bias + faults.{kind}_noise", flown, f"guard.{kind}_error", declared, unit)
+        spread = getattr(faults, f"{kind}_noise_std")
+        if spread:
+            found.append(f"faults.{kind}_noise_std {spread:.6g}{unit} > 0 (Gaussian noise has no bound)")
     compare("faults.gain_error", faults.gain_error, "guard.gain_error", guard.gain_error, "")
     if faults.delay != guard.delay:
         found.append(f"faults.delay {faults.delay} != guard.delay {guard.delay} (the delay assumed is exact)")

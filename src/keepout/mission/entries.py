@@ -97,6 +97,13 @@ class FaultsEntry(Entry):
     velocity_bias: NonNegative = Field(default=0.0, description="the same of its velocity, m/s")
     position_noise: NonNegative = Field(default=0.0, description="largest error drawn anew each period, m")
     velocity_noise: NonNegative = Field(default=0.0, description="the same of its velocity, m/s")
+    position_noise_std: NonNegative = Field(
+        default=0.0, description="standard deviation of a Gaussian error of each axis, which has no bound, m"
+    )
+    velocity_noise_std: NonNegative = Field(default=0.0, description="the same of its velocity, m/s")
+    noise_correlation_time: NonNegative = Field(
+        default=0.0, description="over which the Gaussian errors fall to a third (1/e); 0: new ones each period, s"
+    )
     delay: Annotated[int, Field(ge=0, le=100)] = Field(
         default=0, description="true delay from command to effect, control periods"
     )
@@ -118,6 +125,12 @@ class FaultsEntry(Entry):
     def _stuck_is_named(self) -> "FaultsEntry":
         if self.stuck is None and (self.stuck_force or self.stuck_from):
             raise ValueError('stuck_force and stuck_from need stuck = "+x", "-x", "+y", "-y", "+z" or "-z"')
+        return self
+
+    @model_validator(mode="after")
+    def _correlated_noise_is_there(self) -> "FaultsEntry":
+        if self.noise_correlation_time and not (self.position_noise_std or self.velocity_noise_std):
+            raise ValueError("noise_correlation_time needs position_noise_std or velocity_noise_std")
         return self
 
 
@@ -246,6 +259,15 @@ class GoalEntry(Entry):
 
     position: Vector = Field(default=(0.0, -10.0, -4.0), description="m")
     tolerance: Positive = Field(default=0.1, description="reached when it stays within this, m")
+
+
+class RareEntry(Entry):
+    """What `keepout rare` draws beside the scenario's faults."""
+
+    start_position_std: NonNegative = Field(
+        default=0.0, description="standard deviation of each axis of the start about start.position, m"
+    )
+    start_velocity_std: NonNegative = Field(default=0.0, description="the same about start.velocity, m/s")
 
 
 Amount = float | Vector

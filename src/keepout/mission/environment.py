@@ -12,6 +12,7 @@ from keepout.flight.faults import (
     CombinedFaults,
     DelayedCommands,
     DroppedCommands,
+    GaussianEstimate,
     StuckThruster,
     ThrusterGain,
     WrongEstimate,
@@ -45,6 +46,9 @@ _DIAGONAL = np.full(3, 1.0 / math.sqrt(3.0))
 
 _BANG_BANG_PERIOD = 100.0
 """Of the bang-bang disturbance, s."""
+
+RANDOM_BAND = (0.001, 0.3)
+"""Frequencies of the random disturbance, rad/s."""
 
 
 def relative_motion(scenario: Scenario) -> RelativeMotion:
@@ -82,7 +86,7 @@ def disturbance(scenario: Scenario) -> Disturbance:
             return resonant(amplitude * _DIAGONAL, scenario.control.period)
         case "random":
             key = jax.random.fold_in(jax.random.key(scenario.seed), 1)
-            return band_limited_noise(key, 0.5 * amplitude, amplitude, (0.001, 0.3))
+            return band_limited_noise(key, 0.5 * amplitude, amplitude, RANDOM_BAND)
 
 
 def disturbance_bound(scenario: Scenario) -> float:
@@ -115,6 +119,8 @@ def faults(scenario: Scenario) -> Faults:
         parts.append(
             WrongEstimate(entry.position_bias, entry.velocity_bias, entry.position_noise, entry.velocity_noise)
         )
+    if entry.position_noise_std or entry.velocity_noise_std:
+        parts.append(GaussianEstimate(entry.position_noise_std, entry.velocity_noise_std, noise_memory(scenario)))
     if entry.dropped:
         parts.append(DroppedCommands(entry.dropped))
     if entry.delay:
@@ -125,6 +131,12 @@ def faults(scenario: Scenario) -> Faults:
         sign, axis = (1 if entry.stuck[0] == "+" else -1), "xyz".index(entry.stuck[1])
         parts.append(StuckThruster(axis, sign, entry.stuck_force, start=entry.stuck_from))
     return CombinedFaults(tuple(parts)) if parts else NoFaults()
+
+
+def noise_memory(scenario: Scenario) -> float:
+    """Give the share of a Gaussian error of the estimate that is left a period later."""
+    lasting = scenario.faults.noise_correlation_time
+    return math.exp(-scenario.control.period / lasting) if lasting else 0.0
 
 
 def flight_bounds(scenario: Scenario) -> FlightBounds:

@@ -26,6 +26,7 @@ from keepout.mission.entries import (
     GoalEntry,
     GuardEntry,
     OrbitEntry,
+    RareEntry,
     SafetyEntry,
     StateEntry,
     TargetEntry,
@@ -52,6 +53,7 @@ class Scenario(Entry):
     start: StateEntry = StateEntry()
     goal: GoalEntry = GoalEntry()
     campaign: CampaignEntry = CampaignEntry()
+    rare: RareEntry = RareEntry()
 
     @model_validator(mode="after")
     def _at_least_a_step(self) -> "Scenario":

@@ -1,0 +1,190 @@
+"""Subset simulation against probabilities known in closed form or by quadrature."""
+
+import math
+import os
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from rare import crossing_level, crossing_performance, crossing_probability
+from scipy import stats
+
+from keepout.errors import ScenarioError
+from keepout.rare_events import kept
+from keepout.rare_events.estimate import curve, estimate, interval
+from keepout.rare_events.subset import simulate
+
+
+def linear(tapes):
+    """Minus a standard normal that every number of the tape has a part in."""
+    return -tapes.sum(axis=1) / math.sqrt(tapes.shape[1])
+
+
+RARE = float(-stats.norm.isf(1e-7))
+
+
+def test_a_half_space_of_probability_1e_7():
+    found = [simulate(linear, 50, below=RARE, seed=seed) for seed in range(3)]
+    means = [estimate(one, RARE).mean for one in found]
+    assert np.mean(means) == pytest.approx(1e-7, rel=0.2)
+    assert all(one.ended == "reached" for one in found)
+    assert all(one.evaluations <= 60_000 for one in found)
+    assert sum(estimate(one, RARE).lower <= 1e-7 <= estimate(one, RARE).upper for one in found) >= 2
+    assert all(0.2 < level.acceptance < 0.45 for one in found for level in one.levels[1:])
+
+
+@pytest.mark.long
+def test_many_short_simulations_have_no_bias():
+    # 64 tapes a level are few: a share counted without the whole clump of a refused move, or thresholds of one run
+    # alone, show here as tens of percent.
+    below, probability = -stats.norm.isf(1e-4), 1e-4
+    runs = np.array([simulate(linear, 10, below=below, tapes=128, seed=seed).below(below) for seed in range(250)])
+    error = np.std(runs.mean(axis=1)) / math.sqrt(len(runs)) / probability
+    assert error < 0.04
+    assert np.mean(runs) / probability - 1.0 == pytest.approx(0.0, abs=3.0 * error + 0.05)
+
+
+def test_every_level_of_the_curve_is_right():
+    found = simulate(linear, 20, below=RARE, tapes=4096, seed=5)
+    for number, mean, lower, upper in curve(found):
+        assert mean == pytest.approx(stats.norm.cdf(number), rel=0.5)
+        assert lower <= mean <= upper
+
+
+def test_moves_keep_the_normal_law_given_the_threshold():
+    # The first level is independent, and so are the ends of the second level's chains, one a seed.
+    found = simulate(linear, 7, below=-5.0, tapes=1024, seed=3, most_levels=2)
+    level = found.levels[1]
+    ends = level.values[:, -1024 // 8 :].ravel()
+    given = stats.truncnorm(-np.inf, level.threshold)
+    assert stats.kstest(ends, given.cdf).pvalue > 0.01
+    # Chains that never moved would pass, too.
+    assert not np.any(ends == level.values[:, : 1024 // 8].ravel()[0])
+    assert np.mean(ends == level.values[:, : 1024 // 8].ravel()) < 0.3
+
+
+def test_the_quadrature_agrees_with_brute_force():
+    memory, samples = math.exp(-0.1), 100
+    level = crossing_level(1e-2, memory, samples)
+    values = crossing_performance(memory)(np.random.default_rng(0).standard_normal((100_000, samples)))
+    assert np.mean(values < -level) == pytest.approx(1e-2, rel=0.1)
+    assert crossing_probability(level, memory, samples) == pytest.approx(1e-2, rel=1e-6)
+
+
+@pytest.mark.long
+def test_intervals_cover_a_crossing_of_probability_1e_7():
+    memory, samples = math.exp(-0.1), 100
+    level = crossing_level(1e-7, memory, samples)
+    performance = crossing_performance(memory)
+    groups = np.array([simulate(performance, samples, below=-level, seed=seed).below(-level) for seed in range(40)])
+    ends = np.array([interval(group) for group in groups])
+    # 35 of 40 and fewer have a chance of 4 % where the cover is 0.95.
+    assert np.sum((ends[:, 1] <= 1e-7) & (ends[:, 2] >= 1e-7)) >= 35
+    assert np.mean(groups) == pytest.approx(1e-7, rel=0.12)
+    assert np.std(groups.mean(axis=1)) < 0.25e-7
+
+
+def test_a_value_that_most_tapes_share():
+    # 84 % of all tapes have the performance 2, as flights that come nowhere nearer than their start do.
+    found = simulate(lambda tapes: np.minimum(linear(tapes) + 1.0, 0.0) + 2.0, 5, below=-1.0, seed=2)
+    truth = stats.norm.cdf(-4.0)
+    result = estimate(found, -1.0)
+    assert found.ended == "reached"
+    assert result.mean == pytest.approx(truth, rel=0.3)
+    assert result.lower <= truth <= result.upper
+
+
+def test_what_never_happens_is_said_to_be_below_a_bound():
+    found = simulate(lambda tapes: np.ones(len(tapes)), 5, below=0.0)
+    result = estimate(found, 0.0)
+    assert found.ended == "stuck"
+    assert result.bounded_only
+    assert result.summary() == {"probability": None, "interval": None, "below": pytest.approx(3.0 / 8192, rel=0.01)}
+
+
+def test_a_number_out_of_reach_is_bounded_by_the_last_level():
+    found = simulate(linear, 5, below=-12.0, most_levels=7)
+    result = estimate(found, -12.0)
+    assert found.ended == "levels"
+    assert result.bounded_only
+    assert len(found.levels) == 7
+    # Far less than what none in the 8192 independent tapes of the first level allows, 3.7e-4.
+    assert stats.norm.cdf(found.levels[-1].threshold) < result.upper < 3 * 8.0**-6
+
+
+def test_a_simulation_killed_in_the_middle_goes_on_bit_for_bit(tmp_path):
+    whole = simulate(linear, 12, below=RARE, tapes=256, seed=4)
+    state = tmp_path / "state.npz"
+    program = f"""
+import math, os, signal, sys
+from keepout.rare_events import kept
+from keepout.rare_events.subset import simulate
+calls = 0
+def performance(tapes):
+    global calls
+    calls += 1
+    if calls == 25:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return -tapes.sum(axis=1) / math.sqrt(tapes.shape[1])
+from pathlib import Path
+simulate(performance, 12, below={RARE!r}, tapes=256, seed=4, kept=lambda s: kept.save(Path({str(state)!r}), s))
+"""
+    ended = subprocess.run([sys.executable, "-c", program], env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)})
+    assert ended.returncode == -signal.SIGKILL
+    half = kept.load(state)
+    assert 1 < len(half.levels) < len(whole.levels)
+    resumed = simulate(linear, 12, below=RARE, tapes=256, seed=4, resumed=half)
+    assert len(resumed.levels) == len(whole.levels)
+    for one, other in zip(resumed.levels, whole.levels):
+        assert np.array_equal(one.values, other.values)
+        assert np.array_equal(one.probability, other.probability)
+        assert (one.threshold, one.acceptance, one.step) == (other.threshold, other.acceptance, other.step)
+    assert np.array_equal(resumed.lowest, whole.lowest)
+    assert np.array_equal(resumed.below(RARE), whole.below(RARE))
+    kept.save(state, whole)
+    assert kept.load(state).below(RARE).tolist() == whole.below(RARE).tolist()
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 no archive", None])
+def test_a_damaged_state_is_refused_in_one_line(tmp_path, content):
+    state = tmp_path / "state.npz"
+    kept.save(state, simulate(linear, 3, below=-1.0, tapes=64))
+    whole = state.read_bytes()
+    state.write_bytes(whole[: len(whole) // 2] if content is None else content)
+    with pytest.raises(ScenarioError, match=r"state\.npz: .*remove it") as refusal:
+        kept.load(state)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("changed", "named"),
+    [
+        ({"below": math.nan}, "below: nan"),
+        ({"runs": 1}, "runs: 1"),
+        ({"tapes": 100}, "flights: 100"),
+        ({"tapes": 8}, "flights: 8"),
+        ({"seed": -1}, "seed: -1"),
+        ({"most_levels": 0}, "most_levels: 0"),
+    ],
+)
+def test_bad_numbers_are_refused(changed, named):
+    with pytest.raises(ScenarioError, match=named):
+        simulate(linear, 3, **({"below": -1.0} | changed))
+
+
+def test_a_tape_without_numbers_and_a_performance_that_is_none_are_refused():
+    with pytest.raises(ScenarioError, match="numbers: 0"):
+        simulate(linear, 0, below=-1.0)
+    with pytest.raises(ScenarioError, match="gave no number"):
+        simulate(lambda tapes: np.full(len(tapes), np.nan), 3, below=-1.0)
+    with pytest.raises(ScenarioError, match="shape"):
+        simulate(lambda tapes: tapes, 3, below=-1.0)
+
+
+def test_progress_rises_to_its_end():
+    told = []
+    simulate(linear, 3, below=RARE, tapes=64, progress=lambda fraction, message: told.append(fraction))
+    assert told[-1] == 1.0
+    assert all(0.0 <= fraction <= 1.0 for fraction in told)
