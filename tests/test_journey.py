@@ -20,7 +20,6 @@ from truths.command_line import keepout_command
 from truths.results import Page, check_picture, numbers
 
 import keepout
-from keepout import commands
 from keepout.audit.audit import Audit, audit, audit_campaign
 from keepout.campaign import chunk as chunks
 from keepout.fields.evaluate import values
@@ -30,6 +29,7 @@ from keepout.geometry.builtin import BUILTINS
 from keepout.geometry.target import Target
 from keepout.learning import checkpoint
 from keepout.mission import environment
+from keepout.mission import flight as flights
 from keepout.mission.flight import fly
 from keepout.mission.scenario import Scenario
 from keepout.report.terminal import FLIGHT_COLUMNS, shown
@@ -100,7 +100,7 @@ def flown(place, certified, kept):
         return kept[-1]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(commands, "fly", fly_and_keep)
+        patch.setattr(flights, "fly", fly_and_keep)
         return keepout_command("fly", "mission.toml", "-o", "flight", "--json").json
 
 
@@ -373,7 +373,7 @@ def test_a_stopped_fit_goes_on_where_it_was(place, fitted, monkeypatch):
 
 @pytest.mark.parametrize("blocked", ["summary.json", "boxed.parquet", "paths.png", "index.html"])
 def test_a_place_that_cannot_be_written_is_named_in_one_line(place, flown, kept, blocked, monkeypatch):
-    monkeypatch.setattr(commands, "fly", lambda *_, **__: kept[0])
+    monkeypatch.setattr(flights, "fly", lambda *_, **__: kept[0])
     out = place / f"blocked-{blocked}"
     (out / blocked).mkdir(parents=True)
     answer = keepout_command("fly", "mission.toml", "-o", out, "--json")

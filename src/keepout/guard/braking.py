@@ -13,9 +13,12 @@ from functools import lru_cache
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from keepout.errors import ControlError
+
+Number = float | Float[Array, "*flights"]
+"""Python's number; in a compiled program that takes the guard's numbers as arguments an array."""
 
 _AT_REST = 4.0
 """Weight of ρ against the stop length when gains are chosen."""
@@ -97,12 +100,12 @@ class GuardAssumptions(eqx.Module):
             raise ControlError(f"guard: delay is {self.delay} steps; it must be a whole number from 0 to 8")
 
     @property
-    def authority(self) -> float:
+    def authority(self) -> Number:
         """F_max/m, m/s²: what the thrusters give in every direction (more along a diagonal, which is not used)."""
         return self.force_limit / self.mass
 
     @property
-    def drift(self) -> float:
+    def drift(self) -> Number:
         """Bound on the drift |2ω×v + ω̇×r + ω×(ω×r) + Δg| inside the range and speed limits, m/s².
 
         There r is from the centre of mass, which is up to `origin_offset` further away than the origin.
@@ -111,7 +114,7 @@ class GuardAssumptions(eqx.Module):
         return 2.0 * self.angular_rate * self.speed_limit + kappa * (self.range_limit + self.origin_offset)
 
     @property
-    def disturbance(self) -> float:
+    def disturbance(self) -> Number:
         """D: bound on every acceleration beyond commanded force over nominal mass, m/s² (disturbance, drift, scale)."""
         scale = (1.0 + self.gain_error) / (1.0 - self.mass_error) - 1.0
         push = self.disturbance_force / (self.mass * (1.0 - self.mass_error))
@@ -178,7 +181,7 @@ def design(assumptions: GuardAssumptions) -> BrakingDesign:
 
 def radii(assumptions: GuardAssumptions, first_pole: float, second_pole: float) -> BrakingDesign:
     """Derive the radii for given closed-loop poles, 0 < pole < 1 (docs/guard.md, section 3)."""
-    T, D = assumptions.period, assumptions.disturbance
+    T, D = assumptions.period, float(assumptions.disturbance)
     k_p, k_d, heard, (feedback, position, velocity) = _responses(T, assumptions.delay, first_pole, second_pole)
     errors = np.array([assumptions.position_error, assumptions.velocity_error])
     # The estimate's error reaches the thrusters through K Φⁿ, once a step.
@@ -193,7 +196,7 @@ def radii(assumptions: GuardAssumptions, first_pole: float, second_pole: float) 
     return BrakingDesign(
         position_gain=k_p,
         velocity_gain=k_d,
-        deceleration=assumptions.authority - reserve,
+        deceleration=float(assumptions.authority) - reserve,
         reserve=reserve,
         position_radius=reach(position) + bow,
         velocity_radius=reach(velocity) + 0.5 * D * T,

@@ -19,7 +19,7 @@ from keepout.compiled.on_demand import where_needed
 from keepout.errors import ControlError
 from keepout.fields.field import Field
 from keepout.guard import watch
-from keepout.guard.braking import BrakingDesign, GuardAssumptions, design
+from keepout.guard.braking import BrakingDesign, GuardAssumptions, Number, design
 from keepout.guard.safety_layer import SafetyLayer
 from keepout.guard.status import GuardFlag, GuardStatus
 from keepout.motion.arrays import as_float64
@@ -120,7 +120,7 @@ class Guard(SafetyLayer):
         self.windows = watch.windows(assumptions)
 
     @property
-    def least_value(self) -> float:
+    def least_value(self) -> Number:
         """Field value, in metres, below which no plan is ever certified: threshold plus the tube's radius.
 
         With f* the function within j = `evaluation_error` of the field f̃ whose gradient is at most L: contact needs
@@ -234,7 +234,7 @@ class Guard(SafetyLayer):
         moved = a.position_error + longer * a.velocity_error + joints + _ROUNDING
         return self._braking_free(truth, moved, a.velocity_error)
 
-    def _braking_free(self, state: MotionState, moved: Float[Array, ""], faster: float) -> Bool[Array, ""]:
+    def _braking_free(self, state: MotionState, moved: Float[Array, ""], faster: Number) -> Bool[Array, ""]:
         pending = jnp.zeros((self.assumptions.delay, 3))
         path, velocities = self._predict(state.position, state.velocity, pending)
         value = self.field.value(state.position)
@@ -272,7 +272,7 @@ class Guard(SafetyLayer):
         return bool(certified)
 
     @property
-    def _plan_radius(self) -> float:
+    def _plan_radius(self) -> Number:
         """How far the predicted position can be from the plan while the assumptions hold, m."""
         a = self.assumptions
         late = a.delay * a.period
@@ -310,7 +310,7 @@ class Guard(SafetyLayer):
         velocities: Float[Array, "states 3"],
         wanted: Bool[Array, ""],
         moved: float | Float[Array, ""] = 0.0,
-        faster: float = 0.0,
+        faster: Number = 0.0,
     ) -> Bool[Array, ""]:
         """Whether the tube around a path and the nominal braking from its end is free, within range and slow enough.
 

@@ -34,7 +34,7 @@ def steps_needed(assumptions: GuardAssumptions, excess: float) -> float:
 def windows(assumptions: GuardAssumptions) -> tuple[int, ...]:
     """Give the windows' lengths in steps: 1, 2, 4, … up to one that sees a lasting excess of `SHARE` of D."""
     lengths = [1]
-    needed = steps_needed(assumptions, SHARE * assumptions.disturbance) if assumptions.velocity_error else 1.0
+    needed = steps_needed(assumptions, SHARE * float(assumptions.disturbance)) if assumptions.velocity_error else 1.0
     while lengths[-1] < min(needed, LONGEST):
         lengths.append(2 * lengths[-1])
     return tuple(lengths)

@@ -55,7 +55,7 @@ def guard_numbers(guard: Guard) -> dict[str, Any]:
     """Give what the guard assumes and what follows from it (docs/guard.md) as plain numbers for JSON, SI units."""
     a, b = guard.assumptions, guard.braking
     longest = watch.windows(a)[-1]
-    least = watch.SHARE * a.disturbance
+    least = watch.SHARE * float(a.disturbance)
     return {
         "disturbance_force_N": a.disturbance_force,
         "angular_rate_radps": a.angular_rate,
