@@ -55,6 +55,13 @@ def test_an_estimate_that_is_no_number_leaves_the_plan():
 def test_flags():
     assert answer(at(5.0, 0, 0), [0, 0, 0], disturbance=jnp.array([0.0215, 0, 0]))[2] == GuardFlag.DISTURBANCE
     assert answer(at(5.0, 0, 0), [0, 0, 0], disturbance=jnp.array([0.0142, 0, 0]))[2] == 0
+    # Where nothing pushes, what an observer leaves of the drift is no disturbance.
+    calm = dataclasses.replace(GUARD.assumptions, disturbance_force=0.0)
+    quiet = Guard(GUARD.field, GUARD.threshold, GUARD.lipschitz, calm)
+    drift = calm.mass * calm.drift
+    for share, flags in ((0.9, 0), (1.1, GuardFlag.DISTURBANCE)):
+        told = jnp.array([share * drift, 0.0, 0.0])
+        assert quiet.filter(quiet.initial_state(at(5.0, 0, 0)), at(5.0, 0, 0), STILL, told)[2] == flags
     status = answer(at(2.45, 0, 0), [0, 0, 0])[2]
     assert status & GuardFlag.FIELD
     assert status & 3 == GuardStatus.ESCAPING

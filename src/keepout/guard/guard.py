@@ -398,9 +398,10 @@ class Guard(SafetyLayer):
 
     def _too_strong(self, disturbance_estimate: Vector) -> Bool[Array, ""]:
         a = self.assumptions
-        # An observer overshoots, and takes noise and scale errors for a force; `watch` is the exact test.
-        seen = a.mass * (a.disturbance - a.drift + 2.0 * a.velocity_error / a.period)
-        return ~(jnp.linalg.norm(disturbance_estimate) <= 1.5 * seen)
+        # An observer overshoots, takes noise and scale errors for a force, and, where there is next to none of these,
+        # what its own model leaves of the drift; `watch` is the exact test.
+        seen = 1.5 * a.mass * (a.disturbance - a.drift + 2.0 * a.velocity_error / a.period)
+        return ~(jnp.linalg.norm(disturbance_estimate) <= jnp.maximum(seen, a.mass * a.drift))
 
     def _outside_region(self, position: Vector, velocity: Vector) -> Bool[Array, ""]:
         a = self.assumptions
