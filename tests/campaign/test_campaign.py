@@ -174,7 +174,7 @@ def test_a_folder_that_another_process_flies_is_refused(flown):
 
 
 def test_starts_in_the_target_are_refused_where_the_design_is_over_all_runs(scenario):
-    campaign = {"sampling": "sobol", "runs": 32, "dispersions": {"start.position": {"sphere": [0.0, 3.0]}}}
+    campaign = {"sampling": "sobol", "runs": 32, "dispersions": {"start.position": {"sphere": [0.0, 8.0]}}}
     plan = Plan.of(scenario.replace(campaign=campaign), batch=8)
     runs = plan.draw(0, 32)
     refused = [run for run in runs if run.mission is None]

@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pyarrow as pa
 import pytest
 from truths.results import Page, check_picture, numbers
 
@@ -144,7 +145,7 @@ def test_a_campaigns_figure_and_numbers(target, tmp_path):
     starts = np.stack([flight.record.position[0] for flight in flights])
     audits = tuple(flight.audit for flight in flights)
     flown = Campaign(flights[0].scenario, target, starts, stacked, audits, 1.0)
-    draw_campaign(tmp_path / "campaign.png", flown)
+    draw_campaign(tmp_path / "campaign.png", pa.table(flown.columns()))
     check_picture(tmp_path / "campaign.png")
     summary = flown.summary()
     assert (summary["runs"], summary["reached"], summary["contacts"], summary["undecided"]) == (3, 2, 1, 0)
