@@ -9,7 +9,7 @@ STAMP := $(VENV)/.installed
 help:
 	@echo "make demo      set up, then fly the built-in demonstration; results in out/demo"
 	@echo "make check     set up, lint, type-check and run the quick tests (about three and a half minutes on two cores)"
-	@echo "make test      the same with the longer tests, as CI runs it (about 13 minutes on two cores)"
+	@echo "make test      the same with the longer tests, as CI runs it (about 15 minutes on two cores)"
 	@echo "make test-all  the same with the tests that take hours"
 	@echo "make format    format the code"
 	@echo "make shipped   remake the learned fields that ship with the package"
