@@ -1,6 +1,5 @@
 """Asking `openscvx` for plans: the problem round a target, the check of every plan, what is counted, and replanning."""
 
-import dataclasses
 import threading
 import time
 from typing import TYPE_CHECKING
@@ -10,7 +9,7 @@ import numpy as np
 
 from keepout.errors import ControlError
 from rivals_laws.convexified_plan import Nodes, Plan, Planner, Task, integrated
-from rivals_laws.envelopes import ellipsoid_field
+from rivals_laws.envelopes import shape_to_keep_out_of
 from rivals_laws.observed import Plant, linearised
 from rivals_laws.plan_tracking import Tracker
 from rivals_laws.rival_case import RivalCase
@@ -53,12 +52,7 @@ class Planning:
 
     def __init__(self, case: RivalCase, rival: "Convexified"):
         plant, motion = Plant.of(case), case.operation.motion
-        operation = case.operation
-        if rival.shape == "ellipsoid":
-            operation = dataclasses.replace(operation, error_bound=0.0)
-            self.shape = ellipsoid_field(case.target.vertices)
-        else:
-            self.shape = case.model.field
+        self.shape, operation = shape_to_keep_out_of(case, rival.shape)
         by_position, by_velocity = linearised(motion)
         diagonal = float(np.linalg.norm(case.upper - case.lower))
         self.task = Task(

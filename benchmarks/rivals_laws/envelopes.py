@@ -17,6 +17,7 @@ import numpy as np
 
 from keepout.control.controller import Controller
 from keepout.control.guidance.geodesic import require_free
+from keepout.control.operation import Operation
 from keepout.fields.analytic import SphereField
 from keepout.fields.field import Field
 from keepout.geometry.envelopes import small_capsule, smallest_ball
@@ -31,6 +32,13 @@ def ellipsoid_field(points: np.ndarray) -> EllipsoidField:
     found = smallest_ellipsoid(points, 1e-5)
     squares, axes = np.linalg.eigh(found.matrix)
     return EllipsoidField(*(jnp.asarray(part) for part in (found.centre, axes.T, 1.0 / np.sqrt(squares))))
+
+
+def shape_to_keep_out_of(case: RivalCase, shape: str) -> tuple[Field, Operation]:
+    """Give what a planner keeps out of, the learned `field` or the `ellipsoid`, and the operation with its error."""
+    if shape == "ellipsoid":
+        return ellipsoid_field(case.target.vertices), dataclasses.replace(case.operation, error_bound=0.0)
+    return case.model.field, case.operation
 
 
 def sphere_field(points: np.ndarray) -> SphereField:

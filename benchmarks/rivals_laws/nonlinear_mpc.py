@@ -30,7 +30,7 @@ from jaxtyping import Array, Float, Int
 from keepout.control.guidance.geodesic import require_free
 from keepout.fields.evaluate import values
 from keepout.motion.relative import MotionState
-from rivals_laws.envelopes import ellipsoid_field
+from rivals_laws.envelopes import shape_to_keep_out_of
 from rivals_laws.field_spline import FieldSpline
 from rivals_laws.geodesic_way import geodesic_way
 from rivals_laws.observed import ObservedLaw, Plant, linearised
@@ -96,12 +96,7 @@ class Solver:
         import casadi
 
         plant, self.nodes = Plant.of(case), rival.nodes
-        operation = case.operation
-        if rival.shape == "ellipsoid":
-            operation = dataclasses.replace(operation, error_bound=0.0)
-            self.shape = ellipsoid_field(case.target.vertices)
-        else:
-            self.shape = case.model.field
+        self.shape, operation = shape_to_keep_out_of(case, rival.shape)
         self.keep_out, self.violation = operation.keep_out, rival.violation_m
         self.every = round(rival.interval_s / operation.period)
         self.limit, self.speed = float(plant.authority), float(plant.speed_limit)

@@ -6,7 +6,7 @@ import trimesh
 
 from keepout.errors import ScenarioError
 from keepout.geometry.target import Target
-from keepout.mission.campaign import draw_starts
+from keepout.mission.campaign import draw_starts, plan_campaign
 from keepout.mission.scenario import Scenario
 
 
@@ -52,6 +52,12 @@ def test_starts_without_a_way_out_are_counted(shell):
     near = (8.0**3 - 4.4**3) / 12.0**3  # too near the walls, from either side, but for rounded corners
     inside = 4.4**3 / 12.0**3
     assert 0.3 * 50 * (near + inside) < generous < 3.0 * 50 * (near + inside) / (1.0 - near - inside)
+
+
+def test_dispersions_are_refused_where_only_starts_vary(shell):
+    scenario = Scenario().replace(campaign={"dispersions": {"chaser.mass": {"uniform": (9.0, 11.0)}}})
+    with pytest.raises(ScenarioError, match=r"campaign\.dispersions: chaser\.mass; .*keepout campaign"):
+        plan_campaign(scenario, target=shell)
 
 
 def drawn_again(target, **campaign):

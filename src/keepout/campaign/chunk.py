@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import pyarrow as pa
 
-from keepout.audit.audit import Audit, audit_campaign
+from keepout.audit.audit import Audit, Contact, audit_campaign
 from keepout.audit.tube import FlightBounds
 from keepout.campaign import bands, table
 from keepout.campaign.drawing import Run
@@ -102,7 +102,7 @@ def fly_rows(
         if told is not None:
             near = np.linalg.norm(log["position"][:, -1] - [run.scenario.goal.position for run in members], axis=-1)
             reached = near < [run.scenario.goal.tolerance for run in members]
-            told(len(members), int(np.sum(reached)), sum(verdict.contact != "no" for verdict in found))
+            told(len(members), int(np.sum(reached)), sum(verdict.contact is not Contact.NO for verdict in found))
 
     outcomes = fly_runs(
         runs,

@@ -19,8 +19,8 @@ from keepout.campaign import worker
 from keepout.campaign.chunk import ChunkResult, Told
 from keepout.campaign.plan import Plan
 from keepout.campaign.worker import Landed, WorkerState, drop_plan, take_plan
+from keepout.cores import allowed_cores, available_cores
 from keepout.errors import ClusterError
-from keepout.flight.batches import available_cores
 
 CONNECT_SECONDS = 15.0
 """The longest wait for a scheduler to answer."""
@@ -113,7 +113,8 @@ class Cluster:
             try:
                 client = Client(address, timeout=self.connect_seconds, set_as_default=False, name="keepout")
             except (OSError, ValueError) as error:
-                said = re.sub(r"^in <[^>]*>: ", "", " ".join(str(error.__cause__ or error).split()))[:200]
+                cause = error.__cause__ or error  # a bare time-out has no text of its own
+                said = re.sub(r"^in <[^>]*>: ", "", " ".join(str(cause).split()))[:200] or type(cause).__name__
                 raise ClusterError(
                     f"scheduler: {address} did not answer in {self.connect_seconds:g} s ({said}); "
                     "is it running, and can it be reached from here?"
@@ -125,7 +126,7 @@ class Cluster:
         """Give each process started here cores of its own, by its name; none elsewhere, where others may run too."""
         if self.address:
             return {}
-        cores, count = worker.allowed_cores(), self.workers
+        cores, count = allowed_cores(), self.workers
         each = len(cores) // count
         return {place: cores[place * each : (place + 1) * each] for place in range(count)} if cores else {}
 

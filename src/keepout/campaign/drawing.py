@@ -1,6 +1,6 @@
 """Runs of a campaign as drawn: the scenario of each, its start and its mission, or why it cannot be flown."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -104,8 +104,3 @@ def _unusable(mission: Mission, position: Float[np.ndarray, "3"]) -> str:
     if not has_way_out(mission.scenario, mission.target, position):
         return f"{position.round(4).tolist()} m has no free way out of the target for the chaser"
     return ""
-
-
-def of_numbers(scenario: Scenario, design: Design, workshop: Workshop, numbers: Sequence[int]) -> list[Run]:
-    """Draw single runs."""
-    return [draw(scenario, design, workshop, number, number + 1)[0] for number in numbers]

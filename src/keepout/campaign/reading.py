@@ -18,9 +18,9 @@ from pydantic import ValidationError
 from keepout.campaign.bands import Bands
 from keepout.campaign.dataset import Dataset
 from keepout.campaign.influence import Factor
+from keepout.cores import available_cores
 from keepout.digest import digest
 from keepout.errors import FlightError, ScenarioError
-from keepout.flight.batches import available_cores
 from keepout.mission.entry_names import COMPONENTS
 from keepout.mission.scenario import Scenario
 from keepout.progress import Progress, silent

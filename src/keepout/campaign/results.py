@@ -12,7 +12,7 @@ from scipy import stats
 from keepout.campaign.influence import Factor, Influence, Ranked, holm, influence, ranked
 from keepout.campaign.outcomes import FIGURES, Distribution, Figure, Outcomes, Rate, distribution, rates, read_outcomes
 from keepout.campaign.reading import Reading
-from keepout.flight.batches import available_cores
+from keepout.cores import available_cores
 from keepout.progress import Progress, part_of, silent
 
 WORST = 10

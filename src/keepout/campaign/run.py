@@ -10,7 +10,7 @@ from threading import Lock
 from keepout.campaign.chunk import ChunkResult, Told, fly_chunk
 from keepout.campaign.dataset import Dataset
 from keepout.campaign.plan import Plan
-from keepout.flight.batches import available_cores
+from keepout.cores import available_cores
 
 Flyer = Callable[[Plan, list[int], Told], Generator[ChunkResult, None, None]]
 """Flies chunks of a plan by their numbers, in any order, and gives each when it is there; tells of landed flights."""

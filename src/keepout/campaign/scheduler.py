@@ -5,8 +5,8 @@ import re
 from dataclasses import dataclass
 
 from keepout.campaign.run import Flyer
+from keepout.cores import available_cores
 from keepout.errors import ClusterError
-from keepout.flight.batches import available_cores
 
 VALID = "valid are tcp://HOST:PORT, tls://HOST:PORT, local and local:N"
 _ADDRESS = re.compile(r"(?:tcp|tls)://(?:\[[0-9a-fA-F:.]+\]|[^\s/:\[\]]+):(\d{1,5})")

@@ -18,6 +18,7 @@ import keepout
 from keepout.campaign.chunk import ChunkResult, fly_chunk
 from keepout.campaign.plan import Plan
 from keepout.compiled.kept_programs import keep_programs, processor
+from keepout.cores import allowed_cores
 from keepout.digest import digest
 from keepout.errors import ClusterError, KeepoutError
 
@@ -179,11 +180,6 @@ def fly(name: str, number: int, where: Callable[[], str]) -> Landed:
         raise ClusterError(f"{chunk_name(plan, number)}, on worker {where()}: {error}") from None
     flights, reached, contacts = counted
     return Landed(result, flights, reached, contacts, processor(), where(), time.process_time() - began)
-
-
-def allowed_cores() -> tuple[int, ...]:
-    """Give the cores that this process may run on; none where the system does not say."""
-    return tuple(sorted(os.sched_getaffinity(0))) if hasattr(os, "sched_getaffinity") else ()
 
 
 def chunk_name(plan: Plan, number: int) -> str:

@@ -20,6 +20,7 @@ from pathlib import Path
 import jax
 import jaxlib.version
 
+from keepout.cores import available_cores
 from keepout.digest import digest
 
 VARIABLE = "KEEPOUT_COMPILE_CACHE"
@@ -133,9 +134,8 @@ def _require_out_of_reach(folder: Path) -> None:
 
 def identity() -> tuple[str, ...]:
     """Name all that compiled code depends on beside the program: compiler, its flags, processor, cores it may use."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     compiler = f"jaxlib {jaxlib.version.__version__}", f"flags {os.environ.get('XLA_FLAGS', '')}"
-    return (*compiler, f"{platform.system()} {platform.machine()}", f"{cores} cores", *_processors())
+    return (*compiler, f"{platform.system()} {platform.machine()}", f"{available_cores()} cores", *_processors())
 
 
 @functools.cache

@@ -1,10 +1,10 @@
 """Several long computations at once, with one progress: compiling a law keeps only one core busy."""
 
-import os
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
+from keepout.cores import available_cores
 from keepout.progress import Progress, never_back
 
 Answer = TypeVar("Answer")
@@ -37,8 +37,7 @@ def side_by_side(jobs: Mapping[str, Callable[[Progress], Answer]], progress: Pro
         own(1.0, "")
         return answer
 
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    pool = ThreadPoolExecutor(min(MOST, cores))
+    pool = ThreadPoolExecutor(min(MOST, available_cores()))
     try:
         futures = {name: pool.submit(run, name) for name in jobs}
         return {name: future.result() for name, future in futures.items()}

@@ -8,12 +8,11 @@ Runge–Kutta stages are computed once a step for the whole batch.
 
 The size of a batch is part of a campaign's identity. A flight is the same to the bit in whatever place of a batch, with
 whatever flights beside it, and however many workers there are; but a processor adds up the products of a network in
-another order for another size (2.9e-6 m in the field between 32 and 128 flights). So run k of a campaign is flown again
+another order for another size. So run k of a campaign is flown again
 alone, to the same bits, by `fly_batches(setup, states[k : k + 1], steps, seed=seed, first=k, batch=batch, alike=alike)`
 with the `batch` and `alike` of the whole.
 """
 
-import os
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -25,6 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int, Key, PyTree
 
+from keepout.cores import available_cores
 from keepout.errors import ScenarioError
 from keepout.flight.loop import FlightLog, trace
 from keepout.flight.outcome import FlightOutcome, outcome
@@ -213,8 +213,3 @@ def _common_length(cases: PyTree) -> int:
     if len(lengths) != 1 or lengths == {()}:
         raise ScenarioError(f"flights: leading axes {sorted(lengths)}; states and varied parts need one common length")
     return lengths.pop()[0]
-
-
-def available_cores() -> int:
-    """Count the cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

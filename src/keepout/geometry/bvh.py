@@ -5,7 +5,6 @@ are visited along a space-filling curve, each starts from the last answer's tria
 cores.
 """
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple, no_type_check
@@ -14,12 +13,14 @@ import numba
 import numpy as np
 from jaxtyping import Float, Int
 
+from keepout.cores import available_cores
+
 # `no_type_check` below: run-time shape checks would wrap the functions that numba compiles.
 _LEAF_TRIANGLES = 4
 _THIN = 0.01
 """Height over longest edge below which a triangle counts as a sliver."""
 _CHUNK = 8192
-_WORKERS = max(1, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
+_WORKERS = available_cores()
 
 
 class Tree(NamedTuple):

@@ -256,9 +256,15 @@ def plan_campaign(
         progress: called while it is built.
 
     Raises:
-        KeepoutError: something in the scenario cannot be flown, or the box leaves almost no room outside the target.
+        KeepoutError: something in the scenario cannot be flown, it names dispersions, or the box leaves almost no room
+            outside the target.
 
     """
+    if scenario.campaign.dispersions:
+        raise ScenarioError(
+            f"campaign.dispersions: {', '.join(scenario.campaign.dispersions)}; `plan_campaign` and `run_campaign` "
+            "vary the start in the box only: fly these by `keepout campaign` or keepout.campaign.run.fly_campaign"
+        )
     mission = prepare(scenario, target=target, model=model, progress=progress)
     starts = draw_starts(scenario, mission.target)
     at_rest = jnp.asarray(starts.position), jnp.zeros_like(starts.position)

@@ -15,7 +15,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from keepout.audit.tube import Tube, nearest
-from keepout.flight.batches import BATCH, available_cores
+from keepout.cores import available_cores
+from keepout.flight.batches import BATCH
 from keepout.flight.loop import FlightLog, trace
 from keepout.flight.setup import FlightSetup
 from keepout.mission import environment
