@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from keepout.audit import sample_loops
 from keepout.errors import FlightError
 
 Distance = Callable[[Float[np.ndarray, "points 3"]], Float[np.ndarray, "points"]]
@@ -118,33 +119,28 @@ class Tube:
                 f"{bounds.angular_rate:.3g} rad/s; the record needs "
                 f"samples at most {0.4 / max(bounds.angular_rate, kappa**0.5):.3g} s apart"
             )
-        away = lengths(position[:, :-1])
-        radius = away + bounds.origin_offset
-        start = lengths(velocity[:, :-1])
-        thrust = lengths(acceleration[:, :-1])
-        speed = (start + step * (thrust + disturbance + kappa * radius)) / slack
-        residual = disturbance + 2.0 * bounds.angular_rate * speed + kappa * (radius + speed * step)
-        return cls(time, position, velocity, acceleration, residual, speed, away + speed * step > bounds.range_limit)
+        residual, speed, beyond = sample_loops.bound_steps(
+            step,
+            slack,
+            position,
+            velocity,
+            acceleration,
+            disturbance,
+            bounds.angular_rate,
+            kappa,
+            bounds.origin_offset,
+            bounds.range_limit,
+        )
+        return cls(time, position, velocity, acceleration, residual, speed, beyond)
 
     def inconsistency(self) -> Float[np.ndarray, "flights steps"]:
         """How far, in metres, the end of each step lies beyond what its start and the bounds allow; ≤ 0 is consistent.
 
         The velocity's excess is counted over the step's length, so that one number covers both.
         """
-        step = np.diff(self.time)[None, :]
-
-        def apart(axis: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            """Along one axis: how far the end is off, going forwards and going back, and the change of velocity."""
-            position, velocity = self.position[..., axis], self.velocity[..., axis]
-            held = self.acceleration[:, :-1, axis] * step
-            moved = position[:, 1:] - position[:, :-1]
-            forwards = moved - (velocity[:, :-1] + 0.5 * held) * step
-            backwards = moved - (velocity[:, 1:] - 0.5 * held) * step
-            return forwards, backwards, velocity[:, 1:] - velocity[:, :-1] - held
-
-        jump, backward, kick = (_length(parts) for parts in zip(*map(apart, range(3)), strict=True))
-        allowed = 0.5 * self.residual * step**2
-        return np.maximum(np.maximum(jump, backward) - allowed, (kick - self.residual * step) * step)
+        return sample_loops.excess_of_steps(
+            np.diff(self.time), self.position, self.velocity, self.acceleration, self.residual
+        )
 
     def piece(
         self,
@@ -226,20 +222,12 @@ class _Search:
     def blocks(self, flight: np.ndarray, first: np.ndarray, length: int) -> np.ndarray:
         """Bound blocks of whole steps by balls around their samples; the mask of those to be split."""
         tube = self.tube
-        last = tube.position.shape[1] - 1
-        index = np.minimum(first[:, None] + np.arange(length + 1), last)
-        points = tube.position[flight[:, None], index]
-        middles = [0.5 * (x.min(axis=1) + x.max(axis=1)) for x in components(points)]
-        centre = np.stack(middles, axis=-1)
-        away = _length([x - middle[:, None] for x, middle in zip(components(points), middles, strict=True)])
-        # Between two samples the path is at most half a step's travel from the nearer one.
-        travel = 0.5 * np.diff(tube.time)[index[:, :-1] - (index[:, :-1] == last)]
-        excess = (travel * tube.speed[flight[:, None], np.minimum(index[:, :-1], last - 1)]).max(axis=1)
-        near = np.argmin(away, axis=1)
+        centre, sample, least, most, excess = sample_loops.bound_blocks(
+            tube.time, tube.position, tube.speed, flight, first, length
+        )
         found = self.distance(centre)
-        sample = index[np.arange(len(first)), near]
-        self._improve(flight, found + away.min(axis=1), tube.time[sample], tube.position[flight, sample])
-        return self._settle(flight, found - away.max(axis=1) - excess)
+        self._improve(flight, found + least, tube.time[sample], tube.position[flight, sample])
+        return self._settle(flight, found - most - excess)
 
     def parts(
         self, flight: np.ndarray, index: np.ndarray, start: np.ndarray, end: np.ndarray, *, last: bool
