@@ -12,7 +12,7 @@ of path, less the piece's radius, bounds the whole piece from below; pieces are 
 first, until the bound is within the tolerance asked.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,14 +66,10 @@ def components(vectors: Float[np.ndarray, "*batch 3"]) -> list[Float[np.ndarray,
     return [vectors[..., axis] for axis in range(3)]
 
 
-def _length(parts: Sequence[Float[np.ndarray, "*batch"]]) -> Float[np.ndarray, "*batch"]:
-    x, y, z = parts
-    return np.sqrt(x * x + y * y + z * z)
-
-
 def lengths(vectors: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch"]:
     """Euclidean norms, by components."""
-    return _length(components(vectors))
+    x, y, z = components(vectors)
+    return np.sqrt(x * x + y * y + z * z)
 
 
 @dataclass(frozen=True)
