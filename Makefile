@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: help demo check test test-all lint format install shipped clean
+.PHONY: help demo check test test-all lint format install shipped basilisk clean
 
 help:
 	@echo "make demo      set up, then fly the built-in demonstration; results in out/demo"
@@ -13,6 +13,7 @@ help:
 	@echo "make test-all  the same with the tests that take hours"
 	@echo "make format    format the code"
 	@echo "make shipped   remake the learned fields that ship with the package"
+	@echo "make basilisk  fly law and guard as flight software in Basilisk, in an environment of its own"
 	@echo "make clean     remove the environment and all outputs"
 
 install: $(STAMP)
@@ -48,5 +49,13 @@ format: install
 shipped: install
 	$(BIN)/python -m keepout.learning.shipped
 
+basilisk: .venv-basilisk/.installed
+	.venv-basilisk/bin/python examples/basilisk/fly.py --out out/basilisk
+
+.venv-basilisk/.installed: pyproject.toml
+	$(PYTHON) -m venv .venv-basilisk
+	.venv-basilisk/bin/pip install --quiet --editable '.[basilisk]'
+	@touch $@
+
 clean:
-	rm -rf $(VENV) out .pytest_cache .ruff_cache
+	rm -rf $(VENV) .venv-basilisk out .pytest_cache .ruff_cache

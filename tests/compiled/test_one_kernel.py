@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from keepout.compiled.one_kernel import FEW, compiled, written_out
+from keepout.motion import Orbit, RelativeMotion, Tumbling
 
 X = np.random.default_rng(0).normal(size=12)
 MATRIX = 3.0 * np.eye(4) + 0.1
@@ -57,3 +58,12 @@ def test_an_error_of_the_function_is_its_own():
 
     with pytest.raises(ValueError, match="of the function"):
         compiled(wrong, X)
+
+
+def test_a_tumbling_target_leaves_a_step_in_one_kernel():
+    turning = Tumbling([0.001, 0.002, -0.001], [[3.0, 0.2, 0.1], [0.2, 2.5, 0.0], [0.1, 0.0, 4.0]])
+    motion = RelativeMotion(Orbit(7e6), turning)
+    state = motion.initial_state([5.0, 4.0, 3.0], [0.0, 0.01, 0.0])
+    program, in_one = compiled(motion.drift_acceleration, state)
+    assert in_one
+    np.testing.assert_allclose(program(state), motion.drift_acceleration(state), rtol=1e-13)

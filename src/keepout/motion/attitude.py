@@ -109,4 +109,7 @@ class Tumbling(AttitudeMotion):
     def rates(self, attitude: Quaternion, angular_velocity: Vector, frame: OrbitalFrame) -> tuple[Vector, Vector]:
         """Integrated ω, and ω̇ from Euler's equation."""
         torque = -jnp.cross(angular_velocity, self.inertia @ angular_velocity)
-        return angular_velocity, jnp.linalg.solve(self.inertia, torque)
+        # Cramer's rule: a library's solver would keep a step on board from being one kernel.
+        a, b, c = self.inertia.T
+        cofactors = jnp.stack([jnp.cross(b, c), jnp.cross(c, a), jnp.cross(a, b)])
+        return angular_velocity, cofactors @ torque / (a @ cofactors[0])
