@@ -16,6 +16,7 @@ from keepout.campaign.chunk import fly_chunk
 from keepout.campaign.dataset import Dataset
 from keepout.campaign.keep import Keep, keep_flights
 from keepout.campaign.plan import Plan
+from keepout.campaign.programs import flown_setup
 from keepout.campaign.replay import differences, replay
 from keepout.campaign.run import fly_campaign
 from keepout.campaign.summary import summary
@@ -185,6 +186,29 @@ def test_starts_in_the_target_are_refused_where_the_design_is_over_all_runs(scen
 def test_a_campaign_of_which_nothing_can_be_flown_is_refused(scenario):
     with pytest.raises(ScenarioError, match=r"none of the first 16 runs can be flown; .*chaser\.mass: -1"):
         Plan.of(scenario.replace(campaign={"dispersions": {"chaser.mass": {"choice": [-1.0]}}}))
+
+
+def test_flights_that_differ_in_the_phase_of_the_disturbance_share_one_program(scenario):
+    campaign = {"runs": 64, "dispersions": {"disturbance.phase": {"uniform": [0.0, 6.283]}}}
+    for kind in ({"kind": "paper"}, {"kind": "bang-bang", "amplitude": 0.02}, {"kind": "random", "amplitude": 0.02}):
+        plan = Plan.of(scenario.replace(campaign=campaign, disturbance=kind), batch=8)
+        [program] = plan.programs
+        assert sum(program.stacked) == 1, "all but the phase is equal to the last bit, the law too"
+        runs = plan.draw(0, 20)
+        assert all(program.takes(flown_setup(run.mission.setup)) for run in runs)
+        assert len({run.scenario.disturbance.phase for run in runs}) == 20
+
+
+def test_a_drawn_phase_is_what_is_flown(scenario):
+    campaign = {"runs": 8, "dispersions": {"disturbance.phase": {"uniform": [0.0, 6.283]}}}
+    plan = Plan.of(scenario.replace(campaign=campaign), batch=4)
+    rows = of_bytes(fly_chunk(plan, 0).table).to_pylist()
+    [again] = replay(plan, [3])
+    t = again.flight.record.time + rows[3]["disturbance.phase"] * np.array([[100.0], [50.0]])  # by 0.01 and 0.02 rad/s
+    expected = 0.01 * np.stack([np.sin(0.02 * t[1]), np.cos(0.02 * t[1]), np.sin(0.01 * t[0])], axis=1)
+    np.testing.assert_allclose(again.flight.record.disturbance, expected, atol=1e-15)
+    assert again.row["final_error"] == rows[3]["final_error"]
+    assert len({row["final_error"] for row in rows}) == len(rows) == 4
 
 
 PROGRAM = """

@@ -24,7 +24,9 @@ STYLE = """
 body{font:15px/1.5 system-ui,sans-serif;max-width:1100px;margin:2em auto;padding:0 1em;color:#1c2430}
 table{border-collapse:collapse;margin:1em 0}th,td{border-bottom:1px solid #d5dae0;padding:.35em .8em;text-align:right}
 th:first-child,td:first-child{text-align:left}img{max-width:100%}.bad{color:#b00020;font-weight:600}
-.wide{overflow-x:auto}.wide td{white-space:nowrap}
+.wide{overflow-x:auto}.wide td,.wide th{white-space:nowrap}
+code.line{display:block;white-space:pre;overflow-x:auto;user-select:all;background:#f3f5f7}
+code.line{padding:.35em .6em;margin:.3em 0}
 """
 
 
