@@ -24,6 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int, Key, PyTree
 
+from keepout.compiled.kept_executables import kept_jit
 from keepout.cores import available_cores
 from keepout.errors import ScenarioError
 from keepout.flight.loop import FlightLog, trace
@@ -172,7 +173,7 @@ def flight_key(seed: int | Int[Array, ""], place: int | Int[Array, ""]) -> Key[A
     return jax.random.fold_in(jax.random.key(seed), place)
 
 
-@eqx.filter_jit
+@kept_jit
 def _fly_batch(
     setup: FlightSetup,
     target: MotionState,
