@@ -53,6 +53,17 @@ _HARMLESS = ("Sharding",)
 """Calls out of a lowered program that are gone when it is compiled."""
 
 
+_taken_by_jax = [0]
+"""How many programs JAX took from its own folder."""
+
+
+def _count(name: str, **_: Any) -> None:
+    _taken_by_jax[0] += name == "/jax/compilation_cache/cache_hits"
+
+
+jax.monitoring.register_event_listener(_count)
+
+
 class _UnknownError(Exception):
     """Something is not told by a version or a source file."""
 
@@ -158,10 +169,12 @@ def _loaded(path: Path, arguments: int, arrays: int) -> Callable[..., Any] | Non
         return None
     places = jax.tree.structure(((0,) * arguments, {})), jax.tree.structure((0,) * arrays)
     try:
-        return serialize_executable.deserialize_and_load(content, *places)
+        run = serialize_executable.deserialize_and_load(content, *places)
     except Exception as error:  # XLA has no one kind for what it cannot load
         _warn(path, str(error).partition("\n")[0])
         return None
+    jax.monitoring.record_event("/keepout/kept_program_loaded")
+    return run
 
 
 def _compiled(
@@ -187,9 +200,12 @@ def _compiled(
     code = path.with_name(f"code_{function.__name__}-{hashlib.sha256(settings + text.encode()).hexdigest()}-cache")
     run = _loaded(code, len(leaves), arrays)
     if run is None:
-        # JAX would keep it as well, and what it has taken from its folder cannot be kept again: functions get lost.
+        # What JAX takes from its folder cannot be kept again: functions get lost. So it is not to keep this one.
+        before = _taken_by_jax[0]
         with jax_config.persistent_cache_min_compile_time_secs(float("inf")):
             run = lowered.compile()
+        if _taken_by_jax[0] != before:
+            return run, outline
         with suppress(NotImplementedError, ValueError):
             _write(code, serialize_executable.serialize(run)[0])
     with suppress(_UnknownError, TypeError, AttributeError, pickle.PicklingError):
