@@ -6,7 +6,6 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from keepout.audit.tube import FlightBounds
@@ -34,7 +33,7 @@ def _state(motion: RelativeMotion, position: jax.Array, velocity: jax.Array) -> 
 def initial_state(run: Run) -> MotionState:
     """Give the true state in which a run starts."""
     assert run.mission is not None
-    return _state(run.mission.setup.motion, jnp.asarray(run.position), jnp.asarray(run.velocity))
+    return _state(run.mission.setup.motion, jax.device_put(run.position), jax.device_put(run.velocity))
 
 
 def fly_runs(
@@ -79,7 +78,7 @@ def fly_runs(
     done = 0
     for (_, steps, _), (program, members, setups) in groups.items():
         states = [initial_state(run) for run in members]
-        initial = jax.tree.map(lambda *leaves: jnp.asarray(np.stack([np.asarray(leaf) for leaf in leaves])), *states)
+        initial = jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *states)
 
         def land(begin: int, log: dict[str, np.ndarray], members: list[Run] = members, before: int = done) -> None:
             count = len(log["time"])

@@ -24,6 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int, Key, PyTree
 
+from keepout.compiled.kept_executables import kept_jit
 from keepout.cores import available_cores
 from keepout.errors import ScenarioError
 from keepout.flight.loop import FlightLog, trace
@@ -115,9 +116,9 @@ def fly_batches(
     )
     flights = _common_length((varied, initial))
     alike = alike_among(initial) if alike is None else tuple(alike)
-    target, own_states = _shared(initial, alike)
+    target, own_states = _shared(jax.tree.map(_on_host, initial), alike)
     numbers = np.arange(first, first + flights) if places is None else np.asarray(places)
-    cases = (varied, own_states, jnp.asarray(numbers, jnp.int64))
+    cases = (jax.tree.map(_on_host, varied), own_states, np.asarray(numbers, np.int64))
     on_cpu = jax.default_backend() == "cpu"
     batch = batch or min(flights, BATCH if on_cpu else flights)
     workers = workers or (available_cores() if on_cpu else 1)
@@ -127,7 +128,7 @@ def fly_batches(
         index = np.arange(begin, begin + batch)
         own = np.where(index < flights, index, begin)
         mine = jax.tree.map(lambda array: array[own], cases)
-        result = _fly_batch(common, target, jnp.asarray(seed, jnp.int64), mine, steps, tuple(columns))
+        result = _fly_batch(common, target, jax.device_put(np.asarray(seed, np.int64)), mine, steps, tuple(columns))
         return jax.tree.map(lambda array: array[: flights - begin], jax.device_get(result))
 
     summaries: list[FlightOutcome] = []
@@ -164,7 +165,12 @@ def _shared(initial: MotionState, alike: Sequence[str]) -> tuple[MotionState, Mo
     """Split states into the entries that flights share, without an axis of flights, and their own; None elsewhere."""
     chosen = jax.tree_util.tree_map_with_path(lambda path, _: path[0].name in alike, initial)
     common, own = eqx.partition(initial, chosen)
-    return jax.tree.map(lambda array: array[0], common), own
+    return jax.tree.map(lambda array: array[:1].reshape(array.shape[1:]), common), own
+
+
+def _on_host(array: Any) -> Any:
+    """Give an array as NumPy's, whose entries are taken without compiling a program for it; random keys stay JAX's."""
+    return array if jnp.issubdtype(array.dtype, jax.dtypes.prng_key) else np.asarray(array)
 
 
 def flight_key(seed: int | Int[Array, ""], place: int | Int[Array, ""]) -> Key[Array, ""]:
@@ -172,7 +178,7 @@ def flight_key(seed: int | Int[Array, ""], place: int | Int[Array, ""]) -> Key[A
     return jax.random.fold_in(jax.random.key(seed), place)
 
 
-@eqx.filter_jit
+@kept_jit
 def _fly_batch(
     setup: FlightSetup,
     target: MotionState,

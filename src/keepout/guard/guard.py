@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from keepout.compiled.kept_executables import kept_jit
 from keepout.compiled.on_demand import where_needed
 from keepout.errors import ControlError
 from keepout.fields.field import Field
@@ -409,7 +410,7 @@ class Guard(SafetyLayer):
         return far | (jnp.linalg.norm(velocity) > a.speed_limit + a.velocity_error)
 
 
-@eqx.filter_jit
+@kept_jit
 def _looked_at(
     guard: Guard, start: MotionState, goal: Vector
 ) -> tuple[Float[Array, ""], Float[Array, ""], Bool[Array, ""]]:
@@ -431,6 +432,6 @@ def _as_arrays(guard: Guard) -> Guard:
     return jax.tree.map(lambda leaf: as_float64(leaf) if isinstance(leaf, float) else leaf, guard)
 
 
-@eqx.filter_jit
+@kept_jit
 def _certified_start(guard: Guard, truth: MotionState) -> Bool[Array, ""]:
     return guard.certified_start(truth)
