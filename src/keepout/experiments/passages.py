@@ -12,7 +12,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from keepout.audit.audit import audit_campaign
 from keepout.control.controller import Controller
 from keepout.control.guidance.guidance import Guidance
 from keepout.experiments.rest import first_within, trapped
@@ -20,7 +19,7 @@ from keepout.experiments.work import Work
 from keepout.flight.batches import fly_batches
 from keepout.flight.loop import FlightLog
 from keepout.flight.setup import FlightSetup
-from keepout.mission import environment
+from keepout.mission.audited import judge
 from keepout.mission.build import Mission
 from keepout.mission.scenario import Scenario
 
@@ -139,17 +138,7 @@ def _fly(
         workers=1,
     )
     time, position = columns["time"][0], columns["position"][:count]
-    audits = audit_campaign(
-        time,
-        position,
-        columns["velocity"][:count],
-        columns["force"][:count],
-        mission.target,
-        chaser_radius=scenario.chaser.radius,
-        bounds=environment.flight_bounds(scenario),
-        force_limit=scenario.chaser.force_limit,
-        speed_limit=scenario.chaser.speed_limit,
-    )
+    audits = judge(scenario, mission.target, {name: column[:count] for name, column in columns.items()})
     tolerance = scenario.goal.tolerance
     ends = [(path, np.asarray(passage.goal)) for path, passage in zip(position, passages, strict=True)]
     within = [first_within(time, path, goal, tolerance) for path, goal in ends]
