@@ -32,7 +32,7 @@ from kept_rows import Rows
 from keepout.audit.audit import Contact
 from keepout.control.law import Command, Law
 from keepout.flight import faults as broken
-from keepout.flight.batches import fly_batches, initial_states
+from keepout.flight.batches import fly_batches, states_at
 from keepout.flight.setup import NoFaults
 from keepout.guard.field import RECIPE
 from keepout.guard.status import GuardFlag
@@ -108,18 +108,12 @@ def row_setup(setup, fault, shape, flights, generator):
     return eqx.tree_at(varied, setup, (*same, disturbances(shape, flights, generator)))
 
 
-def starting(world, setup, fault, flights, generator, seed):
-    """Draw states at rest."""
-    places = world.starts(setup.guard, generator, flights, close=fault.close)
-    return initial_states(setup.motion, lambda _, n: (places, np.zeros((n, 3))), flights, seed=seed)
-
-
 def fly_row(world, setup, fault, plan):
     """Fly and audit one row; `plan` is what it is known by."""
     shape, flights, seed = plan["disturbance"], plan["flights"], plan["seed"]
     number = ROWS.index((fault, shape))
     generator = np.random.default_rng([seed, number])
-    initial = starting(world, setup, fault, flights, generator, seed)
+    initial = states_at(setup.motion, world.starts(setup.guard, generator, flights, close=fault.close))
     flags = []
     began = time.perf_counter()
     outcome, audits = fly_audited(
@@ -180,7 +174,7 @@ def cost(name, duration, flights=128):
     for law in ("none", "into the body"):
         fault = next(f for f in FAULTS if f.law == law)
         generator = np.random.default_rng(0)
-        initial = starting(world, base, fault, flights, generator, 0)
+        initial = states_at(base.motion, world.starts(base.guard, generator, flights, close=False))
         full = row_setup(base, fault, "paper", flights, generator)
         is_none = {"is_leaf": lambda x: x is None}
         alone = eqx.tree_at(lambda s: s.guard, full, None, **is_none)

@@ -35,7 +35,7 @@ from keepout.control.guidance.geodesic import geodesic_guidance
 from keepout.control.guidance.plan import Straight
 from keepout.control.profiles import ControlWarning
 from keepout.control.tuning import tune
-from keepout.flight.batches import BATCH
+from keepout.flight.batches import BATCH, states_at
 from keepout.mission.audited import fly_audited
 from keepout.mission.build import build_law, flight_setup, operation
 from keepout.report import terminal
@@ -141,8 +141,7 @@ def fly_pairs(case, scenario, law, chosen, index, refused, rate):
                 part, guidances = travel_times(case, grid, offset, prototype, part, refused)
             if len(part) == 0:
                 continue
-            starts = jnp.asarray(pairs[part, 0])
-            initial = eqx.filter_vmap(setup.motion.initial_state)(starts, jnp.zeros_like(starts))
+            initial = states_at(setup.motion, pairs[part, 0])
             if rate:
                 initial = eqx.tree_at(lambda s: s.angular_velocity, initial, jnp.asarray(np.radians(rate) * axes[part]))
             floors = []

@@ -11,6 +11,7 @@ import numpy as np
 
 from keepout.audit.audit import Contact
 from keepout.errors import KeepoutError
+from keepout.flight.batches import states_at
 from keepout.flight.loop import fly
 from keepout.flight.on_board import OnBoard
 from keepout.flight.setup import FlightSetup
@@ -74,7 +75,7 @@ class Flown:
     def add(self, part, laws, guarded, size, progress):
         """Fly and audit the pairs `part` in a batch of `size`."""
         case = self.case
-        starts, goals = case.pairs[part, 0], case.pairs[part, 1]
+        goals = case.pairs[part, 1]
         law, select = stacked(laws)
         setup = setup_of(case, laws[0], goals[0], guarded)
         setup = eqx.tree_at(lambda s: (s.controller, s.goal), setup, (law, jnp.asarray(goals)))
@@ -87,7 +88,7 @@ class Flown:
             case.scenario.replace(duration=float(case.seconds)),
             case.target,
             setup,
-            eqx.filter_vmap(setup.motion.initial_state)(jnp.asarray(starts), jnp.zeros_like(starts)),
+            states_at(setup.motion, case.pairs[part, 0]),
             vary=lambda s: [s.goal, *select(s.controller)],
             landed=landed,
             batch=size,

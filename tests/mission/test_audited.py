@@ -7,7 +7,7 @@ import pytest
 
 from keepout.audit.audit import Contact
 from keepout.control.guidance.plan import Straight
-from keepout.flight.batches import fly_batches
+from keepout.flight.batches import fly_batches, states_at
 from keepout.mission.audited import AUDITED, fly_audited, judge
 from keepout.mission.build import flight_setup, prepare
 from keepout.mission.scenario import Scenario
@@ -34,7 +34,7 @@ def varied(setup):
 
 def test_flights_with_goals_of_their_own_are_judged_in_their_order(mission):
     setup = eqx.tree_at(varied, mission.setup, (jnp.asarray(GOALS), jnp.asarray(GOALS)))
-    initial = eqx.filter_vmap(setup.motion.initial_state)(jnp.asarray(STARTS), jnp.zeros((3, 3)))
+    initial = states_at(setup.motion, STARTS)
     logs = []
     outcome, audits = fly_audited(
         mission.scenario,
@@ -59,7 +59,7 @@ def test_flights_with_goals_of_their_own_are_judged_in_their_order(mission):
 
 def test_verdicts_are_by_the_scenarios_own_numbers(mission):
     log = {}
-    initial = eqx.filter_vmap(mission.setup.motion.initial_state)(jnp.asarray(STARTS[:1]), jnp.zeros((1, 3)))
+    initial = states_at(mission.setup.motion, STARTS[:1])
     fly_batches(mission.setup, initial, 60, columns=AUDITED, landed=lambda _, columns: log.update(columns))
     one = judge(mission.scenario, mission.target, log)[0]
     larger = mission.scenario.replace(chaser={"radius": 0.75, "speed_limit": 0.01})

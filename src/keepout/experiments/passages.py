@@ -16,7 +16,7 @@ from keepout.control.controller import Controller
 from keepout.control.guidance.guidance import Guidance
 from keepout.experiments.rest import first_within, trapped
 from keepout.experiments.work import Work
-from keepout.flight.batches import fly_batches
+from keepout.flight.batches import fly_batches, states_at
 from keepout.flight.loop import FlightLog
 from keepout.flight.setup import FlightSetup
 from keepout.mission.audited import judge
@@ -122,8 +122,7 @@ def _fly(
     filled = [passages[i % count] for i in range(size)]
     goals = jnp.asarray([p.goal for p in filled])
     setup = eqx.tree_at(_varied, mission.setup, (goals, guidances(filled)))
-    starts = jnp.asarray([p.start for p in filled])
-    initial = eqx.filter_vmap(setup.motion.initial_state)(starts, jnp.zeros_like(starts))
+    initial = states_at(setup.motion, [p.start for p in filled])
     columns: dict[str, np.ndarray] = {}
     names = [name for name in FlightLog.__annotations__ if name != "target_orbit"]
     result = fly_batches(

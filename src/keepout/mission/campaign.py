@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -19,7 +18,7 @@ from keepout.audit.audit import Audit, Contact
 from keepout.audit.outside import proved_outside
 from keepout.errors import ScenarioError
 from keepout.fields.model import FieldModel
-from keepout.flight.batches import alike_among
+from keepout.flight.batches import alike_among, states_at
 from keepout.flight.outcome import FlightOutcome
 from keepout.geometry.target import Target
 from keepout.guard.status import flag_names
@@ -247,8 +246,7 @@ def plan_campaign(
         )
     mission = prepare(scenario, target=target, model=model, progress=progress)
     starts = draw_starts(scenario, mission.target)
-    at_rest = jnp.asarray(starts.position), jnp.zeros_like(starts.position)
-    initial = eqx.filter_vmap(mission.setup.motion.initial_state)(*at_rest)
+    initial = states_at(mission.setup.motion, starts.position)
     guard, certified = mission.guard, None
     if guard is not None:
         certified = np.asarray(eqx.filter_jit(eqx.filter_vmap(guard.certified_start))(initial))
