@@ -93,34 +93,23 @@ def flown(plan, runs, steps, *, audit):
     """Fly the first runs of a plan; seconds by the clock and of processor time."""
     import jax
 
-    from keepout.audit.audit import audit_campaign
     from keepout.flight.batches import BATCH, fly_batches
     from keepout.mission import environment
+    from keepout.mission.audited import AUDITED, judge
 
-    scenario, target = plan.mission.scenario, plan.mission.target
-    bounds, chaser, verdicts = environment.flight_bounds(scenario), scenario.chaser, []
+    scenario, verdicts = plan.mission.scenario, []
+    bounds = environment.flight_bounds(scenario)
 
-    def landed(_, columns):
-        verdicts.extend(
-            audit_campaign(
-                *(columns[name] if name != "time" else columns[name][0] for name in audited[:4]),
-                target,
-                guard_status=columns["guard_status"],
-                chaser_radius=chaser.radius,
-                bounds=bounds,
-                force_limit=chaser.force_limit,
-                speed_limit=chaser.speed_limit,
-            )
-        )
+    def landed(_, log):
+        verdicts.extend(judge(scenario, plan.mission.target, log, bounds=bounds))
 
-    audited = ("time", "position", "velocity", "force", "guard_status")
     began = time.perf_counter(), time.process_time()
     fly_batches(
         plan.mission.setup,
         jax.tree.map(lambda array: array[:runs], plan.initial),
         steps,
         seed=scenario.seed,
-        columns=audited if audit else (),
+        columns=AUDITED if audit else (),
         landed=landed if audit else None,
         batch=BATCH,
     )

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import pyarrow as pa
 
-from keepout.audit.audit import Audit, Contact, audit_campaign
+from keepout.audit.audit import Audit, Contact
 from keepout.audit.tube import FlightBounds
 from keepout.campaign import bands, table
 from keepout.campaign.drawing import Run
@@ -19,8 +19,9 @@ from keepout.campaign.plan import Plan
 from keepout.compiled.kept_programs import processor
 from keepout.digest import digest
 from keepout.guard.guard import Guard, starts_certified
+from keepout.mission.audited import AUDITED, judge
+from keepout.mission.entries import ChaserEntry
 
-AUDITED = ("time", "position", "velocity", "force", "guard_status")
 COLUMNS = tuple(dict.fromkeys((*AUDITED, *bands.COLUMNS)))
 """What a campaign takes out of its compiled programs: to take out more is another program, of other last bits."""
 
@@ -119,29 +120,16 @@ def fly_rows(
 
 def audits(runs: Sequence[Run], log: dict[str, np.ndarray]) -> list[Audit]:
     """Judge flights on the exact mesh, together where they share what they are judged by."""
-    groups: dict[tuple[int, FlightBounds, tuple[float, ...]], list[int]] = {}
+    groups: dict[tuple[int, FlightBounds, ChaserEntry], list[int]] = {}
     for place, run in enumerate(runs):
-        chaser = run.scenario.chaser
-        limits = (chaser.radius, chaser.force_limit, chaser.speed_limit)
         assert run.mission is not None
-        groups.setdefault((id(run.mission.target), bounds_of(run), limits), []).append(place)
+        groups.setdefault((id(run.mission.target), bounds_of(run), run.scenario.chaser), []).append(place)
     found: dict[int, Audit] = {}
-    for (_, bounds, (radius, force, speed)), places in groups.items():
+    for (_, bounds, _), places in groups.items():
         mission = runs[places[0]].mission
         assert mission is not None
-        judged = audit_campaign(
-            log["time"][places[0]],
-            log["position"][places],
-            log["velocity"][places],
-            log["force"][places],
-            mission.target,
-            guard_status=log["guard_status"][places],
-            chaser_radius=radius,
-            bounds=bounds,
-            force_limit=force,
-            speed_limit=speed,
-        )
-        found.update(zip(places, judged))
+        own = {name: log[name][places] for name in AUDITED}
+        found.update(zip(places, judge(mission.scenario, mission.target, own, bounds=bounds)))
     return [found[place] for place in range(len(runs))]
 
 

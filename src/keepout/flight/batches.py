@@ -23,6 +23,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int, Key, PyTree
+from numpy.typing import ArrayLike
 
 from keepout.compiled.kept_executables import kept_jit
 from keepout.cores import available_cores
@@ -36,9 +37,6 @@ from keepout.progress import Progress, silent
 BATCH = 128
 """Flights in a batch on a CPU."""
 
-Sampler = Callable[[np.random.Generator, int], tuple[np.ndarray, np.ndarray]]
-"""Draws a number of starts: positions (m) and velocities (m/s), both (flights, 3), in body axes."""
-
 TARGET = ("time", "attitude", "angular_velocity", "target_orbit")
 """Entries of a `MotionState` that tell where the target is and how it turns: what flights can have in common."""
 
@@ -46,19 +44,26 @@ Landed = Callable[[int, dict[str, np.ndarray]], None]
 """Called with the index of a batch's first flight and its log columns, each (flights in the batch, steps + 1, ...)."""
 
 
-def initial_states(motion: RelativeMotion, sampler: Sampler, flights: int, *, seed: int) -> MotionState:
-    """Draw the initial states of a campaign: a `MotionState` whose arrays have a leading axis of `flights`.
+def states_at(motion: RelativeMotion, position: ArrayLike, velocity: ArrayLike | None = None) -> MotionState:
+    """Give the initial states of many flights: a `MotionState` whose arrays have a leading axis of flights.
+
+    Args:
+        motion: of every flight.
+        position: (flights, 3) m, body axes.
+        velocity: (flights, 3) m/s, body axes; by default at rest.
 
     Raises:
-        ScenarioError: fewer than one flight, or a sampler that returns other shapes or values that are not finite.
+        ScenarioError: no flights, or values that are not finite or not three a flight.
 
     """
+    position = np.asarray(position, np.float64)
+    velocity = np.zeros_like(position) if velocity is None else np.asarray(velocity, np.float64)
+    flights = len(np.atleast_1d(position))
     if flights < 1:
-        raise ScenarioError(f"flights: {flights}; it must be at least 1")
-    position, velocity = (np.asarray(draw, np.float64) for draw in sampler(np.random.default_rng(seed), flights))
-    for name, draw in (("positions", position), ("velocities", velocity)):
-        if draw.shape != (flights, 3) or not np.all(np.isfinite(draw)):
-            raise ScenarioError(f"sampled {name}: shape {draw.shape}; they must be finite and of shape ({flights}, 3)")
+        raise ScenarioError("flights: 0; there must be at least 1")
+    for name, given in (("positions", position), ("velocities", velocity)):
+        if given.shape != (flights, 3) or not np.all(np.isfinite(given)):
+            raise ScenarioError(f"{name}: shape {given.shape}; they must be finite and of shape ({flights}, 3)")
     return eqx.filter_vmap(motion.initial_state)(jnp.asarray(position), jnp.asarray(velocity))
 
 
@@ -82,7 +87,7 @@ def fly_batches(
 
     Args:
         setup: of every flight.
-        initial: states with a leading axis of flights, as `initial_states` draws them.
+        initial: states with a leading axis of flights, as `states_at` gives them.
         steps: control steps of each flight.
         seed: of the flights' own random keys, one each: the seed's key with the flight's place folded in, however many
             flights there are.
