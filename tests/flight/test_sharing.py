@@ -78,6 +78,7 @@ def _loops(program):
                 yield from _loops(inner.jaxpr)
 
 
+@pytest.mark.long
 def test_a_target_that_turns_otherwise_in_each_flight():
     setup = tumbling_setup()
     rates = jnp.array([[0.002, -0.003, 0.001], [0.0, 0.004, 0.0], [0.001, 0.0, -0.002]])
@@ -92,6 +93,7 @@ def test_a_target_that_turns_otherwise_in_each_flight():
         np.testing.assert_allclose(varied["position"][k], single["position"][0], rtol=0.0, atol=1e-12)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("k", [0, 3, 6])
 def test_a_run_flown_alone_is_the_run_of_the_campaign(k):
     setup = make_setup(faults=WrongEstimate(0.1, 0.0, 0.1, 0.01))
