@@ -57,8 +57,8 @@ _taken_by_jax = [0]
 """How many programs JAX took from its own folder."""
 
 
-def _count(name: str, **_: Any) -> None:
-    _taken_by_jax[0] += name == "/jax/compilation_cache/cache_hits"
+def _count(event: str, **_: Any) -> None:
+    _taken_by_jax[0] += event == "/jax/compilation_cache/cache_hits"
 
 
 jax.monitoring.register_event_listener(_count)
