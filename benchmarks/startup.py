@@ -80,7 +80,7 @@ def rounds(repeats: int, out: Path) -> dict[str, list[dict[str, float]]]:
     rows: dict[str, list[dict[str, float]]] = {}
     run = ["-c", PROGRAM]
     fly = [*run, "fly", str(SCENARIO), "--json", "-o", str(out / "fly")]
-    campaign = [*run, "campaign", str(SCENARIO), "--runs", "8", "--json", "-o", str(out / "campaign")]
+    campaign = [*run, "campaign", str(SCENARIO), "--runs", "8", "--json", "-o"]
     for round_ in range(repeats):
         kept = out / f"compiled-{round_}"
         kept_campaign = out / f"compiled-campaign-{round_}"
@@ -91,8 +91,9 @@ def rounds(repeats: int, out: Path) -> dict[str, list[dict[str, float]]]:
             "fly, warm": ([*fly, "--no-figures"], kept),
             "fly with figures, warm": (fly, kept),
             "fly, nothing kept": ([*fly, "--no-figures"], "off"),
-            "campaign of 8, cold": (campaign, kept_campaign),
-            "campaign of 8, warm": (campaign, kept_campaign),
+            # A folder each: in one that is complete nothing would be flown again.
+            "campaign of 8, cold": ([*campaign, str(out / f"campaign-{round_}-cold")], kept_campaign),
+            "campaign of 8, warm": ([*campaign, str(out / f"campaign-{round_}-warm")], kept_campaign),
         }
         for name, (arguments, folder) in cases.items():
             rows.setdefault(name, []).append(measured(arguments, folder))
