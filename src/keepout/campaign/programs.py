@@ -94,6 +94,8 @@ def program_for(programs: Sequence[Program], setup: FlightSetup) -> tuple[Any, P
 
 def stacked_setup(program: Program, setups: Sequence[FlightSetup]) -> FlightSetup:
     """Give the setup of flights that fly together: one entry a flight in the stacked leaves, the first's elsewhere."""
+    if not any(program.stacked):
+        return setups[0]
     columns = zip(*(jax.tree.leaves(setup) for setup in setups), strict=True)
     leaves = [
         np.stack([np.asarray(leaf) for leaf in column]) if own else column[0]

@@ -31,6 +31,8 @@ Vector = Float[Array, "3"]
 
 _ROUNDING = 1e-9
 """Metres: far more than float64 loses between two evaluations of the same field value."""
+_ROOM = 256
+"""States handed to a compiled program at once where many starts are looked at; fewer cost no more than they are."""
 
 
 class GuardState(eqx.Module):
@@ -419,12 +421,19 @@ def _looked_at(
     return here, there, guard.certified_start(start)
 
 
-def starts_certified(guard: Guard, truth: MotionState) -> bool:
-    """Whether a true state is one of `Guard.certified_start`; needs concrete values.
+def starts_certified(guard: Guard, truths: MotionState) -> Bool[np.ndarray, "states"]:
+    """Whether true states, with a leading axis, are those of `Guard.certified_start`; needs concrete values.
 
-    Guards of other numbers share what is compiled, as their numbers are handed over as arrays.
+    Guards of other numbers share what is compiled, as their numbers are handed over as arrays. One state is looked at
+    after another, so that what is said of one does not depend on how many there are.
     """
-    return bool(_certified_start(_as_arrays(guard), truth))
+    numbers, found = _as_arrays(guard), []
+    for first in range(0, len(truths.position), _ROOM):
+        count = min(len(truths.position) - first, _ROOM)
+        places = np.minimum(np.arange(first, first + _ROOM), first + count - 1)
+        some = jax.tree.map(lambda array, places=places: np.asarray(array)[places], truths)
+        found.append(np.asarray(_certified_starts(numbers, some, jnp.asarray(count)))[:count])
+    return np.concatenate(found)
 
 
 def _as_arrays(guard: Guard) -> Guard:
@@ -433,5 +442,8 @@ def _as_arrays(guard: Guard) -> Guard:
 
 
 @kept_jit
-def _certified_start(guard: Guard, truth: MotionState) -> Bool[Array, ""]:
-    return guard.certified_start(truth)
+def _certified_starts(guard: Guard, truths: MotionState, count: Int[Array, ""]) -> Bool[Array, "room"]:
+    def look(place: Int[Array, ""], found: Bool[Array, "room"]) -> Bool[Array, "room"]:
+        return found.at[place].set(guard.certified_start(jax.tree.map(lambda array: array[place], truths)))
+
+    return jax.lax.fori_loop(0, count, look, jnp.zeros(_ROOM, bool))

@@ -283,10 +283,10 @@ def room_to_start(scenario: Scenario) -> float:
     return scenario.chaser.radius + scenario.safety.margin + 0.2
 
 
-def has_way_out(scenario: Scenario, target: Target, point: Float[np.ndarray, "3"]) -> bool:
-    """Whether the chaser is proved to get from a point (m) out of the target; see `proved_outside`."""
-    mesh = target.distance
-    return proved_outside(point, mesh.distance, mesh.lower, mesh.upper, radius=scenario.chaser.radius, expansions=100)
+def has_way_out(scenario: Scenario, target: Target, point: Float[np.ndarray, "3"], away: float) -> bool:
+    """Whether the chaser is proved to get from a point, `away` from the mesh (m), out of the target."""
+    mesh, radius = target.distance, scenario.chaser.radius
+    return proved_outside(point, mesh.distance, mesh.lower, mesh.upper, radius=radius, expansions=100, away=away)
 
 
 def draw_starts(scenario: Scenario, target: Target) -> Starts:
@@ -300,12 +300,13 @@ def draw_starts(scenario: Scenario, target: Target) -> Starts:
     while found < wanted:
         points = generator.uniform(lower, upper, (max(wanted, 1000), 3))
         drawn += len(points)
-        roomy = np.flatnonzero(mesh.distance(points) > room)
+        away = mesh.distance(points)
+        roomy = np.flatnonzero(away > room)
         # Those after the last one needed were never asked for.
         asked = len(points) if len(roomy) < wanted - found else roomy[wanted - found - 1] + 1
-        points = points[roomy[: wanted - found]]
+        points, away = points[roomy[: wanted - found]], away[roomy[: wanted - found]]
         near += int(asked) - len(points)
-        free = np.array([has_way_out(scenario, target, point) for point in points], dtype=bool)
+        free = np.array([has_way_out(scenario, target, *at) for at in zip(points, away.tolist())], dtype=bool)
         kept.append(points[free])
         found += int(free.sum())
         enclosed += int((~free).sum())
