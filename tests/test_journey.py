@@ -21,14 +21,13 @@ from truths.results import Page, check_picture, numbers
 
 import keepout
 from keepout.audit.audit import Audit, audit, audit_campaign
-from keepout.campaign import chunk as chunks
 from keepout.fields.evaluate import values
 from keepout.fields.model import FieldModel
 from keepout.flight.record import FlightRecord
 from keepout.geometry.builtin import BUILTINS
 from keepout.geometry.target import Target
 from keepout.learning import checkpoint
-from keepout.mission import environment
+from keepout.mission import audited, environment
 from keepout.mission import flight as flights
 from keepout.mission.flight import fly
 from keepout.mission.scenario import Scenario
@@ -117,7 +116,7 @@ def campaign(place, certified, landed):
         return audit_campaign(*arguments, **options)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(chunks, "audit_campaign", audit_and_keep)
+        patch.setattr(audited, "audit_campaign", audit_and_keep)
         command = ("campaign", "mission.toml", "--runs", RUNS, "--seed", 3, "-o", "many", "--keep", "all", "--json")
         return keepout_command(*command).json
 
