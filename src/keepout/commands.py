@@ -224,11 +224,14 @@ def fly_to_folder(
     scenario: "Scenario", out: Path, *, figures: bool = True, progress: Progress = silent
 ) -> dict[str, Any]:
     """Fly a scenario; write flight file, figures, page and `summary.json` into `out`."""
+    from keepout.mission.first_look import look
+
+    target = look(scenario)
     from keepout.mission.flight import fly
     from keepout.report.folder import make_folder, write_flights, write_summary
 
     make_folder(out)
-    flight = fly(scenario, progress=part_of(progress, 0.0, 0.9))
+    flight = fly(scenario, target=target, progress=part_of(progress, 0.0, 0.9))
     introduction = (
         f"Target {flight.target.name}, start {list(scenario.start.position)} m, goal {list(scenario.goal.position)} m."
     )

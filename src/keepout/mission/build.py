@@ -35,8 +35,8 @@ from keepout.guard.guard import Guard
 from keepout.guard.safety_layer import SafetyLayer
 from keepout.mission import environment
 from keepout.mission.assumptions import broken_assumptions
-from keepout.mission.entries import TargetEntry
 from keepout.mission.scenario import Scenario
+from keepout.mission.target import load_target, require_apart
 from keepout.motion import MotionState
 from keepout.motion.arrays import as_float64
 from keepout.progress import Progress, part_of, silent
@@ -95,20 +95,6 @@ class Mission:
         return replace(self, setup=replace(self.setup, guard=guard), start_certified=None)
 
 
-def load_target(entry: TargetEntry) -> Target:
-    """Load a scenario's target."""
-    return Target.load(
-        entry.source,
-        units=entry.units,
-        scale=entry.scale,
-        drop_stray=entry.drop_stray,
-        thickness=entry.thickness,
-        rotation=None if entry.rotation is None else np.asarray(entry.rotation),
-        origin=None if entry.origin is None else np.asarray(entry.origin),
-        parameters=dict(entry.parameters) or None,
-    )
-
-
 def load_model(scenario: Scenario, target: Target) -> FieldModel:
     """Load a scenario's field, refusing one that was made for another mesh.
 
@@ -157,7 +143,7 @@ def prepare(
     model = load_model(scenario, target) if model is None else model
     model.require_target(target, where="field")
     certificate = model.certificate(scenario.chaser.radius)
-    _refuse_contact(scenario, target)
+    require_apart(scenario, target)
     motion = environment.relative_motion(scenario)
     try:
         law = _law_or_way_out(scenario, model, guidance, part_of(progress, 0.0, 0.6))
@@ -190,18 +176,6 @@ def prepare(
         tolerance=scenario.goal.tolerance,
     )
     return Mission(scenario, target, model, certificate, setup, initial, start_certified, broken)
-
-
-def _refuse_contact(scenario: Scenario, target: Target) -> None:
-    """Refuse a start or goal where the chaser would touch the target."""
-    radius = scenario.chaser.radius
-    for name, position in (("start", scenario.start.position), ("goal", scenario.goal.position)):
-        distance = float(target.distance.distance(np.asarray(position)[None])[0])
-        if distance <= radius:
-            raise ScenarioError(
-                f"{name}.position: {list(position)} m is {distance:.3f} m from the target, where a chaser of radius "
-                f"{radius} m touches it; it must be further than that radius"
-            )
 
 
 def _missed_room(name: str, scenario: Scenario, target: Target, model: FieldModel, progress: Progress) -> str:

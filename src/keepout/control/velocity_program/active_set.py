@@ -111,16 +111,20 @@ def _correction(unit: UnitProgram, active: Active, at: Stationary, values: _Equa
     barrier_value = values.barrier + jnp.sum(gradient * fixed)
     speed_value = values.speed + jnp.sum(v * fixed)
     rhs = values.stationarity + jnp.sum(hessian * fixed, axis=-1)
-    columns = free[:, None] * jnp.stack([rhs, gradient, v], axis=1)
+    # Three arrays and not one of three columns: only the first depends on `values`, and a derivative that is taken
+    # backwards must see that the others do not.
+    rhs_free, gradient_free, velocity_free = free * rhs, free * gradient, free * v
     factors = factor(free[:, None] * free * hessian + jnp.diag(1.0 - free))
-    from_rhs, from_gradient, from_velocity = (back_substitute(factors, columns[:, i]) for i in range(3))
+    from_rhs = back_substitute(factors, rhs_free)
+    from_gradient = back_substitute(factors, gradient_free)
+    from_velocity = back_substitute(factors, velocity_free)
 
     # Schur complement of the active rows; an inactive row keeps its multiplier's change at zero.
-    bb = jnp.where(active.barrier, jnp.sum(columns[:, 1] * from_gradient), 1.0)
-    ss = jnp.where(active.speed, jnp.sum(columns[:, 2] * from_velocity), 1.0)
-    bs = jnp.where(active.barrier & active.speed, jnp.sum(columns[:, 1] * from_velocity), 0.0)
-    target_b = jnp.where(active.barrier, jnp.sum(columns[:, 1] * from_rhs) - barrier_value, 0.0)
-    target_s = jnp.where(active.speed, speed_value - jnp.sum(columns[:, 2] * from_rhs), 0.0)
+    bb = jnp.where(active.barrier, jnp.sum(gradient_free * from_gradient), 1.0)
+    ss = jnp.where(active.speed, jnp.sum(velocity_free * from_velocity), 1.0)
+    bs = jnp.where(active.barrier & active.speed, jnp.sum(gradient_free * from_velocity), 0.0)
+    target_b = jnp.where(active.barrier, jnp.sum(gradient_free * from_rhs) - barrier_value, 0.0)
+    target_s = jnp.where(active.speed, speed_value - jnp.sum(velocity_free * from_rhs), 0.0)
     determinant = bb * ss - bs * bs
     safe = jnp.where(determinant > 1e-14 * bb * ss, determinant, jnp.inf)
     barrier = (ss * target_b + bs * target_s) / safe
