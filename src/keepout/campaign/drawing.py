@@ -11,7 +11,7 @@ from keepout.campaign.dispersion import Design
 from keepout.campaign.workshop import Workshop
 from keepout.errors import KeepoutError, ScenarioError
 from keepout.mission.build import Mission
-from keepout.mission.campaign import has_way_out, room_to_start
+from keepout.mission.places import has_way_out, room_to_start
 from keepout.mission.entry_names import COMPONENTS, with_entries
 from keepout.mission.scenario import Scenario
 
