@@ -22,7 +22,7 @@ from keepout.control.guidance.plan import Componentwise, Geodesic, GuidancePlan,
 from keepout.control.law import Law
 from keepout.control.observer import NoObserver, Observer, constant_observer, harmonic_observer, printed_observer
 from keepout.control.operation import Operation
-from keepout.errors import ControlError, FieldError, KeepOutZoneError, ScenarioError
+from keepout.errors import ControlError, FieldError, KeepOutZoneError
 from keepout.fields.evaluate import values
 from keepout.fields.model import Certificate, FieldModel
 from keepout.fields.shipped import load_shipped, shipped_names

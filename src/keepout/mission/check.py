@@ -13,7 +13,7 @@ from keepout.control.law import Condition
 from keepout.control.operation import Operation
 from keepout.control.profiles import ControlWarning
 from keepout.control.tuning import tune
-from keepout.errors import KeepOutZoneError, KeepoutError
+from keepout.errors import KeepoutError, KeepOutZoneError
 from keepout.fields.evaluate import values
 from keepout.fields.model import FieldModel
 from keepout.geometry.target import Target

@@ -63,9 +63,7 @@ def _table(name: str, kind: Any, values: Mapping[str, Any], notes: Mapping[str, 
     return lines + within
 
 
-def _entry(
-    name: str, key: str, field: FieldInfo, values: Mapping[str, Any], notes: Mapping[str, str]
-) -> Iterable[str]:
+def _entry(name: str, key: str, field: FieldInfo, values: Mapping[str, Any], notes: Mapping[str, str]) -> Iterable[str]:
     said = field.description or ""
     if name in notes:
         said = f"{said}; {notes[name]}" if said else notes[name]

@@ -12,9 +12,6 @@ from keepout.mission.scenario import Scenario
 from keepout.progress import Progress, silent
 
 if TYPE_CHECKING:
-    import numpy as np
-    from jaxtyping import Float
-
     from keepout.geometry.target import Target
 
 _STAND_OFF = 3.0
@@ -119,9 +116,9 @@ def draft(
     duration = 100.0 * math.ceil((1.5 * way / speed + 200.0) / 100.0)
     scenario = scenario.replace(duration=duration)
     values = _numbers(scenario) | values
-    extents = target.vertices.max(axis=0) - target.vertices.min(axis=0)
+    width, depth, height = (target.vertices.max(axis=0) - target.vertices.min(axis=0)).tolist()
     notes = {
-        "target.source": f"its box is {' x '.join(f'{extent:.3g}' for extent in extents)} m",
+        "target.source": f"its box is {width:.3g} x {depth:.3g} x {height:.3g} m",
         "chaser.speed_limit": f"the thrusters honour up to {honoured:.3g}",
         "start.position": "free, with room",
         "goal.position": "free, with room",
@@ -132,7 +129,7 @@ def draft(
         _written(values, notes, remarks, source),
         values,
         honoured,
-        tuple(float(extent) for extent in extents),
+        (width, depth, height),
         remarks,
     )
 

@@ -17,7 +17,7 @@ def entry_lines(text: str) -> dict[Path, int]:
     header: Path = ()
     counts: dict[Path, int] = {}
     gathered, first = "", 0
-    for number, line in enumerate(text.split("\n"), start=1):
+    for number, line in enumerate(text.replace("\r\n", "\n").split("\n"), start=1):
         if not gathered:
             first = number
         gathered = f"{gathered}\n{line}" if gathered else line
@@ -27,7 +27,8 @@ def entry_lines(text: str) -> dict[Path, int]:
             continue
         if tree and gathered.lstrip().startswith("["):
             header = _header(tree, counts)
-            lines.setdefault(header, first)
+            for length in range(1, len(header) + 1):  # a table is there from the first header that names it
+                lines.setdefault(header[:length], first)
         else:
             _note(tree, header, first, lines)
         gathered = ""

@@ -65,8 +65,9 @@ def nearest_number(refused: Callable[[float], Any], value: float, end: float) ->
         return None
     good, bad = end, value
     while abs(bad - good) > _CLOSE * max(abs(good), 1e-9):
+        low, high = min(good, bad), max(good, bad)
         # Orders of magnitude apart, the middle is that of the logarithms.
-        middle = math.sqrt(good * bad) if min(good, bad) > 0.0 and max(good, bad) > 4.0 * min(good, bad) else 0.5 * (good + bad)
+        middle = math.sqrt(low * high) if 0.0 < 4.0 * low < high else 0.5 * (low + high)
         good, bad = (good, middle) if refused(middle) else (middle, bad)
         if max(abs(good), abs(bad)) < 1e-9:
             break

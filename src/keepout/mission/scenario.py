@@ -150,8 +150,8 @@ def _reason(item: Any, model: type[BaseModel]) -> str:
     if item["type"] == "extra_forbidden":
         valid = _valid_keys(item["loc"][:-1], model)
         key = str(item["loc"][-1])
-        near = difflib.get_close_matches(key, valid, n=1) or _elsewhere(key, item["loc"], model)
-        hint = f"did you mean {near[0]}?" if near else f"valid: {', '.join(valid)}"
+        near = difflib.get_close_matches(key, valid, n=1) + _elsewhere(key, item["loc"], model)
+        hint = f"did you mean {' or '.join(near)}?" if near else f"valid: {', '.join(valid)}"
         return f"{name}: no such entry; {hint}"
     message = item["msg"].removeprefix("Value error, ").removeprefix("Input ").replace("should be", "must be")
     shown = "" if isinstance(value, dict | BaseModel) else f"{value!r} "
@@ -177,7 +177,7 @@ def _elsewhere(key: str, location: tuple[Any, ...], model: type[BaseModel]) -> l
             found.append(name)
         if isinstance(kind, type) and issubclass(kind, Entry) and key in kind.model_fields:
             found.append(f"{name}.{key}")
-    return [" or ".join(found)] if found else []
+    return found
 
 
 def _valid_keys(location: tuple[Any, ...], model: type[BaseModel]) -> list[str]:

@@ -264,7 +264,7 @@ def flights_table(summaries: Sequence[Mapping[str, Any]]) -> Table:
 
 
 def check_parts(summary: Mapping[str, Any]) -> list[Table | str]:
-    """What a scenario would fly, in words and tables; what would be refused, with the nearest values that would not."""
+    """Say what a scenario would fly, in words and tables, and what would be refused, with values that would not be."""
     parts: list[Table | str] = list(summary["words"])
     if summary["conditions"]:
         rows = [
