@@ -24,6 +24,7 @@ from keepout.control.observer import NoObserver, Observer, constant_observer, ha
 from keepout.control.operation import Operation
 from keepout.errors import ControlError, FieldError, KeepOutZoneError
 from keepout.fields.evaluate import values
+from keepout.fields.field import Field
 from keepout.fields.model import Certificate, FieldModel
 from keepout.fields.shipped import load_shipped, shipped_names
 from keepout.flight.faults import BrokenLaw
@@ -59,6 +60,7 @@ class Mission:
         start_certified: whether the guard's theorem holds from the start, whichever estimate of it within the errors
             the guard is told, and no assumption is broken; None without a guard.
         assumptions_broken: what the scenario flies beyond what it declares, each with its numbers.
+        own_push: largest norm of a disturbance that is not the scenario's, N; None where it is.
 
     """
 
@@ -70,6 +72,7 @@ class Mission:
     initial: MotionState
     start_certified: bool | None
     assumptions_broken: tuple[str, ...] = ()
+    own_push: float | None = None
 
     @property
     def guard(self) -> Guard | None:
@@ -195,17 +198,21 @@ def _missed_room(name: str, scenario: Scenario, target: Target, model: FieldMode
 
 
 def operation(scenario: Scenario, model: FieldModel) -> Operation:
-    """Gather the numbers that a scenario's law is designed for.
+    """Gather the numbers that a scenario's law is designed for, with the field's certificate.
 
     Raises:
         FieldError: the model has no certificate for the chaser's radius.
         ScenarioError: the thrusters cannot hold against the disturbance.
 
     """
+    return _operation(scenario, model.certificate(scenario.chaser.radius).error_bound)
+
+
+def _operation(scenario: Scenario, error_bound: float) -> Operation:
     return Operation(
         chaser=environment.chaser(scenario),
         motion=environment.relative_motion(scenario),
-        error_bound=model.certificate(scenario.chaser.radius).error_bound,
+        error_bound=error_bound,
         disturbance_bound=environment.disturbance_bound(scenario),
         margin=scenario.safety.margin,
         period=scenario.control.period,
@@ -235,12 +242,41 @@ def build_law(
         KeepoutError: the law cannot be built; the message names the entry.
 
     """
-    designed = operation(scenario, model)
+    bound = model.certificate(scenario.chaser.radius).error_bound
+    return law_on(scenario, model.field, bound, guidance=guidance, from_start=from_start, progress=progress, **chosen)
+
+
+def law_on(
+    scenario: Scenario,
+    field: Field,
+    error_bound: float,
+    *,
+    guidance: Guidance | GuidancePlan | None = None,
+    from_start: bool = True,
+    progress: Progress = silent,
+    **chosen: Any,
+) -> Controller:
+    """Build a scenario's control law on any field; the arguments are those of `build_law`.
+
+    Args:
+        scenario: as of `build_law`.
+        field: what the law knows of the shape.
+        error_bound: e_h, how far the field over-states the distance where the chaser touches, m.
+        guidance: as of `build_law`.
+        from_start: likewise.
+        progress: likewise.
+        **chosen: likewise.
+
+    Raises:
+        KeepoutError: the law cannot be built; the message names the entry.
+
+    """
+    designed = _operation(scenario, error_bound)
     profile = {"default": profiles.default, "paper": profiles.paper}[scenario.control.profile]
     if scenario.control.profile == "paper":
         chosen = scenario.control.paper.model_dump() | chosen
     return profile(
-        model.field,
+        field,
         designed,
         np.asarray(scenario.goal.position),
         guidance=named_guidance(scenario) if guidance is None else guidance,
@@ -310,6 +346,11 @@ def _law_or_way_out(
 
 def flown_law(scenario: Scenario, law: Law, model: FieldModel) -> Law:
     """Tell a law of the delay that the scenario declares, and break it as the scenario's faults say."""
+    return broken_as(scenario, law, model.field)
+
+
+def broken_as(scenario: Scenario, law: Law, field: Field) -> Law:
+    """Do the same with any field, which says where the body is."""
     chaser = scenario.chaser
     if scenario.guard.delay:
         motion = environment.relative_motion(scenario)
@@ -318,7 +359,7 @@ def flown_law(scenario: Scenario, law: Law, model: FieldModel) -> Law:
         return law
     return BrokenLaw(
         law,
-        model.field,
+        field,
         scenario.faults.law,
         chaser.force_limit,
         chaser.mass,
