@@ -24,7 +24,8 @@ class Network:
 
 
 def main(duration: float = 400.0) -> dict[str, keepout.Flight]:
-    scenario = keepout.Scenario().replace(name="policy", duration=duration, control={"guidance": "straight"})
+    near, control = {"position": (0.0, 3.0, 0.0)}, {"guidance": "straight"}
+    scenario = keepout.Scenario().replace(name="policy", duration=duration, start=near, control=control)
     mission = keepout.prepare(scenario)
     laws = {
         "random": keepout.PolicyLaw(scenario.goal.position, random_policy),
