@@ -28,12 +28,22 @@ def test_every_command_has_help_with_an_example(command, monkeypatch, capsys):
         assert option in text
 
 
+@pytest.mark.parametrize("command", ["new", "check", "schema"])
+def test_every_scenario_command_has_help_with_an_example(command, monkeypatch, capsys):
+    assert run(monkeypatch, "scenario", command, "--help") == 0
+    text = capsys.readouterr().out
+    assert "Example" in text
+    assert f"keepout scenario {command}" in text
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
         (("nonsense",), "nonsense"),
         (("fly",), "scenario"),
         (("fly", "absent.toml"), "absent.toml"),
+        (("scenario", "check", "absent.toml"), "absent.toml"),
+        (("scenario", "nonsense"), "nonsense"),
         (("fit", "absent.glb", "-o", "out.keepout"), "absent.glb"),
         (("fit", "box", "-o", "absent-folder/out.keepout"), "absent-folder"),
         (("fit", "box", "-o", "out.keepout", "--profile", "papre"), "papre"),
@@ -106,6 +116,9 @@ HEAVY = ("jax", "equinox", "matplotlib", "plotly", "trimesh", "optax", "skimage"
         (["fly", "--help"], (*HEAVY, "numpy", "scipy", "numba", "pyarrow")),
         (["targets"], HEAVY),
         (["fly", "absent.toml"], (*HEAVY, "numpy", "scipy")),
+        (["scenario", "new"], (*HEAVY, "numpy", "scipy", "numba", "pyarrow")),
+        (["scenario", "schema"], (*HEAVY, "numpy", "scipy", "numba", "pyarrow")),
+        (["scenario", "check", "absent.toml"], (*HEAVY, "numpy", "scipy")),
         pytest.param(
             ["inspect", "box"], ("matplotlib", "plotly", "trimesh", "optax", "skimage"), marks=pytest.mark.long
         ),

@@ -11,8 +11,8 @@ from keepout.campaign.dispersion import Design
 from keepout.campaign.workshop import Workshop
 from keepout.errors import KeepoutError
 from keepout.mission.build import Mission
-from keepout.mission.campaign import has_way_out, room_to_start
 from keepout.mission.entry_names import COMPONENTS, with_entries
+from keepout.mission.places import has_way_out, room_to_start
 from keepout.mission.scenario import Scenario
 
 ATTEMPTS = 100

@@ -3,13 +3,12 @@
 import importlib.util
 import sys
 from collections.abc import Sequence
-from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
 from typing import Any
 
 
-class _FirstImport(MetaPathFinder):
+class _FirstImport:
     """Finds JAX as all others do, once, and has it switched to double precision as soon as it is loaded."""
 
     def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:

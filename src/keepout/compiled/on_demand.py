@@ -50,7 +50,19 @@ def where_needed(
         )
         return _in_groups(function, size, shared, needed, default, own), done
 
-    return chosen(shared, needed, default, own)
+    # Derivatives are those of the choice as it is written; a batch of them evaluates both sides.
+    @jax.custom_jvp
+    def differentiable(shared: PyTree, needed: Array, default: PyTree, own: PyTree) -> PyTree:
+        return chosen(shared, needed, default, own)
+
+    @differentiable.defjvp
+    def _(primals: tuple[PyTree, ...], tangents: tuple[PyTree, ...]) -> tuple[PyTree, PyTree]:
+        def written(shared: PyTree, needed: Array, default: PyTree, own: PyTree) -> PyTree:
+            return jax.lax.cond(needed, lambda: function(shared, *own), lambda: default)
+
+        return jax.jvp(written, primals, tangents)
+
+    return differentiable(shared, needed, default, own)
 
 
 def _in_groups(

@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float
 
 from keepout.control.velocity_program.program import Circulation
 from keepout.motion.arrays import as_float64
+from keepout.motion.vectors import norm
 
 PRINTED = ((0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 """Ω as printed in the paper, section VI."""
@@ -141,7 +142,7 @@ def skew_circulation(axis: Sequence[float] = (1.0, 1.0, 1.0)) -> ConstantCircula
 
 
 def _unit(vector: Float[Array, "3"]) -> Float[Array, "3"]:
-    size = jnp.sqrt(jnp.sum(vector * vector))
+    size = norm(vector)
     return vector / jnp.where(size > 0.0, size, 1.0)
 
 

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from keepout.control.velocity import VelocityPoint
+from keepout.motion.vectors import norm
 
 _NO_GRADIENT = 1e-24
 
@@ -76,7 +77,7 @@ class Tracking(eqx.Module):
         # With u_ref put in, P·u_ref cancels against (v − v_s)·(−drift + J v)/μ_h; the feedback is what remains.
         gradient = -error / (mass * self.barrier_ratio)
         b = jnp.sum(gradient * gradient)
-        speed = jnp.sqrt(jnp.sum(velocity * velocity))
+        speed = norm(velocity)
         barrier = point.barrier - square / (2.0 * self.barrier_ratio)
         a = (
             -jnp.sum(error * feedback) / self.barrier_ratio

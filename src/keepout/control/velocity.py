@@ -9,6 +9,7 @@ from keepout.control.circulation import CirculationLaw
 from keepout.control.guidance.guidance import Guidance
 from keepout.control.velocity_program.cone import solve
 from keepout.control.velocity_program.program import VelocityProgram
+from keepout.errors import ControlError
 from keepout.fields.field import Field
 
 
@@ -65,6 +66,20 @@ class VelocityPoint(eqx.Module):
     status: Int[Array, ""]
 
 
+@jax.custom_jvp
+def _once(derivative: Array) -> Array:
+    """Give what was found together with a derivative; it is refused to be differentiated once more."""
+    return derivative
+
+
+@_once.defjvp
+def _refuse_twice(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
+    raise ControlError(
+        "flight: a law that uses the safe velocity's derivative (profile paper, feedforward) has no derivative itself; "
+        "differentiate a flight of the default law"
+    )
+
+
 class SafeVelocity(eqx.Module):
     """The map from a position to its safe velocity v_s.
 
@@ -106,7 +121,7 @@ class SafeVelocity(eqx.Module):
                 self.guidance.desired_velocity(position + shift) if self.differentiate else desired,
                 memory,
             )
-            solution = solve(program)
+            solution = solve(program, forward=self.differentiate)
             return solution.velocity, solution.status
 
         shift = jnp.zeros(3)
@@ -119,7 +134,7 @@ class SafeVelocity(eqx.Module):
             return answer, (answer, status)
 
         jacobian, (answer, status) = jax.jacfwd(with_value, has_aux=True)(shift)
-        return VelocityPoint(barrier, normal, desired, answer, jacobian, status), memory
+        return VelocityPoint(barrier, normal, desired, _once(answer), _once(jacobian), status), memory
 
     def program(
         self,

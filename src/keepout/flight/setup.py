@@ -12,7 +12,7 @@ from keepout.control.law import Law
 from keepout.errors import ScenarioError
 from keepout.fields.field import Field
 from keepout.guard.safety_layer import SafetyLayer
-from keepout.motion.actuator import Thrusters
+from keepout.motion.actuator import ThrusterModel
 from keepout.motion.arrays import as_float64
 from keepout.motion.disturbance import Disturbance
 from keepout.motion.relative import MotionState, RelativeMotion
@@ -88,7 +88,7 @@ class FlightSetup(eqx.Module):
 
     motion: RelativeMotion
     disturbance: Disturbance
-    thrusters: Thrusters
+    thrusters: ThrusterModel
     controller: Law
     goal: Vector = eqx.field(converter=as_float64)
     mass: Scalar = eqx.field(converter=as_float64)

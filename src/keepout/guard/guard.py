@@ -25,6 +25,7 @@ from keepout.guard.safety_layer import SafetyLayer
 from keepout.guard.status import GuardFlag, GuardStatus
 from keepout.motion.arrays import as_float64
 from keepout.motion.relative import MotionState
+from keepout.motion.vectors import norm
 
 Vector = Float[Array, "3"]
 
@@ -325,6 +326,10 @@ class Guard(SafetyLayer):
         Three tests, each for what the one before leaves open: from `value` alone, as no point is further away than the
         path's furthest corner; from the corners' values; from points along the stop segment.
         """
+        # An answer of yes or no has no derivative, and what leads to it needs none.
+        self, position, value, points, velocities, moved, faster = jax.lax.stop_gradient(
+            (self, position, value, points, velocities, moved, faster)
+        )
         a = self.assumptions
         rest = points[-1] + self._stop(velocities[-1])
         corners = jnp.concatenate([points, rest[None]])
@@ -386,18 +391,18 @@ class Guard(SafetyLayer):
 
     def _brake(self, velocity: Vector) -> tuple[Vector, Bool[Array, ""]]:
         """Give the nominal braking acceleration, and whether the nominal motion is at rest."""
-        speed = jnp.linalg.norm(velocity)
+        speed = norm(velocity)
         size = jnp.minimum(self.braking.deceleration, speed / self.assumptions.period)
         return -velocity * (size / jnp.maximum(speed, 1e-12)), speed < 1e-9
 
     def _escape(self, position: Vector, velocity: Vector, outward: Vector) -> Vector:
         """Acceleration along the field's growth, or back into range, at the escape speed, within the authority."""
         a = self.assumptions
-        afar = jnp.linalg.norm(position) + self.braking.position_radius > 0.99 * a.range_limit
+        afar = norm(position) + self.braking.position_radius > 0.99 * a.range_limit
         away = jnp.where(afar, -position, outward)
-        direction = away / jnp.maximum(jnp.linalg.norm(away), 1e-9)
+        direction = away / jnp.maximum(norm(away), 1e-9)
         wanted = (jnp.where(jnp.isfinite(direction), direction, 0.0) * self.escape_speed - velocity) / a.period
-        return wanted * jnp.minimum(1.0, a.authority / jnp.maximum(jnp.linalg.norm(wanted), 1e-12))
+        return wanted * jnp.minimum(1.0, a.authority / jnp.maximum(norm(wanted), 1e-12))
 
     def _too_strong(self, disturbance_estimate: Vector) -> Bool[Array, ""]:
         a = self.assumptions

@@ -22,8 +22,9 @@ from keepout.control.guidance.plan import Componentwise, Geodesic, GuidancePlan,
 from keepout.control.law import Law
 from keepout.control.observer import NoObserver, Observer, constant_observer, harmonic_observer, printed_observer
 from keepout.control.operation import Operation
-from keepout.errors import ControlError, FieldError, KeepOutZoneError, ScenarioError
+from keepout.errors import ControlError, FieldError, KeepOutZoneError
 from keepout.fields.evaluate import values
+from keepout.fields.field import Field
 from keepout.fields.model import Certificate, FieldModel
 from keepout.fields.shipped import load_shipped, shipped_names
 from keepout.flight.faults import BrokenLaw
@@ -35,8 +36,8 @@ from keepout.guard.guard import Guard
 from keepout.guard.safety_layer import SafetyLayer
 from keepout.mission import environment
 from keepout.mission.assumptions import broken_assumptions
-from keepout.mission.entries import TargetEntry
 from keepout.mission.scenario import Scenario
+from keepout.mission.target import load_target, require_apart
 from keepout.motion import MotionState
 from keepout.motion.arrays import as_float64
 from keepout.progress import Progress, part_of, silent
@@ -59,6 +60,7 @@ class Mission:
         start_certified: whether the guard's theorem holds from the start, whichever estimate of it within the errors
             the guard is told, and no assumption is broken; None without a guard.
         assumptions_broken: what the scenario flies beyond what it declares, each with its numbers.
+        own_push: largest norm of a disturbance that is not the scenario's, N; None where it is.
 
     """
 
@@ -70,6 +72,7 @@ class Mission:
     initial: MotionState
     start_certified: bool | None
     assumptions_broken: tuple[str, ...] = ()
+    own_push: float | None = None
 
     @property
     def guard(self) -> Guard | None:
@@ -93,20 +96,6 @@ class Mission:
     def with_guard(self, guard: SafetyLayer | None) -> "Mission":
         """Give the same mission with another safety layer, or none; nothing is certified of it."""
         return replace(self, setup=replace(self.setup, guard=guard), start_certified=None)
-
-
-def load_target(entry: TargetEntry) -> Target:
-    """Load a scenario's target."""
-    return Target.load(
-        entry.source,
-        units=entry.units,
-        scale=entry.scale,
-        drop_stray=entry.drop_stray,
-        thickness=entry.thickness,
-        rotation=None if entry.rotation is None else np.asarray(entry.rotation),
-        origin=None if entry.origin is None else np.asarray(entry.origin),
-        parameters=dict(entry.parameters) or None,
-    )
 
 
 def load_model(scenario: Scenario, target: Target) -> FieldModel:
@@ -157,7 +146,7 @@ def prepare(
     model = load_model(scenario, target) if model is None else model
     model.require_target(target, where="field")
     certificate = model.certificate(scenario.chaser.radius)
-    _refuse_contact(scenario, target)
+    require_apart(scenario, target)
     try:
         law = _law_or_way_out(scenario, model, guidance, part_of(progress, 0.0, 0.6))
     except KeepOutZoneError as refusal:
@@ -201,18 +190,6 @@ def flight_setup(scenario: Scenario, law: Law, **chosen: Any) -> FlightSetup:
     return FlightSetup(controller=law, **(entries | chosen))
 
 
-def _refuse_contact(scenario: Scenario, target: Target) -> None:
-    """Refuse a start or goal where the chaser would touch the target."""
-    radius = scenario.chaser.radius
-    for name, position in (("start", scenario.start.position), ("goal", scenario.goal.position)):
-        distance = float(target.distance.distance(np.asarray(position)[None])[0])
-        if distance <= radius:
-            raise ScenarioError(
-                f"{name}.position: {list(position)} m is {distance:.3f} m from the target, where a chaser of radius "
-                f"{radius} m touches it; it must be further than that radius"
-            )
-
-
 def _missed_room(name: str, scenario: Scenario, target: Target, model: FieldModel, progress: Progress) -> str:
     """Say of a start or goal in the keep-out zone why, where the mesh is much farther away than the field says."""
     position = np.asarray(getattr(scenario, name).position)[None]
@@ -230,17 +207,21 @@ def _missed_room(name: str, scenario: Scenario, target: Target, model: FieldMode
 
 
 def operation(scenario: Scenario, model: FieldModel) -> Operation:
-    """Gather the numbers that a scenario's law is designed for.
+    """Gather the numbers that a scenario's law is designed for, with the field's certificate.
 
     Raises:
         FieldError: the model has no certificate for the chaser's radius.
         ScenarioError: the thrusters cannot hold against the disturbance.
 
     """
+    return _operation(scenario, model.certificate(scenario.chaser.radius).error_bound)
+
+
+def _operation(scenario: Scenario, error_bound: float) -> Operation:
     return Operation(
         chaser=environment.chaser(scenario),
         motion=environment.relative_motion(scenario),
-        error_bound=model.certificate(scenario.chaser.radius).error_bound,
+        error_bound=error_bound,
         disturbance_bound=environment.disturbance_bound(scenario),
         margin=scenario.safety.margin,
         period=scenario.control.period,
@@ -270,12 +251,41 @@ def build_law(
         KeepoutError: the law cannot be built; the message names the entry.
 
     """
-    designed = operation(scenario, model)
+    bound = model.certificate(scenario.chaser.radius).error_bound
+    return law_on(scenario, model.field, bound, guidance=guidance, from_start=from_start, progress=progress, **chosen)
+
+
+def law_on(
+    scenario: Scenario,
+    field: Field,
+    error_bound: float,
+    *,
+    guidance: Guidance | GuidancePlan | None = None,
+    from_start: bool = True,
+    progress: Progress = silent,
+    **chosen: Any,
+) -> Controller:
+    """Build a scenario's control law on any field; the arguments are those of `build_law`.
+
+    Args:
+        scenario: as of `build_law`.
+        field: what the law knows of the shape.
+        error_bound: e_h, how far the field over-states the distance where the chaser touches, m.
+        guidance: as of `build_law`.
+        from_start: likewise.
+        progress: likewise.
+        **chosen: likewise.
+
+    Raises:
+        KeepoutError: the law cannot be built; the message names the entry.
+
+    """
+    designed = _operation(scenario, error_bound)
     profile = {"default": profiles.default, "paper": profiles.paper}[scenario.control.profile]
     if scenario.control.profile == "paper":
         chosen = scenario.control.paper.model_dump() | chosen
     return profile(
-        model.field,
+        field,
         designed,
         np.asarray(scenario.goal.position),
         guidance=named_guidance(scenario) if guidance is None else guidance,
@@ -345,6 +355,11 @@ def _law_or_way_out(
 
 def flown_law(scenario: Scenario, law: Law, model: FieldModel) -> Law:
     """Tell a law of the delay that the scenario declares, and break it as the scenario's faults say."""
+    return broken_as(scenario, law, model.field)
+
+
+def broken_as(scenario: Scenario, law: Law, field: Field) -> Law:
+    """Do the same with any field, which says where the body is."""
     chaser = scenario.chaser
     if scenario.guard.delay:
         motion = environment.relative_motion(scenario)
@@ -353,7 +368,7 @@ def flown_law(scenario: Scenario, law: Law, model: FieldModel) -> Law:
         return law
     return BrokenLaw(
         law,
-        model.field,
+        field,
         scenario.faults.law,
         chaser.force_limit,
         chaser.mass,

@@ -15,7 +15,6 @@ import pyarrow.parquet as pq
 from jaxtyping import Bool, Float
 
 from keepout.audit.audit import Audit, Contact
-from keepout.audit.outside import proved_outside
 from keepout.errors import ScenarioError
 from keepout.fields.model import FieldModel
 from keepout.flight.batches import alike_among, states_at
@@ -25,6 +24,7 @@ from keepout.guard.status import flag_names
 from keepout.mission.assumptions import guard_numbers
 from keepout.mission.audited import fly_audited
 from keepout.mission.build import Mission, prepare
+from keepout.mission.places import has_way_out, room_to_start
 from keepout.mission.scenario import Scenario
 from keepout.mission.series import SERIES, FlightSeries, SeriesKeeper
 from keepout.mission.statuses import flag_counts, status_counts
@@ -276,17 +276,6 @@ def run_campaign(
     plan = plan_campaign(scenario, target=target, progress=part_of(progress, 0.0, 0.1))
     flown = plan.fly(series=series, stride=stride, progress=part_of(progress, 0.1, 1.0))
     return replace(flown, seconds=time.perf_counter() - began)
-
-
-def room_to_start(scenario: Scenario) -> float:
-    """Give the distance (m) from the mesh that a random start needs: chaser, margin and 0.2 m."""
-    return scenario.chaser.radius + scenario.safety.margin + 0.2
-
-
-def has_way_out(scenario: Scenario, target: Target, point: Float[np.ndarray, "3"], away: float) -> bool:
-    """Whether the chaser is proved to get from a point, `away` from the mesh (m), out of the target."""
-    mesh, radius = target.distance, scenario.chaser.radius
-    return proved_outside(point, mesh.distance, mesh.lower, mesh.upper, radius=radius, expansions=100, away=away)
 
 
 def draw_starts(scenario: Scenario, target: Target) -> Starts:

@@ -75,7 +75,7 @@ class SafetyEntry(Entry):
 class GuardEntry(Entry):
     """The hard layer that accepts or replaces every commanded force, and what its theorem may assume."""
 
-    enabled: bool = True
+    enabled: bool = Field(default=True, description="whether it flies along")
     position_error: NonNegative = Field(default=0.0, description="largest error of the position estimate, m")
     velocity_error: NonNegative = Field(default=0.0, description="largest error of the velocity estimate, m/s")
     mass_error: Annotated[float, Field(ge=0.0, lt=1.0)] = Field(default=0.0, description="largest relative error")
@@ -183,7 +183,7 @@ class OrbitEntry(Entry):
     """The target's orbit about the Earth."""
 
     semi_major_axis: Annotated[float, Field(gt=6.4e6, lt=1e9)] = Field(default=42_164_000.0, description="m")
-    eccentricity: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
+    eccentricity: Annotated[float, Field(ge=0.0, lt=1.0)] = Field(default=0.0, description="0: a circle")
     true_anomaly: Angle = Field(default=0.0, description="at the start, rad")
     inclination: Angle = Field(default=0.0, description="rad; this and the next two count only with j2 or drag")
     right_ascension: Angle = Field(default=0.0, description="of the ascending node, rad")
@@ -231,7 +231,11 @@ class AttitudeEntry(Entry):
 class DisturbanceEntry(Entry):
     """The force that nobody commanded, in body axes."""
 
-    kind: Literal["none", "paper", "constant", "bang-bang", "resonant", "random"] = "paper"
+    kind: Literal["none", "paper", "constant", "bang-bang", "resonant", "random"] = Field(
+        default="paper",
+        description="paper: 0.01 [sin 0.02 t, cos 0.02 t, sin 0.01 t] N; bang-bang: changes sign every 50 s; resonant: "
+        "with every control step; random: smooth noise from the seed",
+    )
     force: Vector | None = Field(default=None, description="constant: N")
     amplitude: Positive | None = Field(default=None, description="bang-bang, resonant, random: largest norm, N")
     phase: Angle = Field(
@@ -342,7 +346,7 @@ class DispersionEntry(Entry):
 class CampaignEntry(Entry):
     """Many flights: from random starts at rest in a box, or with whatever `dispersions` names drawn anew for each."""
 
-    runs: Annotated[int, Field(ge=1, le=1_000_000_000)] = 100
+    runs: Annotated[int, Field(ge=1, le=1_000_000_000)] = Field(default=100, description="how many flights")
     lower: Vector = Field(
         default=(-15.0, -5.0, -4.0), description="lower corner of the box of starts, m; without dispersions"
     )

@@ -39,7 +39,7 @@ def entry_kind(name: str) -> Kind:
             continue
         if kind == dict[str, float] and len(rest) == 1:
             return "number"
-        if _is_vector(kind):
+        if is_vector(kind):
             if not rest:
                 return "vector"
             if len(rest) == 1 and rest[0] in COMPONENTS:
@@ -47,7 +47,7 @@ def entry_kind(name: str) -> Kind:
             raise ScenarioError(f"{name}: no such entry; components of a vector are x, y and z")
         if rest:
             raise ScenarioError(f"{name}: no such entry; {'.'.join(parts[: place + 1])} is not a table")
-        return "number" if _is_number(kind) else "other"
+        return "number" if is_number(kind) else "other"
     raise ScenarioError(
         f"{name}: a whole table; name one of {', '.join(f'{name}.{key}' for key in model.model_fields)}"
     )
@@ -77,11 +77,13 @@ def with_entries(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
     return Scenario.parse(tree)
 
 
-def _is_vector(kind: Any) -> bool:
+def is_vector(kind: Any) -> bool:
+    """Whether an entry of this annotation holds three numbers, or may."""
     vector = Vector.__origin__  # pyright: ignore[reportAttributeAccessIssue]
     return kind == vector or vector in getattr(kind, "__args__", ()) or Vector in getattr(kind, "__args__", ())
 
 
-def _is_number(kind: Any) -> bool:
+def is_number(kind: Any) -> bool:
+    """Whether an entry of this annotation holds a number, or may."""
     inner = [getattr(part, "__origin__", part) for part in getattr(kind, "__args__", ())]
     return kind in (float, int) or float in inner or int in inner

@@ -20,6 +20,7 @@ from keepout.flight.faults import (
 from keepout.flight.setup import Faults, NoFaults
 from keepout.geometry.target import Target
 from keepout.guard.braking import GuardAssumptions
+from keepout.mission.first_look import refuse_disturbance
 from keepout.mission.orbit_bounds import DifferentialBounds, differential_bounds, orbit_bounds, orbit_of, perturbations
 from keepout.mission.scenario import Scenario
 from keepout.motion import (
@@ -112,11 +113,7 @@ def disturbance_bound(scenario: Scenario) -> float:
     """
     true_bound = largest_disturbance(scenario)
     bound = true_bound if scenario.disturbance.bound is None else scenario.disturbance.bound
-    if bound >= scenario.chaser.force_limit:
-        raise ScenarioError(
-            f"disturbance: its bound, {bound:.4g} N, is not below chaser.force_limit, {scenario.chaser.force_limit} N; "
-            "no law can hold the chaser"
-        )
+    refuse_disturbance(bound, scenario.chaser.force_limit)
     return bound
 
 

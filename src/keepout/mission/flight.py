@@ -1,7 +1,7 @@
 """One scenario flown, and its clearance audited on the exact mesh."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -151,11 +151,15 @@ def judged(
         statuses=legend(),
         extra=extra,
     )
+    bounds = environment.flight_bounds(scenario)
+    if mission.own_push is not None:
+        pushed = bounds.disturbance_force - environment.disturbance(scenario).bound + mission.own_push
+        bounds = replace(bounds, disturbance_force=pushed)
     verdict = audit(
         record,
         mission.target,
         chaser_radius=scenario.chaser.radius,
-        bounds=environment.flight_bounds(scenario),
+        bounds=bounds,
         force_limit=scenario.chaser.force_limit,
         speed_limit=scenario.chaser.speed_limit,
     )

@@ -31,13 +31,16 @@ from keepout.mission.entries import (
     StateEntry,
     TargetEntry,
 )
+from keepout.mission.lines import entry_lines, line_of
 
 
 class Scenario(Entry):
     """One mission: target, chaser, law, environment, start and goal. The defaults are the source paper's Case 1."""
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")] = "case1"
-    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")] = Field(
+        default="case1", description="of the mission, for titles and files: letters, digits, `_`, `.` and `-`"
+    )
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = Field(default=0, description="of everything that is random")
     duration: Annotated[float, Field(gt=0.0, le=1e6, allow_inf_nan=False)] = Field(default=1500.0, description="s")
     target: TargetEntry = TargetEntry()
     field: FieldEntry = FieldEntry()
@@ -76,8 +79,13 @@ class Scenario(Entry):
         return round(self.duration / self.control.period)
 
     @classmethod
-    def parse(cls, tree: dict[str, Any], *, where: str = "scenario") -> "Scenario":
+    def parse(cls, tree: dict[str, Any], *, where: str = "scenario", text: str | None = None) -> "Scenario":
         """Validate a nested dictionary.
+
+        Args:
+            tree: tables and entries.
+            where: what a refusal begins with, such as the file's name.
+            text: the TOML that the tree was read from; a refusal then names the lines.
 
         Raises:
             ScenarioError: an entry is unknown, missing or out of range; names all of them in one line.
@@ -86,7 +94,8 @@ class Scenario(Entry):
         try:
             return cls.model_validate(tree)
         except ValidationError as error:
-            reasons = "; ".join(_reason(item, cls) for item in error.errors())
+            lines = {} if text is None else entry_lines(text)
+            reasons = "; ".join(f"{_line(item, lines)}{_reason(item, cls)}" for item in error.errors())
             # A key may hold a line break; a refusal is one line whatever was given.
             raise ScenarioError(" ".join(f"{where}: {reasons}".split())) from None
 
@@ -100,14 +109,15 @@ class Scenario(Entry):
         """
         path = Path(path)
         try:
-            tree = tomllib.loads(path.read_text(encoding="utf-8"))
+            text = path.read_text(encoding="utf-8")
+            tree = tomllib.loads(text)
         except OSError as error:
             raise ScenarioError(f"{path}: cannot be read ({error.strerror}); give a scenario in TOML") from None
         except UnicodeDecodeError:
             raise ScenarioError(f"{path}: not a text file; give a scenario in TOML") from None
         except tomllib.TOMLDecodeError as error:
-            raise ScenarioError(f"{path}: not valid TOML: {error}") from None
-        return cls.parse(tree, where=str(path))._resolved(path.parent)
+            raise ScenarioError(" ".join(f"{path}: not valid TOML: {error}".split())) from None
+        return cls.parse(tree, where=str(path), text=text)._resolved(path.parent)
 
     def replace(self, **entries: Any) -> "Scenario":
         """Return a copy with whole tables or single entries replaced, as in `replace(seed=1, goal={"position": …})`.
@@ -139,12 +149,35 @@ def _reason(item: Any, model: type[BaseModel]) -> str:
     value = item["input"]
     if item["type"] == "extra_forbidden":
         valid = _valid_keys(item["loc"][:-1], model)
-        near = difflib.get_close_matches(str(item["loc"][-1]), valid, n=1)
-        hint = f"did you mean {near[0]}?" if near else f"valid: {', '.join(valid)}"
+        key = str(item["loc"][-1])
+        near = difflib.get_close_matches(key, valid, n=1) + _elsewhere(key, item["loc"], model)
+        hint = f"did you mean {' or '.join(near)}?" if near else f"valid: {', '.join(valid)}"
         return f"{name}: no such entry; {hint}"
     message = item["msg"].removeprefix("Value error, ").removeprefix("Input ").replace("should be", "must be")
     shown = "" if isinstance(value, dict | BaseModel) else f"{value!r} "
     return f"{name}: {shown}{message}" if name else message
+
+
+def _line(item: Any, lines: dict[tuple[Any, ...], int]) -> str:
+    """Say on which line the entry of a pydantic finding stands, where that is known."""
+    path = item["loc"]
+    if item["type"] == "value_error":  # of a whole table: its message begins with the entry, unless it is about several
+        first = item["msg"].removeprefix("Value error, ").split()[0].rstrip(":,")
+        path = (*path, *first.split(".")) if (*path, *first.split(".")) in lines else path
+    found = line_of(lines, path)
+    return "" if found is None else f"line {found}: "
+
+
+def _elsewhere(key: str, location: tuple[Any, ...], model: type[BaseModel]) -> list[str]:
+    """Give the full names of entries of that very name in other tables, such as `safety.margin` for `chaser.margin`."""
+    found = []
+    for name, field in model.model_fields.items():
+        kind = field.annotation
+        if name == key and len(location) > 1:
+            found.append(name)
+        if isinstance(kind, type) and issubclass(kind, Entry) and key in kind.model_fields:
+            found.append(f"{name}.{key}")
+    return found
 
 
 def _valid_keys(location: tuple[Any, ...], model: type[BaseModel]) -> list[str]:

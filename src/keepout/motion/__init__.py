@@ -1,6 +1,6 @@
 """Motion of the chaser relative to the target: orbit, attitude, forces."""
 
-from keepout.motion.actuator import Thrusters
+from keepout.motion.actuator import ThrusterModel, Thrusters
 from keepout.motion.attitude import AttitudeMotion, InertiallyFixed, Tumbling, VVLHFixed
 from keepout.motion.chaser import Chaser
 from keepout.motion.disturbance import (
@@ -38,6 +38,7 @@ __all__ = [
     "RelativeMotion",
     "SinusoidalDisturbance",
     "SquareWaveDisturbance",
+    "ThrusterModel",
     "Thrusters",
     "Tumbling",
     "VVLHFixed",

@@ -1,5 +1,7 @@
 """Thrusters: from the commanded force to the one that can be given."""
 
+import abc
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -18,7 +20,19 @@ def _per_axis(value: NumbersLike) -> Array:
     return as_float64(np.broadcast_to(np.asarray(value), (3,)))
 
 
-class Thrusters(eqx.Module):
+class ThrusterModel(eqx.Module):
+    """What becomes of a commanded force; `Thrusters` are the ones that ship."""
+
+    @abc.abstractmethod
+    def apply(self, command: Vector) -> Vector:
+        """Give the force (N, body axes) that is held over the period for a commanded one."""
+
+    @abc.abstractmethod
+    def saturated(self, command: Vector) -> Bool[Array, ""]:
+        """Whether a command (N) is more than can be given."""
+
+
+class Thrusters(ThrusterModel):
     """Thrusters along the body axes, each limited on its own (paper, section VI: 0.1 N per axis).
 
     force_limit: N, one number or one per axis.

@@ -263,6 +263,28 @@ def flights_table(summaries: Sequence[Mapping[str, Any]]) -> Table:
     return table
 
 
+def check_parts(summary: Mapping[str, Any]) -> list[Table | str]:
+    """Say what a scenario would fly, in words and tables, and what would be refused, with values that would not be."""
+    parts: list[Table | str] = list(summary["words"])
+    if summary["conditions"]:
+        rows = [
+            [row["name"], row["statement"], shown(row["value"]), shown(row["limit"]), shown(row["margin"])]
+            for row in summary["conditions"]
+        ]
+        parts.append(_laid_out("Conditions", ["", "asked", "found", "limit", "margin"], rows, named=True))
+    if summary["guard"] is not None:
+        promised = {"start certified": summary["start_certified"], **summary["guard"]}
+        parts.append(facts_table("Guard: what it assumes, and what follows", promised))
+    if summary["expected"] is not None:
+        parts.append(facts_table("Expected (estimates)", summary["expected"]))
+    parts += [f"note: {remark}" for remark in summary["remarks"]]
+    for refusal in summary["refusals"]:
+        parts.append(f"refused: {refusal['said']}")
+        parts += [f"  would do: {nearest['words']}" for nearest in refusal["nearest"]]
+    parts.append("It flies." if summary["flies"] else "It would not be flown.")
+    return parts
+
+
 def broken_assumptions(summaries: Sequence[Mapping[str, Any]]) -> list[str]:
     """Give a line for each flight that goes beyond what its guard's theorem assumes."""
     return [

@@ -95,8 +95,14 @@ def _residuals(unit: UnitProgram, active: Active, at: Stationary) -> tuple[_Equa
     return _Equations(stationarity, barrier, limit), force
 
 
-def _correction(unit: UnitProgram, active: Active, at: Stationary, values: _Equations) -> Stationary:
-    """Return the change of (v, λ_b, λ_s) that cancels `values` to first order, inactive rows left out."""
+def _correction(
+    unit: UnitProgram, active: Active, at: Stationary, values: _Equations, *, apart: bool = False
+) -> Stationary:
+    """Return the change of (v, λ_b, λ_s) that cancels `values` to first order, inactive rows left out.
+
+    `apart` keeps what depends on `values` in arrays of its own: JAX then sees that the answer is linear in them, which
+    a derivative taken backwards needs. Else three columns are one array, and one operation serves all of them.
+    """
     v = at.velocity
     direction, speed = _direction(v)
     curvature = at.barrier * unit.error / jnp.where(speed > 0.0, speed, 1.0)
@@ -111,16 +117,20 @@ def _correction(unit: UnitProgram, active: Active, at: Stationary, values: _Equa
     barrier_value = values.barrier + jnp.sum(gradient * fixed)
     speed_value = values.speed + jnp.sum(v * fixed)
     rhs = values.stationarity + jnp.sum(hessian * fixed, axis=-1)
-    columns = free[:, None] * jnp.stack([rhs, gradient, v], axis=1)
+    if apart:
+        columns = [free * rhs, free * gradient, free * v]
+    else:
+        whole = free[:, None] * jnp.stack([rhs, gradient, v], axis=1)
+        columns = [whole[:, i] for i in range(3)]
     factors = factor(free[:, None] * free * hessian + jnp.diag(1.0 - free))
-    from_rhs, from_gradient, from_velocity = (back_substitute(factors, columns[:, i]) for i in range(3))
+    from_rhs, from_gradient, from_velocity = (back_substitute(factors, column) for column in columns)
 
     # Schur complement of the active rows; an inactive row keeps its multiplier's change at zero.
-    bb = jnp.where(active.barrier, jnp.sum(columns[:, 1] * from_gradient), 1.0)
-    ss = jnp.where(active.speed, jnp.sum(columns[:, 2] * from_velocity), 1.0)
-    bs = jnp.where(active.barrier & active.speed, jnp.sum(columns[:, 1] * from_velocity), 0.0)
-    target_b = jnp.where(active.barrier, jnp.sum(columns[:, 1] * from_rhs) - barrier_value, 0.0)
-    target_s = jnp.where(active.speed, speed_value - jnp.sum(columns[:, 2] * from_rhs), 0.0)
+    bb = jnp.where(active.barrier, jnp.sum(columns[1] * from_gradient), 1.0)
+    ss = jnp.where(active.speed, jnp.sum(columns[2] * from_velocity), 1.0)
+    bs = jnp.where(active.barrier & active.speed, jnp.sum(columns[1] * from_velocity), 0.0)
+    target_b = jnp.where(active.barrier, jnp.sum(columns[1] * from_rhs) - barrier_value, 0.0)
+    target_s = jnp.where(active.speed, speed_value - jnp.sum(columns[2] * from_rhs), 0.0)
     determinant = bb * ss - bs * bs
     safe = jnp.where(determinant > 1e-14 * bb * ss, determinant, jnp.inf)
     barrier = (ss * target_b + bs * target_s) / safe
@@ -215,8 +225,13 @@ def _choose(condition: Bool[Array, ""], yes: Any, no: Any) -> Any:
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)
 
 
-def sensitivity(unit: UnitProgram, change: UnitProgram, active: Active, at: Stationary) -> Float[Array, "3"]:
-    """Directional derivative of the solution for a change of the program's data, active set held."""
+def sensitivity(
+    unit: UnitProgram, change: UnitProgram, active: Active, at: Stationary, *, apart: bool
+) -> Float[Array, "3"]:
+    """Directional derivative of the solution for a change of the program's data, active set held.
+
+    `apart` as of `_correction`.
+    """
     v = at.velocity
     direction, speed = _direction(v)
     force = -change.desired - at.barrier * (change.normal - change.error * direction)
@@ -231,4 +246,4 @@ def sensitivity(unit: UnitProgram, change: UnitProgram, active: Active, at: Stat
     limit = jnp.zeros_like(speed)
     if unit.speed is not None and change.speed is not None:
         limit = -unit.speed * change.speed
-    return _correction(unit, active, at, _Equations(force, barrier, limit)).velocity
+    return _correction(unit, active, at, _Equations(force, barrier, limit), apart=apart).velocity

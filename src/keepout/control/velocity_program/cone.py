@@ -138,30 +138,37 @@ def _solve_unit(program: VelocityProgram) -> _Outcome:
     return _Outcome(at, active, escaping, resting, status, room, iterations)
 
 
-@jax.custom_jvp
-def _velocity(program: VelocityProgram, outcome: _Outcome) -> Float[Array, "3"]:
-    """Return the solution in m/s, with the derivative of the optimality conditions attached."""
+def _answer(program: VelocityProgram, outcome: _Outcome) -> Float[Array, "3"]:
+    """Return the solution in m/s."""
     return to_unit(program).size * outcome.at.velocity
 
 
-@_velocity.defjvp
-def _velocity_jvp(primals: tuple, tangents: tuple) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
+def _change(primals: tuple, tangents: tuple, *, apart: bool) -> Float[Array, "3"]:
+    """Return the derivative of the solution, m/s, from the optimality conditions."""
     program, outcome = primals
     unit, change = jax.jvp(to_unit, (program,), (tangents[0],))
     (_, _), (_, escape_change) = jax.jvp(escape_velocity, (unit,), (change,))
-    inside = active_set.sensitivity(unit, change, outcome.active, outcome.at)
+    inside = active_set.sensitivity(unit, change, outcome.active, outcome.at, apart=apart)
     derivative = jnp.where(outcome.escaping, escape_change, jnp.where(outcome.resting, 0.0, inside))
-    velocity = outcome.at.velocity
-    derivative = unit.size * derivative + change.size * velocity
-    # The primal is the function itself again, so that a derivative taken of a derivative's primal is not lost.
-    return _velocity(program, outcome), jnp.where(outcome.status == ConeStatus.NOT_FINITE, 0.0, derivative)
+    derivative = unit.size * derivative + change.size * outcome.at.velocity
+    return jnp.where(outcome.status == ConeStatus.NOT_FINITE, 0.0, derivative)
 
 
-def solve(program: VelocityProgram) -> ConeSolution:
+# The primal of each rule is the function itself again, so that a derivative taken of a derivative's primal is not lost.
+_velocity = jax.custom_jvp(_answer)
+_velocity.defjvp(lambda primals, tangents: (_velocity(*primals), _change(primals, tangents, apart=True)))
+_velocity_forward = jax.custom_jvp(_answer)
+_velocity_forward.defjvp(
+    lambda primals, tangents: (_velocity_forward(*primals), _change(primals, tangents, apart=False))
+)
+
+
+def solve(program: VelocityProgram, *, forward: bool = False) -> ConeSolution:
     """Solve one velocity program (paper Eq. cbf_socp_CI); batches through `jax.vmap`.
 
     The velocity carries its exact first derivative with respect to every entry of the program (optimality conditions
-    on the active set), so `jax.jacfwd` through this function is cheap; second derivatives are not defined. Away from
+    on the active set), forwards and backwards; second derivatives are not defined. With `forward` it is taken forwards
+    only, which is cheaper where it is taken in every control step. Away from
     changes of the active set the solution is differentiable; at one the derivative is that of one side.
 
     Method: primal-dual interior point (`interior_point`), then Newton on the active set (`active_set`); a half-space
@@ -172,4 +179,5 @@ def solve(program: VelocityProgram) -> ConeSolution:
     data = jax.lax.stop_gradient(program)
     outcome = jax.lax.stop_gradient(_solve_unit(data))
     room = outcome.room * to_unit(data).size * row_length(data)
-    return ConeSolution(_velocity(program, outcome), outcome.status, room, outcome.iterations)
+    velocity = (_velocity_forward if forward else _velocity)(program, outcome)
+    return ConeSolution(velocity, outcome.status, room, outcome.iterations)

@@ -1,0 +1,39 @@
+"""A scenario's target: loaded, and not touched by the chaser where the flight begins and ends. Needs no JAX."""
+
+import numpy as np
+
+from keepout.errors import ScenarioError
+from keepout.geometry.target import Target
+from keepout.mission.entries import TargetEntry
+from keepout.mission.scenario import Scenario
+
+
+def load_target(entry: TargetEntry) -> Target:
+    """Load a scenario's target."""
+    return Target.load(
+        entry.source,
+        units=entry.units,
+        scale=entry.scale,
+        drop_stray=entry.drop_stray,
+        thickness=entry.thickness,
+        rotation=None if entry.rotation is None else np.asarray(entry.rotation),
+        origin=None if entry.origin is None else np.asarray(entry.origin),
+        parameters=dict(entry.parameters) or None,
+    )
+
+
+def require_apart(scenario: Scenario, target: Target) -> None:
+    """Refuse a start or goal where the chaser would touch the target.
+
+    Raises:
+        ScenarioError: it would.
+
+    """
+    radius = scenario.chaser.radius
+    for name, position in (("start", scenario.start.position), ("goal", scenario.goal.position)):
+        distance = float(target.distance.distance(np.asarray(position)[None])[0])
+        if distance <= radius:
+            raise ScenarioError(
+                f"{name}.position: {list(position)} m is {distance:.3f} m from the target, where a chaser of radius "
+                f"{radius} m touches it; it must be further than that radius"
+            )

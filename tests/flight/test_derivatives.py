@@ -1,0 +1,111 @@
+"""The derivative of a flight's outcome by the numbers of its setup, against central differences of the same flight."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from truths import operations
+
+from keepout.control import profiles
+from keepout.control.circulation import SwitchingCirculation
+from keepout.control.guidance.plan import Straight
+from keepout.control.observer import NoObserver
+from keepout.errors import ControlError
+from keepout.fields.analytic import SphereField
+from keepout.flight import loop
+from keepout.flight.setup import FlightSetup
+from keepout.guard.braking import GuardAssumptions
+from keepout.guard.guard import Guard
+from keepout.motion import paper_disturbance
+
+STEPS = 30
+GOAL = np.array([0.0, -4.0, -1.0])
+
+
+def flown(*, guarded: bool = False, **chosen):
+    """Fly round a ball of 1 m, near enough that barrier, speed limit and filter act."""
+    field = SphereField(jnp.zeros(3), jnp.asarray(1.0))
+    operation = operations.operation(error_bound=0.0)
+    law = profiles.default(field, operation, GOAL, guidance=Straight(), **chosen)
+    guard = None
+    if guarded:
+        assumed = GuardAssumptions(20.0, 0.1, 1.0, 0.0142, 8e-5, 0.0, 1.1e-8, 100.0, 0.15)
+        guard = Guard(field, threshold=0.5, lipschitz=1.0, assumptions=assumed)
+    setup = FlightSetup(
+        operation.motion,
+        paper_disturbance(),
+        operation.chaser.thrusters,
+        law,
+        goal=GOAL,
+        mass=operation.chaser.mass,
+        guard=guard,
+    )
+    return setup, operation.motion.initial_state([0.3, 2.3, 0.6], [0.0, 0.0, 0.0])
+
+
+def cost(flight):
+    """Time-integrated error, and Δv."""
+    setup, initial = flight
+    log = loop.trace(setup, initial, STEPS, jax.random.key(0))
+    error = jnp.sum(jnp.linalg.norm(log.position - setup.goal, axis=-1)) * setup.period
+    delta_v = jnp.sum(jnp.sqrt(jnp.sum(log.force**2, axis=-1))) * setup.period / setup.mass
+    return error + 100.0 * delta_v
+
+
+NUMBERS = {
+    "tracking gain": (lambda f: f[0].controller.tracking.gain, None, 1e-5),
+    "barrier rate": (lambda f: f[0].controller.velocity.class_k.rate, None, 1e-6),
+    "braking": (lambda f: f[0].controller.velocity.class_k.braking, None, 1e-7),
+    "offset": (lambda f: f[0].controller.velocity.offset, None, 1e-6),
+    "slowing length": (lambda f: f[0].controller.velocity.guidance.slowing_length, None, 1e-5),
+    "true mass": (lambda f: f[0].mass, None, 1e-4),
+    "the law's mass": (lambda f: f[0].controller.mass, None, 1e-4),
+    "start": (lambda f: f[1].position, (0,), 1e-6),
+    "start's height": (lambda f: f[1].position, (2,), 1e-6),
+    "velocity": (lambda f: f[1].velocity, (1,), 1e-7),
+    "amplitude": (lambda f: f[0].disturbance.amplitude, (0, 1), 1e-6),
+    "frequency": (lambda f: f[0].disturbance.frequency, (0, 0), 1e-6),
+    "radius of the ball": (lambda f: f[0].controller.velocity.field.radius, None, 1e-6),
+    "semi-major axis": (lambda f: f[0].motion.orbit.semi_major_axis, None, 1e3),
+    "eccentricity": (lambda f: f[0].motion.orbit.eccentricity, None, 1e-5),
+}
+
+
+def compared(flight, names):
+    slopes = eqx.filter_jit(eqx.filter_grad(cost))(flight)
+    value = eqx.filter_jit(cost)
+    for name in names:
+        where, index, step = NUMBERS[name]
+        number = where(flight)
+        direction = np.zeros(np.shape(number))
+        direction[() if index is None else index] = 1.0
+        high, low = (float(value(eqx.tree_at(where, flight, number + side * step * direction))) for side in (1.0, -1.0))
+        found = float(np.sum(np.asarray(where(slopes)) * direction))
+        assert found == pytest.approx((high - low) / (2.0 * step), rel=2e-5, abs=1e-6), name
+    return slopes
+
+
+@pytest.mark.long
+def test_the_gradient_of_a_flight_is_that_of_central_differences():
+    flight = flown()
+    log = eqx.filter_jit(loop.trace)(*flight, STEPS, jax.random.key(0))
+    # The flight is one in which the barrier takes part: the safe velocity is not the desired one.
+    assert float(jnp.max(jnp.abs(log.safe_velocity - log.desired_velocity))) > 0.01
+    slopes = compared(flight, NUMBERS)
+    for place, leaf in jax.tree_util.tree_leaves_with_path(slopes):
+        assert np.all(np.isfinite(leaf)), jax.tree_util.keystr(place)
+
+
+@pytest.mark.long
+def test_the_gradient_through_guard_circulation_and_interior_point():
+    flight = flown(guarded=True, circulation=SwitchingCirculation(), observer=NoObserver())
+    slopes = compared(flight, ["tracking gain", "true mass", "start", "amplitude", "offset"])
+    for place, leaf in jax.tree_util.tree_leaves_with_path(slopes):
+        assert np.all(np.isfinite(leaf)), jax.tree_util.keystr(place)
+
+
+def test_a_law_that_differentiates_itself_is_refused():
+    flight = flown(feedforward=True)
+    with pytest.raises(ControlError, match="default law"):
+        eqx.filter_grad(cost)(flight)

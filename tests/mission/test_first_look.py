@@ -1,0 +1,128 @@
+"""What is refused before JAX is imported: at once, and only what would be refused anyway."""
+
+import math
+import subprocess
+import sys
+
+import jax.numpy as jnp
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from keepout.errors import KeepoutError, ScenarioError
+from keepout.fields.shipped import shipped_names
+from keepout.geometry.target import Target
+from keepout.mission import environment
+from keepout.mission.build import load_model, prepare
+from keepout.mission.first_look import flown_disturbance, look, require_authority, require_files, shipped_fields
+from keepout.mission.scenario import Scenario
+
+force = st.floats(1e-4, 1.0)
+
+
+@st.composite
+def disturbances(draw):
+    kind = draw(st.sampled_from(["none", "paper", "constant", "bang-bang", "resonant", "random"]))
+    entry: dict = {"kind": kind}
+    if kind == "constant":
+        entry["force"] = draw(st.tuples(force, force, force))
+    elif kind not in ("none", "paper"):
+        entry["amplitude"] = draw(force)
+    if draw(st.booleans()):
+        entry["bound"] = draw(force)
+    return entry
+
+
+@given(disturbances(), st.floats(1e-3, 1.0))
+def test_disturbances_are_judged_as_their_models_judge_them(entry, limit):
+    scenario = Scenario.parse({"disturbance": entry, "chaser": {"force_limit": limit}})
+    bound = environment.disturbance(scenario).bound
+    assert flown_disturbance(scenario) == pytest.approx(bound, rel=1e-9, abs=0.0)
+    try:
+        require_authority(scenario)
+    except ScenarioError:
+        with pytest.raises(ScenarioError, match="no law can hold"):
+            environment.disturbance_bound(scenario)
+
+
+def test_the_thrusters_limit_itself_is_judged_alike():
+    """At equality the model refuses; here it may pass, and never the other way round."""
+    weak = Scenario.parse({"disturbance": {"kind": "bang-bang", "amplitude": 0.1}})
+    with pytest.raises(ScenarioError, match=r"0\.1 N, is not below chaser\.force_limit"):
+        environment.disturbance_bound(weak)
+    with pytest.raises(ScenarioError, match=r"0\.1001 N, is not below"):
+        require_authority(weak.replace(disturbance={"amplitude": 0.1001}))
+
+
+def test_shipped_fields_are_the_packages():
+    assert shipped_fields() == shipped_names()
+
+
+def test_files_are_refused_in_the_words_of_what_reads_them(tmp_path):
+    absent = str(tmp_path / "absent.glb")
+    for entries, reader in (
+        ({"target": {"source": absent}}, lambda s: Target.load(s.target.source)),
+        ({"field": {"source": str(tmp_path / "absent.keepout")}}, lambda s: load_model(s, Target.load("intelsat30"))),
+        ({"target": {"source": "box"}}, lambda s: load_model(s, Target.load("box"))),
+    ):
+        scenario = Scenario.parse(entries)
+        with pytest.raises(KeepoutError) as early:
+            require_files(scenario)
+        with pytest.raises(KeepoutError) as late:
+            reader(scenario)
+        assert (type(early.value), str(early.value)) == (type(late.value), str(late.value))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    "entries",
+    [
+        {"chaser": {"speed_limit": 0.5}},
+        {"start": {"position": (0.0, 1.8, 0.0)}},
+        {"goal": {"position": (0.0, 1.8, 0.0)}},
+        {"disturbance": {"kind": "constant", "force": (0.2, 0.0, 0.0)}},
+    ],
+)
+def test_what_is_refused_at_once_is_refused_in_the_end(entries):
+    scenario = Scenario.parse(entries)
+    with pytest.raises(KeepoutError) as early:
+        look(scenario)
+    with pytest.raises(KeepoutError) as late:
+        prepare(scenario)
+    assert type(early.value) is type(late.value)
+
+
+def test_the_paper_law_keeps_its_speed():
+    assert look(Scenario.parse({"chaser": {"speed_limit": 0.5}, "control": {"profile": "paper"}})).name == "intelsat30"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "safty = 3",
+        "[chaser]\nspeed_limit = 0.5",
+        "[start]\nposition = [0.0, 1.8, 0.0]",
+        "[disturbance]\nkind = 'constant'\nforce = [0.2, 0.0, 0.0]",
+        "[target]\nsource = 'absent.glb'",
+        "[field]\nsource = 'absent.keepout'",
+    ],
+)
+def test_a_refused_file_waits_for_no_jax_and_leaves_nothing_behind(tmp_path, text):
+    path = tmp_path / "mission.toml"
+    path.write_text(text, encoding="utf-8")
+    program = (
+        "import sys\nfrom keepout import cli\n"
+        f"sys.argv = ['keepout', 'fly', {str(path)!r}, '-o', {str(tmp_path / 'out')!r}]\n"
+        "try:\n    cli.main()\nexcept SystemExit as end:\n    print(end.code, 'jax' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout == "1 False\n"
+    assert done.stderr.count("\n") == 1
+    assert [entry.name for entry in tmp_path.iterdir()] == ["mission.toml"]
+
+
+def test_the_papers_disturbance_is_as_strong_as_said():
+    scenario = Scenario()
+    force = environment.disturbance(scenario).force
+    peak = max(math.hypot(*map(float, force(jnp.asarray(50.0 * math.pi + shift)))) for shift in (-1.0, 0.0, 1.0))
+    assert peak == pytest.approx(flown_disturbance(scenario), rel=1e-4)
