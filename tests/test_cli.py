@@ -8,7 +8,7 @@ import pytest
 
 from keepout import cli
 
-COMMANDS = ("targets", "fit", "certify", "fly", "campaign", "rare", "reproduce", "inspect")
+COMMANDS = ("targets", "fit", "certify", "fly", "campaign", "rare", "reproduce", "inspect", "export")
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
@@ -49,6 +49,8 @@ def test_every_command_has_help_with_an_example(command, monkeypatch, capsys):
         (("rare", "absent.toml", "--runs", "1"), "1"),
         (("rare", "absent.toml", "--flights", "8"), "8"),
         (("reproduce", "case7"), "case1"),
+        (("export", "absent.npz", "--to", "oem", "-o", "a.oem"), "absent.npz"),
+        (("audit", "--target", "box", "--chaser", "a"), "--target-orbit"),
         (("targets", "--seed", "-1"), "-1"),
     ],
 )
@@ -106,6 +108,8 @@ HEAVY = ("jax", "equinox", "matplotlib", "plotly", "trimesh", "optax", "skimage"
         (["fly", "--help"], (*HEAVY, "numpy", "scipy", "numba", "pyarrow")),
         (["targets"], HEAVY),
         (["fly", "absent.toml"], (*HEAVY, "numpy", "scipy")),
+        (["export", "--help"], (*HEAVY, "numpy", "scipy", "numba", "pyarrow", "onnx", "czml3")),
+        (["audit", "--help"], (*HEAVY, "numpy", "scipy", "numba", "pyarrow", "lxml")),
         (["inspect", "box"], ("matplotlib", "plotly", "trimesh", "optax", "skimage")),
     ],
 )

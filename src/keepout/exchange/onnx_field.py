@@ -145,6 +145,7 @@ class _Rings:
         self._psi1 = self._plus(self._sum(self._times(t2, -3.0), self._times(t3, 2.0)), 1.0)
         ratio = g.apply("Div", self._psi, self._r)
         self._ratio = ratio
+        self._lowered, self._lowered_slope = self._lowering()
         self.carried = g.apply("Add", g.apply("Mul", self._away, ratio), centre)
 
     def value(self, value: str) -> str:
@@ -152,7 +153,7 @@ class _Rings:
         g = self.g
         added = g.apply("Sub", self._rise(self._r), self._rise(self._psi))
         beyond = g.apply("Where", self.outside, added, g.constant(0.0))
-        return g.apply("Sub", g.apply("Add", value, beyond), self._lowering()[0])
+        return g.apply("Sub", g.apply("Add", value, beyond), self._lowered)
 
     def gradient(self, gradient: str) -> str:
         """Continue gradients (n, 3)."""
@@ -164,10 +165,10 @@ class _Rings:
         across = g.apply("Mul", self._ratio, g.apply("Sub", gradient, g.apply("Mul", radial, u)))
         along = g.apply("Mul", g.apply("Add", g.apply("Mul", self._psi1, radial), added), u)
         continued = g.apply("Where", self.outside, g.apply("Add", across, along), gradient)
-        return g.apply("Sub", continued, self._lowering()[1])
+        return g.apply("Sub", continued, self._lowered_slope)
 
     def _lowering(self) -> tuple[str, str]:
-        """The allowance times a smoothstep from the target's radius to the domain's, and its gradient."""
+        """Append the allowance times a smoothstep from the target's radius to the domain's, and its gradient."""
         g = self.g
         _, away, r = self._beyond(self.target_radius)
         width = self.domain_radius - self.target_radius
