@@ -145,6 +145,8 @@ def test_a_flights_attitude_takes_the_chaser_back_to_where_it_was(tree, form, tm
         ("= A2B", "= C2D", "ATTITUDE_DIR is C2D; valid: A2B, B2A"),
         ("ATTITUDE_DIR = A2B\n", "", "ATTITUDE_DIR is missing"),
         ("0.56748", "0.96748", "the quaternion of 1996-11-28T21:29:07.255500 has length 1.2"),
+        ("DATA_STOP\n", "", "ends in its rows; it is cut off"),
+        ("DATA_START\n", "", "rows stand between DATA_START and DATA_STOP"),
         ("DATA_START", "DATA_START\nREF_FRAME_A = X", "'REF_FRAME_A = X'; a row of an epoch and numbers"),
     ],
 )

@@ -105,6 +105,8 @@ def test_the_file_tells_the_certificate_with_the_measured_difference_added(tmp_p
     assert slopes == pytest.approx(np.linalg.norm(slope - gradient, axis=1).max(), rel=0.5)
     assert float(told["keepout.gradient_bound_with_measured_difference"]) == certificate.gradient_bound + slopes
     assert answer["measured_value_difference_m"] == difference
+    exact = values_and_gradients(in_double(model.field), points)
+    assert answer["package_rounding_m"] == pytest.approx(np.abs(value - exact[0]).max(), rel=0.5)
     # The bound holds of the file where it was proved of the field: on points whose exact distance is R.
     assert answer["error_bound_with_measured_difference_m"] >= certificate.error_bound
 

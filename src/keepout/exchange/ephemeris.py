@@ -15,6 +15,9 @@ from keepout.errors import ExchangeError
 from keepout.exchange.message import Message, Row, Segment
 from keepout.mission.epoch import parse_instant
 
+_MILLISECOND = 1_000_000
+"""In ns: a stop time may be rounded otherwise than the rows."""
+
 TIME_SYSTEMS = ("UTC", "TAI", "TT", "GPS", "TDB", "TCB", "UT1")
 
 
@@ -76,9 +79,22 @@ def joined(
             if rows and epoch <= next(reversed(rows)) and (epoch not in rows or row is not segment.rows[0]):
                 raise ExchangeError(f"{path}: EPOCH {row[0]} does not come after the one before it; epochs must rise")
             rows.setdefault(epoch, numbers)
+        _refuse_cut_off(path, segment)
     if len(rows) < 2:
         raise ExchangeError(f"{path}: has {len(rows)} epochs; it must have at least 2")
     return Ephemeris(path, first.metadata, np.array(list(rows), np.int64), np.array(list(rows.values())))
+
+
+def _refuse_cut_off(path: Path, segment: Segment) -> None:
+    """Refuse a segment whose rows end before it says that they do."""
+    stop = segment.required(path, "STOP_TIME")
+    try:
+        last = parse_instant(stop)
+    except ValueError as error:
+        raise ExchangeError(f"{path}: STOP_TIME {stop!r} {error}") from None
+    if not segment.rows or parse_instant(segment.rows[-1][0]) < last - _MILLISECOND:
+        end = segment.rows[-1][0] if segment.rows else "once"
+        raise ExchangeError(f"{path}: the rows end at {end}, before STOP_TIME, {stop}; the file is cut off")
 
 
 def _read_row(path: Path, row: Row, places: tuple[int, ...]) -> tuple[int, list[float]]:

@@ -23,7 +23,6 @@ Row = tuple[str, ...]
 _KEYWORD = re.compile(r"([A-Z][A-Z0-9_]*)\s*=\s*(.*)")
 _STATE = {"X": "km", "Y": "km", "Z": "km", "X_DOT": "km/s", "Y_DOT": "km/s", "Z_DOT": "km/s"}
 _QUATERNION = ("Q1", "Q2", "Q3", "QC")
-_STARTS, _STOPS = ("DATA_START",), ("DATA_STOP",)
 
 
 @dataclass(frozen=True)
@@ -98,7 +97,7 @@ def _kvn(
     lines += [f"{key} = {value}" for key, value in header.items()]
     lines += ["", "META_START", *(f"{key} = {value}" for key, value in metadata.items()), "META_STOP", ""]
     body = [" ".join(row) for row in rows]
-    lines += body if kind == "OEM" else [*_STARTS, *body, *_STOPS]
+    lines += body if kind == "OEM" else ["DATA_START", *body, "DATA_STOP"]
     return "\n".join(lines) + "\n"
 
 
@@ -199,11 +198,17 @@ def _read_kvn(path: Path, kind: Kind, text: str) -> Message:
                 metadata[keyword[1]] = keyword[2]
         elif line == "COVARIANCE_START" and kind == "OEM":
             place = "covariance"
-        elif line not in (*_STARTS, *_STOPS):
-            if keyword is not None:
-                raise refuse(number, line, "a row of an epoch and numbers must stand there")
+        elif line == "DATA_START" and place == "data" and kind == "AEM":
+            place = "rows"
+        elif line == "DATA_STOP" and place == "rows":
+            place = "data"
+        elif keyword is not None:
+            raise refuse(number, line, "a row of an epoch and numbers must stand there")
+        elif kind == "AEM" and place == "data":
+            raise refuse(number, line, "rows stand between DATA_START and DATA_STOP")
+        else:
             rows.append(tuple(line.split()))
-    if place not in ("data",):
+    if place != "data":
         raise ExchangeError(f"{path}: ends in its {place}; it is cut off or no {kind}")
     segments.append(Segment(metadata, tuple(rows)))
     return Message(kind, version, tuple(segments))

@@ -9,12 +9,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Float
 
 from keepout.errors import ExchangeError
 from keepout.exchange.onnx_graph import Graph
 from keepout.fields.evaluate import values_and_gradients
+from keepout.fields.mlp import Layers
 from keepout.fields.model import Certificate, FieldModel
 from keepout.fields.neural import NeuralField
 from keepout.progress import Progress, silent
@@ -56,7 +59,9 @@ def export_onnx(
     graph = field_graph(field)
     content = graph.SerializeToString()
     progress(0.1, "measuring")
-    measured = measure(content, field, sample_points(field, points, seed), progress=progress)
+    where = sample_points(field, points, seed)
+    measured = measure(content, field, where, progress=progress)
+    rounding = own_rounding(field, where)
     told = {
         "format": "keepout-field-onnx 1",
         "units": "points and value in metres, gradient dimensionless; the target's body frame",
@@ -65,6 +70,8 @@ def export_onnx(
         "field_sha256": model.sha256,
         "measured_value_difference_m": measured.value,
         "measured_gradient_difference": measured.gradient,
+        "package_rounding_m": rounding.value,
+        "package_rounding_of_gradient": rounding.gradient,
         "measured_points": points,
         "measured_seed": seed,
         "measured_runtime": _runtime_version(),
@@ -226,7 +233,7 @@ class _Rings:
 
 @dataclass(frozen=True)
 class Difference:
-    """Largest difference of an ONNX model from the package: of the value, m, and of the gradient, as a vector."""
+    """Largest difference between two evaluations of a field: of the value, m, and of the gradient, as a vector."""
 
     value: float
     gradient: float
@@ -271,6 +278,16 @@ def measure(
     if not np.isfinite(worst).all():
         raise ExchangeError("--to onnx: onnxruntime gives a number that is not finite where the field's is")
     return Difference(float(worst[0]), float(worst[1]))
+
+
+def own_rounding(field: NeuralField, points: Float[np.ndarray, "n 3"]) -> Difference:
+    """Give how far the package's evaluation in the network's type is from one of the same weights in float64."""
+    wide = [tuple(jax.device_put(np.asarray(part, np.float64)) for part in parts) for parts in field.layers]
+    exact = eqx.tree_at(lambda f: f.layers, field, Layers(*wide))
+    value, gradient = values_and_gradients(field, points)
+    true_value, true_gradient = values_and_gradients(exact, points)
+    steepest = np.linalg.norm(gradient - true_gradient, axis=1)
+    return Difference(float(np.abs(value - true_value).max()), float(steepest.max()))
 
 
 def _runtime_version() -> str:
