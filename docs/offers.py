@@ -81,7 +81,7 @@ OFFERS = {
         "flight.record.FlightRecord.load",
         "flight.record.FlightRecord.save",
     ),
-    "audit": ("audit.audit.audit", "audit.audit.audit_campaign"),
+    "audit": ("audit.audit.audit", "audit.audit.audit_campaign", "audit.passage.audit_passage"),
     "mission": (
         "mission.scenario.Scenario.load",
         "mission.draft.draft",
@@ -116,6 +116,16 @@ OFFERS = {
         "campaign.results.results",
         "campaign.comparison.compare",
         "campaign.summary.summary",
+    ),
+    "exchange": (
+        "exchange.export.export_flight",
+        "exchange.export.export_field",
+        "exchange.orbit_message.read_oem",
+        "exchange.orbit_message.write_oem",
+        "exchange.attitude_message.read_aem",
+        "exchange.attitude_message.write_aem",
+        "exchange.encounter.encounter",
+        "exchange.audited.audit_files",
     ),
     "rare_events": (
         "rare_events.event.rare",

@@ -8,7 +8,7 @@ import pytest
 
 from keepout import cli
 
-COMMANDS = ("targets", "fit", "certify", "fly", "campaign", "rare", "reproduce", "inspect")
+COMMANDS = ("targets", "fit", "certify", "fly", "campaign", "rare", "reproduce", "inspect", "export")
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
@@ -59,6 +59,8 @@ def test_every_scenario_command_has_help_with_an_example(command, monkeypatch, c
         (("rare", "absent.toml", "--runs", "1"), "1"),
         (("rare", "absent.toml", "--flights", "8"), "8"),
         (("reproduce", "case7"), "case1"),
+        (("export", "absent.npz", "--to", "oem", "-o", "a.oem"), "absent.npz"),
+        (("audit", "--target", "box", "--chaser", "a"), "--target-orbit"),
         (("targets", "--seed", "-1"), "-1"),
     ],
 )
@@ -122,6 +124,8 @@ HEAVY = ("jax", "equinox", "matplotlib", "plotly", "trimesh", "optax", "skimage"
         pytest.param(
             ["inspect", "box"], ("matplotlib", "plotly", "trimesh", "optax", "skimage"), marks=pytest.mark.long
         ),
+        (["export", "--help"], (*HEAVY, "numpy", "scipy", "numba", "pyarrow", "onnx", "czml3")),
+        (["audit", "--help"], (*HEAVY, "numpy", "scipy", "numba", "pyarrow", "lxml")),
     ],
 )
 def test_light_commands_import_nothing_heavy(arguments, unneeded):

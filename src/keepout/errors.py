@@ -33,5 +33,9 @@ class FlightError(KeepoutError):
     """A flight file that is damaged or foreign."""
 
 
+class ExchangeError(KeepoutError):
+    """A file for or from other programs that cannot be written or used."""
+
+
 class ClusterError(KeepoutError):
     """A cluster that cannot be reached, a worker that would fly otherwise than the others, or a chunk that failed."""

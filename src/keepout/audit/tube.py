@@ -14,6 +14,7 @@ first, until the bound is within the tolerance asked.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -162,6 +163,36 @@ class Tube:
         return point, error, radius
 
 
+@runtime_checkable
+class Path(Protocol):
+    """What `nearest` asks of flights between their samples; `Tube` is one."""
+
+    @property
+    def time(self) -> Float[np.ndarray, "samples"]:
+        """Of the samples, s."""
+        ...
+
+    @property
+    def position(self) -> Float[np.ndarray, "flights samples 3"]:
+        """At the samples, m."""
+        ...
+
+    @property
+    def speed(self) -> Float[np.ndarray, "flights steps"]:
+        """A bound of the speed over each step, m/s."""
+        ...
+
+    def piece(
+        self,
+        flight: Int[np.ndarray, "pieces"],
+        index: Int[np.ndarray, "pieces"],
+        start: Float[np.ndarray, "pieces"],
+        end: Float[np.ndarray, "pieces"],
+    ) -> tuple[Float[np.ndarray, "pieces 3"], Float[np.ndarray, "pieces"], Float[np.ndarray, "pieces"]]:
+        """Give a point for part of a step, its error, and the part's radius; see `Tube.piece`."""
+        ...
+
+
 @dataclass(frozen=True)
 class Nearest:
     """Bounds on each flight's least distance, in metres, and where the nearest point found lies."""
@@ -172,7 +203,7 @@ class Nearest:
     position: Float[np.ndarray, "flights 3"]
 
 
-def nearest(tube: Tube, distance: Distance, *, tolerance: float) -> Nearest:
+def nearest(tube: Path, distance: Distance, *, tolerance: float) -> Nearest:
     """Bound the least distance of each flight to the mesh, by branch and bound over pieces of its path.
 
     `lower` never exceeds the true least distance and lies within `tolerance` of `upper` wherever the remainder b T²/8
@@ -207,7 +238,7 @@ def nearest(tube: Tube, distance: Distance, *, tolerance: float) -> Nearest:
 class _Search:
     """The running bounds of `nearest`: least lower bound among pieces settled, least distance found so far."""
 
-    def __init__(self, tube: Tube, distance: Distance, tolerance: float) -> None:
+    def __init__(self, tube: Path, distance: Distance, tolerance: float) -> None:
         flights = tube.position.shape[0]
         self.tube, self.distance, self.tolerance = tube, distance, tolerance
         self.time = np.full(flights, tube.time[0])

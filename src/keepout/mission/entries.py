@@ -5,7 +5,9 @@ Every entry is in SI units. What depends on two entries of one table is checked 
 
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+
+from keepout.mission.epoch import checked_epoch
 
 
 def _finite(vector: tuple[float, ...]) -> tuple[float, ...]:
@@ -18,6 +20,7 @@ Vector = Annotated[tuple[float, float, float], AfterValidator(_finite)]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Angle = Annotated[float, Field(ge=-6.3, le=6.3)]
+Epoch = Annotated[str, BeforeValidator(checked_epoch)]
 
 
 class Entry(BaseModel):

@@ -21,6 +21,7 @@ from keepout.mission.entries import (
     DisturbanceEntry,
     DragEntry,
     Entry,
+    Epoch,
     FaultsEntry,
     FieldEntry,
     GoalEntry,
@@ -42,6 +43,7 @@ class Scenario(Entry):
     )
     seed: Annotated[int, Field(ge=0, lt=2**32)] = Field(default=0, description="of everything that is random")
     duration: Annotated[float, Field(gt=0.0, le=1e6, allow_inf_nan=False)] = Field(default=1500.0, description="s")
+    epoch: Epoch = Field(default="2026-01-01T00:00:00Z", description="UTC at the start; only exports tell it")
     target: TargetEntry = TargetEntry()
     field: FieldEntry = FieldEntry()
     chaser: ChaserEntry = ChaserEntry()

@@ -1,0 +1,263 @@
+"""CCSDS navigation messages as metadata and rows, in both of their forms: keywords and values (KVN), and XML.
+
+What is common to orbit ephemeris messages (OEM, CCSDS 502.0-B-3) and attitude ephemeris messages (AEM, 504.0-B-2): a
+header, and segments of metadata and rows. The meaning of metadata and rows is `orbit_message`'s and
+`attitude_message`'s. A row is an epoch and numbers, all of them still text.
+"""
+
+import datetime
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]  (lxml has no types)
+
+from keepout.errors import ExchangeError
+from keepout.whole_file import write_whole
+
+Kind = Literal["OEM", "AEM"]
+Row = tuple[str, ...]
+
+_KEYWORD = re.compile(r"([A-Z][A-Z0-9_]*)\s*=\s*(.*)")
+_STATE = {"X": "km", "Y": "km", "Z": "km", "X_DOT": "km/s", "Y_DOT": "km/s", "Z_DOT": "km/s"}
+_QUATERNION = ("Q1", "Q2", "Q3", "QC")
+
+
+@dataclass(frozen=True)
+class Segment:
+    """Metadata by keyword, and rows of text: an epoch first."""
+
+    metadata: dict[str, str]
+    rows: tuple[Row, ...]
+
+    def required(self, path: Path, keyword: str) -> str:
+        """Give a keyword's value.
+
+        Raises:
+            ExchangeError: it is not there.
+
+        """
+        if not self.metadata.get(keyword):
+            raise ExchangeError(f"{path}: {keyword} is missing; a segment's metadata must have it")
+        return self.metadata[keyword]
+
+
+@dataclass(frozen=True)
+class Message:
+    """What stands in a file: its kind, the version of its standard, and its segments."""
+
+    kind: Kind
+    version: str
+    segments: tuple[Segment, ...]
+
+
+def write_message(
+    path: Path,
+    kind: Kind,
+    version: str,
+    metadata: Mapping[str, str],
+    rows: Sequence[Row],
+    *,
+    comments: Sequence[str],
+    xml: bool,
+) -> None:
+    """Write a message of one segment, whole or not at all.
+
+    Args:
+        path: the file.
+        kind: of message.
+        version: of its standard.
+        metadata: by keyword, in the standard's order.
+        rows: an epoch and numbers, as text.
+        comments: lines of the header, for people.
+        xml: as XML instead of keywords and values.
+
+    Raises:
+        ExchangeError: the file cannot be written.
+
+    """
+    created = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H:%M:%S")
+    header = {"CREATION_DATE": created, "ORIGINATOR": "KEEPOUT"}
+    write = _xml if xml else _kvn
+    write_whole(path, write(kind, version, header, metadata, rows, comments), refusal=ExchangeError)
+
+
+def _kvn(
+    kind: Kind,
+    version: str,
+    header: Mapping[str, str],
+    metadata: Mapping[str, str],
+    rows: Sequence[Row],
+    comments: Sequence[str],
+) -> str:
+    lines = [f"CCSDS_{kind}_VERS = {version}"]
+    lines += [f"COMMENT {comment}" for comment in comments]
+    lines += [f"{key} = {value}" for key, value in header.items()]
+    lines += ["", "META_START", *(f"{key} = {value}" for key, value in metadata.items()), "META_STOP", ""]
+    body = [" ".join(row) for row in rows]
+    lines += body if kind == "OEM" else ["DATA_START", *body, "DATA_STOP"]
+    return "\n".join(lines) + "\n"
+
+
+def _xml(
+    kind: Kind,
+    version: str,
+    header: Mapping[str, str],
+    metadata: Mapping[str, str],
+    rows: Sequence[Row],
+    comments: Sequence[str],
+) -> bytes:
+    root = etree.Element(kind.lower(), id=f"CCSDS_{kind}_VERS", version=version)
+
+    def add(parent, name: str, text: str | None = None, **attributes: str):
+        child = etree.SubElement(parent, name, **attributes)
+        child.text = text
+        return child
+
+    head = add(root, "header")
+    for comment in comments:
+        add(head, "COMMENT", comment)
+    for key, value in header.items():
+        add(head, key, value)
+    segment = add(add(root, "body"), "segment")
+    described = add(segment, "metadata")
+    for key, value in metadata.items():
+        add(described, key, value)
+    data = add(segment, "data")
+    for epoch, *numbers in rows:
+        if kind == "OEM":
+            state = add(data, "stateVector")
+            add(state, "EPOCH", epoch)
+            for (name, unit), number in zip(_STATE.items(), numbers, strict=True):
+                add(state, name, number, units=unit)
+        else:
+            state = add(add(data, "attitudeState"), "quaternionEphemeris")
+            add(state, "EPOCH", epoch)
+            quaternion = add(state, "quaternion")
+            for name, number in zip(_QUATERNION, numbers, strict=True):
+                add(quaternion, name, number)
+    return etree.tostring(root, xml_declaration=True, encoding="UTF-8", pretty_print=True)
+
+
+def read_message(path: Path, kind: Kind) -> Message:
+    """Read a message of either form; which one, its first character tells.
+
+    An attitude quaternion of an XML message comes as the row Q1, Q2, Q3, QC, and its metadata say so.
+
+    Raises:
+        ExchangeError: the file is missing, damaged, or another kind of message.
+
+    """
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise ExchangeError(f"{path}: cannot be read: {error.strerror}") from None
+    if content.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
+        return _read_xml(path, kind, content)
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise ExchangeError(f"{path}: not a text file; an {kind} is text or XML") from None
+    return _read_kvn(path, kind, text)
+
+
+def _read_kvn(path: Path, kind: Kind, text: str) -> Message:
+    version, segments = "", []
+    metadata: dict[str, str] = {}
+    rows: list[Row] = []
+    place = "start"
+
+    def refuse(number: int, line: str, valid: str) -> ExchangeError:
+        return ExchangeError(f"{path}: line {number}: {line[:60]!r}; {valid}")
+
+    for number, raw in enumerate(text.splitlines(), 1):
+        line = raw.strip()
+        if not line or line.split()[0] == "COMMENT":
+            continue
+        keyword = _KEYWORD.fullmatch(line)
+        if place == "start":
+            if keyword is None or keyword[1] != f"CCSDS_{kind}_VERS":
+                raise refuse(number, line, f"an {kind} begins with CCSDS_{kind}_VERS = …")
+            version, place = keyword[2], "header"
+        elif place == "covariance":
+            place = "data" if line == "COVARIANCE_STOP" else place
+        elif line == "META_START" and place in ("header", "data"):
+            if place == "data":
+                segments.append(Segment(metadata, tuple(rows)))
+            metadata, rows, place = {}, [], "meta"
+        elif line == "META_STOP" and place == "meta":
+            place = "data"
+        elif place in ("meta", "header"):
+            if keyword is None:
+                raise refuse(number, line, "a keyword = value must stand there")
+            if place == "meta" and keyword[1] in metadata:
+                raise refuse(number, line, f"{keyword[1]} must stand there once")
+            if place == "meta":
+                metadata[keyword[1]] = keyword[2]
+        elif line == "COVARIANCE_START" and kind == "OEM":
+            place = "covariance"
+        elif line == "DATA_START" and place == "data" and kind == "AEM":
+            place = "rows"
+        elif line == "DATA_STOP" and place == "rows":
+            place = "data"
+        elif keyword is not None:
+            raise refuse(number, line, "a row of an epoch and numbers must stand there")
+        elif kind == "AEM" and place == "data":
+            raise refuse(number, line, "rows stand between DATA_START and DATA_STOP")
+        else:
+            rows.append(tuple(line.split()))
+    if place != "data":
+        raise ExchangeError(f"{path}: ends in its {place}; it is cut off or no {kind}")
+    segments.append(Segment(metadata, tuple(rows)))
+    return Message(kind, version, tuple(segments))
+
+
+def _read_xml(path: Path, kind: Kind, content: bytes) -> Message:
+    parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, remove_comments=True)
+    try:
+        root = etree.fromstring(content.lstrip(), parser)
+    except etree.XMLSyntaxError as error:
+        raise ExchangeError(f"{path}: damaged or not XML ({' '.join(str(error).split())[:120]})") from None
+    if _name(root) == "ndm":
+        root = next((child for child in root if _name(child) == kind.lower()), root)
+    if _name(root) != kind.lower():
+        raise ExchangeError(f"{path}: its element is {_name(root)!r}; an {kind} in XML is one {kind.lower()!r}")
+    segments = []
+    for segment in (element for element in root.iter() if _name(element) == "segment"):
+        parts = {_name(part): part for part in segment}
+        if not {"metadata", "data"} <= parts.keys():
+            raise ExchangeError(f"{path}: a segment has no metadata or no data; it must have both")
+        metadata = {
+            _name(entry): (entry.text or "").strip() for entry in parts["metadata"] if _name(entry) != "COMMENT"
+        }
+        if kind == "OEM":
+            rows = [_row(path, state, _STATE) for state in parts["data"] if _name(state) == "stateVector"]
+        else:
+            metadata["QUATERNION_TYPE"] = "LAST"
+            states = (state for state in parts["data"] if _name(state) == "attitudeState")
+            rows = [_row(path, state, dict.fromkeys(_QUATERNION, "")) for state in states]
+        segments.append(Segment(metadata, tuple(rows)))
+    if not segments:
+        raise ExchangeError(f"{path}: has no segment; an {kind} has at least one")
+    return Message(kind, root.get("version", ""), tuple(segments))
+
+
+def _row(path: Path, state, names: Mapping[str, str]) -> Row:
+    """Give the epoch and the named numbers of a state, wherever inside it they stand."""
+    found = {_name(element): element for element in state.iter()}
+    row = []
+    for name in ("EPOCH", *names):
+        if name not in found:
+            raise ExchangeError(f"{path}: a {_name(state)} has no {name}; it must have {', '.join(('EPOCH', *names))}")
+        unit = found[name].get("units", names.get(name, ""))
+        if unit != names.get(name, ""):
+            raise ExchangeError(f"{path}: {name} in {unit!r}; it must be in {names[name]!r}")
+        row.append((found[name].text or "").strip())
+    return tuple(row)
+
+
+def _name(element) -> str:
+    """Give an element's name without its namespace."""
+    return etree.QName(element).localname if isinstance(element.tag, str) else ""

@@ -1,0 +1,53 @@
+"""A recorded flight as CCSDS messages: the orbit of chaser or target, and the attitude of the target."""
+
+from pathlib import Path
+from typing import Any, Literal
+
+from keepout.exchange.attitude_message import Attitude, write_aem
+from keepout.exchange.inertial import CENTRE, FRAME, TIME_SYSTEM, InertialFlight
+from keepout.exchange.orbit_message import Orbit, write_oem
+from keepout.mission.epoch import format_instant
+
+Craft = Literal["chaser", "target"]
+BODY = "SC_BODY_1"
+"""Name of the target's body frame in an attitude message."""
+
+
+def export_orbit(flight: InertialFlight, scenario: str, path: Path, *, craft: Craft, xml: bool) -> dict[str, Any]:
+    """Write the orbit of chaser or target as an OEM; its summary says what stands in it."""
+    chaser = craft == "chaser"
+    orbit = Orbit(
+        path,
+        f"KEEPOUT-{craft.upper()}",
+        CENTRE,
+        FRAME,
+        TIME_SYSTEM,
+        flight.epochs,
+        flight.chaser_position if chaser else flight.target_position,
+        flight.chaser_velocity if chaser else flight.target_velocity,
+    )
+    of = "the chaser's centre" if chaser else "the target's centre of mass"
+    write_oem(orbit, comments=_comments(flight, scenario, f"States of {of}."), xml=xml)
+    return {"craft": craft, "frame": FRAME, "centre": CENTRE, **_span(flight)}
+
+
+def export_attitude(flight: InertialFlight, scenario: str, path: Path, *, xml: bool) -> dict[str, Any]:
+    """Write the target's attitude as an AEM; its summary says what stands in it."""
+    attitude = Attitude(path, "KEEPOUT-TARGET", FRAME, BODY, TIME_SYSTEM, flight.epochs, flight.quaternion)
+    said = f"{BODY} is the target's body frame, in which its mesh is given."
+    write_aem(attitude, centre=CENTRE, comments=_comments(flight, scenario, said), xml=xml)
+    return {"craft": "target", "frame_a": FRAME, "frame_b": BODY, **_span(flight)}
+
+
+def _comments(flight: InertialFlight, scenario: str, said: str) -> list[str]:
+    centre = " ".join(f"{component:.17g}" for component in flight.centre_of_mass)
+    return [f"Scenario {scenario}. {said}", f"Centre of mass in the target's body frame: {centre} m."]
+
+
+def _span(flight: InertialFlight) -> dict[str, Any]:
+    return {
+        "time_system": TIME_SYSTEM,
+        "start_time": format_instant(int(flight.epochs[0])),
+        "stop_time": format_instant(int(flight.epochs[-1])),
+        "rows": len(flight.epochs),
+    }

@@ -1,0 +1,332 @@
+"""`keepout audit`: the clearance of flights told by files, against flights whose clearance is known otherwise."""
+
+import json
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
+from truths.audited import Mesh
+from truths.command_line import keepout_command
+from truths.messages import GEOSTATIONARY, TUMBLING, toy_flight
+
+from keepout.audit.audit import Contact, audit
+from keepout.audit.passage import angles, audit_passage, measured_turning_acceleration
+from keepout.exchange.attitude_message import Attitude, write_aem
+from keepout.exchange.orbit_message import Orbit, write_oem
+from keepout.geometry.target import Target
+from keepout.mission import environment
+
+START = 1_780_000_000_000_000_000
+ORBIT = np.array([7e6, 0.0, 0.0])
+
+
+def write_orbits(folder, time, relative, velocity, *, frame="EME2000", system="UTC", centre="EARTH"):
+    """A target that goes along a straight line far away, and a chaser relative to it."""
+    epochs = START + np.round(np.asarray(time) * 1e9).astype(np.int64)
+    base = ORBIT + np.outer(time, [0.0, 7500.0, 0.0])
+    speed = np.tile([0.0, 7500.0, 0.0], (len(time), 1))
+    for name, position, moving in (("t", base, speed), ("c", base + relative, speed + velocity)):
+        path = folder / f"{name}.oem"
+        write_oem(Orbit(path, name, centre, frame, system, epochs, position, moving), comments=[], xml=False)
+    return ["--chaser", folder / "c.oem", "--target-orbit", folder / "t.oem"]
+
+
+def plate(folder):
+    path = folder / "plate.stl"
+    trimesh.creation.box((4.0, 4.0, 0.01)).export(path)
+    return ["--target", path, "--target-units", "m"]
+
+
+def box(folder):
+    path = folder / "box.stl"
+    trimesh.creation.box((2.0, 2.0, 2.0)).export(path)
+    return ["--target", path, "--target-units", "m"]
+
+
+@pytest.mark.parametrize("tree", [GEOSTATIONARY, TUMBLING], ids=["vvlh", "tumbling"])
+@pytest.mark.parametrize("every", [1, 5])
+def test_a_flight_of_keepout_is_bounded_as_by_its_own_audit(tree, every, tmp_path):
+    """The gap: the tolerance of 1 mm, and how far the path can be from its chords."""
+    scenario, record = toy_flight(tree, start=(0.0, 6.0, 4.0), goal=(3.0, -6.0, 2.0))
+    flight = record.save(tmp_path / "flight.parquet")
+    for craft in ("chaser", "target"):
+        assert keepout_command("export", flight, "--to", "oem", "--of", craft, "-o", tmp_path / craft).code == 0
+    assert keepout_command("export", flight, "--to", "aem", "-o", tmp_path / "turning").code == 0
+    if every > 1:  # epochs that only two of the files have
+        lines = (tmp_path / "turning").read_text().splitlines()
+        start = lines.index("DATA_START") + 1
+        (tmp_path / "turning").write_text("\n".join([*lines[:start], *lines[start:-1:every], lines[-1]]))
+    bounds = environment.flight_bounds(scenario)
+    acceleration = np.sqrt(3) * 0.1 / 20.0 + bounds.disturbance_force / 20.0 + 20.0 * bounds.gravity_gradient
+    answer = keepout_command(
+        *("audit", "--target", "box", "--chaser", tmp_path / "chaser", "--target-orbit", tmp_path / "target"),
+        *("--target-attitude", tmp_path / "turning", "--chaser-radius", 0.5, "--acceleration-bound", acceleration),
+        *("--centre-of-mass", *scenario.target.centre_of_mass, "--json"),
+    ).json
+    own = audit(record, Target.load("box"), chaser_radius=0.5, bounds=bounds, force_limit=0.1, speed_limit=10.0)
+    assert own.contact is Contact.NO
+    assert answer["epochs"] == 1 + 120 // every
+    assert answer["epochs_left_out"] == 121 - answer["epochs"]
+    assumed = answer["assumptions"]
+    gap = 2e-3 + 2.0 * assumed["path_uncertainty_m"]
+    assert gap < 0.005 * every**2
+    assert answer["minimum_clearance_bound_m"] <= own.minimum_clearance_found
+    assert answer["minimum_clearance_bound_m"] >= own.minimum_clearance - gap
+    assert answer["minimum_clearance_m"] >= own.minimum_clearance
+    assert answer["contact_verdict"] == "no"
+    assert answer["contact"] is False
+    assert 0.0 < assumed["least_acceleration_of_samples_mps2"] <= acceleration
+    assert assumed["turning_acceleration_kind"] == "measured"
+    assert json.dumps(answer, allow_nan=False)
+
+
+def test_the_closed_form_of_a_straight_way_past_a_box(tmp_path):
+    """Fixed in inertial axes, past a box of 2 m at 1.7 m: nearest between two samples, at 0.2 m from the ball."""
+    time = np.arange(0.0, 61.0, 20.0)
+    relative = np.stack([0.4 * time - 13.0, np.full(4, 0.3), np.full(4, 1.7)], axis=1)
+    files = write_orbits(tmp_path, time, relative, np.tile([0.4, 0.0, 0.0], (4, 1)))
+    common = ["audit", *box(tmp_path), *files, "--target-fixed-in", "inertial", "--chaser-radius", 0.5, "--json"]
+    exact = keepout_command(*common, "--acceleration-bound", 0.0).json
+    assert exact["contact_verdict"] == "no"
+    assert exact["minimum_clearance_bound_m"] == pytest.approx(0.2, abs=1.1e-3)
+    assert exact["minimum_clearance_m"] == pytest.approx(0.2, abs=1e-5)
+    assert 30.0 <= exact["minimum_time_s"] <= 35.0
+    # With 1 mm/s² it can have swayed by 1e-3 · 20²/8 m = 5 cm; with 5 mm/s², by 0.25 m.
+    loose = keepout_command(*common, "--acceleration-bound", 1e-3).json
+    assert loose["assumptions"]["path_uncertainty_m"] == pytest.approx(0.05)
+    assert loose["minimum_clearance_bound_m"] == pytest.approx(0.15, abs=4e-3)
+    open_ = keepout_command(*common, "--acceleration-bound", 5e-3).json
+    assert open_["contact_verdict"] == "undecided"
+    assert "too close to decide" in open_["remarks"][0]
+    wrong = keepout_command(*common, "--acceleration-bound", 0.0, "--sample-error", 0.1).json
+    assert wrong["minimum_clearance_bound_m"] == pytest.approx(0.1, abs=1.1e-3)
+
+
+def test_the_closed_form_of_a_turning_box(tmp_path):
+    """A box that turns at 2°/s below a resting chaser: its edge passes at √2 m, halfway between two samples."""
+    time = np.arange(0.0, 101.0, 1.0)
+    relative = np.tile([2.2, 0.0, 0.0], (len(time), 1))
+    files = write_orbits(tmp_path, time, relative, np.zeros_like(relative))
+    angle = np.radians(2.0 * time + 1.0)
+    quaternion = np.stack([0 * angle, 0 * angle, np.sin(angle / 2), np.cos(angle / 2)], axis=1)
+    epochs = START + np.round(time * 1e9).astype(np.int64)
+    turning = Attitude(tmp_path / "a.aem", "t", "EME2000", "SC_BODY_1", "UTC", epochs, quaternion)
+    write_aem(turning, centre="EARTH", comments=[], xml=False)
+    answer = keepout_command(
+        *("audit", *box(tmp_path), *files, "--target-attitude", tmp_path / "a.aem", "--chaser-radius", 0.5),
+        *("--acceleration-bound", 0.0, "--json"),
+    ).json
+    truth = 2.2 - np.sqrt(2.0) - 0.5
+    assert answer["minimum_clearance_bound_m"] <= truth
+    # Chords of the turn: Ω² · 2.2 m / 8 = 0.34 mm.
+    assert answer["minimum_clearance_bound_m"] == pytest.approx(truth, abs=1e-3 + 2 * 4e-4)
+    assert answer["minimum_clearance_m"] >= truth - 1e-9
+    assert answer["assumptions"]["turning_rate_bound_radps"] == pytest.approx(np.radians(2.0), rel=1e-6)
+    # The wrong way round, or with the scalar first, the same box would be elsewhere in between, but touch as near;
+    # what tells them apart is where.
+    assert answer["minimum_position_m"][:2] == pytest.approx([2.2 / np.sqrt(2), -2.2 / np.sqrt(2)], abs=0.05)
+
+
+def test_a_way_through_a_plate_between_samples_is_caught(tmp_path):
+    time = np.array([0.0, 10.0, 20.0])
+    relative = np.array([[0.0, 0.0, 6.0], [0.0, 0.0, 2.0], [0.0, 0.0, -2.0]])
+    files = write_orbits(tmp_path, time, relative, np.tile([0.0, 0.0, -0.4], (3, 1)))
+    common = ["audit", *plate(tmp_path), *files, "--target-fixed-in", "inertial", "--chaser-radius", 0.3, "--json"]
+    # With so much unknown that it may have gone round the middle of the plate, it is no "yes", but never a "no".
+    assert keepout_command(*common, "--acceleration-bound", 0.1).json["contact_verdict"] == "undecided"
+    answer = keepout_command(*common, "--acceleration-bound", 0.01).json
+    assert answer["contact_verdict"] == "yes"
+    assert answer["contact"] is True
+    assert answer["minimum_clearance_m"] <= 0.0
+    assert 10.0 < answer["minimum_time_s"] < 20.0
+
+
+def test_a_dip_to_a_plate_between_samples_is_never_called_safe(tmp_path):
+    """Clear at both samples, on the same side; in between 1 m/s² take it through the plate."""
+    time = np.array([0.0, 2.0])
+    relative = np.array([[0.0, 0.0, 0.42], [0.0, 0.0, 0.42]])
+    files = write_orbits(tmp_path, time, relative, np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]))
+    common = ["audit", *plate(tmp_path), *files, "--target-fixed-in", "inertial", "--chaser-radius", 0.3, "--json"]
+    assert keepout_command(*common, "--acceleration-bound", 1.0).json["contact_verdict"] == "undecided"
+    # A bound that the files themselves deny is not believed.
+    denied = keepout_command(*common, "--acceleration-bound", 0.01).json
+    assert denied["minimum_clearance_bound_m"] > 0.0
+    assert denied["contact_verdict"] == "undecided"
+    assert denied["assumptions"]["least_acceleration_of_samples_mps2"] == pytest.approx(1.0, rel=1e-4)
+    assert "more than the acceleration bound, 0.01 m/s²" in denied["remarks"][0]
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_bound_is_never_above_the_truth(seed):
+    """Smooth motions and turns with known bounds, a box in closed form, and 200 points between any two samples."""
+    generator = np.random.default_rng(seed)
+    step = generator.uniform(0.5, 4.0)
+    samples = 12
+    waves = generator.uniform(0.1, 0.6, 3)
+    heights = generator.uniform(-0.5, 0.5, (3, 3))
+    drift = generator.uniform(-0.05, 0.05, 3)
+    place = generator.uniform(1.8, 2.5) * generator.choice([-1.0, 1.0], 3)
+    axis = generator.normal(size=3)
+    axis /= np.linalg.norm(axis)
+    rate, swing, wave = generator.uniform(0.0, 0.1), generator.uniform(0.0, 0.1), generator.uniform(0.1, 0.5)
+
+    def position(t):
+        return place + np.multiply.outer(t, drift) + np.sin(np.multiply.outer(t, waves)) @ heights
+
+    def velocity(t):
+        return drift + (np.cos(np.multiply.outer(t, waves)) * waves) @ heights
+
+    def turn(t):
+        return Rotation.from_rotvec(np.multiply.outer(rate * t + swing * np.sin(wave * t), axis)).as_matrix()
+
+    time = step * np.arange(samples)
+    acceleration = float(np.sum(waves**2 * np.linalg.norm(heights, axis=1)))
+    fine = np.linspace(0.0, time[-1], 200 * samples)
+    mesh = Mesh(1.0)
+    truth = mesh.shell.distance_to(np.einsum("nij,nj->ni", turn(fine), position(fine))).min() - 0.1
+    found = audit_passage(
+        *(time, position(time), velocity(time), turn(time), mesh),
+        chaser_radius=0.1,
+        acceleration_bound=acceleration,
+        turning_acceleration_bound=swing * wave**2,
+    )
+    assert found.minimum_clearance_bound <= truth + 1e-9
+    assert found.minimum_clearance_bound >= truth - 1.1e-3 - 2.0 * found.uncertainty
+    assert found.minimum_clearance >= truth - 1e-3
+    assert found.least_acceleration <= acceleration
+    fastest = rate + swing * wave
+    assert rate + swing * wave * np.abs(np.cos(wave * fine)).max() <= fastest + 1e-12
+    assert found.turning_rate >= np.abs(rate + swing * wave * np.cos(wave * fine)).max() - 1e-9
+
+
+def test_a_turn_carries_the_path_beyond_its_chords():
+    """Inside a box that turns, the path bulges from its chords towards the walls: nearest halfway between samples."""
+    time = np.arange(0.0, 24.0, 8.0)
+    turn = Rotation.from_rotvec(np.outer(np.radians(5.0) * (time + 6.0), [0.0, 0.0, 1.0])).as_matrix()
+    place = np.tile([4.0, 0.0, 0.0], (len(time), 1))
+    found = audit_passage(
+        *(time, place, np.zeros_like(place), turn, Mesh(5.0)),
+        chaser_radius=0.25,
+        acceleration_bound=0.0,
+        turning_acceleration_bound=0.0,
+    )
+    assert found.minimum_clearance_bound <= 0.75
+    assert found.minimum_clearance_bound >= 0.75 - 1e-3 - 2.0 * found.uncertainty
+    nearest_chord = 5.0 - 4.0 * np.cos(np.radians(20.0)) - 0.25
+    assert nearest_chord > 0.95  # so that the chords alone would have said too much
+
+
+def test_turns_are_measured_to_rounding():
+    time = np.arange(0.0, 20.0, 2.0)
+    small = Rotation.from_rotvec(np.outer(1e-9 * time, [0.0, 0.6, 0.8])).as_matrix()
+    assert angles(small) == pytest.approx(np.full(9, 2e-9), rel=1e-6)
+    spun_up = Rotation.from_rotvec(np.outer(0.5 * 1e-3 * time**2, [0.0, 0.6, 0.8])).as_matrix()
+    assert measured_turning_acceleration(time, spun_up) == pytest.approx(2e-3, rel=1e-6)
+
+
+def test_a_target_that_turns_too_far_between_epochs_is_not_decided():
+    time = np.arange(0.0, 50.0, 10.0)
+    turn = Rotation.from_rotvec(np.outer(0.2 * time, [0.0, 0.0, 1.0])).as_matrix()
+    place = np.tile([9.0, 0.0, 0.0], (5, 1))
+    found = audit_passage(
+        *(time, place, np.zeros((5, 3)), turn, Mesh(1.0)),
+        chaser_radius=0.1,
+        acceleration_bound=0.0,
+        turning_acceleration_bound=0.0,
+    )
+    assert found.contact is Contact.UNDECIDED
+    assert "the target turns by 114.6 degrees" in found.remarks[0]
+
+
+def still(folder, **options):
+    time = np.arange(0.0, 5.0)
+    return write_orbits(folder, time, np.tile([9.0, 0.0, 0.0], (5, 1)), np.zeros((5, 3)), **options)
+
+
+def edit(path, old, new):
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("CENTER_NAME = EARTH", "CENTER_NAME = MARS", "t.oem: CENTER_NAME is MARS; it must be EARTH, as in"),
+        ("REF_FRAME = EME2000", "REF_FRAME = GCRF", "t.oem: REF_FRAME is GCRF; it must be EME2000, as in"),
+        ("TIME_SYSTEM = UTC", "TIME_SYSTEM = TAI", "t.oem: TIME_SYSTEM is TAI; it must be UTC, as in"),
+        ("2026-05-28T", "2026-05-29T", "0 epochs are common to all files"),
+        ("CCSDS_OEM_VERS", "CCSDS_AEM_VERS", "t.oem: line 1"),
+    ],
+)
+def test_files_that_do_not_fit_are_refused(old, new, said, tmp_path):
+    files = still(tmp_path)
+    edit(tmp_path / "t.oem", old, new)
+    answer = keepout_command(
+        "audit", "--target", "box", *files, "--chaser-radius", 0.5, "--acceleration-bound", 0.1, "--json"
+    )
+    assert answer.code == 1
+    assert said in answer.err
+    assert answer.err.count("\n") == 1
+    assert answer.out == ""
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--target-fixed-in", "sideways"], "--target-fixed-in sideways: valid: vvlh, inertial"),
+        (["--target-attitude", "absent.aem"], "absent.aem: cannot be read"),
+        (["--target-attitude", "a.aem", "--target-fixed-in", "vvlh"], "not with --target-attitude"),
+        (["--acceleration-bound", "-1"], "-1"),
+        (["--acceleration-bound", "inf"], "acceleration_bound is inf m/s²"),
+        (["--chaser-radius", "nan"], "nan is not valid"),
+        (["--target", "absent.glb"], "absent.glb"),
+        (["--target", "plate.stl", "--target-units", "furlong"], "furlong"),
+        (["--chaser", "absent.oem"], "absent.oem: cannot be read"),
+    ],
+)
+def test_options_that_cannot_be_used_are_refused(options, said, tmp_path, monkeypatch):
+    files = still(tmp_path)
+    plate(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    basis = ["--target", "box", *files, "--chaser-radius", 0.5, "--acceleration-bound", 0.1]
+    answer = keepout_command("audit", *basis, *options)
+    assert answer.code != 0
+    assert said in answer.err
+    assert answer.err.count("\n") == 1
+
+
+def test_frames_that_turn_are_refused(tmp_path):
+    answer = keepout_command(
+        *("audit", "--target", "box", *still(tmp_path, frame="ITRF2014"), "--chaser-radius", 0.5),
+        *("--acceleration-bound", 0.1),
+    )
+    assert answer.code == 1
+    assert "REF_FRAME is ITRF2014; valid: EME2000" in answer.err
+
+
+def test_an_attitude_of_other_frames_or_time_is_refused(tmp_path):
+    files = still(tmp_path)
+    epochs = START + np.arange(5) * 1_000_000_000
+    quaternion = np.tile([0.0, 0.0, 0.0, 1.0], (5, 1))
+
+    def answer(a, b, system):
+        turning = Attitude(tmp_path / "a.aem", "t", a, b, system, epochs, quaternion)
+        write_aem(turning, centre="EARTH", comments=[], xml=False)
+        return keepout_command(
+            *("audit", "--target", "box", *files, "--target-attitude", tmp_path / "a.aem", "--chaser-radius", 0.5),
+            *("--acceleration-bound", 0.1, "--json"),
+        )
+
+    assert "one of them must be EME2000" in answer("GCRF", "SC_BODY_1", "UTC").err
+    assert "TIME_SYSTEM is TAI" in answer("EME2000", "SC_BODY_1", "TAI").err
+    assert answer("J2000", "SC_BODY_1", "UTC").json["contact_verdict"] == "no"
+    assert answer("SC_BODY_1", "EME2000", "UTC").json["contact_verdict"] == "no"
+
+
+def test_the_help_has_an_example_and_names_its_options():
+    answer = keepout_command("audit", "--help")
+    assert answer.code == 0
+    for said in ("Example", "keepout audit", "--acceleration-bound", "--target-attitude", "--json"):
+        assert said in answer.out

@@ -1,0 +1,228 @@
+"""CZML, tables and scenes of a flight: what their own readers find in them is what was flown."""
+
+import csv
+import datetime
+import json
+import struct
+import sys
+
+import erfa
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+import trimesh
+from czml3 import Document
+from scipy.spatial.transform import Rotation
+from truths.command_line import keepout_command
+from truths.messages import GEOSTATIONARY, TUMBLING, toy_flight
+
+from keepout.exchange.earth_turn import earth_from_inertial
+from keepout.exchange.inertial import inertial_flight
+from keepout.exchange.table import UNITS
+from keepout.fields.shipped import load_shipped, shipped_path
+from keepout.flight.loop import FlightLog
+from keepout.flight.record import FlightRecord
+from keepout.geometry.target import Target
+from keepout.mission.epoch import parse_instant
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory):
+    scenario, record = toy_flight(TUMBLING, steps=60)
+    return scenario, record, record.save(tmp_path_factory.mktemp("flown") / "flight.parquet")
+
+
+@pytest.mark.filterwarnings("ignore::erfa.ErfaWarning")  # no leap seconds are known for the years to come
+def test_the_earth_is_turned_as_by_the_full_conventions():
+    """Against ERFA with nutation, UT1 = UTC and no polar motion: within 30 arc seconds from 1995 to 2045."""
+    for year in range(1995, 2046, 5):
+        instant = f"{year}-{1 + year % 12:02}-17T0{year % 10}:34:56.25"
+        found = earth_from_inertial(np.array([parse_instant(instant)]))[0]
+        one, two = erfa.dtf2d("UTC", year, 1 + year % 12, 17, year % 10, 34, 56.25)
+        terrestrial = erfa.taitt(*erfa.utctai(one, two))
+        truth = erfa.c2t06a(*terrestrial, one, two, 0.0, 0.0)
+        angle = Rotation.from_matrix(found @ truth.T).magnitude()
+        assert np.degrees(angle) * 3600.0 < 30.0, year
+
+
+def test_czml_read_back_is_the_flight(flown, tmp_path):
+    scenario, record, path = flown
+    out = tmp_path / "a.czml"
+    summary = keepout_command("export", path, "--to", "czml", "-o", out, "--json").json
+    assert summary["frame"] == "EME2000"
+    document, target, chaser = json.loads(out.read_text())
+    assert [packet.id for packet in Document.model_validate(json.loads(out.read_text())).packets] == [
+        *("document", "target", "chaser")
+    ]
+    assert document["id"] == "document"
+    assert document["version"] == "1.0"
+    assert document["clock"]["interval"] == "2027-03-04T05:06:07.500000Z/2027-03-04T05:07:07.500000Z"
+    flight = inertial_flight(record, scenario)
+    for packet, position, velocity in (
+        (target, flight.target_position, flight.target_velocity),
+        (chaser, flight.chaser_position, flight.chaser_velocity),
+    ):
+        place = packet["position"]
+        assert place["referenceFrame"] == "INERTIAL"
+        assert place["epoch"] == "2027-03-04T05:06:07.500000Z"
+        rows = np.array(place["cartesianVelocity"]).reshape(-1, 7)
+        assert np.array_equal(rows[:, 0], record.time)
+        assert np.abs(rows[:, 1:4] - position).max() <= 1e-6
+        assert np.abs(rows[:, 4:] - velocity).max() <= 1e-9
+    turns = np.array(target["orientation"]["unitQuaternion"]).reshape(-1, 5)[:, 1:]
+    assert np.sum(turns[1:] * turns[:-1], axis=1).min() > 0.9
+    # Body to Earth-fixed and on to inertial: the chaser's place in the body frame leads to its inertial place.
+    earth = earth_from_inertial(flight.epochs)
+    away = np.einsum("nji,nj->ni", earth, Rotation.from_quat(turns).apply(record.position - flight.centre_of_mass))
+    assert np.abs(away - (flight.chaser_position - flight.target_position)).max() < 1e-6
+    assert chaser["ellipsoid"]["radii"]["cartesian"] == [0.5, 0.5, 0.5]
+
+
+def test_every_column_has_a_unit():
+    assert UNITS.keys() == FlightLog.__annotations__.keys()
+
+
+@pytest.mark.parametrize("to", ["csv", "parquet", "npz"])
+def test_tables_hold_every_number_with_its_unit(flown, to, tmp_path):
+    scenario, record, path = flown
+    out = tmp_path / f"a.{to}"
+    summary = keepout_command("export", path, "--to", to, "-o", out, "--json").json
+    told = None
+    if to == "csv":
+        with out.open(newline="") as stream:
+            rows = list(csv.DictReader(stream))
+        columns = {name: [row[name] for row in rows] for name in rows[0]}
+    elif to == "parquet":
+        table = pq.read_table(out)
+        columns = table.to_pydict()
+        told = json.loads(table.schema.metadata[b"keepout"])
+    else:
+        with np.load(out, allow_pickle=False) as archive:
+            columns = {name: archive[name] for name in archive.files}
+        told = json.loads(str(columns.pop("keepout")))
+    assert list(columns) == summary["columns"]
+    start = datetime.datetime(2027, 3, 4, 5, 6, 7, 500_000)
+    assert [datetime.datetime.fromisoformat(str(text)).replace(tzinfo=None) for text in columns["utc"]] == [
+        start + datetime.timedelta(seconds=float(seconds)) for seconds in record.time
+    ]
+
+    def numbers(*names):
+        return np.stack([np.asarray(columns[name]).astype(float) for name in names], axis=-1)
+
+    assert np.array_equal(numbers("time_s")[:, 0], record.time)
+    assert np.array_equal(numbers("position_x_m", "position_y_m", "position_z_m"), record.position)
+    assert np.array_equal(numbers("velocity_x_mps", "velocity_y_mps", "velocity_z_mps"), record.velocity)
+    assert np.array_equal(numbers("attitude_w", "attitude_x", "attitude_y", "attitude_z"), record.attitude)
+    assert np.array_equal(numbers("force_x_N", "force_y_N", "force_z_N"), record.force)
+    orbit = ("target_orbit_x_m", "target_orbit_y_m", "target_orbit_z_m", "target_orbit_vx_mps")
+    assert np.array_equal(numbers(*orbit), record.target_orbit[:, :4])
+    assert len(columns) == 1 + sum(1 if a.ndim == 1 else a.shape[1] for a in record.columns.values())
+    if told is not None:
+        assert told["epoch"] == scenario.epoch
+        assert "body frame" in told["frames"]
+        assert told["scenario"]["name"] == "toy-tumbling"
+
+
+def glb_tree(path):
+    content = path.read_bytes()
+    length = struct.unpack("<I", content[12:16])[0]
+    return json.loads(content[20 : 20 + length])
+
+
+@pytest.mark.long
+def test_a_scene_holds_mesh_envelope_and_path_in_metres(tmp_path):
+    target = Target.load("intelsat30")
+    _, record = toy_flight(
+        {**GEOSTATIONARY, "target": {"source": "intelsat30"}}, start=(0.0, 10.0, 6.0), goal=(3.0, 8.0, 6.0), steps=20
+    )
+    record = FlightRecord({**record.header, "target_sha256": target.sha256}, **record.columns)
+    path, out = record.save(tmp_path / "flight.npz"), tmp_path / "a.glb"
+    summary = keepout_command("export", path, "--to", "glb", "-o", out, "--json").json
+    extras = glb_tree(out)["scenes"][0]["extras"]["keepout"]
+    assert extras["units"] == "m"
+    assert extras["frame"].startswith("the target's body frame")
+    assert extras["target_sha256"] == target.sha256
+    certificate = load_shipped("intelsat30").certificate(0.5)
+    assert extras["envelope_level_m"] == 0.5 + certificate.error_bound
+    assert extras["chaser_radius_m"] == 0.5
+    scene = trimesh.load_scene(out)
+    mesh, envelope, way = (scene.geometry[name] for name in ("target", "envelope", "path"))
+    assert len(mesh.faces) == summary["target_triangles"]
+    assert np.abs(mesh.bounds - [target.vertices.min(axis=0), target.vertices.max(axis=0)]).max() < 1e-5
+    pieces = np.repeat(record.position, 2, axis=0)[1:-1]  # a path is kept as its pieces, end to end
+    assert np.abs(np.asarray(way.vertices) - pieces).max() < 1e-5
+    # Round about the mesh at the chaser's radius, as far as triangles tell.
+    distance = target.distance.distance(np.asarray(envelope.vertices, float)[::50])
+    assert np.quantile(distance, 0.02) > 0.45
+    assert np.quantile(distance, 0.98) < 0.6
+    # Keepout's own strict reader takes the mesh back for the same target.
+    alone = trimesh.Scene({"target": mesh})
+    alone.export(tmp_path / "mesh.glb")
+    again = Target.load(tmp_path / "mesh.glb", units="m")
+    assert np.abs(again.vertices.max(axis=0) - target.vertices.max(axis=0)).max() < 1e-5
+
+
+@pytest.mark.long
+def test_a_field_as_a_scene_has_no_path(tmp_path):
+    out = tmp_path / "a.glb"
+    summary = keepout_command(
+        *("export", shipped_path("intelsat30"), "--to", "glb", "--chaser-radius", 0, "-o", out, "--json")
+    ).json
+    assert set(trimesh.load_scene(out).geometry) == {"target", "envelope"}
+    assert summary["path_points"] == 0
+    assert summary["envelope_kind"] == "certified"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--to", "xlsx"), "--to xlsx: valid for a flight: oem, aem, czml, csv, parquet, npz, glb"),
+        (("--to", "onnx"), "--to onnx: valid for a flight"),
+        (("--to", "aem", "--of", "target"), "--of: only for --to oem, not --to aem"),
+        (("--to", "oem", "--of", "moon"), "--of moon: valid: chaser, target"),
+        (("--to", "csv", "--xml"), "--xml: only for --to oem and --to aem, not --to csv"),
+        (("--to", "oem", "--chaser-radius", "1"), "--chaser-radius: only for a field"),
+        (("--to", "oem", "--mesh", "box"), "--mesh: only for --to glb"),
+        (("--to", "glb", "--mesh", "sphere"), "was flown around another mesh"),
+        (("--to", "oem", "--seed", "-1"), "-1"),
+    ],
+)
+def test_what_cannot_be_exported_of_a_flight(flown, arguments, said, tmp_path):
+    _, record, _ = flown
+    record = FlightRecord({**record.header, "target_sha256": "f" * 64}, **record.columns)
+    path = record.save(tmp_path / "flight.npz")
+    answer = keepout_command("export", path, *arguments, "-o", tmp_path / "out")
+    assert answer.code != 0
+    assert said in answer.err
+    assert answer.err.count("\n") == 1
+    assert [entry.name for entry in tmp_path.iterdir()] == ["flight.npz"]
+
+
+def test_files_that_are_none(flown, tmp_path):
+    _, record, path = flown
+    bare = FlightRecord({}, **record.columns).save(tmp_path / "bare.npz")
+    cases = {
+        (bare, tmp_path / "o"): "bare.npz: its header has no scenario",
+        (tmp_path / "absent.npz", tmp_path / "o"): "absent.npz: cannot be read",
+        (tmp_path / "flight.txt", tmp_path / "o"): "a flight file ends in .parquet or .npz, a field file in .keepout",
+        (path, tmp_path / "absent" / "o"): "the folder",
+    }
+    for (source, out), said in cases.items():
+        answer = keepout_command("export", source, "--to", "oem", "-o", out)
+        assert answer.code == 1
+        assert said in answer.err
+        assert answer.err.count("\n") == 1
+
+
+@pytest.mark.parametrize(("to", "package"), [("czml", "czml3"), ("onnx", "onnx"), ("onnx", "onnxruntime")])
+def test_a_missing_extra_is_named(flown, to, package, tmp_path, monkeypatch):
+    for name in [name for name in sys.modules if name.split(".")[0] == package or "exchange.onnx" in name]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, package, None)
+    source = flown[2] if to == "czml" else shipped_path("intelsat30")
+    radius = () if to == "czml" else ("--chaser-radius", 0.5)
+    answer = keepout_command("export", source, "--to", to, *radius, "-o", tmp_path / "a")
+    assert answer.code == 1
+    assert "pip install 'keepout[export]'" in answer.err
+    assert answer.err.count("\n") == 1
+    assert not list(tmp_path.iterdir())

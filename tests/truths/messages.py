@@ -1,0 +1,38 @@
+"""A flight of a toy law along a scenario's own orbit and turning, as a record, for what exports and reads flights."""
+
+import jax
+import numpy as np
+
+from keepout.flight import loop
+from keepout.flight.record import FlightRecord
+from keepout.mission import environment
+from keepout.mission.scenario import Scenario
+from truths.flights import KEY, Spring, make_setup
+
+GEOSTATIONARY = {"name": "toy", "target": {"source": "box"}}
+TUMBLING = {
+    "name": "toy-tumbling",
+    "epoch": "2027-03-04T05:06:07.5Z",
+    "orbit": {"semi_major_axis": 6.8e6, "eccentricity": 0.001, "inclination": 0.9, "right_ascension": 0.4, "j2": True},
+    "attitude": {
+        "kind": "tumbling",
+        "angular_velocity": [0.001, 0.002, -0.003],
+        "inertia": [[3, 0, 0], [0, 2, 0], [0, 0, 1.5]],
+    },
+    "target": {"source": "box", "centre_of_mass": [0.1, -0.2, 0.3]},
+}
+
+
+def toy_flight(tree, *, start=(0.0, 6.0, 4.0), goal=(3.0, -6.0, 4.0), steps=120):
+    """Give scenario and record of a flight past the target."""
+    scenario = Scenario.parse(
+        tree | {"duration": float(steps), "start": {"position": start}, "goal": {"position": goal}}
+    )
+    motion = environment.relative_motion(scenario)
+    law = Spring(motion, np.asarray(goal))
+    setup = make_setup(
+        motion=motion, controller=law, goal=np.asarray(goal), disturbance=environment.disturbance(scenario)
+    )
+    initial = motion.initial_state(np.asarray(start), np.zeros(3))
+    log = jax.jit(lambda: loop.fly(setup, initial, steps, KEY))()
+    return scenario, FlightRecord.of_log(log, scenario=scenario.model_dump_json(), target_sha256="")
