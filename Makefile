@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: help demo check test test-all lint format install shipped clean
+.PHONY: help demo check test test-all lint format install shipped replay-bundle clean
 
 help:
 	@echo "make demo      set up, then fly the built-in demonstration; results in out/demo"
@@ -13,6 +13,7 @@ help:
 	@echo "make test-all  the same with the tests that take hours"
 	@echo "make format    format the code"
 	@echo "make shipped   remake the learned fields that ship with the package"
+	@echo "make replay-bundle  bundle the replay's viewer into the package again (needs Node.js and npm)"
 	@echo "make clean     remove the environment and all outputs"
 
 install: $(STAMP)
@@ -47,6 +48,9 @@ format: install
 
 shipped: install
 	$(BIN)/python -m keepout.learning.shipped
+
+replay-bundle:
+	cd viewer && npm ci && npm run build
 
 clean:
 	rm -rf $(VENV) out .pytest_cache .ruff_cache

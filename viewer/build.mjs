@@ -1,6 +1,6 @@
 // Bundles the viewer into the Python package: replay.js, replay.css, LICENCES.txt, and a manifest with their digests.
 import { createHash } from "node:crypto";
-import { mkdirSync, readFileSync, writeFileSync } from "node:fs";
+import { mkdirSync, readdirSync, readFileSync, writeFileSync } from "node:fs";
 import { build } from "esbuild";
 
 const OUT = new URL("../src/keepout/data/replay/", import.meta.url).pathname;
@@ -37,7 +37,7 @@ for (const [name, content] of Object.entries(files)) writeFileSync(OUT + name, c
 const manifest = {
   command: "make replay-bundle",
   source: Object.fromEntries(
-    ["build.mjs", "package-lock.json", ...["main", "scene", "paths", "cameras", "arrows", "plots", "transport", "layout", "data", "colours"].map((name) => `src/${name}.js`), "src/replay.css"]
+    ["build.mjs", "package-lock.json", ...readdirSync(new URL("src", import.meta.url)).sort().map((name) => `src/${name}`)]
       .map((name) => [name, digest(read(name))])
   ),
   libraries: libraries.map(({ text: _, ...of }) => of),

@@ -47,19 +47,23 @@ export class Eye {
     const side = Math.abs(up.x) > 0.9 ? new Vector3(0, 1, 0) : new Vector3(1, 0, 0);
     const slope = Math.tan((this.camera.fov * Math.PI) / 360);
     const all = [...points, ...paths];
-    let best = null;
-    for (let k = 0; k < 24; k++) {
-      const direction = side.clone().applyAxisAngle(up, ((k + 0.5) * Math.PI) / 12).multiplyScalar(Math.cos(0.44)).addScaledVector(up, Math.sin(0.44));
+    const views = [];
+    for (let k = 0; k < 48; k++) {
+      const slant = k < 24 ? 0.44 : -0.35;
+      const direction = side.clone().applyAxisAngle(up, ((k + 0.5) * Math.PI) / 12).multiplyScalar(Math.cos(slant)).addScaledVector(up, Math.sin(slant));
       const right = new Vector3().crossVectors(up, direction).normalize();
       const above = new Vector3().crossVectors(direction, right);
       const front = paths.reduce((sum, point) => sum + point.clone().sub(centre).dot(direction), 0) / Math.max(paths.length, 1);
       const breadth = span(all, right);
       const seen = [right, above].map((axis) => span(paths, axis)).reduce((sum, [low, high]) => sum + (high - low) ** 2, 0);
-      // Broad in the picture are both the whole and the paths: a view from between their broad sides.
-      const whole = (breadth[1] - breadth[0]) / this.extent.length;
-      const score = 0.5 * (front / this.extent.length) + (Math.sqrt(seen) / this.extent.length) * whole;
-      if (!best || score > best.score) best = { score, direction, right, above, breadth };
+      views.push({ direction, right, above, breadth, seen: Math.sqrt(seen), front: front / this.extent.length, below: k >= 24 });
     }
+    // Broad in the picture are both the whole and the paths: a view from between their broad sides.
+    const most = (of) => Math.max(...views.map(of), 1e-9);
+    const wide = (view) => view.breadth[1] - view.breadth[0];
+    const [seen, broad] = [most((view) => view.seen), most(wide)];
+    const score = (view) => Math.min(view.seen / seen, wide(view) / broad) + 0.8 * view.front - (view.below ? 0.15 : 0);
+    const best = views.reduce((first, second) => (score(second) > score(first) ? second : first));
     const { direction, right, above, breadth } = best;
     const height = span(all, above);
     const depth = span(all, direction);

@@ -88,7 +88,7 @@ export class Plots {
       if (mark.kind === "nearest" || mark.kind === "reached") continue;
       const from = drawn.valToPos(mark.start, "x", true);
       const wide = Math.max(drawn.valToPos(mark.end, "x", true) - from, 1);
-      ctx.fillStyle = `${MARKS[mark.kind]}${mark.kind === "law" ? "22" : "40"}`;
+      ctx.fillStyle = `${MARKS[mark.kind]}${{ law: "18", guard: "2c", flag: "50" }[mark.kind]}`;
       ctx.fillRect(from, bbox.top, wide, bbox.height);
     }
     ctx.setLineDash([4, 4]);
