@@ -95,7 +95,7 @@ def test_the_module_runs_as_a_program():
     assert done.stdout.startswith("keepout ")
 
 
-HEAVY = ("jax", "equinox", "matplotlib", "plotly", "trimesh", "optax", "skimage")
+HEAVY = ("jax", "equinox", "matplotlib", "trimesh", "optax", "skimage")
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,7 @@ HEAVY = ("jax", "equinox", "matplotlib", "plotly", "trimesh", "optax", "skimage"
         (["fly", "--help"], (*HEAVY, "numpy", "scipy", "numba", "pyarrow")),
         (["targets"], HEAVY),
         (["fly", "absent.toml"], (*HEAVY, "numpy", "scipy")),
-        (["inspect", "box"], ("matplotlib", "plotly", "trimesh", "optax", "skimage")),
+        (["inspect", "box"], ("matplotlib", "trimesh", "optax", "skimage")),
     ],
 )
 def test_light_commands_import_nothing_heavy(arguments, unneeded):

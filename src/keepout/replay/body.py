@@ -58,7 +58,7 @@ def _fewer(
 
 
 def _openness(target: Target, vertices: np.ndarray, faces: np.ndarray) -> Float[np.ndarray, "f"]:
-    """Say how far each triangle is from what stands opposite, on its freer side: 1 in the open, towards 0 in a corner."""
+    """Say how far what stands opposite is from each triangle, on its freer side: 1 in the open, to 0 in a corner."""
     if len(faces) == 0:
         return np.ones(0)
     corners = vertices[faces]

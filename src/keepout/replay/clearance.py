@@ -35,7 +35,8 @@ def proved_clearance(
         no motion within the bounds can have flown, or that may have gone beyond where gravity is bounded.
 
     """
-    finite = np.isfinite(record.position).all(axis=1) & np.isfinite(record.velocity).all(axis=1)
+    states = np.isfinite(np.concatenate([record.position, record.velocity], axis=1))
+    finite = np.all(states, axis=1, keepdims=True)[:, 0]
     readable = finite[:-1] & finite[1:] & np.isfinite(record.force[:-1]).all(axis=1)
     position, velocity, force = (
         np.where(np.isfinite(array), array, 0.0)[None] for array in (record.position, record.velocity, record.force)

@@ -1,10 +1,13 @@
 """Flights to be replayed, from memory or from flight files, with the surfaces that their law and guard flew by."""
 
+import functools
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
+
+import numpy as np
 
 from keepout.audit.audit import Audit, audit
 from keepout.errors import FlightError, KeepoutError
@@ -47,6 +50,20 @@ class Replayed:
     verdict: Audit
     levels: tuple[Level, ...] = ()
 
+    @functools.cached_property
+    def shown(self) -> FlightRecord:
+        """The flight up to the first position or attitude that is not a number: there is no path from there on.
+
+        Raises:
+            FlightError: that is its first row.
+
+        """
+        rows = np.isfinite(np.concatenate([self.record.position, self.record.attitude], axis=1)).all(axis=1)
+        until = self.record.steps + 1 if np.all(rows) else int(np.argmin(rows))
+        if until == 0:
+            raise FlightError(f"{self.name}: its first position or attitude is not a number; there is nothing to draw")
+        return FlightRecord(self.record.header, **{name: of[:until] for name, of in self.record.columns.items()})
+
 
 def of_flights(flights: Mapping[str, Flight]) -> list[Replayed]:
     """Gather flights that are in memory, by name; one that does not know its mission has no surfaces."""
@@ -63,9 +80,7 @@ def of_flights(flights: Mapping[str, Flight]) -> list[Replayed]:
                 levels.append(
                     Level("guard", identity, guard.field, guard.threshold, guard.lipschitz, error_bound, True)
                 )
-        gathered.append(
-            Replayed(name, flight.record, flight.scenario, flight.target, flight.audit, tuple(levels))
-        )
+        gathered.append(Replayed(name, flight.record, flight.scenario, flight.target, flight.audit, tuple(levels)))
     return gathered
 
 
@@ -77,15 +92,11 @@ def of_records(records: Mapping[str, FlightRecord], *, progress: Progress = sile
             message begins with the flight's name.
 
     """
-    shelf = _Shelf()
-    gathered = []
-    for place, (name, record) in enumerate(records.items()):
-        told = part_of(progress, place / len(records), (place + 1) / len(records))
-        try:
-            gathered.append(_gather(name, record, shelf, told))
-        except KeepoutError as error:
-            raise type(error)(f"{name}: {error}") from error
-    return gathered
+    surroundings = Surroundings()
+    return [
+        surroundings.of(name, record, progress=part_of(progress, place / len(records), (place + 1) / len(records)))
+        for place, (name, record) in enumerate(records.items())
+    ]
 
 
 def of_files(paths: Sequence[Path], *, progress: Progress = silent) -> list[Replayed]:
@@ -106,56 +117,65 @@ def of_files(paths: Sequence[Path], *, progress: Progress = silent) -> list[Repl
     ]
 
 
-class _Shelf:
-    """Targets, fields and guards' fields, loaded once for all flights that share them."""
+class Surroundings:
+    """Targets, fields and guards' fields, loaded once for all recorded flights that share them."""
 
     def __init__(self) -> None:
         self.targets: dict[str, Target] = {}
         self.models: dict[tuple[str, str], FieldModel] = {}
         self.guards: dict[tuple[str, float, float, float], FieldModel] = {}
 
+    def of(self, name: str, record: FlightRecord, *, progress: Progress = silent) -> Replayed:
+        """Gather one recorded flight.
 
-def _gather(name: str, record: FlightRecord, shelf: _Shelf, progress: Progress) -> Replayed:
-    scenario = _scenario(record)
-    entry = scenario.target.model_dump_json()
-    if entry not in shelf.targets:
-        shelf.targets[entry] = load_target(scenario.target)
-    target = shelf.targets[entry]
-    flown = record.header.get("target_sha256")
-    if flown and flown != target.sha256:
-        raise FlightError(
-            f"the mesh {scenario.target.source} is not the one it was flown around (digest {target.sha256[:12]}…, "
-            f"flown {flown[:12]}…); put that mesh back"
-        )
-    key = entry, scenario.field.model_dump_json()
-    if key not in shelf.models:
-        shelf.models[key] = load_model(scenario, target)
-    model, radius = shelf.models[key], scenario.chaser.radius
-    levels = [_envelope(model, scenario)]
-    if scenario.guard.enabled:
-        made_from = target.sha256, radius, model.offset, closing_radius(model)
-        if made_from not in shelf.guards:
-            shelf.guards[made_from] = guard_field(
-                target, radius, offset=model.offset, closing_radius=closing_radius(model), progress=progress
+        Raises:
+            KeepoutError: as `of_records` says.
+
+        """
+        try:
+            return self._gathered(name, record, progress)
+        except KeepoutError as error:
+            raise type(error)(f"{name}: {error}") from error
+
+    def _gathered(self, name: str, record: FlightRecord, progress: Progress) -> Replayed:
+        scenario = _scenario(record)
+        entry = scenario.target.model_dump_json()
+        if entry not in self.targets:
+            self.targets[entry] = load_target(scenario.target)
+        target = self.targets[entry]
+        flown = record.header.get("target_sha256")
+        if flown and flown != target.sha256:
+            raise FlightError(
+                f"the mesh {scenario.target.source} is not the one it was flown around (digest {target.sha256[:12]}…, "
+                f"flown {flown[:12]}…); put that mesh back"
             )
-        kept = shelf.guards[made_from]
-        certificate = kept.certificate(radius)
-        level = certificate.error_bound + radius
-        identity = f"{target.sha256} {level!r}"
-        levels.append(
-            Level(
-                "guard", identity, kept.field, level, certificate.gradient_bound, certificate.error_bound, True
+        key = entry, scenario.field.model_dump_json()
+        if key not in self.models:
+            self.models[key] = load_model(scenario, target)
+        model, radius = self.models[key], scenario.chaser.radius
+        levels = [_envelope(model, scenario)]
+        if scenario.guard.enabled:
+            made_from = target.sha256, radius, model.offset, closing_radius(model)
+            if made_from not in self.guards:
+                self.guards[made_from] = guard_field(
+                    target, radius, offset=model.offset, closing_radius=closing_radius(model), progress=progress
+                )
+            kept = self.guards[made_from]
+            certificate = kept.certificate(radius)
+            level = certificate.error_bound + radius
+            identity = f"{target.sha256} {level!r}"
+            levels.append(
+                Level("guard", identity, kept.field, level, certificate.gradient_bound, certificate.error_bound, True)
             )
+        verdict = audit(
+            record,
+            target,
+            chaser_radius=radius,
+            bounds=environment.flight_bounds(scenario),
+            force_limit=scenario.chaser.force_limit,
+            speed_limit=scenario.chaser.speed_limit,
         )
-    verdict = audit(
-        record,
-        target,
-        chaser_radius=radius,
-        bounds=environment.flight_bounds(scenario),
-        force_limit=scenario.chaser.force_limit,
-        speed_limit=scenario.chaser.speed_limit,
-    )
-    return Replayed(name, record, scenario, target, verdict, tuple(levels))
+        return Replayed(name, record, scenario, target, verdict, tuple(levels))
 
 
 def _scenario(record: FlightRecord) -> Scenario:

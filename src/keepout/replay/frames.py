@@ -1,6 +1,7 @@
 """The attitude of the body frame over a flight, against VVLH and against the stars."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
@@ -21,9 +22,10 @@ def to_vvlh(record: FlightRecord) -> Quaternions:
 def to_inertial(record: FlightRecord, scenario: Scenario) -> Quaternions:
     """Rotations ECI ← body as unit quaternions, scalar first: by the recorded orbit, or the scenario's Kepler orbit."""
     if record.target_orbit is None:
-        position, velocity = jax.vmap(orbit_of(scenario.orbit).inertial_state)(record.time)
+        position, velocity = jax.vmap(orbit_of(scenario.orbit).inertial_state)(jnp.asarray(record.time))
     else:
-        position, velocity = record.target_orbit[:, :3], record.target_orbit[:, 3:]
+        orbit = jnp.asarray(record.target_orbit)
+        position, velocity = orbit[:, :3], orbit[:, 3:]
     axes = np.asarray(jax.vmap(vvlh_axes)(position, velocity))
     body_from_vvlh = Rotation.from_quat(record.attitude, scalar_first=True)
     return _continuous((body_from_vvlh * Rotation.from_matrix(axes)).inv())

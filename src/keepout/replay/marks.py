@@ -1,5 +1,4 @@
-"""Where in a flight something spoke: the guard, one of its flags, the law; and the two moments that everybody looks for.
-"""
+"""Where in a flight the guard, its flags or the law spoke, and the two moments that everybody looks for."""
 
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -30,7 +29,8 @@ class Mark:
         return asdict(self)
 
 
-def marks(record: FlightRecord, clearance: Float[np.ndarray, "rows"], error: Float[np.ndarray, "rows"], tolerance: float
+def marks(
+    record: FlightRecord, clearance: Float[np.ndarray, "rows"], error: Float[np.ndarray, "rows"], tolerance: float
 ) -> list[Mark]:
     """Find the marks of a flight, in order of time.
 

@@ -12,6 +12,7 @@ from jaxtyping import Int
 
 from keepout.errors import FlightError
 from keepout.mission import environment
+from keepout.progress import Progress, part_of, silent
 from keepout.replay import frames
 from keepout.replay.body import drawn_body
 from keepout.replay.clearance import proved_clearance
@@ -19,7 +20,6 @@ from keepout.replay.flights import Level, Replayed
 from keepout.replay.marks import marks
 from keepout.replay.packing import Packing
 from keepout.replay.surfaces import drawn_surface
-from keepout.progress import Progress, part_of, silent
 
 FORMAT = 1
 """Of the page's data; the viewer refuses another."""
@@ -90,9 +90,7 @@ def _target(packing: Packing, flight: Replayed) -> dict[str, Any]:
 
 
 def _surface(packing: Packing, level: Level, flight: Replayed, progress: Progress) -> dict[str, Any]:
-    drawn = drawn_surface(
-        level.field, flight.target.distance, level.level, steepest=level.steepest, progress=progress
-    )
+    drawn = drawn_surface(level.field, flight.target.distance, level.level, steepest=level.steepest, progress=progress)
     return {
         "kind": level.kind,
         "level": level.level,
@@ -112,14 +110,8 @@ def rows_shown(rows: int) -> Int[np.ndarray, "shown"]:
 
 
 def _flight(packing: Packing, flight: Replayed) -> dict[str, Any]:
-    record, scenario, chaser = flight.record, flight.scenario, flight.scenario.chaser
+    record, scenario, chaser = flight.shown, flight.scenario, flight.scenario.chaser
     goal = np.asarray(scenario.goal.position)
-    finite = np.isfinite(record.position).all(axis=1)
-    if not finite.all():
-        raise FlightError(
-            f"{flight.name}: its position is not a number at {record.time[int(np.argmin(finite))]:g} s, so there is no "
-            "path to draw"
-        )
     distance, closest, _ = flight.target.distance.closest(record.position)
     clearance = distance - chaser.radius
     error = np.linalg.norm(record.position - goal, axis=1)
@@ -128,8 +120,7 @@ def _flight(packing: Packing, flight: Replayed) -> dict[str, Any]:
     )
     rows = rows_shown(len(record.time))
     # Of the steps between two rows that are drawn the least bound counts; the last row begins no step.
-    steps = np.minimum.reduceat(np.append(bound, np.nan if len(bound) == 0 else bound[-1]), rows)
-    steps[-1] = np.nan
+    steps = np.minimum.reduceat(np.append(bound, np.nan), rows)
     speed = np.linalg.norm(record.velocity, axis=1)
     force = np.linalg.norm(record.force, axis=1)
     numbers = {
@@ -153,7 +144,7 @@ def _flight(packing: Packing, flight: Replayed) -> dict[str, Any]:
     return {
         "name": flight.name,
         "rows": len(rows),
-        "of_rows": len(record.time),
+        "of_rows": len(flight.record.time),
         "radius": chaser.radius,
         "force_limit": chaser.force_limit,
         "speed_limit": chaser.speed_limit,

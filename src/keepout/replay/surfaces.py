@@ -1,4 +1,4 @@
-"""Level surfaces of fields as they are drawn: cut, joined, made of fewer triangles, and with the field's own normals."""
+"""Level surfaces of fields as they are drawn: cut, joined, made of fewer triangles, with the field's own normals."""
 
 from dataclasses import dataclass
 
@@ -67,7 +67,9 @@ def _fewer(
     vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], tolerance: float
 ) -> tuple[Float[np.ndarray, "w 3"], Int[np.ndarray, "g 3"], float]:
     """Give a surface with fewer triangles, and how far it may lie off; one that is not closed stays as it is."""
-    _, first, place = np.unique(np.rint(vertices / _WELD).astype(np.int64), axis=0, return_index=True, return_inverse=True)
+    _, first, place = np.unique(
+        np.rint(vertices / _WELD).astype(np.int64), axis=0, return_index=True, return_inverse=True
+    )
     welded, joined = vertices[first], place.reshape(-1)[faces]
     joined = joined[(joined[:, 0] != joined[:, 1]) & (joined[:, 1] != joined[:, 2]) & (joined[:, 2] != joined[:, 0])]
     mesh = manifold3d.Mesh(welded.astype(np.float32), joined.astype(np.uint32))

@@ -45,7 +45,9 @@ def write_replay(
     progress(0.85, "figures")
     figures = {
         "The target and the flights, seen from one side; a path behind the target is dotted.": _picture(flights),
-        "Clearance on the exact mesh and, dashed, its proved lower bound over each step.": _curves(flights, "clearance"),
+        "Clearance on the exact mesh and, dashed, its proved lower bound over each step.": _curves(
+            flights, "clearance"
+        ),
         "Speed, applied force and distance to the goal.": _curves(flights, "motion"),
     }
     words = [_said(flight) for flight in flights]
@@ -56,7 +58,7 @@ def write_replay(
 
 def _said(flight: Replayed) -> str:
     verdict, scenario = flight.verdict, flight.scenario
-    start, goal = (", ".join(f"{x:g}" for x in at) for at in (flight.record.position[0], scenario.goal.position))
+    start, goal = (", ".join(f"{x:g}" for x in at) for at in (flight.shown.position[0], scenario.goal.position))
     words = f"{flight.name}: from [{start}] m to [{goal}] m around {flight.target.name}. Contact: {verdict.contact}"
     if np.isfinite(verdict.minimum_clearance):
         words += f"; the clearance is at least {verdict.minimum_clearance:.4g} m at every instant"
@@ -83,7 +85,7 @@ def _picture(flights: Sequence[Replayed]) -> str:
             seen = (used - middle) @ axes.T
             panel.scatter(seen[:, 0], seen[:, 1], s=1.0, color="#9aa3ad")
         for colour, flight in zip(_palette(len(flights)), flights):
-            path = (flight.record.position[rows_shown(len(flight.record.time))] - middle) @ axes.T
+            path = (flight.shown.position[rows_shown(len(flight.shown.time))] - middle) @ axes.T
             hidden = np.zeros(len(path), bool) if view is None or corners is None else _behind(path, view, corners)
             panel.plot(path[:, 0], path[:, 1], color=colour, linewidth=0.8, linestyle=":")
             open_path = np.where(hidden[:, None], np.nan, path)
@@ -116,7 +118,7 @@ def _curves(flights: Sequence[Replayed], kind: str) -> str:
         drawing = plt.figure(figsize=(8.0, 2.6 if count == 1 else 4.6), layout="constrained")
         panels = drawing.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
         for colour, flight in zip(_palette(len(flights)), flights):
-            record = flight.record
+            record = flight.shown
             time = record.time - record.time[0]
             thin = {"color": colour, "linewidth": 0.9, "label": flight.name}
             if kind == "clearance":
