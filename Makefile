@@ -7,7 +7,7 @@ STAMP := $(VENV)/.installed
 # A file of tests stays with one worker, which builds and compiles once what its tests share; the longest come first.
 BY_FILE := -n 2 --dist loadfile --no-loadscope-reorder
 
-.PHONY: help demo check test test-all lint style types quick-tests tests format install shipped basilisk clean
+.PHONY: help demo check test test-all lint style types quick-tests tests format install shipped replay-bundle basilisk clean
 
 help:
 	@echo "make demo      set up, then fly the built-in demonstration; results in out/demo"
@@ -16,6 +16,7 @@ help:
 	@echo "make test-all  the same with the tests that take hours"
 	@echo "make format    format the code"
 	@echo "make shipped   remake the learned fields that ship with the package"
+	@echo "make replay-bundle  bundle the replay's viewer into the package again (needs Node.js and npm)"
 	@echo "make basilisk  fly law and guard as flight software in Basilisk, in an environment of its own"
 	@echo "make clean     remove the environment and all outputs"
 
@@ -70,6 +71,9 @@ basilisk: .venv-basilisk/.installed
 	$(PYTHON) -m venv .venv-basilisk
 	.venv-basilisk/bin/pip install --quiet --editable '.[basilisk]'
 	@touch $@
+
+replay-bundle:
+	cd viewer && npm ci && npm run build
 
 clean:
 	rm -rf $(VENV) .venv-basilisk out .pytest_cache .ruff_cache

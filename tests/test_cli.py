@@ -107,7 +107,7 @@ def test_the_module_runs_as_a_program():
     assert done.stdout.startswith("keepout ")
 
 
-HEAVY = ("jax", "equinox", "matplotlib", "plotly", "trimesh", "optax", "skimage")
+HEAVY = ("jax", "equinox", "matplotlib", "trimesh", "optax", "skimage")
 
 
 @pytest.mark.parametrize(
@@ -121,9 +121,7 @@ HEAVY = ("jax", "equinox", "matplotlib", "plotly", "trimesh", "optax", "skimage"
         (["scenario", "new"], (*HEAVY, "numpy", "scipy", "numba", "pyarrow")),
         (["scenario", "schema"], (*HEAVY, "numpy", "scipy", "numba", "pyarrow")),
         (["scenario", "check", "absent.toml"], (*HEAVY, "numpy", "scipy")),
-        pytest.param(
-            ["inspect", "box"], ("matplotlib", "plotly", "trimesh", "optax", "skimage"), marks=pytest.mark.long
-        ),
+        pytest.param(["inspect", "box"], ("matplotlib", "trimesh", "optax", "skimage"), marks=pytest.mark.long),
         (["export", "--help"], (*HEAVY, "numpy", "scipy", "numba", "pyarrow", "onnx", "czml3")),
         (["audit", "--help"], (*HEAVY, "numpy", "scipy", "numba", "pyarrow", "lxml")),
     ],

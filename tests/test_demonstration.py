@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from truths.command_line import keepout_command
-from truths.results import Page, check_picture, numbers
+from truths.replay_page import ReplayPage
+from truths.results import Page, check_picture
 
 from keepout.flight.record import FlightRecord
 from keepout.mission.scenario import Scenario
@@ -79,9 +80,11 @@ def check_reproduction(out: Path, part: str, summaries):
     for table in ("flights", "map"):
         assert f"{part}/{table}.csv" in page.outside
     assert [line[0] for line in page.table[1 : 1 + len(summaries)]] == [one["name"] for one in summaries]
-    paths = {trace.get("name"): trace for trace in page.replay[0] if trace["type"] == "scatter3d"}
-    assert list(paths) == [one["name"] for one in summaries if "wing" not in one["name"]]
+    assert f"{part}/replay.html" in page.outside
+    replay = ReplayPage.read(out / part / "replay.html")
+    assert list(replay.flights()) == [one["name"] for one in summaries if "wing" not in one["name"]]
+    assert [surface["kind"] for surface in replay.told["surfaces"]].count("envelope") >= 1
     for one in summaries:
-        if one["name"] in paths:
-            path = np.column_stack([numbers(paths[one["name"]][axis]) for axis in "xyz"])
-            np.testing.assert_array_equal(path, FlightRecord.load(one["flight"]).position)
+        if one["name"] in replay.flights():
+            recorded = FlightRecord.load(one["flight"]).position
+            np.testing.assert_allclose(replay.positions(one["name"]), recorded, rtol=1e-6, atol=1e-6)

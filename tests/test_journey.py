@@ -17,7 +17,8 @@ import pyarrow.parquet as pq
 import pytest
 from truths.boxes import HALF, box_distance, contact_with_box
 from truths.command_line import keepout_command
-from truths.results import Page, check_picture, numbers
+from truths.replay_page import ReplayPage
+from truths.results import Page, check_picture
 
 import keepout
 from keepout.audit.audit import Audit, audit, audit_campaign
@@ -266,17 +267,17 @@ def test_the_flight_file_says_what_was_flown_and_can_be_judged_again(place, flow
 def check_page(folder: Path, summaries: list[dict], pictures: set[str]) -> None:
     """The page holds the table of the summaries, the pictures beside it, and the recorded paths; it fetches nothing."""
     page = Page.read(folder / "index.html")
-    assert page.outside == []
+    assert set(page.outside) == {"replay.html"}
     assert page.unclosed == []
     assert page.table[1:] == [[one["name"], *(shown(one[key]) for key in FLIGHT_COLUMNS)] for one in summaries]
     assert set(page.images) == pictures
     for name, content in page.images.items():
         assert content == (folder / f"{name}.png").read_bytes()
         check_picture(folder / f"{name}.png")
-    paths = {trace.get("name"): trace for trace in page.replay[0] if trace["type"] == "scatter3d"}
+    replay = ReplayPage.read(folder / "replay.html")
     for one in summaries:
-        path = np.column_stack([numbers(paths[one["name"]][axis]) for axis in "xyz"])
-        np.testing.assert_array_equal(path, FlightRecord.load(one["flight"]).position)
+        recorded = FlightRecord.load(one["flight"]).position
+        np.testing.assert_allclose(replay.positions(one["name"]), recorded, rtol=1e-6, atol=1e-6)
 
 
 def test_the_page_of_the_flight(place, flown):
@@ -289,6 +290,7 @@ def test_the_page_of_the_flight(place, flown):
         "clearance.png",
         "error.png",
         "index.html",
+        "replay.html",
         "summary.json",
     }
 

@@ -281,6 +281,28 @@ def fly(
         Console().print(f"written to [bold]{out}[/bold]")
 
 
+@app.command(
+    epilog=example(
+        "keepout replay out/case1/case1.parquet -o out/replay.html",
+        "keepout replay out/a/case1.parquet out/b/case1.parquet -o out/both.html",
+    )
+)
+def replay(
+    flights: Annotated[list[Path], typer.Argument(help="Flight files (.parquet, .npz), all around one target.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="The page to write (.html).")] = Path("replay.html"),
+    title: Annotated[str | None, typer.Option(help="Of the page; by default the first flight's name.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Write flights as one page to watch them in any browser, offline: the target, its envelope, paths and plots."""
+    from keepout.commands import replay_to_page
+
+    with terminal.progress("replay") as progress:
+        summary = replay_to_page(flights, out, title=title, progress=progress)
+    _answer(summary, as_json)
+    if not as_json:
+        Console().print(f"open {summary['replay']}", highlight=False, markup=False, soft_wrap=True)
+
+
 class _FlyUnlessNamed(TyperGroup):
     """A group whose first command is meant where none is named: `keepout campaign mission.toml` flies."""
 

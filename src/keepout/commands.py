@@ -5,12 +5,12 @@ Each imports what it needs when it is called: who lists targets does not wait fo
 
 import json
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from keepout.errors import FieldError, ScenarioError
+from keepout.errors import FieldError, FlightError, ScenarioError
 from keepout.progress import Progress, part_of, silent
 
 if TYPE_CHECKING:
@@ -369,6 +369,21 @@ def campaign_to_folder(
         figures |= {"page": page["page"], "rates": page["rates"]}
         write_summary(out, figures)
     return figures
+
+
+def replay_to_page(
+    flights: Sequence[Path], out: Path, *, title: str | None = None, progress: Progress = silent
+) -> dict[str, Any]:
+    """Write a replay of flight files, all around one target, as one self-contained page."""
+    from keepout.replay.flights import of_files
+    from keepout.report.replay_view import write_replay
+
+    if out.suffix.lower() not in (".html", ".htm"):
+        raise FlightError(f"{out}: a replay is a page; its name ends in .html")
+    gathered = of_files(flights, progress=part_of(progress, 0.0, 0.4))
+    first = gathered[0]
+    title = title or f"{first.scenario.name} · {first.target.name}"
+    return write_replay(out, gathered, title=title, progress=part_of(progress, 0.4, 1.0))
 
 
 def replay_to_folder(

@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pyarrow as pa
 import pytest
-from truths.results import Page, check_picture, numbers
+from truths.replay_page import ReplayPage
+from truths.results import Page, check_picture
 
 from keepout.audit.audit import audit
 from keepout.flight.outcome import FlightOutcome
@@ -99,7 +100,7 @@ def test_the_flight_files_hold_the_flights(written):
 def test_the_page_stands_alone_and_says_what_the_summaries_say(written):
     out, _, summaries = written
     page = Page.read(out / "index.html")
-    assert page.outside == []
+    assert page.outside == ["replay.html", "replay.html"]  # shown, and linked to
     assert page.unclosed == []
     assert page.headings[0] == "Two <passes>"
     headings, *rows = page.table
@@ -113,20 +114,15 @@ def test_the_page_stands_alone_and_says_what_the_summaries_say(written):
 
 def test_the_replay_follows_the_recorded_paths(written, target):
     out, flights, _ = written
-    traces, frames = Page.read(out / "index.html").replay
-    mesh, *paths = traces[: 1 + len(flights)]
-    assert mesh["type"] == "mesh3d"
-    np.testing.assert_array_equal(np.column_stack([numbers(mesh[axis]) for axis in "xyz"]), target.vertices)
-    np.testing.assert_array_equal(np.column_stack([numbers(mesh[corner]) for corner in "ijk"]), target.faces)
-    for path, (name, flight) in zip(paths, flights.items()):
-        assert path["name"] == name
-        np.testing.assert_array_equal(np.column_stack([numbers(path[axis]) for axis in "xyz"]), flight.record.position)
-    assert len(frames) == 150
-    for share, frame in ((0.0, frames[0]), (1.0, frames[-1])):
-        for ball, flight in zip(frame["data"], flights.values()):
-            corners = np.column_stack([numbers(ball[axis]) for axis in "xyz"])
-            centre = flight.record.position[round(share * STEPS)]
-            np.testing.assert_allclose(np.linalg.norm(corners - centre, axis=1), 0.5, atol=2e-4)
+    page = ReplayPage.read(out / "replay.html")
+    assert list(page.flights()) == list(flights)
+    for name, flight in flights.items():
+        np.testing.assert_allclose(page.positions(name), flight.record.position, atol=1e-6)
+    faces = page.array(page.told["target"]["faces"])
+    np.testing.assert_allclose(
+        page.array(page.told["target"]["vertices"])[faces], target.vertices[target.faces], atol=1e-4
+    )
+    assert page.told["surfaces"] == []  # flights that do not know their mission have no envelope
 
 
 @pytest.mark.parametrize("name", ["paths", "clearance", "error", "high", "low"])

@@ -38,6 +38,7 @@ class Flight:
         start_certified: whether the guard's theorem holds from the start; None without a guard.
         assumptions_broken: what is flown beyond what the scenario declares.
         guard: what the guard assumes and what follows, as numbers; None without a guard.
+        mission: what was flown, with its fields; None where it is not at hand.
 
     """
 
@@ -51,6 +52,7 @@ class Flight:
     start_certified: bool | None = None
     assumptions_broken: tuple[str, ...] = ()
     guard: dict[str, Any] | None = None
+    mission: Mission | None = None
 
     def summary(self) -> dict[str, Any]:
         """Give the flight's figures as plain numbers for JSON.
@@ -176,4 +178,5 @@ def judged(
         start_certified=mission.start_certified,
         assumptions_broken=mission.assumptions_broken,
         guard=None if mission.guard is None else guard_numbers(mission.guard),
+        mission=mission,
     )

@@ -1,45 +1,50 @@
 """Replays of a campaign's worst flights, of those that were kept."""
 
-import base64
-import html
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from urllib.parse import quote
 
 import numpy as np
 from jaxtyping import Float
 
 from keepout.campaign.dataset import Dataset
 from keepout.campaign.results import Results
-from keepout.errors import FlightError
+from keepout.errors import FlightError, KeepoutError
 from keepout.flight.record import FlightRecord
-from keepout.geometry.target import Target
-from keepout.mission.build import load_target
-from keepout.mission.scenario import Scenario
-from keepout.progress import Progress, silent
-from keepout.report.page import STYLE, replay_records
+from keepout.progress import Progress, part_of, silent
+from keepout.replay.flights import Replayed, Surroundings
+from keepout.report.replay_view import write_replay
 from keepout.report.style import COLOURS, figure
-from keepout.whole_file import write_whole
 
 Clearance = tuple[Float[np.ndarray, "samples"], Float[np.ndarray, "samples"]]
 """Times, s, and clearances on the exact mesh, m."""
 
 
-def write_replays(path: Path, found: Results, *, progress: Progress = silent) -> dict[int, str]:
-    """Write one page with a replay of each of the worst flights that has a flight file, and a figure of clearances.
+@dataclass(frozen=True)
+class Shown:
+    """What became of a kept flight: the address of its replay within the folder of the page, or why it has none."""
+
+    address: str | None
+    why_not: str = ""
+
+
+def write_replays(folder: Path, found: Results, *, progress: Progress = silent) -> dict[int, Shown]:
+    """Write replays of the worst flights that have a flight file, one page a target, and a figure of their clearances.
 
     Args:
-        path: of the page; the figure `<stem>.png` and `.svg` stands beside it.
+        folder: for the pages `worst.html`, `worst-2.html`, … and the figure `worst.png` and `.svg`.
         found: the campaign's results.
         progress: told after each flight.
 
     Returns:
-        Run numbers and titles of the flights on it; without flight files there is no page.
+        By run number, for the flights that were kept; without flight files nothing is written.
 
     """
     dataset = Dataset.open(found.reading.folder)
-    targets: dict[str, Target] = {}
-    parts: list[str] = []
-    titles: dict[int, str] = {}
+    surroundings = Surroundings()
+    groups: dict[str, list[Replayed]] = {}
+    shown: dict[int, Shown] = {}
     curves: dict[int, Clearance] = {}
     for place, row in enumerate(found.worst):
         run = row["run"]
@@ -49,31 +54,30 @@ def write_replays(path: Path, found: Results, *, progress: Progress = silent) ->
             continue
         if record.header.get("campaign") != dataset.plan_sha256 or record.header.get("run") != run:
             continue
-        scenario = Scenario.model_validate_json(record.header["scenario"])
-        entry = scenario.target.model_dump_json()
-        if entry not in targets:
-            targets[entry] = load_target(scenario.target)
-        target, radius = targets[entry], scenario.chaser.radius
-        curves[run] = record.time, target.distance.distance(record.position) - radius
-        titles[run] = f"Run {run}: least clearance {row['minimum_clearance']:.4g} m"
-        drawing = replay_records({f"run {run}": record}, target, radius, with_library=not parts)
-        parts.append(f'<h2 id="run-{run}">{html.escape(titles[run])}</h2>{drawing}')
-        progress((place + 1) / len(found.worst), f"replay of run {run}")
-    if not parts:
-        path.unlink(missing_ok=True)
-        return {}
-    image = path.with_suffix(".png")
-    _draw(image, curves)
+        try:
+            flight = surroundings.of(f"run {run}", record)
+        except KeepoutError as refusal:
+            shown[run] = Shown(None, str(refusal))
+            continue
+        group = groups.setdefault(flight.target.sha256, [])
+        group.append(flight)
+        shown[run] = Shown(f"{_page(list(groups).index(flight.target.sha256))}#{quote(flight.name)}")
+        clearance = flight.target.distance.distance(flight.shown.position) - flight.scenario.chaser.radius
+        curves[run] = flight.shown.time, clearance
+        progress(0.3 * (place + 1) / len(found.worst), f"flight of run {run}")
+    for stale in (*folder.glob("worst*.html"), *folder.glob("worst.png"), *folder.glob("worst.svg")):
+        stale.unlink()
     title = f"Campaign {found.reading.scenario.name}: worst flights"
-    picture = base64.b64encode(image.read_bytes()).decode("ascii")
-    write_whole(
-        path,
-        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{html.escape(title)}</title>'
-        f"<style>{STYLE}</style><h1>{html.escape(title)}</h1>"
-        f'<figure><img alt="clearance" src="data:image/png;base64,{picture}"><figcaption>Clearance on the exact mesh '
-        f'at the recorded samples (<a href="{image.stem}.svg">SVG</a>)</figcaption></figure>{"".join(parts)}</html>',
-    )
-    return titles
+    for place, group in enumerate(groups.values()):
+        part = part_of(progress, 0.3 + 0.7 * place / len(groups), 0.3 + 0.7 * (place + 1) / len(groups))
+        write_replay(folder / _page(place), group, title=title, progress=part)
+    if curves:
+        _draw(folder / "worst.png", curves)
+    return shown
+
+
+def _page(place: int) -> str:
+    return "worst.html" if place == 0 else f"worst-{place + 1}.html"
 
 
 def _draw(path: Path, curves: Mapping[int, Clearance]) -> None:

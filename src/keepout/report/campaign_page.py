@@ -18,7 +18,7 @@ from keepout.campaign.results import SIGNIFICANT, Results, results
 from keepout.campaign.summary import SHARES
 from keepout.progress import Progress, part_of, silent
 from keepout.report import campaign_figures
-from keepout.report.campaign_flights import write_replays
+from keepout.report.campaign_flights import Shown, write_replays
 from keepout.report.page import STYLE
 from keepout.report.reproduction import Table, write_table
 from keepout.report.terminal import shown
@@ -83,7 +83,7 @@ def report_campaign(folder: Path, *, progress: Progress = silent) -> dict[str, A
         campaign_figures.draw_influences(place / "influences.png", found)
     if found.scatters:
         campaign_figures.draw_scatters(place / "scatter.png", found)
-    replays = write_replays(place / "worst.html", found, progress=part_of(progress, 0.85, 1.0))
+    replays = write_replays(place, found, progress=part_of(progress, 0.85, 1.0))
     page = folder / "index.html"
     write_whole(page, _page(folder, found, tables, replays))
     progress(1.0, "")
@@ -175,7 +175,7 @@ def _tables(found: Results, bands: Bands) -> dict[str, Table]:
     return {table.name: table for table in made}
 
 
-def _page(folder: Path, found: Results, tables: Mapping[str, Table], replays: Mapping[int, str]) -> str:
+def _page(folder: Path, found: Results, tables: Mapping[str, Table], replays: Mapping[int, Shown]) -> str:
     reading = found.reading
     title = f"Campaign {reading.scenario.name}"
     standing = f"{found.runs} of {reading.runs} runs are done." if not reading.complete else f"{found.runs} runs."
@@ -244,13 +244,13 @@ def _influence_parts(folder: Path, found: Results) -> list[str]:
     return parts
 
 
-def _worst_parts(folder: Path, found: Results, replays: Mapping[int, str]) -> list[str]:
+def _worst_parts(folder: Path, found: Results, replays: Mapping[int, Shown]) -> list[str]:
     if not found.worst:
         return [_paragraph("No flights.")]
     rows, commands = [], []
     for row in found.worst:
         run = row["run"]
-        link = f'<a href="{PLACE}/worst.html#run-{run}">replay</a>' if run in replays else "not kept"
+        link = _replay(replays.get(run))
         again = folder / f"run-{run}" / "index.html"
         if again.exists():
             link += f', <a href="run-{run}/index.html">flown again</a>'
@@ -258,7 +258,20 @@ def _worst_parts(folder: Path, found: Results, replays: Mapping[int, str]) -> li
         commands.append(f'<code class="line">{_text(replay_command(folder, run))}</code>')
     heads = ["run", "flight", *(_text(key) for key in found.worst[0] if key != "run")]
     folded = f"<details open><summary>Commands that fly them again</summary>{''.join(commands)}</details>"
-    return [_grid(heads, rows, lines=True), _link("worst.csv"), folded]
+    parts = [_grid(heads, rows, lines=True), _link("worst.csv"), folded]
+    if any(shown.address for shown in replays.values()):
+        parts.append(
+            _drawing(folder, "worst", "Clearance on the exact mesh at the recorded samples of the kept flights.")
+        )
+    return parts
+
+
+def _replay(shown: Shown | None) -> str:
+    if shown is None:
+        return "not kept"
+    if shown.address is None:
+        return _text(shown.why_not)
+    return f'<a href="{html.escape(f"{PLACE}/{shown.address}")}">replay</a>'
 
 
 def _refused_parts(found: Results) -> list[str]:

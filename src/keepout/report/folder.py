@@ -40,7 +40,7 @@ def write_flights(
         flights: by name; all around the same target and to the same goal.
         title: of the page.
         introduction: of the page, plain text.
-        figures: also draw the PNG files and `index.html`.
+        figures: also draw the PNG files, and write `index.html` and `replay.html`.
 
     Returns:
         One summary a flight, with its `name` and the path of its flight file under `flight`.
@@ -53,15 +53,18 @@ def write_flights(
         flight.record.save(path)
         summaries.append({"name": name, **flight.summary(), "flight": str(path)})
     if figures:
+        from keepout.replay.flights import of_flights
         from keepout.report.page import write_page
+        from keepout.report.replay_view import write_replay
 
         images = _draw(out, flights)
+        write_replay(out / "replay.html", of_flights(flights), title=title)
         write_page(
             out / "index.html",
             title=title,
             introduction=introduction,
             summaries=summaries,
-            flights=flights,
+            replay=out / "replay.html",
             figures=images,
         )
     return summaries

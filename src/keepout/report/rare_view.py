@@ -13,7 +13,9 @@ import numpy as np
 
 from keepout.rare_events.estimate import curve, interval
 from keepout.rare_events.event import RareEvent
-from keepout.report.page import STYLE, replay
+from keepout.replay.flights import of_flights
+from keepout.report.page import STYLE, embedded
+from keepout.report.replay_view import write_replay
 from keepout.report.style import COLOURS, figure
 from keepout.whole_file import write_whole
 
@@ -37,6 +39,9 @@ def write_rare(out: Path, event: RareEvent) -> dict[str, Any]:
         "worst_flight": str(flight),
         "worst_tape": str(tape),
     }
+    write_replay(
+        out / "replay.html", of_flights({"nearest": event.worst}), title=f"{name}: the flight that came nearest"
+    )
     _write_page(out / "index.html", event, levels, out / "curve.png")
     return summary
 
@@ -106,5 +111,5 @@ def _write_page(path: Path, event: RareEvent, levels: Sequence[dict[str, Any]], 
         f"<p>{event.simulation.evaluations} flights, ended: {event.simulation.ended}.</p>"
         f'<p><img alt="curve" src="data:image/png;base64,{picture}"></p>'
         f"<h2>Levels</h2><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
-        f"<h2>The flight that came nearest</h2>{replay({'nearest': event.worst})}</html>",
+        f"<h2>The flight that came nearest</h2>{embedded('replay.html')}</html>",
     )

@@ -13,8 +13,10 @@ from typing import Any
 
 import keepout
 from keepout.mission.flight import Flight
+from keepout.replay.flights import of_flights
 from keepout.report.machine import machine
-from keepout.report.page import STYLE, replay
+from keepout.report.page import STYLE, embedded
+from keepout.report.replay_view import write_replay
 from keepout.report.terminal import shown
 from keepout.whole_file import write_whole
 
@@ -74,10 +76,10 @@ def write_table(folder: Path, table: Table) -> Path:
 
 
 def write_reproduction(out: Path, sections: Sequence[Section], *, introduction: str, quick: bool) -> None:
-    """Write the CSV files of all sections, `tables.json` with all of them, and one self-contained page.
+    """Write the CSV files of all sections, `tables.json` with all of them, and one page.
 
     Args:
-        out: folder; each section's figures stand in the folder of its name.
+        out: folder; each section's figures and replay stand in the folder of its name.
         sections: in the paper's order.
         introduction: of the page, plain text.
         quick: whether the figures come from a quick run; the page says so.
@@ -89,10 +91,7 @@ def write_reproduction(out: Path, sections: Sequence[Section], *, introduction: 
     write_whole(out / "tables.json", json.dumps(_tables(sections, quick=quick), indent=1, ensure_ascii=False) + "\n")
     if quick:
         introduction += " This is a quick run: fewer flights, and the fields that are at hand."
-    body, first_replay = [], True
-    for section in sections:
-        body.append(_section(out, section, with_library=first_replay))
-        first_replay = first_replay and not section.flights
+    body = [_section(out, section) for section in sections]
     contents = "".join(f'<li><a href="#{s.name}">{html.escape(s.title)}</a></li>' for s in sections)
     title = "The paper's Section VI, repeated"
     write_whole(
@@ -126,7 +125,7 @@ def _tables(sections: Sequence[Section], *, quick: bool) -> dict[str, Any]:
     }
 
 
-def _section(out: Path, section: Section, *, with_library: bool) -> str:
+def _section(out: Path, section: Section) -> str:
     parts = [f'<h2 id="{section.name}">{html.escape(section.title)}</h2>']
     parts.append(f"<p><b>The paper:</b> {html.escape(section.paper)}</p>")
     parts += [f"<p>{html.escape(paragraph)}</p>" for paragraph in section.ours]
@@ -134,7 +133,8 @@ def _section(out: Path, section: Section, *, with_library: bool) -> str:
         link = f'<a href="{section.name}/{table.name}.csv">{table.name}.csv</a>'
         parts.append(f"<p>{html.escape(table.caption)} ({link})</p>{_table(table)}")
     if section.flights:
-        parts.append(f"<h3>Replay</h3>{replay(section.flights, with_library=with_library)}")
+        write_replay(out / section.name / "replay.html", of_flights(section.flights), title=section.title)
+        parts.append(f"<h3>Replay</h3>{embedded(f'{section.name}/replay.html')}")
     for drawing in section.drawings:
         image = base64.b64encode((out / section.name / f"{drawing.name}.png").read_bytes()).decode("ascii")
         link = f'<a href="{section.name}/{drawing.name}.svg">SVG</a>'

@@ -27,16 +27,8 @@ _ONE_AT_A_TIME = threading.RLock()
 
 
 @contextmanager
-def figure(path: Path, *, width: float = 8.0, height: float = 4.5, vector: bool = False) -> Iterator[Figure]:
-    """Make a figure in the common style and save it to `path` when the block ends.
-
-    Args:
-        path: the image file to write (PNG).
-        width: inches.
-        height: inches.
-        vector: also write the same as SVG beside it, with text as text.
-
-    """
+def style() -> Iterator[None]:
+    """Set the common style for what is drawn within the block, by one thread at a time."""
     with (
         _ONE_AT_A_TIME,
         plt.rc_context(
@@ -55,6 +47,21 @@ def figure(path: Path, *, width: float = 8.0, height: float = 4.5, vector: bool 
             }
         ),
     ):
+        yield
+
+
+@contextmanager
+def figure(path: Path, *, width: float = 8.0, height: float = 4.5, vector: bool = False) -> Iterator[Figure]:
+    """Make a figure in the common style and save it to `path` when the block ends.
+
+    Args:
+        path: the image file to write (PNG).
+        width: inches.
+        height: inches.
+        vector: also write the same as SVG beside it, with text as text.
+
+    """
+    with style():
         drawing = plt.figure(figsize=(width, height), layout="constrained")
         try:
             yield drawing

@@ -1,0 +1,75 @@
+"""The target's mesh as it is drawn: not too many triangles, and how open to the sky each of them is."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from keepout.geometry.target import Target
+
+MOST_TRIANGLES = 40_000
+"""A browser without a graphics card still turns a mesh of so many several times a second."""
+_REACHES = (0.01, 0.04)
+"""Shares of the target's size over which a triangle looks for what shades it."""
+_COARSER = 1.25
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnBody:
+    """A target as it is drawn, metres; `openness` is 0 to 1 for each triangle, `triangles` counts those of the mesh."""
+
+    vertices: Float[np.ndarray, "v 3"]
+    faces: Int[np.ndarray, "f 3"]
+    openness: Float[np.ndarray, "f"]
+    triangles: int
+
+
+def drawn_body(target: Target) -> DrawnBody:
+    """Give a target's mesh as it is drawn; a mesh of very many triangles is drawn with fewer."""
+    used, faces = np.unique(target.faces, return_inverse=True)
+    vertices, faces = target.vertices[used], faces.reshape(-1, 3)
+    if target.ball_radius == 0.0:
+        vertices, faces = _fewer(vertices, faces)
+    else:
+        chosen = np.linspace(0, len(vertices) - 1, min(len(vertices), MOST_TRIANGLES)).astype(int)
+        vertices, faces = vertices[chosen], np.empty((0, 3), int)
+    return DrawnBody(vertices, faces, _openness(target, vertices, faces), len(target.faces))
+
+
+def _fewer(
+    vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]
+) -> tuple[Float[np.ndarray, "w 3"], Int[np.ndarray, "g 3"]]:
+    """Move vertices of one cell of a grid to their mean, the grid coarser until few enough triangles are left."""
+    side = float(np.ptp(vertices, axis=0).max()) / 1000.0
+    whole = vertices, faces
+    while len(faces) > MOST_TRIANGLES:
+        _, place, count = np.unique(
+            np.floor(whole[0] / side).astype(np.int64), axis=0, return_inverse=True, return_counts=True
+        )
+        vertices = np.zeros((len(count), 3))
+        np.add.at(vertices, place.reshape(-1), whole[0])
+        vertices /= count[:, None]
+        faces = place.reshape(-1)[whole[1]]
+        faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
+        _, once = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+        faces = faces[np.sort(once)]
+        side *= _COARSER
+    return vertices, faces
+
+
+def _openness(target: Target, vertices: np.ndarray, faces: np.ndarray) -> Float[np.ndarray, "f"]:
+    """Say how far what stands opposite is from each triangle, on its freer side: 1 in the open, to 0 in a corner."""
+    if len(faces) == 0:
+        return np.ones(0)
+    corners = vertices[faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    middle = corners.mean(axis=1)
+    size = float(np.ptp(target.vertices, axis=0).max())
+    openness = np.ones(len(faces))
+    for reach in _REACHES:
+        sides = [
+            target.distance.distance(middle + sign * reach * size * normal) / (reach * size) for sign in (1.0, -1.0)
+        ]
+        openness *= np.clip(np.maximum(*sides), 0.0, 1.0)
+    return openness

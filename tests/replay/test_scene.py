@@ -1,0 +1,304 @@
+"""What a replay holds against what was recorded: positions, proved clearances, marks, surfaces, refusals."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+from truths.passing import RADIUS, SPEED, START, STEPS, box_scenario, pass_position, pass_record
+from truths.replay_page import ReplayPage
+
+from keepout.audit.tube import FlightBounds
+from keepout.commands import replay_to_page
+from keepout.errors import FieldError, FlightError, KeepoutError, MeshError
+from keepout.fields.evaluate import values
+from keepout.flight.record import FlightRecord
+from keepout.geometry.target import Target
+from keepout.mission import environment
+from keepout.motion.frames import vvlh_axes
+from keepout.replay import body
+from keepout.replay.clearance import proved_clearance
+from keepout.replay.flights import of_files, of_records
+from keepout.replay.frames import to_inertial, to_vvlh
+from keepout.replay.marks import marks
+from keepout.replay.packing import Packing, unpacked
+from keepout.replay.scene import MOST_ROWS, rows_shown
+from keepout.replay.surfaces import drawn_surface
+
+
+@pytest.fixture(scope="module")
+def box():
+    return Target.load("box")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("replay")
+
+
+@given(st.lists(st.tuples(*[st.floats(-1e6, 1e6)] * 3), min_size=1, max_size=30))
+def test_steps_are_even_and_half_of_one_is_the_largest_error(rows):
+    packing = Packing()
+    array = np.array(rows)
+    reference, after = packing.steps(array), packing.exact(array[:, 0], "float64")
+    error = np.abs(unpacked(packing.text(), reference) - array)
+    assert (error <= np.ptp(array, axis=0) / 131068 + 1e-9 * np.abs(array).max()).all()
+    np.testing.assert_array_equal(unpacked(packing.text(), after), array[:, 0])
+    assert after["offset"] % 4 == 0
+
+
+def test_indices_take_the_smaller_type_that_holds_them():
+    packing = Packing()
+    assert packing.indices(np.array([[0, 65535, 2]]))["type"] == "uint16"
+    assert packing.indices(np.array([[0, 65536, 2]]))["type"] == "uint32"
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    st.lists(st.tuples(*[st.floats(-0.1, 0.1)] * 3), min_size=3, max_size=12),
+    st.integers(0, 2**31),
+)
+def test_no_point_of_the_true_path_is_nearer_than_the_proved_clearance(box, forces, seed):
+    """The truth is integrated in closed form, 50 points a step, with a disturbance that the bounds allow."""
+    mass, bound, step = 20.0, 0.01, 2.0
+    generator = np.random.default_rng(seed)
+    position, velocity = np.array([0.0, 2.5, 0.3]), generator.normal(scale=0.05, size=3)
+    rows, paths = [(position, velocity)], []
+    for force in forces:
+        pushed = generator.normal(size=3)
+        acceleration = (np.array(force) + bound * pushed / np.linalg.norm(pushed)) / mass
+        at = np.linspace(0.0, step, 50)[:, None]
+        paths.append(position + velocity * at + 0.5 * acceleration * at**2)
+        position = position + velocity * step + 0.5 * acceleration * step**2
+        velocity = velocity + acceleration * step
+        rows.append((position, velocity))
+    record = _recorded(np.arange(len(rows)) * step, rows, [*forces, (0.0, 0.0, 0.0)])
+    proved = proved_clearance(
+        record, box.distance, chaser_radius=RADIUS, bounds=FlightBounds(mass, bound, 0.0, 0.0, 0.0)
+    )
+    assert np.isfinite(proved).all()
+    for path, least in zip(paths, proved, strict=True):
+        clearance = box.distance.distance(path) - RADIUS
+        assert least <= clearance.min()
+        assert least >= clearance.min() - 0.25 * step * (
+            np.linalg.norm(np.diff(path, axis=0), axis=1).sum() / step + 0.1
+        )
+
+
+def _recorded(time, rows, forces):
+    position, velocity = (np.array(of) for of in zip(*rows))
+    zeros = {name: np.zeros((len(time), 3)) for name in FlightRecord.__annotations__ if name not in ("header", "time")}
+    flat = ("barrier", "backstepping_barrier", "lyapunov", "field_value")
+    kinds = {"control_status": np.int32, "guard_status": np.int32, "saturated": bool}
+    columns = zeros | {name: np.zeros(len(time)) for name in flat}
+    columns |= {name: np.zeros(len(time), kind) for name, kind in kinds.items()}
+    columns |= {"attitude": np.tile([1.0, 0, 0, 0], (len(time), 1)), "target_orbit": None}
+    columns |= {"position": position, "velocity": velocity, "force": np.array(forces)}
+    return FlightRecord({}, time, **columns)
+
+
+def test_nothing_is_proved_of_a_step_that_cannot_have_been_flown(box, folder):
+    scenario = box_scenario(folder, 3.0, "jump")
+    record = pass_record(scenario, 3.0)
+    position = record.position.copy()
+    position[51:] += [0.0, 0.0, 1.0]
+    record = dataclasses.replace(record, position=position)
+    proved = proved_clearance(record, box.distance, chaser_radius=RADIUS, bounds=environment.flight_bounds(scenario))
+    assert np.isnan(proved[50])
+    assert np.isfinite(np.delete(proved, 50)).all()
+
+
+def test_marks_are_where_guard_flags_and_law_spoke(folder):
+    scenario = box_scenario(folder, 3.0, "marked")
+    guard = np.zeros(STEPS + 1, np.int32)
+    guard[40:60] = 1  # braking
+    guard[50:55] |= 8  # disturbance
+    guard[STEPS] = 3  # the last row was not flown
+    law = np.zeros(STEPS + 1, np.int32)
+    law[100:102] = 1
+    record = pass_record(scenario, 3.0, guard_status=guard, control_status=law)
+    clearance = np.abs(np.arange(STEPS + 1.0) - 120.0)
+    error = np.where(np.arange(STEPS + 1) >= 150, 0.0, 1.0)
+    found = {mark.words: (mark.kind, mark.start, mark.end) for mark in marks(record, clearance, error, 0.1)}
+    assert found == {
+        "guard: braking": ("guard", 40.0, 60.0),
+        "flag: disturbance": ("flag", 50.0, 55.0),
+        "law: saturated": ("law", 100.0, 102.0),
+        "least clearance": ("nearest", 120.0, 120.0),
+        "goal reached, to stay": ("reached", 150.0, 150.0),
+    }
+
+
+def test_a_goal_that_is_left_again_is_not_reached(folder):
+    record = pass_record(box_scenario(folder, 3.0, "left"), 3.0)
+    error = np.where(np.arange(STEPS + 1) % 50 == 49, 0.0, 1.0)
+    assert "reached" not in {mark.kind for mark in marks(record, np.ones(STEPS + 1), error, 0.1)}
+
+
+def test_frames_agree_with_rotations_by_matrices(folder):
+    scenario = box_scenario(folder, 3.0, "turning", orbit={"inclination": 0.7, "eccentricity": 0.1})
+    record = pass_record(scenario, 3.0, turning=0.05)
+    body_from_vvlh = Rotation.from_euler("z", 0.05 * record.time[:, None]).as_matrix()
+    vvlh = Rotation.from_quat(to_vvlh(record), scalar_first=True).as_matrix()
+    np.testing.assert_allclose(vvlh, np.swapaxes(body_from_vvlh, 1, 2), atol=1e-12)
+    inertial = Rotation.from_quat(to_inertial(record, scenario), scalar_first=True).as_matrix()
+    from keepout.mission.orbit_bounds import orbit_of
+
+    for row in (0, 77, STEPS):
+        axes = np.asarray(vvlh_axes(*orbit_of(scenario.orbit).inertial_state(jnp.asarray(record.time[row]))))
+        np.testing.assert_allclose(inertial[row], axes.T @ vvlh[row], atol=1e-12)
+    assert (np.sum(np.diff(to_vvlh(record), axis=0) ** 2, axis=1) < 0.01).all()  # no flip of sign on the way
+    orbit = np.tile(np.concatenate([[7e6, 0.0, 0.0], [0.0, 7e3, 0.0]]), (STEPS + 1, 1))
+    recorded = to_inertial(dataclasses.replace(record, target_orbit=orbit), scenario)
+    axes = np.asarray(vvlh_axes(jnp.asarray(orbit[0, :3]), jnp.asarray(orbit[0, 3:])))
+    np.testing.assert_allclose(
+        Rotation.from_quat(recorded[3], scalar_first=True).as_matrix(), axes.T @ vvlh[3], atol=1e-12
+    )
+
+
+def test_a_surface_lies_on_its_level_with_its_normals_outward(box, folder):
+    scenario = box_scenario(folder, 3.0, "surface")
+    [flight] = of_records({"surface": pass_record(scenario, 3.0)})
+    envelope, guard = flight.levels
+    assert (envelope.kind, guard.kind) == ("envelope", "guard")
+    for level in flight.levels:
+        drawn = drawn_surface(level.field, box.distance, level.level, steepest=level.steepest)
+        off = np.abs(values(level.field, drawn.vertices) - level.level)
+        assert off.max() <= level.steepest * drawn.within + 0.02
+        assert (np.abs(np.linalg.norm(drawn.normals, axis=1) - 1.0) < 1e-6).all()
+        corners = drawn.vertices[drawn.faces]
+        outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        volume = np.einsum("fi,fi->f", corners[:, 0], outward).sum() / 6.0
+        assert volume > 8.0  # of the box alone: so the triangles turn outward, and enclose it
+        edges = np.sort(
+            np.concatenate([drawn.faces[:, [0, 1]], drawn.faces[:, [1, 2]], drawn.faces[:, [2, 0]]]), axis=1
+        )
+        assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()  # closed
+        assert len(drawn.faces) < 20_000
+
+
+def test_a_mesh_of_many_triangles_is_drawn_with_fewer(monkeypatch):
+    target = Target.load("intelsat30")
+    whole = body.drawn_body(target)
+    assert (len(whole.faces), whole.triangles) == (len(target.faces), len(target.faces))
+    assert (whole.openness >= 0.0).all()
+    assert whole.openness.min() < 0.5 < whole.openness.max()
+    monkeypatch.setattr(body, "MOST_TRIANGLES", 2000)
+    fewer = body.drawn_body(target)
+    assert 200 < len(fewer.faces) <= 2000
+    assert fewer.triangles == len(target.faces)
+    assert target.distance.distance(fewer.vertices).max() < 0.5
+
+
+@pytest.mark.parametrize("rows", [2, 3, MOST_ROWS, MOST_ROWS + 1, MOST_ROWS + 2, 12345])
+def test_a_long_flight_is_drawn_with_its_ends(rows):
+    chosen = rows_shown(rows)
+    assert (chosen[0], chosen[-1]) == (0, rows - 1)
+    assert len(chosen) <= MOST_ROWS + 2
+    assert (np.diff(chosen) > 0).all()
+
+
+def test_the_page_holds_what_was_recorded(folder, tmp_path):
+    paths = []
+    for name, height in (("high", 3.0), ("low", 2.0)):
+        record = pass_record(box_scenario(folder, height, name), height)
+        paths.append(record.save(tmp_path / f"{name}.parquet"))
+    summary = replay_to_page(paths, tmp_path / "replay.html")
+    page = ReplayPage.read(tmp_path / "replay.html")
+    assert summary["flights"] == ["high", "low"] == list(page.flights())
+    assert summary["bytes"] == (tmp_path / "replay.html").stat().st_size
+    for name, height in (("high", 3.0), ("low", 2.0)):
+        arrays = page.flights()[name]["arrays"]
+        np.testing.assert_allclose(page.positions(name)[37], pass_position(37.0, height), atol=1e-5)
+        over = np.abs(START_TO_END) <= 1.0  # above the box, whose top is at 1 m
+        clearance = page.array(arrays["clearance"])
+        np.testing.assert_allclose(clearance[over], height - 1.0 - RADIUS, atol=1e-5)
+        bound = page.array(arrays["bound"])
+        assert (bound[:-1] <= clearance[:-1]).all()
+        assert (bound[:-1] >= clearance[:-1] - 0.05).all()
+        assert np.isnan(bound[-1])
+        np.testing.assert_allclose(page.array(arrays["speed"]), SPEED, atol=1e-7)
+        np.testing.assert_allclose(page.array(arrays["closest"])[100], [0.0, 0.0, 1.0], atol=1e-5)
+        assert page.flights()[name]["contact"] == "no"
+    target = page.told["target"]
+    np.testing.assert_allclose(page.array(target["vertices"]), Target.load("box").vertices, atol=1e-4)
+    assert [surface["kind"] for surface in page.told["surfaces"]] == ["envelope", "guard"]  # shared by both flights
+    assert page.told["surfaces"][0]["level"] == pytest.approx(RADIUS + page.told["surfaces"][0]["error_bound"])
+
+
+START_TO_END = START + SPEED * np.arange(STEPS + 1.0)
+
+
+def test_what_comes_after_a_position_that_is_not_a_number_is_not_drawn(folder):
+    position = pass_record(box_scenario(folder, 3.0, "nan"), 3.0).position.copy()
+    position[120:] = np.nan
+    [flight] = of_records({"nan": pass_record(box_scenario(folder, 3.0, "nan"), 3.0, position=position)})
+    assert flight.shown.steps == 119
+    assert str(flight.verdict.contact) == "undecided"
+    position[0] = np.nan
+    [flight] = of_records({"nan": pass_record(box_scenario(folder, 3.0, "nan"), 3.0, position=position)})
+    with pytest.raises(FlightError, match=r"^nan: its first position"):
+        _ = flight.shown
+
+
+def refused(kind, paths, out):
+    with pytest.raises(kind) as refusal:
+        replay_to_page(paths, out)
+    assert "\n" not in str(refusal.value)
+    assert not out.exists()
+    return str(refusal.value)
+
+
+def test_refusals_name_the_file(folder, tmp_path):
+    out = tmp_path / "replay.html"
+    good = pass_record(box_scenario(folder, 3.0, "good"), 3.0).save(tmp_path / "good.parquet")
+    missing = tmp_path / "missing.parquet"
+    assert str(missing) in refused(FlightError, [good, missing], out)
+    damaged = tmp_path / "damaged.parquet"
+    damaged.write_bytes(good.read_bytes()[:-100])
+    assert str(damaged) in refused(FlightError, [damaged], out)
+    bare = dataclasses.replace(pass_record(box_scenario(folder, 3.0, "bare"), 3.0), header={})
+    bare = bare.save(tmp_path / "bare.npz")
+    assert "holds no scenario" in refused(FlightError, [bare], out)
+    assert str(bare) in refused(FlightError, [bare], out)
+
+    lost = box_scenario(folder, 3.0, "lost", target={"source": str(tmp_path / "lost.stl")})
+    lost = pass_record(lost, 3.0).save(tmp_path / "lost.parquet")
+    said = refused(MeshError, [lost], out)
+    assert str(lost) in said
+    assert "lost.stl" in said
+    fieldless = box_scenario(folder, 3.0, "fieldless", field={"source": str(tmp_path / "gone.keepout")})
+    fieldless = pass_record(fieldless, 3.0).save(tmp_path / "fieldless.parquet")
+    said = refused(FieldError, [fieldless], out)
+    assert str(fieldless) in said
+    assert "gone.keepout" in said
+
+    other = dataclasses.replace(pass_record(box_scenario(folder, 3.0, "other"), 3.0))
+    other.header["target_sha256"] = "0" * 64
+    other = other.save(tmp_path / "other.parquet")
+    assert "is not the one it was flown around" in refused(FlightError, [other], out)
+    with pytest.raises(KeepoutError, match=r"ends in \.html"):
+        replay_to_page([good], tmp_path / "replay.pdf")
+
+
+def test_flights_around_two_targets_are_refused(folder, tmp_path):
+    from keepout.fields.shipped import shipped_path
+
+    first = pass_record(box_scenario(folder, 3.0, "one"), 3.0).save(tmp_path / "one.parquet")
+    entries = {"target": {"source": "intelsat30"}, "field": {"source": str(shipped_path("intelsat30"))}}
+    scenario = box_scenario(folder, 9.0, "two", guard={"enabled": False}, **entries)
+    second = pass_record(scenario, 9.0)
+    second.header["target_sha256"] = Target.load("intelsat30").sha256
+    second = second.save(tmp_path / "two.parquet")
+    said = refused(FlightError, [first, second], tmp_path / "both.html")
+    assert "one replay shows one target" in said
+    assert "intelsat30" in said
+
+
+def test_flights_of_one_name_go_by_their_files(folder, tmp_path):
+    record = pass_record(box_scenario(folder, 3.0, "same"), 3.0)
+    paths = [record.save(tmp_path / f"{name}.npz") for name in ("a", "b")]
+    assert [flight.name for flight in of_files(paths)] == [str(path) for path in paths]
