@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: help demo check test test-all lint format install shipped basilisk clean
+.PHONY: help demo check test test-all lint format install docs shipped basilisk clean
 
 help:
 	@echo "make demo      set up, then fly the built-in demonstration; results in out/demo"
@@ -12,6 +12,7 @@ help:
 	@echo "make test      the same with the longer tests, as CI runs it (about 15 minutes on two cores)"
 	@echo "make test-all  the same with the tests that take hours"
 	@echo "make format    format the code"
+	@echo "make docs      build the documentation site into out/site"
 	@echo "make shipped   remake the learned fields that ship with the package"
 	@echo "make basilisk  fly law and guard as flight software in Basilisk, in an environment of its own"
 	@echo "make clean     remove the environment and all outputs"
@@ -21,7 +22,7 @@ install: $(STAMP)
 $(STAMP): pyproject.toml
 	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 11) <= v < (3, 14) else "Keepout needs Python 3.11 to 3.13, but $(PYTHON) is %d.%d; run make PYTHON=python3.11" % v)'
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --editable '.[test,dev]'
+	$(BIN)/pip install --quiet --editable '.[test,dev,docs]'
 	@touch $(STAMP)
 
 demo: install
@@ -46,6 +47,9 @@ format: install
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
+docs: install
+	$(BIN)/python docs/site.py
+
 shipped: install
 	$(BIN)/python -m keepout.learning.shipped
 
@@ -58,4 +62,4 @@ basilisk: .venv-basilisk/.installed
 	@touch $@
 
 clean:
-	rm -rf $(VENV) .venv-basilisk out .pytest_cache .ruff_cache
+	rm -rf $(VENV) .venv-basilisk out zensical.toml .cache .pytest_cache .ruff_cache
