@@ -11,7 +11,10 @@ from pathlib import Path
 
 DOCS = Path(__file__).parent
 CONFIGURATION = DOCS.parent / "zensical.toml"  # written here, as Zensical looks for pages below its configuration only
+SITE = DOCS.parent / "out" / "site"
 PAGE_IN_NAV = re.compile(r'"([^"]+\.md)"')
+SHIM, OUR_SHIM = "https://unpkg.com/iframe-worker/shim", "assets/iframe-worker/shim.js"
+"""What lets a page of a local file search (npm's iframe-worker 1.0.4): where Zensical loads it from, where it stands here."""
 
 
 def completed(configuration: str) -> str:
@@ -39,7 +42,13 @@ def build(*, serve: bool = False) -> int:
     """Write the completed configuration and run Zensical on it."""
     CONFIGURATION.write_text(completed((DOCS / "site.toml").read_text(encoding="utf-8")), encoding="utf-8")
     words = ["serve"] if serve else ["build", "--strict", "--clean"]
-    return subprocess.run([sys.executable, "-m", "zensical", *words, "--config-file", str(CONFIGURATION)]).returncode
+    code = subprocess.run([sys.executable, "-m", "zensical", *words, "--config-file", str(CONFIGURATION)]).returncode
+    if code == 0 and not serve:
+        for page in SITE.rglob("*.html"):
+            to_root = "../" * len(page.relative_to(SITE).parts[1:])
+            text = page.read_text(encoding="utf-8")
+            page.write_text(text.replace(SHIM, to_root + OUR_SHIM), encoding="utf-8")
+    return code
 
 
 if __name__ == "__main__":
