@@ -26,6 +26,12 @@ def cell(value: Any) -> str:
     return "–" if value is None else shown(value).replace("|", "\\|").replace("\n", " ")
 
 
+def note(name: str) -> list[str]:
+    """Give what is to be known of how a file of results was measured, as a paragraph, or nothing."""
+    said = kept_file("origins")[name]["note"]
+    return [f"How it was measured: {said}."] if said else []
+
+
 def table(rows: Sequence[Mapping[str, Any]], columns: Mapping[str, str] | None = None) -> list[str]:
     """Give one line a row; the columns by their headings, or all of them."""
     if not rows:
@@ -43,6 +49,8 @@ def reproduction() -> list[str]:
         "## The paper's Section VI, repeated",
         "",
         "`keepout reproduce all -o out/paper` writes this as `tables.json`.",
+        "",
+        *note("paper"),
         "",
     ]
     for section in kept["sections"]:
@@ -123,7 +131,7 @@ def rivals() -> list[str]:
     most: dict[tuple[str, str, bool], Mapping[str, Any]] = {}
     for row in sorted(kept_file("rivals"), key=lambda row: row["flights"]):
         most[row["target"], row["rival"], row["guard"]] = row  # a row of fewer flights was flown first
-    words = ["`python benchmarks/rivals.py`; discussed in [Rivals](rivals.md)."]
+    words = ["`python benchmarks/rivals.py`; discussed in [Rivals](rivals.md).", *note("rivals")]
     return measured("Rivals on the same loop", words, [most[key] for key in sorted(most)], RIVALS)
 
 
@@ -164,6 +172,7 @@ def faults() -> list[str]:
         "`python benchmarks/faults.py`; discussed in [Limits](safety.md). Hurt: not proved free of contact by the "
         "audit. Flagged: the guard said that an assumption did not hold. Inside margin: nearer than the operator's "
         "margin of 0.1 m, which the law keeps and the guard does not.",
+        *note("faults"),
     ]
     return measured("Faults, with the guard", words, rows, {key: key for key in rows[0]})
 
@@ -191,7 +200,7 @@ def printed() -> list[str]:
 
 def origins() -> list[str]:
     """Give where each table comes from: command, machine, date, and the commit with which it was kept."""
-    columns = {key: key for key in ("tables", "command", "machine", "date", "commit", "note")}
+    columns = {key: key for key in ("tables", "command", "machine", "date", "commit")}
     rows = [{"tables": name, **entry} for name, entry in (kept_file("origins") | kept_file("printed")).items()]
     rows = [row | {"command": f"`{row['command']}`"} for row in rows]
     return measured("Where the figures come from", [], rows, columns)

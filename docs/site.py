@@ -14,7 +14,7 @@ CONFIGURATION = DOCS.parent / "zensical.toml"  # written here, as Zensical looks
 SITE = DOCS.parent / "out" / "site"
 PAGE_IN_NAV = re.compile(r'"([^"]+\.md)"')
 SHIM, OUR_SHIM = "https://unpkg.com/iframe-worker/shim", "assets/iframe-worker/shim.js"
-"""What lets a page of a local file search (npm's iframe-worker 1.0.4): where Zensical loads it from, where it stands here."""
+"""Lets the page of a local file search (npm's iframe-worker 1.0.4): where Zensical has it from, and its place here."""
 
 
 def completed(configuration: str) -> str:
