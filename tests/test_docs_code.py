@@ -17,7 +17,10 @@ COMPILED_ONLY = {"docs/clusters.md"}
 QUICKER = {
     "docs/tutorial.md": [("duration=600.0", "duration=60.0")],
     "docs/own-law.md": [("duration=300.0", "duration=240.0")],
-    "docs/campaigns.md": [('"runs": 1000', '"runs": 2'), ("Scenario().replace(", "Scenario().replace(duration=20.0, ")],
+    "docs/campaigns.md": [
+        ('"runs": 1000', '"runs": 2'),
+        ("Scenario().replace(campaign=", "Scenario().replace(duration=20.0, campaign="),
+    ],
     "docs/rare.md": [("below=0.0", "below=0.6, runs=2, flights=64, most_levels=2")],
 }
 """What is written, and what the test writes instead."""
