@@ -4,7 +4,10 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: help demo check test test-all lint format install docs shipped basilisk clean
+# A file of tests stays with one worker, which builds and compiles once what its tests share; the longest come first.
+BY_FILE := -n 2 --dist loadfile --no-loadscope-reorder
+
+.PHONY: help demo check test test-all lint style types quick-tests tests format install docs shipped basilisk clean
 
 help:
 	@echo "make demo      set up, then fly the built-in demonstration; results in out/demo"
@@ -22,23 +25,34 @@ install: $(STAMP)
 $(STAMP): pyproject.toml
 	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 11) <= v < (3, 14) else "Keepout needs Python 3.11 to 3.13, but $(PYTHON) is %d.%d; run make PYTHON=python3.11" % v)'
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --editable '.[test,dev,docs]'
+	$(BIN)/pip install --quiet --no-compile --editable '.[test,dev,docs]'
 	@touch $(STAMP)
 
 demo: install
 	$(BIN)/keepout reproduce case1 --quick --out out/demo
 
-lint: install
+lint: style types
+
+style: install
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/pyright
 	$(BIN)/lint-imports
 
-check: lint
-	$(BIN)/pytest -m "not slow and not long" -n 2 --dist loadgroup
+types: install
+	$(BIN)/pyright
 
-test: lint
-	$(BIN)/pytest -m "not slow" -n 2 --dist loadgroup
+# Types are checked beside the tests: pyright has work for one core and most of a minute.
+check: style
+	@$(MAKE) --no-print-directory --jobs=2 types quick-tests
+
+test: style
+	@$(MAKE) --no-print-directory --jobs=2 types tests
+
+quick-tests: install
+	$(BIN)/pytest -m "not slow and not long" $(BY_FILE)
+
+tests: install
+	$(BIN)/pytest -m "not slow" $(BY_FILE)
 
 test-all: lint
 	$(BIN)/pytest -n 2 --dist loadgroup

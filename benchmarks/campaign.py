@@ -5,11 +5,12 @@
 Three tables. Time: microseconds a flight-step by the clock and of processor time, audit left out and included, on so
 many cores, after start-up; medians of three. Shares: what each part costs alone on one core. Ratio: against the same
 law (printed constants, no guard) written the usual way, a flight at a time with CVXPY, Clarabel and PyTorch. With
-`--scaling`, time against the number of runs. Each number of cores has a process of its own, which is kept to them. On a
-machine that does other work, compare the processor time.
+`--scaling`, time against the number of runs, of shorter flights. Each number of cores has a process of its own, which
+is kept to them. On a machine that does other work, compare the processor time.
 """
 
 import argparse
+import datetime
 import json
 import multiprocessing
 import os
@@ -28,10 +29,15 @@ def main():
     parser.add_argument("--steps", type=int, default=3000)
     parser.add_argument("--cores", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--scaling", type=int, nargs="+", default=[], metavar="RUNS")
+    parser.add_argument("--scaling-steps", type=int, default=1000, help="steps of those flights")
     parser.add_argument("--no-usual", action="store_true", help="leave the usual way out")
     parser.add_argument("--json", metavar="OUT", help="write all figures here too")
     arguments = parser.parse_args()
-    found = {"load at the start": os.getloadavg()[0], "times": [], "scaling": []}
+    from keepout.report.machine import machine
+
+    found = {"machine": machine(), "date": datetime.date.today().isoformat(), "steps": arguments.steps}
+    found["scaling_steps"] = arguments.scaling_steps
+    found |= {"flights": arguments.flights, "load at the start": os.getloadavg()[0], "times": [], "scaling": []}
     print(f"{arguments.flights} flights of {arguments.steps} steps; load of the machine {os.getloadavg()[0]:.1f}")
     print(f"{'cores':>5} {'audit':>6} {'clock us':>9} {'cpu us':>7} {'seconds':>8}   a flight-step; the whole campaign")
     for cores in arguments.cores:
@@ -51,7 +57,7 @@ def main():
         print("\nthe usual way: " + "; ".join(f"{name} {figure}" for name, figure in found["usual way"].items()))
     if arguments.scaling:
         print(f"\n{'runs':>8} {'seconds':>9} {'cpu us':>7}   with audit, on {max(arguments.cores)} cores")
-        found["scaling"] = apart(max(arguments.cores), scaling, arguments.scaling, arguments.steps)
+        found["scaling"] = apart(max(arguments.cores), scaling, arguments.scaling, arguments.scaling_steps)
         for row in found["scaling"]:
             print(f"{row['runs']:>8} {row['seconds']:>9.2f} {row['cpu_us']:>7.2f}")
         each = [row["seconds"] / row["runs"] for row in found["scaling"]]
@@ -87,34 +93,23 @@ def flown(plan, runs, steps, *, audit):
     """Fly the first runs of a plan; seconds by the clock and of processor time."""
     import jax
 
-    from keepout.audit.audit import audit_campaign
     from keepout.flight.batches import BATCH, fly_batches
     from keepout.mission import environment
+    from keepout.mission.audited import AUDITED, judge
 
-    scenario, target = plan.mission.scenario, plan.mission.target
-    bounds, chaser, verdicts = environment.flight_bounds(scenario), scenario.chaser, []
+    scenario, verdicts = plan.mission.scenario, []
+    bounds = environment.flight_bounds(scenario)
 
-    def landed(_, columns):
-        verdicts.extend(
-            audit_campaign(
-                *(columns[name] if name != "time" else columns[name][0] for name in audited[:4]),
-                target,
-                guard_status=columns["guard_status"],
-                chaser_radius=chaser.radius,
-                bounds=bounds,
-                force_limit=chaser.force_limit,
-                speed_limit=chaser.speed_limit,
-            )
-        )
+    def landed(_, log):
+        verdicts.extend(judge(scenario, plan.mission.target, log, bounds=bounds))
 
-    audited = ("time", "position", "velocity", "force", "guard_status")
     began = time.perf_counter(), time.process_time()
     fly_batches(
         plan.mission.setup,
         jax.tree.map(lambda array: array[:runs], plan.initial),
         steps,
         seed=scenario.seed,
-        columns=audited if audit else (),
+        columns=AUDITED if audit else (),
         landed=landed if audit else None,
         batch=BATCH,
     )

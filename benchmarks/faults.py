@@ -14,6 +14,7 @@ guard's field (`guard_recipe`).
 
 import argparse
 import functools
+import itertools
 import json
 import operator
 import sys
@@ -25,25 +26,25 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from faults_world import BOUND, FORCE, MARGIN, MESHES, RADIUS, SPEED, World, disturbances, look_up
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from faults_world import FORCE, MARGIN, MESHES, World, disturbances, look_up
+from kept_rows import Rows
 
-from keepout.audit.audit import Contact, audit_campaign
-from keepout.audit.tube import FlightBounds
+from keepout.audit.audit import Contact
 from keepout.control.law import Command, Law
 from keepout.flight import faults as broken
-from keepout.flight.batches import fly_batches, initial_states
+from keepout.flight.batches import fly_batches, states_at
 from keepout.flight.setup import NoFaults
 from keepout.guard.field import RECIPE
 from keepout.guard.status import GuardFlag
-from keepout.mission import environment
-from keepout.whole_file import write_whole
+from keepout.mission.audited import AUDITED, fly_audited, judge
+from keepout.report import terminal
 
 TARGETS = ("intelsat30", "iss", "tiangong", "ssl1300.glb")
 VIOLATIONS = int(functools.reduce(operator.or_, (flag for flag in GuardFlag if flag is not GuardFlag.COMMAND)))
 """Flags that say that an assumption did not hold."""
-AUDITED = ("time", "position", "velocity", "force", "guard_status")
+TOLERANCE = 2e-3
+"""How close to the truth clearances are driven, m."""
+PLACE, SETTINGS = ("target", "fault", "disturbance", "flights", "duration_s", "seed"), ("digest", "guard_recipe")
 
 
 @dataclass(frozen=True)
@@ -107,67 +108,40 @@ def row_setup(setup, fault, shape, flights, generator):
     return eqx.tree_at(varied, setup, (*same, disturbances(shape, flights, generator)))
 
 
-def audit_bounds(world, duration):
-    bounds = environment.flight_bounds(world.scenario("", duration))
-    return FlightBounds(**(vars(bounds) | {"disturbance_force": 2.0 * BOUND}))
-
-
-def judged(world, columns, bounds):
-    """Audit the flights of a batch."""
-    return audit_campaign(
-        columns["time"][0],
-        *(columns[name] for name in ("position", "velocity", "force")),
-        world.target,
-        guard_status=columns["guard_status"],
-        chaser_radius=RADIUS,
-        bounds=bounds,
-        force_limit=1.03 * FORCE,
-        speed_limit=1.5 * SPEED,
-        tolerance=2e-3,
-    )
-
-
-def fly_row(world, setup, fault, shape, flights, duration, seed):
-    """Fly and audit one row."""
+def fly_row(world, setup, fault, plan):
+    """Fly and audit one row; `plan` is what it is known by."""
+    shape, flights, seed = plan["disturbance"], plan["flights"], plan["seed"]
     number = ROWS.index((fault, shape))
     generator = np.random.default_rng([seed, number])
-    places = world.starts(setup.guard, generator, flights, close=fault.close)
-    initial = initial_states(setup.motion, lambda _, n: (places, np.zeros((n, 3))), flights, seed=seed)
-    bounds = audit_bounds(world, duration)
-    verdicts, flags = [], []
-
-    def landed(_, columns):
-        verdicts.extend(judged(world, columns, bounds))
-        flags.extend(np.bitwise_or.reduce(columns["guard_status"], axis=1) & VIOLATIONS)
-
+    initial = states_at(setup.motion, world.starts(setup.guard, generator, flights, close=fault.close))
+    flags = []
     began = time.perf_counter()
-    flown = row_setup(setup, fault, shape, flights, generator)
-    result = fly_batches(
-        flown, initial, duration, seed=1000 * seed + number, vary=varied, columns=AUDITED, landed=landed, workers=1
+    outcome, audits = fly_audited(
+        world.scenario(fault.told, plan["duration_s"]),
+        world.target,
+        row_setup(setup, fault, shape, flights, generator),
+        initial,
+        landed=lambda _, log: flags.extend(np.bitwise_or.reduce(log["guard_status"], axis=1) & VIOLATIONS),
+        tolerance=TOLERANCE,
+        seed=1000 * seed + number,
+        vary=varied,
+        workers=1,
     )
-    hurt = np.array([a.contact is not Contact.NO for a in verdicts])
+    hurt = np.array([a.contact is not Contact.NO for a in audits])
     flagged = np.array(flags) != 0
-    return {
-        "target": world.name,
-        "fault": fault.name,
-        "disturbance": shape,
+    return plan | {
         "within_assumptions": fault.within and shape != "twice the bound",
         "law_field": world.law_field,
-        "digest": world.digest,
-        "guard_recipe": RECIPE,
-        "flights": flights,
-        "contacts": sum(a.contact is Contact.YES for a in verdicts),
-        "undecided": sum(a.contact is Contact.UNDECIDED for a in verdicts),
-        "inconsistent": sum(not a.consistent for a in verdicts),
-        "minimum_clearance_m": round(min(a.minimum_clearance for a in verdicts), 4),
-        "reached": int(np.sum(result.reached)),
-        "guard_share": round(float(np.mean([a.guard_interventions / a.steps for a in verdicts])), 6),
+        "contacts": sum(a.contact is Contact.YES for a in audits),
+        "undecided": sum(a.contact is Contact.UNDECIDED for a in audits),
+        "inconsistent": sum(not a.consistent for a in audits),
+        "minimum_clearance_m": round(min(a.minimum_clearance for a in audits), 4),
+        "reached": int(np.sum(outcome.reached)),
+        "guard_share": round(float(np.mean([a.guard_interventions / a.steps for a in audits])), 6),
         "flagged": int(flagged.sum()),
         "hurt": int(hurt.sum()),
         "hurt_and_flagged": int((hurt & flagged).sum()),
-        "inside_margin": sum(a.minimum_clearance < MARGIN for a in verdicts),
-        "duration_s": duration,
-        "seed": seed,
+        "inside_margin": sum(a.minimum_clearance < MARGIN for a in audits),
         "seconds": round(time.perf_counter() - began, 2),
     }
 
@@ -194,14 +168,13 @@ class Coasting(Law):
 def cost(name, duration, flights=128):
     """Time the parts of a batched step, in microseconds of one core a flight and step."""
     world = World(name)
-    base, bounds = world.setup("", duration), audit_bounds(world, duration)
+    base = world.setup("", duration)
     one = base.motion.initial_state(world.goal, np.zeros(3))
     order = eqx.filter_jit(lambda law: law.step(law.initial_state(one), one)[1])(world.law)
     for law in ("none", "into the body"):
         fault = next(f for f in FAULTS if f.law == law)
         generator = np.random.default_rng(0)
-        places = world.starts(base.guard, generator, flights, close=False)
-        initial = initial_states(base.motion, lambda _, n: (places, np.zeros((n, 3))), flights, seed=0)  # noqa: B023
+        initial = states_at(base.motion, world.starts(base.guard, generator, flights, close=False))
         full = row_setup(base, fault, "paper", flights, generator)
         is_none = {"is_leaf": lambda x: x is None}
         alone = eqx.tree_at(lambda s: s.guard, full, None, **is_none)
@@ -224,7 +197,7 @@ def cost(name, duration, flights=128):
         rest, motion = timed(alone, varied), timed(bare, lambda s: s.disturbance)
         whole = timed(full, varied)
         began = time.process_time()
-        judged(world, flown, bounds)
+        judge(world.scenario("", duration), world.target, flown, tolerance=TOLERANCE)
         audit = (time.process_time() - began) / (flights * duration) * 1e6
         yield {
             "target": world.name,
@@ -238,41 +211,25 @@ def cost(name, duration, flights=128):
         }
 
 
-def load(path):
-    return json.loads(path.read_text()) if path is not None and path.exists() else []
-
-
-def save(path, rows):
-    write_whole(path, "[\n" + ",\n".join(json.dumps(row) for row in rows) + "\n]\n")
-
-
 def fly_all(arguments, show):
-    """Fly every row that is not in `--out` yet; rows of another field than the law has now are dropped."""
-    digests = {Path(name).stem: look_up(name)[2] for name in arguments.targets}
-    rows = [r for r in load(arguments.out) if r["digest"] == digests.get(r["target"], r["digest"])]
-    rows = [r for r in rows if r.get("guard_recipe") == RECIPE]
+    """Fly every row that is not in `--out` yet; give all that are there, but for those of another field than now."""
     flights = max(1, round(arguments.flights / (len(arguments.targets) * len(ROWS))))
-    keys = ("target", "fault", "disturbance", "flights", "duration_s", "seed")
-    done = {tuple(row[key] for key in keys) for row in rows}
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description:<60}"), BarColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
-        task = bar.add_task("", total=len(arguments.targets) * len(ROWS))
-        for name in arguments.targets:
-            world, setups = None, {}
-            for fault, shape in ROWS:
-                key = (Path(name).stem, fault.name, shape, flights, arguments.duration, arguments.seed)
-                bar.update(task, description=f"{key[0]}: {fault.name}, {shape}")
-                if key not in done:
-                    world = world or World(name)
-                    setups[fault.told] = setups.get(fault.told) or world.setup(fault.told, arguments.duration)
-                    row = fly_row(world, setups[fault.told], fault, shape, flights, arguments.duration, arguments.seed)
-                    rows.append(row)
-                    show(row)
-                    if arguments.out is not None:
-                        save(arguments.out, rows)
-                bar.advance(task)
-    return rows
+    store, world_of = Rows(arguments.out, PLACE, SETTINGS), functools.lru_cache(1)(World)
+    setup_of = functools.lru_cache(1)(lambda world, told: world.setup(told, arguments.duration))
+    with terminal.progress("faults") as progress:
+        wanted = list(itertools.product(arguments.targets, ROWS))
+        for done, (name, (fault, shape)) in enumerate(wanted):
+            place = (Path(name).stem, fault.name, shape, flights, arguments.duration, arguments.seed)
+            plan = dict(zip(PLACE + SETTINGS, (*place, look_up(name)[2], RECIPE), strict=True))
+            progress(done / len(wanted), f"{place[0]}: {fault.name}, {shape}")
+            if store.find(plan) is None:
+                world = world_of(name)
+                row = fly_row(world, setup_of(world, fault.told), fault, plan)
+                store.keep(row)
+                show(row)
+    current = {Path(name).stem: look_up(name)[2] for name in arguments.targets}
+    rows = [row for row in store.kept if row["digest"] == current.get(row["target"], row["digest"])]
+    return [row for row in rows if row.get("guard_recipe") == RECIPE]
 
 
 def totals(rows):

@@ -12,12 +12,10 @@ from keepout.control.guidance.plan import Geodesic
 from keepout.fields.evaluate import values, values_and_gradients
 from keepout.fields.shipped import load_shipped, shipped_names
 from keepout.flight import faults as broken
-from keepout.flight.setup import FlightSetup
 from keepout.geometry.offset_solid import OffsetSolid
 from keepout.geometry.target import Target
 from keepout.guard.field import guard_field
-from keepout.mission import environment
-from keepout.mission.build import build_guard, build_law, flown_law
+from keepout.mission.build import build_guard, build_law, flight_setup, flown_law
 from keepout.mission.scenario import Scenario
 from keepout.motion.disturbance import CombinedDisturbance, SinusoidalDisturbance, SquareWaveDisturbance
 
@@ -82,13 +80,13 @@ class World:
         self.law = build_law(self.scenario("", 600), self.model, guidance=Geodesic(bounds=room), from_start=False)
 
     def scenario(self, told, duration):
-        """Give the scenario behind a group of rows."""
+        """Give the scenario behind a group of rows, with the strongest disturbance that any of them flies."""
         entry = {"position_error": 0.01, "velocity_error": 3e-4, "gain_error": 0.02} if told else {}
         entry |= {"delay": 1} if told == "late" else {}
         return Scenario().replace(
             goal={"position": tuple(self.goal)},
             start={"position": tuple(self.upper)},
-            disturbance={"bound": BOUND},
+            disturbance={"kind": "constant", "force": (2.0 * BOUND, 0.0, 0.0), "bound": BOUND},
             chaser={"radius": RADIUS, "mass": MASS, "force_limit": FORCE, "speed_limit": SPEED},
             safety={"margin": MARGIN},
             guard=entry,
@@ -98,18 +96,14 @@ class World:
     def setup(self, told, duration):
         """Give the setup of a group of rows: what differs within it are arrays (`varied`), so it compiles once."""
         scenario = self.scenario(told, duration)
-        chaser = environment.chaser(scenario)
         law = flown_law(scenario, self.law, self.model)
         stuck = broken.StuckThruster(1, 1, 0.0, start=jnp.inf)
         parts = (broken.WrongEstimate(), broken.DroppedCommands(0.0), broken.ThrusterGain(0.0), stuck)
         late = (broken.DelayedCommands(1),) if told == "late" else ()
-        return FlightSetup(
-            motion=environment.relative_motion(scenario),
+        return flight_setup(
+            scenario,
+            broken.BrokenLaw(law, self.grid.field, "none", FORCE, MASS, SPEED),
             disturbance=jax.tree.map(lambda leaf: leaf[0], disturbances("paper", 1, np.random.default_rng(0))),
-            thrusters=chaser.thrusters,
-            controller=broken.BrokenLaw(law, self.grid.field, "none", FORCE, MASS, SPEED),
-            goal=self.goal,
-            mass=chaser.mass,
             guard=build_guard(scenario, self.target),
             faults=broken.CombinedFaults((*parts, *late)),
         )

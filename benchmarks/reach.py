@@ -25,21 +25,20 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from kept_rows import Rows, show
 from reach_case import Case
 
 import keepout
-from keepout.audit.audit import Contact, audit_campaign
+from keepout.audit.audit import Contact
 from keepout.control.conditions import drift_bound
 from keepout.control.guidance.geodesic import geodesic_guidance
 from keepout.control.guidance.plan import Straight
 from keepout.control.profiles import ControlWarning
 from keepout.control.tuning import tune
-from keepout.flight.batches import BATCH, fly_batches
-from keepout.flight.setup import FlightSetup
-from keepout.mission import environment
-from keepout.mission.build import build_law, operation
+from keepout.flight.batches import BATCH, states_at
+from keepout.mission.audited import fly_audited
+from keepout.mission.build import build_law, flight_setup, operation
 from keepout.report import terminal
-from keepout.whole_file import write_whole
 
 LAWS = {
     "geodesic": {"profile": "default", "guidance": "geodesic", "circulation": "none"},
@@ -49,6 +48,10 @@ LAWS = {
     "switching": {"profile": "default", "guidance": "straight", "circulation": "switching"},
     "paper": {"profile": "paper", "guidance": "straight", "circulation": "printed"},
 }
+PLACE = ("target", "profile", "guidance", "tumbling_deg_s", "flights", "seed")
+SETTINGS = ("field_sha256", "version")
+SHOWN = (*PLACE[:-1], "refused", "reached", "contacts", "undecided", "minimum_clearance_m", "saturated_fraction")
+SHOWN += ("delta_v_mps", "delta_v_over_floor", "time_over_bound", "seconds")
 TUMBLING_SPEED = {0.5: 0.05}
 """Speed limits (m/s) of fast tumblers, by rate in degrees a second: what the thrusters can follow there."""
 
@@ -81,36 +84,41 @@ def within_authority(case, scenario):
     return reach <= furthest, furthest, reason
 
 
-def fly_row(case, law, rate):
-    """One row of the table."""
+def planned(case, law, rate):
+    """Give the entries by which a row is known before it is flown."""
     choices = LAWS[law]
-    profile = choices["profile"]
-    scenario = case.scenario.replace(control=choices)
+    guidance = choices["circulation"] if law == "paper" else law
+    row = dict(zip(PLACE, (case.name, choices["profile"], guidance, rate, case.flights, case.seed), strict=True))
+    return row | dict(zip(SETTINGS, (case.model.sha256, keepout.__version__), strict=True))
+
+
+def fly_row(case, law, rate):
+    """One row of the table, but for what it is known by."""
+    began, scenario = time.perf_counter(), case.scenario.replace(control=LAWS[law])
+    reach, reason = float(np.linalg.norm(case.pairs, axis=-1).max()), None
+    flown = np.ones(case.flights, bool)
     if rate:
         tumbling = {"kind": "tumbling", "angular_velocity": (0.0, 0.0, float(np.radians(rate)))}
         speed = TUMBLING_SPEED.get(rate, scenario.chaser.speed_limit)
         scenario = scenario.replace(attitude=tumbling, chaser={"speed_limit": speed})
-    began = time.perf_counter()
-    reach, reason = float(np.linalg.norm(case.pairs, axis=-1).max()), None
-    flown = np.ones(case.flights, bool)
-    if rate:
         flown, reach, reason = within_authority(case, scenario)
+    speed = scenario.chaser.speed_limit
+    seconds = round(case.seconds * case.scenario.chaser.speed_limit / speed)
     refused = [] if reason is None else [reason] * int(np.sum(~flown))
-    row = {"target": case.name, "profile": profile, "guidance": choices["circulation"] if law == "paper" else law}
-    row |= {"flights": case.flights, "reached": 0, "contacts": 0, "minimum_clearance_m": None}
-    row |= {"saturated_fraction": None, "delta_v_mps": None, "time_over_bound": None}
-    row |= {"tumbling_deg_s": rate, "speed_limit_mps": scenario.chaser.speed_limit}
-    index = np.flatnonzero(flown)
-    if len(index):
-        chosen = {"reach": float(reach)} if profile == "default" else {}
-        row |= fly_pairs(case, scenario, law, chosen, index, refused, rate)
-    row |= {"refused": len(refused), "seconds": time.perf_counter() - began}
+    row = {"reached": 0, "contacts": 0, "minimum_clearance_m": None, "saturated_fraction": None, "delta_v_mps": None}
+    row |= {"time_over_bound": None, "speed_limit_mps": speed}
+    if flown.any():
+        chosen = {"reach": float(reach)} if LAWS[law]["profile"] == "default" else {}
+        scenario = scenario.replace(duration=float(seconds))
+        row |= fly_pairs(case, scenario, law, chosen, np.flatnonzero(flown), refused, rate)
+        row |= {"seconds_flown": seconds}
     for line in sorted(set(refused))[:3]:
         sys.stderr.write(f"{case.name} {law} {rate:g} deg/s: refused: {line}\n")
-    return row
+    return row | {"refused": len(refused), "seconds": time.perf_counter() - began}
 
 
 def fly_pairs(case, scenario, law, chosen, index, refused, rate):
+    """Fly the pairs `index`, and give the row's figures."""
     pairs = case.pairs
     first = scenario.replace(goal={"position": tuple(pairs[index[0], 1])})
     # Travel times are given to it pair by pair; until then it needs no grid.
@@ -120,19 +128,10 @@ def fly_pairs(case, scenario, law, chosen, index, refused, rate):
     offset = case.offset + float(prototype.nominal_offset)
     grid = case.grid(offset)
     ways = case.ways(offset)
-    setup = FlightSetup(
-        motion=prototype.motion,
-        disturbance=environment.disturbance(scenario),
-        thrusters=environment.chaser(scenario).thrusters,
-        controller=prototype,
-        goal=pairs[index[0], 1],
-        mass=scenario.chaser.mass,
-        period=scenario.control.period,
-    )
+    setup = flight_setup(first, prototype)
     axes = np.random.default_rng(case.seed + 1).normal(size=(len(pairs), 3))
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-    seconds = round(case.seconds * case.scenario.chaser.speed_limit / scenario.chaser.speed_limit)
-    result = Results(case, scenario, ways)
+    flown = []
     with terminal.progress(f"{case.name}, {law}, {rate:g} deg/s") as progress:
         # Travel times differ from goal to goal: a batch of them at a time in memory.
         size = BATCH if law == "geodesic" else len(index)
@@ -142,24 +141,23 @@ def fly_pairs(case, scenario, law, chosen, index, refused, rate):
                 part, guidances = travel_times(case, grid, offset, prototype, part, refused)
             if len(part) == 0:
                 continue
-            # The last batch is filled up, so that one shape is compiled; what was added is left out again.
-            whole = np.resize(part, size)
-            guidances = [guidances[i % len(part)] for i in range(size)] if guidances else []
-            batch = with_goals(setup, jnp.asarray(pairs[whole, 1]), guidances)
-            starts = jnp.asarray(pairs[whole, 0])
-            initial = eqx.filter_vmap(setup.motion.initial_state)(starts, jnp.zeros_like(starts))
+            initial = states_at(setup.motion, pairs[part, 0])
             if rate:
-                initial = eqx.tree_at(
-                    lambda s: s.angular_velocity, initial, jnp.asarray(np.radians(rate) * axes[whole])
-                )
-            result.add(
-                part,
-                batch,
+                initial = eqx.tree_at(lambda s: s.angular_velocity, initial, jnp.asarray(np.radians(rate) * axes[part]))
+            floors = []
+            outcome, audits = fly_audited(
+                scenario,
+                case.target,
+                with_goals(setup, jnp.asarray(pairs[part, 1]), guidances),
                 initial,
-                seconds,
-                lambda f, m, begin=begin: progress((begin + f * size) / max(len(index), size), m),
+                columns=("disturbance",),
+                landed=lambda _, log, floors=floors: floors.extend(floor(scenario, log["disturbance"])),
+                vary=lambda s: (s.goal, s.controller.velocity.guidance),
+                batch=min(size, BATCH),
+                progress=lambda f, m, begin=begin: progress((begin + f * size) / max(len(index), size), m),
             )
-    return result.row() | {"seconds_flown": seconds}
+            flown.append((part, outcome, audits, floors))
+    return figures(flown, ways, scenario.chaser.speed_limit)
 
 
 def travel_times(case, grid, offset, prototype, part, refused):
@@ -199,85 +197,30 @@ def with_goals(setup, goals, guidances):
     return eqx.tree_at(lambda s: (s.goal, s.controller.velocity.guidance), setup, (goals, guidance))
 
 
-class Results:
-    """What became of the flights of a row."""
-
-    def __init__(self, case, scenario, ways):
-        self.case, self.scenario, self.ways = case, scenario, ways
-        self.reached, self.saturated, self.delta_v, self.floor, self.ratio = [], [], [], [], []
-        self.audits = []
-
-    def add(self, part, setup, initial, seconds, progress):
-        """Fly and audit the pairs `part`; flights beyond them only fill up a batch."""
-        chaser, period = self.scenario.chaser, self.scenario.control.period
-        bounds = environment.flight_bounds(self.scenario)
-        floors = []
-
-        def landed(first, columns):
-            own = {name: column[: max(len(part) - first, 0)] for name, column in columns.items()}
-            if len(own["time"]) == 0:
-                return
-            self.audits += audit_campaign(
-                own["time"][0],
-                own["position"],
-                own["velocity"],
-                own["force"],
-                self.case.target,
-                chaser_radius=chaser.radius,
-                bounds=bounds,
-                force_limit=chaser.force_limit,
-                speed_limit=chaser.speed_limit,
-            )
-            push = np.linalg.norm(own["disturbance"], axis=-1).sum(axis=-1) * period
-            floors.extend(push / chaser.mass + 2.0 * chaser.speed_limit)
-
-        outcome = fly_batches(
-            setup,
-            initial,
-            round(seconds / period),
-            vary=lambda s: (s.goal, s.controller.velocity.guidance),
-            columns=("time", "position", "velocity", "force", "disturbance"),
-            landed=landed,
-            progress=progress,
-        )
-        count = len(part)
-        self.reached += list(np.asarray(outcome.reached)[:count])
-        self.saturated += list(np.asarray(outcome.saturated_fraction)[:count])
-        self.delta_v += list(np.asarray(outcome.delta_v)[:count])
-        self.floor += floors
-        self.ratio += list(np.asarray(outcome.time_to_reach)[:count] * chaser.speed_limit / self.ways[part])
-
-    def row(self):
-        """Give the row's figures."""
-        reached = np.array(self.reached, dtype=bool)
-        if len(reached) == 0:
-            return {}
-        return {
-            "reached": int(reached.sum()),
-            "contacts": sum(a.contact is Contact.YES for a in self.audits),
-            "undecided": sum(a.contact is Contact.UNDECIDED for a in self.audits),
-            "minimum_clearance_m": min(a.minimum_clearance for a in self.audits),
-            "saturated_fraction": float(np.mean(self.saturated)),
-            "delta_v_mps": float(np.median(self.delta_v)),
-            "delta_v_over_floor": float(np.median(np.array(self.delta_v) / np.array(self.floor))),
-            "time_over_bound": float(np.median(np.array(self.ratio)[reached])) if reached.any() else None,
-        }
+def floor(scenario, disturbance):
+    """Give the Δv (m/s) that each flight's disturbance (flights, steps + 1, 3) N and two changes of speed cost."""
+    push = np.linalg.norm(disturbance, axis=-1).sum(axis=-1) * scenario.control.period
+    return push / scenario.chaser.mass + 2.0 * scenario.chaser.speed_limit
 
 
-def key(row):
-    """Tell a row from every other; a row with the same key need not be flown again."""
-    names = ("target", "profile", "guidance", "tumbling_deg_s", "flights", "seed", "field_sha256", "version")
-    return tuple(row.get(name) for name in names)
-
-
-def show(rows):
-    columns = ("target", "profile", "guidance", "tumbling_deg_s", "flights", "refused", "reached", "contacts")
-    columns += ("undecided", "minimum_clearance_m", "saturated_fraction", "delta_v_mps", "delta_v_over_floor")
-    columns += ("time_over_bound", "seconds")
-    sys.stdout.write("| " + " | ".join(columns) + " |\n|" + " --- |" * len(columns) + "\n")
-    for row in rows:
-        shown = [f"{v:.3g}" if isinstance(v, float) else str(v) for v in (row.get(name, "") for name in columns)]
-        sys.stdout.write("| " + " | ".join(shown) + " |\n")
+def figures(flown, ways, speed_limit):
+    """Give a row's figures from its parts: the pairs of each, their outcomes, audits, and floors of Δv."""
+    if not flown:
+        return {}
+    parts, outcomes, audits, floors = zip(*flown, strict=True)
+    outcome = jax.tree.map(lambda *arrays: np.concatenate(arrays), *outcomes)
+    audits, reached = sum(audits, ()), outcome.reached
+    ratio = outcome.time_to_reach * speed_limit / ways[np.concatenate(parts)]
+    return {
+        "reached": int(reached.sum()),
+        "contacts": sum(a.contact is Contact.YES for a in audits),
+        "undecided": sum(a.contact is Contact.UNDECIDED for a in audits),
+        "minimum_clearance_m": min(a.minimum_clearance for a in audits),
+        "saturated_fraction": float(np.mean(outcome.saturated_fraction)),
+        "delta_v_mps": float(np.median(outcome.delta_v)),
+        "delta_v_over_floor": float(np.median(outcome.delta_v / np.concatenate(floors))),
+        "time_over_bound": float(np.median(ratio[reached])) if reached.any() else None,
+    }
 
 
 def main():
@@ -296,33 +239,21 @@ def main():
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     warnings.simplefilter("ignore", ControlWarning)
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    kept = json.loads(arguments.out.read_text()) if arguments.out.exists() else []
-    rows = []
+    store, rows = Rows(arguments.out, PLACE, SETTINGS), []
     for source in arguments.targets:
         case = Case(source, arguments.out.parent, arguments.flights, arguments.seed)
-        wanted = [(law, 0.0) for law in arguments.laws] + [("geodesic", rate) for rate in arguments.tumbling]
-        for law, rate in wanted:
-            choices = LAWS[law]
-            mark = {"seed": arguments.seed, "field_sha256": case.model.sha256, "version": keepout.__version__}
-            plan = {
-                "target": case.name,
-                "profile": choices["profile"],
-                "tumbling_deg_s": rate,
-                "flights": arguments.flights,
-            }
-            plan |= {"guidance": choices["circulation"] if law == "paper" else law, **mark}
-            row = next((row for row in kept if key(row) == key(plan)), None)
+        for law, rate in [(law, 0.0) for law in arguments.laws] + [("geodesic", rate) for rate in arguments.tumbling]:
+            plan = planned(case, law, rate)
+            row = store.find(plan)
             if row is None:
-                row = fly_row(case, law, rate) | mark
-                kept.append(row)
-                write_whole(arguments.out, json.dumps(kept, indent=2) + "\n")
+                row = plan | fly_row(case, law, rate)
+                store.keep(row)
             rows.append(row)
             sys.stderr.write(json.dumps(row) + "\n")
     if arguments.json:
         sys.stdout.write(json.dumps(rows, indent=2) + "\n")
     else:
-        show(rows)
+        show(rows, SHOWN)
 
 
 if __name__ == "__main__":

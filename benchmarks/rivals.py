@@ -20,6 +20,7 @@ import sys
 import warnings
 from pathlib import Path
 
+from kept_rows import show
 from rivals_laws.registry import RIVALS
 from rivals_laws.rival_case import RivalCase
 from rivals_laws.rows import COLUMNS, Rows, flown_row, planned
@@ -30,13 +31,6 @@ from keepout.report import terminal
 TARGETS = ("intelsat30", "iss", "pocket", "../shared/meshes/ssl1300.glb")
 HERE = Path(__file__).resolve().parent
 SHOWN = (*COLUMNS[: COLUMNS.index("step_ms") + 1], "refused", "plan_s", "largest_speed_mps", "note")
-
-
-def show(rows):
-    sys.stdout.write("| " + " | ".join(SHOWN) + " |\n|" + " --- |" * len(SHOWN) + "\n")
-    for row in rows:
-        cells = [f"{value:.3g}" if isinstance(value, float) else str(value) for value in (row[name] for name in SHOWN)]
-        sys.stdout.write("| " + " | ".join(cells) + " |\n")
 
 
 def fly_all(arguments):
@@ -81,7 +75,7 @@ def main():
     if arguments.json:
         sys.stdout.write(json.dumps(rows, indent=2) + "\n")
     else:
-        show(rows)
+        show(rows, SHOWN)
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     atexit.register(shutil.rmtree, _compiled, ignore_errors=True)
     os.environ |= {
         "JAX_COMPILATION_CACHE_DIR": _compiled,
-        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.3",
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
         "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "0",
     }
 
@@ -44,8 +44,19 @@ def _forgetful():
             gc.collect()
 
 
-FIRST = ("test_journey.py", "test_readme.py", "test_demonstration.py", "test_cli.py")
-"""What a user runs first is tested first; these take longest too, so that no worker ends with one while others wait."""
+FIRST = (
+    "test_journey.py",
+    "test_demonstration.py",
+    "test_fit_and_certify.py",
+    "test_readme.py",
+    "test_loose_ends.py",
+    "test_on_board.py",
+    "test_cone.py",
+    "test_orbit_bounds.py",
+    "test_invariance.py",
+)
+"""What a user runs first is tested first; these take longest too, so that no worker ends with one while others wait.
+README comes after what compiles the same programs."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -106,7 +106,9 @@ HEAVY = ("jax", "equinox", "matplotlib", "plotly", "trimesh", "optax", "skimage"
         (["fly", "--help"], (*HEAVY, "numpy", "scipy", "numba", "pyarrow")),
         (["targets"], HEAVY),
         (["fly", "absent.toml"], (*HEAVY, "numpy", "scipy")),
-        (["inspect", "box"], ("matplotlib", "plotly", "trimesh", "optax", "skimage")),
+        pytest.param(
+            ["inspect", "box"], ("matplotlib", "plotly", "trimesh", "optax", "skimage"), marks=pytest.mark.long
+        ),
     ],
 )
 def test_light_commands_import_nothing_heavy(arguments, unneeded):
@@ -122,7 +124,12 @@ def test_light_commands_import_nothing_heavy(arguments, unneeded):
 
 @pytest.mark.parametrize(
     "imports",
-    ["import keepout, jax", "import jax, keepout", "import keepout, jax.numpy", "from keepout import Scenario, fly"],
+    [
+        "import keepout, jax",
+        "import jax, keepout",
+        "import keepout, jax.numpy",
+        pytest.param("from keepout import Scenario, fly", marks=pytest.mark.long),
+    ],
 )
 def test_jax_computes_in_double_precision_whichever_is_imported_first(imports):
     program = f"{imports}\nimport jax.numpy as jnp\nprint(jnp.ones(1).dtype)"

@@ -57,6 +57,7 @@ def test_a_deliberate_break_is_caught(copy, broken):
         source.write_text(kept, encoding="utf-8")
 
 
+@pytest.mark.long
 def test_the_page_of_rooms_is_of_this_version():
     program = [sys.executable, str(REPOSITORY / "docs" / "offers.py"), "--check"]
     answer = subprocess.run(program, capture_output=True, text=True)

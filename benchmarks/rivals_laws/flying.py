@@ -9,33 +9,24 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from keepout.audit.audit import Contact, audit_campaign
+from keepout.audit.audit import Contact
 from keepout.errors import KeepoutError
-from keepout.flight.batches import fly_batches
+from keepout.flight.batches import states_at
 from keepout.flight.loop import fly
 from keepout.flight.on_board import OnBoard
 from keepout.flight.setup import FlightSetup
-from keepout.mission import environment
+from keepout.mission.audited import fly_audited
+from keepout.mission.build import flight_setup
 from rivals_laws.rival import Rival
 from rivals_laws.rival_case import Point, RivalCase
 
-AUDITED = ("time", "position", "velocity", "force", "guard_status")
 TIMED = 200
 """Control steps timed, spread over a flight."""
 
 
 def setup_of(case: RivalCase, law, goal: Point, guarded: bool) -> FlightSetup:
     """Put a law on the loop that all rivals fly: motion, disturbance and thrusters of the scenario."""
-    return FlightSetup(
-        motion=environment.relative_motion(case.scenario),
-        disturbance=environment.disturbance(case.scenario),
-        thrusters=environment.chaser(case.scenario).thrusters,
-        controller=law,
-        goal=goal,
-        mass=case.scenario.chaser.mass,
-        period=case.scenario.control.period,
-        guard=case.guard if guarded else None,
-    )
+    return flight_setup(case.scenario, law, goal=goal, guard=case.guard if guarded else None)
 
 
 def laws_of(case: RivalCase, rival: Rival, index) -> tuple[list, list, list, list]:
@@ -82,40 +73,30 @@ class Flown:
         """Times, positions and velocities of the first flight."""
 
     def add(self, part, laws, guarded, size, progress):
-        """Fly and audit the pairs `part`; the batch is filled up to `size` with its own flights, then left out."""
-        case, chaser = self.case, self.case.scenario.chaser
-        goals, starts = (np.resize(case.pairs[part, end], (size, 3)) for end in (1, 0))
-        law, select = stacked([laws[i % len(part)] for i in range(size)])
+        """Fly and audit the pairs `part` in a batch of `size`."""
+        case = self.case
+        goals = case.pairs[part, 1]
+        law, select = stacked(laws)
         setup = setup_of(case, laws[0], goals[0], guarded)
         setup = eqx.tree_at(lambda s: (s.controller, s.goal), setup, (law, jnp.asarray(goals)))
 
-        def landed(first, columns):
-            own = {name: column[: max(len(part) - first, 0)] for name, column in columns.items()}
+        def landed(_, columns):
             if self.first is None:
-                self.first = (own["time"][0], own["position"][0], own["velocity"][0])
-            self.audits += audit_campaign(
-                own["time"][0],
-                *(own[name] for name in ("position", "velocity", "force")),
-                case.target,
-                guard_status=own["guard_status"],
-                chaser_radius=chaser.radius,
-                bounds=environment.flight_bounds(case.scenario),
-                force_limit=chaser.force_limit,
-                speed_limit=chaser.speed_limit,
-            )
+                self.first = (columns["time"][0], columns["position"][0], columns["velocity"][0])
 
-        outcome = fly_batches(
+        outcome, audits = fly_audited(
+            case.scenario.replace(duration=float(case.seconds)),
+            case.target,
             setup,
-            eqx.filter_vmap(setup.motion.initial_state)(jnp.asarray(starts), jnp.zeros((size, 3))),
-            round(case.seconds / case.scenario.control.period),
+            states_at(setup.motion, case.pairs[part, 0]),
             vary=lambda s: [s.goal, *select(s.controller)],
-            columns=AUDITED,
             landed=landed,
             batch=size,
             progress=progress,
         )
         self.index += list(part)
-        self.outcomes.append(jax.tree.map(lambda array: array[: len(part)], outcome))
+        self.outcomes.append(outcome)
+        self.audits += audits
 
     def row(self):
         """Give the row's figures; None where nothing was flown."""

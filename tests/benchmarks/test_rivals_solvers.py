@@ -188,6 +188,7 @@ def test_a_solve_that_fails_is_counted_and_the_last_plan_is_flown_to_rest(case):
     assert np.linalg.norm(log.velocity, axis=1).max() < 2e-3
 
 
+@pytest.mark.long
 def test_a_start_in_the_zone_is_refused(case):
     pytest.importorskip("casadi", reason=NO_CASADI)
     with pytest.raises(KeepOutZoneError, match="start"):

@@ -56,6 +56,13 @@ def test_pieces_add_up_to_the_whole_to_the_bit_in_any_order(count, cut, seed):
         summed = Bands.of_bytes(counted(first).to_bytes())
         summed.add(Bands.of_bytes(counted(second).to_bytes()))
         assert summed.to_bytes() == whole
+        streamed = Bands.empty(40.0, 1.0)
+        for part in (first, second, first):
+            streamed.add_bytes(counted(part).to_bytes())
+        summed.add(counted(first))
+        for name, array in vars(summed).items():
+            np.testing.assert_array_equal(getattr(streamed, name), array)
+        np.testing.assert_array_equal(Bands.of_bytes(summed.to_bytes()).counts, summed.counts)
 
 
 def test_what_is_not_a_number_is_counted_apart_and_a_flight_that_ended_is_not_counted():

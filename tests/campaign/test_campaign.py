@@ -8,20 +8,26 @@ import subprocess
 import sys
 import time
 
+import jax
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from keepout.campaign.chunk import fly_chunk
+from keepout.campaign.chunk import certified, fly_chunk
 from keepout.campaign.dataset import Dataset
+from keepout.campaign.flying import initial_state
 from keepout.campaign.keep import Keep, keep_flights
 from keepout.campaign.plan import Plan
+from keepout.campaign.programs import flown_setup
 from keepout.campaign.replay import differences, replay
 from keepout.campaign.run import fly_campaign
 from keepout.campaign.summary import summary
 from keepout.campaign.table import of_bytes
+from keepout.campaign.workshop import Workshop
 from keepout.errors import FlightError, ScenarioError
 from keepout.flight.record import FlightRecord
+from keepout.mission.build import prepare
+from keepout.mission.campaign import room_to_start
 from keepout.mission.scenario import Scenario
 
 pytestmark = pytest.mark.long
@@ -185,6 +191,62 @@ def test_starts_in_the_target_are_refused_where_the_design_is_over_all_runs(scen
 def test_a_campaign_of_which_nothing_can_be_flown_is_refused(scenario):
     with pytest.raises(ScenarioError, match=r"none of the first 16 runs can be flown; .*chaser\.mass: -1"):
         Plan.of(scenario.replace(campaign={"dispersions": {"chaser.mass": {"choice": [-1.0]}}}))
+
+
+def test_flights_that_differ_in_the_phase_of_the_disturbance_share_one_program(scenario):
+    campaign = {"runs": 64, "dispersions": {"disturbance.phase": {"uniform": [0.0, 6.283]}}}
+    for kind in ({"kind": "paper"}, {"kind": "bang-bang", "amplitude": 0.02}, {"kind": "random", "amplitude": 0.02}):
+        plan = Plan.of(scenario.replace(campaign=campaign, disturbance=kind), batch=8)
+        [program] = plan.programs
+        assert sum(program.stacked) == 1, "all but the phase is equal to the last bit, the law too"
+        runs = plan.draw(0, 20)
+        assert all(program.takes(flown_setup(run.mission.setup)) for run in runs)
+        assert len({run.scenario.disturbance.phase for run in runs}) == 20
+
+
+def test_a_mission_of_another_phase_shares_its_law_and_is_the_one_that_would_be_made(scenario):
+    guarded = scenario.replace(guard={"enabled": True})
+    workshop = Workshop()
+    made = [workshop.mission(guarded.replace(disturbance={"phase": phase})) for phase in (1.0, 2.0)]
+    assert made[0].setup.controller is made[1].setup.controller
+    truth = prepare(guarded.replace(disturbance={"phase": 1.0}))
+    assert jax.tree.structure(made[0].setup) == jax.tree.structure(truth.setup)
+    for one, other in zip(jax.tree.leaves(made[0].setup), jax.tree.leaves(truth.setup), strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert (made[0].scenario, made[0].start_certified) == (truth.scenario, truth.start_certified)
+
+
+@pytest.mark.parametrize("guarded", [True, False])
+def test_what_is_looked_at_for_many_runs_is_what_one_run_alone_is_told(scenario, guarded):
+    fast = {"sphere": [0.0, 0.3]}  # the guard's theorem is of speeds up to 0.15 m/s
+    campaign = {"runs": 300, "dispersions": {"start.position": {"sphere": [1.0, 9.0]}, "start.velocity": fast}}
+    plan = Plan.of(scenario.replace(guard={"enabled": guarded}, campaign=campaign))
+    runs = plan.draw(0, 300)
+    assert any(run.drawn_again for run in runs)
+    sure = certified(runs)
+    for run in runs[::7]:
+        [alone] = plan.draw(run.number, run.number + 1)
+        assert (alone.number, alone.values, alone.drawn_again) == (run.number, run.values, run.drawn_again)
+        np.testing.assert_array_equal(alone.position, run.position)
+        mission, state = run.mission, initial_state(run)
+        truth = mission.setup.motion.initial_state(run.position, run.velocity)
+        for one, other in zip(jax.tree.leaves(state), jax.tree.leaves(truth), strict=True):
+            np.testing.assert_array_equal(one, other)
+        assert sure[run.number] == (bool(mission.guard.certified_start(truth)) if guarded else None)
+        assert mission.target.distance.distance(run.position[None])[0] > room_to_start(mission.scenario)
+    assert not guarded or 0 < sum(sure.values()) < 300
+
+
+def test_a_drawn_phase_is_what_is_flown(scenario):
+    campaign = {"runs": 8, "dispersions": {"disturbance.phase": {"uniform": [0.0, 6.283]}}}
+    plan = Plan.of(scenario.replace(campaign=campaign), batch=4)
+    rows = of_bytes(fly_chunk(plan, 0).table).to_pylist()
+    [again] = replay(plan, [3])
+    t = again.flight.record.time + rows[3]["disturbance.phase"] * np.array([[100.0], [50.0]])  # by 0.01 and 0.02 rad/s
+    expected = 0.01 * np.stack([np.sin(0.02 * t[1]), np.cos(0.02 * t[1]), np.sin(0.01 * t[0])], axis=1)
+    np.testing.assert_allclose(again.flight.record.disturbance, expected, atol=1e-15)
+    assert again.row["final_error"] == rows[3]["final_error"]
+    assert len({row["final_error"] for row in rows}) == len(rows) == 4
 
 
 PROGRAM = """

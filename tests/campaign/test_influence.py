@@ -9,6 +9,7 @@ from scipy import stats
 from keepout.campaign.influence import (
     GROUPS,
     Factor,
+    average_ranks,
     correlation_interval,
     holm,
     influence,
@@ -34,6 +35,12 @@ def test_spearman_is_scipys(pairs):
     truth = stats.spearmanr(a, b)
     assert rho == pytest.approx(truth.statistic, abs=1e-12)
     assert p == pytest.approx(truth.pvalue, rel=1e-6, abs=1e-12)
+
+
+@given(st.lists(st.floats(-1e300, 1e300) | st.sampled_from([0.0, -0.0, 1.0]), max_size=40))
+def test_ranks_are_scipys(values):
+    ranks = average_ranks(np.array(values, float))
+    assert ranks.tobytes() == stats.rankdata(np.array(values, float)).tobytes()
 
 
 @given(few)

@@ -1,6 +1,7 @@
 """Results of campaigns whose numbers are known because a test wrote them."""
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from scipy import stats
 from truths.campaigns import drawn, flown, scenario, write_campaign
@@ -261,3 +262,30 @@ class TestCompare:
         )
         with pytest.raises((ScenarioError, FlightError), match="column"):
             compare(first, second)
+
+
+def test_a_part_of_other_length_and_a_folder_of_another_format_are_refused(tmp_path):
+    folder = write_campaign(tmp_path / "out", scenario(300), world(300), chunk=100)
+    part = folder / "flights" / "part-00001.parquet"
+    table = pq.read_table(part)
+    pq.write_table(table.slice(0, 99), part)
+    with pytest.raises(FlightError, match="damaged \\(99 rows for the runs 100 to 199\\)"):
+        results(read_campaign(folder))
+    identity = folder / "campaign.json"
+    identity.write_text(identity.read_text().replace('"format": 2', '"format": 1'))
+    with pytest.raises(ScenarioError, match=r"campaign\.json: format 1; this version of Keepout reads 2"):
+        read_campaign(folder)
+
+
+def test_many_parts_are_read_in_their_order_whatever_texts_each_has(tmp_path):
+    """More parts than are decoded together, each with texts that the others have not."""
+    runs = 420
+    columns = world(runs) | {"disturbance.kind": np.array([f"kind {k // 7}" for k in range(runs)])}
+    folder = write_campaign(tmp_path / "out", scenario(runs), columns, chunk=3)
+    reading = read_campaign(folder)
+    read = reading.arrays(["run", "disturbance.kind", "chaser.mass"])
+    assert [read["disturbance.kind"].values[k] for k in read["disturbance.kind"].codes] == list(
+        columns["disturbance.kind"]
+    )
+    np.testing.assert_array_equal(read["chaser.mass"], columns["chaser.mass"])
+    np.testing.assert_array_equal(read["run"], np.arange(runs))

@@ -25,7 +25,7 @@ def asked(counted):
 DEFAULT = {"sum": jnp.asarray(-1.0), "large": jnp.asarray(False)}
 
 
-@pytest.mark.parametrize("flights", [1, 5, GROUP, 100, 500])
+@pytest.mark.parametrize("flights", [1, 5, GROUP, 100, pytest.param(500, marks=pytest.mark.long)])
 @pytest.mark.parametrize("share", [0.0, 0.1, 1.0])
 def test_a_batch_gets_what_each_flight_gets_alone(flights, share):
     generator = np.random.default_rng(flights)

@@ -20,6 +20,8 @@ KINDS = {
 }
 solve_one = jax.jit(solve)
 solve_batch = jax.jit(jax.vmap(solve))
+MANY = 150
+"""Programs solved at once by the tests that may choose: every other number of them is compiled anew."""
 
 
 def build(data, *, circulation, box, speed, cone=True):
@@ -71,7 +73,7 @@ def check_against_references(kind, count, seed, *, cone=True):
 
 @pytest.mark.long
 def test_agrees_with_scs_and_clarabel():
-    status = check_against_references("all rows", 150, seed=3)
+    status = check_against_references("all rows", MANY, seed=3)
     assert {ConeStatus.INFEASIBLE, ConeStatus.NO_WAY_OUT} <= set(status.tolist())
 
 
@@ -151,13 +153,13 @@ def test_apex(desired, expected):
 
 @pytest.mark.long
 def test_says_when_data_are_not_numbers():
-    data = random_programs(np.random.default_rng(1), 4)
+    data = random_programs(np.random.default_rng(1), MANY)
     data["normal"][0, 1] = np.nan
     data["barrier_rate"][1] = np.inf
     data["desired"][2, 0] = -np.inf
     answer = solve_batch(build(data, circulation=True, box=True, speed=True))
     assert answer.status[:3].tolist() == [ConeStatus.NOT_FINITE] * 3
-    assert answer.status[3] != ConeStatus.NOT_FINITE
+    assert not np.any(answer.status[3:] == ConeStatus.NOT_FINITE)
     assert np.all(np.asarray(answer.velocity[:3]) == 0.0)
 
 
@@ -197,11 +199,13 @@ def derivative_programs(count):
 
 @pytest.mark.long
 def test_derivative_is_the_central_difference():
-    program, direction = derivative_programs(300)
+    program, direction = derivative_programs(2 * MANY)
+    halves = (jax.tree.map(lambda x, rows=rows: x[rows], program) for rows in (slice(MANY), slice(MANY, None)))
+    room = np.concatenate([solve_batch(half).room for half in halves])
     # With e = ‖n‖ and no room, the fastest way out is at full speed on one side of e = ‖n‖ and does not exist on the
     # other: the solution jumps there, and has no derivative.
     size = np.linalg.norm(program.normal, axis=-1)
-    jumps = (np.abs(program.gradient_error - size) < 1e-12) & (np.asarray(solve_batch(program).room) < 0.0)
+    jumps = (np.abs(program.gradient_error - size) < 1e-12) & (room < 0.0)
     assert 0 < jumps.sum() <= 2
     check_derivatives(lambda p: solve(p).velocity / LIMIT, program, direction, 1e-6, 1e-6, jumps=jumps)
 

@@ -4,10 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from keepout.control.circulation import SwitchingCirculation, skew
 from keepout.control.guidance.fast_marching import downhill, travel_time, widest_way
-from keepout.control.guidance.geodesic import BarrierGrid, geodesic_guidance
+from keepout.control.guidance.geodesic import BarrierGrid, _refined, geodesic_guidance
 from keepout.control.guidance.guidance import ComponentwiseGuidance, StraightGuidance
 from keepout.errors import ControlError
 from keepout.fields.analytic import BoxUnionField, SphereField
@@ -230,3 +231,10 @@ def test_switching_circulation_holds_its_axis_until_the_obstacle_is_left():
     # Around an edge the axis would meet the normal: flight goes on the way it went.
     onwards = law.update(axis, jnp.asarray(0.05), axis, jnp.asarray([0.0, -0.1, 0.0]), jnp.asarray(tangent) * 0.05)
     np.testing.assert_allclose(skew(onwards) @ axis, tangent, atol=1e-12)
+
+
+@pytest.mark.parametrize("shape", [(2, 2, 2), (5, 7, 3), (31, 40, 26)])
+def test_a_refined_grid_is_trilinear_interpolation_to_the_bit(shape):
+    coarse = np.random.default_rng(0).normal(size=shape)
+    where = np.meshgrid(*[np.arange(2 * count - 1) / 2.0 for count in shape], indexing="ij")
+    assert np.array_equal(_refined(coarse), ndimage.map_coordinates(coarse, where, order=1))

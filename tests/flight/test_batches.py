@@ -7,7 +7,7 @@ from truths.flights import KEY, make_setup, start_state
 
 from keepout.errors import ScenarioError
 from keepout.flight import FlightOutcome, fly, outcome
-from keepout.flight.batches import fly_batches, initial_states
+from keepout.flight.batches import fly_batches, states_at
 from keepout.flight.faults import WrongEstimate
 from keepout.motion import ConstantDisturbance
 
@@ -23,7 +23,7 @@ def shell(generator, count):
 @pytest.fixture(scope="module")
 def flown():
     setup = make_setup()
-    states = initial_states(setup.motion, shell, 7, seed=3)
+    states = states_at(setup.motion, *shell(np.random.default_rng(3), 7))
     chunks, reports = {}, []
     result = fly_batches(
         setup,
@@ -63,7 +63,7 @@ def test_batches_land_whole_and_once(flown):
 def test_flown_in_parts_each_flight_is_the_same():
     noisy = WrongEstimate(0.0, 0.0, 0.1, 0.01)
     setup = make_setup(faults=noisy)
-    states = initial_states(setup.motion, shell, 7, seed=3)
+    states = states_at(setup.motion, *shell(np.random.default_rng(3), 7))
 
     def positions(first, last, *, place=None):
         place = first if place is None else place
@@ -79,13 +79,15 @@ def test_flown_in_parts_each_flight_is_the_same():
     assert np.abs(positions(4, 7, place=0) - whole[4:]).max() > 1e-3
 
 
-def test_sampling_is_seeded():
-    motion = make_setup().motion
-    one, two, other = (initial_states(motion, shell, 5, seed=s) for s in (1, 1, 2))
-    np.testing.assert_array_equal(one.position, two.position)
-    assert not np.allclose(one.position, other.position)
-    np.testing.assert_allclose(np.linalg.norm(one.position, axis=1), 8)
-    assert one.attitude.shape == (5, 4)
+def test_flights_begin_where_they_are_told_to():
+    motion, (position, velocity) = make_setup().motion, shell(np.random.default_rng(1), 5)
+    moving = states_at(motion, position, velocity + 0.01)
+    np.testing.assert_array_equal(moving.position, position)
+    np.testing.assert_array_equal(moving.velocity, np.full((5, 3), 0.01))
+    assert moving.attitude.shape == (5, 4)
+    resting, alone = states_at(motion, position), motion.initial_state(position[3], np.zeros(3))
+    for one, other in zip(jax.tree.leaves(resting), jax.tree.leaves(alone), strict=True):
+        np.testing.assert_allclose(one[3], other, rtol=1e-14)
 
 
 @pytest.mark.long
@@ -112,14 +114,16 @@ def test_what_varies_differs_between_flights():
 
 def test_impossible_campaigns_are_refused():
     setup = make_setup()
-    states = initial_states(setup.motion, shell, 2, seed=0)
+    states = states_at(setup.motion, *shell(np.random.default_rng(0), 2))
     with pytest.raises(ScenarioError, match="columns: thrust"):
         fly_batches(setup, states, 5, columns=("thrust",))
     with pytest.raises(ScenarioError, match="leading axes"):
         fly_batches(setup, states, 5, vary=lambda s: s.goal)  # (3,) is not one goal a flight
     with pytest.raises(ScenarioError, match="flights: 0"):
-        initial_states(setup.motion, shell, 0, seed=0)
-    with pytest.raises(ScenarioError, match="sampled velocities"):
-        initial_states(setup.motion, lambda g, n: (np.zeros((n, 3)), np.zeros(3)), 2, seed=0)
-    with pytest.raises(ScenarioError, match="sampled positions"):
-        initial_states(setup.motion, lambda g, n: (np.full((n, 3), np.nan), np.zeros((n, 3))), 2, seed=0)
+        states_at(setup.motion, np.zeros((0, 3)))
+    with pytest.raises(ScenarioError, match="velocities: shape"):
+        states_at(setup.motion, np.zeros((2, 3)), np.zeros(3))
+    with pytest.raises(ScenarioError, match="positions: shape"):
+        states_at(setup.motion, np.full((2, 3), np.nan))
+    with pytest.raises(ScenarioError, match="positions: shape"):
+        states_at(setup.motion, np.zeros(3))

@@ -10,7 +10,7 @@ import pytest
 from truths.flights import make_setup
 
 from keepout.errors import ScenarioError
-from keepout.flight.batches import TARGET, _fly_batch, _shared, alike_among, flight_key, fly_batches, initial_states
+from keepout.flight.batches import TARGET, _fly_batch, _shared, alike_among, flight_key, fly_batches, states_at
 from keepout.flight.faults import WrongEstimate
 from keepout.motion import Tumbling
 
@@ -43,7 +43,7 @@ def flown(setup, states, **options):
 
 def test_shared_or_not_a_flight_is_the_same():
     setup = tumbling_setup()
-    states = initial_states(setup.motion, shell, 5, seed=1)
+    states = states_at(setup.motion, *shell(np.random.default_rng(1), 5))
     assert alike_among(states) == ("time", "attitude", "angular_velocity")
     shared, own = flown(setup, states, batch=4), flown(setup, states, batch=4, alike=())
     for name, array in shared.items():
@@ -52,7 +52,7 @@ def test_shared_or_not_a_flight_is_the_same():
 
 def test_what_is_shared_has_no_axis_of_flights_in_the_loop():
     setup = tumbling_setup()
-    states = initial_states(setup.motion, shell, 4, seed=1)
+    states = states_at(setup.motion, *shell(np.random.default_rng(1), 4))
 
     def carried(alike):
         shared, own = _shared(states, alike)
@@ -78,11 +78,12 @@ def _loops(program):
                 yield from _loops(inner.jaxpr)
 
 
+@pytest.mark.long
 def test_a_target_that_turns_otherwise_in_each_flight():
     setup = tumbling_setup()
     rates = jnp.array([[0.002, -0.003, 0.001], [0.0, 0.004, 0.0], [0.001, 0.0, -0.002]])
     many = eqx.tree_at(lambda s: s.motion.attitude_motion.angular_velocity, setup, rates)
-    states = initial_states(setup.motion, shell, 3, seed=1)
+    states = states_at(setup.motion, *shell(np.random.default_rng(1), 3))
     states = eqx.tree_at(lambda s: s.angular_velocity, states, rates)
     assert alike_among(states) == ("time", "attitude")
     varied = flown(many, states, vary=lambda s: s.motion.attitude_motion.angular_velocity, batch=3)
@@ -92,10 +93,11 @@ def test_a_target_that_turns_otherwise_in_each_flight():
         np.testing.assert_allclose(varied["position"][k], single["position"][0], rtol=0.0, atol=1e-12)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("k", [0, 3, 6])
 def test_a_run_flown_alone_is_the_run_of_the_campaign(k):
     setup = make_setup(faults=WrongEstimate(0.1, 0.0, 0.1, 0.01))
-    states = initial_states(setup.motion, shell, 7, seed=3)
+    states = states_at(setup.motion, *shell(np.random.default_rng(3), 7))
     # Whatever flies beside it, in whatever place: the same batch size gives the same bits.
     whole = flown(setup, states, seed=5, batch=4, workers=2)
     states = jax.tree.map(lambda x: x[k : k + 1], states)
@@ -112,7 +114,7 @@ def test_keys_of_flights_differ():
 
 def test_an_entry_that_no_target_has_is_refused():
     setup = make_setup()
-    states = initial_states(setup.motion, shell, 2, seed=0)
+    states = states_at(setup.motion, *shell(np.random.default_rng(0), 2))
     with pytest.raises(ScenarioError, match="alike: position; valid are time"):
         fly_batches(setup, states, 5, alike=("position",))
     assert set(TARGET) < set(vars(states))

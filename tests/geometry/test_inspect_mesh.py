@@ -18,6 +18,7 @@ def inspect(monkeypatch, *arguments):
     return int(stop.value.code or 0)
 
 
+@pytest.mark.long
 def test_every_action_is_shown(monkeypatch, capsys, tmp_path):
     mesh = messy_satellite(tmp_path)
     assert inspect(monkeypatch, mesh.path, "--drop-stray", "--json") == 0

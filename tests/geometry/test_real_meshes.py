@@ -11,8 +11,10 @@ from truths.real_meshes import present
 
 from keepout.geometry import OffsetSolid, Target, survey
 
+FIRST, *OTHERS = MESSY
 
-@pytest.fixture(scope="module", params=list(MESSY))
+
+@pytest.fixture(scope="module", params=[FIRST, *(pytest.param(name, marks=pytest.mark.long) for name in OTHERS)])
 def messy(request, tmp_path_factory):
     """A messy mesh with its target, without stray parts."""
     mesh = MESSY[request.param](tmp_path_factory.mktemp("messy"))

@@ -15,6 +15,7 @@ from keepout.guard.status import GuardFlag, GuardStatus
 GUARD = Guard(WORLDS["ball"], threshold=0.5, lipschitz=1.0, assumptions=ASSUMED)
 STILL = jnp.zeros(3)
 step = eqx.filter_jit(lambda *a: GUARD.filter(*a))
+first = eqx.filter_jit(lambda state: GUARD.initial_state(state))
 
 
 def at(*position, velocity=(0.0, 0.0, 0.0)):
@@ -22,7 +23,7 @@ def at(*position, velocity=(0.0, 0.0, 0.0)):
 
 
 def answer(state, force, disturbance=STILL, told=None):
-    return step(GUARD.initial_state(state), told or state, jnp.asarray(force, float), disturbance)
+    return step(first(state), told or state, jnp.asarray(force, float), disturbance)
 
 
 def test_a_harmless_command_passes_unchanged():
@@ -59,9 +60,10 @@ def test_flags():
     calm = dataclasses.replace(GUARD.assumptions, disturbance_force=0.0)
     quiet = Guard(GUARD.field, GUARD.threshold, GUARD.lipschitz, calm)
     drift = calm.mass * calm.drift
+    judged = eqx.filter_jit(lambda state, told: quiet.filter(quiet.initial_state(state), state, STILL, told))
     for share, flags in ((0.9, 0), (1.1, GuardFlag.DISTURBANCE)):
         told = jnp.array([share * drift, 0.0, 0.0])
-        assert quiet.filter(quiet.initial_state(at(5.0, 0, 0)), at(5.0, 0, 0), STILL, told)[2] == flags
+        assert judged(at(5.0, 0, 0), told)[2] == flags
     status = answer(at(2.45, 0, 0), [0, 0, 0])[2]
     assert status & GuardFlag.FIELD
     assert status & 3 == GuardStatus.ESCAPING
@@ -74,13 +76,13 @@ def test_flags():
 @pytest.mark.long
 def test_escape_leaves_the_margin_and_ends_certified():
     state = at(2.3, 0, 0, velocity=(-0.01, 0, 0))
-    memory = GUARD.initial_state(state)
+    memory, moved = first(state), eqx.filter_jit(advance)
     assert not bool(memory.certified)
-    statuses, lowest = [], np.inf
+    statuses, lowest, field = [], np.inf, eqx.filter_jit(GUARD.field.value)
     for _ in range(60):
         memory, force, status = step(memory, state, jnp.array([-0.1, 0, 0]), STILL)
-        r, v, path = advance(state.position, state.velocity, force / 20.0, jnp.zeros((8, 3)))
-        lowest = min(lowest, float(GUARD.field.value(path).min()))
+        r, v, path = moved(state.position, state.velocity, force / 20.0, jnp.zeros((8, 3)))
+        lowest = min(lowest, float(field(path).min()))
         state = motion_state(r, v)
         statuses.append(int(status) & 3)
     assert statuses[0] == GuardStatus.ESCAPING

@@ -50,6 +50,7 @@ def hiding(assumed, steps):
     return assumed.velocity_error * sign[:, None] * AXIS
 
 
+@pytest.mark.long
 def test_a_lasting_excess_of_two_hundredths_is_seen():
     steps = watch.seen_within(NOISY, 0.02 * NOISY.disturbance)
     assert steps is not None

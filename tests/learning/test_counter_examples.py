@@ -1,5 +1,7 @@
 """Counter-examples: a small over-statement planted where the chaser touches is found and learned from."""
 
+import functools
+
 import numpy as np
 import pytest
 
@@ -19,6 +21,11 @@ PROFILE = TrainingProfile(webs=WEBS)
 @pytest.fixture(scope="module")
 def solid():
     return OffsetSolid.build(Target.load("box", parameters={"length": 2.0, "width": 1.0, "height": 1.0}).distance)
+
+
+@functools.cache
+def prepared(solid, chaser_radius):
+    return Hunt.prepare(solid, Domain.around(solid.distance), chaser_radius, PROFILE, np.random.default_rng(0))
 
 
 NOTHING_KNOWN = np.zeros((0, 3))
@@ -44,8 +51,8 @@ class Wrong:
 @pytest.mark.parametrize(("peak", "level"), [((1.0, 0.12, 0.31), 0.0), ((1.3, -0.22, 0.17), 0.3)])
 @pytest.mark.parametrize("width", [WIDTH, 0.2 * WIDTH])
 def test_a_planted_peak_is_climbed(solid, peak, level, width):
-    domain = Domain.around(solid.distance)
-    hunt = Hunt.prepare(solid, domain, 0.3, PROFILE, np.random.default_rng(0))
+    hunt = prepared(solid, 0.3)
+    domain = hunt.domain
     assert hunt.levels == (0.0, 0.3)
     batch, largest = hunt.worst(
         Wrong(solid.distance, 0.05, peak, HEIGHT, width), NOTHING_KNOWN, np.random.default_rng(1)
@@ -84,14 +91,14 @@ def test_corners_and_edges_get_their_share_of_the_candidates(solid, level):
 
 
 def test_a_point_chaser_is_hunted_on_the_surface_alone(solid):
-    hunt = Hunt.prepare(solid, Domain.around(solid.distance), 0.0, PROFILE, np.random.default_rng(0))
+    hunt = prepared(solid, 0.0)
     assert hunt.levels == (0.0,)
     assert hunt.kept == ROUNDS_KEPT * (2 * WORST + WEBS)
 
 
 def test_a_web_is_found(solid):
     """A field that says too little in one place off the surface, where it endangers nothing."""
-    hunt = Hunt.prepare(solid, Domain.around(solid.distance), 0.0, PROFILE, np.random.default_rng(0))
+    hunt = prepared(solid, 0.0)
     web = np.array([1.3, 0.8, 0.2])
 
     wrong = Wrong(solid.distance, solid.offset, web, -0.4, 0.1)
@@ -116,7 +123,7 @@ def test_a_web_is_found(solid):
 
 def test_a_peak_known_before_is_found_again(solid):
     """One too narrow to be met by chance, but near a counter-example of an earlier round."""
-    hunt = Hunt.prepare(solid, Domain.around(solid.distance), 0.0, PROFILE, np.random.default_rng(0))
+    hunt = prepared(solid, 0.0)
     peak = np.array([1.0, 0.12, 0.31])
     wrong = Wrong(solid.distance, 0.05, peak, HEIGHT, 1e-3)
     heights = [

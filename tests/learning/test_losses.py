@@ -39,8 +39,9 @@ def test_points_in_two_parts_count_as_if_each_had_its_gradient_evaluated(share):
         value_term, slope_term = losses.terms(layers, PROFILE, SCALE, rows, sloped)
         return jnp.sum(value_term) + jnp.sum(slope_term)
 
-    ours, ours_slope = jax.value_and_grad(total)(layers, joined, sloped)
-    truth, truth_slope = jax.value_and_grad(total)(layers, whole, 80)
+    derivative = jax.jit(jax.value_and_grad(total), static_argnums=2)
+    ours, ours_slope = derivative(layers, joined, sloped)
+    truth, truth_slope = derivative(layers, whole, 80)
     assert float(ours) == pytest.approx(float(truth), rel=1e-5)
     for a, b in zip(jax.tree.leaves(ours_slope), jax.tree.leaves(truth_slope), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-5 * float(jnp.abs(b).max()))
@@ -63,13 +64,13 @@ def test_the_keepout_loss_by_hand():
     """Weighted pinball, by another share beyond the near field; no under-statement where hidden; a slope's error."""
     x = jnp.asarray([[0.1, 0.2, 0.3], [0.1, 0.2, 0.3], [0.1, 0.2, 0.3]], jnp.float32)
     layers = random_layers(1, (3, 8, 1), jnp.float32)
-    y, gradient = losses.second_sweep.value_and_gradient(layers, PROFILE.beta, x)
+    y, gradient = jax.jit(losses.second_sweep.value_and_gradient, static_argnums=1)(layers, PROFILE.beta, x)
     f = float(y[0]) * SCALE
     distance = np.asarray([f + 1.0, f - 1.0, f + 1.0], np.float32)
     profile = dataclasses.replace(PROFILE, over_weight=0.8, far_over_weight=0.6, near_field=f)
     off = gradient + jnp.asarray([0.0, 0.0, 1.0], jnp.float32)
     smooth, hidden = jnp.asarray([True, False, False]), jnp.asarray([False, False, True])
     batch = losses.Batch(x, jnp.asarray(distance), off, smooth, hidden, jnp.asarray([2.0, 3.0, 1.0], jnp.float32))
-    value_term, slope_term = losses.terms(layers, profile, SCALE, batch, 1)
+    value_term, slope_term = jax.jit(lambda batch: losses.terms(layers, profile, SCALE, batch, 1))(batch)
     np.testing.assert_allclose(value_term, [2.0 * 0.4, 3.0 * 0.8, 0.0], rtol=1e-4, atol=1e-5)
     np.testing.assert_allclose(slope_term, [PROFILE.gradient_weight / (1.0 + abs(distance[0]))], rtol=1e-4)

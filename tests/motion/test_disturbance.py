@@ -1,3 +1,5 @@
+import itertools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -70,6 +72,55 @@ def test_square_wave_switches_on_time():
     with pytest.raises(ScenarioError, match="period"):
         SquareWaveDisturbance([0.1, 0.0, 0.0], period=0.0)
     assert largest(wave) <= wave.bound == pytest.approx(np.hypot(0.02, 0.01))
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.floats(-6.3, 6.3))
+def test_a_phase_moves_every_sinusoid_and_the_square_wave_by_its_part_of_a_period(phase):
+    t = np.linspace(0.0, 700.0, 301)
+    expected = 0.01 * np.stack([np.sin(0.02 * t + phase), np.cos(0.02 * t + phase), np.sin(0.01 * t + phase)], axis=1)
+    shifted = paper_disturbance().shifted(phase)
+    np.testing.assert_allclose(forces(shifted, jnp.asarray(t)), expected, atol=1e-16)
+    assert largest(shifted) <= paper_disturbance().bound
+    assert shifted.bound == pytest.approx(paper_disturbance().bound, rel=1e-14)
+    sine = np.sin(2 * np.pi * t / 10.0 + phase)
+    wave = SquareWaveDisturbance([0.02, 0.0, -0.01], period=10.0).shifted(phase)
+    clear = np.abs(sine) > 1e-6
+    np.testing.assert_array_equal(np.sign(forces(wave, jnp.asarray(t)))[clear, 0], np.sign(sine)[clear])
+    assert wave.bound == SquareWaveDisturbance([0.02, 0.0, -0.01], period=10.0).bound
+
+
+@pytest.mark.parametrize("duration", [1.0, 5.0])
+@pytest.mark.parametrize("phase", [0.7, -2.0, np.pi / 2, 6.28])
+def test_a_shifted_square_wave_pushes_with_the_exact_integral_of_its_sign(phase, duration):
+    """The integral of sign(sin(2πt/P + φ)) is a triangle wave; the pieces between jumps must add up to it."""
+    wave = SquareWaveDisturbance([1.0, 0.0, 0.0], period=10.0).shifted(phase)
+
+    def triangle(time):
+        turns = time / 10.0 + phase / (2 * np.pi)
+        return 5.0 - np.abs(10.0 * (turns - np.floor(turns)) - 5.0)
+
+    for start in np.arange(0.0, 40.0, duration):
+        ends = np.concatenate([[0.0], np.asarray(wave.switches(jnp.asarray(start), duration)), [duration]])
+        pieces = [
+            (b - a) * float(wave.between_switches(jnp.asarray(start + 0.5 * (a + b))).force(jnp.asarray(0.0))[0])
+            for a, b in itertools.pairwise(ends)
+            if b > a
+        ]
+        assert sum(pieces) == pytest.approx(triangle(start + duration) - triangle(start), abs=1e-9)
+
+
+def test_phase_zero_leaves_every_bit():
+    noise = band_limited_noise(jax.random.key(3), 0.01, 0.02, (0.05, 0.2))
+    for one in (paper_disturbance(), resonant([0.0, 0.03, 0.0], control_period=2.0), noise):
+        before, after = jax.tree.flatten(one), jax.tree.flatten(one.shifted(0.0))
+        assert before[1] == after[1]
+        for old, new in zip(before[0], after[0], strict=True):
+            assert np.asarray(old).tobytes() == np.asarray(new).tobytes()
+            assert old.dtype == new.dtype
+            assert old.weak_type == new.weak_type
+    assert largest(noise.shifted(1.0)) <= noise.shifted(1.0).bound == noise.bound
+    assert not np.allclose(forces(noise.shifted(1.0), TIMES), forces(noise, TIMES))
 
 
 def test_resonant_force_is_the_opposite_of_the_step_before():

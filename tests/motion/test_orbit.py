@@ -35,7 +35,7 @@ def test_true_anomaly_against_quadrature_of_keplers_second_law():
         assert abs(np.sin(difference / 2)) < 1e-12
 
 
-@pytest.mark.parametrize("eccentricity", [0.0, 0.1, 0.7])
+@pytest.mark.parametrize("eccentricity", [0.0, pytest.param(0.1, marks=pytest.mark.long), 0.7])
 def test_rates_are_derivatives_of_the_anomaly(eccentricity):
     orbit = Orbit(1.2e7, eccentricity, true_anomaly=1.0)
     time = jnp.float64(777.0)

@@ -184,7 +184,10 @@ def test_against_diffrax_with_force_and_disturbance():
     np.testing.assert_allclose(state.velocity, end[4:7], atol=2e-10)
 
 
-@pytest.mark.parametrize("kind", ["turned", pytest.param("inertial", marks=pytest.mark.slow), "tumbling"])
+@pytest.mark.parametrize(
+    "kind",
+    [pytest.param("turned", marks=pytest.mark.long), pytest.param("inertial", marks=pytest.mark.slow), "tumbling"],
+)
 def test_every_body_frame_sees_the_same_flight(kind):
     """Free flight in any turning body frame, converted to VVLH, is the free flight in VVLH."""
     orbit = Orbit(7.4e6, 0.1, true_anomaly=1.0)

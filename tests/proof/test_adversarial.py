@@ -97,7 +97,7 @@ def attack_network(seed, points, starts):
     return min(margins), min(roundings)
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_a_few_random_networks(seed):
     margin, rounding = attack_network(seed, points=20_000, starts=1000)
     assert margin >= 0.0

@@ -80,11 +80,11 @@ def test_no_search_beats_the_certificate(certified, target, radius):
     assert worst > proof.error_bound - 0.1
 
 
-def test_a_planted_violation_is_found(model, target):
+def test_a_planted_violation_is_found(model, certified, target):
     W, b = model.field.layers
     spoiled = mlp.Layers(W, (*b[:-1], b[-1] + jnp.float32(0.5 / float(model.field.scale))))
     field = dataclasses.replace(model.field, layers=spoiled)
-    before = certify(model, target).certificate(0.0).error_bound
+    before = certified.certificate(0.0).error_bound
     after = certify(dataclasses.replace(model, field=field), target).certificate(0.0).error_bound
     assert after == pytest.approx(before + 0.5, abs=0.03)
 
@@ -112,8 +112,8 @@ def test_refusals(model, target):
         fit(target, profile="best")
 
 
-def test_splitting_that_runs_out_stays_sound(model, target, monkeypatch):
-    full = certify(model, target).certificate(0.0)
+def test_splitting_that_runs_out_stays_sound(model, certified, target, monkeypatch):
+    full = certified.certificate(0.0)
     monkeypatch.setattr(certificate, "MOST_ELEMENTS", 20)
     rough = certify(model, target).certificate(0.0)
     assert rough.error_bound >= full.error_bound

@@ -23,6 +23,7 @@ def cast(field, dtype):
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [3, 5])
 def test_a_half_float_network_breaks_the_bound_of_its_own_numbers(seed):
     """Why it is refused: the same numbers, certified in a type that is certified, do not bound what it evaluates."""

@@ -61,6 +61,7 @@ def touching(field, distance, cubes):
     return {tuple(map(int, row)) for row in key[answer]}
 
 
+@pytest.mark.long
 def test_every_touched_cell_is_looked_at(model, plates, cubes):
     field = model.field
     touched = touching(field, plates.distance, cubes)
@@ -82,6 +83,7 @@ def test_every_touched_cell_is_looked_at(model, plates, cubes):
     assert len(at_corners) < 0.95 * len(touched)
 
 
+@pytest.mark.long
 def test_a_cell_that_no_cube_has_a_corner_in_counts(model, plates, cubes):
     """Every place with d = R lies in a cell that was looked at, and the bound holds there."""
     field = model.field

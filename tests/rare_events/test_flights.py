@@ -84,6 +84,20 @@ def test_the_numbers_of_a_tape_have_the_laws_of_the_faults(flown):
 
 
 @pytest.mark.long
+def test_a_tape_draws_the_random_disturbances_phases_whatever_phase_is_added(flown):
+    """A phase that is uniform over a turn stays so: the tape is the same, and what it draws."""
+    moved = NEAR.replace(faults=ALL, disturbance=RANDOM | {"phase": 1.0}, rare=SPREAD)
+    tape = Tape.of(moved)
+    assert tape.layout == flown.tape.layout
+    numbers = jnp.asarray(np.random.default_rng(0).standard_normal(tape.numbers))
+    old, _ = flown.tape.flown(flown.mission.setup, numbers)
+    new, _ = tape.flown(prepare(moved).setup, numbers)
+    for name in ("frequency", "phase"):
+        waves = (getattr(setup.disturbance.sinusoids, name) for setup in (old, new))
+        np.testing.assert_array_equal(*waves)
+
+
+@pytest.mark.long
 def test_bounded_noise_stays_in_its_ball():
     scenario = NEAR.replace(faults={"position_noise": 0.02})
     tape = Tape.of(scenario)

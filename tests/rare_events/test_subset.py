@@ -65,6 +65,7 @@ def test_moves_keep_the_normal_law_given_the_threshold():
     assert np.mean(ends == level.values[:, : 1024 // 8].ravel()) < 0.3
 
 
+@pytest.mark.long
 def test_the_quadrature_agrees_with_brute_force():
     memory, samples = math.exp(-0.1), 100
     level = crossing_level(1e-2, memory, samples)

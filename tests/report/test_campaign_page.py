@@ -66,11 +66,16 @@ def test_what_a_file_says_is_text_on_the_page(tmp_path):
 
 def test_the_command_flies_the_run_of_that_folder(tmp_path):
     folder = campaign(tmp_path / "a b'c <d>")
-    worst = report_campaign(folder)["worst_runs"][0]
-    words = shlex.split(replay_command(folder, worst))
-    assert words == ["keepout", "campaign", "replay", str(folder.absolute()), "--run", str(worst)]
-    commands = re.findall(r"<code>(.*?)</code>", (folder / "index.html").read_text(encoding="utf-8"))
-    assert html.unescape(commands[0]) == replay_command(folder, worst)
+    worst = report_campaign(folder)["worst_runs"]
+    words = shlex.split(replay_command(folder, worst[0]))
+    assert words == ["keepout", "campaign", "replay", str(folder.absolute()), "--run", str(worst[0])]
+    page = (folder / "index.html").read_text(encoding="utf-8")
+    commands = re.findall(r'<code class="line">(.*?)</code>', page)
+    assert [html.unescape(command) for command in commands] == [replay_command(folder, run) for run in worst]
+    # A command in a cell would wrap, and make its row as tall as itself.
+    [table] = [part for part in re.findall(r"<div class=wide>(.*?)</div>", page) if "minimum_clearance" in part]
+    assert "<code" not in table
+    assert re.findall(r"<tr><td>(\d+)</td>", table) == [str(run) for run in worst]
 
 
 @pytest.mark.parametrize(("sampling", "words"), [("latin-hypercube", "not independent"), ("sobol", "not independent")])

@@ -10,6 +10,7 @@ import pyarrow as pa
 
 from keepout.campaign import table
 from keepout.campaign.bands import Bands
+from keepout.campaign.plan import FORMAT
 from keepout.digest import digest
 from keepout.mission.scenario import Scenario
 
@@ -79,7 +80,7 @@ def write_campaign(
     """
     runs = of.campaign.runs
     known = {
-        "format": 1,
+        "format": FORMAT,
         "scenario": json.loads(of.model_dump_json()),
         "batch": 128,
         "chunk": chunk,

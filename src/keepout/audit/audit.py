@@ -159,6 +159,7 @@ def audit_campaign(
     excess = tube.inconsistency()
     vertices = np.asarray(target.vertices)
     lower, upper = vertices.min(axis=0), vertices.max(axis=0)
+    first_away = distance(shown[:, 0])
     audits = []
     for i in range(position.shape[0]):
         if not finite[i]:
@@ -168,8 +169,13 @@ def audit_campaign(
         found = float(bound.upper[i]) - chaser_radius
         broken = np.flatnonzero(excess[i] > consistency)
         # One recorded position proved outside is enough: the path joins all of them.
-        candidates = shown[i][np.linspace(0, len(time) - 1, 5).astype(int)] if clearance > 0.0 else shown[i][:1]
-        outside = any(proved_outside(p, distance, lower, upper, radius=chaser_radius) for p in candidates)
+        samples = np.linspace(0, len(time) - 1, 5).astype(int) if clearance > 0.0 else [0]
+        outside = any(
+            proved_outside(
+                shown[i, k], distance, lower, upper, radius=chaser_radius, away=None if k else float(first_away[i])
+            )
+            for k in samples
+        )
         contact, remarks = _verdict(clearance, found, broken, excess[i], outside, time)
         if tube.beyond[i].any():
             contact, remarks = _beyond(contact, remarks, time[int(np.argmax(tube.beyond[i]))], bounds)

@@ -24,10 +24,12 @@ def proved_outside(
     *,
     radius: float,
     expansions: int = 2000,
+    away: float | None = None,
 ) -> bool:
     """Whether a free way for a sphere of `radius` metres leads from `point` out of the box [lower, upper] (metres).
 
-    Best-first search over ball chains, balls nearer the box's faces first. False means "not proved", never "inside".
+    `away` is the point's distance, where that is known. Best-first search over ball chains, balls nearer the box's
+    faces first. False means "not proved", never "inside".
     """
     least = 0.02
 
@@ -35,7 +37,7 @@ def proved_outside(
         """How far points are from being outside the box grown by the radius; negative outside."""
         return np.min(np.minimum(at - lower, upper - at), axis=-1) + radius
 
-    free = float(distance(point[None])[0]) - radius
+    free = (float(distance(point[None])[0]) if away is None else away) - radius
     if free <= 0.0:
         return False
     if depth(point[None])[0] < 0.0:

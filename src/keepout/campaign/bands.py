@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt
 
 from keepout.errors import FlightError
 
@@ -54,9 +54,13 @@ class Bands:
         """Begin with no flights: control times spread evenly over `duration` (s), with its end, `SAMPLES` at most."""
         steps = round(duration / period)
         rows = np.unique(np.rint(np.linspace(0, steps, min(steps + 1, SAMPLES))).astype(int))
-        shape = (len(QUANTITIES), len(rows))
+        return cls._without_flights(rows * period)
+
+    @classmethod
+    def _without_flights(cls, time: Float[np.ndarray, "samples"]) -> "Bands":
+        shape = (len(QUANTITIES), len(time))
         return cls(
-            rows * period,
+            time,
             np.zeros((*shape, BINS), np.int64),
             np.zeros(shape, np.int64),
             np.full(shape, np.inf),
@@ -111,8 +115,8 @@ class Bands:
         with np.load(io.BytesIO(content), allow_pickle=False) as kept:
             if not np.array_equal(self.time, kept["time"]):
                 raise FlightError("bands: counted at other times; they belong to another campaign")
-            part, first = kept["counts"], int(kept["first"])
-            self.counts[:, :, first : first + part.shape[2]] += part
+            used = np.cumsum(kept["gaps"], dtype=np.int64)
+            self.counts.reshape(-1)[used] += kept["counts"]  # no bin stands there twice
             self.lost[...] += kept["lost"]
             np.minimum(self.least, kept["least"], out=self.least)
             np.maximum(self.largest, kept["largest"], out=self.largest)
@@ -142,16 +146,16 @@ class Bands:
         return found
 
     def to_bytes(self) -> bytes:
-        """Give the content of an `.npz` file; of the counts only what lies between the first and last in use."""
-        used = np.flatnonzero(self.counts.any(axis=(0, 1)))
-        first, last = (int(used[0]), int(used[-1]) + 1) if used.size else (0, 0)
+        """Give the content of an `.npz` file; of the counts only the bins in use, and how far each is from the last."""
+        counts = self.counts.reshape(-1)
+        used = np.flatnonzero(counts)
         stream = io.BytesIO()
         np.savez_compressed(
             stream,
             allow_pickle=False,
             time=self.time,
-            counts=self.counts[:, :, first:last].astype(np.uint32 if self.counts.max(initial=0) < 2**32 else np.int64),
-            first=np.asarray(first),
+            gaps=_small(np.diff(used, prepend=0)),
+            counts=_small(counts[used]),
             lost=self.lost,
             least=self.least,
             largest=self.largest,
@@ -162,10 +166,14 @@ class Bands:
     def of_bytes(cls, content: bytes) -> "Bands":
         """Read what `to_bytes` gave."""
         with np.load(io.BytesIO(content), allow_pickle=False) as kept:
-            part, first = kept["counts"], int(kept["first"])
-            counts = np.zeros((*part.shape[:2], BINS), np.int64)
-            counts[:, :, first : first + part.shape[2]] = part
-            return cls(kept["time"], counts, kept["lost"], kept["least"], kept["largest"])
+            whole = cls._without_flights(kept["time"])
+        whole.add_bytes(content)
+        return whole
+
+
+def _small(numbers: Int[np.ndarray, "n"]) -> UInt[np.ndarray, "n"]:
+    """Give numbers from 0 on in as few bytes each as hold them all."""
+    return numbers.astype(np.min_scalar_type(numbers.max(initial=0)))
 
 
 def _bin(values: Float[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:

@@ -10,17 +10,18 @@ from dataclasses import dataclass
 import numpy as np
 import pyarrow as pa
 
-from keepout.audit.audit import Audit, Contact, audit_campaign
+from keepout.audit.audit import Audit, Contact
 from keepout.audit.tube import FlightBounds
 from keepout.campaign import bands, table
 from keepout.campaign.drawing import Run
-from keepout.campaign.flying import Landed, bounds_of, fly_runs, initial_state
+from keepout.campaign.flying import Landed, bounds_of, by_mission, fly_runs, initial_states
 from keepout.campaign.plan import Plan
 from keepout.compiled.kept_programs import processor
 from keepout.digest import digest
 from keepout.guard.guard import Guard, starts_certified
+from keepout.mission.audited import AUDITED, judge
+from keepout.mission.entries import ChaserEntry
 
-AUDITED = ("time", "position", "velocity", "force", "guard_status")
 COLUMNS = tuple(dict.fromkeys((*AUDITED, *bands.COLUMNS)))
 """What a campaign takes out of its compiled programs: to take out more is another program, of other last bits."""
 
@@ -113,41 +114,38 @@ def fly_rows(
         landed=land,
         workers=workers,
     )
-    flown = {run.number: (outcomes[run.number], verdicts[run.number], certified(run)) for run in runs if run.mission}
+    sure = certified(runs)
+    flown = {run.number: (outcomes[run.number], verdicts[run.number], sure[run.number]) for run in runs if run.mission}
     return table.table_of(plan.design, runs, flown)
 
 
 def audits(runs: Sequence[Run], log: dict[str, np.ndarray]) -> list[Audit]:
     """Judge flights on the exact mesh, together where they share what they are judged by."""
-    groups: dict[tuple[int, FlightBounds, tuple[float, ...]], list[int]] = {}
-    for place, run in enumerate(runs):
-        chaser = run.scenario.chaser
-        limits = (chaser.radius, chaser.force_limit, chaser.speed_limit)
-        assert run.mission is not None
-        groups.setdefault((id(run.mission.target), bounds_of(run), limits), []).append(place)
-    found: dict[int, Audit] = {}
-    for (_, bounds, (radius, force, speed)), places in groups.items():
+    groups: dict[tuple[int, FlightBounds, ChaserEntry], list[int]] = {}
+    for places in by_mission(runs):
         mission = runs[places[0]].mission
         assert mission is not None
-        judged = audit_campaign(
-            log["time"][places[0]],
-            log["position"][places],
-            log["velocity"][places],
-            log["force"][places],
-            mission.target,
-            guard_status=log["guard_status"][places],
-            chaser_radius=radius,
-            bounds=bounds,
-            force_limit=force,
-            speed_limit=speed,
-        )
-        found.update(zip(places, judged))
+        for bounds, some in bounds_of([runs[place] for place in places]):
+            group = groups.setdefault((id(mission.target), bounds, mission.scenario.chaser), [])
+            group += [places[k] for k in some]
+    found: dict[int, Audit] = {}
+    for (_, bounds, _), places in groups.items():
+        mission = runs[places[0]].mission
+        assert mission is not None
+        own = {name: log[name][places] for name in AUDITED}
+        found.update(zip(places, judge(mission.scenario, mission.target, own, bounds=bounds)))
     return [found[place] for place in range(len(runs))]
 
 
-def certified(run: Run) -> bool | None:
-    """Whether the guard's theorem holds from where a run starts; None without a guard."""
-    mission = run.mission
-    if mission is None or not isinstance(mission.setup.guard, Guard):
-        return None
-    return starts_certified(mission.setup.guard, initial_state(run)) and not mission.assumptions_broken
+def certified(runs: Sequence[Run]) -> dict[int, bool | None]:
+    """Whether the guard's theorem holds from where each flown run starts, by number; None without a guard."""
+    found: dict[int, bool | None] = {}
+    for places in by_mission(runs):
+        members = [runs[place] for place in places]
+        mission = members[0].mission
+        assert mission is not None
+        guard, sure = mission.setup.guard, [None] * len(members)
+        if isinstance(guard, Guard):
+            sure = (starts_certified(guard, initial_states(members)) & (not mission.assumptions_broken)).tolist()
+        found |= zip((run.number for run in members), sure)
+    return found

@@ -120,40 +120,29 @@ class Dataset:
         write_whole(self._bands(result.number), result.bands, refusal=FlightError)
         write_whole(self._table(result.number), result.table, refusal=FlightError)
 
-    def part(self, number: int) -> pa.Table:
-        """Read a chunk's table.
+    def part(self, number: int, columns: list[str] | None = None) -> pa.Table:
+        """Read a chunk's table, or some of its columns.
 
         Raises:
             FlightError: the chunk is not done.
 
         """
-        found = self._done(number)
+        found = self._done(number, columns)
         if found is None:
             raise FlightError(f"{self._table(number)}: missing or damaged; start the campaign again to fly it")
         return found
 
-    def parts(self) -> Iterator[pa.Table]:
-        """Read the chunks' tables one after another."""
-        for number in range(self.chunks):
-            yield self.part(number)
-
     def table(self, columns: list[str] | None = None) -> pa.Table:
         """Read the whole table, or some of its columns: one row a run, in order."""
         return pa.concat_tables(
-            part.select(columns) if columns is not None else part
-            for part in (part.replace_schema_metadata(None) for part in self.parts())
+            self.part(number, columns).replace_schema_metadata(None) for number in range(self.chunks)
         )
 
     def bands(self) -> Bands:
         """Add up the bands of all chunks."""
-        whole: Bands | None = None
-        for number in range(self.chunks):
-            part = Bands.of_bytes(self._bands(number).read_bytes())
-            if whole is None:
-                whole = part
-            else:
-                whole.add(part)
-        assert whole is not None
+        whole = Bands.of_bytes(self._bands(0).read_bytes())
+        for number in range(1, self.chunks):
+            whole.add_bytes(self._bands(number).read_bytes())
         return whole
 
     def processors(self) -> dict[str, int]:
@@ -171,9 +160,9 @@ class Dataset:
     def _bands(self, number: int) -> Path:
         return self.folder / "bands" / f"part-{number:05d}.npz"
 
-    def _done(self, number: int) -> pa.Table | None:
+    def _done(self, number: int, columns: list[str] | None = None) -> pa.Table | None:
         try:
-            found = table.of_bytes(self._table(number).read_bytes())
+            found = table.of_bytes(self._table(number).read_bytes(), columns)
             sketch = self._bands(number).read_bytes()
         except (OSError, FlightError):
             return None

@@ -1,7 +1,7 @@
 """Runs of a campaign as drawn: the scenario of each, its start and its mission, or why it cannot be flown."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from keepout.campaign.dispersion import Design
 from keepout.campaign.workshop import Workshop
-from keepout.errors import KeepoutError, ScenarioError
+from keepout.errors import KeepoutError
 from keepout.mission.build import Mission
 from keepout.mission.campaign import has_way_out, room_to_start
 from keepout.mission.entry_names import COMPONENTS, with_entries
@@ -57,32 +57,61 @@ def draw(scenario: Scenario, design: Design, workshop: Workshop, first: int, las
     design is laid out over all runs.
     """
     drawn = design.values(first, last)
-    return [
-        _run(scenario, design, workshop, first + i, {name: of[i] for name, of in drawn.items()})
+    begun = [
+        _begun(scenario, workshop, first + i, {name: _plain(of[i]) for name, of in drawn.items()})
         for i in range(last - first)
     ]
+    if not any(dispersion.of_start for dispersion in design.dispersions):
+        return begun
+    away = _away(begun)
+    return [_that_can_start(scenario, design, run, away.get(run.number)) for run in begun]
 
 
-def _run(scenario: Scenario, design: Design, workshop: Workshop, number: int, values: dict[str, Any]) -> Run:
-    plain = {
-        name: value.tolist() if isinstance(value, np.ndarray | np.generic) else value for name, value in values.items()
-    }
-    again = 0
-    position, velocity = _start(scenario, plain)
+def _begun(scenario: Scenario, workshop: Workshop, number: int, values: dict[str, Any]) -> Run:
+    """Build a run's mission; whether it can start where it is to is not looked at."""
+    position, velocity = _start(scenario, values)
+    elsewhere = {name: value for name, value in values.items() if not name.startswith("start.")}
     try:
-        elsewhere = {name: value for name, value in plain.items() if not name.startswith("start.")}
         mission = workshop.mission(with_entries(scenario, elsewhere) if elsewhere else scenario)
-        if any(dispersion.of_start for dispersion in design.dispersions):
-            while reason := _unusable(mission, position):
-                if not design.redraws or again >= ATTEMPTS:
-                    raise ScenarioError(f"start.position: {reason}" + (f" (draw {again + 1})" if again else ""))
-                again += 1
-                fresh = design.start_values(number, again)
-                plain |= {n: v.tolist() if isinstance(v, np.ndarray | np.generic) else v for n, v in fresh.items()}
-                position, velocity = _start(scenario, plain)
     except KeepoutError as refusal:
-        return Run(number, plain, position, velocity, again, None, str(refusal))
-    return Run(number, plain, position, velocity, again, mission)
+        return Run(number, values, position, velocity, 0, None, str(refusal))
+    return Run(number, values, position, velocity, 0, mission)
+
+
+def _away(runs: Sequence[Run]) -> dict[int, float]:
+    """Give the distance from the mesh, m, of each run's start, by number."""
+    around: dict[int, list[Run]] = {}
+    for run in runs:
+        if run.mission is not None:
+            around.setdefault(id(run.mission.target), []).append(run)
+    found: dict[int, float] = {}
+    for some in around.values():
+        assert some[0].mission is not None
+        distance = some[0].mission.target.distance.distance(np.stack([run.position for run in some]))
+        found |= zip((run.number for run in some), distance.tolist())
+    return found
+
+
+def _that_can_start(scenario: Scenario, design: Design, run: Run, away: float | None) -> Run:
+    """Give the run, its start drawn again until the chaser can begin there; or refused."""
+    mission = run.mission
+    if mission is None:
+        return run
+    again = 0
+    while reason := _unusable(mission, run.position, away):
+        if not design.redraws or again >= ATTEMPTS:
+            reason = f"start.position: {reason}" + (f" (draw {again + 1})" if again else "")
+            return replace(run, mission=None, refusal=reason)
+        again, away = again + 1, None
+        fresh = design.start_values(run.number, again)
+        values = {**run.values, **{name: _plain(value) for name, value in fresh.items()}}
+        position, velocity = _start(scenario, values)
+        run = replace(run, values=values, position=position, velocity=velocity, drawn_again=again)
+    return run
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
 
 
 def _start(scenario: Scenario, values: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
@@ -95,12 +124,12 @@ def _start(scenario: Scenario, values: Mapping[str, Any]) -> tuple[np.ndarray, n
     return made[0], made[1]
 
 
-def _unusable(mission: Mission, position: Float[np.ndarray, "3"]) -> str:
-    """Say why a chaser cannot start somewhere, or nothing."""
+def _unusable(mission: Mission, position: Float[np.ndarray, "3"], away: float | None) -> str:
+    """Say why a chaser cannot start somewhere, or nothing; `away` is the distance from the mesh, m, if it is known."""
     room = room_to_start(mission.scenario)
-    away = float(mission.target.distance.distance(position[None])[0])
+    away = float(mission.target.distance.distance(position[None])[0]) if away is None else away
     if not away > room:
         return f"{position.round(4).tolist()} m is {away:.3f} m from the mesh, and {room:.2f} m of room is needed"
-    if not has_way_out(mission.scenario, mission.target, position):
+    if not has_way_out(mission.scenario, mission.target, position, away):
         return f"{position.round(4).tolist()} m has no free way out of the target for the chaser"
     return ""

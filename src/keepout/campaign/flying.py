@@ -6,7 +6,6 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from keepout.audit.tube import FlightBounds
@@ -14,6 +13,7 @@ from keepout.campaign.drawing import Run
 from keepout.campaign.programs import Program, flown_setup, program_for, stacked_setup
 from keepout.flight.batches import fly_batches
 from keepout.flight.outcome import FlightOutcome
+from keepout.flight.setup import FlightSetup
 from keepout.mission import environment
 from keepout.mission.scenario import Scenario
 from keepout.motion.relative import MotionState, RelativeMotion
@@ -33,8 +33,29 @@ def _state(motion: RelativeMotion, position: jax.Array, velocity: jax.Array) -> 
 
 def initial_state(run: Run) -> MotionState:
     """Give the true state in which a run starts."""
-    assert run.mission is not None
-    return _state(run.mission.setup.motion, jnp.asarray(run.position), jnp.asarray(run.velocity))
+    return jax.tree.map(lambda array: array[0], initial_states([run]))
+
+
+def initial_states(runs: Sequence[Run]) -> MotionState:
+    """Give the true states in which runs start, with a leading axis: of the target, those of each mission."""
+    states: dict[int, MotionState] = {}
+    for run in runs:
+        assert run.mission is not None
+        if id(run.mission) not in states:
+            at = jax.device_put(run.position), jax.device_put(run.velocity)
+            states[id(run.mission)] = jax.device_get(_state(run.mission.setup.motion, *at))
+    stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *(states[id(run.mission)] for run in runs))
+    begun = tuple(np.stack([getattr(run, name) for run in runs]) for name in ("position", "velocity"))
+    return eqx.tree_at(lambda state: (state.position, state.velocity), stacked, begun)
+
+
+def by_mission(runs: Sequence[Run]) -> list[list[int]]:
+    """Give the places of the runs that are flown, those of one mission together."""
+    places: dict[int, list[int]] = {}
+    for place, run in enumerate(runs):
+        if run.mission is not None:
+            places.setdefault(id(run.mission), []).append(place)
+    return list(places.values())
 
 
 def fly_runs(
@@ -64,11 +85,16 @@ def fly_runs(
         The outcome of each flown run, by number.
 
     """
-    groups: dict[Any, tuple[Program, list[Run], list[Any]]] = {}
+    flown: dict[int, tuple[Any, Program, FlightSetup]] = {}  # of each mission
+    for place, *_ in by_mission(runs):
+        mission = runs[place].mission
+        assert mission is not None
+        setup = flown_setup(mission.setup)
+        flown[id(mission)] = *program_for(programs, setup), setup
+    groups: dict[Any, tuple[Program, list[Run], list[FlightSetup]]] = {}
     for run in runs:
         if run.mission is not None:
-            setup = flown_setup(run.mission.setup)
-            key, program = program_for(programs, setup)
+            key, program, setup = flown[id(run.mission)]
             _, members, setups = groups.setdefault(
                 (key, run.mission.steps, run.scenario.control.period), (program, [], [])
             )
@@ -78,8 +104,7 @@ def fly_runs(
     outcomes: dict[int, FlightOutcome] = {}
     done = 0
     for (_, steps, _), (program, members, setups) in groups.items():
-        states = [initial_state(run) for run in members]
-        initial = jax.tree.map(lambda *leaves: jnp.asarray(np.stack([np.asarray(leaf) for leaf in leaves])), *states)
+        initial = initial_states(members)
 
         def land(begin: int, log: dict[str, np.ndarray], members: list[Run] = members, before: int = done) -> None:
             count = len(log["time"])
@@ -105,13 +130,19 @@ def fly_runs(
     return outcomes
 
 
-def bounds_of(run: Run) -> FlightBounds:
-    """Bound what a run's record does not hold, for the audit; a start far away takes gravity's bounds with it."""
-    scenario = run.scenario
-    if np.linalg.norm(run.position) > NEAR:
-        at = tuple(run.position.tolist())
-        scenario = scenario.replace(campaign={"lower": at, "upper": at})
-    return environment.flight_bounds(scenario)
+def bounds_of(runs: Sequence[Run]) -> list[tuple[FlightBounds, list[int]]]:
+    """Bound what the records of runs of one mission do not hold, for the audit; each with the places of its runs.
+
+    A start far away takes gravity's bounds with it.
+    """
+    far = [k for k, run in enumerate(runs) if np.linalg.norm(run.position) > NEAR]
+    near = sorted(set(range(len(runs))) - set(far))
+    found = [(environment.flight_bounds(runs[near[0]].scenario), near)] if near else []
+    for k in far:
+        at = tuple(runs[k].position.tolist())
+        scenario = runs[k].scenario.replace(campaign={"lower": at, "upper": at})
+        found.append((environment.flight_bounds(scenario), [k]))
+    return found
 
 
 def with_start(run: Run) -> Scenario:

@@ -24,8 +24,8 @@ from keepout.mission.build import load_model, load_target
 from keepout.mission.scenario import Scenario
 from keepout.progress import Progress, silent
 
-FORMAT = 1
-"""To be raised when the same campaign would give another table."""
+FORMAT = 2
+"""To be raised when the same campaign would give other files."""
 
 _PROBED = 16
 """Runs, from the first on, that settle which numbers vary within a compiled program."""

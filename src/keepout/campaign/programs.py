@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from keepout.control.controller import Controller
@@ -95,9 +94,11 @@ def program_for(programs: Sequence[Program], setup: FlightSetup) -> tuple[Any, P
 
 def stacked_setup(program: Program, setups: Sequence[FlightSetup]) -> FlightSetup:
     """Give the setup of flights that fly together: one entry a flight in the stacked leaves, the first's elsewhere."""
+    if not any(program.stacked):
+        return setups[0]
     columns = zip(*(jax.tree.leaves(setup) for setup in setups), strict=True)
     leaves = [
-        jnp.asarray(np.stack([np.asarray(leaf) for leaf in column])) if own else column[0]
+        np.stack([np.asarray(leaf) for leaf in column]) if own else column[0]
         for column, own in zip(columns, program.stacked, strict=True)
     ]
     return jax.tree.unflatten(jax.tree.structure(setups[0]), leaves)

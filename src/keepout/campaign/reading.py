@@ -18,12 +18,18 @@ from pydantic import ValidationError
 from keepout.campaign.bands import Bands
 from keepout.campaign.dataset import Dataset
 from keepout.campaign.influence import Factor
+from keepout.campaign.plan import FORMAT
 from keepout.cores import available_cores
 from keepout.digest import digest
 from keepout.errors import FlightError, ScenarioError
 from keepout.mission.entry_names import COMPONENTS
 from keepout.mission.scenario import Scenario
 from keepout.progress import Progress, silent
+
+_THREADS = 4
+"""Parts decoded at once, at most."""
+_AHEAD = 64
+"""Parts decoded together: what is decoded and not yet copied is these and no more."""
 
 
 @dataclass(frozen=True)
@@ -91,26 +97,37 @@ class Reading:
         schema = pq.read_schema(self.parts[0])
         text = [name for name in columns if pa.types.is_string(schema.field(name).type)]
         known: dict[str, dict[str, int]] = {name: {} for name in text}
+        rows = [self._rows_of(path) for path in self.parts]
+        total = sum(last - first for first, last in rows)
+        found = {name: np.empty(total, np.int32 if name in text else float) for name in columns}
+
+        done = 0
         try:
-            total = sum(pq.read_metadata(path).num_rows for path in self.parts)
-            found = {name: np.empty(total, np.int32 if name in text else float) for name in columns}
-            done = 0
-            for path in self.parts:
-                with pq.ParquetFile(path, read_dictionary=text, page_checksum_verification=True) as file:
-                    part = file.read(columns=list(columns), use_threads=False)
-                rows = slice(done, done + len(part))
-                for name in columns:
-                    column = part[name].combine_chunks()
-                    if name in text:
-                        found[name][rows] = _codes(column, known[name], (grouped or {}).get(name, str))
-                    else:
-                        found[name][rows] = column.cast(pa.float64()).to_numpy(zero_copy_only=False)
-                done = rows.stop
+            with ThreadPoolExecutor(min(available_cores(), _THREADS)) as pool:
+                for first in range(0, len(rows), _AHEAD):
+                    parts = list(pool.map(lambda path: _decoded(path, columns, text), self.parts[first:][:_AHEAD]))
+                    for part, (begin, end) in zip(parts, rows[first:]):
+                        if len(part) != end - begin:
+                            raise self._damaged(f"{len(part)} rows for the runs {begin} to {end - 1}")
+                    some = pa.concat_tables(parts).unify_dictionaries()
+                    here = slice(done, done + len(some))
+                    for name in columns:
+                        if name in text:
+                            codes = _codes(some[name].combine_chunks(), known[name], (grouped or {}).get(name, str))
+                            found[name][here] = codes
+                        else:
+                            found[name][here] = some[name].cast(pa.float64()).to_numpy()
+                    done = here.stop
         except (OSError, pa.ArrowException) as error:
             raise self._damaged(error) from None
         return {name: Words(of, tuple(known[name])) if name in text else of for name, of in found.items()}
 
-    def _damaged(self, error: Exception) -> FlightError:
+    def _rows_of(self, part: Path) -> tuple[int, int]:
+        """Give the first run of a part and the one after its last."""
+        first = _number(part) * self.identity["chunk"]
+        return first, min(first + self.identity["chunk"], self.runs)
+
+    def _damaged(self, error: Exception | str) -> FlightError:
         said = " ".join(str(error).split())[:120]
         return FlightError(f"{self.folder}: damaged ({said}); start the campaign again to mend it")
 
@@ -164,27 +181,16 @@ class Reading:
             FlightError: one is damaged.
 
         """
-        whole, done = self._no_bands(), 0
-        cores = available_cores()
-        with ThreadPoolExecutor(cores) as pool:
-            for part, count in pool.map(self._sum_of, (self.sketches[k::cores] for k in range(cores))):
-                whole.add(part)
-                done += count
-                progress(done / max(len(self.sketches), 1), "bands")
-        return whole
-
-    def _sum_of(self, sketches: Sequence[Path]) -> tuple[Bands, int]:
-        whole = self._no_bands()
-        for path in sketches:
+        whole = Bands.empty(self.scenario.duration, self.scenario.control.period)
+        for place, path in enumerate(self.sketches):
             try:
                 whole.add_bytes(path.read_bytes())
-            except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+            except (OSError, ValueError, KeyError, IndexError, zipfile.BadZipFile) as error:
                 said = " ".join(str(error).split())[:120]
                 raise FlightError(f"{path}: damaged ({said}); start the campaign again to mend it") from None
-        return whole, len(sketches)
-
-    def _no_bands(self) -> Bands:
-        return Bands.empty(self.scenario.duration, self.scenario.control.period)
+            if place % _AHEAD == 0:
+                progress(place / len(self.sketches), "bands")
+        return whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,6 +219,10 @@ def read_campaign(folder: str | Path, *, progress: Progress = silent) -> Reading
     """
     dataset = Dataset.open(folder)
     identity = dataset.identity
+    if identity.get("format") != FORMAT:
+        raise ScenarioError(
+            f"{folder}: campaign.json: format {identity.get('format')!r}; this version of Keepout reads {FORMAT}"
+        )
     try:
         scenario = Scenario.model_validate(identity["scenario"])
     except (ValidationError, ScenarioError) as error:
@@ -250,6 +260,11 @@ def _number(part: Path) -> int:
     """Give the chunk's number that a file name says, or -1."""
     digits = part.stem.removeprefix("part-")
     return int(digits) if digits.isdecimal() else -1
+
+
+def _decoded(part: Path, columns: Sequence[str], text: Sequence[str]) -> pa.Table:
+    with pq.ParquetFile(part, read_dictionary=text, page_checksum_verification=True, pre_buffer=False) as file:
+        return file.read(columns=list(columns), use_threads=False)
 
 
 def _codes(column: pa.DictionaryArray, known: dict[str, int], group: Callable[[str], str]) -> np.ndarray:

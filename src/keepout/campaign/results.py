@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy import stats
 
-from keepout.campaign.influence import Factor, Influence, Ranked, holm, influence, ranked
+from keepout.campaign.influence import Factor, Influence, Ranked, average_ranks, holm, influence, ranked
 from keepout.campaign.outcomes import FIGURES, Distribution, Figure, Outcomes, Rate, distribution, rates, read_outcomes
 from keepout.campaign.reading import Reading
 from keepout.cores import available_cores
@@ -21,8 +20,10 @@ SCATTERED = 4
 """Pairs of factor and figure that points are kept of, the strongest."""
 POINTS = 1500
 """Runs drawn in a scatter plot, at most."""
-_ROOM = 8
+_ROOM = 12
 """Factors read at once: at a million runs 8 MB each."""
+_THREADS = 2
+"""Columns ranked at once, at most: each takes some 60 MB at a million runs."""
 _SEED = 20261
 """Of the choice of runs that are drawn as points."""
 
@@ -107,7 +108,7 @@ def results(reading: Reading, *, progress: Progress = silent) -> Results:
     """
     outcomes = read_outcomes(reading)
     progress(0.2, "distributions")
-    with ThreadPoolExecutor(available_cores()) as pool:
+    with ThreadPoolExecutor(min(available_cores(), _THREADS)) as pool:
         measured = tuple(pool.map(lambda figure: distribution(outcomes, figure), FIGURES))
         progress(0.3, "influences")
         found = _influences(reading, outcomes, pool, part_of(progress, 0.3, 0.9))
@@ -136,7 +137,7 @@ def _influences(
 ) -> list[tuple[Influence, Scatter]]:
     """Measure every factor against every figure, a few columns in memory at once."""
     known = {f.column: outcomes.has(f) & np.isfinite(outcomes.figures[f.column]) for f in FIGURES}
-    ranks = dict(zip(known, pool.map(lambda c: stats.rankdata(outcomes.figures[c][known[c]]), known), strict=True))
+    ranks = dict(zip(known, pool.map(lambda c: average_ranks(outcomes.figures[c][known[c]]), known), strict=True))
     points = {column: _points(has) for column, has in known.items()}
     columns = reading.factor_columns()
     names, found = list(columns), []
@@ -146,17 +147,17 @@ def _influences(
 
         def measure(name: str, arrays: dict[str, Any] = arrays) -> list[tuple[Influence, Scatter]]:
             factor = reading.factor(name, arrays)
-            made = []
+            made = {}
             of: tuple[np.ndarray, Ranked] | None = None
-            for figure in FIGURES:
+            for figure in sorted(FIGURES, key=lambda figure: figure.flights):
                 has, rows = known[figure.column], points[figure.column]
-                if of is None or not np.array_equal(of[0], has):  # most figures are of the same runs
+                if of is None or not np.array_equal(of[0], has):  # figures of the same runs follow one another
                     of = has, ranked(Factor(name, factor.values[has], factor.levels))
                 one = influence(of[1], figure.name, ranks[figure.column])
                 drawn = Factor(name, factor.values[rows], factor.levels)
                 values = outcomes.figures[figure.column][rows]
-                made.append((one, Scatter(one, figure, drawn, values, ~outcomes.cleared[rows])))
-            return made
+                made[figure] = one, Scatter(one, figure, drawn, values, ~outcomes.cleared[rows])
+            return [made[figure] for figure in FIGURES]
 
         for place, some_found in enumerate(pool.map(measure, some)):
             found += some_found

@@ -16,7 +16,7 @@ from keepout.flight.outcome import FlightOutcome
 from keepout.guard.status import flag_names
 from keepout.mission.statuses import LAYERS
 
-_PARQUET = {"compression": "zstd", "write_page_checksum": True}
+_PARQUET = {"compression": "zstd", "write_page_checksum": True, "write_statistics": False}
 FLOWN, REFUSED = "flown", "refused"
 
 
@@ -119,18 +119,19 @@ def _figures(run: Run, outcome: FlightOutcome, audit: Audit, certified: bool | N
 def to_bytes(table: pa.Table, marks: dict[str, str]) -> bytes:
     """Give the content of a Parquet file with marks in its metadata; the same table gives the same bytes."""
     stream = io.BytesIO()
-    pq.write_table(table.replace_schema_metadata(marks), stream, **_PARQUET)
+    text = [column.name for column in table.schema if pa.types.is_string(column.type)]
+    pq.write_table(table.replace_schema_metadata(marks), stream, use_dictionary=text, **_PARQUET)  # pyright: ignore
     return stream.getvalue()
 
 
-def of_bytes(content: bytes) -> pa.Table:
-    """Read what `to_bytes` gave.
+def of_bytes(content: bytes, columns: list[str] | None = None) -> pa.Table:
+    """Read what `to_bytes` gave, or some columns of it.
 
     Raises:
         FlightError: damaged, or not such a file.
 
     """
     try:
-        return pq.read_table(pa.BufferReader(content), page_checksum_verification=True)
+        return pq.read_table(pa.BufferReader(content), columns=columns, page_checksum_verification=True)
     except Exception as error:  # damaged bytes surface as almost anything a reading library can raise
         raise FlightError(f"damaged, truncated or foreign ({' '.join(str(error).split())[:120]})") from error

@@ -14,6 +14,7 @@ from keepout.fields.field import Field
 from keepout.fields.model import FieldModel
 from keepout.geometry.target import Target
 from keepout.guard.field import guard_field
+from keepout.mission import environment
 from keepout.mission.build import Mission, closing_radius, load_model, load_target, named_guidance, prepare
 from keepout.mission.scenario import Scenario
 from keepout.motion.arrays import as_float64
@@ -64,7 +65,17 @@ class Workshop:
 
         """
         with self._lock:
-            return self._missions.get(scenario.model_dump_json(), lambda: self._made(scenario, progress))
+            if not scenario.disturbance.phase:
+                return self._at_phase_zero(scenario, progress)
+            # No phase enters law, guard or bounds (`environment.largest_disturbance`): they are made once for all.
+            still = scenario.disturbance.model_copy(update={"phase": 0.0})
+            mission = self._at_phase_zero(scenario.model_copy(update={"disturbance": still}), progress)
+            return replace(
+                mission, scenario=scenario, setup=replace(mission.setup, disturbance=environment.disturbance(scenario))
+            )
+
+    def _at_phase_zero(self, scenario: Scenario, progress: Progress) -> Mission:
+        return self._missions.get(scenario.model_dump_json(), lambda: self._made(scenario, progress))
 
     def keep(self, target: Target, model: FieldModel, scenario: Scenario) -> None:
         """Take a mesh and a field that are already loaded for a scenario's own."""

@@ -75,6 +75,14 @@ def keep_programs() -> Path | None:
     return folder
 
 
+def folder_in_use() -> Path | None:
+    """Give the folder that `keep_programs` has set up and that JAX still uses; None before that call, and without."""
+    folder = keep_programs() if keep_programs.cache_info().currsize else None
+    return (
+        folder if folder is not None and getattr(jax.config, "jax_compilation_cache_dir", None) == str(folder) else None
+    )
+
+
 def _private_folder(chosen: str) -> Path | None:
     """Give the folder for this processor and compiler, made and found private; None where nothing says who may write.
 

@@ -2,12 +2,12 @@
 
 import dataclasses
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from keepout.compiled.kept_executables import kept_jit
 from keepout.control.circulation import ConstantCirculation
 from keepout.control.controller import Controller
 from keepout.control.law import Condition
@@ -35,7 +35,7 @@ def drift_bound(motion: RelativeMotion, *, radius: float, speed: float, samples:
     return max(float(_largest_drift(motion, as_float64(time), positions, velocities)) for time in times)
 
 
-@eqx.filter_jit
+@kept_jit
 def _largest_drift(
     motion: RelativeMotion, time: Float[Array, ""], positions: Float[Array, "n 3"], velocities: Float[Array, "n 3"]
 ) -> Float[Array, ""]:
@@ -49,19 +49,19 @@ def _largest_drift(
     return jnp.max(jax.vmap(single)(positions, velocities))
 
 
-@eqx.filter_jit
+@kept_jit
 def _at_rest(law: SafeVelocity, position: Float[Array, "3"]) -> VelocityPoint:
     """Give the velocity layer at a position (m) before anything is remembered; compiled once a kind of law."""
     return law(position, jnp.zeros(3), jnp.zeros(3))[0]
 
 
-@eqx.filter_jit
+@kept_jit
 def _drift_at_rest(motion: RelativeMotion, position: Float[Array, "3"]) -> Float[Array, ""]:
     """Give the drift acceleration (m/s²) of a chaser at rest at a position (m) at the epoch."""
     return jnp.linalg.norm(motion.drift_acceleration(motion.initial_state(position, jnp.zeros(3))))
 
 
-@eqx.filter_jit
+@kept_jit
 def _error_matrix(observer: ContinuousObserver | SampledObserver) -> Float[Array, "q q"]:
     return observer.error_matrix()
 

@@ -12,15 +12,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from keepout.audit.audit import audit_campaign
 from keepout.control.controller import Controller
 from keepout.control.guidance.guidance import Guidance
 from keepout.experiments.rest import first_within, trapped
 from keepout.experiments.work import Work
-from keepout.flight.batches import fly_batches
+from keepout.flight.batches import fly_batches, states_at
 from keepout.flight.loop import FlightLog
 from keepout.flight.setup import FlightSetup
-from keepout.mission import environment
+from keepout.mission.audited import judge
 from keepout.mission.build import Mission
 from keepout.mission.scenario import Scenario
 
@@ -123,8 +122,7 @@ def _fly(
     filled = [passages[i % count] for i in range(size)]
     goals = jnp.asarray([p.goal for p in filled])
     setup = eqx.tree_at(_varied, mission.setup, (goals, guidances(filled)))
-    starts = jnp.asarray([p.start for p in filled])
-    initial = eqx.filter_vmap(setup.motion.initial_state)(starts, jnp.zeros_like(starts))
+    initial = states_at(setup.motion, [p.start for p in filled])
     columns: dict[str, np.ndarray] = {}
     names = [name for name in FlightLog.__annotations__ if name != "target_orbit"]
     result = fly_batches(
@@ -139,17 +137,7 @@ def _fly(
         workers=1,
     )
     time, position = columns["time"][0], columns["position"][:count]
-    audits = audit_campaign(
-        time,
-        position,
-        columns["velocity"][:count],
-        columns["force"][:count],
-        mission.target,
-        chaser_radius=scenario.chaser.radius,
-        bounds=environment.flight_bounds(scenario),
-        force_limit=scenario.chaser.force_limit,
-        speed_limit=scenario.chaser.speed_limit,
-    )
+    audits = judge(scenario, mission.target, {name: column[:count] for name, column in columns.items()})
     tolerance = scenario.goal.tolerance
     ends = [(path, np.asarray(passage.goal)) for path, passage in zip(position, passages, strict=True)]
     within = [first_within(time, path, goal, tolerance) for path, goal in ends]

@@ -4,27 +4,27 @@ import functools
 from collections.abc import Callable
 from typing import Any
 
-import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Float
 
+from keepout.compiled.kept_executables import kept_jit
 from keepout.fields.field import Field
 
 PIECE = 4096
 
 
-@eqx.filter_jit
+@kept_jit
 def _value(field: Field, points):
     return field.value(points)
 
 
-@eqx.filter_jit
+@kept_jit
 def _value_and_gradient(field: Field, points):
     return field.value_and_gradient(points)
 
 
-@eqx.filter_jit
+@kept_jit
 def _value_gradient_hessian(field: Field, points):
     return field.value_gradient_hessian(points)
 

@@ -23,7 +23,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int, Key, PyTree
+from numpy.typing import ArrayLike
 
+from keepout.compiled.kept_executables import kept_jit
 from keepout.cores import available_cores
 from keepout.errors import ScenarioError
 from keepout.flight.loop import FlightLog, trace
@@ -35,9 +37,6 @@ from keepout.progress import Progress, silent
 BATCH = 128
 """Flights in a batch on a CPU."""
 
-Sampler = Callable[[np.random.Generator, int], tuple[np.ndarray, np.ndarray]]
-"""Draws a number of starts: positions (m) and velocities (m/s), both (flights, 3), in body axes."""
-
 TARGET = ("time", "attitude", "angular_velocity", "target_orbit")
 """Entries of a `MotionState` that tell where the target is and how it turns: what flights can have in common."""
 
@@ -45,19 +44,26 @@ Landed = Callable[[int, dict[str, np.ndarray]], None]
 """Called with the index of a batch's first flight and its log columns, each (flights in the batch, steps + 1, ...)."""
 
 
-def initial_states(motion: RelativeMotion, sampler: Sampler, flights: int, *, seed: int) -> MotionState:
-    """Draw the initial states of a campaign: a `MotionState` whose arrays have a leading axis of `flights`.
+def states_at(motion: RelativeMotion, position: ArrayLike, velocity: ArrayLike | None = None) -> MotionState:
+    """Give the initial states of many flights: a `MotionState` whose arrays have a leading axis of flights.
+
+    Args:
+        motion: of every flight.
+        position: (flights, 3) m, body axes.
+        velocity: (flights, 3) m/s, body axes; by default at rest.
 
     Raises:
-        ScenarioError: fewer than one flight, or a sampler that returns other shapes or values that are not finite.
+        ScenarioError: no flights, or values that are not finite or not three a flight.
 
     """
+    position = np.asarray(position, np.float64)
+    velocity = np.zeros_like(position) if velocity is None else np.asarray(velocity, np.float64)
+    flights = len(np.atleast_1d(position))
     if flights < 1:
-        raise ScenarioError(f"flights: {flights}; it must be at least 1")
-    position, velocity = (np.asarray(draw, np.float64) for draw in sampler(np.random.default_rng(seed), flights))
-    for name, draw in (("positions", position), ("velocities", velocity)):
-        if draw.shape != (flights, 3) or not np.all(np.isfinite(draw)):
-            raise ScenarioError(f"sampled {name}: shape {draw.shape}; they must be finite and of shape ({flights}, 3)")
+        raise ScenarioError("flights: 0; there must be at least 1")
+    for name, given in (("positions", position), ("velocities", velocity)):
+        if given.shape != (flights, 3) or not np.all(np.isfinite(given)):
+            raise ScenarioError(f"{name}: shape {given.shape}; they must be finite and of shape ({flights}, 3)")
     return eqx.filter_vmap(motion.initial_state)(jnp.asarray(position), jnp.asarray(velocity))
 
 
@@ -81,7 +87,7 @@ def fly_batches(
 
     Args:
         setup: of every flight.
-        initial: states with a leading axis of flights, as `initial_states` draws them.
+        initial: states with a leading axis of flights, as `states_at` gives them.
         steps: control steps of each flight.
         seed: of the flights' own random keys, one each: the seed's key with the flight's place folded in, however many
             flights there are.
@@ -115,9 +121,9 @@ def fly_batches(
     )
     flights = _common_length((varied, initial))
     alike = alike_among(initial) if alike is None else tuple(alike)
-    target, own_states = _shared(initial, alike)
+    target, own_states = _shared(jax.tree.map(_on_host, initial), alike)
     numbers = np.arange(first, first + flights) if places is None else np.asarray(places)
-    cases = (varied, own_states, jnp.asarray(numbers, jnp.int64))
+    cases = (jax.tree.map(_on_host, varied), own_states, np.asarray(numbers, np.int64))
     on_cpu = jax.default_backend() == "cpu"
     batch = batch or min(flights, BATCH if on_cpu else flights)
     workers = workers or (available_cores() if on_cpu else 1)
@@ -127,7 +133,7 @@ def fly_batches(
         index = np.arange(begin, begin + batch)
         own = np.where(index < flights, index, begin)
         mine = jax.tree.map(lambda array: array[own], cases)
-        result = _fly_batch(common, target, jnp.asarray(seed, jnp.int64), mine, steps, tuple(columns))
+        result = _fly_batch(common, target, jax.device_put(np.asarray(seed, np.int64)), mine, steps, tuple(columns))
         return jax.tree.map(lambda array: array[: flights - begin], jax.device_get(result))
 
     summaries: list[FlightOutcome] = []
@@ -164,7 +170,12 @@ def _shared(initial: MotionState, alike: Sequence[str]) -> tuple[MotionState, Mo
     """Split states into the entries that flights share, without an axis of flights, and their own; None elsewhere."""
     chosen = jax.tree_util.tree_map_with_path(lambda path, _: path[0].name in alike, initial)
     common, own = eqx.partition(initial, chosen)
-    return jax.tree.map(lambda array: array[0], common), own
+    return jax.tree.map(lambda array: array[:1].reshape(array.shape[1:]), common), own
+
+
+def _on_host(array: Any) -> Any:
+    """Give an array as NumPy's, whose entries are taken without compiling a program for it; random keys stay JAX's."""
+    return array if jnp.issubdtype(array.dtype, jax.dtypes.prng_key) else np.asarray(array)
 
 
 def flight_key(seed: int | Int[Array, ""], place: int | Int[Array, ""]) -> Key[Array, ""]:
@@ -172,7 +183,7 @@ def flight_key(seed: int | Int[Array, ""], place: int | Int[Array, ""]) -> Key[A
     return jax.random.fold_in(jax.random.key(seed), place)
 
 
-@eqx.filter_jit
+@kept_jit
 def _fly_batch(
     setup: FlightSetup,
     target: MotionState,

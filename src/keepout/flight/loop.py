@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree
 
+from keepout.compiled.kept_executables import kept_jit
 from keepout.control.law import Command
 from keepout.flight.setup import FlightSetup
 from keepout.motion.relative import MotionState
@@ -134,5 +135,5 @@ def trace(setup: FlightSetup, initial: MotionState, steps: int, key: PRNGKeyArra
     return jax.lax.scan(advance, start(setup, initial, key), length=steps + 1)[1]
 
 
-fly = eqx.filter_jit(trace)
+fly = kept_jit(trace)
 """`trace`, compiled: `fly(setup, initial, steps, key) -> FlightLog`. Compiles anew for another number of steps."""

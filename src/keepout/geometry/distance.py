@@ -4,7 +4,6 @@ import functools
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial import KDTree
 
 from keepout.errors import MeshError
 from keepout.geometry import bvh
@@ -95,6 +94,8 @@ class BallCloudDistance:
         self.lower: Float[np.ndarray, 3] = self.centres.min(axis=0) - self.radius
         self.upper: Float[np.ndarray, 3] = self.centres.max(axis=0) + self.radius
         self.area = float(4.0 * np.pi * self.radius**2 * len(self.centres))
+        from scipy.spatial import KDTree  # what has triangles does not wait for it
+
         self._tree = KDTree(self.centres)
 
     def distance(self, points: Points) -> Float[np.ndarray, "n"]:

@@ -22,6 +22,8 @@ Number = float | Float[Array, "*flights"]
 
 _AT_REST = 4.0
 """Weight of ρ against the stop length when gains are chosen."""
+_POWERS = 32
+"""Powers of a matrix taken between two looks at their size."""
 
 
 class GuardAssumptions(eqx.Module):
@@ -241,7 +243,14 @@ def _responses(T: float, n: int, first_pole: float, second_pole: float):
 
 def _powers(closed: Float[np.ndarray, "2 2"]) -> Float[np.ndarray, "steps 2 2"]:
     """I, M, M², … until what follows is below 1e-12 of what came before; that rest is lost in the last digits of ρ."""
-    powers = [np.eye(2)]
-    while np.abs(powers[-1]).sum() > 1e-13:
-        powers.append(closed @ powers[-1])
-    return np.stack(powers)
+    powers = np.eye(2)[None]
+    while True:
+        small = np.abs(powers).reshape(-1, 4).sum(axis=1) <= 1e-13
+        if small.any():
+            return powers[: int(np.argmax(small)) + 1]
+        more = np.empty((_POWERS, 2, 2))
+        last = powers[-1]
+        for next_ in more:
+            np.matmul(closed, last, out=next_)
+            last = next_
+        powers = np.concatenate([powers, more])

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from keepout.compiled.kept_executables import kept_jit
 from keepout.compiled.on_demand import where_needed
 from keepout.errors import ControlError
 from keepout.fields.field import Field
@@ -30,6 +31,8 @@ Vector = Float[Array, "3"]
 
 _ROUNDING = 1e-9
 """Metres: far more than float64 loses between two evaluations of the same field value."""
+_ROOM = 256
+"""States handed to a compiled program at once where many starts are looked at; fewer cost no more than they are."""
 
 
 class GuardState(eqx.Module):
@@ -409,7 +412,7 @@ class Guard(SafetyLayer):
         return far | (jnp.linalg.norm(velocity) > a.speed_limit + a.velocity_error)
 
 
-@eqx.filter_jit
+@kept_jit
 def _looked_at(
     guard: Guard, start: MotionState, goal: Vector
 ) -> tuple[Float[Array, ""], Float[Array, ""], Bool[Array, ""]]:
@@ -418,12 +421,19 @@ def _looked_at(
     return here, there, guard.certified_start(start)
 
 
-def starts_certified(guard: Guard, truth: MotionState) -> bool:
-    """Whether a true state is one of `Guard.certified_start`; needs concrete values.
+def starts_certified(guard: Guard, truths: MotionState) -> Bool[np.ndarray, "states"]:
+    """Whether true states, with a leading axis, are those of `Guard.certified_start`; needs concrete values.
 
-    Guards of other numbers share what is compiled, as their numbers are handed over as arrays.
+    Guards of other numbers share what is compiled, as their numbers are handed over as arrays. One state is looked at
+    after another, so that what is said of one does not depend on how many there are.
     """
-    return bool(_certified_start(_as_arrays(guard), truth))
+    numbers, found = _as_arrays(guard), []
+    for first in range(0, len(truths.position), _ROOM):
+        count = min(len(truths.position) - first, _ROOM)
+        places = np.minimum(np.arange(first, first + _ROOM), first + count - 1)
+        some = jax.tree.map(lambda array, places=places: np.asarray(array)[places], truths)
+        found.append(np.asarray(_certified_starts(numbers, some, jnp.asarray(count)))[:count])
+    return np.concatenate(found)
 
 
 def _as_arrays(guard: Guard) -> Guard:
@@ -431,6 +441,9 @@ def _as_arrays(guard: Guard) -> Guard:
     return jax.tree.map(lambda leaf: as_float64(leaf) if isinstance(leaf, float) else leaf, guard)
 
 
-@eqx.filter_jit
-def _certified_start(guard: Guard, truth: MotionState) -> Bool[Array, ""]:
-    return guard.certified_start(truth)
+@kept_jit
+def _certified_starts(guard: Guard, truths: MotionState, count: Int[Array, ""]) -> Bool[Array, "room"]:
+    def look(place: Int[Array, ""], found: Bool[Array, "room"]) -> Bool[Array, "room"]:
+        return found.at[place].set(guard.certified_start(jax.tree.map(lambda array: array[place], truths)))
+
+    return jax.lax.fori_loop(0, count, look, jnp.zeros(_ROOM, bool))

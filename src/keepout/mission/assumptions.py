@@ -26,7 +26,7 @@ def broken_assumptions(scenario: Scenario) -> tuple[str, ...]:
 
     compare(
         "disturbance: flown up to",
-        environment.disturbance(scenario).bound,
+        environment.largest_disturbance(scenario),
         "disturbance.bound",
         environment.disturbance_bound(scenario),
         " N",

@@ -158,13 +158,13 @@ def prepare(
     model.require_target(target, where="field")
     certificate = model.certificate(scenario.chaser.radius)
     _refuse_contact(scenario, target)
-    motion = environment.relative_motion(scenario)
     try:
         law = _law_or_way_out(scenario, model, guidance, part_of(progress, 0.0, 0.6))
     except KeepOutZoneError as refusal:
         why = _missed_room(refusal.place, scenario, target, model, progress)
         raise KeepOutZoneError(f"{refusal}{why}", refusal.place) from None
-    initial = motion.initial_state(np.asarray(scenario.start.position), np.asarray(scenario.start.velocity))
+    setup = flight_setup(scenario, flown_law(scenario, law, model), field=model.field)
+    initial = setup.motion.initial_state(np.asarray(scenario.start.position), np.asarray(scenario.start.velocity))
     guard, start_certified, broken = None, None, broken_assumptions(scenario)
     if scenario.guard.enabled:
         guard = build_guard(
@@ -176,20 +176,29 @@ def prepare(
             progress=part_of(progress, 0.6, 1.0),
         )
         start_certified = guard.require(initial, as_float64(scenario.goal.position)) and not broken
-    setup = FlightSetup(
-        motion=motion,
-        disturbance=environment.disturbance(scenario),
-        thrusters=environment.chaser(scenario).thrusters,
-        controller=flown_law(scenario, law, model),
-        goal=scenario.goal.position,
-        mass=scenario.chaser.mass,
-        period=scenario.control.period,
-        guard=guard,
-        faults=environment.faults(scenario),
-        field=model.field,
-        tolerance=scenario.goal.tolerance,
-    )
-    return Mission(scenario, target, model, certificate, setup, initial, start_certified, broken)
+    return Mission(scenario, target, model, certificate, replace(setup, guard=guard), initial, start_certified, broken)
+
+
+def flight_setup(scenario: Scenario, law: Law, **chosen: Any) -> FlightSetup:
+    """Put a law where a scenario flies: its motion, disturbance, faults and numbers, without guard or logged field.
+
+    Args:
+        scenario: its entries `attitude`, `chaser`, `control.period`, `disturbance`, `faults`, `goal` and `orbit`.
+        law: as it is flown, its faults and what it is told of a delay included (`flown_law`).
+        **chosen: entries of `FlightSetup`, instead of the scenario's or beside them.
+
+    """
+    entries = {
+        "motion": environment.relative_motion(scenario),
+        "disturbance": environment.disturbance(scenario),
+        "thrusters": environment.chaser(scenario).thrusters,
+        "goal": scenario.goal.position,
+        "mass": scenario.chaser.mass,
+        "period": scenario.control.period,
+        "faults": environment.faults(scenario),
+        "tolerance": scenario.goal.tolerance,
+    }
+    return FlightSetup(controller=law, **(entries | chosen))
 
 
 def _refuse_contact(scenario: Scenario, target: Target) -> None:

@@ -9,22 +9,21 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from jaxtyping import Bool, Float
 
-from keepout.audit.audit import Audit, Contact, audit_campaign
+from keepout.audit.audit import Audit, Contact
 from keepout.audit.outside import proved_outside
 from keepout.errors import ScenarioError
 from keepout.fields.model import FieldModel
-from keepout.flight.batches import alike_among, fly_batches
+from keepout.flight.batches import alike_among, states_at
 from keepout.flight.outcome import FlightOutcome
 from keepout.geometry.target import Target
 from keepout.guard.status import flag_names
-from keepout.mission import environment
 from keepout.mission.assumptions import guard_numbers
+from keepout.mission.audited import fly_audited
 from keepout.mission.build import Mission, prepare
 from keepout.mission.scenario import Scenario
 from keepout.mission.series import SERIES, FlightSeries, SeriesKeeper
@@ -32,8 +31,6 @@ from keepout.mission.statuses import flag_counts, status_counts
 from keepout.motion.relative import MotionState
 from keepout.progress import Progress, part_of, silent
 from keepout.whole_file import write_whole
-
-_AUDITED = ("time", "position", "velocity", "force", "guard_status")
 
 
 class Starts(NamedTuple):
@@ -191,34 +188,16 @@ class CampaignPlan:
             goal=scenario.goal.position,
             stride=stride,
         )
-        audits: list[Audit | None] = [None] * len(positions)
-        bounds = environment.flight_bounds(scenario)
-
-        def landed(begin: int, columns: dict[str, np.ndarray]) -> None:
-            verdicts = audit_campaign(
-                columns["time"][0],
-                columns["position"],
-                columns["velocity"],
-                columns["force"],
-                mission.target,
-                guard_status=columns["guard_status"],
-                chaser_radius=scenario.chaser.radius,
-                bounds=bounds,
-                force_limit=scenario.chaser.force_limit,
-                speed_limit=scenario.chaser.speed_limit,
-            )
-            audits[begin : begin + len(verdicts)] = verdicts
-            keeper.land(begin, columns)
-
-        result = fly_batches(
+        result, audits = fly_audited(
+            scenario,
+            mission.target,
             mission.setup,
             jax.tree.map(lambda array: array[first:last], self.initial),
-            mission.steps,
+            columns=keeper.columns,
+            landed=keeper.land,
             seed=scenario.seed,
             first=first,
             alike=alike_among(self.initial),
-            columns=tuple(dict.fromkeys((*_AUDITED, *keeper.columns))),
-            landed=landed,
             batch=batch,
             progress=progress,
         )
@@ -227,7 +206,7 @@ class CampaignPlan:
             mission.target,
             positions,
             result,
-            tuple(audit for audit in audits if audit is not None),
+            audits,
             time.perf_counter() - began,
             starts_certified=None if self.starts_certified is None else self.starts_certified[first:last],
             assumptions_broken=mission.assumptions_broken,
@@ -267,8 +246,7 @@ def plan_campaign(
         )
     mission = prepare(scenario, target=target, model=model, progress=progress)
     starts = draw_starts(scenario, mission.target)
-    at_rest = jnp.asarray(starts.position), jnp.zeros_like(starts.position)
-    initial = eqx.filter_vmap(mission.setup.motion.initial_state)(*at_rest)
+    initial = states_at(mission.setup.motion, starts.position)
     guard, certified = mission.guard, None
     if guard is not None:
         certified = np.asarray(eqx.filter_jit(eqx.filter_vmap(guard.certified_start))(initial))
@@ -305,10 +283,10 @@ def room_to_start(scenario: Scenario) -> float:
     return scenario.chaser.radius + scenario.safety.margin + 0.2
 
 
-def has_way_out(scenario: Scenario, target: Target, point: Float[np.ndarray, "3"]) -> bool:
-    """Whether the chaser is proved to get from a point (m) out of the target; see `proved_outside`."""
-    mesh = target.distance
-    return proved_outside(point, mesh.distance, mesh.lower, mesh.upper, radius=scenario.chaser.radius, expansions=100)
+def has_way_out(scenario: Scenario, target: Target, point: Float[np.ndarray, "3"], away: float) -> bool:
+    """Whether the chaser is proved to get from a point, `away` from the mesh (m), out of the target."""
+    mesh, radius = target.distance, scenario.chaser.radius
+    return proved_outside(point, mesh.distance, mesh.lower, mesh.upper, radius=radius, expansions=100, away=away)
 
 
 def draw_starts(scenario: Scenario, target: Target) -> Starts:
@@ -322,12 +300,13 @@ def draw_starts(scenario: Scenario, target: Target) -> Starts:
     while found < wanted:
         points = generator.uniform(lower, upper, (max(wanted, 1000), 3))
         drawn += len(points)
-        roomy = np.flatnonzero(mesh.distance(points) > room)
+        away = mesh.distance(points)
+        roomy = np.flatnonzero(away > room)
         # Those after the last one needed were never asked for.
         asked = len(points) if len(roomy) < wanted - found else roomy[wanted - found - 1] + 1
-        points = points[roomy[: wanted - found]]
+        points, away = points[roomy[: wanted - found]], away[roomy[: wanted - found]]
         near += int(asked) - len(points)
-        free = np.array([has_way_out(scenario, target, point) for point in points], dtype=bool)
+        free = np.array([has_way_out(scenario, target, *at) for at in zip(points, away.tolist())], dtype=bool)
         kept.append(points[free])
         found += int(free.sum())
         enclosed += int((~free).sum())

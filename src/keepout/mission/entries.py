@@ -234,6 +234,11 @@ class DisturbanceEntry(Entry):
     kind: Literal["none", "paper", "constant", "bang-bang", "resonant", "random"] = "paper"
     force: Vector | None = Field(default=None, description="constant: N")
     amplitude: Positive | None = Field(default=None, description="bang-bang, resonant, random: largest norm, N")
+    phase: Angle = Field(
+        default=0.0,
+        description="paper, random: added to that of every sinusoid; bang-bang, resonant: a full turn is a period; "
+        "none and constant have none, rad",
+    )
     bound: Positive | None = Field(
         default=None, description="what the control law may assume, N; unset: the true bound"
     )
@@ -244,6 +249,15 @@ class DisturbanceEntry(Entry):
             raise ValueError('kind = "constant" needs force = [x, y, z] in N')
         if self.kind in ("bang-bang", "resonant", "random") and self.amplitude is None:
             raise ValueError(f'kind = "{self.kind}" needs amplitude in N')
+        return self
+
+    @model_validator(mode="after")
+    def _phase_of_what_repeats(self) -> "DisturbanceEntry":
+        if self.phase and self.kind in ("none", "constant"):
+            raise ValueError(
+                f'phase {self.phase} rad is for kind = "paper", "bang-bang", "resonant" or "random"; '
+                f'"{self.kind}" has none'
+            )
         return self
 
 

@@ -70,23 +70,37 @@ def relative_motion(scenario: Scenario) -> RelativeMotion:
 
 def disturbance(scenario: Scenario) -> Disturbance:
     """Build the force that nobody commanded (body axes, N)."""
+    return _disturbance(scenario, scenario.disturbance.phase)
+
+
+def _disturbance(scenario: Scenario, phase: float) -> Disturbance:
     entry = scenario.disturbance
     amplitude = 0.0 if entry.amplitude is None else entry.amplitude
     match entry.kind:
         case "none":
             return NoDisturbance()
         case "paper":
-            return paper_disturbance()
+            return paper_disturbance().shifted(phase)
         case "constant":
             return steady(np.asarray(entry.force))
         case "bang-bang":
             most_switches = math.ceil(scenario.control.period / (0.5 * _BANG_BANG_PERIOD))
-            return SquareWaveDisturbance(amplitude * _DIAGONAL, _BANG_BANG_PERIOD, most_switches=most_switches)
+            wave = SquareWaveDisturbance(amplitude * _DIAGONAL, _BANG_BANG_PERIOD, most_switches=most_switches)
+            return wave.shifted(phase)
         case "resonant":
-            return resonant(amplitude * _DIAGONAL, scenario.control.period)
+            return resonant(amplitude * _DIAGONAL, scenario.control.period).shifted(phase)
         case "random":
             key = jax.random.fold_in(jax.random.key(scenario.seed), 1)
-            return band_limited_noise(key, 0.5 * amplitude, amplitude, RANDOM_BAND)
+            return band_limited_noise(key, 0.5 * amplitude, amplitude, RANDOM_BAND).shifted(phase)
+
+
+def largest_disturbance(scenario: Scenario) -> float:
+    """Bound the norm of the true disturbance, N, whatever its phase.
+
+    No phase changes a bound but by rounding (`SinusoidalDisturbance.bound`); that of phase 0 stands for all, so that
+    laws and guards of flights that differ in the phase alone are equal to the last bit.
+    """
+    return _disturbance(scenario, 0.0).bound
 
 
 def disturbance_bound(scenario: Scenario) -> float:
@@ -96,7 +110,7 @@ def disturbance_bound(scenario: Scenario) -> float:
         ScenarioError: the thrusters cannot hold against it.
 
     """
-    true_bound = disturbance(scenario).bound
+    true_bound = largest_disturbance(scenario)
     bound = true_bound if scenario.disturbance.bound is None else scenario.disturbance.bound
     if bound >= scenario.chaser.force_limit:
         raise ScenarioError(
@@ -154,7 +168,7 @@ def flight_bounds(scenario: Scenario) -> FlightBounds:
     differential = _differential(scenario, region)
     return FlightBounds(
         mass=scenario.chaser.mass,
-        disturbance_force=disturbance(scenario).bound + scenario.chaser.mass * differential.constant,
+        disturbance_force=largest_disturbance(scenario) + scenario.chaser.mass * differential.constant,
         angular_rate=rate + 0.5 * differential.per_speed,
         angular_acceleration=acceleration,
         gravity_gradient=differential.gradient,

@@ -1,6 +1,7 @@
 """Disturbance forces on the chaser as functions of time, in newtons, in the target's body axes, each with a bound."""
 
 import abc
+import dataclasses
 import math
 from collections.abc import Sequence
 
@@ -116,13 +117,17 @@ class SinusoidalDisturbance(Disturbance):
         """Sum of the terms at `time`."""
         return jnp.sum(self.amplitude * jnp.sin(self.frequency * time + self.phase), axis=0)
 
+    def shifted(self, phase: float) -> "SinusoidalDisturbance":
+        """Give the sum with `phase` (rad) added to that of every term; its exact bound is the same."""
+        return dataclasses.replace(self, phase=np.asarray(self.phase) + phase)
+
     @property
     def bound(self) -> float:
         """The smaller of two bounds that hold for all time.
 
         One adds amplitudes in each axis. The other gathers the terms of one frequency ω into a 3 × 2 matrix M_ω, so
         that d = Σ_ω M_ω [sin ωt, cos ωt]ᵀ and ‖d‖² ≤ Σ_ω Σ_ω' ‖M_ωᵀ M_ω'‖₂; it sees that a sine and a cosine never peak
-        together.
+        together. A phase added to all terms turns every M_ω, M_ω R, and changes neither bound.
         """
         amplitude, frequency, phase = (np.asarray(a) for a in (self.amplitude, self.frequency, self.phase))
         per_axis = float(np.linalg.norm(np.sum(np.abs(amplitude), axis=0)))
@@ -174,6 +179,10 @@ class SquareWaveDisturbance(Disturbance):
         """Give the constant force of the half period."""
         return ConstantDisturbance(self._in_half_period(jnp.floor(2 * (middle - self.delay) / self.period)))
 
+    def shifted(self, phase: float) -> "SquareWaveDisturbance":
+        """Give the wave that is `phase` (rad, 2π a period) ahead of this one."""
+        return dataclasses.replace(self, delay=np.asarray(self.delay) - phase / (2.0 * np.pi) * np.asarray(self.period))
+
     def _in_half_period(self, number: Scalar) -> Vector:
         return self.amplitude * (1 - 2 * jnp.mod(number, 2))
 
@@ -200,6 +209,10 @@ class BandLimitedNoise(Disturbance):
         squared = raw @ raw
         excess = squared > self.limit**2
         return raw * jnp.where(excess, self.limit / jnp.sqrt(jnp.where(excess, squared, 1.0)), 1.0)
+
+    def shifted(self, phase: float) -> "BandLimitedNoise":
+        """Give the noise with `phase` (rad) added to that of every sinusoid."""
+        return dataclasses.replace(self, sinusoids=self.sinusoids.shifted(phase))
 
     @property
     def bound(self) -> float:

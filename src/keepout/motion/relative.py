@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from keepout.compiled.kept_executables import kept_jit
 from keepout.errors import ScenarioError
 from keepout.motion import rotation
 from keepout.motion.arrays import NumbersLike, as_float64
@@ -185,7 +186,7 @@ class RelativeMotion(eqx.Module):
         return drift + inertial_from_body.T @ difference
 
 
-@eqx.filter_jit  # operation by operation, it would compile dozens of them before a first flight
+@kept_jit  # operation by operation, it would compile dozens of them before a first flight
 def _initial_state(motion: RelativeMotion, position: Vector, velocity: Vector, time: Scalar) -> MotionState:
     target_orbit = jnp.concatenate(motion.orbit.inertial_state(time)) if motion.perturbations else None
     law = motion.attitude_motion

@@ -247,17 +247,18 @@ def _influence_parts(folder: Path, found: Results) -> list[str]:
 def _worst_parts(folder: Path, found: Results, replays: Mapping[int, str]) -> list[str]:
     if not found.worst:
         return [_paragraph("No flights.")]
-    rows = []
+    rows, commands = [], []
     for row in found.worst:
         run = row["run"]
-        cells = [_text(run), *(_text(_value(value)) for key, value in row.items() if key != "run")]
         link = f'<a href="{PLACE}/worst.html#run-{run}">replay</a>' if run in replays else "not kept"
         again = folder / f"run-{run}" / "index.html"
         if again.exists():
             link += f', <a href="run-{run}/index.html">flown again</a>'
-        rows.append([*cells, link, f"<code>{_text(replay_command(folder, run))}</code>"])
-    heads = [*(_text(key) for key in found.worst[0]), "flight", "fly it again"]
-    return [_grid(heads, rows), _link("worst.csv")]
+        rows.append([_text(run), link, *(_text(_value(value)) for key, value in row.items() if key != "run")])
+        commands.append(f'<code class="line">{_text(replay_command(folder, run))}</code>')
+    heads = ["run", "flight", *(_text(key) for key in found.worst[0] if key != "run")]
+    folded = f"<details open><summary>Commands that fly them again</summary>{''.join(commands)}</details>"
+    return [_grid(heads, rows, lines=True), _link("worst.csv"), folded]
 
 
 def _refused_parts(found: Results) -> list[str]:
@@ -311,15 +312,21 @@ def html_table(rows: Sequence[Mapping[str, Any]], marked: Sequence[bool] | None 
     return _grid(heads, [[_text(_value(value)) for value in row.values()] for row in rows], marked)
 
 
-def _grid(heads: Sequence[str], rows: Sequence[Sequence[str]], marked: Sequence[bool] | None = None) -> str:
-    """Give a table of ready HTML cells; marked rows stand out."""
-    lines = []
+def _grid(
+    heads: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    marked: Sequence[bool] | None = None,
+    *,
+    lines: bool = False,
+) -> str:
+    """Give a table of ready HTML cells; marked rows stand out. With `lines` each row is one, to be scrolled."""
+    body = []
     for place, row in enumerate(rows):
         mark = " class=bad" if marked and marked[place] else ""
-        lines.append(f"<tr{mark}>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>")
+        body.append(f"<tr{mark}>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>")
     head = "".join(f"<th>{cell}</th>" for cell in heads)
-    scroll = "overflow-x:auto"
-    return f'<div style="{scroll}"><table><thead><tr>{head}</tr></thead><tbody>{"".join(lines)}</tbody></table></div>'
+    scroll = "class=wide" if lines else 'style="overflow-x:auto"'
+    return f"<div {scroll}><table><thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody></table></div>"
 
 
 def _drawing(folder: Path, name: str, caption: str) -> str:

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from matplotlib.ticker import NullLocator
 
 from keepout.mission.flight import Flight
 from keepout.report.style import COLOURS, figure
@@ -30,6 +31,9 @@ def draw_error(path: Path, flights: Mapping[str, Flight]) -> None:
             error = np.linalg.norm(flight.record.position - np.asarray(flight.scenario.goal.position), axis=1)
             axes.semilogy(flight.record.time, error, color=colour, label=name)
             axes.axhline(flight.scenario.goal.tolerance, color="grey", linewidth=0.8)
+        # Formulas for powers of ten, and ticks between them, would take as long as all the rest of the figure.
+        axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        axes.yaxis.set_minor_locator(NullLocator())
         axes.set(xlabel="time s", ylabel="‖r − goal‖ m", title="Distance to the goal, and the tolerance (grey)")
         axes.legend(fontsize=8)
 

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import plotly.graph_objects as go
+import plotly.io
 from jaxtyping import Float, Int
-from scipy.spatial import ConvexHull
 
 from keepout.flight.record import FlightRecord
 from keepout.geometry.target import Target
@@ -20,11 +19,23 @@ from keepout.report.terminal import FLIGHT_COLUMNS, broken_assumptions, shown
 from keepout.whole_file import write_whole
 
 _FRAMES = 150
+_WALL = {
+    "backgroundcolor": "#E5ECF6",
+    "gridcolor": "white",
+    "gridwidth": 2,
+    "linecolor": "white",
+    "showbackground": True,
+    "ticks": "",
+    "zerolinecolor": "white",
+}
+"""Look of the walls behind a replay."""
 STYLE = """
 body{font:15px/1.5 system-ui,sans-serif;max-width:1100px;margin:2em auto;padding:0 1em;color:#1c2430}
 table{border-collapse:collapse;margin:1em 0}th,td{border-bottom:1px solid #d5dae0;padding:.35em .8em;text-align:right}
 th:first-child,td:first-child{text-align:left}img{max-width:100%}.bad{color:#b00020;font-weight:600}
-.wide{overflow-x:auto}.wide td{white-space:nowrap}
+.wide{overflow-x:auto}.wide td,.wide th{white-space:nowrap}
+code.line{display:block;white-space:pre;overflow-x:auto;user-select:all;background:#f3f5f7}
+code.line{padding:.35em .6em;margin:.3em 0}
 """
 
 
@@ -78,7 +89,8 @@ def replay_records(
 ) -> str:
     """Give the HTML of a replay of what was recorded around a target's mesh; see `replay`."""
     drawing = _replay(records, target.vertices, target.faces, chaser_radius)
-    return drawing.to_html(full_html=False, include_plotlyjs=with_library)
+    # Plotly's own classes look at every number of every frame, for a quarter of a second.
+    return plotly.io.to_html(drawing, full_html=False, include_plotlyjs=with_library, validate=False)
 
 
 def _table(summaries: Sequence[Mapping[str, Any]]) -> str:
@@ -96,45 +108,35 @@ def _table(summaries: Sequence[Mapping[str, Any]]) -> str:
 
 def _replay(
     records: Mapping[str, FlightRecord], vertices: np.ndarray, faces: np.ndarray, chaser_radius: float
-) -> go.Figure:
+) -> dict[str, Any]:
     end = max(float(record.time[-1]) for record in records.values())
     times = np.linspace(0.0, end, _FRAMES)
-    mesh = go.Mesh3d(
-        x=vertices[:, 0],
-        y=vertices[:, 1],
-        z=vertices[:, 2],
-        i=faces[:, 0],
-        j=faces[:, 1],
-        k=faces[:, 2],
-        color=TARGET_COLOUR,
-        flatshading=True,
-        hoverinfo="skip",
-        name="target",
-    )
+    mesh = _mesh(vertices, faces, TARGET_COLOUR) | {"flatshading": True, "name": "target"}
     paths, chasers = [], []
     for colour, (name, record) in zip(COLOURS, records.items()):
-        x, y, z = record.position.T
-        paths.append(go.Scatter3d(x=x, y=y, z=z, mode="lines", line={"color": colour, "width": 4}, name=name))
-        chasers.append((colour, np.column_stack([np.interp(times, record.time, axis) for axis in (x, y, z)])))
+        line = {"type": "scatter3d", "mode": "lines", "line": {"color": colour, "width": 4}, "name": name}
+        paths.append(line | {axis: _packed(column) for axis, column in zip("xyz", record.position.T, strict=True)})
+        chasers.append((colour, np.column_stack([np.interp(times, record.time, axis) for axis in record.position.T])))
     # A point chaser is drawn as a small ball, so that there is something to see.
     radius = chaser_radius if chaser_radius > 0.0 else 0.1
+    moving = list(range(1 + len(paths), 1 + len(paths) + len(chasers)))
     frames = [
-        go.Frame(
-            name=f"{time:.0f}",
-            data=[_ball(centres[k], radius, colour) for colour, centres in chasers],
-            traces=list(range(1 + len(paths), 1 + len(paths) + len(chasers))),
-        )
+        {
+            "name": f"{time:.0f}",
+            "data": [_ball(centres[k], radius, colour) for colour, centres in chasers],
+            "traces": moving,
+        }
         for k, time in enumerate(times)
     ]
     start = [_ball(centres[0], radius, colour) for colour, centres in chasers]
-    drawing = go.Figure(data=[mesh, *paths, *start], frames=frames)
     step = {"frame": {"duration": 40, "redraw": True}, "fromcurrent": True, "transition": {"duration": 0}}
-    drawing.update_layout(
-        height=640,
-        margin={"l": 0, "r": 0, "t": 0, "b": 40},
-        legend={"x": 0.0, "y": 1.0},
-        scene={"aspectmode": "data", "xaxis_title": "x m", "yaxis_title": "y m", "zaxis_title": "z m"},
-        updatemenus=[
+    layout = {
+        "height": 640,
+        "margin": {"l": 0, "r": 0, "t": 0, "b": 40},
+        "font": {"color": "#2a3f5f"},
+        "legend": {"x": 0.0, "y": 1.0},
+        "scene": {"aspectmode": "data"} | {f"{axis}axis": {"title": {"text": f"{axis} m"}} | _WALL for axis in "xyz"},
+        "updatemenus": [
             {
                 "type": "buttons",
                 "direction": "left",
@@ -146,41 +148,59 @@ def _replay(
                 ],
             }
         ],
-        sliders=[
+        "sliders": [
             {
                 "currentvalue": {"prefix": "time s: "},
                 "x": 0.15,
                 "len": 0.85,
                 "steps": [
                     {
-                        "label": frame.name,
+                        "label": frame["name"],
                         "method": "animate",
-                        "args": [[frame.name], {"mode": "immediate", "frame": {"duration": 0, "redraw": True}}],
+                        "args": [[frame["name"]], {"mode": "immediate", "frame": {"duration": 0, "redraw": True}}],
                     }
                     for frame in frames
                 ],
             }
         ],
-    )
-    return drawing
+    }
+    return {"data": [mesh, *paths, *start], "frames": frames, "layout": layout}
 
 
-def _ball(centre: Float[np.ndarray, "3"], radius: float, colour: str) -> go.Mesh3d:
-    vertices, (i, j, k) = _sphere()
-    x, y, z = np.round(centre + radius * vertices, 4).T
-    return go.Mesh3d(x=x, y=y, z=z, i=i, j=j, k=k, color=colour, hoverinfo="skip", showlegend=False)
+def _ball(centre: Float[np.ndarray, "3"], radius: float, colour: str) -> dict[str, Any]:
+    vertices, faces = _sphere()
+    return _mesh(np.round(centre + radius * vertices, 4), faces, colour) | {"showlegend": False}
+
+
+def _mesh(vertices: np.ndarray, faces: np.ndarray, colour: str) -> dict[str, Any]:
+    arrays = zip("xyzijk", (*vertices.T, *faces.T), strict=True)
+    return {"type": "mesh3d", "color": colour, "hoverinfo": "skip"} | {name: _packed(array) for name, array in arrays}
+
+
+def _packed(numbers: np.ndarray) -> dict[str, str]:
+    """Give an array as Plotly reads it fastest: its memory, little-endian, in base 64."""
+    kind = "<f8" if numbers.dtype.kind == "f" else "<u2" if numbers.max() < 2**16 else "<u4"
+    return {"dtype": kind[1:], "bdata": base64.b64encode(numbers.astype(kind).tobytes()).decode("ascii")}
 
 
 @functools.cache
-def _sphere() -> tuple[Float[np.ndarray, "vertices 3"], Int[np.ndarray, "3 faces"]]:
-    """Vertices and corners of the faces of a unit icosahedron with its faces cut in four."""
+def _sphere() -> tuple[Float[np.ndarray, "vertices 3"], Int[np.ndarray, "faces 3"]]:
+    """Vertices and faces, their corners in any turn, of a unit icosahedron with its faces cut in four."""
     golden = (1.0 + 5.0**0.5) / 2.0
     one = np.array([[0.0, y, z] for y in (-1.0, 1.0) for z in (-golden, golden)])
     corners = np.concatenate([np.roll(one, axis, axis=1) for axis in range(3)])
-    first, second = np.nonzero(np.triu(np.isclose(np.linalg.norm(corners[:, None] - corners, axis=-1), 2.0)))
+    joined = np.triu(np.isclose(np.linalg.norm(corners[:, None] - corners, axis=-1), 2.0))
+    first, second = np.nonzero(joined)
     vertices = np.concatenate([corners, 0.5 * (corners[first] + corners[second])])
     vertices /= np.linalg.norm(vertices, axis=1, keepdims=True)
-    return vertices, ConvexHull(vertices).simplices.T
+    middle = np.zeros_like(joined, dtype=int)
+    middle[first, second] = len(corners) + np.arange(len(first))
+    faces = []
+    for a, b in zip(first, second, strict=True):
+        for c in np.nonzero(joined[a] & joined[b])[0]:
+            ab, bc, ac = middle[a, b], middle[b, c], middle[a, c]
+            faces += [(a, ab, ac), (b, ab, bc), (c, ac, bc), (ab, bc, ac)]
+    return vertices, np.array(faces)
 
 
 def _base64(path: Path) -> str:

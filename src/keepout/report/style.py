@@ -48,7 +48,8 @@ def figure(path: Path, *, width: float = 8.0, height: float = 4.5, vector: bool 
                 "axes.prop_cycle": cycler(color=COLOURS),
                 "font.size": 9,
                 "legend.frameon": False,
-                "savefig.dpi": 150,
+                "figure.dpi": 150,
+                "savefig.dpi": "figure",
                 "svg.fonttype": "none",
                 "svg.hashsalt": "keepout",
             }
@@ -57,6 +58,10 @@ def figure(path: Path, *, width: float = 8.0, height: float = 4.5, vector: bool 
         drawing = plt.figure(figsize=(width, height), layout="constrained")
         try:
             yield drawing
+            engine = drawing.get_layout_engine()
+            if engine is not None:  # saving would draw everything once more, unseen, for each file
+                engine.execute(drawing)
+                drawing.set_layout_engine(None)
             for form in ("png", "svg") if vector else ("png",):
                 image = io.BytesIO()
                 drawing.savefig(image, format=form, metadata={"Date": None} if form == "svg" else None)

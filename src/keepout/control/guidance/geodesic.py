@@ -3,12 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Int8
-from scipy import ndimage
 
+from keepout.compiled.kept_executables import kept_jit
 from keepout.control.guidance.fast_marching import UNIT, downhill, travel_time, widest_way
 from keepout.control.guidance.guidance import GeodesicGuidance, packed
 from keepout.errors import ControlError, KeepOutZoneError
@@ -82,8 +81,7 @@ class BarrierGrid:
         axes = [first + spacing * np.arange(count) for first, count in zip(low, shape, strict=True)]
         coarse = sample(_nodes([axis[::2] for axis in axes]), lambda f: progress(0.3 * f, "barrier, coarse"))
         coarse = coarse.reshape([len(axis[::2]) for axis in axes])
-        where = np.meshgrid(*[np.arange(count) / 2.0 for count in shape], indexing="ij")
-        values = ndimage.map_coordinates(coarse, where, order=1)
+        values = _refined(coarse)
         # A distance changes by at most one metre a metre, so beyond this band the interpolated value settles every
         # question.
         band = (values < FULL_SPEED_BARRIER + 2.0 * spacing) & (values > -2.0 * spacing)
@@ -125,6 +123,21 @@ class _Sampler:
             result[first : first + _CHUNK] = field_values(self._field, points[first : first + _CHUNK])
             progress(min(1.0, (first + _CHUNK) / len(points)))
         return result - self._offset
+
+
+def _refined(coarse: Float[np.ndarray, "nx ny nz"]) -> Float[np.ndarray, "mx my mz"]:
+    """Halve a grid's spacing by trilinear interpolation, m = 2 n - 1: what lies between nodes is their mean.
+
+    The bits are those of `scipy.ndimage.map_coordinates(order=1)`, which takes a tenth of a second to import.
+    """
+    fine = np.empty([2 * count - 1 for count in coarse.shape])
+    for between in np.ndindex(2, 2, 2):
+        total = 0.0
+        for ahead in np.ndindex(*(1 + odd for odd in between)):
+            ends = (count - odd + step for count, odd, step in zip(coarse.shape, between, ahead, strict=True))
+            total = total + coarse[tuple(slice(step, end) for step, end in zip(ahead, ends, strict=True))]
+        fine[tuple(slice(odd, None, 2) for odd in between)] = total / 2 ** sum(between)
+    return fine
 
 
 def _nodes(axes: list[np.ndarray]) -> np.ndarray:
@@ -221,7 +234,7 @@ def geodesic_guidance(
     return guidance
 
 
-@eqx.filter_jit
+@kept_jit
 def _value(field: Field, points: Float[Array, "n 3"]) -> Float[Array, " n"]:
     return field.value(points)
 

@@ -1,0 +1,84 @@
+"""Flights of a scenario flown together: judged in their order, as one alone is, whatever differs between them."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from keepout.audit.audit import Contact
+from keepout.control.guidance.plan import Straight
+from keepout.flight.batches import fly_batches, states_at
+from keepout.mission.audited import AUDITED, fly_audited, judge
+from keepout.mission.build import flight_setup, prepare
+from keepout.mission.scenario import Scenario
+from keepout.motion import NoDisturbance
+
+GOALS = np.array([[0.0, -9.0, -4.0], [0.0, -9.0, 4.0], [3.0, -9.0, -4.0]])
+STARTS = np.array([[0.0, -10.0, -4.0], [0.0, -10.0, 4.0], [2.0, -10.0, -4.0]])
+
+
+@pytest.fixture(scope="module")
+def mission():
+    scenario = Scenario().replace(
+        start={"position": tuple(STARTS[0])},
+        goal={"position": tuple(GOALS[0])},
+        guard={"enabled": False},
+        duration=60.0,
+    )
+    return prepare(scenario, guidance=Straight())
+
+
+def varied(setup):
+    return setup.goal, setup.controller.velocity.guidance.goal
+
+
+def test_flights_with_goals_of_their_own_are_judged_in_their_order(mission):
+    setup = eqx.tree_at(varied, mission.setup, (jnp.asarray(GOALS), jnp.asarray(GOALS)))
+    initial = states_at(setup.motion, STARTS)
+    logs = []
+    outcome, audits = fly_audited(
+        mission.scenario,
+        mission.target,
+        setup,
+        initial,
+        columns=("disturbance",),
+        landed=lambda first, log: logs.append((first, log)),
+        vary=varied,
+        batch=2,
+    )
+    # Two batches, the second filled up: what fills it up is neither judged nor handed on.
+    assert [(first, log["disturbance"].shape) for first, log in logs] == [(0, (2, 61, 3)), (2, (1, 61, 3))]
+    for k, audit in enumerate(audits):
+        path = logs[k // 2][1]["position"][k % 2]
+        np.testing.assert_array_equal(path[0], STARTS[k])
+        sampled = mission.target.distance.distance(path).min() - mission.scenario.chaser.radius
+        assert sampled - 0.01 < audit.minimum_clearance <= sampled
+        assert outcome.final_error[k] == pytest.approx(np.linalg.norm(path[-1] - GOALS[k]), abs=1e-12)
+    assert [audit.contact for audit in audits] == 3 * [Contact.NO]
+
+
+def test_verdicts_are_by_the_scenarios_own_numbers(mission):
+    log = {}
+    initial = states_at(mission.setup.motion, STARTS[:1])
+    fly_batches(mission.setup, initial, 60, columns=AUDITED, landed=lambda _, columns: log.update(columns))
+    one = judge(mission.scenario, mission.target, log)[0]
+    larger = mission.scenario.replace(chaser={"radius": 0.75, "speed_limit": 0.01})
+    wide = judge(larger, mission.target, log)[0]
+    assert one.consistent
+    assert one.minimum_clearance - wide.minimum_clearance == pytest.approx(0.25, abs=2e-3)
+    assert wide.speed_violations > one.speed_violations == 0
+    # Without the disturbance that flew, no motion within the bounds joins the states.
+    still = judge(mission.scenario.replace(disturbance={"kind": "none"}), mission.target, log)[0]
+    assert still.contact is Contact.UNDECIDED
+
+
+def test_a_setup_is_the_scenarios_but_for_what_is_chosen(mission):
+    scenario = mission.scenario.replace(
+        chaser={"mass": 30.0}, goal={"tolerance": 0.3}, control={"period": 0.5}, faults={"dropped": 0.1}
+    )
+    setup = flight_setup(scenario, mission.setup.controller, disturbance=NoDisturbance(), mass=31.0)
+    assert (float(setup.mass), float(setup.tolerance), float(setup.period)) == (31.0, 0.3, 0.5)
+    assert isinstance(setup.disturbance, NoDisturbance)
+    assert len(setup.faults.parts) == 1
+    assert setup.guard is None
+    np.testing.assert_array_equal(setup.goal, GOALS[0])
