@@ -7,7 +7,7 @@ STAMP := $(VENV)/.installed
 # A file of tests stays with one worker, which builds and compiles once what its tests share; the longest come first.
 BY_FILE := -n 2 --dist loadfile --no-loadscope-reorder
 
-.PHONY: help demo check test test-all lint style types quick-tests tests format install shipped replay-bundle basilisk clean
+.PHONY: help demo check test test-all lint style types quick-tests tests format install docs shipped replay-bundle basilisk clean
 
 help:
 	@echo "make demo      set up, then fly the built-in demonstration; results in out/demo"
@@ -15,6 +15,7 @@ help:
 	@echo "make test      the same with the longer tests, as CI runs it (about 15 minutes on two cores)"
 	@echo "make test-all  the same with the tests that take hours"
 	@echo "make format    format the code"
+	@echo "make docs      build the documentation site into out/site"
 	@echo "make shipped   remake the learned fields that ship with the package"
 	@echo "make replay-bundle  bundle the replay's viewer into the package again (needs Node.js and npm)"
 	@echo "make basilisk  fly law and guard as flight software in Basilisk, in an environment of its own"
@@ -25,7 +26,7 @@ install: $(STAMP)
 $(STAMP): pyproject.toml
 	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 11) <= v < (3, 14) else "Keepout needs Python 3.11 to 3.13, but $(PYTHON) is %d.%d; run make PYTHON=python3.11" % v)'
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --no-compile --editable '.[test,dev]'
+	$(BIN)/pip install --quiet --no-compile --editable '.[test,dev,docs]'
 	@touch $(STAMP)
 
 demo: install
@@ -61,6 +62,9 @@ format: install
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
+docs: install
+	$(BIN)/python docs/site.py
+
 shipped: install
 	$(BIN)/python -m keepout.learning.shipped
 
@@ -76,4 +80,4 @@ replay-bundle:
 	cd viewer && npm ci && npm run build
 
 clean:
-	rm -rf $(VENV) .venv-basilisk out .pytest_cache .ruff_cache
+	rm -rf $(VENV) .venv-basilisk out zensical.toml .cache .pytest_cache .ruff_cache

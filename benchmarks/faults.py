@@ -233,7 +233,7 @@ def fly_all(arguments, show):
 
 
 def totals(rows):
-    """Say in a table (Markdown) what all rows come to: docs/safety.md holds it."""
+    """Say in a table (Markdown) what all rows come to; docs/results.md has them by fault."""
     within = [row for row in rows if row["within_assumptions"]]
     groups = {
         "within the assumptions": within,

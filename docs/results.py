@@ -1,9 +1,10 @@
-"""Write docs/results.md: the tables of the paper's reproduction, of its errata, and of the rivals, as measured.
+"""Write docs/results.md, all tables as measured, and the table of headline figures in README.md.
 
-python docs/results.py           # write it
-python docs/results.py --check   # exit 1 where the page is not of these results
+python docs/results.py           # write both
+python docs/results.py --check   # exit 1 where one of them is not of these results
 
-Every figure comes from a file under benchmarks/results, and every file from a command that the page names.
+Every figure comes from a file under benchmarks/results, and every file from a command that the page names. Machine,
+date and commit of each stand in origins.json, and for benchmarks that keep no file of their own in printed.json.
 """
 
 import json
@@ -15,12 +16,20 @@ from typing import Any
 from keepout.report.terminal import shown
 
 PAGE = Path(__file__).with_name("results.md")
+README = PAGE.parents[1] / "README.md"
+BEGIN, END = "<!-- headline figures: written by docs/results.py -->\n", "<!-- headline figures: end -->\n"
 RESULTS = PAGE.parents[1] / "benchmarks" / "results"
 
 
 def cell(value: Any) -> str:
     """Format a value for a cell: as in the terminal, on one line, and a dash for nothing."""
     return "–" if value is None else shown(value).replace("|", "\\|").replace("\n", " ")
+
+
+def note(name: str) -> list[str]:
+    """Give what is to be known of how a file of results was measured, as a paragraph, or nothing."""
+    said = kept_file("origins")[name]["note"]
+    return [f"How it was measured: {said}."] if said else []
 
 
 def table(rows: Sequence[Mapping[str, Any]], columns: Mapping[str, str] | None = None) -> list[str]:
@@ -35,14 +44,15 @@ def table(rows: Sequence[Mapping[str, Any]], columns: Mapping[str, str] | None =
 
 def reproduction() -> list[str]:
     """Give the paper's Section VI, part by part."""
-    path = RESULTS / "paper.json"
-    kept = json.loads(path.read_text(encoding="utf-8"))
+    kept = kept_file("paper")
     lines = [
         "## The paper's Section VI, repeated",
         "",
-        "`keepout reproduce all -o out/paper`, of which this is `tables.json`.",
+        "`keepout reproduce all -o out/paper` writes this as `tables.json`.",
+        "",
+        *note("paper"),
+        "",
     ]
-    lines += [f"Machine: {kept['machine']}. Date: {kept['date']}. Version: {kept['version']}.", ""]
     for section in kept["sections"]:
         lines += [f"### {section['title']}", "", f"The paper: {section['paper']}", ""]
         for paragraph in section["ours"]:
@@ -75,10 +85,29 @@ RIVALS = {
     "machine": "machine",
     "note": "note",
 }
-BUSY = (
-    "Times of steps and plans were taken on a machine that flew other rows at the same time: they compare rivals by "
-    "orders of magnitude, not by tenths."
-)
+REACH = {
+    "target": "target",
+    "law": "law",
+    "tumbling_deg_s": "tumbling °/s",
+    "speed_limit_mps": "speed limit m/s",
+    "seed": "seed",
+    "flights": "pairs",
+    "reached": "reached",
+    "refused": "refused",
+    "contacts": "contacts",
+    "minimum_clearance_m": "least clearance m",
+    "saturated_fraction": "steps saturated",
+    "delta_v_mps": "Δv m/s",
+    "delta_v_over_floor": "Δv / floor",
+    "time_over_bound": "time / bound",
+}
+GUIDANCE = {
+    "geodesic": "geodesic",
+    "none": "straight, no circulation",
+    "printed": "straight, printed Ω",
+    "skew": "straight, constant skew Ω",
+    "switching": "straight, switching skew Ω",
+}
 
 
 def measured(
@@ -93,27 +122,151 @@ def measured(
 
 def errata() -> list[str]:
     """Give what each slip of the paper does."""
-    words = ["`python benchmarks/errata.py`; discussed in from-paper-to-code.md."]
-    return measured("The paper's errata, measured", words, kept_rows("errata"), ERRATA)
+    words = ["`python benchmarks/errata.py`; discussed in [From the paper to the code](from-paper-to-code.md)."]
+    return measured("The paper's errata, measured", words, kept_file("errata"), ERRATA)
 
 
 def rivals() -> list[str]:
     """Give other methods on the same flights."""
     most: dict[tuple[str, str, bool], Mapping[str, Any]] = {}
-    for row in sorted(kept_rows("rivals"), key=lambda row: row["flights"]):
+    for row in sorted(kept_file("rivals"), key=lambda row: row["flights"]):
         most[row["target"], row["rival"], row["guard"]] = row  # a row of fewer flights was flown first
-    words = ["`python benchmarks/rivals.py`; discussed in rivals.md.", BUSY]
+    words = ["`python benchmarks/rivals.py`; discussed in [Rivals](rivals.md).", *note("rivals")]
     return measured("Rivals on the same loop", words, [most[key] for key in sorted(most)], RIVALS)
 
 
-def kept_rows(name: str) -> list[dict[str, Any]]:
-    """Read the rows that a benchmark has left."""
+def reach() -> list[str]:
+    """Give every law on the same pairs of start and goal, without a guard."""
+    rows = [row | {"law": law_of(row)} for row in kept_file("reach")]
+    words = [
+        "`python benchmarks/reach.py`; discussed in [The control law](control.md). Pairs are random and keep 0.5 m "
+        "between chaser and mesh. Refused: goals in the law's keep-out zone, or targets that turn too fast; they count "
+        "as not reached. Δv, its ratio to the floor (disturbance rejection and the two changes of speed) and time over "
+        "the bound (shortest way / speed limit) are medians.",
+    ]
+    return measured("Every law, without a guard", words, rows, REACH)
+
+
+def law_of(row: Mapping[str, Any]) -> str:
+    """Name the law of a row of benchmarks/reach.py."""
+    return ("the paper's: " if row["profile"] == "paper" else "") + GUIDANCE[row["guidance"]]
+
+
+def faults() -> list[str]:
+    """Give every fault against every disturbance, within the guard's assumptions and beyond them."""
+    rows = []
+    for within in (True, False):
+        chosen = [row for row in kept_file("faults") if row["within_assumptions"] is within]
+        for fault in sorted({row["fault"] for row in chosen}):
+            for twice in (False, True):
+                some = [
+                    row
+                    for row in chosen
+                    if row["fault"] == fault and (row["disturbance"] == "twice the bound") is twice
+                ]
+                if some:
+                    rows.append(fault_row(fault, within, twice, some))
+        if within:
+            rows.append(fault_row("all of these", within, False, chosen))
+    words = [
+        "`python benchmarks/faults.py`; discussed in [Limits](safety.md). Hurt: not proved free of contact by the "
+        "audit. Flagged: the guard said that an assumption did not hold. Inside margin: nearer than the operator's "
+        "margin of 0.1 m, which the law keeps and the guard does not.",
+        *note("faults"),
+    ]
+    return measured("Faults, with the guard", words, rows, {key: key for key in rows[0]})
+
+
+def fault_row(fault: str, within: bool, twice: bool, some: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Add up the rows of one fault over targets and disturbances."""
+    counts = ("flights", "contacts", "undecided", "inside_margin", "flagged", "hurt", "hurt_and_flagged", "reached")
+    return {
+        "fault": fault,
+        "disturbance": "twice its bound" if twice else "within its bound",
+        "assumptions": "hold" if within else "broken",
+        **{key.replace("_", " "): sum(row[key] for row in some) for key in counts},
+        "least clearance m": min(row["minimum_clearance_m"] for row in some),
+    }
+
+
+def printed() -> list[str]:
+    """Give the tables of benchmarks that keep no file of their own."""
+    lines = []
+    for entry in kept_file("printed").values():
+        words = [f"`{entry['command']}`: {entry['note']}."]
+        lines += measured(entry["title"], words, entry["rows"], {key: key for key in entry["rows"][0]})
+    return lines
+
+
+def origins() -> list[str]:
+    """Give where each table comes from: command, machine, date, and the commit with which it was kept."""
+    columns = {key: key for key in ("tables", "command", "machine", "date", "commit")}
+    rows = [{"tables": name, **entry} for name, entry in (kept_file("origins") | kept_file("printed")).items()]
+    rows = [row | {"command": f"`{row['command']}`"} for row in rows]
+    return measured("Where the figures come from", [], rows, columns)
+
+
+def headline() -> list[dict[str, str]]:
+    """Give the figures that README.md shows, each with what prints it."""
+    within = [row for row in kept_file("faults") if row["within_assumptions"]]
+    laws = [row for row in kept_file("reach") if row["seed"] == 0 and row["tumbling_deg_s"] == 0.0]
+    default = [row for row in laws if row["profile"] == "default" and row["guidance"] == "geodesic"]
+    paper = [row for row in laws if row["profile"] == "paper"]
+    sections = {section["name"]: section for section in kept_file("paper")["sections"]}
+    shipped = [row for row in sections["table1"]["tables"][0]["rows"] if row["field"] == "shipped, δ = 30 mm"]
+    steps = {row["contender"]: row["median_ms"] for row in sections["runtime"]["tables"][0]["rows"]}
+    own, usual = (steps[f"{who}: printed constants, shipped field"] for who in ("Keepout", "usual way"))
+    proved = ", ".join(f"{1000 * row['e_h proved']:+.0f} mm `{row['target']}`" for row in shipped)
+    return [
+        {
+            "what": "contacts in guarded flights within the guard's assumptions, hostile laws included",
+            "figure": f"{total(within, 'contacts')} of {total(within, 'flights')}",
+            "command": "python benchmarks/faults.py",
+        },
+        {
+            "what": "goals reached by the default law without a guard, and contacts",
+            "figure": f"{total(default, 'reached')} of {total(default, 'flights')}, {total(default, 'contacts')}",
+            "command": "python benchmarks/reach.py",
+        },
+        {
+            "what": "the same by the source paper's law with its printed constants",
+            "figure": f"{total(paper, 'reached')} of {total(paper, 'flights')}, {total(paper, 'contacts')}",
+            "command": "python benchmarks/reach.py",
+        },
+        {
+            "what": "proved bound on what the shipped fields over-state on the surface",
+            "figure": proved,
+            "command": "keepout reproduce table1",
+        },
+        {
+            "what": "one step of the paper's law: Keepout, and CVXPY with PyTorch",
+            "figure": f"{own:.2f} ms, {usual:.2f} ms",
+            "command": "keepout reproduce runtime",
+        },
+    ]
+
+
+def total(rows: Sequence[Mapping[str, Any]], key: str) -> str:
+    """Add up a column, with spaces between thousands."""
+    return f"{sum(row[key] for row in rows):,}".replace(",", " ")
+
+
+def readme(text: str) -> str:
+    """Give README.md with the headline figures of today's results."""
+    head, rest = text.split(BEGIN)
+    rows = [row | {"command": f"`{row['command']}`"} for row in headline()]
+    lines = table(rows, {"what": "what was measured or proved", "figure": "figure", "command": "command"})
+    return head + BEGIN + "\n" + "\n".join(lines) + "\n" + END + rest.split(END)[1]
+
+
+def kept_file(name: str) -> Any:
+    """Read a file of kept results."""
     return json.loads((RESULTS / f"{name}.json").read_text(encoding="utf-8"))
 
 
 def rare_events() -> list[str]:
     """Give what subset simulation finds, against what is known, and beyond the guard's assumptions."""
-    kept = json.loads((RESULTS / "rare.json").read_text(encoding="utf-8"))
+    kept = kept_file("rare")
     columns = {
         "case": "case",
         "truth": "truth",
@@ -130,9 +283,9 @@ def rare_events() -> list[str]:
     lines = [
         "## Rare events",
         "",
-        "`python benchmarks/rare.py crossing`, `flights` and `table`; discussed in rare.md. A group is one "
-        "answer: 8 runs of 1024 tapes a level, and the 95 % interval from their spread. Cover is the share of groups "
-        "whose interval holds the truth.",
+        "`python benchmarks/rare.py crossing`, `flights` and `table`; discussed in [Rare events](rare.md). A group "
+        "is one answer: 8 runs of 1024 tapes a level, and the 95 % interval from their spread. Cover is the share of "
+        "groups whose interval holds the truth.",
         "",
         "**The maximum of an Ornstein–Uhlenbeck process (correlation time, s, of so many samples a second apart), "
         "truth by quadrature; 58 368 tapes a group**",
@@ -167,13 +320,25 @@ def rare_events() -> list[str]:
 
 def page() -> str:
     """Give the whole page."""
-    lines = ["# Results", "", "Written by `python docs/results.py` from the files under `benchmarks/results`.", ""]
-    return "\n".join([*lines, *reproduction(), *errata(), *rivals(), *rare_events()]).rstrip() + "\n"
+    lines = [
+        "# Results",
+        "",
+        "`python docs/results.py` writes this page from the files under `benchmarks/results`. [Limits](safety.md) says "
+        "which statements are proved and which are measured.",
+        "",
+    ]
+    sections = (origins, reach, faults, reproduction, errata, rivals, rare_events, printed)
+    return "\n".join(lines + [line for section in sections for line in section()]).rstrip() + "\n"
+
+
+def main() -> None:
+    """Write the page and the README's table, or check them."""
+    for path, new in ((PAGE, page()), (README, readme(README.read_text(encoding="utf-8")))):
+        if "--check" not in sys.argv:
+            path.write_text(new, encoding="utf-8")
+        elif path.read_text(encoding="utf-8") != new:
+            sys.exit(f"{path.name}: not of these results; run python docs/results.py")
 
 
 if __name__ == "__main__":
-    if "--check" in sys.argv:
-        sys.exit(
-            0 if PAGE.read_text(encoding="utf-8") == page() else "docs/results.md is old: run python docs/results.py"
-        )
-    PAGE.write_text(page(), encoding="utf-8")
+    main()

@@ -29,7 +29,7 @@ def test_table_1_of_one_target_and_its_kept_numbers(one_target, tmp_path, monkey
     for key in ("e_h_sampled", "e_h_found", "e_h_proved"):
         assert back[key] == pytest.approx(shipped[key] + 0.03)
     assert shipped["e_h_sampled"] <= shipped["e_h_found"] <= shipped["e_h_proved"]
-    assert shipped["epsilon"] == pytest.approx(0.038, abs=0.001)  # docs/fields.md
+    assert shipped["epsilon"] == pytest.approx(0.038, abs=0.001)  # docs/results.md
     assert back["epsilon"] < 0.3 * shipped["epsilon"]
     gradient = next(row for row in part.rows if row["table"] == "gradient_error")
     assert 0.0 < gradient["mean"] < gradient["percentile_95"] < gradient["maximum"] <= 2.5

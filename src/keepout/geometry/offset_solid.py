@@ -85,7 +85,7 @@ class OffsetSolid:
 
         Raises:
             MeshError: an offset that is not positive, a closing radius below the offset, or a leaf that is not
-            positive.
+                positive.
 
         """
         extent = float((distance.upper - distance.lower).max())
