@@ -136,6 +136,14 @@ OFFERS = {
         "rare_events.flights.TapedFlights.clearance",
         "rare_events.flights.TapedFlights.fly",
     ),
+    "replay": (
+        "replay.flights.of_flights",
+        "replay.flights.of_files",
+        "replay.clearance.proved_clearance",
+        "replay.surfaces.drawn_surface",
+        "replay.scene.scene",
+        "replay.page.write_page",
+    ),
 }
 
 

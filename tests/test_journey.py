@@ -372,7 +372,7 @@ def test_a_stopped_fit_goes_on_where_it_was(place, fitted, monkeypatch):
     assert FieldModel.load(place / "again.keepout").sha256 == FieldModel.load(place / "box.keepout").sha256
 
 
-@pytest.mark.parametrize("blocked", ["summary.json", "boxed.parquet", "paths.png", "index.html"])
+@pytest.mark.parametrize("blocked", ["summary.json", "boxed.parquet", "paths.png", "replay.html", "index.html"])
 def test_a_place_that_cannot_be_written_is_named_in_one_line(place, flown, kept, blocked, monkeypatch):
     monkeypatch.setattr(flights, "fly", lambda *_, **__: kept[0])
     out = place / f"blocked-{blocked}"

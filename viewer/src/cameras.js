@@ -9,6 +9,7 @@ export class Eye {
     this.camera = new PerspectiveCamera(FIELD_OF_VIEW, 1, extent.length / 500, extent.length * 60);
     this.extent = extent;
     this.mode = "free";
+    this.aside = 0;
     this.yaw = 0;
     this.pitch = 0;
     this.changed = changed;
@@ -21,6 +22,14 @@ export class Eye {
     addEventListener("pointerup", () => { this.held = null; });
     canvas.addEventListener("pointermove", (event) => this.drag(event));
     canvas.addEventListener("wheel", (event) => this.zoom(event), { passive: false });
+  }
+
+  // Fits the picture to the stage; its middle lies a share of the width to the right of the controls' side.
+  resize(width, height) {
+    const { camera } = this;
+    camera.aspect = width / height;
+    this.aside = this.mode === "free" && width > 700 ? 60 / width : 0;
+    camera.setViewOffset(width, height, -this.aside * width, 0, width, height);
   }
 
   drag(event) {
@@ -74,7 +83,7 @@ export class Eye {
     let distance = 0;
     for (const point of all) {
       const from = point.clone().sub(middle);
-      const needed = Math.max(Math.abs(from.dot(above)) / (0.78 * slope), Math.abs(from.dot(right)) / (0.9 * slope * this.camera.aspect));
+      const needed = Math.max(Math.abs(from.dot(above)) / (0.78 * slope), Math.abs(from.dot(right)) / (0.93 * slope * this.camera.aspect * (1 - 2 * this.aside)));
       distance = Math.max(distance, from.dot(direction) + needed);
     }
     this.controls.target.copy(middle);
@@ -90,7 +99,7 @@ export class Eye {
     this.controls.enabled = mode === "free";
     this.camera.fov = mode === "free" ? FIELD_OF_VIEW : 60;
     this.camera.near = mode === "free" ? this.extent.length / 500 : 0.02;
-    this.camera.updateProjectionMatrix();
+    this.resize(this.camera.view.fullWidth, this.camera.view.fullHeight);
     if (mode === "free") {
       this.camera.position.copy(this.kept.position);
       this.controls.target.copy(this.kept.target);

@@ -176,8 +176,7 @@ class Replay {
     const { clientWidth: width, clientHeight: height } = this.parts.stage;
     if (width === 0 || height === 0) return;
     this.renderer.setSize(width, height, false);
-    this.eye.camera.aspect = width / height;
-    this.eye.camera.updateProjectionMatrix();
+    this.eye.resize(width, height);
     this.touch();
   }
 

@@ -2,7 +2,7 @@
 import { MARKS } from "./colours.js";
 import { element } from "./layout.js";
 
-const RATES = [1, 2, 5, 10, 20, 30, 60, 120, 300, 600];
+const RATES = [1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1800, 6000, 36000];
 const WHOLE_FLIGHT = 25; // s: about what a flight takes at the speed it starts with
 
 export class Transport {

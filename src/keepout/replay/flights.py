@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from jaxtyping import Float
 
 from keepout.audit.audit import Audit, audit
 from keepout.errors import FlightError, KeepoutError
@@ -21,6 +22,7 @@ from keepout.mission.build import closing_radius, load_model, load_target
 from keepout.mission.flight import Flight
 from keepout.mission.scenario import Scenario
 from keepout.progress import Progress, part_of, silent
+from keepout.replay.clearance import proved_clearance
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +65,16 @@ class Replayed:
         if until == 0:
             raise FlightError(f"{self.name}: its first position or attitude is not a number; there is nothing to draw")
         return FlightRecord(self.record.header, **{name: of[:until] for name, of in self.record.columns.items()})
+
+    @functools.cached_property
+    def proved(self) -> Float[np.ndarray, "steps"]:
+        """A proved lower bound of the clearance over each step that is shown, m; see `proved_clearance`."""
+        return proved_clearance(
+            self.shown,
+            self.target.distance,
+            chaser_radius=self.scenario.chaser.radius,
+            bounds=environment.flight_bounds(self.scenario),
+        )
 
 
 def of_flights(flights: Mapping[str, Flight]) -> list[Replayed]:

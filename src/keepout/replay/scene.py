@@ -11,11 +11,9 @@ import numpy as np
 from jaxtyping import Int
 
 from keepout.errors import FlightError
-from keepout.mission import environment
 from keepout.progress import Progress, part_of, silent
 from keepout.replay import frames
 from keepout.replay.body import drawn_body
-from keepout.replay.clearance import proved_clearance
 from keepout.replay.flights import Level, Replayed
 from keepout.replay.marks import marks
 from keepout.replay.packing import Packing
@@ -115,12 +113,9 @@ def _flight(packing: Packing, flight: Replayed) -> dict[str, Any]:
     distance, closest, _ = flight.target.distance.closest(record.position)
     clearance = distance - chaser.radius
     error = np.linalg.norm(record.position - goal, axis=1)
-    bound = proved_clearance(
-        record, flight.target.distance, chaser_radius=chaser.radius, bounds=environment.flight_bounds(scenario)
-    )
     rows = rows_shown(len(record.time))
     # Of the steps between two rows that are drawn the least bound counts; the last row begins no step.
-    steps = np.minimum.reduceat(np.append(bound, np.nan), rows)
+    steps = np.minimum.reduceat(np.append(flight.proved, np.nan), rows)
     speed = np.linalg.norm(record.velocity, axis=1)
     force = np.linalg.norm(record.force, axis=1)
     numbers = {

@@ -14,7 +14,7 @@ from keepout.replay.flights import Replayed
 from keepout.replay.page import write_page
 from keepout.replay.scene import rows_shown, scene
 from keepout.report.raster import View, eye_axes, rasterise
-from keepout.report.style import COLOURS, style
+from keepout.report.style import COLOURS, TARGET_COLOUR, style
 
 _ELEVATION, _AZIMUTH = 22.0, -60.0
 """Of the eye, degrees."""
@@ -68,40 +68,41 @@ def _said(flight: Replayed) -> str:
 def _picture(flights: Sequence[Replayed]) -> str:
     """Draw the mesh with the paths around it; what lies behind the mesh is dotted."""
     target = flights[0].target
+    # Nadir is down where the target is fixed to VVLH, as in the replay.
+    upright = np.diag([1.0, -1.0, -1.0]) if flights[0].scenario.attitude.kind == "vvlh" else np.eye(3)
+    vertices = target.vertices @ upright
     axes = eye_axes(_ELEVATION, _AZIMUTH)
-    middle = 0.5 * (target.distance.lower + target.distance.upper)
+    middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))  # where `rasterise` looks
     with style():
         drawing = plt.figure(figsize=(8.0, 5.0), layout="constrained")
         panel = drawing.add_subplot()
-        if target.ball_radius == 0.0:
-            used = target.vertices[np.unique(target.faces)]
-            middle = 0.5 * (target.vertices.min(axis=0) + target.vertices.max(axis=0))
-            view = rasterise(target.vertices, target.faces, elevation=_ELEVATION, azimuth=_AZIMUTH, columns=_COLUMNS)
+        view, depth = None, None
+        if target.ball_radius > 0.0:
+            seen = (vertices - middle) @ axes.T
+            panel.scatter(seen[:, 0], seen[:, 1], s=1.0, color=TARGET_COLOUR)
+        else:
+            view = rasterise(vertices, target.faces, elevation=_ELEVATION, azimuth=_AZIMUTH, columns=_COLUMNS)
             picture = np.concatenate([_GREY * view.light[..., None], view.hit[..., None].astype(float)], axis=2)
             panel.imshow(picture, origin="lower", extent=view.extent)
-            corners = (target.vertices[target.faces].mean(axis=1) - middle) @ axes.T
-        else:
-            used, view, corners = target.vertices, None, None
-            seen = (used - middle) @ axes.T
-            panel.scatter(seen[:, 0], seen[:, 1], s=1.0, color="#9aa3ad")
+            depth = ((vertices[target.faces].mean(axis=1) - middle) @ axes.T)[:, 2]
         for colour, flight in zip(_palette(len(flights)), flights):
-            path = (flight.shown.position[rows_shown(len(flight.shown.time))] - middle) @ axes.T
-            hidden = np.zeros(len(path), bool) if view is None or corners is None else _behind(path, view, corners)
+            path = (flight.shown.position[rows_shown(len(flight.shown.time))] @ upright - middle) @ axes.T
+            hidden = np.zeros(len(path), bool) if view is None or depth is None else _behind(path, view, depth)
             panel.plot(path[:, 0], path[:, 1], color=colour, linewidth=0.8, linestyle=":")
             open_path = np.where(hidden[:, None], np.nan, path)
             panel.plot(open_path[:, 0], open_path[:, 1], color=colour, linewidth=1.6, label=flight.name)
             panel.plot(*path[:1, :2].T, color=colour, marker="o", markersize=4)
-            goal = (np.asarray(flight.scenario.goal.position) - middle) @ axes.T
+            goal = (np.asarray(flight.scenario.goal.position) @ upright - middle) @ axes.T
             panel.plot(*goal[:2], color="black", marker="*", markersize=9)
         panel.set(xlabel="m", ylabel="m", aspect="equal")
         panel.autoscale()
         panel.margins(0.03)
         if len(flights) <= 12:
             panel.legend(fontsize=8)
-        return _png(drawing)
+        return _png(drawing, "target and paths")
 
 
-def _behind(path: np.ndarray, view: View, corners: np.ndarray) -> np.ndarray:
+def _behind(path: np.ndarray, view: View, depth: np.ndarray) -> np.ndarray:
     """Say of points in the eye's axes whether the mesh hides them."""
     left, right, bottom, top = view.extent
     rows, columns = view.hit.shape
@@ -109,7 +110,7 @@ def _behind(path: np.ndarray, view: View, corners: np.ndarray) -> np.ndarray:
     row = np.floor((path[:, 1] - bottom) / (top - bottom) * rows).astype(int)
     within = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
     column, row = np.where(within, column, 0), np.where(within, row, 0)
-    return within & view.hit[row, column] & (corners[view.face[row, column], 2] > path[:, 2])
+    return within & view.hit[row, column] & (depth[view.face[row, column]] > path[:, 2])
 
 
 def _curves(flights: Sequence[Replayed], kind: str) -> str:
@@ -124,6 +125,9 @@ def _curves(flights: Sequence[Replayed], kind: str) -> str:
             if kind == "clearance":
                 distance = flight.target.distance.distance(record.position)
                 panels[0].plot(time, distance - flight.scenario.chaser.radius, **thin)
+                panels[0].step(
+                    time[:-1], flight.proved, where="post", color=colour, linewidth=0.7, linestyle="--", alpha=0.7
+                )
                 continue
             error = np.linalg.norm(record.position - np.asarray(flight.scenario.goal.position), axis=1)
             panels[0].plot(time, np.linalg.norm(record.velocity, axis=1), **thin)
@@ -137,15 +141,15 @@ def _curves(flights: Sequence[Replayed], kind: str) -> str:
         panels[-1].set_xlabel("time, s")
         if 1 < len(flights) <= 12:
             panels[0].legend(fontsize=8)
-        return _png(drawing)
+        return _png(drawing, kind)
 
 
 def _palette(count: int) -> list[str]:
     return [COLOURS[place % len(COLOURS)] for place in range(count)]
 
 
-def _png(drawing: Figure) -> str:
+def _png(drawing: Figure, words: str) -> str:
     image = io.BytesIO()
     drawing.savefig(image, format="png", dpi=100)
     plt.close(drawing)
-    return f'<img alt="" src="data:image/png;base64,{base64.b64encode(image.getvalue()).decode("ascii")}">'
+    return f'<img alt="{words}" src="data:image/png;base64,{base64.b64encode(image.getvalue()).decode("ascii")}">'
