@@ -1,7 +1,7 @@
 """A field of your own: any JAX function of a point, with a bound of its gradient that you state or that was sampled."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Literal
 
 import equinox as eqx
@@ -14,6 +14,8 @@ from keepout.errors import FieldError
 from keepout.fields.evaluate import values_and_gradients
 from keepout.fields.field import Field
 
+Corner = Sequence[float] | Float[np.ndarray, "3"]
+"""Of a box, m."""
 _LOOSE = 1.0 + 1e-9
 """Relative: a stated bound is not broken by the rounding of a gradient."""
 
@@ -60,8 +62,8 @@ def stated_field(
     function: Callable[[Float[Array, "3"]], Float[Array, ""]],
     lipschitz: float,
     *,
-    lower: Float[np.ndarray, "3"],
-    upper: Float[np.ndarray, "3"],
+    lower: Corner,
+    upper: Corner,
     samples: int = 20_000,
     seed: int = 0,
 ) -> FunctionField:
@@ -94,8 +96,8 @@ def stated_field(
 def sampled_field(
     function: Callable[[Float[Array, "3"]], Float[Array, ""]],
     *,
-    lower: Float[np.ndarray, "3"],
-    upper: Float[np.ndarray, "3"],
+    lower: Corner,
+    upper: Corner,
     allowance: float = 0.1,
     samples: int = 20_000,
     seed: int = 0,
@@ -119,7 +121,7 @@ def sampled_field(
 
 
 def _steepest(
-    field: FunctionField, lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"], samples: int, seed: int
+    field: FunctionField, lower: Corner, upper: Corner, samples: int, seed: int
 ) -> tuple[float, Float[np.ndarray, "3"]]:
     shape = jax.eval_shape(field.function, jnp.zeros(3)).shape
     if shape != ():
