@@ -60,7 +60,8 @@ def test_each_scenario_is_one(page: Path, text: str, tmp_path: Path):
 
 def commands(page: Path) -> list[str]:
     """Give every line of a page that calls the command line."""
-    lines = [line for language, text in blocks(page) if language in ("", "console") for line in text.splitlines()]
+    texts = [text.replace("\\\n", " ") for language, text in blocks(page) if language in ("", "console")]
+    lines = [line for text in texts for line in text.splitlines()]
     calls = [re.sub(r"^(\$ )?(\S*/)?(?=keepout )", "", line.split("  #")[0].strip()) for line in lines]
     return [call for call in calls if re.match(r"keepout (--version|[a-z])", call)]
 

@@ -10,8 +10,8 @@ from keepout.mission.scenario import Scenario
 
 pytestmark = pytest.mark.long
 
-ELSEWHERE = {"README.md", "docs/control.md"}
-"""Pages whose Python tests/test_readme.py runs, with what comes of it."""
+ELSEWHERE = {"README.md", "docs/control.md", "docs/export.md"}
+"""Pages whose Python other tests run, with what comes of it: tests/test_readme.py and tests/exchange/test_pages.py."""
 COMPILED_ONLY = {"docs/clusters.md"}
 """Pages whose Python needs what no test has: a SLURM cluster."""
 QUICKER = {
