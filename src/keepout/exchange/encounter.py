@@ -121,10 +121,10 @@ def _turn(attitude: Attitude, chaser: Orbit) -> Float[np.ndarray, "n 3 3"]:
     """Give the rotations body ← inertial of an attitude between the orbits' frame and a body's."""
     names = (_frame(attitude.frame_a), _frame(attitude.frame_b))
     wanted = _frame(chaser.frame)
-    if (names[0] == wanted) == (names[1] == wanted):
+    if (names[0] == wanted) == (names[1] == wanted) or set(names) <= set(INERTIAL):
         raise ExchangeError(
             f"{attitude.path}: REF_FRAME_A is {attitude.frame_a} and REF_FRAME_B {attitude.frame_b}; one of them must "
-            f"be {wanted}, as in {chaser.path}"
+            f"be {wanted}, as in {chaser.path}, and the other the body's"
         )
     a_from_b = Rotation.from_quat(attitude.quaternion).as_matrix()
     return np.swapaxes(a_from_b, 1, 2) if names[0] == wanted else a_from_b
