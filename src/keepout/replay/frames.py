@@ -1,15 +1,15 @@
 """The attitude of the body frame over a flight, against VVLH and against the stars."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 from scipy.spatial.transform import Rotation
 
 from keepout.flight.record import FlightRecord
 from keepout.mission.orbit_bounds import orbit_of
 from keepout.mission.scenario import Scenario
 from keepout.motion.frames import vvlh_axes
+from keepout.motion.orbit import Orbit
 
 Quaternions = Float[np.ndarray, "rows 4"]
 
@@ -22,13 +22,22 @@ def to_vvlh(record: FlightRecord) -> Quaternions:
 def to_inertial(record: FlightRecord, scenario: Scenario) -> Quaternions:
     """Rotations ECI ← body as unit quaternions, scalar first: by the recorded orbit, or the scenario's Kepler orbit."""
     if record.target_orbit is None:
-        position, velocity = jax.vmap(orbit_of(scenario.orbit).inertial_state)(jnp.asarray(record.time))
+        orbit = jax.tree.map(np.asarray, orbit_of(scenario.orbit))
+        axes = np.asarray(_on_ellipse(orbit, record.time))
     else:
-        orbit = jnp.asarray(record.target_orbit)
-        position, velocity = orbit[:, :3], orbit[:, 3:]
-    axes = np.asarray(jax.vmap(vvlh_axes)(position, velocity))
+        axes = np.asarray(_on_states(record.target_orbit))
     body_from_vvlh = Rotation.from_quat(record.attitude, scalar_first=True)
     return _continuous((body_from_vvlh * Rotation.from_matrix(axes)).inv())
+
+
+@jax.jit
+def _on_ellipse(orbit: Orbit, times: Float[Array, "rows"]) -> Float[Array, "rows 3 3"]:
+    return jax.vmap(lambda time: vvlh_axes(*orbit.inertial_state(time)))(times)
+
+
+@jax.jit
+def _on_states(states: Float[Array, "rows 6"]) -> Float[Array, "rows 3 3"]:
+    return jax.vmap(lambda state: vvlh_axes(state[:3], state[3:]))(states)
 
 
 def _continuous(rotations: Rotation) -> Quaternions:
