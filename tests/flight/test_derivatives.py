@@ -9,7 +9,7 @@ from truths import operations
 
 from keepout.control import profiles
 from keepout.control.circulation import SwitchingCirculation
-from keepout.control.guidance.plan import Straight
+from keepout.control.guidance.plan import Geodesic, GuidancePlan, Straight
 from keepout.control.observer import NoObserver
 from keepout.errors import ControlError
 from keepout.fields.analytic import SphereField
@@ -23,11 +23,11 @@ STEPS = 30
 GOAL = np.array([0.0, -4.0, -1.0])
 
 
-def flown(*, guarded: bool = False, **chosen):
+def flown(*, guarded: bool = False, guidance: GuidancePlan | None = None, **chosen):
     """Fly round a ball of 1 m, near enough that barrier, speed limit and filter act."""
     field = SphereField(jnp.zeros(3), jnp.asarray(1.0))
     operation = operations.operation(error_bound=0.0)
-    law = profiles.default(field, operation, GOAL, guidance=Straight(), **chosen)
+    law = profiles.default(field, operation, GOAL, guidance=guidance or Straight(), **chosen)
     guard = None
     if guarded:
         assumed = GuardAssumptions(20.0, 0.1, 1.0, 0.0142, 8e-5, 0.0, 1.1e-8, 100.0, 0.15)
@@ -93,6 +93,14 @@ def test_the_gradient_of_a_flight_is_that_of_central_differences():
     # The flight is one in which the barrier takes part: the safe velocity is not the desired one.
     assert float(jnp.max(jnp.abs(log.safe_velocity - log.desired_velocity))) > 0.01
     slopes = compared(flight, NUMBERS)
+    for place, leaf in jax.tree_util.tree_leaves_with_path(slopes):
+        assert np.all(np.isfinite(leaf)), jax.tree_util.keystr(place)
+
+
+@pytest.mark.long
+def test_the_gradient_along_a_geodesic_way():
+    flight = flown(guidance=Geodesic(spacing=0.4))
+    slopes = compared(flight, ["tracking gain", "true mass", "start", "start's height", "amplitude", "offset"])
     for place, leaf in jax.tree_util.tree_leaves_with_path(slopes):
         assert np.all(np.isfinite(leaf)), jax.tree_util.keystr(place)
 

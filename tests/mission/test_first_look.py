@@ -9,12 +9,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from keepout.errors import KeepoutError, ScenarioError
-from keepout.fields.shipped import shipped_names
+from keepout.errors import FieldError, KeepoutError, ScenarioError
+from keepout.fields.shipped import load_shipped, shipped_names
 from keepout.geometry.target import Target
 from keepout.mission import environment
 from keepout.mission.build import load_model, prepare
-from keepout.mission.first_look import flown_disturbance, look, require_authority, require_files, shipped_fields
+from keepout.mission.first_look import (
+    flown_disturbance,
+    look,
+    require_authority,
+    require_certified,
+    require_files,
+    shipped_fields,
+)
 from keepout.mission.scenario import Scenario
 
 force = st.floats(1e-4, 1.0)
@@ -52,6 +59,28 @@ def test_the_thrusters_limit_itself_is_judged_alike():
         environment.disturbance_bound(weak)
     with pytest.raises(ScenarioError, match=r"0\.1001 N, is not below"):
         require_authority(weak.replace(disturbance={"amplitude": 0.1001}))
+
+
+@pytest.mark.parametrize("radius", [0.0, 0.3, 0.5, 0.77])
+def test_a_radius_is_refused_as_the_field_refuses_it(radius):
+    scenario = Scenario.parse({"chaser": {"radius": radius}})
+    said = []
+    for ask in (lambda: require_certified(scenario), lambda: load_shipped("intelsat30").certificate(radius)):
+        try:
+            ask()
+        except FieldError as refusal:
+            said.append(str(refusal))
+    assert len(said) == (0 if radius in (0.0, 0.5) else 2)
+    assert len(set(said)) <= 1
+
+
+@pytest.mark.parametrize("content", [b"", b"abc", b"\xff" * 64, (3).to_bytes(8, "little") + b"{}}", b"\0" * 100])
+def test_a_damaged_field_is_left_to_what_reads_it(tmp_path, content):
+    path = tmp_path / "damaged.keepout"
+    path.write_bytes(content)
+    require_certified(Scenario.parse({"field": {"source": str(path)}}))
+    with pytest.raises(FieldError, match=r"damaged\.keepout"):
+        load_model(Scenario.parse({"field": {"source": str(path)}}), Target.load("intelsat30"))
 
 
 def test_shipped_fields_are_the_packages():
@@ -105,6 +134,7 @@ def test_the_paper_law_keeps_its_speed():
         "[disturbance]\nkind = 'constant'\nforce = [0.2, 0.0, 0.0]",
         "[target]\nsource = 'absent.glb'",
         "[field]\nsource = 'absent.keepout'",
+        "[chaser]\nradius = 0.77",
     ],
 )
 def test_a_refused_file_waits_for_no_jax_and_leaves_nothing_behind(tmp_path, text):

@@ -3,6 +3,7 @@
 Each refusal here is one that `prepare` would come to as well, after seconds. Nothing here needs JAX.
 """
 
+import json
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,6 +18,10 @@ STOPPING_DISTANCE = 3.0
 """Within which the recommended law must be able to stop from its speed limit, m."""
 _PAPER = 0.01 * math.sqrt(2.0)
 """Largest norm of the paper's disturbance, N: a sine and a cosine of one frequency, and a sine of another."""
+_SAME_RADIUS = 2e-9
+"""Metres within which two chaser radii are one; twice as far as for what reads the field."""
+_LONGEST_HEADER = 10_000_000
+"""Bytes; a longer header of a field file is left to what reads it."""
 _OUTWARD = 1.0 + 1e-9
 """More than the models' own bounds are rounded up by, so that nothing is refused here that they would let pass."""
 
@@ -28,12 +33,13 @@ def look(scenario: Scenario) -> "Target":
         ScenarioError: the thrusters are weaker than the disturbance, or start or goal touch the target.
         ControlError: the thrusters cannot stop the chaser from its speed limit, even without drift.
         MeshError: the mesh is not there or cannot be used.
-        FieldError: the field is not there.
+        FieldError: the field is not there, or has no certificate for the chaser.
 
     """
     require_authority(scenario)
     require_stopping(scenario)
     require_files(scenario)
+    require_certified(scenario)
     from keepout.mission.target import load_target, require_apart
 
     target = load_target(scenario.target)
@@ -110,7 +116,33 @@ def require_files(scenario: Scenario) -> None:
         raise FieldError(f"{field}: no such file; a field is a .keepout file")
 
 
+def require_certified(scenario: Scenario) -> None:
+    """Refuse a chaser radius for which the field's file holds no certificate; what it holds besides is not looked at.
+
+    A file that cannot be understood is left to what reads it whole, which says why.
+    """
+    source = scenario.field.source
+    path = _shipped_folder() / f"{scenario.target.source}.keepout" if source == "shipped" else Path(source)
+    try:
+        with path.open("rb") as file:
+            told = json.loads(file.read(min(int.from_bytes(file.read(8), "little"), _LONGEST_HEADER)))
+        header = json.loads(told["__metadata__"]["header"])
+        name, radii = header["target"]["name"], [float(entry["chaser_radius"]) for entry in header["certificates"]]
+    except (OSError, ValueError, KeyError, TypeError):
+        return
+    radius = scenario.chaser.radius
+    if not any(abs(certified - radius) <= _SAME_RADIUS for certified in radii):
+        raise FieldError(
+            f"chaser radius {radius:g} m: the field of {name} is certified for: "
+            f"{', '.join(f'{certified:g} m' for certified in radii) or 'none'}; "
+            f"`keepout certify --chaser-radius {radius:g}` adds a certificate"
+        )
+
+
+def _shipped_folder() -> Path:
+    return Path(__file__).parents[1] / "data" / "fields"
+
+
 def shipped_fields() -> tuple[str, ...]:
     """Name the built-in targets whose fields come with the package."""
-    folder = Path(__file__).parents[1] / "data" / "fields"
-    return tuple(sorted(path.stem for path in folder.glob("*.keepout")))
+    return tuple(sorted(path.stem for path in _shipped_folder().glob("*.keepout")))

@@ -100,7 +100,11 @@ class GeodesicGuidance(Guidance):
         start = cell.astype(jnp.int32) - 1
         blended = joined_rows(_blended, self.directions, (start[None], (held - cell)[None]))[0]
         # Where the position is beyond the grid along some axis, that axis leads back and the others keep their say.
-        along = jnp.where(outside == 0.0, _unit(blended), 0.0) - _unit(outside)
+        # Within the grid nothing is beyond. A unit vector of nothing is zero, but its derivative is immense, and taken
+        # backwards it would swallow the digits of all that is added to it.
+        beyond = jnp.any(outside != 0.0)
+        back = jnp.where(beyond, _unit(jnp.where(beyond, outside, 1.0)), 0.0)
+        along = jnp.where(outside == 0.0, _unit(blended), 0.0) - back
         return _unit(along)
 
 
