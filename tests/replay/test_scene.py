@@ -27,6 +27,7 @@ from keepout.replay.marks import marks
 from keepout.replay.packing import Packing, unpacked
 from keepout.replay.scene import MOST_ROWS, rows_shown
 from keepout.replay.surfaces import drawn_surface
+from keepout.report.replay_view import write_replay
 
 
 @pytest.fixture(scope="module")
@@ -302,3 +303,21 @@ def test_flights_of_one_name_go_by_their_files(folder, tmp_path):
     record = pass_record(box_scenario(folder, 3.0, "same"), 3.0)
     paths = [record.save(tmp_path / f"{name}.npz") for name in ("a", "b")]
     assert [flight.name for flight in of_files(paths)] == [str(path) for path in paths]
+
+
+def test_a_cloud_of_balls_is_drawn_as_points(folder, tmp_path):
+    generator = np.random.default_rng(0)
+    directions = generator.normal(size=(500, 3))
+    np.save(tmp_path / "cloud.npy", directions / np.linalg.norm(directions, axis=1, keepdims=True))
+    cloud = Target.load(tmp_path / "cloud.npy", thickness=0.1)
+    [around_box] = of_records({"cloud": pass_record(box_scenario(folder, 3.0, "cloud"), 3.0)})
+    flight = dataclasses.replace(around_box, target=cloud, levels=())
+    write_replay(tmp_path / "replay.html", [flight], title="cloud")
+    page = ReplayPage.read(tmp_path / "replay.html")
+    target, arrays = page.told["target"], page.flights()["cloud"]["arrays"]
+    assert target["ball_radius"] == pytest.approx(0.05)
+    assert page.array(target["faces"]).size == 0
+    drawn = page.array(target["vertices"])
+    np.testing.assert_allclose(np.sort(drawn, axis=0), np.sort(cloud.vertices, axis=0), atol=1e-4)
+    truth = np.linalg.norm(pass_position(100.0, 3.0) - cloud.vertices, axis=1).min() - 0.05 - RADIUS
+    assert page.array(arrays["clearance"])[100] == pytest.approx(truth, abs=1e-5)

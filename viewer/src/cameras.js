@@ -49,13 +49,13 @@ export class Eye {
   }
 
   // Looks from a little above, from the side on which the paths pass in front of the target, and near enough for the
-  // points (of the target and of the paths) to fill the picture.
-  frame(points, paths, up) {
+  // points (of the target, of what is at the ends of the paths, and of the paths) to fill the picture.
+  frame(body, ends, paths, up) {
     this.camera.up.copy(up);
     const centre = this.extent.middle;
     const side = Math.abs(up.x) > 0.9 ? new Vector3(0, 1, 0) : new Vector3(1, 0, 0);
     const slope = Math.tan((this.camera.fov * Math.PI) / 360);
-    const all = [...points, ...paths];
+    const all = [...body, ...ends, ...paths];
     const views = [];
     for (let k = 0; k < 48; k++) {
       const slant = k < 24 ? 0.44 : -0.35;
@@ -63,17 +63,17 @@ export class Eye {
       const right = new Vector3().crossVectors(up, direction).normalize();
       const above = new Vector3().crossVectors(direction, right);
       const front = paths.reduce((sum, point) => sum + point.clone().sub(centre).dot(direction), 0) / Math.max(paths.length, 1);
-      const breadth = span(all, right);
+      const wide = span(body, right);
       const seen = [right, above].map((axis) => span(paths, axis)).reduce((sum, [low, high]) => sum + (high - low) ** 2, 0);
-      views.push({ direction, right, above, breadth, seen: Math.sqrt(seen), front: front / this.extent.length, below: k >= 24 });
+      views.push({ direction, right, above, wide: wide[1] - wide[0], seen: Math.sqrt(seen), front: front / this.extent.length, below: k >= 24 });
     }
-    // Broad in the picture are both the whole and the paths: a view from between their broad sides.
+    // Broad in the picture are both the target and the paths: a view from between their broad sides.
     const most = (of) => Math.max(...views.map(of), 1e-9);
-    const wide = (view) => view.breadth[1] - view.breadth[0];
-    const [seen, broad] = [most((view) => view.seen), most(wide)];
-    const score = (view) => Math.min(view.seen / seen, wide(view) / broad) + 0.8 * view.front - (view.below ? 0.15 : 0);
+    const [seen, broad] = [most((view) => view.seen), most((view) => view.wide)];
+    const score = (view) => Math.min(view.seen / seen, view.wide / broad) + 0.8 * view.front - (view.below ? 0.15 : 0);
     const best = views.reduce((first, second) => (score(second) > score(first) ? second : first));
-    const { direction, right, above, breadth } = best;
+    const { direction, right, above } = best;
+    const breadth = span(all, right);
     const height = span(all, above);
     const depth = span(all, direction);
     const middle = right.clone().multiplyScalar((breadth[0] + breadth[1]) / 2)

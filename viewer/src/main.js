@@ -1,5 +1,5 @@
 // The viewer of `keepout replay`: puts the parts together and draws when something has changed.
-import { Color, Group, Mesh, MeshBasicMaterial, OctahedronGeometry, Quaternion, Scene, SphereGeometry, Vector3, WebGLRenderer } from "three";
+import { Box3, Group, Mesh, MeshBasicMaterial, OctahedronGeometry, Quaternion, Scene, SphereGeometry, Vector3, WebGLRenderer } from "three";
 import { Arrow, Closest } from "./arrows.js";
 import { Eye } from "./cameras.js";
 import { CLOSEST, ENVELOPE, FLIGHTS, GOAL, GUARD, SAFE_VELOCITY, Scale, START, THRUST, ramp } from "./colours.js";
@@ -29,6 +29,9 @@ class Replay {
     this.extent = size(told);
     const scale = new Scale(told.flights);
     this.flights = told.flights.map((flight, k) => new Flight(flight, FLIGHTS[k % FLIGHTS.length], scale, this.extent.length / 1000));
+    // Of target and paths together: by it whatever has no size of its own is drawn.
+    const paths = new Box3().setFromPoints(this.flights.flatMap((flight) => every(flight.position, 200)));
+    this.span = Math.max(this.extent.length, paths.getSize(new Vector3()).length());
     this.start3d();
     this.plots = new Plots(this.parts.plots, this.flights, (time) => { this.transport.pause(); this.transport.seek(time); });
     this.transport = new Transport(this.parts.transport, this.flights, () => this.touch());
@@ -57,7 +60,7 @@ class Replay {
     this.turning = new Group(); // what is fixed to the target
     this.body = body(this.told.target);
     this.surfaces = this.told.surfaces.map((of) => surface(of));
-    const span = this.extent.length;
+    const { span } = this;
     this.pen = span / 900;
     this.thrust = new Arrow(THRUST, this.pen * 1.3);
     this.velocity = new Arrow(SAFE_VELOCITY, this.pen * 1.3);
@@ -150,8 +153,13 @@ class Replay {
   }
 
   look() {
-    const body = every(this.told.target.vertices, 400).map((point) => point.applyQuaternion(this.flight.attitude));
-    this.eye.frame(body, this.flights.flatMap((flight) => every(flight.places, 60)), this.up());
+    const body = every(this.told.target.vertices, 4000).map((point) => point.applyQuaternion(this.flight.attitude));
+    // The ball at both ends of a path is to be seen whole.
+    const ends = this.flights.flatMap((flight) => [0, flight.rows - 1].flatMap((row) => [0, 1, 2].flatMap((axis) => [-1, 1].map((sign) => {
+      const at = new Vector3().fromArray(flight.places, 3 * row);
+      return at.setComponent(axis, at.getComponent(axis) + sign * flight.radius);
+    }))));
+    this.eye.frame(body, ends, this.flights.flatMap((flight) => every(flight.places, 60)), this.up());
   }
 
   inFrame(frame) {
@@ -215,7 +223,7 @@ class Replay {
     this.turning.quaternion.copy(flight.attitude);
     const { row, part } = flight;
     const at = flight.vector(flight.position, row, part, new Vector3());
-    const reach = Math.max(0.14 * this.extent.length, 4 * flight.radius) / 1.5;
+    const reach = Math.max(0.09 * this.span, 3 * flight.radius);
     const along = (array, limit) => flight.vector(array, row, 0, new Vector3()).multiplyScalar(reach / limit);
     for (const name of ["thrust", "velocity", "closest"]) this[name].wanted = show[name] && show.chaser;
     const force = along(flight.applied_force, flight.force_limit);
