@@ -43,9 +43,11 @@ def tracking(**changes):
 def rates(velocity_law, layer, position, velocity, error_d):
     """Return ḣ₁ + β_c h₁ with and without the filter (e_d decaying at β_e), V̇₁ without it, and V₁; no drift."""
     goal = velocity_law.guidance.goal
+    # h₁ and V₁ need no ∂v_s/∂r, which is not to be differentiated once more.
+    plain = dataclasses.replace(velocity_law, differentiate=False)
 
     def values(r, v):
-        point, _ = velocity_law(r, v, jnp.zeros(3))
+        point, _ = plain(r, v, jnp.zeros(3))
         tracked = layer(point, r - goal, v, jnp.zeros(3), MASS)
         return tracked.backstepping_barrier, tracked.lyapunov
 
