@@ -85,7 +85,7 @@ from keepout.campaign.scheduler import flyer_on
 from truths.small_campaigns import small_plan
 
 if __name__ == "__main__":
-    slow = 0.5 if sys.argv[2] == "slow" else 0.0
+    slow = 10.0 if sys.argv[2] == "slow" else 0.0  # the interrupt comes in the first pause
 
     class Slow(Dataset):
         def write(self, result):
