@@ -318,6 +318,33 @@ def rare_events() -> list[str]:
     return [*lines, *table(rows, columns)]
 
 
+def campaigns() -> list[str]:
+    """Give what a campaign costs, part by part, beside the usual way, and against the number of runs."""
+    kept = kept_file("campaign")
+    lines = [
+        "## Campaigns",
+        "",
+        "`python benchmarks/campaign.py --scaling 100 1000 10000 100000`; discussed in [Campaigns](campaigns.md). "
+        "Case 3's flights around `intelsat30` by the shipped field, the guard on, after start-up; "
+        f"{kept['flights']} flights of {kept['steps']} s, medians of three.",
+        "",
+        *note("campaign"),
+        "",
+        "**Microseconds a flight-step, by the clock and of processor time, and seconds of the whole campaign**",
+        "",
+    ]
+    columns = {"cores": "cores", "audit": "audit", "clock_us": "clock µs", "cpu_us": "processor µs", "seconds": "s"}
+    lines += table([row | {"audit": "yes" if row["audit"] else "no"} for row in kept["times"]], columns)
+    lines += ["**Microseconds of one core a flight-step, each part compiled alone**", ""]
+    lines += table([{"part": name, "µs": figure} for name, figure in kept["shares_us"].items()])
+    lines += ["**A step of the printed law: written with CVXPY, Clarabel and PyTorch, and in a campaign**", ""]
+    lines += table([kept["usual way"]])
+    lines += [f"**Time against the number of runs, audit included; flights of {kept['scaling_steps']} s**", ""]
+    each = [row | {"each": 1e3 * row["seconds"] / row["runs"]} for row in kept["scaling"]]
+    columns = {"runs": "runs", "seconds": "s", "each": "ms a flight", "cpu_us": "processor µs a flight-step"}
+    return [*lines, *table(each, columns)]
+
+
 def page() -> str:
     """Give the whole page."""
     lines = [
@@ -327,7 +354,7 @@ def page() -> str:
         "which statements are proved and which are measured.",
         "",
     ]
-    sections = (origins, reach, faults, reproduction, errata, rivals, rare_events, printed)
+    sections = (origins, reach, faults, reproduction, errata, rivals, rare_events, campaigns, printed)
     return "\n".join(lines + [line for section in sections for line in section()]).rstrip() + "\n"
 
 

@@ -105,7 +105,7 @@ def test_the_gradient_along_a_geodesic_way():
         assert np.all(np.isfinite(leaf)), jax.tree_util.keystr(place)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_the_gradient_through_guard_circulation_and_interior_point():
     flight = flown(guarded=True, circulation=SwitchingCirculation(), observer=NoObserver())
     slopes = compared(flight, ["tracking gain", "true mass", "start", "amplitude", "offset"])

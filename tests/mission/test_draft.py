@@ -84,7 +84,7 @@ def test_a_draft_is_free_and_honoured(name):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("kind", ["box", "mesh"])
+@pytest.mark.parametrize("kind", [pytest.param("box", marks=pytest.mark.slow), "mesh"])
 def test_what_is_written_is_checked_and_flown(tmp_path, monkeypatch, kind):
     monkeypatch.chdir(tmp_path)
     source, options = "box", []
