@@ -77,7 +77,8 @@ def test_a_killed_worker_loses_only_its_chunks_and_no_bit_differs(tmp_path):
 
 
 INTERRUPTED = """
-import sys
+import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job is started deaf to it
 from pathlib import Path
 from keepout.campaign.dataset import Dataset
 from keepout.campaign.run import fly_campaign
