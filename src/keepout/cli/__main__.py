@@ -1,0 +1,5 @@
+"""`python -m keepout.cli`."""
+
+from keepout.cli import main
+
+main()

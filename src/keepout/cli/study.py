@@ -1,0 +1,74 @@
+"""Commands that answer a question by many flights: rare, reproduce."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from keepout.cli.options import AsJson, ScenarioSeed, Seed, answer, app, at_least, example
+from keepout.report import terminal
+
+
+@app.command(epilog=example("keepout rare examples/case1.toml --below 0 -o out/rare"))
+def rare(
+    scenario: Annotated[Path, typer.Argument(help="A scenario file (TOML) in which something is random.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for results, figure and page.")] = Path("out"),
+    below: Annotated[float, typer.Option(help="The clearance, m; 0 is contact.")] = 0.0,
+    runs: Annotated[int, typer.Option(callback=at_least(2), help="Whose spread gives the interval.")] = 8,
+    flights: Annotated[int, typer.Option(callback=at_least(64), help="Of each level and run; a multiple of 8.")] = 1024,
+    quick: Annotated[bool, typer.Option("--quick", help="256 flights of each level and run: a rough answer.")] = False,
+    seed: ScenarioSeed = None,
+    as_json: AsJson = False,
+) -> None:
+    """Measure how probable a contact is where nothing is proved, by subset simulation.
+
+    A killed run goes on from its last level when started again.
+    """
+    from keepout.commands import rare_to_folder
+    from keepout.mission.scenario import Scenario
+
+    mission = Scenario.load(scenario)
+    if seed is not None:
+        mission = mission.replace(seed=seed)
+    with terminal.progress(f"rare {mission.name}") as progress:
+        summary = rare_to_folder(
+            mission, out, below=below, runs=runs, flights=256 if quick else flights, progress=progress
+        )
+    answer(summary, as_json)
+    if not as_json:
+        Console().print(summary["said"])
+        Console().print(f"written to [bold]{out}[/bold]")
+
+
+@app.command(epilog=example("keepout reproduce all --quick -o out/paper"))
+def reproduce(
+    experiments: Annotated[
+        list[str], typer.Argument(help="all, or any of table1, surfaces, volumes, case1, case2, runtime, case3.")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for tables, figures and page.")] = Path("out"),
+    quick: Annotated[bool, typer.Option("--quick", help="Fewer flights, shipped fields: minutes.")] = False,
+    fields: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder with fields of the paper's network, instead of hours of fitting: benchmarks/results/fields."
+        ),
+    ] = None,
+    seed: Seed = 0,
+    as_json: AsJson = False,
+) -> None:
+    """Repeat the source paper's tables, figures and flights, with Keepout's own answers beside them.
+
+    The full run takes hours: it fits the paper's network, about an hour for each of three targets, unless --fields
+    names a folder with its fields. A run that was stopped goes on where it was.
+    """
+    from keepout.experiments import reproduce as repeat
+
+    with terminal.progress(f"reproduce {' '.join(experiments)}") as progress:
+        parts = repeat(experiments, out, quick=quick, seed=seed, fields=fields, progress=progress)
+    answer([row for part in parts for row in part.named_rows], as_json)
+    if not as_json:
+        for part in parts:
+            for table in part.tables:
+                Console().print(terminal.entries_table(f"{part.title}: {table.caption}", table.rows))
+        Console().print(f"open [bold]{out / 'index.html'}[/bold]; tables (CSV) and figures stand beside it")
