@@ -31,6 +31,8 @@ class MotionState(eqx.Module):
         attitude: unit quaternion body ← VVLH, scalar first.
         angular_velocity: the body's inertial angular velocity, rad/s, in body axes.
         target_orbit: the target's ECI position (m) and velocity (m/s), carried only where perturbations bend its orbit.
+        disturbance: only in an estimate by a filter that models it: the mean force that nobody commanded over the
+            period that begins, N, body axes. The true motion carries none.
 
     """
 
@@ -40,6 +42,7 @@ class MotionState(eqx.Module):
     attitude: Quaternion
     angular_velocity: Vector
     target_orbit: Float[Array, "6"] | None = None
+    disturbance: Vector | None = None
 
 
 class RelativeMotion(eqx.Module):
