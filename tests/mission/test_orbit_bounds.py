@@ -12,7 +12,7 @@ from keepout.errors import ScenarioError
 from keepout.flight.record import FlightRecord
 from keepout.mission import environment
 from keepout.mission.flight import fly
-from keepout.mission.orbit_bounds import _path, differential_bounds, orbit_bounds, orbit_of
+from keepout.mission.orbit_bounds import _path, differential_bounds, orbit_bounds, orbit_of, perturbations
 from keepout.mission.scenario import Scenario
 from keepout.motion import MotionState
 
@@ -30,12 +30,16 @@ CASES = {
         30000.0,
     ),
     "drag alone": ({"semi_major_axis": 6.75e6}, {"density": 1e-11, "chaser_area_to_mass": 0.05}, 3000.0),
+    "sunlight and shadow": ({"semi_major_axis": 6.78e6, "inclination": 0.9}, {}, 6000.0),
 }
+SUN = {"direction": (0.8, 0.5, 0.2), "target_area_to_mass": 30.0, "chaser_area_to_mass": 80.0}
+"""A thousand times what a spacecraft feels, so that the bounds are told from gravity's."""
 
 
 def scenario_of(case):
     orbit, drag, duration = CASES[case]
-    return Scenario().replace(orbit=orbit, drag=drag, duration=duration)
+    sun = SUN if case == "sunlight and shadow" else {}
+    return Scenario().replace(orbit=orbit, drag=drag, sun=sun, duration=duration)
 
 
 def true_path(scenario):
@@ -50,7 +54,17 @@ def true_path(scenario):
         air = v - np.cross([0.0, 0.0, SPIN], r)
         density = drag.density * np.exp(-(R - EARTH - drag.altitude) / drag.scale_height)
         push = -0.5 * density * drag.target_area_to_mass * np.linalg.norm(air) * air
-        return np.concatenate([v, -MU * r / R**3 + bulge + push])
+        return np.concatenate([v, -MU * r / R**3 + bulge + push + sunlight(r, scenario.sun.target_area_to_mass)])
+
+    toward = np.asarray(scenario.sun.direction or (1.0, 0.0, 0.0))
+    toward = toward / np.linalg.norm(toward)
+
+    def sunlight(r, area_to_mass):
+        share = 1.0
+        if r @ toward < 0.0:
+            beside = np.linalg.norm(np.cross(r, toward))
+            share = np.interp(beside, [EARTH - 1e4, EARTH + 1e4], [0.0, 1.0])
+        return -4.56e-6 * area_to_mass * share * toward
 
     start = np.concatenate(orbit_of(scenario.orbit).inertial_state(jnp.zeros(())))
     times = np.arange(0.0, scenario.duration + 0.5)
@@ -146,7 +160,7 @@ def test_each_part_of_the_differential_bound_is_needed():
 @pytest.mark.parametrize("case", ["polar with drag", "long ellipse"])
 def test_the_integrated_path_is_that_of_dop853(case):
     scenario = scenario_of(case)
-    positions, velocities = _path(scenario.orbit, scenario.drag, 1.0, int(scenario.duration))
+    positions, velocities = _path(scenario.orbit, perturbations(scenario), 1.0, int(scenario.duration))
     truth = true_path(scenario)
     error = np.linalg.norm(positions - truth[:, :3], axis=1) / np.linalg.norm(positions, axis=1)
     assert error.max() < 1e-8

@@ -213,6 +213,26 @@ class DragEntry(Entry):
     chaser_area_to_mass: NonNegative = Field(default=0.02, description="drag coefficient × area / mass, m2/kg")
 
 
+class SunEntry(Entry):
+    """Sunlight: where it comes from, and how it pushes both spacecraft."""
+
+    direction: Vector | None = Field(
+        default=None, description="from the Earth to the sun, ECI, any length; unset: where it is at `epoch`"
+    )
+    target_area_to_mass: NonNegative = Field(
+        default=0.0, description="radiation pressure coefficient × area / mass, m2/kg; 0: no push"
+    )
+    chaser_area_to_mass: NonNegative = Field(
+        default=0.0, description="radiation pressure coefficient × area / mass, m2/kg; 0: no push"
+    )
+
+    @model_validator(mode="after")
+    def _points_somewhere(self) -> "SunEntry":
+        if self.direction is not None and not any(self.direction):
+            raise ValueError("direction [0, 0, 0] points nowhere; give a vector from the Earth to the sun")
+        return self
+
+
 class AttitudeEntry(Entry):
     """How the target turns."""
 
@@ -223,11 +243,14 @@ class AttitudeEntry(Entry):
     inertia: tuple[Vector, Vector, Vector] = Field(
         default=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), description="tumbling: tensor in body axes, kg m2"
     )
+    gravity_gradient: bool = Field(default=False, description="tumbling: whether the Earth's gravity turns it")
 
     @model_validator(mode="after")
     def _only_tumbling_turns(self) -> "AttitudeEntry":
         if self.kind != "tumbling" and any(self.angular_velocity):
             raise ValueError(f'an angular_velocity needs kind = "tumbling", not "{self.kind}"')
+        if self.kind != "tumbling" and self.gravity_gradient:
+            raise ValueError(f'gravity_gradient needs kind = "tumbling", not "{self.kind}"')
         return self
 
 

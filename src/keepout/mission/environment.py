@@ -20,6 +20,7 @@ from keepout.flight.faults import (
 from keepout.flight.setup import Faults, NoFaults
 from keepout.geometry.target import Target
 from keepout.guard.braking import GuardAssumptions
+from keepout.mission import turning_bounds
 from keepout.mission.first_look import refuse_disturbance
 from keepout.mission.orbit_bounds import DifferentialBounds, differential_bounds, orbit_bounds, orbit_of, perturbations
 from keepout.mission.scenario import Scenario
@@ -56,7 +57,11 @@ def relative_motion(scenario: Scenario) -> RelativeMotion:
     """Build the relative dynamics of the scenario's orbit and attitude."""
     attitude = scenario.attitude
     if attitude.kind == "tumbling":
-        turning = Tumbling(angular_velocity=np.asarray(attitude.angular_velocity), inertia=np.asarray(attitude.inertia))
+        turning = Tumbling(
+            angular_velocity=np.asarray(attitude.angular_velocity),
+            inertia=np.asarray(attitude.inertia),
+            gravity_gradient=attitude.gravity_gradient,
+        )
     elif attitude.kind == "inertial":
         turning = InertiallyFixed()
     else:
@@ -175,17 +180,32 @@ def flight_bounds(scenario: Scenario) -> FlightBounds:
 
 
 def _rotation(scenario: Scenario) -> tuple[float, float]:
-    """Bound the body frame's inertial rate, rad/s, and its derivative, rad/s²."""
+    """Bound the body frame's inertial rate, rad/s, and its derivative, rad/s².
+
+    Raises:
+        ScenarioError: a body that turns too fast for a bound between two control periods.
+
+    """
     outward = 1.0 + 1e-9
     if scenario.attitude.kind == "inertial":
         return 0.0, 0.0
     if scenario.attitude.kind == "tumbling":
-        # Torque-free: energy and momentum are kept, so ‖ω‖² ≤ 2E/I_min and ‖ω̇‖ ≤ ‖L‖‖ω‖/I_min.
-        inertia = np.asarray(scenario.attitude.inertia)
-        omega = np.asarray(scenario.attitude.angular_velocity)
-        least = float(np.linalg.eigvalsh(inertia)[0])
-        rate = math.sqrt(max(omega @ inertia @ omega, 0.0) / least)
-        return rate * outward, float(np.linalg.norm(inertia @ omega)) * rate / least * outward
+        if scenario.attitude.gravity_gradient:
+            rate, acceleration = turning_bounds.pulled(
+                relative_motion(scenario),
+                period=scenario.control.period,
+                steps=scenario.steps,
+                lowest_radius=orbit_bounds(scenario).lowest_radius,
+            )
+            if not math.isfinite(rate):
+                raise ScenarioError(
+                    f"attitude.angular_velocity: {list(scenario.attitude.angular_velocity)} rad/s; with "
+                    f"gravity_gradient the body must turn less within a control period of {scenario.control.period:g} s"
+                )
+            return rate, acceleration
+        inertia, omega = np.asarray(scenario.attitude.inertia), np.asarray(scenario.attitude.angular_velocity)
+        rate, acceleration = turning_bounds.free(omega, inertia)
+        return rate * outward, acceleration * outward
     orbit = orbit_bounds(scenario)
     return orbit.rate * outward, orbit.acceleration * outward
 

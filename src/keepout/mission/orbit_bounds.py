@@ -16,8 +16,9 @@ import numpy as np
 
 from keepout.errors import ScenarioError
 from keepout.mission.entries import DragEntry, OrbitEntry
+from keepout.mission.epoch import parse_instant
 from keepout.mission.scenario import Scenario
-from keepout.motion import J2, Drag, Orbit, Perturbation
+from keepout.motion import J2, Drag, Orbit, Perturbation, SolarPressure
 from keepout.motion.perturbation import (
     EARTH_EQUATORIAL_RADIUS,
     EARTH_GRAVITATIONAL_PARAMETER,
@@ -25,6 +26,7 @@ from keepout.motion.perturbation import (
     EARTH_ROTATION_RATE,
     target_acceleration,
 )
+from keepout.motion.sun import PENUMBRA, SOLAR_PRESSURE, sun_direction
 
 _OUTWARD = 1.0 + 1e-6
 """Covers what the Runge–Kutta steps of the target's orbit lose: 1e-8 at most (tests/mission/test_orbit_bounds.py)."""
@@ -87,12 +89,29 @@ def orbit_of(entry: OrbitEntry) -> Orbit:
 
 def perturbations(scenario: Scenario) -> tuple[Perturbation, ...]:
     """Build what bends the scenario's orbits away from Kepler's."""
-    return _perturbations(scenario.orbit, scenario.drag)
+    return _perturbations(scenario.orbit, scenario.drag, _sunlight(scenario))
 
 
-def _perturbations(orbit: OrbitEntry, drag: DragEntry) -> tuple[Perturbation, ...]:
-    oblate = (J2(),) if orbit.j2 else ()
-    return (*oblate, Drag(**drag.model_dump())) if drag.density > 0.0 else oblate
+def sun_of(scenario: Scenario) -> tuple[float, float, float]:
+    """Give the unit vector from the Earth to the scenario's sun, ECI: as told, or as it is at the epoch."""
+    given = scenario.sun.direction
+    direction = sun_direction(parse_instant(scenario.epoch)) if given is None else np.asarray(given)
+    x, y, z = (direction / np.linalg.norm(direction)).tolist()
+    return x, y, z
+
+
+def _sunlight(scenario: Scenario) -> SolarPressure | None:
+    sun = scenario.sun
+    if sun.target_area_to_mass == sun.chaser_area_to_mass == 0.0:
+        return None
+    return SolarPressure(sun_of(scenario), sun.target_area_to_mass, sun.chaser_area_to_mass)
+
+
+def _perturbations(orbit: OrbitEntry, drag: DragEntry, sunlight: SolarPressure | None) -> tuple[Perturbation, ...]:
+    found: tuple[Perturbation, ...] = (J2(),) if orbit.j2 else ()
+    if drag.density > 0.0:
+        found = (*found, Drag(**drag.model_dump()))
+    return found if sunlight is None else (*found, sunlight)
 
 
 def orbit_bounds(scenario: Scenario) -> OrbitBounds:
@@ -105,7 +124,7 @@ def orbit_bounds(scenario: Scenario) -> OrbitBounds:
     if perturbations(scenario):
         orbit, drag = (tuple(entry.model_dump().items()) for entry in (scenario.orbit, scenario.drag))
         flown = max(scenario.duration, scenario.steps * scenario.control.period)
-        return _perturbed(orbit, drag, flown)
+        return _perturbed(orbit, drag, _sunlight(scenario), flown)
     mu = EARTH_GRAVITATIONAL_PARAMETER
     a, e = scenario.orbit.semi_major_axis, scenario.orbit.eccentricity
     # Largest true-anomaly rate, at perigee, and a bound on its derivative 2 μ e (1+e)³ / (a³ (1−e²)³).
@@ -121,7 +140,8 @@ def differential_bounds(
 
     J2 is half the second derivative of 1/r along the pole, so its gradient is a fourth derivative of 1/r, at most
     ½ 4!/r⁵. Drag −½ B ρ w ‖w‖ changes with place by the density's scale height and by the air's turning, and with
-    velocity by B ρ ‖w‖; what remains is the difference of the B at the same place.
+    velocity by B ρ ‖w‖; what remains is the difference of the B at the same place. Sunlight changes with place at the
+    shadow's edge only, by all of itself over the edge's width.
 
     Args:
         scenario: its orbit and drag.
@@ -130,18 +150,20 @@ def differential_bounds(
         angular_rate: largest inertial rate of the body frame, rad/s.
 
     """
-    oblate = 12.0 * _OBLATENESS / nearest**5 if scenario.orbit.j2 else 0.0
-    drag = scenario.drag
+    by_place = 12.0 * _OBLATENESS / nearest**5 if scenario.orbit.j2 else 0.0
+    drag, sun = scenario.drag, scenario.sun
+    by_place += SOLAR_PRESSURE * sun.chaser_area_to_mass / PENUMBRA
+    pushed = SOLAR_PRESSURE * abs(sun.chaser_area_to_mass - sun.target_area_to_mass)
     if drag.density == 0.0:
-        return DifferentialBounds(gradient=oblate)
+        return DifferentialBounds(constant=pushed, gradient=by_place)
     turning = angular_rate + EARTH_ROTATION_RATE
     density = _density(drag, nearest)
     wind = orbit.air_speed + _FASTEST + turning * (orbit.lowest_radius - nearest)
     per_speed = drag.chaser_area_to_mass * density * wind
-    by_place = 0.5 * drag.chaser_area_to_mass * density * wind**2 / drag.scale_height
+    by_place += 0.5 * drag.chaser_area_to_mass * density * wind**2 / drag.scale_height
     return DifferentialBounds(
-        constant=0.5 * abs(drag.chaser_area_to_mass - drag.target_area_to_mass) * density * wind**2,
-        gradient=oblate + by_place + per_speed * turning,
+        constant=pushed + 0.5 * abs(drag.chaser_area_to_mass - drag.target_area_to_mass) * density * wind**2,
+        gradient=by_place + per_speed * turning,
         per_speed=per_speed,
     )
 
@@ -156,12 +178,15 @@ _Entries = tuple[tuple[str, float | bool], ...]
 
 
 @functools.lru_cache(maxsize=8)
-def _perturbed(orbit_entries: _Entries, drag_entries: _Entries, duration: float) -> OrbitBounds:
+def _perturbed(
+    orbit_entries: _Entries, drag_entries: _Entries, sunlight: SolarPressure | None, duration: float
+) -> OrbitBounds:
     entry, drag = OrbitEntry.model_validate(dict(orbit_entries)), DragEntry.model_validate(dict(drag_entries))
     mu, spin = EARTH_GRAVITATIONAL_PARAMETER, EARTH_ROTATION_RATE
     steps = min(max(math.ceil(duration), 1), _MOST_STEPS)
     half = 0.5 * duration / steps
-    position, velocity = _path(entry, drag, duration / steps, steps)
+    position, velocity = _path(entry, _perturbations(entry, drag, sunlight), duration / steps, steps)
+    shone = 0.0 if sunlight is None else SOLAR_PRESSURE * sunlight.target_area_to_mass
     distance, speed = np.linalg.norm(position, axis=1), np.linalg.norm(velocity, axis=1)
     momentum = np.linalg.norm(np.cross(position, velocity), axis=1)
     radial = np.abs(np.einsum("ij,ij->i", position, velocity)) / distance
@@ -178,21 +203,21 @@ def _perturbed(orbit_entries: _Entries, drag_entries: _Entries, duration: float)
     wind = fastest + spin * ceiling
     oblate = 3.0 * _OBLATENESS / floor**4 if entry.j2 else 0.0
     dragged = 0.5 * drag.target_area_to_mass * _density(drag, floor) * wind**2
-    pull = mu / floor**2 + oblate + dragged
+    pull = mu / floor**2 + oblate + dragged + shone
     if pull > _STRONGEST:
         raise ScenarioError(
             f"drag: the target would feel {dragged:.3g} m/s2 at {floor:.4g} m from the Earth's centre; give thinner air"
         )
-    bent = oblate + dragged
-    # r a for the largest push a: J2's falls with r, drag is taken at its largest everywhere.
-    turning = floor * oblate + ceiling * dragged
+    bent = oblate + dragged + shone
+    # r a for the largest push a: J2's falls with r, the others are taken at their largest everywhere.
+    turning = floor * oblate + ceiling * (dragged + shone)
     least_momentum = float(momentum.min()) / _OUTWARD - half * ceiling * bent
     most_momentum = float(momentum.max()) * _OUTWARD + half * ceiling * bent
     climbing = float(radial.max()) * _OUTWARD + half * (pull + most_momentum**2 / floor**3)
     along, across = most_momentum / floor**2, turning / least_momentum
     gradient = 12.0 * _OBLATENESS / floor**5 if entry.j2 else 0.0
     per_speed = drag.target_area_to_mass * _density(drag, floor) * wind
-    gradient += dragged / drag.scale_height + per_speed * spin
+    gradient += dragged / drag.scale_height + per_speed * spin + shone / PENUMBRA
     bending = gradient * fastest + per_speed * pull + bent * across
     along_change = bent / floor + 2.0 * along * climbing / floor
     across_change = (climbing * bent + ceiling * bending) / least_momentum + (ceiling * bent / least_momentum) ** 2
@@ -204,9 +229,8 @@ def _perturbed(orbit_entries: _Entries, drag_entries: _Entries, duration: float)
     )
 
 
-def _path(entry: OrbitEntry, drag: DragEntry, step: float, steps: int) -> tuple[np.ndarray, np.ndarray]:
+def _path(entry: OrbitEntry, parts: tuple[Perturbation, ...], step: float, steps: int) -> tuple[np.ndarray, np.ndarray]:
     """Integrate the target's ECI positions (m) and velocities (m/s), (steps + 1, 3) each, by classical Runge–Kutta."""
-    parts = _perturbations(entry, drag)
 
     def derivative(state: jax.Array) -> jax.Array:
         mu = jnp.asarray(EARTH_GRAVITATIONAL_PARAMETER)

@@ -30,6 +30,7 @@ from keepout.mission.entries import (
     RareEntry,
     SafetyEntry,
     StateEntry,
+    SunEntry,
     TargetEntry,
 )
 from keepout.mission.lines import entry_lines, line_of
@@ -43,7 +44,7 @@ class Scenario(Entry):
     )
     seed: Annotated[int, Field(ge=0, lt=2**32)] = Field(default=0, description="of everything that is random")
     duration: Annotated[float, Field(gt=0.0, le=1e6, allow_inf_nan=False)] = Field(default=1500.0, description="s")
-    epoch: Epoch = Field(default="2026-01-01T00:00:00Z", description="UTC at the start; only exports tell it")
+    epoch: Epoch = Field(default="2026-01-01T00:00:00Z", description="UTC at the start: for exports and the sun")
     target: TargetEntry = TargetEntry()
     field: FieldEntry = FieldEntry()
     chaser: ChaserEntry = ChaserEntry()
@@ -52,6 +53,7 @@ class Scenario(Entry):
     control: ControlEntry = ControlEntry()
     orbit: OrbitEntry = OrbitEntry()
     drag: DragEntry = DragEntry()
+    sun: SunEntry = SunEntry()
     attitude: AttitudeEntry = AttitudeEntry()
     disturbance: DisturbanceEntry = DisturbanceEntry()
     faults: FaultsEntry = FaultsEntry()

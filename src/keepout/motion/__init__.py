@@ -19,6 +19,7 @@ from keepout.motion.disturbance import (
 from keepout.motion.orbit import Orbit, OrbitalFrame
 from keepout.motion.perturbation import J2, Drag, Perturbation
 from keepout.motion.relative import MotionState, RelativeMotion
+from keepout.motion.sun import SolarPressure
 
 __all__ = [
     "J2",
@@ -37,6 +38,7 @@ __all__ = [
     "Perturbation",
     "RelativeMotion",
     "SinusoidalDisturbance",
+    "SolarPressure",
     "SquareWaveDisturbance",
     "ThrusterModel",
     "Thrusters",

@@ -12,6 +12,7 @@ from keepout.errors import ScenarioError
 from keepout.motion import rotation
 from keepout.motion.arrays import NumbersLike, as_float64
 from keepout.motion.orbit import OrbitalFrame
+from keepout.motion.perturbation import EARTH_GRAVITATIONAL_PARAMETER
 from keepout.motion.rotation import Quaternion, Vector
 
 
@@ -74,10 +75,11 @@ class InertiallyFixed(AttitudeMotion):
 
 
 class Tumbling(AttitudeMotion):
-    """Torque-free rotation with a full inertia tensor: J ω̇ = −ω × J ω.
+    """Free rotation with a full inertia tensor: J ω̇ = τ − ω × J ω.
 
     angular_velocity: inertial, at the epoch, rad/s, in body axes. inertia: 3 × 3, kg m² about the target's centre of
-    mass; only its ratios matter. Gravity-gradient torque is left out.
+    mass; only its ratios matter. gravity_gradient: whether τ is that of the Earth's point mass, 3 μ/R³ n × J n with n
+    the direction to it (Hughes, Spacecraft Attitude Dynamics, section 8.1), or zero.
 
     Raises:
         ScenarioError: an inertia tensor that no rigid body has.
@@ -87,6 +89,7 @@ class Tumbling(AttitudeMotion):
     angular_velocity: Vector = eqx.field(converter=as_float64)
     inertia: Float[Array, "3 3"] = eqx.field(converter=as_float64)
     attitude: Quaternion = eqx.field(converter=_unit, default_factory=rotation.identity)
+    gravity_gradient: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):
         if isinstance(self.inertia, Tracer):
@@ -109,6 +112,10 @@ class Tumbling(AttitudeMotion):
     def rates(self, attitude: Quaternion, angular_velocity: Vector, frame: OrbitalFrame) -> tuple[Vector, Vector]:
         """Integrated ω, and ω̇ from Euler's equation."""
         torque = -jnp.cross(angular_velocity, self.inertia @ angular_velocity)
+        if self.gravity_gradient:
+            nadir = rotation.matrix(attitude) @ jnp.array([0.0, 0.0, 1.0])
+            strength = 3.0 * EARTH_GRAVITATIONAL_PARAMETER / frame.radius**3
+            torque = torque + strength * jnp.cross(nadir, self.inertia @ nadir)
         # Cramer's rule: a library's solver would keep a step on board from being one kernel.
         a, b, c = self.inertia.T
         cofactors = jnp.stack([jnp.cross(b, c), jnp.cross(c, a), jnp.cross(a, b)])

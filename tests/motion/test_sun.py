@@ -1,0 +1,102 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from keepout.errors import ScenarioError
+from keepout.mission import environment
+from keepout.mission.epoch import parse_instant
+from keepout.mission.orbit_bounds import sun_of
+from keepout.mission.scenario import Scenario
+from keepout.motion import NoDisturbance, SolarPressure
+from keepout.motion.frames import vvlh_axes
+from keepout.motion.sun import lit, sun_direction
+
+EARTH = 6378137.0
+
+
+def test_the_sun_is_where_vallados_example_puts_it():
+    """Example 5-1: 2006-04-02 00:00 UTC, 146 186 212, 28 788 976 and 12 481 064 km."""
+    expected = np.array([146186212.0, 28788976.0, 12481064.0])
+    found = sun_direction(parse_instant("2006-04-02T00:00:00Z"))
+    assert np.degrees(np.arccos(found @ expected / np.linalg.norm(expected))) < 0.002
+
+
+@pytest.mark.parametrize(
+    ("instant", "declination", "tolerance"),
+    [
+        ("2026-03-20T14:46:00Z", 0.0, 0.02),
+        ("2026-06-21T08:25:00Z", 23.436, 0.01),
+        ("2026-12-21T20:50:00Z", -23.436, 0.01),
+    ],
+)
+def test_equinox_and_solstices_come_at_their_published_times(instant, declination, tolerance):
+    assert np.degrees(np.arcsin(sun_direction(parse_instant(instant))[2])) == pytest.approx(declination, abs=tolerance)
+
+
+def test_the_shadow_is_a_cylinder_with_an_edge():
+    toward = jnp.array([1.0, 0.0, 0.0])
+    for position, share in (
+        ([7e6, 0.0, 0.0], 1.0),
+        ([-7e6, 0.0, 0.0], 0.0),
+        ([-7e6, EARTH, 0.0], 0.5),
+        ([-7e6, 0.0, EARTH + 1.1e4], 1.0),
+        ([-7e6, 0.0, EARTH - 1.1e4], 0.0),
+    ):
+        assert float(lit(jnp.array(position), toward)) == pytest.approx(share)
+
+
+def test_the_push_points_away_from_the_sun_and_is_that_of_the_area():
+    push = SolarPressure((0.6, 0.8, 0.0), 0.02, 0.05)
+    at, rest = jnp.array([7e6, 0.0, 0.0]), jnp.zeros(3)
+    np.testing.assert_allclose(push.of_target(at, rest), -4.56e-6 * 0.02 * np.array([0.6, 0.8, 0.0]), rtol=1e-12)
+    np.testing.assert_allclose(push.of_chaser(at, rest), -4.56e-6 * 0.05 * np.array([0.6, 0.8, 0.0]), rtol=1e-12)
+
+
+def test_a_scenario_carries_the_push_and_its_bound_and_an_empty_one_does_not():
+    plain = Scenario()
+    assert environment.relative_motion(plain).perturbations == ()
+    pushed = plain.replace(sun={"chaser_area_to_mass": 0.05, "target_area_to_mass": 0.02})
+    (push,) = environment.relative_motion(pushed).perturbations
+    assert isinstance(push, SolarPressure)
+    np.testing.assert_allclose(push.direction, sun_direction(parse_instant(plain.epoch)))
+    more = environment.flight_bounds(pushed).disturbance_force - environment.flight_bounds(plain).disturbance_force
+    assert more == pytest.approx(20.0 * 4.56e-6 * 0.03, rel=1e-6)
+
+
+def test_a_direction_is_given_by_any_length_and_refused_where_it_is_none():
+    assert sun_of(Scenario().replace(sun={"direction": (0.0, 3.0, 4.0)})) == pytest.approx((0.0, 0.6, 0.8))
+    with pytest.raises(ScenarioError, match=r"sun: direction \[0, 0, 0\]"):
+        Scenario().replace(sun={"direction": (0.0, 0.0, 0.0)})
+
+
+def test_differential_sunlight_drifts_as_two_orbits_integrated_apart():
+    scenario = Scenario().replace(
+        orbit={"semi_major_axis": 4.2e7},
+        sun={"direction": (1.0, 2.0, 0.5), "chaser_area_to_mass": 50.0},
+        duration=600.0,
+    )
+    motion = environment.relative_motion(scenario)
+    state = motion.initial_state(np.array([3.0, -2.0, 1.0]), np.zeros(3))
+    toward = np.array([1.0, 2.0, 0.5]) / np.linalg.norm([1.0, 2.0, 0.5])
+    orbit = np.asarray(state.target_orbit)
+    axes = np.asarray(vvlh_axes(jnp.asarray(orbit[:3]), jnp.asarray(orbit[3:])))
+    omega = axes.T @ np.asarray(state.angular_velocity)
+    r = axes.T @ np.asarray(state.position)
+    start = np.concatenate([orbit, orbit[:3] + r, orbit[3:] + np.cross(omega, r)])
+
+    def pull(p):
+        return -3.986004418e14 * p / np.linalg.norm(p) ** 3
+
+    def derivative(_, y):
+        return np.concatenate([y[3:6], pull(y[:3]), y[9:], pull(y[6:9]) - 4.56e-6 * 50.0 * toward])
+
+    end = solve_ivp(derivative, (0.0, 600.0), start, "DOP853", rtol=1e-13, atol=1e-7).y[:, -1]
+
+    def step(at, _):
+        return motion.step(at, jnp.zeros(3), NoDisturbance(), 1.0, 20.0), None
+
+    flown = jax.jit(lambda at: jax.lax.scan(step, at, length=600)[0])(state)
+    axes = np.asarray(vvlh_axes(jnp.asarray(end[:3]), jnp.asarray(end[3:6])))
+    np.testing.assert_allclose(flown.position, axes @ (end[6:9] - end[:3]), atol=2e-5)
