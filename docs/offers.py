@@ -93,7 +93,7 @@ OFFERS = {
         "mission.own.with_disturbance",
         "mission.own.with_thrusters",
         "mission.own.with_field",
-        "mission.build.build_law",
+        "mission.law.build_law",
         "mission.build.build_guard",
         "mission.build.flight_setup",
         "mission.audited.fly_audited",

@@ -12,7 +12,7 @@ from truths.passing import RADIUS, SPEED, START, STEPS, box_scenario, pass_posit
 from truths.replay_page import ReplayPage
 
 from keepout.audit.tube import FlightBounds
-from keepout.commands import replay_to_page
+from keepout.commands.flight import replay_to_page
 from keepout.errors import FieldError, FlightError, KeepoutError, MeshError
 from keepout.fields.evaluate import values
 from keepout.flight.record import FlightRecord

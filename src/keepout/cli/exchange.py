@@ -33,7 +33,7 @@ def export(
     as_json: AsJson = False,
 ) -> None:
     """Write a flight or a field for other programs, with its epoch, frames and units stated (docs/export.md)."""
-    from keepout.commands import export_to_file
+    from keepout.commands.exchange import export_to_file
 
     with terminal.progress(f"export {source.name}") as progress:
         summary = export_to_file(
