@@ -11,8 +11,12 @@ if TYPE_CHECKING:
     from keepout.mission.entries import TargetEntry
 
 
-def target_entry(source: Mapping[str, Any]) -> "TargetEntry":
+def target_entry(source: Mapping[str, Any], *, options: str = "--") -> "TargetEntry":
     """Make an entry of options named like the entries of `[target]`; one that is None is left out.
+
+    Args:
+        source: the options.
+        options: what each one's name begins with on the command line, for a refusal.
 
     Raises:
         ScenarioError: an option is not valid.
@@ -24,7 +28,7 @@ def target_entry(source: Mapping[str, Any]) -> "TargetEntry":
     try:
         return Scenario.parse({"target": given}).target
     except ScenarioError as error:  # the user gave options, not a scenario
-        raise ScenarioError(str(error).replace("scenario: target.", "--")) from None
+        raise ScenarioError(str(error).replace("scenario: target.", options)) from None
 
 
 def recorded_target(path: Path, model: "FieldModel", mesh: str | None) -> "TargetEntry":
