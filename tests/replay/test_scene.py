@@ -25,7 +25,7 @@ from keepout.replay.clearance import proved_clearance
 from keepout.replay.flights import of_files, of_records
 from keepout.replay.frames import to_inertial, to_vvlh
 from keepout.replay.marks import marks
-from keepout.replay.packing import Packing, unpacked
+from keepout.replay.packing import Packing
 from keepout.replay.scene import MOST_ROWS, rows_shown
 from keepout.replay.surfaces import drawn_surface
 from keepout.report.replay_view import write_replay
@@ -46,9 +46,10 @@ def test_steps_are_even_and_half_of_one_is_the_largest_error(rows):
     packing = Packing()
     array = np.array(rows)
     reference, after = packing.steps(array), packing.exact(array[:, 0], "float64")
-    error = np.abs(unpacked(packing.text(), reference) - array)
+    page = ReplayPage.of({}, packing.text())
+    error = np.abs(page.array(reference) - array)
     assert (error <= np.ptp(array, axis=0) / 131068 + 1e-9 * np.abs(array).max()).all()
-    np.testing.assert_array_equal(unpacked(packing.text(), after), array[:, 0])
+    np.testing.assert_array_equal(page.array(after), array[:, 0])
     assert after["offset"] % 4 == 0
 
 
