@@ -15,7 +15,8 @@ from keepout.flight import faults as broken
 from keepout.geometry.offset_solid import OffsetSolid
 from keepout.geometry.target import Target
 from keepout.guard.field import guard_field
-from keepout.mission.build import build_guard, build_law, flight_setup, flown_law
+from keepout.mission.build import build_guard, flight_setup
+from keepout.mission.law import build_law, flown_law
 from keepout.mission.scenario import Scenario
 from keepout.motion.disturbance import CombinedDisturbance, SinusoidalDisturbance, SquareWaveDisturbance
 

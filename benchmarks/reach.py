@@ -37,7 +37,8 @@ from keepout.control.profiles import ControlWarning
 from keepout.control.tuning import tune
 from keepout.flight.batches import BATCH, states_at
 from keepout.mission.audited import fly_audited
-from keepout.mission.build import build_law, flight_setup, operation
+from keepout.mission.build import flight_setup
+from keepout.mission.law import build_law, operation
 from keepout.report import terminal
 
 LAWS = {

@@ -20,7 +20,7 @@ from typing import Any
 
 from playwright.sync_api import Browser, sync_playwright
 
-from keepout.commands import replay_to_page
+from keepout.commands.flight import replay_to_page
 from keepout.mission.flight import fly
 from keepout.mission.scenario import Scenario
 

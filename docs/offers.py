@@ -6,6 +6,7 @@ python docs/offers.py --check   # exit 1 where the page is not of this version
 
 import importlib
 import inspect
+import re
 import sys
 import textwrap
 from collections.abc import Callable
@@ -93,7 +94,7 @@ OFFERS = {
         "mission.own.with_disturbance",
         "mission.own.with_thrusters",
         "mission.own.with_field",
-        "mission.build.build_law",
+        "mission.law.build_law",
         "mission.build.build_guard",
         "mission.build.flight_setup",
         "mission.audited.fly_audited",
@@ -155,7 +156,7 @@ def offer(path: str) -> str:
     for part in parts[cut:]:
         thing = getattr(thing, part)
     inside = inspect.unwrap(thing)
-    said = (inspect.getdoc(inside) or "").splitlines()[0]
+    said = re.sub(r"docs/([\w-]+)\.md", r"[\1](\1.md)", (inspect.getdoc(inside) or "").splitlines()[0])
     line = f"- `{'.'.join(parts[cut:])}({', '.join(arguments(inside))})` {said}"
     return textwrap.fill(line, 130, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
 

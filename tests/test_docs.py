@@ -43,6 +43,12 @@ def test_links_and_pictures_are_there(page: Path):
             assert (page.parent / address.partition("#")[0]).is_file(), f"{named(page)}: {address}"
 
 
+@pytest.mark.parametrize("page", sorted(DOCS.rglob("*.md")), ids=named)
+def test_a_page_is_named_by_a_link(page: Path):
+    text = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    assert re.findall(r"docs/[\w/-]+\.md", text) == []
+
+
 @pytest.mark.parametrize("page", PAGES, ids=named)
 def test_blocks_have_a_language_that_is_known(page: Path):
     assert {language for language, _ in blocks(page)} <= LANGUAGES

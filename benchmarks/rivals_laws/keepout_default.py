@@ -8,7 +8,7 @@ import numpy as np
 
 from keepout.control.controller import Controller
 from keepout.control.guidance.geodesic import require_free
-from keepout.mission.build import build_law
+from keepout.mission.law import build_law
 from rivals_laws.rival import Rival
 from rivals_laws.rival_case import Point, RivalCase
 

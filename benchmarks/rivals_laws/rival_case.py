@@ -18,7 +18,8 @@ from keepout.digest import digest
 from keepout.errors import ControlError
 from keepout.fields.field import Field
 from keepout.guard.guard import Guard
-from keepout.mission.build import build_guard, operation
+from keepout.mission.build import build_guard
+from keepout.mission.law import operation
 from keepout.whole_file import write_whole
 
 Point = Float[np.ndarray, "3"]

@@ -10,6 +10,7 @@ from truths.guarded_worlds import ASSUMED, WORLDS, advance, motion_state
 
 from keepout.errors import ControlError
 from keepout.guard.guard import Guard
+from keepout.guard.start import require_flyable
 from keepout.guard.status import GuardFlag, GuardStatus
 
 GUARD = Guard(WORLDS["ball"], threshold=0.5, lipschitz=1.0, assumptions=ASSUMED)
@@ -93,16 +94,16 @@ def test_escape_leaves_the_margin_and_ends_certified():
 
 
 def test_requirements():
-    assert GUARD.require(at(5.0, 0, 0), jnp.array([0, 3.0, 0]))
-    assert not GUARD.require(at(2.4, 0, 0), jnp.array([0, 3.0, 0]))
+    assert require_flyable(GUARD, at(5.0, 0, 0), jnp.array([0, 3.0, 0]))
+    assert not require_flyable(GUARD, at(2.4, 0, 0), jnp.array([0, 3.0, 0]))
     with pytest.raises(ControlError, match=r"0\.510 m at the goal"):
-        GUARD.require(at(5.0, 0, 0), jnp.array([0, 2.51, 0]))
+        require_flyable(GUARD, at(5.0, 0, 0), jnp.array([0, 2.51, 0]))
     with pytest.raises(ControlError, match="inside the target"):
-        GUARD.require(at(1.0, 0, 0), jnp.array([0, 3.0, 0]))
+        require_flyable(GUARD, at(1.0, 0, 0), jnp.array([0, 3.0, 0]))
     with pytest.raises(ControlError, match=r"start.position is \[nan"):
-        GUARD.require(at(np.nan, 0, 0), jnp.array([0, 3.0, 0]))
+        require_flyable(GUARD, at(np.nan, 0, 0), jnp.array([0, 3.0, 0]))
     with pytest.raises(ControlError, match="range_limit is 40"):
-        GUARD.require(at(5.0, 0, 0), jnp.array([0, 43.0, 0]))
+        require_flyable(GUARD, at(5.0, 0, 0), jnp.array([0, 43.0, 0]))
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """What is refused before JAX is imported: at once, and only what would be refused anyway."""
 
 import math
+import os
 import subprocess
 import sys
 
@@ -145,8 +146,11 @@ def test_a_refused_file_waits_for_no_jax_and_leaves_nothing_behind(tmp_path, tex
         f"sys.argv = ['keepout', 'fly', {str(path)!r}, '-o', {str(tmp_path / 'out')!r}]\n"
         "try:\n    cli.main()\nexcept SystemExit as end:\n    print(end.code, 'jax' in sys.modules)"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    compiled = tmp_path.parent / f"{tmp_path.name}-compiled"
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(compiled)}
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, env=environment)
     assert done.stdout == "1 False\n"
+    assert not list(compiled.rglob("*.nbc"))  # nor for numba, which would keep there what it compiled
     assert done.stderr.count("\n") == 1
     assert [entry.name for entry in tmp_path.iterdir()] == ["mission.toml"]
 

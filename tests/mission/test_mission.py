@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 import trimesh
 
-from keepout.commands import inspect_mesh
+from keepout.commands.mesh import inspect_mesh
 from keepout.control.profiles import ControlWarning
 from keepout.errors import ControlError, MeshError
 from keepout.fields.neural import NeuralField
 from keepout.fields.shipped import load_shipped
 from keepout.geometry.target import Target
-from keepout.mission.build import build_law, load_target, prepare
+from keepout.mission.build import load_target, prepare
+from keepout.mission.law import build_law
 from keepout.mission.scenario import Scenario
 
 pytestmark = pytest.mark.long

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from truths.browser import SOFTWARE, browsers
 from truths.passing import SPEED, STEPS, box_scenario, pass_position, pass_record
 
+from keepout.replay import scene
 from keepout.replay.flights import of_records
 from keepout.report.replay_view import write_replay
 
@@ -96,6 +97,19 @@ def test_the_page_says_what_was_flown_and_runs_nothing_that_a_name_holds(opened)
     assert "No contact, proved" in opened.locator(".verdict").inner_text()
     assert opened.evaluate("globalThis.evil") is None
     assert state(opened)["flights"] == [EVIL, "low"]
+
+
+def test_the_page_says_what_the_drawing_leaves_out(opened, started, tmp_path, monkeypatch):
+    assert not opened.locator(".note").is_visible()
+    monkeypatch.setattr(scene, "MOST_ROWS", 50)
+    record = pass_record(box_scenario(tmp_path, 3.0, "thinned"), 3.0)
+    write_replay(tmp_path / "thinned.html", of_records({"thinned": record}), title="thinned")
+    page = started.new_page()
+    page.goto((tmp_path / "thinned.html").as_uri())
+    page.wait_for_selector("#replay[data-ready]", timeout=60_000)
+    assert page.locator(".note").is_visible()
+    assert f"of the flight's {STEPS + 1} rows" in page.locator(".note").inner_text()
+    page.close()
 
 
 def test_the_slider_moves_the_chaser(opened):

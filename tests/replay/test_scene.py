@@ -1,6 +1,7 @@
 """What a replay holds against what was recorded: positions, proved clearances, marks, surfaces, refusals."""
 
 import dataclasses
+import html
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,19 +13,19 @@ from truths.passing import RADIUS, SPEED, START, STEPS, box_scenario, pass_posit
 from truths.replay_page import ReplayPage
 
 from keepout.audit.tube import FlightBounds
-from keepout.commands import replay_to_page
+from keepout.commands.flight import replay_to_page
 from keepout.errors import FieldError, FlightError, KeepoutError, MeshError
 from keepout.fields.evaluate import values
 from keepout.flight.record import FlightRecord
 from keepout.geometry.target import Target
 from keepout.mission import environment
 from keepout.motion.frames import vvlh_axes
-from keepout.replay import body
+from keepout.replay import body, scene
 from keepout.replay.clearance import proved_clearance
 from keepout.replay.flights import of_files, of_records
 from keepout.replay.frames import to_inertial, to_vvlh
 from keepout.replay.marks import marks
-from keepout.replay.packing import Packing, unpacked
+from keepout.replay.packing import Packing
 from keepout.replay.scene import MOST_ROWS, rows_shown
 from keepout.replay.surfaces import drawn_surface
 from keepout.report.replay_view import write_replay
@@ -45,9 +46,10 @@ def test_steps_are_even_and_half_of_one_is_the_largest_error(rows):
     packing = Packing()
     array = np.array(rows)
     reference, after = packing.steps(array), packing.exact(array[:, 0], "float64")
-    error = np.abs(unpacked(packing.text(), reference) - array)
+    page = ReplayPage.of({}, packing.text())
+    error = np.abs(page.array(reference) - array)
     assert (error <= np.ptp(array, axis=0) / 131068 + 1e-9 * np.abs(array).max()).all()
-    np.testing.assert_array_equal(unpacked(packing.text(), after), array[:, 0])
+    np.testing.assert_array_equal(page.array(after), array[:, 0])
     assert after["offset"] % 4 == 0
 
 
@@ -192,6 +194,22 @@ def test_a_mesh_of_many_triangles_is_drawn_with_fewer(monkeypatch):
     assert 200 < len(fewer.faces) <= 2000
     assert fewer.triangles == len(target.faces)
     assert target.distance.distance(fewer.vertices).max() < 0.5
+    assert whole.remark == ""
+    assert fewer.remark == (
+        f"The target is drawn with {len(fewer.faces):,} of its {len(target.faces):,} triangles; "
+        "distances are to all of it."
+    )
+
+
+def test_a_cloud_of_many_points_is_drawn_with_fewer(monkeypatch, tmp_path):
+    points = np.random.default_rng(0).normal(size=(300, 3))
+    (tmp_path / "cloud.xyz").write_text("\n".join(" ".join(map(str, point)) for point in points))
+    cloud = Target.load(tmp_path / "cloud.xyz", units="m", thickness=0.1)
+    assert body.drawn_body(cloud).remark == ""
+    monkeypatch.setattr(body, "MOST_TRIANGLES", 100)
+    fewer = body.drawn_body(cloud)
+    assert len(fewer.vertices) == 100
+    assert fewer.remark == "The target is drawn with 100 of its 300 points; distances are to all of it."
 
 
 @pytest.mark.parametrize("rows", [2, 3, MOST_ROWS, MOST_ROWS + 1, MOST_ROWS + 2, 12345])
@@ -200,6 +218,30 @@ def test_a_long_flight_is_drawn_with_its_ends(rows):
     assert (chosen[0], chosen[-1]) == (0, rows - 1)
     assert len(chosen) <= MOST_ROWS + 2
     assert (np.diff(chosen) > 0).all()
+
+
+def test_the_page_says_what_it_leaves_out(folder, tmp_path, monkeypatch):
+    records = {"whole": pass_record(box_scenario(folder, 3.0, "whole"), 3.0)}
+    write_replay(tmp_path / "whole.html", of_records(records), title="whole")
+    page = ReplayPage.read(tmp_path / "whole.html")
+    assert page.told["target"]["remark"] == page.flights()["whole"]["remark"] == ""
+    assert "drawn with" not in (tmp_path / "whole.html").read_text().partition("<script")[0]
+    monkeypatch.setattr(body, "MOST_TRIANGLES", 10)
+    monkeypatch.setattr(scene, "MOST_ROWS", 50)
+    write_replay(tmp_path / "thinned.html", of_records(records), title="thinned")
+    page = ReplayPage.read(tmp_path / "thinned.html")
+    shown = page.array(page.told["target"]["faces"]).shape[0]
+    target = f"The target is drawn with {shown} of its 12 triangles; distances are to all of it."
+    flight = (
+        f"Path and plots are drawn with {len(page.positions('whole'))} of the flight's {STEPS + 1} rows; "
+        "verdict, marks and lower bound are of all."
+    )
+    assert len(page.positions("whole")) < STEPS + 1
+    assert page.told["target"]["remark"] == target
+    assert page.flights()["whole"]["remark"] == flight
+    written = html.unescape((tmp_path / "thinned.html").read_text().partition("<script")[0])
+    assert target in written
+    assert flight in written
 
 
 def test_the_page_holds_what_was_recorded(folder, tmp_path):

@@ -8,7 +8,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from keepout.commands import describe_targets
+from keepout.commands.mesh import describe_targets
 from keepout.report import terminal
 
 WIDTH = 80

@@ -23,7 +23,12 @@ class ReplayPage:
         text = path.read_text(encoding="utf-8")
         told = re.search(r'<script type="application/json" id="scene">(.*?)</script>', text, re.DOTALL)
         content = re.search(r'<script type="text/plain" id="content">(.*?)</script>', text, re.DOTALL)
-        return cls(json.loads(told[1]), zlib.decompress(base64.b64decode(content[1], validate=True)))
+        return cls.of(json.loads(told[1]), content[1])
+
+    @classmethod
+    def of(cls, told: dict[str, Any], text: str) -> "ReplayPage":
+        """The page whose bytes are this text."""
+        return cls(told, zlib.decompress(base64.b64decode(text, validate=True)))
 
     def array(self, reference: dict[str, Any]) -> np.ndarray:
         """The numbers that a reference stands for."""

@@ -44,6 +44,7 @@ export function panels(root, scene) {
     labels: element("div", { class: "labels" }),
     controls: element("div", { class: "controls" }),
     status: element("p", { class: "status" }),
+    note: element("p", { class: "note", role: "note" }),
     triad: document.createElementNS("http://www.w3.org/2000/svg", "svg"),
     bar: element("div", { class: "bar" }),
     plots: element("aside", { class: "plots" }),
@@ -52,7 +53,7 @@ export function panels(root, scene) {
   };
   parts.triad.setAttribute("class", "triad");
   parts.triad.setAttribute("viewBox", "-60 -60 120 120");
-  parts.stage = element("div", { class: "stage" }, parts.canvas, parts.labels, parts.controls, parts.status, parts.triad, parts.bar);
+  parts.stage = element("div", { class: "stage" }, parts.canvas, parts.labels, parts.controls, parts.status, parts.note, parts.triad, parts.bar);
   root.append(
     element("header", {}, parts.heading, parts.verdict, parts.flights),
     parts.stage,

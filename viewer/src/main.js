@@ -131,6 +131,7 @@ class Replay {
     this.parts.verdict.textContent = VERDICTS[flight.contact] + proved;
     this.parts.verdict.title = flight.remarks.join("\n");
     this.parts.verdict.dataset.contact = flight.contact;
+    this.parts.note.textContent = [this.told.target.remark, flight.remark].filter(Boolean).join(" "); // what the drawing leaves out
     this.goal.position.set(...flight.goal);
     this.place.position.set(...flight.goal);
     this.place.scale.setScalar(Math.max(flight.radius, 1e-6));

@@ -18,7 +18,8 @@ from keepout.campaign.flying import Landed, bounds_of, by_mission, fly_runs, ini
 from keepout.campaign.plan import Plan
 from keepout.compiled.kept_programs import processor
 from keepout.digest import digest
-from keepout.guard.guard import Guard, starts_certified
+from keepout.guard.guard import Guard
+from keepout.guard.start import starts_certified
 from keepout.mission.audited import AUDITED, judge
 from keepout.mission.entries import ChaserEntry
 

@@ -15,7 +15,8 @@ from keepout.fields.model import FieldModel
 from keepout.geometry.target import Target
 from keepout.guard.field import guard_field
 from keepout.mission import environment
-from keepout.mission.build import Mission, closing_radius, load_model, load_target, named_guidance, prepare
+from keepout.mission.build import Mission, closing_radius, load_model, load_target, prepare
+from keepout.mission.law import named_guidance
 from keepout.mission.scenario import Scenario
 from keepout.motion.arrays import as_float64
 from keepout.progress import Progress, silent

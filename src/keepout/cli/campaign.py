@@ -61,7 +61,7 @@ def campaign(
 
     With --json, a line of JSON a second says on standard error how far it is.
     """
-    from keepout.commands import campaign_to_folder
+    from keepout.commands.campaign import campaign_to_folder
     from keepout.mission.scenario import Scenario
 
     mission = Scenario.load(scenario)
@@ -138,7 +138,7 @@ def replay_run(
     as_json: AsJson = False,
 ) -> None:
     """Fly one run of a campaign again, to the same bits; write its flight file, figures and page."""
-    from keepout.commands import replay_to_folder
+    from keepout.commands.campaign import replay_to_folder
 
     with terminal.progress(f"replay {run}") as progress:
         summary = replay_to_folder(folder, run, out, figures=figures, progress=progress)

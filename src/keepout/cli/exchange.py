@@ -6,8 +6,10 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from keepout.cli.options import AsJson, Seed, answer, app, at_least, example
+from keepout.cli.options import AsJson, Seed, Units, answer, app, at_least, example
 from keepout.report import terminal
+
+_NineNumbers = tuple[float, float, float, float, float, float, float, float, float]
 
 
 @app.command(
@@ -33,7 +35,7 @@ def export(
     as_json: AsJson = False,
 ) -> None:
     """Write a flight or a field for other programs, with its epoch, frames and units stated (docs/export.md)."""
-    from keepout.commands import export_to_file
+    from keepout.commands.exchange import export_to_file
 
     with terminal.progress(f"export {source.name}") as progress:
         summary = export_to_file(
@@ -59,7 +61,12 @@ def export(
     )
 )
 def audit(
-    target: Annotated[str, typer.Option(help="The target's mesh file, or a built-in target's name.")],
+    target: Annotated[
+        str,
+        typer.Option(
+            help="The target's mesh file, a built-in target's name, or a scenario file (.toml), whose [target] it is."
+        ),
+    ],
     chaser: Annotated[Path, typer.Option(help="OEM of the chaser's centre.")],
     target_orbit: Annotated[Path, typer.Option(help="OEM of the target's centre of mass.")],
     chaser_radius: Annotated[
@@ -81,24 +88,50 @@ def audit(
         typer.Option(callback=at_least(0.0), help="Of the target, rad/s²; if not given, measured from the attitudes."),
     ] = None,
     centre_of_mass: Annotated[
-        tuple[float, float, float], typer.Option(help="Of the target, in the mesh's axes, m.")
-    ] = (0.0, 0.0, 0.0),
+        tuple[float, float, float] | None,
+        typer.Option(help="Of the target, in body axes, m; if not given, the scenario's, or 0 0 0."),
+    ] = None,
     sample_error: Annotated[
         float, typer.Option(callback=at_least(0.0), help="How far a relative position in the files can be wrong, m.")
     ] = 1e-6,
-    target_units: Annotated[str | None, typer.Option(help="Length unit of the mesh file: m, cm, mm, in or ft.")] = None,
+    target_units: Units = None,
+    target_scale: Annotated[
+        float | None, typer.Option(help="Metres per unit of a mesh file, instead of units.")
+    ] = None,
+    target_drop_stray: Annotated[
+        bool, typer.Option("--target-drop-stray", help="Leave out parts far from the rest.")
+    ] = False,
+    target_thickness: Annotated[
+        float | None, typer.Option(help="Of a point cloud: each point is a ball this wide, m.")
+    ] = None,
+    target_rotation: Annotated[
+        _NineNumbers | None,
+        typer.Option(help="From file axes to body axes: a rotation matrix, row by row.", metavar="NINE NUMBERS"),
+    ] = None,
+    target_origin: Annotated[
+        tuple[float, float, float] | None, typer.Option(help="Of the body frame, in file axes, m.")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Bound the clearance of any flight, between its samples too, on the exact mesh: from OEM and AEM files.
 
     Exit code 0 whatever the verdict is: it is in the answer.
     """
-    from keepout.exchange.audited import audit_files
-    from keepout.geometry.target import Target
+    from keepout.commands.exchange import audit_of_files
 
+    rows = None if target_rotation is None else (target_rotation[:3], target_rotation[3:6], target_rotation[6:])
+    placed = {
+        "units": target_units,
+        "scale": target_scale,
+        "drop_stray": target_drop_stray or None,
+        "thickness": target_thickness,
+        "rotation": rows,
+        "origin": target_origin,
+    }
     with terminal.progress("audit") as progress:
-        summary = audit_files(
-            Target.load(target, units=target_units),
+        summary = audit_of_files(
+            target,
+            placed=placed,
             chaser=chaser,
             target_orbit=target_orbit,
             chaser_radius=chaser_radius,

@@ -19,7 +19,7 @@ def fly(
     as_json: AsJson = False,
 ) -> None:
     """Fly one scenario, audit the clearance on the exact mesh, and draw it."""
-    from keepout.commands import fly_to_folder
+    from keepout.commands.flight import fly_to_folder
     from keepout.mission.scenario import Scenario
 
     mission = Scenario.load(scenario)
@@ -46,7 +46,7 @@ def replay(
     as_json: AsJson = False,
 ) -> None:
     """Write flights as one page to watch them in any browser, offline: the target, its envelope, paths and plots."""
-    from keepout.commands import replay_to_page
+    from keepout.commands.flight import replay_to_page
 
     with terminal.progress("replay") as progress:
         summary = replay_to_page(flights, out, title=title, progress=progress)

@@ -17,7 +17,7 @@ def targets(
     as_json: AsJson = False,
 ) -> None:
     """List the built-in targets: extents, volume, triangles, parameters."""
-    from keepout.commands import describe_targets
+    from keepout.commands.mesh import describe_targets
 
     with terminal.progress("targets") as progress:
         rows = describe_targets(pictures=pictures, progress=progress)
@@ -48,7 +48,7 @@ def fit(
 
     A killed run resumes from its last checkpoint when started again.
     """
-    from keepout.commands import fit_to_file
+    from keepout.commands.mesh import fit_to_file
 
     source = {"source": mesh, "units": units, "scale": scale, "drop_stray": drop_stray}
     with terminal.progress(f"fit {mesh}") as progress:
@@ -68,7 +68,7 @@ def certify(
     as_json: AsJson = False,
 ) -> None:
     """Bound how far the field can over-state the distance where a chaser of this radius would touch."""
-    from keepout.commands import certify_file
+    from keepout.commands.mesh import certify_file
 
     with terminal.progress(f"certify {field.name}") as progress:
         summary = certify_file(
@@ -102,7 +102,7 @@ def inspect(
     as_json: AsJson = False,
 ) -> None:
     """Measure a field against its mesh and list its certificates; or report what is wrong with a mesh."""
-    from keepout.commands import inspect_file, inspect_mesh
+    from keepout.commands.mesh import inspect_file, inspect_mesh
     from keepout.fields.shipped import shipped_path
 
     of_field = shipped or source.endswith(".keepout")

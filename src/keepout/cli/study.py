@@ -25,7 +25,7 @@ def rare(
 
     A killed run goes on from its last level when started again.
     """
-    from keepout.commands import rare_to_folder
+    from keepout.commands.study import rare_to_folder
     from keepout.mission.scenario import Scenario
 
     mission = Scenario.load(scenario)

@@ -84,7 +84,7 @@ def export_flight(
         case "oem":
             return export_orbit(inertial_flight(record, scenario), scenario.name, out, craft=craft, xml=xml)
         case "aem":
-            return export_attitude(inertial_flight(record, scenario), scenario.name, out, xml=xml)
+            return export_attitude(inertial_flight(record, scenario), scenario.name, scenario.target, out, xml=xml)
         case "czml":
             from keepout.exchange.czml import export_czml
 

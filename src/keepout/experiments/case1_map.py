@@ -11,7 +11,8 @@ from keepout.control.guidance.geodesic import BarrierGrid, geodesic_guidance
 from keepout.control.guidance.guidance import Guidance, StraightGuidance
 from keepout.control.guidance.plan import Straight
 from keepout.experiments.passages import Landed, Passage, Triple
-from keepout.mission.build import Mission, build_law
+from keepout.mission.build import Mission
+from keepout.mission.law import build_law
 
 NEAR, FAR = 5.0, 12.0
 """Starts lie between these y (m), goals between their negatives."""

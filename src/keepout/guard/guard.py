@@ -12,10 +12,8 @@ import math
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from keepout.compiled.kept_executables import kept_jit
 from keepout.compiled.on_demand import where_needed
 from keepout.errors import ControlError
 from keepout.fields.field import Field
@@ -23,7 +21,6 @@ from keepout.guard import watch
 from keepout.guard.braking import BrakingDesign, GuardAssumptions, Number, design
 from keepout.guard.safety_layer import SafetyLayer
 from keepout.guard.status import GuardFlag, GuardStatus
-from keepout.motion.arrays import as_float64
 from keepout.motion.relative import MotionState
 from keepout.motion.vectors import norm
 
@@ -32,8 +29,6 @@ Vector = Float[Array, "3"]
 
 _ROUNDING = 1e-9
 """Metres: far more than float64 loses between two evaluations of the same field value."""
-_ROOM = 256
-"""States handed to a compiled program at once where many starts are looked at; fewer cost no more than they are."""
 
 
 class GuardState(eqx.Module):
@@ -245,36 +240,6 @@ class Guard(SafetyLayer):
         points = path[1:] if self.assumptions.delay else path
         return self._free(state.position, value, points, velocities, jnp.asarray(True), moved, faster)
 
-    def require(self, start: MotionState, goal: Vector) -> bool:
-        """Refuse what cannot be flown; return `certified_start` of the true start. Needs concrete values.
-
-        A start that is not certified is flown; where its estimate is not either, in mode `ESCAPING` until a plan is.
-
-        Raises:
-            ControlError: a start that is not finite, beyond the range limit or at or below the field's zero, or a goal
-                that the guard would never let the chaser rest at; the message names value and distance.
-
-        """
-        for name, vector in (("start.position", start.position), ("start.velocity", start.velocity), ("goal", goal)):
-            if not np.all(np.isfinite(np.asarray(vector))):
-                raise ControlError(f"guard: {name} is {vector.tolist()}; it must be finite")
-        for name, point in (("start", start.position), ("goal", goal)):
-            away = float(np.linalg.norm(np.asarray(point))) + self.braking.position_radius
-            if away > self.assumptions.range_limit:
-                limit = self.assumptions.range_limit
-                raise ControlError(f"guard: {name} needs a range of {away:.3f} m; range_limit is {limit} m")
-        here, there, certified = _looked_at(_as_arrays(self), start, goal)
-        value = float(here)
-        if not value > 0.0:
-            raise ControlError(f"guard: the field is {value:.3f} m at the start: inside the target; it must be above 0")
-        value = float(there)
-        if not value > self.least_value:
-            raise ControlError(
-                f"guard: the field is {value:.3f} m at the goal; the guard lets the chaser rest only above "
-                f"{self.least_value:.3f} m (threshold {self.threshold:.3f} m and tube)"
-            )
-        return bool(certified)
-
     @property
     def _plan_radius(self) -> Number:
         """How far the predicted position can be from the plan while the assumptions hold, m."""
@@ -415,40 +380,3 @@ class Guard(SafetyLayer):
         a = self.assumptions
         far = jnp.linalg.norm(position) > a.range_limit + a.position_error
         return far | (jnp.linalg.norm(velocity) > a.speed_limit + a.velocity_error)
-
-
-@kept_jit
-def _looked_at(
-    guard: Guard, start: MotionState, goal: Vector
-) -> tuple[Float[Array, ""], Float[Array, ""], Bool[Array, ""]]:
-    """Give the field (m) at start and goal, and `certified_start`: one program instead of one each."""
-    here, there = guard.field.value(jnp.stack([start.position, goal]))
-    return here, there, guard.certified_start(start)
-
-
-def starts_certified(guard: Guard, truths: MotionState) -> Bool[np.ndarray, "states"]:
-    """Whether true states, with a leading axis, are those of `Guard.certified_start`; needs concrete values.
-
-    Guards of other numbers share what is compiled, as their numbers are handed over as arrays. One state is looked at
-    after another, so that what is said of one does not depend on how many there are.
-    """
-    numbers, found = _as_arrays(guard), []
-    for first in range(0, len(truths.position), _ROOM):
-        count = min(len(truths.position) - first, _ROOM)
-        places = np.minimum(np.arange(first, first + _ROOM), first + count - 1)
-        some = jax.tree.map(lambda array, places=places: np.asarray(array)[places], truths)
-        found.append(np.asarray(_certified_starts(numbers, some, jnp.asarray(count)))[:count])
-    return np.concatenate(found)
-
-
-def _as_arrays(guard: Guard) -> Guard:
-    """Give the guard with arrays for its plain numbers, which a compiled program would otherwise be made for."""
-    return jax.tree.map(lambda leaf: as_float64(leaf) if isinstance(leaf, float) else leaf, guard)
-
-
-@kept_jit
-def _certified_starts(guard: Guard, truths: MotionState, count: Int[Array, ""]) -> Bool[Array, "room"]:
-    def look(place: Int[Array, ""], found: Bool[Array, "room"]) -> Bool[Array, "room"]:
-        return found.at[place].set(guard.certified_start(jax.tree.map(lambda array: array[place], truths)))
-
-    return jax.lax.fori_loop(0, count, look, jnp.zeros(_ROOM, bool))

@@ -19,9 +19,10 @@ from keepout.fields.model import FieldModel
 from keepout.geometry.target import Target
 from keepout.mission import environment
 from keepout.mission.assumptions import broken_assumptions, guard_numbers
-from keepout.mission.build import Mission, load_model, operation, prepare
+from keepout.mission.build import Mission, load_model, prepare
 from keepout.mission.expected import Expected, expected
 from keepout.mission.first_look import require_files
+from keepout.mission.law import operation
 from keepout.mission.nearest import Nearest, nearest_place, number_refusal, remedies
 from keepout.mission.places import has_way_out, room_to_start
 from keepout.mission.scenario import Scenario

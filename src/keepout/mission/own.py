@@ -10,7 +10,8 @@ from jaxtyping import Array, Float
 from keepout.errors import ScenarioError
 from keepout.fields.own import FunctionField
 from keepout.mission import environment
-from keepout.mission.build import Mission, broken_as, law_on
+from keepout.mission.build import Mission
+from keepout.mission.law import broken_as, law_on
 from keepout.motion import Disturbance, ThrusterModel
 from keepout.motion.arrays import as_float64
 from keepout.progress import Progress, silent

@@ -5,6 +5,7 @@ the value, and what would be valid; nothing is guessed.
 """
 
 import difflib
+import re
 import tomllib
 from pathlib import Path
 from typing import Annotated, Any
@@ -228,7 +229,8 @@ def _table(name: str, kind: type[Entry]) -> list[str]:
 
 def _row(name: str, default: Any, meaning: str | None) -> str:
     shown = "" if default is None else f"`{default}`"
-    return f"| {name} | {shown} | {meaning or ''} |"
+    linked = re.sub(r"docs/([\w-]+)\.md", r"[\1](\1.md)", meaning or "")
+    return f"| {name} | {shown} | {linked} |"
 
 
 if __name__ == "__main__":

@@ -1,9 +1,11 @@
 """A scenario's target: loaded, and not touched by the chaser where the flight begins and ends. Needs no JAX."""
 
 import numpy as np
+from jaxtyping import Float
 
 from keepout.errors import ScenarioError
 from keepout.geometry.target import Target
+from keepout.geometry.touch import distance_within
 from keepout.mission.entries import TargetEntry
 from keepout.mission.scenario import Scenario
 
@@ -31,9 +33,16 @@ def require_apart(scenario: Scenario, target: Target) -> None:
     """
     radius = scenario.chaser.radius
     for name, position in (("start", scenario.start.position), ("goal", scenario.goal.position)):
-        distance = float(target.distance.distance(np.asarray(position)[None])[0])
+        distance = _distance_within(target, np.asarray(position), radius)
         if distance <= radius:
             raise ScenarioError(
                 f"{name}.position: {list(position)} m is {distance:.3f} m from the target, where a chaser of radius "
                 f"{radius} m touches it; it must be further than that radius"
             )
+
+
+def _distance_within(target: Target, point: Float[np.ndarray, "3"], reach: float) -> float:
+    """Give the distance where it is at most `reach`, without the hierarchy of triangles, which is compiled first."""
+    if target.ball_radius > 0.0:
+        return float(target.distance.distance(point[None])[0])
+    return distance_within(target.vertices, target.faces, point, reach)

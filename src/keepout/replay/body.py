@@ -16,12 +16,22 @@ _COARSER = 1.25
 
 @dataclass(frozen=True, eq=False)
 class DrawnBody:
-    """A target as it is drawn, metres; `openness` is 0 to 1 for each triangle, `triangles` counts those of the mesh."""
+    """A target as it is drawn, metres.
+
+    Attributes:
+        vertices: of the triangles, or the middles of a point cloud's balls.
+        faces: the triangles; none of a point cloud.
+        openness: 0 to 1 for each triangle.
+        triangles: how many the mesh has.
+        remark: what the drawing leaves out of the target, as a sentence; empty where it is drawn whole.
+
+    """
 
     vertices: Float[np.ndarray, "v 3"]
     faces: Int[np.ndarray, "f 3"]
     openness: Float[np.ndarray, "f"]
     triangles: int
+    remark: str
 
 
 def drawn_body(target: Target) -> DrawnBody:
@@ -30,10 +40,18 @@ def drawn_body(target: Target) -> DrawnBody:
     vertices, faces = target.vertices[used], faces.reshape(-1, 3)
     if target.ball_radius == 0.0:
         vertices, faces = _fewer(vertices, faces)
+        remark = _remark(len(faces), len(target.faces), "triangles")
     else:
         chosen = np.linspace(0, len(vertices) - 1, min(len(vertices), MOST_TRIANGLES)).astype(int)
         vertices, faces = vertices[chosen], np.empty((0, 3), int)
-    return DrawnBody(vertices, faces, _openness(target, vertices, faces), len(target.faces))
+        remark = _remark(len(vertices), len(used), "points")
+    return DrawnBody(vertices, faces, _openness(target, vertices, faces), len(target.faces), remark)
+
+
+def _remark(drawn: int, whole: int, kind: str) -> str:
+    if drawn == whole:
+        return ""
+    return f"The target is drawn with {drawn:,} of its {whole:,} {kind}; distances are to all of it."
 
 
 def _fewer(

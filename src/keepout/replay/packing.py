@@ -55,15 +55,3 @@ class Packing:
     def text(self) -> str:
         """Give all bytes, compressed (zlib) and as base64."""
         return base64.b64encode(zlib.compress(b"".join(self._parts), 9)).decode("ascii")
-
-
-def unpacked(text: str, reference: dict[str, Any]) -> np.ndarray:
-    """Read an array back as the page does, from `Packing.text` and its reference."""
-    content = zlib.decompress(base64.b64decode(text))
-    kind = np.dtype(reference["type"]).newbyteorder("<")
-    count = int(np.prod(reference["shape"]))
-    array = np.frombuffer(content, kind, count, reference["offset"]).reshape(reference["shape"])
-    if "scale" not in reference:
-        return array
-    columns = array.reshape(len(array), -1) * np.array(reference["scale"]) + np.array(reference["origin"])
-    return columns.reshape(array.shape)

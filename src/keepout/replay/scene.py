@@ -77,7 +77,7 @@ def _target(packing: Packing, flight: Replayed) -> dict[str, Any]:
     return {
         "name": target.name,
         "triangles": body.triangles,
-        "drawn": len(body.faces),
+        "remark": body.remark,
         "ball_radius": target.ball_radius,
         "lower": target.distance.lower.tolist(),
         "upper": target.distance.upper.tolist(),
@@ -105,6 +105,14 @@ def rows_shown(rows: int) -> Int[np.ndarray, "shown"]:
     """Choose the rows of a flight that are drawn: evenly, the last one among them."""
     stride = -(-(rows - 1) // MOST_ROWS)
     return np.unique(np.append(np.arange(0, rows, max(stride, 1)), rows - 1))
+
+
+def _rows_remark(drawn: int, rows: int) -> str:
+    """Say, as a sentence, that not all rows of a flight are drawn; empty where all are."""
+    if drawn == rows:
+        return ""
+    shown = f"Path and plots are drawn with {drawn:,} of the flight's {rows:,} rows"
+    return f"{shown}; verdict, marks and lower bound are of all."
 
 
 def _flight(packing: Packing, flight: Replayed) -> dict[str, Any]:
@@ -139,7 +147,7 @@ def _flight(packing: Packing, flight: Replayed) -> dict[str, Any]:
     return {
         "name": flight.name,
         "rows": len(rows),
-        "of_rows": len(flight.record.time),
+        "remark": _rows_remark(len(rows), len(record.time)),
         "radius": chaser.radius,
         "force_limit": chaser.force_limit,
         "speed_limit": chaser.speed_limit,

@@ -2,8 +2,9 @@
 
 import base64
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -50,19 +51,20 @@ def write_replay(
         ),
         "Speed, applied force and distance to the goal.": _curves(flights, "motion"),
     }
-    words = [_said(flight) for flight in flights]
+    told = [shown.told["target"]["remark"], *(_said(*pair) for pair in zip(flights, shown.told["flights"]))]
+    words = [words for words in told if words]
     write_page(path, shown, title=title, words=words, figures=figures)
     progress(1.0, "")
     return {"replay": str(path), "bytes": path.stat().st_size, "flights": [flight.name for flight in flights]}
 
 
-def _said(flight: Replayed) -> str:
+def _said(flight: Replayed, told: Mapping[str, Any]) -> str:
     verdict, scenario = flight.verdict, flight.scenario
     start, goal = (", ".join(f"{x:g}" for x in at) for at in (flight.shown.position[0], scenario.goal.position))
     words = f"{flight.name}: from [{start}] m to [{goal}] m around {flight.target.name}. Contact: {verdict.contact}"
     if np.isfinite(verdict.minimum_clearance):
         words += f"; the clearance is at least {verdict.minimum_clearance:.4g} m at every instant"
-    return ". ".join([words, *verdict.remarks]) + "."
+    return " ".join([". ".join([words, *verdict.remarks]) + ".", told["remark"]]).strip()
 
 
 def _picture(flights: Sequence[Replayed]) -> str:

@@ -1,0 +1,187 @@
+"""Commands on meshes and fields as functions: what `targets`, `fit`, `certify` and `inspect` do."""
+
+import time
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from keepout.commands.named_target import recorded_target, target_entry
+from keepout.errors import FieldError
+from keepout.progress import Progress, part_of, silent
+
+
+def describe_targets(*, pictures: Path | None = None, progress: Progress = silent) -> list[dict[str, Any]]:
+    """List the built-in targets with size, triangles and parameters; draw them into `pictures` where it is given."""
+    from keepout.fields.shipped import shipped_names
+    from keepout.geometry.builtin import BUILTINS
+    from keepout.geometry.shape import enclosed_volume
+    from keepout.geometry.target import Target
+    from keepout.report.folder import make_folder
+
+    if pictures is not None:
+        make_folder(pictures)
+    rows = []
+    for place, (name, builtin) in enumerate(BUILTINS.items()):
+        progress(place / len(BUILTINS), name)
+        target = Target.load(name)
+        row: dict[str, Any] = {
+            "name": name,
+            "extents_m": [float(extent) for extent in target.vertices.max(axis=0) - target.vertices.min(axis=0)],
+            "volume_m3": enclosed_volume(target.vertices, target.faces),
+            "triangles": len(target.faces),
+            "shipped_field": name in shipped_names(),
+            "parameters": {key: parameter.default for key, parameter in builtin.parameters.items()},
+        }
+        if pictures is not None:
+            from keepout.report import target_view
+
+            picture = pictures / f"{name}.png"
+            target_view.draw_target(picture, name, target.vertices, target.faces)
+            row["picture"] = str(picture)
+        rows.append(row)
+    return rows
+
+
+def _field_path(path: Path) -> Path:
+    if path.suffix != ".keepout":
+        raise FieldError(f"{path}: a field file ends in .keepout")
+    if not path.absolute().parent.is_dir():
+        raise FieldError(f"{path}: the folder {path.parent} does not exist")
+    return path
+
+
+def fit_to_file(
+    source: Mapping[str, Any],
+    out: Path,
+    *,
+    profile: str = "default",
+    chaser_radius: float = 0.5,
+    seed: int = 0,
+    progress: Progress = silent,
+) -> dict[str, Any]:
+    """Learn the field of a mesh file or built-in target and write it to `out`.
+
+    While it runs, a checkpoint stands beside `out`; a run that was killed goes on from there.
+    """
+    from keepout.learning.training import fit
+    from keepout.measures.quality import surface_errors
+    from keepout.mission.build import load_target
+
+    out = _field_path(out)
+    entry = target_entry(source)
+    target = load_target(entry)
+    start = time.perf_counter()
+    model = fit(
+        target,
+        profile=profile,
+        chaser_radius=chaser_radius,
+        seed=seed,
+        checkpoint=out.with_name(out.name + ".checkpoint"),
+        progress=progress,
+    )
+    seconds = time.perf_counter() - start
+    located = entry.model_dump()
+    if Path(entry.source).exists():
+        located["source"] = str(Path(entry.source).resolve())
+    model = model.with_training(target=located)
+    model.save(out)
+    errors = surface_errors(model.field, target, seed=seed)
+    return {
+        "field": str(out),
+        "seconds": seconds,
+        "epsilon_m": errors.epsilon,
+        "epsilon_plus_m": errors.epsilon_plus,
+        "sampled_maximum_m": errors.maximum,
+        "profile": profile,
+        "seed": seed,
+        "target": target.name,
+        "target_sha256": target.sha256,
+        "warnings": list(target.report.warnings),
+    }
+
+
+def certify_file(
+    path: Path,
+    *,
+    chaser_radius: float,
+    prove_slope: bool = False,
+    mesh: str | None = None,
+    seed: int = 0,
+    progress: Progress = silent,
+) -> dict[str, Any]:
+    """Add a certificate for a chaser radius to a field file; the mesh is found where `fit` found it unless given."""
+    from keepout.fields.model import FieldModel
+    from keepout.mission.build import load_target
+    from keepout.proof.certificate import certify
+
+    model = FieldModel.load(path)
+    entry = recorded_target(path, model, mesh)
+    model = certify(
+        model,
+        load_target(entry),
+        chaser_radius=chaser_radius,
+        prove_slope=prove_slope,
+        seed=seed,
+        progress=progress,
+    )
+    model.save(path)
+    certificate = model.certificate(chaser_radius)
+    return {
+        "field": str(path),
+        "kind": certificate.kind,
+        "error_bound_m": certificate.error_bound,
+        "chaser_radius_m": certificate.chaser_radius,
+        "sampled_maximum_m": certificate.sampled_maximum,
+        "gradient_bound": certificate.gradient_bound,
+        "gradient_kind": certificate.gradient_kind,
+        "gradient_found": certificate.gradient_found,
+        "seconds": certificate.seconds,
+        "target_sha256": certificate.target_sha256,
+    }
+
+
+def inspect_file(
+    path: Path, out: Path | None = None, *, mesh: str | None = None, seed: int = 0, progress: Progress = silent
+) -> dict[str, Any]:
+    """Measure a field against its mesh and list its certificates; draw slices and surface into `out` if given."""
+    from keepout.fields.model import FieldModel
+    from keepout.measures.inspection import inspect_model
+    from keepout.mission.build import load_target
+    from keepout.report.folder import make_folder
+
+    model = FieldModel.load(path)
+    target = load_target(recorded_target(path, model, mesh))
+    model = FieldModel.load(path, target=target)
+    if out is not None:
+        make_folder(out)
+    measures, surface = inspect_model(model, target, seed=seed, progress=part_of(progress, 0.0, 0.9))
+    summary: dict[str, Any] = {"field": str(path), **measures}
+    if out is not None:
+        from keepout.report.field_view import draw_slices, draw_surface
+
+        progress(0.9, "pictures")
+        draw_slices(out / "slices.png", model, target)
+        draw_surface(out / "surface.png", target, surface, level=measures["surface"]["level"])
+        summary["pictures"] = [str(out / "slices.png"), str(out / "surface.png")]
+    progress(1.0, "")
+    return summary
+
+
+def inspect_mesh(source: Mapping[str, Any], out: Path | None = None, *, progress: Progress = silent) -> dict[str, Any]:
+    """Report what is known about a mesh before anything is learned from it; draw it into `out` if that is given."""
+    from keepout.geometry.survey import survey
+    from keepout.mission.build import load_target
+    from keepout.report.folder import make_folder
+
+    target = load_target(target_entry(source))
+    summary = asdict(survey(target, progress=part_of(progress, 0.0, 0.95)))
+    if out is not None:
+        from keepout.report import target_view
+
+        make_folder(out)
+        picture = out / f"{target.name}.png"
+        target_view.draw_target(picture, target.name, target.vertices, target.faces)
+        summary["picture"] = str(picture)
+    progress(1.0, "")
+    return summary

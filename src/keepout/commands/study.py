@@ -1,0 +1,34 @@
+"""Commands that answer a question by many flights, as functions: what `rare` does."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from keepout.progress import Progress, part_of, silent
+
+if TYPE_CHECKING:
+    from keepout.mission.scenario import Scenario
+
+
+def rare_to_folder(
+    scenario: "Scenario",
+    out: Path,
+    *,
+    below: float = 0.0,
+    runs: int | None = None,
+    flights: int | None = None,
+    progress: Progress = silent,
+) -> dict[str, Any]:
+    """Measure a rare event; write levels, curve, the worst flight, a page and `summary.json` into `out`.
+
+    Stopped, it goes on from its last level when it is started again.
+    """
+    from keepout.rare_events.event import FLIGHTS, RUNS, rare
+    from keepout.report.folder import make_folder, write_summary
+    from keepout.report.rare_view import write_rare
+
+    make_folder(out)
+    runs, flights = RUNS if runs is None else runs, FLIGHTS if flights is None else flights
+    event = rare(scenario, below=below, runs=runs, flights=flights, state=out, progress=part_of(progress, 0.0, 0.97))
+    summary = write_rare(out, event)
+    write_summary(out, summary)
+    return summary

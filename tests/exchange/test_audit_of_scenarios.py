@@ -1,0 +1,121 @@
+"""`keepout audit` of flights around meshes that a scenario turns and shifts: the way from `fly` over files and back."""
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
+from truths.command_line import keepout_command
+
+from keepout.guard.field import guard_field
+from keepout.mission import environment
+from keepout.mission.scenario import Scenario
+from keepout.mission.target import load_target
+
+pytestmark = pytest.mark.long
+
+ROTATION = Rotation.from_euler("zyx", [0.4, -0.3, 0.7]).as_matrix()
+SCENARIO = """
+name = "placed"
+duration = 60.0
+[target]
+source = "block.stl"
+units = "mm"
+origin = [0.6, -0.4, 0.2]
+centre_of_mass = [0.1, -0.2, 0.15]
+rotation = {rotation}
+[field]
+source = "block.keepout"
+[start]
+position = [0.0, 3.4, 0.5]
+[goal]
+position = [1.5, 3.2, -0.5]
+[control]
+guidance = "straight"
+[guard]
+enabled = false
+"""
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory):
+    """A flight of the command line past a block whose file is in mm, turned and shifted; its folder and its summary."""
+    folder = tmp_path_factory.mktemp("placed")
+    trimesh.creation.box((3000.0, 1000.0, 400.0)).export(folder / "block.stl")
+    (folder / "mission.toml").write_text(SCENARIO.format(rotation=ROTATION.tolist()))
+    scenario = Scenario.load(folder / "mission.toml")
+    guard_field(load_target(scenario.target), scenario.chaser.radius).save(folder / "block.keepout")
+    summary = keepout_command("fly", folder / "mission.toml", "-o", folder / "out", "--no-figures", "--json").json
+    for name, options in (
+        ("c.oem", ["--to", "oem"]),
+        ("t.oem", ["--to", "oem", "--of", "target"]),
+        ("t.aem", ["--to", "aem"]),
+    ):
+        assert keepout_command("export", folder / "out" / "placed.parquet", *options, "-o", folder / name).code == 0
+    return folder, scenario, summary
+
+
+def audited(flown, *target):
+    folder, scenario, _ = flown
+    bounds = environment.flight_bounds(scenario)
+    acceleration = np.sqrt(3) * 0.1 / 20.0 + bounds.disturbance_force / 20.0 + 20.0 * bounds.gravity_gradient
+    return keepout_command(
+        *("audit", *target, "--chaser", folder / "c.oem", "--target-orbit", folder / "t.oem"),
+        *("--target-attitude", folder / "t.aem", "--chaser-radius", 0.5, "--acceleration-bound", acceleration),
+        "--json",
+    )
+
+
+def placed(folder):
+    return (
+        *("--target", folder / "block.stl", "--target-units", "mm", "--target-origin", 0.6, -0.4, 0.2),
+        *("--target-rotation", *ROTATION.ravel(), "--centre-of-mass", 0.1, -0.2, 0.15),
+    )
+
+
+@pytest.mark.parametrize("by", ["scenario", "options"])
+def test_a_turned_and_shifted_mesh_is_audited_to_the_clearance_that_fly_told(flown, by):
+    folder, scenario, summary = flown
+    answer = audited(flown, *(["--target", folder / "mission.toml"] if by == "scenario" else placed(folder))).json
+    assert answer["target_sha256"] == load_target(scenario.target).sha256
+    assert answer["contact_verdict"] == summary["contact_verdict"] == "no"
+    gap = 2e-3 + 2.0 * answer["assumptions"]["path_uncertainty_m"]
+    assert gap < 0.01
+    assert answer["minimum_clearance_bound_m"] == pytest.approx(summary["minimum_clearance_m"], abs=gap)
+
+
+def test_the_file_as_it_lies_is_another_mesh(flown):
+    folder, scenario, summary = flown
+    bare = audited(flown, "--target", folder / "block.stl", "--target-units", "mm").json
+    assert bare["target_sha256"] != load_target(scenario.target).sha256
+    assert abs(bare["minimum_clearance_bound_m"] - summary["minimum_clearance_m"]) > 0.1
+
+
+def test_the_attitude_file_says_how_the_mesh_lies(flown):
+    lines = (flown[0] / "t.aem").read_text().splitlines()
+    assert max(map(len, lines)) <= 254
+    assert any("is at rotation (point - origin)" in line for line in lines)
+    told = [line.split(": ")[1].rstrip(".") for line in lines if "Rotation, row" in line]
+    np.testing.assert_array_equal([[float(number) for number in row.split()] for row in told], ROTATION)
+    assert any(
+        line.endswith("Origin in file axes: 0.59999999999999998 -0.40000000000000002 0.20000000000000001 m.")
+        for line in lines
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--target", "mission.toml", "--target-units", "mm"], "--target-units: not with the scenario"),
+        (["--target", "mission.toml", "--target-drop-stray"], "--target-drop-stray: not with the scenario"),
+        (["--target", "absent.toml"], "absent.toml: cannot be read"),
+        (["--target", "box", "--target-rotation", *[1, 0, 0, 0, 1, 0, 0, 0, 2]], "rotation: [[1.0, 0.0, 0.0]"),
+        (["--target", "block.stl", "--target-scale", "-1"], "--target-scale"),
+        (["--target", "block.stl", "--target-units", "mm", "--target-scale", "2"], "either units or scale"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_a_line(flown, options, said, monkeypatch):
+    monkeypatch.chdir(flown[0])
+    answer = audited(flown, *options)
+    assert answer.code == 1
+    assert said in answer.err
+    assert answer.err.count("\n") == 1
