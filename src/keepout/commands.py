@@ -76,12 +76,14 @@ def fit_to_file(
     *,
     profile: str = "default",
     chaser_radius: float = 0.5,
+    certified: bool = False,
     seed: int = 0,
     progress: Progress = silent,
 ) -> dict[str, Any]:
-    """Learn the field of a mesh file or built-in target and write it to `out`.
+    """Learn the field of a mesh file or built-in target and write it to `out`, where asked with its certificate.
 
-    While it runs, a checkpoint stands beside `out`; a run that was killed goes on from there.
+    While it runs, a checkpoint stands beside `out`; a run that was killed goes on from there. The field is written
+    before it is certified, so that a proof that is stopped loses nothing.
     """
     from keepout.learning.training import fit
     from keepout.measures.quality import surface_errors
@@ -97,7 +99,7 @@ def fit_to_file(
         chaser_radius=chaser_radius,
         seed=seed,
         checkpoint=out.with_name(out.name + ".checkpoint"),
-        progress=progress,
+        progress=part_of(progress, 0.0, 0.9) if certified else progress,
     )
     seconds = time.perf_counter() - start
     located = entry.model_dump()
@@ -106,6 +108,10 @@ def fit_to_file(
     model = model.with_training(target=located)
     model.save(out)
     errors = surface_errors(model.field, target, seed=seed)
+    proof: dict[str, Any] = {}
+    if certified:
+        part = part_of(progress, 0.9, 1.0)
+        proof["certificate"] = certify_file(out, chaser_radius=chaser_radius, seed=seed, progress=part)
     return {
         "field": str(out),
         "seconds": seconds,
@@ -117,6 +123,7 @@ def fit_to_file(
         "target": target.name,
         "target_sha256": target.sha256,
         "warnings": list(target.report.warnings),
+        **proof,
     }
 
 
@@ -264,7 +271,7 @@ def new_scenario_file(
         "honoured_speed_mps": made.honoured_speed,
         "margin_m": made.scenario.safety.margin,
         "duration_s": made.scenario.duration,
-        "next": [*made.remarks, *([] if out is None else [f"keepout scenario check {out}"])],
+        "next": [*made.remarks, *([] if out is None else [f"keepout scenario check {out}", f"keepout fly {out}"])],
     }
 
 
