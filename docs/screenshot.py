@@ -2,8 +2,7 @@
 
     python docs/screenshot.py out/mission/replay.html docs/figures/tutorial-replay.png --at 0.5 --press r
 
-`--at` is the time to show, as a share of the flight; `--press` are keys (docs/replay.md), one after another. The
-picture gets 256 colours, so that it is small.
+`--at` is the time to show, as a share of the flight; `--press` are keys (docs/replay.md), one after another.
 """
 
 import argparse
@@ -32,9 +31,8 @@ def screenshot(page: Path, *, at: float, keys: list[str]) -> bytes:
         opened.wait_for_timeout(2000)  # at rest it is drawn finer
         taken = opened.screenshot()
         browser.close()
-    few = Image.open(io.BytesIO(taken)).convert("RGB").quantize(256, dither=Image.Dither.NONE)
     picture = io.BytesIO()
-    few.save(picture, format="png", optimize=True)
+    Image.open(io.BytesIO(taken)).convert("RGB").save(picture, format="png", optimize=True)
     return picture.getvalue()
 
 

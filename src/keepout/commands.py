@@ -201,7 +201,8 @@ def inspect_mesh(source: Mapping[str, Any], out: Path | None = None, *, progress
     from keepout.report.folder import make_folder
 
     target = load_target(_entry(source))
-    summary = asdict(survey(target, progress=part_of(progress, 0.0, 0.95)))
+    summary: dict[str, Any] = {"lengths": _lengths(source)}
+    summary |= asdict(survey(target, progress=part_of(progress, 0.0, 0.95)))
     if out is not None:
         from keepout.report import target_view
 
@@ -211,6 +212,17 @@ def inspect_mesh(source: Mapping[str, Any], out: Path | None = None, *, progress
         summary["picture"] = str(picture)
     progress(1.0, "")
     return summary
+
+
+def _lengths(source: Mapping[str, Any]) -> str:
+    """Say in which unit a mesh's report is, and what the file's numbers were taken for."""
+    if source.get("scale") is not None:
+        return f"m; one unit of the file is {source['scale']:g} m, as given"
+    if source.get("units") is not None:
+        return f"m; the file's numbers are in {source['units']}, as given"
+    if not Path(source["source"]).exists():
+        return "m"  # a built-in target
+    return "m; no --units or --scale was given, so the file's own unit holds, or metres where it names none"
 
 
 def _recorded_target(path: Path, model: "FieldModel", mesh: str | None) -> "TargetEntry":

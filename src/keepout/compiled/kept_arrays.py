@@ -49,7 +49,8 @@ def kept_arrays(name: str, made_from: Any, make: Callable[[], Arrays], *, librar
         except (ValueError, OSError, KeyError, zipfile.BadZipFile) as error:
             warn_of(path, str(error))
     made = make()
+    named: dict[str, Any] = dict(made)
     stream = io.BytesIO()
-    np.savez(stream, **made)
+    np.savez(stream, **named)
     write_entry(path, stream.getvalue())
     return made
