@@ -348,6 +348,7 @@ def campaigns() -> list[str]:
 def startup() -> list[str]:
     """Give how long a command takes from its start, with kept programs and without."""
     kept = kept_file("startup")
+    runs = min(len(runs) for runs in kept["rows"].values())
     columns = {
         "what": "what",
         "seconds": "s",
@@ -360,8 +361,8 @@ def startup() -> list[str]:
     rows = [dict.fromkeys(columns) | row | {"what": name} for name, row in kept["medians"].items()]
     words = [
         "`python benchmarks/startup.py`; discussed in [Start-up time](startup.md). A process of its own a row, on "
-        f"{kept['cores']} cores; medians of {min(len(runs) for runs in kept['rows'].values())}. Cold: with an empty "
-        "folder for compiled programs; warm: with the folder that the row before has filled.",
+        f"{kept['cores']} cores; {f'medians of {runs}' if runs > 1 else 'one run each'}. Cold: with an empty folder "
+        "for compiled programs; warm: with the folder that the row before has filled.",
         *note("startup"),
     ]
     return measured("Start-up", words, rows, columns)
