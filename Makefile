@@ -25,6 +25,7 @@ install: $(STAMP)
 
 $(STAMP): pyproject.toml
 	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 11) <= v < (3, 14) else "Keepout needs Python 3.11 to 3.13, but $(PYTHON) is %d.%d; run make PYTHON=python3.11" % v)'
+	@echo "installing Keepout and its libraries into $(VENV): 1.8 GB, a minute or more without a word"
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet --no-compile --editable '.[test,dev,docs]'
 	@touch $(STAMP)

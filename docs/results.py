@@ -345,6 +345,29 @@ def campaigns() -> list[str]:
     return [*lines, *table(each, columns)]
 
 
+def startup() -> list[str]:
+    """Give how long a command takes from its start, with kept programs and without."""
+    kept = kept_file("startup")
+    runs = min(len(runs) for runs in kept["rows"].values())
+    columns = {
+        "what": "what",
+        "seconds": "s",
+        "cpu": "processor s",
+        "compiled": "programs compiled",
+        "taken": "taken by JAX",
+        "whole": "taken whole",
+        "first": "s to the first flight",
+    }
+    rows = [dict.fromkeys(columns) | row | {"what": name} for name, row in kept["medians"].items()]
+    words = [
+        "`python benchmarks/startup.py`; discussed in [Start-up time](startup.md). A process of its own a row, on "
+        f"{kept['cores']} cores; {f'medians of {runs}' if runs > 1 else 'one run each'}. Cold: with an empty folder "
+        "for compiled programs; warm: with the folder that the row before has filled.",
+        *note("startup"),
+    ]
+    return measured("Start-up", words, rows, columns)
+
+
 def page() -> str:
     """Give the whole page."""
     lines = [
@@ -354,7 +377,7 @@ def page() -> str:
         "which statements are proved and which are measured.",
         "",
     ]
-    sections = (origins, reach, faults, reproduction, errata, rivals, rare_events, campaigns, printed)
+    sections = (origins, reach, faults, reproduction, errata, rivals, rare_events, campaigns, startup, printed)
     return "\n".join(lines + [line for section in sections for line in section()]).rstrip() + "\n"
 
 

@@ -3,10 +3,11 @@
 import json
 import subprocess
 import sys
+import warnings
 
 import pytest
 
-from keepout import cli
+from keepout import cli, commands
 
 COMMANDS = ("targets", "fit", "certify", "fly", "campaign", "rare", "reproduce", "inspect", "export")
 
@@ -150,3 +151,18 @@ def test_jax_computes_in_double_precision_whichever_is_imported_first(imports):
     program = f"{imports}\nimport jax.numpy as jnp\nprint(jnp.ones(1).dtype)"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout == "float64\n"
+
+
+def test_the_same_warning_is_said_once(monkeypatch, capsys):
+    def warned(*_, **__):
+        for number in (1, 2, 1):
+            with warnings.catch_warnings():  # as each of many flights would warn anew
+                warnings.simplefilter("always")
+                warnings.warn(f"condition {number} does not hold", UserWarning, stacklevel=1)
+        return []
+
+    monkeypatch.setattr(commands, "describe_targets", warned)
+    assert run(monkeypatch, "targets", "--json") == 0
+    assert capsys.readouterr().err.splitlines() == [
+        f"keepout: warning: condition {number} does not hold" for number in (1, 2)
+    ]

@@ -15,7 +15,7 @@ ELSEWHERE = {"README.md", "docs/control.md", "docs/export.md"}
 COMPILED_ONLY = {"docs/clusters.md"}
 """Pages whose Python needs what no test has: a SLURM cluster."""
 QUICKER = {
-    "docs/tutorial.md": [("duration=600.0", "duration=60.0")],
+    "docs/tutorial.md": [("duration=500.0", "duration=60.0")],
     "docs/own/law.md": [("duration=300.0", "duration=240.0")],
     "docs/campaigns.md": [
         ('"runs": 1000', '"runs": 2'),

@@ -27,7 +27,7 @@ from keepout.fields.model import FieldModel
 from keepout.flight.record import FlightRecord
 from keepout.geometry.builtin import BUILTINS
 from keepout.geometry.target import Target
-from keepout.learning import checkpoint
+from keepout.learning import checkpoint, training
 from keepout.mission import audited, environment
 from keepout.mission import flight as flights
 from keepout.mission.flight import fly
@@ -192,6 +192,19 @@ def test_certify_adds_a_certificate_that_no_search_beats(place, certified, fitte
     assert certificate.sampled_maximum <= certificate.error_bound
     assert worst == pytest.approx(certificate.error_bound, abs=0.02)
     assert (place / "box.keepout").read_bytes() != uncertified
+
+
+def test_fit_certifies_in_the_same_command(place, certified, tmp_path):
+    summary, uncertified, _ = certified
+    learned = tmp_path / "learned.keepout"
+    learned.write_bytes(uncertified)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(training, "fit", lambda *_, **__: FieldModel.load(learned))  # it takes long, and was tried above
+        both = ("fit", "box", "-o", tmp_path / "both.keepout", "--chaser-radius", RADIUS, "--certify", "--json")
+        said = keepout_command(*both).json["certificate"]
+    [certificate] = FieldModel.load(tmp_path / "both.keepout", target=Target.load("box")).certificates
+    assert said["error_bound_m"] == certificate.error_bound == summary["error_bound_m"]
+    assert said["kind"] == "certified"
 
 
 def test_a_field_without_a_certificate_is_not_flown(place, certified):

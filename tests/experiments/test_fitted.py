@@ -30,10 +30,17 @@ def target() -> Target:
 
 
 @pytest.fixture(scope="module")
-def fitted_once(target, tmp_path_factory):
+def told():
+    """What the first fit has said while it ran."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def fitted_once(target, told, tmp_path_factory):
     """Folder of a part that has fitted the field, and the field."""
     folder = tmp_path_factory.mktemp("reproduction") / "table1"
-    return folder, field_of(Work(folder), TINY, target, fitting=True)
+    work = Work(folder, progress=lambda _, message: told.append(message))
+    return folder, field_of(work, TINY, target, fitting=True)
 
 
 def weights(model):
@@ -61,6 +68,12 @@ def test_a_fit_that_was_stopped_goes_on_to_the_same_field(target, fitted_once, t
     for first, second in zip(weights(fitted_once[1]), weights(resumed), strict=True):
         np.testing.assert_array_equal(first, second)
     assert resumed.training["curve"]["steps"] == [250, 500]
+
+
+def test_the_time_left_is_not_told_from_the_block_that_compiles(fitted_once, told):
+    first, second = [message for message in told if message.startswith("distance")]
+    assert " left" not in first
+    assert second.endswith(", 0 s left")
 
 
 def test_a_kept_field_is_not_fitted_again_and_a_named_folder_comes_first(target, fitted_once, tmp_path, monkeypatch):

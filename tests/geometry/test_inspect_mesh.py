@@ -4,6 +4,7 @@ import json
 import sys
 
 import pytest
+import trimesh
 from rich.console import Console
 from truths.messy_meshes import messy_satellite
 
@@ -40,3 +41,17 @@ def test_a_damaged_mesh_is_one_line(monkeypatch, capsys, tmp_path):
     assert output.out == ""
     assert "not a valid STL" in output.err
     assert output.err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ([], "no --units or --scale was given"),
+        (["--units", "mm"], "the file's numbers are in mm"),
+        (["--scale", "0.342"], "one unit of the file is 0.342 m"),
+    ],
+)
+def test_the_report_says_what_its_numbers_were_taken_for(monkeypatch, capsys, tmp_path, options, said):
+    trimesh.creation.box(extents=(3.0, 2.0, 1.0)).export(tmp_path / "box.stl")
+    assert inspect(monkeypatch, tmp_path / "box.stl", *options, "--json") == 0
+    assert said in json.loads(capsys.readouterr().out)["lengths"]

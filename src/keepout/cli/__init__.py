@@ -3,6 +3,7 @@
 import gc
 import sys
 import warnings
+from collections.abc import Callable
 from typing import Annotated, Any
 
 import typer
@@ -25,13 +26,21 @@ def _version(
         raise typer.Exit
 
 
-def _show_warning(message: Warning | str, *_: Any) -> None:
-    sys.stderr.write(f"keepout: warning: {message}\n")
+def _show_each_once() -> Callable[..., None]:
+    """Give what writes a warning as one line, and the same warning no second time, however many flights it is of."""
+    said: set[str] = set()
+
+    def show(message: Warning | str, *_: Any) -> None:
+        if str(message) not in said:
+            said.add(str(message))
+            sys.stderr.write(f"keepout: warning: {message}\n")
+
+    return show
 
 
 def main() -> None:
     """Run the command line: a refusal is one line on standard error and a non-zero exit, a warning is one line."""
-    warnings.showwarning = _show_warning
+    warnings.showwarning = _show_each_once()
     # Tracing a program makes many objects that live on; looking through them for garbage took a tenth of a start.
     gc.set_threshold(1_000_000, 50, 100)
     try:

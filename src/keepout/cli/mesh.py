@@ -26,7 +26,12 @@ def targets(
         Console().print(terminal.targets_table(rows))
 
 
-@app.command(epilog=example("keepout fit satellite.glb --units m -o satellite.keepout"))
+@app.command(
+    epilog=example(
+        "keepout fit satellite.glb --units m -o satellite.keepout",
+        "keepout fit satellite.stl --units mm --certify -o satellite.keepout",
+    )
+)
 def fit(
     mesh: Annotated[str, typer.Argument(help="A mesh file, or a built-in target's name.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="The field file to write (.keepout).")],
@@ -38,6 +43,9 @@ def fit(
         ),
     ] = "default",
     chaser_radius: ChaserRadius = 0.5,
+    certify: Annotated[
+        bool, typer.Option("--certify", help="Then prove its error bound for this radius, as `keepout certify` does.")
+    ] = False,
     units: Units = None,
     scale: Scale = None,
     drop_stray: DropStray = False,
@@ -52,10 +60,15 @@ def fit(
 
     source = {"source": mesh, "units": units, "scale": scale, "drop_stray": drop_stray}
     with terminal.progress(f"fit {mesh}") as progress:
-        summary = fit_to_file(source, out, profile=profile, chaser_radius=chaser_radius, seed=seed, progress=progress)
+        summary = fit_to_file(
+            source, out, profile=profile, chaser_radius=chaser_radius, certified=certify, seed=seed, progress=progress
+        )
     answer(summary, as_json)
     if not as_json:
+        certificate = summary.pop("certificate", None)
         Console().print(terminal.facts_table("Fit", summary))
+        if certificate is not None:
+            Console().print(terminal.facts_table("Certificate", certificate))
 
 
 @app.command(epilog=example("keepout certify satellite.keepout --chaser-radius 0.5"))

@@ -57,12 +57,14 @@ def fit_to_file(
     *,
     profile: str = "default",
     chaser_radius: float = 0.5,
+    certified: bool = False,
     seed: int = 0,
     progress: Progress = silent,
 ) -> dict[str, Any]:
-    """Learn the field of a mesh file or built-in target and write it to `out`.
+    """Learn the field of a mesh file or built-in target and write it to `out`, where asked with its certificate.
 
-    While it runs, a checkpoint stands beside `out`; a run that was killed goes on from there.
+    While it runs, a checkpoint stands beside `out`; a run that was killed goes on from there. The field is written
+    before it is certified, so that a proof that is stopped loses nothing.
     """
     from keepout.learning.training import fit
     from keepout.measures.quality import surface_errors
@@ -78,7 +80,7 @@ def fit_to_file(
         chaser_radius=chaser_radius,
         seed=seed,
         checkpoint=out.with_name(out.name + ".checkpoint"),
-        progress=progress,
+        progress=part_of(progress, 0.0, 0.9) if certified else progress,
     )
     seconds = time.perf_counter() - start
     located = entry.model_dump()
@@ -87,6 +89,10 @@ def fit_to_file(
     model = model.with_training(target=located)
     model.save(out)
     errors = surface_errors(model.field, target, seed=seed)
+    proof: dict[str, Any] = {}
+    if certified:
+        part = part_of(progress, 0.9, 1.0)
+        proof["certificate"] = certify_file(out, chaser_radius=chaser_radius, seed=seed, progress=part)
     return {
         "field": str(out),
         "seconds": seconds,
@@ -98,6 +104,7 @@ def fit_to_file(
         "target": target.name,
         "target_sha256": target.sha256,
         "warnings": list(target.report.warnings),
+        **proof,
     }
 
 
@@ -175,7 +182,8 @@ def inspect_mesh(source: Mapping[str, Any], out: Path | None = None, *, progress
     from keepout.report.folder import make_folder
 
     target = load_target(target_entry(source))
-    summary = asdict(survey(target, progress=part_of(progress, 0.0, 0.95)))
+    summary: dict[str, Any] = {"lengths": _lengths(source)}
+    summary |= asdict(survey(target, progress=part_of(progress, 0.0, 0.95)))
     if out is not None:
         from keepout.report import target_view
 
@@ -185,3 +193,14 @@ def inspect_mesh(source: Mapping[str, Any], out: Path | None = None, *, progress
         summary["picture"] = str(picture)
     progress(1.0, "")
     return summary
+
+
+def _lengths(source: Mapping[str, Any]) -> str:
+    """Say in which unit a mesh's report is, and what the file's numbers were taken for."""
+    if source.get("scale") is not None:
+        return f"m; one unit of the file is {source['scale']:g} m, as given"
+    if source.get("units") is not None:
+        return f"m; the file's numbers are in {source['units']}, as given"
+    if not Path(source["source"]).exists():
+        return "m"  # a built-in target
+    return "m; no --units or --scale was given, so the file's own unit holds, or metres where it names none"

@@ -53,7 +53,7 @@ def new_scenario_file(
         "honoured_speed_mps": made.honoured_speed,
         "margin_m": made.scenario.safety.margin,
         "duration_s": made.scenario.duration,
-        "next": [*made.remarks, *([] if out is None else [f"keepout scenario check {out}"])],
+        "next": [*made.remarks, *([] if out is None else [f"keepout scenario check {out}", f"keepout fly {out}"])],
     }
 
 

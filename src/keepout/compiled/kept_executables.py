@@ -22,7 +22,6 @@ import sysconfig
 import threading
 import time
 import types
-import warnings
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -36,9 +35,8 @@ from jax.core import Tracer
 from jax.experimental import serialize_executable
 from jaxtyping import PyTree
 
-from keepout.compiled.kept_programs import KeptProgramsWarning, folder_in_use
-from keepout.errors import KeepoutError
-from keepout.whole_file import write_whole
+from keepout.compiled.kept_entries import read_entry, warn_of, write_entry
+from keepout.compiled.kept_programs import folder_in_use
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -100,6 +98,27 @@ def kept_jit(function: Callable[P, T]) -> Callable[P, T]:
     return called
 
 
+def told_apart(tree: PyTree) -> bytes | None:
+    """Tell a tree from every other: by its arrays, all else in it, Keepout's source and constants, JAX's settings.
+
+    Returns:
+        A digest; None where the tree holds what cannot be told apart, or Keepout was changed while it runs.
+
+    """
+    arrays, still = eqx.partition(tree, eqx.is_array)
+    leaves, structure = jax.tree.flatten(arrays)
+    try:
+        where = jax.tree.unflatten(structure, [True] * len(leaves))
+        whole = hashlib.sha256(_pickled((where, still)))
+        whole.update(repr((_sources(), _constants(), _settings())).encode())
+    except _UnknownError:
+        return None
+    for leaf in leaves:
+        array = np.asarray(leaf)
+        whole.update(repr((array.shape, str(array.dtype))).encode() + np.ascontiguousarray(array).tobytes())
+    return whole.digest()
+
+
 def _watched() -> bool:
     """Whether programs are to run as only JAX runs them: elsewhere than on a CPU, or to look for errors."""
     asked = (getattr(jax.config, f"jax_{name}") for name in ("disable_jit", "debug_nans", "debug_infs"))
@@ -150,13 +169,13 @@ def _is_place(leaf: Any) -> bool:
 
 def _taken(path: Path, arguments: int) -> tuple[Callable[..., Any], PyTree] | None:
     """Load the program of a call and the outline of its answer; None where they are not kept."""
-    content = _read(path)
+    content = read_entry(path)
     if content is None:
         return None
     try:
         code, arrays, outline = pickle.loads(content)
     except Exception as error:  # pickle has no one kind for what it cannot load
-        _warn(path, str(error))
+        warn_of(path, str(error))
         return None
     run = _loaded(path.with_name(code), arguments, arrays)
     return None if run is None else (run, outline)
@@ -164,14 +183,14 @@ def _taken(path: Path, arguments: int) -> tuple[Callable[..., Any], PyTree] | No
 
 def _loaded(path: Path, arguments: int, arrays: int) -> Callable[..., Any] | None:
     """Load a program; None where it is not kept."""
-    content = _read(path)
+    content = read_entry(path)
     if content is None:
         return None
     places = jax.tree.structure(((0,) * arguments, {})), jax.tree.structure((0,) * arrays)
     try:
         run = serialize_executable.deserialize_and_load(content, *places)
     except Exception as error:  # XLA has no one kind for what it cannot load
-        _warn(path, str(error).partition("\n")[0])
+        warn_of(path, str(error).partition("\n")[0])
         return None
     jax.monitoring.record_event("/keepout/kept_program_loaded")
     return run
@@ -207,37 +226,12 @@ def _compiled(
         if _taken_by_jax[0] != before:
             return run, outline
         with suppress(NotImplementedError, ValueError):
-            _write(code, serialize_executable.serialize(run)[0])
+            write_entry(code, serialize_executable.serialize(run)[0])
     with suppress(_UnknownError, TypeError, AttributeError, pickle.PicklingError):
         content = pickle.dumps((code.name, arrays, outline))
         if _sources() == _sources.__wrapped__():
-            _write(path, content)
+            write_entry(path, content)
     return run, outline
-
-
-def _read(path: Path) -> bytes | None:
-    """Read what `_write` wrote; None where it is not there, with a warning where it is damaged."""
-    try:
-        whole = path.read_bytes()
-    except FileNotFoundError:
-        return None
-    except OSError as error:
-        _warn(path, str(error.strerror))
-        return None
-    check, content = whole[:32], whole[32:]
-    if hashlib.sha256(content).digest() != check:
-        _warn(path, "it is damaged")
-        return None
-    with suppress(OSError):
-        path.touch()  # what is used stays when the folder is full
-    return content
-
-
-def _write(path: Path, content: bytes) -> None:
-    try:
-        write_whole(path, hashlib.sha256(content).digest() + content)
-    except KeepoutError as error:
-        _warn(path, str(error))
 
 
 def _calls_out(text: str) -> Iterator[str]:
@@ -338,8 +332,3 @@ def _sources() -> str:
             raise _UnknownError(f"{path} was written after the start")
         whole.update(f"{path.relative_to(_PACKAGE)}\n".encode() + path.read_bytes())
     return whole.hexdigest()
-
-
-def _warn(path: Path, why: str) -> None:
-    said = f"compiled programs are not all kept: {path}: {why}"
-    warnings.warn(said, KeptProgramsWarning, stacklevel=2)

@@ -235,7 +235,12 @@ def paper(
     found = conditions(made, operation, start=start)
     broken = [c for c in found if not c.satisfied]
     if broken:
-        warnings.warn("paper law: " + "; ".join(str(c) for c in broken), ControlWarning, stacklevel=2)
+        said = "; ".join(str(c) for c in broken)
+        warnings.warn(
+            f"paper law: it flies although its theory's conditions do not all hold: {said}",
+            ControlWarning,
+            stacklevel=2,
+        )
     return dataclasses.replace(made, checked=found)
 
 

@@ -143,9 +143,12 @@ def fit(
             raise FieldError(f"training of {target.name}: the loss is not finite at step {(block + 1) * BLOCK}")
         if checkpoint is not None:
             checkpoints.save(checkpoint, state, fingerprint)
-        left = (time.perf_counter() - clock) / (block + 1 - first) * (blocks - block - 1)
+        if block == first:  # it has compiled too, and tells nothing of the others
+            clock, left = time.perf_counter(), ""
+        else:
+            left = f", {(time.perf_counter() - clock) / (block - first) * (blocks - block - 1):.0f} s left"
         found = f", worst over-statement {float(state.worst):+.3f} m" if tuning else ""
-        text = f"distance {float(value_term):.4f}, gradient {float(slope_term):.4f}{found}, {left:.0f} s left"
+        text = f"distance {float(value_term):.4f}, gradient {float(slope_term):.4f}{found}{left}"
         progress(0.1 + 0.89 * (block + 1) / blocks, text)
 
     field = _finished(Learned(state.layers, numbers.beta, domain), solid, generator)

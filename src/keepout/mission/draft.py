@@ -101,10 +101,7 @@ def draft(
                 if key != "source"
             )
             radius = Scenario().chaser.radius
-            remarks = (
-                f"keepout fit {source}{options} --chaser-radius {radius:g} -o {learned}",
-                f"keepout certify {learned} --chaser-radius {radius:g}",
-            )
+            remarks = (f"keepout fit {source}{options} --chaser-radius {radius:g} --certify -o {learned}",)
     progress(0.3, "start and goal")
     start, goal, way = _places(target)
     values |= {"start.position": start, "goal.position": goal}

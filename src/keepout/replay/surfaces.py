@@ -2,14 +2,13 @@
 
 from dataclasses import dataclass
 
-import manifold3d
 import numpy as np
 from jaxtyping import Float, Int
 
+from keepout.compiled.kept_arrays import Arrays, kept_arrays
 from keepout.fields.evaluate import values_and_gradients
 from keepout.fields.field import Field
 from keepout.geometry.distance import Distance
-from keepout.measures.surface import extract_surface
 from keepout.progress import Progress, silent
 
 _CELLS_ALONG = 160
@@ -41,9 +40,11 @@ def drawn_surface(
 ) -> DrawnSurface:
     """Triangulate {f̃ = level} around a target, with few triangles where it is flat.
 
+    A surface that was cut before is taken from the folder of kept programs.
+
     Args:
         field: the field.
-        distance: of the target.
+        distance: of the target, which says where to look.
         level: m.
         steepest: a bound of ‖∇f̃‖.
         progress: called as it is cut.
@@ -55,18 +56,33 @@ def drawn_surface(
     size = float((distance.upper - distance.lower).max())
     # A sheet no thicker than twice the level is to be cut at all, so cells are no larger than the level.
     spacing = min(size / _CELLS_ALONG, max(abs(level), size / _FINEST))
+
+    def cut() -> Arrays:
+        return _cut(field, distance, level, steepest, spacing, progress)
+
+    numbers = (float(level), float(steepest), spacing, _WELD, _FLATTENED)
+    made_from = (field, distance.lower, distance.upper, numbers)
+    drawn = kept_arrays("surface", made_from, cut, libraries=("scikit-image", "manifold3d"))
+    return DrawnSurface(drawn["vertices"], drawn["normals"], drawn["faces"], spacing, float(drawn["within"]))
+
+
+def _cut(field: Field, distance: Distance, level: float, steepest: float, spacing: float, progress: Progress) -> Arrays:
+    from keepout.measures.surface import extract_surface  # takes long to import: only where a surface is cut
+
     cut = extract_surface(field, distance, level, steepest=steepest, spacing=spacing, progress=progress)
     vertices, faces, within = _fewer(cut.vertices, cut.faces, _FLATTENED * spacing)
     _, gradient = values_and_gradients(field, vertices)
     length = np.linalg.norm(gradient, axis=1, keepdims=True)
     normals = gradient / np.where(length > 0.0, length, 1.0)
-    return DrawnSurface(vertices, normals, faces, spacing, within)
+    return {"vertices": vertices, "normals": normals, "faces": faces, "within": np.asarray(within)}
 
 
 def _fewer(
     vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], tolerance: float
 ) -> tuple[Float[np.ndarray, "w 3"], Int[np.ndarray, "g 3"], float]:
     """Give a surface with fewer triangles, and how far it may lie off; one that is not closed stays as it is."""
+    import manifold3d
+
     _, first, place = np.unique(
         np.rint(vertices / _WELD).astype(np.int64), axis=0, return_index=True, return_inverse=True
     )

@@ -55,7 +55,7 @@ def _plain(console: Console, title: str) -> keepout_progress.Progress:
         nonlocal last
         if time.monotonic() - last > 10.0:
             last = time.monotonic()
-            console.print(f"{title}: {fraction:.0%} {message}", highlight=False, markup=False)
+            console.print(f"{title}: {fraction:.0%} {message}", highlight=False, markup=False, soft_wrap=True)
 
     return report
 

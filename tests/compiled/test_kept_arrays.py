@@ -1,0 +1,150 @@
+"""Arrays on disk: the same bits as made anew, and only where all that they are made from is the same."""
+
+import os
+import warnings
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from keepout.compiled.kept_arrays import kept_arrays
+from keepout.compiled.kept_programs import VARIABLE, KeptProgramsWarning, keep_programs
+from keepout.fields.analytic import SphereField
+from keepout.fields.own import stated_field
+from keepout.geometry.target import Target
+from keepout.replay import surfaces
+from keepout.replay.surfaces import drawn_surface
+
+pytestmark = pytest.mark.skipif(not hasattr(os, "getuid"), reason="no owners and modes of files here")
+
+SPHERE = SphereField(jnp.zeros(3), jnp.asarray(2.0))
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A folder of its own, as a process has it after it has begun to keep programs."""
+    before = jax.config.jax_compilation_cache_dir
+    jax.config.update("jax_compilation_cache_dir", None)
+    monkeypatch.setenv(VARIABLE, str(tmp_path / "kept"))
+    keep_programs.cache_clear()
+    yield keep_programs()
+    keep_programs.cache_clear()
+    jax.config.update("jax_compilation_cache_dir", before)
+
+
+@pytest.fixture
+def made():
+    """What was made, and what makes it."""
+    calls = []
+
+    def make():
+        calls.append(1)
+        return {"numbers": np.linspace(0.0, 1.0, 7), "few": np.asarray(0.1)}
+
+    return calls, make
+
+
+def entries(folder):
+    return sorted(folder.glob("numbers-*-cache"))
+
+
+def test_made_once_and_the_same_bits_afterwards(folder, made):
+    calls, make = made
+    first = kept_arrays("numbers", (SPHERE, 1.0), make)
+    again = kept_arrays("numbers", (SPHERE, 1.0), make)
+    assert len(calls) == len(entries(folder)) == 1
+    assert first.keys() == again.keys()
+    for name, array in first.items():
+        assert array.dtype == again[name].dtype
+        assert array.tobytes() == again[name].tobytes()
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        (SPHERE, 2.0),
+        (SphereField(jnp.zeros(3), jnp.asarray(np.nextafter(2.0, 3.0))), 1.0),
+        (SphereField(jnp.zeros(3).at[1].set(-0.0), jnp.asarray(2.0)), 1.0),
+    ],
+    ids=["number", "last bit of a field", "sign of zero"],
+)
+def test_what_is_made_from_something_else_is_made_anew(folder, made, other):
+    calls, make = made
+    kept_arrays("numbers", (SPHERE, 1.0), make)
+    kept_arrays("numbers", other, make)
+    assert len(calls) == len(entries(folder)) == 2
+
+
+def test_another_version_of_a_library_makes_anew(folder, made, monkeypatch):
+    calls, make = made
+    kept_arrays("numbers", SPHERE, make, libraries=["scikit-image"])
+    monkeypatch.setattr("importlib.metadata.version", lambda _: "0.0")
+    kept_arrays("numbers", SPHERE, make, libraries=["scikit-image"])
+    assert len(calls) == 2
+
+
+def damage_first(path):
+    content = path.read_bytes()
+    path.write_bytes(bytes([content[0] ^ 1]) + content[1:])
+
+
+def cut_short(path):
+    path.write_bytes(path.read_bytes()[:-9])
+
+
+def empty(path):
+    path.write_bytes(b"")
+
+
+@pytest.mark.parametrize("damage", [damage_first, cut_short, empty])
+def test_a_damaged_file_is_one_warning_and_mended(folder, made, damage):
+    calls, make = made
+    first = kept_arrays("numbers", SPHERE, make)
+    [path] = entries(folder)
+    damage(path)
+    with pytest.warns(KeptProgramsWarning, match="damaged") as said:
+        again = kept_arrays("numbers", SPHERE, make)
+    assert len(said) == 1
+    assert len(calls) == 2
+    assert again["numbers"].tobytes() == first["numbers"].tobytes()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        kept_arrays("numbers", SPHERE, make)
+    assert len(calls) == 2
+
+
+def test_what_cannot_be_told_apart_is_not_kept(folder, made):
+    calls, make = made
+    own = stated_field(lambda point: jnp.linalg.norm(point) - 2.0, 1.0, lower=(-3.0,) * 3, upper=(3.0,) * 3, samples=10)
+    for _ in range(2):
+        kept_arrays("numbers", own, make)
+    assert len(calls) == 2
+    assert entries(folder) == []
+
+
+def test_without_a_folder_nothing_is_kept(folder, made, monkeypatch):
+    calls, make = made
+    monkeypatch.setenv(VARIABLE, "off")
+    keep_programs.cache_clear()
+    for _ in range(2):
+        kept_arrays("numbers", SPHERE, make)
+    assert len(calls) == 2
+    assert entries(folder) == []
+
+
+def test_a_drawn_surface_is_cut_once(folder, monkeypatch):
+    distance = Target.load("box").distance
+    field = SphereField(jnp.zeros(3), jnp.asarray(1.5))
+    cut, cuts = surfaces._cut, []
+    monkeypatch.setattr(surfaces, "_cut", lambda *given: cuts.append(1) or cut(*given))
+    first = drawn_surface(field, distance, 0.5, steepest=1.0)
+    again = drawn_surface(field, distance, 0.5, steepest=1.0)
+    assert len(cuts) == 1
+    for name in ("vertices", "normals", "faces"):
+        assert getattr(first, name).tobytes() == getattr(again, name).tobytes()
+        assert getattr(first, name).dtype == getattr(again, name).dtype
+    assert (first.spacing, first.within) == (again.spacing, again.within)
+    np.testing.assert_allclose(np.linalg.norm(again.vertices, axis=1), 2.0, atol=0.01)
+    drawn_surface(field, distance, 0.6, steepest=1.0)
+    assert len(cuts) == 2
