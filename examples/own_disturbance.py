@@ -1,5 +1,6 @@
 """A disturbance of your own: plumes that come in pulses. It states its bound, on which guard and audit rely."""
 
+import jax
 import jax.numpy as jnp
 
 import keepout
@@ -8,7 +9,7 @@ import keepout
 class Plume(keepout.Disturbance):
     """A push along one direction that swells and falls off once in `every` seconds."""
 
-    strength: float = 0.012  # N
+    strength: jax.Array  # N; an array, so that every strength is flown by one compiled program
     every: float = 60.0  # s
 
     def force(self, time):
@@ -17,13 +18,13 @@ class Plume(keepout.Disturbance):
 
     @property
     def bound(self):
-        return self.strength
+        return float(self.strength)
 
 
 def main(duration: float = 400.0, strength: float = 0.012) -> keepout.Flight:
     scenario = keepout.Scenario().replace(name="plume", duration=duration, control={"guidance": "straight"})
     mission = keepout.prepare(scenario)
-    return keepout.fly_mission(keepout.with_disturbance(mission, Plume(strength)))
+    return keepout.fly_mission(keepout.with_disturbance(mission, Plume(jnp.array(strength))))
 
 
 if __name__ == "__main__":

@@ -290,6 +290,18 @@ def test_workers_that_all_go_and_never_come_back_are_said_so(here):
         list(flying)
 
 
+def test_what_a_worker_had_flown_and_took_with_it_is_not_waited_for(here):
+    flying = cluster_at(here, workers_seconds=1.0)(small_plan(), list(range(6)), silent)
+    next(flying)
+    until = time.monotonic() + 60.0
+    while not all(task.state == "memory" for task in here.scheduler.tasks.values()) and time.monotonic() < until:
+        time.sleep(0.02)
+    time.sleep(0.5)  # this process hears of it, too
+    here.scale(0)
+    with pytest.raises(ClusterError, match="has had no worker for 1 s"):
+        list(flying)
+
+
 def test_a_scheduler_that_does_not_answer_is_named():
     flyer = Cluster("tcp://127.0.0.1:1", connect_seconds=1.0)
     with pytest.raises(

@@ -34,7 +34,7 @@ def build(data, *, circulation, box, speed, cone=True):
             barrier_rate=one["barrier_rate"],
             gradient_error=one["gradient_error"] if cone else None,
             circulation=Circulation(one["tangent"], one["circulation_rate"], one["weight"]) if circulation else None,
-            box=jnp.asarray(LIMIT) if box else None,
+            box=jnp.asarray(LIMIT, float) if box else None,  # as the other numbers: one program for all steps of them
             speed=one["speed"] if speed else None,
         )
 

@@ -25,7 +25,7 @@ GOAL = np.array([0.0, -4.0, -1.0])
 
 def flown(*, guarded: bool = False, guidance: GuidancePlan | None = None, **chosen):
     """Fly round a ball of 1 m, near enough that barrier, speed limit and filter act."""
-    field = SphereField(jnp.zeros(3), jnp.asarray(1.0))
+    field = SphereField(jnp.zeros(3), jnp.ones(()))
     operation = operations.operation(error_bound=0.0)
     law = profiles.default(field, operation, GOAL, guidance=guidance or Straight(), **chosen)
     guard = None
@@ -113,6 +113,7 @@ def test_the_gradient_through_guard_circulation_and_interior_point():
         assert np.all(np.isfinite(leaf)), jax.tree_util.keystr(place)
 
 
+@pytest.mark.long
 def test_a_law_that_differentiates_itself_is_refused():
     flight = flown(feedforward=True)
     with pytest.raises(ControlError, match="default law"):

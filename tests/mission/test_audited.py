@@ -7,7 +7,7 @@ import pytest
 
 from keepout.audit.audit import Contact
 from keepout.control.guidance.plan import Straight
-from keepout.flight.batches import fly_batches, states_at
+from keepout.flight.batches import states_at
 from keepout.mission.audited import AUDITED, fly_audited, judge
 from keepout.mission.build import flight_setup, prepare
 from keepout.mission.scenario import Scenario
@@ -32,7 +32,8 @@ def varied(setup):
     return setup.goal, setup.controller.velocity.guidance.goal
 
 
-def test_flights_with_goals_of_their_own_are_judged_in_their_order(mission):
+@pytest.fixture(scope="module")
+def flown(mission):
     setup = eqx.tree_at(varied, mission.setup, (jnp.asarray(GOALS), jnp.asarray(GOALS)))
     initial = states_at(setup.motion, STARTS)
     logs = []
@@ -46,6 +47,11 @@ def test_flights_with_goals_of_their_own_are_judged_in_their_order(mission):
         vary=varied,
         batch=2,
     )
+    return outcome, audits, logs
+
+
+def test_flights_with_goals_of_their_own_are_judged_in_their_order(mission, flown):
+    outcome, audits, logs = flown
     # Two batches, the second filled up: what fills it up is neither judged nor handed on.
     assert [(first, log["disturbance"].shape) for first, log in logs] == [(0, (2, 61, 3)), (2, (1, 61, 3))]
     for k, audit in enumerate(audits):
@@ -57,10 +63,9 @@ def test_flights_with_goals_of_their_own_are_judged_in_their_order(mission):
     assert [audit.contact for audit in audits] == 3 * [Contact.NO]
 
 
-def test_verdicts_are_by_the_scenarios_own_numbers(mission):
-    log = {}
-    initial = states_at(mission.setup.motion, STARTS[:1])
-    fly_batches(mission.setup, initial, 60, columns=AUDITED, landed=lambda _, columns: log.update(columns))
+def test_verdicts_are_by_the_scenarios_own_numbers(mission, flown):
+    # The first flight is the mission's own.
+    log = {name: flown[2][0][1][name][:1] for name in AUDITED}
     one = judge(mission.scenario, mission.target, log)[0]
     larger = mission.scenario.replace(chaser={"radius": 0.75, "speed_limit": 0.01})
     wide = judge(larger, mission.target, log)[0]

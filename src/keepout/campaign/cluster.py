@@ -9,7 +9,7 @@ import logging
 import pickle
 import re
 import time
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from typing import Any
 
@@ -29,6 +29,8 @@ WORKERS_SECONDS = 600.0
 AHEAD = 2
 """Chunks handed out for each thread of the cluster: one flies, one waits. No more results than these are ever held."""
 _LOOK_SECONDS = 0.02
+_FETCH_SECONDS = 60.0
+"""The longest wait for one result before the workers are looked at again."""
 
 
 class Cluster:
@@ -176,18 +178,22 @@ class Cluster:
                 under_way[future] = number
                 landing.add(future)
 
+        def require_workers() -> None:
+            nonlocal without_since
+            if client.scheduler_info()["workers"]:
+                without_since = time.monotonic()
+            elif time.monotonic() - without_since > self.workers_seconds:
+                raise ClusterError(self._without_workers())
+
         hand_out()
         try:
             while under_way:
                 while not landing.has_ready():
                     time.sleep(_LOOK_SECONDS)
-                    if client.scheduler_info()["workers"]:
-                        without_since = time.monotonic()
-                    elif time.monotonic() - without_since > self.workers_seconds:
-                        raise ClusterError(self._without_workers())
+                    require_workers()
                 future = next(landing)
-                number = under_way.pop(future)
-                landed = self._landed(future, plan, number)
+                landed = self._landed(future, plan, under_way[future], require_workers)
+                del under_way[future]
                 self.costs.setdefault(landed.worker, []).append(landed.processor_seconds)
                 future.release()
                 hand_out()
@@ -197,12 +203,12 @@ class Cluster:
             with suppress(Exception):  # the scheduler may be gone
                 client.cancel(list(under_way), force=True)
 
-    def _landed(self, future: Future, plan: Plan, number: int) -> Landed:
+    def _landed(self, future: Future, plan: Plan, number: int, require_workers: Callable[[], None]) -> Landed:
         if future.cancelled():
             at = self.address or "local"
             raise ClusterError(f"scheduler: {at} was lost; start the same command again to go on")
         try:
-            landed: Landed = future.result()
+            landed = _result(future, require_workers)
         except KilledWorker as error:
             raise ClusterError(
                 f"{worker.chunk_name(plan, number)}: {error.allowed_failures + 1} workers died while flying it, the "
@@ -215,6 +221,19 @@ class Cluster:
             raise
         self._require_same_kind("that flew " + worker.chunk_name(plan, number), landed.processor)
         return landed
+
+
+def _result(future: Future, require_workers: Callable[[], None]) -> Landed:
+    """Fetch what a worker has flown; where it went with it, wait for the next worker, as long as there may be one."""
+    seconds = 1.0
+    while True:
+        try:
+            return future.result(timeout=seconds)
+        except TimeoutError:
+            if future.status == "error":
+                raise  # the chunk's own
+            require_workers()
+            seconds = min(2.0 * seconds, _FETCH_SECONDS)
 
 
 class _TakePlan(WorkerPlugin):

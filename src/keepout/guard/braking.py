@@ -189,20 +189,27 @@ def radii(assumptions: GuardAssumptions, first_pole: float, second_pole: float) 
     # The estimate's error reaches the thrusters through K Φⁿ, once a step.
     noise = float(heard @ errors)
 
-    def reach(response: tuple[float, float, Float[np.ndarray, "starts 2"]]) -> float:
-        peak, driven, started = response
-        return D * peak + noise * driven + float(np.max(started @ errors))
-
-    reserve = reach(feedback) + noise
+    reserve = _reach(feedback, D, noise, errors) + noise
     bow = T**2 / 8.0 * (reserve + D)
     return BrakingDesign(
         position_gain=k_p,
         velocity_gain=k_d,
         deceleration=float(assumptions.authority) - reserve,
         reserve=reserve,
-        position_radius=reach(position) + bow,
-        velocity_radius=reach(velocity) + 0.5 * D * T,
+        position_radius=_reach(position, D, noise, errors) + bow,
+        velocity_radius=_reach(velocity, D, noise, errors) + 0.5 * D * T,
     )
+
+
+def _reach(
+    response: tuple[float, float, Float[np.ndarray, "starts 2"]],
+    disturbance: float,
+    noise: float,
+    errors: Float[np.ndarray, "2"],
+) -> float:
+    """Give how far disturbance, noise and the errors of the start take a response together."""
+    peak, driven, started = response
+    return disturbance * peak + noise * driven + float(np.max(started @ errors))
 
 
 @lru_cache(maxsize=2048)
