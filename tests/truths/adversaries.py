@@ -46,16 +46,16 @@ def motion_state(position, velocity, attitude=None):
     return MotionState(jnp.zeros(()), position, velocity, attitude, jnp.zeros(3))
 
 
-def fly(estimate, key, kind, start, errors, steps):
-    """Fly one flight against an adversary.
+def fly(estimate, disturbance, key, kind, start, errors, steps):
+    """Fly one flight against an adversary that pushes with up to `disturbance` (m/s²).
 
     Returns a row a step: off (2,), how far the truth is from the centre; the radii (2,); the radii before the samples
     were taken in (2,); contradicted; the truth (6,); what came (sensors,).
     """
-    return jax.lax.scan(*_flight(estimate, key, kind, start, errors), length=steps)[1]
+    return jax.lax.scan(*_flight(estimate, disturbance, key, kind, start, errors), length=steps)[1]
 
 
-def _flight(estimate, key, kind, start, errors):
+def _flight(estimate, disturbance, key, kind, start, errors):
     keys = jax.random.split(key, 6)
     attitude = rotation.normalise(jax.random.normal(keys[0], (4,)))
     truth = motion_state(start[:3], start[3:], attitude)
@@ -64,7 +64,7 @@ def _flight(estimate, key, kind, start, errors):
     told = motion_state(start[:3] + off[0], start[3:] + off[1], attitude)
     lines = estimate.suite.initial_state(keys[2], truth)
     steady = jax.random.normal(keys[3], (3,))
-    D, T = estimate.disturbance, estimate.period
+    D, T = disturbance, estimate.period
 
     def step(carry, _):
         truth, lines, known, key = carry
@@ -97,6 +97,10 @@ def _flight(estimate, key, kind, start, errors):
 
 
 @eqx.filter_jit
-def fly_many(make, keys, kinds, starts, errors, steps):
+def fly_many(make, disturbance, keys, kinds, starts, errors, steps):
     """Fly flights in a batch; `make(kind of noise)` gives the estimate."""
-    return jax.vmap(lambda key, kind, start: fly(make(kind[0]), key, kind, start, errors, steps))(keys, kinds, starts)
+
+    def one(key, kind, start):
+        return fly(make(kind[0]), disturbance, key, kind, start, errors, steps)
+
+    return jax.vmap(one)(keys, kinds, starts)

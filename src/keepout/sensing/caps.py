@@ -198,7 +198,7 @@ def _largest(
         largest = float(position.max())
         if window and step:
             since = min(step, window) * T
-            velocity = np.minimum(velocity, (largest + history[0]) / since + 0.5 * since * D)
+            velocity = np.minimum(velocity, (position + history[0]) / since + 0.5 * since * D)
         most = np.maximum(most, (largest, velocity.max()))
         if most.max() > _ENDLESS:
             return None

@@ -270,7 +270,7 @@ class ErrorModel(eqx.Module):
         """Give a bound on the probability that one draw passes `bound`: the sum over the parts."""
         return min(1.0, sum(part.beyond(self.dimension) for part in self.parts))
 
-    def _own(self, normals: Float[Array, " k"]) -> list[Float[Array, " k"]]:
+    def _own(self, normals: Float[Array, " k"]) -> list[Float[Array, " _"]]:
         pieces, first = [], 0
         for part in self.parts:
             last = first + part.normals(self.dimension)
