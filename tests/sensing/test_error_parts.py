@@ -99,7 +99,7 @@ def test_gaussian_noise_passes_its_bound_as_often_as_told(sigmas, dimension):
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (lambda: BallNoise(-1.0), "noise radius: -1; it must be finite and at least 0"),
+        (lambda: BallNoise(-1.0), "noise radius: -1.0; it must be finite and at least 0"),
         (lambda: GaussianNoise(np.nan), "noise standard deviation: nan; it must be finite and at least 0"),
         (lambda: WanderingBias(0.1, 0.2), "bias step: 0.2; it must be at most the radius 0.1"),
         (lambda: Outliers(1.5, 1.0), "outlier probability: 1.5; it must be above 0 and below 1"),

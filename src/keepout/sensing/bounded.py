@@ -7,6 +7,7 @@ Between control steps r̈ = u + w with ‖w‖ ≤ D, u the commanded force over
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from keepout.errors import ScenarioError
@@ -59,7 +60,7 @@ class SetMembership(BoundedEstimator):
             instead.
 
     Raises:
-        ScenarioError: a window or a patience outside its range.
+        ScenarioError: a number outside its range.
 
     """
 
@@ -71,6 +72,13 @@ class SetMembership(BoundedEstimator):
     patience: int = eqx.field(static=True, default=3)
 
     def __check_init__(self):
+        for name, unit, above in (("disturbance", "m/s2", False), ("mass", "kg", True), ("period", "s", True)):
+            value = getattr(self, name)
+            if isinstance(value, Tracer):
+                continue  # values are not known yet inside a transformation
+            if not bool(jnp.all(jnp.isfinite(value) & ((value > 0.0) if above else (value >= 0.0)))):
+                least = "above 0" if above else "at least 0"
+                raise ScenarioError(f"set membership: {name} is {value} {unit}; it must be finite and {least}")
         if self.window < 0:
             raise ScenarioError(f"set membership: window is {self.window} steps; it must be at least 0")
         if self.patience < 1:

@@ -11,11 +11,14 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from keepout.errors import ScenarioError
 from keepout.motion import rotation
+from keepout.motion.arrays import as_float64
 from keepout.motion.relative import MotionState
 from keepout.sensing.bounded import SetMembership
 from keepout.sensing.sensor import Sensor
@@ -147,18 +150,18 @@ def _largest_balls(sensor: Sensor, range_limit: float, speed_limit: float) -> tu
     What is measured may itself be longer than the limit by the error, so the radii are taken at the limit and that.
     """
 
-    def radii(distance: float, speed: float) -> tuple[float, float]:
+    @jax.jit  # operation by operation, it would compile dozens of programs
+    def radii(distance: Float[Array, ""], speed: Float[Array, ""]) -> Float[Array, "2"]:
         away = jnp.array([1.0, 0.0, 0.0])
-        zero = jnp.zeros(())
-        state = MotionState(zero, distance * away, speed * away, rotation.identity(), jnp.zeros(3))
+        state = MotionState(jnp.zeros(()), distance * away, speed * away, rotation.identity(), jnp.zeros(3))
         value = sensor.ideal(state)
         balls = sensor.position_ball(value, state), sensor.velocity_ball(value, state)
-        position, velocity = (math.inf if ball is None else float(ball.radius) for ball in balls)
-        return position, velocity
+        return jnp.stack([jnp.asarray(jnp.inf) if ball is None else ball.radius for ball in balls])
 
-    first = radii(range_limit, speed_limit)
-    further, faster = (value if math.isfinite(value) else 0.0 for value in first)
-    return radii(range_limit + further, speed_limit + faster)
+    first = np.asarray(radii(as_float64(range_limit), as_float64(speed_limit)))
+    further, faster = np.where(np.isfinite(first), first, 0.0)
+    position, velocity = np.asarray(radii(as_float64(range_limit + further), as_float64(speed_limit + faster)))
+    return float(position), float(velocity)
 
 
 def _windows(told: list[_Told], disturbance: float, period: float) -> Iterator[int]:
@@ -172,8 +175,10 @@ def _windows(told: list[_Told], disturbance: float, period: float) -> Iterator[i
         return
     longest = _LONGEST + 20 * oldest
     best = 2.0 * math.sqrt(radius / disturbance) / period if disturbance > 0.0 else longest
+    # A late position is carried by the velocity that it is to bound: in a window of twice its age that settles.
+    best = max(best, 2.0 * (oldest + 1))
     seen = set()
-    for factor in (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.5, 2.0, 3.0, 4.0, 6.0):
+    for factor in (0.5, 0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.5, 2.0, 4.0):
         window = round(min(max(best * factor, oldest + 1), longest))
         if window not in seen:
             seen.add(window)

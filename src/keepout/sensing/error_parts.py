@@ -9,6 +9,7 @@ import abc
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, PyTree
 from scipy import special, stats
@@ -148,9 +149,8 @@ class WanderingBias(ErrorPart):
         _check("bias radius", self.radius)
         _check("bias step", self.step)
         if _beyond(self.step, self.radius):
-            raise ScenarioError(
-                f"bias step: {float(self.step):g}; it must be at most the radius {float(self.radius):g}"
-            )
+            step, radius = np.asarray(self.step).tolist(), np.asarray(self.radius).tolist()
+            raise ScenarioError(f"bias step: {step}; it must be at most the radius {radius}")
 
     def normals(self, dimension: int) -> int:
         """Count two more than the error has components."""
@@ -291,7 +291,7 @@ def _check(name: str, value: float | Scalar) -> None:
     if isinstance(value, Tracer):
         return  # values are not known yet inside a transformation
     if not (bool(jnp.all(jnp.isfinite(value))) and bool(jnp.all(jnp.asarray(value) >= 0.0))):
-        raise ScenarioError(f"{name}: {float(value):g}; it must be finite and at least 0")
+        raise ScenarioError(f"{name}: {np.asarray(value).tolist()}; it must be finite and at least 0")
 
 
 def _beyond(value: Scalar, limit: Scalar) -> bool:
