@@ -223,6 +223,7 @@ def _concentric(estimate, initial, steps):
     return np.asarray(run(jax.random.split(jax.random.key(0), 200)))
 
 
+@pytest.mark.long
 def test_without_noise_and_push_the_centres_are_the_truth():
     """The commands are accounted for over the latency, and over the window between two positions.
 
