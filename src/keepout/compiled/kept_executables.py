@@ -45,7 +45,7 @@ _PACKAGE = Path(__file__).parents[1]
 _STARTED = time.time() - time.process_time()
 _KNOWN = ("keepout", "jax", "jaxlib", "equinox", "numpy", "builtins")
 """Packages whose functions and classes are told by a version or by source files."""
-_TRACED = tuple(f"keepout.{room}" for room in ("compiled", "control", "fields", "flight", "guard", "motion"))
+_TRACED = tuple(f"keepout.{room}" for room in ("compiled", "control", "fields", "flight", "guard", "motion", "sensing"))
 """Rooms of Keepout whose functions are traced."""
 _HARMLESS = ("Sharding",)
 """Calls out of a lowered program that are gone when it is compiled."""
