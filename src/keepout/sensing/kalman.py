@@ -27,9 +27,9 @@ from keepout.sensing.sensor import Sample, Sensor
 
 _MOST_WIDENING = 100.0
 """Largest factor on the covariance for one sample left out."""
-_WIDEST = (100.0, 1.0, 10.0)
-"""Standard deviations beyond which no sample widens the covariance: position, m; velocity, m/s; parts of the push, in
-those of the start."""
+_WIDEST = np.array([100.0, 1.0])
+"""Standard deviations of position (m) and velocity (m/s) beyond which no sample widens them; the push's is ten times
+that of the start."""
 
 
 class Belief(eqx.Module):
@@ -213,12 +213,9 @@ class KalmanFilter(Estimator):
         P = M - _product(M[:, :6] @ H.T - K @ R, K)
         change = K @ innovation
         impatient = out & finite & (belief.left_out[number] >= self.patience)
-        widest = jnp.array(_WIDEST) ** 2 * jnp.array([1.0, 1.0, self.disturbance_variance])
-        spread = jnp.diag(P)
-        room = jnp.concatenate([jnp.repeat(widest[:2], 3), jnp.full(P.shape[0] - 6, widest[2])]) / spread
-        most = jnp.minimum(_MOST_WIDENING, jnp.min(jnp.where(spread > 0.0, room, jnp.inf)))
-        wider = jnp.minimum(2.0 * square / self.gates[number], most)
-        P = P * jnp.where(impatient, jnp.maximum(wider, 1.0), 1.0)
+        wider = jnp.minimum(2.0 * square / self.gates[number], _MOST_WIDENING)
+        factors = jnp.where(impatient, self._widening(P, wider), 1.0)
+        P = factors[:, None] * P * factors
 
         count = jnp.where(out, belief.left_out[number] + 1, jnp.where(use, 0, belief.left_out[number]))
         motion = eqx.tree_at(
@@ -228,6 +225,14 @@ class KalmanFilter(Estimator):
         )
         disturbance = belief.disturbance + change[6:].reshape(-1, 3)
         return Belief(motion, disturbance, P, belief.left_out.at[number].set(count)), out
+
+    def _widening(self, P: Float[Array, "n n"], wanted: Float[Array, ""]) -> Float[Array, " n"]:
+        """Give the factors on the state that make its variances as many times larger as is wanted and allowed."""
+        push = 10.0**2 * self.disturbance_variance
+        widest = jnp.concatenate([jnp.repeat(_WIDEST**2, 3), jnp.broadcast_to(push, (P.shape[0] - 6,))])
+        spread = jnp.diag(P)
+        room = jnp.where(spread > 0.0, widest / jnp.where(spread > 0.0, spread, 1.0), 1.0)
+        return jnp.sqrt(jnp.maximum(jnp.minimum(wanted, room), 1.0))
 
 
 def transition(motion: RelativeMotion, state: MotionState, period: Float[Array, ""]) -> Float[Array, "6 9"]:
