@@ -138,17 +138,16 @@ class KalmanFilter(Estimator):
         came = eqx.tree_at(lambda c: [s.came for s in c], came, [s.came & (since_start >= 0) for s in came])
 
         def ahead(
-            belief: Belief, given: tuple[Vector, tuple[Sample, ...], Int[Array, ""]]
-        ) -> tuple[Belief, Bool[Array, " sensors"]]:
-            force, sampled, number = given
-            moved = self.predicted(belief, force)
-            belief = jax.tree.map(lambda new, old: jnp.where(number > 0, new, old), moved, belief)
-            return self.updated(belief, sampled)
+            beliefs: tuple[Belief, Belief], given: tuple[Vector, tuple[Sample, ...], Int[Array, ""], Bool[Array, ""]]
+        ) -> tuple[tuple[Belief, Belief], Bool[Array, " sensors"]]:
+            belief, settled = beliefs
+            force, sampled, number, oldest = given
+            belief = _where(number > 0, self.predicted(belief, force), belief)
+            belief, left_out = self.updated(belief, sampled)
+            return (belief, _where(oldest, belief, settled)), left_out
 
-        line = (state.forces, came, since_start)
-        settled, first = ahead(state.settled, jax.tree.map(lambda x: x[0], line))
-        belief, later = jax.lax.scan(ahead, settled, jax.tree.map(lambda x: x[1:], line))
-        left_out = jnp.concatenate([first[None], later])
+        line = (state.forces, came, since_start, jnp.arange(late + 1) == 0)
+        (belief, settled), left_out = jax.lax.scan(ahead, (state.settled, state.settled), line)
         newest = [left_out[late - sensor.latency, i] for i, sensor in enumerate(self.sensors)]
         waiting = jax.tree.map(lambda x: x[1:], lines)
         memory = FilterMemory(settled, state.forces, waiting, state.steps)
@@ -333,6 +332,10 @@ def kalman_filter(
         attitudes=attitudes,
         patience=patience,
     )
+
+
+def _where(condition: Bool[Array, ""], yes: Belief, no: Belief) -> Belief:
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)
 
 
 def _cross(w: Vector) -> Float[Array, "3 3"]:
