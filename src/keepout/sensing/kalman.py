@@ -1,7 +1,7 @@
 """The law's filter: position, velocity and disturbance estimated together from whatever samples come.
 
 An extended Kalman filter over x = [r, v, ξ]. The model of r and v is the exact relative motion with the force and the
-disturbance's mean held over each period; its covariance P moves with the linearised motion. See docs/navigation.md.
+disturbance's mean held over each period; its covariance P moves with the linearised motion. See docs/navigation-filter.md.
 """
 
 from collections.abc import Sequence
