@@ -1,7 +1,8 @@
 """The law's filter: position, velocity and disturbance estimated together from whatever samples come.
 
 An extended Kalman filter over x = [r, v, ξ]. The model of r and v is the exact relative motion with the force and the
-disturbance's mean held over each period; its covariance P moves with the linearised motion. See docs/navigation-filter.md.
+disturbance's mean held over each period; its covariance P moves with the linearised motion.
+See docs/navigation-filter.md.
 """
 
 from collections.abc import Sequence
@@ -28,8 +29,9 @@ from keepout.sensing.sensor import Sample, Sensor
 _MOST_WIDENING = 100.0
 """Largest factor on the covariance for one sample left out."""
 _WIDEST = np.array([100.0, 1.0])
-"""Standard deviations of position (m) and velocity (m/s) beyond which no sample widens them; the push's is ten times
-that of the start."""
+"""Standard deviations of position (m) and velocity (m/s) beyond which no sample widens them."""
+_WIDEST_DISTURBANCE = 10.0
+"""Likewise of the disturbance's components, in those of the start."""
 
 
 class Belief(eqx.Module):
@@ -227,7 +229,7 @@ class KalmanFilter(Estimator):
 
     def _widening(self, P: Float[Array, "n n"], wanted: Float[Array, ""]) -> Float[Array, " n"]:
         """Give the factors on the state that make its variances as many times larger as is wanted and allowed."""
-        push = 10.0**2 * self.disturbance_variance
+        push = _WIDEST_DISTURBANCE**2 * self.disturbance_variance
         widest = jnp.concatenate([jnp.repeat(_WIDEST**2, 3), jnp.broadcast_to(push, (P.shape[0] - 6,))])
         spread = jnp.diag(P)
         room = jnp.where(spread > 0.0, widest / jnp.where(spread > 0.0, spread, 1.0), 1.0)
