@@ -39,7 +39,7 @@ class Controller(Law):
     Attributes:
         velocity: the layer that gives the safe velocity.
         tracking: the layer that follows it.
-        observer: of the disturbance.
+        observer: of the disturbance, for estimates that come without one.
         motion: the model behind the drift compensation.
         mass: kg.
         force_limit: of each body axis, N.
@@ -86,16 +86,23 @@ class Controller(Law):
         return eqx.tree_at(lambda s: s.force, state, force)
 
     def step(self, state: ControllerState, estimate: MotionState) -> tuple[ControllerState, Command]:
-        """Run one control step on an estimate of the motion; call it once a period."""
+        """Run one control step on an estimate of the motion; call it once a period.
+
+        Where the estimate comes with a disturbance the law cancels that one, and its observer rests.
+        """
         drift = self.motion.drift_acceleration(estimate)
         velocity = estimate.velocity
-        updated = self.observer.update(
-            state.observer, state.velocity, velocity, 0.5 * (state.drift + drift), state.force
-        )
-        memory = jnp.where(state.started, updated, state.observer)
+        if estimate.disturbance is None:
+            updated = self.observer.update(
+                state.observer, state.velocity, velocity, 0.5 * (state.drift + drift), state.force
+            )
+            memory = jnp.where(state.started, updated, state.observer)
+            push, push_ahead = self.observer.estimate(memory, velocity), self.observer.mean_ahead(memory, velocity)
+        else:  # a filter has estimated it together with the motion
+            memory, push, push_ahead = state.observer, estimate.disturbance, estimate.disturbance
         point, circulation = self.velocity(estimate.position, velocity, state.circulation)
         tracked = self.tracking(point, estimate.position - self.goal, velocity, drift, self.mass)
-        wanted = tracked.control - self.observer.mean_ahead(memory, velocity)
+        wanted = tracked.control - push_ahead
         finite = jnp.all(jnp.isfinite(wanted)) & (point.status != ConeStatus.NOT_FINITE)
         force = jnp.where(finite, jnp.clip(wanted, -self.force_limit, self.force_limit), 0.0)
 
@@ -108,7 +115,7 @@ class Controller(Law):
             force=force,
             desired_velocity=point.desired,
             safe_velocity=point.velocity,
-            disturbance_estimate=self.observer.estimate(memory, velocity),
+            disturbance_estimate=push,
             barrier=point.barrier + self.nominal_offset,
             backstepping_barrier=tracked.backstepping_barrier,
             lyapunov=tracked.lyapunov,

@@ -1,5 +1,7 @@
 """A control law for thrusters that answer late: it is asked for the state in which its command will take effect."""
 
+import dataclasses
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
@@ -14,10 +16,11 @@ from keepout.motion.relative import MotionState, RelativeMotion
 class AheadOfDelay(Law):
     """A law whose commands take effect some periods after they are given.
 
-    Each estimate is moved ahead by the commands under way before the law sees it, without a disturbance. So the
-    velocities that the law sees differ, from sample to sample, by the force it gave at the first of them, the drift
-    and the disturbance that acted: its observer needs no change. What the law reports (barrier, safe velocity) is
-    about the state ahead.
+    Each estimate is moved ahead by the commands under way before the law sees it, without a disturbance unless the
+    estimate comes with one. So the velocities that the law sees differ, from sample to sample, by the force it gave at
+    the first of them, the drift and the disturbance that acted: its observer needs no change. A disturbance that comes
+    with the estimate acts on the way, held, and is passed on as it is. What the law reports (barrier, safe velocity)
+    is about the state ahead.
 
     Attributes:
         law: any control law.
@@ -53,9 +56,11 @@ class AheadOfDelay(Law):
 
     def ahead(self, estimate: MotionState, pending: Float[Array, "delay 3"]) -> MotionState:
         """Give the state after the commands under way (N, the oldest first)."""
+        push, state = estimate.disturbance, dataclasses.replace(estimate, disturbance=None)
         for i in range(self.delay):
-            estimate = self.motion.step(estimate, pending[i], NoDisturbance(), self.period, self.mass)
-        return estimate
+            force = pending[i] if push is None else pending[i] + push
+            state = self.motion.step(state, force, NoDisturbance(), self.period, self.mass)
+        return dataclasses.replace(state, disturbance=push)
 
     def initial_state(self, state: MotionState) -> PyTree:
         """Start the law where it will be first obeyed; nothing is under way."""
