@@ -125,8 +125,8 @@ class GuardAssumptions(eqx.Module):
         least = 1 if self.fault_force else 0
         if self.fault_steps != int(self.fault_steps) or not least <= self.fault_steps <= _LONGEST_FAULT:
             raise ControlError(
-                f"guard: fault_steps is {self.fault_steps}; with a fault_force of {self.fault_force} N it must be a whole "
-                f"number from {least} to {_LONGEST_FAULT}"
+                f"guard: fault_steps is {self.fault_steps}; with a fault_force of {self.fault_force} N it must be a "
+                f"whole number from {least} to {_LONGEST_FAULT}"
             )
 
     @property
@@ -171,12 +171,14 @@ class ObserverGain(eqx.Module):
     Attributes:
         position: l_r.
         velocity: l_v.
-        plan_radius: how far the state predicted from x̂ can be from the plan while the assumptions hold, m.
+        error_radius: how far x̂ can be from the true position while the assumptions hold, m.
+        plan_radius: how far the position predicted from x̂ can be from the plan then, m.
 
     """
 
     position: float
     velocity: float
+    error_radius: float
     plan_radius: float
 
 
@@ -266,7 +268,7 @@ def _observed(assumptions: GuardAssumptions) -> Iterator[BrakingDesign]:
 
 
 def observed_radii(assumptions: GuardAssumptions, gains: responses.Gains) -> BrakingDesign:
-    """Derive the radii for an estimate with errors, for given poles and gains of the observer (docs/guard.md, section 3).
+    """Derive the radii for an estimate with errors, for given poles and gains of the observer (docs/guard.md, 3).
 
     Args:
         assumptions: of the guard.
@@ -278,8 +280,9 @@ def observed_radii(assumptions: GuardAssumptions, gains: responses.Gains) -> Bra
     summed = responses.responses(float(T), a.delay, gains, a.fault_steps)
     fault = float(a.fault_push)
     pushed, noisy = summed.pushed + summed.pushed_before, summed.noisy + summed.noisy_before
-    reach = (D * pushed + noisy @ errors + fault * summed.struck_ever).max(axis=1)
-    k_p, k_d = responses.feedback_gains(float(T), np.float64(gains[0]), np.float64(gains[1]))
+    at_each_time = D * pushed + noisy @ errors + fault * summed.struck_ever
+    reach = at_each_time.max(axis=1)
+    k_p, k_d = responses.feedback_gains(float(T), np.array(gains[0]), np.array(gains[1]))
     reserve = float(reach[responses.FEEDBACK])
     return BrakingDesign(
         position_gain=float(k_p),
@@ -288,12 +291,15 @@ def observed_radii(assumptions: GuardAssumptions, gains: responses.Gains) -> Bra
         reserve=reserve,
         position_radius=float(reach[responses.POSITION]) + T**2 / 8.0 * (reserve + D + fault) + a.excursion,
         velocity_radius=float(reach[responses.VELOCITY]) + 0.5 * (D + fault) * T + a.velocity_excursion,
-        observer=ObserverGain(gains[2], gains[3], float(reach[responses.PREDICTED])),
+        # The first of the times is that of the plan itself, where the error from it is that of x̂.
+        observer=ObserverGain(
+            gains[2], gains[3], float(at_each_time[responses.POSITION, 0]), float(reach[responses.PREDICTED])
+        ),
     )
 
 
 def radii(assumptions: GuardAssumptions, first_pole: float, second_pole: float) -> BrakingDesign:
-    """Derive the radii for an estimate without errors, for closed-loop poles, 0 < pole < 1 (docs/guard.md, section 3)."""
+    """Derive the radii for an estimate without errors, for closed-loop poles, 0 < pole < 1 (docs/guard.md, 3)."""
     T, D, fault = assumptions.period, float(assumptions.disturbance), float(assumptions.fault_push)
     k_p, k_d, (feedback, position, velocity) = _responses(
         T, assumptions.delay, first_pole, second_pole, assumptions.fault_steps

@@ -24,8 +24,11 @@ _ROUNDS = 5
 
 @dataclass(frozen=True)
 class Task:
-    """What gains are asked for: period (s), delay, D (m/s²), ε_r (m), ε_v (m/s), F_max/m (m/s²), the speed to stop from
-    (m/s), and a fault's push (m/s²) and steps."""
+    """What gains are asked for.
+
+    In the theorem's letters: T (s), n, D (m/s²), ε_r (m), ε_v (m/s), F_max/m (m/s²), V̄ (m/s), and a fault's push (m/s²)
+    and steps.
+    """
 
     period: float
     delay: int
@@ -74,7 +77,10 @@ def least_room(task: Task) -> Gains:
 
 
 def _needed(task: Task, left: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "2 n"]:
-    """Feedback (m/s²) and room (m, infinite where the feedback leaves nothing), nearly; by 1 less each pole, l_r, l_v."""
+    """Give feedback (m/s²) and room (m, infinite where the feedback leaves nothing), nearly.
+
+    Asked for by 1 less each pole, l_r and l_v.
+    """
     gains = np.concatenate([1.0 - left[:, :2], left[:, 2:]], axis=1)
     loop = Loop(task.period, task.delay, gains)
     rows = loop.rows((POSITION, FEEDBACK), _TIMES)
