@@ -282,11 +282,11 @@ def observed_radii(assumptions: GuardAssumptions, gains: responses.Gains) -> Bra
     pushed, noisy = summed.pushed + summed.pushed_before, summed.noisy + summed.noisy_before
     at_each_time = D * pushed + noisy @ errors + fault * summed.struck_ever
     reach = at_each_time.max(axis=1)
-    k_p, k_d = responses.feedback_gains(float(T), np.array(gains[0]), np.array(gains[1]))
+    k_p, k_d = (float(gain[0]) for gain in responses.feedback_gains(float(T), *np.array(gains)[:2, None]))
     reserve = float(reach[responses.FEEDBACK])
     return BrakingDesign(
-        position_gain=float(k_p),
-        velocity_gain=float(k_d),
+        position_gain=k_p,
+        velocity_gain=k_d,
         deceleration=float(a.authority) - reserve,
         reserve=reserve,
         position_radius=float(reach[responses.POSITION]) + T**2 / 8.0 * (reserve + D + fault) + a.excursion,
