@@ -70,7 +70,7 @@ def simulate(made, T, n, noise, pushes, planned):
 
 
 def impulses(made, T, n, before, after):
-    """Answers to each single input, (inputs, steps, 2, …): of noise in position and velocity, and of pushes likewise."""
+    """Answers to each single input: of noise in position and velocity, and of pushes likewise."""
     steps = before + after
     one = np.eye(2 * steps).reshape(2 * steps, steps, 2)
     none = np.zeros_like(one)
