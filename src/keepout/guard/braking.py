@@ -166,7 +166,7 @@ class GuardAssumptions(eqx.Module):
 
 
 class ObserverGain(eqx.Module):
-    """The guard's observer x̂ = x̄ + L (told − x̄), L = [[l_r, (1 − l_r) T], [0, l_v]] (docs/guard.md, section 3).
+    """The guard's observer x̂ = x̄ + H (told − x̄), H = [[l_r, (1 − l_r) T], [0, l_v]] (docs/guard.md, section 3).
 
     Attributes:
         position: l_r.

@@ -1,4 +1,4 @@
-"""The guard's observer in flight: x̂ = x̄ + L (told − x̄), and when its error's bound begins anew (docs/guard.md, 2).
+"""The guard's observer in flight: x̂ = x̄ + H (told − x̄), and when its error's bound begins anew (docs/guard.md, 2).
 
 The radii of `braking.observed_radii` hold for an observer that began with an error within (ε_r, ε_v), was told no
 estimate with a larger one since, and was driven by no acceleration beyond D. Where that is not known – after a step

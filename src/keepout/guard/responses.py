@@ -1,10 +1,10 @@
 """What errors can add up to where a braking plan is followed on an observer's estimate (docs/guard.md, section 3).
 
-In every axis alike, with n_k the error of the estimate that is told, w̃ the pulse of a step's disturbance, ε the error
+In every axis alike, with η the error of the estimate that is told, w̃ the pulse of a step's disturbance, ε the error
 of the observer and q the distance of the predicted state from the plan,
 
-    ε⁺ = (I − L)(Φ ε − w̃) + L n,   q⁺ = M q + Φⁿ L (n − Φ ε + w̃),   q = 0 when the plan is made,
-    e = q − Φⁿ ε + w̃ of the last n steps,   L = [[l_r, (1 − l_r) T], [0, l_v]],   (I − L) Φ = diag(1 − l_r, 1 − l_v).
+    ε⁺ = (I − H)(Φ ε − w̃) + H η,   q⁺ = M q + Φⁿ H (η − Φ ε + w̃),   q = 0 when the plan is made,
+    e = q − Φⁿ ε + w̃ of the last n steps,   H = [[l_r, (1 − l_r) T], [0, l_v]],   (I − H) Φ = diag(1 − l_r, 1 − l_v).
 
 Everything is linear in the noise, in the disturbance and in the state at the start. So each bound is a sum of absolute
 responses, over what came before the plan was made and what comes after it.
@@ -74,7 +74,7 @@ class Loop:
 
     Attributes:
         step: of (ε, q), (n, 4, 4).
-        pushes, told: how w̃ and n enter, (n, 4, 2).
+        pushes, told: how w̃ and η enter, (n, 4, 2).
         outputs: rows of POSITION to PREDICTED, (n, 4, 4).
         free: position and velocity rows of the last `delay` pulses, which no feedback knows of, (delay, 2, 2).
         left: 1 − l_r and 1 − l_v, (n, 2).
@@ -88,9 +88,9 @@ class Loop:
         ahead = np.linalg.matrix_power(Phi, delay)
         K = -np.stack(feedback_gains(period, first_pole, second_pole), axis=-1)
         M = Phi + np.array([0.5 * period**2, period])[:, None] * K[:, None, :]
-        L = np.stack([np.stack([l_r, (1.0 - l_r) * period], -1), np.stack([zero, l_v], -1)], axis=-2)
-        kept = np.eye(2) - L
-        heard = ahead @ L
+        H = np.stack([np.stack([l_r, (1.0 - l_r) * period], -1), np.stack([zero, l_v], -1)], axis=-2)
+        kept = np.eye(2) - H
+        heard = ahead @ H
         self.period, self.delay, self.gains = period, delay, gains
         self.left = 1.0 - gains[:, 2:]
         self.step = np.zeros((count, 4, 4))
@@ -98,7 +98,7 @@ class Loop:
         self.step[:, 2:, :2] = -heard @ Phi
         self.step[:, 2:, 2:] = M
         self.pushes = np.concatenate([-kept, heard], axis=1)
-        self.told = np.concatenate([L, heard], axis=1)
+        self.told = np.concatenate([H, heard], axis=1)
         self.outputs = np.zeros((count, 4, 4))
         self.outputs[:, POSITION:FEEDBACK, :2] = -ahead
         self.outputs[:, POSITION:FEEDBACK, 2:] = np.eye(2)
@@ -123,7 +123,7 @@ def before(
 
     Returns:
         Those to the disturbance of each step before, the last first; and sums of those to the errors told before. An
-        observer that began k steps before is covered: its first error counts |start ((I − L) Φ)ᵏ|, and what that passes
+        observer that began k steps before is covered: its first error counts |start ((I − H) Φ)ᵏ|, and what that passes
         the sum of all that would have come before by is added (the position's part of both is the same).
 
     """
