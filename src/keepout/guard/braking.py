@@ -5,10 +5,12 @@ e between the chaser and a nominal braking motion obeys, at the control instants
 
     e⁺ = (Φ + Γ K) e + w + Γ K (errors of the estimate),   Φ = [[1, T], [0, 1]],  Γ = [T²/2, T],  K = −[k_p, k_d],
 
-so the largest error that any admissible disturbance can build up is the sum of the absolute impulse response.
+so the largest error that any admissible disturbance can build up is the sum of the absolute impulse response. Where the
+estimate has errors the guard smooths it by an observer of its own; `responses` sums over both.
 """
 
 import math
+from collections.abc import Iterator
 from functools import lru_cache
 
 import equinox as eqx
@@ -16,12 +18,16 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from keepout.errors import ControlError
+from keepout.guard import responses
+from keepout.guard.observer_gain import Task, least_room
 
 Number = float | Float[Array, "*flights"]
 """Python's number; in a compiled program that takes the guard's numbers as arguments an array."""
 
 _AT_REST = 4.0
-"""Weight of ρ against the stop length when gains are chosen."""
+"""Weight of ρ against the stop length when gains are chosen for an estimate without errors."""
+_LONGEST_FAULT = 100
+"""Most steps of a fault."""
 _POWERS = 32
 """Powers of a matrix taken between two looks at their size."""
 
@@ -49,6 +55,13 @@ class GuardAssumptions(eqx.Module):
         delay: control steps between a command and its effect.
         origin_offset: from the body frame's origin, from which positions are told, to the target's centre of mass,
             about which the frame turns, m.
+        force_error: largest norm of a step's mean force beyond the one commanded, of thrusters that give no force but
+            some, N.
+        excursion: what force that comes in pulses adds within a period to the distance from the motion under a steady
+            one; at the samples it is nothing, m.
+        velocity_excursion: likewise to the velocity, m/s.
+        fault_force: largest norm of the force that is wrong in a fault, N.
+        fault_steps: consecutive control steps after which a fault is over, once in a flight.
 
     Raises:
         ControlError: a number that is not finite or outside its range.
@@ -70,6 +83,11 @@ class GuardAssumptions(eqx.Module):
     gain_error: float = 0.0
     delay: int = eqx.field(static=True, default=0)
     origin_offset: float = 0.0
+    force_error: float = 0.0
+    excursion: float = 0.0
+    velocity_excursion: float = 0.0
+    fault_force: float = 0.0
+    fault_steps: int = eqx.field(static=True, default=0)
 
     def __check_init__(self) -> None:
         """Check each number against its range."""
@@ -92,6 +110,10 @@ class GuardAssumptions(eqx.Module):
             ("velocity_error", "m/s"),
             ("gain_error", ""),
             ("origin_offset", "m"),
+            ("force_error", "N"),
+            ("excursion", "m"),
+            ("velocity_excursion", "m/s"),
+            ("fault_force", "N"),
         ):
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0.0):
@@ -100,6 +122,12 @@ class GuardAssumptions(eqx.Module):
             raise ControlError(f"guard: mass_error is {self.mass_error}; it must be at least 0 and below 1")
         if self.delay != int(self.delay) or not 0 <= self.delay <= 8:
             raise ControlError(f"guard: delay is {self.delay} steps; it must be a whole number from 0 to 8")
+        least = 1 if self.fault_force else 0
+        if self.fault_steps != int(self.fault_steps) or not least <= self.fault_steps <= _LONGEST_FAULT:
+            raise ControlError(
+                f"guard: fault_steps is {self.fault_steps}; with a fault_force of {self.fault_force} N it must be a "
+                f"whole number from {least} to {_LONGEST_FAULT}"
+            )
 
     @property
     def authority(self) -> Number:
@@ -117,10 +145,41 @@ class GuardAssumptions(eqx.Module):
 
     @property
     def disturbance(self) -> Number:
-        """D: bound on every acceleration beyond commanded force over nominal mass, m/s² (disturbance, drift, scale)."""
+        """D: bound on every acceleration beyond commanded force over nominal mass, m/s², but for a fault's.
+
+        The disturbance's, the drift, the errors of scale and those of the force that thrusters give.
+        """
         scale = (1.0 + self.gain_error) / (1.0 - self.mass_error) - 1.0
         push = self.disturbance_force / (self.mass * (1.0 - self.mass_error))
-        return push + self.drift + scale * math.sqrt(3.0) * self.authority
+        wrong = self.force_error / (self.mass * (1.0 - self.mass_error))
+        return push + self.drift + scale * math.sqrt(3.0) * self.authority + wrong
+
+    @property
+    def fault_push(self) -> Number:
+        """Largest acceleration of a fault, m/s²."""
+        return self.fault_force / (self.mass * (1.0 - self.mass_error))
+
+    @property
+    def estimate_errors(self) -> tuple[Number, Number]:
+        """Bounds ε_r (m) and ε_v (m/s) that every estimate of a flight keeps."""
+        return self.position_error, self.velocity_error
+
+
+class ObserverGain(eqx.Module):
+    """The guard's observer x̂ = x̄ + H (told − x̄), H = [[l_r, (1 − l_r) T], [0, l_v]] (docs/guard.md, section 3).
+
+    Attributes:
+        position: l_r.
+        velocity: l_v.
+        error_radius: how far x̂ can be from the true position while the assumptions hold, m.
+        plan_radius: how far the position predicted from x̂ can be from the plan then, m.
+
+    """
+
+    position: float
+    velocity: float
+    error_radius: float
+    plan_radius: float
 
 
 class BrakingDesign(eqx.Module):
@@ -134,6 +193,7 @@ class BrakingDesign(eqx.Module):
         position_radius: ρ, the largest distance between the chaser and the nominal motion, at any instant, m. A chaser
             held at rest stays in a ball of this radius.
         velocity_radius: σ, the same of their velocities, m/s.
+        observer: of the guard; None where the estimate has no errors and needs none.
 
     """
 
@@ -143,6 +203,7 @@ class BrakingDesign(eqx.Module):
     reserve: float
     position_radius: float
     velocity_radius: float
+    observer: ObserverGain | None = None
 
     def stop_length(self, speed: float, period: float) -> float:
         """Length of the nominal braking motion from `speed` (m/s), in m: full steps, then one that ends at rest."""
@@ -153,71 +214,120 @@ class BrakingDesign(eqx.Module):
 def design(assumptions: GuardAssumptions) -> BrakingDesign:
     """Choose the gains that need least room, and derive the radii that go with them.
 
-    Least room: the stop length from the speed limit and four times ρ, which is kept at rest too, and on every side.
-    The poles are searched on a grid of real pairs; whatever the grid, the radii belong to the gains chosen.
+    Least room, without errors of the estimate: the stop length from the speed limit and four times ρ, which is kept at
+    rest too, and on every side. The poles are searched on a grid of real pairs. With errors: `observer_gain`. Whatever
+    is chosen, the radii belong to it.
 
     Raises:
-        ControlError: the thrusters cannot hold against the disturbance and the estimate's errors assumed.
+        ControlError: the thrusters cannot hold against the disturbance and the errors assumed.
 
     """
-    poles = np.linspace(0.02, 0.96, 20)
     best: BrakingDesign | None = None
     least, needed = math.inf, math.inf
-    for i, first in enumerate(poles):
-        for second in poles[i:]:
-            made = radii(assumptions, float(first), float(second))
-            needed = min(needed, made.reserve)
-            if made.deceleration <= 0.0:
-                continue
-            room = made.stop_length(assumptions.speed_limit, assumptions.period) + _AT_REST * made.position_radius
-            if room < least:
-                best, least = made, room
+    for made in _observed(assumptions) if any(assumptions.estimate_errors) else _perfect(assumptions):
+        needed = min(needed, made.reserve)
+        if made.deceleration <= 0.0:
+            continue
+        room = made.stop_length(assumptions.speed_limit, assumptions.period) + _AT_REST * made.position_radius
+        if room < least:
+            best, least = made, room
     if best is None:
         raise ControlError(
             f"guard: disturbance, drift and errors ask for {needed * assumptions.mass:.4g} N in feedback alone, and "
             f"force_limit is {assumptions.force_limit:.4g} N; lower disturbance_force, the rates, range_limit, "
-            f"speed_limit, the delay ({assumptions.delay} steps) or the errors, or raise force_limit"
+            f"speed_limit, the delay ({assumptions.delay} steps), the errors or the fault, or raise force_limit"
         )
     return best
 
 
-def radii(assumptions: GuardAssumptions, first_pole: float, second_pole: float) -> BrakingDesign:
-    """Derive the radii for given closed-loop poles, 0 < pole < 1 (docs/guard.md, section 3)."""
-    T, D = assumptions.period, float(assumptions.disturbance)
-    k_p, k_d, heard, (feedback, position, velocity) = _responses(T, assumptions.delay, first_pole, second_pole)
-    errors = np.array([assumptions.position_error, assumptions.velocity_error])
-    # The estimate's error reaches the thrusters through K Φⁿ, once a step.
-    noise = float(heard @ errors)
+def _perfect(assumptions: GuardAssumptions) -> Iterator[BrakingDesign]:
+    poles = np.linspace(0.02, 0.96, 20)
+    for i, first in enumerate(poles):
+        for second in poles[i:]:
+            yield radii(assumptions, float(first), float(second))
 
-    reserve = _reach(feedback, D, noise, errors) + noise
-    bow = T**2 / 8.0 * (reserve + D)
+
+def _observed(assumptions: GuardAssumptions) -> Iterator[BrakingDesign]:
+    a = assumptions
+    yield observed_radii(
+        a,
+        least_room(
+            Task(
+                period=float(a.period),
+                delay=a.delay,
+                disturbance=float(a.disturbance),
+                position_error=float(a.position_error),
+                velocity_error=float(a.velocity_error),
+                authority=float(a.authority),
+                speed=float(a.speed_limit),
+                fault=float(a.fault_push),
+                fault_steps=a.fault_steps,
+            ).rounded()
+        ),
+    )
+
+
+def observed_radii(assumptions: GuardAssumptions, gains: responses.Gains) -> BrakingDesign:
+    """Derive the radii for an estimate with errors, for given poles and gains of the observer (docs/guard.md, 3).
+
+    Args:
+        assumptions: of the guard.
+        gains: the closed loop's two poles, at least 0 and below 1; l_r and l_v, above 0 and at most 1.
+
+    """
+    a, T, D = assumptions, assumptions.period, float(assumptions.disturbance)
+    errors = np.array([float(error) for error in a.estimate_errors])
+    summed = responses.responses(float(T), a.delay, gains, a.fault_steps)
+    fault = float(a.fault_push)
+    pushed, noisy = summed.pushed + summed.pushed_before, summed.noisy + summed.noisy_before
+    at_each_time = D * pushed + noisy @ errors + fault * summed.struck_ever
+    reach = at_each_time.max(axis=1)
+    k_p, k_d = (float(gain[0]) for gain in responses.feedback_gains(float(T), *np.array(gains)[:2, None]))
+    reserve = float(reach[responses.FEEDBACK])
+    return BrakingDesign(
+        position_gain=k_p,
+        velocity_gain=k_d,
+        deceleration=float(a.authority) - reserve,
+        reserve=reserve,
+        position_radius=float(reach[responses.POSITION]) + T**2 / 8.0 * (reserve + D + fault) + a.excursion,
+        velocity_radius=float(reach[responses.VELOCITY]) + 0.5 * (D + fault) * T + a.velocity_excursion,
+        # The first of the times is that of the plan itself, where the error from it is that of x̂.
+        observer=ObserverGain(
+            gains[2], gains[3], float(at_each_time[responses.POSITION, 0]), float(reach[responses.PREDICTED])
+        ),
+    )
+
+
+def radii(assumptions: GuardAssumptions, first_pole: float, second_pole: float) -> BrakingDesign:
+    """Derive the radii for an estimate without errors, for closed-loop poles, 0 < pole < 1 (docs/guard.md, 3)."""
+    T, D, fault = assumptions.period, float(assumptions.disturbance), float(assumptions.fault_push)
+    k_p, k_d, (feedback, position, velocity) = _responses(
+        T, assumptions.delay, first_pole, second_pole, assumptions.fault_steps
+    )
+
+    reserve = _reach(feedback, D, fault)
+    bow = T**2 / 8.0 * (reserve + D + fault)
     return BrakingDesign(
         position_gain=k_p,
         velocity_gain=k_d,
         deceleration=float(assumptions.authority) - reserve,
         reserve=reserve,
-        position_radius=_reach(position, D, noise, errors) + bow,
-        velocity_radius=_reach(velocity, D, noise, errors) + 0.5 * D * T,
+        position_radius=_reach(position, D, fault) + bow + assumptions.excursion,
+        velocity_radius=_reach(velocity, D, fault) + 0.5 * (D + fault) * T + assumptions.velocity_excursion,
     )
 
 
-def _reach(
-    response: tuple[float, float, Float[np.ndarray, "starts 2"]],
-    disturbance: float,
-    noise: float,
-    errors: Float[np.ndarray, "2"],
-) -> float:
-    """Give how far disturbance, noise and the errors of the start take a response together."""
-    peak, driven, started = response
-    return disturbance * peak + noise * driven + float(np.max(started @ errors))
+def _reach(response: tuple[float, float], disturbance: float, fault: float) -> float:
+    """Give how far disturbance and fault (m/s²) take a response together."""
+    peak, struck = response
+    return disturbance * peak + fault * struck
 
 
 @lru_cache(maxsize=2048)
-def _responses(T: float, n: int, first_pole: float, second_pole: float):
-    """Give all of `radii` that depends on period, delay and poles alone: guards of one period have it in common.
+def _responses(T: float, n: int, first_pole: float, second_pole: float, fault_steps: int):
+    """Give all of `radii` that depends on period, delay, poles and a fault's length alone: guards have it in common.
 
-    Gains k_p, k_d and |K Φⁿ|, and how feedback, position and velocity respond: to a disturbance, to noise in the
-    feedback, and (a row a start) to the errors that a plan starts with.
+    Gains k_p and k_d, and how feedback, position and velocity respond to a disturbance and to a fault.
     """
     total, product = first_pole + second_pole, first_pole * second_pole
     k_p = (1.0 - total + product) / T**2
@@ -227,25 +337,20 @@ def _responses(T: float, n: int, first_pole: float, second_pole: float):
     K = -np.array([k_p, k_d])
     ahead = np.linalg.matrix_power(step, n)
     powers = _powers(step + np.outer(held, K))
-    # A candidate's plan is one step older when it is first followed than the plan that a flight starts with.
-    start = np.concatenate([powers @ np.linalg.matrix_power(step, n + 1), powers @ ahead])
     free = np.stack([np.linalg.matrix_power(step, m) for m in range(n)]) if n else np.zeros((0, 2, 2))
     response = np.concatenate([free, powers @ ahead])
 
-    def peak(row: Float[np.ndarray, "2"], pulses: Float[np.ndarray, "steps 2 2"]) -> float:
-        """Sum of ∫|row · pulse · (T − τ, 1)| dτ over a step: of the absolute value of a line between two end values."""
+    def respond(row: Float[np.ndarray, "2"], pulses: Float[np.ndarray, "steps 2 2"]) -> tuple[float, float]:
+        """Sum of ∫|row · pulse · (T − τ, 1)| dτ over all steps, and over those of a fault at its worst."""
         late, early = pulses @ np.array([0.0, 1.0]) @ row, pulses @ np.array([T, 1.0]) @ row
         size = np.abs(late) + np.abs(early)
         crossing = (late**2 + early**2) / np.maximum(size, 1e-300)
-        return float(0.5 * T * np.sum(np.where(late * early < 0.0, crossing, size)))
-
-    def respond(row: Float[np.ndarray, "2"], pulses: Float[np.ndarray, "steps 2 2"]):
-        driven = float(np.sum(np.abs(powers @ held @ row)))
-        return peak(row, pulses), driven, np.abs(np.einsum("i,mij->mj", row, start))
+        each = np.where(late * early < 0.0, crossing, size)
+        struck = responses.largest_window(each, fault_steps)[-1] if fault_steps else 0.0
+        return float(0.5 * T * np.sum(each)), float(0.5 * T * struck)
 
     position, velocity = np.array([1.0, 0.0]), np.array([0.0, 1.0])
-    rows = respond(K, powers @ ahead), respond(position, response), respond(velocity, response)
-    return k_p, k_d, np.abs(K @ ahead), rows
+    return k_p, k_d, (respond(K, powers @ ahead), respond(position, response), respond(velocity, response))
 
 
 def _powers(closed: Float[np.ndarray, "2 2"]) -> Float[np.ndarray, "steps 2 2"]:

@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 from keepout.compiled.on_demand import where_needed
 from keepout.errors import ControlError
 from keepout.fields.field import Field
-from keepout.guard import watch
+from keepout.guard import observer, watch
 from keepout.guard.braking import BrakingDesign, GuardAssumptions, Number, design
 from keepout.guard.safety_layer import SafetyLayer
 from keepout.guard.status import GuardFlag, GuardStatus
@@ -45,6 +45,7 @@ class GuardState(eqx.Module):
         expected_velocity: likewise.
         unexplained: the sums of velocity that `watch` keeps, one a window, m/s.
         counted: the steps that `watch` has counted.
+        observed: memory of the guard's observer; None where the estimate has no errors.
 
     """
 
@@ -56,6 +57,7 @@ class GuardState(eqx.Module):
     expected_velocity: Vector
     unexplained: Float[Array, "windows 3"]
     counted: Int[Array, ""]
+    observed: observer.ObserverState | None = None
 
 
 class Guard(SafetyLayer):
@@ -142,19 +144,38 @@ class Guard(SafetyLayer):
             expected_velocity=estimate.velocity,
             unexplained=unexplained,
             counted=counted,
+            observed=None
+            if self.braking.observer is None
+            else observer.begin(estimate, self.assumptions, self.windows),
         )
 
     def filter(
-        self, guard_state: GuardState, estimate: MotionState, force: Vector, disturbance_estimate: Vector
+        self,
+        guard_state: GuardState,
+        estimate: MotionState,
+        force: Vector,
+        disturbance_estimate: Vector,
+        errors: Float[Array, "2"] | None = None,
     ) -> tuple[GuardState, Vector, Int[Array, ""]]:
         """Accept or replace a commanded force (N, body axes); the status is a `GuardStatus` plus `GuardFlag` bits.
 
         A command that is not finite is replaced; an estimate that is not finite leaves the plan to be followed blind.
+        With `errors` (m, m/s) above those declared, or not finite, no command is passed on.
         """
         a, T = self.assumptions, self.assumptions.period
         told = jnp.all(jnp.isfinite(estimate.position)) & jnp.all(jnp.isfinite(estimate.velocity))
-        position = jnp.where(told, estimate.position, guard_state.expected_position)
-        velocity = jnp.where(told, estimate.velocity, guard_state.expected_velocity)
+        told_position = jnp.where(told, estimate.position, guard_state.expected_position)
+        told_velocity = jnp.where(told, estimate.velocity, guard_state.expected_velocity)
+        narrow = None if errors is None else jnp.all(errors <= observer.caps(a))
+        position, velocity, doubts = told_position, told_velocity, None
+        if guard_state.observed is not None:
+            known = observer.caps(a) if errors is None else jnp.where(jnp.isnan(errors), jnp.inf, errors)
+            known = jnp.where(told, known, jnp.inf)
+            before = guard_state.observed.doubts
+            doubts = before, watch.next_doubts(self.windows, guard_state.counted, before, known)
+            position, velocity = observer.correct(
+                a, self.braking, guard_state.observed, told_position, told_velocity, known
+            )
         path, velocities = self._predict(position, velocity, guard_state.pending)
         ahead, moving = path[-1], velocities[-1]
         here = self.field.value(position)
@@ -168,6 +189,8 @@ class Guard(SafetyLayer):
         next_position = ahead + T * moving + 0.5 * T**2 * candidate
         next_velocity = moving + T * candidate
         usable = (finite | ~planned) & told
+        if narrow is not None:
+            usable = usable & narrow
         ahead_path = jnp.concatenate([path[1:], next_position[None]])
         velocities = jnp.concatenate([velocities, next_velocity[None]])
         accepted = usable & self._free(position, here, ahead_path, velocities, usable)
@@ -184,20 +207,32 @@ class Guard(SafetyLayer):
             self.windows,
             guard_state.unexplained,
             guard_state.counted,
-            position - guard_state.expected_position,
-            velocity - guard_state.expected_velocity,
+            told_position - guard_state.expected_position,
+            told_velocity - guard_state.expected_velocity,
+            doubts,
         )
+        in_effect, certified = self._in_effect(guard_state, chosen), accepted | follow
         new = GuardState(
             plan_position=jnp.where(
                 follow, guard_state.plan_position + T * guard_state.plan_velocity + 0.5 * T**2 * brake, next_position
             ),
             plan_velocity=jnp.where(follow, guard_state.plan_velocity + T * brake, next_velocity),
-            certified=accepted | follow,
+            certified=certified,
             pending=jnp.concatenate([guard_state.pending, chosen[None]])[1:],
-            expected_position=position + T * velocity + 0.5 * T**2 * self._in_effect(guard_state, chosen),
-            expected_velocity=velocity + T * self._in_effect(guard_state, chosen),
+            expected_position=told_position + T * told_velocity + 0.5 * T**2 * in_effect,
+            expected_velocity=told_velocity + T * in_effect,
             unexplained=unexplained,
             counted=counted,
+            observed=None
+            if guard_state.observed is None or doubts is None
+            else observer.advance(
+                a,
+                position,
+                velocity,
+                in_effect,
+                told & (True if narrow is None else narrow) & (accepted | (follow & guard_state.observed.steady)),
+                doubts[1],
+            ),
         )
         done = jnp.where(
             accepted & planned,
@@ -207,11 +242,12 @@ class Guard(SafetyLayer):
         flags = (
             jnp.where(jumped, GuardFlag.STATE_JUMP, 0)
             + jnp.where(self._too_strong(disturbance_estimate), GuardFlag.DISTURBANCE, 0)
-            + jnp.where(here > self.threshold, 0, GuardFlag.FIELD)
-            + jnp.where(self._outside_region(position, velocity), GuardFlag.REGION, 0)
+            + jnp.where(here > self._seen_threshold, 0, GuardFlag.FIELD)
+            + jnp.where(self._outside_region(told_position, told_velocity), GuardFlag.REGION, 0)
             + jnp.where(finite, 0, GuardFlag.COMMAND)
             + jnp.where(off_plan, GuardFlag.OFF_PLAN, 0)
             + jnp.where(told, 0, GuardFlag.ESTIMATE)
+            + (0 if narrow is None else jnp.where(narrow, 0, GuardFlag.WIDE))
         )
         return new, a.mass * chosen, (done + flags).astype(jnp.int32)
 
@@ -241,11 +277,19 @@ class Guard(SafetyLayer):
         return self._free(state.position, value, points, velocities, jnp.asarray(True), moved, faster)
 
     @property
+    def _seen_threshold(self) -> Number:
+        """Above which the field is at x̂ as long as it is above the threshold at the true position, m."""
+        gain = self.braking.observer
+        return self.threshold if gain is None else self.threshold - self.lipschitz * gain.error_radius
+
+    @property
     def _plan_radius(self) -> Number:
         """How far the predicted position can be from the plan while the assumptions hold, m."""
-        a = self.assumptions
-        late = a.delay * a.period
-        return self.braking.position_radius + 0.5 * a.disturbance * late**2 + a.position_error + late * a.velocity_error
+        if self.braking.observer is not None:
+            return self.braking.observer.plan_radius
+        late = self.assumptions.delay * self.assumptions.period
+        unseen = self.assumptions.disturbance + self.assumptions.fault_push
+        return self.braking.position_radius + 0.5 * unseen * late**2
 
     def _predict(
         self, position: Vector, velocity: Vector, pending: Float[Array, "delay 3"]

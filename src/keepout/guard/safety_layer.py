@@ -27,6 +27,7 @@ class SafetyLayer(eqx.Module):
         estimate: MotionState,
         force: Float[Array, "3"],
         disturbance_estimate: Float[Array, "3"],
+        errors: Float[Array, "2"] | None = None,
     ) -> tuple[PyTree, Float[Array, "3"], Int[Array, ""]]:
         """Accept or replace a commanded force.
 
@@ -35,6 +36,8 @@ class SafetyLayer(eqx.Module):
             estimate: of the motion, as the law was told it.
             force: that the law commands, N, body axes.
             disturbance_estimate: of the law, N.
+            errors: bounds of this estimate's errors in position (m) and velocity (m/s), where they are known; None
+                where only those declared for the whole flight are.
 
         Returns:
             The memory for the next step, the force to command (N, body axes), and a status: 0 in its two lowest bits

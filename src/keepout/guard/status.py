@@ -33,6 +33,8 @@ class GuardFlag(IntFlag):
     """The chaser has left the tube around its plan."""
     ESTIMATE = 256
     """The estimate held a number that is not finite; the plan was followed blind."""
+    WIDE = 512
+    """The estimate's error bound is wider than declared; no command was passed on, the plan was followed."""
 
 
 def flag_names(flags: int) -> tuple[str, ...]:

@@ -1,12 +1,14 @@
 """What the guard measures of its own assumption ‖w‖ ≤ D: flag `STATE_JUMP` (docs/guard.md, section 5).
 
-Over any c steps the estimated velocities differ from what the commands explain by at most c T D + 2 ε_v, as the errors
-of the samples between cancel. The longer the window, the smaller the excess that cannot hide behind ε_v; the shorter,
-the sooner a large one is seen. So several windows run at once, each twice as long as the one before.
+Over any c steps the estimated velocities differ from what the commands explain by at most c T D and the errors of the
+first and the last, 2 ε_v at most, as those of the samples between cancel. The longer the window, the smaller the excess
+that cannot hide behind ε_v; the shorter, the sooner a large one is seen. So several windows run at once, each twice as
+long as the one before.
 """
 
 import math
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
@@ -18,6 +20,19 @@ LONGEST = 2**14
 """Steps in the longest window that is ever run."""
 _LOOSE, _ROUNDING = 1e-6, 1e-9
 """Relative and absolute (m, m/s) slack of the tests, against rounding."""
+
+
+class Doubts(eqx.Module):
+    """Errors of the estimates that the tests compare, where they differ from step to step.
+
+    Attributes:
+        last: bounds ε_r (m) and ε_v (m/s) of the estimate told last.
+        begun: ε_v of the estimate with which each window was begun, m/s.
+
+    """
+
+    last: Float[Array, "2"]
+    begun: Float[Array, "windows"]
 
 
 def steps_needed(assumptions: GuardAssumptions, excess: float) -> float:
@@ -56,6 +71,17 @@ def begin(lengths: tuple[int, ...]) -> tuple[Float[Array, "windows 3"], Int[Arra
     return jnp.zeros((len(lengths), 3)), jnp.zeros((), jnp.int32)
 
 
+def begin_doubts(lengths: tuple[int, ...], errors: Float[Array, "2"]) -> Doubts:
+    """Give the errors (m, m/s) of the estimate that a flight begins with as those of all windows."""
+    return Doubts(errors, jnp.broadcast_to(errors[1], (len(lengths),)))
+
+
+def next_doubts(lengths: tuple[int, ...], counted: Int[Array, ""], doubts: Doubts, errors: Float[Array, "2"]) -> Doubts:
+    """Take the errors (m, m/s) of the estimate told now; `watch` needs what was before and what is then."""
+    anew = counted % jnp.asarray(lengths, jnp.int32) == 0
+    return Doubts(errors, jnp.where(anew, doubts.last[1], doubts.begun))
+
+
 def watch(
     assumptions: GuardAssumptions,
     lengths: tuple[int, ...],
@@ -63,6 +89,7 @@ def watch(
     counted: Int[Array, ""],
     moved: Float[Array, "3"],
     changed: Float[Array, "3"],
+    doubts: tuple[Doubts, Doubts] | None = None,
 ) -> tuple[Float[Array, "windows 3"], Int[Array, ""], Bool[Array, ""]]:
     """Test one more step.
 
@@ -73,6 +100,7 @@ def watch(
         counted: steps since the longest window was begun.
         moved: the position told less the one expected without a disturbance, m.
         changed: the same of the velocity, m/s.
+        doubts: as of the step before, and as of this; without them every estimate's errors are those assumed.
 
     Returns:
         The sums and the count with this step in them, and whether an assumption was seen not to hold.
@@ -81,8 +109,14 @@ def watch(
     a, T = assumptions, assumptions.period
     place = counted % jnp.asarray(lengths, jnp.int32)
     unexplained = jnp.where((place == 0)[:, None], 0.0, unexplained) + changed
-    allowed = a.disturbance * T * (place + 1) + 2.0 * a.velocity_error
+    if doubts is None:
+        turned, shifted = 2.0 * a.velocity_error, 2.0 * a.position_error + T * a.velocity_error
+    else:
+        before, now = doubts
+        turned = now.begun + now.last[1]
+        shifted = before.last[0] + now.last[0] + T * before.last[1]
+    allowed = a.disturbance * T * (place + 1) + turned
     pushed = jnp.any(jnp.linalg.norm(unexplained, axis=-1) > allowed * (1.0 + _LOOSE) + _ROUNDING)
-    shift = 0.5 * a.disturbance * T**2 + 2.0 * a.position_error + T * a.velocity_error
+    shift = 0.5 * a.disturbance * T**2 + shifted
     jumped = jnp.linalg.norm(moved) > shift * (1.0 + _LOOSE) + _ROUNDING
     return unexplained, (counted + 1) % lengths[-1], jumped | pushed

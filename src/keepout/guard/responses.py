@@ -1,0 +1,189 @@
+"""What errors can add up to where a braking plan is followed on an observer's estimate (docs/guard.md, section 3).
+
+In every axis alike, with η the error of the estimate that is told, w̃ the pulse of a step's disturbance, ε the error
+of the observer and q the distance of the predicted state from the plan,
+
+    ε⁺ = (I − H)(Φ ε − w̃) + H η,   q⁺ = M q + Φⁿ H (η − Φ ε + w̃),   q = 0 when the plan is made,
+    e = q − Φⁿ ε + w̃ of the last n steps,   H = [[l_r, (1 − l_r) T], [0, l_v]],   (I − H) Φ = diag(1 − l_r, 1 − l_v).
+
+Everything is linear in the noise, in the disturbance and in the state at the start. So each bound is a sum of absolute
+responses, over what came before the plan was made and what comes after it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from jaxtyping import Float
+
+POSITION, VELOCITY, FEEDBACK, PREDICTED = range(4)
+"""What is bounded: the two parts of e, K q, and the position part of q."""
+_SMALL = 1e-13
+"""What is left of a response is lost in the last digits of the sums below this."""
+
+Gains = tuple[float, float, float, float]
+"""Two poles of M, and l_r and l_v of the observer."""
+
+
+@dataclass(frozen=True)
+class Responses:
+    """Sums of absolute responses, a row for each of POSITION to PREDICTED, a column for each time after the plan.
+
+    The times are the n steps until the first command of the plan takes effect, and every one from then on.
+
+    Attributes:
+        pushed: to disturbances since the plan was made, per m/s².
+        noisy: to the errors (ε_r, ε_v) of the estimates told since.
+        pushed_before: to disturbances before the plan was made, per m/s².
+        noisy_before: to the errors of the estimates told before, the one at the start of the flight included.
+        start: absolute response to the observer's error when the plan is made.
+        struck: to a disturbance of a few consecutive steps since the plan was made, per m/s².
+        struck_ever: the same at whatever time.
+
+    """
+
+    pushed: Float[np.ndarray, "4 times"]
+    noisy: Float[np.ndarray, "4 times 2"]
+    pushed_before: Float[np.ndarray, "4 times"]
+    noisy_before: Float[np.ndarray, "4 times 2"]
+    start: Float[np.ndarray, "4 times 2"]
+    struck: Float[np.ndarray, "4 times"]
+    struck_ever: Float[np.ndarray, "4 times"]
+
+
+def line_integral(row: Float[np.ndarray, "*shape 2"], period: float) -> Float[np.ndarray, "*shape"]:
+    """∫|row · (T − τ, 1)| dτ over a step: of the absolute value of a line between two end values."""
+    late, early = row[..., 1], period * row[..., 0] + row[..., 1]
+    size = np.abs(late) + np.abs(early)
+    crossing = (late**2 + early**2) / np.maximum(size, 1e-300)
+    return 0.5 * period * np.where(late * early < 0.0, crossing, size)
+
+
+def feedback_gains(
+    period: float, first_pole: Float[np.ndarray, "*shape"], second_pole: Float[np.ndarray, "*shape"]
+) -> tuple[Float[np.ndarray, "*shape"], Float[np.ndarray, "*shape"]]:
+    """k_p (1/s²) and k_d (1/s) that give M = Φ + Γ K, K = −[k_p, k_d], two real poles."""
+    total, product = first_pole + second_pole, first_pole * second_pole
+    k_p = (1.0 - total + product) / period**2
+    return k_p, (1.0 - product) / period + 0.5 * k_p * period
+
+
+class Loop:
+    """The joint motion of (ε, q) for many gains at once, as matrices (docs/guard.md, section 3).
+
+    Attributes:
+        step: of (ε, q), (n, 4, 4).
+        pushes, told: how w̃ and η enter, (n, 4, 2).
+        outputs: rows of POSITION to PREDICTED, (n, 4, 4).
+        free: position and velocity rows of the last `delay` pulses, which no feedback knows of, (delay, 2, 2).
+        left: 1 − l_r and 1 − l_v, (n, 2).
+
+    """
+
+    def __init__(self, period: float, delay: int, gains: Float[np.ndarray, "n 4"]) -> None:
+        first_pole, second_pole, l_r, l_v = gains.T
+        count, zero = len(gains), np.zeros(len(gains))
+        Phi = np.array([[1.0, period], [0.0, 1.0]])
+        ahead = np.linalg.matrix_power(Phi, delay)
+        K = -np.stack(feedback_gains(period, first_pole, second_pole), axis=-1)
+        M = Phi + np.array([0.5 * period**2, period])[:, None] * K[:, None, :]
+        H = np.stack([np.stack([l_r, (1.0 - l_r) * period], -1), np.stack([zero, l_v], -1)], axis=-2)
+        kept = np.eye(2) - H
+        heard = ahead @ H
+        self.period, self.delay, self.gains = period, delay, gains
+        self.left = 1.0 - gains[:, 2:]
+        self.step = np.zeros((count, 4, 4))
+        self.step[:, [0, 1], [0, 1]] = self.left
+        self.step[:, 2:, :2] = -heard @ Phi
+        self.step[:, 2:, 2:] = M
+        self.pushes = np.concatenate([-kept, heard], axis=1)
+        self.told = np.concatenate([H, heard], axis=1)
+        self.outputs = np.zeros((count, 4, 4))
+        self.outputs[:, POSITION:FEEDBACK, :2] = -ahead
+        self.outputs[:, POSITION:FEEDBACK, 2:] = np.eye(2)
+        self.outputs[:, FEEDBACK, 2:] = K
+        self.outputs[:, PREDICTED, 2] = 1.0
+        self.free = np.array([np.linalg.matrix_power(Phi, i) for i in range(delay)]).reshape(delay, 2, 2)
+
+    def rows(self, outputs: Sequence[int], times: int | None) -> Float[np.ndarray, "n outputs times 4"]:
+        """Give the outputs' responses to (ε, q) 0, 1, 2 … steps before: `times` of them, or until they are lost."""
+        row = self.outputs[:, outputs]
+        found = [row]
+        while len(found) < times if times is not None else np.abs(row).max() > _SMALL:
+            row = row @ self.step
+            found.append(row)
+        return np.stack(found, axis=2)
+
+
+def before(
+    loop: Loop, start: Float[np.ndarray, "n outputs times 2"], ages: int
+) -> tuple[Float[np.ndarray, "n outputs times ages"], Float[np.ndarray, "n outputs times 2"]]:
+    """Responses to what came before the plan was made, where its start's error ε is answered by the row `start`.
+
+    Returns:
+        Those to the disturbance of each step before, the last first; and sums of those to the errors told before. An
+        observer that began k steps before is covered: its first error counts |start ((I − H) Φ)ᵏ|, and what that passes
+        the sum of all that would have come before by is added (the position's part of both is the same).
+
+    """
+    r, v = start[..., :1], start[..., 1:]
+    shape = (len(start), 1, 1, 1)
+    l_v, alpha, beta = loop.gains[:, 3].reshape(shape), *(loop.left[:, i].reshape(shape) for i in (0, 1))
+    age = np.arange(ages)
+    slow, fast = r * loop.period * alpha ** (age + 1), v * beta**age
+    # The disturbance's line at a step's end and at its beginning.
+    late, early = slow - beta * fast, -beta * fast
+    size = np.abs(late) + np.abs(early)
+    crossing = (late**2 + early**2) / np.maximum(size, 1e-300)
+    pulses = 0.5 * loop.period * np.where(late * early < 0.0, crossing, size)
+    told = np.abs(slow + l_v * fast)
+    rest = np.flip(np.cumsum(np.flip(told, axis=-1), axis=-1), axis=-1)
+    more = np.maximum(np.max(np.abs(fast) - rest, axis=-1), 0.0)
+    return pulses, np.stack([np.abs(r[..., 0]), rest[..., 0] + more], axis=-1)
+
+
+def largest_window(pulses: Float[np.ndarray, "*shape steps"], length: int) -> Float[np.ndarray, "*shape steps+1"]:
+    """Largest sum of at most `length` consecutive pulses among the first 0, 1, 2 … of them."""
+    total = np.concatenate([np.zeros((*pulses.shape[:-1], 1)), np.cumsum(pulses, axis=-1)], axis=-1)
+    first = np.maximum(np.arange(total.shape[-1]) - length, 0)
+    return np.maximum.accumulate(total - total[..., first], axis=-1)
+
+
+@lru_cache(maxsize=128)
+def responses(period: float, delay: int, gains: Gains, fault_steps: int) -> Responses:
+    """Give all of the radii that depends on period, delay, gains and a fault's length alone."""
+    loop = Loop(period, delay, np.array([gains]))
+    rows = loop.rows(range(4), None)
+    ages = int(np.ceil(np.log(_SMALL) / np.log(max(loop.left.max(), 1e-3)))) + 1
+    under_way = np.zeros((1, 4, delay, 2))
+    under_way[0, POSITION:FEEDBACK] = -loop.free.swapaxes(0, 1)
+    start = np.concatenate([under_way, rows[..., :2]], axis=2)
+    free = np.zeros((1, 4, delay))
+    free[0, POSITION:FEEDBACK] = line_integral(loop.free, period).T
+    pulses = np.concatenate([free, line_integral(rows @ loop.pushes[:, None], period)], axis=2)[..., :-1]
+    noise = np.concatenate([np.zeros((1, 4, delay + 1, 2)), np.abs(rows @ loop.told[:, None])[..., :-1, :]], axis=2)
+    pushed = np.concatenate([np.zeros((1, 4, 1)), np.cumsum(pulses, axis=-1)], axis=-1)
+    struck, struck_ever = np.zeros_like(pushed), np.zeros_like(pushed)
+    pushed_before, noisy_before = np.zeros_like(pushed), np.zeros_like(start)
+    if fault_steps:
+        struck = largest_window(pulses, fault_steps)
+    for output in range(4):
+        past, noisy_before[:, output] = (a[:, 0] for a in before(loop, start[:, output : output + 1], ages))
+        pushed_before[:, output] = past.sum(axis=-1)
+        if fault_steps:
+            ever = np.maximum(struck[:, output], largest_window(past, fault_steps)[..., -1])
+            for since in range(1, fault_steps):
+                # A fault that lasts over the making of the plan: `since` of its steps come after that.
+                after = pushed[:, output] - pushed[:, output, np.maximum(np.arange(pushed.shape[-1]) - since, 0)]
+                ever = np.maximum(ever, after + past[..., : fault_steps - since].sum(axis=-1))
+            struck_ever[:, output] = ever
+    return Responses(
+        pushed=pushed[0],
+        noisy=np.cumsum(noise, axis=2)[0],
+        pushed_before=pushed_before[0],
+        noisy_before=noisy_before[0],
+        start=np.abs(start[0]),
+        struck=struck[0],
+        struck_ever=struck_ever[0],
+    )
