@@ -33,6 +33,7 @@ from keepout.mission.entries import (
     TargetEntry,
 )
 from keepout.mission.lines import entry_lines, line_of
+from keepout.mission.thruster_entries import ThrustersEntry
 
 
 class Scenario(Entry):
@@ -47,6 +48,7 @@ class Scenario(Entry):
     target: TargetEntry = TargetEntry()
     field: FieldEntry = FieldEntry()
     chaser: ChaserEntry = ChaserEntry()
+    thrusters: ThrustersEntry = ThrustersEntry()
     safety: SafetyEntry = SafetyEntry()
     guard: GuardEntry = GuardEntry()
     control: ControlEntry = ControlEntry()
@@ -72,6 +74,19 @@ class Scenario(Entry):
             raise ValueError(
                 f"faults.stuck_force {self.faults.stuck_force} N is more than chaser.force_limit, "
                 f"{self.chaser.force_limit} N; a stuck thruster gives from 0 to that"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _thrusters_are_there(self) -> "Scenario":
+        ideal, period, shortest = self.thrusters.layout == "ideal", self.control.period, self.thrusters.least_on_time
+        if ideal and self.faults.thruster is not None:
+            raise ValueError('faults.thruster needs a layout, and thrusters.layout is "ideal"; use faults.stuck')
+        if not ideal and self.faults.stuck is not None:
+            raise ValueError('faults.stuck is for thrusters.layout = "ideal"; use faults.thruster, its number')
+        if not ideal and shortest > period:
+            raise ValueError(
+                f"thrusters.least_on_time {shortest} s is longer than the control period, {period} s; no pulse fits in"
             )
         return self
 

@@ -28,6 +28,8 @@ from keepout.motion.thrusters.layout import Layout
 
 _FLAT = 1e-9
 """Below this determinant three unit directions lie in a plane."""
+_LANES = 64
+"""Values that are compared at once."""
 _APART = 1e-7
 """Relative differences of the groups' costs, so that no four planes meet in a point."""
 
@@ -36,7 +38,7 @@ class Allocation(eqx.Module):
     """The list of points and what fires at each; build with `Allocation.of`.
 
     Attributes:
-        price: λ of each point.
+        price: λ of each point, one row a component.
         fee: Σ F_g max(0, λ·d_g − 1) of each point, N.
         slope: of the groups' forces by u.
         offset: the groups' forces at u = 0, N.
@@ -48,7 +50,7 @@ class Allocation(eqx.Module):
 
     """
 
-    price: Float[Array, "points 3"]
+    price: Float[Array, "3 points"]
     fee: Float[Array, " points"]
     slope: Float[Array, "points groups 3"]
     offset: Float[Array, "points groups"]
@@ -80,7 +82,7 @@ class Allocation(eqx.Module):
         paired = np.where(on & (balanced[group] > 0.0), free / np.maximum(balanced[group], 1e-300), 0.0)
         alone = np.where(on & (rest[group] > 0.0), (1.0 - free) / np.maximum(rest[group], 1e-300), 0.0)
         price, fee, slope, offset = (np.stack(part) for part in zip(*points, strict=True))
-        numbers = (as_float64(part) for part in (price, fee, slope, offset, largest))
+        numbers = (as_float64(part) for part in (price.T.copy(), fee, slope, offset, largest))
         return cls(*numbers, jnp.asarray(group), *(as_float64(part) for part in (paired, alone, balanced)))
 
     def shares(self, force: Vector) -> Float[Array, " thrusters"]:
@@ -88,7 +90,7 @@ class Allocation(eqx.Module):
 
         Of a force out of reach as much is given as the groups chosen for it can.
         """
-        best = jnp.argmax(self.price @ force - self.fee)
+        best = _largest(self.price[0] * force[0] + self.price[1] * force[1] + self.price[2] * force[2] - self.fee)
         wanted = jnp.clip(self.slope[best] @ force + self.offset[best], 0.0, self.largest)
         balanced = jnp.minimum(wanted, self.balanced)
         rest = wanted - balanced
@@ -97,6 +99,15 @@ class Allocation(eqx.Module):
     def active(self) -> Bool[np.ndarray, "points groups"]:
         """Say of each point which groups can be on there, partly or fully."""
         return np.any(np.asarray(self.slope) != 0.0, axis=2) | (np.asarray(self.offset) > 0.0)
+
+
+def _largest(values: Float[Array, " n"]) -> Int[Array, ""]:
+    """Give the first place of the largest value, in lanes: several times as fast as `argmax` in XLA on a CPU."""
+    count = values.shape[0]
+    lanes = jnp.pad(values, (0, -count % _LANES), constant_values=-jnp.inf).reshape(-1, _LANES)
+    best = jnp.max(jnp.max(lanes, axis=0))
+    places = jnp.arange(lanes.size).reshape(lanes.shape)
+    return jnp.min(jnp.min(jnp.where(lanes >= best, places, count - 1), axis=0))
 
 
 def _triples(directions: Float[np.ndarray, "groups 3"], largest: Float[np.ndarray, " groups"]):

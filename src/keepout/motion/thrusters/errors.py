@@ -113,6 +113,6 @@ def _spent(allocations: Sequence[Allocation], force_limit: float, layout: Layout
     for number, allocation in enumerate(allocations):
         stuck = np.zeros((1, 3)) if number == 0 else np.stack([np.zeros(3), layout.pushes()[number - 1]])
         asked = (corners[:, None] - stuck[None]).reshape(-1, 3)
-        value = np.max(asked @ np.asarray(allocation.price).T - np.asarray(allocation.fee), axis=1)
+        value = np.max(asked @ np.asarray(allocation.price) - np.asarray(allocation.fee), axis=1)
         most = max(most, float(value.max()) + (0.0 if number == 0 else float(layout.force[number - 1])))
     return most
