@@ -8,7 +8,7 @@ import pytest
 from truths.flights import KEY, make_setup, start_state
 
 from keepout.flight import fly, outcome
-from keepout.flight.batches import fly_batches, flight_key
+from keepout.flight.batches import flight_key, fly_batches
 from keepout.flight.loop import start, step
 from keepout.flight.record import FlightRecord
 from keepout.motion import Thrusters
@@ -51,7 +51,8 @@ def test_rows_hold_the_mean_force_and_what_it_burnt(flown):
 def test_held_forces_burn_nothing_that_is_known():
     setup = make_setup(thrusters=Thrusters(0.1))
     log = fly(setup, start_state(setup), 5, KEY)
-    assert log.propellant is None and outcome(setup, log).propellant is None
+    assert log.propellant is None
+    assert outcome(setup, log).propellant is None
 
 
 def test_a_flight_is_the_same_in_a_batch(flown):
@@ -62,7 +63,8 @@ def test_a_flight_is_the_same_in_a_batch(flown):
     result = fly_batches(setup, states, 60, columns=("position",), landed=lambda first, log: logs.update(log))
     alone = fly(setup, start_state(setup, starts[1]), 60, flight_key(0, 1))
     np.testing.assert_allclose(logs["position"][1], alone.position, atol=1e-11)
-    assert result.propellant.shape == (3,) and len(set(result.propellant.tolist())) == 3
+    assert result.propellant.shape == (3,)
+    assert len(set(result.propellant.tolist())) == 3
 
 
 def test_the_record_keeps_the_propellant(flown, tmp_path):

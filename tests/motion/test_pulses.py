@@ -1,5 +1,7 @@
 """Pulses within a control period against the motion integrated from switch to switch."""
 
+import itertools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -38,7 +40,7 @@ def from_switch_to_switch(motion, state, pulses, disturbance, fine=4):
     advance = eqx.filter_jit(lambda at, force, h: motion.step(at, force, disturbance, h, MASS))
     begin, end = np.asarray(pulses.begin), np.asarray(pulses.end)
     edges = np.unique(np.concatenate([[0.0, 1.0], begin, end]))
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in itertools.pairwise(edges):
         on = (begin <= 0.5 * (low + high)) & (0.5 * (low + high) < end)
         force = jnp.asarray(on.astype(float) @ np.asarray(pulses.force))
         for _ in range(fine):
@@ -69,7 +71,9 @@ def test_moments_are_the_integrals_of_the_force_about_its_mean():
     on = (time[:, None] >= pulses.begin) & (time[:, None] < pulses.end)
     value = on.astype(float) @ np.asarray(pulses.force) - np.asarray(pulses.mean)
     for order in (1, 2, 3, 4):
-        value = np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (value[1:] + value[:-1]) * np.diff(time)[:, None], 0)])
+        value = np.concatenate(
+            [np.zeros((1, 3)), np.cumsum(0.5 * (value[1:] + value[:-1]) * np.diff(time)[:, None], 0)]
+        )
         found = jax.vmap(lambda t, order=order: pulses.moment(order, t))(jnp.asarray(time))
         np.testing.assert_allclose(found, value, atol=2e-6)
 

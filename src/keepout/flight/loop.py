@@ -14,7 +14,6 @@ from keepout.control.law import Command
 from keepout.flight.setup import FlightSetup
 from keepout.motion.relative import MotionState
 
-
 _THRUSTERS = 2**30
 """Folded into a flight's key for what is drawn of its thrusters."""
 
@@ -34,11 +33,12 @@ class FlightLog(eqx.Module):
 
     Positions m, velocities m/s, forces N, in the target's body axes; time s. position, velocity, attitude (body ←
     VVLH), angular_velocity: the truth. estimated_*: what the control law was told. commanded_force: the control law's;
-    guarded_force: after the guard; force: truly applied, held until the next row or, of pulses, their mean until then. disturbance: at the row's time.
-    barrier h (m), backstepping_barrier h₁, lyapunov V₁, and the statuses: as the control law and the guard gave them;
-    guard_status is 0 in every row of a flight without a guard. field_value (m): at the true position, not a number
-    without a field. saturated: whether a thruster reached its limit. target_orbit: the target's ECI state, where it is
-    perturbed. propellant: burnt from the row until the next, kg, where the thrusters tell it.
+    guarded_force: after the guard; force: truly applied, held until the next row or, of pulses, their mean until then.
+    disturbance: at the row's time. barrier h (m), backstepping_barrier h₁, lyapunov V₁, and the statuses: as the
+    control law and the guard gave them; guard_status is 0 in every row of a flight without a guard. field_value (m): at
+    the true position, not a number without a field. saturated: whether a thruster reached its limit. target_orbit: the
+    target's ECI state, where it is perturbed. propellant: burnt from the row until the next, kg, where the thrusters
+    tell it.
     """
 
     time: Float[Array, "*rows"]

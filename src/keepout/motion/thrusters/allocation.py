@@ -82,8 +82,17 @@ class Allocation(eqx.Module):
         paired = np.where(on & (balanced[group] > 0.0), free / np.maximum(balanced[group], 1e-300), 0.0)
         alone = np.where(on & (rest[group] > 0.0), (1.0 - free) / np.maximum(rest[group], 1e-300), 0.0)
         price, fee, slope, offset = (np.stack(part) for part in zip(*points, strict=True))
-        numbers = (as_float64(part) for part in (price.T.copy(), fee, slope, offset, largest))
-        return cls(*numbers, jnp.asarray(group), *(as_float64(part) for part in (paired, alone, balanced)))
+        return cls(
+            price=as_float64(price.T.copy()),
+            fee=as_float64(fee),
+            slope=as_float64(slope),
+            offset=as_float64(offset),
+            largest=as_float64(largest),
+            group=jnp.asarray(group),
+            paired=as_float64(paired),
+            alone=as_float64(alone),
+            balanced=as_float64(balanced),
+        )
 
     def shares(self, force: Vector) -> Float[Array, " thrusters"]:
         """Give the share of the period, 0 to 1, for which each thruster is to be on for a mean force (N, body axes).

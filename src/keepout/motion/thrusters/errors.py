@@ -1,7 +1,7 @@
 """How far pulses can be from the force asked for, and from the motion under it, as bounds: docs/my-thrusters.md.
 
-A layout's forces are bounded by N = max ‖Σ F_g |d_g|‖ over the groups that fire together (`Allocation.active`): whatever
-signs and sizes e_g ≤ e their errors have, ‖Σ e_g F_g d_g‖ ≤ e N.
+A layout's forces are bounded by N = max ‖Σ F_g |d_g|‖ over the groups that fire together (`Allocation.active`):
+whatever signs and sizes e_g ≤ e their errors have, ‖Σ e_g F_g d_g‖ ≤ e N.
 """
 
 import math
