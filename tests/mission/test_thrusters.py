@@ -42,17 +42,17 @@ def test_presets_share_the_force_limit_among_the_thrusters_of_a_direction(name, 
 
 
 def test_a_layout_of_your_own():
-    made = layout(scenario(layout=[*FLAT, UP, DOWN]))
+    made = layout(scenario(layout="own", own=[*FLAT, UP, DOWN]))
     np.testing.assert_allclose(made.direction[5], [0.0, 0.0, -1.0])
-    require_thrusters(scenario(layout=[*FLAT, UP, DOWN], chaser={"force_limit": 0.2}))
-    assert errors(scenario(layout=[*FLAT, UP, DOWN])).force_error == pytest.approx(np.sqrt(3.0) * 0.2 * 0.01)
+    require_thrusters(scenario(layout="own", own=[*FLAT, UP, DOWN], chaser={"force_limit": 0.2}))
+    assert errors(scenario(layout="own", own=[*FLAT, UP, DOWN])).force_error == pytest.approx(np.sqrt(3.0) * 0.2 * 0.01)
 
 
 @pytest.mark.parametrize(
     ("entries", "said"),
     [
-        ({"layout": FLAT}, ("4 directions do not span three axes", "singular value 0")),
-        ({"layout": [*FLAT, UP]}, ("5 thrusters cannot push every way", "0 N")),
+        ({"layout": "own", "own": FLAT}, ("4 directions do not span three axes", "singular value 0")),
+        ({"layout": "own", "own": [*FLAT, UP]}, ("5 thrusters cannot push every way", "0 N")),
         ({"layout": "six", "force": 0.08}, ("chaser.force_limit: 0.1 N", "give 0.08 N")),
         ({"layout": "six", "survive_failure": True}, ("thruster 0 stuck off", "0 N", "more thrusters")),
         ({"layout": "12", "survive_failure": True}, ("stuck off", "give 0.05 N", "0.1 N", "2 times")),
@@ -74,8 +74,11 @@ def test_layouts_are_refused_with_numbers(entries, said):
         ({"thrusters": {"layout": "six", "least_on_time": 2.0}}, ("least_on_time 2.0 s", "period, 1.0 s")),
         ({"thrusters": {"least_on_time": 0.01}}, ("least_on_time", '"ideal"')),
         ({"thrusters": {"layout": "7"}}, ("thrusters.layout", "'7'")),
-        ({"thrusters": {"layout": [{"position": [0, 0, 0], "direction": [0, 0, 0]}]}}, ("must point somewhere",)),
-        ({"thrusters": {"layout": [{"position": [0, 0, 0], "direction": [0, 0, 1]}]}}, ("force of thrusters 0",)),
+        ({"thrusters": {"layout": "own", "own": [UP | {"direction": [0, 0, 0]}]}}, ("own.0", "must point somewhere")),
+        ({"thrusters": {"layout": "own", "own": [UP | {"force": None}]}}, ("force of thrusters 0 not given",)),
+        ({"thrusters": {"layout": "own", "own": [UP | {"forc": 1}]}}, ("own.0.forc", "did you mean force")),
+        ({"thrusters": {"layout": "own"}}, ("own: 0 thrusters",)),
+        ({"thrusters": {"layout": "six", "own": [UP]}}, ("own: 1 thrusters", '"six"')),
         ({"faults": {"thruster": 1}}, ("faults.thruster needs a layout",)),
         ({"faults": {"thruster_stuck": "on"}}, ("thruster_stuck needs thruster",)),
         ({"faults": {"stuck": "+x"}, "thrusters": {"layout": "six"}}, ("faults.stuck is for", "faults.thruster")),

@@ -101,12 +101,15 @@ def test_force_boxes_are_those_of_the_set_of_forces(layout, on):
     assert force_box(layout, 0, stuck) == pytest.approx(zonotope_box(layout, 0, on), abs=1e-8)
 
 
-@pytest.mark.parametrize(("name", "left"), [("six", 0.0), ("12", 0.5), ("24", 0.75)])
-def test_what_a_preset_has_left(name, left):
+@pytest.mark.parametrize(("name", "left", "torque_free"), [("six", 0.0, 0.0), ("12", 0.5, 0.0), ("24", 0.75, 0.75)])
+def test_what_a_preset_has_left(name, left, torque_free):
     able = Capability.of(made(name))
     assert able.whole == pytest.approx(LIMIT)
     np.testing.assert_allclose([*able.stuck_off, *able.stuck_on], left * LIMIT, atol=1e-9)
     assert able.after_failure == pytest.approx(left * LIMIT)
+    balanced = Capability.of(made(name), torque_free=True)
+    assert balanced.whole == pytest.approx(LIMIT)
+    np.testing.assert_allclose([*balanced.stuck_off, *balanced.stuck_on], torque_free * LIMIT, atol=1e-9)
 
 
 def thrusters(layout, **chosen):

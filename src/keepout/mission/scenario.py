@@ -7,7 +7,7 @@ the value, and what would be valid; nothing is guessed.
 import difflib
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args, get_origin
 
 from pydantic import BaseModel, Field, ValidationError, model_validator
 
@@ -199,11 +199,15 @@ def _elsewhere(key: str, location: tuple[Any, ...], model: type[BaseModel]) -> l
 
 def _valid_keys(location: tuple[Any, ...], model: type[BaseModel]) -> list[str]:
     for part in location:
+        if isinstance(part, int):  # a place in a list of tables
+            continue
         annotation = model.model_fields[str(part)].annotation if str(part) in model.model_fields else None
         if model is CampaignEntry and str(part) not in model.model_fields:  # the name of what is dispersed
             annotation = DispersionEntry
         if annotation == dict[str, DispersionEntry]:
             continue
+        if get_origin(annotation) is tuple:
+            annotation = get_args(annotation)[0]
         if not (isinstance(annotation, type) and issubclass(annotation, BaseModel)):
             return []
         model = annotation

@@ -24,10 +24,13 @@ class ThrusterEntry(Entry):
 class ThrustersEntry(Entry):
     """What gives the chaser its force: any force at once, or thrusters that are on or off."""
 
-    layout: Literal["ideal", "six", "12", "24"] | tuple[ThrusterEntry, ...] = Field(
+    layout: Literal["ideal", "six", "12", "24", "own"] = Field(
         default="ideal",
         description="ideal: any force up to chaser.force_limit an axis, at any instant; six, 12, 24: on/off thrusters, "
-        "one, two or four for each direction; or a list of {position, direction, force}",
+        "one, two or four for each direction; own: those of `own`",
+    )
+    own: tuple[ThrusterEntry, ...] = Field(
+        default=(), description="thrusters of a layout of your own, each with position, direction and force"
     )
     force: Positive | None = Field(
         default=None,
@@ -61,13 +64,16 @@ class ThrustersEntry(Entry):
     def _ideal_has_no_numbers(self) -> "ThrustersEntry":
         given = [key for key, value in self if value != type(self).model_fields[key].default]
         if self.layout == "ideal" and given:
-            raise ValueError(f'{", ".join(given)}: only for a layout, and layout is "ideal"; give "six", "12" or "24"')
+            raise ValueError(
+                f'{", ".join(given)}: only for a layout, and layout is "ideal"; give "six", "12", "24" or "own"'
+            )
         return self
 
     @model_validator(mode="after")
-    def _every_thruster_has_a_force(self) -> "ThrustersEntry":
-        if isinstance(self.layout, tuple) and self.force is None:
-            lacking = [str(number) for number, thruster in enumerate(self.layout) if thruster.force is None]
-            if lacking:
-                raise ValueError(f"force of thrusters {', '.join(lacking)}: not given; give it, or thrusters.force")
+    def _own_thrusters_are_there(self) -> "ThrustersEntry":
+        if (self.layout == "own") != bool(self.own):
+            raise ValueError(f'own: {len(self.own)} thrusters, and layout is "{self.layout}"; they belong to "own"')
+        lacking = [str(number) for number, thruster in enumerate(self.own) if thruster.force is None]
+        if self.force is None and lacking:
+            raise ValueError(f"own: force of thrusters {', '.join(lacking)} not given; give it, or thrusters.force")
         return self

@@ -28,10 +28,12 @@ def layout(scenario: Scenario) -> Layout | None:
         name: getattr(entry, name)
         for name in ("least_on_time", "specific_impulse", "rise_delay", "misalignment", "scale_error")
     }
-    if isinstance(entry.layout, tuple):
-        force = np.array([entry.force if own.force is None else own.force for own in entry.layout], float)
-        places = np.array([own.position for own in entry.layout]).reshape(-1, 3)
-        return Layout(places, np.array([own.direction for own in entry.layout]).reshape(-1, 3), force, **numbers)
+    if entry.layout == "own":
+        force = np.array([entry.force if own.force is None else own.force for own in entry.own], float)
+        positions, directions = (
+            np.array([getattr(own, key) for own in entry.own]) for key in ("position", "direction")
+        )
+        return Layout(positions, directions, force, **numbers)
     if entry.layout == "ideal":
         return None
     force = scenario.chaser.force_limit / share(entry.layout) if entry.force is None else entry.force
