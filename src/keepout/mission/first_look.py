@@ -38,7 +38,7 @@ def look(scenario: Scenario) -> "Target":
     """
     require_authority(scenario)
     require_stopping(scenario)
-    if scenario.thrusters.layout != "ideal":
+    if scenario.thrusters.model_dump(exclude_defaults=True) or scenario.faults.thruster is not None:
         from keepout.mission.thrusters import require_thrusters
 
         require_thrusters(scenario)

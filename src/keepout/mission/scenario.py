@@ -80,8 +80,6 @@ class Scenario(Entry):
     @model_validator(mode="after")
     def _thrusters_are_there(self) -> "Scenario":
         ideal, period, shortest = self.thrusters.layout == "ideal", self.control.period, self.thrusters.least_on_time
-        if ideal and self.faults.thruster is not None:
-            raise ValueError('faults.thruster needs a layout, and thrusters.layout is "ideal"; use faults.stuck')
         if not ideal and self.faults.stuck is not None:
             raise ValueError('faults.stuck is for thrusters.layout = "ideal"; use faults.thruster, its number')
         if not ideal and shortest > period:

@@ -61,15 +61,6 @@ class ThrustersEntry(Entry):
     )
 
     @model_validator(mode="after")
-    def _ideal_has_no_numbers(self) -> "ThrustersEntry":
-        given = [key for key, value in self if value != type(self).model_fields[key].default]
-        if self.layout == "ideal" and given:
-            raise ValueError(
-                f'{", ".join(given)}: only for a layout, and layout is "ideal"; give "six", "12", "24" or "own"'
-            )
-        return self
-
-    @model_validator(mode="after")
     def _own_thrusters_are_there(self) -> "ThrustersEntry":
         if (self.layout == "own") != bool(self.own):
             raise ValueError(f'own: {len(self.own)} thrusters, and layout is "{self.layout}"; they belong to "own"')

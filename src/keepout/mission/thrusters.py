@@ -48,9 +48,9 @@ def thrusters(scenario: Scenario) -> ThrusterModel:
 
     """
     flown, entry, faults = layout(scenario), scenario.thrusters, scenario.faults
+    require_thrusters(scenario)
     if flown is None:
         return Thrusters(scenario.chaser.force_limit)
-    require_thrusters(scenario)
     return OnOffThrusters.of(
         flown,
         force_limit=scenario.chaser.force_limit,
@@ -66,11 +66,20 @@ def require_thrusters(scenario: Scenario) -> None:
     """Refuse a layout that does not give chaser.force_limit along every axis, whole or with one thruster stuck.
 
     Raises:
-        ScenarioError: it does not, its thrusters do not span three axes, or its pulses do not fit into a period.
+        ScenarioError: it does not, its thrusters do not span three axes, or its pulses do not fit into a period; or
+            there is none, and entries that are for one.
 
     """
     flown = layout(scenario)
     if flown is None:
+        given = [f"thrusters.{key}" for key in scenario.thrusters.model_dump(exclude_defaults=True)]
+        if scenario.faults.thruster is not None:
+            given.append("faults.thruster")
+        if given:
+            raise ScenarioError(
+                f'{", ".join(given)}: only for a layout, and thrusters.layout is "ideal"; give "six", "12", "24" or '
+                '"own"'
+            )
         return
     require_periods(flown, scenario.control.period)
     if scenario.faults.thruster is not None:
