@@ -22,7 +22,7 @@ class ThrusterErrors:
         force_error: bound on the norm of a constant force that, added to the force asked for, has the same effect on
             position and velocity at the end of a control period as the pulses' quantisation and delay have, N.
         running_error: bound on the norm of the impulse given less the one asked for, added up over all periods so far,
-            N s; infinite where nothing is made up for.
+            beside what misalignment and scale add up to, N s; infinite where nothing is made up for.
         excursion: bound on the distance within a period between the path and that of the held mean force through either
             end of the period, m.
         velocity_excursion: the same of the velocities, m/s.
