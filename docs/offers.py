@@ -52,6 +52,10 @@ OFFERS = {
         "motion.relative.RelativeMotion.step",
         "motion.disturbance.Disturbance.force",
         "motion.actuator.ThrusterModel.apply",
+        "motion.actuator.ThrusterModel.fire",
+        "motion.thrusters.layout.preset",
+        "motion.thrusters.on_off.OnOffThrusters.of",
+        "motion.thrusters.capability.force_box",
     ),
     "control": (
         "control.law.Law.initial_state",

@@ -40,7 +40,7 @@ def bound_steps(step, slack, position, velocity, acceleration, disturbance, rate
 
 @numba.njit(cache=True, nogil=True)
 @no_type_check
-def excess_of_steps(step, position, velocity, acceleration, residual):
+def excess_of_steps(step, position, velocity, acceleration, residual, excursion):
     """Give by how much (m) each step's end is beyond what its start and the bounds allow: `Tube.inconsistency`."""
     flights, steps = residual.shape
     excess = np.empty((flights, steps))
@@ -57,7 +57,7 @@ def excess_of_steps(step, position, velocity, acceleration, residual):
                 forwards += ahead * ahead
                 backwards += back * back
                 kick += change * change
-            allowed = 0.5 * residual[i, k] * (step[k] * step[k])
+            allowed = 0.5 * residual[i, k] * (step[k] * step[k]) + excursion
             kicked = (sqrt(kick) - residual[i, k] * step[k]) * step[k]
             excess[i, k] = max(max(sqrt(forwards), sqrt(backwards)) - allowed, kicked)
     return excess

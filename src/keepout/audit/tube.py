@@ -10,6 +10,9 @@ where b bounds every acceleration that the record does not hold (disturbance and
 never further than b T²/8 from the one in use. Distance to a mesh is 1-Lipschitz, so a distance at the middle of a piece
 of path, less the piece's radius, bounds the whole piece from below; pieces are split, those that can hold the minimum
 first, until the bound is within the tolerance asked.
+
+Where thrusters give pulses, F is their mean, and r is such a path y plus a departure δ, |δ| ≤ e from the path through
+either end of the step and |δ̇| ≤ c. What drifts is y + δ, so that b grows by 2ωc + κe, and every radius grows by e.
 """
 
 from collections.abc import Callable
@@ -39,7 +42,8 @@ class FlightBounds:
     `angular_rate` (rad/s) and `angular_acceleration` (rad/s²) bound the rotation of the body frame; `gravity_gradient`
     (1/s²) bounds the norm of the gradient of differential gravity within `range_limit` (m) of the body frame's origin,
     2 μ / r³ for a point mass with r the least distance from the Earth's centre; `origin_offset` (m) is the origin's
-    distance from the target's centre of mass.
+    distance from the target's centre of mass. `excursion` (m) and `velocity_excursion` (m/s) bound the departure of
+    pulsed thrusters from the motion under the recorded mean force.
     """
 
     mass: float
@@ -49,12 +53,15 @@ class FlightBounds:
     gravity_gradient: float
     origin_offset: float = 0.0
     range_limit: float = np.inf
+    excursion: float = 0.0
+    velocity_excursion: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse a number that bounds nothing."""
         if not (np.isfinite(self.mass) and self.mass > 0.0):
             raise FlightError(f"audit: mass is {self.mass} kg; it must be finite and greater than 0")
-        for name in ("disturbance_force", "angular_rate", "angular_acceleration", "gravity_gradient", "origin_offset"):
+        pushes = ("disturbance_force", "excursion", "velocity_excursion")
+        for name in (*pushes, "angular_rate", "angular_acceleration", "gravity_gradient", "origin_offset"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value >= 0.0):
                 raise FlightError(f"audit: {name} is {value}; a bound must be finite and at least 0")
@@ -78,7 +85,8 @@ class Tube:
     """Flights of equal length as recorded states and the bounds that hold between them.
 
     `residual` (m/s²) is b of the module's docstring and `speed` (m/s) bounds |ṙ| over the step, one of each a step.
-    `beyond` says of each step whether it can have left the range within which gravity is bounded.
+    `beyond` says of each step whether it can have left the range within which gravity is bounded. `excursion` (m) is e
+    of the docstring; half a step's travel at `speed` holds it too.
     """
 
     time: Float[np.ndarray, "samples"]
@@ -88,6 +96,7 @@ class Tube:
     residual: Float[np.ndarray, "flights steps"]
     speed: Float[np.ndarray, "flights steps"]
     beyond: Bool[np.ndarray, "flights steps"]
+    excursion: float = 0.0
 
     @classmethod
     def of(
@@ -109,6 +118,7 @@ class Tube:
         acceleration = force / bounds.mass
         disturbance = bounds.disturbance_force / bounds.mass
         kappa = bounds.angular_acceleration + bounds.angular_rate**2 + bounds.gravity_gradient
+        disturbance += 2.0 * bounds.angular_rate * bounds.velocity_excursion + kappa * bounds.excursion
         slack = 1.0 - 2.0 * bounds.angular_rate * step - kappa * step**2
         if np.any(slack <= 0.0):
             raise FlightError(
@@ -126,9 +136,11 @@ class Tube:
             bounds.angular_rate,
             kappa,
             bounds.origin_offset,
-            bounds.range_limit,
+            bounds.range_limit - bounds.excursion,
         )
-        return cls(time, position, velocity, acceleration, residual, speed, beyond)
+        if bounds.excursion > 0.0:
+            speed = speed + 2.0 * bounds.excursion / step
+        return cls(time, position, velocity, acceleration, residual, speed, beyond, bounds.excursion)
 
     def inconsistency(self) -> Float[np.ndarray, "flights steps"]:
         """How far, in metres, the end of each step lies beyond what its start and the bounds allow; ≤ 0 is consistent.
@@ -136,7 +148,7 @@ class Tube:
         The velocity's excess is counted over the step's length, so that one number covers both.
         """
         return sample_loops.excess_of_steps(
-            np.diff(self.time), self.position, self.velocity, self.acceleration, self.residual
+            np.diff(self.time), self.position, self.velocity, self.acceleration, self.residual, self.excursion
         )
 
     def piece(
@@ -158,7 +170,7 @@ class Tube:
         position, velocity = self.position[flight, sample], self.velocity[flight, sample]
         held = self.acceleration[flight, index]
         point = position + velocity * tau[:, None] + 0.5 * held * (tau**2)[:, None]
-        error = 0.5 * self.residual[flight, index] * tau**2
+        error = 0.5 * self.residual[flight, index] * tau**2 + self.excursion
         radius = error + 0.5 * (end - start) * step * self.speed[flight, index]
         return point, error, radius
 

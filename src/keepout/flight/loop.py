@@ -14,6 +14,9 @@ from keepout.control.law import Command
 from keepout.flight.setup import FlightSetup
 from keepout.motion.relative import MotionState
 
+_THRUSTERS = 2**30
+"""Folded into a flight's key for what is drawn of its thrusters."""
+
 
 class LoopState(eqx.Module):
     """What is carried from one control step to the next."""
@@ -22,6 +25,7 @@ class LoopState(eqx.Module):
     controller: PyTree
     guard: PyTree
     faults: PyTree
+    thrusters: PyTree = ()
 
 
 class FlightLog(eqx.Module):
@@ -29,11 +33,12 @@ class FlightLog(eqx.Module):
 
     Positions m, velocities m/s, forces N, in the target's body axes; time s. position, velocity, attitude (body ←
     VVLH), angular_velocity: the truth. estimated_*: what the control law was told. commanded_force: the control law's;
-    guarded_force: after the guard; force: truly applied, held until the next row. disturbance: at the row's time.
-    barrier h (m), backstepping_barrier h₁, lyapunov V₁, and the statuses: as the control law and the guard gave them;
-    guard_status is 0 in every row of a flight without a guard. field_value (m): at the true position, not a number
-    without a field. saturated: whether a thruster reached its limit. target_orbit: the target's ECI state, where it is
-    perturbed.
+    guarded_force: after the guard; force: truly applied, held until the next row or, of pulses, their mean until then.
+    disturbance: at the row's time. barrier h (m), backstepping_barrier h₁, lyapunov V₁, and the statuses: as the
+    control law and the guard gave them; guard_status is 0 in every row of a flight without a guard. field_value (m): at
+    the true position, not a number without a field. saturated: whether a thruster reached its limit. target_orbit: the
+    target's ECI state, where it is perturbed. propellant: burnt from the row until the next, kg, where the thrusters
+    tell it.
     """
 
     time: Float[Array, "*rows"]
@@ -58,13 +63,15 @@ class FlightLog(eqx.Module):
     guard_status: Int[Array, "*rows"]
     saturated: Bool[Array, "*rows"]
     target_orbit: Float[Array, "*rows 6"] | None = None
+    propellant: Float[Array, "*rows"] | None = None
 
 
 def start(setup: FlightSetup, initial: MotionState, key: PRNGKeyArray) -> LoopState:
     """Give the loop's state before the first step. The control law starts from the estimate, not from the truth."""
     faults = setup.faults.initial_state(key)
     faults, estimate = setup.faults.estimate(faults, initial)
-    return LoopState(initial, *memories(setup, estimate), faults)
+    thrusters = setup.thrusters.initial_state(jax.random.fold_in(key, _THRUSTERS))
+    return LoopState(initial, *memories(setup, estimate), faults, thrusters)
 
 
 def memories(setup: FlightSetup, estimate: MotionState) -> tuple[PyTree, PyTree]:
@@ -94,8 +101,9 @@ def step(setup: FlightSetup, state: LoopState) -> tuple[LoopState, FlightLog]:
     faults, estimate = setup.faults.estimate(state.faults, truth)
     controller, guard, order, guarded, guard_status = command(setup, state.controller, state.guard, estimate)
     faults, arrived = setup.faults.command(faults, guarded, truth.time)
-    faults, force = setup.faults.actuate(faults, setup.thrusters.apply(arrived), truth.time)
-    motion = setup.motion.step(truth, force, setup.disturbance, setup.period, setup.mass)
+    thrusters, firing = setup.thrusters.fire(state.thrusters, arrived)
+    faults, force = setup.faults.actuate(faults, firing.force, truth.time)
+    motion = setup.motion.step(truth, force, setup.disturbance, setup.period, setup.mass, firing.pulses)
     row = FlightLog(
         time=truth.time,
         position=truth.position,
@@ -119,8 +127,9 @@ def step(setup: FlightSetup, state: LoopState) -> tuple[LoopState, FlightLog]:
         guard_status=guard_status,
         saturated=setup.thrusters.saturated(arrived),
         target_orbit=truth.target_orbit,
+        propellant=firing.propellant,
     )
-    return LoopState(motion, controller, guard, faults), row
+    return LoopState(motion, controller, guard, faults, thrusters), row
 
 
 def trace(setup: FlightSetup, initial: MotionState, steps: int, key: PRNGKeyArray) -> FlightLog:

@@ -30,6 +30,7 @@ class FlightOutcome(eqx.Module):
         guard_status_counts: likewise, without the guard's flags.
         guard_flags: every flag that the guard raised, as bits.
         finite: whether every position, velocity and force is a number.
+        propellant: burnt over the steps flown, kg; None where the thrusters do not tell it.
 
     """
 
@@ -44,6 +45,7 @@ class FlightOutcome(eqx.Module):
     guard_status_counts: Int[Array, "*flights 16"]
     guard_flags: Int[Array, "*flights"]
     finite: Bool[Array, "*flights"]
+    propellant: Float[Array, "*flights"] | None = None
 
 
 def outcome(setup: FlightSetup, log: FlightLog) -> FlightOutcome:
@@ -75,6 +77,7 @@ def _summary(log: FlightLog, goal: Vector, tolerance: Scalar, period: Scalar, ma
         guard_status_counts=_count(guard_mode),
         guard_flags=jnp.bitwise_or.reduce(guard_status - guard_mode),
         finite=finite,
+        propellant=None if log.propellant is None else jnp.sum(log.propellant[:-1]),
     )
 
 

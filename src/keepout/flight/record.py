@@ -55,6 +55,7 @@ class FlightRecord:
     guard_status: Int[np.ndarray, "N"]
     saturated: Bool[np.ndarray, "N"]
     target_orbit: Float[np.ndarray, "N 6"] | None = None
+    propellant: Float[np.ndarray, "N"] | None = None
 
     @classmethod
     def of_log(
@@ -123,7 +124,7 @@ class FlightRecord:
 
         """
         header, columns = read(Path(path))
-        missing = [name for name in FlightLog.__annotations__ if name not in columns and name != "target_orbit"]
+        missing = [name for name in FlightLog.__annotations__ if name not in columns and name not in _OPTIONAL]
         if missing:
             raise FlightError(f"{path}: not a flight file: it has no column {missing[0]}")
         unknown = sorted(set(columns) - set(FlightLog.__annotations__))
@@ -139,6 +140,8 @@ class FlightRecord:
         _check(self.columns)
 
 
+_OPTIONAL = ("target_orbit", "propellant")
+"""Columns of some flights."""
 _VECTORS = (
     *("position", "velocity", "angular_velocity", "estimated_position", "estimated_velocity", "commanded_force"),
     *("guarded_force", "force", "disturbance", "disturbance_estimate", "desired_velocity", "safe_velocity"),

@@ -26,6 +26,7 @@ from keepout.mission.assumptions import broken_assumptions
 from keepout.mission.law import flown_law, law_or_way_out
 from keepout.mission.scenario import Scenario
 from keepout.mission.target import load_target, require_apart
+from keepout.mission.thrusters import thrusters
 from keepout.motion import MotionState
 from keepout.motion.arrays import as_float64
 from keepout.progress import Progress, part_of, silent
@@ -160,7 +161,8 @@ def flight_setup(scenario: Scenario, law: Law, **chosen: Any) -> FlightSetup:
     """Put a law where a scenario flies: its motion, disturbance, faults and numbers, without guard or logged field.
 
     Args:
-        scenario: its entries `attitude`, `chaser`, `control.period`, `disturbance`, `faults`, `goal` and `orbit`.
+        scenario: its entries `attitude`, `chaser`, `control.period`, `disturbance`, `faults`, `goal`, `orbit` and
+            `thrusters`.
         law: as it is flown, its faults and what it is told of a delay included (`flown_law`).
         **chosen: entries of `FlightSetup`, instead of the scenario's or beside them.
 
@@ -168,7 +170,7 @@ def flight_setup(scenario: Scenario, law: Law, **chosen: Any) -> FlightSetup:
     entries = {
         "motion": environment.relative_motion(scenario),
         "disturbance": environment.disturbance(scenario),
-        "thrusters": environment.chaser(scenario).thrusters,
+        "thrusters": thrusters(scenario),
         "goal": scenario.goal.position,
         "mass": scenario.chaser.mass,
         "period": scenario.control.period,

@@ -88,6 +88,9 @@ class Campaign:
             "below_barrier": int(np.sum(np.asarray(self.outcome.minimum_barrier) < 0.0)),
             "starts_drawn_again": self.starts_drawn_again,
             "median_delta_v_mps": float(np.median(self.outcome.delta_v)),
+            "median_propellant_kg": None
+            if self.outcome.propellant is None
+            else float(np.median(self.outcome.propellant)),
             "saturated_fraction": float(np.mean(self.outcome.saturated_fraction)),
             "guard_interventions": int(np.sum(self.outcome.guard_interventions)),
             "statuses": status_counts(self.outcome),
@@ -119,6 +122,7 @@ class Campaign:
             "minimum_clearance": np.array([audit.minimum_clearance for audit in self.audits]),
             "minimum_barrier": np.asarray(self.outcome.minimum_barrier),
             "largest_speed": np.array([audit.largest_speed for audit in self.audits]),
+            **({} if self.outcome.propellant is None else {"propellant": np.asarray(self.outcome.propellant)}),
         }
 
     def save(self, path: Path) -> None:

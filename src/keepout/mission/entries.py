@@ -123,11 +123,17 @@ class FaultsEntry(Entry):
         default=0.0, description="what it then gives: 0 stuck off, force_limit stuck on, N"
     )
     stuck_from: NonNegative = Field(default=0.0, description="when it sticks, s")
+    thruster: Annotated[int, Field(ge=0)] | None = Field(
+        default=None, description="of a layout, the thruster that is stuck, counted from 0"
+    )
+    thruster_stuck: Literal["on", "off"] = Field(default="off", description="how")
 
     @model_validator(mode="after")
     def _stuck_is_named(self) -> "FaultsEntry":
-        if self.stuck is None and (self.stuck_force or self.stuck_from):
+        if self.stuck is None and (self.stuck_force or (self.stuck_from and self.thruster is None)):
             raise ValueError('stuck_force and stuck_from need stuck = "+x", "-x", "+y", "-y", "+z" or "-z"')
+        if self.thruster is None and self.thruster_stuck != "off":
+            raise ValueError("thruster_stuck needs thruster, its number")
         return self
 
     @model_validator(mode="after")

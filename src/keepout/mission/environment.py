@@ -24,6 +24,7 @@ from keepout.mission import turning_bounds
 from keepout.mission.first_look import refuse_disturbance
 from keepout.mission.orbit_bounds import DifferentialBounds, differential_bounds, orbit_bounds, orbit_of, perturbations
 from keepout.mission.scenario import Scenario
+from keepout.mission.thrusters import errors
 from keepout.motion import (
     Chaser,
     Disturbance,
@@ -176,6 +177,8 @@ def flight_bounds(scenario: Scenario) -> FlightBounds:
         gravity_gradient=differential.gradient,
         origin_offset=_origin_offset(scenario),
         range_limit=region,
+        excursion=(pulsed := errors(scenario)).excursion,
+        velocity_excursion=pulsed.velocity_excursion,
     )
 
 

@@ -38,6 +38,10 @@ def look(scenario: Scenario) -> "Target":
     """
     require_authority(scenario)
     require_stopping(scenario)
+    if scenario.thrusters.model_dump(exclude_defaults=True) or scenario.faults.thruster is not None:
+        from keepout.mission.thrusters import require_thrusters
+
+        require_thrusters(scenario)
     require_files(scenario)
     require_certified(scenario)
     from keepout.mission.target import load_target, require_apart

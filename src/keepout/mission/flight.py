@@ -66,6 +66,7 @@ class Flight:
             "minimum_clearance_m": self.audit.minimum_clearance,
             "final_error_m": float(self.outcome.final_error),
             "delta_v_mps": float(self.outcome.delta_v),
+            "propellant_kg": None if self.outcome.propellant is None else float(self.outcome.propellant),
             "saturated_fraction": float(self.outcome.saturated_fraction),
             "guard_interventions": int(self.outcome.guard_interventions),
             "time_to_reach_s": float(self.outcome.time_to_reach) if self.outcome.reached else None,

@@ -8,7 +8,7 @@ import difflib
 import re
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args, get_origin
 
 from pydantic import BaseModel, Field, ValidationError, model_validator
 
@@ -35,6 +35,7 @@ from keepout.mission.entries import (
     TargetEntry,
 )
 from keepout.mission.lines import entry_lines, line_of
+from keepout.mission.thruster_entries import ThrustersEntry
 
 
 class Scenario(Entry):
@@ -49,6 +50,7 @@ class Scenario(Entry):
     target: TargetEntry = TargetEntry()
     field: FieldEntry = FieldEntry()
     chaser: ChaserEntry = ChaserEntry()
+    thrusters: ThrustersEntry = ThrustersEntry()
     safety: SafetyEntry = SafetyEntry()
     guard: GuardEntry = GuardEntry()
     control: ControlEntry = ControlEntry()
@@ -75,6 +77,17 @@ class Scenario(Entry):
             raise ValueError(
                 f"faults.stuck_force {self.faults.stuck_force} N is more than chaser.force_limit, "
                 f"{self.chaser.force_limit} N; a stuck thruster gives from 0 to that"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _thrusters_are_there(self) -> "Scenario":
+        ideal, period, shortest = self.thrusters.layout == "ideal", self.control.period, self.thrusters.least_on_time
+        if not ideal and self.faults.stuck is not None:
+            raise ValueError('faults.stuck is for thrusters.layout = "ideal"; use faults.thruster, its number')
+        if not ideal and shortest > period:
+            raise ValueError(
+                f"thrusters.least_on_time {shortest} s is longer than the control period, {period} s; no pulse fits in"
             )
         return self
 
@@ -187,11 +200,15 @@ def _elsewhere(key: str, location: tuple[Any, ...], model: type[BaseModel]) -> l
 
 def _valid_keys(location: tuple[Any, ...], model: type[BaseModel]) -> list[str]:
     for part in location:
+        if isinstance(part, int):  # a place in a list of tables
+            continue
         annotation = model.model_fields[str(part)].annotation if str(part) in model.model_fields else None
         if model is CampaignEntry and str(part) not in model.model_fields:  # the name of what is dispersed
             annotation = DispersionEntry
         if annotation == dict[str, DispersionEntry]:
             continue
+        if get_origin(annotation) is tuple:
+            annotation = get_args(annotation)[0]
         if not (isinstance(annotation, type) and issubclass(annotation, BaseModel)):
             return []
         model = annotation

@@ -1,6 +1,6 @@
 """Motion of the chaser relative to the target: orbit, attitude, forces."""
 
-from keepout.motion.actuator import ThrusterModel, Thrusters
+from keepout.motion.actuator import Firing, ThrusterModel, Thrusters
 from keepout.motion.attitude import AttitudeMotion, InertiallyFixed, Tumbling, VVLHFixed
 from keepout.motion.chaser import Chaser
 from keepout.motion.disturbance import (
@@ -30,6 +30,7 @@ __all__ = [
     "ConstantDisturbance",
     "Disturbance",
     "Drag",
+    "Firing",
     "InertiallyFixed",
     "MotionState",
     "NoDisturbance",

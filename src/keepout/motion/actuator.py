@@ -7,10 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, PRNGKeyArray, PyTree
 
 from keepout.errors import ScenarioError
 from keepout.motion.arrays import NumbersLike, as_float64
+from keepout.motion.pulses import Pulses
 from keepout.motion.rotation import Vector
 
 
@@ -20,8 +21,25 @@ def _per_axis(value: NumbersLike) -> Array:
     return as_float64(np.broadcast_to(np.asarray(value), (3,)))
 
 
+class Firing(eqx.Module):
+    """What thrusters do over one control period.
+
+    Attributes:
+        force: their mean force, N, body axes.
+        pulses: when which force is on, where it is not held all along.
+        on_time: of each thruster, s, where there are thrusters to tell apart.
+        propellant: burnt, kg, where that is known.
+
+    """
+
+    force: Vector
+    pulses: Pulses | None = None
+    on_time: Float[Array, " thrusters"] | None = None
+    propellant: Float[Array, ""] | None = None
+
+
 class ThrusterModel(eqx.Module):
-    """What becomes of a commanded force; `Thrusters` are the ones that ship."""
+    """What becomes of a commanded force; `Thrusters` hold it, and `thrusters.on_off.OnOffThrusters` give pulses."""
 
     @abc.abstractmethod
     def apply(self, command: Vector) -> Vector:
@@ -30,6 +48,14 @@ class ThrusterModel(eqx.Module):
     @abc.abstractmethod
     def saturated(self, command: Vector) -> Bool[Array, ""]:
         """Whether a command (N) is more than can be given."""
+
+    def initial_state(self, key: PRNGKeyArray) -> PyTree:
+        """Make the memory that a flight starts with; what differs from flight to flight is drawn from the key."""
+        return ()
+
+    def fire(self, state: PyTree, command: Vector) -> tuple[PyTree, Firing]:
+        """Say what is done over the coming period for a commanded force (N, body axes): by default `apply`, held."""
+        return state, Firing(self.apply(command))
 
 
 class Thrusters(ThrusterModel):

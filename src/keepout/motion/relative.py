@@ -16,6 +16,7 @@ from keepout.motion.disturbance import Disturbance
 from keepout.motion.frames import vvlh_axes
 from keepout.motion.orbit import Orbit, OrbitalFrame, perturbed_frame
 from keepout.motion.perturbation import Perturbation, target_acceleration
+from keepout.motion.pulses import Departure, Pulses
 from keepout.motion.rotation import Quaternion, Vector
 
 Scalar = Float[Array, ""]
@@ -90,30 +91,45 @@ class RelativeMotion(eqx.Module):
         disturbance: Disturbance,
         duration: float | Scalar,
         mass: float | Scalar,
+        pulses: Pulses | None = None,
     ) -> MotionState:
         """Advance by `duration` seconds: classical Runge–Kutta, the force (N, body axes) held, the disturbance not.
+
+        Where the force is the mean of `pulses` over these seconds, what they add between is added in closed form.
 
         The disturbance is evaluated at the times of the Runge–Kutta stages. At its jumps the steps are split, and a
         piece sees the force of its own middle: a force that is constant between jumps acts with its full strength.
         """
         h = duration / self.substeps
+        departure = None if pulses is None else self._departure(state, pulses, mass)
 
         def substep(at: MotionState) -> MotionState:
             switches = disturbance.switches(at.time, h)
             if switches.size == 0:
-                return self._runge_kutta(at, force, disturbance, h, mass)
+                return self._runge_kutta(at, force, disturbance, h, mass, state.time, departure)
 
             def piece(now: MotionState, ends: Float[Array, "2"]) -> tuple[MotionState, None]:
                 smooth = disturbance.between_switches(at.time + 0.5 * (ends[0] + ends[1]))
-                return self._runge_kutta(now, force, smooth, ends[1] - ends[0], mass), None
+                return self._runge_kutta(now, force, smooth, ends[1] - ends[0], mass, state.time, departure), None
 
             ends = jnp.concatenate([jnp.zeros(1), switches, jnp.full(1, h)])
             end, _ = jax.lax.scan(piece, at, jnp.stack([ends[:-1], ends[1:]], axis=1))
             return eqx.tree_at(lambda state: state.time, end, at.time + h)
 
         if self.substeps == 1:
-            return substep(state)
-        return jax.lax.fori_loop(0, self.substeps, lambda _, at: substep(at), state)
+            end = substep(state)
+        else:
+            end = jax.lax.fori_loop(0, self.substeps, lambda _, at: substep(at), state)
+        if departure is None:
+            return end
+        position, velocity, _ = departure.at(jnp.asarray(duration, jnp.float64))
+        moved = end.position + position, end.velocity + velocity
+        return eqx.tree_at(lambda s: (s.position, s.velocity), end, moved)
+
+    def _departure(self, state: MotionState, pulses: Pulses, mass: float | Scalar) -> Departure:
+        frame = self.orbital_frame(state)
+        omega, omega_dot = self.attitude_motion.rates(state.attitude, state.angular_velocity, frame)
+        return Departure(pulses, jnp.asarray(mass, jnp.float64), omega, omega_dot)
 
     def _runge_kutta(
         self,
@@ -122,18 +138,27 @@ class RelativeMotion(eqx.Module):
         disturbance: Disturbance,
         h: float | Scalar,
         mass: float | Scalar,
+        since: Scalar,
+        departure: Departure | None,
     ) -> MotionState:
-        """Take one step of `h` seconds under a disturbance without jumps."""
+        """Take one step of `h` seconds under a disturbance without jumps; a departure began at `since`."""
 
         def derivative(at: MotionState) -> MotionState:
             frame = self.orbital_frame(at)
             omega, omega_dot = self.attitude_motion.rates(at.attitude, at.angular_velocity, frame)
             push = (force + disturbance.force(at.time)) / mass
+            there = at
+            if departure is not None:
+                position, velocity, counted = departure.at(at.time - since)
+                push = push - counted
+                there = eqx.tree_at(
+                    lambda s: (s.position, s.velocity), at, (at.position + position, at.velocity + velocity)
+                )
             relative_rate = omega - rotation.matrix(at.attitude) @ frame.angular_velocity
             return MotionState(
                 time=jnp.ones(()),
                 position=at.velocity,
-                velocity=self._drift(at, frame, omega, omega_dot) + push,
+                velocity=self._drift(there, frame, omega, omega_dot) + push,
                 attitude=rotation.rate(at.attitude, relative_rate),
                 angular_velocity=omega_dot,
                 target_orbit=None if at.target_orbit is None else self._target_derivative(at.target_orbit),
