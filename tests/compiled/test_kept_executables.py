@@ -99,6 +99,24 @@ def test_another_shape_type_or_number_is_another_call(folder, monkeypatch):
     assert len(kept(folder)[0]) == 4
 
 
+@pytest.mark.parametrize("used", [0, 1])
+def test_calls_that_use_other_arguments_do_not_share_a_program(folder, used):
+    """Their lowered texts would be the same if the arguments that are not used were left out of them."""
+    leaves = [jnp.asarray(2.0), jnp.asarray(5.0)]
+    structure = jax.tree.structure(((0, 0), {}))
+    for place in (used, 1 - used):
+        made = kept_executables._compiled(
+            lambda *pair, place=place: 3.0 * pair[place],
+            structure,
+            ((None, None), {}),
+            leaves,
+            folder / f"call_picked-{place}-cache",
+            b"",
+        )
+        assert made is not None
+        assert float(made[0](*leaves)[0]) == 3.0 * float(leaves[place])
+
+
 def test_numbers_at_the_top_of_modules_are_part_of_the_key(folder, monkeypatch):
     fresh(monkeypatch)
     evaluate.values(SPHERE, POINTS)

@@ -211,7 +211,8 @@ def _compiled(
         return tuple(arrays)
 
     flat.__name__ = flat.__qualname__ = f"kept_{function.__name__}"
-    lowered = jax.jit(flat).lower(*leaves)
+    # Arguments that are not used stay in the text: without them, calls that use other ones of theirs read the same.
+    lowered = jax.jit(flat, keep_unused=True).lower(*leaves)
     text = lowered.as_text()
     if any(called not in _HARMLESS for called in _calls_out(text)):
         return None
