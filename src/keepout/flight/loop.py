@@ -13,9 +13,11 @@ from keepout.compiled.kept_executables import kept_jit
 from keepout.control.law import Command
 from keepout.flight.setup import FlightSetup
 from keepout.motion.relative import MotionState
+from keepout.sensing.estimator import KnownSet
 
 _THRUSTERS = 2**30
-"""Folded into a flight's key for what is drawn of its thrusters."""
+_SENSORS, _FIRST = _THRUSTERS + 1, _THRUSTERS + 2
+"""Folded into a flight's key for what is drawn of its thrusters, its sensors and its first estimate."""
 
 
 class LoopState(eqx.Module):
@@ -26,6 +28,8 @@ class LoopState(eqx.Module):
     guard: PyTree
     faults: PyTree
     thrusters: PyTree = ()
+    sensors: PyTree = ()
+    navigation: PyTree = ()
 
 
 class FlightLog(eqx.Module):
@@ -38,7 +42,9 @@ class FlightLog(eqx.Module):
     control law and the guard gave them; guard_status is 0 in every row of a flight without a guard. field_value (m): at
     the true position, not a number without a field. saturated: whether a thruster reached its limit. target_orbit: the
     target's ECI state, where it is perturbed. propellant: burnt from the row until the next, kg, where the thrusters
-    tell it.
+    tell it. known_position, known_velocity: with sensors, the centre of the set that the guard is told;
+    known_position_error, known_velocity_error: its radii; outliers: samples that the law's estimate left out;
+    contradicted: whether the set's samples cannot all be within their bounds.
     """
 
     time: Float[Array, "*rows"]
@@ -64,25 +70,46 @@ class FlightLog(eqx.Module):
     saturated: Bool[Array, "*rows"]
     target_orbit: Float[Array, "*rows 6"] | None = None
     propellant: Float[Array, "*rows"] | None = None
+    known_position: Float[Array, "*rows 3"] | None = None
+    known_velocity: Float[Array, "*rows 3"] | None = None
+    known_position_error: Float[Array, "*rows"] | None = None
+    known_velocity_error: Float[Array, "*rows"] | None = None
+    outliers: Int[Array, "*rows"] | None = None
+    contradicted: Bool[Array, "*rows"] | None = None
 
 
 def start(setup: FlightSetup, initial: MotionState, key: PRNGKeyArray) -> LoopState:
     """Give the loop's state before the first step. The control law starts from the estimate, not from the truth."""
     faults = setup.faults.initial_state(key)
-    faults, estimate = setup.faults.estimate(faults, initial)
     thrusters = setup.thrusters.initial_state(jax.random.fold_in(key, _THRUSTERS))
-    return LoopState(initial, *memories(setup, estimate), faults, thrusters)
+    if setup.navigation is None:
+        faults, estimate = setup.faults.estimate(faults, initial)
+        return LoopState(initial, *memories(setup, estimate), faults, thrusters)
+    sensors = setup.navigation.sensed(jax.random.fold_in(key, _SENSORS), initial)
+    known = setup.navigation.begin(setup.navigation.first_estimate(jax.random.fold_in(key, _FIRST), initial))
+    # Law and guard start from what the first step will know: the same samples, drawn with the same keys.
+    knowledge = setup.navigation.know(known, setup.navigation.sample(sensors, initial)[1])[1]
+    law, guard = memories(setup, knowledge.estimate, knowledge.known.state)
+    return LoopState(initial, law, guard, faults, thrusters, sensors, known)
 
 
-def memories(setup: FlightSetup, estimate: MotionState) -> tuple[PyTree, PyTree]:
-    """Give the states of control law and guard before their first `command`; the guard's is () where there is none."""
-    return setup.controller.initial_state(estimate), () if setup.guard is None else setup.guard.initial_state(estimate)
+def memories(setup: FlightSetup, estimate: MotionState, known: MotionState | None = None) -> tuple[PyTree, PyTree]:
+    """Give the states of control law and guard before their first `command`; the guard's is () where there is none.
+
+    The law starts from `estimate`, and so does the guard unless it is told of another state, `known`.
+    """
+    law = setup.controller.initial_state(estimate)
+    return law, () if setup.guard is None else setup.guard.initial_state(estimate if known is None else known)
 
 
 def command(
-    setup: FlightSetup, controller_state: PyTree, guard_state: PyTree, estimate: MotionState
+    setup: FlightSetup,
+    controller_state: PyTree,
+    guard_state: PyTree,
+    estimate: MotionState,
+    known: KnownSet | None = None,
 ) -> tuple[PyTree, PyTree, Command, Float[Array, "3"], Int[Array, ""]]:
-    """Run the on-board part of a step: control law, then guard.
+    """Run the on-board part of a step: control law, then guard, which is told of the set `known` where there is one.
 
     Returns the new states of law and guard, the law's `Command`, the force after the guard (N, body axes) and the
     guard's status.
@@ -90,16 +117,29 @@ def command(
     controller_state, order = setup.controller.step(controller_state, estimate)
     if setup.guard is None:
         return controller_state, guard_state, order, order.force, jnp.zeros((), jnp.int32)
-    guard_state, force, status = setup.guard.filter(guard_state, estimate, order.force, order.disturbance_estimate)
+    if known is None:
+        guard_state, force, status = setup.guard.filter(guard_state, estimate, order.force, order.disturbance_estimate)
+    else:
+        guard_state, force, status = setup.guard.filter(
+            guard_state, known.state, order.force, order.disturbance_estimate, errors=known.errors
+        )
     controller_state = setup.controller.with_applied_force(controller_state, force)
     return controller_state, guard_state, order, force, jnp.asarray(status, jnp.int32)
 
 
 def step(setup: FlightSetup, state: LoopState) -> tuple[LoopState, FlightLog]:
     """Fly one control period; the row describes its start and what was done over it."""
-    truth = state.motion
-    faults, estimate = setup.faults.estimate(state.faults, truth)
-    controller, guard, order, guarded, guard_status = command(setup, state.controller, state.guard, estimate)
+    truth, navigation = state.motion, setup.navigation
+    if navigation is None:
+        faults, estimate = setup.faults.estimate(state.faults, truth)
+        sensors, knowing, knowledge, known = state.sensors, state.navigation, None, None
+    else:
+        sensors, samples = navigation.sample(state.sensors, truth)
+        knowing, knowledge = navigation.know(state.navigation, samples)
+        faults, estimate, known = state.faults, knowledge.estimate, knowledge.known
+    controller, guard, order, guarded, guard_status = command(setup, state.controller, state.guard, estimate, known)
+    if navigation is not None:
+        knowing = navigation.told(knowing, guarded)
     faults, arrived = setup.faults.command(faults, guarded, truth.time)
     thrusters, firing = setup.thrusters.fire(state.thrusters, arrived)
     faults, force = setup.faults.actuate(faults, firing.force, truth.time)
@@ -128,8 +168,14 @@ def step(setup: FlightSetup, state: LoopState) -> tuple[LoopState, FlightLog]:
         saturated=setup.thrusters.saturated(arrived),
         target_orbit=truth.target_orbit,
         propellant=firing.propellant,
+        known_position=None if known is None else known.state.position,
+        known_velocity=None if known is None else known.state.velocity,
+        known_position_error=None if known is None else known.errors[0],
+        known_velocity_error=None if known is None else known.errors[1],
+        outliers=None if knowledge is None else knowledge.outliers.astype(jnp.int32),
+        contradicted=None if known is None else known.contradicted,
     )
-    return LoopState(motion, controller, guard, faults, thrusters), row
+    return LoopState(motion, controller, guard, faults, thrusters, sensors, knowing), row
 
 
 def trace(setup: FlightSetup, initial: MotionState, steps: int, key: PRNGKeyArray) -> FlightLog:

@@ -56,6 +56,12 @@ class FlightRecord:
     saturated: Bool[np.ndarray, "N"]
     target_orbit: Float[np.ndarray, "N 6"] | None = None
     propellant: Float[np.ndarray, "N"] | None = None
+    known_position: Float[np.ndarray, "N 3"] | None = None
+    known_velocity: Float[np.ndarray, "N 3"] | None = None
+    known_position_error: Float[np.ndarray, "N"] | None = None
+    known_velocity_error: Float[np.ndarray, "N"] | None = None
+    outliers: Int[np.ndarray, "N"] | None = None
+    contradicted: Bool[np.ndarray, "N"] | None = None
 
     @classmethod
     def of_log(
@@ -140,14 +146,24 @@ class FlightRecord:
         _check(self.columns)
 
 
-_OPTIONAL = ("target_orbit", "propellant")
+_OPTIONAL = (
+    *("target_orbit", "propellant"),
+    *("known_position", "known_velocity", "known_position_error", "known_velocity_error", "outliers", "contradicted"),
+)
 """Columns of some flights."""
 _VECTORS = (
     *("position", "velocity", "angular_velocity", "estimated_position", "estimated_velocity", "commanded_force"),
     *("guarded_force", "force", "disturbance", "disturbance_estimate", "desired_velocity", "safe_velocity"),
+    *("known_position", "known_velocity"),
 )
 _SHAPES = {name: (3,) for name in _VECTORS} | {"attitude": (4,), "target_orbit": (6,)}
-_KINDS = {"control_status": np.int32, "guard_status": np.int32, "saturated": np.bool_}
+_KINDS = {
+    "control_status": np.int32,
+    "guard_status": np.int32,
+    "saturated": np.bool_,
+    "outliers": np.int32,
+    "contradicted": np.bool_,
+}
 
 
 def _check(columns: Mapping[str, np.ndarray]) -> None:

@@ -17,6 +17,7 @@ from keepout.motion.arrays import as_float64
 from keepout.motion.disturbance import Disturbance
 from keepout.motion.relative import MotionState, RelativeMotion
 from keepout.motion.rotation import Vector
+from keepout.sensing.navigation import Navigation
 
 Scalar = Float[Array, ""]
 
@@ -79,6 +80,7 @@ class FlightSetup(eqx.Module):
         faults: what stands between truth and law.
         field: logged along the true path where given.
         tolerance: m; a flight has reached its goal when it stays closer than this until its end.
+        navigation: what is known of the motion; None where law and guard are told the state that `faults` leave.
 
     Raises:
         ScenarioError: a mass, period or tolerance that is not positive and finite, or a disturbance that jumps more
@@ -97,6 +99,7 @@ class FlightSetup(eqx.Module):
     faults: Faults = eqx.field(default_factory=NoFaults)
     field: Field | None = None
     tolerance: Scalar = eqx.field(converter=as_float64, default=0.1)
+    navigation: Navigation | None = None
 
     def __check_init__(self):
         for name, unit in (("mass", "kg"), ("period", "s"), ("tolerance", "m")):

@@ -6,7 +6,6 @@ from keepout.guard import watch
 from keepout.guard.guard import Guard
 from keepout.mission import environment
 from keepout.mission.scenario import Scenario
-from keepout.mission.thrusters import errors
 
 _ROUNDING = 1e-9
 """Relative: a bound declared is not broken by the rounding of the flown one."""
@@ -49,9 +48,6 @@ def broken_assumptions(scenario: Scenario) -> tuple[str, ...]:
             f"faults.stuck {faults.stuck} at {faults.stuck_force:.6g} N from {faults.stuck_from:.6g} s "
             "(no thruster may be stuck)"
         )
-    if scenario.thrusters.layout != "ideal":
-        wrong = errors(scenario).force_error
-        found.append(f"thrusters.layout: its pulses are off by up to {wrong:.6g} N (the guard is not told)")
     if faults.thruster is not None and faults.stuck_from < scenario.duration and not scenario.thrusters.survive_failure:
         found.append(
             f"faults.thruster {faults.thruster} stuck {faults.thruster_stuck} from {faults.stuck_from:.6g} s "

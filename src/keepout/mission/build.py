@@ -24,6 +24,7 @@ from keepout.guard.start import require_flyable
 from keepout.mission import environment
 from keepout.mission.assumptions import broken_assumptions
 from keepout.mission.law import flown_law, law_or_way_out
+from keepout.mission.navigation import navigation
 from keepout.mission.scenario import Scenario
 from keepout.mission.target import load_target, require_apart
 from keepout.mission.thrusters import thrusters
@@ -142,6 +143,9 @@ def prepare(
         why = _missed_room(refusal.place, scenario, target, model, progress)
         raise KeepOutZoneError(f"{refusal}{why}", refusal.place) from None
     setup = flight_setup(scenario, flown_law(scenario, law, model), field=model.field)
+    if scenario.navigation.suite != "none":
+        assumed = environment.guard_assumptions(scenario, target)
+        setup = replace(setup, navigation=navigation(scenario, setup.motion, assumed))
     initial = setup.motion.initial_state(np.asarray(scenario.start.position), np.asarray(scenario.start.velocity))
     guard, start_certified, broken = None, None, broken_assumptions(scenario)
     if scenario.guard.enabled:

@@ -22,6 +22,7 @@ from keepout.geometry.target import Target
 from keepout.guard.braking import GuardAssumptions
 from keepout.mission import turning_bounds
 from keepout.mission.first_look import refuse_disturbance
+from keepout.mission.navigation import certain
 from keepout.mission.orbit_bounds import DifferentialBounds, differential_bounds, orbit_bounds, orbit_of, perturbations
 from keepout.mission.scenario import Scenario
 from keepout.mission.thrusters import errors
@@ -274,8 +275,8 @@ def guard_assumptions(scenario: Scenario, target: Target) -> GuardAssumptions:
     region = _region(scenario, away)
     rate, acceleration = _rotation(scenario)
     differential = _differential(scenario, region)
-    entry = scenario.guard
-    return GuardAssumptions(
+    entry, pulses = scenario.guard, errors(scenario)
+    assumed = GuardAssumptions(
         mass=scenario.chaser.mass,
         force_limit=scenario.chaser.force_limit,
         period=scenario.control.period,
@@ -288,7 +289,16 @@ def guard_assumptions(scenario: Scenario, target: Target) -> GuardAssumptions:
         position_error=entry.position_error,
         velocity_error=entry.velocity_error,
         mass_error=entry.mass_error,
-        gain_error=entry.gain_error,
+        gain_error=entry.gain_error + pulses.gain_error,
         delay=entry.delay,
         origin_offset=_origin_offset(scenario),
+        force_error=pulses.force_error,
+        excursion=pulses.excursion,
+        velocity_excursion=pulses.velocity_excursion,
+        fault_force=pulses.fault_force,
+        fault_steps=pulses.fault_steps,
     )
+    if scenario.navigation.suite == "none":
+        return assumed
+    position_error, velocity_error = certain(scenario, assumed).errors
+    return replace(assumed, position_error=position_error, velocity_error=velocity_error)

@@ -145,6 +145,8 @@ def _named_circulation(scenario: Scenario) -> CirculationLaw | NoCirculation | N
 
 
 def _named_observer(scenario: Scenario) -> Observer | None:
+    if scenario.navigation.suite != "none" and scenario.navigation.estimate == "raw":
+        return NoObserver()
     mass, period = scenario.chaser.mass, scenario.control.period
     match scenario.control.observer:
         case "harmonic":

@@ -35,7 +35,14 @@ from keepout.mission.entries import (
     TargetEntry,
 )
 from keepout.mission.lines import entry_lines, line_of
+from keepout.mission.navigation_entries import NavigationEntry
 from keepout.mission.thruster_entries import ThrustersEntry
+
+_ESTIMATE_FAULTS = (
+    *("position_bias", "velocity_bias", "position_noise", "velocity_noise"),
+    *("position_noise_std", "velocity_noise_std"),
+)
+"""Entries of `faults` that put errors on a state that no sensor measured."""
 
 
 class Scenario(Entry):
@@ -59,6 +66,7 @@ class Scenario(Entry):
     sun: SunEntry = SunEntry()
     attitude: AttitudeEntry = AttitudeEntry()
     disturbance: DisturbanceEntry = DisturbanceEntry()
+    navigation: NavigationEntry = NavigationEntry()
     faults: FaultsEntry = FaultsEntry()
     start: StateEntry = StateEntry()
     goal: GoalEntry = GoalEntry()
@@ -88,6 +96,19 @@ class Scenario(Entry):
         if not ideal and shortest > period:
             raise ValueError(
                 f"thrusters.least_on_time {shortest} s is longer than the control period, {period} s; no pulse fits in"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _errors_are_said_once(self) -> "Scenario":
+        if self.navigation.suite == "none":
+            return self
+        told = [f"guard.{key}" for key in ("position_error", "velocity_error") if getattr(self.guard, key)]
+        told += [f"faults.{key}" for key in _ESTIMATE_FAULTS if getattr(self.faults, key)]
+        if told:
+            raise ValueError(
+                f"{', '.join(told)}: of an estimate without sensors, and navigation.suite is "
+                f'"{self.navigation.suite}", which has errors of its own; leave them out'
             )
         return self
 

@@ -1,0 +1,140 @@
+"""A scenario's navigation: its suite, the law's estimator, and the guard's set with the caps that it keeps."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from keepout.errors import ScenarioError
+from keepout.guard.braking import GuardAssumptions
+from keepout.mission.navigation_entries import NavigationEntry
+from keepout.mission.scenario import Scenario
+from keepout.motion import RelativeMotion
+from keepout.sensing.bounded import SetMembership
+from keepout.sensing.caps import design
+from keepout.sensing.estimator import Estimator
+from keepout.sensing.kalman import kalman_filter
+from keepout.sensing.navigation import Navigation
+from keepout.sensing.observability import check_observability
+from keepout.sensing.raw import RawSamples
+from keepout.sensing.sensor import Sensor
+from keepout.sensing.suite import Suite
+from keepout.sensing.worked_suites import SUITES
+
+FREQUENCIES = (0.02, 0.01)
+"""Of the paper's disturbance, rad/s: what the law's own observer expects too."""
+
+
+@dataclass(frozen=True)
+class Certain:
+    """The guard's estimate, and what it is sure to keep.
+
+    Attributes:
+        estimate: the set-membership estimate.
+        errors: caps of its radii, m and m/s.
+        initial: largest errors of the first estimate, m and m/s.
+
+    """
+
+    estimate: SetMembership
+    errors: tuple[float, float]
+    initial: tuple[float, float]
+
+
+def suite_of(entry: NavigationEntry) -> Suite:
+    """Build the sensors."""
+    chosen = {
+        "position": entry.position_noise,
+        "velocity": entry.velocity_noise,
+        "dropout": entry.dropout,
+        "most_missed": entry.most_missed,
+    }
+    if entry.dropout and entry.most_missed == 0:
+        raise ScenarioError(
+            f"navigation.most_missed: 0, and dropout is {entry.dropout:g}; a sample that can be lost needs at least 1"
+        )
+    if entry.dropout and entry.most_missed is None and entry.suite == "close":
+        raise ScenarioError(
+            f"navigation.dropout: {entry.dropout:g} needs most_missed, how many samples can be lost in a row"
+        )
+    return SUITES[entry.suite](**{name: value for name, value in chosen.items() if value is not None})
+
+
+def certain(scenario: Scenario, assumed: GuardAssumptions) -> Certain:
+    """Design the guard's estimate for what the guard assumes of the motion, and bound its radii over the flight.
+
+    A thruster that sticks pushes until it is known: its force is part of what the set must allow for.
+
+    Args:
+        scenario: with a suite.
+        assumed: the guard's assumptions, whose errors of the estimate do not matter.
+
+    Raises:
+        ScenarioError: a suite that does not determine the motion, or whose set grows without end.
+
+    """
+    return _certain(
+        scenario.navigation.model_dump_json(),
+        float(assumed.disturbance + assumed.fault_push),
+        scenario.chaser.mass,
+        scenario.control.period,
+        float(assumed.range_limit),
+        float(assumed.speed_limit),
+    )
+
+
+@lru_cache(maxsize=64)
+def _certain(
+    entries: str, disturbance: float, mass: float, period: float, range_limit: float, speed_limit: float
+) -> Certain:
+    numbers = {
+        "disturbance": disturbance,
+        "mass": mass,
+        "period": period,
+        "range_limit": range_limit,
+        "speed_limit": speed_limit,
+    }
+    entry = NavigationEntry.model_validate_json(entries)
+    suite = suite_of(entry)
+    _, errors = design(suite, **numbers, initial_errors=(0.0, 0.0))
+    given = entry.initial_position_error, entry.initial_velocity_error
+    initial = (errors[0] if given[0] is None else given[0], errors[1] if given[1] is None else given[1])
+    estimate, errors = design(suite, **numbers, initial_errors=initial)
+    return Certain(estimate, errors, initial)
+
+
+def navigation(scenario: Scenario, motion: RelativeMotion, assumed: GuardAssumptions) -> Navigation:
+    """Build the navigation of a scenario that names a suite.
+
+    Args:
+        scenario: its entries `navigation`, `chaser`, `control`, `disturbance` and `guard.delay`.
+        motion: the model of the relative motion.
+        assumed: what the guard assumes.
+
+    Raises:
+        ScenarioError: a suite that does not determine the motion, or whose set grows without end.
+
+    """
+    sure = certain(scenario, assumed)
+    start = motion.initial_state(np.asarray(scenario.start.position), np.asarray(scenario.start.velocity))
+    check_observability(sure.estimate.suite, start, scenario.control.period)
+    sensors = sure.estimate.suite.sensors
+    estimator = _estimator(scenario, motion, sensors, float(assumed.disturbance_force))
+    return Navigation(sensors, estimator, sure.estimate, sure.initial, scenario.guard.delay)
+
+
+def _estimator(
+    scenario: Scenario, motion: RelativeMotion, sensors: tuple[Sensor, ...], disturbance_bound: float
+) -> Estimator:
+    mass, period = scenario.chaser.mass, scenario.control.period
+    if scenario.navigation.estimate != "filter":
+        return RawSamples.build(motion, sensors, mass=mass, period=period)
+    harmonic = scenario.control.observer in (None, "harmonic")
+    return kalman_filter(
+        motion,
+        sensors,
+        mass=mass,
+        period=period,
+        disturbance_bound=max(disturbance_bound, 1e-6),
+        frequencies=FREQUENCIES if harmonic else (),
+    )
