@@ -37,6 +37,11 @@ class Tuning:
     honoured_speed: float
 
 
+def least_offset(speed_limit: float, period: float) -> float:
+    """Give what the default law keeps beyond the keep-out zone, m: room for sampling, 1.2 periods of flight."""
+    return max(0.12, 1.2 * speed_limit * period)
+
+
 def tune(operation: Operation, *, drift_bound: float = 0.0, stopping_distance: float = 3.0) -> Tuning:
     """Compute the default law's gains, and say which speed the thrusters can honour.
 
@@ -82,7 +87,7 @@ def tune(operation: Operation, *, drift_bound: float = 0.0, stopping_distance: f
         estimation_weight=10.0,
         slowing_length=max(1.5, 0.77 * speed_limit**2 / authority),
         speed_reserve=0.1,
-        nominal_offset=max(0.12, 1.2 * speed_limit * period),
+        nominal_offset=least_offset(speed_limit, period),
         observer_gain=observer_gain,
         # At full velocity error and 0.1 m of barrier the filter's exponential is exp(-20): it acts only where it must.
         sharpness=20.0 * (speed_limit / (2.0 * mass * authority)) ** 2 / (0.05 * gain),

@@ -23,7 +23,7 @@ from keepout.guard.safety_layer import SafetyLayer
 from keepout.guard.start import require_flyable
 from keepout.mission import environment
 from keepout.mission.assumptions import broken_assumptions
-from keepout.mission.law import flown_law, law_or_way_out
+from keepout.mission.law import flown_law, law_or_way_out, room_for_guard
 from keepout.mission.navigation import navigation
 from keepout.mission.scenario import Scenario
 from keepout.mission.target import load_target, require_apart
@@ -138,7 +138,8 @@ def prepare(
     certificate = model.certificate(scenario.chaser.radius)
     require_apart(scenario, target)
     try:
-        law = law_or_way_out(scenario, model, guidance, part_of(progress, 0.0, 0.6))
+        room = room_for_guard(scenario, target)
+        law = law_or_way_out(scenario, model, guidance, part_of(progress, 0.0, 0.6), **room)
     except KeepOutZoneError as refusal:
         why = _missed_room(refusal.place, scenario, target, model, progress)
         raise KeepOutZoneError(f"{refusal}{why}", refusal.place) from None

@@ -19,14 +19,22 @@ from keepout.control.guidance.plan import Componentwise, Geodesic, GuidancePlan,
 from keepout.control.law import Law
 from keepout.control.observer import NoObserver, Observer, constant_observer, harmonic_observer, printed_observer
 from keepout.control.operation import Operation
+from keepout.control.tuning import least_offset
 from keepout.errors import ControlError
 from keepout.fields.evaluate import values
 from keepout.fields.field import Field
 from keepout.fields.model import FieldModel
 from keepout.flight.faults import BrokenLaw
+from keepout.geometry.target import Target
+from keepout.guard.braking import design
 from keepout.mission import environment
 from keepout.mission.scenario import Scenario
 from keepout.progress import Progress, silent
+
+_STEEPEST = 1.25
+"""More than the gradient bound of any guard's field so far."""
+_GUARD_FIELD_ERROR = 0.06
+"""What a guard's field says less than the distance near contact, and what the law's own wandering needs, m."""
 
 
 def operation(scenario: Scenario, model: FieldModel) -> Operation:
@@ -185,16 +193,41 @@ def broken_as(scenario: Scenario, law: Law, field: Field) -> Law:
     )
 
 
+def room_for_guard(scenario: Scenario, target: Target) -> dict[str, float]:
+    """Give the default law's `nominal_offset` (m) where the guard expects errors of the estimate: no less than it asks.
+
+    The guard passes commands on only where its tube around the way to rest is free. The wider the errors, the wider the
+    tube; a law that led into it would be held there for ever. So it keeps the tube's radius, times the steepest guard
+    field met, and a little for that field's own error, beyond what the margin holds already.
+
+    Raises:
+        ControlError: the thrusters cannot meet the guard's assumptions.
+
+    """
+    if not scenario.guard.enabled or scenario.control.profile != "default":
+        return {}
+    assumed = environment.guard_assumptions(scenario, target)
+    if not any(assumed.estimate_errors):
+        return {}
+    own = least_offset(scenario.chaser.speed_limit, scenario.control.period)
+    asked = _STEEPEST * float(design(assumed).position_radius) + _GUARD_FIELD_ERROR
+    return {"nominal_offset": max(own, asked - scenario.safety.margin)}
+
+
 def law_or_way_out(
-    scenario: Scenario, model: FieldModel, guidance: Guidance | GuidancePlan | None, progress: Progress
+    scenario: Scenario,
+    model: FieldModel,
+    guidance: Guidance | GuidancePlan | None,
+    progress: Progress,
+    **chosen: Any,
 ) -> Controller:
     """Build the scenario's law; a start in its keep-out zone is refused, unless a guard leads the way out first."""
     try:
-        return build_law(scenario, model, guidance=guidance, progress=progress)
+        return build_law(scenario, model, guidance=guidance, progress=progress, **chosen)
     except ControlError:
         if not scenario.guard.enabled:
             raise
-        law = build_law(scenario, model, guidance=guidance, from_start=False, progress=progress)
+        law = build_law(scenario, model, guidance=guidance, from_start=False, progress=progress, **chosen)
         # Refused for another reason than being too near, or inside the target: then there is no way to lead out.
         said = float(values(model.field, np.asarray(scenario.start.position)[None])[0])
         if not 0.0 < said <= float(law.velocity.offset):
