@@ -9,8 +9,8 @@ each flight is audited between samples. Suites: "close" is ± 0.05 m and ± 2 mm
 alone; "observer", the samples and the law's own observer, as a law flew before there was a filter; "filter".
 
 `delta_v_over_noise_free` is the median over the flights that reached of Δv over that of the same pair flown on
-the true state (row "none") with the same thrusters. `refused` pairs, whose start or goal the law would not keep, count as flights
-that did not reach. Rows are kept in `--out` as they are flown, and a run that was stopped goes on from there.
+the true state (row "none") with the same thrusters. `refused` pairs, whose start or goal the law would not keep, count
+as flights that did not reach. Rows are kept in `--out` as they are flown; a run that was stopped goes on from there.
 """
 
 import argparse

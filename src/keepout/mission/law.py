@@ -194,11 +194,11 @@ def broken_as(scenario: Scenario, law: Law, field: Field) -> Law:
 
 
 def room_for_guard(scenario: Scenario, target: Target) -> dict[str, float]:
-    """Give the default law's `nominal_offset` (m) where the guard expects errors of the estimate: no less than it asks.
+    """Give the default law's `nominal_offset` (m) where the guard expects errors or a fault: no less than it asks.
 
-    The guard passes commands on only where its tube around the way to rest is free. The wider the errors, the wider the
-    tube; a law that led into it would be held there for ever. So it keeps the tube's radius, times the steepest guard
-    field met, and a little for that field's own error, beyond what the margin holds already.
+    The guard passes commands on only where its tube around the way to rest is free. The more it allows for, the wider
+    the tube; a law that led into it would be held there for ever. So it keeps the tube's radius, times the steepest
+    guard field met, and a little for that field's own error, beyond what the margin holds already.
 
     Raises:
         ControlError: the thrusters cannot meet the guard's assumptions.
@@ -207,7 +207,7 @@ def room_for_guard(scenario: Scenario, target: Target) -> dict[str, float]:
     if not scenario.guard.enabled or scenario.control.profile != "default":
         return {}
     assumed = environment.guard_assumptions(scenario, target)
-    if not any(assumed.estimate_errors):
+    if not (any(assumed.estimate_errors) or assumed.fault_steps):
         return {}
     own = least_offset(scenario.chaser.speed_limit, scenario.control.period)
     asked = _STEEPEST * float(design(assumed).position_radius) + _GUARD_FIELD_ERROR
