@@ -8,6 +8,7 @@ date and commit of each stand in origins.json, and for benchmarks that keep no f
 """
 
 import json
+import statistics
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -17,6 +18,37 @@ from keepout.report.terminal import shown
 
 PAGE = Path(__file__).with_name("results.md")
 README = PAGE.parents[1] / "README.md"
+NAVIGATION = {
+    "target": "target",
+    "suite": "suite",
+    "estimate": "estimate",
+    "flights": "flights",
+    "refused": "refused",
+    "reached": "reached",
+    "contacts": "contacts",
+    "undecided": "undecided",
+    "minimum_clearance_m": "least clearance m",
+    "saturated_fraction": "saturated",
+    "delta_v_mps": "Δv m/s",
+    "ratio": "Δv over noise-free",
+    "guard_share": "guard share",
+}
+STUCK = {
+    "target": "target",
+    "layout": "layout",
+    "stuck": "stuck",
+    "detection_s": "known after s",
+    "flights": "flights",
+    "covered": "covered",
+    "reached": "reached",
+    "contacts": "contacts",
+    "undecided": "undecided",
+    "minimum_clearance_m": "least clearance m",
+    "guard_share": "guard share",
+    "saturated_fraction": "saturated",
+    "delta_v_mps": "Δv m/s",
+    "propellant_kg": "propellant kg",
+}
 BEGIN, END = "<!-- headline figures: written by docs/results.py -->\n", "<!-- headline figures: end -->\n"
 RESULTS = PAGE.parents[1] / "benchmarks" / "results"
 
@@ -368,6 +400,39 @@ def startup() -> list[str]:
     return measured("Start-up", words, rows, columns)
 
 
+def navigation() -> list[str]:
+    """Give the standard missions flown on what sensors say, beside those flown on the true state."""
+    kept = kept_file("navigation")
+    rows = []
+    for row in kept:
+        same = ("target", "layout", "flights", "seed")
+        suite = "close" if row["suite"] == "wide" else row["suite"]
+        like = {key: row[key] for key in same} | {"suite": suite, "estimate": "none"}
+        free = next((one for one in kept if like.items() <= one.items()), None)
+        pairs = [] if free is None else zip(row["delta_v"], free["delta_v"], strict=True)
+        ratios = [one / other for one, other in pairs if one and other]
+        rows.append(dict.fromkeys(NAVIGATION) | row | {"ratio": statistics.median(ratios) if ratios else None})
+    words = [
+        "`python benchmarks/navigation.py`; discussed in [Navigation](navigation.md). Law and guard fly on on/off "
+        "thrusters (six, Δ-Σ, 20 ms); the pairs are those of the table of every law. Estimate none: the true state. "
+        "Δv over noise-free: the median of the ratios to the same pair on the true state. Guard share: of all steps, "
+        "those in which the guard replaced the command.",
+        *note("navigation"),
+    ]
+    return measured("Flown on sensors", words, sorted(rows, key=lambda row: (row["target"], row["suite"])), NAVIGATION)
+
+
+def stuck() -> list[str]:
+    """Give flights with every thruster of a layout stuck."""
+    rows = [dict.fromkeys(STUCK) | row for row in kept_file("stuck_thrusters")]
+    words = [
+        "`python benchmarks/stuck_thrusters.py`; discussed in [Your thrusters](my-thrusters.md). The flights of a row "
+        "are spread over all thrusters. Covered: the scenario declares the failure, and the guard is built for it.",
+        *note("stuck_thrusters"),
+    ]
+    return measured("Stuck thrusters, with the guard", words, rows, STUCK)
+
+
 def page() -> str:
     """Give the whole page."""
     lines = [
@@ -377,7 +442,8 @@ def page() -> str:
         "which statements are proved and which are measured.",
         "",
     ]
-    sections = (origins, reach, faults, reproduction, errata, rivals, rare_events, campaigns, startup, printed)
+    flown = (reach, faults, navigation, stuck, reproduction, errata, rivals, rare_events, campaigns)
+    sections = (origins, *flown, startup, printed)
     return "\n".join(lines + [line for section in sections for line in section()]).rstrip() + "\n"
 
 

@@ -7,7 +7,8 @@ import warnings
 
 import pytest
 
-from keepout import cli, commands
+from keepout import cli
+from keepout.commands import mesh
 
 COMMANDS = ("targets", "fit", "certify", "fly", "campaign", "rare", "reproduce", "inspect", "export")
 
@@ -161,7 +162,7 @@ def test_the_same_warning_is_said_once(monkeypatch, capsys):
                 warnings.warn(f"condition {number} does not hold", UserWarning, stacklevel=1)
         return []
 
-    monkeypatch.setattr(commands, "describe_targets", warned)
+    monkeypatch.setattr(mesh, "describe_targets", warned)
     assert run(monkeypatch, "targets", "--json") == 0
     assert capsys.readouterr().err.splitlines() == [
         f"keepout: warning: condition {number} does not hold" for number in (1, 2)

@@ -24,6 +24,7 @@ def workplace(tmp_path_factory):
     record.save(folder / "out" / "case1" / "case1.parquet")
     shutil.copy(shipped_path("intelsat30"), folder / "satellite.keepout")
     trimesh.creation.box((2.0, 2.0, 2.0)).export(folder / "satellite.glb")
+    (folder / "mission.toml").write_text('[target]\nsource = "satellite.glb"\n')
     return folder
 
 
@@ -40,7 +41,7 @@ def test_commands_and_answers_are_as_told(workplace, monkeypatch):
             for line in block.replace("\\\n", " ").splitlines():
                 answers.append(keepout_command(*shlex.split(line)[1:]))
                 assert answers[-1].code == 0, answers[-1].err
-    assert len(answers) == 5
+    assert len(answers) == 6
     [example] = blocks("export.md", "python")
     exec(compile(example, "export.md", "exec"), {})
     answer = answers[-1].json

@@ -70,7 +70,7 @@ def test_too_short_a_flight_is_remarked(target, model):
     [
         ({"chaser": {"speed_limit": 0.5}}, "chaser.speed_limit"),
         ({"chaser": {"force_limit": 0.01}}, "chaser.force_limit"),
-        ({"guard": {"position_error": 3.0}}, "guard.position_error"),
+        ({"guard": {"position_error": 30.0}}, "guard.position_error"),
         ({"attitude": {"kind": "tumbling", "angular_velocity": (0.0, 0.0, 0.02)}}, "chaser.force_limit"),
     ],
 )

@@ -16,7 +16,7 @@ from keepout.audit.tube import FlightBounds
 from keepout.commands.flight import replay_to_page
 from keepout.errors import FieldError, FlightError, KeepoutError, MeshError
 from keepout.fields.evaluate import values
-from keepout.flight.record import FlightRecord
+from keepout.flight.record import OPTIONAL_COLUMNS, FlightRecord
 from keepout.geometry.target import Target
 from keepout.mission import environment
 from keepout.motion.frames import vvlh_axes
@@ -93,12 +93,16 @@ def test_no_point_of_the_true_path_is_nearer_than_the_proved_clearance(box, forc
 
 def _recorded(time, rows, forces):
     position, velocity = (np.array(of) for of in zip(*rows))
-    zeros = {name: np.zeros((len(time), 3)) for name in FlightRecord.__annotations__ if name not in ("header", "time")}
+    zeros = {
+        name: np.zeros((len(time), 3))
+        for name in FlightRecord.__annotations__
+        if name not in ("header", "time", *OPTIONAL_COLUMNS)
+    }
     flat = ("barrier", "backstepping_barrier", "lyapunov", "field_value")
     kinds = {"control_status": np.int32, "guard_status": np.int32, "saturated": bool}
     columns = zeros | {name: np.zeros(len(time)) for name in flat}
     columns |= {name: np.zeros(len(time), kind) for name, kind in kinds.items()}
-    columns |= {"attitude": np.tile([1.0, 0, 0, 0], (len(time), 1)), "target_orbit": None}
+    columns |= {"attitude": np.tile([1.0, 0, 0, 0], (len(time), 1))}
     columns |= {"position": position, "velocity": velocity, "force": np.array(forces)}
     return FlightRecord({}, time, **columns)
 

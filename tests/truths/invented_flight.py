@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from keepout.flight.loop import FlightLog
-from keepout.flight.record import FlightRecord
+from keepout.flight.record import OPTIONAL_COLUMNS, FlightRecord
 from keepout.mission.flight import Flight
 from keepout.mission.scenario import Scenario
 
@@ -22,7 +22,7 @@ class Invented(Flight):
         zeros = {
             name: np.zeros((rows, *SHAPES.get(name, (3,))), KINDS.get(name, np.float64))
             for name in FlightLog.__annotations__
-            if name != "target_orbit"
+            if name not in OPTIONAL_COLUMNS
         }
         object.__setattr__(self, "scenario", scenario)
         object.__setattr__(self, "record", FlightRecord({}, **{**zeros, **columns}))

@@ -44,6 +44,13 @@ UNITS = {
     "guard_status": "",
     "saturated": "",
     "target_orbit": "",
+    "propellant": "kg",
+    "known_position": "m",
+    "known_velocity": "mps",
+    "known_position_error": "m",
+    "known_velocity_error": "mps",
+    "outliers": "",
+    "contradicted": "",
 }
 """The unit that ends each column's name; that of the target's orbit goes by component."""
 _PARTS = {

@@ -18,6 +18,7 @@ from keepout.experiments.rest import first_within, trapped
 from keepout.experiments.work import Work
 from keepout.flight.batches import fly_batches, states_at
 from keepout.flight.loop import FlightLog
+from keepout.flight.record import OPTIONAL_COLUMNS
 from keepout.flight.setup import FlightSetup
 from keepout.mission.audited import judge
 from keepout.mission.build import Mission
@@ -124,7 +125,7 @@ def _fly(
     setup = eqx.tree_at(_varied, mission.setup, (goals, guidances(filled)))
     initial = states_at(setup.motion, [p.start for p in filled])
     columns: dict[str, np.ndarray] = {}
-    names = [name for name in FlightLog.__annotations__ if name != "target_orbit"]
+    names = [name for name in FlightLog.__annotations__ if name not in OPTIONAL_COLUMNS]
     result = fly_batches(
         setup,
         initial,

@@ -130,7 +130,7 @@ class FlightRecord:
 
         """
         header, columns = read(Path(path))
-        missing = [name for name in FlightLog.__annotations__ if name not in columns and name not in _OPTIONAL]
+        missing = [name for name in FlightLog.__annotations__ if name not in columns and name not in OPTIONAL_COLUMNS]
         if missing:
             raise FlightError(f"{path}: not a flight file: it has no column {missing[0]}")
         unknown = sorted(set(columns) - set(FlightLog.__annotations__))
@@ -146,7 +146,7 @@ class FlightRecord:
         _check(self.columns)
 
 
-_OPTIONAL = (
+OPTIONAL_COLUMNS = (
     *("target_orbit", "propellant"),
     *("known_position", "known_velocity", "known_position_error", "known_velocity_error", "outliers", "contradicted"),
 )

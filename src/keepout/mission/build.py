@@ -24,7 +24,7 @@ from keepout.guard.start import require_flyable
 from keepout.mission import environment
 from keepout.mission.assumptions import broken_assumptions
 from keepout.mission.law import flown_law, law_or_way_out, room_for_guard
-from keepout.mission.navigation import navigation
+from keepout.mission.navigation import navigation, require_navigation
 from keepout.mission.scenario import Scenario
 from keepout.mission.target import load_target, require_apart
 from keepout.mission.thrusters import thrusters
@@ -137,6 +137,7 @@ def prepare(
     model.require_target(target, where="field")
     certificate = model.certificate(scenario.chaser.radius)
     require_apart(scenario, target)
+    require_navigation(scenario)
     try:
         room = room_for_guard(scenario, target)
         law = law_or_way_out(scenario, model, guidance, part_of(progress, 0.0, 0.6), **room)

@@ -100,7 +100,7 @@ def _example(kind: Any) -> Any:
     if words:
         return words[0]
     if is_vector(kind):
-        return (0.0, 0.0, 0.0)
+        return (1.0, 0.0, 0.0)
     if is_number(kind):
         return 1.0
     return ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))

@@ -41,6 +41,28 @@ class Certain:
     initial: tuple[float, float]
 
 
+def require_navigation(scenario: Scenario) -> None:
+    """Refuse entries of navigation that the suite has no use for.
+
+    Raises:
+        ScenarioError: there are some; the message names them.
+
+    """
+    entry = scenario.navigation
+    if entry.suite == "none":
+        given = [f"navigation.{key}" for key in entry.model_dump(exclude_defaults=True)]
+        if given:
+            raise ScenarioError(
+                f'{", ".join(given)}: only for a suite, and navigation.suite is "none"; give "far", "near" or "close"'
+            )
+        return
+    noises = [f"navigation.{key}" for key in ("position_noise", "velocity_noise") if getattr(entry, key) is not None]
+    if noises and entry.suite != "close":
+        raise ScenarioError(
+            f'{", ".join(noises)}: only for navigation.suite = "close", and it is "{entry.suite}"; leave them out'
+        )
+
+
 def suite_of(entry: NavigationEntry) -> Suite:
     """Build the sensors."""
     chosen = {

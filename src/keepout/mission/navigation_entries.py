@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from keepout.mission.entries import Entry, NonNegative
 
@@ -37,16 +37,3 @@ class NavigationEntry(Entry):
     initial_velocity_error: NonNegative | None = Field(
         default=None, description="the same of its velocity, m/s; unset: likewise"
     )
-
-    @model_validator(mode="after")
-    def _of_a_suite(self) -> "NavigationEntry":
-        given = [name for name in type(self).model_fields if name != "suite" and getattr(self, name) is not None]
-        given = [name for name in given if getattr(self, name) != type(self).model_fields[name].default]
-        if self.suite == "none" and given:
-            raise ValueError(
-                f'{", ".join(given)}: only for a suite, and suite is "none"; give "far", "near" or "close"'
-            )
-        noises = [name for name in ("position_noise", "velocity_noise") if getattr(self, name) is not None]
-        if noises and self.suite != "close":
-            raise ValueError(f'{", ".join(noises)}: only for suite = "close", and suite is "{self.suite}"')
-        return self
