@@ -8,7 +8,7 @@ from typing import Any, Literal, Union, get_args, get_origin
 from pydantic.fields import FieldInfo
 
 from keepout.mission.entries import Entry
-from keepout.mission.entry_names import is_number, is_vector
+from keepout.mission.entry_names import is_number, is_vector, is_whole_number
 from keepout.mission.scenario import Scenario
 
 _WIDTH = 34
@@ -102,7 +102,7 @@ def _example(kind: Any) -> Any:
     if is_vector(kind):
         return (1.0, 0.0, 0.0)
     if is_number(kind):
-        return 1.0
+        return 1 if is_whole_number(kind) else 0.5
     return ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 

@@ -85,5 +85,13 @@ def is_vector(kind: Any) -> bool:
 
 def is_number(kind: Any) -> bool:
     """Whether an entry of this annotation holds a number, or may."""
-    inner = [getattr(part, "__origin__", part) for part in getattr(kind, "__args__", ())]
-    return kind in (float, int) or float in inner or int in inner
+    return is_whole_number(kind) or float in _kinds(kind)
+
+
+def is_whole_number(kind: Any) -> bool:
+    """Whether an entry of this annotation holds a whole number, or may."""
+    return int in _kinds(kind)
+
+
+def _kinds(kind: Any) -> list[Any]:
+    return [kind, *(getattr(part, "__origin__", part) for part in getattr(kind, "__args__", ()))]
