@@ -83,6 +83,7 @@ OFFERS = {
         "flight.setup.Faults.command",
         "flight.setup.Faults.actuate",
         "flight.on_board.OnBoard.step",
+        "flight.on_board_navigation.OnBoardNavigation.step",
         "flight.record.FlightRecord.load",
         "flight.record.FlightRecord.save",
     ),

@@ -18,6 +18,7 @@ from keepout.geometry.target import Target
 from keepout.mission import environment
 from keepout.mission.assumptions import guard_numbers
 from keepout.mission.build import Mission, prepare
+from keepout.mission.navigation import suite_of
 from keepout.mission.scenario import Scenario
 from keepout.mission.statuses import flag_counts, legend, status_counts
 from keepout.progress import Progress, part_of, silent
@@ -76,6 +77,7 @@ class Flight:
             "assumptions_broken": list(self.assumptions_broken),
             "guard": self.guard,
             "guard_flags": self.guard_flags(),
+            "navigation": self.navigation_figures(),
             "faults": self.scenario.faults.model_dump(exclude_defaults=True),
             "violated_conditions": list(self.violated_conditions),
             "remarks": list(self.audit.remarks),
@@ -84,6 +86,32 @@ class Flight:
     def guard_flags(self) -> dict[str, int]:
         """Count the steps in which the guard raised each flag; flags never raised are left out."""
         return flag_counts(self.record.guard_status[:-1])
+
+    def navigation_figures(self) -> dict[str, Any] | None:
+        """Give what the sensors left to know, and what was made of it; None where no sensors fly.
+
+        The errors are those of the law's estimate at the control steps flown. `probability_beyond` bounds the
+        probability per flight that the guard's set misses the truth because noise went beyond its bound.
+        """
+        record, entry = self.record, self.scenario.navigation
+        if entry.suite == "none" or record.outliers is None or record.contradicted is None:
+            return None
+        assumed = environment.guard_assumptions(self.scenario, self.target)
+        figures: dict[str, Any] = {
+            "suite": entry.suite,
+            "estimate": entry.estimate,
+            "position_error_cap_m": float(assumed.position_error),
+            "velocity_error_cap_mps": float(assumed.velocity_error),
+        }
+        for name, unit in (("position", "m"), ("velocity", "mps")):
+            wrong = np.linalg.norm(getattr(record, f"estimated_{name}") - getattr(record, name), axis=1)[:-1]
+            figures[f"{name}_error_rms_{unit}"] = float(np.sqrt(np.mean(wrong**2)))
+            figures[f"{name}_error_largest_{unit}"] = float(wrong.max())
+        return figures | {
+            "outliers": int(record.outliers[:-1].sum()),
+            "contradicted_steps": int(record.contradicted[:-1].sum()),
+            "probability_beyond": suite_of(entry).probability_beyond(record.steps),
+        }
 
 
 def fly(

@@ -1,0 +1,223 @@
+"""Scenarios with sensors: what flies, what is told of it, and what is refused."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from keepout.campaign.dataset import Dataset
+from keepout.campaign.plan import Plan
+from keepout.campaign.replay import differences, replay
+from keepout.campaign.run import fly_campaign
+from keepout.errors import ControlError, KeepoutError, ScenarioError
+from keepout.mission import environment
+from keepout.mission.build import prepare
+from keepout.mission.check import check
+from keepout.mission.flight import fly, fly_mission
+from keepout.mission.navigation import suite_of
+from keepout.mission.scenario import Scenario
+from keepout.mission.target import load_target
+
+CLOSE = {
+    "duration": 150.0,
+    "start": {"position": [0.0, 8.0, 4.0]},
+    "goal": {"position": [3.0, 8.0, 5.0]},
+    "control": {"guidance": "straight"},
+    "navigation": {"suite": "close"},
+    "thrusters": {"layout": "six", "modulation": "delta-sigma"},
+}
+"""A short way above `intelsat30`, with pulses."""
+
+
+def scenario(**tables):
+    return Scenario.parse(CLOSE | tables)
+
+
+@pytest.fixture(scope="module")
+def mission():
+    return prepare(scenario())
+
+
+@pytest.fixture(scope="module")
+def flight(mission):
+    return fly_mission(mission)
+
+
+@pytest.fixture(scope="module")
+def target():
+    return load_target(scenario().target)
+
+
+@pytest.mark.long
+def test_a_flight_by_sensors_and_pulses_arrives(flight):
+    told = flight.summary()
+    assert told["reached"]
+    assert told["contact_verdict"] == "no"
+    assert told["start_certified"] is True
+    assert told["assumptions_broken"] == []
+    assert told["guard_interventions"] == 0
+    assert told["guard_flags"] == {}
+    assert told["saturated_fraction"] < 0.01
+
+
+@pytest.mark.long
+def test_the_truth_is_in_the_known_set_and_the_set_within_its_caps(flight):
+    record, guard = flight.record, flight.guard
+    for name, cap in (("position", guard["position_error_m"]), ("velocity", guard["velocity_error_mps"])):
+        radius = getattr(record, f"known_{name}_error")
+        away = np.linalg.norm(getattr(record, f"known_{name}") - getattr(record, name), axis=1)
+        assert np.all(away <= radius)
+        assert np.all(radius <= cap)
+        assert np.all(radius > 0.0)
+        assert away.max() > 0.1 * cap  # a set around something else than the sensors' samples would be caught
+    assert not record.contradicted.any()
+
+
+@pytest.mark.long
+def test_a_seed_says_everything(mission, flight):
+    again = fly_mission(mission).record
+    for name, column in flight.record.columns.items():
+        np.testing.assert_array_equal(getattr(again, name), column, err_msg=name)
+    other = dataclasses.replace(mission, scenario=mission.scenario.replace(seed=1))
+    assert np.abs(fly_mission(other).record.estimated_position - flight.record.estimated_position).max() > 1e-3
+
+
+@pytest.mark.long
+def test_the_summary_tells_of_the_navigation(flight):
+    told, record = flight.summary()["navigation"], flight.record
+    assert (told["suite"], told["estimate"]) == ("close", "filter")
+    assert told["position_error_cap_m"] == flight.guard["position_error_m"] == pytest.approx(0.05)
+    assert told["velocity_error_cap_mps"] == flight.guard["velocity_error_mps"] == pytest.approx(0.002)
+    wrong = record.estimated_position[:-1] - record.position[:-1]
+    assert told["position_error_rms_m"] == pytest.approx(np.sqrt(np.mean(np.sum(wrong**2, axis=1))))
+    # What a filter is for: below the raw samples' error, 0.05 sqrt(3/5) m and 0.002 sqrt(3/5) m/s.
+    assert told["position_error_rms_m"] < 0.5 * 0.05 * np.sqrt(0.6)
+    assert told["velocity_error_rms_mps"] < 0.5 * 0.002 * np.sqrt(0.6)
+    assert told["position_error_rms_m"] < told["position_error_largest_m"] < 0.05
+    assert told["velocity_error_rms_mps"] < told["velocity_error_largest_mps"] < 0.003
+    assert (told["outliers"], told["contradicted_steps"], told["probability_beyond"]) == (0, 0, 0.0)
+    json.dumps(told, allow_nan=False)
+
+
+@pytest.mark.long
+def test_a_filter_costs_little_and_the_last_samples_much(flight):
+    without = fly(scenario(navigation={}))
+    assert without.summary()["navigation"] is None
+    assert without.record.known_position is None
+    raw = fly(scenario(navigation={"suite": "close", "estimate": "observer"}))
+    assert raw.summary()["navigation"]["estimate"] == "observer"
+    spent = [float(one.outcome.delta_v) for one in (without, flight, raw)]
+    assert 0.95 * spent[0] < spent[1] < 1.3 * spent[0]
+    assert spent[2] > 2.0 * spent[0]
+
+
+def test_the_guard_assumes_more_the_more_samples_can_be_lost(target):
+    def caps(**entries):
+        given = scenario(navigation={"suite": "close"} | entries)
+        assumed = environment.guard_assumptions(given, target)
+        return float(assumed.position_error), float(assumed.velocity_error), float(assumed.disturbance)
+
+    none = caps()
+    assert none[:2] == pytest.approx((0.05, 0.002))
+    before = none
+    for missed in (1, 2, 4):
+        now = caps(dropout=0.1, most_missed=missed)
+        assert now[0] > before[0]
+        assert now[1] > before[1]
+        before = now
+        # A period without a sample adds D T to the velocity's radius; the first estimate is as good as a sample.
+        first = {"initial_position_error": 0.05, "initial_velocity_error": 0.002}
+        told = caps(dropout=0.1, most_missed=missed, **first)
+        assert told[1] == pytest.approx(0.002 + missed * told[2])
+    wider = caps(position_noise=0.2, velocity_noise=0.01)
+    assert wider[:2] == pytest.approx((0.2, 0.01))
+
+
+def test_noise_without_a_bound_has_a_probability():
+    assert suite_of(scenario().navigation).probability_beyond(1000) == 0.0
+    far = suite_of(scenario(navigation={"suite": "far"}).navigation)
+    # Two sensors, each sampled 1001 times, Pr[chi2_3 > 36] = 7.5e-8 a sample.
+    assert far.probability_beyond(1000) == pytest.approx(2 * 1001 * 7.485e-8, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("tables", "said"),
+    [
+        ({"navigation": {"position_noise": 0.1}}, ("position_noise", 'suite is "none"', '"close"')),
+        ({"navigation": {"estimate": "raw"}}, ("estimate", 'suite is "none"')),
+        ({"navigation": {"suite": "far", "position_noise": 0.1}}, ("position_noise", 'suite is "far"')),
+        ({"navigation": {"suite": "clos"}}, ("navigation.suite", "'clos'", "'close'")),
+        ({"navigation": {"suite": "close", "position_noise": -1.0}}, ("navigation.position_noise: -1",)),
+        ({"navigation": {"suite": "close", "dropout": 1.0}}, ("navigation.dropout: 1",)),
+        ({"guard": {"position_error": 0.1}}, ("guard.position_error", '"close"', "leave them out")),
+        ({"guard": {"velocity_error": 0.1}}, ("guard.velocity_error", '"close"')),
+        ({"faults": {"position_noise": 0.1}}, ("faults.position_noise", '"close"', "leave them out")),
+    ],
+)
+def test_entries_are_refused(tables, said):
+    with pytest.raises(ScenarioError) as refusal:
+        scenario(**tables)
+    assert all(part in str(refusal.value) for part in said), refusal.value
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("navigation", "kind", "said"),
+    [
+        ({"suite": "close", "dropout": 0.1}, ScenarioError, ("navigation.dropout: 0.1", "most_missed")),
+        ({"suite": "close", "dropout": 0.1, "most_missed": 0}, ScenarioError, ("navigation.most_missed: 0", "0.1")),
+        ({"suite": "far"}, ControlError, ("guard: disturbance, drift and errors ask for", "0.1 N")),
+        (
+            {"suite": "close", "position_noise": 1.0, "velocity_noise": 0.05},
+            ControlError,
+            ("guard: ", "force_limit is 0.1 N"),
+        ),
+    ],
+)
+@pytest.mark.long
+def test_what_cannot_be_flown_is_refused_with_numbers(navigation, kind, said):
+    with pytest.raises(KeepoutError) as refusal:
+        prepare(scenario(navigation=navigation))
+    assert isinstance(refusal.value, kind)
+    assert all(part in str(refusal.value) for part in said), refusal.value
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.long
+def test_a_campaign_over_noise_and_starts_flies_and_replays(tmp_path):
+    campaign = {
+        "runs": 3,
+        "dispersions": {
+            "navigation.position_noise": {"uniform": [0.03, 0.07]},
+            "start.position": {"sphere": [7.5, 9.0]},
+        },
+    }
+    given = scenario(campaign=campaign, duration=40.0)
+    plan = Plan.of(given, batch=2)
+    dataset = Dataset.begin(tmp_path, plan)
+    with dataset.lock():
+        fly_campaign(plan, dataset)
+    rows = dataset.table().to_pylist()
+    assert [row["status"] for row in rows] == ["flown"] * 3
+    assert len({row["navigation.position_noise"] for row in rows}) == 3
+    for again in replay(plan, [0, 2]):
+        assert differences(dataset.table().slice(again.run.number, 1), again.row) == {}
+        record, caps = again.flight.record, again.flight.guard
+        noise = rows[again.run.number]["navigation.position_noise"]
+        assert caps["position_error_m"] == pytest.approx(noise)
+        away = np.linalg.norm(record.known_position - record.position, axis=1)
+        assert np.all(away <= record.known_position_error)
+        assert record.known_position_error.max() <= caps["position_error_m"]
+        assert np.abs(record.known_position_error - record.known_position_error[0]).max() > 0.0
+
+
+@pytest.mark.long
+def test_a_scenario_with_sensors_can_be_checked():
+    report = check(scenario())
+    assert report.refusals == ()
+    assert report.start_certified is True
+    assert report.guard is not None
+    assert report.guard["position_error_m"] == pytest.approx(0.05)
+    refused = check(scenario(navigation={"suite": "far"}))
+    assert any("force_limit is 0.1 N" in refusal.said for refusal in refused.refusals)
