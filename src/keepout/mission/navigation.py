@@ -117,11 +117,11 @@ def _certain(
         "speed_limit": speed_limit,
     }
     entry = NavigationEntry.model_validate_json(entries)
-    suite = suite_of(entry)
-    _, errors = design(suite, **numbers, initial_errors=(0.0, 0.0))
     given = entry.initial_position_error, entry.initial_velocity_error
-    initial = (errors[0] if given[0] is None else given[0], errors[1] if given[1] is None else given[1])
-    estimate, errors = design(suite, **numbers, initial_errors=initial)
+    whole = suite_of(entry.model_copy(update={"dropout": 0.0, "most_missed": 0}))
+    _, usual = design(whole, **numbers, initial_errors=(0.0, 0.0))
+    initial = (usual[0] if given[0] is None else given[0], usual[1] if given[1] is None else given[1])
+    estimate, errors = design(suite_of(entry), **numbers, initial_errors=initial)
     return Certain(estimate, errors, initial)
 
 

@@ -28,11 +28,11 @@ class NavigationEntry(Entry):
     dropout: Annotated[float, Field(ge=0.0, lt=1.0)] | None = Field(
         default=None, description="probability that a sample is lost; unset: the suite's own"
     )
-    most_missed: Annotated[int, Field(ge=0, le=100)] | None = Field(
+    most_missed: Annotated[int, Field(ge=0, le=20)] | None = Field(
         default=None, description="samples that can be lost in a row; unset: the suite's own"
     )
     initial_position_error: NonNegative | None = Field(
-        default=None, description="largest error of the first estimate, m; unset: as large as in the flight"
+        default=None, description="largest error of the first estimate, m; unset: as where no sample is lost"
     )
     initial_velocity_error: NonNegative | None = Field(
         default=None, description="the same of its velocity, m/s; unset: likewise"
