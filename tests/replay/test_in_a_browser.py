@@ -32,7 +32,11 @@ def page_path(tmp_path_factory):
         EVIL: pass_record(
             box_scenario(folder, 3.0, "high", attitude=attitude), 3.0, turning=TURNING, guard_status=guard
         ),
-        "low": pass_record(box_scenario(folder, 2.0, "low", attitude=attitude), 2.0, turning=TURNING),
+        "low": pass_record(
+            box_scenario(folder, 2.0, "low", attitude=attitude, sun={"direction": (0.0, 0.0, 1.0)}),
+            2.0,
+            turning=TURNING,
+        ),
     }
     path = folder / "replay.html"
     write_replay(path, of_records(records), title=EVIL)
@@ -185,6 +189,26 @@ def test_a_toggle_takes_away_what_it_names(opened, name):
         assert toggled["surfaces"] != shown["surfaces"]
         opened.keyboard.press(name[0])
         assert state(opened)["surfaces"] == shown["surfaces"]
+
+
+def test_the_sun_lights_the_target_of_a_flight_that_has_one(opened):
+    """The arrow points where the recorded attitude and the orbit say; the other flight has none."""
+    sun = "() => { const { sun, flight, body } = keepoutReplay; return [sun.visible, sun.position.toArray(), "
+    sun += "body.children[0].material.uniforms.sunlit.value, Array.from(flight.sun ?? [])]; }"
+    state(opened)
+    assert opened.evaluate(sun)[0] is False
+    opened.evaluate("() => keepoutReplay.choose(keepoutReplay.flights.find((of) => of.name === 'low'))")
+    state(opened)
+    visible, place, sunlit, told = opened.evaluate(sun)
+    assert visible
+    assert sunlit == 1
+    toward = np.array(told).reshape(-1, 3)[0]
+    assert np.allclose(np.array(place) / np.linalg.norm(place), toward / np.linalg.norm(toward), atol=1e-4)
+    before = picture(opened)
+    opened.evaluate("() => document.querySelector('input[name=sun]').click()")
+    state(opened)
+    assert opened.evaluate(sun)[0] is False
+    assert (np.abs(picture(opened) - before).max(axis=2) > 0.02).sum() > 30
 
 
 def test_frames_turn_path_and_target(opened):

@@ -6,6 +6,7 @@ export const GUARD = "#f0c04a";
 export const THRUST = "#ff9d3c";
 export const SAFE_VELOCITY = "#7fd4ff";
 export const CLOSEST = "#ff8fd0";
+export const SUN = "#ffe9a8";
 export const GOAL = "#3ddc97";
 export const START = "#e8ecf2";
 export const MARKS = { guard: "#e69f00", flag: "#ff6b3d", law: "#7d889c", nearest: "#f0e442", reached: "#3ddc97" };

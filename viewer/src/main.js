@@ -2,7 +2,7 @@
 import { Box3, Group, Mesh, MeshBasicMaterial, OctahedronGeometry, Quaternion, Scene, SphereGeometry, Vector3, WebGLRenderer } from "three";
 import { Arrow, Closest } from "./arrows.js";
 import { Eye } from "./cameras.js";
-import { CLOSEST, ENVELOPE, FLIGHTS, GOAL, GUARD, SAFE_VELOCITY, Scale, START, THRUST, ramp } from "./colours.js";
+import { CLOSEST, ENVELOPE, FLIGHTS, GOAL, GUARD, SAFE_VELOCITY, Scale, START, SUN, THRUST, ramp } from "./colours.js";
 import { read } from "./data.js";
 import { choice, element, metres, panels, toggle } from "./layout.js";
 import { Flight } from "./paths.js";
@@ -65,13 +65,15 @@ class Replay {
     this.thrust = new Arrow(THRUST, this.pen * 1.3);
     this.velocity = new Arrow(SAFE_VELOCITY, this.pen * 1.3);
     this.closest = new Closest(CLOSEST, this.pen * 1.2);
+    this.sun = new Arrow(SUN, this.pen * 1.6);
+    this.sun.shaft.material.depthTest = false; // seen through the target too
     this.goal = new Mesh(new OctahedronGeometry(span / 110), new MeshBasicMaterial({ color: GOAL }));
     this.place = new Mesh(new SphereGeometry(1, 32, 16), shell(GOAL, 0.06, 0.6));
     this.begin = new Mesh(new SphereGeometry(span / 170, 16, 12), new MeshBasicMaterial({ color: START }));
-    this.turning.add(this.body, ...this.surfaces, this.thrust, this.velocity, this.closest, this.goal, this.place);
+    this.turning.add(this.body, ...this.surfaces, this.thrust, this.velocity, this.closest, this.sun, this.goal, this.place);
     this.scene.add(this.turning, this.begin, ...this.flights.map((flight) => flight.group));
     this.parts.labels.append(...["goal", "start"].map((name) => element("span", { class: name }, name)), element("i"));
-    this.show = { target: true, envelope: this.surfaces.some((_, k) => this.told.surfaces[k].kind === "envelope"), guard: false, path: true, chaser: true, thrust: true, velocity: true, closest: true, ends: true };
+    this.show = { target: true, envelope: this.surfaces.some((_, k) => this.told.surfaces[k].kind === "envelope"), guard: false, path: true, chaser: true, thrust: true, velocity: true, closest: true, ends: true, sun: true };
   }
 
   controls(scale) {
@@ -89,6 +91,7 @@ class Replay {
       velocity: toggle("velocity", "safe velocity", SAFE_VELOCITY, true, change("velocity")),
       closest: toggle("closest", "closest point", CLOSEST, true, change("closest")),
       ends: toggle("ends", "goal and start", GOAL, true, change("ends")),
+      ...(this.flights.some((of) => of.sun) && { sun: toggle("sun", "sun", SUN, true, change("sun"), "The arrow points to the sun, which lights the target") }),
     };
     this.frameChoice = choice("Frame", FRAMES, (frame) => this.inFrame(frame));
     this.cameraChoice = choice("Camera", CAMERAS, (mode) => this.from(mode));
@@ -232,6 +235,7 @@ class Replay {
     this.thrust.set(tip(at, force, flight.radius), force);
     this.velocity.set(tip(at, velocity, flight.radius), velocity);
     this.closest.set(at, flight.vector(flight.closest, row, part, new Vector3()), flight.radius);
+    this.light(flight, row);
     const own = this.eye.mode === "chaser";
     for (const of of this.flights) {
       of.group.visible = of.shown;
@@ -246,6 +250,19 @@ class Replay {
     this.goal.visible = this.place.visible = show.ends && this.eye.mode !== "goal";
     this.begin.visible = show.ends;
     this.eye.follow(flight, flight.attitude);
+  }
+
+  // From the sun, where the flight has one.
+  light(flight, row) {
+    const lit = Boolean(flight.sun) && this.show.sun;
+    this.sun.wanted = lit;
+    this.sun.visible = lit;
+    const { uniforms } = this.body.children[0].material;
+    if (uniforms) uniforms.sunlit.value = lit ? 1 : 0;
+    if (!lit) return;
+    const toward = flight.vector(flight.sun, row, 0, new Vector3()).normalize();
+    if (uniforms) uniforms.sun.value.copy(toward);
+    this.sun.set(toward.clone().multiplyScalar(0.3 * this.span), toward.clone().multiplyScalar(0.12 * this.span));
   }
 
   render() {

@@ -6,7 +6,7 @@ from jaxtyping import Array, Float
 from scipy.spatial.transform import Rotation
 
 from keepout.flight.record import FlightRecord
-from keepout.mission.orbit_bounds import orbit_of
+from keepout.mission.orbit_bounds import orbit_of, sun_of
 from keepout.mission.scenario import Scenario
 from keepout.motion.frames import vvlh_axes
 from keepout.motion.orbit import Orbit
@@ -28,6 +28,12 @@ def to_inertial(record: FlightRecord, scenario: Scenario) -> Quaternions:
         axes = np.asarray(_on_states(record.target_orbit))
     body_from_vvlh = Rotation.from_quat(record.attitude, scalar_first=True)
     return _continuous((body_from_vvlh * Rotation.from_matrix(axes)).inv())
+
+
+def toward_sun(record: FlightRecord, scenario: Scenario) -> Float[np.ndarray, "rows 3"]:
+    """Give unit vectors to the scenario's sun, in body axes."""
+    inertial_from_body = Rotation.from_quat(to_inertial(record, scenario), scalar_first=True)
+    return inertial_from_body.inv().apply(np.asarray(sun_of(scenario)))
 
 
 @jax.jit

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Int
 
 from keepout.errors import FlightError
+from keepout.mission.entries import SunEntry
 from keepout.progress import Progress, part_of, silent
 from keepout.replay import frames
 from keepout.replay.body import drawn_body
@@ -136,6 +137,8 @@ def _flight(packing: Packing, flight: Replayed) -> dict[str, Any]:
     }
     vectors = {"applied_force": record.force, "safe_velocity": record.safe_velocity}
     turns = {"to_vvlh": frames.to_vvlh(record), "to_inertial": frames.to_inertial(record, scenario)}
+    if scenario.sun != SunEntry():
+        vectors["sun"] = frames.toward_sun(record, scenario)
     arrays = {name: packing.exact(array[rows]) for name, array in numbers.items()}
     arrays["bound"] = packing.exact(steps)
     arrays["position"] = packing.exact(record.position[rows])
