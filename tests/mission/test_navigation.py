@@ -15,7 +15,7 @@ from keepout.mission import environment
 from keepout.mission.build import prepare
 from keepout.mission.check import check
 from keepout.mission.flight import fly, fly_mission
-from keepout.mission.navigation import suite_of
+from keepout.mission.navigation import require_navigation, suite_of
 from keepout.mission.scenario import Scenario
 from keepout.mission.target import load_target
 
@@ -146,7 +146,7 @@ def test_noise_without_a_bound_has_a_probability():
     [
         ({"navigation": {"position_noise": 0.1}}, ("position_noise", 'suite is "none"', '"close"')),
         ({"navigation": {"estimate": "raw"}}, ("estimate", 'suite is "none"')),
-        ({"navigation": {"suite": "far", "position_noise": 0.1}}, ("position_noise", 'suite is "far"')),
+        ({"navigation": {"suite": "far", "position_noise": 0.1}}, ("position_noise", '"close"', 'it is "far"')),
         ({"navigation": {"suite": "clos"}}, ("navigation.suite", "'clos'", "'close'")),
         ({"navigation": {"suite": "close", "position_noise": -1.0}}, ("navigation.position_noise: -1",)),
         ({"navigation": {"suite": "close", "dropout": 1.0}}, ("navigation.dropout: 1",)),
@@ -157,7 +157,7 @@ def test_noise_without_a_bound_has_a_probability():
 )
 def test_entries_are_refused(tables, said):
     with pytest.raises(ScenarioError) as refusal:
-        scenario(**tables)
+        require_navigation(scenario(**tables))
     assert all(part in str(refusal.value) for part in said), refusal.value
     assert "\n" not in str(refusal.value)
 
