@@ -29,7 +29,7 @@ def recorded(mission, steps):
     @eqx.filter_jit
     def fly(initial):
         def advance(state, _):
-            samples = navigation.sample(state.sensors, state.motion)[1]
+            samples = navigation.suite.sample(state.sensors, state.motion)[1]
             return loop.step(setup, state)[0], samples
 
         return jax.lax.scan(advance, loop.start(setup, initial, key), length=steps)[1]

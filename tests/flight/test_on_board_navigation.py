@@ -37,7 +37,7 @@ def flown(setup_and_start):
 
     @eqx.filter_jit
     def step(state):
-        samples = setup.navigation.sample(state.sensors, state.motion)[1]
+        samples = setup.navigation.suite.sample(state.sensors, state.motion)[1]
         after, row = loop.step(setup, state)
         return after, samples, row, setup.thrusters.fire(state.thrusters, row.guarded_force)[1].on_time
 

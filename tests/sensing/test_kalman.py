@@ -6,24 +6,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy import linalg, stats
+from filter_worlds import BOUND, ERRORS, FLIGHTS, MASS, NEAR, PERIOD, START, accuracy, ball, band, gaussian, normalised
+from scipy import linalg
 from truths.plain_sensors import Height, Pace, Place, Sight, Turned
 
 from keepout.errors import ScenarioError
 from keepout.motion import Orbit, RelativeMotion
 from keepout.motion.attitude import Tumbling
-from keepout.motion.disturbance import NoDisturbance, paper_disturbance
+from keepout.motion.disturbance import NoDisturbance
 from keepout.sensing.kalman import kalman_filter, transition
 from keepout.sensing.sensor import Sample
 
-MASS, PERIOD, BOUND = 20.0, 1.0, 0.0173
 FREQUENCIES = (0.02, 0.01)
 RATE = 1.13e-3
 FAR = RelativeMotion(Orbit(1e12, gravitational_parameter=RATE**2 * 1e36))
 """The turning frame of a low orbit about so large an Earth that Hill's equations are exact to rounding."""
-NEAR = RelativeMotion(Orbit(6_778_137.0))
-START = np.array([8.0, -5.0, 3.0, 0.02, -0.01, 0.03])
-ERRORS = np.array([0.5, 0.02])
 
 
 def build(sensors, *, motion=FAR, frequencies=FREQUENCIES, **changes):
@@ -178,79 +175,11 @@ def test_the_covariance_moves_as_the_motion_does():
 
 # Consistency ----------------------------------------------------------------------------------------------------------
 
-FLIGHTS, STEPS = 1000, 240
-
-
-def ball(key, radius):
-    direction, size = jax.random.split(key)
-    towards = jax.random.normal(direction, (3,))
-    return radius * towards / jnp.linalg.norm(towards) * jax.random.uniform(size) ** (1 / 3)
-
-
-def gaussian(key, radius):
-    return radius / np.sqrt(5.0) * jax.random.normal(key, (3,))
-
 
 @pytest.fixture(scope="module", params=[gaussian, ball], ids=["gaussian", "ball"])
 def statistics(request):
     """Fly 1000 worlds that are as the filter believes; give innovations and errors, normalised and squared."""
-    noise, (far_off, too_fast) = request.param, (0.05, 2e-3)
-    sensors = [Place(far_off**2 / 5), Pace(too_fast**2 / 5)]
-    filtering = build(sensors, motion=NEAR, outlier_probability=1e-300)
-    n = 21
-    root = np.linalg.cholesky(np.asarray(filtering.process_noise))
-
-    def flight(key):
-        keys = jax.random.split(key, 4)
-        memory = started(filtering)
-        truth = eqx.tree_at(
-            lambda m: (m.position, m.velocity),
-            memory.settled.motion,
-            (jnp.asarray(START[:3]) + noise(keys[0], ERRORS[0]), jnp.asarray(START[3:]) + noise(keys[1], ERRORS[1])),
-        )
-        push = jax.vmap(lambda k: noise(k, BOUND))(jax.random.split(keys[2], 5))
-
-        def step(carry, given):
-            k, key = given
-            truth, push, belief = carry
-            keys = jax.random.split(key, 4)
-            force = 0.02 * jnp.sin(jnp.array([0.1, 0.07, 0.03]) * k)
-            w = root @ jax.random.normal(keys[0], (n,))
-            mean = filtering.model.mean(push)
-            truth = filtering.motion.step(truth, force + mean, NoDisturbance(), PERIOD, MASS)
-            truth = eqx.tree_at(
-                lambda m: (m.position, m.velocity), truth, (truth.position + w[:3], truth.velocity + w[3:6])
-            )
-            push = filtering.model.moved(push) + w[6:].reshape(5, 3)
-            belief = filtering.predicted(belief, force)
-            samples = (
-                Sample(truth.position + noise(keys[1], far_off), k % 2 == 0),
-                Sample(truth.velocity + noise(keys[2], too_fast), jnp.asarray(True)),
-            )
-            innovation = samples[1].value - belief.motion.velocity  # the position's sample is checked by the errors
-            S = belief.covariance[3:6, 3:6] + sensors[1].noise * jnp.eye(3)
-            place = samples[0].value - belief.motion.position
-            S0 = belief.covariance[:3, :3] + sensors[0].noise * jnp.eye(3)
-            both = jnp.stack([place @ jnp.linalg.solve(S0, place), innovation @ jnp.linalg.solve(S, innovation)])
-            belief, _ = filtering.updated(belief, samples)
-            error = jnp.concatenate(
-                [
-                    truth.position - belief.motion.position,
-                    truth.velocity - belief.motion.velocity,
-                    (push - belief.disturbance).reshape(-1),
-                ]
-            )
-            return (truth, push, belief), (both, error @ jnp.linalg.solve(belief.covariance, error))
-
-        given = (jnp.arange(STEPS), jax.random.split(keys[3], STEPS))
-        return jax.lax.scan(step, (truth, push, memory.settled), given)[1]
-
-    both, errors = jax.jit(jax.vmap(flight))(jax.random.split(jax.random.key(3), FLIGHTS))
-    return np.asarray(both), np.asarray(errors)
-
-
-def band(degrees):
-    return np.array(stats.chi2.ppf([0.025, 0.975], degrees)) / degrees
+    return normalised(request.param)
 
 
 @pytest.mark.long
@@ -382,41 +311,10 @@ def test_the_covariance_stays_positive_definite_over_a_hundred_thousand_steps():
 @pytest.mark.long
 def test_the_papers_disturbance_is_found_in_noise():
     """64 flights of 900 s, ±0.05 m and ±2 mm/s (even in balls), 1 Hz: root mean squares of the errors after 300 s."""
-    far_off, too_fast, push, flights, steps = 0.05, 2e-3, paper_disturbance(), 64, 900
-
-    @jax.jit
-    def errors(filtering, keys):
-        def flight(key):
-            start = NEAR.initial_state(START[:3], START[3:])
-
-            def step(carry, key):
-                truth, memory = carry
-                keys = jax.random.split(key)
-                samples = (
-                    Sample(truth.position + ball(keys[0], far_off), jnp.asarray(True)),
-                    Sample(truth.velocity + ball(keys[1], too_fast), jnp.asarray(True)),
-                )
-                memory, estimate, left_out = filtering.correct(memory, samples)
-                force = -MASS * (NEAR.drift_acceleration(truth) + 1e-3 * (truth.position - START[:3]))
-                force = jnp.clip(force - MASS * 0.06 * truth.velocity, -0.1, 0.1)
-                ahead = push.force(truth.time + 0.5 * PERIOD)  # the mean over a period, to (ωT)²/24
-                row = (truth.position - estimate.position, truth.velocity - estimate.velocity)
-                row += (ahead - estimate.disturbance, left_out)
-                truth = NEAR.step(truth, force, push, PERIOD, MASS)
-                return (truth, filtering.advance(memory, force)), row
-
-            memory = filtering.initial_state(start, jnp.asarray(ERRORS))
-            return jax.lax.scan(step, (start, memory), jax.random.split(key, steps))[1]
-
-        return jax.vmap(flight)(keys)
-
-    keys = jax.random.split(jax.random.key(2), flights)
     found = {}
     for name, frequencies in (("harmonic", FREQUENCIES), ("constant", ())):
-        sensors = [Place(far_off**2 / 5), Pace(too_fast**2 / 5)]
-        *rest, left_out = errors(build(sensors, motion=NEAR, frequencies=frequencies), keys)
-        found[name] = [float(np.sqrt(np.mean(np.square(e[:, 300:])))) for e in rest]
-        assert int(np.sum(left_out)) == 0
+        found[name], left_out = accuracy(frequencies)
+        assert left_out == 0
     position, velocity, force = found["harmonic"]
     assert position < 4.8e-3
     assert velocity < 2.8e-4

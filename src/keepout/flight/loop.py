@@ -85,10 +85,10 @@ def start(setup: FlightSetup, initial: MotionState, key: PRNGKeyArray) -> LoopSt
     if setup.navigation is None:
         faults, estimate = setup.faults.estimate(faults, initial)
         return LoopState(initial, *memories(setup, estimate), faults, thrusters)
-    sensors = setup.navigation.sensed(jax.random.fold_in(key, _SENSORS), initial)
+    sensors = setup.navigation.suite.initial_state(jax.random.fold_in(key, _SENSORS), initial)
     known = setup.navigation.begin(setup.navigation.first_estimate(jax.random.fold_in(key, _FIRST), initial))
     # Law and guard start from what the first step will know: the same samples, drawn with the same keys.
-    knowledge = setup.navigation.know(known, setup.navigation.sample(sensors, initial)[1])[1]
+    knowledge = setup.navigation.know(known, setup.navigation.suite.sample(sensors, initial)[1])[1]
     law, guard = memories(setup, knowledge.estimate, knowledge.known.state)
     return LoopState(initial, law, guard, faults, thrusters, sensors, known)
 
@@ -134,7 +134,7 @@ def step(setup: FlightSetup, state: LoopState) -> tuple[LoopState, FlightLog]:
         faults, estimate = setup.faults.estimate(state.faults, truth)
         sensors, knowing, knowledge, known = state.sensors, state.navigation, None, None
     else:
-        sensors, samples = navigation.sample(state.sensors, truth)
+        sensors, samples = navigation.suite.sample(state.sensors, truth)
         knowing, knowledge = navigation.know(state.navigation, samples)
         faults, estimate, known = state.faults, knowledge.estimate, knowledge.known
     controller, guard, order, guarded, guard_status = command(setup, state.controller, state.guard, estimate, known)

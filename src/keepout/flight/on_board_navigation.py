@@ -85,7 +85,7 @@ class OnBoardNavigation:
         if setup.navigation is None:
             raise ControlError("on board: the setup has no navigation; fly it with OnBoard, which takes an estimate")
         keep_programs()
-        self._lengths = tuple(jax.eval_shape(sensor.ideal, estimate).size for sensor in setup.navigation.sensors)
+        self._lengths = tuple(jax.eval_shape(sensor.ideal, estimate).size for sensor in setup.navigation.suite.sensors)
         self._numbers = sum(self._lengths) + len(self._lengths)
         none = np.zeros(self._numbers)
         self._memory = jax.jit(lambda estimate, numbers: _memory(setup, estimate, _samples(numbers, self._lengths)))

@@ -5,6 +5,7 @@ from typing import Any
 from keepout.guard import watch
 from keepout.guard.guard import Guard
 from keepout.mission import environment
+from keepout.mission.navigation import suite_of
 from keepout.mission.scenario import Scenario
 
 _ROUNDING = 1e-9
@@ -53,6 +54,13 @@ def broken_assumptions(scenario: Scenario) -> tuple[str, ...]:
             f"faults.thruster {faults.thruster} stuck {faults.thruster_stuck} from {faults.stuck_from:.6g} s "
             "(thrusters.survive_failure is false: no thruster may be stuck)"
         )
+    if scenario.navigation.suite != "none":
+        missed = suite_of(scenario.navigation).probability_beyond(scenario.steps)
+        if missed:
+            found.append(
+                f"navigation.suite {scenario.navigation.suite}: Gaussian noise has no bound (the guard's set "
+                f"misses the truth with a probability per flight of at most {missed:.3g})"
+            )
     return tuple(found)
 
 

@@ -5,6 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from keepout.control.observer import PAPER_FREQUENCIES
 from keepout.errors import ScenarioError
 from keepout.guard.braking import GuardAssumptions
 from keepout.mission.navigation_entries import NavigationEntry
@@ -20,9 +21,6 @@ from keepout.sensing.raw import RawSamples
 from keepout.sensing.sensor import Sensor
 from keepout.sensing.suite import Suite
 from keepout.sensing.worked_suites import SUITES
-
-FREQUENCIES = (0.02, 0.01)
-"""Of the paper's disturbance, rad/s: what the law's own observer expects too."""
 
 
 @dataclass(frozen=True)
@@ -140,9 +138,9 @@ def navigation(scenario: Scenario, motion: RelativeMotion, assumed: GuardAssumpt
     sure = certain(scenario, assumed)
     start = motion.initial_state(np.asarray(scenario.start.position), np.asarray(scenario.start.velocity))
     check_observability(sure.estimate.suite, start, scenario.control.period)
-    sensors = sure.estimate.suite.sensors
-    estimator = _estimator(scenario, motion, sensors, float(assumed.disturbance_force))
-    return Navigation(sensors, estimator, sure.estimate, sure.initial, scenario.guard.delay)
+    suite = sure.estimate.suite
+    estimator = _estimator(scenario, motion, suite.sensors, float(assumed.disturbance_force))
+    return Navigation(suite, estimator, sure.estimate, sure.initial, scenario.guard.delay)
 
 
 def _estimator(
@@ -158,5 +156,5 @@ def _estimator(
         mass=mass,
         period=period,
         disturbance_bound=max(disturbance_bound, 1e-6),
-        frequencies=FREQUENCIES if harmonic else (),
+        frequencies=PAPER_FREQUENCIES if harmonic else (),
     )

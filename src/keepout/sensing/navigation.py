@@ -9,7 +9,8 @@ from keepout.motion.arrays import as_float64
 from keepout.motion.relative import MotionState
 from keepout.motion.rotation import Vector
 from keepout.sensing.estimator import BoundedEstimator, Estimator, KnownSet
-from keepout.sensing.sensor import Sample, Sensor
+from keepout.sensing.sensor import Sample
+from keepout.sensing.suite import Suite
 
 
 class Knowledge(eqx.Module):
@@ -42,7 +43,7 @@ class Navigation(eqx.Module):
     of the flight handed over.
 
     Attributes:
-        sensors: each gives one sample a control step, or says that none came.
+        suite: the sensors.
         estimator: for the law.
         bounded: for the guard.
         initial_errors: radii of the position (m) and the velocity (m/s) within which the first estimate is.
@@ -50,7 +51,7 @@ class Navigation(eqx.Module):
 
     """
 
-    sensors: tuple[Sensor, ...]
+    suite: Suite
     estimator: Estimator
     bounded: BoundedEstimator
     initial_errors: Float[Array, "2"] = eqx.field(converter=as_float64)
@@ -59,17 +60,6 @@ class Navigation(eqx.Module):
     def first_estimate(self, key: PRNGKeyArray, truth: MotionState) -> MotionState:
         """Draw the estimate that a flight starts with."""
         return first_estimate(key, truth, self.initial_errors)
-
-    def sensed(self, key: PRNGKeyArray, truth: MotionState) -> PyTree:
-        """Give the sensors' memory before the first step."""
-        return tuple(
-            sensor.initial_state(jax.random.fold_in(key, place), truth) for place, sensor in enumerate(self.sensors)
-        )
-
-    def sample(self, state: PyTree, truth: MotionState) -> tuple[PyTree, tuple[Sample, ...]]:
-        """Give what each sensor says at this control step: the world's part."""
-        pairs = [sensor.sample(one, truth) for sensor, one in zip(self.sensors, state, strict=True)]
-        return tuple(one for one, _ in pairs), tuple(sample for _, sample in pairs)
 
     def begin(self, estimate: MotionState) -> OnBoardState:
         """Start both estimators from the first estimate; nothing is under way."""

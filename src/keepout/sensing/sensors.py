@@ -69,7 +69,26 @@ class _VectorSensor(SimulatedSensor):
         return covariance + self.attitude_error**2 / 5.0 * across
 
 
-class RelativePosition(_VectorSensor):
+class _WholeVector(_VectorSensor):
+    """A sensor of a vector whose components have one error."""
+
+    errors: ErrorModel = eqx.field(converter=_of_vector)
+
+    @property
+    def error_models(self) -> tuple[ErrorModel, ...]:
+        """The vector's."""
+        return (self.errors,)
+
+    def disturbed(self, truth: MotionState, errors: tuple[Float[Array, " _"], ...]) -> Float[Array, "3"]:
+        """Add the error."""
+        return self.ideal(truth) + errors[0]
+
+    def covariance(self, value: Float[Array, "3"]) -> Float[Array, "3 3"]:
+        """Give the covariance of the error in the sensor's axes, in the vector's unit squared."""
+        return self._with_attitude_error(self.errors.variance() * jnp.eye(3), value)
+
+
+class RelativePosition(_WholeVector):
     """The relative position: a pose from camera or lidar in body axes, or differential GNSS in VVLH axes.
 
     Attributes:
@@ -83,31 +102,16 @@ class RelativePosition(_VectorSensor):
 
     """
 
-    errors: ErrorModel = eqx.field(converter=_of_vector)
-
-    @property
-    def error_models(self) -> tuple[ErrorModel, ...]:
-        """The position's."""
-        return (self.errors,)
-
     def ideal(self, state: MotionState) -> Float[Array, "3"]:
         """Give the position in the sensor's axes, m."""
         return self._measured(state.position, state.attitude)
-
-    def disturbed(self, truth: MotionState, errors: tuple[Float[Array, " _"], ...]) -> Float[Array, "3"]:
-        """Add the error."""
-        return self.ideal(truth) + errors[0]
-
-    def covariance(self, value: Float[Array, "3"]) -> Float[Array, "3 3"]:
-        """Give the covariance of the error in the sensor's axes, m²."""
-        return self._with_attitude_error(self.errors.variance() * jnp.eye(3), value)
 
     def position_ball(self, value: Float[Array, "3"], estimate: MotionState) -> Ball:
         """Give the ball around the measured position."""
         return self._in_body(value, self.errors.bound(), estimate.attitude)
 
 
-class RelativeVelocity(_VectorSensor):
+class RelativeVelocity(_WholeVector):
     """The relative velocity: Doppler of GNSS, or a pose that is tracked.
 
     It is the velocity that an observer in the body frame sees. In axes of VVLH it is that same vector; where the body
@@ -124,24 +128,9 @@ class RelativeVelocity(_VectorSensor):
 
     """
 
-    errors: ErrorModel = eqx.field(converter=_of_vector)
-
-    @property
-    def error_models(self) -> tuple[ErrorModel, ...]:
-        """The velocity's."""
-        return (self.errors,)
-
     def ideal(self, state: MotionState) -> Float[Array, "3"]:
         """Give the velocity in the sensor's axes, m/s."""
         return self._measured(state.velocity, state.attitude)
-
-    def disturbed(self, truth: MotionState, errors: tuple[Float[Array, " _"], ...]) -> Float[Array, "3"]:
-        """Add the error."""
-        return self.ideal(truth) + errors[0]
-
-    def covariance(self, value: Float[Array, "3"]) -> Float[Array, "3 3"]:
-        """Give the covariance of the error in the sensor's axes, m²/s²."""
-        return self._with_attitude_error(self.errors.variance() * jnp.eye(3), value)
 
     def velocity_ball(self, value: Float[Array, "3"], estimate: MotionState) -> Ball:
         """Give the ball around the measured velocity."""
