@@ -39,3 +39,7 @@ class ExchangeError(KeepoutError):
 
 class ClusterError(KeepoutError):
     """A cluster that cannot be reached, a worker that would fly otherwise than the others, or a chunk that failed."""
+
+
+class MapError(KeepoutError):
+    """A known-free map that cannot be made, a map file that is damaged or of something else, or a view out of shape."""

@@ -48,7 +48,7 @@ class Target:
 
         Args:
             source: a built-in's name (`keepout targets` lists them) or a path to GLB, glTF, OBJ, STL, PLY, OFF, 3MF,
-                or a point cloud as PLY, XYZ or NPY.
+                a map (KEEPMAP) whose skin it is, or a point cloud as PLY, XYZ or NPY.
             units: of the file: m, cm, mm, in or ft.
             scale: metres a file unit, instead of `units`.
             drop_stray: leave out parts that lie far from the rest.

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from keepout.geometry.mesh_files.contents import MeshContents
 from keepout.geometry.mesh_files.gltf import read_gltf
+from keepout.geometry.mesh_files.keepmap import read_keepmap
 from keepout.geometry.mesh_files.obj import read_obj
 from keepout.geometry.mesh_files.off import read_off
 from keepout.geometry.mesh_files.ply import read_ply
@@ -22,6 +23,7 @@ READERS: dict[str, Callable[[Path], MeshContents]] = {
     ".ply": read_ply,
     ".off": read_off,
     ".3mf": read_three_mf,
+    ".keepmap": read_keepmap,
 }
 """By file suffix. Each raises `MeshError` with the reason alone; the caller names the file."""
 
