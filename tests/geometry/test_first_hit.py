@@ -1,0 +1,304 @@
+"""First hits of rays against brute force, Embree and closed forms; edges and corners are never slipped through."""
+
+import igl.embree
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial import Delaunay
+from truths.messy_meshes import MESSY
+from truths.real_meshes import present
+
+from keepout.errors import MeshError
+from keepout.geometry import Target
+from keepout.geometry.first_hit import FirstHit
+
+
+def brute_force(origins, directions, triangles, slack):
+    """Cut each ray with every triangle's plane; a hit has barycentric coordinates >= -slack. Unit directions."""
+    a, b, c = np.moveaxis(triangles, 1, 0)
+    out = np.full(len(origins), np.inf)
+    for i, (o, d) in enumerate(zip(origins, directions)):
+        e, f = b - a, c - a
+        across = np.cross(d, f)
+        det = (e * across).sum(1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            s = o - a
+            u = (s * across).sum(1) / det
+            turned = np.cross(s, e)
+            v = turned @ d / det
+            t = (f * turned).sum(1) / det
+            met = (u >= -slack) & (v >= -slack) & (u + v <= 1.0 + slack) & (t >= 0.0)
+        out[i] = t[met].min(initial=np.inf)
+    return out
+
+
+def unit(vectors):
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def random_rays(lower, upper, count, seed=0):
+    rng = np.random.default_rng(seed)
+    middle, half = 0.5 * (lower + upper), 0.5 * np.linalg.norm(upper - lower)
+    origins = middle + unit(rng.normal(size=(count, 3))) * half * rng.uniform(0.0, 2.0, (count, 1))
+    goals = rng.uniform(lower, upper, (count, 3))
+    return origins, unit(goals - origins)
+
+
+def assert_as_brute_force(first_hit, origins, directions):
+    """Between the brute force that counts a bit too much and the one that counts a bit too little, and mostly both."""
+    triangles = first_hit.vertices[first_hit.faces]
+    ranges, faces = first_hit.cast(origins, directions)
+    most, least = brute_force(origins, directions, triangles, 1e-9), brute_force(origins, directions, triangles, -1e-9)
+    clear = most == least
+    assert clear.mean() > 0.95
+    np.testing.assert_array_equal(np.isfinite(ranges[clear]), np.isfinite(most[clear]))
+    met = clear & np.isfinite(ranges)
+    # What rounding moves a hit by grows as the ray comes to lie along the triangle.
+    cosine = np.abs((first_hit.normals[faces] * directions).sum(1))
+    np.testing.assert_array_less(np.abs(ranges[met] - most[met]) * cosine[met], 1e-12 * (1.0 + most[met]))
+    between = (ranges >= most - 1e-6) & ((ranges <= least + 1e-6) | np.isinf(least))
+    assert between.all()
+    np.testing.assert_array_equal(faces >= 0, np.isfinite(ranges))
+
+
+def grid_box(pieces):
+    """A box from (-1, -1, -1) to (1, 1, 1) whose sides are grids of `pieces` squares, two triangles each."""
+    ticks = np.linspace(-1.0, 1.0, pieces + 1)
+    u, v = (side.ravel() for side in np.meshgrid(ticks, ticks, indexing="ij"))
+    corner = (np.arange(pieces)[:, None] * (pieces + 1) + np.arange(pieces)).ravel()
+    faces = np.concatenate(
+        [
+            np.stack([corner, corner + 1, corner + pieces + 2], 1),
+            np.stack([corner, corner + pieces + 2, corner + pieces + 1], 1),
+        ]
+    )
+    vertices, all_faces = [], []
+    for axis in range(3):
+        for side in (-1.0, 1.0):
+            sheet = np.empty((len(u), 3))
+            sheet[:, axis], sheet[:, (axis + 1) % 3], sheet[:, (axis + 2) % 3] = side, u, v
+            all_faces.append(faces + sum(map(len, vertices)))
+            vertices.append(sheet)
+    return np.concatenate(vertices), np.concatenate(all_faces)
+
+
+def box_entry(origins, directions, half=1.0):
+    """Closed form: where a ray from outside enters the box, and how long it stays inside; unit directions."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        first, second = (-half - origins) / directions, (half - origins) / directions
+    enter, leave = np.minimum(first, second).max(1), np.maximum(first, second).min(1)
+    return enter, leave - enter
+
+
+@pytest.mark.parametrize("mesh", [*MESSY.values(), *present()], ids=[*MESSY, *(mesh.name for mesh in present())])
+def test_agrees_with_brute_force_on_real_and_messy_meshes(mesh, tmp_path):
+    target = Target.load(mesh(tmp_path).path) if callable(mesh) else Target.load(mesh.path, scale=mesh.scale)
+    first_hit = FirstHit(target.vertices, target.faces)
+    assert_as_brute_force(first_hit, *random_rays(first_hit.lower, first_hit.upper, 300))
+
+
+@pytest.mark.parametrize("name", ["intelsat30", "tiangong"])
+def test_agrees_with_embree_in_single_precision(name):
+    target = Target.load(name)
+    first_hit = FirstHit(target.vertices, target.faces)
+    other = igl.embree.EmbreeIntersector()
+    other.init(target.vertices.astype(np.float32), target.faces.astype(np.int32))
+    origins, directions = random_rays(first_hit.lower, first_hit.upper, 3000, seed=1)
+    ranges = first_hit.ranges(origins, directions)
+    rows = [other.intersectRay_first(o, d) for o, d in zip(origins.astype(np.float32), directions.astype(np.float32))]
+    truth = np.array([row[1] if row[0] >= 0 else np.inf for row in rows])
+    same = np.isclose(ranges, truth, rtol=0.0, atol=1e-3)
+    assert same.mean() > 0.995  # the others pass an edge within single precision, or lie along a triangle
+
+
+triangle_soups = st.integers(1, 40).flatmap(
+    lambda count: st.tuples(
+        st.lists(st.tuples(*[st.integers(-8, 8)] * 3), min_size=3 * count, max_size=3 * count),
+        st.integers(0, 2**32 - 1),
+        st.sampled_from([1e-3, 1.0, 1e3]),
+        st.sampled_from([0.0, 1e3]),
+    )
+)
+
+
+@settings(max_examples=60)
+@given(triangle_soups)
+def test_agrees_with_brute_force_on_any_soup(drawn):
+    corners, seed, size, offset = drawn
+    vertices = np.array(corners, dtype=np.float64)
+    rng = np.random.default_rng(seed)
+    origins = rng.uniform(-12.0, 12.0, (40, 3))
+    directions = unit(rng.uniform(-8.0, 8.0, (40, 3)) - origins)
+    first_hit = FirstHit(vertices, np.arange(len(vertices)).reshape(-1, 3))
+    ranges = first_hit.ranges(origins, directions)
+    triangles = first_hit.vertices[first_hit.faces]
+    most, least = brute_force(origins, directions, triangles, 1e-9), brute_force(origins, directions, triangles, -1e-9)
+    assert (ranges >= most - 1e-6).all()
+    assert ((ranges <= least + 1e-6) | np.isinf(least)).all()
+    # The same, moved and of another size: only rounding may differ.
+    moved = FirstHit(size * vertices + offset, first_hit.faces).ranges(size * origins + offset, directions) / size
+    assert (moved >= most - 1e-6).all()
+    assert ((moved <= least + 1e-6) | np.isinf(least)).all()
+
+
+@pytest.mark.parametrize("pieces", [1, 2, 7, 10])
+@pytest.mark.parametrize("offset", [0.0, 1e4])
+def test_edges_and_corners_aimed_at_exactly_are_met(pieces, offset):
+    vertices, faces = grid_box(pieces)
+    first_hit = FirstHit(vertices + offset, faces)
+    rng = np.random.default_rng(pieces)
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    share = rng.choice([0.0, 0.25, 0.5, 1.0], size=(len(edges), 1))
+    aims = np.concatenate([vertices, (1.0 - share) * vertices[edges[:, 0]] + share * vertices[edges[:, 1]]])
+    # Places on a coarse grid as well: their rays lie in the planes of edges, and have components that are zero.
+    places = np.concatenate([rng.integers(-3, 4, (30, 3)).astype(float), rng.uniform(-4.0, 4.0, (30, 3))])
+    places = places[np.abs(places).max(1) > 1.5]
+    for place in places:
+        directions = aims - place
+        enter, inside = box_entry(np.broadcast_to(place, directions.shape), unit(directions))
+        through = inside > 1e-3
+        ranges = first_hit.ranges(place[None] + offset, directions[through])
+        np.testing.assert_allclose(ranges, enter[through], atol=1e-11 * (1.0 + offset))
+
+
+def test_no_ray_slips_through_a_sheet_of_slivers():
+    """A million rays at points of edges, as exactly as they can be told."""
+    rng = np.random.default_rng(3)
+    flat = np.concatenate([rng.uniform(-1.0, 1.0, (2000, 2)), [[-1, -1], [-1, 1], [1, -1], [1, 1]]])
+    flat[:1000, 0] *= 1e-3  # many slivers
+    faces = Delaunay(flat).simplices
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    vertices = np.column_stack([flat, 0.1 * np.sin(5.0 * flat[:, 0])]) @ turn.T
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    start, end = vertices[edges].transpose(1, 0, 2)
+    first_hit = FirstHit(vertices, faces)
+    tried = slipped = 0
+    while tried < 1_000_000:
+        origin = turn @ np.array([*rng.uniform(-1.0, 1.0, 2), 5.0])
+        share = rng.choice([0.0, 1.0, 0.5, rng.random()], size=(len(start), 1))
+        aims = (1.0 - share) * start + share * end
+        # Near the rim the sheet can be seen folded: past the fold there is nothing to meet.
+        covered = np.abs((aims @ turn)[:, :2]).max(1) < 0.9
+        ranges = first_hit.ranges(origin[None], aims[covered] - origin)
+        tried += len(ranges)
+        slipped += int(np.isinf(ranges).sum())
+    assert slipped == 0
+
+
+def test_a_sphere_is_met_from_outside_before_its_back():
+    target = Target.load("sphere")
+    first_hit = FirstHit(target.vertices, target.faces)
+    middle = 0.5 * (first_hit.lower + first_hit.upper)
+    radius = float((first_hit.upper - middle).min())
+    rng = np.random.default_rng(5)
+    origins = middle + unit(rng.normal(size=(200_000, 3))) * radius * rng.uniform(1.5, 20.0, (200_000, 1))
+    goals = middle + unit(rng.normal(size=(200_000, 3))) * radius * rng.uniform(0.0, 0.9, (200_000, 1))
+    directions = unit(goals - origins)
+    ranges, faces = first_hit.cast(origins, directions)
+    assert np.isfinite(ranges).all()
+    outward = first_hit.normals * np.sign(
+        (first_hit.normals * (first_hit.vertices[first_hit.faces].mean(1) - middle)).sum(1, keepdims=True)
+    )
+    assert ((outward[faces] * directions).sum(1) < 0.0).all()
+    # The closed form of the sphere around the mesh, and of the one within it.
+    for size, sign in ((radius, 1.0), (0.9 * radius, -1.0)):
+        along = ((origins - middle) * directions).sum(1)
+        root = along**2 - ((origins - middle) ** 2).sum(1) + size**2
+        crosses = root > 0.0
+        sphere = -along[crosses] - np.sqrt(root[crosses])
+        assert (sign * (ranges[crosses] - sphere) > -1e-9).all()
+
+
+@pytest.mark.parametrize("name", ["intelsat30", "tiangong"])
+def test_what_is_hit_is_nearer_than_the_surface_point_aimed_at(name):
+    """A ray towards a point of the surface meets it or what is before it: none arrives at the back first."""
+    target = Target.load(name)
+    first_hit = FirstHit(target.vertices, target.faces)
+    rng = np.random.default_rng(7)
+    weights = rng.dirichlet([1.0, 1.0, 1.0], len(target.faces))
+    points = (target.vertices[target.faces] * weights[:, :, None]).sum(1)
+    origins = random_rays(first_hit.lower, first_hit.upper, len(points), seed=8)[0]
+    distance = np.linalg.norm(points - origins, axis=1)
+    ranges, faces = first_hit.cast(origins, points - origins)
+    cosine = np.abs((first_hit.normals * unit(points - origins)).sum(1))
+    steep = cosine > 1e-6
+    assert (ranges[steep] <= distance[steep] + 1e-8).all()
+    hits = origins + ranges[:, None] * unit(points - origins)
+    assert target.distance.distance(hits[faces >= 0]).max() < 1e-9
+
+
+def test_a_sheet_along_the_ray_is_met_at_its_rim():
+    vertices = np.array([[1.0, -1.0, 0.0], [3.0, -1.0, 0.0], [3.0, 1.0, 0.0], [1.0, 1.0, 0.0]])
+    sheet = FirstHit(vertices, np.array([[0, 1, 2], [0, 2, 3]]))
+    along = np.array([[1.0, 0.0, 0.0]])
+    assert sheet.ranges(np.zeros((1, 3)), along) == 1.0
+    assert sheet.ranges(np.array([[2.0, 0.25, 0.0]]), along) == 0.0
+    assert sheet.ranges(np.array([[4.0, 0.0, 0.0]]), along) == np.inf
+    assert sheet.ranges(np.array([[5.0, 0.0, 0.0]]), -along) == 2.0
+    assert sheet.ranges(np.array([[0.0, 0.0, 1e-9]]), along) == np.inf
+    assert sheet.ranges(np.array([[0.0, 5.0, 0.0]]), along) == np.inf
+
+
+def test_triangles_without_area_are_met_as_what_they_are():
+    vertices = np.array([[1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [1.0, 2.0, 0.0], [5.0, 0.0, 0.0]])
+    needle = FirstHit(vertices, np.array([[0, 1, 2]]))
+    assert needle.ranges(np.array([[0.0, 0.5, 0.0]]), np.array([[1.0, 0.0, 0.0]])) == 1.0
+    assert needle.ranges(np.array([[0.0, 0.5, 1e-6]]), np.array([[1.0, 0.0, 0.0]])) == np.inf
+    point = FirstHit(vertices, np.array([[3, 3, 3]]))
+    assert point.ranges(np.zeros((1, 3)), np.array([[1.0, 0.0, 0.0]])) == 5.0
+    np.testing.assert_array_equal(point.normals, np.zeros((1, 3)))
+
+
+def test_range_counts_from_the_origin_up_to_the_greatest():
+    vertices, faces = grid_box(2)
+    box = FirstHit(vertices, faces)
+    to_right = np.array([[2.0, 0.0, 0.0]])  # not a unit vector: a range is in metres all the same
+    origin = np.array([[-3.0, 0.3, 0.4]])
+    assert box.ranges(origin, to_right) == 2.0
+    assert box.ranges(origin, to_right, 2.0) == 2.0
+    assert box.ranges(origin, to_right, 1.999) == np.inf
+    assert box.ranges(np.array([[-1.0, 0.3, 0.4]]), to_right) == 0.0
+    assert box.ranges(np.array([[0.0, 0.3, 0.4]]), to_right) == 1.0  # from within: both sides count
+    assert box.ranges(origin, -to_right) == np.inf
+    assert box.ranges(np.zeros((0, 3)), np.zeros((0, 3))).shape == (0,)
+
+
+def test_the_order_of_rays_does_not_matter():
+    target = Target.load("intelsat30")
+    first_hit = FirstHit(target.vertices, target.faces)
+    origins, directions = random_rays(first_hit.lower, first_hit.upper, 20_000, seed=11)
+    order = np.random.default_rng(0).permutation(len(origins))
+    ranges = first_hit.ranges(origins, directions, 12.0)
+    np.testing.assert_array_equal(first_hit.ranges(origins[order], directions[order], 12.0), ranges[order])
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"origins": np.array([[np.nan, 0.0, 0.0]])}, "not finite"),
+        ({"directions": np.array([[np.inf, 0.0, 0.0]])}, "not finite"),
+        ({"directions": np.zeros((1, 3))}, "length 0"),
+        ({"greatest": 0.0}, "greatest is 0 m"),
+        ({"greatest": float("nan")}, "greatest is nan m"),
+    ],
+)
+def test_bad_rays_are_refused(change, words):
+    vertices, faces = grid_box(1)
+    rays = {"origins": np.zeros((1, 3)), "directions": np.array([[0.0, 0.0, 1.0]]), "greatest": 1.0} | change
+    with pytest.raises(MeshError, match=words) as refusal:
+        FirstHit(vertices, faces).ranges(**rays)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("vertices", "faces", "words"),
+    [
+        (np.zeros((3, 3)), np.zeros((0, 3), dtype=int), "there are 0"),
+        (np.zeros((3, 3)), np.array([[0, 1, 3]]), "outside 0 to 2"),
+        (np.full((3, 3), np.inf), np.array([[0, 1, 2]]), "not finite"),
+    ],
+)
+def test_bad_meshes_are_refused(vertices, faces, words):
+    with pytest.raises(MeshError, match=words):
+        FirstHit(vertices, faces)
