@@ -40,6 +40,9 @@ from keepout.sensing.depth.errors import ErrorDraw
 from keepout.sensing.depth.pointing import Boresight, axes_towards
 
 Point = Float[np.ndarray, "3"]
+Pose = tuple[Point, Float[np.ndarray, "3 3"]]
+_UP = np.array([0.0, 0.0, 1.0])
+"""In the image, as `choose` counts on."""
 
 _NEAR = 0.25
 """Metres from the place of a view at which it is taken."""
@@ -110,9 +113,9 @@ class _Explorer:
         self.pace = Pace(scenario.chaser.speed_limit, scenario.depth_sensor.turn_rate)
         self.tried = Tried.nothing(self.known)
         self.boresight = Boresight.at_rest(
-            -np.asarray(scenario.start.position),
-            rate=scenario.depth_sensor.turn_rate,
-            acceleration=scenario.depth_sensor.turn_acceleration,
+            np.asarray(self.ball.centre) - np.asarray(scenario.start.position),
+            greatest_rate=scenario.depth_sensor.turn_rate,
+            greatest_acceleration=scenario.depth_sensor.turn_acceleration,
         )
         self.views: list[TakenView] = []
         self.stages: list[Stage] = []
@@ -170,22 +173,18 @@ class _Explorer:
 
     def _look(self, now: float, position: Point) -> None:
         """Take an image; it arrives a latency later."""
-        axes = axes_towards(self.boresight.direction)
-        view = take(
-            self.camera,
-            self.first_hit,
-            position + axes @ self.camera.mounting,
-            axes,
-            self.generator,
-            self.draw,
-            time=now,
-        )
-        self.late.append((now + self.camera.latency, view, axes[:, 2]))
+        axes = axes_towards(self.boresight.direction, _UP)
+        pose = self.camera.sensor_position(position, axes), axes
+        # A pose told late is that of the image before.
+        told = (self.pose or pose) if self.draw.broken == "late" else None
+        view = take(self.camera, self.first_hit, *pose, self.generator, self.draw, time=now, told=told)
+        self.pose = pose
+        self.under_way.append((now + self.camera.latency, view, pose))
 
     def _take_in(self, now: float) -> None:
         """Let the map grow by the images that have arrived."""
-        while self.late and self.late[0][0] <= now + 1e-9:
-            _, view, direction = self.late.pop(0)
+        while self.under_way and self.under_way[0][0] <= now + 1e-9:
+            _, view, (place, axes) = self.under_way.pop(0)
             report = self.known.see(view)
             if report.status is ViewStatus.SEEN:
                 self.tried.note(self.known, view)
@@ -194,7 +193,7 @@ class _Explorer:
             why = "" if self.wanted is None else self.wanted.why
             said = report.status.value.replace("_", " ")
             self.views.append(
-                TakenView(view.time, view.position, direction, said, report.opened, self.free_volume, why)
+                TakenView(view.time, place, axes[:, 2], said, report.opened, self.free_volume, why)
             )
             if self._due_for_a_stage():
                 self._stage(view.time)
@@ -305,7 +304,7 @@ class _Explorer:
             stages=tuple(self.stages),
             seen_share=seen_share(self.surface, self.known.returns, scenario.explore.explained),
             unknown=ending.unknown,
-            departures=None if self.expected is None else departures(self.known, self.expected),
+            departures=None if self.expected is None else departures(self.known, self.expected, self.camera.camera),
             seconds=time.perf_counter() - self.began,
             start_certified=certified and not self.broken,
             assumptions_broken=self.broken,

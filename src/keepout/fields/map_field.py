@@ -15,13 +15,15 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int32, UInt16
+from jaxtyping import Array, Float, Int32, Shaped, UInt16
 
 from keepout.compiled.joined_rows import joined_rows, rows_last
 from keepout.errors import FieldError
 from keepout.fields.field import Field
 from keepout.fields.spline_weights import contracted, cubic_weights
 
+SLOPE = 1.14
+"""L: no map's field has a gradient of a larger norm; proved by `proof/map_slope.py`."""
 EDGE = 3
 """Layers of nodes on each side of the box that must be at the cap, so that the field is one constant from there on."""
 
@@ -45,12 +47,12 @@ class MapField(Field):
 
     @classmethod
     def of(
-        cls, squares: UInt16[np.ndarray, "nx ny nz"], origin: Sequence[float] | Float[np.ndarray, "3"], spacing: float
+        cls, squares: Shaped[np.ndarray, "nx ny nz"], origin: Sequence[float] | Float[np.ndarray, "3"], spacing: float
     ) -> "MapField":
         """Take a copy of a map's squared node distances, so that the map may grow on.
 
         Args:
-            squares: squared distances in cells, cut off at the number that the nodes near the box's faces have.
+            squares: uint16, squared distances in cells, cut off at the number that the nodes near the box's faces have.
             origin: of node (0, 0, 0), m.
             spacing: between nodes, m.
 

@@ -1,0 +1,330 @@
+"""Law and guard by a map: what was certified stays certified, and a chaser flies through updates without a touch."""
+
+import dataclasses
+from types import SimpleNamespace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from truths.boxes import HALF, box_distance
+from truths.growing_maps import Cubes
+from truths.guarded_worlds import motion_state
+
+from keepout.audit.audit import Contact, audit
+from keepout.errors import ControlError, ScenarioError
+from keepout.fields.evaluate import values
+from keepout.flight import loop
+from keepout.flight.segment import begin, fly_segment, joined
+from keepout.geometry.target import Target
+from keepout.guard.braking import GuardAssumptions
+from keepout.guard.guard import Guard
+from keepout.guard.safety_layer import mode
+from keepout.guard.status import GuardStatus
+from keepout.mission import environment
+from keepout.mission.by_map import (
+    DeclaredBall,
+    guard_by_map,
+    law_by_map,
+    led_on,
+    require_start,
+    room_for_guard,
+    setup_by_map,
+)
+from keepout.mission.scenario import Scenario
+
+# --- Certified once, certified for ever -------------------------------------------------------------------------------
+
+SMALL = Cubes((0.0, 0.0, 0.0), 0.8)
+AGILE = GuardAssumptions(
+    mass=20.0,
+    force_limit=0.4,
+    period=1.0,
+    disturbance_force=0.01,
+    angular_rate=0.0,
+    angular_acceleration=0.0,
+    gravity_gradient=3e-6,
+    range_limit=40.0,
+    speed_limit=0.2,
+)
+RADIUS = 0.2
+GENERATOR = np.random.default_rng(5)
+PLANS = jax.vmap(motion_state)(
+    jnp.asarray(GENERATOR.uniform(-1.6, 1.6, (200, 3))), jnp.asarray(GENERATOR.uniform(-0.08, 0.08, (200, 3)))
+)
+PROBES = GENERATOR.uniform(-2.5, 2.5, (3000, 3))
+
+
+def small_guard(field):
+    return Guard(
+        field=field,
+        threshold=RADIUS + field.error_bound(RADIUS),
+        lipschitz=1.14,
+        evaluation_error=field.evaluation_error,
+        assumptions=AGILE,
+    )
+
+
+@eqx.filter_jit
+def certified(guard, plans):
+    """The guard's own certification of the braking motion from each state."""
+    return jax.vmap(guard.certified)(plans)
+
+
+def broken_promises(maps):
+    """Count the values that fall and the plans that lose their certificate from each map to the next."""
+    fallen = lost = 0
+    before = before_plans = None
+    for solid in maps:
+        field = SMALL.field(solid)
+        now, plans = values(field, PROBES), np.asarray(certified(small_guard(field), PLANS))
+        if before is not None:
+            fallen += int((now < before).sum())
+            lost += int((before_plans & ~plans).sum())
+        before, before_plans = now, plans
+    return fallen, lost
+
+
+def pieces(seed, count=5):
+    """Free room in pieces: balls and boxes of cubes, in any order."""
+    generator = np.random.default_rng(seed)
+    for _ in range(count):
+        at, size = generator.uniform(-1.2, 1.2, 3), generator.uniform(0.1, 1.3, 3)
+        away = np.abs(SMALL.centres - at) / size
+        yield (away.max(axis=-1) < 1.0) if generator.uniform() < 0.5 else (np.sum(away**2, axis=-1) < 1.0)
+
+
+@settings(max_examples=40)
+@given(seed=st.integers(0, 2**32 - 1), order=st.permutations(range(5)))
+def test_nothing_falls_and_every_plan_stays_certified_while_free_room_grows(seed, order):
+    opened, solid = list(pieces(seed)), SMALL.solid
+    maps = [solid]
+    for number in order:
+        solid = solid & ~opened[number]
+        maps.append(solid)
+    assert broken_promises(maps) == (0, 0)
+    # Whatever the order, the same map.
+    np.testing.assert_array_equal(SMALL.squares(maps[-1]), SMALL.squares(SMALL.solid & ~np.any(opened, axis=0)))
+
+
+def test_the_same_check_reports_free_room_that_shrinks():
+    fallen = lost = 0
+    for seed in range(6, 10):
+        opened = list(pieces(seed))
+        grown = SMALL.solid & ~np.any(opened, axis=0)
+        shrunk = grown | (opened[0] & SMALL.solid)
+        more = broken_promises([grown, shrunk])
+        fallen, lost = fallen + more[0], lost + more[1]
+    assert fallen > 100
+    assert lost > 5
+
+
+def test_a_spacing_that_changes_lowers_the_field():
+    """Why there is one level: the same free room told by cubes of twice the edge says less."""
+    coarse = Cubes((0.0, 0.0, 0.0), 0.8, spacing=0.2)
+    wall = np.abs(coarse.centres[..., 0]) < 0.3
+    fine_wall = np.abs(SMALL.centres[..., 0]) < 0.3
+    fine, blocky = SMALL.field(SMALL.solid & fine_wall), coarse.field(coarse.solid & wall)
+    points = np.stack([np.linspace(0.2, 1.0, 50), np.zeros(50), np.zeros(50)], axis=1)
+    fall = values(fine, points) - values(blocky, points)
+    assert np.abs(fall).max() > 0.02
+
+
+# --- A flight through updates -----------------------------------------------------------------------------------------
+
+BALL = DeclaredBall((0.0, 0.0, 0.0), 3.0)
+SCENARIO = Scenario.parse(
+    {
+        "name": "unknown",
+        "target": {"source": "box"},
+        "guard": {"position_error": 0.05, "velocity_error": 0.002},
+        "faults": {"position_noise": 0.05, "velocity_noise": 0.002},
+        "start": {"position": [0.0, 7.0, 0.0]},
+        "goal": {"position": [0.0, 0.0, 2.0]},
+    }
+)
+CUBES = Cubes(BALL.centre, BALL.radius)
+BODY = box_distance(CUBES.centres.reshape(-1, 3)).reshape(CUBES.solid.shape) < 0.2
+START = np.asarray(SCENARIO.start.position)
+LEGS = (
+    ((0.0, 5.6, 0.0), lambda p: np.zeros(p.shape[:-1], bool)),
+    ((0.0, 3.4, 0.0), lambda p: p[..., 1] > 1.8),
+    ((0.3, 1.5, 2.3), lambda p: p[..., 2] > 1.3),
+    ((0.0, 0.0, 2.05), lambda p: p[..., 2] > 0.8),
+    ((-3.2, 0.0, 0.3), lambda p: np.ones(p.shape[:-1], bool)),
+)
+LENGTH, MOST = 40, 12
+
+
+def law_at(field, goal, position, guard, **chosen):
+    return law_by_map(SCENARIO, field, goal, position, ball=BALL, guard=guard, **chosen)
+
+
+def begun():
+    field = CUBES.field()
+    guard = guard_by_map(SCENARIO, field, BALL)
+    setup = setup_by_map(SCENARIO, field, BALL, law_at(field, LEGS[0][0], START, guard), guard)
+    initial = setup.motion.initial_state(START, np.zeros(3))
+    require_start(SCENARIO, BALL, initial, guard)
+    return setup, initial
+
+
+@pytest.fixture(scope="module")
+def flight():
+    setup, initial = begun()
+    state, solid, logs, plans, reached = begin(setup, initial, jax.random.key(1)), CUBES.solid, [], [], []
+    for goal, opened in LEGS:
+        solid = solid & ~(opened(CUBES.centres) & ~BODY)
+        field = CUBES.field(solid)
+        law = law_at(field, goal, np.asarray(state.motion.position), setup.guard)
+        setup = led_on(setup, field, law)
+        plan = motion_state(state.guard.plan_position, state.guard.plan_velocity)
+        plans.append((bool(state.guard.certified), bool(setup.guard.certified(plan))))
+        for _ in range(MOST):
+            state, log = fly_segment(setup, state, LENGTH)
+            logs.append(log)
+            if np.linalg.norm(np.asarray(state.motion.position) - goal) < 0.15:
+                break
+        reached.append(float(np.linalg.norm(np.asarray(state.motion.position) - goal)))
+    logs.append(fly_segment(setup, state, 1)[1])
+    return SimpleNamespace(log=joined(logs), plans=plans, reached=reached)
+
+
+def test_every_goal_is_reached_and_the_last_ones_are_within_the_ball(flight):
+    assert max(flight.reached) < 0.15
+    assert np.linalg.norm(LEGS[3][0]) < BALL.radius - SCENARIO.chaser.radius
+
+
+def test_the_guard_is_certified_throughout(flight):
+    done = np.asarray(mode(flight.log.guard_status))
+    assert not (done == GuardStatus.ESCAPING).any()
+    assert int(np.bitwise_or.reduce(np.asarray(flight.log.guard_status) - done)) == 0
+    assert all(before and after for before, after in flight.plans)
+    assert np.isfinite(np.asarray(flight.log.force)).all()
+
+
+def test_the_law_is_not_held_by_its_guard(flight):
+    interventions = np.asarray(mode(flight.log.guard_status)) != 0
+    assert interventions.mean() < 0.02
+
+
+def test_the_audit_on_the_exact_mesh_finds_no_contact(flight):
+    record = SimpleNamespace(
+        **{name: np.asarray(value) for name, value in vars(flight.log).items() if value is not None}
+    )
+    target = Target.load("box")
+    np.testing.assert_allclose(np.abs(target.vertices).max(axis=0), HALF)
+    verdict = audit(
+        record,
+        target,
+        chaser_radius=SCENARIO.chaser.radius,
+        bounds=environment.flight_bounds(SCENARIO),
+        force_limit=SCENARIO.chaser.force_limit,
+        speed_limit=SCENARIO.chaser.speed_limit,
+    )
+    assert verdict.contact is Contact.NO
+    assert verdict.consistent
+    # It came near: a sphere of the chaser's radius has some decimetres left.
+    assert 0.2 < verdict.minimum_clearance < 0.6
+
+
+def test_the_disturbance_estimate_does_not_jump_where_goal_and_map_change(flight):
+    estimate = np.asarray(flight.log.disturbance_estimate)
+    steps = np.linalg.norm(np.diff(estimate, axis=0), axis=1)
+    joints = np.arange(LENGTH, len(steps), LENGTH) - 1
+    assert steps[joints].max() <= 1.5 * np.quantile(steps, 0.999)
+
+
+def test_segments_of_a_map_flight_are_one_flight_to_the_bit():
+    setup, initial = begun()
+    key = jax.random.key(3)
+    whole = loop.fly(setup, initial, 60, key)
+    state, logs = begin(setup, initial, key), []
+    for steps in (LENGTH, 20, 1):
+        state, log = fly_segment(setup, state, steps)
+        logs.append(log)
+    rows = joined(logs)
+    for field in dataclasses.fields(whole):
+        one, other = getattr(whole, field.name), getattr(rows, field.name)
+        if one is not None:
+            np.testing.assert_array_equal(one, other, err_msg=field.name)
+
+
+def test_one_program_flies_every_map_and_goal():
+    setup, initial = begun()
+    state, compiled = begin(setup, initial, jax.random.key(2)), []
+    state, _ = fly_segment(setup, state, LENGTH)
+    field = CUBES.field(CUBES.solid & ~(LEGS[1][1](CUBES.centres) & ~BODY))
+    after = led_on(setup, field, law_at(field, LEGS[1][0], np.asarray(state.motion.position), setup.guard))
+
+    def listen(event, _, **__):
+        compiled.append(event)
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    try:
+        fly_segment(after, state, LENGTH)
+        assert compiled == []
+        fly_segment(after, state, 2)  # another number of steps is another program
+        assert compiled
+    finally:
+        jax.monitoring.unregister_event_duration_listener(listen)
+
+
+# --- Numbers and refusals ---------------------------------------------------------------------------------------------
+
+
+def test_the_guards_numbers_are_those_of_the_theorem():
+    field = CUBES.field()
+    guard = guard_by_map(SCENARIO, field, BALL)
+    radius = SCENARIO.chaser.radius
+    assert guard.threshold == pytest.approx(np.hypot(radius, 0.1), abs=1e-12)
+    assert guard.lipschitz == 1.14
+    assert guard.evaluation_error == field.evaluation_error > 0.0
+    # Twice the furthest of ball, start and goal and 20 m, as with a mesh that reaches as far.
+    assert guard.assumptions.range_limit == pytest.approx(2.0 * 7.0 + 20.0)
+    far = guard_by_map(SCENARIO, field, DeclaredBall((9.0, 0.0, 0.0), 3.0))
+    assert far.assumptions.range_limit == pytest.approx(2.0 * 12.0 + 20.0)
+
+
+def test_the_law_keeps_the_room_that_its_guard_asks_for():
+    field = CUBES.field()
+    coarse = Scenario.parse(
+        {"guard": {"position_error": 0.2, "velocity_error": 0.01}, "chaser": {"speed_limit": 0.05}, "duration": 10.0}
+    )
+    for scenario in (SCENARIO, coarse):
+        guard = guard_by_map(scenario, field, BALL)
+        keep_out = guard.threshold + scenario.safety.margin
+        assert keep_out + room_for_guard(scenario, guard)["nominal_offset"] > guard.least_value
+
+
+def test_a_start_within_the_ball_or_too_fast_is_refused():
+    setup, _ = begun()
+    guard = setup.guard
+    for position, velocity, said in (
+        ((0.0, 3.4, 0.0), (0.0, 0.0, 0.0), "more than 3.500 m"),
+        ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), "more than 3.500 m"),
+        ((0.0, 3.6, 0.0), (0.0, -0.1, 0.0), "start slower"),
+    ):
+        start = setup.motion.initial_state(np.asarray(position), np.asarray(velocity))
+        with pytest.raises(ScenarioError, match=said):
+            require_start(SCENARIO, BALL, start, guard)
+    # Without a guard nothing is certified; the ball still counts.
+    require_start(
+        SCENARIO, BALL, setup.motion.initial_state(np.array([0.0, 3.6, 0.0]), np.array([0.0, -0.1, 0.0])), None
+    )
+
+
+def test_a_goal_in_what_is_not_known_free_is_refused():
+    setup, _ = begun()
+    with pytest.raises(ControlError, match=r"goal: .* inside the keep-out zone"):
+        law_at(CUBES.field(), (0.0, 0.0, 2.0), START, setup.guard)
+    # A room that is free and that nothing leads to.
+    pocket = CUBES.solid & (np.linalg.norm(CUBES.centres - [0.0, 0.0, 1.8], axis=-1) > 1.1)
+    with pytest.raises(ControlError, match="not connected to the goal"):
+        law_at(CUBES.field(pocket), (0.0, 0.0, 1.8), START, setup.guard)
+    paper = SCENARIO.model_copy(update={"control": SCENARIO.control.model_copy(update={"profile": "paper"})})
+    with pytest.raises(ScenarioError, match="paper"):
+        law_by_map(paper, CUBES.field(), (0.0, 5.0, 0.0), START, ball=BALL)
