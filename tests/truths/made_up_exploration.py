@@ -110,6 +110,7 @@ def made_up(*, views=8, spacing=0.2, outcome="no way known", expected=None, name
         start_certified=True,
         assumptions_broken=(),
         guard={},
+        keep=0.8,
     )
 
 

@@ -74,6 +74,7 @@ class Exploration:
         start_certified: whether the guard's theorem holds from the start.
         assumptions_broken: what is flown beyond what the scenario declares.
         guard: what the guard assumes and what follows, as numbers.
+        keep: the distance from all that is not known free that ways of the chaser's centre were looked for with, m.
 
     """
 
@@ -95,6 +96,7 @@ class Exploration:
     start_certified: bool
     assumptions_broken: tuple[str, ...]
     guard: dict[str, Any]
+    keep: float
 
     def summary(self) -> dict[str, Any]:
         """Give the figures as plain numbers for JSON.

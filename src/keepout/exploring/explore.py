@@ -310,4 +310,5 @@ class _Explorer:
             start_certified=certified and not self.broken,
             assumptions_broken=self.broken,
             guard={} if self.guard is None else guard_numbers(self.guard),
+            keep=self.keep,
         )

@@ -9,8 +9,8 @@ from keepout.exploring.exploration import Exploration
 from keepout.mapping import map_file
 from keepout.mission.flight import Flight
 from keepout.progress import Progress, part_of, silent
-from keepout.replay.growth import Growth
 from keepout.replay.flights import Replayed
+from keepout.replay.growth import Growth
 from keepout.report import exploration_view, flight_view
 from keepout.report.folder import make_folder, write_summary
 from keepout.report.page import STYLE, embedded
@@ -50,7 +50,10 @@ def write_exploration(
             growth=Growth.of(exploration),
         )
         write_replay(
-            out / "replay.html", [replayed], title=f"{name}: {exploration.outcome}", progress=part_of(progress, 0.5, 1.0)
+            out / "replay.html",
+            [replayed],
+            title=f"{name}: {exploration.outcome}",
+            progress=part_of(progress, 0.5, 1.0),
         )
         summary["pictures"] = [str(image) for image in images]
         write_page(out / "index.html", exploration, summary, images)
@@ -61,7 +64,10 @@ def write_exploration(
 def _draw(out: Path, exploration: Exploration, progress: Progress) -> dict[Path, str]:
     """Draw the pictures; give each with its caption."""
     drawn = {
-        "seen": (exploration_view.draw_seen, "What was seen when, on the true surface. Nothing on board knew that surface."),
+        "seen": (
+            exploration_view.draw_seen,
+            "What was seen when, on the true surface, which nothing on board knew.",
+        ),
         "map": (
             exploration_view.draw_slices,
             "The map at the end. What is not known free is an obstacle, whether something is there or not.",
@@ -105,7 +111,7 @@ def _flight(exploration: Exploration) -> Flight:
 
 
 def write_page(path: Path, exploration: Exploration, summary: dict[str, Any], images: dict[Path, str]) -> None:
-    """Write the page of an exploration: how it ended, its figures, the replay, and the pictures (by file, a caption)."""
+    """Write the page of an exploration: how it ended, its figures, the replay, and the pictures with captions."""
     scenario = exploration.scenario
     title = f"Exploration {scenario.name}"
     bad = {"contact_verdict"} if summary["contact"] else set()

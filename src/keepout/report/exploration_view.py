@@ -33,9 +33,7 @@ _SHADE = 0.6
 _FAINT = 0.12
 _ABOVE = 0.05
 """Metres from a point, towards the eye, from which the mesh may hide it."""
-_PRESENT, _ABSENT = (
-    ListedColormap(colormaps[name](np.linspace(0.3, 1.0, 256))) for name in ("YlOrRd", "Blues")
-)
+_PRESENT, _ABSENT = (ListedColormap(colormaps[name](np.linspace(0.3, 1.0, 256))) for name in ("YlOrRd", "Blues"))
 """Without their palest parts, which would not stand out from the grey mesh."""
 _PLANES = (2, 1, 0)
 """Axes that the slices are across."""
@@ -80,7 +78,7 @@ def draw_seen(path: Path, exploration: Exploration) -> None:
         bar = drawing.colorbar(scale, ax=panels, shrink=0.75)
         bar.set_label("first in an image at, s")
         share = float(np.mean(np.isfinite(sight.times)))
-        drawing.suptitle(f"What was seen when: {share:.0%} of the surface was in an image, by the true mesh", fontsize=10)
+        drawing.suptitle(f"What was seen when: {share:.0%} of the true surface was in an image", fontsize=10)
         never = Patch(facecolor=tuple(_NEVER), label="never in an image (inner surfaces cannot be)")
         drawing.legend(handles=[never], loc="outside lower center")
 
@@ -112,7 +110,9 @@ def draw_progress(path: Path, exploration: Exploration) -> None:
         ball = 4.0 / 3.0 * np.pi * known.radius**3
         room.step(time, [view.free_volume for view in views], where="post", color=COLOURS[0])
         room.axhline(ball, color="grey", linestyle="--", linewidth=0.8)
-        room.annotate("whole ball", (1.0, ball), xycoords=("axes fraction", "data"), ha="right", va="bottom", fontsize=8)
+        room.annotate(
+            "whole ball", (0.99, ball), xycoords=("axes fraction", "data"), ha="right", va="bottom", fontsize=8
+        )
         room.set(ylabel="m³", ylim=(0.0, 1.12 * ball), title="Known-free room inside the declared ball")
         each.vlines(time[seen], 0.0, opened[seen], color=COLOURS[2], linewidth=1.2)
         each.plot(time[seen], opened[seen], "o", color=COLOURS[2], markersize=3, label="view taken in")
@@ -133,19 +133,12 @@ def draw_progress(path: Path, exploration: Exploration) -> None:
         way.legend(fontsize=8)
 
 
-def draw_unknown(path: Path, exploration: Exploration, *, keep: float) -> None:
-    """Draw what was in the way at the end: three planes through the goal, and all of it from one side, into one PNG.
-
-    Args:
-        path: the PNG file.
-        exploration: whose `unknown` is not empty.
-        keep: the distance that the chaser's centre keeps from all that is not known free, m.
-
-    """
+def draw_unknown(path: Path, exploration: Exploration) -> None:
+    """Draw what was in the way at the end: three planes through the goal, and all of it from one side, into one PNG."""
     known, target = exploration.map, exploration.target
     goal, unknown = np.asarray(exploration.scenario.goal.position), exploration.unknown
     through = goal if exploration.scenario.explore.towards == "goal" else np.median(unknown, axis=0)
-    reach = reachable(known, exploration.record.position[-1], keep)
+    reach = reachable(known, exploration.record.position[-1], exploration.keep)
     with figure(path, width=11.0, height=9.6) as drawing:
         shown: set[int] = set()
         for place, axis in enumerate(_PLANES, start=1):
@@ -185,7 +178,10 @@ def draw_departures(path: Path, exploration: Exploration) -> None:
                     look = {"c": length[chosen], "cmap": colours, "vmin": 0.0, "vmax": most, "s": 5, "alpha": alpha}
                     _scatter(axes, expected, points[chosen], side, **look)
             axes.set(title=name, xlabel="m")
-        for colours, words in ((_PRESENT, "seen, not expected: m from the mesh"), (_ABSENT, "expected, but free: m deep")):
+        for colours, words in (
+            (_PRESENT, "seen, not expected: m from the mesh"),
+            (_ABSENT, "expected, but free: m deep"),
+        ):
             bar = drawing.colorbar(ScalarMappable(Normalize(0.0, most), colours), ax=panels, shrink=0.75, pad=0.01)
             bar.set_label(words)
         nothing = "" if len(found.points) + len(found.missing) else " nowhere"
@@ -233,9 +229,7 @@ def _flat(target: Target, points: Float[np.ndarray, "n 3"], side: tuple[float, f
     return ((points - middle) @ eye_axes(*side).T)[:, :2]
 
 
-def _hidden(
-    first_hit: FirstHit, points: Float[np.ndarray, "n 3"], side: tuple[float, float]
-) -> Bool[np.ndarray, "n"]:
+def _hidden(first_hit: FirstHit, points: Float[np.ndarray, "n 3"], side: tuple[float, float]) -> Bool[np.ndarray, "n"]:
     """Say which points a mesh hides from an eye at infinity."""
     eye = eye_axes(*side)[2]
     rays = np.broadcast_to(eye, points.shape)

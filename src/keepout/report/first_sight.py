@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import trimesh
 from jaxtyping import Float
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from keepout.geometry.first_hit import FirstHit
 from keepout.geometry.target import Target
@@ -42,13 +42,13 @@ class FirstSight:
         grazing_angle: float,
     ) -> None:
         mesh = trimesh.Trimesh(target.vertices, target.faces, process=False)
-        points, faces = trimesh.sample.sample_surface(mesh, _SAMPLES, seed=0)
+        points, faces = trimesh.sample.sample_surface(mesh, _SAMPLES, seed=0)[:2]
         self._normals = _normals(target)
         self.points: Float[np.ndarray, "n 3"] = np.asarray(points)
-        self.times: Float[np.ndarray, "n"] = np.full(len(self.points), np.inf)
+        self.times: Float[np.ndarray, " n"] = np.full(len(self.points), np.inf)
         """s; inf: never."""
         normals = self._normals[faces]
-        self._tree = cKDTree(np.concatenate([self.points, _APART * normals], axis=1))
+        self._tree = KDTree(np.concatenate([self.points, _APART * normals], axis=1))
         first_hit, slopes = FirstHit(target.vertices, target.faces), _slopes(camera)
         for view in views:
             unseen = np.flatnonzero(np.isinf(self.times))

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import ListedColormap
 from matplotlib.patches import Circle, Patch
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from keepout.geometry.target import Target
 from keepout.mapping.known_free import KnownFreeMap
@@ -37,7 +37,7 @@ def kinds_in_slice(
 
     """
     place = int(np.clip(np.floor((level - known.origin[axis]) / known.spacing), 0, len(known.free) - 1))
-    free = known.free.take(place, axis=axis)
+    free = np.take(known.free, place, axis=axis)
     others = [k for k in range(3) if k != axis]
     centres = np.empty((*free.shape, 3))
     along = known.spacing * (np.arange(len(free)) + 0.5)
@@ -46,7 +46,7 @@ def kinds_in_slice(
     centres[..., axis] = known.origin[axis] + known.spacing * (place + 0.5)
     kinds = np.where(free, FREE, UNKNOWN)
     if len(known.returns):
-        distance, _ = cKDTree(known.returns).query(centres[~free], distance_upper_bound=explained)
+        distance, _ = KDTree(known.returns).query(centres[~free], distance_upper_bound=explained)
         kinds[~free] = np.where(np.isfinite(distance), SURFACE, UNKNOWN)
     return kinds, centres
 
@@ -76,7 +76,7 @@ def paint_slice(
     near = known.returns[np.abs(known.returns[:, axis] - level) <= 0.5 * known.spacing]
     axes.plot(near[:, across], near[:, up], ",", color="#a0522d", alpha=0.7)
     mesh = trimesh.Trimesh(target.vertices, target.faces, process=False)
-    cut = trimesh.intersections.mesh_plane(mesh, np.eye(3)[axis], level * np.eye(3)[axis])
+    cut = np.asarray(trimesh.intersections.mesh_plane(mesh, np.eye(3)[axis], level * np.eye(3)[axis]))
     axes.add_collection(LineCollection(list(cut[:, :, [across, up]]), colors="black", linewidths=0.7))
     off = level - known.centre[axis]
     if abs(off) < known.radius:
