@@ -160,7 +160,7 @@ class _Explorer:
             self._turn(ticks)
             self._count_rest(log)
             share = max(flown / scenario.steps, len(self.views) / scenario.explore.most_views)
-            progress(min(share, 0.98), f"{len(self.views)} views, {self.views[-1].free_volume:.0f} m³ known free")
+            progress(min(share, 0.98), f"{len(self.views)} views, {self.free_volume:.0f} m³ known free")
         self._stage(now)
         _, last = segment.fly_segment(setup, state, 1)
         return self._judged(segment.joined([*self.logs, last]), setup, ending)
