@@ -25,6 +25,8 @@ from keepout.guard.braking import GuardAssumptions
 from keepout.guard.guard import Guard
 from keepout.guard.safety_layer import mode
 from keepout.guard.status import GuardStatus
+from keepout.mapping.known_free import KnownFreeMap
+from keepout.mapping.view import SensorBounds
 from keepout.mission import environment
 from keepout.mission.by_map import (
     DeclaredBall,
@@ -273,6 +275,26 @@ def test_one_program_flies_every_map_and_goal():
         assert compiled
     finally:
         jax.monitoring.unregister_event_duration_listener(listen)
+
+
+def test_a_known_free_map_has_such_a_field():
+    bounds = SensorBounds(
+        range_error=0.03,
+        position_error=0.05,
+        attitude_error=0.005,
+        surely_returned_width=0.05,
+        rays_across=3,
+        sure_empty_range=15.0,
+        least_range=0.3,
+        greatest_range=15.0,
+    )
+    known = KnownFreeMap.begin(BALL.centre, BALL.radius, bounds=bounds, name="box")
+    field = MapField.of(known.squares, known.origin, known.spacing)
+    points = np.random.default_rng(0).uniform(-5.0, 5.0, (2000, 3))
+    assert field.cap == pytest.approx(known.cap)
+    away = np.linalg.norm(points - np.array(BALL.centre), axis=1) - BALL.radius
+    assert np.all(values(field, points) <= np.hypot(np.maximum(away, 0.0), known.spacing) + 1e-12)
+    assert np.all(values(field, points)[away > known.cap + 0.5] > known.cap - 1e-9)
 
 
 # --- Numbers and refusals ---------------------------------------------------------------------------------------------
