@@ -99,7 +99,9 @@ def reachable(
             stride += 1
     least = math.ceil((keep / known.spacing) ** 2 - 1e-9)
     room = known.squares[::stride, ::stride, ::stride] >= least
-    empty = Reachable(known.origin, known.spacing * stride, stride, keep, room, np.full(room.shape, FAR, dtype=np.int32))
+    empty = Reachable(
+        known.origin, known.spacing * stride, stride, keep, room, np.full(room.shape, FAR, dtype=np.int32)
+    )
     sources = empty.beside(np.asarray(position, dtype=float))
     inside = empty._inside(np.asarray(position, dtype=float))
     apart = np.linalg.norm(empty.place(sources) - inside, axis=1) / empty.spacing

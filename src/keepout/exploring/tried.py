@@ -36,7 +36,8 @@ class Tried:
         Views from within 0.3 m and 10 degrees of an earlier one count once: another try is another direction.
         """
         repeated = any(
-            np.linalg.norm(view.position - position) < 0.3 and view.axes[:, 2] @ axes[:, 2] > math.cos(math.radians(10.0))
+            np.linalg.norm(view.position - position) < 0.3
+            and view.axes[:, 2] @ axes[:, 2] > math.cos(math.radians(10.0))
             for position, axes in zip(self.positions, self.axes, strict=True)
         )
         self.positions.append(view.position.copy())
@@ -47,8 +48,12 @@ class Tried:
         cells = Cells.of(known)
         ball = 0.5 * math.sqrt(3.0) * known.spacing + bounds.surely_returned_width + bounds.position_error
         rows, columns = _RAYS
-        down, across = np.meshgrid((np.arange(rows) + 0.5) / rows - 0.5, (np.arange(columns) + 0.5) / columns - 0.5, indexing="ij")
-        rays = np.stack([across * camera.width / camera.focal, down * camera.height / camera.focal, np.ones_like(down)], -1)
+        down, across = np.meshgrid(
+            (np.arange(rows) + 0.5) / rows - 0.5, (np.arange(columns) + 0.5) / columns - 0.5, indexing="ij"
+        )
+        rays = np.stack(
+            [across * camera.width / camera.focal, down * camera.height / camera.focal, np.ones_like(down)], -1
+        )
         rays = rays.reshape(-1, 3)
         length = np.linalg.norm(rays, axis=1)
         found = np.empty((len(rays), 3), dtype=np.int64)

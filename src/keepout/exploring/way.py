@@ -6,10 +6,10 @@ from typing import no_type_check
 
 import numba
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, UInt8
 
-from keepout.exploring.cells import EXPLAINED, SURFACE, Cells
-from keepout.exploring.lattice import FAR, TENTHS, nodes_near, shortest, walk_back
+from keepout.exploring.cells import SURFACE, Cells
+from keepout.exploring.lattice import TENTHS, nodes_near, shortest, walk_back
 from keepout.exploring.reachable import Reachable
 from keepout.exploring.tried import GIVEN_UP
 
