@@ -151,7 +151,9 @@ def all_round(run: Jumping, goals: np.ndarray, views: int) -> dict:
     for count in (*COUNTED, views):
         if taken <= count <= views:
             shares[count] = share
-    ended = {"outcome": answer.outcome, "why": answer.why} if isinstance(answer, Ended) else {"outcome": None, "why": ""}
+    ended = (
+        {"outcome": answer.outcome, "why": answer.why} if isinstance(answer, Ended) else {"outcome": None, "why": ""}
+    )
     return {
         "mode": "all round",
         "views": taken,
@@ -213,7 +215,9 @@ def main(arguments: list[str]) -> int:
                 row = {"target": name, "sure_empty_range_m": empty, "keep_m": given.keep, **result}
                 rows.append(row)
                 shares = "  ".join(f"{count}: {100 * share:5.1f} %" for count, share in row["connected"].items())
-                print(f"{name:12} s = {empty:4.1f} m  {row['mode']:9}  {shares}  {row['choice_seconds']:.2f} s a choice")
+                print(
+                    f"{name:12} s = {empty:4.1f} m  {row['mode']:9}  {shares}  {row['choice_seconds']:.2f} s a choice"
+                )
                 for text in row.get("not_reached", [row.get("why", "")]):
                     if text:
                         print(f"{'':14}{text}")

@@ -5,7 +5,7 @@ from typing import no_type_check
 
 import numba
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 
 from keepout.mapping.known_free import KnownFreeMap
 
@@ -35,7 +35,7 @@ class Cells:
             nearby: and nearby within about so many.
 
         """
-        kinds = _closed(known.free)
+        kinds = closed_cells(known.free)
         edge = ACROSS * known.spacing
         holding = cells_of(known.returns, known.origin, edge, kinds.shape)
         holding = holding[kinds[tuple(holding.T)] != FREE]
@@ -59,6 +59,11 @@ def cells_of(
     flat = np.zeros(shape, dtype=np.bool_)
     flat[tuple(place.T)] = True
     return np.argwhere(flat)
+
+
+def closed_cells(free: Bool[np.ndarray, "mx my mz"]) -> UInt8[np.ndarray, "nx ny nz"]:
+    """Say of each cell whether it is `FREE` or holds a cube that is not, `UNKNOWN`."""
+    return _closed(free)
 
 
 @numba.njit(cache=True)

@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Float32, Int, UInt8
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from keepout.exploring.cells import CLOSE, EXPLAINED, FREE, NEARBY, SURFACE, UNKNOWN, Cells
 from keepout.exploring.frontier import Frontier, frontier
 from keepout.exploring.reachable import Reachable, reachable
 from keepout.exploring.sight import UP, inside, panoramas, sphere
-from keepout.exploring.tried import GIVEN_UP, Tried
+from keepout.exploring.tried import GIVEN_UP, SAME_DIRECTION, SAME_PLACE, Tried
 from keepout.exploring.way import HopedWay, hoped_way
 from keepout.mapping.known_free import KnownFreeMap
 from keepout.mapping.view import Pinhole
@@ -22,7 +22,7 @@ _RAYS, _DIRECTIONS, _DRAWN, _PLACES = 2000, 192, 4000, 256
 _BORDER = 0.05
 """What is seen nearer to the image's edge than this (rad) is not counted on: windows must lie wholly inside."""
 _RANGES = (1.5, 3.0, 5.0, 8.0)
-"""Metres from a frontier along its normal at which a view is considered."""
+"""Metres from a frontier along its normal at which a view is considered; and between shells round what is wanted."""
 _REFINED, _AROUND = 6, 10
 _STAGES = 3
 
@@ -74,7 +74,7 @@ def choose(
     keep: float,
     boresight: Float[np.ndarray, "3"] | None = None,
     pace: Pace | None = None,
-    least_gain: float = 0.02,
+    least_gain: float = 0.005,
     seed: int = 0,
 ) -> NextView | Ended:
     """Choose the view that opens most of what is wanted per second.
@@ -111,9 +111,9 @@ def choose(
     search = _Search(known, reach, cells, edge, camera, tried, position, boresight, pace or Pace(), seed)
     way = None
     if goal is not None:
-        surface = _surface_at(known, goal)
+        surface = _surface_at(known, camera, goal)
         if surface < keep:
-            why = f"the goal {_said(goal)} is at most {surface:.2f} m from the seen surface, and the chaser keeps {keep:.2f} m"
+            why = f"the goal {_said(goal)} is at most {surface:.2f} m from the seen surface, less than {keep:.2f} m"
             return Ended("no way known", why, cells.place(np.argwhere(cells.kinds == SURFACE)))
         way = hoped_way(reach, cells, tried.failures, position, goal)
         wanted = np.argwhere((way.stages > 0) & (tried.failures < GIVEN_UP))
@@ -134,13 +134,15 @@ def choose(
     return Ended("no way known", _blocked(way, cells, tried, goal), cells.place(np.argwhere(way.stages > 0)))
 
 
-def _surface_at(known: KnownFreeMap, goal: Float[np.ndarray, "3"]) -> float:
-    """Distance from a place to cubes that never become free, at most, m: those that hold a surface that was seen."""
+def _surface_at(known: KnownFreeMap, camera: Pinhole, goal: Float[np.ndarray, "3"]) -> float:
+    """Bound from above the distance from a place to cubes that hold a seen surface, which never become free, m."""
     if len(known.returns) == 0:
         return math.inf
     bounds = known.bounds
-    error = bounds.range_error + bounds.position_error + bounds.attitude_error * bounds.greatest_range
-    # A return is kept on a lattice finer than a cube, and a distance between nodes may exceed theirs.
+    # A return stands for a pixel, whose corner is this much of the range away from its middle.
+    slant = 1.0 / (math.sqrt(2.0) * camera.focal)
+    error = bounds.range_error + bounds.position_error + (bounds.attitude_error + slant) * bounds.greatest_range
+    # Returns are kept on a lattice finer than a cube, and a distance interpolated between nodes may be too long.
     return float(np.linalg.norm(known.returns - goal, axis=1).min()) + error + known.spacing
 
 
@@ -200,11 +202,11 @@ class _Search:
         drawn = self.generator.choice(reached, min(_DRAWN, len(reached)), replace=False)
         nodes = np.stack(np.unravel_index(drawn, self.reach.reached.shape), axis=1)
         if len(wanted):
-            apart, _ = cKDTree(wanted).query(self.reach.place(nodes))
+            apart, _ = KDTree(wanted).query(self.reach.place(nodes))
             inner = np.flatnonzero((apart > self.nearest) & (apart < self.farthest))
             order = inner[np.argsort(apart[inner], kind="stable")]
-            # As many from every quarter of the ranges: near places open narrow gaps, far ones much room.
-            shells = np.array_split(order, np.searchsorted(apart[order], np.quantile(_RANGES, [0.0, 0.5, 0.75])))
+            # As many from every shell: near places open narrow gaps, far ones much room.
+            shells = np.array_split(order, np.searchsorted(apart[order], _RANGES))
             share = _PLACES // len(shells)
             nodes = np.concatenate([nodes[self.generator.permutation(shell)[:share]] for shell in shells])
         else:
@@ -243,9 +245,9 @@ class _Search:
         rates = np.asarray(gains, dtype=float) / seconds
         places = self.reach.place(nodes)
         for position, axes in zip(self.tried.positions, self.tried.axes, strict=True):
-            close = np.linalg.norm(places - position, axis=1) < 0.3
+            close = np.linalg.norm(places - position, axis=1) < SAME_PLACE
             if close.any():
-                rates[np.ix_(close, self.directions @ axes[:, 2] > math.cos(math.radians(10.0)))] = 0.0
+                rates[np.ix_(close, self.directions @ axes[:, 2] > SAME_DIRECTION)] = 0.0
         return rates
 
 
@@ -262,7 +264,7 @@ _ENDS = 255
 
 
 def _codes(cells: Cells, tried: Tried, stages: UInt8[np.ndarray, "nx ny nz"]) -> UInt8[np.ndarray, "nx ny nz"]:
-    """Give one number a cell, for look-up: its kind, the stage of the way that it blocks, and how often it was tried."""
+    """Number each cell, for look-up, by its kind, the stage of the way that it blocks, and how often it was tried."""
     codes = 1 + ((cells.kinds + np.uint8(_KINDS) * stages) * np.uint8(_TRIES) + np.minimum(tried.failures, GIVEN_UP))
     codes[cells.kinds == SURFACE] = _ENDS
     codes[cells.kinds == FREE] = 0
@@ -315,8 +317,8 @@ def _left(edge: Frontier, tried: Tried) -> str:
         return "no frontier is left"
     given_up = int(np.sum(tried.failures[tuple(edge.cells.T)] >= GIVEN_UP))
     return (
-        f"{len(edge.cells)} frontier cells are left in {len(edge.sizes)} places: {given_up} stayed closed in {GIVEN_UP} "
-        "views, and no view from reachable room is expected to open the others"
+        f"{len(edge.cells)} frontier cells are left in {len(edge.sizes)} places: {given_up} stayed closed in "
+        f"{GIVEN_UP} views, and no view from reachable room is expected to open the others"
     )
 
 
@@ -330,5 +332,6 @@ def _blocked(way: HopedWay, cells: Cells, tried: Tried, goal: Float[np.ndarray, 
     return (
         f"the way to {_said(goal)} is blocked from {_said(first)} on by {count} cells "
         f"({count * cells.edge**3:.2f} m³) that no view opened: {surface} lie within 0.35 m of the seen surface, "
-        f"{given_up} stayed closed in {GIVEN_UP} views, {count - surface - given_up} cannot be looked at from reachable room"
+        f"{given_up} stayed closed in {GIVEN_UP} views, {count - surface - given_up} cannot be looked at from "
+        "reachable room"
     )

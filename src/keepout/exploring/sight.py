@@ -18,7 +18,7 @@ UP = np.array([0.0, 0.0, 1.0])
 
 
 def sphere(count: int) -> Float[np.ndarray, "count 3"]:
-    """Unit vectors spread evenly over the sphere, on a Fibonacci spiral."""
+    """Spread unit vectors evenly over the sphere, on a Fibonacci spiral."""
     height = 1.0 - (2.0 * np.arange(count) + 1.0) / count
     angle = math.pi * (3.0 - math.sqrt(5.0)) * np.arange(count)
     around = np.sqrt(1.0 - height**2)
