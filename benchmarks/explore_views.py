@@ -151,16 +151,15 @@ def all_round(run: Jumping, goals: np.ndarray, views: int) -> dict:
     for count in (*COUNTED, views):
         if taken <= count <= views:
             shares[count] = share
-    ended = (
-        {"outcome": answer.outcome, "why": answer.why} if isinstance(answer, Ended) else {"outcome": None, "why": ""}
-    )
+    outcome, why = (answer.outcome, answer.why) if isinstance(answer, Ended) else (None, "")
     return {
         "mode": "all round",
         "views": taken,
         "connected": {str(k): shares[k] for k in sorted(shares)},
         "free_share": run.free_share(),
         "choice_seconds": run.seconds,
-        **ended,
+        "outcome": outcome,
+        "why": why,
     }
 
 
@@ -168,14 +167,14 @@ def towards(runs: Iterable[Jumping], goals: np.ndarray, views: int) -> dict:
     """Explore towards each goal from the start."""
     needed, ends, seconds = [], [], 0.0
     for run, goal in zip(runs, goals, strict=True):
-        answer, taken = None, 0
-        for taken in range(1, views + 1):
+        answer = None
+        for _ in range(views):
             run.look()
             answer = run.step(goal)
             if isinstance(answer, Ended) or answer.is_goal:
                 break
         reached = isinstance(answer, NextView) and answer.is_goal
-        needed.append(taken if reached else math.inf)
+        needed.append(run.choices if reached else math.inf)
         ends.append("reachable" if reached else answer.why if isinstance(answer, Ended) else "views are used up")
         seconds = max(seconds, run.seconds)
     counted = sorted({*(count for count in COUNTED if count <= views), views})

@@ -264,7 +264,7 @@ _ENDS = 255
 
 
 def _codes(cells: Cells, tried: Tried, stages: UInt8[np.ndarray, "nx ny nz"]) -> UInt8[np.ndarray, "nx ny nz"]:
-    """Number each cell, for look-up, by its kind, the stage of the way that it blocks, and how often it was tried."""
+    """Give each cell a number for look-up: kind, stage of the way that it blocks, and how often it was tried."""
     codes = 1 + ((cells.kinds + np.uint8(_KINDS) * stages) * np.uint8(_TRIES) + np.minimum(tried.failures, GIVEN_UP))
     codes[cells.kinds == SURFACE] = _ENDS
     codes[cells.kinds == FREE] = 0

@@ -48,7 +48,7 @@ class Reachable:
         return np.where(tenths == FAR, np.inf, tenths * (self.spacing / TENTHS))
 
     def beside(self, position: Float[np.ndarray, "3"]) -> Int[np.ndarray, "n 3"]:
-        """Nodes that keep the distance, within a cell's diagonal of a place or of the place in the box nearest to it."""
+        """Nodes that keep the distance within a cell's diagonal of a place, or of the nearest place in the box."""
         return nodes_near(self.room, (self._inside(position) - self.origin) / self.spacing, math.sqrt(3.0))
 
     def way_length(self, position: Float[np.ndarray, "3"]) -> float:
