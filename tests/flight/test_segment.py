@@ -21,6 +21,7 @@ def segments(setup, lengths):
     return state, joined(logs)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("faults", [Delayed(), WrongEstimate(0.01, 0.001, 0.02, 0.002)])
 def test_segments_joined_are_one_flight_to_the_bit(faults):
     setup = make_setup(guard=Halving(), faults=faults)

@@ -120,7 +120,8 @@ class _Explorer:
         self.views: list[TakenView] = []
         self.stages: list[Stage] = []
         self.logs: list[FlightLog] = []
-        self.late: list[tuple[float, View, Float[np.ndarray, 3]]] = []
+        self.under_way: list[tuple[float, View, Pose]] = []
+        self.pose: Pose | None = None
         self.wanted: NextView | None = None
         self.given_up = self.there_since = math.inf
         self.resting = self.outside = 0

@@ -90,8 +90,8 @@ class MapField(Field):
         return float(self.spacing) * math.sqrt(int(self.squares[0, 0, 0]))
 
     def error_bound(self, radius: float) -> float:
-        """Bound by how much (m) the field over-states a distance of `radius` m to all that is not known free."""
-        return math.hypot(radius, float(self.spacing)) - radius
+        """Give e_h, m: where what is not known free is `radius` m away, the field says at most e_h more."""
+        return math.hypot(radius, float(self.spacing)) - radius + self.evaluation_error
 
     @property
     def evaluation_error(self) -> float:
