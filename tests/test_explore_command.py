@@ -1,4 +1,4 @@
-"""`keepout explore`, as a person calls it: it maps and approaches a box that it knows nothing of, or refuses in a line."""
+"""`keepout explore`, as a person calls it: it maps and approaches a box that it does not know, or refuses in a line."""
 
 import json
 
@@ -95,9 +95,7 @@ def test_a_map_that_was_kept_is_gone_on_from(folder, explored):
     kept = map_file.load(folder / "out" / "map.keepmap")
     mission = MISSION.replace("[map]", f'[map]\nfile = "{folder / "out" / "map.keepmap"}"')
     (folder / "again.toml").write_text(mission.replace("most_views = 60", "most_views = 3"))
-    summary = keepout_command(
-        "explore", folder / "again.toml", "-o", folder / "again", "--json", "--no-figures"
-    ).json
+    summary = keepout_command("explore", folder / "again.toml", "-o", folder / "again", "--json", "--no-figures").json
     assert summary["outcome"] in ("out of views", "reached goal")
     later = map_file.load(folder / "again" / "map.keepmap")
     assert later.views == kept.views + summary["views"] - sum(summary["refused_views"].values())

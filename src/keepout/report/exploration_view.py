@@ -109,11 +109,8 @@ def draw_progress(path: Path, exploration: Exploration) -> None:
         room, each, way = drawing.subplots(3, 1, sharex=True)
         ball = 4.0 / 3.0 * np.pi * known.radius**3
         room.step(time, [view.free_volume for view in views], where="post", color=COLOURS[0])
-        room.axhline(ball, color="grey", linestyle="--", linewidth=0.8)
-        room.annotate(
-            "whole ball", (0.99, ball), xycoords=("axes fraction", "data"), ha="right", va="bottom", fontsize=8
-        )
-        room.set(ylabel="m³", ylim=(0.0, 1.12 * ball), title="Known-free room inside the declared ball")
+        room.set(ylabel="m³", title=f"Known-free room inside the declared ball, which holds {ball:.0f} m³")
+        room.set_ylim(bottom=0.0)
         each.vlines(time[seen], 0.0, opened[seen], color=COLOURS[2], linewidth=1.2)
         each.plot(time[seen], opened[seen], "o", color=COLOURS[2], markersize=3, label="view taken in")
         if not seen.all():
