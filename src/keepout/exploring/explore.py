@@ -2,6 +2,7 @@
 
 import math
 import time
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -60,7 +61,7 @@ _RESTING = 10
 
 
 def explore(
-    scenario: Scenario,
+    scenario: Scenario | str | Path,
     *,
     target: Target | None = None,
     expected: Target | None = None,
@@ -72,7 +73,8 @@ def explore(
     seen free is an obstacle, for law and guard alike. The clearance is audited on the true mesh.
 
     Args:
-        scenario: its entries `depth_sensor`, `map` and `explore` beside those of any flight; `target` is the truth.
+        scenario: or the path of its TOML file. Its entries `depth_sensor`, `map` and `explore` beside those of any
+            flight; `target` is the truth.
         target: the true mesh, already loaded; else the scenario's.
         expected: what the mission believes, already loaded; else `explore.expected`, which may be unset.
         progress: called as the flight goes on.
@@ -81,6 +83,8 @@ def explore(
         KeepoutError: something cannot be flown; the message names the entry, and nothing has been flown.
 
     """
+    if not isinstance(scenario, Scenario):
+        scenario = Scenario.load(scenario)
     return _Explorer(scenario, target, expected).flown(progress)
 
 
@@ -158,7 +162,7 @@ class _Explorer:
             self._turn(ticks)
             self._count_rest(log)
             share = max(flown / scenario.steps, len(self.views) / scenario.explore.most_views)
-            progress(min(share, 0.98), f"{len(self.views)} views, {self.views[-1].free_volume:.0f} m³ known free")
+            progress(min(share, 0.98), f"{len(self.views)} views, {self.free_volume:.0f} m³ known free")
         _, last = segment.fly_segment(setup, state, 1)
         return self._judged(segment.joined([*self.logs, last]), setup, ending)
 

@@ -170,7 +170,7 @@ class _Search:
         if rates[place, direction] <= 0.0:
             return None
         gain = float(gains[place, direction])
-        return NextView(self.reach.place(nodes[place]), self.directions[direction].copy(), "", gain)
+        return NextView(self.reach.place(nodes[place][None])[0], self.directions[direction].copy(), "", gain)
 
     def _places(self, wanted: Float[np.ndarray, "w 3"]) -> Int[np.ndarray, "n 3"]:
         """Lattice nodes on shells of all ranges round what is wanted, and where normals of the frontier lead."""
