@@ -155,6 +155,13 @@ OFFERS = {
         "exchange.encounter.encounter",
         "exchange.audited.audit_files",
     ),
+    "exploring": (
+        "exploring.explore.explore",
+        "exploring.exploration.Exploration.summary",
+        "exploring.departures.departures",
+        "exploring.reachable.reachable",
+        "exploring.next_view.choose",
+    ),
     "rare_events": (
         "rare_events.event.rare",
         "rare_events.event.RareEvent.summary",

@@ -78,7 +78,11 @@ def draw_seen(path: Path, exploration: Exploration) -> None:
         bar = drawing.colorbar(scale, ax=panels, shrink=0.75)
         bar.set_label("first in an image at, s")
         share = float(np.mean(np.isfinite(sight.times)))
-        drawing.suptitle(f"What was seen when: {share:.0%} of the true surface was in an image", fontsize=10)
+        drawing.suptitle(
+            f"What was seen when: {share:.0%} of the true surface, each side by itself, was in an image; "
+            f"{exploration.seen_share:.0%} of its outer part is near a return",
+            fontsize=10,
+        )
         never = Patch(facecolor=tuple(_NEVER), label="never in an image (inner surfaces cannot be)")
         drawing.legend(handles=[never], loc="outside lower center")
 
@@ -109,11 +113,8 @@ def draw_progress(path: Path, exploration: Exploration) -> None:
         room, each, way = drawing.subplots(3, 1, sharex=True)
         ball = 4.0 / 3.0 * np.pi * known.radius**3
         room.step(time, [view.free_volume for view in views], where="post", color=COLOURS[0])
-        room.axhline(ball, color="grey", linestyle="--", linewidth=0.8)
-        room.annotate(
-            "whole ball", (0.99, ball), xycoords=("axes fraction", "data"), ha="right", va="bottom", fontsize=8
-        )
-        room.set(ylabel="m³", ylim=(0.0, 1.12 * ball), title="Known-free room inside the declared ball")
+        room.set(ylabel="m³", title=f"Known-free room inside the declared ball, which holds {ball:.0f} m³")
+        room.set_ylim(bottom=0.0)
         each.vlines(time[seen], 0.0, opened[seen], color=COLOURS[2], linewidth=1.2)
         each.plot(time[seen], opened[seen], "o", color=COLOURS[2], markersize=3, label="view taken in")
         if not seen.all():
@@ -164,26 +165,25 @@ def draw_departures(path: Path, exploration: Exploration) -> None:
     if found is None or expected is None:
         return
     first_hit = FirstHit(expected.vertices, expected.faces)
-    most = max(float(found.distance.max(initial=0.0)), float(found.depth.max(initial=0.0)), 1e-3)
+    kinds = [
+        (found.missing, found.depth, _ABSENT, "expected, but free: m deep"),
+        (found.points, found.distance, _PRESENT, "seen, not expected: m off the mesh"),
+    ]
     with figure(path, width=11.0, height=4.9) as drawing:
         panels = drawing.subplots(1, 3)
         for axes, (name, side) in zip(panels, _SIDES.items()):
             _grey(axes, expected, side)
-            for points, length, colours in (
-                (found.missing, found.depth, _ABSENT),
-                (found.points, found.distance, _PRESENT),
-            ):
+            for points, length, colours, _ in kinds:
                 hidden = _hidden(first_hit, points, side)
+                most = max(float(length.max(initial=0.0)), 1e-3)
                 for chosen, alpha in ((hidden, _FAINT), (~hidden, 1.0)):
                     look = {"c": length[chosen], "cmap": colours, "vmin": 0.0, "vmax": most, "s": 5, "alpha": alpha}
                     _scatter(axes, expected, points[chosen], side, **look)
             axes.set(title=name, xlabel="m")
-        for colours, words in (
-            (_PRESENT, "seen, not expected: m from the mesh"),
-            (_ABSENT, "expected, but free: m deep"),
-        ):
-            bar = drawing.colorbar(ScalarMappable(Normalize(0.0, most), colours), ax=panels, shrink=0.75, pad=0.01)
-            bar.set_label(words)
+        for _, length, colours, words in reversed(kinds):
+            scale = Normalize(0.0, max(float(length.max(initial=0.0)), 1e-3))
+            bar = drawing.colorbar(ScalarMappable(scale, colours), ax=panels, shrink=0.75, pad=0.01)
+            bar.set_label(words if len(length) else f"{words} (none)")
         nothing = "" if len(found.points) + len(found.missing) else " nowhere"
         drawing.suptitle(
             f"Departures from the expected mesh (grey){nothing}, beyond the sensor's error bounds; "

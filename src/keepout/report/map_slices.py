@@ -89,7 +89,7 @@ def paint_slice(
     everything = np.concatenate([path[:, [across, up]], [lower[[across, up]] + 0.5], [upper[[across, up]] - 0.5]])
     low, high = everything.min(axis=0) - 0.5, everything.max(axis=0) + 0.5
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", facecolor=_COLOURS[FREE])
-    axes.set(xlabel=f"{_NAMES[across]} m", ylabel=f"{_NAMES[up]} m", title=f"{_NAMES[axis]} = {level:.1f} m")
+    axes.set(xlabel=f"{_NAMES[across]} m", ylabel=f"{_NAMES[up]} m", title=f"{_NAMES[axis]} = {level + 0.0:z.1f} m")
     axes.grid(visible=False)
 
 
