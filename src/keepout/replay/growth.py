@@ -109,6 +109,4 @@ def _side(edge: float, skin: tuple[np.ndarray, np.ndarray]) -> float:
 
 def _axes(directions: Float[np.ndarray, "views 3"]) -> Float[np.ndarray, "views 3 3"]:
     """Give the camera's axes x, y, z as rows, with the map's z axis upwards in the image, as the views were taken."""
-    from keepout.exploring.sight import axes_towards
-
-    return axes_towards(directions).transpose(0, 2, 1) if len(directions) else np.zeros((0, 3, 3))
+    return np.array([axes_towards(one, _UP).T for one in directions]).reshape(-1, 3, 3)
