@@ -10,10 +10,13 @@ from jaxtyping import Bool, Float, Int
 from keepout.mapping.view import Pinhole
 from keepout.replay.body import fewer
 from keepout.replay.packing import Packing
+from keepout.sensing.depth.pointing import axes_towards
 
 if TYPE_CHECKING:
     from keepout.exploring.exploration import Exploration
 
+_UP = np.array([0.0, 0.0, 1.0])
+"""In the image, as the views were taken."""
 MOST_TRIANGLES = 16_000
 """Of a skin as it is drawn: eight of them leave the page below 4 MB."""
 
