@@ -17,7 +17,8 @@ from truths.depth_views import (
 )
 
 from keepout.mapping import KnownFreeMap, Pinhole, SensorBounds, View, ViewStatus
-from keepout.mapping.pyramid import all_exceed, none_exceeds, pyramid
+from keepout.mapping.pyramid import pyramid
+from keepout.mapping.windows import all_exceed, none_exceeds
 
 CAMERA = Pinhole(40, 30, math.radians(60.0))
 BOUNDS = SensorBounds(surely_returned_width=0.12)

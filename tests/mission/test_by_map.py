@@ -15,7 +15,7 @@ from truths.growing_maps import Cubes
 from truths.guarded_worlds import motion_state
 
 from keepout.audit.audit import Contact, audit
-from keepout.errors import ControlError, ScenarioError
+from keepout.errors import ControlError, FieldError, ScenarioError
 from keepout.fields.evaluate import values
 from keepout.fields.map_field import SLOPE, MapField
 from keepout.flight import loop
@@ -295,6 +295,28 @@ def test_a_known_free_map_has_such_a_field():
     away = np.linalg.norm(points - np.array(BALL.centre), axis=1) - BALL.radius
     assert np.all(values(field, points) <= np.hypot(np.maximum(away, 0.0), known.spacing) + 1e-12)
     assert np.all(values(field, points)[away > known.cap + 0.5] > known.cap - 1e-9)
+
+
+def test_a_map_that_is_no_later_one_is_refused():
+    setup, _ = begun()
+    opened = CUBES.field(CUBES.solid & (CUBES.centres[..., 1] < 2.0))
+    law = law_at(opened, (0.0, 5.0, 0.0), START, setup.guard)
+    after = led_on(setup, opened, law)
+    led_on(after, opened, law)
+    with pytest.raises(FieldError, match=r"\d+ nodes are nearer"):
+        led_on(after, CUBES.field(), law)
+    shifted = MapField.of(CUBES.squares(), CUBES.origin + 0.1, CUBES.spacing)
+    with pytest.raises(FieldError, match="origin"):
+        led_on(after, shifted, law)
+    with pytest.raises(FieldError, match="nodes come after"):
+        led_on(after, MapField.of(CUBES.squares()[:-1], CUBES.origin, CUBES.spacing), law)
+
+
+def test_a_position_beyond_the_guidances_grid_is_led_back():
+    setup, _ = begun()
+    law = law_at(CUBES.field(), (0.0, 5.0, 0.0), (0.0, 60.0, 0.0), setup.guard)
+    away = law.velocity.guidance.direction(jnp.array([0.0, 60.0, 0.0]))
+    np.testing.assert_allclose(away, [0.0, -1.0, 0.0], atol=1e-6)
 
 
 # --- Numbers and refusals ---------------------------------------------------------------------------------------------

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from keepout.mapping import Pinhole, SensorBounds, View
-from keepout.mapping.windows import SLACK
+from keepout.mapping.rule import SLACK
 
 
 @dataclass(frozen=True)

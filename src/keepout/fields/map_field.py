@@ -93,6 +93,28 @@ class MapField(Field):
         """Give e_h, m: where what is not known free is `radius` m away, the field says at most e_h more."""
         return math.hypot(radius, float(self.spacing)) - radius + self.evaluation_error
 
+    def require_no_less(self, before: "MapField") -> None:
+        """Refuse to come after another map's field if it is of another grid, or lower anywhere.
+
+        Raises:
+            FieldError: the message says which.
+
+        """
+        for name in ("origin", "spacing"):
+            now, then = np.asarray(getattr(self, name)), np.asarray(getattr(before, name))
+            if not np.array_equal(now, then):
+                raise FieldError(f"map field: {name} {now.tolist()} m comes after {then.tolist()} m; it must stay")
+        now, then = np.asarray(self.squares), np.asarray(before.squares)
+        if now.shape != then.shape:
+            raise FieldError(f"map field: {now.shape} nodes come after {then.shape}; they must be the same")
+        # Layer by layer: a whole map's comparison would take half the map's memory again.
+        fallen = sum(int(np.count_nonzero(one < other)) for one, other in zip(now, then, strict=True))
+        if fallen:
+            raise FieldError(
+                f"map field: {fallen} nodes are nearer to what is not known free than in the map before; free room "
+                "may only grow"
+            )
+
     @property
     def evaluation_error(self) -> float:
         """Bound, m, of what float64 and any order of sums make of the exact spline (docs/mapping-field.md)."""

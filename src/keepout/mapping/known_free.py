@@ -14,10 +14,11 @@ from jaxtyping import Bool, Float, Float32, Int
 
 from keepout.errors import MapError
 from keepout.mapping.distance_transform import renew, squares_of
-from keepout.mapping.pyramid import BLOCK, free_cubes, pyramid
+from keepout.mapping.pyramid import pyramid
 from keepout.mapping.returns import Returns
+from keepout.mapping.rule import empty_ranges, rule_of
 from keepout.mapping.view import SensorBounds, View
-from keepout.mapping.windows import empty_ranges, rule_of
+from keepout.mapping.windows import BLOCK, free_cubes
 
 _MOST_CUBES = 1024
 """Across the grid: 3 GiB."""

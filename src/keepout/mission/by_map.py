@@ -147,8 +147,11 @@ def law_by_map(
     )
     plan, reach = Geodesic(grid=grid), max(ball.extent, float(np.linalg.norm(scenario.start.position)))
     build = {"guidance": plan, "reach": reach, "progress": progress, **chosen}
+    # Beyond the grid the guidance leads back to it, and all is free there.
+    upper = grid.origin + grid.spacing * (np.array(grid.values.shape) - 1)
+    within = bool(np.all((np.array(here) >= grid.origin) & (np.array(here) <= upper)))
     try:
-        law = law_on(moved, field, bound, **build)
+        law = law_on(moved, field, bound, from_start=within, **build)
     except KeepOutZoneError as refusal:
         # Law and guard know their way out of the law's own margin; whether a way leads on is then not known.
         if refusal.place != "start":
@@ -167,11 +170,18 @@ def setup_by_map(scenario: Scenario, field: MapField, ball: DeclaredBall, law: L
 
 
 def led_on(setup: FlightSetup, field: MapField, law: Law) -> FlightSetup:
-    """Give the setup of a flight's next segment: a later map's field for all, and the law made for it and its goal."""
+    """Give the setup of a flight's next segment: a later map's field for all, and the law made for it and its goal.
+
+    Raises:
+        FieldError: the field is of another grid, or says less somewhere: then what was certified is so no more.
+
+    """
+    if isinstance(setup.field, MapField):
+        field.require_no_less(setup.field)
     guard = setup.guard
-    assert guard is None or isinstance(guard, Guard)
-    watched = None if guard is None else eqx.tree_at(lambda g: g.field, guard, field)
-    return dataclasses.replace(setup, field=field, controller=law, guard=watched, goal=as_float64(law.goal))
+    if isinstance(guard, Guard):
+        guard = eqx.tree_at(lambda g: g.field, guard, field)
+    return dataclasses.replace(setup, field=field, controller=law, guard=guard, goal=as_float64(law.goal))
 
 
 def require_start(scenario: Scenario, ball: DeclaredBall, start: MotionState, guard: Guard | None) -> None:
