@@ -51,7 +51,7 @@ def seen_from(seed, distance, camera=CAMERA, bounds=BOUNDS):
 views = st.builds(
     seen_from,
     st.integers(0, 10**6),
-    st.floats(1.2, 4.0),
+    st.floats(1.35, 4.0),  # outside every cube that meets the ball
     st.sampled_from([CAMERA, Pinhole(33, 57, 1.3), Pinhole(64, 9, 2.0), Pinhole(7, 7, 0.6)]),
 )
 many_bounds = st.builds(
@@ -62,8 +62,8 @@ many_bounds = st.builds(
     surely_returned_width=st.floats(0.01, 0.3),
     rays_across=st.integers(1, 4),
     sure_empty_range=st.sampled_from([0.0, 2.0, 15.0]),
-    least_range=st.floats(0.0, 1.0),
-    greatest_range=st.floats(2.0, 15.0),
+    least_range=st.floats(0.0, 2.0),
+    greatest_range=st.floats(2.5, 15.0),
 )
 
 
@@ -126,6 +126,19 @@ def test_a_view_frees_nothing_round_its_own_place_or_at_its_sides():
     half = math.atan(0.5 * CAMERA.width / CAMERA.focal)  # of the wider side
     assert (distance * math.sin(half) >= radius).all()
     assert (np.arccos(-offset[:, 2] / distance) + np.arcsin(radius / distance) < math.hypot(half, half)).all()
+
+
+def test_cubes_are_freed_within_the_least_and_the_usable_range_only():
+    bounds = SensorBounds(surely_returned_width=0.12, least_range=1.5, greatest_range=2.2)
+    known = begin(bounds=bounds)
+    position = np.array([0.0, 0.0, 2.0])
+    known.see(View(CAMERA, position, axes_towards([0, 0, -1]), np.full(CAMERA.shape, np.inf)))
+    opened = cube_centres(known)[known.free & ~begin(bounds=bounds).free]
+    distance = np.linalg.norm(opened - position, axis=1)
+    reach = 0.05 * math.sqrt(3.0) + bounds.position_error
+    assert 1.5 <= distance.min() - reach < 1.52
+    # A pixel without return is empty out to 2.2 m as well: w more than the range asks.
+    assert 2.17 < distance.max() + reach + bounds.surely_returned_width <= 2.2
 
 
 def test_a_pixel_that_says_nothing_opens_nothing_behind_it():
