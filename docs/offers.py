@@ -39,6 +39,18 @@ OFFERS = {
         "fields.shipped.load_shipped",
         "fields.grid_build.build_grid",
     ),
+    "mapping": (
+        "mapping.known_free.KnownFreeMap.begin",
+        "mapping.known_free.KnownFreeMap.see",
+        "mapping.known_free.KnownFreeMap.distance_at_nodes",
+        "mapping.known_free.KnownFreeMap.is_free",
+        "mapping.view.View",
+        "mapping.view.Pinhole",
+        "mapping.view.SensorBounds",
+        "mapping.map_file.save",
+        "mapping.map_file.load",
+        "mapping.skin.skin",
+    ),
     "learning, proof, measures": (
         "learning.training.fit",
         "proof.certificate.certify",
