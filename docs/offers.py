@@ -26,6 +26,8 @@ OFFERS = {
         "geometry.offset_solid.OffsetSolid.signed_distance",
         "geometry.survey.survey",
         "geometry.octree.straddling_cells",
+        "geometry.first_hit.FirstHit",
+        "geometry.first_hit.FirstHit.ranges",
     ),
     "fields": (
         "fields.field.Field.value",
@@ -70,6 +72,14 @@ OFFERS = {
         "motion.thrusters.layout.preset",
         "motion.thrusters.on_off.OnOffThrusters.of",
         "motion.thrusters.capability.force_box",
+    ),
+    "depth sensor": (
+        "sensing.depth.camera.DepthCamera",
+        "sensing.depth.depth.take",
+        "sensing.depth.errors.ErrorDraw",
+        "sensing.depth.sure_return.sure_return_violations",
+        "sensing.depth.pointing.axes_towards",
+        "sensing.depth.pointing.Boresight.step",
     ),
     "control": (
         "control.law.Law.initial_state",

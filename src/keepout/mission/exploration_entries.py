@@ -76,7 +76,7 @@ class MapEntry(Entry):
         default=None, description="of that ball, m; `keepout explore` asks for it, since nobody knows the target"
     )
     spacing: Positive = Field(default=0.1, description="edge of the cubes, m")
-    cap: Positive = Field(default=1.2, description="greatest distance that the map tells apart, m")
+    cap: Positive = Field(default=1.5, description="greatest distance that the map tells apart, m")
     file: str | None = Field(default=None, description="a .keepmap file to go on from")
 
 

@@ -260,6 +260,7 @@ def test_what_cannot_be_taken_is_refused():
         assert "\n" not in str(refusal.value)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("size", ["random", "adversarial"])
 def test_a_map_of_images_frees_no_cube_that_the_target_is_in(size):
     target = Target.load("box")

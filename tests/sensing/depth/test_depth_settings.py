@@ -25,10 +25,6 @@ BAD = {
         lambda: DepthCamera(Pinhole(20, 20, 2.0), SensorBounds(surely_returned_width=0.01, least_range=0.3)),
         ("surely_returned_width", "0.01", "0.0963", "0.0311", "0.3"),
     ),
-    "emptiness beyond the range": (
-        lambda: DepthCamera(bounds=SensorBounds(sure_empty_range=20.0)),
-        ("sure_empty_range", "20", "15"),
-    ),
     "a dropout above 1": (lambda: DepthCamera(dropout=1.5), ("dropout", "1.5", "0 to 1")),
     "a grazing angle above 90 degrees": (lambda: DepthCamera(grazing_angle=2.0), ("grazing_angle", "2")),
     "no period": (lambda: DepthCamera(period=0.0), ("period", "0 s")),

@@ -30,6 +30,7 @@ def test_axes_exist_where_the_boresight_is_along_up():
         np.testing.assert_array_equal(axes[:, 2], [0.0, 0.0, sign])
 
 
+@pytest.mark.long
 @settings(max_examples=50)
 @given(
     directions,
@@ -63,6 +64,7 @@ def test_from_rest_it_arrives_in_time_and_never_passes(start, angle, around, rat
     assert np.linalg.norm(boresight.turning) < 1e-7
 
 
+@pytest.mark.long
 @settings(max_examples=20)
 @given(st.lists(directions, min_size=1, max_size=8), st.floats(0.02, 0.5), st.floats(0.002, 0.2))
 def test_the_limits_hold_whatever_is_wanted_and_it_settles_in_the_end(wanted, rate, acceleration):
