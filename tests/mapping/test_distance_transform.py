@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 
 from keepout.mapping.distance_transform import renew, squares_of
-from keepout.mapping.pyramid import BLOCK
+from keepout.mapping.windows import BLOCK
 
 
 def whole(free, cap):

@@ -103,6 +103,8 @@ def _example(kind: Any) -> Any:
         return (1.0, 0.0, 0.0)
     if is_number(kind):
         return 1 if is_whole_number(kind) else 0.5
+    if str in get_args(kind):
+        return "FILE"
     return ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 

@@ -34,6 +34,7 @@ from keepout.mission.entries import (
     SunEntry,
     TargetEntry,
 )
+from keepout.mission.exploration_entries import DepthSensorEntry, ExploreEntry, MapEntry
 from keepout.mission.lines import entry_lines, line_of
 from keepout.mission.navigation_entries import NavigationEntry
 from keepout.mission.thruster_entries import ThrustersEntry
@@ -72,6 +73,9 @@ class Scenario(Entry):
     goal: GoalEntry = GoalEntry()
     campaign: CampaignEntry = CampaignEntry()
     rare: RareEntry = RareEntry()
+    depth_sensor: DepthSensorEntry = DepthSensorEntry()
+    map: MapEntry = MapEntry()
+    explore: ExploreEntry = ExploreEntry()
 
     @model_validator(mode="after")
     def _at_least_a_step(self) -> "Scenario":
@@ -176,9 +180,10 @@ class Scenario(Entry):
     def _resolved(self, folder: Path) -> "Scenario":
         """Make file names absolute, so that a scenario means the same wherever it is run from."""
         changes: dict[str, dict[str, str]] = {}
-        for key, source in (("target", self.target.source), ("field", self.field.source)):
-            if Path(source).suffix and not Path(source).is_absolute():
-                changes[key] = {"source": str((folder / source).resolve())}
+        for table, key in (("target", "source"), ("field", "source"), ("map", "file"), ("explore", "expected")):
+            source = getattr(getattr(self, table), key)
+            if source and Path(source).suffix and not Path(source).is_absolute():
+                changes[table] = {key: str((folder / source).resolve())}
         return self.replace(**changes) if changes else self
 
 
