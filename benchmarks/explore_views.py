@@ -1,7 +1,7 @@
 """How many views open the way to goals near an unknown target: the choice of views alone, without flight dynamics.
 
 Usage: python benchmarks/explore_views.py [--targets NAME ...] [--views N] [--sure-empty METRES ...] [--goals N]
-           [--towards N] [--seed N] [--json FILE]
+           [--towards N] [--fly-around] [--keep METRES] [--seed N] [--json FILE]
 
 The camera jumps to each place that `keepout.exploring` chooses in known-free room, takes an image of the exact mesh
 with random errors, and the map grows. Goals are drawn evenly over the surface, 1 m from it along its normal and from
@@ -26,7 +26,7 @@ import trimesh
 
 from keepout.exploring.next_view import Ended, NextView, Pace, choose
 from keepout.exploring.reachable import reachable
-from keepout.exploring.sight import UP
+from keepout.exploring.sight import UP, sphere
 from keepout.exploring.tried import Tried
 from keepout.geometry import Target
 from keepout.geometry.distance import ExactDistance
@@ -163,6 +163,25 @@ def all_round(run: Jumping, goals: np.ndarray, views: int) -> dict:
     }
 
 
+def fly_around(run: Jumping, goals: np.ndarray, views: int) -> dict:
+    """Look at the middle from places spread evenly over a sphere outside the declared ball: what choosing is for."""
+    shares = {}
+    for taken, outward in enumerate(sphere(views), start=1):
+        run.position, run.direction = (run.radius + 1.0) * outward, -outward
+        run.look()
+        if taken in COUNTED or taken == views:
+            shares[str(taken)] = run.connected(goals)
+    return {
+        "mode": "fly around",
+        "views": views,
+        "connected": shares,
+        "free_share": run.free_share(),
+        "choice_seconds": 0.0,
+        "outcome": None,
+        "why": "",
+    }
+
+
 def towards(runs: Iterable[Jumping], goals: np.ndarray, views: int) -> dict:
     """Explore towards each goal from the start."""
     needed, ends, seconds = [], [], 0.0
@@ -195,6 +214,7 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--sure-empty", nargs="+", type=float, default=[15.0, 0.0])
     parser.add_argument("--goals", type=int, default=200)
     parser.add_argument("--towards", type=int, default=0, help="goals explored towards, one exploration each")
+    parser.add_argument("--fly-around", action="store_true", help="the same for views that nobody chooses")
     parser.add_argument("--keep", type=float, default=RADIUS, help="least distance of the chaser's centre, m")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", type=Path)
@@ -207,6 +227,8 @@ def main(arguments: list[str]) -> int:
             jump = lambda seed, mesh=mesh, name=name, camera=camera: Jumping(mesh, name, camera, given.keep, seed)  # noqa: E731
             goals = goals_near(mesh, max(given.goals, given.towards), given.seed + 1)
             results = [all_round(jump(given.seed), goals[: given.goals], given.views)]
+            if given.fly_around:
+                results.append(fly_around(jump(given.seed), goals[: given.goals], given.views))
             if given.towards:
                 runs = (jump(given.seed + i) for i in range(given.towards))
                 results.append(towards(runs, goals[: given.towards], given.views))
@@ -215,7 +237,7 @@ def main(arguments: list[str]) -> int:
                 rows.append(row)
                 shares = "  ".join(f"{count}: {100 * share:5.1f} %" for count, share in row["connected"].items())
                 print(
-                    f"{name:12} s = {empty:4.1f} m  {row['mode']:9}  {shares}  {row['choice_seconds']:.2f} s a choice"
+                    f"{name:12} s = {empty:4.1f} m  {row['mode']:10}  {shares}  {row['choice_seconds']:.2f} s a choice"
                 )
                 for text in row.get("not_reached", [row.get("why", "")]):
                     if text:

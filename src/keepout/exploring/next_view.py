@@ -13,15 +13,15 @@ from keepout.exploring.cells import CLOSE, EXPLAINED, FREE, NEARBY, SURFACE, UNK
 from keepout.exploring.frontier import Frontier, frontier
 from keepout.exploring.reachable import Reachable, reachable
 from keepout.exploring.sight import UP, inside, panoramas, sphere
-from keepout.exploring.tried import GIVEN_UP, SAME_DIRECTION, SAME_PLACE, Tried
+from keepout.exploring.tried import MOST_PATIENCE, PATIENCE, SAME_DIRECTION, SAME_PLACE, Tried
 from keepout.exploring.way import HopedWay, hoped_way
 from keepout.mapping.known_free import KnownFreeMap
 from keepout.mapping.view import Pinhole
 from keepout.sensing.depth.pointing import axes_towards
 
 _RAYS, _DIRECTIONS, _DRAWN, _PLACES = 2000, 192, 4000, 256
-_BORDER = 0.05
-"""What is seen nearer to the image's edge than this (rad) is not counted on: windows must lie wholly inside."""
+_BINS = (0.6, 1.0, 1.6, 2.6, 4.5)
+"""Metres at which bins of range begin: the nearer, the farther from the image's edge a window must be to lie inside."""
 _RANGES = (1.5, 3.0, 5.0, 8.0)
 """Metres from a frontier along its normal at which a view is considered; and between shells round what is wanted."""
 _REFINED, _AROUND = 6, 10
@@ -118,8 +118,8 @@ def choose(
         if surface < keep:
             why = f"the goal {_said(goal)} is at most {surface:.2f} m from the seen surface, less than {keep:.2f} m"
             return Ended("no way known", why, cells.place(np.argwhere(cells.kinds == SURFACE)))
-        way = hoped_way(reach, cells, tried.failures, position, goal)
-        wanted = np.argwhere((way.stages > 0) & (tried.failures < GIVEN_UP))
+        way = hoped_way(reach, cells, tried, position, goal)
+        wanted = np.argwhere((way.stages > 0) & (tried.failures < tried.patience))
         if len(wanted):
             stage = way.stages[tuple(wanted.T)]
             first = cells.place(wanted[stage == stage.min()])
@@ -170,10 +170,12 @@ class _Search:
         self.generator = np.random.default_rng(seed)
         self.rays = sphere(_RAYS)
         self.directions = sphere(_DIRECTIONS)
-        self.images = _images(camera)
         bounds = known.bounds
         half = 0.5 * math.sqrt(3.0) * known.spacing + bounds.position_error
-        self.nearest, self.farthest = bounds.least_range + half, bounds.usable_range(camera) - half
+        self.bins = np.maximum(_BINS, bounds.least_range + half)
+        self.nearest, self.farthest = self.bins[0], bounds.usable_range(camera) - half
+        window = half + bounds.surely_returned_width + known.spacing
+        self.images = _images(camera, tuple(window / self.bins + bounds.attitude_error))
         self.empty = bounds.sure_empty_range - half - bounds.surely_returned_width
 
     def best(
@@ -233,11 +235,11 @@ class _Search:
             _PASSES,
             (self.reach.place(nodes) - self.cells.origin) / edge,
             self.rays,
-            nearest=self.nearest / edge,
+            bins=self.bins / edge,
             farthest=self.farthest / edge,
             empty=self.empty / edge,
         )
-        return (rays @ self.images.T) * np.float32(edge**3)
+        return np.matmul(rays, self.images).sum(axis=0) * np.float32(edge**3)
 
     def _rates(self, nodes, gains) -> Float[np.ndarray, "n d"]:
         """Gain per second of flying, turning and settling; 0 for what was tried."""
@@ -255,20 +257,21 @@ class _Search:
 
 
 @functools.lru_cache(maxsize=4)
-def _images(camera: Pinhole) -> Float32[np.ndarray, "d m"]:
-    """Which rays of the sphere lie in the image along each direction, 1 or 0."""
+def _images(camera: Pinhole, borders: tuple[float, ...]) -> Float32[np.ndarray, "b m d"]:
+    """Which rays of the sphere lie in the image along each direction, for borders of several widths (rad): 1 or 0."""
     axes = np.stack([axes_towards(direction, UP) for direction in sphere(_DIRECTIONS)])
-    return inside(camera, axes, sphere(_RAYS), _BORDER).astype(np.float32)
+    return np.stack([inside(camera, axes, sphere(_RAYS), border).T.astype(np.float32) for border in borders])
 
 
 _KINDS = 6
-_TRIES = GIVEN_UP + 1
+_TRIES = MOST_PATIENCE + 1
 _ENDS = 255
 
 
 def _codes(cells: Cells, tried: Tried, stages: UInt8[np.ndarray, "nx ny nz"]) -> UInt8[np.ndarray, "nx ny nz"]:
     """Give each cell a number for look-up: kind, stage of the way that it blocks, and how often it was tried."""
-    codes = 1 + ((cells.kinds + np.uint8(_KINDS) * stages) * np.uint8(_TRIES) + np.minimum(tried.failures, GIVEN_UP))
+    failures = np.where(tried.failures >= tried.patience, MOST_PATIENCE, tried.failures).astype(np.uint8)
+    codes = 1 + ((cells.kinds + np.uint8(_KINDS) * stages) * np.uint8(_TRIES) + failures)
     codes[cells.kinds == SURFACE] = _ENDS
     codes[cells.kinds == FREE] = 0
     return codes
@@ -284,12 +287,18 @@ def _table(value) -> Float32[np.ndarray, "256"]:
     return table
 
 
-_PASSES = _table(lambda kind, stage, tries: (0.3 if kind == EXPLAINED else 0.97) * (1.0, 0.7, 0.4, 0.2)[tries])
+def _passing(kind: int, stage: int, tries: int) -> float:
+    if tries == MOST_PATIENCE:
+        return -1.0
+    return (0.3 if kind == EXPLAINED else 0.97) * (1.0, 0.7, 0.4, 0.2)[min(tries, PATIENCE)]
+
+
+_PASSES = _table(_passing)
 """Confidence left after a cell, by code."""
 
 
 def _still_hoped(tries: int) -> float:
-    return 0.0 if tries >= GIVEN_UP else 0.4**tries
+    return 0.0 if tries == MOST_PATIENCE else 0.4 ** min(tries, PATIENCE)
 
 
 _ALL_ROUND = _table(
@@ -318,10 +327,10 @@ def _said(place: Float[np.ndarray, "3"]) -> str:
 def _left(edge: Frontier, tried: Tried) -> str:
     if len(edge.cells) == 0:
         return "no frontier is left"
-    given_up = int(np.sum(tried.failures[tuple(edge.cells.T)] >= GIVEN_UP))
+    given_up = int(np.sum(tried.failures[tuple(edge.cells.T)] >= tried.patience))
     return (
         f"{len(edge.cells)} frontier cells are left in {len(edge.sizes)} places: {given_up} stayed closed in "
-        f"{GIVEN_UP} views, and no view from reachable room is expected to open the others"
+        f"{tried.patience} views, and no view from reachable room is expected to open the others"
     )
 
 
@@ -331,10 +340,10 @@ def _blocked(way: HopedWay, cells: Cells, tried: Tried, goal: Float[np.ndarray, 
     index = way.stages > 0
     count = int(index.sum())
     surface = int(np.sum(index & (cells.kinds == EXPLAINED)))
-    given_up = int(np.sum(index & (cells.kinds != EXPLAINED) & (tried.failures >= GIVEN_UP)))
+    given_up = int(np.sum(index & (cells.kinds != EXPLAINED) & (tried.failures >= tried.patience)))
     return (
         f"the way to {_said(goal)} is blocked from {_said(first)} on by {count} cells "
         f"({count * cells.edge**3:.2f} m³) that no view opened: {surface} lie within 0.35 m of the seen surface, "
-        f"{given_up} stayed closed in {GIVEN_UP} views, {count - surface - given_up} cannot be looked at from "
+        f"{given_up} stayed closed in {tried.patience} views, {count - surface - given_up} cannot be looked at from "
         "reachable room"
     )

@@ -38,7 +38,7 @@ class Reachable:
         """Nodes that a way leads to."""
         return self.tenths != FAR
 
-    def place(self, nodes: Int[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    def place(self, nodes: Int[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
         """Places of nodes, m."""
         return self.origin + self.spacing * np.asarray(nodes)
 

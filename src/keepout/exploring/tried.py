@@ -11,8 +11,7 @@ from keepout.exploring.sight import first_closed
 from keepout.mapping.known_free import KnownFreeMap
 from keepout.mapping.view import Pinhole, View
 
-GIVEN_UP = 3
-"""Views that looked at a cell and left it closed, after which nothing more is hoped of it."""
+PATIENCE, MOST_PATIENCE = 3, 7
 SAME_PLACE, SAME_DIRECTION = 0.3, math.cos(math.radians(10.0))
 """Metres, and cosine of an angle, within which two views count as one."""
 _RAYS = (48, 64)
@@ -22,6 +21,8 @@ _RAYS = (48, 64)
 class Tried:
     """Memory of the views taken so far; it grows by `note` after each."""
 
+    patience: int
+    """Failures after which nothing more is hoped of a cell."""
     failures: UInt8[np.ndarray, "nx ny nz"]
     """For every cell, views from different directions that looked at it through free room and left it closed."""
     positions: list[Float[np.ndarray, "3"]] = field(default_factory=list)
@@ -29,8 +30,12 @@ class Tried:
 
     @classmethod
     def nothing(cls, known: KnownFreeMap) -> "Tried":
-        """Begin with no view."""
-        return cls(np.zeros(tuple((n + ACROSS - 1) // ACROSS for n in known.free.shape), dtype=np.uint8))
+        """Begin with no view.
+
+        Where no return says nothing, a cell opens only in front of a surface, so more directions are worth trying.
+        """
+        patience = PATIENCE if known.bounds.sure_empty_range > 0.0 else MOST_PATIENCE
+        return cls(patience, np.zeros(tuple((n + ACROSS - 1) // ACROSS for n in known.free.shape), dtype=np.uint8))
 
     @classmethod
     def of_map(cls, known: KnownFreeMap, camera: Pinhole) -> "Tried":

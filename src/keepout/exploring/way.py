@@ -11,7 +11,7 @@ from jaxtyping import Float, UInt8
 from keepout.exploring.cells import SURFACE, Cells
 from keepout.exploring.lattice import TENTHS, nodes_near, shortest, walk_back
 from keepout.exploring.reachable import Reachable
-from keepout.exploring.tried import GIVEN_UP
+from keepout.exploring.tried import Tried
 
 _UNKNOWN_PRICE, _GIVEN_UP_PRICE, _SURFACE_PRICE = 3, 12, 40
 _STAGES = (1.5, 4.0)
@@ -33,15 +33,15 @@ class HopedWay:
 def hoped_way(
     reach: Reachable,
     cells: Cells,
-    failures: UInt8[np.ndarray, "nx ny nz"],
+    tried: Tried,
     position: Float[np.ndarray, "3"],
     goal: Float[np.ndarray, "3"],
 ) -> HopedWay:
-    """Find the hoped way over the lattice of `reach`; `failures` of `Tried` make what stayed closed dear."""
+    """Find the hoped way over the lattice of `reach`; what was given up is dear."""
     price = np.where(reach.room, 1, _UNKNOWN_PRICE).astype(np.uint8)
     scale = cells.edge / reach.spacing
     radius = reach.keep / reach.spacing
-    given_up = np.argwhere((failures >= GIVEN_UP) & (cells.kinds > SURFACE))
+    given_up = np.argwhere((tried.failures >= tried.patience) & (cells.kinds > SURFACE))
     _raise_price(price, (given_up + 0.5) * scale, radius, _GIVEN_UP_PRICE)
     _raise_price(price, (np.argwhere(cells.kinds == SURFACE) + 0.5) * scale, radius, _SURFACE_PRICE)
     last = np.array(price.shape) - 1
