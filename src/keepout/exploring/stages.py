@@ -68,7 +68,7 @@ def _blocks(free: Bool[np.ndarray, "n n n"], width: int) -> Bool[np.ndarray, "m 
     """Give the blocks, `width` cubes wide, of which every cube is free; beyond the map all is free."""
     across = -(-len(free) // width)
     padded = np.pad(free, (0, across * width - len(free)), constant_values=True)
-    return padded.reshape(across, width, across, width, across, width).all(axis=(1, 3, 5))
+    return np.asarray(padded.reshape(across, width, across, width, across, width).all(axis=(1, 3, 5)))
 
 
 def skin_spacing(known: KnownFreeMap) -> float:
