@@ -13,24 +13,16 @@ from jaxtyping import Bool, Float, Float32, UInt8
 
 from keepout.mapping.view import Pinhole
 
+UP = np.array([0.0, 0.0, 1.0])
+"""What the camera holds up in the image, in the map's frame."""
+
 
 def sphere(count: int) -> Float[np.ndarray, "count 3"]:
-    """Unit vectors spread evenly over the sphere, on a Fibonacci spiral."""
+    """Spread unit vectors evenly over the sphere, on a Fibonacci spiral."""
     height = 1.0 - (2.0 * np.arange(count) + 1.0) / count
     angle = math.pi * (3.0 - math.sqrt(5.0)) * np.arange(count)
     around = np.sqrt(1.0 - height**2)
     return np.stack([around * np.cos(angle), around * np.sin(angle), height], axis=1)
-
-
-def axes_towards(directions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3 3"]:
-    """Camera axes (columns x right, y down, z along each unit direction) with the map's z axis upwards in the image.
-
-    Along the map's z axis, its x axis takes that place.
-    """
-    up = np.where(np.abs(directions[:, 2:]) > 0.999, [1.0, 0.0, 0.0], [0.0, 0.0, 1.0])
-    right = np.cross(directions, up)
-    right /= np.linalg.norm(right, axis=1, keepdims=True)
-    return np.stack([right, np.cross(directions, right), directions], axis=2)
 
 
 def inside(

@@ -6,10 +6,10 @@ from typing import no_type_check
 
 import numba
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, UInt8
 
-from keepout.exploring.cells import EXPLAINED, SURFACE, Cells
-from keepout.exploring.lattice import FAR, TENTHS, nodes_near, shortest, walk_back
+from keepout.exploring.cells import SURFACE, Cells
+from keepout.exploring.lattice import TENTHS, nodes_near, shortest, walk_back
 from keepout.exploring.reachable import Reachable
 from keepout.exploring.tried import GIVEN_UP
 
@@ -69,7 +69,7 @@ def _raise_price(price, centres, radius, value):
     """Give nodes that are not open and lie within `radius` of a centre at least the price `value`."""
     reach = int(np.ceil(radius))
     for c in range(centres.shape[0]):
-        a, b, d = int(round(centres[c, 0])), int(round(centres[c, 1])), int(round(centres[c, 2]))
+        a, b, d = round(centres[c, 0]), round(centres[c, 1]), round(centres[c, 2])
         for i in range(max(a - reach, 0), min(a + reach + 1, price.shape[0])):
             for j in range(max(b - reach, 0), min(b + reach + 1, price.shape[1])):
                 for k in range(max(d - reach, 0), min(d + reach + 1, price.shape[2])):
