@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 from keepout.mapping.view import Pinhole
 from keepout.replay.body import fewer
 from keepout.replay.packing import Packing
+from keepout.sensing.depth.pointing import axes_towards
 
 if TYPE_CHECKING:
     from keepout.exploring.exploration import Exploration
@@ -109,6 +110,4 @@ def _side(edge: float, skin: tuple[np.ndarray, np.ndarray]) -> float:
 
 def _axes(directions: Float[np.ndarray, "views 3"]) -> Float[np.ndarray, "views 3 3"]:
     """Give the camera's axes x, y, z as rows, with the map's z axis upwards in the image, as the views were taken."""
-    from keepout.exploring.sight import axes_towards
-
-    return axes_towards(directions).transpose(0, 2, 1) if len(directions) else np.zeros((0, 3, 3))
+    return np.array([axes_towards(direction, np.eye(3)[2]).T for direction in directions]).reshape(-1, 3, 3)
