@@ -136,7 +136,7 @@ class _Explorer:
         ticks = round(scenario.depth_sensor.period / scenario.control.period)
         start = np.asarray(self.initial.position)
         setup = by_map.setup_by_map(scenario, self.field, self.ball, self._law(start, start), self.guard)
-        self.keep = float(setup.controller.velocity.offset) + _OF_LATTICE * self.known.spacing
+        self.keep = by_map.kept_by_law(scenario, self.field, self.guard) + _OF_LATTICE * self.known.spacing
         state = segment.begin(setup, self.initial, jax.random.key(scenario.seed))
         flown = 0
         while True:

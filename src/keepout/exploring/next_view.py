@@ -3,6 +3,7 @@
 import functools
 import math
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, Float32, Int, UInt8
@@ -53,12 +54,14 @@ class NextView:
     is_goal: bool = False
 
 
+Ending = Literal["reached goal", "everything reachable seen", "no way known", "out of time", "out of views"]
+
+
 @dataclass(frozen=True, eq=False)
 class Ended:
-    """There is no view worth taking."""
+    """There is nothing more to fly for; of `choose`: no view worth taking."""
 
-    outcome: str
-    """`everything reachable seen` or `no way known`."""
+    outcome: Ending
     why: str
     unknown: Float[np.ndarray, "n 3"]
     """Centres (m) of the cells that are in the way, or of all frontier cells left, for a picture."""

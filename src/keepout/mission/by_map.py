@@ -88,6 +88,14 @@ def room_for_guard(scenario: Scenario, guard: Guard) -> dict[str, float]:
     return {"nominal_offset": max(own, asked - scenario.safety.margin)}
 
 
+def kept_by_law(scenario: Scenario, field: MapField, guard: Guard | None) -> float:
+    """Give the field's value, m, below which the law of `law_by_map` does not lead."""
+    own = least_offset(scenario.chaser.speed_limit, scenario.control.period)
+    room = {"nominal_offset": own} if guard is None else room_for_guard(scenario, guard)
+    radius = scenario.chaser.radius
+    return field.error_bound(radius) + radius + scenario.safety.margin + room["nominal_offset"]
+
+
 def law_by_map(
     scenario: Scenario,
     field: MapField,
@@ -132,8 +140,7 @@ def law_by_map(
     )
     bound = field.error_bound(scenario.chaser.radius)
     chosen = {} if guard is None else room_for_guard(scenario, guard)
-    own = least_offset(scenario.chaser.speed_limit, scenario.control.period)
-    offset = bound + scenario.chaser.radius + scenario.safety.margin + chosen.get("nominal_offset", own)
+    offset = kept_by_law(scenario, field, guard)
     _require_cap(field, offset, "the law leads")
     grid = grid_of_nodes(
         np.asarray(field.squares), np.asarray(field.origin), float(field.spacing), offset, room=room, every=every

@@ -15,6 +15,8 @@ from keepout.sensing.depth.pointing import axes_towards
 if TYPE_CHECKING:
     from keepout.exploring.exploration import Exploration
 
+_UP = np.array([0.0, 0.0, 1.0])
+"""In the image, as the views were taken."""
 MOST_TRIANGLES = 16_000
 """Of a skin as it is drawn: eight of them leave the page below 4 MB."""
 
@@ -110,4 +112,4 @@ def _side(edge: float, skin: tuple[np.ndarray, np.ndarray]) -> float:
 
 def _axes(directions: Float[np.ndarray, "views 3"]) -> Float[np.ndarray, "views 3 3"]:
     """Give the camera's axes x, y, z as rows, with the map's z axis upwards in the image, as the views were taken."""
-    return np.array([axes_towards(direction, np.eye(3)[2]).T for direction in directions]).reshape(-1, 3, 3)
+    return np.array([axes_towards(one, _UP).T for one in directions]).reshape(-1, 3, 3)
