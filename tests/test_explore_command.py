@@ -22,7 +22,7 @@ source = "box"
 [map]
 radius = 3.0
 spacing = 0.25
-cap = 1.5
+cap = 2.0
 [depth_sensor]
 width = 64
 height = 48
@@ -110,7 +110,7 @@ REFUSALS = {
     "latency": (("[depth_sensor]", "[depth_sensor]\nlatency = 0.3"), "depth_sensor.latency: 0.3 s"),
     "range": (("surely_returned_width = 0.12", "surely_returned_width = 0.01"), "depth_sensor.surely_returned_width"),
     "field": (("[map]", '[field]\nsource = "other.keepout"\n[map]'), "field.source"),
-    "cap": (("cap = 1.5", "cap = 0.5"), "map.cap: 0.5 m"),
+    "cap": (("cap = 2.0", "cap = 0.5"), "map.cap: 0.5 m"),
     "no such map": (("[map]", '[map]\nfile = "absent.keepmap"'), "absent.keepmap"),
     "ranges": (("[depth_sensor]", "[depth_sensor]\nleast_range = 20.0"), "least_range 20.0 m"),
     "no expected mesh": (('expected = "box"', 'expected = "absent.stl"'), "absent.stl"),

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from keepout.exploring.cells import ACROSS
 from keepout.exploring.exploration import Exploration
 from keepout.exploring.reachable import reachable
 from keepout.geometry.first_hit import FirstHit
@@ -135,11 +136,15 @@ def draw_progress(path: Path, exploration: Exploration) -> None:
 
 
 def draw_unknown(path: Path, exploration: Exploration) -> None:
-    """Draw what was in the way at the end: three planes through the goal, and all of it from one side, into one PNG."""
+    """Draw the unknown cells that mattered at the end into one PNG: in the way to the goal, or left at the rim.
+
+    Three planes through the goal, or through the middle of those cells; and all of them from one side.
+    """
     known, target = exploration.map, exploration.target
     goal, unknown = np.asarray(exploration.scenario.goal.position), exploration.unknown
     through = goal if exploration.scenario.explore.towards == "goal" else np.median(unknown, axis=0)
-    reach = reachable(known, exploration.record.position[-1], exploration.keep)
+    end = exploration.record.position[-1:]
+    reach = reachable(known, end[0], exploration.keep)
     with figure(path, width=11.0, height=9.6) as drawing:
         shown: set[int] = set()
         for place, axis in enumerate(_PLANES, start=1):
@@ -152,11 +157,13 @@ def draw_unknown(path: Path, exploration: Exploration) -> None:
             in_way = _cubes_at(exploration, unknown, centres)
             kinds[in_way & np.isin(kinds, (UNKNOWN, SURFACE))] = BLOCKING
             shown |= set(np.unique(kinds).tolist())
-            paint_slice(axes, known, kinds, axis, level, target=target, path=exploration.record.position)
+            paint_slice(axes, known, kinds, axis, level, target=target, path=end, outside=WAY)
             _goal(axes, exploration, axis)
         _in_the_way(drawing.add_subplot(2, 2, 4), exploration)
-        drawing.suptitle(f"{len(unknown)} unknown cells are in the way", fontsize=10)
-        _legend(drawing, shown | {BLOCKING}, exploration)
+        edge = ACROSS * known.spacing
+        where = "in the way to the goal" if exploration.outcome == "no way known" else "left at the rim of free room"
+        drawing.suptitle(f"{len(unknown)} unknown cells of {edge:g} m are {where}", fontsize=10)
+        _legend(drawing, shown | {BLOCKING}, exploration, path="the chaser at the end")
 
 
 def draw_departures(path: Path, exploration: Exploration) -> None:
@@ -195,8 +202,8 @@ def draw_departures(path: Path, exploration: Exploration) -> None:
 def _cubes_at(
     exploration: Exploration, cells: Float[np.ndarray, "m 3"], centres: Float[np.ndarray, "n n 3"]
 ) -> np.ndarray:
-    """Say which cubes of a slice lie in cells (of two cubes across) with these centres."""
-    edge = 2.0 * exploration.map.spacing
+    """Say which cubes of a slice lie in cells (`ACROSS` cubes wide) with these centres."""
+    edge = ACROSS * exploration.map.spacing
     keys = {tuple(key) for key in np.floor((cells - exploration.map.origin) / edge).astype(int).tolist()}
     asked = np.floor((centres - exploration.map.origin) / edge).astype(int).reshape(-1, 3).tolist()
     return np.array([tuple(key) in keys for key in asked], dtype=bool).reshape(centres.shape[:2])
@@ -248,10 +255,10 @@ def _goal(axes: Axes, exploration: Exploration, axis: int) -> None:
         axes.plot(goal[across], goal[up], "*", color="black", markersize=9)
 
 
-def _legend(drawing: Figure, shown: set[int], exploration: Exploration) -> None:
+def _legend(drawing: Figure, shown: set[int], exploration: Exploration, *, path: str = "path, projected") -> None:
     lines = [
         Line2D([], [], color="black", linewidth=0.8, label="true mesh, cut"),
-        Line2D([], [], color="#0072B2", marker="o", markersize=4, linewidth=1.0, label="path, projected"),
+        Line2D([], [], color="#0072B2", marker="o", markersize=4, linewidth=1.0, label=path),
         Line2D([], [], color="grey", linestyle=":", label="declared ball"),
     ]
     if exploration.scenario.explore.towards == "goal":
