@@ -19,6 +19,10 @@ export async function read() {
     for (const name of ["vertices", "normals", "faces"]) surface[name] = array(surface[name]);
   for (const flight of scene.flights)
     for (const [name, reference] of Object.entries(flight.arrays)) flight[name] = array(reference);
+  for (const { growth } of scene.flights.filter((flight) => flight.growth)) {
+    for (const stage of growth.stages) for (const name of ["vertices", "faces"]) stage[name] = array(stage[name]);
+    for (const [name, reference] of Object.entries(growth.views)) growth.views[name] = array(reference);
+  }
   return scene;
 }
 

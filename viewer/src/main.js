@@ -2,8 +2,9 @@
 import { Box3, Group, Mesh, MeshBasicMaterial, OctahedronGeometry, Quaternion, Scene, SphereGeometry, Vector3, WebGLRenderer } from "three";
 import { Arrow, Closest } from "./arrows.js";
 import { Eye } from "./cameras.js";
-import { CLOSEST, ENVELOPE, FLIGHTS, GOAL, GUARD, SAFE_VELOCITY, Scale, START, SUN, THRUST, ramp } from "./colours.js";
+import { CLOSEST, ENVELOPE, FLIGHTS, GOAL, GUARD, MAP, SAFE_VELOCITY, Scale, START, SUN, THRUST, VIEW, ramp } from "./colours.js";
 import { read } from "./data.js";
+import { Growth } from "./growth.js";
 import { choice, element, metres, panels, toggle } from "./layout.js";
 import { Flight } from "./paths.js";
 import { Plots } from "./plots.js";
@@ -16,7 +17,7 @@ const CAMERAS = { free: ["free", "Drag to turn, wheel to zoom (1)"], chaser: ["c
 const AXES = { body: ["x", "y", "z"], vvlh: ["x velocity", "y", "z nadir"], inertial: ["x", "y", "z pole"] };
 const TRIAD = ["#ff8a8a", "#8fe388", "#86b6ff"];
 const REST = 400; // ms
-const KEYS = "space: play or pause · ← →: a step (with shift: ten) · [ ]: marks · Home, End · − +: speed · 1 2 3: camera · B V I: frame · E: envelope · G: guard's level · R: view from the start · F: next flight";
+const KEYS = "space: play or pause · ← →: a step (with shift: ten) · [ ]: marks · Home, End · − +: speed · 1 2 3: camera · B V I: frame · E: envelope · G: guard's level · M: map · C: views · R: view from the start · F: next flight";
 const VERDICTS = { no: "No contact, proved", yes: "Contact", undecided: "Contact not excluded" };
 
 class Replay {
@@ -71,9 +72,13 @@ class Replay {
     this.place = new Mesh(new SphereGeometry(1, 32, 16), shell(GOAL, 0.06, 0.6));
     this.begin = new Mesh(new SphereGeometry(span / 170, 16, 12), new MeshBasicMaterial({ color: START }));
     this.turning.add(this.body, ...this.surfaces, this.thrust, this.velocity, this.closest, this.sun, this.goal, this.place);
+    for (const flight of this.flights) if (flight.growth) {
+      flight.grown = new Growth(flight.growth, span);
+      this.turning.add(flight.grown.map, flight.grown.views);
+    }
     this.scene.add(this.turning, this.begin, ...this.flights.map((flight) => flight.group));
     this.parts.labels.append(...["goal", "start"].map((name) => element("span", { class: name }, name)), element("i"));
-    this.show = { target: true, envelope: this.surfaces.some((_, k) => this.told.surfaces[k].kind === "envelope"), guard: false, path: true, chaser: true, thrust: true, velocity: true, closest: true, ends: true, sun: true };
+    this.show = { target: true, envelope: this.surfaces.some((_, k) => this.told.surfaces[k].kind === "envelope"), guard: false, path: true, chaser: true, thrust: true, velocity: true, closest: true, ends: true, sun: true, map: true, views: true };
   }
 
   controls(scale) {
@@ -85,6 +90,10 @@ class Replay {
       target: toggle("target", "target", "#c4c9d2", true, change("target")),
       ...(has("envelope") && { envelope: toggle("envelope", "certified envelope", ENVELOPE, true, change("envelope"), `Of the learned field: ${level(one("envelope"))} (E)`) }),
       ...(has("guard") && { guard: toggle("guard", "guard's level", GUARD, false, change("guard"), `Of the guard's own field: ${level(one("guard"))} (G)`) }),
+      ...(this.flights.some((of) => of.grown) && {
+        map: toggle("map", "not known free", MAP, true, change("map"), "The skin of the map at this time: what is inside it was not seen free, and is an obstacle (M)"),
+        views: toggle("views", "views", VIEW, true, change("views"), "What the camera looked at: the last view as far as it is used, those before it small (C)"),
+      }),
       path: toggle("path", "path", "linear-gradient(90deg,#f0f921,#e16462,#5566d8)", true, change("path")),
       chaser: toggle("chaser", "chaser and its ball", "#ffffff", true, change("chaser")),
       thrust: toggle("thrust", "thrust", THRUST, true, change("thrust")),
@@ -134,7 +143,7 @@ class Replay {
     this.parts.verdict.textContent = VERDICTS[flight.contact] + proved;
     this.parts.verdict.title = flight.remarks.join("\n");
     this.parts.verdict.dataset.contact = flight.contact;
-    this.parts.note.textContent = [this.told.target.remark, flight.remark].filter(Boolean).join(" "); // what the drawing leaves out
+    this.parts.note.textContent = [this.told.target.remark, flight.remark, flight.growth?.remark].filter(Boolean).join(" "); // what the drawing leaves out
     this.goal.position.set(...flight.goal);
     this.place.position.set(...flight.goal);
     this.place.scale.setScalar(Math.max(flight.radius, 1e-6));
@@ -163,6 +172,9 @@ class Replay {
       const at = new Vector3().fromArray(flight.places, 3 * row);
       return at.setComponent(axis, at.getComponent(axis) + sign * flight.radius);
     }))));
+    // So is what is not known free at the start.
+    const unknown = this.flights.flatMap(({ grown, growth }) => (grown ? every(growth.stages[0].vertices, 200) : []));
+    ends.push(...unknown.map((point) => point.applyQuaternion(this.flight.attitude)));
     this.eye.frame(body, ends, this.flights.flatMap((flight) => every(flight.places, 60)), this.up());
   }
 
@@ -245,6 +257,11 @@ class Replay {
     }
     this.body.visible = show.target;
     this.surfaces.forEach((mesh, k) => { mesh.visible = flight.surfaces.includes(k) && show[this.told.surfaces[k].kind]; });
+    for (const { grown } of this.flights) if (grown) {
+      grown.move(time);
+      grown.map.visible = show.map && grown === flight.grown;
+      grown.views.visible = show.views && grown === flight.grown;
+    }
     const [x, y, z] = flight.places;
     this.begin.position.set(x, y, z);
     this.goal.visible = this.place.visible = show.ends && this.eye.mode !== "goal";
@@ -299,6 +316,7 @@ class Replay {
     const now = flight.marks.filter((mark) => ["guard", "flag", "law"].includes(mark.kind) && mark.start <= this.transport.time && this.transport.time < mark.end);
     const spoken = [...new Set(now.map((mark) => mark.words))];
     if (spoken.length === 0) spoken.push(flight.guarded ? (flight.guard[row] === 0 ? "guard: command passed on" : "guard") : "no guard");
+    if (flight.grown) spoken.push(flight.grown.words());
     return spoken.join(" · ");
   }
 
@@ -327,6 +345,8 @@ class Replay {
       i: () => this.inFrame("inertial"),
       e: () => flip("envelope"),
       g: () => flip("guard"),
+      m: () => flip("map"),
+      c: () => flip("views"),
       r: () => { this.from("free"); this.look(); this.touch(); },
       f: () => this.choose(this.flights[(this.flights.indexOf(this.flight) + 1) % this.flights.length]),
     }[event.key.length === 1 ? event.key.toLowerCase() : event.key];
@@ -352,6 +372,7 @@ class Replay {
       shown: Object.fromEntries(Object.keys(this.show).map((name) => [name, this.show[name]])),
       surfaces: this.surfaces.map((mesh) => mesh.visible),
       flights: this.flights.filter((of) => of.shown).map((of) => of.name),
+      growth: flight.grown && { stage: flight.grown.stage, view: flight.grown.view },
       marks: flight.marks,
       frames: this.frames,
       calls: this.renderer.info.render.calls,

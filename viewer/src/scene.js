@@ -64,7 +64,7 @@ function corners(target) {
   return geometry;
 }
 
-function indexed(vertices, faces) {
+export function indexed(vertices, faces) {
   const geometry = new BufferGeometry();
   geometry.setAttribute("position", new BufferAttribute(vertices, 3));
   geometry.setIndex(new BufferAttribute(faces, 1));

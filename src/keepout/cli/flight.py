@@ -1,4 +1,4 @@
-"""Commands on single flights: fly, replay."""
+"""Commands on single flights: fly, explore, replay."""
 
 from pathlib import Path
 from typing import Annotated
@@ -30,6 +30,33 @@ def fly(
     answer(summary, as_json)
     if not as_json:
         Console().print(terminal.flights_table([summary]))
+        Console().print(f"written to [bold]{out}[/bold]")
+
+
+@app.command(epilog=example("keepout explore examples/explore.toml -o out/explore"))
+def explore(
+    scenario: Annotated[
+        Path, typer.Argument(help="A scenario file (TOML) with [map], and [depth_sensor] and [explore] as needed.")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for map, flight file, pictures and page.")] = Path(
+        "out"
+    ),
+    figures: Annotated[bool, typer.Option(help="Draw pictures and the page.")] = True,
+    seed: ScenarioSeed = None,
+    as_json: AsJson = False,
+) -> None:
+    """Fly round a target that nobody has a model of: map what is seen free, approach in it, audit on the true mesh."""
+    from keepout.commands.explore import explore_to_folder
+    from keepout.mission.scenario import Scenario
+
+    mission = Scenario.load(scenario)
+    if seed is not None:
+        mission = mission.replace(seed=seed)
+    with terminal.progress(f"explore {mission.name}") as progress:
+        summary = explore_to_folder(mission, out, figures=figures, progress=progress)
+    answer(summary, as_json)
+    if not as_json:
+        Console().print(terminal.exploration_table(summary))
         Console().print(f"written to [bold]{out}[/bold]")
 
 

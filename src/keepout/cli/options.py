@@ -9,7 +9,7 @@ import typer
 from typer.core import TyperGroup
 
 ORDER = (
-    *("targets", "fit", "certify", "inspect", "fly", "replay"),
+    *("targets", "fit", "certify", "inspect", "fly", "explore", "replay"),
     *("rare", "reproduce", "export", "audit", "scenario", "campaign"),
 )
 

@@ -14,6 +14,7 @@ UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 _DECLARED = {"micron": 1e-6, "millimeter": 0.001, "centimeter": 0.01, "meter": 1.0, "inch": 0.0254, "foot": 0.3048}
 """Metres in the units that a 3MF file can declare."""
 _POINT_SUFFIXES = (".xyz", ".npy")
+_MAP_SUFFIX = ".keepmap"
 SMALLEST, LARGEST = 0.5, 500.0
 """Metres: a target outside this range without units is questioned."""
 _LIMIT = 1e6
@@ -55,7 +56,8 @@ def read_surface(
     size = 2.0 * float((0.5 * used.max(axis=0) - 0.5 * used.min(axis=0)).max())
     if not size <= _LIMIT:
         raise MeshError(f"{path.name}: the largest extent would be {size:.4g} m; it must be at most {_LIMIT:.0e} m")
-    if units is None and scale is None and not SMALLEST <= size <= LARGEST:
+    asked = units is None and scale is None and path.suffix.lower() != _MAP_SUFFIX
+    if asked and not SMALLEST <= size <= LARGEST:
         raise MeshError(
             f"{path.name}: the largest extent would be {size:.4g} m; give units (m, cm, mm, in, ft) or "
             f"scale, whether that is right or wrong; without them {SMALLEST} to {LARGEST:.0f} m is taken"
@@ -124,6 +126,9 @@ def _read_mesh(path: Path) -> MeshContents:
 
 def _scale(path: Path, units: str | None, scale: float | None, declared: str | None) -> tuple[float, list[str]]:
     """Metres a file unit, and what to tell the user about it."""
+    if path.suffix.lower() == _MAP_SUFFIX and (units not in (None, "m") or scale is not None):
+        given = f"scale = {scale}" if units in (None, "m") else f"units = {units!r}"
+        raise MeshError(f"{path.name}: {given}; a map is in metres: leave units and scale out")
     if units is not None and scale is not None:
         raise MeshError(f"{path.name}: units = {units!r} and scale = {scale} together; give one of them")
     if scale is not None:

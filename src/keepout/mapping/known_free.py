@@ -6,6 +6,7 @@ What has not been seen free is an obstacle.
 import enum
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -126,7 +127,7 @@ class KnownFreeMap:
     @classmethod
     def begin(
         cls,
-        centre: Float[np.ndarray, "3"],
+        centre: Sequence[float] | Float[np.ndarray, "3"],
         radius: float,
         *,
         spacing: float = 0.1,
@@ -150,7 +151,7 @@ class KnownFreeMap:
             MapError: a number out of range.
 
         """
-        made = cls(np.asarray(centre), radius, spacing, cap, bounds, name, speed_limit)
+        made = cls(np.asarray(centre, dtype=np.float64), radius, spacing, cap, bounds, name, speed_limit)
         made.fill(made.free_outside_the_ball())
         return made
 
@@ -211,7 +212,7 @@ class KnownFreeMap:
 
     def distance_at_nodes(self) -> Float[np.ndarray, "m m m"]:
         """Give the distance of each cube corner to the nearest cube that is not free, m; at most `cap`."""
-        return self.spacing * np.sqrt(self.squares)
+        return self.spacing * np.sqrt(self.squares, dtype=np.float64)
 
     def is_free(self, points: Float[np.ndarray, "m 3"]) -> Bool[np.ndarray, "m"]:
         """Say of points (m) whether they lie in known-free room; outside the box everything is free."""

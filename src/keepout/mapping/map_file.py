@@ -65,8 +65,9 @@ def save(known: KnownFreeMap, path: str | Path) -> Path:
         "axes": np.array([seen.axes for seen in known.seen], dtype=np.float64).reshape(-1, 3, 3),
     }
     header = json.dumps({"version": VERSION, "fingerprint": fingerprint(known), "settings": settings(known)})
-    metadata = {"format": FORMAT, "header": header, "sha256": _digest(header, tensors)}
-    write_whole(path, safetensors.numpy.save(tensors, metadata), refusal=MapError)
+    # One entry: safetensors keeps entries in no order, and the same map is to be the same file.
+    envelope = json.dumps({"sha256": _digest(header, tensors), "header": header})
+    write_whole(path, safetensors.numpy.save(tensors, {FORMAT: envelope}), refusal=MapError)
     return path
 
 
@@ -106,13 +107,14 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     try:
         with safetensors.safe_open(path, framework="numpy") as file:
             metadata = file.metadata() or {}
-            if metadata.get("format") != FORMAT:
-                raise MapError(f"{path}: not a map file: no entry format = {FORMAT!r} in its header")
+            if FORMAT not in metadata:
+                raise MapError(f"{path}: not a map file: no entry {FORMAT!r} in its header")
             stored = {name: file.get_slice(name).get_dtype() for name in file.keys()}  # noqa: SIM118
             if stored != _TENSORS:
                 raise MapError(f"{path}: holds {sorted(stored)}; a map file holds {sorted(_TENSORS)}")
             tensors = {name: file.get_tensor(name) for name in stored}
-        text = metadata["header"]
+        envelope = json.loads(metadata[FORMAT])
+        text, checksum = envelope["header"], envelope["sha256"]
         header = json.loads(text)
     except FileNotFoundError:
         raise MapError(f"{path}: no such file; a map is a {SUFFIX} file") from None
@@ -124,7 +126,7 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     version = header.get("version") if isinstance(header, dict) else None
     if version != VERSION:
         raise MapError(f"{path}: map format version {version}; this release reads version {VERSION}")
-    if _digest(text, tensors) != metadata.get("sha256"):
+    if _digest(text, tensors) != checksum:
         raise MapError(f"{path}: its contents do not match its checksum: edited or damaged")
     return header, tensors
 

@@ -70,9 +70,13 @@ def _triple(vector: Float[np.ndarray, "3"]) -> tuple[float, float, float]:
 
 
 def empty_ranges(view: View, bounds: SensorBounds) -> Float[np.ndarray, "height width"]:
-    """Give how far each pixel says that its rays are empty, m; minus infinity where it says nothing."""
+    """Give how far each pixel says that its rays are empty, m; minus infinity where it says nothing.
+
+    Beyond the greatest range no return says nothing, whatever the sure empty range.
+    """
+    sure = min(bounds.sure_empty_range, bounds.greatest_range)
     empty = view.ranges - bounds.range_error
-    empty[np.isposinf(empty)] = bounds.sure_empty_range if bounds.sure_empty_range > 0.0 else -np.inf
+    empty[np.isposinf(empty)] = sure if sure > 0.0 else -np.inf
     empty[np.isnan(empty)] = -np.inf
     return empty
 

@@ -270,8 +270,18 @@ def guard_assumptions(scenario: Scenario, target: Target) -> GuardAssumptions:
         ScenarioError: start, goal or target reach too far for gravity to be bounded.
 
     """
+    return guard_assumptions_within(scenario, float(np.linalg.norm(target.vertices, axis=1).max()))
+
+
+def guard_assumptions_within(scenario: Scenario, extent: float) -> GuardAssumptions:
+    """Gather the same where no mesh is known: of the target, only how far it reaches from the body frame's origin, m.
+
+    Raises:
+        ScenarioError: start, goal or target reach too far for gravity to be bounded.
+
+    """
     away = {name: value for name, value in _furthest(scenario).items() if name != "campaign"}
-    away["target"] = float(np.linalg.norm(target.vertices, axis=1).max())
+    away["target"] = extent
     region = _region(scenario, away)
     rate, acceleration = _rotation(scenario)
     differential = _differential(scenario, region)

@@ -39,7 +39,8 @@ def drawn_body(target: Target) -> DrawnBody:
     used, faces = np.unique(target.faces, return_inverse=True)
     vertices, faces = target.vertices[used], faces.reshape(-1, 3)
     if target.ball_radius == 0.0:
-        vertices, faces = _fewer(vertices, faces)
+        side = float(np.ptp(vertices, axis=0).max()) / 1000.0
+        vertices, faces = fewer(vertices, faces, MOST_TRIANGLES, side=side)
         remark = _remark(len(faces), len(target.faces), "triangles")
     else:
         chosen = np.linspace(0, len(vertices) - 1, min(len(vertices), MOST_TRIANGLES)).astype(int)
@@ -54,13 +55,20 @@ def _remark(drawn: int, whole: int, kind: str) -> str:
     return f"The target is drawn with {drawn:,} of its {whole:,} {kind}; distances are to all of it."
 
 
-def _fewer(
-    vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]
+def fewer(
+    vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], most: int, *, side: float
 ) -> tuple[Float[np.ndarray, "w 3"], Int[np.ndarray, "g 3"]]:
-    """Move vertices of one cell of a grid to their mean, the grid coarser until few enough triangles are left."""
-    side = float(np.ptp(vertices, axis=0).max()) / 1000.0
+    """Move vertices of one cell of a grid to their mean, the grid coarser until few enough triangles are left.
+
+    Args:
+        vertices: m.
+        faces: of a mesh; one that has no more than `most` is given back as it is.
+        most: triangles that may be left.
+        side: of the first grid's cells, m.
+
+    """
     whole = vertices, faces
-    while len(faces) > MOST_TRIANGLES:
+    while len(faces) > most:
         _, place, count = np.unique(
             np.floor(whole[0] / side).astype(np.int64), axis=0, return_inverse=True, return_counts=True
         )

@@ -23,6 +23,7 @@ from keepout.mission.flight import Flight
 from keepout.mission.scenario import Scenario
 from keepout.progress import Progress, part_of, silent
 from keepout.replay.clearance import proved_clearance
+from keepout.replay.growth import Growth
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +44,10 @@ class Level:
 
 @dataclass(frozen=True, eq=False)
 class Replayed:
-    """One flight of a replay: what was recorded, its scenario and target, the audit, and what surfaces it has."""
+    """One flight of a replay: what was recorded, its scenario and target, the audit, and what surfaces it has.
+
+    `growth` is of a flight that explored: the map by which it flew, as it grew.
+    """
 
     name: str
     record: FlightRecord
@@ -51,6 +55,7 @@ class Replayed:
     target: Target
     verdict: Audit
     levels: tuple[Level, ...] = ()
+    growth: Growth | None = None
 
     @functools.cached_property
     def shown(self) -> FlightRecord:

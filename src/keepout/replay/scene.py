@@ -67,6 +67,8 @@ def scene(flights: Sequence[Replayed], *, progress: Progress = silent) -> Scene:
         progress(0.7 + 0.3 * place / len(flights), flight.name)
         shown = [surfaces[level.kind, level.identity] for level in flight.levels]
         told_flights.append(_flight(packing, flight) | {"surfaces": shown})
+        if flight.growth is not None:
+            told_flights[-1]["growth"] = flight.growth.told(packing, float(flight.record.time[0]))
     told = {"format": FORMAT, "target": _target(packing, first), "surfaces": told_surfaces, "flights": told_flights}
     progress(1.0, "")
     return Scene(told, packing.text())

@@ -263,6 +263,33 @@ def flights_table(summaries: Sequence[Mapping[str, Any]]) -> Table:
     return table
 
 
+EXPLORATION_ROWS = {
+    "outcome": "outcome",
+    "why": "because",
+    "contact_verdict": "contact, on the true mesh",
+    "minimum_clearance_m": "min clearance m",
+    "seen_share": "share of the outer surface seen",
+    "views": "views",
+    "refused_views": "of them refused",
+    "opened_m3": "opened m³",
+    "departures_largest_m": "largest departure from the expected mesh m",
+    "duration_s": "flown s",
+    "delta_v_mps": "Δv m/s",
+    "guard_interventions": "guard steps",
+    "start_certified": "start certified",
+    "seconds": "computed in s",
+}
+"""Words for the entries of an exploration's summary that a person is shown first."""
+
+
+def exploration_table(summary: Mapping[str, Any]) -> Table:
+    """One row a figure: how an exploration ended, whether it was safe, and what it cost."""
+    rows = {words: summary[key] for key, words in EXPLORATION_ROWS.items() if summary[key] is not None}
+    table = facts_table(f"Exploration {summary['name']}", rows)
+    table.caption, table.caption_justify = "\n".join(broken_assumptions([summary])) or None, "left"
+    return table
+
+
 def check_parts(summary: Mapping[str, Any]) -> list[Table | str]:
     """Say what a scenario would fly, in words and tables, and what would be refused, with values that would not be."""
     parts: list[Table | str] = list(summary["words"])

@@ -31,7 +31,7 @@ class BarrierGrid:
 
     `walls` (3, nx, ny, nz): edges to the next node along each axis that cross the obstacle between two free nodes.
     Values are exact below `FULL_SPEED_BARRIER` and interpolated beyond. `outwards`: the direction in which h rises, in
-    127ths of a unit and shorter than one (see `_OUTWARD_WEIGHT`), for the nodes that no way to a goal crosses.
+    127ths of a unit and shorter than one (see `outwards`), for the nodes that no way to a goal crosses.
     """
 
     values: Float[np.ndarray, "nx ny nz"]
@@ -90,7 +90,7 @@ class BarrierGrid:
         values[band] = sample(points, lambda f: progress(0.3 + 0.5 * f, "barrier"))
         walls = _walls(sample, values, axes, spacing)
         progress(1.0, "barrier")
-        return cls(values, walls, _outwards(values), low, spacing)
+        return cls(values, walls, outwards(values), low, spacing)
 
     def node(self, position: Float[np.ndarray, "3"]) -> np.ndarray:
         """Return the indices of the corner of the surrounding cell with the largest barrier."""
@@ -144,7 +144,8 @@ def _nodes(axes: list[np.ndarray]) -> np.ndarray:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-def _outwards(values: Float[np.ndarray, "nx ny nz"]) -> Int8[np.ndarray, "nx ny nz 3"]:
+def outwards(values: Float[np.ndarray, "nx ny nz"]) -> Int8[np.ndarray, "nx ny nz 3"]:
+    """Give the direction in which h (m) rises at each node, in 127ths of a unit times `_OUTWARD_WEIGHT`."""
     directions = np.empty((*values.shape, 3), dtype=np.int8)
     slopes = np.gradient(values.astype(np.float32))
     size = np.sqrt(sum(slope * slope for slope in slopes))

@@ -1,0 +1,30 @@
+"""The command on targets that nobody has a model of, as a function: what `explore` does."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from keepout.progress import Progress, part_of, silent
+
+if TYPE_CHECKING:
+    from keepout.mission.scenario import Scenario
+
+
+def explore_to_folder(
+    scenario: "Scenario", out: Path, *, figures: bool = True, progress: Progress = silent
+) -> dict[str, Any]:
+    """Explore as a scenario says; write map, flight file, pictures, page and `summary.json` into `out`.
+
+    Nothing is written where the scenario is refused.
+    """
+    from keepout.exploring import equipment
+
+    camera = equipment.depth_camera(scenario)
+    equipment.require_explorable(scenario, camera)
+    equipment.declared_ball(scenario)
+    from keepout.exploring.explore import explore
+    from keepout.report.exploration_page import write_exploration
+    from keepout.report.folder import make_folder
+
+    make_folder(out)
+    exploration = explore(scenario, progress=part_of(progress, 0.0, 0.9))
+    return write_exploration(out, exploration, figures=figures, progress=part_of(progress, 0.9, 1.0))

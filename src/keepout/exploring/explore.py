@@ -1,0 +1,303 @@
+"""Explore: see, let the map grow, choose the next view, fly there by what is known free, until the end is reached."""
+
+import math
+import time
+from pathlib import Path
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from keepout.audit.audit import audit
+from keepout.compiled.kept_programs import keep_programs
+from keepout.control.law import Law
+from keepout.errors import ControlError
+from keepout.exploring import equipment
+from keepout.exploring.departures import departures
+from keepout.exploring.exploration import Exploration, TakenView
+from keepout.exploring.next_view import Ended, NextView, Pace, choose
+from keepout.exploring.open_surface import open_surface, seen_share
+from keepout.exploring.stages import Stages
+from keepout.exploring.tried import Tried
+from keepout.fields.map_field import MapField
+from keepout.flight import segment
+from keepout.flight.loop import FlightLog
+from keepout.flight.outcome import outcome
+from keepout.flight.record import FlightRecord
+from keepout.flight.setup import FlightSetup
+from keepout.geometry.first_hit import FirstHit
+from keepout.geometry.target import Target
+from keepout.guard.start import starts_certified
+from keepout.mapping.known_free import ViewStatus
+from keepout.mapping.view import View
+from keepout.mission import by_map, environment
+from keepout.mission.assumptions import broken_assumptions, guard_numbers
+from keepout.mission.scenario import Scenario
+from keepout.mission.statuses import legend
+from keepout.mission.target import load_target
+from keepout.progress import Progress, silent
+from keepout.sensing.depth.depth import take
+from keepout.sensing.depth.errors import ErrorDraw
+from keepout.sensing.depth.pointing import Boresight, axes_towards
+
+Point = Float[np.ndarray, "3"]
+Pose = tuple[Point, Float[np.ndarray, "3 3"]]
+_UP = np.array([0.0, 0.0, 1.0])
+"""In the image, as `choose` counts on."""
+
+_NEAR = 0.25
+"""Metres from the place of a view at which it is taken."""
+_ALIGNED = math.cos(math.radians(3.0))
+"""Cosine of the angle to the direction wanted within which it is."""
+_PATIENCE = 3.0
+"""A view not reached after so many times the way at the speed limit, and `_EXTRA` s, is given up."""
+_EXTRA = 240.0
+_ATTEMPTS = 4
+"""Views that the law may refuse to lead to before nothing more is tried; each keeps a little more room."""
+_OF_LATTICE = 1.0
+"""Cubes by which a place is kept further from unknown room than the law keeps: what is between the lattice's nodes."""
+_RESTING = 10
+"""Control steps within the tolerance after which the goal is reached."""
+
+
+def explore(
+    scenario: Scenario | str | Path,
+    *,
+    target: Target | None = None,
+    expected: Target | None = None,
+    progress: Progress = silent,
+) -> Exploration:
+    """Explore an unknown target: fly round it by what a depth sensor has seen free, towards a goal or all round.
+
+    On board nothing is known of the target but the declared ball (`[map]`) and what the sensor saw. What has not been
+    seen free is an obstacle, for law and guard alike. The clearance is audited on the true mesh.
+
+    Args:
+        scenario: or the path of its TOML file. Its entries `depth_sensor`, `map` and `explore` beside those of any
+            flight; `target` is the truth.
+        target: the true mesh, already loaded; else the scenario's.
+        expected: what the mission believes, already loaded; else `explore.expected`, which may be unset.
+        progress: called as the flight goes on.
+
+    Raises:
+        KeepoutError: something cannot be flown; the message names the entry, and nothing has been flown.
+
+    """
+    if not isinstance(scenario, Scenario):
+        scenario = Scenario.load(scenario)
+    return _Explorer(scenario, target, expected).flown(progress)
+
+
+class _Explorer:
+    """One exploration under way."""
+
+    def __init__(self, scenario: Scenario, target: Target | None, expected: Target | None) -> None:
+        self.began = time.perf_counter()
+        keep_programs()
+        self.scenario, entry = scenario, scenario.explore
+        self.camera = equipment.depth_camera(scenario)
+        equipment.require_explorable(scenario, self.camera)
+        self.ball = equipment.declared_ball(scenario)
+        self.known = equipment.map_of(scenario, self.camera)
+        self.goal = np.asarray(scenario.goal.position) if entry.towards == "goal" else None
+        self.field = self._field()
+        self.guard = by_map.guard_by_map(scenario, self.field, self.ball) if scenario.guard.enabled else None
+        motion = environment.relative_motion(scenario)
+        self.initial = motion.initial_state(np.asarray(scenario.start.position), np.asarray(scenario.start.velocity))
+        by_map.require_start(scenario, self.ball, self.initial, self.guard)
+        self.target = load_target(scenario.target) if target is None else target
+        self.expected = equipment.expected_target(scenario) if expected is None else expected
+        self.broken = (*broken_assumptions(scenario), *equipment.broken_promises(scenario, self.target, self.ball))
+        self.first_hit = FirstHit(self.target.vertices, self.target.faces)
+        self.surface = open_surface(self.target, self.first_hit)
+        self.generator = np.random.default_rng(scenario.seed)
+        broken = scenario.depth_sensor.broken
+        self.draw = ErrorDraw(scenario.depth_sensor.errors, None if broken == "none" else broken)
+        self.pace = Pace(scenario.chaser.speed_limit, scenario.depth_sensor.turn_rate)
+        self.tried = Tried.nothing(self.known)
+        self.boresight = Boresight.at_rest(
+            np.asarray(self.ball.centre) - np.asarray(scenario.start.position),
+            greatest_rate=scenario.depth_sensor.turn_rate,
+            greatest_acceleration=scenario.depth_sensor.turn_acceleration,
+        )
+        self.views: list[TakenView] = []
+        self.stages = Stages(self.known, 0.0)
+        self.logs: list[FlightLog] = []
+        self.under_way: list[tuple[float, View, Pose]] = []
+        self.pose: Pose | None = None
+        self.wanted: NextView | None = None
+        self.given_up = self.there_since = math.inf
+        self.resting = self.outside = 0
+        self.free_volume = 0.0
+
+    def flown(self, progress: Progress) -> Exploration:
+        """Fly until the end, and judge."""
+        scenario = self.scenario
+        ticks = round(scenario.depth_sensor.period / scenario.control.period)
+        start = np.asarray(self.initial.position)
+        setup = by_map.setup_by_map(scenario, self.field, self.ball, self._law(start, start), self.guard)
+        self.keep = float(setup.controller.velocity.offset) + _OF_LATTICE * self.known.spacing
+        state = segment.begin(setup, self.initial, jax.random.key(scenario.seed))
+        flown = 0
+        while True:
+            now, position = float(state.motion.time), np.asarray(state.motion.position)
+            self._look(now, position)
+            self._take_in(now)
+            ending = self._ending(flown)
+            if ending is None and self._is_over(now, position):
+                field = self._field()
+                choice = self._choose(field, position)
+                if isinstance(choice, Ended):
+                    ending = choice
+                else:
+                    self.wanted, law = choice
+                    way = float(np.linalg.norm(self.wanted.position - position))
+                    self.given_up = now + _PATIENCE * way / scenario.chaser.speed_limit + _EXTRA
+                    setup = by_map.led_on(setup, field, law)
+            if ending is not None:
+                break
+            state, log = segment.fly_segment(setup, state, ticks)
+            self.logs.append(log)
+            flown += ticks
+            self._turn(ticks)
+            self._count_rest(log)
+            share = max(flown / scenario.steps, len(self.views) / scenario.explore.most_views)
+            progress(min(share, 0.98), f"{len(self.views)} views, {self.free_volume:.0f} m³ known free")
+        _, last = segment.fly_segment(setup, state, 1)
+        return self._judged(segment.joined([*self.logs, last]), setup, ending)
+
+    def _field(self) -> MapField:
+        return MapField.of(self.known.squares, self.known.origin, self.known.spacing)
+
+    def _law(self, goal: Point, position: Point, field: MapField | None = None) -> Law:
+        field = self.field if field is None else field
+        return by_map.law_by_map(self.scenario, field, goal, position, ball=self.ball, guard=self.guard)
+
+    def _look(self, now: float, position: Point) -> None:
+        """Take an image; it arrives a latency later."""
+        axes = axes_towards(self.boresight.direction, _UP)
+        pose = self.camera.sensor_position(position, axes), axes
+        # A pose told late is that of the image before.
+        told = (self.pose or pose) if self.draw.broken == "late" else None
+        view = take(self.camera, self.first_hit, *pose, self.generator, self.draw, time=now, told=told)
+        self.pose = pose
+        self.under_way.append((now + self.camera.latency, view, pose))
+
+    def _take_in(self, now: float) -> None:
+        """Let the map grow by the images that have arrived."""
+        while self.under_way and self.under_way[0][0] <= now + 1e-9:
+            _, view, (place, axes) = self.under_way.pop(0)
+            report = self.known.see(view)
+            if report.status is ViewStatus.SEEN:
+                self.tried.note(self.known, view)
+            self.outside += report.outside
+            self.free_volume += report.opened * self.known.spacing**3
+            why = "" if self.wanted is None else self.wanted.why
+            said = report.status.value.replace("_", " ")
+            self.views.append(TakenView(view.time, place, axes[:, 2], said, report.opened, self.free_volume, why))
+            self.stages.note(self.known, view.time, self.free_volume)
+
+    def _ending(self, flown: int) -> Ended | None:
+        none = np.zeros((0, 3))
+        if self.wanted is not None and self.wanted.is_goal and self.resting >= _RESTING:
+            return Ended("reached goal", f"the goal is held within {self.scenario.goal.tolerance:g} m", none)
+        if flown >= self.scenario.steps:
+            return Ended("out of time", f"duration {self.scenario.duration:g} s is over", none)
+        if len(self.views) >= self.scenario.explore.most_views:
+            return Ended("out of views", f"explore.most_views {self.scenario.explore.most_views} were taken", none)
+        return None
+
+    def _is_over(self, now: float, position: Point) -> bool:
+        """Whether the view under way has been taken and taken in, or is given up."""
+        if self.wanted is None or now > self.given_up:
+            return True
+        if self.wanted.is_goal:
+            return False
+        there = float(np.linalg.norm(position - self.wanted.position)) < _NEAR
+        if there and float(self.boresight.direction @ self.wanted.direction) > _ALIGNED:
+            self.there_since = min(self.there_since, now)
+            if now >= self.there_since + self.camera.latency:
+                self.there_since = math.inf
+                return True
+        return False
+
+    def _choose(self, field: MapField, position: Point) -> tuple[NextView, Law] | Ended:
+        """Choose the next view, and the law that leads there."""
+        refusals = []
+        for attempt in range(_ATTEMPTS):
+            choice = choose(
+                self.known,
+                position,
+                self.goal,
+                self.camera.camera,
+                self.tried,
+                keep=self.keep + attempt * 0.5 * self.known.spacing,
+                boresight=self.boresight.direction,
+                pace=self.pace,
+                seed=self.scenario.seed + len(self.views) + 1000 * attempt,
+            )
+            if isinstance(choice, Ended):
+                return choice
+            try:
+                return choice, self._law(choice.position, position, field)
+            except ControlError as refusal:
+                refusals.append(str(refusal))
+        return Ended("no way known", f"the law finds no way to {_ATTEMPTS} views: {refusals[-1]}", np.zeros((0, 3)))
+
+    def _turn(self, steps: int) -> None:
+        if self.wanted is not None:
+            for _ in range(steps):
+                self.boresight = self.boresight.step(self.wanted.direction, self.scenario.control.period)
+
+    def _count_rest(self, log: FlightLog) -> None:
+        """Count the control steps in a row, up to now, within the tolerance of the goal."""
+        near = np.linalg.norm(np.asarray(log.position) - self.scenario.goal.position, axis=1)
+        away = np.flatnonzero(near >= self.scenario.goal.tolerance)
+        self.resting = self.resting + len(near) if len(away) == 0 else len(near) - 1 - int(away[-1])
+
+    def _judged(self, log: FlightLog, setup: FlightSetup, ending: Ended) -> Exploration:
+        """Put together what was flown, and audit it on the true mesh."""
+        scenario = self.scenario
+        flown = outcome(setup, log)
+        record = FlightRecord.of_log(
+            log,
+            outcome=flown,
+            scenario=scenario.model_dump_json(),
+            seed=scenario.seed,
+            target_sha256=self.target.sha256,
+            statuses=legend(),
+        )
+        verdict = audit(
+            record,
+            self.target,
+            chaser_radius=scenario.chaser.radius,
+            bounds=environment.flight_bounds(scenario),
+            force_limit=scenario.chaser.force_limit,
+            speed_limit=scenario.chaser.speed_limit,
+        )
+        if self.outside:
+            told = f"{self.outside} returns lie outside the declared ball (map.centre, map.radius)"
+            self.broken = (*self.broken, told)
+        start = jax.tree.map(lambda leaf: leaf[None], self.initial)
+        certified = self.guard is not None and bool(starts_certified(self.guard, start)[0])
+        return Exploration(
+            scenario=scenario,
+            target=self.target,
+            expected=self.expected,
+            map=self.known,
+            record=record,
+            flown=flown,
+            audit=verdict,
+            outcome=ending.outcome,
+            why=ending.why,
+            views=tuple(self.views),
+            stages=self.stages.at_the_end(self.known, float(record.time[-1])),
+            seen_share=seen_share(self.surface, self.known.returns, scenario.explore.explained),
+            unknown=ending.unknown,
+            departures=None if self.expected is None else departures(self.known, self.expected, self.camera.camera),
+            seconds=time.perf_counter() - self.began,
+            start_certified=certified and not self.broken,
+            assumptions_broken=self.broken,
+            guard={} if self.guard is None else guard_numbers(self.guard),
+            keep=self.keep,
+        )

@@ -1,0 +1,150 @@
+"""The whole loop: seen, mapped, approached, and audited on the true mesh."""
+
+
+import numpy as np
+import pytest
+
+from keepout.audit.audit import Contact
+from keepout.errors import KeepoutError
+from keepout.exploring.explore import explore
+from keepout.geometry.mesh_report import Surface, describe
+from keepout.geometry.target import Target
+from keepout.mission.scenario import Scenario
+
+SCENARIO = {
+    "name": "crate",
+    "duration": 900.0,
+    "start": {"position": [7.5, 0.5, 0.3]},
+    "goal": {"position": [-3.2, 0.2, 0.4], "tolerance": 0.15},
+    "chaser": {"radius": 0.4},
+    "map": {"radius": 5.0, "spacing": 0.2},
+    "depth_sensor": {"width": 80, "height": 60, "surely_returned_width": 0.1},
+}
+"""Round a crate of 3 x 2 x 2 m: the goal lies behind it."""
+
+
+def crate(size=(3.0, 2.0, 2.0), at=(0.0, 0.0, 0.0)):
+    corners = np.stack(np.meshgrid([-0.5, 0.5], [-0.5, 0.5], [-0.5, 0.5], indexing="ij"), axis=-1).reshape(-1, 3)
+    vertices = corners * size + at
+    quads = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+    faces = np.array([t for q in quads for t in ([q[0], q[1], q[2]], [q[0], q[2], q[3]])])
+    surface = Surface(vertices, faces, 0.0)
+    return Target("crate", surface.vertices, surface.faces, describe(surface))
+
+
+def scenario(**changes):
+    tree = {key: dict(value) if isinstance(value, dict) else value for key, value in SCENARIO.items()}
+    for name, value in changes.items():
+        tree[name] = {**tree[name], **value} if isinstance(value, dict) and name in tree else value
+    return Scenario.parse(tree)
+
+
+@pytest.fixture(scope="module")
+def to_goal():
+    return explore(scenario(), target=crate())
+
+
+def test_a_goal_behind_an_unknown_body_is_reached_without_touching_it(to_goal):
+    assert to_goal.outcome == "reached goal", to_goal.why
+    assert to_goal.audit.contact is Contact.NO
+    assert to_goal.start_certified
+    assert to_goal.assumptions_broken == ()
+    end = to_goal.record.position[-1]
+    assert np.linalg.norm(end - [-3.2, 0.2, 0.4]) < 0.15
+    # Truth from elsewhere: distances of the recorded samples to the crate as a box.
+    gap = np.linalg.norm(np.maximum(np.abs(to_goal.record.position) - [1.5, 1.0, 1.0], 0.0), axis=1) - 0.4
+    assert gap.min() > 0.1
+    assert to_goal.audit.minimum_clearance <= gap.min() + 1e-9
+
+
+def test_the_guard_holds_a_plan_from_start_to_end(to_goal):
+    assert to_goal.summary()["guard_flags"] == {}
+    assert int(to_goal.flown.guard_interventions) == 0
+
+
+def test_no_free_cube_meets_the_body(to_goal):
+    known = to_goal.map
+    centres = known.origin + known.spacing * (np.argwhere(known.free) + 0.5)
+    apart = np.maximum(np.abs(centres) - np.array([1.5, 1.0, 1.0]) - 0.5 * known.spacing, 0.0)
+    assert np.all(apart.max(axis=1) > 0.0)
+
+
+def test_views_and_figures_agree(to_goal):
+    summary = to_goal.summary()
+    assert summary["views"] == len(to_goal.views) == to_goal.map.views
+    assert sum(view.opened for view in to_goal.views) * 0.2**3 == pytest.approx(summary["opened_m3"])
+    assert to_goal.views[-1].free_volume == pytest.approx(summary["opened_m3"])
+    assert 0.0 < summary["seen_share"] <= 1.0
+    assert 2 <= len(to_goal.stages) <= 8
+    assert [stage.time for stage in to_goal.stages] == sorted(stage.time for stage in to_goal.stages)
+    areas = [len(stage.faces) for stage in to_goal.stages]
+    assert areas[0] > 0
+
+
+def test_a_seed_gives_the_same_flight_and_map_bit_for_bit(to_goal):
+    again = explore(scenario(), target=crate())
+    assert np.array_equal(again.record.position, to_goal.record.position)
+    assert np.array_equal(again.map.free, to_goal.map.free)
+
+
+def test_errors_at_their_bounds_and_late_images_touch_nothing():
+    found = explore(
+        scenario(depth_sensor={"errors": "adversarial", "latency": 3.0}, disturbance={"kind": "paper"}, seed=3),
+        target=crate(),
+    )
+    assert found.audit.contact is Contact.NO
+    assert found.outcome == "reached goal", found.why
+    assert found.assumptions_broken == ()
+
+
+def test_looking_all_round_ends_by_itself_with_the_whole_body_seen():
+    found = explore(scenario(explore={"towards": "all round"}, duration=4000.0), target=crate())
+    assert found.outcome == "everything reachable seen", found.why
+    assert found.summary()["seen_share"] > 0.97
+    assert found.audit.contact is Contact.NO
+
+
+def test_a_goal_inside_the_body_has_no_way_and_the_reason_is_given():
+    found = explore(scenario(goal={"position": [0.5, 0.2, 0.1]}, duration=4000.0), target=crate())
+    assert found.outcome == "no way known"
+    assert found.why
+    assert len(found.unknown) > 0
+    assert found.audit.contact is Contact.NO
+
+
+def test_a_target_that_is_not_where_it_was_expected_is_reported(to_goal):
+    found = explore(scenario(), target=crate(), expected=crate(at=(0.0, 0.0, 1.5)))
+    assert found.summary()["departures_largest_m"] > 1.0
+    same = explore(scenario(), target=crate(), expected=crate())
+    assert same.summary()["departures_largest_m"] == 0.0
+    assert np.array_equal(same.record.position, to_goal.record.position)
+
+
+def test_a_target_beyond_its_ball_and_broken_promises_are_named():
+    found = explore(
+        scenario(map={"radius": 1.6}, start={"position": [4.5, 0.2, 0.1]}, duration=60.0), target=crate()
+    )
+    assert any("map.radius 1.6" in line for line in found.assumptions_broken)
+    assert not found.start_certified
+    late = explore(scenario(depth_sensor={"broken": "late"}, duration=60.0), target=crate())
+    assert any("late" in line for line in late.assumptions_broken)
+    assert not late.start_certified
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"start": {"position": [5.2, 0.0, 0.0]}}, "start.position"),
+        ({"depth_sensor": {"surely_returned_width": 0.001}}, "surely_returned_width"),
+        ({"depth_sensor": {"period": 10.5}}, "depth_sensor.period"),
+        ({"map": {"radius": None}}, "map.radius"),
+        ({"map": {"cap": 0.6}}, "map.cap"),
+        ({"control": {"profile": "paper"}}, "control.profile"),
+        ({"chaser": {"force_limit": 0.001}}, ""),
+    ],
+)
+def test_what_cannot_be_explored_is_refused_in_a_line(changes, said):
+    with pytest.raises(KeepoutError) as refusal:
+        explore(scenario(**changes), target=crate())
+    assert said in str(refusal.value)
+    assert "\n" not in str(refusal.value)

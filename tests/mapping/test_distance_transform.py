@@ -1,0 +1,74 @@
+"""Distances of nodes to what is not free: SciPy's exact transform of the whole grid is the truth."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.ndimage import distance_transform_edt
+
+from keepout.mapping.distance_transform import renew, squares_of
+from keepout.mapping.pyramid import BLOCK
+
+
+def whole(free, cap):
+    """Squared distance in cells of each node to the nearest corner of a cube that is not free, capped."""
+    nodes = len(free) + 1
+    corner = np.zeros((nodes, nodes, nodes), dtype=bool)
+    for a in (0, 1):
+        for b in (0, 1):
+            for c in (0, 1):
+                corner[a : nodes - 1 + a, b : nodes - 1 + b, c : nodes - 1 + c] |= ~free
+    if not corner.any():
+        return np.full(corner.shape, cap * cap)
+    return np.minimum(np.rint(distance_transform_edt(~corner) ** 2), cap * cap)
+
+
+@settings(max_examples=25)
+@given(st.integers(0, 10**6), st.sampled_from([8, 24, 32, 40, 72]), st.integers(1, 40), st.floats(0.0, 4.0))
+def test_squares_are_those_of_the_whole_grid(seed, cubes, cap, rarity):
+    free = np.random.default_rng(seed).random((cubes, cubes, cubes)) >= 10.0**-rarity * 0.5
+    np.testing.assert_array_equal(squares_of(free, cap), whole(free, cap))
+
+
+def test_a_single_cube_by_hand():
+    free = np.ones((16, 16, 16), dtype=bool)
+    free[8, 8, 8] = False
+    squares = squares_of(free, 5)
+    assert squares[8, 8, 8] == squares[9, 9, 9] == 0
+    assert squares[7, 8, 9] == 1
+    assert squares[6, 11, 9] == 4 + 4
+    assert squares[12, 8, 8] == 9
+    assert squares[0, 0, 0] == squares[14, 8, 8] == 25
+
+
+@pytest.mark.parametrize("cap", [1, 12, 33])
+def test_local_renewal_gives_the_whole_transform(cap):
+    """Cubes become free in blocks all over the grid, some of them at tile borders; after each step all is as anew."""
+    generator = np.random.default_rng(cap)
+    cubes = 80
+    free = generator.random((cubes, cubes, cubes)) < 0.3
+    free[20:60, 20:60, 20:60] = False
+    squares = squares_of(free, cap)
+    for _ in range(12):
+        before = squares.copy()
+        middle, half = generator.integers(0, cubes, 3), generator.integers(1, 14, 3)
+        opened = np.zeros_like(free)
+        low, high = np.maximum(middle - half, 0), np.minimum(middle + half, cubes)
+        opened[low[0] : high[0], low[1] : high[1], low[2] : high[2]] = True
+        opened &= ~free
+        free |= opened
+        blocks = cubes // BLOCK
+        changed = opened.reshape(blocks, BLOCK, blocks, BLOCK, blocks, BLOCK).any(axis=(1, 3, 5))
+        renew(free, squares, cap, changed, BLOCK)
+        np.testing.assert_array_equal(squares, whole(free, cap))
+        assert (squares >= before).all()
+
+
+def test_only_tiles_within_reach_are_made_anew():
+    free = np.ones((160, 160, 160), dtype=bool)
+    free[8:152, 8:152, 8:152] = False
+    squares = squares_of(free, 4)
+    free[80, 80, 80] = True
+    changed = np.zeros((20, 20, 20), dtype=bool)
+    changed[10, 10, 10] = True
+    assert 1 <= renew(free, squares, 4, changed, BLOCK) <= 8

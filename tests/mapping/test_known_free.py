@@ -1,0 +1,247 @@
+"""The map as a whole: what it refuses, that order does not matter, that it only grows, and what it takes."""
+
+import dataclasses
+import itertools
+import math
+import tracemalloc
+
+import numpy as np
+import pytest
+from truths.depth_views import Ball, Box, axes_towards, cube_centres, view_of
+
+from keepout.errors import KeepoutError, MapError
+from keepout.mapping import KnownFreeMap, Pinhole, SensorBounds, View, ViewStatus
+from keepout.mapping.distance_transform import squares_of
+
+CAMERA = Pinhole(40, 30, math.radians(60.0))
+BOUNDS = SensorBounds(surely_returned_width=0.12)
+BODIES = (Ball((0.1, -0.2, 0.0), 0.4), Box((0.3, 0.0, -0.5), (0.5, 0.6, 0.4)))
+
+
+def begin(**changes):
+    given = {"spacing": 0.1, "cap": 0.3, "bounds": BOUNDS, "name": "bodies"} | changes
+    return KnownFreeMap.begin(np.zeros(3), 1.0, **given)
+
+
+def view_from(position, time=0.0):
+    position = np.asarray(position, dtype=float)
+    view = view_of(BODIES, CAMERA, BOUNDS, position, axes_towards(-position))
+    return dataclasses.replace(view, time=time)
+
+
+PLACES = [(2.0, 0.3, 0.2), (0.1, -2.2, 0.4), (-1.5, 1.2, 0.3), (0.2, 0.3, 1.9)]
+
+
+def bits(known):
+    """All that a map holds, for comparison."""
+    return (
+        known.free.tobytes(),
+        known.squares.tobytes(),
+        known.return_keys.tobytes(),
+        known._unknown.tobytes(),
+        [(seen.time, seen.position.tobytes(), seen.axes.tobytes()) for seen in known.seen],
+    )
+
+
+def changed(view, **entries):
+    return dataclasses.replace(view, **entries)
+
+
+def with_pixel(view, value):
+    ranges = view.ranges.copy()
+    ranges[3, 4] = value
+    return changed(view, ranges=ranges)
+
+
+FAR = view_from((2.0, 0.3, 0.2))
+REFUSED = {
+    "from inside the target": (view_from((0.1, -0.2, 0.0)), ViewStatus.FROM_UNKNOWN),
+    "from unknown room": (view_from((0.0, 0.0, 0.9)), ViewStatus.FROM_UNKNOWN),
+    "a jump": (view_from((-2.0, 0.3, 0.2), time=1.0), ViewStatus.POSE_JUMP),
+    "no place": (changed(FAR, position=np.array([np.nan, 0.0, 2.0])), ViewStatus.NOT_FINITE),
+    "no end of place": (changed(FAR, position=np.array([np.inf, 0.0, 2.0])), ViewStatus.NOT_FINITE),
+    "no time": (changed(FAR, time=math.nan), ViewStatus.NOT_FINITE),
+    "axes that are no rotation": (changed(FAR, axes=1.01 * FAR.axes), ViewStatus.NOT_FINITE),
+    "mirrored axes": (changed(FAR, axes=FAR.axes * [1.0, 1.0, -1.0]), ViewStatus.NOT_FINITE),
+    "axes of nan": (changed(FAR, axes=np.nan * FAR.axes), ViewStatus.NOT_FINITE),
+    "a range below zero": (with_pixel(FAR, -0.1), ViewStatus.NOT_FINITE),
+    "a range of minus infinity": (with_pixel(FAR, -math.inf), ViewStatus.NOT_FINITE),
+    "nothing said": (changed(FAR, ranges=np.full(CAMERA.shape, np.nan)), ViewStatus.EMPTY),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_a_refused_view_leaves_the_map_as_it_was(case):
+    view, status = REFUSED[case]
+    known = begin(speed_limit=0.5)
+    known.see(view_from((2.1, 0.3, 0.2), time=0.5))
+    before = bits(known)
+    report = known.see(view)
+    assert (report.status, report.opened) == (status, 0)
+    assert bits(known) == before
+
+
+def test_a_view_is_no_jump_as_far_as_speed_and_pose_error_explain():
+    known = begin(speed_limit=0.5)
+    known.see(view_from((2.0, 0.0, 0.0), time=10.0))
+    step = 0.5 * 2.0 + 2.0 * BOUNDS.position_error
+    assert known.see(view_from((2.0, step + 0.001, 0.0), time=12.0)).status is ViewStatus.POSE_JUMP
+    assert known.see(view_from((2.0, step - 0.001, 0.0), time=12.0)).status is ViewStatus.SEEN
+
+
+def test_every_order_of_views_gives_the_same_map():
+    views = [view_from(place, float(time)) for time, place in enumerate(PLACES)]
+    maps = []
+    for order in itertools.permutations(views):
+        known = begin()
+        assert all(known.see(view).status is ViewStatus.SEEN for view in order)
+        maps.append(bits(known)[:4])
+    assert len(maps) == 24
+    assert all(made == maps[0] for made in maps)
+
+
+def test_the_map_only_grows_and_a_view_seen_again_changes_nothing():
+    known = begin()
+    for place in PLACES:
+        free, squares = known.free.copy(), known.squares.copy()
+        report = known.see(view_from(place))
+        assert report.opened == (known.free & ~free).sum() > 0
+        assert not (free & ~known.free).any()
+        assert (known.squares >= squares).all()
+        np.testing.assert_array_equal(known.squares, squares_of(known.free, 3))
+    before = bits(known)
+    assert known.see(view_from(PLACES[0])).opened == 0
+    assert bits(known)[:4] == before[:4]
+
+
+def test_before_the_first_view_the_cubes_that_meet_the_ball_are_unknown():
+    known = begin()
+    gap = np.maximum(np.abs(cube_centres(known)) - 0.05, 0.0)
+    # Cubes that only touch the ball count as meeting it.
+    np.testing.assert_array_equal(known.free, (gap**2).sum(axis=-1) > 1.0 + 1e-9)
+    assert known.views == 0
+    assert len(known.returns) == 0
+
+
+def test_nodes_on_the_border_are_at_the_cap_and_distances_are_lengths():
+    known = begin()
+    border = np.ones_like(known.squares, dtype=bool)
+    border[1:-1, 1:-1, 1:-1] = False
+    assert (known.squares[border] == 9).all()
+    assert (known.lower <= -1.0 - 0.3 - 0.3 + 1e-9).all()
+    assert (known.upper >= 1.0 + 0.3 + 0.3 - 1e-9).all()
+    distances = known.distance_at_nodes()
+    assert distances.max() == pytest.approx(0.3)
+    assert distances.dtype == np.float64
+    # The last cube that is not free begins where the ball ends.
+    node = np.array([0.0, 0.0, 1.3]) - known.origin
+    assert distances[tuple(np.rint(node / 0.1).astype(int))] == pytest.approx(0.2, rel=1e-12)
+
+
+def test_returns_lie_on_the_bodies_and_each_place_counts_once():
+    known = begin()
+    for place in (*PLACES, *PLACES):
+        known.see(view_from(place))
+    points = known.returns
+    assert points.dtype == np.float32
+    assert len(np.unique(points, axis=0)) == len(points) > 100
+    to_ball = np.abs(np.linalg.norm(points - np.array(BODIES[0].centre), axis=1) - 0.4)
+    low, high = np.array(BODIES[1].lower), np.array(BODIES[1].upper)
+    outside = np.linalg.norm(np.maximum(np.maximum(low - points, points - high), 0.0), axis=1)
+    # A pixel's middle ray at the range of its first ray, on a lattice of 0.025 m.
+    assert np.quantile(np.minimum(to_ball, outside), 0.9) < 0.05
+
+
+def test_is_free_by_points():
+    known = begin()
+    points = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.2], [50.0, 0.0, 0.0], [0.0, 0.99, 0.0]])
+    np.testing.assert_array_equal(known.is_free(points), [False, True, True, False])
+
+
+def test_returns_from_outside_the_declared_ball_are_counted():
+    """A body that the ball does not hold breaks the operator's promise, and the report says so."""
+    known = begin()
+    assert known.see(view_from(PLACES[0])).outside == 0
+    stray = (*BODIES, Ball((0.0, 0.0, -1.6), 0.3))
+    position = np.array([1.9, 0.0, 0.0])
+    view = view_of(stray, CAMERA, BOUNDS, position, axes_towards(np.array([0.0, 0.0, -1.6]) - position))
+    assert known.see(view).outside > 10
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"spacing": 0.0}, "spacing"),
+        ({"spacing": math.nan}, "spacing"),
+        ({"spacing": 0.001, "cap": 0.003}, "spacing"),
+        ({"cap": 0.25}, "cap"),
+        ({"cap": 30.0}, "cap"),
+        ({"cap": math.inf}, "cap"),
+        ({"speed_limit": 0.0}, "speed_limit"),
+        ({"speed_limit": math.nan}, "speed_limit"),
+    ],
+)
+def test_settings_out_of_range_are_refused_by_name(changes, named):
+    with pytest.raises(MapError, match=named) as refusal:
+        begin(**changes)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("make", "named"),
+    [
+        (lambda: KnownFreeMap.begin(np.full(3, np.nan), 1.0, bounds=BOUNDS, name="t"), "centre"),
+        (lambda: KnownFreeMap.begin(np.zeros(3), -1.0, bounds=BOUNDS, name="t"), "radius"),
+        (lambda: SensorBounds(range_error=-0.1), "range_error"),
+        (lambda: SensorBounds(attitude_error=1.0), "attitude_error"),
+        (lambda: SensorBounds(surely_returned_width=0.0), "surely_returned_width"),
+        (lambda: SensorBounds(least_range=2.0, greatest_range=1.0), "greatest_range"),
+        (lambda: SensorBounds(sure_empty_range=math.inf), "sure_empty_range"),
+        (lambda: SensorBounds(rays_across=0), "rays_across"),
+        (lambda: Pinhole(0, 10, 1.0), "width"),
+        (lambda: Pinhole(10, 10, 3.2), "horizontal_angle"),
+        (lambda: View(CAMERA, np.zeros(3), np.eye(3), np.zeros((40, 30))), r"\(30, 40\)"),
+    ],
+)
+def test_numbers_out_of_range_are_refused_by_name(make, named):
+    with pytest.raises(KeepoutError, match=named) as refusal:
+        make()
+    assert "\n" not in str(refusal.value)
+
+
+def test_usable_range_is_where_a_width_is_two_pitches():
+    camera = Pinhole(160, 120, math.radians(60.0))
+    assert SensorBounds().usable_range(camera) == pytest.approx(0.05 / 2.0 * camera.focal * 3)
+    assert SensorBounds(surely_returned_width=1.0).usable_range(camera) == 15.0
+
+
+def test_directions_are_those_of_the_pixels():
+    camera = Pinhole(4, 2, math.radians(90.0))
+    rays = camera.directions()
+    np.testing.assert_allclose(np.linalg.norm(rays, axis=2), 1.0)
+    np.testing.assert_allclose(rays[0, 0] / rays[0, 0, 2], [-0.75, -0.25, 1.0])
+    np.testing.assert_allclose(rays[1, 3] / rays[1, 3, 2], [0.75, 0.25, 1.0])
+    fine = camera.directions(3)
+    assert fine.shape == (6, 12, 3)
+    np.testing.assert_allclose(fine[1::3, 1::3], rays)
+    across = fine[0, :, 0] / fine[0, :, 2]
+    np.testing.assert_allclose(np.diff(across), 0.5 / 3.0)
+
+
+@pytest.mark.long
+def test_a_map_of_a_thirty_metre_target_takes_less_than_250_megabytes():
+    camera = Pinhole(160, 120, math.radians(60.0))
+    bodies = (Ball((0.0, 0.0, 0.0), 12.0),)
+    tracemalloc.start()
+    try:
+        known = KnownFreeMap.begin(np.zeros(3), 15.0, bounds=SensorBounds(), name="large")
+        for position in (np.array([16.0, 0.0, 0.0]), np.array([0.0, 16.5, 3.0])):
+            view = view_of(bodies, camera, known.bounds, position, axes_towards(-position))
+            assert known.see(view).opened > 10_000
+        held, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert len(known.free) >= 330
+    assert held < most < 250e6
+    # What is traced is at least what the two large arrays hold.
+    assert held > known.free.nbytes + known.squares.nbytes
