@@ -18,6 +18,11 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
         "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "0",
     }
+# Likewise what one test learns and proves (truths/learned.py).
+if "KEEPOUT_TESTS_LEARNED" not in os.environ:
+    _learned = tempfile.mkdtemp(prefix="keepout-learned-")
+    atexit.register(shutil.rmtree, _learned, ignore_errors=True)
+    os.environ["KEEPOUT_TESTS_LEARNED"] = _learned
 
 import equinox as eqx
 import jax
