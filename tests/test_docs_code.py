@@ -19,7 +19,7 @@ QUICKER = {
     "docs/own/law.md": [("duration=300.0", "duration=240.0")],
     "docs/campaigns.md": [
         ('"runs": 1000', '"runs": 2'),
-        ("Scenario().replace(campaign=", "Scenario().replace(duration=20.0, campaign="),
+        ("Scenario().replace(campaign=", 'Scenario().replace(duration=20.0, guard={"enabled": False}, campaign='),
     ],
     "docs/rare.md": [("below=0.0", "below=0.3, runs=2, flights=64, most_levels=2")],
 }
