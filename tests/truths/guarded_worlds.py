@@ -67,7 +67,8 @@ WORLDS = {
     "ball": Ball(),
     "union": boxes([(-3, -1, -1), (3, 1, 1)], [(-0.2, -6, -0.2), (0.2, 6, 0.2)], [(2, 0, 0), (2.5, 0.5, 4)]),
     # Two plates 1.6 m apart: with a threshold of 0.5 m a corridor of 0.6 m is left.
-    "slot": boxes([(-4, -4, 0.8), (4, 4, 1.0)], [(-4, -4, -1.0), (4, 4, -0.8)]),
+    # The second is there twice, so that the slot is of as many boxes as the union and shares its programs.
+    "slot": boxes([(-4, -4, 0.8), (4, 4, 1.0)], *2 * [[(-4, -4, -1.0), (4, 4, -0.8)]]),
 }
 
 
