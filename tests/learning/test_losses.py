@@ -27,7 +27,7 @@ def labelled(count: int, share: float) -> losses.Batch:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("share", [0.0, 0.6, pytest.param(1.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("share", [0.0, 0.6, 1.0])
 def test_points_in_two_parts_count_as_if_each_had_its_gradient_evaluated(share):
     layers, whole = random_layers(3, (3, 24, 24, 1), jnp.float32), labelled(80, share)
     parts = losses.Parted.by(PROFILE, whole)

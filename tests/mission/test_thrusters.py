@@ -107,7 +107,7 @@ def test_what_the_guard_is_to_assume():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("how", ["on", pytest.param("off", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("how", ["on", "off"])
 def test_a_flight_with_a_stuck_thruster_is_flown_and_audited(how):
     flown = fly(
         scenario(layout="12", force=0.1, survive_failure=True, faults={"thruster": 3, "thruster_stuck": how}).replace(
