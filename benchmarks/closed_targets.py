@@ -63,7 +63,8 @@ def closed_solid(name: str, *, meshes: Path = MESHES, cache: Path = CACHE) -> Ma
     if name in BUILTINS:
         return BUILTINS[name].make()
     source = meshes / FILES[name]
-    kept = cache / f"{name}-{digest(np.fromfile(source, dtype=np.uint8), f"{THICKNESS} {SIMPLER}")[:12]}.npz"
+    made_of = digest(np.fromfile(source, dtype=np.uint8), f"{THICKNESS} {SIMPLER}")
+    kept = cache / f"{name}-{made_of[:12]}.npz"
     if kept.exists():
         with np.load(kept) as arrays:
             return Manifold(Mesh64(arrays["vertices"], arrays["faces"]))
