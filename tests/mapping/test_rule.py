@@ -143,13 +143,13 @@ def test_cubes_are_freed_within_the_least_and_the_usable_range_only():
 
 def test_cubes_are_freed_out_to_the_usable_range():
     """Where the smallest part that surely returns sets the range, along the boresight and in the image's corners."""
-    bounds = SensorBounds(surely_returned_width=0.04)
+    bounds = SensorBounds(surely_returned_width=0.06)
     camera = Pinhole(80, 60, math.radians(60.0))
-    known = begin(radius=2.6, bounds=bounds)
-    position, axes = np.array([2.9, 0.0, 0.0]), axes_towards([-1, 0, 0], 0.4)
-    usable = 0.5 * 0.04 * 3 * 40.0 / math.tan(math.radians(30.0))
+    known = begin(radius=3.5, bounds=bounds)
+    position, axes = np.array([3.9, 0.0, 0.0]), axes_towards([-1, 0, 0], 0.4)
+    usable = 0.5 * 0.06 * 3 * 40.0 / math.tan(math.radians(30.0))
     known.see(View(camera, position, axes, np.full(camera.shape, np.inf)))
-    offset = cube_centres(known)[known.free & ~begin(radius=2.6, bounds=bounds).free] - position
+    offset = cube_centres(known)[known.free & ~begin(radius=3.5, bounds=bounds).free] - position
     reach = np.linalg.norm(offset, axis=1) + 0.05 * math.sqrt(3.0) + bounds.position_error
     assert usable - 0.02 < reach.max() <= usable
     x, y, z = (offset @ axes).T
@@ -162,8 +162,8 @@ def test_cubes_are_freed_out_to_the_usable_range():
 def test_a_block_that_the_least_range_cuts_is_not_freed_as_a_whole():
     bounds = SensorBounds(surely_returned_width=0.12, least_range=2.5)
     known = begin(bounds=bounds)
-    position = np.array([0.0, 0.0, 3.0])
-    known.see(View(CAMERA, position, axes_towards([0, 0, -1]), np.full(CAMERA.shape, np.inf)))
+    position, camera = np.array([0.0, 0.0, 3.0]), Pinhole(40, 40, math.radians(90.0))
+    known.see(View(camera, position, axes_towards([0, 0, -1]), np.full(camera.shape, np.inf)))
     opened = cube_centres(known)[known.free & ~begin(bounds=bounds).free]
     reach = 0.05 * math.sqrt(3.0) + bounds.position_error
     assert 2.5 <= np.linalg.norm(opened - position, axis=1).min() - reach < 2.51

@@ -76,7 +76,10 @@ class MapEntry(Entry):
         default=None, description="of that ball, m; `keepout explore` asks for it, since nobody knows the target"
     )
     spacing: Positive = Field(default=0.1, description="edge of the cubes, m")
-    cap: Positive = Field(default=1.5, description="greatest distance that the map tells apart, m")
+    cap: Positive | None = Field(
+        default=None,
+        description="greatest distance that the map tells apart, m, whole spacings; unset: 1.5, rounded up to them",
+    )
     file: str | None = Field(default=None, description="a .keepmap file to go on from")
 
 
