@@ -10,7 +10,7 @@ import pytest
 from keepout import cli
 from keepout.commands import mesh
 
-COMMANDS = ("targets", "fit", "certify", "fly", "campaign", "rare", "reproduce", "inspect", "export")
+COMMANDS = ("targets", "fit", "certify", "fly", "explore", "campaign", "rare", "reproduce", "inspect", "export")
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:

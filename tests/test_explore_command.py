@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from truths.command_line import keepout_command
 from truths.made_up_exploration import HALF
+from truths.replay_page import ReplayPage
 
 import keepout
 from keepout.flight.record import FlightRecord
@@ -101,6 +102,14 @@ def test_a_map_that_was_kept_is_gone_on_from(folder, explored):
     assert later.views == kept.views + summary["views"] - sum(summary["refused_views"].values())
     assert (later.free >= kept.free).all()
     assert {path.name for path in (folder / "again").iterdir()} == {"map.keepmap", "small.parquet", "summary.json"}
+
+
+def test_its_flight_file_is_replayed_without_a_field_of_the_target(folder, explored):
+    assert explored.code == 0
+    page = folder / "again.html"
+    told = keepout_command("replay", folder / "out" / "small.parquet", "-o", page, "--json").json
+    assert told["flights"] == ["small"]
+    assert ReplayPage.read(page).told["surfaces"] == []
 
 
 REFUSALS = {

@@ -23,7 +23,7 @@ from keepout.fields.map_field import MapField
 from keepout.flight import segment
 from keepout.flight.loop import FlightLog
 from keepout.flight.outcome import outcome
-from keepout.flight.record import FlightRecord
+from keepout.flight.record import EXPLORED, FlightRecord
 from keepout.flight.setup import FlightSetup
 from keepout.geometry.first_hit import FirstHit
 from keepout.geometry.target import Target
@@ -266,6 +266,7 @@ class _Explorer:
             seed=scenario.seed,
             target_sha256=self.target.sha256,
             statuses=legend(),
+            extra={EXPLORED: True},
         )
         verdict = audit(
             record,

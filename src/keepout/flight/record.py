@@ -17,6 +17,8 @@ from keepout.flight.loop import FlightLog
 from keepout.flight.outcome import FlightOutcome
 from keepout.flight.record_file import read, write
 
+EXPLORED = "explored"
+"""Header entry of a flight by a map that grew: it knew no field of its target."""
 _PACKAGES = ("keepout", "jax", "jaxlib", "equinox", "numpy")
 
 

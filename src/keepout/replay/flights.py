@@ -14,7 +14,7 @@ from keepout.audit.audit import Audit, audit
 from keepout.errors import FlightError, KeepoutError
 from keepout.fields.field import Field
 from keepout.fields.model import FieldModel
-from keepout.flight.record import FlightRecord
+from keepout.flight.record import EXPLORED, FlightRecord
 from keepout.geometry.target import Target
 from keepout.guard.field import guard_field
 from keepout.mission import environment
@@ -166,6 +166,19 @@ class Surroundings:
                 f"the mesh {scenario.target.source} is not the one it was flown around (digest {target.sha256[:12]}…, "
                 f"flown {flown[:12]}…); put that mesh back"
             )
+        levels = () if record.header.get(EXPLORED) else self._levels(scenario, target, entry, progress)
+        verdict = audit(
+            record,
+            target,
+            chaser_radius=scenario.chaser.radius,
+            bounds=environment.flight_bounds(scenario),
+            force_limit=scenario.chaser.force_limit,
+            speed_limit=scenario.chaser.speed_limit,
+        )
+        return Replayed(name, record, scenario, target, verdict, levels)
+
+    def _levels(self, scenario: Scenario, target: Target, entry: str, progress: Progress) -> tuple[Level, ...]:
+        """Give the surfaces that law and guard flew by, of a scenario whose target's entry is `entry`."""
         key = entry, scenario.field.model_dump_json()
         if key not in self.models:
             self.models[key] = load_model(scenario, target)
@@ -184,15 +197,7 @@ class Surroundings:
             levels.append(
                 Level("guard", identity, kept.field, level, certificate.gradient_bound, certificate.error_bound, True)
             )
-        verdict = audit(
-            record,
-            target,
-            chaser_radius=radius,
-            bounds=environment.flight_bounds(scenario),
-            force_limit=scenario.chaser.force_limit,
-            speed_limit=scenario.chaser.speed_limit,
-        )
-        return Replayed(name, record, scenario, target, verdict, tuple(levels))
+        return tuple(levels)
 
 
 def _scenario(record: FlightRecord) -> Scenario:
