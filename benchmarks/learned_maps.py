@@ -20,6 +20,7 @@ import scipy.ndimage
 
 from keepout.fields.evaluate import values
 from keepout.fields.model import FieldModel
+from keepout.fields.shipped import load_shipped, shipped_names
 from keepout.geometry.first_hit import FirstHit
 from keepout.geometry.level_points import level_points
 from keepout.geometry.offset_solid import OffsetSolid
@@ -126,8 +127,10 @@ def measure(value, level: float, solid: OffsetSolid, returns: np.ndarray, seed: 
     box = generator.uniform(lower, upper, (POINTS, 3))
     volume = float(np.prod(upper - lower))
     one_metre = level_points(distance, 1.0, 20_000, generator, uniform=True)
+    one_metre = one_metre[solid.is_exterior(one_metre)]  # not inside the bus
     error = value(one_metre) - 1.0
-    goals = level_points(distance, RADIUS + 0.6, GOALS, generator, uniform=True)
+    goals = level_points(distance, RADIUS + 0.6, 2 * GOALS, generator, uniform=True)
+    goals = goals[solid.is_exterior(goals)][:GOALS]
     return {
         "inside_m3": volume * float((value(box) <= level).mean()),
         "contact_of_mesh_m3": volume * float(_touches(solid, box).mean()),
@@ -158,8 +161,10 @@ def _reached(value, level: float, goals: np.ndarray, lower: np.ndarray, upper: n
 
 
 def learned(target: Target, path: Path, profile: str) -> tuple[FieldModel, dict]:
-    """Fit and certify a field of a target, or take it from its file; and say what it took."""
-    if path.exists():
+    """Fit and certify a field of a target, or take the shipped one, or one from its file; and say what it took."""
+    if profile == "default" and path.name.removesuffix("-default.keepout") in shipped_names():
+        model = load_shipped(target.name, target=target)
+    elif path.exists():
         model = FieldModel.load(path, target=target)
     else:
         processor = time.process_time()
@@ -173,7 +178,7 @@ def learned(target: Target, path: Path, profile: str) -> tuple[FieldModel, dict]
         "sampled_maximum_m": certificate.sampled_maximum,
         "fit_s": model.training["seconds"],
         "certify_s": certificate.seconds,
-        "processor_s": model.training["processor_seconds"],
+        "processor_s": model.training.get("processor_seconds"),
         "profile": model.training["profile"],
     }
 

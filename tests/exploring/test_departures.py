@@ -1,4 +1,4 @@
-"""Departures of the seen surface from an expected mesh: exactly none where nothing moved, and a moved panel in metres."""
+"""Departures of the seen surface from an expected mesh: none where nothing moved, and a moved panel in metres."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""A field learned from a map, and a flight by it around a target that only the map knows; the truth is the box's own."""
+"""A field learned from a map, and a flight by it around what only the map knows; the truth is the box's own."""
 
 import numpy as np
 import pytest
@@ -115,5 +115,5 @@ def test_a_field_is_refused_for_the_map_that_has_grown_since(place, fitted, know
     seen_from(grown, 20, 1)
     assert grown.free.sum() > known.free.sum()
     save(grown, place / "grown.keepmap")
-    with pytest.raises(FieldError, match="mesh"):
+    with pytest.raises(FieldError, match="another target"):
         FieldModel.load(place / "box.keepout", target=Target.load(place / "grown.keepmap"))

@@ -30,10 +30,11 @@ def targets(
     epilog=example(
         "keepout fit satellite.glb --units m -o satellite.keepout",
         "keepout fit satellite.stl --units mm --certify -o satellite.keepout",
+        "keepout fit out/explore/map.keepmap --certify -o debris.keepout",
     )
 )
 def fit(
-    mesh: Annotated[str, typer.Argument(help="A mesh file, or a built-in target's name.")],
+    mesh: Annotated[str, typer.Argument(help="A mesh file, a map file (.keepmap), or a built-in target's name.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="The field file to write (.keepout).")],
     profile: Annotated[
         str,

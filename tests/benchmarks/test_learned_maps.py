@@ -1,0 +1,55 @@
+"""The measures of fields learned from maps, on fields whose answers are known: the box's own distance, and others."""
+
+import learned_maps
+import numpy as np
+import pytest
+from truths.boxes import HALF, box_distance, contact_with_box
+
+from keepout.geometry.offset_solid import OffsetSolid
+from keepout.geometry.target import Target
+
+RADIUS = learned_maps.RADIUS
+
+
+@pytest.fixture(scope="module")
+def solid() -> OffsetSolid:
+    return OffsetSolid.build(Target.load("box").distance, offset=0.001)
+
+
+def signed(points: np.ndarray) -> np.ndarray:
+    inside = np.minimum(np.max(np.abs(points) - HALF, axis=1), 0.0)
+    return box_distance(points) + inside
+
+
+def test_the_boxs_own_distance_loses_nothing(solid):
+    found = learned_maps.measure(signed, RADIUS, solid, contact_with_box(1000, 0.0))
+    # Steiner's formula for the box grown by the chaser's radius.
+    a, b, c = 2.0 * HALF
+    mean_width = np.pi * RADIUS**2 * (a + b + c) + 4.0 / 3.0 * np.pi * RADIUS**3
+    grown = a * b * c + 2.0 * RADIUS * (a * b + b * c + c * a) + mean_width
+    assert found["inside_m3"] == pytest.approx(grown, rel=0.02)
+    assert found["inside_m3"] == pytest.approx(found["contact_of_mesh_m3"], rel=1e-3)
+    assert found["p95_at_1_m"] < 1e-6
+    assert found["p95_at_returns_m"] < 1e-6
+    assert found["goals_reached_share"] == 1.0
+
+
+def test_what_a_field_claims_too_much_is_measured(solid):
+    found = learned_maps.measure(lambda points: signed(points) - 0.2, RADIUS, solid, contact_with_box(1000, 0.0))
+    assert found["p95_at_1_m"] == pytest.approx(0.2, abs=1e-6)
+    assert found["median_under_statement_at_1_m"] == pytest.approx(0.2, abs=1e-6)
+    assert found["largest_over_statement_at_1_m"] == pytest.approx(-0.2, abs=1e-6)
+    assert found["inside_m3"] > 1.1 * found["contact_of_mesh_m3"]
+    # Goals are 0.6 m clear; 0.2 m and the margin leave them free, 0.6 m do not.
+    assert found["goals_reached_share"] == 1.0
+    shut = learned_maps.measure(lambda points: signed(points) - 0.6, RADIUS, solid, contact_with_box(1000, 0.0))
+    assert shut["goals_reached_share"] == 0.0
+
+
+def test_a_goal_in_a_pocket_that_the_field_shuts_is_not_reached(solid):
+    # A shell of keep-out all round: the goals themselves are free, and nothing leads there.
+    def shell(points):
+        return np.where(np.abs(signed(points) - 1.5) < 0.2, 0.0, signed(points))
+
+    found = learned_maps.measure(shell, RADIUS, solid, contact_with_box(1000, 0.0))
+    assert found["goals_reached_share"] == 0.0
