@@ -224,6 +224,7 @@ def test_a_long_flight_is_drawn_with_its_ends(rows):
     assert (np.diff(chosen) > 0).all()
 
 
+@pytest.mark.long
 def test_the_page_says_what_it_leaves_out(folder, tmp_path, monkeypatch):
     records = {"whole": pass_record(box_scenario(folder, 3.0, "whole"), 3.0)}
     write_replay(tmp_path / "whole.html", of_records(records), title="whole")

@@ -92,6 +92,7 @@ def test_samples_that_are_not_independent_are_called_so(tmp_path, sampling, word
     assert "No contact in" not in page  # that bound is for independent runs
 
 
+@pytest.mark.long
 def test_the_worst_flights_that_were_kept_have_a_replay(tmp_path):
     folder = campaign(tmp_path / "out")
     worst = report_campaign(folder)["worst_runs"]
