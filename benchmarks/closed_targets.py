@@ -149,6 +149,10 @@ def _solid(places: np.ndarray, faces: np.ndarray) -> Manifold | None:
     """Give a part as a solid, or None if it is not closed; its triangles may all face inwards."""
     used, index = np.unique(faces, return_inverse=True)
     index = index.reshape(-1, 3)
+    start, end = index.ravel(), np.roll(index, -1, axis=1).ravel()
+    # Every side must be met from the other one: manifold3d may crash where one is not.
+    if not np.array_equal(np.sort(start * len(used) + end), np.sort(end * len(used) + start)):
+        return None
     for corners in (index, index[:, ::-1]):
         made = Manifold(Mesh64(places[used], np.ascontiguousarray(corners, dtype=np.uint64)))
         if made.status() == Error.NoError and made.volume() > 0.0:
