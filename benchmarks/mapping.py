@@ -18,8 +18,9 @@ import numpy as np
 
 from keepout.mapping import KnownFreeMap, Pinhole, SensorBounds, View, ViewStatus
 from keepout.mapping.distance_transform import renew
-from keepout.mapping.pyramid import BLOCK, free_cubes, pyramid
-from keepout.mapping.windows import SLACK, empty_ranges, rule_of
+from keepout.mapping.pyramid import pyramid
+from keepout.mapping.rule import SLACK, empty_ranges, rule_of
+from keepout.mapping.windows import BLOCK, free_cubes
 
 CAMERA = Pinhole(160, 120, math.radians(60.0))
 BALLS = (((0.0, 0.0, 0.0), 2.0), ((0.0, 5.0, 1.0), 1.2))

@@ -20,23 +20,14 @@ import sys
 import time
 from pathlib import Path
 
-import jax
-import jax.numpy as jnp
 import numpy as np
+from guarded_case import GuardedCase
 from kept_rows import Rows, show
-from reach import travel_times, with_goals
-from reach_case import Case
 
 import keepout
-from keepout.audit.audit import Contact
-from keepout.control.guidance.plan import Straight
-from keepout.flight.batches import BATCH, states_at
 from keepout.mission import environment
-from keepout.mission.audited import fly_audited
-from keepout.mission.build import build_guard, closing_radius, flight_setup
-from keepout.mission.law import build_law, flown_law, room_for_guard
+from keepout.mission.law import flown_law
 from keepout.mission.navigation import navigation
-from keepout.report import terminal
 
 SUITES = {
     "close": {},
@@ -52,16 +43,11 @@ SHOWN += ("uncertified", "flagged", "seconds")
 
 
 def scenario_of(case, suite, estimate, layout):
-    """Give the scenario of a row: the farthest start and goal bound the drift for all."""
-    points = case.pairs.reshape(-1, 3)
-    furthest = tuple(points[np.argmax(np.linalg.norm(points, axis=1))].tolist())
+    """Give the scenario of a row."""
     changes = SUITES.get(suite, {})
     # The row without noise is flown with the same delay as those it is compared with.
     sensed = {} if estimate == "none" else {"suite": "close", "estimate": estimate} | changes.get("navigation", {})
-    return case.scenario.replace(
-        start={"position": furthest},
-        goal={"position": furthest},
-        duration=float(case.seconds),
+    return case.furthest(
         thrusters={"layout": layout, "modulation": "delta-sigma"},
         navigation=sensed,
         guard=changes.get("guard", {}),
@@ -71,83 +57,37 @@ def scenario_of(case, suite, estimate, layout):
 
 def fly_row(case, suite, estimate, layout):
     """Fly a row: its figures, and Δv of each pair (not a number where it was refused or did not reach)."""
-    began, refused = time.perf_counter(), []
+    began = time.perf_counter()
     scenario = scenario_of(case, suite, estimate, layout)
-    room = room_for_guard(scenario, case.target)
-    reach = float(np.linalg.norm(case.pairs, axis=-1).max())
-    prototype = build_law(scenario, case.model, guidance=Straight(), from_start=False, reach=reach, **room)
-    offset = case.offset + float(prototype.nominal_offset)
-    guard = build_guard(scenario, case.target, offset=case.model.offset, closing_radius=closing_radius(case.model))
-    setup = flight_setup(scenario, prototype, guard=guard)
+    setup = case.setup(scenario)
     if estimate != "none":
         assumed = environment.guard_assumptions(scenario, case.target)
         setup = dataclasses.replace(setup, navigation=navigation(scenario, setup.motion, assumed))
-    case.use(offset)
-    grid = case.grid(offset)
-    found = {name: [] for name in ("pairs", "outcomes", "audits")}
-    with terminal.progress(f"{case.name}, {suite}, {estimate}") as progress:
-        for begin in range(0, case.flights, BATCH):
-            part = np.arange(begin, min(begin + BATCH, case.flights))
-            part, guidances = travel_times(case, grid, offset, prototype, part, refused)
-            if len(part) == 0:
-                continue
-            outcome, audits = fly_audited(
-                scenario,
-                case.target,
-                delayed(scenario, case, with_goals(setup, jnp.asarray(case.pairs[part, 1]), guidances)),
-                states_at(setup.motion, case.pairs[part, 0]),
-                vary=(lambda s: (s.goal, s.controller.law.velocity.guidance))
-                if scenario.guard.delay
-                else (lambda s: (s.goal, s.controller.velocity.guidance)),
-                batch=BATCH,
-                seed=case.seed + begin,
-                progress=lambda f, m, begin=begin: progress(
-                    (begin + f * min(BATCH, case.flights - begin)) / case.flights, m
-                ),
-            )
-            for name, value in (("pairs", part), ("outcomes", outcome), ("audits", audits)):
-                found[name].append(value)
-    for line in sorted(set(refused))[:3]:
-        sys.stderr.write(f"{case.name} {suite} {estimate}: refused: {line}\n")
-    return figures(case, found, len(refused)) | {"seconds": time.perf_counter() - began}
+
+    def of_each(s):
+        law = s.controller.law if scenario.guard.delay else s.controller
+        return s.goal, law.velocity.guidance
+
+    def delayed(flown, _):
+        """Tell the law of the delay, now that it has its goals."""
+        return dataclasses.replace(flown, controller=flown_law(scenario, flown.controller, case.model))
+
+    flown = case.fly(scenario, setup, f"{case.name}, {suite}, {estimate}", of_each, delayed)
+    return figures(case, flown) | {"seconds": time.perf_counter() - began}
 
 
-def delayed(scenario, case, setup):
-    """Tell the law of the delay, now that it has its goals."""
-    return dataclasses.replace(setup, controller=flown_law(scenario, setup.controller, case.model))
-
-
-def figures(case, found, refused):
+def figures(case, flown):
     """Give a row's figures."""
-    row = {"refused": refused, "reached": 0, "contacts": 0}
-    if not found["pairs"]:
+    row = flown.figures()
+    if not len(flown.pairs):
         return row | {"delta_v": [None] * case.flights}
-    outcome = jax.tree.map(lambda *arrays: np.concatenate(arrays), *found["outcomes"])
-    audits, pairs = sum(found["audits"], ()), np.concatenate(found["pairs"])
     delta_v = np.full(case.flights, np.nan)
-    delta_v[pairs] = np.where(outcome.reached, outcome.delta_v, np.nan)
+    delta_v[flown.pairs] = np.where(flown.outcome.reached, flown.outcome.delta_v, np.nan)
     return row | {
-        "reached": int(outcome.reached.sum()),
-        "contacts": sum(a.contact is Contact.YES for a in audits),
-        "undecided": sum(a.contact is Contact.UNDECIDED for a in audits),
-        "minimum_clearance_m": min(a.minimum_clearance for a in audits),
-        "saturated_fraction": float(np.mean(outcome.saturated_fraction)),
         "delta_v_mps": float(np.nanmedian(delta_v)) if np.isfinite(delta_v).any() else None,
-        "guard_share": float(np.mean([a.guard_interventions / a.steps for a in audits])),
-        "flagged": int(np.sum(outcome.guard_flags != 0)),
+        "flagged": int(np.sum(flown.outcome.guard_flags != 0)),
         "delta_v": [None if np.isnan(value) else round(float(value), 6) for value in delta_v],
     }
-
-
-class GuardedCase(Case):
-    """A case whose grid and guidances belong to one offset at a time."""
-
-    _offset = None
-
-    def use(self, offset):
-        """Forget the grid and the guidances of another offset."""
-        if self._offset != offset:
-            self._offset, self._grid, self.guidances = offset, None, {}
 
 
 def compared(row, free):

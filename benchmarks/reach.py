@@ -53,6 +53,8 @@ PLACE = ("target", "profile", "guidance", "tumbling_deg_s", "flights", "seed")
 SETTINGS = ("field_sha256", "version")
 SHOWN = (*PLACE[:-1], "refused", "reached", "contacts", "undecided", "minimum_clearance_m", "saturated_fraction")
 SHOWN += ("delta_v_mps", "delta_v_over_floor", "time_over_bound", "seconds")
+_MOST_NODES = 1e9
+"""Nodes of all pairs' grids together, above which guidances are not kept: they would not fit in memory."""
 TUMBLING_SPEED = {0.5: 0.05}
 """Speed limits (m/s) of fast tumblers, by rate in degrees a second: what the thrusters can follow there."""
 
@@ -166,6 +168,8 @@ def travel_times(case, grid, offset, prototype, part, refused):
     leader = prototype.velocity.guidance
     speed, slowing = float(leader.speed), float(leader.slowing_length)
     flown, guidances = [], []
+    if grid.values.size * case.flights > _MOST_NODES:
+        case.guidances = {}
     for i in part:
         if i not in case.guidances:
             start, goal = case.pairs[i]

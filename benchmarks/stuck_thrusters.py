@@ -18,22 +18,14 @@ import time
 from pathlib import Path
 
 import jax
-import jax.numpy as jnp
 import numpy as np
+from guarded_case import GuardedCase
 from kept_rows import Rows, show
-from navigation import GuardedCase
-from reach import travel_times, with_goals
 
 import keepout
-from keepout.audit.audit import Contact
-from keepout.control.guidance.plan import Straight
-from keepout.flight.batches import BATCH, states_at
+from keepout.flight.batches import states_at
 from keepout.guard.start import starts_certified
-from keepout.mission.audited import fly_audited
-from keepout.mission.build import build_guard, closing_radius, flight_setup
-from keepout.mission.law import build_law, room_for_guard
 from keepout.mission.thrusters import thrusters
-from keepout.report import terminal
 
 STUCK_FROM = 20.0
 """Seconds after the start: on the way, at full speed."""
@@ -45,71 +37,34 @@ SHOWN = (*PLACE[:-1], "covered", "reached", "contacts", "undecided", "minimum_cl
 SHOWN += ("guard_share", "saturated_fraction", "delta_v_mps", "propellant_kg", "seconds")
 
 
-def scenario_of(case, layout, detection):
-    """Give the scenario of a row: the farthest start and goal bound the drift for all."""
-    points = case.pairs.reshape(-1, 3)
-    furthest = tuple(points[np.argmax(np.linalg.norm(points, axis=1))].tolist())
-    chosen = {"layout": layout, "force": FORCE[layout], "survive_failure": True, "detection_time": detection}
-    return case.scenario.replace(
-        start={"position": furthest}, goal={"position": furthest}, duration=float(case.seconds), thrusters=chosen
-    )
-
-
 def fly_row(case, layout, stuck, detection):
     """Fly a row, and give its figures."""
-    began, refused = time.perf_counter(), []
-    scenario = scenario_of(case, layout, detection)
-    room = room_for_guard(scenario, case.target)
-    reach = float(np.linalg.norm(case.pairs, axis=-1).max())
-    prototype = build_law(scenario, case.model, guidance=Straight(), from_start=False, reach=reach, **room)
-    offset = case.offset + float(prototype.nominal_offset)
-    guard = build_guard(scenario, case.target, offset=case.model.offset, closing_radius=closing_radius(case.model))
-    setup = flight_setup(scenario, prototype, guard=guard)
+    began = time.perf_counter()
+    chosen = {"layout": layout, "force": FORCE[layout], "survive_failure": True, "detection_time": detection}
+    scenario = case.furthest(thrusters=chosen)
+    setup = case.setup(scenario)
     faulty = [
         thrusters(scenario.replace(faults={"thruster": i, "thruster_stuck": stuck, "stuck_from": STUCK_FROM}))
         for i in range(COUNT[layout])
     ]
-    case.use(offset)
-    grid = case.grid(offset)
-    outcomes, all_audits, uncertified = [], [], 0
-    with terminal.progress(f"{case.name}, {layout}, stuck {stuck}") as progress:
-        for begin in range(0, case.flights, BATCH):
-            part = np.arange(begin, min(begin + BATCH, case.flights))
-            part, guidances = travel_times(case, grid, offset, prototype, part, refused)
-            flown = with_goals(setup, jnp.asarray(case.pairs[part, 1]), guidances)
-            chosen = [faulty[i % len(faulty)] for i in part]
-            flown = dataclasses.replace(flown, thrusters=jax.tree.map(lambda *leaves: np.stack(leaves), *chosen))
-            initial = states_at(setup.motion, case.pairs[part, 0])
-            uncertified += int(np.sum(~starts_certified(guard, initial)))
-            outcome, audits = fly_audited(
-                scenario,
-                case.target,
-                flown,
-                initial,
-                vary=lambda s: (s.goal, s.controller.velocity.guidance, s.thrusters),
-                batch=BATCH,
-                seed=case.seed + begin,
-                progress=lambda f, m, begin=begin: progress((begin + f * min(BATCH, case.flights)) / case.flights, m),
-            )
-            outcomes.append(outcome)
-            all_audits.extend(audits)
-    for line in sorted(set(refused))[:3]:
-        sys.stderr.write(f"{case.name} {layout} {stuck}: refused: {line}\n")
-    outcome = jax.tree.map(lambda *arrays: np.concatenate(arrays), *outcomes)
-    return {
-        "covered": True,
-        "refused": len(refused),
-        "reached": int(outcome.reached.sum()),
-        "contacts": sum(a.contact is Contact.YES for a in all_audits),
-        "undecided": sum(a.contact is Contact.UNDECIDED for a in all_audits),
-        "minimum_clearance_m": min(a.minimum_clearance for a in all_audits),
-        "uncertified_starts": uncertified,
-        "guard_share": float(np.mean([a.guard_interventions / a.steps for a in all_audits])),
-        "saturated_fraction": float(np.mean(outcome.saturated_fraction)),
-        "delta_v_mps": float(np.median(outcome.delta_v)),
-        "propellant_kg": float(np.median(outcome.propellant)),
-        "seconds": time.perf_counter() - began,
-    }
+
+    def of_each(s):
+        return s.goal, s.controller.velocity.guidance, s.thrusters
+
+    def struck(flown, part):
+        each = jax.tree.map(lambda *leaves: np.stack(leaves), *(faulty[i % len(faulty)] for i in part))
+        return dataclasses.replace(flown, thrusters=each)
+
+    flown = case.fly(scenario, setup, f"{case.name}, {layout}, stuck {stuck}", of_each, struck)
+    row = {"covered": True} | flown.figures()
+    if len(flown.pairs):
+        starts = states_at(setup.motion, case.pairs[flown.pairs, 0])
+        row |= {
+            "uncertified_starts": int(np.sum(~starts_certified(setup.guard, starts))),
+            "delta_v_mps": float(np.median(flown.outcome.delta_v)),
+            "propellant_kg": float(np.median(flown.outcome.propellant)),
+        }
+    return row | {"seconds": time.perf_counter() - began}
 
 
 def main():

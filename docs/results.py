@@ -7,235 +7,29 @@ Every figure comes from a file under benchmarks/results, and every file from a c
 date and commit of each stand in origins.json, and for benchmarks that keep no file of their own in printed.json.
 """
 
-import json
-import statistics
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from keepout.report.terminal import shown
+from result_sections import SECTIONS
+from result_tables import kept_file, table
 
 PAGE = Path(__file__).with_name("results.md")
 README = PAGE.parents[1] / "README.md"
-NAVIGATION = {
-    "target": "target",
-    "suite": "suite",
-    "estimate": "estimate",
-    "flights": "flights",
-    "refused": "refused",
-    "reached": "reached",
-    "contacts": "contacts",
-    "undecided": "undecided",
-    "minimum_clearance_m": "least clearance m",
-    "saturated_fraction": "saturated",
-    "delta_v_mps": "Δv m/s",
-    "ratio": "Δv over noise-free",
-    "guard_share": "guard share",
-}
-STUCK = {
-    "target": "target",
-    "layout": "layout",
-    "stuck": "stuck",
-    "detection_s": "known after s",
-    "flights": "flights",
-    "covered": "covered",
-    "reached": "reached",
-    "contacts": "contacts",
-    "undecided": "undecided",
-    "minimum_clearance_m": "least clearance m",
-    "guard_share": "guard share",
-    "saturated_fraction": "saturated",
-    "delta_v_mps": "Δv m/s",
-    "propellant_kg": "propellant kg",
-}
 BEGIN, END = "<!-- headline figures: written by docs/results.py -->\n", "<!-- headline figures: end -->\n"
-RESULTS = PAGE.parents[1] / "benchmarks" / "results"
 
 
-def cell(value: Any) -> str:
-    """Format a value for a cell: as in the terminal, on one line, and a dash for nothing."""
-    return "–" if value is None else shown(value).replace("|", "\\|").replace("\n", " ")
-
-
-def note(name: str) -> list[str]:
-    """Give what is to be known of how a file of results was measured, as a paragraph, or nothing."""
-    said = kept_file("origins")[name]["note"]
-    return [f"How it was measured: {said}."] if said else []
-
-
-def table(rows: Sequence[Mapping[str, Any]], columns: Mapping[str, str] | None = None) -> list[str]:
-    """Give one line a row; the columns by their headings, or all of them."""
-    if not rows:
-        return ["No rows.", ""]
-    columns = columns or {key: key for key in rows[0]}
-    lines = ["| " + " | ".join(columns.values()) + " |", "|" + " --- |" * len(columns)]
-    lines += ["| " + " | ".join(cell(row[key]) for key in columns) + " |" for row in rows]
-    return [*lines, ""]
-
-
-def reproduction() -> list[str]:
-    """Give the paper's Section VI, part by part."""
-    kept = kept_file("paper")
+def page() -> str:
+    """Give the whole page."""
     lines = [
-        "## The paper's Section VI, repeated",
+        "# Results",
         "",
-        "`keepout reproduce all -o out/paper` writes this as `tables.json`.",
-        "",
-        *note("paper"),
+        "`python docs/results.py` writes this page from the files under `benchmarks/results`. [Limits](safety.md) says "
+        "which statements are proved and which are measured.",
         "",
     ]
-    for section in kept["sections"]:
-        lines += [f"### {section['title']}", "", f"The paper: {section['paper']}", ""]
-        for paragraph in section["ours"]:
-            lines += [paragraph, ""]
-        for entry in section["tables"]:
-            lines += [f"**{entry['caption']}**", "", *table(entry["rows"])]
-    return lines
-
-
-ERRATA = {
-    "erratum": "erratum",
-    "quantity": "quantity",
-    "printed": "as printed",
-    "mended": "mended",
-    "unit": "unit",
-}
-RIVALS = {
-    "target": "target",
-    "rival": "rival",
-    "guard": "guard",
-    "flights": "flights",
-    "reached": "reached",
-    "refused": "refused",
-    "contacts": "contacts",
-    "minimum_clearance_m": "least clearance m",
-    "delta_v_mps": "Δv m/s",
-    "time_over_bound": "time / bound",
-    "plan_s": "plan s",
-    "step_ms": "step ms",
-    "machine": "machine",
-    "note": "note",
-}
-REACH = {
-    "target": "target",
-    "law": "law",
-    "tumbling_deg_s": "tumbling °/s",
-    "speed_limit_mps": "speed limit m/s",
-    "seed": "seed",
-    "flights": "pairs",
-    "reached": "reached",
-    "refused": "refused",
-    "contacts": "contacts",
-    "minimum_clearance_m": "least clearance m",
-    "saturated_fraction": "steps saturated",
-    "delta_v_mps": "Δv m/s",
-    "delta_v_over_floor": "Δv / floor",
-    "time_over_bound": "time / bound",
-}
-GUIDANCE = {
-    "geodesic": "geodesic",
-    "none": "straight, no circulation",
-    "printed": "straight, printed Ω",
-    "skew": "straight, constant skew Ω",
-    "switching": "straight, switching skew Ω",
-}
-
-
-def measured(
-    title: str, words: Sequence[str], rows: Sequence[Mapping[str, Any]], columns: Mapping[str, str]
-) -> list[str]:
-    """Give the section of one benchmark: its title, a paragraph for each of the words, and its rows."""
-    lines = [f"## {title}", ""]
-    for paragraph in words:
-        lines += [paragraph, ""]
-    return [*lines, *table(rows, columns)]
-
-
-def errata() -> list[str]:
-    """Give what each slip of the paper does."""
-    words = ["`python benchmarks/errata.py`; discussed in [From the paper to the code](from-paper-to-code.md)."]
-    return measured("The paper's errata, measured", words, kept_file("errata"), ERRATA)
-
-
-def rivals() -> list[str]:
-    """Give other methods on the same flights."""
-    most: dict[tuple[str, str, bool], Mapping[str, Any]] = {}
-    for row in sorted(kept_file("rivals"), key=lambda row: row["flights"]):
-        most[row["target"], row["rival"], row["guard"]] = row  # a row of fewer flights was flown first
-    words = ["`python benchmarks/rivals.py`; discussed in [Rivals](rivals.md).", *note("rivals")]
-    return measured("Rivals on the same loop", words, [most[key] for key in sorted(most)], RIVALS)
-
-
-def reach() -> list[str]:
-    """Give every law on the same pairs of start and goal, without a guard."""
-    rows = [row | {"law": law_of(row)} for row in kept_file("reach")]
-    words = [
-        "`python benchmarks/reach.py`; discussed in [The control law](control.md). Pairs are random and keep 0.5 m "
-        "between chaser and mesh. Refused: goals in the law's keep-out zone, or targets that turn too fast; they count "
-        "as not reached. Δv, its ratio to the floor (disturbance rejection and the two changes of speed) and time over "
-        "the bound (shortest way / speed limit) are medians.",
-    ]
-    return measured("Every law, without a guard", words, rows, REACH)
-
-
-def law_of(row: Mapping[str, Any]) -> str:
-    """Name the law of a row of benchmarks/reach.py."""
-    return ("the paper's: " if row["profile"] == "paper" else "") + GUIDANCE[row["guidance"]]
-
-
-def faults() -> list[str]:
-    """Give every fault against every disturbance, within the guard's assumptions and beyond them."""
-    rows = []
-    for within in (True, False):
-        chosen = [row for row in kept_file("faults") if row["within_assumptions"] is within]
-        for fault in sorted({row["fault"] for row in chosen}):
-            for twice in (False, True):
-                some = [
-                    row
-                    for row in chosen
-                    if row["fault"] == fault and (row["disturbance"] == "twice the bound") is twice
-                ]
-                if some:
-                    rows.append(fault_row(fault, within, twice, some))
-        if within:
-            rows.append(fault_row("all of these", within, False, chosen))
-    words = [
-        "`python benchmarks/faults.py`; discussed in [Limits](safety.md). Hurt: not proved free of contact by the "
-        "audit. Flagged: the guard said that an assumption did not hold. Inside margin: nearer than the operator's "
-        "margin of 0.1 m, which the law keeps and the guard does not.",
-        *note("faults"),
-    ]
-    return measured("Faults, with the guard", words, rows, {key: key for key in rows[0]})
-
-
-def fault_row(fault: str, within: bool, twice: bool, some: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Add up the rows of one fault over targets and disturbances."""
-    counts = ("flights", "contacts", "undecided", "inside_margin", "flagged", "hurt", "hurt_and_flagged", "reached")
-    return {
-        "fault": fault,
-        "disturbance": "twice its bound" if twice else "within its bound",
-        "assumptions": "hold" if within else "broken",
-        **{key.replace("_", " "): sum(row[key] for row in some) for key in counts},
-        "least clearance m": min(row["minimum_clearance_m"] for row in some),
-    }
-
-
-def printed() -> list[str]:
-    """Give the tables of benchmarks that keep no file of their own."""
-    lines = []
-    for entry in kept_file("printed").values():
-        words = [f"`{entry['command']}`: {entry['note']}."]
-        lines += measured(entry["title"], words, entry["rows"], {key: key for key in entry["rows"][0]})
-    return lines
-
-
-def origins() -> list[str]:
-    """Give where each table comes from: command, machine, date, and the commit with which it was kept."""
-    columns = {key: key for key in ("tables", "command", "machine", "date", "commit")}
-    rows = [{"tables": name, **entry} for name, entry in (kept_file("origins") | kept_file("printed")).items()]
-    rows = [row | {"command": f"`{row['command']}`"} for row in rows]
-    return measured("Where the figures come from", [], rows, columns)
+    return "\n".join(lines + [line for section in SECTIONS for line in section()]).rstrip() + "\n"
 
 
 def headline() -> list[dict[str, str]]:
@@ -244,6 +38,9 @@ def headline() -> list[dict[str, str]]:
     laws = [row for row in kept_file("reach") if row["seed"] == 0 and row["tumbling_deg_s"] == 0.0]
     default = [row for row in laws if row["profile"] == "default" and row["guidance"] == "geodesic"]
     paper = [row for row in laws if row["profile"] == "paper"]
+    sensed = [row for row in kept_file("navigation") if (row["suite"], row["estimate"]) == ("close", "filter")]
+    sensed = [row for row in sensed if row["flights"] == max(one["flights"] for one in sensed)]
+    stuck = kept_file("stuck_thrusters")
     sections = {section["name"]: section for section in kept_file("paper")["sections"]}
     shipped = [row for row in sections["table1"]["tables"][0]["rows"] if row["field"] == "shipped, δ = 30 mm"]
     steps = {row["contender"]: row["median_ms"] for row in sections["runtime"]["tables"][0]["rows"]}
@@ -264,6 +61,16 @@ def headline() -> list[dict[str, str]]:
             "what": "the same by the source paper's law with its printed constants",
             "figure": f"{total(paper, 'reached')} of {total(paper, 'flights')}, {total(paper, 'contacts')}",
             "command": "python benchmarks/reach.py",
+        },
+        {
+            "what": "the same by the default law on sensors (± 0.05 m, ± 2 mm/s, 1 Hz) and on/off thrusters, guarded",
+            "figure": f"{total(sensed, 'reached')} of {total(sensed, 'flights')}, {total(sensed, 'contacts')}",
+            "command": "python benchmarks/navigation.py",
+        },
+        {
+            "what": "contacts in guarded flights with one of twelve thrusters stuck, off or on",
+            "figure": f"{total(stuck, 'contacts')} of {total(stuck, 'flights')}",
+            "command": "python benchmarks/stuck_thrusters.py",
         },
         {
             "what": "proved bound on what the shipped fields over-state on the surface",
@@ -289,162 +96,6 @@ def readme(text: str) -> str:
     rows = [row | {"command": f"`{row['command']}`"} for row in headline()]
     lines = table(rows, {"what": "what was measured or proved", "figure": "figure", "command": "command"})
     return head + BEGIN + "\n" + "\n".join(lines) + "\n" + END + rest.split(END)[1]
-
-
-def kept_file(name: str) -> Any:
-    """Read a file of kept results."""
-    return json.loads((RESULTS / f"{name}.json").read_text(encoding="utf-8"))
-
-
-def rare_events() -> list[str]:
-    """Give what subset simulation finds, against what is known, and beyond the guard's assumptions."""
-    kept = kept_file("rare")
-    columns = {
-        "case": "case",
-        "truth": "truth",
-        "groups": "groups",
-        "cover": "cover",
-        "too_low": "below the truth",
-        "too_high": "above it",
-        "bias": "bias",
-        "bias_error": "± bias",
-        "cover_t_of_mean": "cover, t of the mean",
-        "cover_t_of_logarithms": "cover, t of the logarithms",
-        "relative_spread_of_a_group": "spread of a group",
-    }
-    lines = [
-        "## Rare events",
-        "",
-        "`python benchmarks/rare.py crossing`, `flights` and `table`; discussed in [Rare events](rare.md). A group "
-        "is one answer: 8 runs of 1024 tapes a level, and the 95 % interval from their spread. Cover is the share of "
-        "groups whose interval holds the truth.",
-        "",
-        "**The maximum of an Ornstein–Uhlenbeck process (correlation time, s, of so many samples a second apart), "
-        "truth by quadrature; 58 368 tapes a group**",
-        "",
-        *table([{"case": name, **row} for name, row in kept["crossing"].items()], columns),
-    ]
-    flown = [
-        {"case": f"{name}, below {clearance:.3f} m", **row}
-        for name, case in kept["flights"].items()
-        for clearance, row in zip(case["clearances_m"], case["figures"])
-    ]
-    with_error = columns | {"truth_error": "± truth"}
-    lines += ["**Flights of 120 s along a wing of `intelsat30`, truth by brute force**", "", *table(flown, with_error)]
-    rows = []
-    for row in kept["table"]:
-        low, high = row["interval"] or (0.0, row["probability_below"])
-        rows.append(row | {"said": row["probability"], "low": low, "high": high})
-    columns = {
-        "fault": "fault",
-        "guard": "guard",
-        "said": "P(contact)",
-        "low": "from",
-        "high": "to, 95 %",
-        "levels": "levels",
-        "flights_a_level": "flights a level",
-        "flights": "flights",
-        "least_clearance_m": "least clearance m",
-    }
-    lines += ["**The same flights with faults beyond the guard's assumptions: measured**", ""]
-    return [*lines, *table(rows, columns)]
-
-
-def campaigns() -> list[str]:
-    """Give what a campaign costs, part by part, beside the usual way, and against the number of runs."""
-    kept = kept_file("campaign")
-    lines = [
-        "## Campaigns",
-        "",
-        "`python benchmarks/campaign.py --scaling 100 1000 10000 100000`; discussed in [Campaigns](campaigns.md). "
-        "Case 3's flights around `intelsat30` by the shipped field, the guard on, after start-up; "
-        f"{kept['flights']} flights of {kept['steps']} s, medians of three.",
-        "",
-        *note("campaign"),
-        "",
-        "**Microseconds a flight-step, by the clock and of processor time, and seconds of the whole campaign**",
-        "",
-    ]
-    columns = {"cores": "cores", "audit": "audit", "clock_us": "clock µs", "cpu_us": "processor µs", "seconds": "s"}
-    lines += table([row | {"audit": "yes" if row["audit"] else "no"} for row in kept["times"]], columns)
-    lines += ["**Microseconds of one core a flight-step, each part compiled alone**", ""]
-    lines += table([{"part": name, "µs": figure} for name, figure in kept["shares_us"].items()])
-    lines += ["**A step of the printed law: written with CVXPY, Clarabel and PyTorch, and in a campaign**", ""]
-    lines += table([kept["usual way"]])
-    lines += [f"**Time against the number of runs, audit included; flights of {kept['scaling_steps']} s**", ""]
-    each = [row | {"each": 1e3 * row["seconds"] / row["runs"]} for row in kept["scaling"]]
-    columns = {"runs": "runs", "seconds": "s", "each": "ms a flight", "cpu_us": "processor µs a flight-step"}
-    return [*lines, *table(each, columns)]
-
-
-def startup() -> list[str]:
-    """Give how long a command takes from its start, with kept programs and without."""
-    kept = kept_file("startup")
-    runs = min(len(runs) for runs in kept["rows"].values())
-    columns = {
-        "what": "what",
-        "seconds": "s",
-        "cpu": "processor s",
-        "compiled": "programs compiled",
-        "taken": "taken by JAX",
-        "whole": "taken whole",
-        "first": "s to the first flight",
-    }
-    rows = [dict.fromkeys(columns) | row | {"what": name} for name, row in kept["medians"].items()]
-    words = [
-        "`python benchmarks/startup.py`; discussed in [Start-up time](startup.md). A process of its own a row, on "
-        f"{kept['cores']} cores; {f'medians of {runs}' if runs > 1 else 'one run each'}. Cold: with an empty folder "
-        "for compiled programs; warm: with the folder that the row before has filled.",
-        *note("startup"),
-    ]
-    return measured("Start-up", words, rows, columns)
-
-
-def navigation() -> list[str]:
-    """Give the standard missions flown on what sensors say, beside those flown on the true state."""
-    kept = kept_file("navigation")
-    rows = []
-    for row in kept:
-        same = ("target", "layout", "flights", "seed")
-        suite = "close" if row["suite"] == "wide" else row["suite"]
-        like = {key: row[key] for key in same} | {"suite": suite, "estimate": "none"}
-        free = next((one for one in kept if like.items() <= one.items()), None)
-        pairs = [] if free is None else zip(row["delta_v"], free["delta_v"], strict=True)
-        ratios = [one / other for one, other in pairs if one and other]
-        rows.append(dict.fromkeys(NAVIGATION) | row | {"ratio": statistics.median(ratios) if ratios else None})
-    words = [
-        "`python benchmarks/navigation.py`; discussed in [Navigation](navigation.md). Law and guard fly on on/off "
-        "thrusters (six, Δ-Σ, 20 ms); the pairs are those of the table of every law. Estimate none: the true state. "
-        "Δv over noise-free: the median of the ratios to the same pair on the true state. Guard share: of all steps, "
-        "those in which the guard replaced the command.",
-        *note("navigation"),
-    ]
-    return measured("Flown on sensors", words, sorted(rows, key=lambda row: (row["target"], row["suite"])), NAVIGATION)
-
-
-def stuck() -> list[str]:
-    """Give flights with every thruster of a layout stuck."""
-    rows = [dict.fromkeys(STUCK) | row for row in kept_file("stuck_thrusters")]
-    words = [
-        "`python benchmarks/stuck_thrusters.py`; discussed in [Your thrusters](my-thrusters.md). The flights of a row "
-        "are spread over all thrusters. Covered: the scenario declares the failure, and the guard is built for it.",
-        *note("stuck_thrusters"),
-    ]
-    return measured("Stuck thrusters, with the guard", words, rows, STUCK)
-
-
-def page() -> str:
-    """Give the whole page."""
-    lines = [
-        "# Results",
-        "",
-        "`python docs/results.py` writes this page from the files under `benchmarks/results`. [Limits](safety.md) says "
-        "which statements are proved and which are measured.",
-        "",
-    ]
-    flown = (reach, faults, navigation, stuck, reproduction, errata, rivals, rare_events, campaigns)
-    sections = (origins, *flown, startup, printed)
-    return "\n".join(lines + [line for section in sections for line in section()]).rstrip() + "\n"
 
 
 def main() -> None:

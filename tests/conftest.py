@@ -18,6 +18,11 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
         "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "0",
     }
+# Likewise what one test learns and proves (truths/learned.py).
+if "KEEPOUT_TESTS_LEARNED" not in os.environ:
+    _learned = tempfile.mkdtemp(prefix="keepout-learned-")
+    atexit.register(shutil.rmtree, _learned, ignore_errors=True)
+    os.environ["KEEPOUT_TESTS_LEARNED"] = _learned
 
 import equinox as eqx
 import jax
@@ -48,24 +53,29 @@ FIRST = (
     "test_journey.py",
     "test_demonstration.py",
     "test_fit_and_certify.py",
-    "test_readme.py",
     "test_examples.py",
+    "test_readme.py",
     "test_docs_code.py",
     "test_cluster.py",
-    "test_campaign.py",
-    "test_kept_programs.py",
-    "test_flights.py",
-    "test_derivatives.py",
-    "test_check.py",
-    "test_draft.py",
     "test_loose_ends.py",
-    "test_on_board.py",
     "test_cone.py",
+    "test_campaign.py",
+    "test_known_errors.py",
     "test_orbit_bounds.py",
+    "test_navigation.py",
+    "test_on_board_navigation.py",
+    "test_flights.py",
     "test_invariance.py",
+    "test_kept_programs.py",
+    "test_on_board.py",
+    "test_derivatives.py",
+    "test_draft.py",
+    "test_start.py",
+    "test_check.py",
+    "test_thrusters.py",
 )
 """What a user runs first is tested first; these take longest too, so that no worker ends with one while others wait.
-README comes after what compiles the same programs."""
+README comes after what learns, certifies and flies the same."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

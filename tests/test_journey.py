@@ -17,6 +17,8 @@ import pyarrow.parquet as pq
 import pytest
 from truths.boxes import HALF, box_distance, contact_with_box
 from truths.command_line import keepout_command
+from truths.learned import kept as kept_field
+from truths.learned import taken
 from truths.replay_page import ReplayPage
 from truths.results import Page, check_picture
 
@@ -32,18 +34,21 @@ from keepout.mission import audited, environment
 from keepout.mission import flight as flights
 from keepout.mission.flight import fly
 from keepout.mission.scenario import Scenario
+from keepout.proof import certificate as proving
 from keepout.report.terminal import FLIGHT_COLUMNS, shown
 
 pytestmark = [pytest.mark.xdist_group("journey"), pytest.mark.long]
 
 RADIUS = 0.5
-MISSION = """
+START, GOAL, SECONDS = (0.0, 10.0, 6.0), (0.0, -10.0, -4.0), 500
+"""Those of tests/test_readme.py, which takes the program of the flight."""
+MISSION = f"""
 name = "boxed"
-duration = 200.0
+duration = {SECONDS}.0
 target.source = "box"
 field.source = "box.keepout"
-start.position = [0.0, 4.0, 1.5]
-goal.position = [0.5, -4.0, -1.5]
+start.position = {list(START)}
+goal.position = {list(GOAL)}
 campaign.lower = [-4.0, 3.0, -2.0]
 campaign.upper = [4.0, 5.0, 2.0]
 """
@@ -76,14 +81,18 @@ def place(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def fitted(place):
-    return keepout_command("fit", "box", "-o", "box.keepout", "--profile", "quick", "--json").json
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(training, "fit", kept_field(training.fit))
+        return keepout_command("fit", "box", "-o", "box.keepout", "--profile", "quick", "--json").json
 
 
 @pytest.fixture(scope="module")
 def certified(place, fitted):
     uncertified = (place / "box.keepout").read_bytes()
     refused = keepout_command("fly", "mission.toml", "-o", "refused")
-    summary = keepout_command("certify", "box.keepout", "--chaser-radius", RADIUS, "--json").json
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(proving, "certify", kept_field(proving.certify))
+        summary = keepout_command("certify", "box.keepout", "--chaser-radius", RADIUS, "--json").json
     return summary, uncertified, refused
 
 
@@ -199,7 +208,9 @@ def test_fit_certifies_in_the_same_command(place, certified, tmp_path):
     learned = tmp_path / "learned.keepout"
     learned.write_bytes(uncertified)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(training, "fit", lambda *_, **__: FieldModel.load(learned))  # it takes long, and was tried above
+        # Both take long, and were tried above.
+        patch.setattr(training, "fit", lambda *_, **__: FieldModel.load(learned))
+        patch.setattr(proving, "certify", taken(proving.certify))
         both = ("fit", "box", "-o", tmp_path / "both.keepout", "--chaser-radius", RADIUS, "--certify", "--json")
         said = keepout_command(*both).json["certificate"]
     [certificate] = FieldModel.load(tmp_path / "both.keepout", target=Target.load("box")).certificates
@@ -243,9 +254,9 @@ def test_a_flight_reaches_its_goal_and_says_so_everywhere(place, flown):
     position, velocity, force = (
         np.column_stack([column[f"{name}_{axis}"] for axis in "xyz"]) for name in ("position", "velocity", "force")
     )
-    np.testing.assert_array_equal(time, np.arange(201.0))
-    np.testing.assert_array_equal(position[0], [0.0, 4.0, 1.5])
-    error = np.linalg.norm(position - [0.5, -4.0, -1.5], axis=1)
+    np.testing.assert_array_equal(time, np.arange(SECONDS + 1.0))
+    np.testing.assert_array_equal(position[0], START)
+    error = np.linalg.norm(position - np.array(GOAL), axis=1)
     assert flown["final_error_m"] == pytest.approx(error[-1], abs=1e-12)
     late = np.flatnonzero(error >= 0.1)[-1] + 1
     assert flown["time_to_reach_s"] == time[late]
@@ -322,7 +333,7 @@ def test_a_campaigns_summary_is_that_of_its_rows(place, campaign):
     assert campaign["starts_drawn_again"] >= 0
     assert campaign["median_delta_v_mps"] == np.median(rows["delta_v"])
     assert campaign["guard_interventions"] == rows["guard_interventions"].sum()
-    assert sum(campaign["statuses"]["guard"].values()) == RUNS * 200
+    assert sum(campaign["statuses"]["guard"].values()) == RUNS * SECONDS
     assert np.isfinite(rows["time_to_reach"]).all()
     starts = np.column_stack([rows[f"start_{axis}"] for axis in "xyz"])
     assert (np.abs(starts - [0.0, 4.0, 0.0]) <= [4.0, 1.0, 2.0]).all()
@@ -350,7 +361,7 @@ def test_the_verdicts_of_a_campaign_are_those_of_its_flights_one_by_one(place, c
     for share, quantile in zip(bands["shares"], bands["position_error"], strict=True):
         ranked = np.sort(errors, axis=0)[max(int(np.ceil(share * RUNS)), 1) - 1]
         np.testing.assert_allclose(quantile, ranked, rtol=0.0101, atol=1e-6)
-    assert position.shape == (RUNS, 201, 3)
+    assert position.shape == (RUNS, SECONDS + 1, 3)
     for row, *states in zip(rows, position, velocity, force):
         np.testing.assert_array_equal(states[0][0], [row[f"start_{axis}"] for axis in "xyz"])
         record = SimpleNamespace(time=time, **dict(zip(("position", "velocity", "force"), states)))
@@ -358,7 +369,7 @@ def test_the_verdicts_of_a_campaign_are_those_of_its_flights_one_by_one(place, c
         assert str(verdict.contact) == row["contact"]
         assert verdict.minimum_clearance == row["minimum_clearance"]
         assert row["minimum_clearance"] <= box_distance(states[0]).min() - RADIUS <= row["minimum_clearance"] + 0.01
-        error = np.linalg.norm(states[0] - [0.5, -4.0, -1.5], axis=1)
+        error = np.linalg.norm(states[0] - np.array(GOAL), axis=1)
         assert row["final_error"] == pytest.approx(error[-1], abs=1e-12)
         assert row["time_to_reach"] == np.flatnonzero(error >= 0.1)[-1] + 1
 
@@ -385,7 +396,10 @@ def test_a_stopped_fit_goes_on_where_it_was(place, fitted, monkeypatch):
     assert FieldModel.load(place / "again.keepout").sha256 == FieldModel.load(place / "box.keepout").sha256
 
 
-@pytest.mark.parametrize("blocked", ["summary.json", "boxed.parquet", "paths.png", "replay.html", "index.html"])
+@pytest.mark.parametrize(
+    "blocked",
+    ["summary.json", "boxed.parquet", "paths.png", pytest.param("replay.html", marks=pytest.mark.slow), "index.html"],
+)
 def test_a_place_that_cannot_be_written_is_named_in_one_line(place, flown, kept, blocked, monkeypatch):
     monkeypatch.setattr(flights, "fly", lambda *_, **__: kept[0])
     out = place / f"blocked-{blocked}"

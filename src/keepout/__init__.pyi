@@ -4,6 +4,8 @@ from .control.law import Command as Command
 from .control.law import Law as Law
 from .control.policy import PolicyLaw as PolicyLaw
 from .errors import KeepoutError as KeepoutError
+from .exploring.exploration import Exploration as Exploration
+from .exploring.explore import explore as explore
 from .fields.field import Field as Field
 from .fields.model import FieldModel as FieldModel
 from .fields.own import FunctionField as FunctionField

@@ -3,12 +3,15 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from keepout.audit.tube import FlightBounds, Tube
 from keepout.motion import NoDisturbance, Orbit, RelativeMotion
 from keepout.motion.thrusters.errors import thruster_errors
 from keepout.motion.thrusters.layout import preset
 from keepout.motion.thrusters.on_off import OnOffThrusters
+
+pytestmark = pytest.mark.long
 
 ORBIT = Orbit(6_778_000.0)
 RATE = 1.2e-3
@@ -21,12 +24,12 @@ def bounds(**chosen):
     )
 
 
-def pulsed_flight(rise_delay, steps=40):
+def pulsed_flight(rise_delay):
     """Samples of a flight under random pulses, and where it was between them, from switch to switch."""
     layout = preset("six", force=0.1, arm=0.5, rise_delay=rise_delay)
     model = OnOffThrusters.of(layout, force_limit=0.1, period=1.0)
     motion = RelativeMotion(ORBIT)
-    asked = np.random.default_rng(1).uniform(-0.1, 0.1, (steps, 3))
+    asked = np.random.default_rng(1).uniform(-0.1, 0.1, (40, 3))
 
     def advance(carried, command):
         state, memory = carried
@@ -66,7 +69,7 @@ def test_the_tube_holds_the_pulsed_path_and_the_held_one_does_not():
 
 
 def test_without_pulses_the_tube_is_the_same_to_the_bit():
-    (position, velocity, force, _), _ = pulsed_flight(0.0, steps=10)
+    (position, velocity, force, _), _ = pulsed_flight(0.0)
     time = np.arange(len(position), dtype=float)
     told = Tube.of(time, position[None], velocity[None], force[None], bounds(excursion=0.0))
     plain = Tube.of(time, position[None], velocity[None], force[None], bounds())

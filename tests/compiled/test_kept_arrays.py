@@ -3,7 +3,6 @@
 import os
 import warnings
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -19,18 +18,6 @@ from keepout.replay.surfaces import drawn_surface
 pytestmark = pytest.mark.skipif(not hasattr(os, "getuid"), reason="no owners and modes of files here")
 
 SPHERE = SphereField(jnp.zeros(3), jnp.asarray(2.0))
-
-
-@pytest.fixture
-def folder(tmp_path, monkeypatch):
-    """A folder of its own, as a process has it after it has begun to keep programs."""
-    before = jax.config.jax_compilation_cache_dir
-    jax.config.update("jax_compilation_cache_dir", None)
-    monkeypatch.setenv(VARIABLE, str(tmp_path / "kept"))
-    keep_programs.cache_clear()
-    yield keep_programs()
-    keep_programs.cache_clear()
-    jax.config.update("jax_compilation_cache_dir", before)
 
 
 @pytest.fixture

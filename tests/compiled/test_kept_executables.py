@@ -37,18 +37,6 @@ SPHERE = SphereField(jnp.zeros(3), jnp.asarray(2.0))
 TRUE = np.linalg.norm(POINTS, axis=1) - 2.0
 
 
-@pytest.fixture
-def folder(tmp_path, monkeypatch):
-    """A process as a user starts it, with a folder of its own, that has compiled nothing yet."""
-    before = jax.config.jax_compilation_cache_dir
-    jax.config.update("jax_compilation_cache_dir", None)
-    monkeypatch.setenv(VARIABLE, str(tmp_path / "kept"))
-    keep_programs.cache_clear()
-    yield keep_programs()
-    keep_programs.cache_clear()
-    jax.config.update("jax_compilation_cache_dir", before)
-
-
 def fresh(monkeypatch) -> None:
     """Forget in this process what was compiled or taken."""
     monkeypatch.setattr(evaluate, "_value", kept_jit(evaluate._value.__wrapped__))

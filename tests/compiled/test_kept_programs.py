@@ -225,12 +225,11 @@ print(json.dumps([before, str(folder), float(value).hex(), hits.count("/jax/comp
 """
 
 
-def run(program: str, folder: str | Path) -> tuple[list, str]:
+def run(program: str, folder: str | Path, *arguments: str) -> tuple[list, str]:
     """Run a program in a process as a user starts it, and give what it printed."""
     own = {name: value for name, value in os.environ.items() if not name.startswith("JAX_")}
-    done = subprocess.run(
-        [sys.executable, "-c", program], env=own | {VARIABLE: str(folder)}, capture_output=True, text=True, check=True
-    )
+    command = [sys.executable, "-c", program, *arguments]
+    done = subprocess.run(command, env=own | {VARIABLE: str(folder)}, capture_output=True, text=True, check=True)
     return json.loads(done.stdout.splitlines()[-1]), done.stderr
 
 
@@ -267,9 +266,9 @@ import numpy as np
 import keepout
 from keepout.mission.campaign import run_campaign
 scenario = keepout.Scenario.load("examples/case1.toml").replace(duration=60.0)
-flight = keepout.fly(scenario)
-bare = {"guard": {"enabled": False}, "control": {"guidance": "straight"}}
-flown = run_campaign(scenario.replace(campaign={"runs": 3}, **bare))
+bare = scenario.replace(guard={"enabled": False}, control={"guidance": "straight"})
+flight = keepout.fly(scenario if sys.argv[1] == "guarded" else bare)
+flown = run_campaign(bare.replace(campaign={"runs": 3}))
 whole = hashlib.sha256()
 for name, column in sorted(vars(flight.record).items()):
     if isinstance(column, np.ndarray):
@@ -282,11 +281,12 @@ print(json.dumps([flight.summary(), whole.hexdigest()]))
 
 
 @pytest.mark.long
-def test_a_flight_and_a_campaign_are_the_same_bits_with_and_without(tmp_path):
+@pytest.mark.parametrize("law", ["bare", pytest.param("guarded", marks=pytest.mark.slow)])
+def test_a_flight_and_a_campaign_are_the_same_bits_with_and_without(tmp_path, law):
     kept = tmp_path / "kept"
-    first, _ = run(FLIGHT, kept)
-    again, said = run(FLIGHT, kept)
-    without, _ = run(FLIGHT, "off")
+    first, _ = run(FLIGHT, kept, law)
+    again, said = run(FLIGHT, kept, law)
+    without, _ = run(FLIGHT, "off", law)
     assert first == again == without
     assert "persistent compilation cache" not in said
     assert list(kept.glob("programs-*/code_trace-*"))

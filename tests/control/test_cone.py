@@ -210,9 +210,8 @@ def test_derivative_is_the_central_difference():
     check_derivatives(lambda p: solve(p).velocity / LIMIT, program, direction, 1e-6, 1e-6, jumps=jumps)
 
 
-def check_fuzz(count, seed):
+def check_fuzz(rng, count):
     """Numbers over many magnitudes, with zeros: finite, within the limits, and safe where it is said so."""
-    rng = np.random.default_rng(seed)
 
     def wild(*shape):
         values = rng.normal(size=shape) * 10.0 ** rng.uniform(-9, 4, shape)
@@ -246,9 +245,10 @@ def check_fuzz(count, seed):
 @pytest.mark.long
 def test_wild_numbers():
     """Of numbers spread over thirteen decades one program in a thousand may stay unverified, and then says so."""
-    assert check_fuzz(4000, seed=0) <= 1e-3
+    rng = np.random.default_rng(0)
+    assert np.mean([check_fuzz(rng, MANY) for _ in range(27)]) <= 1e-3
 
 
 @pytest.mark.slow
 def test_a_million_wild_numbers():
-    assert np.mean([check_fuzz(50_000, seed=seed) for seed in range(1, 21)]) <= 1e-3
+    assert np.mean([check_fuzz(np.random.default_rng(seed), 50_000) for seed in range(1, 21)]) <= 1e-3

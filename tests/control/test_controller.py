@@ -111,6 +111,7 @@ def test_goals_batch_by_vmap(default, grid):
     assert np.linalg.norm(together[0] - together[1]) > 0.01
 
 
+@pytest.mark.long
 def test_a_sample_that_is_not_a_number_is_said_and_forgotten(default):
     step = eqx.filter_jit(lambda memory, state: default.step(memory, state))
     state = MOTION.initial_state(START, np.zeros(3))

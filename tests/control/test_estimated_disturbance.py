@@ -5,6 +5,7 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from truths.operations import operation
 
 from keepout.control import profiles
@@ -30,6 +31,7 @@ def flown(law, estimate, memory):
     return jax.jit(lambda m, e: law.step(m, e))(memory, estimate)
 
 
+@pytest.mark.long
 def test_the_law_cancels_the_estimates_disturbance_and_its_observer_rests():
     told = dataclasses.replace(STATE, disturbance=PUSH)
     memory = LAW.initial_state(STATE)
@@ -47,6 +49,7 @@ def test_the_law_cancels_the_estimates_disturbance_and_its_observer_rests():
     assert float(jnp.max(jnp.abs(order.disturbance_estimate - PUSH))) > 1e-3
 
 
+@pytest.mark.long
 def test_the_state_ahead_of_a_delay_feels_the_estimates_disturbance():
     law = AheadOfDelay(LAW, MOTION, CASE.chaser.mass, CASE.period, 2)
     pending = jnp.array([[0.02, 0.0, -0.01], [0.0, 0.03, 0.01]])

@@ -1,5 +1,6 @@
 """Fast marching and guidance against closed forms."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -115,14 +116,18 @@ def test_geodesic_direction_is_a_smooth_unit_vector():
 
 def slid(field, offset, guidance, start, steps):
     """Follow v_c a second at a time, less what a safe velocity takes off it: where it ends, and the least barrier."""
+    return _slid(field, jnp.asarray(offset), guidance, jnp.asarray(start), steps)
 
+
+@eqx.filter_jit
+def _slid(field, offset, guidance, start, steps):
     def move(position, _):
         value, normal = field.value_and_gradient(position)
         desired = guidance.desired_velocity(position)
         into = jnp.minimum(jnp.sum(desired * normal) + 0.08 * (value - offset), 0.0) / jnp.sum(normal * normal)
         return position + desired - into * normal, value - offset
 
-    return jax.jit(lambda r: jax.lax.scan(move, r, length=steps))(jnp.asarray(start))
+    return jax.lax.scan(move, start, length=steps)
 
 
 @pytest.mark.parametrize(("half_width", "aside"), [(0.55, 0.0), (0.75, 0.12), (0.9, 0.12), (1.1, 0.0)])

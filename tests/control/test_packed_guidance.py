@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from scipy.interpolate import BSpline
 
 from keepout.control.guidance.guidance import GeodesicGuidance, packed
@@ -46,6 +47,7 @@ def test_the_blend_is_the_sum_of_splines_alone_and_in_a_batch():
     np.testing.assert_allclose([law.direction(jnp.asarray(p)) for p in POSITIONS[:3]], truth[:3], rtol=0.0, atol=1e-13)
 
 
+@pytest.mark.long
 def test_its_derivative_is_that_of_the_blend():
     law, step = guidance(), 1e-5
     found = jax.vmap(jax.jacfwd(law.direction))(jnp.asarray(POSITIONS[:5]))

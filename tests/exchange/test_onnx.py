@@ -37,6 +37,7 @@ def apart(field, points):
     return np.abs(here - value).max(), np.linalg.norm(slope - gradient, axis=1).max()
 
 
+@pytest.mark.long
 def test_the_graph_is_the_field_to_rounding_within_and_beyond_its_domain():
     """Without the rounding of float32, value, gradient, bend and continuation agree to 1e-11."""
     field = random_field(3)

@@ -1,6 +1,5 @@
 """The whole loop: seen, mapped, approached, and audited on the true mesh."""
 
-
 import numpy as np
 import pytest
 
@@ -121,9 +120,7 @@ def test_a_target_that_is_not_where_it_was_expected_is_reported(to_goal):
 
 
 def test_a_target_beyond_its_ball_and_broken_promises_are_named():
-    found = explore(
-        scenario(map={"radius": 1.6}, start={"position": [4.5, 0.2, 0.1]}, duration=60.0), target=crate()
-    )
+    found = explore(scenario(map={"radius": 1.6}, start={"position": [4.5, 0.2, 0.1]}, duration=60.0), target=crate())
     assert any("map.radius 1.6" in line for line in found.assumptions_broken)
     assert not found.start_certified
     late = explore(scenario(depth_sensor={"broken": "late"}, duration=60.0), target=crate())

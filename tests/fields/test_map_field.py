@@ -39,6 +39,7 @@ def test_values_are_those_of_scipys_spline():
     np.testing.assert_allclose(values(EMPTY.field(scattered(0)), points), truth, atol=1e-12)
 
 
+@pytest.mark.long
 def test_derivatives_are_those_of_the_value():
     field, points = EMPTY.field(scattered(1)), jnp.asarray(places(400, 1))
     value, gradient, hessian = values_gradients_hessians(field, np.asarray(points))
@@ -49,6 +50,7 @@ def test_derivatives_are_those_of_the_value():
     np.testing.assert_array_equal(slope, gradient)
 
 
+@pytest.mark.long
 def test_a_batch_of_single_points_is_the_points_together():
     field, points = EMPTY.field(scattered(2)), jnp.asarray(places(64, 2))
     for name in ("value", "value_and_gradient", "value_gradient_hessian"):

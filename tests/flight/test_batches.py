@@ -3,7 +3,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from truths.flights import KEY, make_setup, start_state
+from truths.flights import KEY, STEPS, make_setup, start_state
 
 from keepout.errors import ScenarioError
 from keepout.flight import FlightOutcome, fly, outcome
@@ -11,7 +11,6 @@ from keepout.flight.batches import fly_batches, states_at
 from keepout.flight.faults import WrongEstimate
 from keepout.motion import ConstantDisturbance
 
-STEPS = 30
 NAMES = [name for name in FlightOutcome.__annotations__ if name != "propellant"]
 
 

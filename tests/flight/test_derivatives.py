@@ -97,7 +97,7 @@ def test_the_gradient_of_a_flight_is_that_of_central_differences():
         assert np.all(np.isfinite(leaf)), jax.tree_util.keystr(place)
 
 
-@pytest.mark.long
+@pytest.mark.slow  # tests/control/test_packed_guidance.py has the derivative of the guidance alone
 def test_the_gradient_along_a_geodesic_way():
     flight = flown(guidance=Geodesic(spacing=0.4))
     slopes = compared(flight, ["tracking gain", "true mass", "start", "start's height", "amplitude", "offset"])

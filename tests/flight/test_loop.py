@@ -3,12 +3,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from truths.flights import GOAL, KEY, Delayed, Halving, make_setup, start_state
+from truths.flights import GOAL, KEY, STEPS, Delayed, Halving, make_setup, start_state
 
 from keepout.errors import ScenarioError
 from keepout.flight import fly, outcome
 from keepout.flight.loop import start, step
-from keepout.motion import MotionState, NoDisturbance, Thrusters
+from keepout.motion import MotionState, Thrusters
 
 
 @pytest.fixture(scope="module")
@@ -74,8 +74,8 @@ def test_batches_are_the_same_flights():
     setup = make_setup()
     starts = jnp.array([[0.0, 10.0, 6.0], [8.0, 1.0, -3.0], [-5.0, 5.0, 0.0]])
     states = jax.vmap(lambda r: start_state(setup, r))(starts)
-    logs = eqx.filter_vmap(fly, in_axes=(None, 0, None, None))(setup, states, 60, KEY)
-    alone = fly(setup, start_state(setup, starts[1]), 60, KEY)
+    logs = eqx.filter_vmap(fly, in_axes=(None, 0, None, None))(setup, states, STEPS, KEY)
+    alone = fly(setup, start_state(setup, starts[1]), STEPS, KEY)
     np.testing.assert_allclose(logs.position[1], alone.position, atol=1e-12)
     np.testing.assert_allclose(logs.force[1], alone.force, atol=1e-13)
     np.testing.assert_array_equal(alone.guard_status, 0)
@@ -99,8 +99,8 @@ def test_outcome_against_numpy():
 
 def shaped_log(distances):
     """A log that is at the given distances from the goal, one a second from t = 5 s."""
-    setup = make_setup(disturbance=NoDisturbance())
-    log = fly(setup, start_state(setup), len(distances) - 1, KEY)
+    setup = make_setup()
+    log = jax.tree.map(lambda column: column[: len(distances)], fly(setup, start_state(setup), STEPS, KEY))
     position = GOAL + jnp.asarray(distances)[:, None] * jnp.array([1.0, 0.0, 0.0])
     time = 5.0 + jnp.arange(float(len(distances)))
     return setup, eqx.tree_at(lambda x: (x.position, x.time), log, (position, time))

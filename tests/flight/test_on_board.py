@@ -9,20 +9,19 @@ from truths.guarded_worlds import ASSUMED
 from truths.operations import operation
 
 from keepout.control import profiles
+from keepout.control.guidance.guidance import GeodesicGuidance
 from keepout.control.guidance.plan import Straight
 from keepout.control.law import ControlStatus, Law
 from keepout.errors import ControlError
 from keepout.fields.analytic import SphereField
+from keepout.fields.grid import GridField
+from keepout.fields.neural import NeuralField
 from keepout.flight import FlightSetup, loop
 from keepout.flight.on_board import OnBoard
-from keepout.geometry.target import Target
 from keepout.guard.guard import Guard
-from keepout.learning.profile import TrainingProfile
-from keepout.learning.training import fit
 from keepout.mission.build import prepare
 from keepout.mission.scenario import Scenario
 from keepout.motion import Orbit, RelativeMotion, Thrusters, paper_disturbance
-from keepout.proof.certificate import certify
 
 pytestmark = pytest.mark.long
 
@@ -65,22 +64,13 @@ def test_forces_are_those_of_the_loop(setup, on_board):
     assert np.linalg.norm(on_board.order.disturbance_estimate) == 0.0
 
 
-def test_a_mission_as_it_is_prepared_is_one_kernel(tmp_path, monkeypatch):
+def test_a_mission_as_it_is_prepared_is_one_kernel():
     """Learned field, geodesic guidance, and the guard with its grid field."""
-    monkeypatch.setenv("KEEPOUT_CACHE", str(tmp_path))
-    target = Target.load("box")
-    model = fit(
-        target, profile=TrainingProfile(width=16, depth=2, samples=20_000, batch=512, steps=1000, tuning_steps=0)
-    )
-    model = certify(model, target, chaser_radius=0.5)
-    entries = {
-        "target": {"source": "box"},
-        "control": {"guidance": "geodesic"},
-        "start": {"position": [5.0, 0.0, 2.0]},
-        "goal": {"position": [-1.0, 0.0, 4.0]},
-    }
-    mission = prepare(Scenario.parse(entries), target=target, model=model)
+    mission = prepare(Scenario())
+    assert isinstance(mission.setup.controller.velocity.field, NeuralField)
+    assert isinstance(mission.setup.controller.velocity.guidance, GeodesicGuidance)
     assert mission.setup.guard is not None
+    assert isinstance(mission.setup.guard.field, GridField)
     on_board = OnBoard(mission.setup, mission.initial)
     assert on_board.one_kernel
     state, step = loop.start(mission.setup, mission.initial, jax.random.key(0)), eqx.filter_jit(loop.step)

@@ -41,7 +41,7 @@ def flown(setup_and_start):
         after, row = loop.step(setup, state)
         return after, samples, row, setup.thrusters.fire(state.thrusters, row.guarded_force)[1].on_time
 
-    state, steps = loop.start(setup, initial, KEY), []
+    state, steps = eqx.filter_jit(loop.start)(setup, initial, KEY), []
     first = state.navigation.bounded
     for _ in range(STEPS):
         state, *rest = step(state)

@@ -205,12 +205,12 @@ def test_parquet_reads_without_keepout(tmp_path):
 def test_a_flown_log_becomes_a_record(tmp_path):
     import jax
     import jax.numpy as jnp
-    from truths.flights import KEY, make_setup, start_state
+    from truths.flights import KEY, STEPS, make_setup, start_state
 
     from keepout.flight import fly, outcome
 
     setup = make_setup()
-    log = fly(setup, start_state(setup), 10, KEY)
+    log = fly(setup, start_state(setup), STEPS, KEY)
     record = FlightRecord.of_log(
         log,
         outcome=outcome(setup, log),
@@ -220,7 +220,7 @@ def test_a_flown_log_becomes_a_record(tmp_path):
         statuses={"control_status": {0: "nominal"}},
         extra={"mass": 20.0},
     )
-    assert record.steps == 10
+    assert record.steps == STEPS
     loaded = FlightRecord.load(record.save(tmp_path / "flight.parquet"))
     assert_same_bits(loaded, record)
     assert loaded.header["final"]["reached"] is False

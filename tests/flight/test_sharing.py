@@ -41,6 +41,7 @@ def flown(setup, states, **options):
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
+@pytest.mark.long
 def test_shared_or_not_a_flight_is_the_same():
     setup = tumbling_setup()
     states = states_at(setup.motion, *shell(np.random.default_rng(1), 5))

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from truths.flights import KEY, make_setup, start_state
+from truths.flights import KEY, STEPS, make_setup, start_state
 
 from keepout.flight import fly, outcome
 from keepout.flight.batches import flight_key, fly_batches
@@ -29,6 +29,7 @@ def flown():
     return setup, fly(setup, start_state(setup), 60, KEY)
 
 
+@pytest.mark.long
 def test_rows_hold_the_mean_force_and_what_it_burnt(flown):
     setup, log = flown
     state = start(setup, start_state(setup), KEY)
@@ -50,11 +51,12 @@ def test_rows_hold_the_mean_force_and_what_it_burnt(flown):
 
 def test_held_forces_burn_nothing_that_is_known():
     setup = make_setup(thrusters=Thrusters(0.1))
-    log = fly(setup, start_state(setup), 5, KEY)
+    log = fly(setup, start_state(setup), STEPS, KEY)
     assert log.propellant is None
     assert outcome(setup, log).propellant is None
 
 
+@pytest.mark.long
 def test_a_flight_is_the_same_in_a_batch(flown):
     setup, _ = flown
     starts = jnp.array([[0.0, 10.0, 6.0], [8.0, 1.0, -3.0], [-5.0, 5.0, 0.0]])
@@ -67,6 +69,7 @@ def test_a_flight_is_the_same_in_a_batch(flown):
     assert len(set(result.propellant.tolist())) == 3
 
 
+@pytest.mark.long
 def test_the_record_keeps_the_propellant(flown, tmp_path):
     setup, log = flown
     record = FlightRecord.of_log(log, outcome=outcome(setup, log))
@@ -75,6 +78,7 @@ def test_the_record_keeps_the_propellant(flown, tmp_path):
     assert again.header["final"]["propellant"] == pytest.approx(float(outcome(setup, log).propellant))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("how", ["on", "off"])
 def test_a_stuck_thruster_acts_from_its_time_until_it_is_made_up_for(how):
     whole = make_setup(thrusters=on_off(delta_sigma=False, force=0.1))

@@ -162,6 +162,7 @@ def test_edges_and_corners_aimed_at_exactly_are_met(pieces, offset):
         np.testing.assert_allclose(ranges, enter[through], atol=1e-11 * (1.0 + offset))
 
 
+@pytest.mark.long
 def test_no_ray_slips_through_a_sheet_of_slivers():
     """A million rays at points of edges, as exactly as they can be told."""
     rng = np.random.default_rng(3)

@@ -10,6 +10,7 @@ from truths.guarded_worlds import ASSUMED, directions, motion_state
 from keepout.errors import ControlError
 from keepout.fields.field import Field
 from keepout.guard.guard import Guard
+from keepout.guard.nominal import stop
 
 pytestmark = pytest.mark.long
 
@@ -44,8 +45,8 @@ def certified_and_least(error, speed):
     built = Guard(Rippled(jnp.asarray(0.0)), THRESHOLD, 1.0, ASSUMED, evaluation_error=error)
     for place in np.linspace(2.5, 2.7, 101):
         guard = eqx.tree_at(lambda guard: guard.field.place, built, jnp.asarray(place))
-        stop = float(jnp.linalg.norm(guard._stop(-speed * way)))
-        least = place - 2.0 - stop - guard.braking.position_radius - ERROR
+        length = float(jnp.linalg.norm(stop(guard.assumptions, guard.braking, -speed * way)))
+        least = place - 2.0 - length - guard.braking.position_radius - ERROR
         answers.append((bool(certified(guard, motion_state(place * way, -speed * way))), least))
     return answers
 

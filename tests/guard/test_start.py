@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from truths.guarded_worlds import ASSUMED, WORLDS, fly_too_fast, motion_state
+from truths.guarded_worlds import ASSUMED, WORLDS, fly_too_fast, motion_state, of_any_numbers
 
 from keepout.guard.guard import Guard
 from keepout.guard.status import GuardStatus
@@ -28,10 +28,13 @@ def unit(rng, *shape):
     return v / np.linalg.norm(v, axis=-1, keepdims=True)
 
 
-@eqx.filter_jit
-def judged(guard, position, velocity, off_position, off_velocity):
+def judged(guard, *states):
     """For each true state: certified from the truth, from every estimate as the guard says, and from each of some."""
+    return tuple(map(np.asarray, _judged(of_any_numbers(guard), *map(jnp.asarray, states))))
 
+
+@eqx.filter_jit
+def _judged(guard, position, velocity, off_position, off_velocity):
     def one(r, v):
         return guard.certified(motion_state(r, v)), guard.certified_start(motion_state(r, v))
 
@@ -74,7 +77,7 @@ ERRORS = [
 @given(seed=st.integers(0, 2**32 - 1), world=st.sampled_from(["union", "slot"]), errors=st.sampled_from(ERRORS))
 def test_a_certified_start_is_certified_from_every_estimate(seed, world, errors):
     guard = guard_for(world, **errors)
-    _, start, told = (np.asarray(a) for a in judged(guard, *map(jnp.asarray, draw(guard, seed, 1000))))
+    _, start, told = judged(guard, *draw(guard, seed, 2000))
     assert start.sum() > 20
     assert told[start].all()
 
@@ -82,7 +85,7 @@ def test_a_certified_start_is_certified_from_every_estimate(seed, world, errors)
 @pytest.mark.parametrize("errors", ERRORS)
 def test_the_truth_alone_does_not_tell_and_the_condition_is_tight(errors):
     guard = guard_for("ball", **errors)
-    truth, start, told = (np.asarray(a) for a in judged(guard, *map(jnp.asarray, draw(guard, 1, 2000))))
+    truth, start, told = judged(guard, *draw(guard, 1, 2000))
     assert not np.any(start & ~truth)
     # Certified from the truth, and not from an estimate that the guard may be told: the promise would be void.
     open_ = truth & ~told.all(axis=1)
@@ -93,7 +96,7 @@ def test_the_truth_alone_does_not_tell_and_the_condition_is_tight(errors):
 
 def test_with_a_perfect_estimate_both_are_the_same():
     guard = guard_for("union")
-    truth, start, _ = (np.asarray(a) for a in judged(guard, *map(jnp.asarray, draw(guard, 2, 2000))))
+    truth, start, _ = judged(guard, *draw(guard, 2, 2000))
     assert truth.sum() > 100
     assert (truth != start).mean() < 1e-3
 

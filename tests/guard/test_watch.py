@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from truths.guarded_worlds import ASSUMED, PIECES, WORLDS, advance, motion_state
+from truths.guarded_worlds import ASSUMED, PIECES, WORLDS, advance, motion_state, of_any_numbers
 
 from keepout.guard import watch
 from keepout.guard.guard import Guard
@@ -22,7 +22,9 @@ NOISY = dataclasses.replace(ASSUMED, position_error=0.01, velocity_error=5e-4)
 def told(assumed, pushes, position_errors, velocity_errors, start=(20.0, 0.0, 0.0)):
     """Steps in which a chaser far out raises STATE_JUMP, and its true path: pushes (steps, PIECES, 3), m/s²."""
     guard = Guard(WORLDS["ball"], threshold=0.5, lipschitz=1.0, assumptions=assumed)
-    status, path = _told(guard, *map(jnp.asarray, (pushes, position_errors, velocity_errors, np.asarray(start))))
+    status, path = _told(
+        of_any_numbers(guard), *map(jnp.asarray, (pushes, position_errors, velocity_errors, np.asarray(start)))
+    )
     return np.asarray(status) & GuardFlag.STATE_JUMP != 0, np.asarray(path)
 
 

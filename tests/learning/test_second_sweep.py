@@ -13,7 +13,9 @@ BETA = 30.0
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("shape", [(3, 8, 1), (3, 16, 8, 1), (3, 32, 16, 24, 16, 1)])
+@pytest.mark.parametrize(
+    "shape", [(3, 8, 1), (3, 16, 8, 1), pytest.param((3, 32, 16, 24, 16, 1), marks=pytest.mark.slow)]
+)
 def test_it_is_the_derivative_that_jax_finds(shape):
     layers = random_layers(1, shape, jnp.float64)
     rng = np.random.default_rng(0)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 
 from keepout.mapping.distance_transform import renew, squares_of
-from keepout.mapping.pyramid import BLOCK
+from keepout.mapping.windows import BLOCK
 
 
 def whole(free, cap):
@@ -43,15 +43,15 @@ def test_a_single_cube_by_hand():
 
 @pytest.mark.parametrize("cap", [1, 12, 33])
 def test_local_renewal_gives_the_whole_transform(cap):
-    """Cubes become free in blocks all over the grid, some of them at tile borders; after each step all is as anew."""
+    """A solid is carved from all sides, so that far nodes in other tiles change; after each step all is as anew."""
     generator = np.random.default_rng(cap)
     cubes = 80
-    free = generator.random((cubes, cubes, cubes)) < 0.3
-    free[20:60, 20:60, 20:60] = False
+    free = generator.random((cubes, cubes, cubes)) < 0.99999
+    free[24:64, 20:60, 28:62] = False
     squares = squares_of(free, cap)
-    for _ in range(12):
+    for _ in range(25):
         before = squares.copy()
-        middle, half = generator.integers(0, cubes, 3), generator.integers(1, 14, 3)
+        middle, half = generator.integers(20, 64, 3), generator.integers(1, 14, 3)
         opened = np.zeros_like(free)
         low, high = np.maximum(middle - half, 0), np.minimum(middle + half, cubes)
         opened[low[0] : high[0], low[1] : high[1], low[2] : high[2]] = True
@@ -72,3 +72,17 @@ def test_only_tiles_within_reach_are_made_anew():
     changed = np.zeros((20, 20, 20), dtype=bool)
     changed[10, 10, 10] = True
     assert 1 <= renew(free, squares, 4, changed, BLOCK) <= 8
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("place", [20, 44])
+def test_nodes_of_the_next_tile_follow_a_change_that_is_not_in_it(axis, place):
+    """A plate some cells before (20) or behind (44) the tile of nodes 32 to 63, 0 to 31, is taken away."""
+    free = np.ones((80, 80, 80), dtype=bool)
+    np.moveaxis(free, axis, 0)[place, 36:44, 36:44] = False
+    squares = squares_of(free, 16)
+    np.moveaxis(free, axis, 0)[place] = True
+    changed = np.zeros((10, 10, 10), dtype=bool)
+    np.moveaxis(changed, axis, 0)[place // BLOCK, 4:6, 4:6] = True
+    renew(free, squares, 16, changed, BLOCK)
+    assert (squares == 16 * 16).all()

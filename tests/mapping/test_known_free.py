@@ -176,6 +176,7 @@ def test_returns_from_outside_the_declared_ball_are_counted():
         ({"spacing": 0.001, "cap": 0.003}, "spacing"),
         ({"cap": 0.25}, "cap"),
         ({"cap": 30.0}, "cap"),
+        ({"cap": 6.5}, "64 whole spacings"),
         ({"cap": math.inf}, "cap"),
         ({"speed_limit": 0.0}, "speed_limit"),
         ({"speed_limit": math.nan}, "speed_limit"),

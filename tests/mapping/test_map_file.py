@@ -112,11 +112,14 @@ def test_damage_is_refused_in_one_line_or_changes_nothing(tmp_path_factory, data
         damaged[place] ^= data.draw(st.integers(1, 255))
     path = folder / "damaged.keepmap"
     path.write_bytes(damaged)
+    refusal = ""
     try:
         read = load(path)
-    except MapError as refusal:
-        assert str(refusal).startswith(f"{path}: ")
-        assert "\n" not in str(refusal)
+    except MapError as error:
+        refusal = str(error)
+    if refusal:
+        assert refusal.startswith(f"{path}: ")
+        assert "\n" not in refusal
     else:  # another white space between entries
         same(read, load(folder / "whole.keepmap"))
 

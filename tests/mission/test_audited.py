@@ -50,6 +50,7 @@ def flown(mission):
     return outcome, audits, logs
 
 
+@pytest.mark.long
 def test_flights_with_goals_of_their_own_are_judged_in_their_order(mission, flown):
     outcome, audits, logs = flown
     # Two batches, the second filled up: what fills it up is neither judged nor handed on.
@@ -63,6 +64,7 @@ def test_flights_with_goals_of_their_own_are_judged_in_their_order(mission, flow
     assert [audit.contact for audit in audits] == 3 * [Contact.NO]
 
 
+@pytest.mark.long
 def test_verdicts_are_by_the_scenarios_own_numbers(mission, flown):
     # The first flight is the mission's own.
     log = {name: flown[2][0][1][name][:1] for name in AUDITED}

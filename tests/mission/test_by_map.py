@@ -15,7 +15,7 @@ from truths.growing_maps import Cubes
 from truths.guarded_worlds import motion_state
 
 from keepout.audit.audit import Contact, audit
-from keepout.errors import ControlError, ScenarioError
+from keepout.errors import ControlError, FieldError, ScenarioError
 from keepout.fields.evaluate import values
 from keepout.fields.map_field import SLOPE, MapField
 from keepout.flight import loop
@@ -25,6 +25,8 @@ from keepout.guard.braking import GuardAssumptions
 from keepout.guard.guard import Guard
 from keepout.guard.safety_layer import mode
 from keepout.guard.status import GuardStatus
+from keepout.mapping.known_free import KnownFreeMap
+from keepout.mapping.view import SensorBounds
 from keepout.mission import environment
 from keepout.mission.by_map import (
     DeclaredBall,
@@ -275,6 +277,48 @@ def test_one_program_flies_every_map_and_goal():
         jax.monitoring.unregister_event_duration_listener(listen)
 
 
+def test_a_known_free_map_has_such_a_field():
+    bounds = SensorBounds(
+        range_error=0.03,
+        position_error=0.05,
+        attitude_error=0.005,
+        surely_returned_width=0.05,
+        rays_across=3,
+        sure_empty_range=15.0,
+        least_range=0.3,
+        greatest_range=15.0,
+    )
+    known = KnownFreeMap.begin(BALL.centre, BALL.radius, bounds=bounds, name="box")
+    field = MapField.of(known.squares, known.origin, known.spacing)
+    points = np.random.default_rng(0).uniform(-5.0, 5.0, (2000, 3))
+    assert field.cap == pytest.approx(known.cap)
+    away = np.linalg.norm(points - np.array(BALL.centre), axis=1) - BALL.radius
+    assert np.all(values(field, points) <= np.hypot(np.maximum(away, 0.0), known.spacing) + 1e-12)
+    assert np.all(values(field, points)[away > known.cap + 0.5] > known.cap - 1e-9)
+
+
+def test_a_map_that_is_no_later_one_is_refused():
+    setup, _ = begun()
+    opened = CUBES.field(CUBES.solid & (CUBES.centres[..., 1] < 2.0))
+    law = law_at(opened, (0.0, 5.0, 0.0), START, setup.guard)
+    after = led_on(setup, opened, law)
+    led_on(after, opened, law)
+    with pytest.raises(FieldError, match=r"\d+ nodes are nearer"):
+        led_on(after, CUBES.field(), law)
+    shifted = MapField.of(CUBES.squares(), CUBES.origin + 0.1, CUBES.spacing)
+    with pytest.raises(FieldError, match="origin"):
+        led_on(after, shifted, law)
+    with pytest.raises(FieldError, match="nodes come after"):
+        led_on(after, MapField.of(CUBES.squares()[:-1], CUBES.origin, CUBES.spacing), law)
+
+
+def test_a_position_beyond_the_guidances_grid_is_led_back():
+    setup, _ = begun()
+    law = law_at(CUBES.field(), (0.0, 5.0, 0.0), (0.0, 60.0, 0.0), setup.guard)
+    away = law.velocity.guidance.direction(jnp.array([0.0, 60.0, 0.0]))
+    np.testing.assert_allclose(away, [0.0, -1.0, 0.0], atol=1e-6)
+
+
 # --- Numbers and refusals ---------------------------------------------------------------------------------------------
 
 
@@ -291,15 +335,42 @@ def test_the_guards_numbers_are_those_of_the_theorem():
     assert far.assumptions.range_limit == pytest.approx(2.0 * 12.0 + 20.0)
 
 
-def test_the_law_keeps_the_room_that_its_guard_asks_for():
-    field = CUBES.field()
-    coarse = Scenario.parse(
-        {"guard": {"position_error": 0.2, "velocity_error": 0.01}, "chaser": {"speed_limit": 0.05}, "duration": 10.0}
+def with_errors(position, velocity, **more):
+    return Scenario.parse(
+        {
+            "guard": {"position_error": position, "velocity_error": velocity},
+            "faults": {"position_noise": position, "velocity_noise": velocity},
+            "start": {"position": [0.0, 7.0, 0.0]},
+            **more,
+        }
     )
-    for scenario in (SCENARIO, coarse):
-        guard = guard_by_map(scenario, field, BALL)
-        keep_out = guard.threshold + scenario.safety.margin
-        assert keep_out + room_for_guard(scenario, guard)["nominal_offset"] > guard.least_value
+
+
+@pytest.mark.parametrize(("position", "velocity"), [(0.0, 0.0), (0.1, 0.004)])
+def test_the_guard_passes_on_what_the_law_does_at_its_own_edge(position, velocity):
+    scenario = with_errors(position, velocity)
+    solid = CUBES.solid & (CUBES.centres[..., 1] < 1.0)
+    field = CUBES.field(solid)
+    guard = guard_by_map(scenario, field, BALL)
+    offset = guard.threshold + scenario.safety.margin + room_for_guard(scenario, guard)["nominal_offset"]
+    assert offset > guard.least_value
+    goal = np.array([0.0, 1.0 + offset + 0.02, 0.0])
+    law = law_by_map(scenario, field, goal, START, ball=BALL, guard=guard)
+    setup = setup_by_map(scenario, field, BALL, law, guard)
+    state = begin(setup, setup.motion.initial_state(START, np.zeros(3)), jax.random.key(0))
+    _, log = fly_segment(setup, state, 300)
+    assert np.linalg.norm(np.asarray(log.position[-1]) - goal) < 0.1
+    assert not np.asarray(mode(log.guard_status)).any()
+
+
+def test_a_cap_that_leaves_no_room_is_refused():
+    # Errors so large that nothing is ever far enough away, and such that only the law has none left.
+    with pytest.raises(ScenarioError, match=r"map cap: 1.2 m, and the guard certifies plans only .* above 1\.[2-9]"):
+        guard_by_map(with_errors(0.2, 0.01, chaser={"speed_limit": 0.05}), CUBES.field(), BALL)
+    wide = with_errors(0.05, 0.002, safety={"margin": 0.6})
+    guard = guard_by_map(wide, CUBES.field(), BALL)
+    with pytest.raises(ScenarioError, match=r"map cap: 1.2 m, and the law leads only .* above 1\.2"):
+        law_by_map(wide, CUBES.field(), (0.0, 5.0, 0.0), START, ball=BALL, guard=guard)
 
 
 def test_a_start_within_the_ball_or_too_fast_is_refused():

@@ -1,5 +1,7 @@
 """A body that gravity turns: against SciPy's DOP853 on Euler's equations, and libration in closed form."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -60,6 +62,17 @@ def test_no_rate_of_a_body_that_gravity_turns_is_beyond_the_bound(rates):
     step = lambda s, _: (motion.step(s, jnp.zeros(3), NoDisturbance(), 1.0, 1.0), s.angular_velocity)  # noqa: E731
     flown = np.asarray(jax.jit(lambda s: jax.lax.scan(step, s, length=scenario.steps + 1)[1])(state))
     np.testing.assert_allclose(flown, omega[::4], atol=1e-9)
+
+
+def test_motions_of_the_same_numbers_that_are_stepped_otherwise_have_bounds_of_their_own():
+    scenario = scenario_of((0.0, 0.0, 0.0), duration=200.0, period=10.0)  # gravity alone turns it, ever faster
+    motion = environment.relative_motion(scenario)
+    numbers = {"period": 10.0, "steps": scenario.steps, "lowest_radius": RADIUS}
+    coarse, fine = (
+        turning_bounds.pulled(dataclasses.replace(motion, substeps=substeps), **numbers) for substeps in (1, 20)
+    )
+    assert coarse != fine
+    assert coarse == pytest.approx(fine, rel=1e-4)
 
 
 def test_a_long_body_swings_about_the_vertical_at_the_rate_in_the_textbook():

@@ -35,32 +35,40 @@ def pulses_of(seed, *, centred=True, count=6, force=0.1):
     return Pulses(*(jnp.asarray(value) for value in (begin, begin + length, push, 1.0)))
 
 
-def from_switch_to_switch(motion, state, pulses, disturbance, fine=4):
+@eqx.filter_jit
+def held_step(motion, state, force, period):
+    return motion.step(state, force, paper_disturbance(), period, MASS)
+
+
+@eqx.filter_jit
+def pulsed_step(motion, state, pulses):
+    return motion.step(state, pulses.mean, paper_disturbance(), 1.0, MASS, pulses)
+
+
+def from_switch_to_switch(motion, state, pulses, fine=4):
     """Integrate with the force that is on in each piece, and several steps in each piece."""
-    advance = eqx.filter_jit(lambda at, force, h: motion.step(at, force, disturbance, h, MASS))
     begin, end = np.asarray(pulses.begin), np.asarray(pulses.end)
     edges = np.unique(np.concatenate([[0.0, 1.0], begin, end]))
     for low, high in itertools.pairwise(edges):
         on = (begin <= 0.5 * (low + high)) & (0.5 * (low + high) < end)
         force = jnp.asarray(on.astype(float) @ np.asarray(pulses.force))
         for _ in range(fine):
-            state = advance(state, force, (high - low) / fine)
+            state = held_step(motion, state, force, jnp.asarray((high - low) / fine))
     return state
 
 
 @pytest.mark.parametrize("name", MOTIONS)
 @pytest.mark.parametrize("centred", [True, False])
 def test_a_step_with_pulses_is_the_integration_from_switch_to_switch(name, centred):
-    motion, disturbance = MOTIONS[name], paper_disturbance()
-    step = eqx.filter_jit(lambda s, p: motion.step(s, p.mean, disturbance, 1.0, MASS, p))
+    motion = MOTIONS[name]
     for seed in range(4):
         start = motion.initial_state([3.0, 10.0, 6.0], [0.05, -0.08, 0.02], time=100.0)
         pulses = pulses_of(seed, centred=centred)
-        truth = from_switch_to_switch(motion, start, pulses, disturbance)
-        found = step(start, pulses)
+        truth = from_switch_to_switch(motion, start, pulses)
+        found = pulsed_step(motion, start, pulses)
         assert np.abs(found.position - truth.position).max() < 1e-8
         assert np.abs(found.velocity - truth.velocity).max() < 1e-9
-        held = motion.step(start, pulses.mean, disturbance, 1.0, MASS)
+        held = held_step(motion, start, pulses.mean, jnp.float64(1.0))
         if not centred:  # or the comparison would not see the pulses at all
             assert np.abs(held.position - truth.position).max() > 1e-5
 

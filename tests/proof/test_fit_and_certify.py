@@ -132,6 +132,7 @@ fit(target, profile=profile, checkpoint=Path(sys.argv[1])).save(sys.argv[2])
 """
 
 
+@pytest.mark.slow  # tests/test_journey.py goes on from a checkpoint of a fit that was interrupted
 def test_a_killed_fit_goes_on_to_the_same_field(tmp_path, model):
     checkpoint, out = tmp_path / "c", tmp_path / "f.keepout"
     command = [sys.executable, "-c", _SCRIPT, str(checkpoint), str(out)]

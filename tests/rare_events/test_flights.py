@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
+from truths.command_line import keepout_command
 
 from keepout.errors import ScenarioError
 from keepout.flight import loop
@@ -141,18 +142,8 @@ def test_a_rare_event_from_end_to_end_goes_on_after_a_kill(tmp_path):
         'guard.enabled = false\ncontrol.guidance = "straight"\n'
         "faults = {position_noise_std = 0.05, velocity_noise_std = 0.02, noise_correlation_time = 10.0}\n"
     )
-    program = [
-        sys.executable,
-        "-m",
-        "keepout.cli",
-        "rare",
-        str(scenario),
-        "--below",
-        "0.3",
-        "--flights",
-        "64",
-        "--json",
-    ]
+    command = ["rare", str(scenario), "--below", "0.3", "--flights", "64", "--json"]
+    program = [sys.executable, "-m", "keepout.cli", *command]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     killed, whole = tmp_path / "killed", tmp_path / "whole"
     with subprocess.Popen([*program, "-o", str(killed)], env=environment, stdout=subprocess.DEVNULL) as process:
@@ -163,9 +154,7 @@ def test_a_rare_event_from_end_to_end_goes_on_after_a_kill(tmp_path):
     assert not (killed / "summary.json").exists()
     answers = []
     for out in (killed, whole):
-        answer = subprocess.run([*program, "-o", str(out)], env=environment, capture_output=True, text=True)
-        assert answer.returncode == 0, answer.stderr
-        answers.append(json.loads(answer.stdout))
+        answers.append(keepout_command(*command, "-o", out).json)
         assert json.loads((out / "summary.json").read_text()) == answers[-1]
     same = [{k: v for k, v in a.items() if k not in ("seconds", "worst_flight", "worst_tape")} for a in answers]
     assert same[0] == same[1]

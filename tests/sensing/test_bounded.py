@@ -199,28 +199,27 @@ def test_caps_are_reached_and_never_passed(name, initial):
 
 def _concentric(estimate, initial, steps):
     """Radii of flights in which every sample tells the truth and nothing pushes; what is lost differs."""
+    return np.asarray(_undisturbed(estimate, jnp.asarray(initial), jax.random.split(jax.random.key(0), 200), steps))
 
-    @eqx.filter_jit
-    def run(keys):
-        truth = motion_state(jnp.array([1.0, 2.0, 3.0]), jnp.zeros(3))
 
-        def step(carry, _):
-            lines, known = carry
-            lines, samples = estimate.suite.sample(lines, truth)
-            samples = tuple(
-                Sample(sensor.ideal(truth), sample.came) for sensor, sample in zip(estimate.suite.sensors, samples)
-            )
-            known, found = estimate.correct(known, samples, truth)
-            return (lines, estimate.advance(known, jnp.zeros(3))), found.errors
+@eqx.filter_jit
+def _undisturbed(estimate, initial, keys, steps):
+    truth = motion_state(jnp.array([1.0, 2.0, 3.0]), jnp.zeros(3))
 
-        def one(key):
-            lines = estimate.suite.initial_state(key, truth)
-            known = estimate.initial_state(truth, jnp.asarray(initial))
-            return jax.lax.scan(step, (lines, known), length=steps)[1]
+    def step(carry, _):
+        lines, known = carry
+        lines, samples = estimate.suite.sample(lines, truth)
+        samples = tuple(
+            Sample(sensor.ideal(truth), sample.came) for sensor, sample in zip(estimate.suite.sensors, samples)
+        )
+        known, found = estimate.correct(known, samples, truth)
+        return (lines, estimate.advance(known, jnp.zeros(3))), found.errors
 
-        return jax.vmap(one)(keys)
+    def one(key):
+        lines = estimate.suite.initial_state(key, truth)
+        return jax.lax.scan(step, (lines, estimate.initial_state(truth, initial)), length=steps)[1]
 
-    return np.asarray(run(jax.random.split(jax.random.key(0), 200)))
+    return jax.vmap(one)(keys)
 
 
 @pytest.mark.long

@@ -89,7 +89,7 @@ def drawn(rng, steps, sensors, rows, share=0.7):
     return values, came, samples, 0.05 * rng.normal(size=(steps, 3))
 
 
-@pytest.mark.parametrize("frequencies", [(), FREQUENCIES])
+@pytest.mark.parametrize("frequencies", [(), pytest.param(FREQUENCIES, marks=pytest.mark.long)])
 @pytest.mark.parametrize("share", [1.0, 0.6])
 def test_linear_cases_agree_with_filterpy(frequencies, share):
     sensors = [Place(0.02), Pace(1e-3), Height(0.05)]
@@ -121,6 +121,7 @@ def test_linear_cases_agree_with_filterpy(frequencies, share):
     assert np.all(left_out == 0)
 
 
+@pytest.mark.long
 def test_late_and_seldom_samples_agree_with_least_squares_over_the_whole_past():
     sensors = [Place(0.02, latency=3), Pace(1e-3), Height(0.05, latency=1)]
     rows, every, steps = [[0, 1, 2], [3, 4, 5], [2]], [2, 3, 1], 14
@@ -158,6 +159,7 @@ def test_late_and_seldom_samples_agree_with_least_squares_over_the_whole_past():
         assert float(estimates.time[k]) == k
 
 
+@pytest.mark.long
 def test_the_covariance_moves_as_the_motion_does():
     inertia = np.diag([3.0, 2.0, 1.5])
     tumbling = RelativeMotion(Orbit(6_778_137.0, 0.1), Tumbling(np.deg2rad([0.3, -0.4, 0.2]), inertia))
@@ -207,6 +209,7 @@ def test_normalised_errors_squared_are_in_their_band(statistics):
 # Outliers, endurance, accuracy ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_outliers_are_left_out_and_counted_once_however_late():
     sensors = [Place(1e-3), Pace(1e-6, latency=2)]
     filtering = build(sensors, motion=NEAR)
@@ -237,6 +240,7 @@ def test_outliers_are_left_out_and_counted_once_however_late():
     assert np.all(np.isfinite(kept.position))
 
 
+@pytest.mark.long
 def test_a_chaser_that_is_suddenly_elsewhere_is_found_again():
     filtering = build([Place(1e-3), Pace(1e-6)], motion=NEAR)
     steps, jump = 80, 30
@@ -259,6 +263,7 @@ def test_a_chaser_that_is_suddenly_elsewhere_is_found_again():
     assert np.all(off[jump + filtering.patience + 5 :] < 0.15)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("lie", [1e3, 1e30, np.inf])
 def test_a_sensor_that_lies_for_ever_costs_the_smoothing_and_no_more(lie):
     filtering = build([Place(1e-3), Height(1e-3)], motion=NEAR)
@@ -325,6 +330,7 @@ def test_the_papers_disturbance_is_found_in_noise():
 # What it asks and what it refuses -------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_range_and_bearings_that_are_correlated_find_the_chaser():
     sensor, steps = Sight(1.0), 200
     filtering = build([sensor], motion=NEAR)
@@ -345,6 +351,7 @@ def test_range_and_bearings_that_are_correlated_find_the_chaser():
     assert int(jnp.sum(left_out)) == 0
 
 
+@pytest.mark.long
 def test_an_attitude_is_pulled_by_its_share_and_missing_or_broken_ones_are_not_used():
     filtering = build([Place(1e-3), Turned(1.0)], motion=NEAR, attitude_share=0.25)
     memory = started(filtering)

@@ -30,6 +30,7 @@ def test_the_worked_suites_observe_position_and_velocity(name):
     assert all(sensor.most_missed == 0 for sensor in without.sensors)
 
 
+@pytest.mark.long
 def test_the_close_suite_is_the_one_of_the_figures():
     position, velocity = close().sensors
     assert (position.every, position.latency, position.dropout, position.most_missed) == (1, 0, 0.0, 0)

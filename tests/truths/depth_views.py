@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from keepout.mapping import Pinhole, SensorBounds, View
-from keepout.mapping.windows import SLACK
+from keepout.mapping.rule import SLACK
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ def _in_camera(known, view, centres):
 
 
 def _empty(view, bounds):
-    sure = bounds.sure_empty_range or -np.inf
+    sure = min(bounds.sure_empty_range, bounds.greatest_range) or -np.inf
     return np.where(
         np.isnan(view.ranges), -np.inf, np.where(np.isinf(view.ranges), sure, view.ranges - bounds.range_error)
     )

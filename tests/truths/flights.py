@@ -10,6 +10,8 @@ from keepout.guard.safety_layer import SafetyLayer
 from keepout.motion import Orbit, RelativeMotion, Thrusters, paper_disturbance
 
 KEY = jax.random.key(0)
+STEPS = 30
+"""Of flights that may be of any length: those of the same layers then share a program."""
 GOAL = jnp.array([0.0, -10.0, -4.0])
 
 

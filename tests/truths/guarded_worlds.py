@@ -67,12 +67,18 @@ WORLDS = {
     "ball": Ball(),
     "union": boxes([(-3, -1, -1), (3, 1, 1)], [(-0.2, -6, -0.2), (0.2, 6, 0.2)], [(2, 0, 0), (2.5, 0.5, 4)]),
     # Two plates 1.6 m apart: with a threshold of 0.5 m a corridor of 0.6 m is left.
-    "slot": boxes([(-4, -4, 0.8), (4, 4, 1.0)], [(-4, -4, -1.0), (4, 4, -0.8)]),
+    # The second is there twice, so that the slot is of as many boxes as the union and shares its programs.
+    "slot": boxes([(-4, -4, 0.8), (4, 4, 1.0)], *2 * [[(-4, -4, -1.0), (4, 4, -0.8)]]),
 }
 
 
 def motion_state(position, velocity):
     return MotionState(jnp.zeros(()), position, velocity, jnp.array([1.0, 0.0, 0.0, 0.0]), jnp.zeros(3))
+
+
+def of_any_numbers(guard):
+    """The guard with arrays for its numbers, as campaigns fly it: guards that differ in numbers share a program."""
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, float) else leaf, guard)
 
 
 def advance(position, velocity, acceleration, disturbance):
@@ -129,7 +135,7 @@ def fly_batch(guard, seed, flights, *, steps, size, kind, intent, errors=(0.0, 0
         1.0 + gain * jnp.asarray(generator.choice([-1.0, 1.0], (flights, steps, 3))),
     )
     numbers = (jnp.asarray(size), jnp.asarray(KINDS.index(kind)), jnp.asarray(INTENTS.index(intent)))
-    return _fly_batch(guard, starts, draws, *numbers)
+    return _fly_batch(of_any_numbers(guard), starts, draws, *numbers)
 
 
 @eqx.filter_jit
@@ -173,7 +179,8 @@ def fly_too_fast(guard, seed, flights, *, steps=60):
     speed = jnp.asarray(generator.uniform(0.9, 1.3, (flights, 1)) * a.speed_limit)
     away = jnp.asarray(generator.uniform(6.0, 9.0, (flights, 1)))
     starts = away * directions(generator, flights), speed * directions(generator, flights)
-    return tuple(map(np.asarray, _fly_too_fast(guard, *starts, a.disturbance * directions(generator, flights), steps)))
+    pushes = a.disturbance * directions(generator, flights)
+    return tuple(map(np.asarray, _fly_too_fast(of_any_numbers(guard), *starts, pushes, steps)))
 
 
 @eqx.filter_jit

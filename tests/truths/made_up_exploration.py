@@ -6,13 +6,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from keepout.audit.audit import audit
-from keepout.exploring.departures import Departures
-from keepout.exploring.exploration import Exploration, Stage, TakenView
+from keepout.exploring.departures import departures
+from keepout.exploring.exploration import Exploration, TakenView
+from keepout.exploring.stages import Stages
 from keepout.flight.outcome import FlightOutcome
 from keepout.flight.record import FlightRecord
 from keepout.geometry.target import Target
 from keepout.mapping.known_free import KnownFreeMap
-from keepout.mapping.skin import skin
 from keepout.mapping.view import Pinhole, SensorBounds, View
 from keepout.mission import environment
 from keepout.mission.scenario import Scenario
@@ -66,7 +66,7 @@ def made_up(*, views=8, spacing=0.2, outcome="no way known", expected=None, name
     told = Scenario().replace(name=name, **entries)
     target = Target.load("box")
     known = KnownFreeMap.begin(np.zeros(3), BALL, spacing=spacing, cap=1.2, bounds=BOUNDS, name="box")
-    taken, stages, volume = [], [], 0.0
+    taken, stages, volume = [], Stages(known, 0.0), 0.0
     for number in range(views):
         time = PERIOD * number
         position = circle(time, whole)
@@ -77,8 +77,7 @@ def made_up(*, views=8, spacing=0.2, outcome="no way known", expected=None, name
         report = known.see(view)
         volume += report.opened * spacing**3
         taken.append(TakenView(time, position, view.axes[:, 2], report.status.value, report.opened, volume, "goal"))
-        if number in (0, views // 2, views - 1):
-            stages.append(Stage(time, *skin(known)))
+        stages.note(known, time, volume)
     record = _record(told, target, whole)
     verdict = audit(
         record,
@@ -102,10 +101,10 @@ def made_up(*, views=8, spacing=0.2, outcome="no way known", expected=None, name
         outcome=outcome,
         why="every view that can still be taken opens nothing towards the goal",
         views=tuple(taken),
-        stages=tuple(stages),
+        stages=stages.at_the_end(known, whole),
         seen_share=0.5,
         unknown=unknown,
-        departures=None if expected is None else _departures(known),
+        departures=None if expected is None else departures(known, expected, CAMERA),
         seconds=1.0,
         start_certified=True,
         assumptions_broken=(),
@@ -151,11 +150,3 @@ def _outcome():
         "propellant": None,
     }
     return FlightOutcome(**numbers)
-
-
-def _departures(known):
-    """As if the box were expected 0.5 m lower: its top stands out, and below it the expected bottom is missing."""
-    points = known.returns.astype(float)
-    top = points[points[:, 2] > 0.6]
-    missing = np.stack(np.meshgrid(np.linspace(-0.9, 0.9, 10), np.linspace(-0.9, 0.9, 10), [-1.4]), -1).reshape(-1, 3)
-    return Departures(top, top[:, 2] - 0.5, missing, np.full(len(missing), 0.35))

@@ -3,7 +3,7 @@ import { BufferAttribute, BufferGeometry, Group, LineBasicMaterial, LineSegments
 import { MAP, REFUSED, VIEW } from "./colours.js";
 import { indexed, shell } from "./scene.js";
 
-const SMALL = 1 / 28; // of the scene: the pyramids of views that are over
+const SMALL = 1 / 40; // of the scene: the pyramids of views that are over
 
 export class Growth {
   constructor(told, span) {
@@ -18,7 +18,7 @@ export class Growth {
     this.map = new Group().add(...this.skins);
     const count = told.views.time.length;
     const all = Array.from({ length: count }, (_, view) => view);
-    this.small = { seen: pyramids(told, all.filter((view) => told.views.taken[view]), span * SMALL, VIEW, 0.4), refused: pyramids(told, all.filter((view) => !told.views.taken[view]), span * SMALL, REFUSED, 0.9) };
+    this.small = { seen: pyramids(told, all.filter((view) => told.views.taken[view]), span * SMALL, VIEW, 0.3), refused: pyramids(told, all.filter((view) => !told.views.taken[view]), span * SMALL, REFUSED, 0.9) };
     this.large = all.map((view) => pyramids(told, [view], told.reach, told.views.taken[view] ? VIEW : REFUSED, 0.75));
     this.views = new Group().add(this.small.seen, this.small.refused, ...this.large);
   }

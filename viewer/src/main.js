@@ -172,6 +172,9 @@ class Replay {
       const at = new Vector3().fromArray(flight.places, 3 * row);
       return at.setComponent(axis, at.getComponent(axis) + sign * flight.radius);
     }))));
+    // So is what is not known free at the start.
+    const unknown = this.flights.flatMap(({ grown, growth }) => (grown ? every(growth.stages[0].vertices, 200) : []));
+    ends.push(...unknown.map((point) => point.applyQuaternion(this.flight.attitude)));
     this.eye.frame(body, ends, this.flights.flatMap((flight) => every(flight.places, 60)), this.up());
   }
 

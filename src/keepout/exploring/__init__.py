@@ -1,1 +1,7 @@
-"""Exploring a target that nobody has a model of: which view next, the flight that takes them, and what was found."""
+"""Seeing a target that nobody has a model of: which view comes next, and when there is none worth taking."""
+
+from keepout.exploring.next_view import Ended, NextView, Pace, choose
+from keepout.exploring.reachable import Reachable, reachable
+from keepout.exploring.tried import Tried
+
+__all__ = ["Ended", "NextView", "Pace", "Reachable", "Tried", "choose", "reachable"]

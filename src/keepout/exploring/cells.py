@@ -5,14 +5,15 @@ from typing import no_type_check
 
 import numba
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 
 from keepout.mapping.known_free import KnownFreeMap
 
 ACROSS = 2
 """Cubes along the edge of a cell."""
-FREE, SURFACE, EXPLAINED, UNKNOWN, CLOSE = 0, 1, 2, 3, 4
-"""Kinds of cells: all cubes free; holds a return; so near a return that it may stay closed; not; not, but close to one."""
+FREE, SURFACE, EXPLAINED, UNKNOWN, NEARBY, CLOSE = 0, 1, 2, 3, 4, 5
+"""Kinds of cells: all cubes free; holds a return; so near a return that it may stay closed; the others not free, far
+from every return, nearby one and close to one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,19 +25,21 @@ class Cells:
     kinds: UInt8[np.ndarray, "nx ny nz"]
 
     @classmethod
-    def of(cls, known: KnownFreeMap, *, explained: float = 0.35, close: float = 2.5) -> "Cells":
+    def of(cls, known: KnownFreeMap, *, explained: float = 0.35, close: float = 1.6, nearby: float = 4.0) -> "Cells":
         """Sort the cells of a map.
 
         Args:
             known: the map.
             explained: an unknown cell whose centre is so near (m) to a cell with returns is explained by them.
-            close: an unknown cell is close to the surface within about so many metres of a return.
+            close: an unknown cell is close to the seen surface within about so many metres of a return.
+            nearby: and nearby within about so many.
 
         """
-        kinds = _closed(known.free)
+        kinds = closed_cells(known.free)
         edge = ACROSS * known.spacing
         holding = cells_of(known.returns, known.origin, edge, kinds.shape)
         holding = holding[kinds[tuple(holding.T)] != FREE]
+        _raise_around(kinds, holding, _ball(nearby / edge, 3.0), 3.0, NEARBY)
         _raise_around(kinds, holding, _ball(close / edge, 3.0), 3.0, CLOSE)
         _raise_around(kinds, holding, _ball(explained / edge, 1.0), 1.0, EXPLAINED)
         kinds[tuple(holding.T)] = SURFACE
@@ -56,6 +59,11 @@ def cells_of(
     flat = np.zeros(shape, dtype=np.bool_)
     flat[tuple(place.T)] = True
     return np.argwhere(flat)
+
+
+def closed_cells(free: Bool[np.ndarray, "mx my mz"]) -> UInt8[np.ndarray, "nx ny nz"]:
+    """Say of each cell whether it is `FREE` or holds a cube that is not, `UNKNOWN`."""
+    return _closed(free)
 
 
 @numba.njit(cache=True)

@@ -14,6 +14,8 @@ from keepout.mission.by_map import DeclaredBall
 from keepout.mission.scenario import Scenario
 from keepout.sensing.depth.camera import DepthCamera
 
+_CAP = 1.5
+"""Metres from unknown room beyond which the default law flies at its full speed, about."""
 _SHALLOWEST = 1.0
 """Metres between the least and the greatest range used, below which nothing could be seen from where one may be."""
 
@@ -64,6 +66,14 @@ def declared_ball(scenario: Scenario) -> DeclaredBall:
     return DeclaredBall(entry.centre, entry.radius)
 
 
+def told_apart(scenario: Scenario) -> float:
+    """Give the greatest distance that the scenario's map tells apart, m: enough for the law's full speed, if unset."""
+    entry = scenario.map
+    if entry.cap is not None:
+        return entry.cap
+    return math.ceil(_CAP / entry.spacing - 1e-9) * entry.spacing
+
+
 def map_of(scenario: Scenario, camera: DepthCamera) -> KnownFreeMap:
     """Begin the scenario's map, or go on with the file that it names.
 
@@ -76,7 +86,7 @@ def map_of(scenario: Scenario, camera: DepthCamera) -> KnownFreeMap:
         np.asarray(ball.centre),
         ball.radius,
         spacing=entry.spacing,
-        cap=entry.cap,
+        cap=told_apart(scenario),
         bounds=camera.bounds,
         name=scenario.name,
         speed_limit=1.5 * scenario.chaser.speed_limit,
@@ -126,9 +136,9 @@ def require_explorable(scenario: Scenario, camera: DepthCamera) -> None:
         )
         raise ScenarioError(f'{given[0]}: "{given[1]}"; exploring is flown by the default law')
     least = scenario.chaser.radius + scenario.safety.margin + math.sqrt(3.0) * scenario.map.spacing + 0.3
-    if scenario.map.cap < least:
+    if told_apart(scenario) < least:
         raise ScenarioError(
-            f"map.cap: {scenario.map.cap} m; it must be at least {least:.3g} m: the chaser's radius, the margin, and "
+            f"map.cap: {told_apart(scenario):g} m; it must be at least {least:.3g} m: the chaser's radius, the margin, and "
             "room to tell near from far"
         )
 

@@ -1,21 +1,20 @@
 """What an exploration leaves: the map, the flight, every view, and the verdict on the true mesh."""
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from keepout.audit.audit import Audit, Contact
 from keepout.exploring.departures import Departures
+from keepout.exploring.next_view import Ending
 from keepout.flight.outcome import FlightOutcome
 from keepout.flight.record import FlightRecord
 from keepout.geometry.target import Target
 from keepout.mapping.known_free import KnownFreeMap
 from keepout.mission.scenario import Scenario
 from keepout.mission.statuses import flag_counts
-
-Ending = Literal["reached goal", "everything reachable seen", "no way known", "out of time", "out of views"]
 
 
 @dataclass(frozen=True)

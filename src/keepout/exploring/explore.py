@@ -2,6 +2,7 @@
 
 import math
 import time
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -13,9 +14,10 @@ from keepout.control.law import Law
 from keepout.errors import ControlError
 from keepout.exploring import equipment
 from keepout.exploring.departures import departures
-from keepout.exploring.exploration import Exploration, Stage, TakenView
+from keepout.exploring.exploration import Exploration, TakenView
 from keepout.exploring.next_view import Ended, NextView, Pace, choose
 from keepout.exploring.open_surface import open_surface, seen_share
+from keepout.exploring.stages import Stages
 from keepout.exploring.tried import Tried
 from keepout.fields.map_field import MapField
 from keepout.flight import segment
@@ -27,7 +29,6 @@ from keepout.geometry.first_hit import FirstHit
 from keepout.geometry.target import Target
 from keepout.guard.start import starts_certified
 from keepout.mapping.known_free import ViewStatus
-from keepout.mapping.skin import skin
 from keepout.mapping.view import View
 from keepout.mission import by_map, environment
 from keepout.mission.assumptions import broken_assumptions, guard_numbers
@@ -51,7 +52,6 @@ _ALIGNED = math.cos(math.radians(3.0))
 _PATIENCE = 3.0
 """A view not reached after so many times the way at the speed limit, and `_EXTRA` s, is given up."""
 _EXTRA = 240.0
-_STAGES = 8
 _ATTEMPTS = 4
 """Views that the law may refuse to lead to before nothing more is tried; each keeps a little more room."""
 _OF_LATTICE = 1.0
@@ -61,7 +61,7 @@ _RESTING = 10
 
 
 def explore(
-    scenario: Scenario,
+    scenario: Scenario | str | Path,
     *,
     target: Target | None = None,
     expected: Target | None = None,
@@ -73,7 +73,8 @@ def explore(
     seen free is an obstacle, for law and guard alike. The clearance is audited on the true mesh.
 
     Args:
-        scenario: its entries `depth_sensor`, `map` and `explore` beside those of any flight; `target` is the truth.
+        scenario: or the path of its TOML file. Its entries `depth_sensor`, `map` and `explore` beside those of any
+            flight; `target` is the truth.
         target: the true mesh, already loaded; else the scenario's.
         expected: what the mission believes, already loaded; else `explore.expected`, which may be unset.
         progress: called as the flight goes on.
@@ -82,6 +83,8 @@ def explore(
         KeepoutError: something cannot be flown; the message names the entry, and nothing has been flown.
 
     """
+    if not isinstance(scenario, Scenario):
+        scenario = Scenario.load(scenario)
     return _Explorer(scenario, target, expected).flown(progress)
 
 
@@ -118,7 +121,7 @@ class _Explorer:
             greatest_acceleration=scenario.depth_sensor.turn_acceleration,
         )
         self.views: list[TakenView] = []
-        self.stages: list[Stage] = []
+        self.stages = Stages(self.known, 0.0)
         self.logs: list[FlightLog] = []
         self.under_way: list[tuple[float, View, Pose]] = []
         self.pose: Pose | None = None
@@ -133,9 +136,8 @@ class _Explorer:
         ticks = round(scenario.depth_sensor.period / scenario.control.period)
         start = np.asarray(self.initial.position)
         setup = by_map.setup_by_map(scenario, self.field, self.ball, self._law(start, start), self.guard)
-        self.keep = float(setup.controller.velocity.offset) + _OF_LATTICE * self.known.spacing
+        self.keep = by_map.kept_by_law(scenario, self.field, self.guard) + _OF_LATTICE * self.known.spacing
         state = segment.begin(setup, self.initial, jax.random.key(scenario.seed))
-        self._stage(0.0)
         flown = 0
         while True:
             now, position = float(state.motion.time), np.asarray(state.motion.position)
@@ -161,7 +163,6 @@ class _Explorer:
             self._count_rest(log)
             share = max(flown / scenario.steps, len(self.views) / scenario.explore.most_views)
             progress(min(share, 0.98), f"{len(self.views)} views, {self.free_volume:.0f} m³ known free")
-        self._stage(now)
         _, last = segment.fly_segment(setup, state, 1)
         return self._judged(segment.joined([*self.logs, last]), setup, ending)
 
@@ -193,11 +194,8 @@ class _Explorer:
             self.free_volume += report.opened * self.known.spacing**3
             why = "" if self.wanted is None else self.wanted.why
             said = report.status.value.replace("_", " ")
-            self.views.append(
-                TakenView(view.time, place, axes[:, 2], said, report.opened, self.free_volume, why)
-            )
-            if self._due_for_a_stage():
-                self._stage(view.time)
+            self.views.append(TakenView(view.time, place, axes[:, 2], said, report.opened, self.free_volume, why))
+            self.stages.note(self.known, view.time, self.free_volume)
 
     def _ending(self, flown: int) -> Ended | None:
         none = np.zeros((0, 3))
@@ -257,15 +255,6 @@ class _Explorer:
         away = np.flatnonzero(near >= self.scenario.goal.tolerance)
         self.resting = self.resting + len(near) if len(away) == 0 else len(near) - 1 - int(away[-1])
 
-    def _due_for_a_stage(self) -> bool:
-        """Whether an eighth of what the ball may hold has been opened since the last stage."""
-        ball = 4.0 / 3.0 * math.pi * self.ball.radius**3
-        return len(self.stages) < _STAGES - 1 and self.free_volume > ball * len(self.stages) / (_STAGES - 1)
-
-    def _stage(self, now: float) -> None:
-        vertices, faces = skin(self.known)
-        self.stages.append(Stage(now, vertices, faces))
-
     def _judged(self, log: FlightLog, setup: FlightSetup, ending: Ended) -> Exploration:
         """Put together what was flown, and audit it on the true mesh."""
         scenario = self.scenario
@@ -302,7 +291,7 @@ class _Explorer:
             outcome=ending.outcome,
             why=ending.why,
             views=tuple(self.views),
-            stages=tuple(self.stages),
+            stages=self.stages.at_the_end(self.known, float(record.time[-1])),
             seen_share=seen_share(self.surface, self.known.returns, scenario.explore.explained),
             unknown=ending.unknown,
             departures=None if self.expected is None else departures(self.known, self.expected, self.camera.camera),

@@ -1,26 +1,30 @@
 """Which view to take next: where to fly in known-free room, and where to look from there."""
 
+import functools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int, UInt8
+from jaxtyping import Float, Float32, Int, UInt8
+from scipy.spatial import KDTree
 
-from keepout.exploring.cells import CLOSE, EXPLAINED, FREE, SURFACE, UNKNOWN, Cells
+from keepout.exploring.cells import CLOSE, EXPLAINED, FREE, NEARBY, SURFACE, UNKNOWN, Cells
 from keepout.exploring.frontier import Frontier, frontier
 from keepout.exploring.reachable import Reachable, reachable
-from keepout.exploring.sight import axes_towards, inside, panoramas, sphere
-from keepout.exploring.tried import GIVEN_UP, Tried
+from keepout.exploring.sight import UP, inside, panoramas, sphere
+from keepout.exploring.tried import MOST_PATIENCE, PATIENCE, SAME_DIRECTION, SAME_PLACE, Tried
 from keepout.exploring.way import HopedWay, hoped_way
 from keepout.mapping.known_free import KnownFreeMap
 from keepout.mapping.view import Pinhole
+from keepout.sensing.depth.pointing import axes_towards
 
-_RAYS, _DIRECTIONS, _DRAWN, _PLACES = 2000, 192, 4000, 360
-_BORDER = 0.05
-"""What is seen nearer to the image's edge than this (rad) is not counted on: windows must lie wholly inside."""
+_RAYS, _DIRECTIONS, _DRAWN, _PLACES = 2000, 192, 4000, 256
+_BINS = (0.6, 1.0, 1.6, 2.6, 4.5)
+"""Metres at which bins of range begin: the nearer, the farther from the image's edge a window must be to lie inside."""
 _RANGES = (1.5, 3.0, 5.0, 8.0)
-"""Metres from a frontier along its normal at which a view is considered."""
-_REFINED, _AROUND = 8, 12
+"""Metres from a frontier along its normal at which a view is considered; and between shells round what is wanted."""
+_REFINED, _AROUND = 6, 10
 _STAGES = 3
 
 
@@ -32,7 +36,7 @@ class Pace:
     """m/s."""
     turn_rate: float = 0.05
     """rad/s."""
-    settling: float = 30.0
+    settling: float = 60.0
     """s."""
 
 
@@ -50,12 +54,14 @@ class NextView:
     is_goal: bool = False
 
 
+Ending = Literal["reached goal", "everything reachable seen", "no way known", "out of time", "out of views"]
+
+
 @dataclass(frozen=True, eq=False)
 class Ended:
-    """There is no view worth taking."""
+    """There is nothing more to fly for; of `choose`: no view worth taking."""
 
-    outcome: str
-    """`everything reachable seen` or `no way known`."""
+    outcome: Ending
     why: str
     unknown: Float[np.ndarray, "n 3"]
     """Centres (m) of the cells that are in the way, or of all frontier cells left, for a picture."""
@@ -71,7 +77,7 @@ def choose(
     keep: float,
     boresight: Float[np.ndarray, "3"] | None = None,
     pace: Pace | None = None,
-    least_gain: float = 0.02,
+    least_gain: float = 0.005,
     seed: int = 0,
 ) -> NextView | Ended:
     """Choose the view that opens most of what is wanted per second.
@@ -97,29 +103,50 @@ def choose(
             towards = known.origin + 0.5 * known.spacing * np.array(known.free.shape) - goal
             return NextView(goal, _unit(towards), "goal is reachable", 0.0, is_goal=True)
     if not reach.reached.any():
-        return Ended("no way known", f"nowhere within {math.sqrt(3.0) * reach.spacing:.2f} m of the chaser is {keep:.2f} m "
-                     "from all that is not known free", np.zeros((0, 3)))
+        return Ended(
+            "no way known",
+            f"nowhere within {math.sqrt(3.0) * reach.spacing:.2f} m of the chaser is {keep:.2f} m "
+            "from all that is not known free",
+            np.zeros((0, 3)),
+        )
     cells = Cells.of(known)
     edge = frontier(cells)
     search = _Search(known, reach, cells, edge, camera, tried, position, boresight, pace or Pace(), seed)
-    around = _codes(cells, tried, np.zeros_like(cells.kinds))
-    if goal is None:
-        found = search.best(around, _ALL_ROUND, edge.centres)
+    way = None
+    if goal is not None:
+        surface = _surface_at(known, camera, goal)
+        if surface < keep:
+            why = f"the goal {_said(goal)} is at most {surface:.2f} m from the seen surface, less than {keep:.2f} m"
+            return Ended("no way known", why, cells.place(np.argwhere(cells.kinds == SURFACE)))
+        way = hoped_way(reach, cells, tried, position, goal)
+        wanted = np.argwhere((way.stages > 0) & (tried.failures < tried.patience))
+        if len(wanted):
+            stage = way.stages[tuple(wanted.T)]
+            first = cells.place(wanted[stage == stage.min()])
+            found = search.best(_codes(cells, tried, way.stages), _TOWARDS, first[:: max(1, len(first) // 64)])
+            if found is not None and found.gain >= least_gain:
+                return replace(found, why="opens the way to the goal")
+    codes = _codes(cells, tried, np.zeros_like(cells.kinds))
+    for worths in (_ALL_ROUND, _ANYTHING):
+        found = search.best(codes, worths, edge.centres)
         if found is not None and found.gain >= least_gain:
-            return _said(found, "opens most around")
+            nothing_else = "nothing on the way to the goal can be seen: " if goal is not None else ""
+            return replace(found, why=nothing_else + "opens most around")
+    if way is None or goal is None:
         return Ended("everything reachable seen", _left(edge, tried), cells.place(edge.cells))
-    way = hoped_way(reach, cells, tried.failures, position, goal)
-    wanted = np.argwhere((way.stages > 0) & (tried.failures < GIVEN_UP))
-    if len(wanted):
-        stage = way.stages[tuple(wanted.T)]
-        first = cells.place(wanted[stage == stage.min()])
-        found = search.best(_codes(cells, tried, way.stages), _TOWARDS, first[:: max(1, len(first) // 64)])
-        if found is not None and found.gain >= least_gain:
-            return _said(found, "opens the way to the goal")
-    found = search.best(around, _ALL_ROUND, edge.centres)
-    if found is not None and found.gain >= least_gain:
-        return _said(found, "nothing on the way to the goal can be seen: opens most around")
     return Ended("no way known", _blocked(way, cells, tried, goal), cells.place(np.argwhere(way.stages > 0)))
+
+
+def _surface_at(known: KnownFreeMap, camera: Pinhole, goal: Float[np.ndarray, "3"]) -> float:
+    """Bound from above the distance from a place to cubes that hold a seen surface, which never become free, m."""
+    if len(known.returns) == 0:
+        return math.inf
+    bounds = known.bounds
+    # A return stands for a pixel, whose corner is this much of the range away from its middle.
+    slant = 1.0 / (math.sqrt(2.0) * camera.focal)
+    error = bounds.range_error + bounds.position_error + (bounds.attitude_error + slant) * bounds.greatest_range
+    # Returns are kept on a lattice finer than a cube, and a distance interpolated between nodes may be too long.
+    return float(np.linalg.norm(known.returns - goal, axis=1).min()) + error + known.spacing
 
 
 class _Search:
@@ -143,10 +170,12 @@ class _Search:
         self.generator = np.random.default_rng(seed)
         self.rays = sphere(_RAYS)
         self.directions = sphere(_DIRECTIONS)
-        self.images = inside(camera, axes_towards(self.directions), self.rays, _BORDER).astype(np.float32)
         bounds = known.bounds
         half = 0.5 * math.sqrt(3.0) * known.spacing + bounds.position_error
-        self.nearest, self.farthest = bounds.least_range + half, bounds.usable_range(camera) - half
+        self.bins = np.maximum(_BINS, bounds.least_range + half)
+        self.nearest, self.farthest = self.bins[0], bounds.usable_range(camera) - half
+        window = half + bounds.surely_returned_width + known.spacing
+        self.images = _images(camera, tuple(window / self.bins + bounds.attitude_error))
         self.empty = bounds.sure_empty_range - half - bounds.surely_returned_width
 
     def best(
@@ -178,18 +207,17 @@ class _Search:
         drawn = self.generator.choice(reached, min(_DRAWN, len(reached)), replace=False)
         nodes = np.stack(np.unravel_index(drawn, self.reach.reached.shape), axis=1)
         if len(wanted):
-            places = self.reach.place(nodes)
-            apart = np.sqrt(np.min(((places[:, None] - wanted[None]) ** 2).sum(axis=2), axis=1))
+            apart, _ = KDTree(wanted).query(self.reach.place(nodes))
             inner = np.flatnonzero((apart > self.nearest) & (apart < self.farthest))
             order = inner[np.argsort(apart[inner], kind="stable")]
-            # As many from every quarter of the ranges: near places open narrow gaps, far ones much room.
-            shells = np.array_split(order, np.searchsorted(apart[order], np.quantile(_RANGES, [0.0, 0.5, 0.75])))
+            # As many from every shell: near places open narrow gaps, far ones much room.
+            shells = np.array_split(order, np.searchsorted(apart[order], _RANGES))
             share = _PLACES // len(shells)
             nodes = np.concatenate([nodes[self.generator.permutation(shell)[:share]] for shell in shells])
         else:
             nodes = nodes[:_PLACES]
         large = np.argsort(-self.edge.sizes, kind="stable")[:30]
-        out = (self.edge.centres[large, None] + np.outer(_RANGES, [1, 1, 1])[None] * self.edge.normals[large, None])
+        out = self.edge.centres[large, None] + np.outer(_RANGES, [1, 1, 1])[None] * self.edge.normals[large, None]
         at = np.concatenate([out.reshape(-1, 3), self.position[None]])
         along = self._reached(np.round((at - self.reach.origin) / self.reach.spacing).astype(int))
         return np.unique(np.concatenate([nodes, along]), axis=0)
@@ -207,11 +235,11 @@ class _Search:
             _PASSES,
             (self.reach.place(nodes) - self.cells.origin) / edge,
             self.rays,
-            nearest=self.nearest / edge,
+            bins=self.bins / edge,
             farthest=self.farthest / edge,
             empty=self.empty / edge,
         )
-        return (rays @ self.images.T) * np.float32(edge**3)
+        return np.matmul(rays, self.images).sum(axis=0) * np.float32(edge**3)
 
     def _rates(self, nodes, gains) -> Float[np.ndarray, "n d"]:
         """Gain per second of flying, turning and settling; 0 for what was tried."""
@@ -222,22 +250,28 @@ class _Search:
         rates = np.asarray(gains, dtype=float) / seconds
         places = self.reach.place(nodes)
         for position, axes in zip(self.tried.positions, self.tried.axes, strict=True):
-            close = np.linalg.norm(places - position, axis=1) < 0.3
+            close = np.linalg.norm(places - position, axis=1) < SAME_PLACE
             if close.any():
-                rates[np.ix_(close, self.directions @ axes[:, 2] > math.cos(math.radians(10.0)))] = 0.0
+                rates[np.ix_(close, self.directions @ axes[:, 2] > SAME_DIRECTION)] = 0.0
         return rates
 
 
-_KINDS = 5
-_TRIES = GIVEN_UP + 1
+@functools.lru_cache(maxsize=4)
+def _images(camera: Pinhole, borders: tuple[float, ...]) -> Float32[np.ndarray, "b m d"]:
+    """Which rays of the sphere lie in the image along each direction, for borders of several widths (rad): 1 or 0."""
+    axes = np.stack([axes_towards(direction, UP) for direction in sphere(_DIRECTIONS)])
+    return np.stack([inside(camera, axes, sphere(_RAYS), border).T.astype(np.float32) for border in borders])
+
+
+_KINDS = 6
+_TRIES = MOST_PATIENCE + 1
 _ENDS = 255
 
 
-def _codes(
-    cells: Cells, tried: Tried, stages: UInt8[np.ndarray, "nx ny nz"]
-) -> UInt8[np.ndarray, "nx ny nz"]:
-    """Give one number a cell, for look-up: its kind, the stage of the way that it blocks, and how often it was tried."""
-    codes = 1 + ((cells.kinds + np.uint8(_KINDS) * stages) * np.uint8(_TRIES) + np.minimum(tried.failures, GIVEN_UP))
+def _codes(cells: Cells, tried: Tried, stages: UInt8[np.ndarray, "nx ny nz"]) -> UInt8[np.ndarray, "nx ny nz"]:
+    """Give each cell a number for look-up: kind, stage of the way that it blocks, and how often it was tried."""
+    failures = np.where(tried.failures >= tried.patience, MOST_PATIENCE, tried.failures).astype(np.uint8)
+    codes = 1 + ((cells.kinds + np.uint8(_KINDS) * stages) * np.uint8(_TRIES) + failures)
     codes[cells.kinds == SURFACE] = _ENDS
     codes[cells.kinds == FREE] = 0
     return codes
@@ -247,21 +281,30 @@ def _table(value) -> Float32[np.ndarray, "256"]:
     """Look-up table of value(kind, stage, tries) by code."""
     table = np.zeros(256, dtype=np.float32)
     for stage in range(_STAGES + 1):
-        for kind in (EXPLAINED, UNKNOWN, CLOSE):
+        for kind in (EXPLAINED, UNKNOWN, NEARBY, CLOSE):
             for tries in range(_TRIES):
                 table[1 + (kind + _KINDS * stage) * _TRIES + tries] = value(kind, stage, tries)
     return table
 
 
-_PASSES = _table(lambda kind, stage, tries: (0.3 if kind == EXPLAINED else 0.97) * (1.0, 0.7, 0.4, 0.2)[tries])
+def _passing(kind: int, stage: int, tries: int) -> float:
+    if tries == MOST_PATIENCE:
+        return -1.0
+    return (0.3 if kind == EXPLAINED else 0.97) * (1.0, 0.7, 0.4, 0.2)[min(tries, PATIENCE)]
+
+
+_PASSES = _table(_passing)
 """Confidence left after a cell, by code."""
 
 
 def _still_hoped(tries: int) -> float:
-    return 0.0 if tries >= GIVEN_UP else 0.4**tries
+    return 0.0 if tries == MOST_PATIENCE else 0.4 ** min(tries, PATIENCE)
 
 
-_ALL_ROUND = _table(lambda kind, stage, tries: {EXPLAINED: 0.0, UNKNOWN: 0.15, CLOSE: 1.0}[kind] * _still_hoped(tries))
+_ALL_ROUND = _table(
+    lambda kind, stage, tries: {EXPLAINED: 0.0, UNKNOWN: 0.01, NEARBY: 0.1, CLOSE: 1.0}[kind] * _still_hoped(tries)
+)
+_ANYTHING = _table(lambda kind, stage, tries: 0.0 if kind == EXPLAINED else _still_hoped(tries))
 _TOWARDS = _table(
     lambda kind, stage, tries: (
         (0.002 if stage == 0 else (1.0, 0.4, 0.15)[stage - 1])
@@ -277,17 +320,17 @@ def _unit(vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
     return vector / length if length > 0.0 else np.array([1.0, 0.0, 0.0])
 
 
-def _said(view: NextView, why: str) -> NextView:
-    return NextView(view.position, view.direction, why, view.gain)
+def _said(place: Float[np.ndarray, "3"]) -> str:
+    return f"[{', '.join(f'{part:.2f}' for part in place)}] m"
 
 
 def _left(edge: Frontier, tried: Tried) -> str:
     if len(edge.cells) == 0:
         return "no frontier is left"
-    given_up = int(np.sum(tried.failures[tuple(edge.cells.T)] >= GIVEN_UP))
+    given_up = int(np.sum(tried.failures[tuple(edge.cells.T)] >= tried.patience))
     return (
-        f"{len(edge.cells)} frontier cells are left in {len(edge.sizes)} places: {given_up} stayed closed in {GIVEN_UP} "
-        "views, and no view from reachable room is expected to open the others"
+        f"{len(edge.cells)} frontier cells are left in {len(edge.sizes)} places: {given_up} stayed closed in "
+        f"{tried.patience} views, and no view from reachable room is expected to open the others"
     )
 
 
@@ -297,9 +340,10 @@ def _blocked(way: HopedWay, cells: Cells, tried: Tried, goal: Float[np.ndarray, 
     index = way.stages > 0
     count = int(index.sum())
     surface = int(np.sum(index & (cells.kinds == EXPLAINED)))
-    given_up = int(np.sum(index & (cells.kinds != EXPLAINED) & (tried.failures >= GIVEN_UP)))
+    given_up = int(np.sum(index & (cells.kinds != EXPLAINED) & (tried.failures >= tried.patience)))
     return (
-        f"the way to {np.round(goal, 2).tolist()} m is blocked from {np.round(first, 2).tolist()} m on by {count} cells "
+        f"the way to {_said(goal)} is blocked from {_said(first)} on by {count} cells "
         f"({count * cells.edge**3:.2f} m³) that no view opened: {surface} lie within 0.35 m of the seen surface, "
-        f"{given_up} stayed closed in {GIVEN_UP} views, {count - surface - given_up} cannot be looked at from reachable room"
+        f"{given_up} stayed closed in {tried.patience} views, {count - surface - given_up} cannot be looked at from "
+        "reachable room"
     )

@@ -2,7 +2,7 @@
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from keepout.geometry.first_hit import FirstHit
 from keepout.geometry.target import Target
@@ -37,4 +37,4 @@ def seen_share(surface: Float[np.ndarray, "m 3"], returns: Float[np.ndarray, "k 
     """Give the share of surface points that have a return within so many metres."""
     if len(surface) == 0 or len(returns) == 0:
         return 0.0
-    return float(np.mean(cKDTree(returns).query(surface, distance_upper_bound=within)[0] < within))
+    return float(np.mean(KDTree(returns).query(surface, distance_upper_bound=within)[0] < within))

@@ -38,7 +38,7 @@ class Reachable:
         """Nodes that a way leads to."""
         return self.tenths != FAR
 
-    def place(self, nodes: Int[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    def place(self, nodes: Int[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
         """Places of nodes, m."""
         return self.origin + self.spacing * np.asarray(nodes)
 
@@ -48,7 +48,7 @@ class Reachable:
         return np.where(tenths == FAR, np.inf, tenths * (self.spacing / TENTHS))
 
     def beside(self, position: Float[np.ndarray, "3"]) -> Int[np.ndarray, "n 3"]:
-        """Nodes that keep the distance within a cell's diagonal of a place; of its nearest place in the box, outside it."""
+        """Nodes that keep the distance within a cell's diagonal of a place, or of the nearest place in the box."""
         return nodes_near(self.room, (self._inside(position) - self.origin) / self.spacing, math.sqrt(3.0))
 
     def way_length(self, position: Float[np.ndarray, "3"]) -> float:
@@ -99,7 +99,9 @@ def reachable(
             stride += 1
     least = math.ceil((keep / known.spacing) ** 2 - 1e-9)
     room = known.squares[::stride, ::stride, ::stride] >= least
-    empty = Reachable(known.origin, known.spacing * stride, stride, keep, room, np.full(room.shape, FAR, dtype=np.int32))
+    empty = Reachable(
+        known.origin, known.spacing * stride, stride, keep, room, np.full(room.shape, FAR, dtype=np.int32)
+    )
     sources = empty.beside(np.asarray(position, dtype=float))
     inside = empty._inside(np.asarray(position, dtype=float))
     apart = np.linalg.norm(empty.place(sources) - inside, axis=1) / empty.spacing

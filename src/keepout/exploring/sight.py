@@ -13,24 +13,16 @@ from jaxtyping import Bool, Float, Float32, UInt8
 
 from keepout.mapping.view import Pinhole
 
+UP = np.array([0.0, 0.0, 1.0])
+"""What the camera holds up in the image, in the map's frame."""
+
 
 def sphere(count: int) -> Float[np.ndarray, "count 3"]:
-    """Unit vectors spread evenly over the sphere, on a Fibonacci spiral."""
+    """Spread unit vectors evenly over the sphere, on a Fibonacci spiral."""
     height = 1.0 - (2.0 * np.arange(count) + 1.0) / count
     angle = math.pi * (3.0 - math.sqrt(5.0)) * np.arange(count)
     around = np.sqrt(1.0 - height**2)
     return np.stack([around * np.cos(angle), around * np.sin(angle), height], axis=1)
-
-
-def axes_towards(directions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3 3"]:
-    """Camera axes (columns x right, y down, z along each unit direction) with the map's z axis upwards in the image.
-
-    Along the map's z axis, its x axis takes that place.
-    """
-    up = np.where(np.abs(directions[:, 2:]) > 0.999, [1.0, 0.0, 0.0], [0.0, 0.0, 1.0])
-    right = np.cross(directions, up)
-    right /= np.linalg.norm(right, axis=1, keepdims=True)
-    return np.stack([right, np.cross(directions, right), directions], axis=2)
 
 
 def inside(
@@ -52,32 +44,35 @@ def panoramas(
     places: Float[np.ndarray, "n 3"],
     rays: Float[np.ndarray, "m 3"],
     *,
-    nearest: float,
+    bins: Float[np.ndarray, " b"],
     farthest: float,
     empty: float,
-) -> Float32[np.ndarray, "n m"]:
-    """Worth (m³) that each ray from each place is expected to open. All lengths in cells.
+) -> Float32[np.ndarray, "b n m"]:
+    """Give the worth, in cells, that each ray from each place is expected to open. All lengths are in cells.
 
     Args:
         codes: kinds of cells; 0 is known free.
         worth: by code, of opening a cell.
-        passes: by code, confidence left after a cell; 0 where a ray ends with a return.
+        passes: by code, confidence left after a cell; 0 where a ray ends with a return, negative where nothing is hoped
+            of what lies behind.
         places: in cells from the corner of the first.
         rays: unit vectors.
-        nearest: cells nearer are not opened.
-        farthest: nor are those farther.
+        bins: ranges at which the bins begin that what is opened is sorted into; cells nearer than the first are not.
+        farthest: cells farther are not opened.
         empty: how far a ray without a return opens.
 
     """
-    gains = np.zeros((len(places), len(rays)), dtype=np.float32)
+    gains = np.zeros((len(bins), len(places), len(rays)), dtype=np.float32)
     solid = 4.0 * math.pi / len(rays)
-    _march(codes, worth, passes, np.ascontiguousarray(places), rays, nearest, farthest, empty, solid, gains)
+    _march(codes, worth, passes, np.ascontiguousarray(places), rays, bins, farthest, empty, solid, gains)
     return gains
 
 
 @numba.njit(cache=True, nogil=True)
 @no_type_check
-def _march(codes, worth, passes, places, rays, nearest, farthest, empty, solid, gains):
+def _march(codes, worth, passes, places, rays, bins, farthest, empty, solid, gains):
+    count = bins.shape[0]
+    unsure = np.zeros(count, dtype=np.float32)
     nx, ny, nz = codes.shape
     steps = int(farthest)
     for p in range(places.shape[0]):
@@ -85,8 +80,9 @@ def _march(codes, worth, passes, places, rays, nearest, farthest, empty, solid, 
             x, y, z = places[p, 0], places[p, 1], places[p, 2]
             dx, dy, dz = rays[r, 0], rays[r, 1], rays[r, 2]
             confidence = 1.0
-            near, far = 0.0, 0.0  # opened without a return, and only with one
+            unsure[:] = 0.0  # opened only with a return
             returned = 0.0
+            b = 0
             for step in range(1, steps + 1):
                 i, j, k = int(x + step * dx), int(y + step * dy), int(z + step * dz)
                 if x + step * dx < 0.0 or y + step * dy < 0.0 or z + step * dz < 0.0 or i >= nx or j >= ny or k >= nz:
@@ -94,21 +90,24 @@ def _march(codes, worth, passes, places, rays, nearest, farthest, empty, solid, 
                 code = codes[i, j, k]
                 if code == 0:
                     continue
-                if passes[code] == 0.0:
-                    returned += confidence
-                    confidence = 0.0
+                if passes[code] <= 0.0:
+                    if passes[code] == 0.0:
+                        returned += confidence
                     break
-                if step >= nearest:
+                if step >= bins[0]:
+                    while b + 1 < count and step >= bins[b + 1]:
+                        b += 1
                     volume = confidence * worth[code] * step * step
                     if step <= empty:
-                        near += volume
+                        gains[b, p, r] += solid * volume
                     else:
-                        far += volume
+                        unsure[b] += solid * volume
                 returned += confidence * (1.0 - passes[code])
                 confidence *= passes[code]
                 if confidence < 0.02:
                     break
-            gains[p, r] = solid * (near + (far * min(returned, 1.0) if far > 0.0 else 0.0))
+            for b in range(count):
+                gains[b, p, r] += unsure[b] * min(returned, 1.0)
 
 
 @numba.njit(cache=True, nogil=True)

@@ -6,12 +6,12 @@ from typing import no_type_check
 
 import numba
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, UInt8
 
-from keepout.exploring.cells import EXPLAINED, SURFACE, Cells
-from keepout.exploring.lattice import FAR, TENTHS, nodes_near, shortest, walk_back
+from keepout.exploring.cells import SURFACE, Cells
+from keepout.exploring.lattice import TENTHS, nodes_near, shortest, walk_back
 from keepout.exploring.reachable import Reachable
-from keepout.exploring.tried import GIVEN_UP
+from keepout.exploring.tried import Tried
 
 _UNKNOWN_PRICE, _GIVEN_UP_PRICE, _SURFACE_PRICE = 3, 12, 40
 _STAGES = (1.5, 4.0)
@@ -33,15 +33,15 @@ class HopedWay:
 def hoped_way(
     reach: Reachable,
     cells: Cells,
-    failures: UInt8[np.ndarray, "nx ny nz"],
+    tried: Tried,
     position: Float[np.ndarray, "3"],
     goal: Float[np.ndarray, "3"],
 ) -> HopedWay:
-    """Find the hoped way over the lattice of `reach`; `failures` of `Tried` make what stayed closed dear."""
+    """Find the hoped way over the lattice of `reach`; what was given up is dear."""
     price = np.where(reach.room, 1, _UNKNOWN_PRICE).astype(np.uint8)
     scale = cells.edge / reach.spacing
     radius = reach.keep / reach.spacing
-    given_up = np.argwhere((failures >= GIVEN_UP) & (cells.kinds > SURFACE))
+    given_up = np.argwhere((tried.failures >= tried.patience) & (cells.kinds > SURFACE))
     _raise_price(price, (given_up + 0.5) * scale, radius, _GIVEN_UP_PRICE)
     _raise_price(price, (np.argwhere(cells.kinds == SURFACE) + 0.5) * scale, radius, _SURFACE_PRICE)
     last = np.array(price.shape) - 1
@@ -69,7 +69,7 @@ def _raise_price(price, centres, radius, value):
     """Give nodes that are not open and lie within `radius` of a centre at least the price `value`."""
     reach = int(np.ceil(radius))
     for c in range(centres.shape[0]):
-        a, b, d = int(round(centres[c, 0])), int(round(centres[c, 1])), int(round(centres[c, 2]))
+        a, b, d = round(centres[c, 0]), round(centres[c, 1]), round(centres[c, 2])
         for i in range(max(a - reach, 0), min(a + reach + 1, price.shape[0])):
             for j in range(max(b - reach, 0), min(b + reach + 1, price.shape[1])):
                 for k in range(max(d - reach, 0), min(d + reach + 1, price.shape[2])):

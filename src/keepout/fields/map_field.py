@@ -1,6 +1,6 @@
 """The field of a map: a C² cubic B-spline over the distances of a grid's nodes to all that is not known free.
 
-Its bounds hold for any map, whatever was seen and in whatever order (docs/mapping.md, "The field of the map"):
+Its bounds hold for any map, whatever was seen and in whatever order (docs/mapping-field.md):
 
 - f ≤ √(d² + h²), with d the distance to the cubes that are not known free and h their edge;
 - where free room grows, f falls nowhere, in floating point neither;
@@ -71,15 +71,15 @@ class MapField(Field):
             raise FieldError(f"map field: spacing is {spacing} m; it must be finite and greater than 0")
         if first.shape != (3,) or not np.all(np.isfinite(first)):
             raise FieldError(f"map field: origin is {origin}; three finite numbers in metres are needed")
-        cap = squares[0, 0, 0]
+        cap, most = int(squares[0, 0, 0]), int(squares.max())
         for axis in range(3):
             for layers in (slice(0, EDGE), slice(-EDGE, None)):
                 outer = np.moveaxis(squares, axis, 0)[layers]
-                if int(outer.min()) != cap or int(outer.max()) != cap or int(squares.max()) > cap:
+                if int(outer.min()) != cap or most > cap:
                     raise FieldError(
                         f"map field: squares from {int(outer.min())} to {int(outer.max())} in the outermost {EDGE} "
-                        f"layers along axis {axis}, and up to {int(squares.max())} elsewhere; all of these layers must "
-                        f"be at the cap, {int(cap)}"
+                        f"layers along axis {axis}, and up to {most} elsewhere; all of these layers must be at the "
+                        f"cap, {cap}"
                     )
         # A copy: JAX may otherwise go on reading the very memory in which the map grows.
         return cls(jnp.array(squares, copy=True), jax.device_put(first), jax.device_put(np.float64(spacing)))
@@ -93,9 +93,31 @@ class MapField(Field):
         """Give e_h, m: where what is not known free is `radius` m away, the field says at most e_h more."""
         return math.hypot(radius, float(self.spacing)) - radius + self.evaluation_error
 
+    def require_no_less(self, before: "MapField") -> None:
+        """Refuse to come after another map's field if it is of another grid, or lower anywhere.
+
+        Raises:
+            FieldError: the message says which.
+
+        """
+        for name in ("origin", "spacing"):
+            now, then = np.asarray(getattr(self, name)), np.asarray(getattr(before, name))
+            if not np.array_equal(now, then):
+                raise FieldError(f"map field: {name} {now.tolist()} m comes after {then.tolist()} m; it must stay")
+        now, then = np.asarray(self.squares), np.asarray(before.squares)
+        if now.shape != then.shape:
+            raise FieldError(f"map field: {now.shape} nodes come after {then.shape}; they must be the same")
+        # Layer by layer: a whole map's comparison would take half the map's memory again.
+        fallen = sum(int(np.count_nonzero(one < other)) for one, other in zip(now, then, strict=True))
+        if fallen:
+            raise FieldError(
+                f"map field: {fallen} nodes are nearer to what is not known free than in the map before; free room "
+                "may only grow"
+            )
+
     @property
     def evaluation_error(self) -> float:
-        """Bound, m, of what float64 and any order of sums make of the exact spline (docs/mapping.md)."""
+        """Bound, m, of what float64 and any order of sums make of the exact spline (docs/mapping-field.md)."""
         return 2.0**-53 * (256.0 * self.cap + 16.0 * float(self.spacing) * max(self.squares.shape))
 
     def _places(self, points: Float[Array, "n 3"]) -> tuple[Int32[Array, "n 3"], Float[Array, "n 3"]]:

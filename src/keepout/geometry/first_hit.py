@@ -104,7 +104,9 @@ class FirstHit:
             raise MeshError(f"rays: greatest is {greatest:g} m; it must be above 0")
         ranges, faces = np.empty(len(lengths)), np.empty(len(lengths), dtype=np.int64)
         largest = max(float(np.abs(self.lower).max()), float(np.abs(self.upper).max()))
-        _cast(*self._tree, origins, directions, lengths, float(greatest), largest, ranges, faces)
+        # Made here: a constant of another file would stay in what numba keeps on disk.
+        stack, bounds = np.empty(ray_tree.DEEPEST, dtype=np.int64), np.empty(ray_tree.DEEPEST)
+        _cast(*self._tree, origins, directions, lengths, float(greatest), largest, stack, bounds, ranges, faces)
         return ranges, faces
 
 
@@ -185,8 +187,22 @@ def _inverse(component):
 
 @numba.njit(cache=True, nogil=True)
 @no_type_check
-def _cast(boxes, children, first, corners, face, origins, directions, lengths, greatest, largest, ranges, faces):
-    stack, bounds = np.empty(ray_tree.DEEPEST, dtype=np.int64), np.empty(ray_tree.DEEPEST)
+def _cast(
+    boxes,
+    children,
+    first,
+    corners,
+    face,
+    origins,
+    directions,
+    lengths,
+    greatest,
+    largest,
+    stack,
+    bounds,
+    ranges,
+    faces,
+):
     last = -1
     for i in range(len(lengths)):
         px, py, pz = origins[i, 0], origins[i, 1], origins[i, 2]

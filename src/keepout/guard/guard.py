@@ -17,15 +17,12 @@ from jaxtyping import Array, Bool, Float, Int
 from keepout.compiled.on_demand import where_needed
 from keepout.errors import ControlError
 from keepout.fields.field import Field
-from keepout.guard import observer, watch
+from keepout.guard import nominal, observer, watch
 from keepout.guard.braking import BrakingDesign, GuardAssumptions, Number, design
+from keepout.guard.nominal import Vector
 from keepout.guard.safety_layer import SafetyLayer
 from keepout.guard.status import GuardFlag, GuardStatus
 from keepout.motion.relative import MotionState
-from keepout.motion.vectors import norm
-
-Vector = Float[Array, "3"]
-
 
 _ROUNDING = 1e-9
 """Metres: far more than float64 loses between two evaluations of the same field value."""
@@ -133,7 +130,7 @@ class Guard(SafetyLayer):
     def initial_state(self, estimate: MotionState) -> GuardState:
         """Give the memory before the first step: the plan is to brake at once, certified if that is free."""
         pending = jnp.zeros((self.assumptions.delay, 3))
-        path, velocities = self._predict(estimate.position, estimate.velocity, pending)
+        path, velocities = nominal.predict(self.assumptions, estimate.position, estimate.velocity, pending)
         unexplained, counted = watch.begin(self.windows)
         return GuardState(
             plan_position=path[-1],
@@ -176,7 +173,7 @@ class Guard(SafetyLayer):
             position, velocity = observer.correct(
                 a, self.braking, guard_state.observed, told_position, told_velocity, known
             )
-        path, velocities = self._predict(position, velocity, guard_state.pending)
+        path, velocities = nominal.predict(a, position, velocity, guard_state.pending)
         ahead, moving = path[-1], velocities[-1]
         here = self.field.value(position)
 
@@ -185,7 +182,11 @@ class Guard(SafetyLayer):
         planned = guard_state.certified & ~off_plan & told
         finite = jnp.all(jnp.isfinite(force))
         asked = jnp.clip(jnp.where(finite, force, 0.0), -a.force_limit, a.force_limit) / a.mass
-        candidate = jnp.where(planned, asked, self._escape(position, moving, self._outward(position, ~planned)))
+        candidate = jnp.where(
+            planned,
+            asked,
+            nominal.escape(a, self.braking, self.escape_speed, position, moving, self._outward(position, ~planned)),
+        )
         next_position = ahead + T * moving + 0.5 * T**2 * candidate
         next_velocity = moving + T * candidate
         usable = (finite | ~planned) & told
@@ -195,7 +196,7 @@ class Guard(SafetyLayer):
         velocities = jnp.concatenate([velocities, next_velocity[None]])
         accepted = usable & self._free(position, here, ahead_path, velocities, usable)
 
-        brake, rest = self._brake(guard_state.plan_velocity)
+        brake, rest = nominal.brake(a, self.braking, guard_state.plan_velocity)
         feedback = self.braking.position_gain * drifted + self.braking.velocity_gain * (
             moving - guard_state.plan_velocity
         )
@@ -241,9 +242,9 @@ class Guard(SafetyLayer):
         )
         flags = (
             jnp.where(jumped, GuardFlag.STATE_JUMP, 0)
-            + jnp.where(self._too_strong(disturbance_estimate), GuardFlag.DISTURBANCE, 0)
+            + jnp.where(watch.too_strong(a, disturbance_estimate), GuardFlag.DISTURBANCE, 0)
             + jnp.where(here > self._seen_threshold, 0, GuardFlag.FIELD)
-            + jnp.where(self._outside_region(told_position, told_velocity), GuardFlag.REGION, 0)
+            + jnp.where(watch.outside_region(a, told_position, told_velocity), GuardFlag.REGION, 0)
             + jnp.where(finite, 0, GuardFlag.COMMAND)
             + jnp.where(off_plan, GuardFlag.OFF_PLAN, 0)
             + jnp.where(told, 0, GuardFlag.ESTIMATE)
@@ -271,7 +272,7 @@ class Guard(SafetyLayer):
 
     def _braking_free(self, state: MotionState, moved: Float[Array, ""], faster: Number) -> Bool[Array, ""]:
         pending = jnp.zeros((self.assumptions.delay, 3))
-        path, velocities = self._predict(state.position, state.velocity, pending)
+        path, velocities = nominal.predict(self.assumptions, state.position, state.velocity, pending)
         value = self.field.value(state.position)
         points = path[1:] if self.assumptions.delay else path
         return self._free(state.position, value, points, velocities, jnp.asarray(True), moved, faster)
@@ -291,29 +292,8 @@ class Guard(SafetyLayer):
         unseen = self.assumptions.disturbance + self.assumptions.fault_push
         return self.braking.position_radius + 0.5 * unseen * late**2
 
-    def _predict(
-        self, position: Vector, velocity: Vector, pending: Float[Array, "delay 3"]
-    ) -> tuple[Float[Array, "points 3"], Float[Array, "points 3"]]:
-        """Positions and velocities now and after each pending command; the next command takes effect at the last."""
-        T = self.assumptions.period
-        points, velocities = [position], [velocity]
-        for i in range(self.assumptions.delay):
-            position = position + T * velocity + 0.5 * T**2 * pending[i]
-            velocity = velocity + T * pending[i]
-            points.append(position)
-            velocities.append(velocity)
-        return jnp.stack(points), jnp.stack(velocities)
-
     def _in_effect(self, guard_state: GuardState, chosen: Vector) -> Vector:
         return guard_state.pending[0] if self.assumptions.delay else chosen
-
-    def _stop(self, velocity: Vector) -> Vector:
-        """From where the nominal braking motion begins to where it ends, m."""
-        T, a_b = self.assumptions.period, self.braking.deceleration
-        speed = jnp.linalg.norm(velocity)
-        rest = jnp.fmod(speed, a_b * T)
-        length = (speed**2 - rest**2) / (2.0 * a_b) + 0.5 * rest * T
-        return velocity * (length / jnp.maximum(speed, 1e-12))
 
     def _free(
         self,
@@ -340,7 +320,7 @@ class Guard(SafetyLayer):
             (self, position, value, points, velocities, moved, faster)
         )
         a = self.assumptions
-        rest = points[-1] + self._stop(velocities[-1])
+        rest = points[-1] + nominal.stop(a, self.braking, velocities[-1])
         corners = jnp.concatenate([points, rest[None]])
         sagitta = 3.0**0.5 * a.authority * a.period**2 / 8.0
         least = jnp.asarray(self.least_value + self.lipschitz * (sagitta + moved))
@@ -397,30 +377,3 @@ class Guard(SafetyLayer):
             return eqx.combine(arrays, still).value_and_gradient(position)[1]
 
         return where_needed(gradient, wanted, jnp.zeros(3), arrays, position)
-
-    def _brake(self, velocity: Vector) -> tuple[Vector, Bool[Array, ""]]:
-        """Give the nominal braking acceleration, and whether the nominal motion is at rest."""
-        speed = norm(velocity)
-        size = jnp.minimum(self.braking.deceleration, speed / self.assumptions.period)
-        return -velocity * (size / jnp.maximum(speed, 1e-12)), speed < 1e-9
-
-    def _escape(self, position: Vector, velocity: Vector, outward: Vector) -> Vector:
-        """Acceleration along the field's growth, or back into range, at the escape speed, within the authority."""
-        a = self.assumptions
-        afar = norm(position) + self.braking.position_radius > 0.99 * a.range_limit
-        away = jnp.where(afar, -position, outward)
-        direction = away / jnp.maximum(norm(away), 1e-9)
-        wanted = (jnp.where(jnp.isfinite(direction), direction, 0.0) * self.escape_speed - velocity) / a.period
-        return wanted * jnp.minimum(1.0, a.authority / jnp.maximum(norm(wanted), 1e-12))
-
-    def _too_strong(self, disturbance_estimate: Vector) -> Bool[Array, ""]:
-        a = self.assumptions
-        # An observer overshoots, takes noise and scale errors for a force, and, where there is next to none of these,
-        # what its own model leaves of the drift; `watch` is the exact test.
-        seen = 1.5 * a.mass * (a.disturbance - a.drift + 2.0 * a.velocity_error / a.period)
-        return ~(jnp.linalg.norm(disturbance_estimate) <= jnp.maximum(seen, a.mass * a.drift))
-
-    def _outside_region(self, position: Vector, velocity: Vector) -> Bool[Array, ""]:
-        a = self.assumptions
-        far = jnp.linalg.norm(position) > a.range_limit + a.position_error
-        return far | (jnp.linalg.norm(velocity) > a.speed_limit + a.velocity_error)

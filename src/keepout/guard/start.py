@@ -10,7 +10,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from keepout.compiled.kept_executables import kept_jit
 from keepout.errors import ControlError
-from keepout.guard.guard import Guard, Vector
+from keepout.guard.guard import Guard
+from keepout.guard.nominal import Vector
 from keepout.motion.arrays import as_float64
 from keepout.motion.relative import MotionState
 

@@ -1,9 +1,9 @@
-"""What the guard measures of its own assumption ‖w‖ ≤ D: flag `STATE_JUMP` (docs/guard.md, section 5).
+"""What the guard measures of its own assumptions: `STATE_JUMP`, `DISTURBANCE` and `REGION` (docs/guard.md, section 5).
 
-Over any c steps the estimated velocities differ from what the commands explain by at most c T D and the errors of the
-first and the last, 2 ε_v at most, as those of the samples between cancel. The longer the window, the smaller the excess
-that cannot hide behind ε_v; the shorter, the sooner a large one is seen. So several windows run at once, each twice as
-long as the one before.
+`watch` is the exact test, of ‖w‖ ≤ D. Over any c steps the estimated velocities differ from what the commands explain
+by at most c T D and the errors of the first and the last, 2 ε_v at most, as those of the samples between cancel. The
+longer the window, the smaller the excess that cannot hide behind ε_v; the shorter, the sooner a large one is seen. So
+several windows run at once, each twice as long as the one before.
 """
 
 import math
@@ -120,3 +120,21 @@ def watch(
     shift = 0.5 * a.disturbance * T**2 + shifted
     jumped = jnp.linalg.norm(moved) > shift * (1.0 + _LOOSE) + _ROUNDING
     return unexplained, (counted + 1) % lengths[-1], jumped | pushed
+
+
+def too_strong(assumptions: GuardAssumptions, disturbance_estimate: Float[Array, "3"]) -> Bool[Array, ""]:
+    """Whether a law's estimate (N) of the disturbance is above what is assumed: flag `DISTURBANCE`."""
+    a = assumptions
+    # An observer overshoots, takes noise and scale errors for a force, and, where there is next to none of these,
+    # what its own model leaves of the drift; `watch` is the exact test.
+    seen = 1.5 * a.mass * (a.disturbance - a.drift + 2.0 * a.velocity_error / a.period)
+    return ~(jnp.linalg.norm(disturbance_estimate) <= jnp.maximum(seen, a.mass * a.drift))
+
+
+def outside_region(
+    assumptions: GuardAssumptions, position: Float[Array, "3"], velocity: Float[Array, "3"]
+) -> Bool[Array, ""]:
+    """Whether what is told (m, m/s) is beyond the range or speed within which the drift is bounded: flag `REGION`."""
+    a = assumptions
+    far = jnp.linalg.norm(position) > a.range_limit + a.position_error
+    return far | (jnp.linalg.norm(velocity) > a.speed_limit + a.velocity_error)

@@ -172,7 +172,7 @@ def squares_of(free: Bool[np.ndarray, "n n n"], cap: int) -> UInt16[np.ndarray, 
 
     Args:
         free: whether each cube is free; outside the grid everything is free.
-        cap: in cells, 1 to 255.
+        cap: in cells, at least 1.
 
     """
     nodes = free.shape[0] + 1

@@ -14,13 +14,16 @@ from jaxtyping import Bool, Float, Float32, Int
 
 from keepout.errors import MapError
 from keepout.mapping.distance_transform import renew, squares_of
-from keepout.mapping.pyramid import BLOCK, free_cubes, pyramid
+from keepout.mapping.pyramid import pyramid
 from keepout.mapping.returns import Returns
+from keepout.mapping.rule import empty_ranges, rule_of
 from keepout.mapping.view import SensorBounds, View
-from keepout.mapping.windows import empty_ranges, rule_of
+from keepout.mapping.windows import BLOCK, free_cubes
 
 _MOST_CUBES = 1024
 """Across the grid: 3 GiB."""
+_MOST_CELLS = 64
+"""In the cap: a tile of distances is made from the cubes that far round it."""
 _ROTATION = 1e-10
 """Greatest departure of the axes from a rotation: the slack of the rule covers it."""
 
@@ -118,10 +121,10 @@ class KnownFreeMap:
         if not self.speed_limit > 0.0:
             raise MapError(f"map speed_limit = {self.speed_limit}; it must be positive, in m/s")
         cells = self.cap / self.spacing
-        if abs(cells - round(cells)) > 1e-6 or not 1 <= round(cells) <= 255:
+        if abs(cells - round(cells)) > 1e-6 or not 1 <= round(cells) <= _MOST_CELLS:
             raise MapError(
-                f"map cap = {self.cap} m; it must be 1 to 255 whole spacings of {self.spacing} m, such as "
-                f"{min(max(round(cells), 1), 255) * self.spacing:.6g} m"
+                f"map cap = {self.cap} m; it must be 1 to {_MOST_CELLS} whole spacings of {self.spacing} m, such as "
+                f"{min(max(round(cells), 1), _MOST_CELLS) * self.spacing:.6g} m"
             )
 
     @classmethod

@@ -51,7 +51,14 @@ def reachable_cubes(free: Bool[np.ndarray, "n n n"]) -> Bool[np.ndarray, "n n n"
 
 
 def skin(known: KnownFreeMap) -> tuple[Float[np.ndarray, "v 3"], Int64[np.ndarray, "f 3"]]:
-    """Give the closed triangle mesh of the map's obstacle, as seen from outside.
+    """Give the closed triangle mesh of the map's obstacle, as seen from outside; see `skin_of`."""
+    return skin_of(known.free, known.origin, known.spacing)
+
+
+def skin_of(
+    free: Bool[np.ndarray, "n n n"], origin: Float[np.ndarray, "3"], spacing: float
+) -> tuple[Float[np.ndarray, "v 3"], Int64[np.ndarray, "f 3"]]:
+    """Give the closed triangle mesh of the obstacle among cubes of edge `spacing` (m) from corner `origin` (m) on.
 
     The obstacle is every cube that is not free, and free room that is shut in by such cubes. Each square between the
     obstacle and free room is two triangles that face the free room. Squares share vertices, and the surface is the
@@ -62,7 +69,7 @@ def skin(known: KnownFreeMap) -> tuple[Float[np.ndarray, "v 3"], Int64[np.ndarra
         Vertices in the map's frame, m, and vertex indices of the triangles.
 
     """
-    solid = ~reachable_cubes(known.free)
+    solid = ~reachable_cubes(free)
     nodes = len(solid) + 1
     strides = (nodes * nodes, nodes, 1)
     quads = []
@@ -83,4 +90,4 @@ def skin(known: KnownFreeMap) -> tuple[Float[np.ndarray, "v 3"], Int64[np.ndarra
     index = index.reshape(-1, 4)
     faces = np.concatenate([index[:, [0, 1, 2]], index[:, [0, 2, 3]]]).astype(np.int64)
     places = np.stack([used // strides[0], used // strides[1] % nodes, used % nodes], axis=1)
-    return known.origin + known.spacing * places, faces
+    return origin + spacing * places, faces

@@ -1,8 +1,8 @@
 """Law and guard by the field of a map: of the target only a ball is known that holds it, and what was seen free.
 
-The guard's numbers hold for every map (docs/mapping.md), so they are the scenario's and the ball's alone. Law and guard
-fly by the same field. The guard asks for room beyond its threshold, and the law keeps that room: otherwise it would
-lead to where the guard holds it for ever.
+The guard's numbers hold for every map (docs/mapping-field.md), so they are the scenario's and the ball's alone. Law and
+guard fly by the same field. The guard asks for room beyond its threshold, and the law keeps that room: otherwise it
+would lead to where the guard holds it for ever.
 """
 
 import dataclasses
@@ -54,17 +54,29 @@ def guard_by_map(scenario: Scenario, field: MapField, ball: DeclaredBall) -> Gua
     """Build the guard on a map's field; with the field of any later map in its place it is the guard of that map.
 
     Raises:
-        KeepoutError: the thrusters cannot meet the assumptions; the message names the entry.
+        KeepoutError: the thrusters cannot meet the assumptions, or the map's cap is too low for any plan to be
+            certified; the message names the entry.
 
     """
     radius = scenario.chaser.radius
-    return Guard(
+    guard = Guard(
         field=field,
         threshold=radius + field.error_bound(radius),
         lipschitz=SLOPE,
         evaluation_error=field.evaluation_error,
         assumptions=environment.guard_assumptions_within(scenario, ball.extent),
     )
+    _require_cap(field, float(guard.least_value), "the guard certifies plans")
+    return guard
+
+
+def _require_cap(field: MapField, needed: float, what: str) -> None:
+    """Refuse a map whose field is nowhere above what is needed, m."""
+    if not field.cap > needed:
+        raise ScenarioError(
+            f"map cap: {field.cap:.3g} m, and {what} only where the field is above {needed:.3f} m; "
+            "give the map a greater cap, or the chaser smaller errors"
+        )
 
 
 def room_for_guard(scenario: Scenario, guard: Guard) -> dict[str, float]:
@@ -74,6 +86,14 @@ def room_for_guard(scenario: Scenario, guard: Guard) -> dict[str, float]:
     asked = float(guard.least_value + guard.lipschitz * sagitta) - guard.threshold + _WANDERING
     own = least_offset(scenario.chaser.speed_limit, scenario.control.period)
     return {"nominal_offset": max(own, asked - scenario.safety.margin)}
+
+
+def kept_by_law(scenario: Scenario, field: MapField, guard: Guard | None) -> float:
+    """Give the field's value, m, below which the law of `law_by_map` does not lead."""
+    own = least_offset(scenario.chaser.speed_limit, scenario.control.period)
+    room = {"nominal_offset": own} if guard is None else room_for_guard(scenario, guard)
+    radius = scenario.chaser.radius
+    return field.error_bound(radius) + radius + scenario.safety.margin + room["nominal_offset"]
 
 
 def law_by_map(
@@ -106,7 +126,7 @@ def law_by_map(
 
     Raises:
         ControlError: the goal is not free, or no way leads there from the position; the message says what is missing.
-        ScenarioError: the profile is not the default one.
+        ScenarioError: the profile is not the default one, or the map's cap is too low for any goal.
 
     """
     if scenario.control.profile != "default":
@@ -120,17 +140,20 @@ def law_by_map(
     )
     bound = field.error_bound(scenario.chaser.radius)
     chosen = {} if guard is None else room_for_guard(scenario, guard)
-    own = least_offset(scenario.chaser.speed_limit, scenario.control.period)
-    offset = bound + scenario.chaser.radius + scenario.safety.margin + chosen.get("nominal_offset", own)
+    offset = kept_by_law(scenario, field, guard)
+    _require_cap(field, offset, "the law leads")
     grid = grid_of_nodes(
         np.asarray(field.squares), np.asarray(field.origin), float(field.spacing), offset, room=room, every=every
     )
     plan, reach = Geodesic(grid=grid), max(ball.extent, float(np.linalg.norm(scenario.start.position)))
     build = {"guidance": plan, "reach": reach, "progress": progress, **chosen}
+    # Beyond the grid the guidance leads back to it, and all is free there.
+    upper = grid.origin + grid.spacing * (np.array(grid.values.shape) - 1)
+    within = bool(np.all((np.array(here) >= grid.origin) & (np.array(here) <= upper)))
     try:
-        law = law_on(moved, field, bound, **build)
+        law = law_on(moved, field, bound, from_start=within, **build)
     except KeepOutZoneError as refusal:
-        # Law and guard know their way out of the law's own margin.
+        # Law and guard know their way out of the law's own margin; whether a way leads on is then not known.
         if refusal.place != "start":
             raise
         law = law_on(moved, field, bound, from_start=False, **build)
@@ -147,11 +170,18 @@ def setup_by_map(scenario: Scenario, field: MapField, ball: DeclaredBall, law: L
 
 
 def led_on(setup: FlightSetup, field: MapField, law: Law) -> FlightSetup:
-    """Give the setup of a flight's next segment: a later map's field for all, and the law made for it and its goal."""
+    """Give the setup of a flight's next segment: a later map's field for all, and the law made for it and its goal.
+
+    Raises:
+        FieldError: the field is of another grid, or says less somewhere: then what was certified is so no more.
+
+    """
+    if isinstance(setup.field, MapField):
+        field.require_no_less(setup.field)
     guard = setup.guard
-    assert guard is None or isinstance(guard, Guard)
-    watched = None if guard is None else eqx.tree_at(lambda g: g.field, guard, field)
-    return dataclasses.replace(setup, field=field, controller=law, guard=watched, goal=as_float64(law.goal))
+    if isinstance(guard, Guard):
+        guard = eqx.tree_at(lambda g: g.field, guard, field)
+    return dataclasses.replace(setup, field=field, controller=law, guard=guard, goal=as_float64(law.goal))
 
 
 def require_start(scenario: Scenario, ball: DeclaredBall, start: MotionState, guard: Guard | None) -> None:

@@ -43,13 +43,13 @@ class DepthSensorEntry(Entry):
         default=15.0, description="a ray without return is empty out to here, m; 0: no return says nothing"
     )
     dropout: Annotated[float, Field(ge=0.0, lt=1.0)] = Field(
-        default=0.01, description="probability that a return is lost; the sensor says that it was"
+        default=0.001, description="probability that a return is lost; the sensor says that it was"
     )
     grazing_angle: Annotated[float, Field(gt=0.0, le=math.pi / 2.0)] = Field(
         default=1.48, description="incidence beyond which a return is lost, rad; the sensor says that it was"
     )
     turn_rate: Positive = Field(default=0.05, description="largest rate at which the boresight turns, rad/s")
-    turn_acceleration: Positive = Field(default=0.01, description="largest rate of change of that, rad/s²")
+    turn_acceleration: Positive = Field(default=0.001, description="largest rate of change of that, rad/s²")
     errors: Literal["random", "adversarial"] = Field(
         default="random", description="how errors are drawn: within their bounds, or at them with the worst signs"
     )
@@ -76,7 +76,10 @@ class MapEntry(Entry):
         default=None, description="of that ball, m; `keepout explore` asks for it, since nobody knows the target"
     )
     spacing: Positive = Field(default=0.1, description="edge of the cubes, m")
-    cap: Positive = Field(default=1.2, description="greatest distance that the map tells apart, m")
+    cap: Positive | None = Field(
+        default=None,
+        description="greatest distance that the map tells apart, m, whole spacings; unset: 1.5, rounded up to them",
+    )
     file: str | None = Field(default=None, description="a .keepmap file to go on from")
 
 

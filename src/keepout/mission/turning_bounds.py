@@ -1,8 +1,8 @@
 """Bounds on how fast a tumbling target turns, with and without the torque of gravity."""
 
 import functools
-import json
 import math
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -40,26 +40,21 @@ def pulled(motion: RelativeMotion, *, period: float, steps: int, lowest_radius: 
         lowest_radius: of the target's orbit, m.
 
     """
-    key = json.dumps([np.asarray(leaf).tolist() for leaf in jax.tree.leaves(motion)])
-    return _pulled(_Keyed(motion, key), period, steps, lowest_radius)
-
-
-class _Keyed:
-    """A motion that can be looked up by its numbers."""
-
-    def __init__(self, motion: RelativeMotion, key: str) -> None:
-        self.motion, self.key = motion, key
-
-    def __hash__(self) -> int:
-        return hash(self.key)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Keyed) and other.key == self.key
+    leaves, structure = jax.tree.flatten(motion)
+    numbers = tuple((np.shape(leaf), *np.ravel(leaf).tolist()) for leaf in leaves)
+    return _pulled(structure, numbers, period, steps, lowest_radius)
 
 
 @functools.lru_cache(maxsize=64)
-def _pulled(keyed: _Keyed, period: float, steps: int, lowest_radius: float) -> tuple[float, float]:
-    motion = keyed.motion
+def _pulled(
+    structure: Any, numbers: tuple[tuple, ...], period: float, steps: int, lowest_radius: float
+) -> tuple[float, float]:
+    """Bound how a motion turns that is given by what can be looked up: its structure, each leaf's shape and numbers.
+
+    One flight asks several times, and an integration takes some 10 µs a step.
+    """
+    leaves = [jnp.reshape(jnp.asarray(values), shape) for shape, *values in numbers]
+    motion: RelativeMotion = jax.tree.unflatten(structure, leaves)
     inertia = np.asarray(motion.attitude_motion.inertia)  # pyright: ignore[reportAttributeAccessIssue]
     least, _, most = np.linalg.eigvalsh(inertia)
     torque = 1.5 * EARTH_GRAVITATIONAL_PARAMETER / lowest_radius**3 * (most - least)

@@ -10,10 +10,13 @@ from jaxtyping import Bool, Float, Int
 from keepout.mapping.view import Pinhole
 from keepout.replay.body import fewer
 from keepout.replay.packing import Packing
+from keepout.sensing.depth.pointing import axes_towards
 
 if TYPE_CHECKING:
     from keepout.exploring.exploration import Exploration
 
+_UP = np.array([0.0, 0.0, 1.0])
+"""In the image, as the views were taken."""
 MOST_TRIANGLES = 16_000
 """Of a skin as it is drawn: eight of them leave the page below 4 MB."""
 
@@ -25,6 +28,7 @@ class Growth:
     Attributes:
         times: of the skins, s, in order.
         skins: vertices (v, 3), m, and faces (f, 3) of each.
+        edge: of the squares that the skins are made of, m.
         spacing: edge of the map's cubes, m.
         view_times: of all views, s, in order.
         positions: of the sensor, m.
@@ -37,7 +41,8 @@ class Growth:
     """
 
     times: Float[np.ndarray, "stages"]
-    skins: tuple[tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]], ...]
+    skins: tuple[tuple[Float[np.ndarray, "_ 3"], Int[np.ndarray, "_ 3"]], ...]
+    edge: float
     spacing: float
     view_times: Float[np.ndarray, "views"]
     positions: Float[np.ndarray, "views 3"]
@@ -50,11 +55,14 @@ class Growth:
     @classmethod
     def of(cls, exploration: "Exploration") -> "Growth":
         """Gather it from an exploration."""
+        from keepout.exploring.stages import skin_spacing
+
         views, entry = exploration.views, exploration.scenario.depth_sensor
         camera = Pinhole(entry.width, entry.height, entry.field_of_view)
         return cls(
             times=np.array([stage.time for stage in exploration.stages]),
             skins=tuple((stage.vertices, stage.faces) for stage in exploration.stages),
+            edge=skin_spacing(exploration.map),
             spacing=exploration.map.spacing,
             view_times=np.array([view.time for view in views]),
             positions=np.array([view.position for view in views]).reshape(-1, 3),
@@ -67,7 +75,7 @@ class Growth:
 
     def told(self, packing: Packing, start: float) -> dict[str, Any]:
         """Give it as JSON holds it, with the arrays packed; times count from `start`, s."""
-        drawn = [fewer(*skin, MOST_TRIANGLES, side=_side(self.spacing, skin)) for skin in self.skins]
+        drawn = [fewer(*skin, MOST_TRIANGLES, side=_side(self.edge, skin)) for skin in self.skins]
         most = max((len(faces) for _, faces in self.skins), default=0)
         shown = max((len(faces) for _, faces in drawn), default=0)
         return {
@@ -75,7 +83,7 @@ class Growth:
                 {"time": float(time - start), "vertices": packing.steps(vertices), "faces": packing.indices(faces)}
                 for time, (vertices, faces) in zip(self.times, drawn, strict=True)
             ],
-            "remark": _remark(shown, most, len(drawn)),
+            "remark": self._remark(shown, most),
             "views": {
                 "time": packing.exact(self.view_times - start),
                 "position": packing.exact(self.positions),
@@ -87,20 +95,21 @@ class Growth:
             "reach": self.reach,
         }
 
+    def _remark(self, shown: int, most: int) -> str:
+        """Say, as a sentence, how the drawn map differs from the map."""
+        blocks = f", in blocks of {self.edge:g} m for cubes of {self.spacing:g} m" if self.edge > self.spacing else ""
+        thinned = f", with at most {shown:,} of up to {most:,} triangles" if shown < most else ""
+        return (
+            f"The map is drawn at {len(self.skins)} times{blocks}{thinned}; law and guard flew by all of it, as it was "
+            "at every instant."
+        )
 
-def _side(spacing: float, skin: tuple[np.ndarray, np.ndarray]) -> float:
-    """Give the cell that leaves about so many triangles as are drawn, m: a skin's squares are one spacing wide."""
-    return spacing * max(1.0, math.sqrt(len(skin[1]) / MOST_TRIANGLES))
 
-
-def _remark(shown: int, most: int, skins: int) -> str:
-    """Say, as a sentence, how the drawn map differs from the map."""
-    thinned = f" with at most {shown:,} of up to {most:,} triangles" if shown < most else ""
-    return f"The map is drawn at {skins} times{thinned}; law and guard flew by all of it, as it was at every instant."
+def _side(edge: float, skin: tuple[np.ndarray, np.ndarray]) -> float:
+    """Give the cell that leaves about so many triangles as are drawn, m: a skin's squares are one `edge` wide."""
+    return edge * max(1.0, math.sqrt(len(skin[1]) / MOST_TRIANGLES))
 
 
 def _axes(directions: Float[np.ndarray, "views 3"]) -> Float[np.ndarray, "views 3 3"]:
     """Give the camera's axes x, y, z as rows, with the map's z axis upwards in the image, as the views were taken."""
-    from keepout.exploring.sight import axes_towards
-
-    return axes_towards(directions).transpose(0, 2, 1) if len(directions) else np.zeros((0, 3, 3))
+    return np.array([axes_towards(one, _UP).T for one in directions]).reshape(-1, 3, 3)

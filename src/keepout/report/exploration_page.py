@@ -75,7 +75,7 @@ def _draw(out: Path, exploration: Exploration, progress: Progress) -> dict[Path,
         "progress": (exploration_view.draw_progress, "How the map grew, and where the chaser was."),
     }
     if len(exploration.unknown):
-        drawn["unknown"] = (exploration_view.draw_unknown, f"What is unknown and in the way: {exploration.why}.")
+        drawn["unknown"] = (exploration_view.draw_unknown, f"What is unknown, and why it stays so: {exploration.why}.")
     if exploration.departures is not None:
         drawn["departures"] = (
             exploration_view.draw_departures,

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from keepout.exploring.cells import ACROSS
 from keepout.exploring.exploration import Exploration
 from keepout.exploring.reachable import reachable
 from keepout.geometry.first_hit import FirstHit
@@ -78,7 +79,11 @@ def draw_seen(path: Path, exploration: Exploration) -> None:
         bar = drawing.colorbar(scale, ax=panels, shrink=0.75)
         bar.set_label("first in an image at, s")
         share = float(np.mean(np.isfinite(sight.times)))
-        drawing.suptitle(f"What was seen when: {share:.0%} of the true surface was in an image", fontsize=10)
+        drawing.suptitle(
+            f"What was seen when: {share:.0%} of the true surface, each side by itself, was in an image; "
+            f"{exploration.seen_share:.0%} of its outer part is near a return",
+            fontsize=10,
+        )
         never = Patch(facecolor=tuple(_NEVER), label="never in an image (inner surfaces cannot be)")
         drawing.legend(handles=[never], loc="outside lower center")
 
@@ -109,11 +114,8 @@ def draw_progress(path: Path, exploration: Exploration) -> None:
         room, each, way = drawing.subplots(3, 1, sharex=True)
         ball = 4.0 / 3.0 * np.pi * known.radius**3
         room.step(time, [view.free_volume for view in views], where="post", color=COLOURS[0])
-        room.axhline(ball, color="grey", linestyle="--", linewidth=0.8)
-        room.annotate(
-            "whole ball", (0.99, ball), xycoords=("axes fraction", "data"), ha="right", va="bottom", fontsize=8
-        )
-        room.set(ylabel="m³", ylim=(0.0, 1.12 * ball), title="Known-free room inside the declared ball")
+        room.set(ylabel="m³", title=f"Known-free room inside the declared ball, which holds {ball:.0f} m³")
+        room.set_ylim(bottom=0.0)
         each.vlines(time[seen], 0.0, opened[seen], color=COLOURS[2], linewidth=1.2)
         each.plot(time[seen], opened[seen], "o", color=COLOURS[2], markersize=3, label="view taken in")
         if not seen.all():
@@ -134,11 +136,15 @@ def draw_progress(path: Path, exploration: Exploration) -> None:
 
 
 def draw_unknown(path: Path, exploration: Exploration) -> None:
-    """Draw what was in the way at the end: three planes through the goal, and all of it from one side, into one PNG."""
+    """Draw the unknown cells that mattered at the end into one PNG: in the way to the goal, or left at the rim.
+
+    Three planes through the goal, or through the middle of those cells; and all of them from one side.
+    """
     known, target = exploration.map, exploration.target
     goal, unknown = np.asarray(exploration.scenario.goal.position), exploration.unknown
     through = goal if exploration.scenario.explore.towards == "goal" else np.median(unknown, axis=0)
-    reach = reachable(known, exploration.record.position[-1], exploration.keep)
+    end = exploration.record.position[-1:]
+    reach = reachable(known, end[0], exploration.keep)
     with figure(path, width=11.0, height=9.6) as drawing:
         shown: set[int] = set()
         for place, axis in enumerate(_PLANES, start=1):
@@ -151,11 +157,13 @@ def draw_unknown(path: Path, exploration: Exploration) -> None:
             in_way = _cubes_at(exploration, unknown, centres)
             kinds[in_way & np.isin(kinds, (UNKNOWN, SURFACE))] = BLOCKING
             shown |= set(np.unique(kinds).tolist())
-            paint_slice(axes, known, kinds, axis, level, target=target, path=exploration.record.position)
+            paint_slice(axes, known, kinds, axis, level, target=target, path=end, outside=WAY)
             _goal(axes, exploration, axis)
         _in_the_way(drawing.add_subplot(2, 2, 4), exploration)
-        drawing.suptitle(f"{len(unknown)} unknown cells are in the way", fontsize=10)
-        _legend(drawing, shown | {BLOCKING}, exploration)
+        edge = ACROSS * known.spacing
+        where = "in the way to the goal" if exploration.outcome == "no way known" else "left at the rim of free room"
+        drawing.suptitle(f"{len(unknown)} unknown cells of {edge:g} m are {where}", fontsize=10)
+        _legend(drawing, shown | {BLOCKING}, exploration, path="the chaser at the end")
 
 
 def draw_departures(path: Path, exploration: Exploration) -> None:
@@ -164,26 +172,25 @@ def draw_departures(path: Path, exploration: Exploration) -> None:
     if found is None or expected is None:
         return
     first_hit = FirstHit(expected.vertices, expected.faces)
-    most = max(float(found.distance.max(initial=0.0)), float(found.depth.max(initial=0.0)), 1e-3)
+    kinds = [
+        (found.missing, found.depth, _ABSENT, "expected, but free: m deep"),
+        (found.points, found.distance, _PRESENT, "seen, not expected: m off the mesh"),
+    ]
     with figure(path, width=11.0, height=4.9) as drawing:
         panels = drawing.subplots(1, 3)
         for axes, (name, side) in zip(panels, _SIDES.items()):
             _grey(axes, expected, side)
-            for points, length, colours in (
-                (found.missing, found.depth, _ABSENT),
-                (found.points, found.distance, _PRESENT),
-            ):
+            for points, length, colours, _ in kinds:
                 hidden = _hidden(first_hit, points, side)
+                most = max(float(length.max(initial=0.0)), 1e-3)
                 for chosen, alpha in ((hidden, _FAINT), (~hidden, 1.0)):
                     look = {"c": length[chosen], "cmap": colours, "vmin": 0.0, "vmax": most, "s": 5, "alpha": alpha}
                     _scatter(axes, expected, points[chosen], side, **look)
             axes.set(title=name, xlabel="m")
-        for colours, words in (
-            (_PRESENT, "seen, not expected: m from the mesh"),
-            (_ABSENT, "expected, but free: m deep"),
-        ):
-            bar = drawing.colorbar(ScalarMappable(Normalize(0.0, most), colours), ax=panels, shrink=0.75, pad=0.01)
-            bar.set_label(words)
+        for _, length, colours, words in reversed(kinds):
+            scale = Normalize(0.0, max(float(length.max(initial=0.0)), 1e-3))
+            bar = drawing.colorbar(ScalarMappable(scale, colours), ax=panels, shrink=0.75, pad=0.01)
+            bar.set_label(words if len(length) else f"{words} (none)")
         nothing = "" if len(found.points) + len(found.missing) else " nowhere"
         drawing.suptitle(
             f"Departures from the expected mesh (grey){nothing}, beyond the sensor's error bounds; "
@@ -195,8 +202,8 @@ def draw_departures(path: Path, exploration: Exploration) -> None:
 def _cubes_at(
     exploration: Exploration, cells: Float[np.ndarray, "m 3"], centres: Float[np.ndarray, "n n 3"]
 ) -> np.ndarray:
-    """Say which cubes of a slice lie in cells (of two cubes across) with these centres."""
-    edge = 2.0 * exploration.map.spacing
+    """Say which cubes of a slice lie in cells (`ACROSS` cubes wide) with these centres."""
+    edge = ACROSS * exploration.map.spacing
     keys = {tuple(key) for key in np.floor((cells - exploration.map.origin) / edge).astype(int).tolist()}
     asked = np.floor((centres - exploration.map.origin) / edge).astype(int).reshape(-1, 3).tolist()
     return np.array([tuple(key) in keys for key in asked], dtype=bool).reshape(centres.shape[:2])
@@ -248,10 +255,10 @@ def _goal(axes: Axes, exploration: Exploration, axis: int) -> None:
         axes.plot(goal[across], goal[up], "*", color="black", markersize=9)
 
 
-def _legend(drawing: Figure, shown: set[int], exploration: Exploration) -> None:
+def _legend(drawing: Figure, shown: set[int], exploration: Exploration, *, path: str = "path, projected") -> None:
     lines = [
         Line2D([], [], color="black", linewidth=0.8, label="true mesh, cut"),
-        Line2D([], [], color="#0072B2", marker="o", markersize=4, linewidth=1.0, label="path, projected"),
+        Line2D([], [], color="#0072B2", marker="o", markersize=4, linewidth=1.0, label=path),
         Line2D([], [], color="grey", linestyle=":", label="declared ball"),
     ]
     if exploration.scenario.explore.towards == "goal":

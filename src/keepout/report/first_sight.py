@@ -14,7 +14,7 @@ from keepout.mapping.view import Pinhole
 from keepout.report.raster import View, eye_axes
 
 _SAMPLES = 12_000
-_SHORT = 0.02
+_SHORT = 0.002
 """Metres by which a ray to a place on the surface may end before it and still count as reaching it."""
 _APART = 3.0
 """Metres that two sides of a sheet count as apart, so that a place takes its time from its own side."""

@@ -19,7 +19,7 @@ _WORDS = {
     SURFACE: "not known free, at returns",
     UNKNOWN: "unknown",
     WAY: "the chaser's centre can get here",
-    BLOCKING: "unknown, in the way",
+    BLOCKING: "unknown, and in the way or at the rim",
 }
 _NAMES = "xyz"
 
@@ -60,8 +60,12 @@ def paint_slice(
     *,
     target: Target,
     path: Float[np.ndarray, "rows 3"],
+    outside: int = FREE,
 ) -> None:
-    """Paint a slice with the true mesh's cut, the returns next to the plane, the declared ball, and the path."""
+    """Paint a slice with the true mesh's cut, the returns next to the plane, the declared ball, and the path.
+
+    `outside` is the kind of the room outside the map's box.
+    """
     across, up = (k for k in range(3) if k != axis)
     lower, upper = known.lower, known.upper
     axes.imshow(
@@ -84,12 +88,13 @@ def paint_slice(
         ball = Circle((known.centre[across], known.centre[up]), radius, fill=False, color="grey", linestyle=":")
         axes.add_patch(ball)
     axes.plot(path[:, across], path[:, up], color="#0072B2", linewidth=1.0)
-    axes.plot(path[0, across], path[0, up], "s", color="#0072B2", markersize=4)
+    if len(path) > 1:
+        axes.plot(path[0, across], path[0, up], "s", color="#0072B2", markersize=4)
     axes.plot(path[-1, across], path[-1, up], "o", color="#0072B2", markersize=4)
     everything = np.concatenate([path[:, [across, up]], [lower[[across, up]] + 0.5], [upper[[across, up]] - 0.5]])
     low, high = everything.min(axis=0) - 0.5, everything.max(axis=0) + 0.5
-    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", facecolor=_COLOURS[FREE])
-    axes.set(xlabel=f"{_NAMES[across]} m", ylabel=f"{_NAMES[up]} m", title=f"{_NAMES[axis]} = {level:.1f} m")
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", facecolor=_COLOURS[outside])
+    axes.set(xlabel=f"{_NAMES[across]} m", ylabel=f"{_NAMES[up]} m", title=f"{_NAMES[axis]} = {level + 0.0:z.1f} m")
     axes.grid(visible=False)
 
 

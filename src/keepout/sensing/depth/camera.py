@@ -27,8 +27,8 @@ class DepthCamera:
         grazing_angle: angle from a surface's normal beyond which its return is lost, rad; pi/2: none is.
 
     Raises:
-        ScenarioError: a number outside its range; a `sure_empty_range` beyond the greatest range; a
-            `surely_returned_width` so small that nothing beyond the least range may be used.
+        ScenarioError: a number outside its range, or a `surely_returned_width` so small that nothing beyond the least
+            range may be used.
 
     """
 
@@ -54,11 +54,6 @@ class DepthCamera:
                 f"depth sensor: grazing_angle is {self.grazing_angle:g} rad; it must be above 0 and at most pi/2"
             )
         bounds = self.bounds
-        if bounds.sure_empty_range > bounds.greatest_range:
-            raise ScenarioError(
-                f"depth sensor: sure_empty_range is {bounds.sure_empty_range:g} m; it must be at most greatest_range = "
-                f"{bounds.greatest_range:g} m, beyond which nothing returns"
-            )
         usable = bounds.usable_range(self.camera)
         if not usable > bounds.least_range:
             raise ScenarioError(

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass
-from typing import Literal, get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -10,9 +9,9 @@ from jaxtyping import Float
 from keepout.errors import ScenarioError
 from keepout.mapping.view import SensorBounds
 
-Size = Literal["random", "adversarial"]
-Broken = Literal["range", "pose", "mixed", "losses", "late"]
-
+SIZES = ("random", "adversarial")
+BROKEN = (None, "range", "pose", "mixed", "losses", "late")
+"""What may not hold."""
 MIXED_DEPTH = 0.1
 """Difference of the ranges in a pixel above which the pixel says their mean, where pixels are mixed, m."""
 _TWICE = 2.0
@@ -38,12 +37,12 @@ class ErrorDraw:
 
     """
 
-    size: Size = "random"
-    broken: Broken | None = None
+    size: str = "random"
+    broken: str | None = None
 
     def __post_init__(self) -> None:
-        for name, value, valid in (("size", self.size, get_args(Size)), ("broken", self.broken, get_args(Broken))):
-            if value not in valid and not (name == "broken" and value is None):
+        for name, value, valid in (("size", self.size, SIZES), ("broken", self.broken, BROKEN)):
+            if value not in valid:
                 raise ScenarioError(f"errors of the depth sensor: {name} is {value!r}; it must be one of {valid}")
 
     def range_errors(

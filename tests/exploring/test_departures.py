@@ -1,0 +1,111 @@
+"""Departures of the seen surface from an expected mesh: exactly none where nothing moved, and a moved panel in metres."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from keepout.exploring.departures import _depth, departures, explained_distance
+from keepout.geometry.builtin.solids import box, mesh, unite
+from keepout.geometry.first_hit import FirstHit
+from keepout.geometry.level_points import surface_points
+from keepout.geometry.mesh_report import Surface, describe
+from keepout.geometry.target import Target
+from keepout.mapping.known_free import KnownFreeMap, ViewStatus
+from keepout.mapping.view import Pinhole
+from keepout.sensing.depth.camera import DepthCamera
+from keepout.sensing.depth.depth import take
+from keepout.sensing.depth.errors import ErrorDraw
+from keepout.sensing.depth.pointing import axes_towards
+
+CAMERA = DepthCamera(camera=Pinhole(120, 90, math.radians(60.0)), dropout=0.0005, grazing_angle=1.48)
+SHIFT = 1.2
+
+
+def body(lifted: float) -> Target:
+    """A box with a panel beside it, lifted by so many metres."""
+    vertices, faces = mesh(unite([box((0.0, 0.0, 0.0), (1.5, 1.5, 1.5)), box((1.8, 0.0, lifted), (2.0, 2.0, 0.08))]))
+    return Target("body", vertices, faces, describe(Surface(vertices, faces)))
+
+
+def seen(target: Target, seed: int, size: str = "adversarial", views: int = 40) -> KnownFreeMap:
+    known = KnownFreeMap.begin(np.zeros(3), 3.6, spacing=0.1, cap=1.2, bounds=CAMERA.bounds, name="body")
+    generator, first_hit = np.random.default_rng(seed), FirstHit(target.vertices, target.faces)
+    for _ in range(views):
+        direction = generator.normal(size=3)
+        position = direction * (5.0 / np.linalg.norm(direction))
+        axes = axes_towards(0.8 * generator.normal(size=3) - position, np.array([0.0, 0.0, 1.0]))
+        assert known.see(take(CAMERA, first_hit, position, axes, generator, ErrorDraw(size))).status is ViewStatus.SEEN
+    return known
+
+
+@pytest.fixture(scope="module")
+def lifted_map() -> KnownFreeMap:
+    return seen(body(SHIFT), 0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_nothing_departs_where_nothing_moved(seed):
+    target = body(0.0)
+    known = seen(target, seed)
+    found = departures(known, target, CAMERA.camera)
+    assert (len(found.points), len(found.missing), found.largest, found.differs) == (0, 0, 0.0, False)
+    assert len(known.returns) > 5000
+    assert known.free.mean() > 0.5
+    # The bound is no idle one: errors do carry returns a good part of it away from the surface.
+    assert target.distance.distance(known.returns.astype(float)).max() > 0.4 * found.explained
+
+
+def test_a_moved_panel_is_found_where_it_is_and_missed_where_it_was(lifted_map):
+    true, expected = body(SHIFT), body(0.0)
+    found = departures(lifted_map, expected, CAMERA.camera)
+    assert found.differs
+    # Every return is near the true surface, and farther from the expected one than that explains.
+    assert true.distance.distance(found.points.astype(float)).max() <= found.explained
+    assert found.distance.min() > found.explained
+    surface = surface_points(true.distance, 100_000, np.random.default_rng(1), by_area=0.5)
+    farthest = float(expected.distance.distance(surface).max())
+    assert farthest > 1.0
+    assert abs(found.distance.max() - farthest) <= found.explained + 0.02
+    # The old panel is missing, and no deeper in free room than the true surface leaves it.
+    assert (true.distance.distance(found.missing) >= found.depth).all()
+    assert found.missing[:, 0].min() > 0.75
+    panel = 2.0 * 2.0 * 2.0
+    assert 0.6 * panel < found.missing_area < 1.1 * panel
+    assert found.depth.max() > 0.5
+    assert found.largest == pytest.approx(max(found.distance.max(), found.depth.max()))
+    summary = found.summary()
+    assert summary["differs"]
+    assert summary["largest_m"] > 1.0
+
+
+def test_a_part_that_nobody_expected_is_seen_and_nothing_is_missing(lifted_map):
+    vertices, faces = mesh(box((0.0, 0.0, 0.0), (1.5, 1.5, 1.5)))
+    alone = Target("alone", vertices, faces, describe(Surface(vertices, faces)))
+    found = departures(lifted_map, alone, CAMERA.camera)
+    assert len(found.points) > 100
+    assert len(found.missing) == 0
+
+
+def test_what_errors_explain_is_the_sum_of_its_parts(lifted_map):
+    b, slant = CAMERA.bounds, math.hypot(1.0, 1.0) / 3.0 / CAMERA.camera.focal
+    by_hand = b.range_error + b.position_error + 15.0 * (b.attitude_error + slant) + math.sqrt(3.0) * 0.1 / 8.0
+    assert explained_distance(lifted_map, CAMERA.camera) == pytest.approx(by_hand, abs=2e-5)
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_depth_never_exceeds_the_distance_to_what_is_not_free(seed):
+    generator = np.random.default_rng(seed)
+    known = KnownFreeMap.begin(np.zeros(3), 0.6, spacing=0.2, cap=1.2, bounds=CAMERA.bounds, name="any")
+    free = known.free_outside_the_ball() | (generator.random(known.free.shape) < 0.9)
+    known.fill(free)
+    points = generator.uniform(-2.0, 2.0, (200, 3))
+    low = known.origin + known.spacing * np.argwhere(~free)
+    gap = np.maximum(np.maximum(low - points[:, None], points[:, None] - low - known.spacing), 0.0)
+    brute = np.linalg.norm(gap, axis=2).min(axis=1) if len(low) else np.full(len(points), np.inf)
+    depth = _depth(known, points)
+    assert (depth <= brute + 1e-12).all()
+    assert (depth >= np.minimum(brute, known.cap) - 2 * 0.2 * math.sqrt(3.0)).all()

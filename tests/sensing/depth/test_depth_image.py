@@ -1,0 +1,282 @@
+"""Images of a depth sensor against closed forms, and what lost returns make of pixels."""
+
+import math
+
+import numpy as np
+import pytest
+
+from keepout.errors import ScenarioError
+from keepout.geometry import Target
+from keepout.geometry.first_hit import FirstHit
+from keepout.mapping import KnownFreeMap, Pinhole, SensorBounds, ViewStatus
+from keepout.sensing.depth import DepthCamera, ErrorDraw, axes_towards, take
+from keepout.sensing.depth.depth import first_returns
+
+UP = np.array([0.0, 0.0, 1.0])
+EXACT = SensorBounds(range_error=0.0, position_error=0.0, attitude_error=0.0)
+SMALL = Pinhole(32, 24, math.radians(60.0))
+
+
+def quad(corners):
+    """A sheet from four corners in turn."""
+    return np.array(corners, dtype=np.float64), np.array([[0, 1, 2], [0, 2, 3]])
+
+
+def joined(*sheets):
+    vertices, faces = [], []
+    for some, theirs in sheets:
+        faces.append(theirs + sum(map(len, vertices)))
+        vertices.append(some)
+    return FirstHit(np.concatenate(vertices), np.concatenate(faces))
+
+
+def wall(distance, left=-100.0, right=100.0):
+    """A sheet across the boresight x at a distance, from y = left to y = right."""
+    return quad([[distance, left, -100], [distance, right, -100], [distance, right, 100], [distance, left, 100]])
+
+
+def camera(**changes):
+    return DepthCamera(**({"camera": SMALL, "bounds": EXACT} | changes))
+
+
+def looking(first_hit, sensor, draw=None, *, place=(0.0, 0.0, 0.0), at=(1.0, 0.0, 0.0), seed=0):
+    axes = axes_towards(np.array(at), UP)
+    generator = np.random.default_rng(seed)
+    return take(sensor, first_hit, np.array(place), axes, generator, draw or ErrorDraw())
+
+
+def rays_of(sensor, at=(1.0, 0.0, 0.0)):
+    """Directions (height, across, width, across, 3) in the map's frame, from the definition of the pinhole."""
+    lens, across = sensor.camera, sensor.bounds.rays_across
+    column = (np.arange(lens.width * across) + 0.5) / across - 0.5 * lens.width
+    row = (np.arange(lens.height * across) + 0.5) / across - 0.5 * lens.height
+    x, y = np.meshgrid(column / lens.focal, row / lens.focal)
+    rays = np.stack([x, y, np.ones_like(x)], axis=-1) @ axes_towards(np.array(at), UP).T
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    return rays.reshape(lens.height, across, lens.width, across, 3)
+
+
+@pytest.mark.parametrize("across", [1, 3])
+def test_a_wall(across):
+    sensor = camera(bounds=SensorBounds(0.0, 0.0, 0.0, 0.5, across, 15.0, 0.3, 15.0))
+    view = looking(joined(wall(5.0)), sensor)
+    truth = (5.0 / rays_of(sensor)[..., 0]).min(axis=(1, 3))
+    np.testing.assert_allclose(view.ranges, truth, atol=1e-12)
+    np.testing.assert_array_equal(view.axes, axes_towards(np.array([1.0, 0.0, 0.0]), UP))
+    # A point of the image to the right of the middle is at smaller y: x is to the right, y down.
+    assert view.axes[1, 0] == -1.0
+    assert view.axes[2, 1] == -1.0
+
+
+@pytest.mark.parametrize("at", [(1.0, 0.0, 0.0), (0.3, -0.5, 0.8), (0.0, 0.0, -1.0)])
+def test_a_box(at):
+    target = Target.load("box")
+    first_hit = FirstHit(target.vertices, target.faces)
+    half = first_hit.upper
+    np.testing.assert_allclose(first_hit.lower, -half)
+    sensor, at = camera(), np.array(at) / np.linalg.norm(at)
+    place = -at * (np.linalg.norm(half) + 1.5)
+    view = looking(first_hit, sensor, place=place, at=at)
+    rays = rays_of(sensor, at)
+    with np.errstate(divide="ignore"):
+        one, other = (-half - place) / rays, (half - place) / rays
+    enter, leave = np.minimum(one, other).max(-1), np.maximum(one, other).min(-1)
+    truth = np.where(enter <= leave, enter, np.inf).min(axis=(1, 3))
+    assert 0 < np.isfinite(truth).sum() < truth.size or np.isfinite(truth).all()
+    np.testing.assert_allclose(view.ranges, truth, atol=1e-11)
+
+
+def test_a_sphere_between_the_one_around_its_mesh_and_the_one_within():
+    target = Target.load("sphere")
+    first_hit = FirstHit(target.vertices, target.faces)
+    radius = float(np.linalg.norm(target.vertices, axis=1).max())
+    corners = target.vertices[target.faces]
+    inner = float(np.abs((first_hit.normals * corners[:, 0]).sum(1)).min())
+    sensor = camera()
+    place = np.array([-radius - 2.0, 0.0, 0.0])
+    view = looking(first_hit, sensor, place=place)
+    rays = rays_of(sensor)
+    ranges = []
+    for size in (radius, inner):
+        along = -(rays @ place)
+        root = along**2 - place @ place + size**2
+        ranges.append(np.where(root >= 0.0, along - np.sqrt(np.maximum(root, 0.0)), np.inf).min(axis=(1, 3)))
+    assert (view.ranges >= ranges[0] - 1e-12).all()
+    assert (view.ranges <= ranges[1] + 1e-12).all()
+    assert np.isfinite(ranges[1]).sum() > 50
+
+
+def test_a_pixel_says_its_nearest_ray():
+    """The edge of a near wall runs through pixels: with one ray a pixel half of them see past it."""
+    across = 3
+    near, far = 4.0, 10.0
+    scene = joined(wall(near, left=0.048), wall(far))
+    bounds = SensorBounds(0.0, 0.0, 0.0, 0.5, across, 15.0, 0.3, 15.0)
+    sensor = camera(bounds=bounds)
+    rays = rays_of(sensor)
+    y = near / rays[..., 0] * rays[..., 1]
+    each = np.where(y >= 0.048, near, far) / rays[..., 0]
+    view = looking(scene, sensor)
+    np.testing.assert_allclose(view.ranges, each.min(axis=(1, 3)), atol=1e-12)
+    assert (each.max(axis=(1, 3)) > each.min(axis=(1, 3)) + 1.0).any()
+
+
+def test_range_limits():
+    sensor = camera(bounds=SensorBounds(0.0, 0.0, 0.0, 0.5, 3, 6.0, 4.9, 6.0))
+    assert np.isinf(looking(joined(wall(6.01)), sensor).ranges).all()
+    view = looking(joined(wall(5.2)), sensor)
+    nearest = (5.2 / rays_of(sensor)[..., 0]).min(axis=(1, 3))
+    np.testing.assert_array_equal(np.isinf(view.ranges), nearest > 6.0)
+    assert 0 < np.isinf(view.ranges).sum() < view.ranges.size
+    view = looking(joined(wall(4.8)), sensor)
+    nearest = (4.8 / rays_of(sensor)[..., 0]).min(axis=(1, 3))
+    np.testing.assert_array_equal(np.isnan(view.ranges), nearest < 4.9)
+    assert 0 < np.isnan(view.ranges).sum() < view.ranges.size
+
+
+def test_a_wall_beyond_its_grazing_angle_says_nothing():
+    """Looked at from the normal's direction, incidence is the angle from the boresight."""
+    sensor = camera(grazing_angle=math.radians(20.0))
+    view = looking(joined(wall(5.0)), sensor)
+    rays = rays_of(sensor)
+    nearest = rays[..., 0].max(axis=(1, 3))  # the nearest ray of a pixel is the steepest
+    np.testing.assert_array_equal(np.isnan(view.ranges), nearest < math.cos(math.radians(20.0)))
+    assert 0 < np.isnan(view.ranges).sum() < view.ranges.size
+    assert not np.isinf(view.ranges).any()
+
+
+def slanted(start, end):
+    """A sheet along the line from `start` to `end` in the plane of x and y, tall in z."""
+    (a, b), (c, d) = start, end
+    return quad([[a, b, -100], [c, d, -100], [c, d, 100], [a, b, 100]])
+
+
+def test_a_lost_ray_that_hides_the_nearest_surface_silences_its_pixel():
+    """In one pixel some rays are lost nearer than the others return: it says nothing, and not the farther range."""
+    slant, back = slanted((2.0, 0.32), (5.0, 0.3)), wall(8.0)
+    sensor = camera(grazing_angle=math.radians(75.0))
+    alone = looking(joined(back), sensor).ranges
+    view = looking(joined(slant, back), sensor)
+    returns = first_returns(sensor, joined(slant, back), np.zeros(3), view.axes)
+    # Pixels of which some rays return from the wall, and whose nearest ray is lost on the slanted sheet.
+    hidden = (returns.nearest < alone - 1.0) & (returns.farthest > 7.0)
+    assert hidden.sum() > 5
+    assert np.isnan(view.ranges[hidden]).all()
+
+
+def test_a_lost_ray_behind_a_return_of_its_pixel_changes_nothing():
+    front, slant = wall(1.5, left=0.234), slanted((2.0, 0.32), (5.0, 0.3))
+    sensor = camera(grazing_angle=math.radians(75.0))
+    plain = camera()
+    scene = joined(front, slant, wall(8.0))
+    returns = first_returns(sensor, scene, np.zeros(3), axes_towards(np.array([1.0, 0.0, 0.0]), UP))
+    ranges, without_loss = looking(scene, sensor).ranges, looking(scene, plain).ranges
+    said = np.isfinite(ranges)
+    np.testing.assert_array_equal(ranges[said], without_loss[said])
+    np.testing.assert_array_equal(np.isnan(ranges), returns.lost)
+    near = without_loss < 1.95
+    assert said[near].all()
+    # In some of these pixels a ray is lost behind the front: without the front they say nothing.
+    assert np.isnan(looking(joined(slant, wall(8.0)), sensor).ranges[near]).sum() > 5
+
+
+def test_dropout_is_as_frequent_as_said_and_silences_empty_pixels_too():
+    sensor = DepthCamera(camera=Pinhole(160, 120, 1.0), bounds=EXACT, dropout=0.1)
+    for scene in (joined(wall(5.0)), joined(wall(50.0))):
+        share = np.isnan(looking(scene, sensor).ranges).mean()
+        assert abs(share - 0.1) < 5.0 * math.sqrt(0.09 / 19_200)
+
+
+def test_the_same_seed_gives_the_same_bits_and_another_seed_others():
+    target = Target.load("intelsat30")
+    first_hit = FirstHit(target.vertices, target.faces)
+    sensor = DepthCamera(camera=SMALL, dropout=0.05, grazing_angle=1.4)
+    for size in ("random", "adversarial"):
+        one, same, other = (
+            looking(first_hit, sensor, ErrorDraw(size), place=(-6.0, 1.0, 1.0), seed=seed) for seed in (1, 1, 2)
+        )
+        assert one.ranges.tobytes() == same.ranges.tobytes()
+        assert one.position.tobytes() == same.position.tobytes()
+        assert one.axes.tobytes() == same.axes.tobytes()
+        assert one.ranges.tobytes() != other.ranges.tobytes()
+
+
+@pytest.mark.parametrize("size", ["random", "adversarial"])
+def test_an_image_keeps_to_its_bounds(size):
+    target = Target.load("intelsat30")
+    first_hit = FirstHit(target.vertices, target.faces)
+    sensor = DepthCamera(camera=SMALL)
+    place = np.array([-6.0, 1.0, 1.0])
+    truth = looking(first_hit, camera(), place=place)
+    reached = 0.0
+    for seed in range(20):
+        view = looking(first_hit, sensor, ErrorDraw(size), place=place, seed=seed)
+        np.testing.assert_array_equal(np.isinf(view.ranges), np.isinf(truth.ranges))
+        met = np.isfinite(truth.ranges)
+        errors = np.abs(view.ranges[met] - truth.ranges[met])
+        assert errors.max() <= sensor.bounds.range_error + 1e-12
+        reached = max(reached, errors.max())
+        assert np.linalg.norm(view.position - place) <= sensor.bounds.position_error + 1e-12
+    assert reached > 0.99 * sensor.bounds.range_error
+
+
+def test_broken_assumptions_break_what_they_name():
+    scene = joined(wall(4.0, left=0.048), wall(10.0))
+    sensor = DepthCamera(camera=SMALL, dropout=0.1)
+    bounds = sensor.bounds
+    exact = looking(scene, camera()).ranges
+    for size in ("random", "adversarial"):
+        errors = np.abs(looking(scene, sensor, ErrorDraw(size, "range")).ranges - exact)
+        assert bounds.range_error < np.nanmax(errors) <= 2.0 * bounds.range_error + 1e-12
+        mixed = looking(scene, sensor, ErrorDraw(size, "mixed")).ranges
+        assert 2.0 < np.nanmax(mixed - exact) < 4.0
+        assert np.isinf(looking(scene, sensor, ErrorDraw(size, "losses")).ranges).any()
+        assert not np.isnan(looking(scene, sensor, ErrorDraw(size, "losses")).ranges).any()
+    far = [np.linalg.norm(looking(scene, sensor, ErrorDraw("random", "pose"), seed=s).position) for s in range(50)]
+    assert bounds.position_error < max(far) <= 2.0 * bounds.position_error
+    axes = axes_towards(np.array([1.0, 0.0, 0.0]), UP)
+    later = np.array([0.0, 0.4, 0.0]), axes_towards(np.array([1.0, 0.1, 0.0]), UP)
+    late = take(
+        sensor, scene, np.zeros(3), axes, np.random.default_rng(0), ErrorDraw("random", "late"), time=3.0, told=later
+    )
+    assert np.linalg.norm(late.position - later[0]) <= bounds.position_error
+    assert late.time == 3.0
+
+
+def test_what_cannot_be_taken_is_refused():
+    scene, axes, generator = joined(wall(5.0)), axes_towards(np.array([1.0, 0.0, 0.0]), UP), np.random.default_rng(0)
+    place = np.zeros(3)
+    refused = [
+        (lambda: take(camera(), scene, np.full(3, np.nan), axes, generator), "position"),
+        (lambda: take(camera(), scene, place, 2.0 * axes, generator), "rotation matrix"),
+        (lambda: take(camera(), scene, place, -axes, generator), "rotation matrix"),
+        (lambda: take(camera(), scene, place, axes, generator, ErrorDraw(broken="late")), "no pose of another time"),
+        (lambda: take(camera(), scene, place, axes, generator, told=(place, axes)), "a pose of another time"),
+        (lambda: take(camera(), scene, place, axes, generator, ErrorDraw(broken="losses")), "dropout is 0"),
+    ]
+    for call, words in refused:
+        with pytest.raises(ScenarioError, match=words) as refusal:
+            call()
+        assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("size", ["random", "adversarial"])
+def test_a_map_of_images_frees_no_cube_that_the_target_is_in(size):
+    target = Target.load("box")
+    first_hit = FirstHit(target.vertices, target.faces)
+    reach = float(np.linalg.norm(first_hit.upper))
+    sensor = DepthCamera(camera=Pinhole(80, 60, math.radians(60.0)), dropout=0.0005, grazing_angle=math.radians(85.0))
+    known = KnownFreeMap.begin(np.zeros(3), reach + 0.5, bounds=sensor.bounds, name="box")
+    generator = np.random.default_rng(4)
+    outside = known.free.sum()
+    for number in range(30):
+        place = generator.normal(size=3)
+        place *= (reach + 2.5) / np.linalg.norm(place)
+        view = take(sensor, first_hit, place, axes_towards(-place, UP), generator, ErrorDraw(size), time=100.0 * number)
+        assert known.see(view).status is ViewStatus.SEEN
+    assert known.free.sum() > outside + 1000
+    centres = known.origin + known.spacing * (np.argwhere(known.free) + 0.5)
+    # A cube meets the solid box where its centre is within half an edge of it, axis by axis.
+    gap = (np.abs(centres) - first_hit.upper - 0.5 * known.spacing).max(axis=1)
+    assert not (gap < -1e-9).any()
