@@ -9,6 +9,8 @@ Parts:
               see those edge-on, so that what is left is counted
   broken      the same as `approaches` with one promise of the sensor broken: here bad cubes must be found
   accuracy    the same with random errors: gap from the seen surface to free room, and distance less field 1 m out
+  flights     whole flights to goals near targets of which a panel is not where the mission believes (not by default)
+  ordinary    the same flights by an ordinary truncated-distance map, to which the unseen is free (not by default)
 
 Rows are kept in the file as they come, and none is made twice with the same settings.
 """
@@ -20,6 +22,7 @@ from pathlib import Path
 
 from closed_targets import FILES, NAMES
 from explore_approaches import ACCURATE, BROKEN, SOUND, VIEWS, run
+from explore_flights import PILOTS, flight, row
 from kept_rows import Rows, show
 
 OUT = Path(__file__).with_name("results") / "explore.json"
@@ -28,9 +31,12 @@ SPACING = {"tiangong": 0.2}
 """Metres, where it is not 0.1: the ball round Tiangong holds 734³ cubes of 0.1 m, 1.2 GB a map."""
 FEWER = 10
 """Of the points at which sound maps are checked, the part at which others are."""
-PLACE = ("part", "target", "mesh", "errors", "broken", "width_m", "dropout")
-SETTINGS = ("approaches", "views_each", "spacing_m", "seed")
+PLACE = ("part", "target", "mesh", "errors", "broken", "width_m", "rays_across", "dropout", "seed")
+SETTINGS = ("approaches", "views_each", "spacing_m")
 COLUMNS = (*PLACE, "approaches", "bad_cubes", "over_statements", "points", "gap_p95_m", "under_median_m", "under_p95_m")
+COLUMNS += ("contacts", "complete")
+DURATION = 6000.0
+"""Of a flight at most, s."""
 
 
 def say(text):
@@ -62,8 +68,22 @@ def fly_approaches(arguments, rows):
                 seed=arguments.seed,
                 say=say,
             )
-            for plan, row in zip(plans, found, strict=True):
-                rows.keep({"part": plan["part"]} | row)
+            for plan, made in zip(plans, found, strict=True):
+                rows.keep({"part": plan["part"]} | made)
+
+
+def fly_missions(arguments, rows):
+    """Make the rows of whole flights: the pilots asked for fly the same ones."""
+    for seed in range(arguments.seed, arguments.seed + arguments.flights):
+        name = arguments.targets[seed % len(arguments.targets)]
+        spacing, drawn = SPACING.get(name, 0.1), None
+        for part in PILOTS:
+            like = {"part": part, "target": name, "seed": seed, "spacing_m": spacing}
+            if part not in arguments.parts or any(like.items() <= kept.items() for kept in rows.kept):
+                continue
+            drawn = drawn or flight(name, seed, spacing=spacing, duration=DURATION)
+            rows.keep(row(part, drawn, name))
+            say(json.dumps(rows.kept[-1]))
 
 
 def _plan(arguments, part, name, mesh, sensor, spacing):
@@ -74,6 +94,7 @@ def _plan(arguments, part, name, mesh, sensor, spacing):
         "errors": sensor.errors,
         "broken": sensor.broken,
         "width_m": sensor.width,
+        "rays_across": sensor.rays_across,
         "dropout": sensor.dropout,
         "approaches": arguments.approaches,
         "views_each": arguments.views,
@@ -86,7 +107,8 @@ def _plan(arguments, part, name, mesh, sensor, spacing):
 def main():
     """Make the rows that are asked for and not kept yet, and print them all."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("parts", nargs="*", default=list(SENSORS), help=f"of {', '.join(SENSORS)}")
+    parser.add_argument("parts", nargs="*", default=list(SENSORS), help=f"of {', '.join((*SENSORS, *PILOTS))}")
+    parser.add_argument("--flights", type=int, default=200, help="with seeds from --seed on, over the targets in turn")
     parser.add_argument("--targets", nargs="+", default=list(NAMES), help=f"of {', '.join(NAMES)}")
     parser.add_argument("--approaches", type=int, default=20, help="to each target")
     parser.add_argument("--views", type=int, default=VIEWS, help="of each approach")
@@ -96,10 +118,11 @@ def main():
     parser.add_argument("--json", action="store_true", help="print rows as JSON")
     arguments = parser.parse_args()
     for part in arguments.parts:
-        if part not in SENSORS:
-            parser.error(f"no part {part!r}; it must be one of {', '.join(SENSORS)}")
+        if part not in SENSORS and part not in PILOTS:
+            parser.error(f"no part {part!r}; it must be one of {', '.join((*SENSORS, *PILOTS))}")
     rows = Rows(arguments.out, PLACE, SETTINGS)
     fly_approaches(arguments, rows)
+    fly_missions(arguments, rows)
     if arguments.json:
         print(json.dumps(rows.kept, indent=1))
     else:

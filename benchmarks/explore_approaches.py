@@ -34,11 +34,12 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True)
 class Sensor:
-    """How a map's images come about: errors drawn, promise broken, promised width (m), share of returns lost."""
+    """How a map's images come about: errors drawn, promise broken, promised width (m), rays, share of returns lost."""
 
     errors: str = "adversarial"
     broken: str | None = None
     width: float = 0.05
+    rays_across: int = 3
     dropout: float = 0.0
 
 
@@ -47,7 +48,13 @@ BROKEN = (
     *(Sensor("adversarial", broken) for broken in ("range", "pose", "mixed", "late")),
     Sensor("adversarial", "losses", dropout=0.01),
 )
-ACCURATE = (Sensor("random"), Sensor("random", width=0.03), Sensor("random", dropout=0.01))
+ACCURATE = (
+    Sensor("random"),
+    Sensor("random", width=0.03),
+    Sensor("random", width=0.03, rays_across=5),
+    Sensor("random", dropout=0.001),
+    Sensor("random", dropout=0.01),
+)
 
 
 def load(name, mesh):
@@ -60,15 +67,17 @@ def load(name, mesh):
 class OnceCast(FirstHit):
     """Casts the rays of an image once for all sensors that ask for them in a row."""
 
-    _last = None
+    def __init__(self, vertices, faces):
+        super().__init__(vertices, faces)
+        self._last = {}
 
     def cast(self, origins, directions, greatest=np.inf):
-        """Give ranges and faces as `FirstHit` does, from memory where the rays are those of the last call."""
-        if self._last is None or not (
-            np.array_equal(self._last[0], origins) and np.array_equal(self._last[1], directions)
-        ):
-            self._last = origins.copy(), directions, super().cast(origins, directions, greatest)
-        return self._last[2]
+        """Give ranges and faces as `FirstHit` does, from memory where the rays are those of the last call as many."""
+        last = self._last.get(len(directions))
+        if last is None or not (np.array_equal(last[0], origins) and np.array_equal(last[1], directions)):
+            last = origins.copy(), directions, super().cast(origins, directions, greatest)
+            self._last[len(directions)] = last
+        return last[2]
 
 
 def enclosing(target):
@@ -183,7 +192,7 @@ class _World:
     bad_after: list = field(default_factory=list)
 
     def __post_init__(self):
-        bounds = SensorBounds(surely_returned_width=self.sensor.width)
+        bounds = SensorBounds(surely_returned_width=self.sensor.width, rays_across=self.sensor.rays_across)
         self.camera = DepthCamera(bounds=bounds, dropout=self.sensor.dropout, grazing_angle=GRAZING_ANGLE)
         self.draw = ErrorDraw(self.sensor.errors, self.sensor.broken)
         self.generator = np.random.default_rng((self.seed, 2))
@@ -214,6 +223,7 @@ class _World:
             "errors": self.sensor.errors,
             "broken": self.sensor.broken,
             "width_m": self.sensor.width,
+            "rays_across": self.sensor.rays_across,
             "dropout": self.sensor.dropout,
             "usable_range_m": known.bounds.usable_range(self.camera.camera),
             "spacing_m": known.spacing,

@@ -4,15 +4,19 @@ The ordinary pilot flies by the truncated-distance map, to which what it has not
 sensor, law and guard, and plans anew with every image; it looks where it flies.
 """
 
+import dataclasses
 import math
 import time
 from dataclasses import dataclass
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import scipy.ndimage
 from closed_targets import MovedPanel, moved_panel
 from explore_approaches import enclosing
+from explore_counts import bad_cubes
 from truncated_distance import TruncatedDistanceMap
 
 from keepout.audit.audit import Contact, audit
@@ -53,7 +57,7 @@ class Flight:
     """Whether the goal is near what moved."""
 
 
-def flight(name, seed, *, spacing, duration, dropout):
+def flight(name, seed, *, spacing, duration):
     """Draw a flight: every second goal lies near the moved panel."""
     panel = moved_panel(name, seed)
     target = panel.true
@@ -80,7 +84,6 @@ def flight(name, seed, *, spacing, duration, dropout):
         "start": {"position": start.tolist()},
         "goal": {"position": goals[0].tolist()},
         "map": {"centre": centre.tolist(), "radius": radius, "spacing": spacing},
-        "depth_sensor": {"dropout": dropout},
     }
     return Flight(panel, Scenario.parse(tree), near_moved)
 
@@ -105,10 +108,12 @@ def _connected(target, centre, radius):
 
 def by_known_free(flown: Flight):
     """Explore with the map of what was seen free; gives figures."""
-    found = explore(flown.scenario, target=flown.panel.true, expected=flown.panel.expected).summary()
+    flight = explore(flown.scenario, target=flown.panel.true, expected=flown.panel.expected)
+    found = flight.summary()
     kept = ("outcome", "why", "contact", "contact_verdict", "minimum_clearance_m", "seen_share", "views", "duration_s")
     kept += ("delta_v_mps", "guard_interventions", "guard_flags", "start_certified", "assumptions_broken")
-    return {key: found[key] for key in (*kept, "refused_views", "departures_largest_m")}
+    said = {key: found[key] for key in (*kept, "refused_views", "departures_largest_m")}
+    return {"bad_cubes": len(bad_cubes(flight.map, flown.panel.true)), **said}
 
 
 def by_truncated_distance(flown: Flight):
@@ -143,11 +148,12 @@ def by_truncated_distance(flown: Flight):
         axes = axes_towards(boresight.direction, _UP)
         known.see(take(camera, first_hit, camera.sensor_position(position, axes), axes, generator, draw))
         now = field()
+        law = setup.controller
         try:
-            setup = by_map.led_on(setup, now, by_map.law_by_map(scenario, now, goal, position, ball=ball, guard=guard))
+            law = by_map.law_by_map(scenario, now, goal, position, ball=ball, guard=guard)
         except ControlError:
             no_way += 1  # the law made before goes on, watched by the guard on the map as it is now
-            setup = by_map.led_on(setup, now, setup.controller)
+        setup = _led_on(setup, now, law, goal)
         state, log = segment.fly_segment(setup, state, ticks)
         logs.append(log)
         ahead = velocity if np.linalg.norm(velocity) > _MOVING else goal - position
@@ -174,6 +180,7 @@ def by_truncated_distance(flown: Flight):
         speed_limit=scenario.chaser.speed_limit,
     )
     return {
+        "bad_cubes": None,
         "outcome": "reached goal" if resting >= 10 else "out of time",
         "contact": verdict.contact is not Contact.NO,
         "contact_verdict": str(verdict.contact),
@@ -183,6 +190,12 @@ def by_truncated_distance(flown: Flight):
         "duration_s": float(record.time[-1]),
         "delta_v_mps": float(outcome(setup, log).delta_v),
     }
+
+
+def _led_on(setup, field, law, goal):
+    """Give the setup of the next segment. `by_map.led_on` refuses fields that fall, as those of this map do."""
+    guard = eqx.tree_at(lambda one: one.field, setup.guard, field)
+    return dataclasses.replace(setup, field=field, controller=law, guard=guard, goal=jnp.asarray(goal))
 
 
 PILOTS = {"flights": by_known_free, "ordinary": by_truncated_distance}
@@ -197,11 +210,15 @@ def row(part, flown: Flight, name):
         "target": name,
         "mesh": "closed, a panel moved",
         "seed": flown.scenario.seed,
+        "approaches": 1,
+        "views_each": None,
         "errors": flown.scenario.depth_sensor.errors,
         "broken": None,
         "width_m": flown.scenario.depth_sensor.surely_returned_width,
         "dropout": flown.scenario.depth_sensor.dropout,
+        "rays_across": flown.scenario.depth_sensor.rays_across,
         "spacing_m": flown.scenario.map.spacing,
+        "over_statements": None,
         "moved_m": flown.panel.moved,
         "goal_near_moved": flown.near_moved,
         "contacts": int(found["contact"]),
