@@ -1,0 +1,228 @@
+"""Flights to goals near a target whose panel is not where the mission believes: by what was seen free, and ordinarily.
+
+The ordinary pilot flies by the truncated-distance map, to which what it has not seen is free. It has the same chaser,
+sensor, law and guard, and plans anew with every image; it looks where it flies.
+"""
+
+import dataclasses
+import math
+import time
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.ndimage
+from closed_targets import MovedPanel, moved_panel
+from explore_approaches import enclosing
+from explore_counts import bad_cubes
+from truncated_distance import TruncatedDistanceMap
+
+from keepout.audit.audit import Contact, audit
+from keepout.errors import ControlError
+from keepout.exploring import equipment
+from keepout.exploring.explore import explore
+from keepout.fields.map_field import MapField
+from keepout.flight import segment
+from keepout.flight.outcome import outcome
+from keepout.flight.record import FlightRecord
+from keepout.geometry.first_hit import FirstHit
+from keepout.geometry.level_points import surface_points, towards_level
+from keepout.mission import by_map, environment
+from keepout.mission.scenario import Scenario
+from keepout.mission.statuses import legend
+from keepout.sensing.depth import Boresight, ErrorDraw, axes_towards, take
+
+GOAL_AWAY, WAY_CLEAR = 1.5, 1.3
+"""Metres from the true surface: of the goal, and of a way that leads to it from outside."""
+OUTSIDE = 1.5
+"""Metres that flights begin outside the declared ball."""
+_GRID = 0.3
+"""Metres between the nodes on which a way to the goal is looked for."""
+_MOVED = 0.3
+"""Metres from where it was expected beyond which a point of the surface counts as moved."""
+_MOVING = 0.02
+"""Speed, m/s, above which the ordinary pilot looks along its velocity."""
+_UP = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True)
+class Flight:
+    """A target with a moved panel, and a mission to a goal near it."""
+
+    panel: MovedPanel
+    scenario: Scenario
+    near_moved: bool
+    """Whether the goal is near what moved."""
+
+
+def flight(name, seed, *, spacing, duration):
+    """Draw a flight: every second goal lies near the moved panel."""
+    panel = moved_panel(name, seed)
+    target = panel.true
+    generator = np.random.default_rng((seed, 3))
+    both = np.concatenate([target.vertices, panel.expected.vertices])
+    centre, radius = enclosing(target)
+    radius = max(radius, float(np.linalg.norm(both - centre, axis=1).max()))
+    outside = _connected(target, centre, radius)
+    near_moved = seed % 2 == 0
+    while True:
+        feet = surface_points(target.distance, 2000, generator, by_area=0.5)
+        if near_moved:
+            feet = feet[panel.expected.distance.distance(feet) > _MOVED]
+        goals, arrived = towards_level(target.distance, feet + 0.5 * generator.normal(size=feet.shape), GOAL_AWAY)
+        goals = goals[arrived & outside(goals) & (np.linalg.norm(goals - centre, axis=1) < radius)]
+        if len(goals):
+            break
+    way = generator.normal(size=3)
+    start = centre + (radius + OUTSIDE) * way / np.linalg.norm(way)
+    tree = {
+        "name": f"{name}-moved-panel-{seed}",
+        "seed": seed,
+        "duration": duration,
+        "start": {"position": start.tolist()},
+        "goal": {"position": goals[0].tolist()},
+        "map": {"centre": centre.tolist(), "radius": radius, "spacing": spacing},
+    }
+    return Flight(panel, Scenario.parse(tree), near_moved)
+
+
+def _connected(target, centre, radius):
+    """Give a function that says of points whether a way with WAY_CLEAR from the surface leads to them from outside."""
+    half = math.ceil((radius + WAY_CLEAR + 1.0) / _GRID)
+    axis = _GRID * np.arange(-half, half + 1)
+    nodes = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3) + centre
+    lower, upper = target.vertices.min(axis=0) - WAY_CLEAR, target.vertices.max(axis=0) + WAY_CLEAR
+    near = ((nodes > lower) & (nodes < upper)).all(axis=1)
+    clear = np.ones(len(nodes), bool)
+    clear[near] = target.distance.distance(nodes[near]) > WAY_CLEAR
+    labels = scipy.ndimage.label(clear.reshape((len(axis),) * 3))[0]
+
+    def outside(points):
+        index = np.round((points - centre) / _GRID).astype(int) + half
+        return labels[tuple(index.T)] == labels[0, 0, 0]
+
+    return outside
+
+
+def by_known_free(flown: Flight):
+    """Explore with the map of what was seen free; gives figures."""
+    flight = explore(flown.scenario, target=flown.panel.true, expected=flown.panel.expected)
+    found = flight.summary()
+    kept = ("outcome", "why", "contact", "contact_verdict", "minimum_clearance_m", "seen_share", "views", "duration_s")
+    kept += ("delta_v_mps", "guard_interventions", "guard_flags", "start_certified", "assumptions_broken")
+    said = {key: found[key] for key in (*kept, "refused_views", "departures_largest_m")}
+    return {"bad_cubes": len(bad_cubes(flight.map, flown.panel.true)), **said}
+
+
+def by_truncated_distance(flown: Flight):
+    """Fly straight on by a map to which the unseen is free, planning anew with every image; gives figures."""
+    scenario, target = flown.scenario, flown.panel.true
+    camera, ball = equipment.depth_camera(scenario), equipment.declared_ball(scenario)
+    known = TruncatedDistanceMap(equipment.map_of(scenario, camera))
+    goal = np.asarray(scenario.goal.position)
+
+    def field():
+        return MapField.of(known.squares(), known.origin, known.spacing)
+
+    first = field()
+    guard = by_map.guard_by_map(scenario, first, ball)
+    motion = environment.relative_motion(scenario)
+    initial = motion.initial_state(np.asarray(scenario.start.position), np.asarray(scenario.start.velocity))
+    start = np.asarray(scenario.start.position)
+    setup = by_map.setup_by_map(
+        scenario, first, ball, by_map.law_by_map(scenario, first, start, start, ball=ball, guard=guard), guard
+    )
+    state = segment.begin(setup, initial, jax.random.key(scenario.seed))
+    first_hit, generator = FirstHit(target.vertices, target.faces), np.random.default_rng(scenario.seed)
+    boresight = Boresight.at_rest(
+        goal - start,
+        greatest_rate=scenario.depth_sensor.turn_rate,
+        greatest_acceleration=scenario.depth_sensor.turn_acceleration,
+    )
+    ticks = round(scenario.depth_sensor.period / scenario.control.period)
+    draw, logs, resting, no_way = ErrorDraw(scenario.depth_sensor.errors), [], 0, 0
+    while len(logs) * ticks < scenario.steps and resting < 10:
+        position, velocity = np.asarray(state.motion.position), np.asarray(state.motion.velocity)
+        axes = axes_towards(boresight.direction, _UP)
+        known.see(take(camera, first_hit, camera.sensor_position(position, axes), axes, generator, draw))
+        now = field()
+        law = setup.controller
+        try:
+            law = by_map.law_by_map(scenario, now, goal, position, ball=ball, guard=guard)
+        except ControlError:
+            no_way += 1  # the law made before goes on, watched by the guard on the map as it is now
+        setup = _led_on(setup, now, law, goal)
+        state, log = segment.fly_segment(setup, state, ticks)
+        logs.append(log)
+        ahead = velocity if np.linalg.norm(velocity) > _MOVING else goal - position
+        for _ in range(ticks):
+            boresight = boresight.step(ahead, scenario.control.period)
+        away = np.linalg.norm(np.asarray(log.position) - goal, axis=1) >= scenario.goal.tolerance
+        resting = 0 if away[-1] else resting + ticks
+    _, last = segment.fly_segment(setup, state, 1)
+    log = segment.joined([*logs, last])
+    record = FlightRecord.of_log(
+        log,
+        outcome=outcome(setup, log),
+        scenario=scenario.model_dump_json(),
+        seed=scenario.seed,
+        target_sha256=target.sha256,
+        statuses=legend(),
+    )
+    verdict = audit(
+        record,
+        target,
+        chaser_radius=scenario.chaser.radius,
+        bounds=environment.flight_bounds(scenario),
+        force_limit=scenario.chaser.force_limit,
+        speed_limit=scenario.chaser.speed_limit,
+    )
+    return {
+        "bad_cubes": None,
+        "outcome": "reached goal" if resting >= 10 else "out of time",
+        "contact": verdict.contact is not Contact.NO,
+        "contact_verdict": str(verdict.contact),
+        "minimum_clearance_m": verdict.minimum_clearance,
+        "views": len(logs),
+        "views_without_way": no_way,
+        "duration_s": float(record.time[-1]),
+        "delta_v_mps": float(outcome(setup, log).delta_v),
+    }
+
+
+def _led_on(setup, field, law, goal):
+    """Give the setup of the next segment. `by_map.led_on` refuses fields that fall, as those of this map do."""
+    guard = eqx.tree_at(lambda one: one.field, setup.guard, field)
+    return dataclasses.replace(setup, field=field, controller=law, guard=guard, goal=jnp.asarray(goal))
+
+
+PILOTS = {"flights": by_known_free, "ordinary": by_truncated_distance}
+
+
+def row(part, flown: Flight, name):
+    """Fly, and give a row."""
+    began = time.perf_counter()
+    found = PILOTS[part](flown)
+    return {
+        "part": part,
+        "target": name,
+        "mesh": "closed, a panel moved",
+        "seed": flown.scenario.seed,
+        "approaches": 1,
+        "views_each": None,
+        "errors": flown.scenario.depth_sensor.errors,
+        "broken": None,
+        "width_m": flown.scenario.depth_sensor.surely_returned_width,
+        "dropout": flown.scenario.depth_sensor.dropout,
+        "rays_across": flown.scenario.depth_sensor.rays_across,
+        "spacing_m": flown.scenario.map.spacing,
+        "over_statements": None,
+        "moved_m": flown.panel.moved,
+        "goal_near_moved": flown.near_moved,
+        "contacts": int(found["contact"]),
+        "complete": found["outcome"] == "reached goal",
+        **found,
+        "seconds": time.perf_counter() - began,
+    }
