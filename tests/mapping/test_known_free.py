@@ -89,6 +89,14 @@ def test_a_view_is_no_jump_as_far_as_speed_and_pose_error_explain():
     assert known.see(view_from((2.0, step - 0.001, 0.0), time=12.0)).status is ViewStatus.SEEN
 
 
+def test_another_flight_may_begin_anywhere():
+    known = begin(speed_limit=0.5)
+    known.see(view_from((2.0, 0.0, 0.0), time=10.0))
+    known.begin_flight()
+    assert known.see(view_from((2.0, 2.0, 0.0), time=0.0)).status is ViewStatus.SEEN
+    assert known.see(view_from((2.0, -2.0, 0.0), time=1.0)).status is ViewStatus.POSE_JUMP
+
+
 def test_every_order_of_views_gives_the_same_map():
     views = [view_from(place, float(time)) for time, place in enumerate(PLACES)]
     maps = []

@@ -101,6 +101,7 @@ def map_of(scenario: Scenario, camera: DepthCamera) -> KnownFreeMap:
                 f"map.file: {entry.file} was begun with {key} {held[key]}, and the scenario has {value}; use the "
                 "scenario that it was begun with, or begin a new map"
             )
+    kept.begin_flight()
     return kept
 
 
@@ -138,8 +139,8 @@ def require_explorable(scenario: Scenario, camera: DepthCamera) -> None:
     least = scenario.chaser.radius + scenario.safety.margin + math.sqrt(3.0) * scenario.map.spacing + 0.3
     if told_apart(scenario) < least:
         raise ScenarioError(
-            f"map.cap: {told_apart(scenario):g} m; it must be at least {least:.3g} m: the chaser's radius, the margin, and "
-            "room to tell near from far"
+            f"map.cap: {told_apart(scenario):g} m; it must be at least {least:.3g} m: the chaser's radius, the margin, "
+            "and room to tell near from far"
         )
 
 

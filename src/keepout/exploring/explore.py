@@ -114,7 +114,7 @@ class _Explorer:
         broken = scenario.depth_sensor.broken
         self.draw = ErrorDraw(scenario.depth_sensor.errors, None if broken == "none" else broken)
         self.pace = Pace(scenario.chaser.speed_limit, scenario.depth_sensor.turn_rate)
-        self.tried = Tried.nothing(self.known)
+        self.tried = Tried.of_map(self.known, self.camera.camera)
         self.boresight = Boresight.at_rest(
             np.asarray(self.ball.centre) - np.asarray(scenario.start.position),
             greatest_rate=scenario.depth_sensor.turn_rate,

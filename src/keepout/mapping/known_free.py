@@ -106,6 +106,7 @@ class KnownFreeMap:
             )
         self.origin = self.centre - 0.5 * cubes * self.spacing
         self.seen: list[Seen] = []
+        self._flight_began = 0
         self.free = np.zeros((cubes, cubes, cubes), dtype=np.bool_)
         self.squares = np.zeros((0, 0, 0), dtype=np.uint16)
         self._returns = Returns(self.origin, self.spacing, cubes)
@@ -225,6 +226,10 @@ class KnownFreeMap:
         answer[inside] = self.free[tuple(cells[inside].astype(np.int64).T)]
         return answer
 
+    def begin_flight(self) -> None:
+        """Begin another flight by the same map: its first view may be taken anywhere, at any time."""
+        self._flight_began = len(self.seen)
+
     def see(self, view: View) -> ViewReport:
         """Grow the map by a view, in place; a refused view leaves it as it was."""
         begin = time.perf_counter()
@@ -285,7 +290,7 @@ class KnownFreeMap:
             return ViewStatus.EMPTY
         if not self.is_free(view.position[None])[0]:
             return ViewStatus.FROM_UNKNOWN
-        if self.seen:
+        if len(self.seen) > self._flight_began:
             last = self.seen[-1]
             explained = self.speed_limit * abs(view.time - last.time) + 2.0 * self.bounds.position_error
             # An endless speed over no time is no limit.
