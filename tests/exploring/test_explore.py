@@ -111,6 +111,12 @@ def test_a_goal_inside_the_body_has_no_way_and_the_reason_is_given():
     assert found.audit.contact is Contact.NO
 
 
+def test_a_flight_may_begin_far_from_the_map():
+    found = explore(scenario(start={"position": [30.0, 0.5, 0.3]}), target=crate())
+    assert found.outcome == "reached goal", found.why
+    assert found.audit.contact is Contact.NO
+
+
 def test_a_target_that_is_not_where_it_was_expected_is_reported(to_goal):
     found = explore(scenario(), target=crate(), expected=crate(at=(0.0, 0.0, 1.5)))
     assert found.summary()["departures_largest_m"] > 1.0
@@ -136,6 +142,7 @@ def test_a_target_beyond_its_ball_and_broken_promises_are_named():
         ({"depth_sensor": {"period": 10.5}}, "depth_sensor.period"),
         ({"map": {"radius": None}}, "map.radius"),
         ({"map": {"cap": 0.6}}, "map.cap"),
+        ({"goal": {"position": [0.0, 30.0, 0.0]}}, "goal.position"),
         ({"control": {"profile": "paper"}}, "control.profile"),
         ({"chaser": {"force_limit": 0.001}}, ""),
     ],

@@ -20,7 +20,6 @@ def explore_to_folder(
 
     camera = equipment.depth_camera(scenario)
     equipment.require_explorable(scenario, camera)
-    equipment.declared_ball(scenario)
     from keepout.exploring.explore import explore
     from keepout.report.exploration_page import write_exploration
     from keepout.report.folder import make_folder

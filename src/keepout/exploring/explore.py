@@ -135,7 +135,9 @@ class _Explorer:
         scenario = self.scenario
         ticks = round(scenario.depth_sensor.period / scenario.control.period)
         start = np.asarray(self.initial.position)
-        setup = by_map.setup_by_map(scenario, self.field, self.ball, self._law(start, start), self.guard)
+        setup = by_map.setup_by_map(
+            scenario, self.field, self.ball, self._law(self._within_map(start), start), self.guard
+        )
         self.keep = by_map.kept_by_law(scenario, self.field, self.guard) + _OF_LATTICE * self.known.spacing
         state = segment.begin(setup, self.initial, jax.random.key(scenario.seed))
         flown = 0
@@ -243,6 +245,13 @@ class _Explorer:
             except ControlError as refusal:
                 refusals.append(str(refusal))
         return Ended("no way known", f"the law finds no way to {_ATTEMPTS} views: {refusals[-1]}", np.zeros((0, 3)))
+
+    def _within_map(self, position: Point) -> Point:
+        """Give the position itself, or the way's first point in the map's box towards the middle of the ball."""
+        half = 0.5 * (self.known.upper - self.known.lower)
+        middle = self.known.lower + half
+        beyond = float(np.max(np.abs(position - middle) / half))
+        return position if beyond <= 1.0 else middle + (position - middle) / beyond
 
     def _turn(self, steps: int) -> None:
         if self.wanted is not None:
