@@ -136,6 +136,12 @@ def require_explorable(scenario: Scenario, camera: DepthCamera) -> None:
             else ("control.profile", scenario.control.profile)
         )
         raise ScenarioError(f'{given[0]}: "{given[1]}"; exploring is flown by the default law')
+    least = scenario.chaser.radius + scenario.safety.margin + math.sqrt(3.0) * scenario.map.spacing + 0.3
+    if told_apart(scenario) < least:
+        raise ScenarioError(
+            f"map.cap: {told_apart(scenario):g} m; it must be at least {least:.3g} m: the chaser's radius, the margin, "
+            "and room to tell near from far"
+        )
     ball = declared_ball(scenario)
     if scenario.explore.towards == "goal":
         away = float(np.max(np.abs(np.asarray(scenario.goal.position) - np.asarray(ball.centre))))
@@ -145,12 +151,6 @@ def require_explorable(scenario: Scenario, camera: DepthCamera) -> None:
                 f"goal.position: {list(scenario.goal.position)} m is {away:.3g} m from map.centre along an axis; it "
                 f"must be at most {farthest:.3g} m, within the map"
             )
-    least = scenario.chaser.radius + scenario.safety.margin + math.sqrt(3.0) * scenario.map.spacing + 0.3
-    if told_apart(scenario) < least:
-        raise ScenarioError(
-            f"map.cap: {told_apart(scenario):g} m; it must be at least {least:.3g} m: the chaser's radius, the margin, "
-            "and room to tell near from far"
-        )
 
 
 def expected_target(scenario: Scenario) -> Target | None:
