@@ -7,11 +7,12 @@ from jaxtyping import Float, Int
 
 from keepout.errors import MeshError
 from keepout.geometry import bvh
+from keepout.geometry.soup import TriangleSoup
 
 Points = Float[np.ndarray, "n 3"]
 
 
-class ExactDistance:
+class ExactDistance(TriangleSoup):
     """Unsigned distance to a triangle soup: no orientation, no watertightness, no signs.
 
     Found with a bounding-volume hierarchy (`bvh`); agrees with brute force over all triangles to 1e-12 m. Degenerate
@@ -25,21 +26,6 @@ class ExactDistance:
         MeshError: no faces, an index outside the vertices, or a vertex that is not finite.
 
     """
-
-    def __init__(self, vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]):
-        self.vertices = np.ascontiguousarray(vertices, dtype=np.float64)
-        self.faces = np.ascontiguousarray(faces, dtype=np.int64)
-        if len(self.faces) == 0:
-            raise MeshError("a distance needs at least one triangle, and there are 0")
-        if self.faces.min() < 0 or self.faces.max() >= len(self.vertices):
-            raise MeshError(
-                f"faces: index {self.faces.max()} or {self.faces.min()} is outside 0 to {len(self.vertices) - 1}"
-            )
-        used = self.vertices[self.faces]
-        if not np.isfinite(used).all():
-            raise MeshError("vertices: a triangle has a corner that is not finite; every coordinate must be a number")
-        self.lower: Float[np.ndarray, 3] = used.min(axis=(0, 1))
-        self.upper: Float[np.ndarray, 3] = used.max(axis=(0, 1))
 
     @functools.cached_property
     def area(self) -> float:

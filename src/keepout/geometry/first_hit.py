@@ -16,6 +16,7 @@ from jaxtyping import Float, Int
 
 from keepout.errors import MeshError
 from keepout.geometry import ray_tree
+from keepout.geometry.soup import TriangleSoup
 
 Points = Float[np.ndarray, "n 3"]
 Origins = Float[np.ndarray, "#n 3"]
@@ -29,7 +30,7 @@ _NOTHING = np.iinfo(np.int64).min
 """In place of a child: the ray enters neither."""
 
 
-class FirstHit:
+class FirstHit(TriangleSoup):
     """The first place where a ray meets a mesh; triangles have two sides, and need not close anything.
 
     A triangle that a ray runs along is met where the ray enters it; one without area is met as the segment or point
@@ -43,21 +44,6 @@ class FirstHit:
         MeshError: no faces, an index outside the vertices, or a vertex that is not finite.
 
     """
-
-    def __init__(self, vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]):
-        self.vertices = np.ascontiguousarray(vertices, dtype=np.float64)
-        self.faces = np.ascontiguousarray(faces, dtype=np.int64)
-        if len(self.faces) == 0:
-            raise MeshError("rays need at least one triangle to meet, and there are 0")
-        if self.faces.min() < 0 or self.faces.max() >= len(self.vertices):
-            raise MeshError(
-                f"faces: index {self.faces.max()} or {self.faces.min()} is outside 0 to {len(self.vertices) - 1}"
-            )
-        used = self.vertices[self.faces]
-        if not np.isfinite(used).all():
-            raise MeshError("vertices: a triangle has a corner that is not finite; every coordinate must be a number")
-        self.lower: Float[np.ndarray, 3] = used.min(axis=(0, 1))
-        self.upper: Float[np.ndarray, 3] = used.max(axis=(0, 1))
 
     @functools.cached_property
     def normals(self) -> Float[np.ndarray, "f 3"]:

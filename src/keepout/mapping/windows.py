@@ -86,8 +86,8 @@ def in_camera(rule, x, y, z):
 
 @no_type_check
 @numba.njit(cache=True, nogil=True)
-def all_exceed(levels, first_row, last_row, first_column, last_column, limit):
-    """Whether every pixel of a rectangle exceeds a limit; `levels`: least values in squares."""
+def _every_square(levels, first_row, last_row, first_column, last_column, limit, exceeds):
+    """Whether "its value exceeds the limit" is `exceeds` for each of the largest squares that cover a rectangle."""
     short = min(last_row - first_row, last_column - first_column) + 1
     level, side = 0, 1
     while 2 * side <= short:
@@ -99,7 +99,7 @@ def all_exceed(levels, first_row, last_row, first_column, last_column, limit):
         column = first_column
         while True:
             column = min(column, last_column - side + 1)
-            if not levels[level, row, column] > limit:
+            if (levels[level, row, column] > limit) != exceeds:
                 return False
             column += side
             if column > last_column:
@@ -111,27 +111,16 @@ def all_exceed(levels, first_row, last_row, first_column, last_column, limit):
 
 @no_type_check
 @numba.njit(cache=True, nogil=True)
-def none_exceeds(levels, first_row, last_row, first_column, last_column, limit):
-    """Whether no pixel of a rectangle exceeds a limit; `levels`: greatest values in squares."""
-    short = min(last_row - first_row, last_column - first_column) + 1
-    level, side = 0, 1
-    while 2 * side <= short:
-        side *= 2
-        level += 1
-    row = first_row
-    while True:
-        row = min(row, last_row - side + 1)
-        column = first_column
-        while True:
-            column = min(column, last_column - side + 1)
-            if levels[level, row, column] > limit:
-                return False
-            column += side
-            if column > last_column:
-                break
-        row += side
-        if row > last_row:
-            return True
+def all_exceed(least, first_row, last_row, first_column, last_column, limit):
+    """Whether every pixel of a rectangle exceeds a limit; `least`: pyramid of least values."""
+    return _every_square(least, first_row, last_row, first_column, last_column, limit, True)
+
+
+@no_type_check
+@numba.njit(cache=True, nogil=True)
+def none_exceeds(greatest, first_row, last_row, first_column, last_column, limit):
+    """Whether no pixel of a rectangle exceeds a limit; `greatest`: pyramid of greatest values."""
+    return _every_square(greatest, first_row, last_row, first_column, last_column, limit, False)
 
 
 @no_type_check
