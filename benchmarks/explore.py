@@ -30,8 +30,8 @@ SENSORS = {"approaches": (SOUND,), "accuracy": ACCURATE, "broken": BROKEN, "shee
 SPACING = {"tiangong": 0.2}
 """Metres, where it is not 0.1: the ball round Tiangong holds 734³ cubes of 0.1 m, 1.2 GB a map."""
 FEWER = 10
-"""Of the points at which sound maps are checked, the part at which others are."""
-PLACE = ("part", "target", "mesh", "errors", "broken", "width_m", "rays_across", "dropout", "seed")
+"""The maps of other sensors than the sound one are checked at one so manieth of the points."""
+PLACE = ("part", "target", "mesh", "errors", "broken", "width_m", "rays_across", "dropout", "grazing_angle", "seed")
 SETTINGS = ("approaches", "views_each", "spacing_m")
 COLUMNS = (*PLACE, "approaches", "bad_cubes", "over_statements", "points", "gap_p95_m", "under_median_m", "under_p95_m")
 COLUMNS += ("contacts", "complete")
@@ -64,12 +64,13 @@ def fly_approaches(arguments, rows):
                 approaches=arguments.approaches,
                 views=arguments.views,
                 spacing=spacing,
-                points=[arguments.points // (1 if plan["broken"] is None else FEWER) for plan in plans],
+                points=[arguments.points // (1 if plan["sensor"] == SOUND else FEWER) for plan in plans],
                 seed=arguments.seed,
                 say=say,
             )
             for plan, made in zip(plans, found, strict=True):
                 rows.keep({"part": plan["part"]} | made)
+                say(json.dumps(rows.kept[-1]))
 
 
 def fly_missions(arguments, rows):
@@ -96,6 +97,7 @@ def _plan(arguments, part, name, mesh, sensor, spacing):
         "width_m": sensor.width,
         "rays_across": sensor.rays_across,
         "dropout": sensor.dropout,
+        "grazing_angle": sensor.grazing_angle,
         "approaches": arguments.approaches,
         "views_each": arguments.views,
         "spacing_m": spacing,
@@ -112,7 +114,7 @@ def main():
     parser.add_argument("--targets", nargs="+", default=list(NAMES), help=f"of {', '.join(NAMES)}")
     parser.add_argument("--approaches", type=int, default=20, help="to each target")
     parser.add_argument("--views", type=int, default=VIEWS, help="of each approach")
-    parser.add_argument("--points", type=int, default=2_000_000, help="at which each sound map's field is checked")
+    parser.add_argument("--points", type=int, default=2_000_000, help="at which a sound map's field is checked")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=OUT, help="rows kept")
     parser.add_argument("--json", action="store_true", help="print rows as JSON")

@@ -4,6 +4,7 @@ All sensors take the same images from the same places; they differ in how errors
 which width of parts is promised to return. All approaches to a target go into one map.
 """
 
+import math
 import time
 from dataclasses import dataclass, field
 
@@ -26,7 +27,7 @@ VIEWS = 15
 WAITS = 10
 """Further views at most, from where the chaser stays because what is ahead is not known to be free."""
 GRAZING_ANGLE = 1.48
-"""Of incidence, rad, beyond which returns are lost: a scenario's default."""
+"""Of incidence, rad, beyond which returns are lost, where any are: a scenario's default."""
 _CLEAR = 1.2
 """Metres that an approach keeps from the surface."""
 _UP = np.array([0.0, 0.0, 1.0])
@@ -34,24 +35,28 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True)
 class Sensor:
-    """How a map's images come about: errors drawn, promise broken, promised width (m), rays, share of returns lost."""
+    """How a map's images come about: errors drawn, promise broken, promised width (m), rays, and what is lost."""
 
     errors: str = "adversarial"
     broken: str | None = None
     width: float = 0.05
     rays_across: int = 3
     dropout: float = 0.0
+    grazing_angle: float = 0.5 * math.pi
 
 
 SOUND = Sensor()
 BROKEN = (
     *(Sensor("adversarial", broken) for broken in ("range", "pose", "mixed", "late")),
-    Sensor("adversarial", "losses", dropout=0.01),
+    Sensor("adversarial", "losses", dropout=0.01, grazing_angle=GRAZING_ANGLE),
+    *(Sensor("adversarial", broken, width=0.02) for broken in (None, "range", "pose")),
 )
+"""The last with a smaller promised width, which before flat walls is room to spare."""
 ACCURATE = (
     Sensor("random"),
     Sensor("random", width=0.03),
     Sensor("random", width=0.03, rays_across=5),
+    Sensor("random", grazing_angle=GRAZING_ANGLE),
     Sensor("random", dropout=0.001),
     Sensor("random", dropout=0.01),
 )
@@ -114,7 +119,7 @@ def approach(target, centre, radius, generator, views=VIEWS):
 
 
 def run(name, mesh, sensors, *, approaches, views, spacing, points, seed, say=lambda text: None):
-    """Fly the approaches past all sensors, and count; gives a row for each sensor.
+    """Fly the approaches past all sensors, and count; yields a row for each sensor.
 
     Args:
         name: of the target.
@@ -133,6 +138,9 @@ def run(name, mesh, sensors, *, approaches, views, spacing, points, seed, say=la
     centre, radius = enclosing(target)
     first_hit = OnceCast(target.vertices, target.faces)
     worlds = [_World(sensor, centre, radius, spacing, name, seed) for sensor in sensors]
+    # The sound sensor says where the chaser may be, so that all see the same, whichever are asked for.
+    pilot = next((world for world in worlds if world.sensor == SOUND), None)
+    pilot, unasked = pilot or _World(SOUND, centre, radius, spacing, name, seed), pilot is None
     generator = np.random.default_rng((seed, 0))
     poses, arrived = [], 0
     for number in range(approaches):
@@ -142,11 +150,11 @@ def run(name, mesh, sensors, *, approaches, views, spacing, points, seed, say=la
             if reached == views:
                 break
             # Where the next place is not known to be free, the chaser stays, and looks there.
-            free = worlds[0].may_be_at(places[reached])
+            free = pilot.may_be_at(places[reached])
             place = places[reached if free else reached - 1]
             pose = place, axes_towards((looked_at if free else places)[reached] - place, _UP)
             reached += free
-            for world in worlds:
+            for world in [*worlds, *([pilot] if unasked else [])]:
                 world.look(first_hit, pose, before, 10.0 * len(poses))
             poses.append(pose)
             before = pose
@@ -155,26 +163,14 @@ def run(name, mesh, sensors, *, approaches, views, spacing, points, seed, say=la
             world.bad_after.append(len(bad_cubes(world.known, target)))
         say(f"{name}, {mesh}: {number + 1} approaches, bad cubes {[world.bad_after[-1] for world in worlds]}")
     generator = np.random.default_rng((seed, 1))
-    seen = seen_surface(target, first_hit, worlds[0].camera.camera, poses, generator)
-    rows = []
-    while worlds:
-        world = worlds.pop(0)
-        rows.append(
-            {
-                "target": name,
-                "mesh": mesh,
-                "seed": seed,
-                "approaches": approaches,
-                "views_each": views,
-                "arrived": arrived,
-            }
-            | world.counted(target, seen, points[len(rows)], generator)
-            | {"contacts": None, "complete": None}
+    seen = seen_surface(target, first_hit, pilot.camera.camera, poses, generator)
+    for number, world in enumerate(worlds):
+        yield (
+            {"target": name, "mesh": mesh, "seed": seed, "approaches": approaches, "views_each": views}
+            | {"arrived": arrived}
+            | world.counted(target, seen, points[number], generator)
+            | {"contacts": None, "complete": None, "seconds": time.perf_counter() - began}
         )
-        say(f"{name}, {mesh}: {rows[-1]}")
-    for row in rows:
-        row["seconds"] = time.perf_counter() - began
-    return rows
 
 
 @dataclass
@@ -193,7 +189,7 @@ class _World:
 
     def __post_init__(self):
         bounds = SensorBounds(surely_returned_width=self.sensor.width, rays_across=self.sensor.rays_across)
-        self.camera = DepthCamera(bounds=bounds, dropout=self.sensor.dropout, grazing_angle=GRAZING_ANGLE)
+        self.camera = DepthCamera(bounds=bounds, dropout=self.sensor.dropout, grazing_angle=self.sensor.grazing_angle)
         self.draw = ErrorDraw(self.sensor.errors, self.sensor.broken)
         self.generator = np.random.default_rng((self.seed, 2))
         settings = {"spacing": self.spacing, "bounds": bounds, "name": self.name}
@@ -225,6 +221,7 @@ class _World:
             "width_m": self.sensor.width,
             "rays_across": self.sensor.rays_across,
             "dropout": self.sensor.dropout,
+            "grazing_angle": self.sensor.grazing_angle,
             "usable_range_m": known.bounds.usable_range(self.camera.camera),
             "spacing_m": known.spacing,
             "views": known.views,
