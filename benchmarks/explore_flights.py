@@ -57,6 +57,10 @@ class Flight:
     """Whether the goal is near what moved."""
 
 
+_ROUND = 2.0
+"""Metres to whose multiples the radius of the declared ball is rounded up."""
+
+
 def flight(name, seed, *, spacing, duration):
     """Draw a flight: every second goal lies near the moved panel."""
     panel = moved_panel(name, seed)
@@ -65,6 +69,7 @@ def flight(name, seed, *, spacing, duration):
     both = np.concatenate([target.vertices, panel.expected.vertices])
     centre, radius = enclosing(target)
     radius = max(radius, float(np.linalg.norm(both - centre, axis=1).max()))
+    radius = _ROUND * math.ceil(radius / _ROUND)  # maps of one size fly by one compiled program
     outside = _connected(target, centre, radius)
     near_moved = seed % 2 == 0
     while True:
