@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from test_docs import PAGES, blocks, named
+from test_explore_command import MISSION as SMALL
 
 from keepout.mission.scenario import Scenario
 
@@ -28,6 +29,7 @@ QUICKER = {
         ('"runs": 1000', '"runs": 2'),
         ("Scenario().replace(campaign=", 'Scenario().replace(duration=20.0, guard={"enabled": False}, campaign='),
     ],
+    "docs/explore.md": [("examples/explore.toml", "mission.toml")],
     "docs/rare.md": [("below=0.0", "below=0.3, runs=2, flights=64, most_levels=2")],
 }
 """What is written, and what the test writes instead."""
@@ -45,6 +47,7 @@ start.position = [0.0, 3.5, 0.0]
 faults.position_noise_std = 0.01
 """
 MISSIONS = {
+    "docs/explore.md": SMALL,
     "docs/rare.md": """
 name = "near"
 duration = 40.0
@@ -53,9 +56,9 @@ goal.position = [8.0, -1.5, 1.2]
 guard.enabled = false
 control.guidance = "straight"
 faults = {position_noise_std = 0.05, velocity_noise_std = 0.02, noise_correlation_time = 10.0}
-"""
+""",
 }
-"""Missions that other tests fly, too: those of tests/rare_events/test_flights.py compile the same programs."""
+"""Missions that other tests fly, too: tests/rare_events/test_flights.py and tests/test_explore_command.py."""
 
 
 def runnable(page: Path) -> list[str]:
