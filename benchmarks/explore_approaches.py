@@ -39,8 +39,8 @@ class Sensor:
 
     errors: str = "adversarial"
     broken: str | None = None
-    width: float = 0.05
-    rays_across: int = 3
+    width: float = 0.03
+    rays_across: int = 5
     dropout: float = 0.0
     grazing_angle: float = 0.5 * math.pi
 

@@ -69,9 +69,9 @@ class SensorBounds:
     """Greatest error of the sensor's place in the map's frame, drift included, m."""
     attitude_error: float = 0.005
     """Greatest angle between the sensor's true and estimated axes in the map's frame, rad."""
-    surely_returned_width: float = 0.05
+    surely_returned_width: float = 0.03
     """Within this lateral distance of any point of the target within the usable range a ray meets the target, m."""
-    rays_across: int = 3
+    rays_across: int = 5
     """Rays across and down a pixel; its range is the first return of all of them."""
     sure_empty_range: float = 15.0
     """A pixel without return is empty out to this range, m; 0: no return says nothing."""

@@ -20,7 +20,7 @@ class DepthSensorEntry(Entry):
         default=math.pi / 3.0, description="angle between the left and the right edge of the image, rad"
     )
     rays_across: Annotated[int, Field(ge=1, le=9)] = Field(
-        default=3, description="rays along a pixel's edge; a pixel tells the first return of all its rays"
+        default=5, description="rays along a pixel's edge; a pixel tells the first return of all its rays"
     )
     period: Positive = Field(default=10.0, description="between two images, s; whole control periods")
     latency: NonNegative = Field(default=0.0, description="from an image to its use, s; whole control periods")
@@ -37,7 +37,7 @@ class DepthSensorEntry(Entry):
         default=0.005, description="largest error of the sensor's attitude in the map's frame, drift included, rad"
     )
     surely_returned_width: Positive = Field(
-        default=0.05, description="parts at least this wide surely return a ray within the range used, m"
+        default=0.03, description="parts at least this wide surely return a ray within the range used, m"
     )
     sure_empty_range: NonNegative = Field(
         default=15.0, description="a ray without return is empty out to here, m; 0: no return says nothing"
