@@ -31,7 +31,19 @@ SPACING = {"tiangong": 0.2}
 """Metres, where it is not 0.1: the ball round Tiangong holds 734³ cubes of 0.1 m, 1.2 GB a map."""
 FEWER = 10
 """The maps of other sensors than the sound one are checked at one so manieth of the points."""
-PLACE = ("part", "target", "mesh", "errors", "broken", "width_m", "rays_across", "dropout", "grazing_angle", "seed")
+PLACE = (
+    "part",
+    "target",
+    "mesh",
+    "errors",
+    "broken",
+    "width_m",
+    "rays_across",
+    "times",
+    "dropout",
+    "grazing_angle",
+    "seed",
+)
 SETTINGS = ("approaches", "views_each", "spacing_m")
 COLUMNS = (*PLACE, "approaches", "bad_cubes", "over_statements", "points", "gap_p95_m", "under_median_m", "under_p95_m")
 COLUMNS += ("contacts", "complete")
@@ -96,6 +108,7 @@ def _plan(arguments, part, name, mesh, sensor, spacing):
         "broken": sensor.broken,
         "width_m": sensor.width,
         "rays_across": sensor.rays_across,
+        "times": sensor.times,
         "dropout": sensor.dropout,
         "grazing_angle": sensor.grazing_angle,
         "approaches": arguments.approaches,
