@@ -21,7 +21,7 @@ import sys
 from pathlib import Path
 
 from closed_targets import FILES, NAMES
-from explore_approaches import ACCURATE, BROKEN, SOUND, VIEWS, run
+from explore_approaches import ACCURATE, BROKEN, OUTSIDE, SOUND, VIEWS, run
 from explore_flights import PILOTS, flight, row
 from kept_rows import Rows, show
 
@@ -44,7 +44,7 @@ PLACE = (
     "grazing_angle",
     "seed",
 )
-SETTINGS = ("approaches", "views_each", "spacing_m")
+SETTINGS = ("approaches", "views_each", "spacing_m", "outside_m")
 COLUMNS = (*PLACE, "approaches", "bad_cubes", "over_statements", "points", "gap_p95_m", "under_median_m", "under_p95_m")
 COLUMNS += ("contacts", "complete")
 DURATION = 6000.0
@@ -113,6 +113,7 @@ def _plan(arguments, part, name, mesh, sensor, spacing):
         "grazing_angle": sensor.grazing_angle,
         "approaches": arguments.approaches,
         "views_each": arguments.views,
+        "outside_m": OUTSIDE,
         "spacing_m": spacing,
         "seed": arguments.seed,
         "sensor": sensor,

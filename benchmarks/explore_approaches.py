@@ -25,6 +25,8 @@ ROOM = 0.5
 """Metres by which the declared ball is larger than the target."""
 VIEWS = 15
 """Of an approach."""
+OUTSIDE = 3.0
+"""Metres from the ball to where an approach begins: the window of a cube nearer than half a metre fits no image."""
 WAITS = 10
 """Further views at most, from where the chaser stays because what is ahead is not known to be free."""
 GRAZING_ANGLE = 1.48
@@ -112,7 +114,7 @@ def approach(target, centre, radius, generator, views=VIEWS):
         end, foot = end[0], target.distance.closest(end)[1][0]
         outwards = _unit(_unit(end - foot) + 0.5 * generator.normal(size=3))
         along = outwards @ (end - centre)
-        length = -along + np.sqrt(along**2 + (radius + ROOM) ** 2 - (end - centre) @ (end - centre))
+        length = -along + np.sqrt(along**2 + (radius + OUTSIDE) ** 2 - (end - centre) @ (end - centre))
         start = end + length * outwards
         aside = np.cross(outwards, generator.normal(size=3))
         bend = 0.2 * length * generator.uniform() * (generator.random() < 0.5) * _unit(aside)
@@ -173,7 +175,7 @@ def run(name, mesh, sensors, *, approaches, views, spacing, points, seed, say=la
     for number, world in enumerate(worlds):
         yield (
             {"target": name, "mesh": mesh, "seed": seed, "approaches": approaches, "views_each": views}
-            | {"arrived": arrived}
+            | {"outside_m": OUTSIDE, "arrived": arrived}
             | world.counted(target, seen, points[number], generator)
             | {"contacts": None, "complete": None, "seconds": time.perf_counter() - began}
         )

@@ -376,6 +376,7 @@ def _approaches(rows: Sequence[Mapping[str, Any]]) -> tuple[list[dict[str, Any]]
         "dropout": "lost",
         "grazing_angle": "lost from rad",
         "spacing_m": "h m",
+        "outside_m": "begun m outside",
         "approaches": "approaches",
         "arrived": "to the end",
         "views": "views",
