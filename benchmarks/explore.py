@@ -21,7 +21,7 @@ import sys
 from pathlib import Path
 
 from closed_targets import FILES, NAMES
-from explore_approaches import ACCURATE, BROKEN, SOUND, VIEWS, run
+from explore_approaches import ACCURATE, BROKEN, OUTSIDE, SOUND, VIEWS, run
 from explore_flights import PILOTS, flight, row
 from kept_rows import Rows, show
 
@@ -31,8 +31,20 @@ SPACING = {"tiangong": 0.2}
 """Metres, where it is not 0.1: the ball round Tiangong holds 734³ cubes of 0.1 m, 1.2 GB a map."""
 FEWER = 10
 """The maps of other sensors than the sound one are checked at one so manieth of the points."""
-PLACE = ("part", "target", "mesh", "errors", "broken", "width_m", "rays_across", "dropout", "grazing_angle", "seed")
-SETTINGS = ("approaches", "views_each", "spacing_m")
+PLACE = (
+    "part",
+    "target",
+    "mesh",
+    "errors",
+    "broken",
+    "width_m",
+    "rays_across",
+    "times",
+    "dropout",
+    "grazing_angle",
+    "seed",
+)
+SETTINGS = ("approaches", "views_each", "spacing_m", "outside_m")
 COLUMNS = (*PLACE, "approaches", "bad_cubes", "over_statements", "points", "gap_p95_m", "under_median_m", "under_p95_m")
 COLUMNS += ("contacts", "complete")
 DURATION = 6000.0
@@ -96,10 +108,12 @@ def _plan(arguments, part, name, mesh, sensor, spacing):
         "broken": sensor.broken,
         "width_m": sensor.width,
         "rays_across": sensor.rays_across,
+        "times": sensor.times,
         "dropout": sensor.dropout,
         "grazing_angle": sensor.grazing_angle,
         "approaches": arguments.approaches,
         "views_each": arguments.views,
+        "outside_m": OUTSIDE,
         "spacing_m": spacing,
         "seed": arguments.seed,
         "sensor": sensor,

@@ -4,6 +4,7 @@ All sensors take the same images from the same places; they differ in how errors
 which width of parts is promised to return. All approaches to a target go into one map.
 """
 
+import dataclasses
 import math
 import time
 from dataclasses import dataclass, field
@@ -24,6 +25,8 @@ ROOM = 0.5
 """Metres by which the declared ball is larger than the target."""
 VIEWS = 15
 """Of an approach."""
+OUTSIDE = 3.0
+"""Metres from the ball to where an approach begins: the window of a cube nearer than half a metre fits no image."""
 WAITS = 10
 """Further views at most, from where the chaser stays because what is ahead is not known to be free."""
 GRAZING_ANGLE = 1.48
@@ -35,7 +38,10 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True)
 class Sensor:
-    """How a map's images come about: errors drawn, promise broken, promised width (m), rays, and what is lost."""
+    """How a map's images come about: errors drawn, promise broken, promised width (m), rays, and what is lost.
+
+    Where ranges are wrong beyond the promise they are so many `times` as wrong as promised.
+    """
 
     errors: str = "adversarial"
     broken: str | None = None
@@ -43,6 +49,7 @@ class Sensor:
     rays_across: int = 5
     dropout: float = 0.0
     grazing_angle: float = 0.5 * math.pi
+    times: float = 2.0
 
 
 SOUND = Sensor()
@@ -50,8 +57,9 @@ BROKEN = (
     *(Sensor("adversarial", broken) for broken in ("range", "pose", "mixed", "late")),
     Sensor("adversarial", "losses", dropout=0.01, grazing_angle=GRAZING_ANGLE),
     *(Sensor("adversarial", broken, width=0.02) for broken in (None, "range", "pose")),
+    *(Sensor("adversarial", "range", times=times) for times in (3.0, 4.0)),
 )
-"""The last with a smaller promised width, which before flat walls is room to spare."""
+"""The promised width is room to spare before walls, of more than a range error beyond its bound by once the bound."""
 ACCURATE = (
     Sensor("random"),
     Sensor("random", width=0.03),
@@ -106,7 +114,7 @@ def approach(target, centre, radius, generator, views=VIEWS):
         end, foot = end[0], target.distance.closest(end)[1][0]
         outwards = _unit(_unit(end - foot) + 0.5 * generator.normal(size=3))
         along = outwards @ (end - centre)
-        length = -along + np.sqrt(along**2 + (radius + ROOM) ** 2 - (end - centre) @ (end - centre))
+        length = -along + np.sqrt(along**2 + (radius + OUTSIDE) ** 2 - (end - centre) @ (end - centre))
         start = end + length * outwards
         aside = np.cross(outwards, generator.normal(size=3))
         bend = 0.2 * length * generator.uniform() * (generator.random() < 0.5) * _unit(aside)
@@ -167,7 +175,7 @@ def run(name, mesh, sensors, *, approaches, views, spacing, points, seed, say=la
     for number, world in enumerate(worlds):
         yield (
             {"target": name, "mesh": mesh, "seed": seed, "approaches": approaches, "views_each": views}
-            | {"arrived": arrived}
+            | {"outside_m": OUTSIDE, "arrived": arrived}
             | world.counted(target, seen, points[number], generator)
             | {"contacts": None, "complete": None, "seconds": time.perf_counter() - began}
         )
@@ -189,7 +197,13 @@ class _World:
 
     def __post_init__(self):
         bounds = SensorBounds(surely_returned_width=self.sensor.width, rays_across=self.sensor.rays_across)
-        self.camera = DepthCamera(bounds=bounds, dropout=self.sensor.dropout, grazing_angle=self.sensor.grazing_angle)
+        # An error draw that breaks the promise of ranges makes their errors twice as large as the sensor's own.
+        true = dataclasses.replace(bounds, range_error=0.5 * self.sensor.times * bounds.range_error)
+        self.camera = DepthCamera(
+            bounds=true if self.sensor.broken == "range" else bounds,
+            dropout=self.sensor.dropout,
+            grazing_angle=self.sensor.grazing_angle,
+        )
         self.draw = ErrorDraw(self.sensor.errors, self.sensor.broken)
         self.generator = np.random.default_rng((self.seed, 2))
         settings = {"spacing": self.spacing, "bounds": bounds, "name": self.name}
@@ -220,6 +234,7 @@ class _World:
             "broken": self.sensor.broken,
             "width_m": self.sensor.width,
             "rays_across": self.sensor.rays_across,
+            "times": self.sensor.times,
             "dropout": self.sensor.dropout,
             "grazing_angle": self.sensor.grazing_angle,
             "usable_range_m": known.bounds.usable_range(self.camera.camera),

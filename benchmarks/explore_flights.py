@@ -221,6 +221,7 @@ def row(part, flown: Flight, name):
         "broken": None,
         "width_m": flown.scenario.depth_sensor.surely_returned_width,
         "dropout": flown.scenario.depth_sensor.dropout,
+        "times": 2.0,
         "grazing_angle": flown.scenario.depth_sensor.grazing_angle,
         "rays_across": flown.scenario.depth_sensor.rays_across,
         "spacing_m": flown.scenario.map.spacing,

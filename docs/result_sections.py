@@ -336,7 +336,8 @@ def exploring() -> list[str]:
         "all to one target go into one map. Bad cubes are said to be free and meet a triangle; over-statements are "
         "points p of a map's field f with f(p) > √(d(p)² + h²), d the distance to the mesh and h the cubes' edge, half "
         "of them sought by ascent. Where no promise is broken both must be 0; where one is, they show what it is good "
-        "for. Gap: from a point of the surface seen from within 5 m to the nearest free cube, 95 %. Distance less "
+        "for. The promised width is room to spare before walls: it makes up for a range error of twice its bound. "
+        "Gap: from a point of the surface seen from within 5 m to the nearest free cube, 95 %. Distance less "
         "field: 1 m from such points along the normal.",
         *note("explore"),
     ]
@@ -371,9 +372,13 @@ def _approaches(rows: Sequence[Mapping[str, Any]]) -> tuple[list[dict[str, Any]]
         "broken": "broken",
         "width_m": "width m",
         "rays_across": "rays across",
+        "times": "times the promise",
         "dropout": "lost",
+        "grazing_angle": "lost from rad",
         "spacing_m": "h m",
+        "outside_m": "begun m outside",
         "approaches": "approaches",
+        "arrived": "to the end",
         "views": "views",
         "bad_cubes": "bad cubes",
         "points": "points",
@@ -383,7 +388,8 @@ def _approaches(rows: Sequence[Mapping[str, Any]]) -> tuple[list[dict[str, Any]]
         "under_p95_m": "95 %",
     }
     order = ("approaches", "sheets", "broken", "accuracy")
-    return sorted(map(dict, rows), key=lambda row: (order.index(row["part"]), row["target"])), columns
+    shown = sorted(map(dict, rows), key=lambda row: (order.index(row["part"]), row["target"], str(row["broken"])))
+    return [row | {"times": row["times"] if row["broken"] in ("range", "pose") else None} for row in shown], columns
 
 
 SECTIONS = (
