@@ -117,7 +117,7 @@ REFUSALS = {
     "inside the ball": (("[-5.0, 0.0, 0.0]", "[-2.9, 0.0, 0.0]"), "start.position"),
     "period": (("[depth_sensor]", "[depth_sensor]\nperiod = 10.5"), "depth_sensor.period: 10.5 s"),
     "latency": (("[depth_sensor]", "[depth_sensor]\nlatency = 0.3"), "depth_sensor.latency: 0.3 s"),
-    "range": (("surely_returned_width = 0.12", "surely_returned_width = 0.01"), "depth_sensor.surely_returned_width"),
+    "range": (("surely_returned_width = 0.12", "surely_returned_width = 0.003"), "depth_sensor.surely_returned_width"),
     "field": (("[map]", '[field]\nsource = "other.keepout"\n[map]'), "field.source"),
     "cap": (("cap = 2.0", "cap = 0.5"), "map.cap: 0.5 m"),
     "no such map": (("[map]", '[map]\nfile = "absent.keepmap"'), "absent.keepmap"),

@@ -112,8 +112,16 @@ def test_a_goal_inside_the_body_has_no_way_and_the_reason_is_given():
 
 
 def test_a_flight_may_begin_far_from_the_map():
-    found = explore(scenario(start={"position": [30.0, 0.5, 0.3]}), target=crate())
+    found = explore(scenario(start={"position": [30.0, 0.5, 0.3]}, duration=1500.0), target=crate())
     assert found.outcome == "reached goal", found.why
+    assert found.audit.contact is Contact.NO
+
+
+def test_a_sensor_that_sees_too_short_to_open_a_way_ends_the_flight_and_says_so():
+    found = explore(scenario(depth_sensor={"surely_returned_width": 0.008}), target=crate())
+    assert found.outcome == "no way known", found.why
+    assert found.why
+    assert len(found.record.time) > 2
     assert found.audit.contact is Contact.NO
 
 

@@ -143,7 +143,7 @@ def test_cubes_are_freed_within_the_least_and_the_usable_range_only():
 
 def test_cubes_are_freed_out_to_the_usable_range():
     """Where the smallest part that surely returns sets the range, along the boresight and in the image's corners."""
-    bounds = SensorBounds(surely_returned_width=0.06)
+    bounds = SensorBounds(surely_returned_width=0.06, rays_across=3)
     camera = Pinhole(80, 60, math.radians(60.0))
     known = begin(radius=3.5, bounds=bounds)
     position, axes = np.array([3.9, 0.0, 0.0]), axes_towards([-1, 0, 0], 0.4)

@@ -156,7 +156,7 @@ class _Explorer:
                     way = float(np.linalg.norm(self.wanted.position - position))
                     self.given_up = now + _PATIENCE * way / scenario.chaser.speed_limit + _EXTRA
                     setup = by_map.led_on(setup, field, law)
-            if ending is not None:
+            if ending is not None and self.logs:
                 break
             state, log = segment.fly_segment(setup, state, ticks)
             self.logs.append(log)

@@ -22,7 +22,9 @@ BAD = {
     "greatest below least": (lambda: SensorBounds(least_range=5.0, greatest_range=4.0), ("greatest_range", "4", "5")),
     "no rays": (lambda: SensorBounds(rays_across=0), ("rays_across", "0")),
     "a width that is of no use": (
-        lambda: DepthCamera(Pinhole(20, 20, 2.0), SensorBounds(surely_returned_width=0.01, least_range=0.3)),
+        lambda: DepthCamera(
+            Pinhole(20, 20, 2.0), SensorBounds(surely_returned_width=0.01, rays_across=3, least_range=0.3)
+        ),
         ("surely_returned_width", "0.01", "0.0963", "0.0311", "0.3"),
     ),
     "a dropout above 1": (lambda: DepthCamera(dropout=1.5), ("dropout", "1.5", "0 to 1")),
@@ -64,7 +66,7 @@ def test_the_pitch_of_rays_is_the_distance_of_neighbours_in_the_middle():
     row, column = (size // 2 for size in rays.shape[:2])
     apart = np.arccos(rays[row, column] @ rays[row, column + 1])
     assert abs(apart / sensor.ray_pitch - 1.0) < 1e-4
-    assert abs(sensor.bounds.usable_range(sensor.camera) - 0.05 / (2.0 * apart)) < 1e-2
+    assert abs(sensor.bounds.usable_range(sensor.camera) - sensor.bounds.surely_returned_width / (2.0 * apart)) < 1e-2
 
 
 def test_the_sensor_sits_where_it_is_mounted():
