@@ -62,8 +62,7 @@ BROKEN = (
 """The promised width is room to spare before walls, of more than a range error beyond its bound by once the bound."""
 ACCURATE = (
     Sensor("random"),
-    Sensor("random", width=0.03),
-    Sensor("random", width=0.03, rays_across=5),
+    Sensor("random", width=0.05, rays_across=3),
     Sensor("random", grazing_angle=GRAZING_ANGLE),
     Sensor("random", dropout=0.001),
     Sensor("random", dropout=0.01),
