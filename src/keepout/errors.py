@@ -41,5 +41,9 @@ class ClusterError(KeepoutError):
     """A cluster that cannot be reached, a worker that would fly otherwise than the others, or a chunk that failed."""
 
 
+class InspectionError(KeepoutError):
+    """A camera that can never see, a patch that cannot be cut, or limits of an inspection that contradict each other."""
+
+
 class MapError(KeepoutError):
     """A known-free map that cannot be made, a map file that is damaged or of something else, or a view out of shape."""

@@ -1,0 +1,55 @@
+"""An inspection's plan: the views in the order in which they are flown, and how far from the best it may be."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedView:
+    """A place and a direction from which a frame is to be taken.
+
+    Attributes:
+        position: (3,) of the camera, m, body frame.
+        boresight: (3,) unit vector.
+        units: those that this view is counted on to see, and no view before it.
+        window: (from, to) s: when the light is right; (0, inf) where light does not matter.
+        dwell: how long to stay, s.
+
+    """
+
+    position: Float[np.ndarray, "3"]
+    boresight: Float[np.ndarray, "3"]
+    units: Int[np.ndarray, " k"]
+    window: tuple[float, float] = (0.0, float("inf"))
+    dwell: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class InspectionPlan:
+    """Views in order, what they cover, and bounds.
+
+    Attributes:
+        views: in the order in which they are flown.
+        covered: (2 n,) units that the plan sees.
+        way_length: from the start through all views by ways that keep the stand-off, m.
+        duration: expected, s.
+        candidates: views that it was chosen from.
+        fewest_views: proved: no fewer of these candidates see as much.
+        greedy_views: how many the greedy choice needed.
+
+    """
+
+    views: tuple[PlannedView, ...]
+    covered: Bool[np.ndarray, " units"]
+    way_length: float
+    duration: float
+    candidates: int
+    fewest_views: int
+    greedy_views: int
+
+    @property
+    def optimal(self) -> bool:
+        """Whether no choice of fewer of these candidates sees as much."""
+        return len(self.views) <= self.fewest_views
