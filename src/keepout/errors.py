@@ -42,7 +42,7 @@ class ClusterError(KeepoutError):
 
 
 class InspectionError(KeepoutError):
-    """A camera that can never see, a patch that cannot be cut, or limits of an inspection that contradict each other."""
+    """A camera that can never see, a patch that cannot be cut, or limits of an inspection that contradict."""
 
 
 class MapError(KeepoutError):

@@ -39,7 +39,7 @@ class Patches:
         return 2 * len(self.areas)
 
     def unit_normals(self) -> Float[np.ndarray, "units 3"]:
-        """Unit vectors out of each unit's side."""
+        """Give the unit vectors out of each unit's side."""
         return np.stack([self.normals, -self.normals], axis=1).reshape(-1, 3)
 
     def unit_areas(self) -> Float[np.ndarray, " units"]:
