@@ -22,8 +22,8 @@ def explore_to_folder(
     equipment.require_explorable(scenario, camera)
     from keepout.exploring.explore import explore
     from keepout.report.exploration_page import write_exploration
-    from keepout.report.folder import make_folder
+    from keepout.report.folder import results_in
 
-    make_folder(out)
-    exploration = explore(scenario, progress=part_of(progress, 0.0, 0.9))
-    return write_exploration(out, exploration, figures=figures, progress=part_of(progress, 0.9, 1.0))
+    with results_in(out):
+        exploration = explore(scenario, progress=part_of(progress, 0.0, 0.9))
+        return write_exploration(out, exploration, figures=figures, progress=part_of(progress, 0.9, 1.0))

@@ -19,18 +19,17 @@ def fly_to_folder(
 
     target = look(scenario)
     from keepout.mission.flight import fly
-    from keepout.report.folder import make_folder, write_flights, write_summary
+    from keepout.report.folder import results_in, write_flights, write_summary
 
-    make_folder(out)
-    flight = fly(scenario, target=target, progress=part_of(progress, 0.0, 0.9))
-    introduction = (
-        f"Target {flight.target.name}, start {list(scenario.start.position)} m, goal {list(scenario.goal.position)} m."
-    )
-    [summary] = write_flights(
-        out, {scenario.name: flight}, title=f"Flight {scenario.name}", introduction=introduction, figures=figures
-    )
-    write_summary(out, summary)
-    return summary
+    with results_in(out):
+        flight = fly(scenario, target=target, progress=part_of(progress, 0.0, 0.9))
+        places = f"start {list(scenario.start.position)} m, goal {list(scenario.goal.position)} m"
+        introduction = f"Target {flight.target.name}, {places}."
+        [summary] = write_flights(
+            out, {scenario.name: flight}, title=f"Flight {scenario.name}", introduction=introduction, figures=figures
+        )
+        write_summary(out, summary)
+        return summary
 
 
 def replay_to_page(

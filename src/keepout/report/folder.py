@@ -1,7 +1,8 @@
 """A folder of results: flight files, figures and one page to open."""
 
+import contextlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,6 +29,20 @@ def make_folder(out: Path) -> None:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ScenarioError(f"{out}: cannot be made a folder ({error.strerror}); give another folder") from None
+
+
+@contextlib.contextmanager
+def results_in(out: Path) -> Iterator[None]:
+    """Make the folder as `make_folder` does; where what follows fails, those made that are still empty go again."""
+    made = [folder for folder in (out, *out.parents) if not folder.exists()]
+    make_folder(out)
+    try:
+        yield
+    except BaseException:
+        for folder in made:
+            if not any(folder.iterdir()):
+                folder.rmdir()
+        raise
 
 
 def write_flights(
