@@ -87,6 +87,21 @@ def test_another_shape_type_or_number_is_another_call(folder, monkeypatch):
     assert len(kept(folder)[0]) == 4
 
 
+def test_a_process_has_so_many_programs_at_hand_and_lets_go_of_those_used_longest_ago(folder, monkeypatch):
+    """A program takes hundreds of pieces of memory, of which a process may have 65,530."""
+    monkeypatch.setattr(kept_executables, "_AT_HAND", 2)
+    fresh(monkeypatch)
+    for rows in (3, 4, 3, 5):
+        evaluate._value(SPHERE, jnp.zeros((rows, 3)))
+    for entry in folder.iterdir():
+        entry.unlink()
+    for rows in (3, 5):
+        evaluate._value(SPHERE, jnp.zeros((rows, 3)))
+    assert kept(folder) == (set(), set())
+    assert np.array_equal(evaluate._value(SPHERE, jnp.zeros((4, 3))), np.full(4, -2.0))
+    assert [len(names) for names in kept(folder)] == [1, 1]
+
+
 @pytest.mark.parametrize("used", [0, 1])
 def test_calls_that_use_other_arguments_do_not_share_a_program(folder, used):
     """Their lowered texts would be the same if the arguments that are not used were left out of them."""

@@ -12,6 +12,7 @@ while it runs (a function replaced, a source file edited), programs that call ou
 a CPU. It is then compiled as by `equinox.filter_jit`. Where and for whom programs are kept: see `kept_programs`.
 """
 
+import collections
 import functools
 import hashlib
 import io
@@ -47,6 +48,12 @@ _KNOWN = ("keepout", "jax", "jaxlib", "equinox", "numpy", "builtins")
 """Packages whose functions and classes are told by a version or by source files."""
 _TRACED = tuple(f"keepout.{room}" for room in ("compiled", "control", "fields", "flight", "guard", "motion", "sensing"))
 """Rooms of Keepout whose functions are traced."""
+_AT_HAND = 16
+"""Programs of a function that a process has at hand; those used longest ago go back to the disk.
+
+One program takes hundreds of pieces of memory, and a process may have 65,530 of them on Linux: without a limit, a
+process that flew fifty different missions would die.
+"""
 _HARMLESS = ("Sharding",)
 """Calls out of a lowered program that are gone when it is compiled."""
 
@@ -76,7 +83,7 @@ def kept_jit(function: Callable[P, T]) -> Callable[P, T]:
 
     """
     plain = eqx.filter_jit(function)
-    programs: dict[Any, Callable[[list[Any]], Any] | None] = {}
+    programs: collections.OrderedDict[Any, Callable[[list[Any]], Any] | None] = collections.OrderedDict()
     lock = threading.Lock()
 
     @functools.wraps(function)
@@ -92,7 +99,10 @@ def kept_jit(function: Callable[P, T]) -> Callable[P, T]:
         with lock:
             if known not in programs:
                 programs[known] = _program(folder, function, structure, shapes, still, leaves)
+            programs.move_to_end(known)
             program = programs[known]
+            if len(programs) > _AT_HAND:
+                programs.popitem(last=False)
         return plain(*args, **kwargs) if program is None else program(leaves)
 
     return called
