@@ -63,10 +63,9 @@ class LightEntry(Entry):
     )
 
     @model_validator(mode="after")
-    def _direction_of_what_is_fixed(self) -> "LightEntry":
-        if (self.kind == "fixed") != (self.direction is not None):
-            told = "none" if self.direction is None else f"{list(self.direction)}"
-            raise ValueError(f'direction: {told}, and kind is "{self.kind}"; a direction belongs to "fixed"')
+    def _comes_from_somewhere(self) -> "LightEntry":
+        if self.kind == "fixed" and self.direction is None:
+            raise ValueError('kind = "fixed" needs direction = [x, y, z], towards the light in the body frame')
         if self.direction is not None and not any(self.direction):
             raise ValueError("direction [0, 0, 0] points nowhere; give a vector towards the light")
         return self
@@ -82,14 +81,14 @@ class ProtectedEntry(Entry):
 
     @model_validator(mode="after")
     def _ball_or_box(self) -> "ProtectedEntry":
-        ball, box = (self.centre, self.radius), (self.lower, self.upper)
         given = [name for name in ("centre", "radius", "lower", "upper") if getattr(self, name) is not None]
         if given not in (["centre", "radius"], ["lower", "upper"]):
             raise ValueError(
                 f"{', '.join(given) or 'nothing'}: give centre and radius of a ball, or lower and upper of a box"
             )
-        if None not in box and None in ball and any(low > high for low, high in zip(*box)):
-            raise ValueError(f"lower {list(box[0] or ())} must not exceed upper {list(box[1] or ())}")
+        lower, upper = self.lower or (), self.upper or ()
+        if any(low > high for low, high in zip(lower, upper)):
+            raise ValueError(f"lower {list(lower)} must not exceed upper {list(upper)}")
         return self
 
 
