@@ -22,7 +22,12 @@ from keepout.flight.setup import FlightSetup
 from keepout.geometry.target import Target
 from keepout.guard.safety_layer import mode
 from keepout.inspecting.aiming import aim
-from keepout.inspecting.equipment import boresight_of, require_inspectable
+from keepout.inspecting.equipment import (
+    boresight_of,
+    require_inspectable,
+    require_light,
+    require_something_to_see,
+)
 from keepout.inspecting.frames import Camera, Shot, as_flown
 from keepout.inspecting.inspection import Inspection
 from keepout.inspecting.leading import Leading
@@ -94,10 +99,10 @@ class _Inspector:
         self.began = time.perf_counter()
         keep_programs()
         self.scenario = scenario
-        require_inspectable(scenario)
         if target is None:
             target = load_target(scenario.target) if problem is None else problem.target
         self.target = target
+        require_inspectable(scenario, target)
         self.leading = Leading.of(scenario, target, model=model, progress=part_of(progress, 0.0, 0.1))
         self.broken = broken_assumptions(scenario)
         if problem is None:
@@ -105,7 +110,9 @@ class _Inspector:
         self.problem = problem
         self.camera = Camera(problem.patches, problem.sight, problem.rules, problem.light)
         possible = problem.seeable.verdict == Verdict.SEEABLE
+        require_light(scenario, problem.light, problem.patches)
         self.lit = ever_lit(self.camera, possible, scenario.duration)
+        require_something_to_see(scenario, problem.seeable, self.lit)
         self.wanted = Wanted.of(problem.patches, self.lit, scenario.inspect.coverage)
         self.estimate = np.asarray(scenario.start.position, dtype=float)
         self.first = self._planned(0.0, part_of(progress, 0.4, 0.5)) if first is None else first
@@ -116,19 +123,19 @@ class _Inspector:
         self.leg: Leg | None = None
         self.refused: list[str] = []
         self.taken_views = 0
-        self.boresight = boresight_of(scenario, self._middle() - self.estimate)
+        self.boresight = boresight_of(scenario, target)
         self.shots: list[Shot] = []
         self.logs: list[FlightLog] = []
         self.rows = 0
+        self.ticks = round(scenario.camera.period / scenario.control.period)
         self.replan = False
 
     def flown(self, progress: Progress) -> Inspection:
         """Fly until the end, and judge."""
         scenario = self.scenario
-        ticks = round(scenario.camera.period / scenario.control.period)
         setup, state, ending = None, None, None
         while True:
-            now = self.rows * scenario.control.period
+            now = max(self.rows - 1, 0) * scenario.control.period
             ending = self._ending()
             if ending is None and (self.leg is None or self._is_over(now)):
                 law = self._next(now)
@@ -142,13 +149,14 @@ class _Inspector:
                 setup = self.leading.setup(self._resting())
             if state is None:
                 state = segment.begin(setup, self.leading.initial, jax.random.key(scenario.seed))
-            state, log = segment.fly_segment(setup, state, ticks)
-            self._look(log, ticks)
+            # A frame is taken at a segment's last row; the first, at the start, is a segment of its own.
+            count = self.ticks if self.logs else 1
+            state, log = segment.fly_segment(setup, state, count)
+            self._look(log, count)
             progress(min(0.9 * self.rows / scenario.steps, 0.9), self._said())
             if ending is not None:
                 break
-        _, last = segment.fly_segment(setup, state, 1)
-        return self._judged(segment.joined([*self.logs, last]), setup, ending, part_of(progress, 0.9, 1.0))
+        return self._judged(segment.joined(self.logs), setup, ending, part_of(progress, 0.9, 1.0))
 
     def _said(self) -> str:
         return f"{self.wanted.reached:.1%} seen on board, {len(self.legs)} views ahead"
@@ -197,7 +205,7 @@ class _Inspector:
         if self.wanted.enough and not any(leg.boresight is None for leg in self.legs):
             share = self.scenario.inspect.coverage
             return "all seen", f"{self.wanted.reached:.2%} of what can be seen was taken, {share:.2%} were wanted"
-        if self.rows >= self.scenario.steps:
+        if max(self.rows - 1, 0) + self.ticks > self.scenario.steps:
             return "out of time", f"duration {self.scenario.duration:g} s is over"
         return None
 

@@ -10,7 +10,6 @@ from jaxtyping import Float
 from keepout.control.guidance.geodesic import BarrierGrid
 from keepout.control.guidance.plan import Geodesic
 from keepout.control.law import Law
-from keepout.control.tuning import least_offset
 from keepout.errors import InspectionError
 from keepout.fields.evaluate import values
 from keepout.fields.model import FieldModel
@@ -18,9 +17,10 @@ from keepout.flight.setup import FlightSetup
 from keepout.geometry.target import Target
 from keepout.guard.guard import Guard
 from keepout.guard.start import require_flyable
+from keepout.inspecting.equipment import law_keeps, require_stand_off
 from keepout.mission import environment
 from keepout.mission.build import build_guard, closing_radius, flight_setup, load_model
-from keepout.mission.law import broken_as, law_on, room_for_guard
+from keepout.mission.law import broken_as, law_on
 from keepout.mission.navigation import navigation, require_navigation
 from keepout.mission.scenario import Scenario
 from keepout.mission.target import require_apart
@@ -102,8 +102,9 @@ class Leading:
         require_apart(scenario, target)
         require_navigation(scenario)
         bound = model.certificate(scenario.chaser.radius).error_bound
-        room = room_for_guard(scenario, target).get("nominal_offset", 0.0)
-        nominal = max(least_offset(scenario.chaser.speed_limit, scenario.control.period), room)
+        require_stand_off(scenario, target, bound)
+        least = bound + scenario.chaser.radius + scenario.safety.margin
+        nominal = law_keeps(scenario, target, bound) - least
         assumed = environment.guard_assumptions(scenario, target)
         kept = scenario.inspect.stand_off + float(assumed.position_error) + _WANDERING
         margin = max(scenario.safety.margin, kept - scenario.chaser.radius - bound - nominal)
