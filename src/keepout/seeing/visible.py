@@ -8,6 +8,7 @@ import numba
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from keepout.seeing.patches import Patches
 from keepout.seeing.rules import SeeingRules
 from keepout.seeing.sightlines import Sightlines
 
@@ -50,22 +51,36 @@ def visible(
         among: (units,) those that are asked for; those that are counted if absent.
 
     """
-    patches = sight.patches
     place = np.ascontiguousarray(place, dtype=np.float64)
+    units, directions, spread = within_rules(
+        sight.patches, rules, place, sight.patches.counted if among is None else among
+    )
+    clear = sight.clear(place[None], units)
+    return Visible(units[clear], directions[clear], spread[clear])
+
+
+def within_rules(
+    patches: Patches, rules: SeeingRules, place: Float[np.ndarray, "3"], among: Bool[np.ndarray, " units"]
+) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k 3"], Float[np.ndarray, " k"]]:
+    """Say which units keep range, incidence and ground sample distance, whatever stands between.
+
+    Returns:
+        Units (k,), directions (k, 3) and spread (k,) as of `Visible`.
+
+    """
     units, directions, spread = _within(
         patches.corners,
         patches.counts,
         patches.centres,
         patches.normals,
-        patches.counted if among is None else among,
+        among,
         place,
         rules.least_range,
         rules.greatest_range,
         math.cos(rules.greatest_incidence),
         rules.greatest_sample_distance / rules.pixel_angle,
     )
-    clear = sight.clear(place[None], units)
-    return Visible(units[clear], directions[clear], spread[clear] + _ANGLE_ROUNDING)
+    return units, directions, spread + _ANGLE_ROUNDING
 
 
 def in_view(seen: Visible, boresight: Float[np.ndarray, "3"], half_angle: float) -> Bool[np.ndarray, " k"]:
