@@ -129,7 +129,7 @@ def _percent(share: float) -> str:
     return f"{100.0 * share:.4g}"
 
 
-def inspection_tables(summary: Mapping[str, Any]) -> list[Table]:
+def measures_tables(summary: Mapping[str, Any]) -> list[Table]:
     """Give the single figures of a field, then one table for each kind of measure; lengths in metres."""
     single = {key: value for key, value in summary.items() if not isinstance(value, list | dict)}
     tables = [facts_table("Field", single)]
