@@ -115,10 +115,12 @@ class _Inspector:
         require_something_to_see(scenario, problem.seeable, self.lit)
         self.wanted = Wanted.of(problem.patches, self.lit, scenario.inspect.coverage)
         self.estimate = np.asarray(scenario.start.position, dtype=float)
-        self.first = self._planned(0.0, part_of(progress, 0.4, 0.5)) if first is None else first
+        holds = scenario.inspect.hold_points
+        begins = np.asarray(holds[-1].position, dtype=float) if holds else self.estimate
+        self.first = self._planned(begins, 0.0, part_of(progress, 0.4, 0.5)) if first is None else first
         self.plans, self.fresh = 1, 0
         self.legs: deque[Leg] = deque(
-            [*Leg.holds(scenario.inspect.hold_points), *Leg.views(self.first, scenario.inspect.dwell)]
+            [*Leg.holds(holds), *Leg.views(self.first, scenario.inspect.dwell)]
         )
         self.leg: Leg | None = None
         self.refused: list[str] = []
@@ -169,8 +171,8 @@ class _Inspector:
         place = self.leading.reachable(start)
         return self.leading.law(start if place is None else place, start)
 
-    def _planned(self, now: float, progress: Progress = silent) -> InspectionPlan:
-        return plan(self.problem, position=self.estimate, time=now, wanted=self.wanted.left, progress=progress)
+    def _planned(self, position: Point, now: float, progress: Progress = silent) -> InspectionPlan:
+        return plan(self.problem, position=position, time=now, wanted=self.wanted.left, progress=progress)
 
     def _look(self, log: FlightLog, ticks: int) -> None:
         """Turn the camera over a segment, and take its frame at the last row: it is looked at a period later."""
@@ -246,7 +248,7 @@ class _Inspector:
             way = float(np.linalg.norm(place - self.estimate))
             turn = 0.0 if leg.boresight is None else self.boresight.off(leg.boresight)
             slew = turn / self.boresight.greatest_rate
-            law = self.leading.law(place, self.estimate, speed=way / slew if slew > 0.0 else None)
+            law = self.leading.law(place, self.estimate, speed=way / slew if slew > 0.0 else None, through=not leg.waits)
         except ControlError as refusal:
             self.refused.append(str(refusal))
             self.wanted.failed(leg.units)
@@ -261,7 +263,7 @@ class _Inspector:
         if not left.any() or self.plans > _REPLANS:
             return self._no_way() or nothing
         self.replan = False
-        again = self._planned(now)
+        again = self._planned(self.estimate, now)
         self.plans += 1
         self.legs = deque(Leg.views(again, self.scenario.inspect.dwell))
         if not self.legs:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 
 from keepout.seeing.patches import Patches
 
@@ -59,7 +59,7 @@ class Wanted:
         self.taken[units] = True
         return fresh
 
-    def failed(self, promised: Float[np.ndarray, " k"]) -> None:
+    def failed(self, promised: Int[np.ndarray, " k"]) -> None:
         """Note that a tour promised units; those not taken are tried so many times at most."""
-        missing = np.asarray(promised)[~self.taken[promised]]
+        missing = promised[~self.taken[promised]]
         self.failures[missing] += 1
