@@ -92,7 +92,8 @@ def test_sun_and_shadow_decide_what_counts(parts):
     lit = camera_of(parts, Sun(sun)).units(0.0, place, boresight)
     assert np.array_equal(np.sort(lit), np.sort(plain))  # both sides that it sees are lit
     away = camera_of(parts, Sun(-sun)).units(0.0, place, boresight)
-    assert len(plain) and not len(away)
+    assert len(plain)
+    assert not len(away)
     dark = camera_of(parts, Sun(sun, dark=(5.0, 9.0)))
     assert not len(dark.units(7.0, place, boresight))
     assert np.array_equal(dark.units(10.0, place, boresight), lit)

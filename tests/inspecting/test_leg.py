@@ -17,7 +17,14 @@ def patches(areas=(1.0, 2.0, 3.0, 4.0)):
     n = len(areas)
     counted = np.tile([True, False], n)
     return Patches(
-        np.zeros((n, 3, 3)), np.full(n, 3), np.zeros((n, 3)), np.array(areas), np.zeros((n, 3)), np.arange(n), counted, 1.0
+        np.zeros((n, 3, 3)),
+        np.full(n, 3),
+        np.zeros((n, 3)),
+        np.array(areas),
+        np.zeros((n, 3)),
+        np.arange(n),
+        counted,
+        1.0,
     )
 
 

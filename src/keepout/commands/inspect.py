@@ -35,7 +35,7 @@ def mission_of(path: Path) -> "Scenario":
 def inspect_to_folder(
     scenario: "Scenario", out: Path, *, figures: bool = True, progress: Progress = silent
 ) -> dict[str, Any]:
-    """Inspect as a scenario says; write flight, frames, what was not seen, pictures, page and `summary.json` into `out`.
+    """Inspect as a scenario says; write flight, frames, the unseen, pictures, page and `summary.json` into `out`.
 
     Nothing is written where the scenario is refused.
     """

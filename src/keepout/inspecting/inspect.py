@@ -1,13 +1,12 @@
 """Inspect: fly through the views of a plan, take what each frame shows, plan anew where views were lost, and judge."""
 
-import math
 import time
 from collections import deque
 from pathlib import Path
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from keepout.audit.audit import audit
 from keepout.compiled.kept_programs import keep_programs
@@ -119,9 +118,7 @@ class _Inspector:
         begins = np.asarray(holds[-1].position, dtype=float) if holds else self.estimate
         self.first = self._planned(begins, 0.0, part_of(progress, 0.4, 0.5)) if first is None else first
         self.plans, self.fresh = 1, 0
-        self.legs: deque[Leg] = deque(
-            [*Leg.holds(holds), *Leg.views(self.first, scenario.inspect.dwell)]
-        )
+        self.legs: deque[Leg] = deque([*Leg.holds(holds), *Leg.views(self.first, scenario.inspect.dwell)])
         self.leg: Leg | None = None
         self.refused: list[str] = []
         self.taken_views = 0
@@ -248,7 +245,9 @@ class _Inspector:
             way = float(np.linalg.norm(place - self.estimate))
             turn = 0.0 if leg.boresight is None else self.boresight.off(leg.boresight)
             slew = turn / self.boresight.greatest_rate
-            law = self.leading.law(place, self.estimate, speed=way / slew if slew > 0.0 else None, through=not leg.waits)
+            law = self.leading.law(
+                place, self.estimate, speed=way / slew if slew > 0.0 else None, through=not leg.waits
+            )
         except ControlError as refusal:
             self.refused.append(str(refusal))
             self.wanted.failed(leg.units)
@@ -276,9 +275,7 @@ class _Inspector:
             return None
         return "no way", f"the law led to none of {len(self.refused)} views: {self.refused[-1]}"
 
-    def _judged(
-        self, log: FlightLog, setup: FlightSetup, ending: tuple[str, str], progress: Progress
-    ) -> Inspection:
+    def _judged(self, log: FlightLog, setup: FlightSetup, ending: tuple[str, str], progress: Progress) -> Inspection:
         """Put together what was flown, audit it on the mesh, and say what each frame truly showed."""
         scenario = self.scenario
         flown = outcome(setup, log)

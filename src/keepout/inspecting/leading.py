@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from keepout.control.guidance.geodesic import BarrierGrid
+from keepout.control.guidance.guidance import GeodesicGuidance
 from keepout.control.guidance.plan import Geodesic
 from keepout.control.law import Law
 from keepout.errors import InspectionError
@@ -192,8 +193,10 @@ class Leading:
         law = law_on(scenario, self.model.field, bound, from_start=within and free, **options)
         limit = scenario.chaser.speed_limit
         slowed = float(np.clip(limit if speed is None else speed, _SLOWEST * limit, limit))
-        slowing = law.velocity.guidance.slowing_length * (_THROUGH if through else 1.0)
-        guidance = dataclasses.replace(law.velocity.guidance, speed=jnp.asarray(slowed), slowing_length=slowing)
+        guidance = law.velocity.guidance
+        assert isinstance(guidance, GeodesicGuidance)
+        slowing = guidance.slowing_length * (_THROUGH if through else 1.0)
+        guidance = dataclasses.replace(guidance, speed=jnp.asarray(slowed), slowing_length=slowing)
         law = dataclasses.replace(law, checked=(), velocity=dataclasses.replace(law.velocity, guidance=guidance))
         return broken_as(scenario, law, self.model.field)
 
@@ -220,4 +223,3 @@ def _moved(scenario: Scenario, start: tuple[float, ...], goal: tuple[float, ...]
             "goal": scenario.goal.model_copy(update={"position": tuple(goal)}),
         }
     )
-
