@@ -10,10 +10,14 @@ from keepout.inspecting.inspection import Inspection
 from keepout.seeing.patches import Patches
 
 MOST_PARTS = 16
-_APART = 0.4
+_APART = 0.3
 """Units of a part lie within this of its first one: of the target's size, where they face the same way."""
 _TURNED = 0.5
 """What a unit vector's difference of 1 between normals counts, beside places as shares of the target's size."""
+_TOGETHER = 0.15
+"""Edge of the cells, of those places and normals, in which area counts as lying together."""
+_ENOUGH = 1.0 / 300.0
+"""Share of the area that lies together where a part begins: the rims of plates are no parts of their own."""
 _ROUNDS = 8
 """In which the units are given to the nearest part, and the parts moved to the middle of theirs."""
 
@@ -104,11 +108,14 @@ def _parts(
     size = max(float(np.linalg.norm(np.ptp(patches.corners.reshape(-1, 3), axis=0))), 1e-9)
     normals = patches.normals[units // 2] * np.where(units % 2 == 0, 1.0, -1.0)[:, None]
     places = np.concatenate([centres / size, _TURNED * normals], axis=1)
-    middles = [places[int(np.argmax(areas))]]
-    away = np.linalg.norm(places - middles[0], axis=1)
+    _, cell = np.unique(np.floor(places / _TOGETHER).astype(int), axis=0, return_inverse=True)
+    beside = np.bincount(cell.reshape(-1), areas)[cell.reshape(-1)]
+    first = places[beside >= min(_ENOUGH * areas.sum(), beside.max())]
+    middles = [places[int(np.argmax(beside))]]
+    away = np.linalg.norm(first - middles[0], axis=1)
     while len(middles) < most and away.max() > _APART:
-        middles.append(places[int(np.argmax(away))])
-        away = np.minimum(away, np.linalg.norm(places - middles[-1], axis=1))
+        middles.append(first[int(np.argmax(away))])
+        away = np.minimum(away, np.linalg.norm(first - middles[-1], axis=1))
     found = np.array(middles)
     nearest = np.zeros(len(units), int)
     for _ in range(_ROUNDS):
