@@ -35,6 +35,7 @@ from keepout.mission.entries import (
     TargetEntry,
 )
 from keepout.mission.exploration_entries import DepthSensorEntry, ExploreEntry, MapEntry
+from keepout.mission.inspection_entries import CameraEntry, InspectEntry, LightEntry
 from keepout.mission.lines import entry_lines, line_of
 from keepout.mission.navigation_entries import NavigationEntry
 from keepout.mission.thruster_entries import ThrustersEntry
@@ -76,6 +77,9 @@ class Scenario(Entry):
     depth_sensor: DepthSensorEntry = DepthSensorEntry()
     map: MapEntry = MapEntry()
     explore: ExploreEntry = ExploreEntry()
+    camera: CameraEntry = CameraEntry()
+    light: LightEntry = LightEntry()
+    inspect: InspectEntry = InspectEntry()
 
     @model_validator(mode="after")
     def _at_least_a_step(self) -> "Scenario":
