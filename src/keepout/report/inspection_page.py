@@ -16,31 +16,10 @@ from keepout.report import flight_view, inspection_view
 from keepout.report.folder import make_folder, write_summary
 from keepout.report.page import STYLE, embedded
 from keepout.report.replay_view import write_replay
-from keepout.report.terminal import broken_assumptions, shown
+from keepout.report.terminal import INSPECTION_ROWS, broken_assumptions, shown
 from keepout.whole_file import write_whole
 
 UNSEEN = "unseen.json"
-_ROWS = {
-    "outcome": "outcome",
-    "why": "because",
-    "contact_verdict": "contact, on the mesh",
-    "minimum_clearance_m": "min clearance m",
-    "coverage": "share of the area seen",
-    "coverage_seeable": "of what can be seen, and be lit",
-    "coverage_planned": "share planned at the start",
-    "coverage_upper_bound": "share that no chaser exceeds (proved)",
-    "views": "views planned",
-    "views_at_least": "of these candidates, views needed at least",
-    "plans": "plans made",
-    "frames": "frames",
-    "way_m": "planned way m",
-    "duration_s": "flown s",
-    "delta_v_mps": "Δv m/s",
-    "guard_interventions": "guard steps",
-    "start_certified": "start certified",
-    "seconds": "computed in s",
-}
-"""Words for the entries of the summary that the page shows first."""
 _SHARES = {
     "seeable": "surely can be seen from the room allowed",
     "seeable_and_lit": "and is lit in the mission's time",
@@ -156,7 +135,7 @@ def write_page(path: Path, inspection: Inspection, summary: dict[str, Any], imag
     rows = "".join(
         f"<tr><td>{html.escape(words)}</td><td{' class=bad' if key in bad else ''}>"
         f"{html.escape(_said(key, summary[key]))}</td></tr>"
-        for key, words in _ROWS.items()
+        for key, words in INSPECTION_ROWS.items()
         if summary[key] is not None
     )
     pictures = "".join(

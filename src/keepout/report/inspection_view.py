@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float, Int8
 from matplotlib.colors import to_rgb
-from matplotlib.patches import Patch
+from matplotlib.patches import Circle, Patch
 
 from keepout.inspecting.fate import WORDS, Fate, fates
 from keepout.inspecting.inspection import Inspection
@@ -38,6 +38,7 @@ _FINER = 2
 _ACROSS = 4
 """Pictures in a row of the contact sheet."""
 _SPACE, _BODY = np.array([0.05, 0.06, 0.08]), np.array([0.86, 0.88, 0.92])
+_RING = {"fill": False, "edgecolor": "white", "linewidth": 0.6, "alpha": 0.35}
 _MARK = np.array(to_rgb(COLOURS[4]))
 """The edge of what counted as seen in a picture."""
 
@@ -123,7 +124,7 @@ def _palette() -> Float[np.ndarray, "fates 3"]:
 def draw_contact_sheet(path: Path, inspection: Inspection) -> None:
     """Draw the best view of each part into one PNG: what the camera had before it, in the light that there was.
 
-    The edge of what counted as wholly seen, of that part and in that frame, is orange.
+    The edge of what counted as wholly seen, of that part and in that frame, is orange; a ring is the camera's cone.
     """
     views = best_views(inspection)
     light = any(frame.sun is not None for frame in inspection.frames)
@@ -136,12 +137,15 @@ def draw_contact_sheet(path: Path, inspection: Inspection) -> None:
             axes.set_axis_off()
         for place, (axes, view) in enumerate(zip(panels.flat, views), start=1):
             axes.imshow(best_picture(inspection, view, mesh, studio))
+            if view.frame is not None:
+                middle = 0.5 * _PIXELS - 0.5
+                axes.add_patch(Circle((middle, middle), 0.5 * _PIXELS, **_RING))
             axes.set_title(_caption(inspection, view, place), fontsize=7.5)
         lit = "in the sunlight of that moment, with its shadows" if light else "in a light at the camera"
         seen = sum(view.frame is not None for view in views)
         drawing.suptitle(
             f"The best view of each of {len(views)} parts ({seen} were seen), {lit}; "
-            "orange: the edge of what counted as wholly seen",
+            "orange: the edge of what counted as wholly seen; ring: the camera's cone",
             fontsize=10,
         )
 
