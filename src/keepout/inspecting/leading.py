@@ -40,7 +40,7 @@ _BORDER = 2.0
 """Metres by which the grid of ways reaches beyond all places from which something is in range."""
 _STEPS, _STEP = 60, 0.05
 """Of the search for room beside a place that the law does not lead to."""
-_THROUGH = 0.35
+_THROUGH = 0.2
 """Share of the law's slowing length within which a chaser that means to fly on slows down."""
 _SLOWEST = 0.2
 """Share of the speed limit below which no leg is flown."""
