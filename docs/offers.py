@@ -58,7 +58,7 @@ OFFERS = {
         "learning.training.fit",
         "proof.certificate.certify",
         "proof.grid.certify_grid",
-        "measures.inspection.inspect_model",
+        "measures.field_measures.measure_model",
         "proof.map_slope.prove_slope",
     ),
     "motion": (
@@ -129,6 +129,8 @@ OFFERS = {
         "mission.law.build_law",
         "mission.build.build_guard",
         "mission.build.flight_setup",
+        "mission.light.Light.sun",
+        "mission.light.Light.suns",
         "mission.by_map.guard_by_map",
         "mission.by_map.law_by_map",
         "mission.by_map.setup_by_map",
@@ -171,6 +173,15 @@ OFFERS = {
         "exploring.departures.departures",
         "exploring.reachable.reachable",
         "exploring.next_view.choose",
+    ),
+    "inspecting": (
+        "inspecting.inspect.inspect",
+        "inspecting.inspection.Inspection.summary",
+        "inspecting.leading.Leading.of",
+        "inspecting.leading.Leading.law",
+        "inspecting.frames.Camera.units",
+        "inspecting.frames.as_flown",
+        "inspecting.frames_file.coverage_of_files",
     ),
     "rare_events": (
         "rare_events.event.rare",

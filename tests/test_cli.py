@@ -10,7 +10,10 @@ import pytest
 from keepout import cli
 from keepout.commands import mesh
 
-COMMANDS = ("targets", "fit", "certify", "fly", "explore", "campaign", "rare", "reproduce", "inspect", "export")
+COMMANDS = (
+    *("targets", "describe", "fit", "certify", "measure", "fly", "explore", "inspect"),
+    *("campaign", "rare", "reproduce", "export"),
+)
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
@@ -53,10 +56,12 @@ def test_every_scenario_command_has_help_with_an_example(command, monkeypatch, c
         (("fit", "box", "-o", "out.txt"), ".keepout"),
         (("certify", "absent.keepout"), "absent.keepout"),
         (("certify", "field.keepout", "--chaser-radius", "-1"), "-1"),
-        (("inspect", "absent.keepout"), "absent.keepout"),
-        (("inspect", "pocket", "--shipped"), "'pocket': there is none"),
-        (("inspect", "box", "--mesh", "sphere"), "box is not a .keepout file"),
-        (("inspect", "box", "--scale", "-1"), "keepout: --scale: -1"),
+        (("measure", "absent.keepout"), "absent.keepout"),
+        (("measure", "pocket", "--shipped"), "'pocket': there is none"),
+        (("measure", "box"), "box is not a .keepout file; `keepout describe box`"),
+        (("describe", "absent.glb"), "absent.glb"),
+        (("describe", "box.keepout"), "box.keepout is a field; `keepout measure box.keepout`"),
+        (("describe", "box", "--scale", "-1"), "keepout: --scale: -1"),
         (("campaign", "absent.toml", "--runs", "0"), "0"),
         (("rare", "absent.toml", "--runs", "1"), "1"),
         (("rare", "absent.toml", "--flights", "8"), "8"),
@@ -123,7 +128,7 @@ HEAVY = ("jax", "equinox", "matplotlib", "trimesh", "optax", "skimage")
         (["scenario", "new"], (*HEAVY, "numpy", "scipy", "numba", "pyarrow")),
         (["scenario", "schema"], (*HEAVY, "numpy", "scipy", "numba", "pyarrow")),
         (["scenario", "check", "absent.toml"], (*HEAVY, "numpy", "scipy")),
-        pytest.param(["inspect", "box"], ("matplotlib", "trimesh", "optax", "skimage"), marks=pytest.mark.long),
+        pytest.param(["describe", "box"], ("matplotlib", "trimesh", "optax", "skimage"), marks=pytest.mark.long),
         (["export", "--help"], (*HEAVY, "numpy", "scipy", "numba", "pyarrow", "onnx", "czml3")),
         (["audit", "--help"], (*HEAVY, "numpy", "scipy", "numba", "pyarrow", "lxml")),
     ],

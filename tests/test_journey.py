@@ -152,7 +152,7 @@ def test_pictures_of_the_targets(place):
 
 
 def test_the_mesh_is_reported_before_anything_is_learned(place):
-    summary = keepout_command("inspect", "box", "-o", "mesh", "--json").json
+    summary = keepout_command("describe", "box", "-o", "mesh", "--json").json
     assert summary["watertight"]
     assert summary["triangles"] == 12
     assert summary["warnings"] == []
@@ -226,8 +226,8 @@ def test_a_field_without_a_certificate_is_not_flown(place, certified):
     assert refused.err.splitlines()[-1].startswith("keepout: ")
 
 
-def test_inspect_measures_the_field_and_draws_it(place, certified):
-    summary = keepout_command("inspect", "box.keepout", "-o", "field", "--json").json
+def test_measure_measures_the_field_and_draws_it(place, certified):
+    summary = keepout_command("measure", "box.keepout", "-o", "field", "--json").json
     [proof] = summary["certificates"]
     assert proof["error_bound"] == certified[0]["error_bound_m"]
     assert summary["sealed_volume_m3"] == pytest.approx(24.0, rel=0.02)

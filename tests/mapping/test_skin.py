@@ -133,9 +133,9 @@ def test_a_map_is_not_scaled(tmp_path, given):
 
 
 @pytest.mark.long
-def test_inspect_takes_a_map(tmp_path):
+def test_describe_takes_a_map(tmp_path):
     path = save(seen_map(), tmp_path / "ball.keepmap")
-    answer = keepout_command("inspect", path, "--json")
+    answer = keepout_command("describe", path, "--json")
     assert answer.json
 
 

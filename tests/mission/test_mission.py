@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from keepout.commands.mesh import inspect_mesh
+from keepout.commands.mesh import describe_mesh
 from keepout.control.profiles import ControlWarning
 from keepout.errors import ControlError, MeshError
 from keepout.fields.neural import NeuralField
@@ -49,7 +49,7 @@ def test_parameters_reach_the_built_in():
 
 
 def test_a_mesh_report_has_the_sealed_volume(tmp_path):
-    summary = inspect_mesh({"source": "box"}, tmp_path)
+    summary = describe_mesh({"source": "box"}, tmp_path)
     assert summary["watertight"]
     # The offset solid holds the 4 × 3 × 2 m box and at most a skin of offset and two leaves around it.
     assert 24.0 < summary["sealed_volume"] < (4.0 + 0.22) * (3.0 + 0.22) * (2.0 + 0.22)

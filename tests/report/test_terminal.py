@@ -104,8 +104,8 @@ def test_targets():
             assert f"{key}={value:g}" in words(text)
 
 
-def inspection(figure: float) -> dict:
-    """What `inspect` measures, with one figure everywhere: as many columns and entries as it really has."""
+def measures(figure: float) -> dict:
+    """What `measure` measures, with one figure everywhere: as many columns and entries as it really has."""
     off = ("from_m", "to_m", "mean_absolute", "root_mean_square", "absolute_999", "over_999", "eikonal")
     bend = ("level", "median", "percentile_99", "maximum")
     apart = ("level", "chamfer", "hausdorff", "learned_to_target", "learned_to_target_95")
@@ -133,8 +133,8 @@ def inspection(figure: float) -> dict:
 
 
 @pytest.mark.parametrize("figure", [0.5, LONGEST])
-def test_an_inspection(figure):
-    text = drawn(*terminal.inspection_tables(inspection(figure)))
+def test_the_measures_of_a_field(figure):
+    text = drawn(*terminal.measures_tables(measures(figure)))
     assert "…" not in text
     found = {word.rstrip(",") for word in words(text)}
     assert {terminal.shown(figure * k) for k in (1, 2, 3)} | {"certified", "Chamfer", "ellipsoid", "IoU"} <= found

@@ -1,4 +1,4 @@
-"""Commands on meshes and fields: targets, fit, certify, inspect."""
+"""Commands on meshes and fields: targets, describe, fit, certify, measure."""
 
 from pathlib import Path
 from typing import Annotated
@@ -24,6 +24,35 @@ def targets(
     answer({"targets": rows, "seed": seed}, as_json)
     if not as_json:
         Console().print(terminal.targets_table(rows))
+
+
+@app.command(
+    epilog=example(
+        "keepout describe satellite.glb --units m -o out/satellite",
+        "keepout describe out/explore/map.keepmap",
+        "keepout describe intelsat30",
+    )
+)
+def describe(
+    mesh: Annotated[str, typer.Argument(help="A mesh file, a map file (.keepmap), or a built-in target's name.")],
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Also draw it into this folder.")] = None,
+    units: Units = None,
+    scale: Scale = None,
+    drop_stray: DropStray = False,
+    seed: Seed = 0,
+    as_json: AsJson = False,
+) -> None:
+    """Report what a mesh is, what is wrong with it, and what reading it left out."""
+    from keepout.commands.mesh import describe_mesh
+
+    if mesh.endswith(".keepout"):
+        raise typer.BadParameter(f"{mesh} is a field; `keepout measure {mesh}` measures it against its mesh")
+    given = {"source": mesh, "units": units, "scale": scale, "drop_stray": drop_stray}
+    with terminal.progress(f"describe {mesh}") as progress:
+        summary = describe_mesh(given, out, progress=progress)
+    answer({**summary, "seed": seed}, as_json)
+    if not as_json:
+        Console().print(terminal.facts_table("Mesh", summary))
 
 
 @app.command(
@@ -95,42 +124,32 @@ def certify(
 
 @app.command(
     epilog=example(
-        "keepout inspect satellite.keepout -o out/satellite",
-        "keepout inspect satellite.glb",
-        "keepout inspect intelsat30 --shipped",
+        "keepout measure satellite.keepout -o out/satellite",
+        "keepout measure intelsat30 --shipped",
     )
 )
-def inspect(
-    source: Annotated[str, typer.Argument(help="A field file (.keepout), a mesh file, or a built-in target's name.")],
+def measure(
+    field: Annotated[str, typer.Argument(help="A field file (.keepout); with --shipped, a built-in target's name.")],
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Also draw it into this folder.")] = None,
-    mesh: Annotated[
-        str | None, typer.Option(help="Of a field: the mesh, where it is not where `fit` found it.")
-    ] = None,
+    mesh: Annotated[str | None, typer.Option(help="The mesh, where it is not where `fit` found it.")] = None,
     shipped: Annotated[
-        bool, typer.Option("--shipped", help="Of a built-in target: measure the field that comes with the package.")
+        bool, typer.Option("--shipped", help="Measure the field that comes with the package for a built-in target.")
     ] = False,
-    units: Units = None,
-    scale: Scale = None,
-    drop_stray: DropStray = False,
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
-    """Measure a field against its mesh and list its certificates; or report what is wrong with a mesh."""
-    from keepout.commands.mesh import inspect_file, inspect_mesh
+    """Measure a field against its mesh, and list its certificates."""
+    from keepout.commands.mesh import measure_field
     from keepout.fields.shipped import shipped_path
 
-    of_field = shipped or source.endswith(".keepout")
-    if mesh is not None and not of_field:
-        raise typer.BadParameter(f"{mesh}: only a field has a mesh to be named; {source} is not a .keepout file")
-    with terminal.progress(f"inspect {source}") as progress:
-        if of_field:
-            path = shipped_path(source) if shipped else Path(source)
-            summary = inspect_file(path, out, mesh=mesh, seed=seed, progress=progress)
-            tables = terminal.inspection_tables(summary)
-        else:
-            given = {"source": source, "units": units, "scale": scale, "drop_stray": drop_stray}
-            summary = inspect_mesh(given, out, progress=progress)
-            tables = [terminal.facts_table("Mesh", summary)]
+    if not shipped and not field.endswith(".keepout"):
+        raise typer.BadParameter(
+            f"{field} is not a .keepout file; `keepout describe {field}` says what is wrong with a mesh"
+        )
+    with terminal.progress(f"measure {field}") as progress:
+        path = shipped_path(field) if shipped else Path(field)
+        summary = measure_field(path, out, mesh=mesh, seed=seed, progress=progress)
+        tables = terminal.measures_tables(summary)
     answer(summary, as_json)
     if not as_json:
         for table in tables:

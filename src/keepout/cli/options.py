@@ -9,7 +9,7 @@ import typer
 from typer.core import TyperGroup
 
 ORDER = (
-    *("targets", "fit", "certify", "inspect", "fly", "explore", "replay"),
+    *("targets", "describe", "fit", "certify", "measure", "fly", "explore", "inspect", "replay"),
     *("rare", "reproduce", "export", "audit", "scenario", "campaign"),
 )
 

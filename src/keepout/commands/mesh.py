@@ -1,4 +1,4 @@
-"""Commands on meshes and fields as functions: what `targets`, `fit`, `certify` and `inspect` do."""
+"""Commands on meshes and fields as functions: what `targets`, `describe`, `fit`, `certify` and `measure` do."""
 
 import time
 from collections.abc import Mapping
@@ -148,12 +148,12 @@ def certify_file(
     }
 
 
-def inspect_file(
+def measure_field(
     path: Path, out: Path | None = None, *, mesh: str | None = None, seed: int = 0, progress: Progress = silent
 ) -> dict[str, Any]:
     """Measure a field against its mesh and list its certificates; draw slices and surface into `out` if given."""
     from keepout.fields.model import FieldModel
-    from keepout.measures.inspection import inspect_model
+    from keepout.measures.field_measures import measure_model
     from keepout.mission.build import load_target
     from keepout.report.folder import make_folder
 
@@ -162,7 +162,7 @@ def inspect_file(
     model = FieldModel.load(path, target=target)
     if out is not None:
         make_folder(out)
-    measures, surface = inspect_model(model, target, seed=seed, progress=part_of(progress, 0.0, 0.9))
+    measures, surface = measure_model(model, target, seed=seed, progress=part_of(progress, 0.0, 0.9))
     summary: dict[str, Any] = {"field": str(path), **measures}
     if out is not None:
         from keepout.report.field_view import draw_slices, draw_surface
@@ -175,7 +175,7 @@ def inspect_file(
     return summary
 
 
-def inspect_mesh(source: Mapping[str, Any], out: Path | None = None, *, progress: Progress = silent) -> dict[str, Any]:
+def describe_mesh(source: Mapping[str, Any], out: Path | None = None, *, progress: Progress = silent) -> dict[str, Any]:
     """Report what is known about a mesh before anything is learned from it; draw it into `out` if that is given."""
     from keepout.geometry.survey import survey
     from keepout.mission.build import load_target

@@ -1,4 +1,4 @@
-"""`keepout inspect` on a mesh shows all that its reading left out, in the table and as JSON."""
+"""`keepout describe` shows all that its reading left out, in the table and as JSON."""
 
 import json
 import sys
@@ -12,8 +12,8 @@ from keepout import cli
 from keepout.report import terminal
 
 
-def inspect(monkeypatch, *arguments):
-    monkeypatch.setattr(sys, "argv", ["keepout", "inspect", *map(str, arguments)])
+def describe(monkeypatch, *arguments):
+    monkeypatch.setattr(sys, "argv", ["keepout", "describe", *map(str, arguments)])
     with pytest.raises(SystemExit) as stop:
         cli.main()
     return int(stop.value.code or 0)
@@ -22,7 +22,7 @@ def inspect(monkeypatch, *arguments):
 @pytest.mark.long
 def test_every_action_is_shown(monkeypatch, capsys, tmp_path):
     mesh = messy_satellite(tmp_path)
-    assert inspect(monkeypatch, mesh.path, "--drop-stray", "--json") == 0
+    assert describe(monkeypatch, mesh.path, "--drop-stray", "--json") == 0
     summary = json.loads(capsys.readouterr().out)
     actions = [*mesh.left_out, "left out 17 duplicate faces", "left out 1 stray parts, 12 triangles"]
     assert summary["actions"] == actions
@@ -36,7 +36,7 @@ def test_every_action_is_shown(monkeypatch, capsys, tmp_path):
 
 def test_a_damaged_mesh_is_one_line(monkeypatch, capsys, tmp_path):
     (tmp_path / "bad.stl").write_bytes(b"\x93\x80not a mesh" * 100)
-    assert inspect(monkeypatch, tmp_path / "bad.stl") != 0
+    assert describe(monkeypatch, tmp_path / "bad.stl") != 0
     output = capsys.readouterr()
     assert output.out == ""
     assert "not a valid STL" in output.err
@@ -53,5 +53,5 @@ def test_a_damaged_mesh_is_one_line(monkeypatch, capsys, tmp_path):
 )
 def test_the_report_says_what_its_numbers_were_taken_for(monkeypatch, capsys, tmp_path, options, said):
     trimesh.creation.box(extents=(3.0, 2.0, 1.0)).export(tmp_path / "box.stl")
-    assert inspect(monkeypatch, tmp_path / "box.stl", *options, "--json") == 0
+    assert describe(monkeypatch, tmp_path / "box.stl", *options, "--json") == 0
     assert said in json.loads(capsys.readouterr().out)["lengths"]

@@ -18,7 +18,7 @@ CURVATURE_LEVELS = (0.1, 0.3, 1.0)
 """Metres. Distances from the surface at which the Hessian is measured."""
 
 
-def inspect_model(
+def measure_model(
     model: FieldModel, target: Target, *, seed: int = 0, progress: Progress = silent
 ) -> tuple[dict[str, Any], Surface]:
     """Measure a field against its mesh.

@@ -1,4 +1,4 @@
-"""`keepout inspect FIELD`, end to end on a field whose errors are known to stay below its spacing."""
+"""`keepout measure FIELD`, end to end on a field whose errors are known to stay below its spacing."""
 
 import json
 import sys
@@ -28,9 +28,9 @@ def path(tmp_path_factory):
 
 
 @pytest.mark.long
-def test_inspect_prints_every_measure_and_draws(path, tmp_path, monkeypatch, capsys):
+def test_measure_prints_every_measure_and_draws(path, tmp_path, monkeypatch, capsys):
     out = tmp_path / "out"
-    monkeypatch.setattr(sys, "argv", ["keepout", "inspect", str(path), "-o", str(out), "--json"])
+    monkeypatch.setattr(sys, "argv", ["keepout", "measure", str(path), "-o", str(out), "--json"])
     with pytest.raises(SystemExit) as stop:
         cli.main()
     assert not stop.value.code

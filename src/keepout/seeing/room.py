@@ -1,0 +1,170 @@
+"""The room allowed to a chaser's centre: no nearer to the mesh than the stand-off, and connected with far outside."""
+
+import math
+from typing import no_type_check
+
+import numba
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from keepout.errors import InspectionError
+from keepout.geometry import cell_tree
+from keepout.geometry.distance import Distance, Points
+from keepout.geometry.octree import SQRT3, refine
+from keepout.progress import Progress, silent
+
+_ROUNDING = 1e-9
+"""Metres; above the rounding of an exact distance by orders of magnitude."""
+_DEEPEST = 10
+"""Halvings of the cube: a thousand cells across at most."""
+_STEPS = 24
+"""Of a walk up the distance; each about doubles what is left above the stand-off."""
+_STACK = 8 * 21 + 8
+
+
+class Room:
+    """The component of {distance to the mesh >= stand_off} that reaches far outside, between two bounds.
+
+    An octree is flooded twice from outside: through cells that lie in the set as a whole (what they reach surely
+    belongs to the room), and through cells that may hold a point of it (what they do not reach surely does not). A
+    path through the closed set that passes from cell to cell over an edge or a corner meets all cells around it, so
+    the second flood, too, goes from face to face.
+
+    Args:
+        distance: exact unsigned distance to the mesh.
+        stand_off: least distance of the chaser's centre, m, positive.
+        leaf: side of the smallest cells, m; a fifth of the stand-off where absent, and never less than a
+            thousandth of the target's size.
+        progress: told of the flood.
+
+    Attributes:
+        distance: as given.
+        stand_off: as given.
+        origin: (3,) lowest corner of the octree's cube, m.
+        side: of that cube, m. All beyond it belongs to the room.
+
+    Raises:
+        InspectionError: a stand-off or leaf that is not positive and finite.
+
+    """
+
+    def __init__(
+        self, distance: Distance, stand_off: float, *, leaf: float | None = None, progress: Progress = silent
+    ) -> None:
+        leaf = 0.2 * stand_off if leaf is None else leaf
+        for name, value in (("stand_off", stand_off), ("leaf", leaf)):
+            if not 0.0 < value < math.inf:
+                raise InspectionError(f"room: {name} is {value:g} m; it must be positive and finite")
+        self.distance = distance
+        self.stand_off = float(stand_off)
+        extent = float((distance.upper - distance.lower).max())
+        self.side = extent + 2.0 * (self.stand_off + 2.0 * leaf) + 1e-3
+        self.origin: Float[np.ndarray, 3] = 0.5 * (distance.lower + distance.upper) - 0.5 * self.side
+        depth = max(1, min(_DEEPEST, math.ceil(math.log2(self.side / leaf))))
+
+        def visit(centres: Points, half_width: float, level: int) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
+            progress(level / (depth + 1), f"room: level {level} of {depth}")
+            d, reach = distance.distance(centres), half_width * SQRT3 + _ROUNDING
+            within, outside = d - reach > self.stand_off, d + reach < self.stand_off
+            return ~within & ~outside, (within, ~outside)
+
+        self._cells, (within, possible) = refine(self.origin, self.side, depth, visit, 2)
+        last = (1 << self._cells.level.astype(np.int32)) - 1
+        outer = (self._cells.index == 0).any(axis=1) | (self._cells.index == last[:, None]).any(axis=1)
+        self._sure = self._cells.connected(within, outer)
+        self._possible = self._cells.connected(possible, outer)
+
+    def allowed(self, points: Points) -> Bool[np.ndarray, " n"]:
+        """Say which points surely belong to the room; a few of those that do, at its very border, are not said to.
+
+        Args:
+            points: (n, 3) m, body frame.
+
+        """
+        points = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 3)
+        answer = np.zeros(len(points), bool)
+        here, gradient = self.distance.distance_and_gradient(points)
+        active = np.flatnonzero(here >= self.stand_off)
+        places, here, gradient = points[active], here[active], gradient[active]
+        for _ in range(_STEPS):
+            holder = self._cells.locate(places)
+            arrived = (holder < 0) | self._sure[holder]
+            answer[active[arrived]] = True
+            going = ~arrived & self._possible[holder]
+            active, places, here, gradient = active[going], places[going], here[going], gradient[going]
+            if len(active) == 0:
+                break
+            # Within the ball of this radius every point is at least the stand-off from the mesh.
+            step = np.maximum(here - self.stand_off - _ROUNDING, 0.0)
+            places = places + step[:, None] * gradient
+            here, gradient = self.distance.distance_and_gradient(places)
+        return answer
+
+    def surely_not(
+        self, centres: Points, half_widths: Float[np.ndarray, "n 3"] | Float[np.ndarray, " n"]
+    ) -> Bool[np.ndarray, " n"]:
+        """Say which boxes surely hold no point of the room: what a proof that nothing is seen may leave out.
+
+        Args:
+            centres: (n, 3) of boxes along the axes, m, body frame.
+            half_widths: (n,) of cubes or (n, 3), m.
+
+        """
+        centres = np.ascontiguousarray(centres, dtype=np.float64).reshape(-1, 3)
+        half = np.broadcast_to(np.asarray(half_widths, dtype=np.float64).reshape(len(centres), -1), centres.shape)
+        reach = np.linalg.norm(half, axis=1) + _ROUNDING
+        near = self.distance.distance(centres) + reach < self.stand_off
+        rest = np.flatnonzero(~near)
+        lower = self._cells.scaled(centres[rest] - half[rest] - _ROUNDING)
+        upper = self._cells.scaled(centres[rest] + half[rest] + _ROUNDING)
+        near[rest] = ~_meets(self._cells.child, self._cells.depth, self._possible, lower, upper)
+        return near
+
+
+@numba.njit(cache=True, nogil=True)
+@no_type_check
+def _meets(
+    child: cell_tree.Child,
+    depth: int,
+    chosen: Bool[np.ndarray, " cells"],
+    lower: Float[np.ndarray, "n 3"],
+    upper: Float[np.ndarray, "n 3"],
+) -> Bool[np.ndarray, " n"]:
+    """Whether a box, in units of the deepest cells from the corner of the cube, meets a chosen cell or leaves it."""
+    answer = np.zeros(len(lower), dtype=np.bool_)
+    entries: Int[np.ndarray, " stack"] = np.empty(_STACK, dtype=np.int64)
+    corners: Float[np.ndarray, "stack 4"] = np.empty((_STACK, 4))
+    whole = float(1 << depth)
+    for i in range(len(lower)):
+        if lower[i].min() < 0.0 or upper[i].max() > whole:
+            answer[i] = True
+            continue
+        entries[0] = 0
+        corners[0, 0], corners[0, 1], corners[0, 2], corners[0, 3] = 0.0, 0.0, 0.0, whole
+        waiting = 1
+        while waiting > 0 and not answer[i]:
+            waiting -= 1
+            node, half = entries[waiting], 0.5 * corners[waiting, 3]
+            x, y, z = corners[waiting, 0], corners[waiting, 1], corners[waiting, 2]
+            for k in range(8):
+                cx, cy, cz = x + (k & 1) * half, y + ((k >> 1) & 1) * half, z + ((k >> 2) & 1) * half
+                if (
+                    upper[i, 0] < cx
+                    or lower[i, 0] > cx + half
+                    or upper[i, 1] < cy
+                    or lower[i, 1] > cy + half
+                    or upper[i, 2] < cz
+                    or lower[i, 2] > cz + half
+                ):
+                    continue
+                entry = child[node, k]
+                if entry < 0:
+                    if chosen[~entry]:
+                        answer[i] = True
+                        break
+                else:
+                    entries[waiting] = entry
+                    corners[waiting, 0], corners[waiting, 1], corners[waiting, 2] = cx, cy, cz
+                    corners[waiting, 3] = half
+                    waiting += 1
+    return answer

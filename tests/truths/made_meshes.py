@@ -1,0 +1,28 @@
+"""Small meshes from their numbers."""
+
+import numpy as np
+
+from keepout.geometry import Target
+from keepout.geometry.mesh_report import Surface, describe
+
+
+def target_of(vertices, faces, name="made"):
+    surface = Surface(np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64))
+    return Target(name, surface.vertices, surface.faces, describe(surface))
+
+
+def joined(*parts):
+    """One mesh of several (vertices, faces)."""
+    vertices, faces, start = [], [], 0
+    for some, triangles in parts:
+        vertices.append(some)
+        faces.append(np.asarray(triangles) + start)
+        start += len(some)
+    return np.concatenate(vertices), np.concatenate(faces)
+
+
+def plate(lower, upper, height):
+    """Two triangles over a rectangle at a height."""
+    (x0, y0), (x1, y1) = lower, upper
+    corners = np.array([[x0, y0, height], [x1, y0, height], [x1, y1, height], [x0, y1, height]])
+    return corners, np.array([[0, 1, 2], [0, 2, 3]])
