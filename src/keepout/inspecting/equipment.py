@@ -103,7 +103,8 @@ def law_keeps(scenario: Scenario, target: Target, error_bound: float) -> float:
         ControlError: the thrusters cannot meet the guard's assumptions.
 
     """
-    own = least_offset(scenario.chaser.speed_limit, scenario.control.period)
+    by_default = scenario.control.profile == "default"
+    own = least_offset(scenario.chaser.speed_limit, scenario.control.period) if by_default else 0.0
     room = room_for_guard(scenario, target).get("nominal_offset", own)
     return error_bound + scenario.chaser.radius + scenario.safety.margin + room
 
@@ -224,17 +225,26 @@ def _require_range(scenario: Scenario) -> None:
 def _require_whole_patches(scenario: Scenario, target: Target) -> None:
     """Refuse patches of which a full one, a square, is seen wholly from nowhere.
 
-    The best place for all rules is over its middle, at a height h; with half its diagonal d, they ask that
-    h ≥ stand-off, d/h ≤ tan of the incidence and of half the view, h² + d² between the ranges squared, and for the
-    ground sample distance g at a pixel's angle p, that p (h² + d²)/h ≤ g.
+    With half its diagonal d and its middle at a distance D, whatever is seen of it wholly has: D at least the
+    stand-off; some corner at sqrt(D² + d²) or farther, and d or more beside the foot of the camera's perpendicular, so
+    that D ≥ d/tan i for the incidence i, and p (D² + d²)/D ≤ g for a pixel's angle p and the sample distance g; some
+    corner at sqrt(D² + d²) or nearer; and one diagonal, of two across each other, at an angle φ to the line of sight
+    with sin φ ≥ q = sqrt(1 - sin² i / 2), which fills the angle γ with tan γ = 2 D d sin φ / (D² - d²). Below a right
+    angle γ is least for sin φ = q, above it for sin φ = 1.
     """
     rules, size = rules_of(scenario), patch_size(scenario, target)
-    d = size / math.sqrt(2.0)
-    low = max(scenario.inspect.stand_off, d / math.tan(rules.greatest_incidence), d / math.tan(rules.half_angle))
-    low = max(low, math.sqrt(max(rules.least_range**2 - d * d, 0.0)))
+    d, view = size / math.sqrt(2.0), rules.field_of_view
+    narrowest = math.sqrt(1.0 - 0.5 * math.sin(rules.greatest_incidence) ** 2) if view < 0.5 * math.pi else 1.0
+    across = narrowest / math.tan(view)
+    low = max(
+        scenario.inspect.stand_off,
+        d / math.tan(rules.greatest_incidence),
+        d * (across + math.hypot(across, 1.0)),
+        math.sqrt(max(rules.least_range**2 - d * d, 0.0)),
+    )
     high = math.sqrt(max(rules.greatest_range**2 - d * d, 0.0))
     if math.isfinite(rules.greatest_sample_distance):
-        reach = rules.greatest_sample_distance / rules.pixel_angle  # h² - reach h + d² ≤ 0
+        reach = rules.greatest_sample_distance / rules.pixel_angle  # D² - reach D + d² ≤ 0
         inner = reach * reach - 4.0 * d * d
         if inner < 0.0:
             raise InspectionError(
