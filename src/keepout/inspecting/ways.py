@@ -26,6 +26,9 @@ _PULLS = (1.0, 0.5, 0.25, 0.1)
 _BATCH = 200_000
 
 
+Node = tuple[int, ...]
+
+
 @dataclass(frozen=True, eq=False)
 class Ways:
     """Ways in {d ≥ stand-off}; make one with `Ways.build`.
@@ -36,7 +39,7 @@ class Ways:
         origin: of node (0, 0, 0), m.
         spacing: of the nodes, m.
         open: nodes with d ≥ stand-off.
-        walls: walls[a, i, j, k] closes the edge from node (i, j, k) to the next along axis a, which is not proved clear.
+        walls: walls[a, i, j, k] closes the edge from node (i, j, k) to the next along axis a: it is not proved clear.
 
     """
 
@@ -106,9 +109,7 @@ class Ways:
             across, half, piece = (np.concatenate([v[split], v[split]]) for v in (0.5 * across, 0.5 * half, piece))
         return result
 
-    def lengths(
-        self, places: Float[np.ndarray, "k 3"]
-    ) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, "k k 3"]]:
+    def lengths(self, places: Float[np.ndarray, "k 3"]) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, "k k 3"]]:
         """Give the lengths (m) of the ways between all places, infinite where none leads, and how they set out.
 
         A straight way that is clear has its own length; another has that of the grid, which is a few per cent more
@@ -125,13 +126,13 @@ class Ways:
         straight |= straight.T
         apart = places[None] - places[:, None]
         length = np.linalg.norm(apart, axis=2)
-        leave = apart / np.maximum(length, 1e-12)[..., None]
+        leave: Float[np.ndarray, "k k 3"] = apart / np.maximum(length, 1e-12)[..., None]
         joined = [self._joined(place) for place in places]
         crooked = ~straight & ~np.eye(count, dtype=bool)
         length[crooked] = np.inf
-        for j in np.flatnonzero(crooked.any(axis=0)):
+        for j in np.flatnonzero(crooked.any(axis=0)).tolist():
             times = self._march(*joined[j])
-            for i in np.flatnonzero(crooked[:, j]):
+            for i in np.flatnonzero(crooked[:, j]).tolist():
                 nodes, away = joined[i]
                 if len(nodes) == 0:
                     continue
@@ -142,6 +143,18 @@ class Ways:
                     course = self.origin + self.spacing * nodes[best] - places[i]
                     leave[i, j] = course / max(float(np.linalg.norm(course)), 1e-12)
         return np.minimum(length, length.T), leave
+
+    def nearly(self, place: Float[np.ndarray, "3"], places: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
+        """Give the lengths (m) of ways from one place to many, to within about a cell; infinite where none leads."""
+        times = self._march(*self._joined(place))
+        at = (places - self.origin) / self.spacing
+        base = np.clip(np.floor(at).astype(int), 0, np.array(self.open.shape) - 2)
+        found = np.full(len(places), np.inf)
+        for corner in np.ndindex(2, 2, 2):
+            node = base + corner
+            through = times[tuple(node.T)] + self.spacing * np.linalg.norm(node - at, axis=1)
+            found = np.minimum(found, through)
+        return np.maximum(found, np.where(np.isfinite(found), np.linalg.norm(places - place, axis=1), 0.0))
 
     def path(self, begin: Float[np.ndarray, "3"], end: Float[np.ndarray, "3"]) -> Float[np.ndarray, "m 3"] | None:
         """Give the corners of a way, every piece of it clear; None where none leads.
@@ -163,7 +176,7 @@ class Ways:
             corners.append(self.place(node))
         return self._pulled(np.array([*corners, end]))
 
-    def place(self, node: tuple[int, int, int]) -> Float[np.ndarray, "3"]:
+    def place(self, node: Node) -> Float[np.ndarray, "3"]:
         """Give a node's place, m."""
         return self.origin + self.spacing * np.asarray(node)
 
@@ -171,9 +184,7 @@ class Ways:
     def _speed(self) -> Float[np.ndarray, "nx ny nz"]:
         return self.open.astype(np.float64)
 
-    def _march(
-        self, nodes: Int[np.ndarray, "n 3"], away: Float[np.ndarray, " n"]
-    ) -> Float[np.ndarray, "nx ny nz"]:
+    def _march(self, nodes: Int[np.ndarray, "n 3"], away: Float[np.ndarray, " n"]) -> Float[np.ndarray, "nx ny nz"]:
         if len(nodes) == 0:
             return np.full(self.open.shape, np.inf)
         return travel_time(self._speed, self.walls, nodes, away, self.spacing)
@@ -200,7 +211,7 @@ class Ways:
         keep = self.clear(np.tile(place, (len(nodes), 1)), self.origin + self.spacing * nodes)
         return nodes[keep], away[keep]
 
-    def _downhill(self, times: Float[np.ndarray, "nx ny nz"], node: tuple[int, int, int]) -> tuple[int, int, int]:
+    def _downhill(self, times: Float[np.ndarray, "nx ny nz"], node: Node) -> Node:
         best, least = node, times[node]
         for axis in range(3):
             for sign in (-1, 1):
@@ -212,7 +223,7 @@ class Ways:
                     best, least = beside, times[beside]
         if best == node:
             raise AssertionError(f"no way down from node {node}")
-        return best  # pyright: ignore[reportReturnType]
+        return best
 
     def _pulled(self, corners: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "n 3"]:
         """Leave corners out, and pull the rest towards the line between their neighbours, while all stays clear."""
