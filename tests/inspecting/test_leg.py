@@ -118,6 +118,7 @@ def test_enough_is_the_share_of_the_area_that_is_wanted():
     what = wanted(0.7)
     what.take(np.array([2, 4]))
     assert not what.enough
+    assert what.share_of_left == pytest.approx((7.0 - 5.0) / 5.0)
     what.take(np.array([0, 4]))
     assert not what.enough
     what.take(np.array([6]))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
 from keepout.audit.audit import audit
 from keepout.compiled.kept_programs import keep_programs
@@ -46,7 +46,7 @@ from keepout.seeing.seeable import Verdict
 
 Point = Float[np.ndarray, "3"]
 
-_REPLANS = 12
+_REPLANS = 16
 """Plans after the first, at most: each costs a tour that is mostly way."""
 
 
@@ -114,6 +114,7 @@ class _Inspector:
         require_something_to_see(scenario, problem.seeable, self.lit)
         self.wanted = Wanted.of(problem.patches, self.lit, scenario.inspect.coverage)
         self.estimate = np.asarray(scenario.start.position, dtype=float)
+        self.boresight = boresight_of(scenario, target)
         holds = scenario.inspect.hold_points
         begins = np.asarray(holds[-1].position, dtype=float) if holds else self.estimate
         self.first = self._planned(begins, 0.0, part_of(progress, 0.4, 0.5)) if first is None else first
@@ -122,7 +123,6 @@ class _Inspector:
         self.leg: Leg | None = None
         self.refused: list[str] = []
         self.taken_views = 0
-        self.boresight = boresight_of(scenario, target)
         self.shots: list[Shot] = []
         self.logs: list[FlightLog] = []
         self.rows = 0
@@ -169,7 +169,15 @@ class _Inspector:
         return self.leading.law(start if place is None else place, start)
 
     def _planned(self, position: Point, now: float, progress: Progress = silent) -> InspectionPlan:
-        return plan(self.problem, position=position, time=now, wanted=self.wanted.left, progress=progress)
+        return plan(
+            self.problem,
+            position=position,
+            time=now,
+            wanted=self.wanted.left,
+            share=self.wanted.share_of_left,
+            boresight=self.boresight.direction,
+            progress=progress,
+        )
 
     def _look(self, log: FlightLog, ticks: int) -> None:
         """Turn the camera over a segment, and take its frame at the last row: it is looked at a period later."""
@@ -214,12 +222,22 @@ class _Inspector:
         ended = self.leg.ended(now, self.wanted)
         if ended is None:
             return False
+        left = self.leg.left(self.wanted)
         if ended is Lost.NOT:
             self.taken_views += 1
+            if len(left) and not self._lit(now, left).all():
+                ended = Lost.LIGHT
         if ended in (Lost.LIGHT, Lost.GUARD):
             self.replan = True
-        self.wanted.failed(self.leg.left(self.wanted))
+        else:
+            self.wanted.failed(left)
         return True
+
+    def _lit(self, now: float, units: Int[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
+        sun = self.camera.sun(now)
+        if sun is None:
+            return np.full(len(units), not self.camera.light.matters)
+        return self.camera.lit(sun, units)
 
     def _next(self, now: float) -> Law | tuple[str, str]:
         """Go on to the next view that still has something to show, planning anew where that is due."""
