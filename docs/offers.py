@@ -29,6 +29,15 @@ OFFERS = {
         "geometry.first_hit.FirstHit",
         "geometry.first_hit.FirstHit.ranges",
     ),
+    "seeing": (
+        "seeing.cut.cut",
+        "seeing.sightlines.Sightlines",
+        "seeing.sightlines.Sightlines.clear",
+        "seeing.sightlines.Sightlines.lit",
+        "seeing.visible.visible",
+        "seeing.visible.in_view",
+        "seeing.visible.lit_units",
+    ),
     "fields": (
         "fields.field.Field.value",
         "fields.field.Field.value_and_gradient",

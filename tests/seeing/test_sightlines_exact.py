@@ -71,6 +71,7 @@ point = st.tuples(whole, whole, whole)
 @example([(0, 0), (1, 0), (1, 1), (0, 1)], (1, 0, 4), ((5, 5, 5), (5, 5, 5), (5, 5, 5)), True)  # a point
 @example([(-8, -8), (8, -8), (0, 8)], (0, 0, 2), ((0, 0, 1), (0, 0, 1), (0, 0, 1)), True)  # a point within
 @example([(-8, -8), (8, -8), (0, 8)], (0, 0, 2), ((-8, 0, 5), (8, 0, 5), (0, 8, -5)), True)  # past behind the eye
+@example([(0, 0), (0, -1), (1, 5)], (-6, 3, 3), ((3, -1, 4), (-6, 3, 3), (-6, 3, 3)), True)  # a needle from the eye up
 def test_it_is_clear_exactly_where_triangle_and_pyramid_are_disjoint(outline, eye, triangle, far):
     outline = np.array(outline, dtype=np.float64)
     if np.linalg.matrix_rank(outline - outline[0]) < 2:
@@ -139,3 +140,25 @@ def test_on_a_target_rays_that_share_no_code_find_nothing_in_what_is_clear():
             assert (first_hit.ranges(place[None], ways) > reach - 1e-9).all()
             seen += 1
     assert seen > 500
+
+
+def test_the_prism_to_a_sun_that_grazes_the_patch_along_an_edge_is_not_tilted_by_rounding():
+    # Points of the prism just inside a side that runs nearly along the sun, up to 900 m away.
+    rng = np.random.default_rng(0)
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    turn *= np.sign(np.linalg.det(turn))
+    square = np.array([[0.0, 0, 0], [1.0, 0, 0], [1.0, 1, 0], [0.0, 1, 0]])
+    missed = 0
+    for _ in range(300):
+        steep = 10.0 ** rng.uniform(-6.9, -5.0)
+        sun, start = np.array([1.0, 1e-8 * rng.normal(), steep]), np.array([rng.uniform(), 2e-9, 0.0])
+        point = start + (1.1 * LIFT / steep) * sun
+        needle = (point + np.array([[0.0, 0, 0], [0.0, -1e-3, 0], [0.0, -1e-3, 1e-3]])) @ turn.T
+        corners = square @ turn.T
+        patches = Patches(
+            corners[None], np.array([4]), turn[None, :, 2], np.ones(1), corners.mean(axis=0)[None], np.zeros(1, int),
+            np.ones(2, bool), 1.0,
+        )  # fmt: skip
+        sight = Sightlines(needle, np.array([[0, 1, 2]]), patches)
+        missed += int(sight.lit(turn @ sun, np.array([0]))[0])
+    assert missed == 0

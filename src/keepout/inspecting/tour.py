@@ -100,7 +100,7 @@ def best_tour(legs: Legs, objective: Objective = "time", *, worth: float = 1000.
     if count == 0:
         return flown(legs, np.zeros(0, dtype=np.int64))
     weights = {"time": (1.0, 100.0 * _SIDE), "delta_v": (_SIDE, 100.0), "both": (1.0, worth)}[objective]
-    shakes = int(np.clip(_WORK / (20.0 * count**3), 3, 400))
+    shakes = int(np.clip(_WORK / (20.0 * count**3), 0, 400))
     order = _improved(nearest_first(legs), *weights, *_packed(legs), shakes, seed)
     return flown(legs, order)
 
@@ -215,9 +215,7 @@ def _descend(order, time_weight, delta_v_weight, lengths, leave, turns, windows,
                         if (to == first and turned == 0) or (size == 1 and turned == 1):
                             continue
                         _moved(order, first, last, to, turned == 1, tried)
-                        cost = _cost(
-                            tried, time_weight, delta_v_weight, lengths, leave, turns, windows, numbers, times
-                        )
+                        cost = _cost(tried, time_weight, delta_v_weight, lengths, leave, turns, windows, numbers, times)
                         if cost < best - 1e-9:
                             best = cost
                             order[:] = tried

@@ -8,7 +8,9 @@ stand-off and the camera's greatest. So they lie on all levels of the distance, 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import no_type_check
 
+import numba
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import sparse
@@ -34,8 +36,10 @@ _BORESIGHTS = 8
 """At a place, at most."""
 _LEAST_GAIN = 0.02
 """Of what a place shows, the share that a further direction there must add, or show a unit that no view does."""
-_DIRECTIONS = 500
-_TURNS = ((0.10, 8), (0.05, 8), (0.025, 8))
+_RARE = 3
+"""Places that a unit is visible from, up to which it asks for a direction of its own."""
+_DIRECTIONS = 250
+_TURNS = ((0.15, 8), (0.08, 8), (0.03, 8))
 """Rad, and how many directions at that angle are tried about the best."""
 
 
@@ -63,6 +67,7 @@ class Views:
 
 def find_views(
     look: Look,
+    look_closely: Look,
     allowed: Allowed,
     patches: Patches,
     rules: SeeingRules,
@@ -77,7 +82,8 @@ def find_views(
     """Find candidate views of the units wanted.
 
     Args:
-        look: what is visible from a place, among the units wanted.
+        look: what is visible from a place, among the units wanted, with room for a flight's errors.
+        look_closely: the same without, for the places of witnesses.
         allowed: where the chaser's centre may be.
         patches: the units.
         rules: the camera's.
@@ -97,8 +103,8 @@ def find_views(
     total = float(areas.sum())
     with ThreadPoolExecutor(available_cores()) as pool:
 
-        def take(some: Float[np.ndarray, "n 3"], told: Progress) -> None:
-            for n, (place, seen) in enumerate(zip(some, pool.map(look, some), strict=True)):
+        def take(some: Float[np.ndarray, "n 3"], with_: Look, told: Progress) -> None:
+            for n, (place, seen) in enumerate(zip(some, pool.map(with_, some), strict=True)):
                 seen = _within_cone(seen, rules)
                 if len(seen.units):
                     found.append((place, seen))
@@ -111,19 +117,22 @@ def find_views(
             if not weights.any():
                 break
             drawn = _drawn(generator, weights, centres, normals, rules, stand_off, allowed, places // _ROUNDS)
-            take(drawn, part_of(progress, 0.8 * step / _ROUNDS, 0.8 * (step + 1) / _ROUNDS))
+            take(drawn, look, part_of(progress, 0.8 * step / _ROUNDS, 0.8 * (step + 1) / _ROUNDS))
         while True:
             unseen = np.flatnonzero(wanted & (times == 0) & np.isfinite(witnesses[:, 0]))
             if len(unseen) == 0:
                 break
             # A part at a time: a witness often shows what others were known for.
             some = generator.permutation(unseen)[: max(16, len(unseen) // 8)]
-            take(witnesses[some], silent)
+            take(witnesses[some], look_closely, silent)
             witnesses = witnesses.copy()
             witnesses[some] = np.nan
             progress(0.85, f"{len(found)} places see {areas[times > 0].sum() / total:.2%}")
         chosen = list(pool.map(lambda one: boresights_of(one[1], areas, times, rules.half_angle), found))
-    progress(1.0, f"{sum(len(one[0]) for one in chosen)} views at {len(found)} places see {areas[times > 0].sum() / total:.2%}")
+    progress(
+        1.0,
+        f"{sum(len(one[0]) for one in chosen)} views at {len(found)} places see {areas[times > 0].sum() / total:.2%}",
+    )
     return _joined(found, chosen, patches.units)
 
 
@@ -147,23 +156,20 @@ def boresights_of(
     left, all_of_it = worth.copy(), float(worth.sum())
     chosen, units = [], []
     sphere = _sphere(_DIRECTIONS)
-    # Only directions that look at something.
-    sphere = sphere[(seen.directions @ sphere.T).max(axis=0) >= np.cos(half_angle)]
-    inside = (seen.directions @ sphere.T >= enough[:, None]).astype(np.float32)
+    directions = np.ascontiguousarray(seen.directions)
     for _ in range(_BORESIGHTS):
-        gains = left.astype(np.float32) @ inside
-        best = sphere[int(np.argmax(gains))] if len(sphere) else seen.directions[int(np.argmax(left))]
+        best = sphere[int(np.argmax(_gains(directions, enough, left, sphere)))]
         for angle, count in _TURNS:
             tried = np.concatenate([best[None], _about(best, angle, count)])
-            best = tried[int(np.argmax(left @ (seen.directions @ tried.T >= enough[:, None])))]
-        cone = seen.directions @ best >= enough
+            best = tried[int(np.argmax(_gains(directions, enough, left, tried)))]
+        cone = directions @ best >= enough
         gain = float(left[cone].sum())
         if gain == 0.0:
             # The sphere's directions miss a unit nearly as wide as the cone: look straight at it.
-            best = seen.directions[int(np.argmax(left))]
-            cone = seen.directions @ best >= enough - 1e-12
+            best = directions[int(np.argmax(left))]
+            cone = directions @ best >= enough - 1e-12
             gain = float(left[cone].sum())
-        rare = bool(np.any(times[seen.units[cone & (left > 0.0)]] <= 3))
+        rare = bool(np.any(times[seen.units[cone & (left > 0.0)]] <= _RARE))
         if gain <= 0.0 or (gain < _LEAST_GAIN * all_of_it and not rare):
             break
         chosen.append(best)
@@ -172,6 +178,21 @@ def boresights_of(
         if not left.any():
             break
     return np.array(chosen).reshape(-1, 3), units
+
+
+@numba.njit(cache=True, nogil=True)
+@no_type_check
+def _gains(directions, enough, left, tried):
+    """Give for each direction tried what is left in its cone."""
+    gains = np.zeros(len(tried))
+    for i in range(len(directions)):
+        if left[i] <= 0.0:
+            continue
+        x, y, z = directions[i, 0], directions[i, 1], directions[i, 2]
+        for j in range(len(tried)):
+            if x * tried[j, 0] + y * tried[j, 1] + z * tried[j, 2] >= enough[i]:
+                gains[j] += left[i]
+    return gains
 
 
 def _within_cone(seen: Visible, rules: SeeingRules) -> Visible:
@@ -203,7 +224,9 @@ def _drawn(
         turn = generator.uniform(0.0, 2.0 * np.pi, len(units))
         side, other = _sides(normals[units])
         sine = np.sqrt(1.0 - cosine**2)[:, None]
-        towards = cosine[:, None] * normals[units] + sine * (np.cos(turn)[:, None] * side + np.sin(turn)[:, None] * other)
+        towards = cosine[:, None] * normals[units] + sine * (
+            np.cos(turn)[:, None] * side + np.sin(turn)[:, None] * other
+        )
         places = centres[units] + generator.uniform(low, high, len(units))[:, None] * towards
         kept = np.concatenate([kept, places[allowed(places)][:missing]])
     return kept
