@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 from keepout.audit.audit import audit
 from keepout.compiled.kept_programs import keep_programs
 from keepout.control.law import Law
-from keepout.errors import ControlError
+from keepout.errors import ControlError, InspectionError
 from keepout.fields.model import FieldModel
 from keepout.flight import segment
 from keepout.flight.loop import FlightLog
@@ -26,6 +26,7 @@ from keepout.inspecting.equipment import (
     require_inspectable,
     require_light,
     require_something_to_see,
+    rules_of,
 )
 from keepout.inspecting.frames import Camera, Shot, as_flown
 from keepout.inspecting.inspection import Inspection
@@ -46,6 +47,8 @@ from keepout.seeing.seeable import Verdict
 
 Point = Float[np.ndarray, "3"]
 
+_OF_LIGHT = ("light", "epoch", "orbit", "attitude", "sun")
+"""Entries that the light follows from."""
 _REPLANS = 16
 """Plans after the first, at most: each costs a tour that is mostly way."""
 
@@ -106,6 +109,7 @@ class _Inspector:
         self.broken = broken_assumptions(scenario)
         if problem is None:
             problem = Problem.of(scenario, target, progress=part_of(progress, 0.1, 0.4))
+        _require_of(problem, scenario, target)
         self.problem = problem
         self.camera = Camera(problem.patches, problem.sight, problem.rules, problem.light)
         possible = problem.seeable.verdict == Verdict.SEEABLE
@@ -135,16 +139,17 @@ class _Inspector:
         setup, state, ending = None, None, None
         while True:
             now = max(self.rows - 1, 0) * scenario.control.period
-            ending = self._ending()
+            ending = self._ending() if ending is None else ending
             if ending is None and (self.leg is None or self._is_over(now)):
                 law = self._next(now)
                 if isinstance(law, tuple):
                     ending = law
                 else:
                     setup = self.leading.setup(law) if setup is None else self.leading.led_on(setup, law)
-            if ending is not None and self.logs:
+            # An audit needs a way: where nothing is to be flown, a frame's period is flown at rest.
+            if ending is not None and self.rows > 1:
                 break
-            if setup is None:  # nothing to fly to: a period at rest is flown, so that there is something to audit
+            if setup is None:
                 setup = self.leading.setup(self._resting())
             if state is None:
                 state = segment.begin(setup, self.leading.initial, jax.random.key(scenario.seed))
@@ -153,8 +158,6 @@ class _Inspector:
             state, log = segment.fly_segment(setup, state, count)
             self._look(log, count)
             progress(min(0.9 * self.rows / scenario.steps, 0.9), self._said())
-            if ending is not None:
-                break
         return self._judged(segment.joined(self.logs), setup, ending, part_of(progress, 0.9, 1.0))
 
     def _said(self) -> str:
@@ -338,3 +341,17 @@ class _Inspector:
             assumptions_broken=self.broken,
             guard=None if guard is None else guard_numbers(guard),
         )
+
+
+def _require_of(problem: Problem, scenario: Scenario, target: Target) -> None:
+    """Refuse what was worked out for another target, camera, light or stand-off."""
+    made = problem.light.scenario
+    same = {
+        "target": problem.target.sha256 == target.sha256,
+        "camera or light": problem.rules == rules_of(scenario),
+        "inspect.stand_off": problem.scenario.inspect.stand_off == scenario.inspect.stand_off,
+        "light": all(getattr(made, name) == getattr(scenario, name) for name in _OF_LIGHT),
+    }
+    others = [name for name, is_same in same.items() if not is_same]
+    if others:
+        raise InspectionError(f"problem: worked out for another {', '.join(others)} than the scenario's")
