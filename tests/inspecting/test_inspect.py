@@ -66,7 +66,7 @@ def problem_of(mission, box, parts):
     return Problem(mission, box, patches, rules_of(mission), sight, room, seeable, Light.of(mission))
 
 
-def tour(patches, *, away=3.2, windows=None):
+def tour(patches, *, away=4.6, windows=None):
     """A view of the middle of each side from straight above it, with all the units of that side."""
     views, covered = [], np.zeros(patches.units, dtype=bool)
     normals = patches.unit_normals()

@@ -122,7 +122,7 @@ class _Inspector:
         holds = scenario.inspect.hold_points
         begins = np.asarray(holds[-1].position, dtype=float) if holds else self.estimate
         self.first = self._planned(begins, 0.0, part_of(progress, 0.4, 0.5)) if first is None else first
-        self.plans, self.fresh = 1, 0
+        self.plans = 1
         self.legs: deque[Leg] = deque([*Leg.holds(holds), *Leg.views(self.first, scenario.inspect.dwell)])
         self.leg: Leg | None = None
         self.refused: list[str] = []
@@ -192,12 +192,12 @@ class _Inspector:
                 row = self.rows + tick
                 self.shots.append(Shot(row, self.boresight.direction))
                 units = self.camera.units(row * period, self.estimate, self.boresight.direction, self.wanted.left)
-                self.fresh += self.wanted.take(units)
+                self.wanted.take(units)
                 if self.leg is not None:
                     self.leg.noted(row * period, self.estimate, self.boresight, self._aimed(), self.wanted, len(units))
             self.boresight = self.boresight.step(self._aimed(), period)
         if self.leg is not None:
-            self.leg.held_up += int(np.count_nonzero(mode(np.asarray(log.guard_status)) > 0))
+            self.leg.held_up += int(np.count_nonzero(mode(log.guard_status)))
         self.logs.append(log)
         self.rows += ticks
 
