@@ -148,7 +148,7 @@ def price_bound(
 
 
 def pruned(
-    sees: sparse.csr_array, areas: Float[np.ndarray, " units"], goal: float, chosen: Int[np.ndarray, " k"]
+    sees: sparse.csr_array, areas: Float[np.ndarray, " units"], goal: float, chosen: Int[np.ndarray, " m"]
 ) -> Int[np.ndarray, " k"]:
     """Leave out views, the least missed first, while the rest see the goal."""
     chosen = np.unique(chosen)
@@ -169,7 +169,7 @@ def shaken(
     sees: sparse.csr_array,
     areas: Float[np.ndarray, " units"],
     goal: float,
-    chosen: Int[np.ndarray, " k"],
+    chosen: Int[np.ndarray, " m"],
     *,
     seconds: float,
     seed: int = 0,
@@ -244,7 +244,7 @@ def merged_units(
     return joined.astype(np.float64), np.add.reduceat(areas[order], starts)
 
 
-def _units(sees: sparse.csr_array, view: int) -> Int[np.ndarray, " k"]:
+def _units(sees: sparse.csr_array, view: int | np.integer) -> Int[np.ndarray, " k"]:
     return sees.indices[sees.indptr[view] : sees.indptr[view + 1]]
 
 
@@ -252,7 +252,7 @@ def _completed(
     sees: sparse.csr_array,
     areas: Float[np.ndarray, " units"],
     goal: float,
-    kept: Int[np.ndarray, " k"],
+    kept: Int[np.ndarray, " m"],
     weights: Float[np.ndarray, " units"] | None = None,
     most: int | None = None,
 ) -> Int[np.ndarray, " k"]:
@@ -315,7 +315,7 @@ def _rounded(
 
 
 def _by_gain(
-    sees: sparse.csr_array, areas: Float[np.ndarray, " units"], chosen: Int[np.ndarray, " k"]
+    sees: sparse.csr_array, areas: Float[np.ndarray, " units"], chosen: Int[np.ndarray, " m"]
 ) -> Int[np.ndarray, " k"]:
     rows = sees[chosen]
     order = _completed(rows, areas, np.inf, np.zeros(0, dtype=np.int64))

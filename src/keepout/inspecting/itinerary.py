@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -110,7 +111,7 @@ def drawn_up(
     scenario, rows = problem.scenario, tour.order - 1
     stops = np.concatenate([start.position[None], views.positions[rows]])
     courses, moved = [], 0.0
-    for a, b in zip(stops[:-1], stops[1:], strict=True):
+    for a, b in pairwise(stops):
         course = ways.path(a, b)
         courses.append(np.stack([a, b]) if course is None else course)
         moved += way_length(courses[-1])

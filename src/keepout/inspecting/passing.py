@@ -11,6 +11,8 @@ from keepout.inspecting.lit_times import LitTimes
 from keepout.inspecting.viewpoints import Look
 from keepout.seeing.visible import in_view
 
+_SURELY = 2
+"""Frames of a leg that must show a unit before it is counted on: the flight's are at other moments."""
 _FRAMES = 600
 """On a whole tour, at most: of more, every second one and so on is looked at."""
 
@@ -57,7 +59,8 @@ def seen_in_passing(
             found = look(place)
             units = found.units[in_view(found, direction, half_angle)]
             seen.append(units[lit.at(float(now))[units]])
-        return np.unique(np.concatenate(seen))
+        units, frames = np.unique(np.concatenate(seen), return_counts=True)
+        return units[frames >= _SURELY]
 
     with ThreadPoolExecutor(available_cores()) as pool:
         return list(pool.map(leg, range(len(courses))))

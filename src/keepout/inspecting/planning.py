@@ -5,9 +5,8 @@ way see more than the views were chosen for; views that become needless by that 
 """
 
 import functools
-import math
 import time as clock
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -19,7 +18,7 @@ from keepout.inspecting.lit_times import LitTimes
 from keepout.inspecting.nearest_view import nearest_views
 from keepout.inspecting.plan import InspectionPlan
 from keepout.inspecting.problem import Problem
-from keepout.inspecting.tour import Tour, best_tour, flown
+from keepout.inspecting.tour import Tour, best_tour
 from keepout.inspecting.viewpoints import Views, find_views
 from keepout.inspecting.ways import Ways
 from keepout.progress import Progress, part_of, silent
@@ -30,8 +29,6 @@ _AMONG = 4000
 """Views that the fewest are chosen from, or so many in all spells of light together."""
 _INSIDE = 0.02
 """Metres by which drawn places keep more than the stand-off."""
-_PASSES = 3
-"""Times that views made needless by frames on the way are left out."""
 _TRIES = 3
 
 

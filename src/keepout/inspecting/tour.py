@@ -101,7 +101,8 @@ def best_tour(legs: Legs, objective: Objective = "time", *, worth: float = 1000.
         return flown(legs, np.zeros(0, dtype=np.int64))
     weights = {"time": (1.0, 100.0 * _SIDE), "delta_v": (_SIDE, 100.0), "both": (1.0, worth)}[objective]
     shakes = int(np.clip(_WORK / (20.0 * count**3), 0, 400))
-    order = _improved(nearest_first(legs), *weights, *_packed(legs), shakes, seed)
+    cuts = np.sort(np.random.default_rng(seed).integers(0, count + 1, (shakes, 3)), axis=1)
+    order = _improved(nearest_first(legs), *weights, *_packed(legs), cuts)
     return flown(legs, order)
 
 
@@ -123,7 +124,10 @@ def least_length(lengths: Float[np.ndarray, "n n"]) -> float:
     return float(minimum_spanning_tree(np.where(np.isfinite(lengths), lengths, 1e12)).sum())
 
 
-def _packed(legs: Legs) -> tuple:
+_Packed = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
+def _packed(legs: Legs) -> _Packed:
     lengths = np.where(np.isfinite(legs.lengths), legs.lengths, _LATE)
     numbers = np.array([legs.speed, legs.acceleration, legs.dwell, legs.begin])
     return lengths, legs.leave, legs.turns, legs.windows, numbers
@@ -225,16 +229,15 @@ def _descend(order, time_weight, delta_v_weight, lengths, leave, turns, windows,
 
 @numba.njit(cache=True)
 @no_type_check
-def _improved(order, time_weight, delta_v_weight, lengths, leave, turns, windows, numbers, shakes, seed):
-    np.random.seed(seed)
+def _improved(order, time_weight, delta_v_weight, lengths, leave, turns, windows, numbers, cuts_of):
     count = order.size
     best_order = order.copy()
     best = _descend(best_order, time_weight, delta_v_weight, lengths, leave, turns, windows, numbers)
     if count < 4:
         return best_order
-    for _ in range(shakes):
+    for shake in range(len(cuts_of)):
         # Two neighbouring segments change places (the double bridge of Martin, Otto & Felten 1991).
-        cuts = np.sort(np.random.randint(0, count + 1, 3))
+        cuts = cuts_of[shake]
         tried = np.concatenate(
             (best_order[: cuts[0]], best_order[cuts[1] : cuts[2]], best_order[cuts[0] : cuts[1]], best_order[cuts[2] :])
         )

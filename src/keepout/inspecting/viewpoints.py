@@ -21,7 +21,8 @@ from keepout.seeing.patches import Patches
 from keepout.seeing.rules import SeeingRules
 from keepout.seeing.visible import Visible
 
-Look = Callable[[Float[np.ndarray, "3"]], Visible]
+Point = Float[np.ndarray, "3"]
+Look = Callable[[Point], Visible]
 """What is visible from a place."""
 Allowed = Callable[[Float[np.ndarray, "n 3"]], Bool[np.ndarray, " n"]]
 """Which places the chaser's centre may be at."""
@@ -99,7 +100,7 @@ def find_views(
     areas, normals = patches.unit_areas() * wanted, patches.unit_normals()
     centres = np.repeat(patches.centres, 2, axis=0)
     times = np.zeros(patches.units, dtype=np.int64)
-    found: list[tuple[Float[np.ndarray, "3"], Visible]] = []
+    found: list[tuple[Point, Visible]] = []
     total = float(areas.sum())
     with ThreadPoolExecutor(available_cores()) as pool:
 
@@ -256,7 +257,7 @@ def _sphere(count: int) -> Float[np.ndarray, "n 3"]:
 
 
 def _joined(
-    found: list[tuple[Float[np.ndarray, "3"], Visible]],
+    found: list[tuple[Point, Visible]],
     chosen: list[tuple[Float[np.ndarray, "b 3"], list[Int[np.ndarray, " k"]]]],
     units: int,
 ) -> Views:

@@ -26,6 +26,9 @@ _PULLS = (1.0, 0.5, 0.25, 0.1)
 _BATCH = 200_000
 
 
+Node = tuple[int, ...]
+
+
 @dataclass(frozen=True, eq=False)
 class Ways:
     """Ways in {d ≥ stand-off}; make one with `Ways.build`.
@@ -36,7 +39,7 @@ class Ways:
         origin: of node (0, 0, 0), m.
         spacing: of the nodes, m.
         open: nodes with d ≥ stand-off.
-        walls: walls[a, i, j, k] closes the edge from node (i, j, k) to the next along axis a, which is not proved clear.
+        walls: walls[a, i, j, k] closes the edge from node (i, j, k) to the next along axis a: it is not proved clear.
 
     """
 
@@ -123,13 +126,13 @@ class Ways:
         straight |= straight.T
         apart = places[None] - places[:, None]
         length = np.linalg.norm(apart, axis=2)
-        leave = apart / np.maximum(length, 1e-12)[..., None]
+        leave: Float[np.ndarray, "k k 3"] = apart / np.maximum(length, 1e-12)[..., None]
         joined = [self._joined(place) for place in places]
         crooked = ~straight & ~np.eye(count, dtype=bool)
         length[crooked] = np.inf
-        for j in np.flatnonzero(crooked.any(axis=0)):
+        for j in np.flatnonzero(crooked.any(axis=0)).tolist():
             times = self._march(*joined[j])
-            for i in np.flatnonzero(crooked[:, j]):
+            for i in np.flatnonzero(crooked[:, j]).tolist():
                 nodes, away = joined[i]
                 if len(nodes) == 0:
                     continue
@@ -173,7 +176,7 @@ class Ways:
             corners.append(self.place(node))
         return self._pulled(np.array([*corners, end]))
 
-    def place(self, node: tuple[int, int, int]) -> Float[np.ndarray, "3"]:
+    def place(self, node: Node) -> Float[np.ndarray, "3"]:
         """Give a node's place, m."""
         return self.origin + self.spacing * np.asarray(node)
 
@@ -208,7 +211,7 @@ class Ways:
         keep = self.clear(np.tile(place, (len(nodes), 1)), self.origin + self.spacing * nodes)
         return nodes[keep], away[keep]
 
-    def _downhill(self, times: Float[np.ndarray, "nx ny nz"], node: tuple[int, int, int]) -> tuple[int, int, int]:
+    def _downhill(self, times: Float[np.ndarray, "nx ny nz"], node: Node) -> Node:
         best, least = node, times[node]
         for axis in range(3):
             for sign in (-1, 1):
@@ -220,7 +223,7 @@ class Ways:
                     best, least = beside, times[beside]
         if best == node:
             raise AssertionError(f"no way down from node {node}")
-        return best  # pyright: ignore[reportReturnType]
+        return best
 
     def _pulled(self, corners: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "n 3"]:
         """Leave corners out, and pull the rest towards the line between their neighbours, while all stays clear."""
