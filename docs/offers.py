@@ -29,6 +29,15 @@ OFFERS = {
         "geometry.first_hit.FirstHit",
         "geometry.first_hit.FirstHit.ranges",
     ),
+    "seeing": (
+        "seeing.cut.cut",
+        "seeing.sightlines.Sightlines",
+        "seeing.sightlines.Sightlines.clear",
+        "seeing.sightlines.Sightlines.lit",
+        "seeing.visible.visible",
+        "seeing.visible.in_view",
+        "seeing.visible.lit_units",
+    ),
     "fields": (
         "fields.field.Field.value",
         "fields.field.Field.value_and_gradient",
@@ -173,6 +182,15 @@ OFFERS = {
         "exploring.departures.departures",
         "exploring.reachable.reachable",
         "exploring.next_view.choose",
+    ),
+    "inspecting": (
+        "inspecting.inspect.inspect",
+        "inspecting.inspection.Inspection.summary",
+        "inspecting.leading.Leading.of",
+        "inspecting.leading.Leading.law",
+        "inspecting.frames.Camera.units",
+        "inspecting.frames.as_flown",
+        "inspecting.frames_file.coverage_of_files",
     ),
     "rare_events": (
         "rare_events.event.rare",

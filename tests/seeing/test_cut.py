@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from truths.made_meshes import target_of
 from truths.real_meshes import present
 
@@ -112,6 +114,28 @@ def test_a_finely_rounded_part_is_not_taken_as_plane():
     off = np.abs(np.linalg.norm(patches.corners, axis=2) - 0.2)
     assert off.max() < 2.1e-5
     assert patches.areas.sum() == pytest.approx(mesh.area, rel=1e-9)
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    corners=st.lists(st.tuples(st.integers(0, 2), st.integers(0, 2), st.integers(0, 2)), min_size=4, max_size=12),
+    picks=st.lists(st.tuples(*[st.integers(0, 11)] * 3), min_size=1, max_size=30),
+    size=st.sampled_from([0.3, 0.7, 1.0, 5.0]),
+)
+def test_any_soup_keeps_its_area_in_convex_patches(corners, picks, size):
+    # Few corners on a lattice: duplicates, overlaps, edges of many faces, faces without area, flipped neighbours.
+    vertices = np.array(corners, dtype=np.float64)
+    faces = np.array(picks) % len(vertices)
+    target = target_of(vertices, faces)
+    if mesh_area(target) == 0.0:
+        with pytest.raises(InspectionError, match="no area"):
+            cut(target, size)
+        return
+    patches = cut(target, size)
+    assert patches.areas.sum() == pytest.approx(mesh_area(target), rel=1e-9)
+    assert polygon_areas(patches) == pytest.approx(patches.areas, rel=1e-6)
+    assert target.distance.distance(patches.corners.reshape(-1, 3)).max() < 2.1e-5
+    assert np.isfinite(patches.centres).all()
 
 
 @pytest.mark.parametrize("mesh", present(), ids=lambda mesh: mesh.name)

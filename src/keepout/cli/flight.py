@@ -65,9 +65,9 @@ def inspect(
     scenario: Annotated[
         Path, typer.Argument(help="A scenario file (TOML), with [camera], [light] and [inspect] as needed.")
     ],
-    out: Annotated[
-        Path, typer.Option("--out", "-o", help="Folder for flight file, frames, pictures and page.")
-    ] = Path("out"),
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for flight file, frames, pictures and page.")] = Path(
+        "out"
+    ),
     figures: Annotated[bool, typer.Option(help="Draw pictures and the page.")] = True,
     seed: ScenarioSeed = None,
     as_json: AsJson = False,

@@ -32,9 +32,7 @@ def middle_of(directions: Float[np.ndarray, "k 3"]) -> tuple[Vector, float]:
     return best, float(np.arccos(np.clip(least, -1.0, 1.0)))
 
 
-def aim(
-    place: Vector, points: Float[np.ndarray, "k 3"], planned: Vector, half_angle: float
-) -> Vector:
+def aim(place: Vector, points: Float[np.ndarray, "k 3"], planned: Vector, half_angle: float) -> Vector:
     """Give the direction to look in from a place so that points are in the cone; the planned one if they are not.
 
     Args:

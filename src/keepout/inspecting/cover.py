@@ -82,7 +82,8 @@ def fewest_views(
     program.add(_hardest(sees, _FIRST_ROWS))
     exact = False
     while len(best) > bound and (left := seconds - (time.perf_counter() - began)) > 0.0:
-        answer = program.solve(left, exact=exact)
+        # The solver looks at its clock seldom: it is told of half the time.
+        answer = program.solve(0.5 * left if exact else left, exact=exact)
         if answer is None:
             break
         bound = max(bound, price_bound(sees, areas, total - goal, *answer.prices), answer.fewest)

@@ -103,7 +103,8 @@ def law_keeps(scenario: Scenario, target: Target, error_bound: float) -> float:
         ControlError: the thrusters cannot meet the guard's assumptions.
 
     """
-    own = least_offset(scenario.chaser.speed_limit, scenario.control.period)
+    by_default = scenario.control.profile == "default"
+    own = least_offset(scenario.chaser.speed_limit, scenario.control.period) if by_default else 0.0
     room = room_for_guard(scenario, target).get("nominal_offset", own)
     return error_bound + scenario.chaser.radius + scenario.safety.margin + room
 
@@ -228,11 +229,13 @@ def _require_whole_patches(scenario: Scenario, target: Target) -> None:
     stand-off; some corner at sqrt(D² + d²) or farther, and d or more beside the foot of the camera's perpendicular, so
     that D ≥ d/tan i for the incidence i, and p (D² + d²)/D ≤ g for a pixel's angle p and the sample distance g; some
     corner at sqrt(D² + d²) or nearer; and one diagonal, of two across each other, at an angle φ to the line of sight
-    with sin φ ≥ q = sqrt(1 - sin² i / 2), which fills the angle γ with tan γ = 2 D d sin φ / (D² - d²).
+    with sin φ ≥ q = sqrt(1 - sin² i / 2), which fills the angle γ with tan γ = 2 D d sin φ / (D² - d²). Below a right
+    angle γ is least for sin φ = q, above it for sin φ = 1.
     """
     rules, size = rules_of(scenario), patch_size(scenario, target)
     d, view = size / math.sqrt(2.0), rules.field_of_view
-    across = math.sqrt(1.0 - 0.5 * math.sin(rules.greatest_incidence) ** 2) / math.tan(view)
+    narrowest = math.sqrt(1.0 - 0.5 * math.sin(rules.greatest_incidence) ** 2) if view < 0.5 * math.pi else 1.0
+    across = narrowest / math.tan(view)
     low = max(
         scenario.inspect.stand_off,
         d / math.tan(rules.greatest_incidence),

@@ -2,13 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
 
 from keepout.errors import InspectionError
-from keepout.flight.record import FlightRecord
 from keepout.inspecting.inspection import Frame
 from keepout.progress import Progress, silent
 from keepout.seeing.patches import Patches
@@ -19,6 +18,7 @@ from keepout.seeing.visible import in_view, lit_units, visible
 Vector = Float[np.ndarray, "3"]
 
 
+@runtime_checkable
 class SunAt(Protocol):
     """What the frames ask of the light."""
 
@@ -29,6 +29,21 @@ class SunAt(Protocol):
 
     def sun(self, time: float) -> Vector | None:
         """Give the unit vector towards the sun, body frame, at a time (s); None where there is no light."""
+        ...
+
+
+@runtime_checkable
+class Way(Protocol):
+    """What the frames ask of a flight's record."""
+
+    @property
+    def time(self) -> Float[np.ndarray, " rows"]:
+        """Of each row, s."""
+        ...
+
+    @property
+    def position(self) -> Float[np.ndarray, "rows 3"]:
+        """The true one in each row, m, body frame."""
         ...
 
 
@@ -108,7 +123,7 @@ class Camera:
 
 
 def as_flown(
-    record: FlightRecord, shots: Sequence[Shot], camera: Camera, *, progress: Progress = silent
+    record: Way, shots: Sequence[Shot], camera: Camera, *, progress: Progress = silent
 ) -> tuple[tuple[Frame, ...], Bool[np.ndarray, " units"]]:
     """Say what each frame truly showed, and what all of them together.
 

@@ -56,7 +56,7 @@ class Recomputed:
 
 
 def save_frames(path: Path, frames: tuple[Frame, ...], *, target_sha256: str) -> Path:
-    """Write frames to a Parquet file: time, position, boresight, sun (null without light) and the units seen, a row each.
+    """Write frames to a Parquet file, a row each: time, position, boresight, sun (null without light), units seen.
 
     Raises:
         InspectionError: a place that cannot be written.

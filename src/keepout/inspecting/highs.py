@@ -99,6 +99,4 @@ class CoverProgram:
             return None
         dual = np.array(solution.row_dual)
         prices[np.concatenate(self._rows)] = dual[1:]
-        return CoverAnswer(
-            np.array(solution.col_value[: self._views]), (prices, -float(dual[0]) / self._scale), 0
-        )
+        return CoverAnswer(np.array(solution.col_value[: self._views]), (prices, -float(dual[0]) / self._scale), 0)

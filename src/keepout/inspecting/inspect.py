@@ -1,13 +1,12 @@
 """Inspect: fly through the views of a plan, take what each frame shows, plan anew where views were lost, and judge."""
 
-import math
 import time
 from collections import deque
 from pathlib import Path
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from keepout.audit.audit import audit
 from keepout.compiled.kept_programs import keep_programs
@@ -47,7 +46,7 @@ from keepout.seeing.seeable import Verdict
 
 Point = Float[np.ndarray, "3"]
 
-_REPLANS = 12
+_REPLANS = 16
 """Plans after the first, at most: each costs a tour that is mostly way."""
 
 
@@ -115,15 +114,15 @@ class _Inspector:
         require_something_to_see(scenario, problem.seeable, self.lit)
         self.wanted = Wanted.of(problem.patches, self.lit, scenario.inspect.coverage)
         self.estimate = np.asarray(scenario.start.position, dtype=float)
-        self.first = self._planned(0.0, part_of(progress, 0.4, 0.5)) if first is None else first
+        self.boresight = boresight_of(scenario, target)
+        holds = scenario.inspect.hold_points
+        begins = np.asarray(holds[-1].position, dtype=float) if holds else self.estimate
+        self.first = self._planned(begins, 0.0, part_of(progress, 0.4, 0.5)) if first is None else first
         self.plans, self.fresh = 1, 0
-        self.legs: deque[Leg] = deque(
-            [*Leg.holds(scenario.inspect.hold_points), *Leg.views(self.first, scenario.inspect.dwell)]
-        )
+        self.legs: deque[Leg] = deque([*Leg.holds(holds), *Leg.views(self.first, scenario.inspect.dwell)])
         self.leg: Leg | None = None
         self.refused: list[str] = []
         self.taken_views = 0
-        self.boresight = boresight_of(scenario, target)
         self.shots: list[Shot] = []
         self.logs: list[FlightLog] = []
         self.rows = 0
@@ -169,8 +168,16 @@ class _Inspector:
         place = self.leading.reachable(start)
         return self.leading.law(start if place is None else place, start)
 
-    def _planned(self, now: float, progress: Progress = silent) -> InspectionPlan:
-        return plan(self.problem, position=self.estimate, time=now, wanted=self.wanted.left, progress=progress)
+    def _planned(self, position: Point, now: float, progress: Progress = silent) -> InspectionPlan:
+        return plan(
+            self.problem,
+            position=position,
+            time=now,
+            wanted=self.wanted.left,
+            share=self.wanted.share_of_left,
+            boresight=self.boresight.direction,
+            progress=progress,
+        )
 
     def _look(self, log: FlightLog, ticks: int) -> None:
         """Turn the camera over a segment, and take its frame at the last row: it is looked at a period later."""
@@ -215,12 +222,22 @@ class _Inspector:
         ended = self.leg.ended(now, self.wanted)
         if ended is None:
             return False
+        left = self.leg.left(self.wanted)
         if ended is Lost.NOT:
             self.taken_views += 1
+            if len(left) and not self._lit(now, left).all():
+                ended = Lost.LIGHT
         if ended in (Lost.LIGHT, Lost.GUARD):
             self.replan = True
-        self.wanted.failed(self.leg.left(self.wanted))
+        else:
+            self.wanted.failed(left)
         return True
+
+    def _lit(self, now: float, units: Int[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
+        sun = self.camera.sun(now)
+        if sun is None:
+            return np.full(len(units), not self.camera.light.matters)
+        return self.camera.lit(sun, units)
 
     def _next(self, now: float) -> Law | tuple[str, str]:
         """Go on to the next view that still has something to show, planning anew where that is due."""
@@ -246,7 +263,9 @@ class _Inspector:
             way = float(np.linalg.norm(place - self.estimate))
             turn = 0.0 if leg.boresight is None else self.boresight.off(leg.boresight)
             slew = turn / self.boresight.greatest_rate
-            law = self.leading.law(place, self.estimate, speed=way / slew if slew > 0.0 else None)
+            law = self.leading.law(
+                place, self.estimate, speed=way / slew if slew > 0.0 else None, through=not leg.waits
+            )
         except ControlError as refusal:
             self.refused.append(str(refusal))
             self.wanted.failed(leg.units)
@@ -261,7 +280,7 @@ class _Inspector:
         if not left.any() or self.plans > _REPLANS:
             return self._no_way() or nothing
         self.replan = False
-        again = self._planned(now)
+        again = self._planned(self.estimate, now)
         self.plans += 1
         self.legs = deque(Leg.views(again, self.scenario.inspect.dwell))
         if not self.legs:
@@ -274,9 +293,7 @@ class _Inspector:
             return None
         return "no way", f"the law led to none of {len(self.refused)} views: {self.refused[-1]}"
 
-    def _judged(
-        self, log: FlightLog, setup: FlightSetup, ending: tuple[str, str], progress: Progress
-    ) -> Inspection:
+    def _judged(self, log: FlightLog, setup: FlightSetup, ending: tuple[str, str], progress: Progress) -> Inspection:
         """Put together what was flown, audit it on the mesh, and say what each frame truly showed."""
         scenario = self.scenario
         flown = outcome(setup, log)

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from keepout.control.guidance.geodesic import BarrierGrid
+from keepout.control.guidance.guidance import GeodesicGuidance
 from keepout.control.guidance.plan import Geodesic
 from keepout.control.law import Law
 from keepout.errors import InspectionError
@@ -39,6 +40,8 @@ _BORDER = 2.0
 """Metres by which the grid of ways reaches beyond all places from which something is in range."""
 _STEPS, _STEP = 60, 0.05
 """Of the search for room beside a place that the law does not lead to."""
+_THROUGH = 0.2
+"""Share of the law's slowing length within which a chaser that means to fly on slows down."""
 _SLOWEST = 0.2
 """Share of the speed limit below which no leg is flown."""
 
@@ -162,13 +165,15 @@ class Leading:
             here = here + slope / size * max(min(needed - said[0] + 1e-3, 5.0 * _STEP), 0.2 * _STEP)
         return None
 
-    def law(self, goal: Point, position: Point, *, speed: float | None = None) -> Law:
+    def law(self, goal: Point, position: Point, *, speed: float | None = None, through: bool = False) -> Law:
         """Make the law that leads to a goal.
 
         Args:
             goal: (3,) m, where the law leads (`reachable`).
             position: (3,) m, where the chaser is.
             speed: on the way, m/s; by default the chaser's limit. No leg is flown at less than a fifth of that.
+            through: whether the chaser is hoped to fly on before it is there: then it slows down late, and passes the
+                goal before it comes to rest there.
 
         Raises:
             ControlError: no way leads there.
@@ -188,7 +193,10 @@ class Leading:
         law = law_on(scenario, self.model.field, bound, from_start=within and free, **options)
         limit = scenario.chaser.speed_limit
         slowed = float(np.clip(limit if speed is None else speed, _SLOWEST * limit, limit))
-        guidance = dataclasses.replace(law.velocity.guidance, speed=jnp.asarray(slowed))
+        guidance = law.velocity.guidance
+        assert isinstance(guidance, GeodesicGuidance)
+        slowing = guidance.slowing_length * (_THROUGH if through else 1.0)
+        guidance = dataclasses.replace(guidance, speed=jnp.asarray(slowed), slowing_length=slowing)
         law = dataclasses.replace(law, checked=(), velocity=dataclasses.replace(law.velocity, guidance=guidance))
         return broken_as(scenario, law, self.model.field)
 
@@ -215,4 +223,3 @@ def _moved(scenario: Scenario, start: tuple[float, ...], goal: tuple[float, ...]
             "goal": scenario.goal.model_copy(update={"position": tuple(goal)}),
         }
     )
-

@@ -13,9 +13,7 @@ _MOST = 720
 """Directions that are looked at, at most."""
 
 
-def ever_lit(
-    camera: Camera, units: Bool[np.ndarray, " units"], duration: float
-) -> Bool[np.ndarray, " units"]:
+def ever_lit(camera: Camera, units: Bool[np.ndarray, " units"], duration: float) -> Bool[np.ndarray, " units"]:
     """Say which units are wholly lit at some time from 0 to `duration` (s); all of them where light does not matter.
 
     The sun is looked at every few degrees of its way. What is lit only in between is left out: the answer is a lower

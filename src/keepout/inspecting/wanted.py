@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 
 from keepout.seeing.patches import Patches
 
@@ -53,13 +53,21 @@ class Wanted:
         """Whether the share wanted was taken."""
         return self.reached >= self.share - _ROUNDING
 
+    @property
+    def share_of_left(self) -> float:
+        """Share of the area left that is to be seen so that the share wanted is reached, 0 to 1."""
+        areas = self.patches.unit_areas()
+        whole, left = float(areas[self.possible].sum()), float(areas[self.left].sum())
+        missing = (self.share - self.reached) * whole
+        return float(np.clip(missing / left, 0.0, 1.0)) if left > 0.0 else 1.0
+
     def take(self, units: Int[np.ndarray, " k"]) -> int:
         """Note what a frame showed; give how many units of it were wanted and new."""
         fresh = int((self.possible[units] & ~self.taken[units]).sum())
         self.taken[units] = True
         return fresh
 
-    def failed(self, promised: Float[np.ndarray, " k"]) -> None:
+    def failed(self, promised: Int[np.ndarray, " k"]) -> None:
         """Note that a tour promised units; those not taken are tried so many times at most."""
-        missing = np.asarray(promised)[~self.taken[promised]]
+        missing = promised[~self.taken[promised]]
         self.failures[missing] += 1

@@ -106,9 +106,7 @@ class Ways:
             across, half, piece = (np.concatenate([v[split], v[split]]) for v in (0.5 * across, 0.5 * half, piece))
         return result
 
-    def lengths(
-        self, places: Float[np.ndarray, "k 3"]
-    ) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, "k k 3"]]:
+    def lengths(self, places: Float[np.ndarray, "k 3"]) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, "k k 3"]]:
         """Give the lengths (m) of the ways between all places, infinite where none leads, and how they set out.
 
         A straight way that is clear has its own length; another has that of the grid, which is a few per cent more
@@ -143,6 +141,18 @@ class Ways:
                     leave[i, j] = course / max(float(np.linalg.norm(course)), 1e-12)
         return np.minimum(length, length.T), leave
 
+    def nearly(self, place: Float[np.ndarray, "3"], places: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
+        """Give the lengths (m) of ways from one place to many, to within about a cell; infinite where none leads."""
+        times = self._march(*self._joined(place))
+        at = (places - self.origin) / self.spacing
+        base = np.clip(np.floor(at).astype(int), 0, np.array(self.open.shape) - 2)
+        found = np.full(len(places), np.inf)
+        for corner in np.ndindex(2, 2, 2):
+            node = base + corner
+            through = times[tuple(node.T)] + self.spacing * np.linalg.norm(node - at, axis=1)
+            found = np.minimum(found, through)
+        return np.maximum(found, np.where(np.isfinite(found), np.linalg.norm(places - place, axis=1), 0.0))
+
     def path(self, begin: Float[np.ndarray, "3"], end: Float[np.ndarray, "3"]) -> Float[np.ndarray, "m 3"] | None:
         """Give the corners of a way, every piece of it clear; None where none leads.
 
@@ -171,9 +181,7 @@ class Ways:
     def _speed(self) -> Float[np.ndarray, "nx ny nz"]:
         return self.open.astype(np.float64)
 
-    def _march(
-        self, nodes: Int[np.ndarray, "n 3"], away: Float[np.ndarray, " n"]
-    ) -> Float[np.ndarray, "nx ny nz"]:
+    def _march(self, nodes: Int[np.ndarray, "n 3"], away: Float[np.ndarray, " n"]) -> Float[np.ndarray, "nx ny nz"]:
         if len(nodes) == 0:
             return np.full(self.open.shape, np.inf)
         return travel_time(self._speed, self.walls, nodes, away, self.spacing)

@@ -32,7 +32,8 @@ def cut(target: Target, size: float, *, progress: Progress = silent) -> Patches:
         progress: told how far the work is.
 
     Raises:
-        InspectionError: a point cloud, a size that is not above 0, or more than `MOST_PATCHES` patches.
+        InspectionError: a point cloud, a mesh without area, a size that is not above 0, or more than `MOST_PATCHES`
+            patches.
 
     """
     if target.ball_radius > 0.0:
@@ -45,6 +46,8 @@ def cut(target: Target, size: float, *, progress: Progress = silent) -> Patches:
     faces[inward] = faces[inward][:, ::-1]
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
     face_areas = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    if not face_areas.sum() > 0.0:
+        raise InspectionError(f"{target.name}: its {len(faces)} faces have no area; there is nothing to be seen")
     _refuse_many(target, size, float(face_areas.sum()) / size**2)
     found = regions(vertices, faces)
     progress(0.3, f"cutting {len(found.extent)} plane regions")

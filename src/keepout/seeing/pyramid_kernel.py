@@ -17,6 +17,8 @@ _MARGIN = 1e-9
 """Least distance between a triangle and the pyramid's side that it passes, m; rounding comes on top."""
 _ROUNDING = 64 * np.finfo(np.float64).eps
 """Part of the largest coordinate by which rounding moves a point, a distance or a cut: more than it does."""
+_REACH = 4.0 / _ROUNDING
+"""Farther than a mesh is wide: times what rounding is for its largest coordinate, m."""
 _SLIVER = 1e-150
 """A plane whose normal is computed shorter than this is not used."""
 
@@ -24,13 +26,14 @@ _SLIVER = 1e-150
 @numba.njit(cache=True, nogil=True, inline="always")
 @no_type_check
 def _ray_meets(corners, t, cx, cy, cz, gx, gy, gz, low, high):
-    """Whether the ray c + s g meets a triangle at an s between low and high."""
+    """Whether the ray c + s g surely meets a triangle at an s between low and high."""
     ax, ay, az = corners[t, 0], corners[t, 1], corners[t, 2]
     ex, ey, ez = corners[t, 3] - ax, corners[t, 4] - ay, corners[t, 5] - az
     fx, fy, fz = corners[t, 6] - ax, corners[t, 7] - ay, corners[t, 8] - az
     kx, ky, kz = gy * fz - gz * fy, gz * fx - gx * fz, gx * fy - gy * fx
     det = ex * kx + ey * ky + ez * kz
-    if det == 0.0:
+    # Edge-on or without area: left to the pyramid.
+    if det * det <= 1e-20 * (ex * ex + ey * ey + ez * ez) * (kx * kx + ky * ky + kz * kz):
         return False
     inverse = 1.0 / det
     sx, sy, sz = cx - ax, cy - ay, cz - az
@@ -87,7 +90,7 @@ def ray_blocker(boxes, children, first, corners, stack, cx, cy, cz, gx, gy, gz, 
 
 @numba.njit(cache=True, nogil=True)
 @no_type_check
-def _sides(patch, count, way, far, qx, qy, qz, planes):
+def _sides(patch, count, way, far, qx, qy, qz, reach, planes):
     """Write the planes of the pyramid's sides (unit normal inwards, and the least value on pyramid); their number.
 
     The least value is taken over the computed normal, so that the pyramid is inside whatever rounding did to it.
@@ -106,8 +109,9 @@ def _sides(patch, count, way, far, qx, qy, qz, planes):
         least = np.inf
         for k in range(count):
             least = min(least, mx * patch[k, 0] + my * patch[k, 1] + mz * patch[k, 2])
-        if far > 0.0:
-            least = min(least, mx * qx + my * qy + mz * qz)
+        towards = mx * qx + my * qy + mz * qz
+        # A prism runs on for as far as the mesh does, along a plane that rounding may have tilted.
+        least = min(least, towards) if far > 0.0 else least - abs(towards) * reach
         planes[number, 0], planes[number, 1], planes[number, 2], planes[number, 3] = mx, my, mz, least
         number += 1
     return number
@@ -152,7 +156,7 @@ def _outside_a_side(polygon, count, planes, sides, margin):
 
 @numba.njit(cache=True, nogil=True)
 @no_type_check
-def _beside(polygon, count, patch, corners, far, qx, qy, qz, rounding, margin):
+def _beside(polygon, count, patch, corners, far, qx, qy, qz, rounding, reach, margin):
     """Whether a plane through the eye and an edge of the polygon has the polygon on one side and the patch beyond."""
     for i in range(count):
         j = i + 1 if i + 1 < count else 0
@@ -176,6 +180,8 @@ def _beside(polygon, count, patch, corners, far, qx, qy, qz, rounding, margin):
         for k in range(corners):
             value = mx * (patch[k, 0] - ox) + my * (patch[k, 1] - oy) + mz * (patch[k, 2] - oz)
             least, most = min(least, value), max(most, value)
+        tilt = 0.0 if far > 0.0 else abs(mx * qx + my * qy + mz * qz) * reach
+        least, most = least - tilt, most + tilt
         if (low >= -rounding and most <= -margin) or (high <= rounding and least >= margin):
             return True
     return False
@@ -205,7 +211,7 @@ def _passes(corners, t, patch, count, plane, top, planes, sides, far, qx, qy, qz
         if number == 0 or _outside_a_side(one, number, planes, sides, side_margin):
             return True
     margin = side_margin + (2.0 * rounding * (1.0 + top / LIFT) if far > 0.0 else 0.0)
-    return _beside(one, number, patch, count, far, qx, qy, qz, rounding, margin)
+    return _beside(one, number, patch, count, far, qx, qy, qz, rounding, rounding * _REACH, margin)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -313,12 +319,12 @@ def look(boxes, children, first, corners, depth, patches, counts, centres, norma
             continue
         found = ray_blocker(boxes, children, first, corners, stack, cx, cy, cz, gx, gy, gz, low, high)
         if found < 0:
-            sides = _sides(patch, count, way, far, qx, qy, qz, planes)
+            sides = _sides(patch, count, way, far, qx, qy, qz, rounding * _REACH, planes)
             base = -np.inf  # of the patch's plane: the highest corner, so that no corner is above it
             for k in range(count):
                 base = max(base, nx * patch[k, 0] + ny * patch[k, 1] + nz * patch[k, 2])
             plane[0], plane[1], plane[2], plane[3] = nx, ny, nz, base
-            top = nx * qx + ny * qy + nz * qz - base - LIFT if far > 0.0 else np.inf
+            top = nx * qx + ny * qy + nz * qz - base - LIFT + rounding if far > 0.0 else np.inf
             found = pyramid_blocker(
                 boxes, children, first, corners, stack, patch, count, plane, top, planes, sides, far, qx, qy, qz,
                 rounding, work, heights,
