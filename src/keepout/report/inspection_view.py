@@ -132,7 +132,7 @@ def draw_contact_sheet(path: Path, inspection: Inspection) -> None:
     rows = max(1, math.ceil(len(views) / _ACROSS))
     mesh = PatchMesh.of(inspection.patches)
     studio = Studio(mesh.triangles())
-    with figure(path, width=11.0, height=0.6 + 3.05 * rows) as drawing:
+    with figure(path, width=11.0, height=0.75 + 3.05 * rows) as drawing:
         panels = drawing.subplots(rows, _ACROSS, squeeze=False)
         for axes in panels.flat:
             axes.set_axis_off()
@@ -145,7 +145,7 @@ def draw_contact_sheet(path: Path, inspection: Inspection) -> None:
         left = len(parts) - len(views)
         unseen = f" ({left} more were not seen)" if left else ""
         drawing.suptitle(
-            f"The best view of each of {len(views)} parts{unseen}, {lit}; "
+            f"The best view of each of {len(views)} parts{unseen}, {lit}\n"
             "orange: the edge of what counted as wholly seen; ring: the camera's cone",
             fontsize=10,
         )
