@@ -8,15 +8,17 @@ that keeps range (10 m; ISS 20 m) and incidence (60 degrees) from it.
 `one_ray_wrong` is the share, of the pairs that a ray to the patch's centre calls seen, in which some other ray is
 blocked; `seven_rays_wrong` the same with the centre and six points of the border. Truth there is several hundred rays
 to each patch, by `FirstHit`, which shares no code with the pyramids. `refused_though_rays_pass` is the share of pairs
-that are called blocked and of which none of those rays is: too careful, or blocked between the rays.
-`clear_though_a_ray_is_blocked` must be 0. `bisected` counts the pieces of triangles halved across their longest edge
-until none is longer than the patch size.
+that are called blocked and of which none of those rays is. `too_careful` counts those of them that rational arithmetic
+finds clear; the others are blocked between the rays. `clear_though_a_ray_is_blocked` must be 0, and so must
+`clear_though_not_exactly`, of 30 clear pairs that rational arithmetic looks at. `bisected` counts the pieces of
+triangles halved across their longest edge until none is longer than the patch size.
 """
 
 import argparse
 import json
 import math
 import time
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +32,7 @@ from keepout.seeing.rules import SeeingRules
 from keepout.seeing.sightlines import LIFT, Sightlines
 from keepout.seeing.visible import lit_units, within_rules
 
+Point = list[Fraction]
 SHIPPED = ("intelsat30", "tiangong", "iss")
 FILES = ("ssl1300", "hubble")
 SIDE, BORDER = 13, 12
@@ -75,6 +78,54 @@ def blocked_rays(patches: Patches, first_hit: FirstHit, place: np.ndarray, unit:
     lengths = np.linalg.norm(ways, axis=1)
     steep = -(ways @ patches.unit_normals()[unit])
     return first_hit.ranges(place[None], ways) < lengths * (1.0 - LIFT / steep)
+
+
+def kept(polygon: list[Point], normal: Point, level: Fraction) -> list[Point]:
+    """Give the part of a convex polygon where normal . x >= level."""
+    values, out = [dot(normal, x) - level for x in polygon], []
+    for i, (here, a) in enumerate(zip(polygon, values)):
+        there, b = polygon[(i + 1) % len(polygon)], values[(i + 1) % len(polygon)]
+        if a >= 0:
+            out.append(here)
+        if a * b < 0:
+            out.append([x + a / (a - b) * (y - x) for x, y in zip(here, there)])
+    return out
+
+
+def exactly_clear(patches: Patches, triangles: np.ndarray, place: np.ndarray, unit: int) -> bool:
+    """Whether no triangle has a point in the pyramid, LIFT above the unit to LIFT below the place: without rounding."""
+    corners = patches.corners[unit // 2, : patches.counts[unit // 2]]
+    corners = corners[::-1] if unit % 2 else corners
+    hull = np.concatenate([corners, place[None]])
+    near = (triangles.max(axis=1) >= hull.min(axis=0)).all(axis=1) & (triangles.min(axis=1) <= hull.max(axis=0)).all(
+        axis=1
+    )
+    eye, normal = exact(place), exact(patches.unit_normals()[unit])
+    polygon = [exact(corner) for corner in corners]
+    base, lift = max(dot(normal, corner) for corner in polygon), Fraction(LIFT)
+    down = [-x for x in normal]
+    sides = []
+    for a, b in zip(polygon, polygon[1:] + polygon[:1]):
+        (gx, gy, gz), (ex, ey, ez) = ([x - y for x, y in zip(one, a)] for one in (eye, b))
+        sides.append([gy * ez - gz * ey, gz * ex - gx * ez, gx * ey - gy * ex])
+    for triangle in triangles[near]:
+        part = kept([exact(corner) for corner in triangle], normal, base + lift)
+        part = part and kept(part, down, lift - dot(normal, eye))
+        for side in sides:
+            part = part and kept(part, side, dot(side, eye))
+        if part:
+            return False
+    return True
+
+
+def exact(point: np.ndarray) -> Point:
+    """Give coordinates as the fractions that they are."""
+    return [Fraction(float(x)) for x in point]
+
+
+def dot(a: Point, b: Point) -> Fraction:
+    """Give the scalar product."""
+    return sum((x * y for x, y in zip(a, b)), Fraction(0))
 
 
 def bisected(target: Target, size: float) -> int:
@@ -127,6 +178,9 @@ def row(source: str, count: int, size: float, looked_at: int) -> dict[str, Any]:
     clear = np.array([says for _, _, says in pairs])
     one, seven = np.array([not r[0] for r in rays]), np.array([not r[:7].any() for r in rays])
     some_ray = np.array([bool(r.any()) for r in rays])
+    doubtful = [(place, unit) for (place, unit, says), ray in zip(pairs, some_ray) if not (says or ray)]
+    sure = [(place, unit) for place, unit, says in pairs if says][:: max(int(clear.sum()) // 30, 1)][:30]
+    triangles = target.vertices[target.faces]
     return {
         "mesh": Path(source).name,
         "triangles": len(target.faces),
@@ -144,7 +198,9 @@ def row(source: str, count: int, size: float, looked_at: int) -> dict[str, Any]:
         "one_ray_wrong": round(float((some_ray & one).sum() / max(one.sum(), 1)), 4),
         "seven_rays_wrong": round(float((some_ray & seven).sum() / max(seven.sum(), 1)), 4),
         "refused_though_rays_pass": round(float((~clear & ~some_ray).mean()), 5),
+        "too_careful": sum(exactly_clear(patches, triangles, place, unit) for place, unit in doubtful),
         "clear_though_a_ray_is_blocked": int((clear & some_ray).sum()),
+        "clear_though_not_exactly": sum(not exactly_clear(patches, triangles, place, unit) for place, unit in sure),
     }
 
 
