@@ -32,6 +32,7 @@ from keepout.inspecting.frames import Camera, Shot, as_flown
 from keepout.inspecting.inspection import Inspection
 from keepout.inspecting.leading import Leading
 from keepout.inspecting.leg import Leg, Lost
+from keepout.inspecting.limits import LimitsKept, limits_kept
 from keepout.inspecting.lit import ever_lit
 from keepout.inspecting.plan import InspectionPlan
 from keepout.inspecting.planning import plan
@@ -123,7 +124,9 @@ class _Inspector:
         begins = np.asarray(holds[-1].position, dtype=float) if holds else self.estimate
         self.first = self._planned(begins, 0.0, part_of(progress, 0.4, 0.5)) if first is None else first
         self.plans = 1
-        self.legs: deque[Leg] = deque([*Leg.holds(holds), *Leg.views(self.first, scenario.inspect.dwell)])
+        self.legs: deque[Leg] = deque(
+            [*Leg.holds(holds, scenario.goal.tolerance), *Leg.views(self.first, scenario.inspect.dwell)]
+        )
         self.leg: Leg | None = None
         self.refused: list[str] = []
         self.taken_views = 0
@@ -340,7 +343,14 @@ class _Inspector:
             start_certified=None if certified is None else certified and not self.broken,
             assumptions_broken=self.broken,
             guard=None if guard is None else guard_numbers(guard),
+            limits=self._limits_kept(record),
         )
+
+    def _limits_kept(self, record: FlightRecord) -> LimitsKept | None:
+        entry = self.scenario.inspect
+        if not (entry.hold_points or entry.no_thrust_towards or entry.passive_safety):
+            return None
+        return limits_kept(self.scenario, record, self.target.distance.distance, every=self.ticks)
 
 
 def _require_of(problem: Problem, scenario: Scenario, target: Target) -> None:
