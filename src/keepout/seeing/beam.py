@@ -12,7 +12,7 @@ from keepout.geometry.bvh import box_distance_squared, on_triangle
 _STEPS = 2000
 """Along a beam, at most; where they are used up the height reached so far stands."""
 _FINENESS = 2e-4
-"""Part of the stand-off to which the least height is found."""
+"""Part of the stand-off, or of a height, to which the least height is found."""
 
 
 class Limits(NamedTuple):
@@ -145,24 +145,31 @@ def least_height(limits, frame, outline, count, wx, wy, half, height, stack, bou
     """
     nearest = max(abs(wx) - half, 0.0) ** 2 + max(abs(wy) - half, 0.0) ** 2
     slant, across = np.sqrt(1.0 + wx * wx + wy * wy), half * np.sqrt(2.0)
+    fastest = slant + across
     for _ in range(_STEPS):
         if height * np.sqrt(1.0 + nearest) >= limits.greatest_range or height * (1.0 + nearest) > limits.finest:
             return np.inf
-        # A corner a is seen at the tangent |w - a / height|: at most `spread`.
-        raised = False
+        # A corner a is seen at the tangent |w - a / height|, at most `spread`, and at height * (1 + tangent²)^(1/2).
+        raised = height
         for j in range(count):
-            dx = max(abs(wx - outline[j, 0] / height) - half, 0.0)
-            dy = max(abs(wy - outline[j, 1] / height) - half, 0.0)
-            excess = np.sqrt(dx * dx + dy * dy) - limits.spread
-            reach = np.sqrt(outline[j, 0] ** 2 + outline[j, 1] ** 2)
-            if excess * height > 1e-3 * reach:
-                inverse = 1.0 / height - excess * (1.0 - 1e-9) / reach
+            dx, dy = abs(wx - outline[j, 0] / height), abs(wy - outline[j, 1] / height)
+            least, most = max(dx - half, 0.0) ** 2 + max(dy - half, 0.0) ** 2, (dx + half) ** 2 + (dy + half) ** 2
+            excess, reach = np.sqrt(least) - limits.spread, np.sqrt(outline[j, 0] ** 2 + outline[j, 1] ** 2)
+            if excess > 0.0:
+                inverse = 1.0 / height - excess / reach
                 if inverse <= 1e-9:
                     return np.inf
-                height = 1.0 / inverse
-                raised = True
-                break
-        if raised:
+                raised = max(raised, 1.0 / inverse)
+            # Distances change by at most `fastest` a metre of height.
+            far, near = height * np.sqrt(1.0 + least), height * np.sqrt(1.0 + most)
+            raised = max(raised, height + (far - limits.greatest_range) / fastest)
+            raised = max(raised, height + (limits.least_range - near) / fastest)
+            if limits.finest < np.inf:
+                raised = max(
+                    raised, height + (far * far - limits.finest * height) / (2.0 * far * fastest + limits.finest)
+                )
+        if raised > height * (1.0 + _FINENESS):
+            height += (raised - height) * (1.0 - 1e-9)
             continue
         x = frame[0, 0] + height * (wx * frame[1, 0] + wy * frame[2, 0] + frame[3, 0])
         y = frame[0, 1] + height * (wx * frame[1, 1] + wy * frame[2, 1] + frame[3, 1])
@@ -170,20 +177,24 @@ def least_height(limits, frame, outline, count, wx, wy, half, height, stack, bou
         # Places nearer to this one than that are nearer to the mesh than the stand-off.
         ball = limits.stand_off - _distance(limits, x, y, z, stack, bounds) - height * across
         if ball > _FINENESS * limits.stand_off:
-            height += ball * (1.0 - 1e-9) / (slant + across)
+            height += ball * (1.0 - 1e-9) / fastest
             continue
-        step = 0.5 * limits.unit
         if height * across > 4.0 * limits.unit:
             return height
-        wide = (height + step) * half
-        for k in range(3):
-            along = step * (wx * frame[1, k] + wy * frame[2, k] + frame[3, k])
-            here = x if k == 0 else (y if k == 1 else z)
-            beside = wide * (abs(frame[1, k]) + abs(frame[2, k])) + 1e-9
-            box[k], box[3 + k] = here + min(along, 0.0) - beside, here + max(along, 0.0) + beside
-        if _in_room(limits, box, stack, corners):
+        moved = False
+        for step in (8.0 * limits.unit, 2.0 * limits.unit, 0.5 * limits.unit):
+            wide = (height + step) * half
+            for k in range(3):
+                along = step * (wx * frame[1, k] + wy * frame[2, k] + frame[3, k])
+                here = x if k == 0 else (y if k == 1 else z)
+                beside = wide * (abs(frame[1, k]) + abs(frame[2, k])) + 1e-9
+                box[k], box[3 + k] = here + min(along, 0.0) - beside, here + max(along, 0.0) + beside
+            if not _in_room(limits, box, stack, corners):
+                height += step
+                moved = True
+                break
+        if not moved:
             return height
-        height += step
     return height
 
 

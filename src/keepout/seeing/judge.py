@@ -24,7 +24,7 @@ _SQUARES = (300, 3_000, 30_000)
 """Squares of directions a unit in each pass: most are decided by the first, and the next takes what is left."""
 _TOGETHER = (512, 64, 8)
 """Units between two looks at the clock."""
-_RAYS = 400
+_RAYS = 1500
 """Over the half sphere of directions: a unit is called enclosed if all of them meet the mesh."""
 
 
@@ -123,7 +123,7 @@ def witnessed(
 
 
 def _enclosed(distance: ExactDistance, patches: Patches, units: Int[np.ndarray, " m"]) -> Bool[np.ndarray, " m"]:
-    """Say from the middle of which units every one of some hundred rays meets the mesh: a measurement, no proof."""
+    """Say from the middle of which units every one of many rays meets the mesh: a measurement, no proof."""
     normals = patches.unit_normals()[units]
     first, second = _axes(normals)
     turn = np.arange(_RAYS) * math.pi * (3.0 - math.sqrt(5.0))

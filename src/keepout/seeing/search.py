@@ -132,8 +132,8 @@ def search(tree, deepest, limits, frames, outlines, patches, counts, heights, la
                 kept = min(kept + 1, _KEPT)
                 made[latest] = height
                 numbers[latest] = shadow(
-                    tree.corners, found, frame, outline, count, height, reach, largest, edges[latest], work, spare, points,
-                    chain,
+                    tree.corners, found, frame, outline, count, height, reach, largest, edges[latest], work, spare,
+                    points, chain,
                 )  # fmt: skip
                 if numbers[latest] > 0 and covers(edges[latest], numbers[latest], x, y, half):
                     continue
