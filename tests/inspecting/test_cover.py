@@ -43,7 +43,7 @@ def least_number(sees, areas, goal):
 def test_the_fewest_of_all_choices_is_found_and_proved(seed, share):
     sees, areas = drawn(seed)
     goal = share * seen_by(sees, areas, np.arange(sees.shape[0]))
-    cover = fewest_views(sees, areas, goal, seconds=5.0)
+    cover = fewest_views(sees, areas, goal, seconds=2.0)
     assert seen_by(sees, areas, cover.chosen) >= goal * (1.0 - 1e-9)
     assert len(cover.chosen) == cover.fewest == least_number(sees, areas, goal)
     assert cover.greedy >= len(cover.chosen)
@@ -92,7 +92,7 @@ def test_a_case_that_greed_gets_wrong():
     sees = np.zeros((3, 12))
     sees[0, :6] = sees[1, 6:] = 1.0
     sees[2, [0, 1, 2, 3, 6, 7, 8, 9]] = 1.0
-    cover = fewest_views(sparse.csr_array(sees), np.ones(12), 12.0, seconds=5.0)
+    cover = fewest_views(sparse.csr_array(sees), np.ones(12), 12.0, seconds=2.0)
     assert (cover.greedy, len(cover.chosen), cover.fewest) == (3, 2, 2)
 
 

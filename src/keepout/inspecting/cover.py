@@ -75,8 +75,8 @@ def fewest_views(
         return Cover(np.zeros(0, dtype=np.int64), 0, 0)
     first = greedy_cover(sees, areas, goal)
     progress(0.02, f"{len(first)} views by greed")
-    best = shaken(sees, areas, goal, pruned(sees, areas, goal, first), seconds=0.25 * seconds, seed=seed)
     bound = greedy_bound(sees, areas, goal, first)
+    best = shaken(sees, areas, goal, pruned(sees, areas, goal, first), bound, seconds=0.25 * seconds, seed=seed)
     progress(0.25, f"{len(best)} views, at least {bound}")
     program = CoverProgram(sees, areas, total - goal)
     program.add(_hardest(sees, _FIRST_ROWS))
@@ -170,17 +170,21 @@ def shaken(
     areas: Float[np.ndarray, " units"],
     goal: float,
     chosen: Int[np.ndarray, " m"],
+    fewest: int,
     *,
     seconds: float,
     seed: int = 0,
-    most: int = 2000,
+    most: int = 1000,
 ) -> Int[np.ndarray, " k"]:
-    """Take some views out and fill up by greed, again and again; keep what is fewer, or as many and sees more."""
+    """Take some views out and fill up by greed, again and again; keep what is fewer, or as many and sees more.
+
+    It ends with `fewest` views, after `seconds`, or after `most` times.
+    """
     generator = np.random.default_rng(seed)
     until = time.perf_counter() + seconds
     best, score = chosen, _score(sees, areas, chosen)
     for _ in range(most):
-        if time.perf_counter() > until or len(best) < 2:
+        if time.perf_counter() > until or len(best) <= max(fewest, 1):
             break
         out = int(generator.integers(*_TAKEN_OUT))
         # Half the time views that see the same as one of them: neighbours are what one view may replace.
@@ -202,7 +206,7 @@ def shortlist(sees: sparse.csr_array, areas: Float[np.ndarray, " units"], most: 
     What all see together they see together too: the first cover is complete.
     """
     left = np.arange(sees.shape[0])
-    kept: list[Int[np.ndarray, " k"]] = []
+    kept: list[Int[np.ndarray, " _"]] = []
     found = 0
     while len(left) and found < most:
         part = sees[left]

@@ -42,7 +42,7 @@ class CoverProgram:
         self._scale = float(areas.max())
         self._views = sees.shape[0]
         self.has = np.zeros(len(areas), dtype=bool)
-        self._rows: list[Int[np.ndarray, " k"]] = []
+        self._rows: list[Int[np.ndarray, " _"]] = []
         self._solver = highspy.Highs()
         self._solver.setOptionValue("output_flag", False)
         self._solver.setOptionValue("threads", 1)

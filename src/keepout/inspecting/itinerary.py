@@ -60,7 +60,7 @@ def tighter_rules(rules: SeeingRules, patch: float) -> SeeingRules:
 def legs_of(
     problem: Problem,
     views: Views,
-    needs: list[Int[np.ndarray, " k"]],
+    needs: list[Int[np.ndarray, " _"]],
     lit: LitTimes,
     start: Start,
     ways: tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n n 3"]],
@@ -87,7 +87,7 @@ def legs_of(
 
 def first_seen(
     sees: sparse.csr_array, order: Int[np.ndarray, " k"], areas: Float[np.ndarray, " units"]
-) -> list[Int[np.ndarray, " k"]]:
+) -> list[Int[np.ndarray, " _"]]:
     """Give for each row of an order what it sees and none before does."""
     seen, result = areas <= 0.0, []
     for row in order:
@@ -106,7 +106,7 @@ def drawn_up(
     start: Start,
     look: Look,
     areas: Float[np.ndarray, " units"],
-) -> tuple[InspectionPlan, list[Int[np.ndarray, " n"]]]:
+) -> tuple[InspectionPlan, list[Int[np.ndarray, " _"]]]:
     """Give the plan of a tour, and what is seen on each of its legs."""
     scenario, rows = problem.scenario, tour.order - 1
     stops = np.concatenate([start.position[None], views.positions[rows]])

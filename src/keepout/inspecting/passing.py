@@ -18,16 +18,16 @@ _FRAMES = 600
 
 
 def seen_in_passing(
-    courses: list[Float[np.ndarray, "m 3"]],
-    boresights: Float[np.ndarray, "k+1 3"],
-    times: Float[np.ndarray, " k+1"],
+    courses: list[Float[np.ndarray, "_ 3"]],
+    boresights: Float[np.ndarray, "stops 3"],
+    times: Float[np.ndarray, " stops"],
     *,
     look: Look,
     lit: LitTimes,
     half_angle: float,
     rate: float,
     period: float,
-) -> list[Int[np.ndarray, " n"]]:
+) -> list[Int[np.ndarray, " _"]]:
     """Say which units are seen between the views, leg by leg; neither of a leg's ends counts.
 
     On a leg the chaser goes at one speed, and the boresight turns at its rate from one view's direction straight to

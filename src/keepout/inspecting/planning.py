@@ -207,7 +207,7 @@ def _needed(
     sees: sparse.csr_array,
     tour: Tour,
     lit: LitTimes,
-    passing: list[Int[np.ndarray, " n"]],
+    passing: list[Int[np.ndarray, " _"]],
     areas: Float[np.ndarray, " units"],
     goal: float,
 ) -> Bool[np.ndarray, " v"]:

@@ -21,7 +21,11 @@ _LATE = 1e7
 _SIDE = 1e-3
 """Of the other quantity (s, or 100 m/s of Δv), what an objective counts of it so that ties are broken by it."""
 _WORK = 2e8
-"""Legs evaluated while an order is improved, about; the number of shakes follows."""
+"""Legs evaluated while an order is shaken, about; the number of shakes follows."""
+_SPAN = 60
+"""Places in the order by which a segment is moved, and views that are turned round together, at most."""
+_DESCENT = 1_500_000
+"""Orders tried in one descent, at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,18 +210,23 @@ def _descend(order, time_weight, delta_v_weight, lengths, leave, turns, windows,
     count = order.size
     times, tried = np.empty(count), np.empty(count, dtype=np.int64)
     best = _cost(order, time_weight, delta_v_weight, lengths, leave, turns, windows, numbers, times)
-    better = True
+    better, trials = True, 0
     while better:
         better = False
         # Segments of up to three, either way round, to anywhere; and any segment turned round where it is.
         for first in range(count):
-            for size in range(1, count - first + 1):
+            for size in range(1, min(count - first, _SPAN) + 1):
                 last = first + size - 1
-                low, high = (0, count - size) if size <= 3 else (first, first)
+                low, high = first, first
+                if size <= 3:
+                    low, high = max(first - _SPAN, 0), min(first + _SPAN, count - size)
                 for to in range(low, high + 1):
                     for turned in range(2):
                         if (to == first and turned == 0) or (size == 1 and turned == 1):
                             continue
+                        if trials >= _DESCENT * 60 // max(count, 60):
+                            return best
+                        trials += 1
                         _moved(order, first, last, to, turned == 1, tried)
                         cost = _cost(tried, time_weight, delta_v_weight, lengths, leave, turns, windows, numbers, times)
                         if cost < best - 1e-9:

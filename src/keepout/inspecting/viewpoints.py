@@ -139,7 +139,7 @@ def find_views(
 
 def boresights_of(
     seen: Visible, areas: Float[np.ndarray, " units"], times: Int[np.ndarray, " units"], half_angle: float
-) -> tuple[Float[np.ndarray, "b 3"], list[Int[np.ndarray, " k"]]]:
+) -> tuple[Float[np.ndarray, "b 3"], list[Int[np.ndarray, " _"]]]:
     """Choose directions to look in at one place, each where most of what is left is wholly in the cone.
 
     Args:
@@ -258,7 +258,7 @@ def _sphere(count: int) -> Float[np.ndarray, "n 3"]:
 
 def _joined(
     found: list[tuple[Point, Visible]],
-    chosen: list[tuple[Float[np.ndarray, "b 3"], list[Int[np.ndarray, " k"]]]],
+    chosen: list[tuple[Float[np.ndarray, "_ 3"], list[Int[np.ndarray, " _"]]]],
     units: int,
 ) -> Views:
     rows = [row for _, several in chosen for row in several]
