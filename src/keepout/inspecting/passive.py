@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from keepout.audit.tube import FlightBounds, Tube, lengths
+from keepout.audit.tube import Tube, lengths
 from keepout.compiled.kept_executables import kept_jit
 from keepout.errors import InspectionError
 from keepout.flight.record import FlightRecord
@@ -32,7 +32,7 @@ _RUN = 64
 """Steps that one program takes."""
 _TURN = 0.009
 """Radians that the body frame turns in a step, at most: a step a second at half a degree a second."""
-_LONGEST_STEP = 10.0
+_LONGEST_STEP = 60.0
 _INTEGRATION = 1e-4
 """Metres: more than the Runge–Kutta steps lose in a day (tests/inspecting/test_passive.py)."""
 _HALVINGS = 12
@@ -73,6 +73,7 @@ def passive_safety(
     position_error: float = 0.0,
     velocity_error: float = 0.0,
     enough: float = math.inf,
+    too_little: float = 0.0,
     tolerance: float = 0.02,
 ) -> PassiveSafety:
     """Bound how near drifts from many states come to a mesh.
@@ -86,7 +87,8 @@ def passive_safety(
             lasts; None: of the scenario's disturbance, whose swings then count as if they never turned round.
         position_error: of each state, m.
         velocity_error: of each state, m/s.
-        enough: a clearance, m, above which nobody asks how large it is; saves distances.
+        enough: a clearance, m, above which nobody asks how large it is.
+        too_little: a clearance, m, below which nobody asks how small it is: `clearance` is then a coarse bound.
         tolerance: to which the bound is driven otherwise, m.
 
     Raises:
@@ -105,15 +107,17 @@ def passive_safety(
     times = np.linspace(0.0, seconds, count + 1)
     radius = spread.radius(times, position_error=position_error, velocity_error=velocity_error)
     keep = scenario.chaser.radius + _INTEGRATION
+    # What the nominal drift can be between its samples: no pulses, and of what pushes, only what is of the motion.
+    pushed = bounds.disturbance_force if motion.perturbations else 0.0
+    still = replace(bounds, disturbance_force=pushed, excursion=0.0, velocity_excursion=0.0)
     parts = []
     for begin in range(0, len(states.time), _TOGETHER):
         some = jax.tree.map(lambda leaf, begin=begin: leaf[begin : begin + _TOGETHER], states)
         position, velocity = drift(motion, some, seconds / count, count)
-        tube = _coasting(times, position, velocity, bounds)
-        lower, upper, at = _least(tube, radius, distance, enough + keep, tolerance)
+        tube = Tube.of(times, position, velocity, np.zeros_like(position), still)
         farthest = lengths(position).max(axis=1) + radius[-1]
-        lost = tube.beyond.any(axis=1) | ~(farthest <= bounds.range_limit)
-        parts.append((np.where(lost, -np.inf, lower), upper, at))
+        within = ~tube.beyond.any(axis=1) & (farthest <= bounds.range_limit)
+        parts.append(_least(tube, radius, distance, within, (too_little + keep, enough + keep), tolerance))
     lower, upper, at = (np.concatenate(part) for part in zip(*parts, strict=True))
     return PassiveSafety(lower - keep, upper - keep, at, float(radius[-1]))
 
@@ -201,33 +205,25 @@ def _target(motion: RelativeMotion, begin: MotionState, period: Float[Array, ""]
     return jax.lax.scan(advance, begin, length=_RUN)
 
 
-def _coasting(
-    times: Float[np.ndarray, " k"],
-    position: Float[np.ndarray, "n k 3"],
-    velocity: Float[np.ndarray, "n k 3"],
-    bounds: FlightBounds,
-) -> Tube:
-    """Give what the nominal drift can be between its samples: there is no force, and no pulses."""
-    still = replace(bounds, excursion=0.0, velocity_excursion=0.0)
-    return Tube.of(times, position, velocity, np.zeros_like(position), still)
-
-
 def _least(
     tube: Tube,
     radius: Float[np.ndarray, " k"],
     distance: Callable[[Float[np.ndarray, "points 3"]], Float[np.ndarray, "points"]],
-    enough: float,
+    within: Bool[np.ndarray, " n"],
+    limits: tuple[float, float],
     tolerance: float,
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Bound the least of (distance − tube radius) over each drift, from below and above, and say when it is.
 
     Runs of steps are halved, then parts of a step, until the bound of a piece is above the tolerance below the least
-    value found, or above `enough`.
+    value found, or above the second of the limits, or a value below the first was found. Drifts that are not `within`
+    the range of the bounds are not looked at: −inf.
     """
     drifts, samples = tube.position.shape[:2]
     travel = np.zeros((drifts, samples))
     np.cumsum(tube.speed * np.diff(tube.time), axis=1, out=travel[:, 1:])
-    lower, upper, when = np.full(drifts, np.inf), np.full(drifts, np.inf), np.zeros(drifts)
+    lower, upper, when = np.where(within, np.inf, -np.inf), np.full(drifts, np.inf), np.zeros(drifts)
+    too_little, enough = limits
 
     def improve(which: np.ndarray, value: np.ndarray, time: np.ndarray) -> None:
         order = np.lexsort((value, which))
@@ -237,12 +233,13 @@ def _least(
         upper[index[better]], when[index[better]] = value[best][better], time[best][better]
 
     def open_still(which: np.ndarray, bound: np.ndarray, last: np.ndarray | bool = False) -> np.ndarray:
-        settled = (bound >= np.minimum(upper[which] - tolerance, enough)) | last
+        settled = (bound >= np.minimum(upper[which] - tolerance, enough)) | (upper[which] < too_little) | last
         np.minimum.at(lower, which[settled], bound[settled])
         return ~settled
 
     steps = []
-    which, first, end = np.arange(drifts), np.zeros(drifts, int), np.full(drifts, samples - 1)
+    which = np.flatnonzero(within)
+    first, end = np.zeros(which.size, int), np.full(which.size, samples - 1)
     while which.size:
         single = end - first == 1
         steps.append((which[single], first[single]))
