@@ -1,5 +1,6 @@
 """Inspect: fly through the views of a plan, take what each frame shows, plan anew where views were lost, and judge."""
 
+import dataclasses
 import time
 from collections import deque
 from pathlib import Path
@@ -21,6 +22,7 @@ from keepout.flight.setup import FlightSetup
 from keepout.geometry.target import Target
 from keepout.guard.safety_layer import mode
 from keepout.inspecting.aiming import aim
+from keepout.inspecting.circling import circle
 from keepout.inspecting.equipment import (
     boresight_of,
     require_inspectable,
@@ -84,7 +86,22 @@ def inspect(
     """
     if not isinstance(scenario, Scenario):
         scenario = Scenario.load(scenario)
+    if scenario.inspect.tour == "circumnavigation":
+        return _circled(scenario, target, problem, progress)
     return _Inspector(scenario, target, model, problem, first, progress).flown(part_of(progress, 0.5, 1.0))
+
+
+def _circled(
+    scenario: Scenario, target: Target | None, problem: Problem | None, progress: Progress
+) -> Inspection:
+    """Inspect by natural motion, which has neither plan nor way to be led along."""
+    if target is None:
+        target = load_target(scenario.target) if problem is None else problem.target
+    if problem is None:
+        problem = Problem.of(scenario, target, progress=part_of(progress, 0.0, 0.5))
+    _require_of(problem, scenario, target)
+    require_light(scenario, problem.light, problem.patches)
+    return circle(dataclasses.replace(problem, scenario=scenario), progress=part_of(progress, 0.5, 1.0))
 
 
 class _Inspector:
