@@ -88,9 +88,9 @@ def test_the_speed_asked_for_is_the_speed_flown_at_within_its_limits(leading):
 
 
 def test_a_start_nearer_than_the_law_keeps_and_another_profile_are_refused(box):
-    with pytest.raises(InspectionError, match="control.profile"):
+    with pytest.raises(InspectionError, match=r"control\.profile"):
         Leading.of(scenario(control={"profile": "paper"}), box)
-    with pytest.raises(InspectionError, match="inspect.stand_off: 0.6 m"):
+    with pytest.raises(InspectionError, match=r"inspect\.stand_off: 0\.6 m"):
         Leading.of(scenario(inspect={"stand_off": 0.6}), box)
-    with pytest.raises(KeepoutError, match="start.position"):
+    with pytest.raises(KeepoutError, match=r"start\.position"):
         Leading.of(scenario(start={"position": [2.3, 0.0, 0.0]}), box)

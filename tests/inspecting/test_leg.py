@@ -85,7 +85,7 @@ def test_before_its_window_a_view_waits_and_after_it_is_lost_to_the_light():
 
 def test_a_hold_point_is_held_for_its_seconds_from_when_it_is_reached():
     what = wanted()
-    (view,) = Leg.holds([HoldPointEntry(position=(1.0, 0.0, 0.0), seconds=60.0)])
+    (view,) = Leg.holds([HoldPointEntry(position=(1.0, 0.0, 0.0), seconds=60.0)], 0.1)
     view.begun(0.0, np.zeros(3), 10.0)
     frame(view, 30.0, what, away=2.0)
     frame(view, 40.0, what)
@@ -118,6 +118,7 @@ def test_enough_is_the_share_of_the_area_that_is_wanted():
     what = wanted(0.7)
     what.take(np.array([2, 4]))
     assert not what.enough
+    assert what.share_of_left == pytest.approx((7.0 - 5.0) / 5.0)
     what.take(np.array([0, 4]))
     assert not what.enough
     what.take(np.array([6]))

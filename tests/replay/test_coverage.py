@@ -8,12 +8,13 @@ import matplotlib.image
 import numpy as np
 import pytest
 from truths.browser import SOFTWARE, browsers
-from truths.made_up_inspection import DARK, PERIOD, RULES, SUN, made_up
+from truths.made_up_inspection import DARK, PERIOD, RULES, SUN, box_patches, made_up
 from truths.replay_page import ReplayPage
 
 from keepout.inspecting.fate import Fate, fates, first_frames
 from keepout.replay import coverage
-from keepout.replay.coverage import FATE_COLOURS, Coverage
+from keepout.replay.body import fewer_of
+from keepout.replay.coverage import FATE_COLOURS, Coverage, _units
 from keepout.replay.flights import Replayed
 from keepout.replay.patch_mesh import PatchMesh
 from keepout.replay.scene import scene
@@ -101,12 +102,34 @@ def test_a_surface_of_very_many_triangles_is_drawn_with_fewer_and_the_page_says_
     # Each triangle left has the fate of the side of the box that it lies on.
     middles = thinned.vertices[thinned.faces].mean(axis=1)
     below = np.abs(middles[:, 2] + 1.0) < 0.05
-    hidden = np.isin(thinned.fates[:, 0], (Fate.ENCLOSED, Fate.TOO_NARROW))
+    hidden = np.isin(thinned.fates, (Fate.ENCLOSED, Fate.TOO_NARROW)).any(axis=1)
     assert hidden[below].mean() > 0.9
     assert not hidden[~below & (middles[:, 2] > -0.8)].any()
     a, b, c = np.moveaxis(thinned.vertices[thinned.faces], 1, 0)
-    outward = np.einsum("fi,fi->f", np.cross(b - a, c - a), middles)
-    assert (outward > 0.0).mean() > 0.99
+    outer = np.where(np.einsum("fi,fi->f", np.cross(b - a, c - a), middles) > 0.0, *thinned.fates.T)
+    assert (outer != Fate.NOT_COUNTED).mean() > 0.99
+
+
+def test_a_thin_plate_that_is_drawn_as_one_sheet_has_both_its_outer_sides():
+    """Its inner sides are not counted; a drawing that is too coarse for its thickness shows each outer one."""
+    across = 12
+    plate = box_patches(across, np.array([2.0, 1.5, 0.001]))
+    broad = np.abs(plate.normals[:, 2]) > 0.5
+    kept = {name: getattr(plate, name)[broad] for name in ("corners", "counts", "normals", "areas", "centres", "faces")}
+    kept["corners"] = kept["corners"] + [0.0, 0.0, 0.013]  # within one of the cells that are drawn as one point
+    plate = dataclasses.replace(plate, **kept, counted=np.arange(2 * broad.sum()) % 2 == 0)
+    mesh = PatchMesh.of(plate)
+    vertices, faces, became = fewer_of(mesh.vertices, mesh.faces, 300, side=0.02)
+    assert len(faces) == 2 * across**2  # of twice as many
+    units = _units(mesh, plate, vertices, faces, became)
+    assert plate.counted[units].all()
+    a, b, c = np.moveaxis(vertices[faces], 1, 0)
+    up = np.cross(b - a, c - a)[:, 2] > 0.0
+    for side in (0, 1):
+        np.testing.assert_array_equal(plate.normals[units[:, side] // 2, 2] > 0.0, up == (side == 0))
+        np.testing.assert_allclose(
+            plate.centres[units[:, side] // 2, :2], vertices[faces].mean(axis=1)[:, :2], atol=0.1
+        )
 
 
 def test_a_flight_that_did_not_inspect_has_no_coverage_on_its_page(inspection):

@@ -91,7 +91,7 @@ def test_each_part_has_the_frame_that_shows_most_of_it_and_parts_share_no_unit(i
             far = np.linalg.norm(away, axis=1)
             cosine = np.einsum("ni,ni->n", away, normals[units]) / far
             scores.append((areas[units] * cosine / far**2).sum() * areas[units].sum())
-        if view.frame is None:
+        if view.frame < 0:
             assert max(scores) == 0.0
             continue
         assert scores[view.frame] == pytest.approx(max(scores))
@@ -108,7 +108,7 @@ def test_the_edge_of_what_counted_lies_where_the_camera_has_those_patches(inspec
     """The corners of a part's patches, projected by hand, are the box of what is marked in its picture."""
     mesh = PatchMesh.of(inspection.patches)
     studio = Studio(mesh.triangles())
-    view = next(view for view in best_views(inspection) if view.frame is not None)
+    view = next(view for view in best_views(inspection) if view.frame >= 0)
     frame, pixels = inspection.frames[view.frame], 200
     picture = inspection_view.best_picture(inspection, view, mesh, studio, pixels=pixels)
     rows, columns = np.nonzero(np.abs(picture - inspection_view._MARK).max(axis=2) < 0.25)
@@ -128,7 +128,7 @@ def test_the_light_of_a_picture_is_the_sun_of_its_frame():
     lit = made_up(light=True)
     mesh = PatchMesh.of(lit.patches)
     studio = Studio(mesh.triangles())
-    view = next(view for view in best_views(lit) if view.frame is not None)
+    view = next(view for view in best_views(lit) if view.frame >= 0)
     assert lit.frames[view.frame].sun is not None
     sunny = inspection_view.best_picture(lit, view, mesh, studio, pixels=100)
     unlit = dataclasses.replace(lit, frames=tuple(dataclasses.replace(frame, sun=None) for frame in lit.frames))
@@ -141,6 +141,8 @@ def test_an_inspection_without_a_frame_is_told_of_too(tmp_path):
     nothing = dataclasses.replace(made, frames=(), seen=np.zeros(made.patches.units, bool), outcome="no way")
     summary = write_inspection(tmp_path, nothing)
     assert summary["coverage"] == 0.0
+    assert not (tmp_path / "contact-sheet.png").exists()
+    assert all(view.frame < 0 for view in best_views(nothing))
     assert said(nothing).startswith("No way: ")
 
 

@@ -19,15 +19,18 @@ def mission_of(path: Path) -> "Scenario":
         ScenarioError: the file is no scenario.
 
     """
-    from keepout.fields.shipped import shipped_names
+    from keepout.geometry.mesh_files import READERS
     from keepout.mission.scenario import Scenario
 
-    if path.suffix.lower() != ".toml" and (path.suffix or str(path) in shipped_names() or not path.exists()):
-        named = f"{path}: a mission in TOML is needed"
-        if path.suffix.lower() == ".keepout":
-            raise ScenarioError(f"{named}; `keepout measure {path}` measures a field against its mesh")
+    ending = path.suffix.lower()
+    if ending == ".keepout":
         raise ScenarioError(
-            f"{named}; `keepout describe {path}` says what is wrong with a mesh, `keepout measure` measures a field"
+            f"{path}: a field, and `keepout inspect` flies a mission in TOML; `keepout measure {path}` measures it"
+        )
+    if ending in READERS or not (ending or path.exists()):
+        raise ScenarioError(
+            f"{path}: no mission in TOML, which `keepout inspect` flies; `keepout describe {path}` says what is wrong "
+            "with a mesh, `keepout measure` measures a field"
         )
     return Scenario.load(path)
 

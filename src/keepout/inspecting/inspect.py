@@ -1,17 +1,18 @@
 """Inspect: fly through the views of a plan, take what each frame shows, plan anew where views were lost, and judge."""
 
+import dataclasses
 import time
 from collections import deque
 from pathlib import Path
 
 import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
 from keepout.audit.audit import audit
 from keepout.compiled.kept_programs import keep_programs
 from keepout.control.law import Law
-from keepout.errors import ControlError
+from keepout.errors import ControlError, InspectionError
 from keepout.fields.model import FieldModel
 from keepout.flight import segment
 from keepout.flight.loop import FlightLog
@@ -21,16 +22,19 @@ from keepout.flight.setup import FlightSetup
 from keepout.geometry.target import Target
 from keepout.guard.safety_layer import mode
 from keepout.inspecting.aiming import aim
+from keepout.inspecting.circling import circle
 from keepout.inspecting.equipment import (
     boresight_of,
     require_inspectable,
     require_light,
     require_something_to_see,
+    rules_of,
 )
 from keepout.inspecting.frames import Camera, Shot, as_flown
 from keepout.inspecting.inspection import Inspection
 from keepout.inspecting.leading import Leading
 from keepout.inspecting.leg import Leg, Lost
+from keepout.inspecting.limits import LimitsKept, limits_kept
 from keepout.inspecting.lit import ever_lit
 from keepout.inspecting.plan import InspectionPlan
 from keepout.inspecting.planning import plan
@@ -46,7 +50,9 @@ from keepout.seeing.seeable import Verdict
 
 Point = Float[np.ndarray, "3"]
 
-_REPLANS = 12
+_OF_LIGHT = ("light", "epoch", "orbit", "attitude", "sun")
+"""Entries that the light follows from."""
+_REPLANS = 16
 """Plans after the first, at most: each costs a tour that is mostly way."""
 
 
@@ -80,7 +86,22 @@ def inspect(
     """
     if not isinstance(scenario, Scenario):
         scenario = Scenario.load(scenario)
+    if scenario.inspect.tour == "circumnavigation":
+        return _circled(scenario, target, problem, progress)
     return _Inspector(scenario, target, model, problem, first, progress).flown(part_of(progress, 0.5, 1.0))
+
+
+def _circled(
+    scenario: Scenario, target: Target | None, problem: Problem | None, progress: Progress
+) -> Inspection:
+    """Inspect by natural motion, which has neither plan nor way to be led along."""
+    if target is None:
+        target = load_target(scenario.target) if problem is None else problem.target
+    if problem is None:
+        problem = Problem.of(scenario, target, progress=part_of(progress, 0.0, 0.5))
+    _require_of(problem, scenario, target)
+    require_light(scenario, problem.light, problem.patches)
+    return circle(dataclasses.replace(problem, scenario=scenario), progress=part_of(progress, 0.5, 1.0))
 
 
 class _Inspector:
@@ -106,6 +127,7 @@ class _Inspector:
         self.broken = broken_assumptions(scenario)
         if problem is None:
             problem = Problem.of(scenario, target, progress=part_of(progress, 0.1, 0.4))
+        _require_of(problem, scenario, target)
         self.problem = problem
         self.camera = Camera(problem.patches, problem.sight, problem.rules, problem.light)
         possible = problem.seeable.verdict == Verdict.SEEABLE
@@ -114,15 +136,17 @@ class _Inspector:
         require_something_to_see(scenario, problem.seeable, self.lit)
         self.wanted = Wanted.of(problem.patches, self.lit, scenario.inspect.coverage)
         self.estimate = np.asarray(scenario.start.position, dtype=float)
+        self.boresight = boresight_of(scenario, target)
         holds = scenario.inspect.hold_points
         begins = np.asarray(holds[-1].position, dtype=float) if holds else self.estimate
         self.first = self._planned(begins, 0.0, part_of(progress, 0.4, 0.5)) if first is None else first
-        self.plans, self.fresh = 1, 0
-        self.legs: deque[Leg] = deque([*Leg.holds(holds), *Leg.views(self.first, scenario.inspect.dwell)])
+        self.plans = 1
+        self.legs: deque[Leg] = deque(
+            [*Leg.holds(holds, scenario.goal.tolerance), *Leg.views(self.first, scenario.inspect.dwell)]
+        )
         self.leg: Leg | None = None
         self.refused: list[str] = []
         self.taken_views = 0
-        self.boresight = boresight_of(scenario, target)
         self.shots: list[Shot] = []
         self.logs: list[FlightLog] = []
         self.rows = 0
@@ -135,16 +159,17 @@ class _Inspector:
         setup, state, ending = None, None, None
         while True:
             now = max(self.rows - 1, 0) * scenario.control.period
-            ending = self._ending()
+            ending = self._ending() if ending is None else ending
             if ending is None and (self.leg is None or self._is_over(now)):
                 law = self._next(now)
                 if isinstance(law, tuple):
                     ending = law
                 else:
                     setup = self.leading.setup(law) if setup is None else self.leading.led_on(setup, law)
-            if ending is not None and self.logs:
+            # An audit needs a way: where nothing is to be flown, a frame's period is flown at rest.
+            if ending is not None and self.rows > 1:
                 break
-            if setup is None:  # nothing to fly to: a period at rest is flown, so that there is something to audit
+            if setup is None:
                 setup = self.leading.setup(self._resting())
             if state is None:
                 state = segment.begin(setup, self.leading.initial, jax.random.key(scenario.seed))
@@ -153,8 +178,6 @@ class _Inspector:
             state, log = segment.fly_segment(setup, state, count)
             self._look(log, count)
             progress(min(0.9 * self.rows / scenario.steps, 0.9), self._said())
-            if ending is not None:
-                break
         return self._judged(segment.joined(self.logs), setup, ending, part_of(progress, 0.9, 1.0))
 
     def _said(self) -> str:
@@ -169,7 +192,15 @@ class _Inspector:
         return self.leading.law(start if place is None else place, start)
 
     def _planned(self, position: Point, now: float, progress: Progress = silent) -> InspectionPlan:
-        return plan(self.problem, position=position, time=now, wanted=self.wanted.left, progress=progress)
+        return plan(
+            self.problem,
+            position=position,
+            time=now,
+            wanted=self.wanted.left,
+            share=self.wanted.share_of_left,
+            boresight=self.boresight.direction,
+            progress=progress,
+        )
 
     def _look(self, log: FlightLog, ticks: int) -> None:
         """Turn the camera over a segment, and take its frame at the last row: it is looked at a period later."""
@@ -181,12 +212,12 @@ class _Inspector:
                 row = self.rows + tick
                 self.shots.append(Shot(row, self.boresight.direction))
                 units = self.camera.units(row * period, self.estimate, self.boresight.direction, self.wanted.left)
-                self.fresh += self.wanted.take(units)
+                self.wanted.take(units)
                 if self.leg is not None:
                     self.leg.noted(row * period, self.estimate, self.boresight, self._aimed(), self.wanted, len(units))
             self.boresight = self.boresight.step(self._aimed(), period)
         if self.leg is not None:
-            self.leg.held_up += int(np.count_nonzero(mode(np.asarray(log.guard_status)) > 0))
+            self.leg.held_up += int(np.count_nonzero(mode(log.guard_status)))
         self.logs.append(log)
         self.rows += ticks
 
@@ -214,12 +245,22 @@ class _Inspector:
         ended = self.leg.ended(now, self.wanted)
         if ended is None:
             return False
+        left = self.leg.left(self.wanted)
         if ended is Lost.NOT:
             self.taken_views += 1
+            if len(left) and not self._lit(now, left).all():
+                ended = Lost.LIGHT
         if ended in (Lost.LIGHT, Lost.GUARD):
             self.replan = True
-        self.wanted.failed(self.leg.left(self.wanted))
+        else:
+            self.wanted.failed(left)
         return True
+
+    def _lit(self, now: float, units: Int[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
+        sun = self.camera.sun(now)
+        if sun is None:
+            return np.full(len(units), not self.camera.light.matters)
+        return self.camera.lit(sun, units)
 
     def _next(self, now: float) -> Law | tuple[str, str]:
         """Go on to the next view that still has something to show, planning anew where that is due."""
@@ -319,4 +360,25 @@ class _Inspector:
             start_certified=None if certified is None else certified and not self.broken,
             assumptions_broken=self.broken,
             guard=None if guard is None else guard_numbers(guard),
+            limits=self._limits_kept(record),
         )
+
+    def _limits_kept(self, record: FlightRecord) -> LimitsKept | None:
+        entry = self.scenario.inspect
+        if not (entry.hold_points or entry.no_thrust_towards or entry.passive_safety):
+            return None
+        return limits_kept(self.scenario, record, self.target.distance.distance, every=self.ticks)
+
+
+def _require_of(problem: Problem, scenario: Scenario, target: Target) -> None:
+    """Refuse what was worked out for another target, camera, light or stand-off."""
+    made = problem.light.scenario
+    same = {
+        "target": problem.target.sha256 == target.sha256,
+        "camera or light": problem.rules == rules_of(scenario),
+        "inspect.stand_off": problem.scenario.inspect.stand_off == scenario.inspect.stand_off,
+        "light": all(getattr(made, name) == getattr(scenario, name) for name in _OF_LIGHT),
+    }
+    others = [name for name, is_same in same.items() if not is_same]
+    if others:
+        raise InspectionError(f"problem: worked out for another {', '.join(others)} than the scenario's")

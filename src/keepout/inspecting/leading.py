@@ -19,6 +19,7 @@ from keepout.geometry.target import Target
 from keepout.guard.guard import Guard
 from keepout.guard.start import require_flyable
 from keepout.inspecting.equipment import law_keeps, require_stand_off
+from keepout.inspecting.plume import sparing
 from keepout.mission import environment
 from keepout.mission.build import build_guard, closing_radius, flight_setup, load_model
 from keepout.mission.law import broken_as, law_on
@@ -198,7 +199,7 @@ class Leading:
         slowing = guidance.slowing_length * (_THROUGH if through else 1.0)
         guidance = dataclasses.replace(guidance, speed=jnp.asarray(slowed), slowing_length=slowing)
         law = dataclasses.replace(law, checked=(), velocity=dataclasses.replace(law.velocity, guidance=guidance))
-        return broken_as(scenario, law, self.model.field)
+        return broken_as(scenario, sparing(law, scenario), self.model.field)
 
     def setup(self, law: Law) -> FlightSetup:
         """Give the setup of the flight's first segment."""

@@ -43,6 +43,7 @@ class Leg:
         units: that the view is counted on to show.
         window: (from, to) s in which the light is right.
         stay: how long to stay there, s.
+        near: distance from the place within which the chaser is there, m.
         held_up: steps of it in which the guard replaced the command.
 
     """
@@ -52,6 +53,7 @@ class Leg:
     units: Int[np.ndarray, " k"]
     window: tuple[float, float] = (0.0, float("inf"))
     stay: float = 0.0
+    near: float = _NEAR
     held_up: int = 0
     _given_up: float = float("inf")
     _there_since: float = float("inf")
@@ -64,10 +66,11 @@ class Leg:
             yield cls(view.position, view.boresight, view.units, view.window, max(view.dwell, dwell))
 
     @classmethod
-    def holds(cls, points: Iterable[HoldPointEntry]) -> Iterator["Leg"]:
-        """Give the legs of hold points."""
+    def holds(cls, points: Iterable[HoldPointEntry], tolerance: float) -> Iterator["Leg"]:
+        """Give the legs of hold points, each held within `tolerance` (m)."""
         for point in points:
-            yield cls(np.asarray(point.position), None, np.zeros(0, np.int64), stay=point.seconds)
+            place = np.asarray(point.position, dtype=float)
+            yield cls(place, None, np.zeros(0, np.int64), stay=point.seconds, near=tolerance)
 
     @property
     def waits(self) -> bool:
@@ -87,7 +90,7 @@ class Leg:
         self, now: float, estimate: Point, boresight: Boresight, aimed: Point, wanted: Wanted, fresh: int
     ) -> None:
         """Note a frame: where it was taken, where it looked and how many units it showed that were wanted."""
-        near = float(np.linalg.norm(estimate - self.place)) < _NEAR
+        near = float(np.linalg.norm(estimate - self.place)) < self.near
         aligned = self.boresight is None or boresight.off(aimed) < _ALIGNED
         if not (near and aligned):
             self._idle = 0

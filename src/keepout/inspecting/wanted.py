@@ -53,6 +53,14 @@ class Wanted:
         """Whether the share wanted was taken."""
         return self.reached >= self.share - _ROUNDING
 
+    @property
+    def share_of_left(self) -> float:
+        """Share of the area left that is to be seen so that the share wanted is reached, 0 to 1."""
+        areas = self.patches.unit_areas()
+        whole, left = float(areas[self.possible].sum()), float(areas[self.left].sum())
+        missing = (self.share - self.reached) * whole
+        return float(np.clip(missing / left, 0.0, 1.0)) if left > 0.0 else 1.0
+
     def take(self, units: Int[np.ndarray, " k"]) -> int:
         """Note what a frame showed; give how many units of it were wanted and new."""
         fresh = int((self.possible[units] & ~self.taken[units]).sum())

@@ -72,9 +72,9 @@ def fewer(
 
 def fewer_of(
     vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], most: int, *, side: float
-) -> tuple[Float[np.ndarray, "w 3"], Int[np.ndarray, "g 3"], Int[np.ndarray, " g"]]:
-    """Do as `fewer` does, and say which of the faces each one left was; the arguments are those."""
-    whole, kept = (vertices, faces), np.arange(len(faces))
+) -> tuple[Float[np.ndarray, "w 3"], Int[np.ndarray, "g 3"], Int[np.ndarray, " f"]]:
+    """Do as `fewer` does, and say which of the faces left each face became, -1: none; the arguments are those."""
+    whole, became = (vertices, faces), np.arange(len(faces))
     while len(faces) > most:
         _, place, count = np.unique(
             np.floor(whole[0] / side).astype(np.int64), axis=0, return_inverse=True, return_counts=True
@@ -86,11 +86,13 @@ def fewer_of(
         kept = np.flatnonzero(
             (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
         )
-        _, once = np.unique(np.sort(faces[kept], axis=1), axis=0, return_index=True)
-        kept = kept[np.sort(once)]
-        faces = faces[kept]
+        _, once, same = np.unique(np.sort(faces[kept], axis=1), axis=0, return_index=True, return_inverse=True)
+        order = np.argsort(once)
+        became = np.full(len(whole[1]), -1)
+        became[kept] = np.argsort(order)[same.reshape(-1)]
+        faces = faces[kept[once[order]]]
         side *= _COARSER
-    return vertices, faces, kept
+    return vertices, faces, became
 
 
 def _openness(target: Target, vertices: np.ndarray, faces: np.ndarray) -> Float[np.ndarray, "f"]:

@@ -10,6 +10,7 @@ from keepout.inspecting.fate import WORDS, Fate, fates, first_frames
 from keepout.replay.body import MOST_TRIANGLES, fewer_of
 from keepout.replay.packing import Packing
 from keepout.replay.patch_mesh import PatchMesh
+from keepout.seeing.patches import Patches
 
 if TYPE_CHECKING:
     from keepout.inspecting.inspection import Inspection
@@ -32,8 +33,8 @@ class Coverage:
 
     Attributes:
         vertices: of the patches' triangles, m.
-        faces: counter-clockwise about the patch's normal.
-        fates: of each face, seen from its front and from its back: a `Fate`.
+        faces: triangles.
+        fates: of each face, seen from where it is counter-clockwise, and from its back: a `Fate`.
         firsts: the frame that first saw them, -1: none.
         whole: triangles before some were left out of the drawing.
         times: of the frames, s, in order.
@@ -64,10 +65,8 @@ class Coverage:
         """Gather it from an inspection; a surface of very many triangles is drawn with fewer."""
         patches, mesh = inspection.patches, PatchMesh.of(inspection.patches)
         side = float(np.ptp(mesh.vertices, axis=0).max()) / 1000.0
-        vertices, faces, kept = fewer_of(mesh.vertices, mesh.faces, MOST_TRIANGLES, side=side)
-        patch = mesh.patch[kept]
-        faces = _towards(vertices, faces, patches.normals[patch])
-        units = np.stack([2 * patch, 2 * patch + 1], axis=1)
+        vertices, faces, became = fewer_of(mesh.vertices, mesh.faces, MOST_TRIANGLES, side=side)
+        units = _units(mesh, patches, vertices, faces, became)
         times, shares = inspection.over_time()
         none = np.full(3, np.nan)
         return cls(
@@ -129,10 +128,24 @@ class Coverage:
         )
 
 
-def _towards(
-    vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], normals: Float[np.ndarray, "f 3"]
-) -> Int[np.ndarray, "f 3"]:
-    """Turn round faces that lie clockwise about their patch's normal, as joined corners may leave them."""
-    a, b, c = np.moveaxis(vertices[faces], 1, 0)
-    against = np.einsum("fi,fi->f", np.cross(b - a, c - a), normals) < 0.0
-    return np.where(against[:, None], faces[:, ::-1], faces)
+def _units(
+    mesh: PatchMesh,
+    patches: Patches,
+    vertices: Float[np.ndarray, "v 3"],
+    faces: Int[np.ndarray, "f 3"],
+    became: Int[np.ndarray, " g"],
+) -> Int[np.ndarray, "f 2"]:
+    """Give the units that are drawn on the front and on the back of each face.
+
+    The two sides of a thin plate may have become one face: each side of it is that of the larger unit that is counted
+    there, and of one that is not where none is.
+    """
+    there = became >= 0
+    patch, drawn = mesh.patch[there], became[there]
+    a, b, c = np.moveaxis(vertices[faces[drawn]], 1, 0)
+    against = np.einsum("fi,fi->f", np.cross(b - a, c - a), patches.normals[patch]) < 0.0
+    place = np.concatenate([2 * drawn, 2 * drawn + 1])  # front, back
+    unit = np.concatenate([2 * patch + against, 2 * patch + ~against])
+    order = np.lexsort((patches.areas[unit // 2], patches.counted[unit], place))
+    last = np.append(place[order][1:] != place[order][:-1], True)
+    return unit[order][last].reshape(-1, 2)

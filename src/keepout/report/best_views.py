@@ -28,7 +28,7 @@ class BestView:
 
     Attributes:
         units: of the part.
-        frame: number of that frame; None where no frame shows any of it.
+        frame: number of that frame; -1 where no frame shows any of it.
         shown: units of the part that were wholly seen in it.
         share: of the part's area, 0 to 1, that those are.
         distance: from the camera to the middle of them, m; nan without a frame.
@@ -37,7 +37,7 @@ class BestView:
     """
 
     units: Int[np.ndarray, " k"]
-    frame: int | None
+    frame: int
     shown: Int[np.ndarray, " s"]
     share: float
     distance: float
@@ -75,7 +75,7 @@ def best_views(inspection: Inspection, *, most: int = MOST_PARTS) -> list[BestVi
 def _view(inspection: Inspection, units: Int[np.ndarray, " k"], frame: int) -> BestView:
     patches, areas = inspection.patches, inspection.patches.unit_areas()
     if frame < 0:
-        return BestView(units, None, units[:0], 0.0, np.nan, np.nan)
+        return BestView(units, -1, units[:0], 0.0, np.nan, np.nan)
     taken = inspection.frames[frame]
     shown = np.intersect1d(units, taken.units)
     cosine, distance = _aspect(patches, shown, taken.position)

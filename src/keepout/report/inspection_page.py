@@ -95,11 +95,12 @@ def _draw(out: Path, inspection: Inspection, progress: Progress) -> dict[Path, s
             "What was seen when, as flown: every frame is judged at the record's true position.",
         ),
         "surface": (inspection_view.draw_fates, "What became of the surface, and why the rest was not seen."),
-        "contact-sheet": (
+    }
+    if inspection.seen.any():
+        drawn["contact-sheet"] = (
             inspection_view.draw_contact_sheet,
             "The best view of each part. Drawn from the mesh, as the camera had it before it.",
-        ),
-    }
+        )
     images = {}
     for place, (stem, (draw, caption)) in enumerate(drawn.items()):
         progress(place / (len(drawn) + 1), f"picture {stem}")

@@ -122,29 +122,30 @@ def _palette() -> Float[np.ndarray, "fates 3"]:
 
 
 def draw_contact_sheet(path: Path, inspection: Inspection) -> None:
-    """Draw the best view of each part into one PNG: what the camera had before it, in the light that there was.
+    """Draw the best view of each part that was seen into one PNG: as the camera had it, in the light that there was.
 
     The edge of what counted as wholly seen, of that part and in that frame, is orange; a ring is the camera's cone.
     """
-    views = best_views(inspection)
+    parts = best_views(inspection)
+    views = [view for view in parts if view.frame >= 0]
     light = any(frame.sun is not None for frame in inspection.frames)
     rows = max(1, math.ceil(len(views) / _ACROSS))
     mesh = PatchMesh.of(inspection.patches)
     studio = Studio(mesh.triangles())
-    with figure(path, width=11.0, height=0.6 + 3.05 * rows) as drawing:
+    with figure(path, width=11.0, height=0.75 + 3.05 * rows) as drawing:
         panels = drawing.subplots(rows, _ACROSS, squeeze=False)
         for axes in panels.flat:
             axes.set_axis_off()
         for place, (axes, view) in enumerate(zip(panels.flat, views), start=1):
             axes.imshow(best_picture(inspection, view, mesh, studio))
-            if view.frame is not None:
-                middle = 0.5 * _PIXELS - 0.5
-                axes.add_patch(Circle((middle, middle), 0.5 * _PIXELS, **_RING))
+            middle = 0.5 * _PIXELS - 0.5
+            axes.add_patch(Circle((middle, middle), 0.5 * _PIXELS, **_RING))
             axes.set_title(_caption(inspection, view, place), fontsize=7.5)
         lit = "in the sunlight of that moment, with its shadows" if light else "in a light at the camera"
-        seen = sum(view.frame is not None for view in views)
+        left = len(parts) - len(views)
+        unseen = f" ({left} more were not seen)" if left else ""
         drawing.suptitle(
-            f"The best view of each of {len(views)} parts ({seen} were seen), {lit}; "
+            f"The best view of each of {len(views)} parts{unseen}, {lit}\n"
             "orange: the edge of what counted as wholly seen; ring: the camera's cone",
             fontsize=10,
         )
@@ -153,9 +154,7 @@ def draw_contact_sheet(path: Path, inspection: Inspection) -> None:
 def best_picture(
     inspection: Inspection, view: BestView, mesh: PatchMesh, studio: Studio, *, pixels: int = _PIXELS
 ) -> Float[np.ndarray, "rows columns 3"]:
-    """Draw one part as its best frame had it, 0 to 1 in each colour; dark where no frame shows it."""
-    if view.frame is None:
-        return np.broadcast_to(_SPACE, (pixels, pixels, 3)).copy()
+    """Draw one part that was seen as its best frame had it, 0 to 1 in each colour."""
     frame = inspection.frames[view.frame]
     camera = Pinhole(_FINER * pixels, _FINER * pixels, inspection.rules.field_of_view)
     axes = axes_towards(frame.boresight, np.array([0.0, 0.0, 1.0]))
@@ -189,10 +188,6 @@ def _edge(marked: Bool[np.ndarray, "rows columns"]) -> Bool[np.ndarray, "rows co
 
 
 def _caption(inspection: Inspection, view: BestView, place: int) -> str:
-    if view.frame is None:
-        patches, areas = inspection.patches, inspection.patches.unit_areas()
-        at = np.average(patches.centres[view.units // 2], axis=0, weights=areas[view.units])
-        return f"part {place}, about ({', '.join(f'{x:.1f}' for x in at)}) m\nnot seen in any frame"
     time = inspection.frames[view.frame].time
     return (
         f"part {place}, at {time:.0f} s from {view.distance:.1f} m\n"
