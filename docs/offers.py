@@ -183,6 +183,15 @@ OFFERS = {
         "exploring.reachable.reachable",
         "exploring.next_view.choose",
     ),
+    "inspecting": (
+        "inspecting.inspect.inspect",
+        "inspecting.inspection.Inspection.summary",
+        "inspecting.leading.Leading.of",
+        "inspecting.leading.Leading.law",
+        "inspecting.frames.Camera.units",
+        "inspecting.frames.as_flown",
+        "inspecting.frames_file.coverage_of_files",
+    ),
     "rare_events": (
         "rare_events.event.rare",
         "rare_events.event.RareEvent.summary",

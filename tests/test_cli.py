@@ -11,7 +11,7 @@ from keepout import cli
 from keepout.commands import mesh
 
 COMMANDS = (
-    *("targets", "describe", "fit", "certify", "measure", "fly", "explore"),
+    *("targets", "describe", "fit", "certify", "measure", "fly", "explore", "inspect"),
     *("campaign", "rare", "reproduce", "export"),
 )
 

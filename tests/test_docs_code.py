@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from test_docs import PAGES, blocks, named
 from test_explore_command import MISSION as SMALL
+from test_inspect_command import MISSION as LOOK
 
 from keepout.mission.scenario import Scenario
 
@@ -30,10 +31,14 @@ QUICKER = {
         ("Scenario().replace(campaign=", 'Scenario().replace(duration=20.0, guard={"enabled": False}, campaign='),
     ],
     "docs/explore.md": [("examples/explore.toml", "mission.toml")],
+    "docs/inspection.md": [("examples/inspect.toml", "mission.toml")],
     "docs/rare.md": [("below=0.0", "below=0.3, runs=2, flights=64, most_levels=2")],
 }
 """What is written, and what the test writes instead."""
 BEFORE = {
+    "docs/inspection.md": "from pathlib import Path\n"
+    "from keepout.commands.inspect import inspect_to_folder, mission_of\n"
+    "inspect_to_folder(mission_of(Path('mission.toml')), Path('out/inspect'), figures=False)\n",
     "docs/tutorial.md": "from keepout.guard.field import guard_field\n",
     "docs/rare.md": "import keepout, numpy\n"
     "from keepout.rare_events.tape import Tape\n"
@@ -48,6 +53,7 @@ faults.position_noise_std = 0.01
 """
 MISSIONS = {
     "docs/explore.md": SMALL,
+    "docs/inspection.md": LOOK,
     "docs/rare.md": """
 name = "near"
 duration = 40.0

@@ -17,6 +17,8 @@ from .flight.record import FlightRecord as FlightRecord
 from .flight.setup import Faults as Faults
 from .geometry.target import Target as Target
 from .guard.safety_layer import SafetyLayer as SafetyLayer
+from .inspecting.inspect import inspect as inspect
+from .inspecting.inspection import Inspection as Inspection
 from .learning.training import fit as fit
 from .mission.build import Mission as Mission
 from .mission.build import prepare as prepare

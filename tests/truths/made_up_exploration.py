@@ -78,7 +78,7 @@ def made_up(*, views=8, spacing=0.2, outcome="no way known", expected=None, name
         volume += report.opened * spacing**3
         taken.append(TakenView(time, position, view.axes[:, 2], report.status.value, report.opened, volume, "goal"))
         stages.note(known, time, volume)
-    record = _record(told, target, whole)
+    record = made_up_record(told, target, whole)
     verdict = audit(
         record,
         target,
@@ -96,7 +96,7 @@ def made_up(*, views=8, spacing=0.2, outcome="no way known", expected=None, name
         expected=expected,
         map=known,
         record=record,
-        flown=_outcome(),
+        flown=made_up_outcome(),
         audit=verdict,
         outcome=outcome,
         why="every view that can still be taken opens nothing towards the goal",
@@ -113,7 +113,7 @@ def made_up(*, views=8, spacing=0.2, outcome="no way known", expected=None, name
     )
 
 
-def _record(scenario, target, whole):
+def made_up_record(scenario, target, whole):
     time = np.arange(0.0, whole + 0.5)
     rows = len(time)
     position = circle(time, whole)
@@ -138,7 +138,7 @@ def _record(scenario, target, whole):
     return FlightRecord(header, time, **columns)
 
 
-def _outcome():
+def made_up_outcome():
     none = jnp.zeros(16, int)
     numbers = {name: jnp.asarray(0.0) for name in FlightOutcome.__annotations__} | {
         "reached": jnp.asarray(False),

@@ -108,7 +108,8 @@ export class Eye {
     this.changed();
   }
 
-  // Follows the flight: from the chaser to the near part of the target, or from the goal to the chaser.
+  // Follows the flight: from the chaser along its camera's boresight or, where nothing is said of one, to the near part
+  // of the target; or from the goal to the chaser.
   follow(flight, bodyTurn) {
     if (this.mode === "free") return;
     const goal = new Vector3(...flight.goal).applyQuaternion(bodyTurn);
@@ -118,7 +119,8 @@ export class Eye {
     near.sub(this.extent.middle).clamp(half.clone().negate(), half).add(this.extent.middle).applyQuaternion(flight.attitude);
     const from = this.mode === "chaser" ? at : goal;
     const to = this.mode === "chaser" ? near : at;
-    const direction = to.clone().sub(from);
+    const along = this.mode === "chaser" && flight.covered?.boresight.lengthSq() > 0; // its camera's direction
+    const direction = along ? flight.covered.boresight.clone().applyQuaternion(bodyTurn) : to.clone().sub(from);
     if (direction.length() > 1e-3) this.direction = direction.normalize();
     if (!this.direction) this.direction = new Vector3(1, 0, 0);
     const up = this.camera.up;

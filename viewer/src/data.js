@@ -23,6 +23,10 @@ export async function read() {
     for (const stage of growth.stages) for (const name of ["vertices", "faces"]) stage[name] = array(stage[name]);
     for (const [name, reference] of Object.entries(growth.views)) growth.views[name] = array(reference);
   }
+  for (const { coverage } of scene.flights.filter((flight) => flight.coverage)) {
+    for (const name of ["vertices", "faces", "fates", "firsts"]) coverage[name] = array(coverage[name]);
+    for (const [name, reference] of Object.entries(coverage.frames)) coverage.frames[name] = array(reference);
+  }
   return scene;
 }
 

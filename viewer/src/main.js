@@ -3,6 +3,7 @@ import { Box3, Group, Mesh, MeshBasicMaterial, OctahedronGeometry, Quaternion, S
 import { Arrow, Closest } from "./arrows.js";
 import { Eye } from "./cameras.js";
 import { CLOSEST, ENVELOPE, FLIGHTS, GOAL, GUARD, MAP, SAFE_VELOCITY, Scale, START, SUN, THRUST, VIEW, ramp } from "./colours.js";
+import { Coverage } from "./coverage.js";
 import { read } from "./data.js";
 import { Growth } from "./growth.js";
 import { choice, element, metres, panels, toggle } from "./layout.js";
@@ -17,7 +18,7 @@ const CAMERAS = { free: ["free", "Drag to turn, wheel to zoom (1)"], chaser: ["c
 const AXES = { body: ["x", "y", "z"], vvlh: ["x velocity", "y", "z nadir"], inertial: ["x", "y", "z pole"] };
 const TRIAD = ["#ff8a8a", "#8fe388", "#86b6ff"];
 const REST = 400; // ms
-const KEYS = "space: play or pause · ← →: a step (with shift: ten) · [ ]: marks · Home, End · − +: speed · 1 2 3: camera · B V I: frame · E: envelope · G: guard's level · M: map · C: views · R: view from the start · F: next flight";
+const KEYS = "space: play or pause · ← →: a step (with shift: ten) · [ ]: marks · Home, End · − +: speed · 1 2 3: camera · B V I: frame · E: envelope · G: guard's level · M: map · C: views, or the camera's cone · P: coverage · R: view from the start · F: next flight";
 const VERDICTS = { no: "No contact, proved", yes: "Contact", undecided: "Contact not excluded" };
 
 class Replay {
@@ -76,9 +77,14 @@ class Replay {
       flight.grown = new Growth(flight.growth, span);
       this.turning.add(flight.grown.map, flight.grown.views);
     }
+    for (const flight of this.flights) if (flight.coverage) {
+      flight.covered = new Coverage(flight.coverage);
+      this.turning.add(flight.covered.mesh, flight.covered.cone);
+    }
     this.scene.add(this.turning, this.begin, ...this.flights.map((flight) => flight.group));
     this.parts.labels.append(...["goal", "start"].map((name) => element("span", { class: name }, name)), element("i"));
-    this.show = { target: true, envelope: this.surfaces.some((_, k) => this.told.surfaces[k].kind === "envelope"), guard: false, path: true, chaser: true, thrust: true, velocity: true, closest: true, ends: true, sun: true, map: true, views: true };
+    this.show = { target: true, envelope: this.surfaces.some((_, k) => this.told.surfaces[k].kind === "envelope"), guard: false, path: true, chaser: true, thrust: true, velocity: true, closest: true, ends: true, sun: true, map: true, views: true, coverage: true, cone: true };
+    this.goals = this.flights.some((of) => !of.coverage); // who inspects flies to none
   }
 
   controls(scale) {
@@ -94,19 +100,24 @@ class Replay {
         map: toggle("map", "not known free", MAP, true, change("map"), "The skin of the map at this time: what is inside it was not seen free, and is an obstacle (M)"),
         views: toggle("views", "views", VIEW, true, change("views"), "What the camera looked at: the last view as far as it is used, those before it small (C)"),
       }),
+      ...(this.flights.some((of) => of.covered) && {
+        coverage: toggle("coverage", "coverage", "linear-gradient(90deg,#d9722e,#2fa77d)", true, change("coverage"), "The surface in the colours below; what the last frame saw first is pale (P)"),
+        cone: toggle("cone", "camera", VIEW, true, change("cone"), "What the camera takes in, as far as its range goes; its direction between two frames is blended (C)"),
+      }),
       path: toggle("path", "path", "linear-gradient(90deg,#f0f921,#e16462,#5566d8)", true, change("path")),
       chaser: toggle("chaser", "chaser and its ball", "#ffffff", true, change("chaser")),
       thrust: toggle("thrust", "thrust", THRUST, true, change("thrust")),
       velocity: toggle("velocity", "safe velocity", SAFE_VELOCITY, true, change("velocity")),
       closest: toggle("closest", "closest point", CLOSEST, true, change("closest")),
-      ends: toggle("ends", "goal and start", GOAL, true, change("ends")),
-      ...(this.flights.some((of) => of.sun) && { sun: toggle("sun", "sun", SUN, true, change("sun"), "The arrow points to the sun, which lights the target") }),
+      ends: toggle("ends", this.goals ? "goal and start" : "start", GOAL, true, change("ends")),
+      ...(this.flights.some((of) => of.sun || of.coverage?.lit) && { sun: toggle("sun", "sun", SUN, true, change("sun"), "The arrow points to the sun, which lights the target") }),
     };
     this.frameChoice = choice("Frame", FRAMES, (frame) => this.inFrame(frame));
-    this.cameraChoice = choice("Camera", CAMERAS, (mode) => this.from(mode));
+    const { goal: _, ...without } = CAMERAS;
+    this.cameraChoice = choice("Camera", this.goals ? CAMERAS : without, (mode) => this.from(mode));
     const several = this.flights.length > 1;
     this.colourChoice = choice("Colour", { clearance: ["clearance", "Paths by clearance"], flight: ["flight", "Paths by flight"] }, (by) => this.paint(by));
-    this.parts.controls.append(this.cameraChoice, this.frameChoice, ...(several ? [this.colourChoice] : []), element("div", { class: "toggles" }, ...Object.values(this.toggles)),
+    this.parts.controls.append(this.cameraChoice, this.frameChoice, ...(several ? [this.colourChoice] : []), element("div", { class: "toggles" }, ...Object.values(this.toggles)), ...this.legend(),
       element("button", { class: "help", title: KEYS, "aria-label": `Keys: ${KEYS}`, onclick: () => this.parts.stage.classList.toggle("helped") }, "?"));
     this.parts.stage.append(element("p", { class: "keys" }, KEYS));
     this.frameChoice.show(this.frame);
@@ -126,6 +137,13 @@ class Replay {
     this.parts.flights.append(...[...this.chips.values()].map(({ chip }) => chip));
   }
 
+  // What the colours of a surface that is inspected say.
+  legend() {
+    const [told] = this.flights.flatMap((of) => of.coverage ?? []);
+    const rows = (told?.legend ?? []).filter((of) => of.shown).map(({ words, colour }) => element("li", {}, element("i", { style: `background:${colour}` }), words));
+    return rows.length ? [element("ul", { class: "fates" }, ...rows)] : [];
+  }
+
   named() {
     const name = decodeURIComponent(location.hash.slice(1));
     return this.flights.find((flight) => flight.name === name);
@@ -143,7 +161,7 @@ class Replay {
     this.parts.verdict.textContent = VERDICTS[flight.contact] + proved;
     this.parts.verdict.title = flight.remarks.join("\n");
     this.parts.verdict.dataset.contact = flight.contact;
-    this.parts.note.textContent = [this.told.target.remark, flight.remark, flight.growth?.remark].filter(Boolean).join(" "); // what the drawing leaves out
+    this.parts.note.textContent = [this.told.target.remark, flight.remark, flight.growth?.remark, flight.coverage?.remark].filter(Boolean).join(" "); // what the drawing leaves out
     this.goal.position.set(...flight.goal);
     this.place.position.set(...flight.goal);
     this.place.scale.setScalar(Math.max(flight.radius, 1e-6));
@@ -247,6 +265,12 @@ class Replay {
     this.thrust.set(tip(at, force, flight.radius), force);
     this.velocity.set(tip(at, velocity, flight.radius), velocity);
     this.closest.set(at, flight.vector(flight.closest, row, part, new Vector3()), flight.radius);
+    for (const { covered } of this.flights) if (covered) {
+      if (covered === flight.covered) covered.move(time, at);
+      covered.mesh.visible = show.target && show.coverage && covered === flight.covered;
+      covered.cone.visible = show.cone && covered === flight.covered && covered.told.frames.time.length > 0;
+      covered.cone.children[1].visible = this.eye.mode === "free";
+    }
     this.light(flight, row);
     const own = this.eye.mode === "chaser";
     for (const of of this.flights) {
@@ -256,6 +280,7 @@ class Replay {
       of.chaser.visible = show.chaser && !(own && of === flight);
     }
     this.body.visible = show.target;
+    this.body.children[0].visible = !(flight.covered && show.coverage);
     this.surfaces.forEach((mesh, k) => { mesh.visible = flight.surfaces.includes(k) && show[this.told.surfaces[k].kind]; });
     for (const { grown } of this.flights) if (grown) {
       grown.move(time);
@@ -264,21 +289,24 @@ class Replay {
     }
     const [x, y, z] = flight.places;
     this.begin.position.set(x, y, z);
-    this.goal.visible = this.place.visible = show.ends && this.eye.mode !== "goal";
+    this.goal.visible = this.place.visible = show.ends && this.eye.mode !== "goal" && !flight.coverage;
     this.begin.visible = show.ends;
     this.eye.follow(flight, flight.attitude);
   }
 
   // From the sun, where the flight has one.
   light(flight, row) {
-    const lit = Boolean(flight.sun) && this.show.sun;
-    this.sun.wanted = lit;
-    this.sun.visible = lit;
-    const { uniforms } = this.body.children[0].material;
-    if (uniforms) uniforms.sunlit.value = lit ? 1 : 0;
-    if (!lit) return;
-    const toward = flight.vector(flight.sun, row, 0, new Vector3()).normalize();
-    if (uniforms) uniforms.sun.value.copy(toward);
+    const inspected = flight.coverage?.lit; // then nothing in the Earth's shadow
+    const lit = Boolean(inspected || flight.sun) && this.show.sun;
+    const toward = !lit ? new Vector3() : inspected ? flight.covered.sun.clone() : flight.vector(flight.sun, row, 0, new Vector3()).normalize();
+    const shines = toward.lengthSq() > 0;
+    this.sun.wanted = shines;
+    this.sun.visible = shines;
+    for (const { uniforms } of [this.body.children[0].material, ...(flight.covered ? [flight.covered.mesh.material] : [])]) if (uniforms) {
+      uniforms.sunlit.value = lit ? 1 : 0;
+      if (lit) uniforms.sun.value.copy(toward);
+    }
+    if (!shines) return;
     this.sun.set(toward.clone().multiplyScalar(0.3 * this.span), toward.clone().multiplyScalar(0.12 * this.span));
   }
 
@@ -317,6 +345,7 @@ class Replay {
     const spoken = [...new Set(now.map((mark) => mark.words))];
     if (spoken.length === 0) spoken.push(flight.guarded ? (flight.guard[row] === 0 ? "guard: command passed on" : "guard") : "no guard");
     if (flight.grown) spoken.push(flight.grown.words());
+    if (flight.covered) spoken.push(flight.covered.words());
     return spoken.join(" · ");
   }
 
@@ -339,14 +368,15 @@ class Replay {
       "=": () => transport.next(1),
       1: () => this.from("free"),
       2: () => this.from("chaser"),
-      3: () => this.from("goal"),
+      3: () => this.goals && this.from("goal"),
       b: () => this.inFrame("body"),
       v: () => this.inFrame("vvlh"),
       i: () => this.inFrame("inertial"),
       e: () => flip("envelope"),
       g: () => flip("guard"),
       m: () => flip("map"),
-      c: () => flip("views"),
+      c: () => { flip("views"); flip("cone"); },
+      p: () => flip("coverage"),
       r: () => { this.from("free"); this.look(); this.touch(); },
       f: () => this.choose(this.flights[(this.flights.indexOf(this.flight) + 1) % this.flights.length]),
     }[event.key.length === 1 ? event.key.toLowerCase() : event.key];
@@ -373,6 +403,7 @@ class Replay {
       surfaces: this.surfaces.map((mesh) => mesh.visible),
       flights: this.flights.filter((of) => of.shown).map((of) => of.name),
       growth: flight.grown && { stage: flight.grown.stage, view: flight.grown.view },
+      coverage: flight.covered && { frame: flight.covered.frame, camera: flight.covered.cone.position.toArray(), boresight: flight.covered.boresight.toArray(), sun: flight.covered.sun.toArray() },
       marks: flight.marks,
       frames: this.frames,
       calls: this.renderer.info.render.calls,

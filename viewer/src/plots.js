@@ -1,6 +1,7 @@
 // Plots over time that share one cursor with the drawing: a click or a drag in them goes to that time.
 import uPlot from "uplot";
 import { MARKS } from "./colours.js";
+import { percent } from "./coverage.js";
 import { element, metres } from "./layout.js";
 
 const QUIET = "#8791a3";
@@ -13,6 +14,7 @@ const QUANTITIES = {
   speed: { words: "Speed", shown: speed, limits: (flight) => [flight.speed_limit] },
   force: { words: "Force", shown: force, limits: () => [0] },
   error: { words: "Distance to the goal", shown: metres, limits: (flight) => [flight.tolerance], logarithmic: true },
+  seen: { words: "Surface seen", shown: percent, limits: (flight) => [0, flight.coverage?.possible ?? 0], tick: (share) => `${Math.round(100 * share)} %` },
   barrier: { words: "Barrier h", shown: metres, limits: () => [0] },
 };
 
@@ -23,6 +25,7 @@ export class Plots {
     this.seek = seek;
     this.plots = {};
     for (const [name, of] of Object.entries(QUANTITIES)) {
+      if (!flights.some((flight) => has(flight, name))) continue;
       const value = element("output", { "data-quantity": name });
       const place = element("div", { class: "place" });
       const panel = element("section", { class: "plot", "data-plot": name }, element("h2", {}, of.words, value), place);
@@ -40,7 +43,7 @@ export class Plots {
     for (const [name, plot] of Object.entries(this.plots)) {
       plot.drawn?.destroy();
       const lowest = plot.of.logarithmic ? 1e-4 : -Infinity;
-      const tables = shown.map((flight) => [flight.time, Array.from(flight[name], (value) => Number.isFinite(value) ? Math.max(value, lowest) : null)]);
+      const tables = shown.map((flight) => [flight.time, Array.from(has(flight, name) ? flight[name] : flight.time.map(() => NaN), (value) => Number.isFinite(value) ? Math.max(value, lowest) : null)]);
       const series = shown.map((flight) => ({
         stroke: flight.colour, width: flight === focus ? 1.6 : 1, alpha: flight === focus ? 1 : 0.6, spanGaps: true, points: { show: false },
       }));
@@ -74,7 +77,7 @@ export class Plots {
       },
       axes: [
         { ...axis, size: last ? 20 : 0, gap: 2, values: last ? (_, ticks) => ticks.map((tick) => `${tick} s`) : () => [] },
-        { ...axis, size: 40, gap: 3, space: 22, ...(logarithmic && { splits: (_, __, low, high) => decades(low, high), filter: (_, ticks) => ticks }), values: (_, ticks) => ticks.map((tick) => (tick === null ? "" : label(tick, logarithmic))) },
+        { ...axis, size: 40, gap: 3, space: 22, ...(logarithmic && { splits: (_, __, low, high) => decades(low, high), filter: (_, ticks) => ticks }), values: (_, ticks) => ticks.map((tick) => (tick === null ? "" : plot.of.tick?.(tick) ?? label(tick, logarithmic))) },
       ],
       series: [{}, ...series],
       hooks: { drawClear: [(drawn) => this.underlay(drawn, limits)] },
@@ -132,11 +135,16 @@ export class Plots {
     for (const [name, plot] of Object.entries(this.plots)) {
       if (!plot.drawn) continue;
       plot.now.style.transform = `translateX(${plot.drawn.valToPos(time, "x")}px)`;
-      const value = focus.row === undefined ? NaN : focus.number(focus[name], focus.row, focus.part);
+      const value = focus.row === undefined || !has(focus, name) ? NaN : focus.number(focus[name], focus.row, focus.part);
       const bound = name === "clearance" ? focus.bound[Math.min(focus.row ?? 0, focus.rows - 2)] : NaN;
       plot.value.textContent = plot.of.shown(value) + (Number.isFinite(bound) ? `, proved ≥ ${metres(bound)}` : "");
     }
   }
+}
+
+// A flight that inspects has no goal, and others see no surface.
+function has(flight, name) {
+  return name === "seen" ? Boolean(flight.coverage) : name === "error" ? !flight.coverage : true;
 }
 
 // Powers of ten between two numbers, at most five.

@@ -9,6 +9,10 @@ const BODY = new Color("#c4c9d2");
 const EDGES_UP_TO = 60000; // triangles: beyond it their edges would be a grey fog
 
 // Light from over the eye's shoulder, so that no side that is looked at is dark; from the sun, where `sunlit` is 1.
+// `n` is the normal on the side that is looked at, in the eye's axes, and `side` -1 where that is the other one.
+export const LIGHT = `float key = mix(max(dot(n, normalize(vec3(-0.7, 1.1, 1.0))), 0.0), max(side * dot(normal, sun), 0.0), sunlit), fill = max(dot(n, normalize(vec3(1.2, -0.5, 0.6))), 0.0);
+        lit = color * (vec3(0.19, 0.205, 0.235) + 0.68 * key * vec3(1.0, 0.96, 0.9) + 0.17 * fill * vec3(0.62, 0.77, 1.0));`;
+
 // Triangles are flat, so that their light is worked out at corners: a picture without a graphics card takes half the time.
 export function solid() {
   return new ShaderMaterial({
@@ -17,8 +21,7 @@ export function solid() {
       void main() { vec4 seen = modelViewMatrix * vec4(position, 1.0); gl_Position = projectionMatrix * seen;
         vec3 n = normalize(normalMatrix * normal); float side = dot(n, seen.xyz) > 0.0 ? -1.0 : 1.0; // meshes have flipped faces
         n *= side;
-        float key = mix(max(dot(n, normalize(vec3(-0.7, 1.1, 1.0))), 0.0), max(side * dot(normal, sun), 0.0), sunlit), fill = max(dot(n, normalize(vec3(1.2, -0.5, 0.6))), 0.0);
-        lit = color * (vec3(0.19, 0.205, 0.235) + 0.68 * key * vec3(1.0, 0.96, 0.9) + 0.17 * fill * vec3(0.62, 0.77, 1.0)); }`,
+        ${LIGHT} }`,
     fragmentShader: `varying vec3 lit;
       void main() { gl_FragColor = vec4(lit, 1.0);
         #include <colorspace_fragment>

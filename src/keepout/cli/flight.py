@@ -1,4 +1,4 @@
-"""Commands on single flights: fly, explore, replay."""
+"""Commands on single flights: fly, explore, inspect, replay."""
 
 from pathlib import Path
 from typing import Annotated
@@ -57,6 +57,32 @@ def explore(
     answer(summary, as_json)
     if not as_json:
         Console().print(terminal.exploration_table(summary))
+        Console().print(f"written to [bold]{out}[/bold]")
+
+
+@app.command(epilog=example("keepout inspect examples/inspect.toml -o out/inspect"))
+def inspect(
+    scenario: Annotated[
+        Path, typer.Argument(help="A scenario file (TOML), with [camera], [light] and [inspect] as needed.")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for flight file, frames, pictures and page.")] = Path(
+        "out"
+    ),
+    figures: Annotated[bool, typer.Option(help="Draw pictures and the page.")] = True,
+    seed: ScenarioSeed = None,
+    as_json: AsJson = False,
+) -> None:
+    """See all of a target that can be seen, in light, without touching it; audit the flight on the exact mesh."""
+    from keepout.commands.inspect import inspect_to_folder, mission_of
+
+    mission = mission_of(scenario)
+    if seed is not None:
+        mission = mission.replace(seed=seed)
+    with terminal.progress(f"inspect {mission.name}") as progress:
+        summary = inspect_to_folder(mission, out, figures=figures, progress=progress)
+    answer(summary, as_json)
+    if not as_json:
+        Console().print(terminal.inspection_table(summary))
         Console().print(f"written to [bold]{out}[/bold]")
 
 

@@ -10,6 +10,7 @@ from keepout.audit.audit import Audit, Contact
 from keepout.flight.outcome import FlightOutcome
 from keepout.flight.record import FlightRecord
 from keepout.geometry.target import Target
+from keepout.inspecting.limits import LimitsKept
 from keepout.inspecting.plan import InspectionPlan
 from keepout.mission.scenario import Scenario
 from keepout.mission.statuses import flag_counts
@@ -62,6 +63,7 @@ class Inspection:
         start_certified: whether the guard's theorem holds from the start; None without a guard.
         assumptions_broken: what is flown beyond what the scenario declares.
         guard: what the guard assumes and what follows, as numbers; None without a guard.
+        limits: how the operator's limits were kept; None where there are none.
 
     """
 
@@ -84,6 +86,7 @@ class Inspection:
     start_certified: bool | None
     assumptions_broken: tuple[str, ...]
     guard: dict[str, Any] | None
+    limits: LimitsKept | None = None
 
     @property
     def coverage(self) -> float:
@@ -138,5 +141,6 @@ class Inspection:
             "start_certified": self.start_certified,
             "assumptions_broken": list(self.assumptions_broken),
             "guard": self.guard,
+            **({} if self.limits is None else self.limits.summary()),
             "seconds": self.seconds,
         }

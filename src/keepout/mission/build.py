@@ -88,20 +88,22 @@ class Mission:
         return replace(self, setup=replace(self.setup, guard=guard), start_certified=None)
 
 
-def load_model(scenario: Scenario, target: Target) -> FieldModel:
-    """Load a scenario's field, refusing one that was made for another mesh.
+def load_model(scenario: Scenario, target: Target, progress: Progress = silent) -> FieldModel:
+    """Load a scenario's field, refusing one that was made for another mesh; "grid" is from the cache or newly built.
 
     Raises:
         FieldError: there is no such field, or it belongs to another target.
 
     """
     source = scenario.field.source
+    if source == "grid":
+        return guard_field(target, scenario.chaser.radius, progress=progress)
     if source != "shipped":
         return FieldModel.load(Path(source), target=target)
     if scenario.target.source not in shipped_names():
         raise FieldError(
             f'field.source: "shipped" is only for {", ".join(shipped_names())}, not for {scenario.target.source!r}; '
-            "make one with `keepout fit` and `keepout certify` and name its file"
+            'make one with `keepout fit` and `keepout certify` and name its file, or give "grid"'
         )
     model = load_shipped(scenario.target.source)
     model.require_target(target, where="field")

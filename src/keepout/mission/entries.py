@@ -55,9 +55,13 @@ class TargetEntry(Entry):
 
 
 class FieldEntry(Entry):
-    """The learned field that the control law flies by."""
+    """The field that the control law flies by."""
 
-    source: str = Field(default="shipped", description='"shipped" for a built-in target, or a .keepout file')
+    source: str = Field(
+        default="shipped",
+        description='"shipped" for a built-in target; "grid", made of exact distances when it is needed, for any; or a '
+        ".keepout file",
+    )
 
 
 class ChaserEntry(Entry):

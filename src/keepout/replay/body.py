@@ -67,7 +67,14 @@ def fewer(
         side: of the first grid's cells, m.
 
     """
-    whole = vertices, faces
+    return fewer_of(vertices, faces, most, side=side)[:2]
+
+
+def fewer_of(
+    vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], most: int, *, side: float
+) -> tuple[Float[np.ndarray, "w 3"], Int[np.ndarray, "g 3"], Int[np.ndarray, " f"]]:
+    """Do as `fewer` does, and say which of the faces left each face became, -1: none; the arguments are those."""
+    whole, became = (vertices, faces), np.arange(len(faces))
     while len(faces) > most:
         _, place, count = np.unique(
             np.floor(whole[0] / side).astype(np.int64), axis=0, return_inverse=True, return_counts=True
@@ -76,11 +83,16 @@ def fewer(
         np.add.at(vertices, place.reshape(-1), whole[0])
         vertices /= count[:, None]
         faces = place.reshape(-1)[whole[1]]
-        faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
-        _, once = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
-        faces = faces[np.sort(once)]
+        kept = np.flatnonzero(
+            (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+        )
+        _, once, same = np.unique(np.sort(faces[kept], axis=1), axis=0, return_index=True, return_inverse=True)
+        order = np.argsort(once)
+        became = np.full(len(whole[1]), -1)
+        became[kept] = np.argsort(order)[same.reshape(-1)]
+        faces = faces[kept[once[order]]]
         side *= _COARSER
-    return vertices, faces
+    return vertices, faces, became
 
 
 def _openness(target: Target, vertices: np.ndarray, faces: np.ndarray) -> Float[np.ndarray, "f"]:

@@ -23,6 +23,7 @@ from keepout.mission.flight import Flight
 from keepout.mission.scenario import Scenario
 from keepout.progress import Progress, part_of, silent
 from keepout.replay.clearance import proved_clearance
+from keepout.replay.coverage import Coverage
 from keepout.replay.growth import Growth
 
 
@@ -46,7 +47,8 @@ class Level:
 class Replayed:
     """One flight of a replay: what was recorded, its scenario and target, the audit, and what surfaces it has.
 
-    `growth` is of a flight that explored: the map by which it flew, as it grew.
+    `growth` is of a flight that explored: the map by which it flew, as it grew. `coverage` is of one that inspected:
+    what it saw when.
     """
 
     name: str
@@ -56,6 +58,7 @@ class Replayed:
     verdict: Audit
     levels: tuple[Level, ...] = ()
     growth: Growth | None = None
+    coverage: Coverage | None = None
 
     @functools.cached_property
     def shown(self) -> FlightRecord:

@@ -69,6 +69,8 @@ def scene(flights: Sequence[Replayed], *, progress: Progress = silent) -> Scene:
         told_flights.append(_flight(packing, flight) | {"surfaces": shown})
         if flight.growth is not None:
             told_flights[-1]["growth"] = flight.growth.told(packing, float(flight.record.time[0]))
+        if flight.coverage is not None:
+            told_flights[-1]["coverage"] = flight.coverage.told(packing, float(flight.record.time[0]))
     told = {"format": FORMAT, "target": _target(packing, first), "surfaces": told_surfaces, "flights": told_flights}
     progress(1.0, "")
     return Scene(told, packing.text())
@@ -124,6 +126,8 @@ def _flight(packing: Packing, flight: Replayed) -> dict[str, Any]:
     distance, closest, _ = flight.target.distance.closest(record.position)
     clearance = distance - chaser.radius
     error = np.linalg.norm(record.position - goal, axis=1)
+    if flight.coverage is not None:
+        error = np.full(len(error), np.nan)  # an inspection flies to no goal
     rows = rows_shown(len(record.time))
     # Of the steps between two rows that are drawn the least bound counts; the last row begins no step.
     steps = np.minimum.reduceat(np.append(flight.proved, np.nan), rows)
@@ -137,6 +141,8 @@ def _flight(packing: Packing, flight: Replayed) -> dict[str, Any]:
         "error": error,
         "barrier": record.barrier,
     }
+    if flight.coverage is not None:
+        numbers["seen"] = flight.coverage.share_at(record.time)
     vectors = {"applied_force": record.force, "safe_velocity": record.safe_velocity}
     turns = {"to_vvlh": frames.to_vvlh(record), "to_inertial": frames.to_inertial(record, scenario)}
     if scenario.sun != SunEntry():

@@ -21,6 +21,8 @@ _ELEVATION, _AZIMUTH = 22.0, -60.0
 """Of the eye, degrees."""
 _COLUMNS = 800
 _GREY = np.array([0.80, 0.83, 0.87])
+_LAST = {False: "distance to the goal", True: "share of the surface that was seen"}
+"""What the last curve is of: a flight that inspects has no goal."""
 
 
 def write_replay(
@@ -49,7 +51,7 @@ def write_replay(
         "Clearance on the exact mesh and, dashed, its proved lower bound over each step.": _curves(
             flights, "clearance"
         ),
-        "Speed, applied force and distance to the goal.": _curves(flights, "motion"),
+        f"Speed, applied force and {_LAST[_inspects(flights)]}.": _curves(flights, "motion"),
     }
     told = [shown.told["target"]["remark"], *(_said(*pair) for pair in zip(flights, shown.told["flights"]))]
     words = [words for words in told if words]
@@ -58,10 +60,15 @@ def write_replay(
     return {"replay": str(path), "bytes": path.stat().st_size, "flights": [flight.name for flight in flights]}
 
 
+def _inspects(flights: Sequence[Replayed]) -> bool:
+    return all(flight.coverage is not None for flight in flights)
+
+
 def _said(flight: Replayed, told: Mapping[str, Any]) -> str:
     verdict, scenario = flight.verdict, flight.scenario
     start, goal = (", ".join(f"{x:g}" for x in at) for at in (flight.shown.position[0], scenario.goal.position))
-    words = f"{flight.name}: from [{start}] m to [{goal}] m around {flight.target.name}. Contact: {verdict.contact}"
+    way = f"from [{start}] m to [{goal}] m" if flight.coverage is None else f"from [{start}] m, to look at all of it,"
+    words = f"{flight.name}: {way} around {flight.target.name}. Contact: {verdict.contact}"
     if np.isfinite(verdict.minimum_clearance):
         words += f"; the clearance is at least {verdict.minimum_clearance:.4g} m at every instant"
     return " ".join([". ".join([words, *verdict.remarks]) + ".", told["remark"]]).strip()
@@ -94,8 +101,9 @@ def _picture(flights: Sequence[Replayed]) -> str:
             open_path = np.where(hidden[:, None], np.nan, path)
             panel.plot(open_path[:, 0], open_path[:, 1], color=colour, linewidth=1.6, label=flight.name)
             panel.plot(*path[:1, :2].T, color=colour, marker="o", markersize=4)
-            goal = (np.asarray(flight.scenario.goal.position) @ upright - middle) @ axes.T
-            panel.plot(*goal[:2], color="black", marker="*", markersize=9)
+            if flight.coverage is None:
+                goal = (np.asarray(flight.scenario.goal.position) @ upright - middle) @ axes.T
+                panel.plot(*goal[:2], color="black", marker="*", markersize=9)
         panel.set(xlabel="m", ylabel="m", aspect="equal")
         panel.autoscale()
         panel.margins(0.03)
@@ -134,8 +142,12 @@ def _curves(flights: Sequence[Replayed], kind: str) -> str:
             error = np.linalg.norm(record.position - np.asarray(flight.scenario.goal.position), axis=1)
             panels[0].plot(time, np.linalg.norm(record.velocity, axis=1), **thin)
             panels[1].plot(time, np.linalg.norm(record.force, axis=1), **thin)
-            panels[2].semilogy(time, error, **thin)
-        labels = ["clearance, m"] if kind == "clearance" else ["speed, m/s", "force, N", "to the goal, m"]
+            if flight.coverage is None:
+                panels[2].semilogy(time, error, **thin)
+            else:
+                panels[2].step(time, 100.0 * flight.coverage.share_at(record.time), where="post", **thin)
+        last = "seen, %" if _inspects(flights) else "to the goal, m"
+        labels = ["clearance, m"] if kind == "clearance" else ["speed, m/s", "force, N", last]
         for panel, label in zip(panels, labels):
             panel.set_ylabel(label)
         if kind == "clearance":

@@ -290,6 +290,37 @@ def exploration_table(summary: Mapping[str, Any]) -> Table:
     return table
 
 
+INSPECTION_ROWS = {
+    "outcome": "outcome",
+    "why": "because",
+    "contact_verdict": "contact, on the mesh",
+    "minimum_clearance_m": "min clearance m",
+    "coverage": "share of the area seen",
+    "coverage_seeable": "of what can be seen, and be lit",
+    "coverage_upper_bound": "share that no chaser exceeds (proved)",
+    "coverage_planned": "share planned at the start",
+    "views": "views planned",
+    "views_at_least": "of these candidates, views needed at least",
+    "plans": "plans made",
+    "frames": "frames",
+    "way_m": "planned way m",
+    "duration_s": "flown s",
+    "delta_v_mps": "Δv m/s",
+    "guard_interventions": "guard steps",
+    "start_certified": "start certified",
+    "seconds": "computed in s",
+}
+"""Words for the entries of an inspection's summary that a person is shown first."""
+
+
+def inspection_table(summary: Mapping[str, Any]) -> Table:
+    """One row a figure: how much an inspection saw, whether it was safe, and what it cost."""
+    rows = {words: summary[key] for key, words in INSPECTION_ROWS.items() if summary[key] is not None}
+    table = facts_table(f"Inspection {summary['name']}", rows)
+    table.caption, table.caption_justify = "\n".join(broken_assumptions([summary])) or None, "left"
+    return table
+
+
 def check_parts(summary: Mapping[str, Any]) -> list[Table | str]:
     """Say what a scenario would fly, in words and tables, and what would be refused, with values that would not be."""
     parts: list[Table | str] = list(summary["words"])

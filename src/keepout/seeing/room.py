@@ -1,17 +1,16 @@
 """The room allowed to a chaser's centre: no nearer to the mesh than the stand-off, and connected with far outside."""
 
 import math
-from typing import no_type_check
 
-import numba
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from keepout.errors import InspectionError
-from keepout.geometry import cell_tree
-from keepout.geometry.distance import Distance, Points
+from keepout.geometry.distance import Distance, ExactDistance, Points
 from keepout.geometry.octree import SQRT3, refine
 from keepout.progress import Progress, silent
+from keepout.seeing.beam import Limits, boxes_meet
+from keepout.seeing.rules import SeeingRules
 
 _ROUNDING = 1e-9
 """Metres; above the rounding of an exact distance by orders of magnitude."""
@@ -19,7 +18,6 @@ _DEEPEST = 10
 """Halvings of the cube: a thousand cells across at most."""
 _STEPS = 24
 """Of a walk up the distance; each about doubles what is left above the stand-off."""
-_STACK = 8 * 21 + 8
 
 
 class Room:
@@ -100,6 +98,25 @@ class Room:
             here, gradient = self.distance.distance_and_gradient(places)
         return answer
 
+    def limits(self, rules: SeeingRules) -> Limits:
+        """Give what bounds a camera's places in the form that the compiled search takes.
+
+        Raises:
+            InspectionError: a room around a point cloud.
+
+        """
+        if not isinstance(self.distance, ExactDistance):
+            raise InspectionError(
+                "room: around a point cloud there is nothing to be seen; a mesh or a map has surfaces"
+            )
+        tree, cells = self.distance.tree, self._cells
+        return Limits(
+            tree.lower, tree.upper, tree.right, tree.first, tree.amount, tree.corners, tree.plane, cells.child,
+            self._possible, self.origin, cells.depth, cells.unit, self.stand_off, rules.least_range,
+            rules.greatest_range, math.tan(rules.greatest_incidence),
+            rules.greatest_sample_distance / rules.pixel_angle,
+        )  # fmt: skip
+
     def surely_not(
         self, centres: Points, half_widths: Float[np.ndarray, "n 3"] | Float[np.ndarray, " n"]
     ) -> Bool[np.ndarray, " n"]:
@@ -115,56 +132,7 @@ class Room:
         reach = np.linalg.norm(half, axis=1) + _ROUNDING
         near = self.distance.distance(centres) + reach < self.stand_off
         rest = np.flatnonzero(~near)
-        lower = self._cells.scaled(centres[rest] - half[rest] - _ROUNDING)
-        upper = self._cells.scaled(centres[rest] + half[rest] + _ROUNDING)
-        near[rest] = ~_meets(self._cells.child, self._cells.depth, self._possible, lower, upper)
+        boxes = np.concatenate([centres[rest] - half[rest] - _ROUNDING, centres[rest] + half[rest] + _ROUNDING], axis=1)
+        cells = self._cells
+        near[rest] = ~boxes_meet(cells.child, cells.depth, self._possible, self.origin, cells.unit, boxes)
         return near
-
-
-@numba.njit(cache=True, nogil=True)
-@no_type_check
-def _meets(
-    child: cell_tree.Child,
-    depth: int,
-    chosen: Bool[np.ndarray, " cells"],
-    lower: Float[np.ndarray, "n 3"],
-    upper: Float[np.ndarray, "n 3"],
-) -> Bool[np.ndarray, " n"]:
-    """Whether a box, in units of the deepest cells from the corner of the cube, meets a chosen cell or leaves it."""
-    answer = np.zeros(len(lower), dtype=np.bool_)
-    entries: Int[np.ndarray, " stack"] = np.empty(_STACK, dtype=np.int64)
-    corners: Float[np.ndarray, "stack 4"] = np.empty((_STACK, 4))
-    whole = float(1 << depth)
-    for i in range(len(lower)):
-        if lower[i].min() < 0.0 or upper[i].max() > whole:
-            answer[i] = True
-            continue
-        entries[0] = 0
-        corners[0, 0], corners[0, 1], corners[0, 2], corners[0, 3] = 0.0, 0.0, 0.0, whole
-        waiting = 1
-        while waiting > 0 and not answer[i]:
-            waiting -= 1
-            node, half = entries[waiting], 0.5 * corners[waiting, 3]
-            x, y, z = corners[waiting, 0], corners[waiting, 1], corners[waiting, 2]
-            for k in range(8):
-                cx, cy, cz = x + (k & 1) * half, y + ((k >> 1) & 1) * half, z + ((k >> 2) & 1) * half
-                if (
-                    upper[i, 0] < cx
-                    or lower[i, 0] > cx + half
-                    or upper[i, 1] < cy
-                    or lower[i, 1] > cy + half
-                    or upper[i, 2] < cz
-                    or lower[i, 2] > cz + half
-                ):
-                    continue
-                entry = child[node, k]
-                if entry < 0:
-                    if chosen[~entry]:
-                        answer[i] = True
-                        break
-                else:
-                    entries[waiting] = entry
-                    corners[waiting, 0], corners[waiting, 1], corners[waiting, 2] = cx, cy, cz
-                    corners[waiting, 3] = half
-                    waiting += 1
-    return answer

@@ -1,0 +1,177 @@
+"""An inspection by natural-motion circumnavigation: a drift about the target, frames on the way, and nothing else.
+
+The chaser begins on the ellipse; what a burn from rest onto it costs is told apart. The camera looks where most of what
+is still wanted is seen from; law and guard only bring the chaser back to the drift.
+"""
+
+import time
+
+import jax
+import numpy as np
+from jaxtyping import Bool
+
+from keepout.audit.audit import audit
+from keepout.errors import InspectionError
+from keepout.flight.loop import fly
+from keepout.flight.outcome import outcome
+from keepout.flight.record import FlightRecord
+from keepout.inspecting.circumnavigation import Circumnavigation, circumnavigations
+from keepout.inspecting.equipment import boresight_of
+from keepout.inspecting.frames import Camera, Shot, as_flown
+from keepout.inspecting.inspection import Inspection
+from keepout.inspecting.limits import limits_kept
+from keepout.inspecting.lit import ever_lit
+from keepout.inspecting.plan import InspectionPlan
+from keepout.inspecting.problem import Problem
+from keepout.mission import environment
+from keepout.mission.assumptions import broken_assumptions, guard_numbers
+from keepout.mission.build import build_guard, flight_setup
+from keepout.mission.navigation import navigation, require_navigation
+from keepout.mission.scenario import Scenario
+from keepout.mission.statuses import legend
+from keepout.progress import Progress, part_of, silent
+from keepout.seeing.seeable import Verdict
+from keepout.seeing.visible import visible
+
+_MOST_FRAMES = 1500
+"""Frames of a circumnavigation, at most: those of a day would differ by millimetres."""
+_TRIED = 60
+"""Places along each ellipse by which the ellipses are compared."""
+
+
+def circle(problem: Problem, *, progress: Progress = silent) -> Inspection:
+    """Inspect a target by the ellipse that sees most of it.
+
+    Args:
+        problem: what there is to be seen; of its scenario the start does not count: the flight begins on the ellipse,
+            and lasts as long as the scenario.
+        progress: called as the work goes on.
+
+    Raises:
+        InspectionError: no ellipse keeps the stand-off, or it is faster than the chaser may be.
+
+    """
+    begun, scenario, target = time.perf_counter(), problem.scenario, problem.target
+    if scenario.inspect.hold_points:
+        raise InspectionError(
+            f"inspect.hold_points: {len(scenario.inspect.hold_points)}; a circumnavigation is held nowhere: leave them "
+            'out, or give inspect.tour = "plan"'
+        )
+    possible = problem.seeable.verdict == Verdict.SEEABLE
+    camera = Camera(problem.patches, problem.sight, problem.rules, problem.light)
+    lit = ever_lit(camera, possible, scenario.duration)
+    ellipses = circumnavigations(scenario, target.distance.distance)
+    progress(0.1, f"{len(ellipses)} ellipses")
+    shares = []
+    for done, ellipse in enumerate(ellipses):
+        shares.append(_promised(problem, camera, ellipse, lit))
+        progress(0.1 + 0.3 * (done + 1) / len(ellipses), f"an ellipse of height {ellipse.height:.1f} m")
+    best = int(np.argmax([problem.patches.coverage(share) for share in shares]))
+    ellipse = ellipses[best]
+    fastest = float(np.linalg.norm(ellipse.velocity, axis=1).max())
+    if fastest > scenario.chaser.speed_limit:
+        raise InspectionError(
+            f"circumnavigation: {fastest:.3g} m/s is needed on the ellipse; chaser.speed_limit "
+            f"{scenario.chaser.speed_limit:g} m/s must be at least that"
+        )
+    scenario = _begun_on(scenario, ellipse)
+    motion = environment.relative_motion(scenario)
+    require_navigation(scenario)
+    guard = build_guard(scenario, target) if scenario.guard.enabled else None
+    assumed = environment.guard_assumptions(scenario, target)
+    sensed = None if scenario.navigation.suite == "none" else navigation(scenario, motion, assumed)
+    setup = flight_setup(scenario, ellipse.law(scenario), guard=guard, navigation=sensed)
+    initial = motion.initial_state(ellipse.position[0], ellipse.velocity[0])
+    log = fly(setup, initial, scenario.steps, jax.random.key(scenario.seed))
+    progress(0.6, "flown")
+    flown = outcome(setup, log)
+    record = FlightRecord.of_log(
+        log,
+        outcome=flown,
+        scenario=scenario.model_dump_json(),
+        seed=scenario.seed,
+        target_sha256=target.sha256,
+        statuses=legend(),
+    )
+    verdict = audit(
+        record,
+        target,
+        chaser_radius=scenario.chaser.radius,
+        bounds=environment.flight_bounds(scenario),
+        force_limit=scenario.chaser.force_limit,
+        speed_limit=scenario.chaser.speed_limit,
+    )
+    shots = _shots(problem, record, lit)
+    frames, seen = as_flown(record, shots, camera, progress=part_of(progress, 0.8, 1.0))
+    burn = float(np.linalg.norm(ellipse.velocity[0]))
+    certified = None if guard is None else bool(guard.certified_start(initial))
+    broken = broken_assumptions(scenario)
+    ticks = round(scenario.camera.period / scenario.control.period)
+    asked = bool(scenario.inspect.no_thrust_towards or scenario.inspect.passive_safety)
+    way = float(np.linalg.norm(np.diff(record.position, axis=0), axis=1).sum())
+    plan = InspectionPlan((), shares[best], way, float(record.time[-1]), len(ellipses), 0, 0)
+    return Inspection(
+        scenario=scenario,
+        target=target,
+        patches=problem.patches,
+        rules=problem.rules,
+        seeable=problem.seeable,
+        lit=lit,
+        plan=plan,
+        plans=1,
+        record=record,
+        flown=flown,
+        audit=verdict,
+        frames=frames,
+        seen=seen,
+        outcome="out of time",
+        why=f"{ellipse.turns:.2f} turns on an ellipse {ellipse.height:.2f} m high and {ellipse.across:.2f} m across, "
+        f"which a burn of {burn:.4f} m/s from rest leads onto",
+        seconds=time.perf_counter() - begun,
+        start_certified=None if certified is None else certified and not broken,
+        assumptions_broken=broken,
+        guard=None if guard is None else guard_numbers(guard),
+        limits=limits_kept(scenario, record, target.distance.distance, every=ticks) if asked else None,
+    )
+
+
+def _begun_on(scenario: Scenario, ellipse: Circumnavigation) -> Scenario:
+    """Give the scenario with its start on the ellipse, and its goal there too: both bound how far the flight is."""
+    start = {"position": tuple(ellipse.position[0].tolist()), "velocity": tuple(ellipse.velocity[0].tolist())}
+    far = ellipse.position[int(np.argmax(np.linalg.norm(ellipse.position, axis=1)))]
+    return scenario.replace(start=start, goal={"position": tuple(far.tolist())})
+
+
+def _promised(
+    problem: Problem, camera: Camera, ellipse: Circumnavigation, wanted: Bool[np.ndarray, " units"]
+) -> Bool[np.ndarray, " units"]:
+    """Say which units are visible from some places along an ellipse, in light, whichever way the camera looks."""
+    seen = np.zeros_like(wanted)
+    for index in np.unique(np.linspace(0, len(ellipse.times) - 1, _TRIED).astype(int)):
+        units = visible(problem.sight, problem.rules, ellipse.position[index], among=wanted & ~seen).units
+        if problem.light.matters:
+            sun = camera.sun(float(ellipse.times[index]))
+            units = units[:0] if sun is None else units[camera.lit(sun, units)]
+        seen[units] = True
+    return seen
+
+
+def _shots(problem: Problem, record: FlightRecord, wanted: Bool[np.ndarray, " units"]) -> list[Shot]:
+    """Turn the camera as on board: by the estimated positions, towards the middle of what is still to be seen."""
+    scenario, target = problem.scenario, problem.target
+    ticks = round(scenario.camera.period / scenario.control.period)
+    every = ticks * max(1, -(-record.steps // (ticks * _MOST_FRAMES)))
+    boresight, left, shots = boresight_of(scenario, target), wanted.copy(), []
+    areas, middle = problem.patches.unit_areas(), 0.5 * (target.vertices.min(axis=0) + target.vertices.max(axis=0))
+    for row in range(0, record.steps + 1, every):
+        place = record.estimated_position[row]
+        shots.append(Shot(row, boresight.direction))
+        shown = visible(problem.sight, problem.rules, place, among=left)
+        if len(shown.units):
+            off = np.arccos(np.clip(shown.directions @ boresight.direction, -1.0, 1.0)) + shown.spread
+            left[shown.units[off <= problem.rules.half_angle]] = bool(problem.light.matters)
+        towards = areas[shown.units] @ shown.directions
+        aimed = towards if np.linalg.norm(towards) > 1e-9 else middle - place
+        for _ in range(every):
+            boresight = boresight.step(aimed, scenario.control.period)
+    return shots

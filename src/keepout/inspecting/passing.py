@@ -1,0 +1,79 @@
+"""Frames taken on the way from one view to the next: what they see comes free."""
+
+import math
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from keepout.cores import available_cores
+from keepout.inspecting.lit_times import LitTimes
+from keepout.inspecting.viewpoints import Look
+from keepout.seeing.visible import in_view
+
+_SURELY = 2
+"""Frames of a leg that must show a unit before it is counted on: the flight's are at other moments."""
+_FRAMES = 600
+"""On a whole tour, at most: of more, every second one and so on is looked at."""
+
+
+def seen_in_passing(
+    courses: list[Float[np.ndarray, "_ 3"]],
+    boresights: Float[np.ndarray, "stops 3"],
+    times: Float[np.ndarray, " stops"],
+    *,
+    look: Look,
+    lit: LitTimes,
+    half_angle: float,
+    rate: float,
+    period: float,
+) -> list[Int[np.ndarray, " _"]]:
+    """Say which units are seen between the views, leg by leg; neither of a leg's ends counts.
+
+    On a leg the chaser goes at one speed, and the boresight turns at its rate from one view's direction straight to
+    the next's as soon as the leg begins.
+
+    Args:
+        courses: corners of the way of each leg, m.
+        boresights: at the start and at each view.
+        times: at the start and at each view, s.
+        look: what is visible from a place.
+        lit: when.
+        half_angle: of the cone, rad.
+        rate: of the boresight, rad/s.
+        period: between frames, s.
+
+    """
+    every = max(1, math.ceil((times[-1] - times[0]) / period / _FRAMES))
+
+    def leg(n: int) -> Int[np.ndarray, " n"]:
+        seen = [np.zeros(0, dtype=np.int64)]
+        begin, end = times[n], times[n + 1]
+        if not math.isfinite(end):
+            return seen[0]
+        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(courses[n], axis=0), axis=1))])
+        for now in np.arange(begin + every * period, end, every * period):
+            at = along[-1] * (now - begin) / (end - begin)
+            place = np.array([np.interp(at, along, courses[n][:, axis]) for axis in range(3)])
+            direction = turned(boresights[n], boresights[n + 1], rate * (now - begin))
+            found = look(place)
+            units = found.units[in_view(found, direction, half_angle)]
+            seen.append(units[lit.at(float(now))[units]])
+        units, frames = np.unique(np.concatenate(seen), return_counts=True)
+        return units[frames >= _SURELY]
+
+    with ThreadPoolExecutor(available_cores()) as pool:
+        return list(pool.map(leg, range(len(courses))))
+
+
+def turned(first: Float[np.ndarray, "3"], last: Float[np.ndarray, "3"], angle: float) -> Float[np.ndarray, "3"]:
+    """Turn a unit vector towards another by an angle (rad), and no farther than there."""
+    whole = math.atan2(float(np.linalg.norm(np.cross(first, last))), float(first @ last))
+    if angle >= whole:
+        return last
+    across = last - (first @ last) * first
+    size = float(np.linalg.norm(across))
+    if size < 1e-9:
+        across = np.cross(first, np.eye(3)[np.argmin(np.abs(first))])
+        size = float(np.linalg.norm(across))
+    return math.cos(angle) * first + math.sin(angle) * across / size

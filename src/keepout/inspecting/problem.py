@@ -1,0 +1,82 @@
+"""What one inspection is about, worked out once: the target in patches, what can be seen of it, and from where."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from keepout.geometry.target import Target
+from keepout.inspecting.equipment import patch_size, require_inspectable, rules_of
+from keepout.mission.light import Light
+from keepout.mission.scenario import Scenario
+from keepout.progress import Progress, part_of, silent
+from keepout.seeing.cut import cut
+from keepout.seeing.judge import seeable
+from keepout.seeing.patches import Patches
+from keepout.seeing.room import Room
+from keepout.seeing.rules import SeeingRules
+from keepout.seeing.seeable import Seeable
+from keepout.seeing.sightlines import Sightlines
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """The equipment of one inspection; make one with `Problem.of`.
+
+    Attributes:
+        scenario: of the mission.
+        target: its mesh.
+        patches: of that mesh.
+        rules: when a patch counts as seen.
+        sight: lines of sight to the patches.
+        room: where the chaser's centre may be.
+        seeable: what can be seen at all.
+        light: where it comes from, and when.
+
+    """
+
+    scenario: Scenario
+    target: Target
+    patches: Patches
+    rules: SeeingRules
+    sight: Sightlines
+    room: Room
+    seeable: Seeable
+    light: Light
+
+    @classmethod
+    def of(cls, scenario: Scenario, target: Target, progress: Progress = silent) -> "Problem":
+        """Cut the target into patches, and find out what of it can be seen.
+
+        Args:
+            scenario: its entries `camera`, `light` and `inspect`.
+            target: the mesh.
+            progress: told of the cut, the room and the share that is decided.
+
+        Raises:
+            InspectionError: something that no plan could make good; the message names the entry.
+
+        """
+        require_inspectable(scenario, target)
+        rules, stand_off = rules_of(scenario), scenario.inspect.stand_off
+        patches = cut(target, patch_size(scenario, target), progress=part_of(progress, 0.0, 0.1))
+        sight = Sightlines(target.vertices, target.faces, patches)
+        room = Room(target.distance, stand_off, progress=part_of(progress, 0.1, 0.15))
+        judged = seeable(
+            target,
+            patches,
+            sight,
+            rules,
+            stand_off,
+            room=room,
+            seconds=scenario.inspect.proof_time,
+            progress=part_of(progress, 0.15, 1.0),
+        )
+        return cls(scenario, target, patches, rules, sight, room, judged, Light.of(scenario))
+
+    @property
+    def box(self) -> tuple[np.ndarray, np.ndarray]:
+        """Corners, m, of a box that holds all places from which anything is seen, and the start."""
+        start = np.asarray(self.scenario.start.position)
+        reach = max(self.rules.greatest_range, self.scenario.inspect.stand_off) + 1.0
+        lower = np.minimum(self.target.vertices.min(axis=0) - reach, start - 1.0)
+        return lower, np.maximum(self.target.vertices.max(axis=0) + reach, start + 1.0)

@@ -1,0 +1,177 @@
+"""Frames as flown, against closed forms: around a box nothing hides an outer side but the side's own plane."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from keepout.errors import InspectionError
+from keepout.geometry.target import Target
+from keepout.inspecting.frames import Camera, Shot, as_flown
+from keepout.inspecting.frames_file import load_frames, save_frames
+from keepout.inspecting.lit import ever_lit
+from keepout.seeing.cut import cut
+from keepout.seeing.rules import SeeingRules
+from keepout.seeing.sightlines import Sightlines
+
+RULES = SeeingRules(greatest_range=6.0)
+
+
+class Sun:
+    """A sun that stands still, turns, or is none."""
+
+    def __init__(self, direction=None, *, dark=None, turning=0.0):
+        self.direction, self.dark, self.turning = direction, dark, turning
+
+    @property
+    def matters(self):
+        return self.direction is not None
+
+    def sun(self, time):
+        if self.direction is None or (self.dark is not None and self.dark[0] <= time <= self.dark[1]):
+            return None
+        turn = self.turning * time
+        x, y, z = self.direction
+        return np.array([x * math.cos(turn) - y * math.sin(turn), x * math.sin(turn) + y * math.cos(turn), z])
+
+
+@pytest.fixture(scope="module")
+def parts():
+    target = Target.load("box")
+    patches = cut(target, 0.25)
+    return target, patches, Sightlines(target.vertices, target.faces, patches)
+
+
+def camera_of(parts, sun):
+    return Camera(parts[1], parts[2], RULES, sun)
+
+
+def truth(patches, place, boresight, sun=None):
+    """Units seen around a convex body, corner by corner from the rules' words, sharing no code with what is tested."""
+    found = []
+    for unit in range(patches.units):
+        patch = unit // 2
+        normal = patches.normals[patch] * (1 if unit % 2 == 0 else -1)
+        # Outer sides look away from the middle of the box, which is the origin.
+        if normal @ patches.centres[patch] <= 0.0:
+            continue
+        ok = sun is None or normal @ sun >= math.cos(RULES.greatest_sun_incidence)
+        for corner in patches.corners[patch, : patches.counts[patch]]:
+            to = corner - place
+            range_ = np.linalg.norm(to)
+            ok &= RULES.least_range < range_ < RULES.greatest_range
+            ok &= -(to @ normal) / range_ >= math.cos(RULES.greatest_incidence)
+            ok &= (to @ boresight) / range_ >= math.cos(RULES.half_angle)
+        if ok:
+            found.append(unit)
+    return np.array(found)
+
+
+def test_a_frame_shows_what_closed_forms_say(parts):
+    generator = np.random.default_rng(1)
+    camera, shown = camera_of(parts, Sun()), 0
+    for _ in range(12):
+        place = generator.standard_normal(3)
+        place *= generator.uniform(2.5, 5.0) / np.linalg.norm(place)
+        boresight = -place / np.linalg.norm(place) + 0.2 * generator.standard_normal(3)
+        boresight /= np.linalg.norm(boresight)
+        expected = truth(parts[1], place, boresight)
+        # A unit counts a little later than it might, where its spread bounds its corners: conservative, and seldom.
+        found = camera.units(0.0, place, boresight)
+        assert np.isin(found, expected).all()
+        assert len(found) >= 0.8 * len(expected)
+        shown += len(found)
+    assert shown > 100
+
+
+def test_sun_and_shadow_decide_what_counts(parts):
+    sun = np.array([0.6, 0.0, 0.8])
+    place, boresight = np.array([2.5, 0.0, 2.5]), np.array([-1.0, 0.0, -1.0]) / math.sqrt(2.0)
+    plain = camera_of(parts, Sun()).units(0.0, place, boresight)
+    lit = camera_of(parts, Sun(sun)).units(0.0, place, boresight)
+    assert np.array_equal(np.sort(lit), np.sort(plain))  # both sides that it sees are lit
+    away = camera_of(parts, Sun(-sun)).units(0.0, place, boresight)
+    assert len(plain)
+    assert not len(away)
+    dark = camera_of(parts, Sun(sun, dark=(5.0, 9.0)))
+    assert not len(dark.units(7.0, place, boresight))
+    assert np.array_equal(dark.units(10.0, place, boresight), lit)
+
+
+def test_what_is_kept_of_the_light_is_forgotten_when_the_sun_moves(parts):
+    place, boresight = np.array([3.0, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0])
+    turning = camera_of(parts, Sun(np.array([1.0, 0.0, 0.0]), turning=math.pi / 100.0))
+    assert len(turning.units(0.0, place, boresight))
+    assert not len(turning.units(100.0, place, boresight))
+    assert len(turning.units(200.0, place, boresight))
+
+
+def test_what_is_ever_lit_is_every_side_that_the_suns_circle_meets(parts):
+    _, patches, _ = parts
+    units = patches.counted
+    circling = camera_of(parts, Sun(np.array([1.0, 0.0, 0.0]), turning=2.0 * math.pi / 5000.0))
+    lit = ever_lit(circling, units, 5000.0)
+    across = np.abs(patches.unit_normals()[:, 2]) < 0.5
+    assert np.array_equal(lit, units & across)
+    assert np.array_equal(ever_lit(camera_of(parts, Sun()), units, 5000.0), units)
+    still = camera_of(parts, Sun(np.array([0.0, 0.0, 1.0])))
+    assert np.array_equal(ever_lit(still, units, 5000.0), units & (patches.unit_normals()[:, 2] > 0.5))
+
+
+class Record:
+    """Rows of a flight, as the frames ask for them."""
+
+    def __init__(self, positions):
+        self.position = np.asarray(positions, dtype=float)
+        self.time = np.arange(len(self.position), dtype=float)
+
+
+@pytest.fixture
+def flown(parts):
+    record = Record([[3.0, 0.0, 0.0], [3.5, 0.0, 0.0], [0.0, 0.0, 3.0]])
+    shots = [Shot(0, np.array([-1.0, 0.0, 0.0])), Shot(2, np.array([0.0, 0.0, -1.0]))]
+    camera = camera_of(parts, Sun(np.array([0.0, 0.6, 0.8]), dark=(0.0, 1.0)))
+    return as_flown(record, shots, camera)
+
+
+def test_frames_are_those_of_the_records_positions(parts, flown):
+    frames, seen = flown
+    assert [frame.time for frame in frames] == [0.0, 2.0]
+    assert frames[0].sun is None
+    assert not len(frames[0].units)
+    assert np.array_equal(np.flatnonzero(seen), np.sort(frames[1].units))
+    assert np.isin(frames[1].units, truth(parts[1], np.array([0.0, 0.0, 3.0]), np.array([0.0, 0.0, -1.0]))).all()
+    with pytest.raises(InspectionError, match="row 9"):
+        as_flown(Record([[3.0, 0.0, 0.0]]), [Shot(9, np.array([1.0, 0.0, 0.0]))], camera_of(parts, Sun()))
+
+
+def test_frames_come_back_from_their_file_bit_for_bit(tmp_path, flown):
+    frames, _ = flown
+    path = save_frames(tmp_path / "frames.parquet", frames, target_sha256="ab")
+    again, sha256 = load_frames(path)
+    assert sha256 == "ab"
+    for one, other in zip(frames, again, strict=True):
+        assert one.time == other.time
+        assert (one.sun is None) == (other.sun is None)
+        for name in ("position", "boresight", "units") + (("sun",) if one.sun is not None else ()):
+            assert np.array_equal(getattr(one, name), getattr(other, name))
+
+
+def test_a_damaged_or_foreign_frames_file_is_refused_in_a_line(tmp_path, flown):
+    frames, _ = flown
+    path = save_frames(tmp_path / "frames.parquet", frames, target_sha256="ab")
+    whole = path.read_bytes()
+    (tmp_path / "cut.parquet").write_bytes(whole[: len(whole) // 2])
+    (tmp_path / "text.parquet").write_text("no table")
+    moved = (dataclasses.replace(frames[0], time=frames[0].time + 1.0), *frames[1:])
+    import pyarrow.parquet as pq
+
+    table = pq.read_table(save_frames(tmp_path / "moved.parquet", moved, target_sha256="ab"))
+    pq.write_table(table.replace_schema_metadata(pq.read_table(path).schema.metadata), tmp_path / "moved.parquet")
+    pq.write_table(table.replace_schema_metadata({}), tmp_path / "foreign.parquet")
+    for name in ("cut", "text", "moved", "foreign", "absent"):
+        with pytest.raises(InspectionError) as refusal:
+            load_frames(tmp_path / f"{name}.parquet")
+        assert f"{name}.parquet" in str(refusal.value)
+        assert "\n" not in str(refusal.value)

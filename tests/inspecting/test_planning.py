@@ -1,0 +1,181 @@
+"""Plans round small targets: what they count on is seen by the rules, from room allowed, in the light; bounds hold."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from keepout.geometry import Target
+from keepout.inspecting.equipment import rules_of
+from keepout.inspecting.lit_times import LitTimes
+from keepout.inspecting.passing import turned
+from keepout.inspecting.planning import plan
+from keepout.inspecting.problem import Problem
+from keepout.mission.light import Light
+from keepout.mission.scenario import Scenario
+from keepout.seeing.cut import cut
+from keepout.seeing.room import Room
+from keepout.seeing.seeable import Seeable
+from keepout.seeing.sightlines import Sightlines
+from keepout.seeing.visible import in_view, lit_units, visible
+
+
+def problem_of(name="box", *, light=None, **inspect):
+    """Give a problem in which no unit has a witness: the drawn places are all there is."""
+    tree = {
+        "target": {"source": name},
+        "start": {"position": [0.0, 8.0, 3.0]},
+        "duration": 6000.0,
+        "inspect": {"candidates": 160, "patch_size": 0.5, "stand_off": 1.2, **inspect},
+    }
+    if light is not None:
+        tree["light"] = light
+    scenario = Scenario.parse(tree)
+    target = Target.load(name)
+    patches = cut(target, scenario.inspect.patch_size)
+    nothing = np.zeros(patches.units, dtype=np.int8)
+    return Problem(
+        scenario,
+        target,
+        patches,
+        rules_of(scenario),
+        Sightlines(target.vertices, target.faces, patches),
+        Room(target.distance, scenario.inspect.stand_off),
+        Seeable(patches, nothing, nothing, np.full((patches.units, 3), np.nan)),
+        Light.of(scenario),
+    )
+
+
+def planned(problem, **others):
+    start = np.array(problem.scenario.start.position)
+    others = {"wanted": problem.patches.counted, "seconds": 4.0, "time": 0.0, **others}
+    return plan(problem, position=start, **others)
+
+
+def require_true(problem, result):
+    """Check all that a plan says of its views against the rules."""
+    told = np.zeros(problem.patches.units, dtype=bool)
+    assert problem.target.distance.distance(np.array([v.position for v in result.views])).min() >= 1.2
+    for view in result.views:
+        seen = visible(problem.sight, problem.rules, view.position)
+        assert set(view.units) <= set(seen.units[in_view(seen, view.boresight, problem.rules.half_angle)])
+        assert not told[view.units].any()
+        told[view.units] = True
+    assert not (told & ~result.covered).any()
+    assert not (result.covered & ~problem.patches.counted).any()
+
+
+@pytest.fixture(scope="module")
+def box():
+    return problem_of()
+
+
+@pytest.fixture(scope="module")
+def whole(box):
+    return planned(box, share=1.0)
+
+
+def test_a_plan_sees_the_whole_box(box, whole):
+    require_true(box, whole)
+    assert box.patches.coverage(whole.covered) == pytest.approx(1.0)
+    # A side of a box faces away from every place that sees the one opposite: at least two views.
+    assert 2 <= whole.fewest_views <= whole.greedy_views
+    assert len(whole.views) <= whole.greedy_views
+
+
+def test_the_way_is_at_least_that_from_view_to_view(box, whole):
+    stops = np.array([box.scenario.start.position, *(view.position for view in whole.views)])
+    straight = float(np.linalg.norm(np.diff(stops, axis=0), axis=1).sum())
+    assert straight - 1e-9 <= whole.way_length <= 2.0 * straight
+    assert whole.duration >= whole.way_length / box.scenario.chaser.speed_limit
+
+
+def test_less_is_asked_for_with_fewer_views(box, whole):
+    result = planned(box, share=0.7)
+    require_true(box, result)
+    assert box.patches.coverage(result.covered) >= 0.7
+    assert len(result.views) < len(whole.views)
+
+
+def test_only_what_is_wanted_is_planned_for(box):
+    wanted = box.patches.counted & (box.patches.unit_normals()[:, 2] > 0.9)
+    result = planned(box, share=1.0, wanted=wanted)
+    assert len(result.views) >= 1
+    assert (result.covered == wanted).all()
+    assert not planned(box, wanted=np.zeros_like(wanted)).views
+
+
+def test_the_same_problem_gives_the_same_plan(box):
+    one, other = planned(box, share=0.9), planned(box, share=0.9)
+    assert len(one.views) == len(other.views)
+
+
+def test_the_nearest_view_tour_sees_as_much_and_proves_nothing(box, whole):
+    scenario = box.scenario.model_copy(update={"inspect": box.scenario.inspect.model_copy(update={"tour": "nearest"})})
+    nearest = planned(replace(box, scenario=scenario), share=0.95)
+    require_true(box, nearest)
+    assert box.patches.coverage(nearest.covered) >= 0.95
+    assert nearest.fewest_views == 0
+
+
+def test_views_are_as_many_as_asked_for_at_most(box):
+    scenario = box.scenario.model_copy(update={"inspect": box.scenario.inspect.model_copy(update={"most_views": 3})})
+    assert len(planned(replace(box, scenario=scenario)).views) <= 3
+
+
+def test_with_a_fixed_light_only_what_it_falls_on_is_planned_for():
+    problem = problem_of("pocket", light={"kind": "fixed", "direction": [1.0, 0.4, 0.2]})
+    lit = lit_units(problem.sight, problem.rules, problem.light.sun(0.0))
+    result = planned(problem, share=0.9)
+    require_true(problem, result)
+    assert result.covered.any()
+    assert not (result.covered & ~lit).any()
+    assert all(view.window == (0.0, math.inf) for view in result.views)
+
+
+class Circling(Light):
+    """A light that goes round the z axis once in 4000 s, and is hidden for the last quarter."""
+
+    @property
+    def matters(self):
+        return True
+
+    def suns(self, times):
+        turn = 2.0 * np.pi * np.asarray(times) / 4000.0
+        suns = np.stack([np.cos(turn), np.sin(turn), 0.2 * np.ones_like(turn)], axis=1) / math.sqrt(1.04)
+        suns[np.asarray(times) % 4000.0 > 3000.0] = np.nan
+        return suns
+
+
+def test_in_a_light_that_goes_round_each_view_is_flown_in_its_window():
+    problem = replace(problem_of(), light=(light := Circling(Scenario())))
+    result = planned(problem, share=0.9)
+    require_true(problem, result)
+    assert result.covered.any()
+    last = 0.0
+    for view in result.views:
+        begin, end = view.window
+        assert last - 1e-9 <= end
+        last = max(last, begin)
+        for now in np.linspace(begin, end, 4):
+            assert lit_units(problem.sight, problem.rules, light.suns([now])[0])[view.units].all()
+
+
+def test_windows_are_the_times_in_which_all_is_lit():
+    lit = np.array([[1, 1], [1, 0], [1, 1], [1, 1], [0, 1]], dtype=bool)
+    times = LitTimes(np.arange(5) * 10.0, lit, True)
+    assert times.windows(np.array([0])) == [(0.0, 30.0)]
+    assert times.windows(np.array([0, 1])) == [(0.0, 0.0), (20.0, 30.0)]
+    assert times.at(25.0).tolist() == [True, True]
+    assert times.at(15.0).tolist() == [True, False]
+    assert times.at(41.0).tolist() == [False, False]
+
+
+def test_a_boresight_turns_on_the_great_circle_and_stops_there():
+    first, last = np.array([1.0, 0, 0]), np.array([0, 1.0, 0])
+    assert turned(first, last, math.radians(30.0)) == pytest.approx([math.cos(math.pi / 6), 0.5, 0.0])
+    assert turned(first, last, 2.0) == pytest.approx(last)
+    back = turned(first, -first, math.radians(90.0))
+    assert back @ first == pytest.approx(0.0, abs=1e-12)
+    assert np.linalg.norm(back) == pytest.approx(1.0)

@@ -1,0 +1,105 @@
+"""Candidate views: what they are said to see is seen by the rules, and few directions show all of a place."""
+
+import functools
+import math
+
+import numpy as np
+import pytest
+
+from keepout.geometry import Target
+from keepout.inspecting.viewpoints import boresights_of, find_views
+from keepout.seeing.cut import cut
+from keepout.seeing.rules import SeeingRules
+from keepout.seeing.sightlines import Sightlines
+from keepout.seeing.visible import Visible, in_view, visible
+
+RULES = SeeingRules(greatest_range=6.0)
+STAND_OFF = 1.0
+
+
+@pytest.fixture(scope="module")
+def found():
+    target = Target.load("pocket")
+    patches = cut(target, 0.5)
+    sight = Sightlines(target.vertices, target.faces, patches)
+    wanted = patches.counted
+    look = functools.partial(visible, sight, RULES, among=wanted)
+    views = find_views(
+        look,
+        look,
+        lambda places: target.distance.distance(places) >= STAND_OFF,
+        patches,
+        RULES,
+        wanted=wanted,
+        witnesses=np.full((patches.units, 3), np.nan),
+        stand_off=STAND_OFF,
+        places=60,
+    )
+    return target, sight, views
+
+
+def test_views_see_what_they_say_and_keep_the_stand_off(found):
+    target, sight, views = found
+    assert len(views.positions) == len(views.boresights) == views.sees.shape[0] > 60
+    assert target.distance.distance(views.positions).min() >= STAND_OFF
+    assert np.allclose(np.linalg.norm(views.boresights, axis=1), 1.0)
+    for row in range(0, len(views.positions), 7):
+        seen = visible(sight, RULES, views.positions[row])
+        said = views.sees[[row]].indices
+        assert set(said) <= set(seen.units[in_view(seen, views.boresights[row], RULES.half_angle + 1e-9)])
+
+
+def test_all_sides_of_the_target_are_seen(found):
+    _, sight, views = found
+    seen = np.asarray(views.sees.sum(axis=0)).ravel() > 0
+    normals = sight.patches.unit_normals()[seen]
+    for axis in np.concatenate([np.eye(3), -np.eye(3)]):
+        assert (normals @ axis > 0.9).any()
+
+
+def test_witnesses_bring_what_drawn_places_miss():
+    target = Target.load("box")
+    patches = cut(target, 0.5)
+    sight = Sightlines(target.vertices, target.faces, patches)
+    look = functools.partial(visible, sight, RULES)
+    unit = int(np.flatnonzero(patches.counted)[0])
+    witnesses = np.full((patches.units, 3), np.nan)
+    witnesses[unit] = patches.centres[unit // 2] + 2.0 * patches.unit_normals()[unit]
+    views = find_views(
+        look,
+        look,
+        lambda places: np.zeros(len(places), dtype=bool),
+        patches,
+        RULES,
+        wanted=patches.counted,
+        witnesses=witnesses,
+        stand_off=STAND_OFF,
+        places=8,
+    )
+    assert views.places == 1
+    assert views.sees[:, [unit]].sum() >= 1
+
+
+def test_few_directions_show_all_that_is_visible():
+    generator = np.random.default_rng(0)
+    directions = generator.normal(size=(300, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    directions[:, 2] = np.abs(directions[:, 2])
+    seen = Visible(np.arange(300), directions, generator.uniform(0.0, 0.1, 300))
+    areas = generator.uniform(0.5, 1.0, 300)
+    chosen, units = boresights_of(seen, areas, np.ones(300, dtype=np.int64), math.radians(40.0))
+    for boresight, some in zip(chosen, units, strict=True):
+        assert set(some) == set(np.flatnonzero(in_view(seen, boresight, math.radians(40.0))))
+    # A half sphere is 4.3 caps of that size by area.
+    assert areas[np.unique(np.concatenate(units))].sum() > 0.97 * areas.sum()
+    assert len(chosen) <= 8
+
+
+def test_a_unit_as_wide_as_the_cone_is_looked_straight_at():
+    direction = np.array([[0.3, -0.5, 0.8]]) / math.sqrt(0.98)
+    half = math.radians(30.0)
+    chosen, units = boresights_of(
+        Visible(np.array([0]), direction, np.array([half * 0.99999])), np.ones(1), np.zeros(1, dtype=np.int64), half
+    )
+    assert units[0].tolist() == [0]
+    assert np.allclose(chosen, direction)

@@ -1,0 +1,104 @@
+"""Ways round a ball, whose lengths are known: {distance to a point ≥ r}."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from keepout.geometry.distance import ExactDistance
+from keepout.inspecting.ways import Ways, way_length
+
+RADIUS = 2.0
+
+
+@pytest.fixture(scope="module")
+def ways():
+    point = ExactDistance(np.zeros((1, 3)), np.zeros((1, 3), dtype=np.int64))
+    return Ways.build(point, RADIUS, np.full(3, -7.0), np.full(3, 7.0), most_nodes=60_000)
+
+
+def geodesic(a, b):
+    """Length of the shortest way from a to b outside the ball: two tangents and an arc, or straight."""
+    between = math.acos(np.clip(a @ b / np.linalg.norm(a) / np.linalg.norm(b), -1.0, 1.0))
+    first, second = (math.acos(min(RADIUS / np.linalg.norm(p), 1.0)) for p in (a, b))
+    if between <= first + second:
+        return float(np.linalg.norm(a - b))
+    return RADIUS * (math.tan(first) + math.tan(second) + between - first - second)
+
+
+def nearest_of_segment(a, b):
+    share = np.clip(-a @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
+    return float(np.linalg.norm(a + share * (b - a)))
+
+
+def places(seed, count):
+    generator = np.random.default_rng(seed)
+    directions = generator.normal(size=(count, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    return directions * generator.uniform(RADIUS + 0.05, 5.0, (count, 1))
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 2**31))
+def test_a_piece_is_clear_if_and_only_if_it_keeps_the_stand_off(seed):
+    ways = Ways.build(
+        ExactDistance(np.zeros((1, 3)), np.zeros((1, 3), dtype=np.int64)),
+        RADIUS,
+        np.full(3, -6.0),
+        np.full(3, 6.0),
+        most_nodes=200,
+    )
+    begins, ends = places(seed, 40), places(seed + 1, 40)
+    clear = ways.clear(begins, ends)
+    least = np.array([nearest_of_segment(a, b) for a, b in zip(begins, ends, strict=True)])
+    assert not clear[least < RADIUS].any()
+    assert clear[least > RADIUS + 0.01].all()
+
+
+def test_paths_keep_the_stand_off_and_are_hardly_longer_than_the_shortest(ways):
+    stops = places(5, 12)
+    for a, b in pairwise(stops):
+        path = ways.path(a, b)
+        assert np.array_equal(path[[0, -1]], [a, b])
+        assert all(nearest_of_segment(p, q) >= RADIUS - 1e-9 for p, q in pairwise(path))
+        shortest = geodesic(a, b)
+        assert shortest - 1e-9 <= way_length(path) <= 1.06 * shortest + 0.05
+
+
+def test_lengths_of_all_pairs_and_where_they_set_out(ways):
+    stops = places(8, 14)
+    lengths, leave = ways.lengths(stops)
+    assert np.allclose(lengths, lengths.T)
+    shortest = np.array([[geodesic(a, b) if a is not b else 0.0 for b in stops] for a in stops])
+    other = ~np.eye(len(stops), dtype=bool)
+    assert (lengths[other] >= shortest[other] - 1e-9).all()
+    assert (lengths[other] <= 1.12 * shortest[other] + 0.1).all()
+    straight = ways.clear(np.repeat(stops, 14, axis=0), np.tile(stops, (14, 1))).reshape(14, 14) & other
+    assert np.allclose(lengths[straight], shortest[straight])
+    assert np.allclose(np.linalg.norm(leave[other], axis=-1), 1.0)
+    # No way sets out into the ball.
+    for i, j in zip(*np.nonzero(other), strict=True):
+        assert np.linalg.norm(stops[i] + 0.02 * leave[i, j]) >= RADIUS
+    near = ways.nearly(stops[0], stops[1:])
+    assert np.allclose(near, lengths[0, 1:], atol=2.0 * ways.spacing)
+
+
+def test_what_is_shut_in_is_not_reached():
+    corners = np.array([[x, y, z] for x in (-3.0, 3.0) for y in (-3.0, 3.0) for z in (-3.0, 3.0)])
+    sides = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
+    faces = np.array([triangle for a, b, c, d in sides for triangle in ((a, b, c), (a, c, d))])
+    ways = Ways.build(ExactDistance(corners, faces), 1.0, np.full(3, -6.0), np.full(3, 6.0), most_nodes=20_000)
+    inside, outside, beside = np.zeros(3), np.array([5.0, 0.0, 0.0]), np.array([0.5, 0.5, 0.0])
+    assert ways.path(inside, outside) is None
+    lengths, _ = ways.lengths(np.stack([inside, outside, beside]))
+    assert np.isinf(lengths[[0, 2], 1]).all()
+    assert lengths[0, 2] == pytest.approx(math.sqrt(0.5))
+
+
+def test_from_a_place_that_is_too_near_a_way_leads_out(ways):
+    path = ways.path(np.array([RADIUS - 0.2, 0.0, 0.0]), np.array([-4.0, 0.0, 0.0]))
+    assert path is not None
+    assert ways.clear(path[1:-1], path[2:]).all()

@@ -1,0 +1,201 @@
+"""What can be seen at all: against closed forms, and against every place of a dense set."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from keepout.errors import InspectionError
+from keepout.geometry.distance import ExactDistance
+from keepout.geometry.target import Target
+from keepout.seeing.cut import cut
+from keepout.seeing.judge import seeable
+from keepout.seeing.patches import Patches
+from keepout.seeing.room import Room
+from keepout.seeing.rules import SeeingRules
+from keepout.seeing.seeable import Hidden, Seeable, Verdict
+from keepout.seeing.shadow import MOST_EDGES, covers, shadow
+from keepout.seeing.sightlines import Sightlines
+from keepout.seeing.visible import visible
+
+RULES = SeeingRules()
+
+
+def target_of(vertices, faces) -> Target:
+    """Make a target of a mesh; the report is the box's, and nothing here reads it."""
+    return Target("made", np.array(vertices, float), np.array(faces), Target.load("box").report)
+
+
+def rectangles(*parts) -> Target:
+    """Make a target of rectangles, each an origin and two edges."""
+    vertices, faces = [], []
+    for origin, one, other in parts:
+        o, a, b = (np.array(v, float) for v in (origin, one, other))
+        k = len(vertices)
+        vertices += [o, o + a, o + a + b, o + b]
+        faces += [(k, k + 1, k + 2), (k, k + 2, k + 3)]
+    return target_of(vertices, faces)
+
+
+def judged(target: Target, size: float, stand_off: float, rules: SeeingRules = RULES, *, both: bool = True) -> Seeable:
+    patches = cut(target, size)
+    if both:
+        patches = dataclasses.replace(patches, counted=np.ones(patches.units, bool))
+    return seeable(target, patches, Sightlines(target.vertices, target.faces, patches), rules, stand_off)
+
+
+def check_by_places(target: Target, found: Seeable, stand_off: float, places: np.ndarray) -> None:
+    """Check that no unit called hidden is seen from places of the room, and that every witness sees its unit."""
+    sight = Sightlines(target.vertices, target.faces, found.patches)
+    for place in places:
+        assert not (found.verdict[visible(sight, RULES, place).units] == Verdict.HIDDEN).any()
+    shown = np.flatnonzero(found.verdict == Verdict.SEEABLE)
+    assert Room(target.distance, stand_off).allowed(found.witness[shown]).all()
+    for unit in shown:
+        assert unit in visible(sight, RULES, found.witness[unit]).units
+    assert np.isnan(found.witness[found.verdict != Verdict.SEEABLE]).all()
+    assert ((found.why != Hidden.NOT) == (found.verdict == Verdict.HIDDEN)).all()
+
+
+def test_all_of_a_box_can_be_seen_from_outside_and_nothing_of_its_inner_sides():
+    target = Target.load("box")
+    found = judged(target, 0.5, 1.5)
+    outward = cut(target, 0.5).counted
+    assert (found.verdict[outward] == Verdict.SEEABLE).all()
+    assert (found.verdict[~outward] == Verdict.HIDDEN).all()
+    assert (found.why[~outward] == Hidden.ENCLOSED).all()
+    assert found.lower == found.upper == pytest.approx(0.5)
+
+
+def test_a_hollow_large_enough_for_the_chaser_is_still_hidden():
+    # A cube of 6 m: its middle is farther from the walls than the stand-off, but no way leads there.
+    square = [((-3, -3, z), (6, 0, 0), (0, 6, 0)) for z in (-3, 3)]
+    square += [((-3, y, -3), (6, 0, 0), (0, 0, 6)) for y in (-3, 3)]
+    square += [((x, -3, -3), (0, 6, 0), (0, 0, 6)) for x in (-3, 3)]
+    found = judged(rectangles(*square), 1.0, 1.0)
+    inward = np.einsum("ui,ui->u", found.patches.unit_normals(), np.repeat(found.patches.centres, 2, axis=0)) < 0.0
+    assert (found.verdict[inward] == Verdict.HIDDEN).all()
+    assert (found.verdict[~inward] == Verdict.SEEABLE).all()
+
+
+def test_between_two_plates_only_what_the_incidence_reaches_from_the_edge():
+    # Plates of 4 m, 1 m apart, stand-off 1.5 m: the camera stays outside. A line at 60 degrees that leaves the gap
+    # at its upper edge begins tan 60 = 1.73 m from the edge, so a patch is seen just if all of it is nearer than that.
+    found = judged(rectangles(((-2, -2, 0), (4, 0, 0), (0, 4, 0)), ((-2, -2, 1), (4, 0, 0), (0, 4, 0))), 0.25, 1.5)
+    patches = found.patches
+    inner = np.where(np.repeat(patches.centres[:, 2], 2) < 0.5, 1.0, -1.0) * patches.unit_normals()[:, 2] > 0.0
+    depth = np.repeat((2.0 - np.abs(patches.corners[..., :2]).max(axis=2)).max(axis=1), 2)
+    assert (found.verdict[~inner] == Verdict.SEEABLE).all()
+    reached = depth < np.sqrt(3.0)
+    assert (found.verdict[inner & ~reached] == Verdict.HIDDEN).all()
+    assert (found.verdict[inner & reached] == Verdict.SEEABLE).all()
+    assert 0 < (inner & ~reached).sum() < (inner & reached).sum()
+
+
+@pytest.mark.parametrize(("depth", "verdict"), [(8.0, Verdict.SEEABLE), (9.0, Verdict.HIDDEN)])
+def test_the_floor_of_a_well_is_seen_while_the_range_reaches_it(depth, verdict):
+    # A shaft of 1 m: the camera must stay 1.5 m from its rim, so a little more than 1.4 m above it, and sees 10 m far.
+    walls = [((-0.5, y, 0), (1, 0, 0), (0, 0, depth)) for y in (-0.5, 0.5)]
+    walls += [((x, -0.5, 0), (0, 1, 0), (0, 0, depth)) for x in (-0.5, 0.5)]
+    found = judged(rectangles(((-0.5, -0.5, 0), (1, 0, 0), (0, 1, 0)), *walls), 0.5, 1.5)
+    floor = np.repeat(np.abs(found.patches.centres[:, 2]) < 1e-9, 2) & (found.patches.unit_normals()[:, 2] > 0.5)
+    assert floor.sum() >= 4
+    assert (found.verdict[floor] == verdict).all()
+    assert (found.why[floor] == (Hidden.NARROW if verdict == Verdict.HIDDEN else Hidden.NOT)).all()
+
+
+def test_a_plate_behind_a_hole_narrower_than_its_patches_is_hidden():
+    # Through a slit of 0.2 m, 0.2 m before it, no patch of 1 m is wholly seen, and each of 0.05 m below the slit is.
+    plates = [((-2, -2, 0), (4, 0, 0), (0, 4, 0)), ((-2, -2, 0.2), (1.9, 0, 0), (0, 4, 0))]
+    plates += [((0.1, -2, 0.2), (1.9, 0, 0), (0, 4, 0))]
+    target = rectangles(*plates)
+    middle = np.array([0.0, 0.0, 0.0])
+    for size, verdict in ((1.0, Verdict.HIDDEN), (0.05, Verdict.SEEABLE)):
+        found = judged(target, size, 1.5)
+        patches = found.patches
+        near = np.repeat(np.linalg.norm(patches.centres - middle, axis=1) < 0.75 * size, 2)
+        near &= patches.unit_normals()[:, 2] > 0.5
+        assert near.any()
+        assert (found.verdict[near] == verdict).all()
+
+
+def test_no_place_around_the_pocket_sees_what_is_called_hidden():
+    target = Target.load("pocket")
+    found = judged(target, 0.5, 1.0, both=False)
+    places = np.random.default_rng(0).uniform(target.distance.lower - 4.0, target.distance.upper + 4.0, (1500, 3))
+    places = places[Room(target.distance, 1.0).allowed(places)]
+    check_by_places(target, found, 1.0, places)
+    assert found.upper - found.lower <= 0.002
+
+
+@settings(max_examples=6, deadline=None)
+@given(seed=st.integers(0, 10**6))
+def test_no_place_around_loose_triangles_sees_what_is_called_hidden(seed):
+    generator = np.random.default_rng(seed)
+    number = int(generator.integers(4, 24))
+    middles = generator.uniform(-0.6, 0.6, (number, 1, 3))
+    vertices = (middles + generator.uniform(-1.0, 1.0, (number, 3, 3))).reshape(-1, 3)
+    target = target_of(vertices, np.arange(3 * number).reshape(-1, 3))
+    found = judged(target, 0.5, 0.5)
+    places = generator.normal(size=(600, 3))
+    places *= (generator.uniform(0.7, 6.0, 600) / np.linalg.norm(places, axis=1))[:, None]
+    check_by_places(target, found, 0.5, places[Room(target.distance, 0.5).allowed(places)])
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 10**6))
+def test_a_shadow_is_where_the_sight_lines_are_blocked(seed):
+    generator = np.random.default_rng(seed)
+    size = float(10.0 ** generator.uniform(-2.0, 0.0))
+    plate = size * np.array([[-0.5, -0.4], [0.5, -0.5], [0.4, 0.5], [-0.3, 0.3]])
+    plate -= plate.mean(axis=0)
+    corners = np.concatenate([plate, np.zeros((4, 1))], axis=1)
+    patches = Patches(
+        corners[None], np.array([4]), np.array([[0.0, 0, 1]]), np.array([size**2]), np.zeros((1, 3)), np.array([0]),
+        np.ones(2, bool), size,
+    )  # fmt: skip
+    height = float(generator.uniform(1.0, 5.0))
+    blocker = generator.uniform(-1.0, 1.0, (3, 3)) * [1.0, 1.0, 0.5 * height] + [0.0, 0.0, 0.5 * height]
+    vertices = np.concatenate([corners, blocker])
+    sight = Sightlines(vertices, np.array([(0, 1, 2), (0, 2, 3), (4, 5, 6)]), patches)
+    edges = np.empty((MOST_EDGES, 3))
+    number = shadow(
+        blocker.reshape(1, 9), 0, np.concatenate([np.zeros((1, 3)), np.eye(3)]), plate, 4, height, 2.5, 10.0, edges,
+        np.empty((8, 3)), np.empty((8, 3)), np.empty((MOST_EDGES, 3)), np.empty(2 * MOST_EDGES, dtype=np.int64),
+    )  # fmt: skip
+    directions = generator.uniform(-1.7, 1.7, (400, 2))
+    inside = np.array([number > 0 and covers(edges, number, x, y, 0.0) for x, y in directions])
+    for higher in (1.0, 1.3, 4.0):
+        places = np.concatenate([directions, np.ones((400, 1))], axis=1) * height * higher
+        clear = sight.clear(places, np.zeros(400, dtype=np.int64))
+        assert not (inside & clear).any()
+        if higher == 1.0:
+            # Nothing else is blocked, but for what lies within a few lifts of the two planes.
+            assert (~inside & ~clear).sum() <= 4
+
+
+def test_a_camera_must_come_as_near_as_its_corners_allow():
+    # A plate of 4 m as one patch: at 60 degrees to its farthest corner, 2.83 m away, at least 1.63 m above its middle.
+    target = rectangles(((-2, -2, 0), (4, 0, 0), (0, 4, 0)))
+    wide, short = SeeingRules(), SeeingRules(greatest_range=3.2)
+    assert (judged(target, 4.0, 1.0, wide).verdict == Verdict.SEEABLE).all()
+    assert (judged(target, 4.0, 1.0, short).verdict == Verdict.HIDDEN).all()
+
+
+def test_out_of_time_is_undecided():
+    target = Target.load("box")
+    patches = cut(target, 0.5)
+    sight = Sightlines(target.vertices, target.faces, patches)
+    found = seeable(target, patches, sight, RULES, 1.5, seconds=-1.0)
+    assert (found.verdict == Verdict.UNDECIDED).all()
+    assert (found.lower, found.upper) == (0.0, 1.0)
+
+
+def test_a_room_of_another_stand_off_is_refused():
+    target = Target.load("box")
+    patches = cut(target, 0.5)
+    sight = Sightlines(target.vertices, target.faces, patches)
+    with pytest.raises(InspectionError, match=r"stand-off of 1 m, not 1\.5 m"):
+        seeable(target, patches, sight, RULES, 1.5, room=Room(ExactDistance(target.vertices, target.faces), 1.0))
