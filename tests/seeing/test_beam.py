@@ -30,7 +30,7 @@ def test_no_place_below_the_least_height_is_allowed(name):
         frame = np.stack([face.mean(axis=0), first, np.cross(normal, first), normal])
         middle, half = generator.uniform(-1.6, 1.6, 2), float(10.0 ** generator.uniform(-4.0, -0.5))
         height = least_height(
-            limits, frame, OUTLINE, 4, *middle, half, 0.3, np.empty(192, dtype=np.int64), np.empty(192),
+            limits, frame, OUTLINE, 4, middle[0], middle[1], half, 0.3, np.empty(192, dtype=np.int64), np.empty(192),
             np.empty((192, 4)), np.empty(6),
         )  # fmt: skip
         top = min(height, 4.5)
