@@ -183,6 +183,14 @@ OFFERS = {
         "exploring.reachable.reachable",
         "exploring.next_view.choose",
     ),
+    "inspecting": (
+        "inspecting.problem.Problem.of",
+        "inspecting.planning.plan",
+        "inspecting.cover.fewest_views",
+        "inspecting.ways.Ways.build",
+        "inspecting.ways.Ways.path",
+        "inspecting.tour.best_tour",
+    ),
     "rare_events": (
         "rare_events.event.rare",
         "rare_events.event.RareEvent.summary",
