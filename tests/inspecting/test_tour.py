@@ -78,7 +78,9 @@ def test_a_turn_from_rest_to_rest():
     angle = 0.5 * rate**2 / acceleration
     other = np.array([[math.cos(angle), math.sin(angle), 0.0]])
     # Half of the way at full acceleration, half at full deceleration.
-    assert turning_time(axis[:1], other, rate, acceleration)[0, 0] == pytest.approx(2.0 * math.sqrt(angle / acceleration))
+    assert turning_time(axis[:1], other, rate, acceleration)[0, 0] == pytest.approx(
+        2.0 * math.sqrt(angle / acceleration)
+    )
 
 
 @pytest.mark.parametrize("objective", ["time", "delta_v", "both"])

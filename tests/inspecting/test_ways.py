@@ -1,6 +1,7 @@
 """Ways round a ball, whose lengths are known: {distance to a point ≥ r}."""
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -59,10 +60,10 @@ def test_a_piece_is_clear_if_and_only_if_it_keeps_the_stand_off(seed):
 
 def test_paths_keep_the_stand_off_and_are_hardly_longer_than_the_shortest(ways):
     stops = places(5, 12)
-    for a, b in zip(stops[:-1], stops[1:], strict=True):
+    for a, b in pairwise(stops):
         path = ways.path(a, b)
-        assert np.array_equal(path[0], a) and np.array_equal(path[-1], b)
-        assert all(nearest_of_segment(p, q) >= RADIUS - 1e-9 for p, q in zip(path[:-1], path[1:], strict=True))
+        assert np.array_equal(path[[0, -1]], [a, b])
+        assert all(nearest_of_segment(p, q) >= RADIUS - 1e-9 for p, q in pairwise(path))
         shortest = geodesic(a, b)
         assert shortest - 1e-9 <= way_length(path) <= 1.06 * shortest + 0.05
 
@@ -93,7 +94,7 @@ def test_what_is_shut_in_is_not_reached():
     inside, outside, beside = np.zeros(3), np.array([5.0, 0.0, 0.0]), np.array([0.5, 0.5, 0.0])
     assert ways.path(inside, outside) is None
     lengths, _ = ways.lengths(np.stack([inside, outside, beside]))
-    assert np.isinf(lengths[0, 1]) and np.isinf(lengths[2, 1])
+    assert np.isinf(lengths[[0, 2], 1]).all()
     assert lengths[0, 2] == pytest.approx(math.sqrt(0.5))
 
 

@@ -48,8 +48,8 @@ def nearest_views(
     place, direction = start.position, start.looking(problem)
     away = np.zeros(len(views.positions), dtype=bool)
     while areas.sum() - left.sum() < goal and len(chosen) < scenario.inspect.most_views and now <= scenario.duration:
-        gains = views.sees @ (left * lit.at(now)) * ~away
-        if not gains.max(initial=0.0) > 0.0:
+        gains: Float[np.ndarray, " v"] = np.where(away, 0.0, views.sees @ (left * lit.at(now)))
+        if not gains.any():
             later = lit.times[lit.times > now]
             if not lit.changes or len(later) == 0:
                 break

@@ -82,7 +82,7 @@ def plan(
     progress(0.9, f"{len(kept.positions)} views: their order")
     result = _ordered(problem, kept, lit, areas, goal, ways, start, legs)
     progress(1.0, f"{len(result.views)} views, {result.way_length:.0f} m")
-    return replace(result, candidates=timed.sees.shape[0], fewest_views=chosen.fewest, greedy_views=chosen.greedy)
+    return replace(result, candidates=len(timed.positions), fewest_views=chosen.fewest, greedy_views=chosen.greedy)
 
 
 def candidates(problem: Problem, wanted: Bool[np.ndarray, " units"], *, progress: Progress = silent) -> Views:

@@ -74,7 +74,7 @@ class Ways:
         spacing = max(_FINEST, float(np.prod(upper - lower) / most_nodes) ** (1.0 / 3.0))
         shape = np.maximum(np.ceil((upper - lower) / spacing).astype(int) + 1, 3)
         origin = 0.5 * (lower + upper) - 0.5 * (shape - 1) * spacing
-        nodes = origin + spacing * np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1).reshape(-1, 3)
+        nodes = origin + spacing * np.argwhere(np.ones(tuple(shape), dtype=bool))
         away = np.concatenate([distance.distance(part) for part in np.array_split(nodes, len(nodes) // _BATCH + 1)])
         away = away.reshape(tuple(shape))
         free = away >= stand_off

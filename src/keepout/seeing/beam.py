@@ -13,6 +13,8 @@ _STEPS = 2000
 """Along a beam, at most; where they are used up the height reached so far stands."""
 _FINENESS = 2e-4
 """Part of the stand-off, or of a height, to which the least height is found."""
+_COARSENESS = 0.1
+"""Part of the beam's width to which it is found where that is more."""
 
 
 class Limits(NamedTuple):
@@ -168,7 +170,7 @@ def least_height(limits, frame, outline, count, wx, wy, half, height, stack, bou
                 raised = max(
                     raised, height + (far * far - limits.finest * height) / (2.0 * far * fastest + limits.finest)
                 )
-        if raised > height * (1.0 + _FINENESS):
+        if raised > height * (1.0 + max(_FINENESS, _COARSENESS * across)):
             height += (raised - height) * (1.0 - 1e-9)
             continue
         x = frame[0, 0] + height * (wx * frame[1, 0] + wy * frame[2, 0] + frame[3, 0])
@@ -176,7 +178,7 @@ def least_height(limits, frame, outline, count, wx, wy, half, height, stack, bou
         z = frame[0, 2] + height * (wx * frame[1, 2] + wy * frame[2, 2] + frame[3, 2])
         # Places nearer to this one than that are nearer to the mesh than the stand-off.
         ball = limits.stand_off - _distance(limits, x, y, z, stack, bounds) - height * across
-        if ball > _FINENESS * limits.stand_off:
+        if ball > max(_FINENESS * limits.stand_off, _COARSENESS * height * across):
             height += ball * (1.0 - 1e-9) / fastest
             continue
         if height * across > 4.0 * limits.unit:

@@ -1,5 +1,6 @@
 """The verdict on every unit of a mesh: a place that sees it, or the proof that no place of the room allowed does."""
 
+import collections
 import math
 import time
 
@@ -21,7 +22,7 @@ from keepout.seeing.seeable import Hidden, Seeable, Verdict
 from keepout.seeing.sightlines import LIFT, Sightlines
 
 _SQUARES = (300, 3_000, 30_000)
-"""Squares of directions a unit in each pass: most are decided by the first, and the next takes what is left."""
+"""Squares of directions a unit in each stage: most are decided in the first, and the next takes what is left."""
 _TOGETHER = (512, 64, 8)
 """Units between two looks at the clock."""
 _RAYS = 1500
@@ -73,26 +74,26 @@ def seeable(
     limits = room.limits(rules)
     tree = ray_tree.build(distance.vertices[distance.faces])
     areas, decided = patches.unit_areas(), 0.0
-    # The largest first: time may run out.
     units = np.flatnonzero(patches.counted)
     units = units[np.argsort(-areas[units], kind="stable")]
-    for squares, together in zip(_SQUARES, _TOGETHER):
-        left = []
-        for start in range(0, len(units), together):
-            some = units[start : start + together]
-            if seconds is not None and time.monotonic() - began > seconds:
-                left.append(some)
-                continue
-            ends, places = _searched(tree, limits, patches, some, squares)
-            seen = some[ends == SEEN]
-            sure = witnessed(patches, sight, rules, room, places[ends == SEEN], seen)
-            verdict[seen[sure]], witness[seen[sure]] = Verdict.SEEABLE, places[ends == SEEN][sure]
-            verdict[some[ends == NONE]] = Verdict.HIDDEN
-            left.append(some[ends == OPEN])
-            decided += float(areas[seen[sure]].sum() + areas[some[ends == NONE]].sum())
-            share = decided / float(areas.sum())
-            progress(0.02 + 0.93 * share, f"of {share:.2%} of the area it is known whether it can be seen")
-        units = np.concatenate(left) if left else units[:0]
+    # In each queue the largest come first; of the queues, the one whose first unit has most area for the work ahead.
+    queues = [collections.deque([units] if len(units) else [])] + [collections.deque() for _ in _SQUARES[1:]]
+    while any(queues) and (seconds is None or time.monotonic() - began < seconds):
+        stage = max((k for k in range(len(queues)) if queues[k]), key=lambda k: areas[queues[k][0][0]] / _SQUARES[k])
+        some = queues[stage].popleft()
+        if len(some) > _TOGETHER[stage]:
+            queues[stage].appendleft(some[_TOGETHER[stage] :])
+            some = some[: _TOGETHER[stage]]
+        ends, places = _searched(tree, limits, patches, some, _SQUARES[stage])
+        seen = some[ends == SEEN]
+        sure = witnessed(patches, sight, rules, room, places[ends == SEEN], seen)
+        verdict[seen[sure]], witness[seen[sure]] = Verdict.SEEABLE, places[ends == SEEN][sure]
+        verdict[some[ends == NONE]] = Verdict.HIDDEN
+        if stage + 1 < len(queues) and (ends == OPEN).any():
+            queues[stage + 1].append(some[ends == OPEN])
+        decided += float(areas[seen[sure]].sum() + areas[some[ends == NONE]].sum())
+        share = decided / float(areas.sum())
+        progress(0.02 + 0.93 * share, f"of {share:.2%} of the area it is known whether it can be seen")
     why = np.full(count, Hidden.NOT, dtype=np.int8)
     hidden = np.flatnonzero(verdict == Verdict.HIDDEN)
     why[hidden] = np.where(_enclosed(distance, patches, hidden), Hidden.ENCLOSED, Hidden.NARROW)
