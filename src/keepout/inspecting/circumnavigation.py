@@ -34,7 +34,7 @@ Distance = Callable[[Float[np.ndarray, "points 3"]], Float[np.ndarray, "points"]
 
 TILTS = ((0.0, 0.0), *((share, math.radians(beta)) for share in (1.0, math.sqrt(3.0)) for beta in (0, 90, 180, 270)))
 """Motions across the orbit that are tried: b/a, and β in rad. √3 with 0 or 180° is a circle."""
-_SIZES = 24
+_SIZES = 16
 """Heights tried for each tilt: from one that is surely too low to one that is surely enough, then between two."""
 _AFAR = 1e5
 """Metres from which the target's reach along an axis is looked at."""

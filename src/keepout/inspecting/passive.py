@@ -237,8 +237,8 @@ def _least(
         np.minimum.at(lower, which[settled], bound[settled])
         return ~settled
 
-    steps = []
     which = np.flatnonzero(within)
+    steps = [(which[:0], which[:0])]
     first, end = np.zeros(which.size, int), np.full(which.size, samples - 1)
     while which.size:
         single = end - first == 1
