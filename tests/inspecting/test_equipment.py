@@ -18,10 +18,13 @@ from keepout.mission.law import law_on, room_for_guard
 from keepout.mission.light import Light
 from keepout.mission.scenario import Scenario
 from keepout.seeing.patches import Patches
+from keepout.seeing.room import Room
 from keepout.seeing.seeable import Hidden, Seeable, Verdict
 
 TARGET = Target.load("box")
 """4 x 3 x 2 m, about the origin."""
+ROOM = Room(TARGET.distance, 1.5)
+"""A start far away is allowed whatever the stand-off."""
 
 
 def scenario(**tables):
@@ -88,7 +91,7 @@ def test_what_can_never_be_flown_is_refused_in_one_line_with_numbers(tables, sai
 def test_what_can_be_flown_is_not_refused():
     equipment.require_inspectable(scenario(), TARGET)
     equipment.require_inspectable(scenario(camera={"greatest_sample_distance": 0.0018}), TARGET)
-    held = [{"position": (0.0, 3.0, 0.0), "seconds": 10.0}]  # exactly at the stand-off
+    held = [{"position": (0.0, 3.001, 0.0), "seconds": 10.0}]  # a millimetre beyond the stand-off
     equipment.require_inspectable(scenario(inspect={"hold_points": held}, duration=16.0), TARGET)
 
 
@@ -150,6 +153,7 @@ def test_a_camera_that_sees_a_square_from_somewhere_is_never_refused(size, heigh
             },
         ),
         TARGET,
+        room=ROOM,
     )
 
 
@@ -171,10 +175,10 @@ def test_straight_over_a_square_range_and_sample_distance_are_told_to_a_percent(
     ):
         given_scenario = Scenario().replace(camera=wide | camera, **tight)
         if valid:
-            equipment.require_inspectable(given_scenario, TARGET)
+            equipment.require_inspectable(given_scenario, TARGET, room=ROOM)
         else:
             with pytest.raises(InspectionError, match=r"greatest_range|greatest_sample_distance|patch_size"):
-                equipment.require_inspectable(given_scenario, TARGET)
+                equipment.require_inspectable(given_scenario, TARGET, room=ROOM)
 
 
 @pytest.mark.parametrize("errors", [{}, {"position_error": 0.1, "velocity_error": 0.01}])

@@ -10,7 +10,6 @@ import math
 import numpy as np
 from jaxtyping import Bool, Float
 
-from keepout.audit.outside import proved_outside
 from keepout.control.tuning import least_offset
 from keepout.errors import InspectionError
 from keepout.geometry.target import Target
@@ -18,6 +17,7 @@ from keepout.mission.law import room_for_guard
 from keepout.mission.light import Light
 from keepout.mission.scenario import Scenario
 from keepout.seeing.patches import Patches
+from keepout.seeing.room import Room
 from keepout.seeing.rules import SeeingRules
 from keepout.seeing.seeable import Hidden, Seeable, Verdict
 from keepout.sensing.depth.pointing import Boresight
@@ -69,8 +69,13 @@ def frame_times(scenario: Scenario) -> Float[np.ndarray, " frames"]:
     return scenario.camera.period * np.arange(math.floor(end / scenario.camera.period + 1e-9) + 1)
 
 
-def require_inspectable(scenario: Scenario, target: Target) -> None:
+def require_inspectable(scenario: Scenario, target: Target, *, room: Room | None = None) -> None:
     """Refuse a camera that can never see, limits that contradict each other, and a start that is not allowed.
+
+    Args:
+        scenario: as flown.
+        target: its mesh.
+        room: where the chaser's centre may be, where that is known already.
 
     Raises:
         InspectionError: the message names the entry, its value, and what would be valid.
@@ -86,9 +91,18 @@ def require_inspectable(scenario: Scenario, target: Target) -> None:
         raise InspectionError(f"target: {target.name} is a point cloud, which has no surface to see; give a mesh")
     _require_range(scenario)
     _require_whole_patches(scenario, target)
-    _require_place(scenario, target, "start.position", scenario.start.position)
+    places = {"start.position": scenario.start.position}
     for number, hold in enumerate(scenario.inspect.hold_points):
-        _require_place(scenario, target, f"inspect.hold_points.{number}.position", hold.position)
+        places[f"inspect.hold_points.{number}.position"] = hold.position
+    for entry, position in places.items():
+        _require_far(scenario, target, entry, position)
+    room = Room(target.distance, scenario.inspect.stand_off) if room is None else room
+    for (entry, position), allowed in zip(places.items(), room.allowed(np.array(list(places.values())))):
+        if not allowed:
+            raise InspectionError(
+                f"{entry}: {list(position)} m; no way that keeps inspect.stand_off, {room.stand_off:g} m, was found "
+                "from there out of the target; a place outside it, with more room, would be valid"
+            )
 
 
 def law_keeps(scenario: Scenario, target: Target, error_bound: float) -> float:
@@ -262,17 +276,11 @@ def _require_whole_patches(scenario: Scenario, target: Target) -> None:
         )
 
 
-def _require_place(scenario: Scenario, target: Target, entry: str, position: tuple[float, float, float]) -> None:
-    """Refuse a place where the chaser's centre may not be: too near, or not connected with the room outside."""
-    mesh, stand_off, place = target.distance, scenario.inspect.stand_off, np.asarray(position)
-    away = float(mesh.distance(place[None])[0])
+def _require_far(scenario: Scenario, target: Target, entry: str, position: tuple[float, float, float]) -> None:
+    """Refuse a place that is nearer to the mesh than the stand-off."""
+    away, stand_off = float(target.distance.distance(np.array([position]))[0]), scenario.inspect.stand_off
     if away < stand_off:
         raise InspectionError(
             f"{entry}: {list(position)} m is {away:.3f} m from the target; it must be at least inspect.stand_off, "
             f"{stand_off:g} m, away"
-        )
-    if not proved_outside(place, mesh.distance, mesh.lower, mesh.upper, radius=stand_off, away=away):
-        raise InspectionError(
-            f"{entry}: {list(position)} m; no way that keeps inspect.stand_off, {stand_off:g} m, was found from there "
-            "out of the target; a place outside it would be valid"
         )
