@@ -191,6 +191,12 @@ OFFERS = {
         "inspecting.frames.Camera.units",
         "inspecting.frames.as_flown",
         "inspecting.frames_file.coverage_of_files",
+        "inspecting.problem.Problem.of",
+        "inspecting.planning.plan",
+        "inspecting.cover.fewest_views",
+        "inspecting.ways.Ways.build",
+        "inspecting.ways.Ways.path",
+        "inspecting.tour.best_tour",
     ),
     "rare_events": (
         "rare_events.event.rare",
