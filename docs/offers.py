@@ -37,6 +37,10 @@ OFFERS = {
         "seeing.visible.visible",
         "seeing.visible.in_view",
         "seeing.visible.lit_units",
+        "seeing.room.Room",
+        "seeing.room.Room.allowed",
+        "seeing.room.Room.surely_not",
+        "seeing.judge.seeable",
     ),
     "fields": (
         "fields.field.Field.value",
