@@ -10,7 +10,7 @@ from keepout.inspecting.inspection import Inspection
 from keepout.seeing.patches import Patches
 
 MOST_PARTS = 16
-_APART = 0.3
+_APART = 0.35
 """Units of a part lie within this of its first one: of the target's size, where they face the same way."""
 _TURNED = 0.5
 """What a unit vector's difference of 1 between normals counts, beside places as shares of the target's size."""
