@@ -7,6 +7,7 @@ area that is proved to be seeable. `seconds` is of the plan alone; `seconds_seea
 """
 
 import argparse
+import dataclasses
 import json
 import time
 
@@ -45,7 +46,7 @@ def asked(scenario: Scenario, **inspect: object) -> Scenario:
 
 def row(problem: Problem, scenario: Scenario, share: float) -> dict[str, object]:
     """Plan once and give the figures."""
-    problem = Problem(**{**problem.__dict__, "scenario": scenario})
+    problem = dataclasses.replace(problem, scenario=scenario)
     wanted = problem.seeable.verdict == Verdict.SEEABLE
     began = time.perf_counter()
     found = plan(problem, position=np.array(scenario.start.position), time=0.0, wanted=wanted, share=share)

@@ -37,6 +37,10 @@ OFFERS = {
         "seeing.visible.visible",
         "seeing.visible.in_view",
         "seeing.visible.lit_units",
+        "seeing.room.Room",
+        "seeing.room.Room.allowed",
+        "seeing.room.Room.surely_not",
+        "seeing.judge.seeable",
     ),
     "fields": (
         "fields.field.Field.value",
@@ -191,6 +195,12 @@ OFFERS = {
         "inspecting.frames.Camera.units",
         "inspecting.frames.as_flown",
         "inspecting.frames_file.coverage_of_files",
+        "inspecting.problem.Problem.of",
+        "inspecting.planning.plan",
+        "inspecting.cover.fewest_views",
+        "inspecting.ways.Ways.build",
+        "inspecting.ways.Ways.path",
+        "inspecting.tour.best_tour",
     ),
     "rare_events": (
         "rare_events.event.rare",

@@ -31,7 +31,11 @@ QUICKER = {
         ("Scenario().replace(campaign=", 'Scenario().replace(duration=20.0, guard={"enabled": False}, campaign='),
     ],
     "docs/explore.md": [("examples/explore.toml", "mission.toml")],
-    "docs/inspection.md": [("examples/inspect.toml", "mission.toml")],
+    "docs/inspection.md": [
+        ('keepout.inspect("examples/inspect.toml")', 'keepout.inspect("mission.toml")'),
+        ('Scenario.load("examples/inspect.toml")', 'Scenario.load("mission.toml")'),
+        ("range(3)", "range(1)"),
+    ],
     "docs/rare.md": [("below=0.0", "below=0.3, runs=2, flights=64, most_levels=2")],
 }
 """What is written, and what the test writes instead."""

@@ -16,7 +16,7 @@ from keepout.mission.light import Light
 from keepout.mission.scenario import Scenario
 from keepout.seeing.cut import cut
 from keepout.seeing.room import Room
-from keepout.seeing.seeable import Seeable
+from keepout.seeing.seeable import Seeable, Verdict
 from keepout.seeing.sightlines import Sightlines
 from keepout.seeing.visible import in_view, lit_units, visible
 
@@ -122,6 +122,28 @@ def test_the_nearest_view_tour_sees_as_much_and_proves_nothing(box, whole):
 def test_views_are_as_many_as_asked_for_at_most(box):
     scenario = box.scenario.model_copy(update={"inspect": box.scenario.inspect.model_copy(update={"most_views": 3})})
     assert len(planned(replace(box, scenario=scenario)).views) <= 3
+
+
+def test_what_no_place_shows_gives_a_plan_without_views(box):
+    short = replace(box, rules=replace(box.rules, greatest_range=1.21))
+    result = planned(short, share=1.0)
+    assert (result.views, result.way_length, result.fewest_views) == ((), 0.0, 0)
+    assert not result.covered.any()
+
+
+def test_a_plan_of_what_can_be_seen_by_the_scenario_alone():
+    scenario = Scenario.parse(
+        {
+            "target": {"source": "box"},
+            "start": {"position": [0.0, 8.0, 3.0]},
+            "inspect": {"patch_size": 1.0, "candidates": 80, "proof_time": 5.0},
+        }
+    )
+    problem = Problem.of(scenario, Target.load("box"))
+    wanted = problem.seeable.verdict == Verdict.SEEABLE
+    result = planned(problem, wanted=wanted)
+    assert wanted.any()
+    assert (result.covered == wanted).all()
 
 
 def test_with_a_fixed_light_only_what_it_falls_on_is_planned_for():

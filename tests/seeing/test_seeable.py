@@ -74,7 +74,7 @@ def test_a_hollow_large_enough_for_the_chaser_is_still_hidden():
     square = [((-3, -3, z), (6, 0, 0), (0, 6, 0)) for z in (-3, 3)]
     square += [((-3, y, -3), (6, 0, 0), (0, 0, 6)) for y in (-3, 3)]
     square += [((x, -3, -3), (0, 6, 0), (0, 0, 6)) for x in (-3, 3)]
-    found = judged(rectangles(*square), 1.0, 1.0)
+    found = judged(rectangles(*square), 2.0, 1.0)
     inward = np.einsum("ui,ui->u", found.patches.unit_normals(), np.repeat(found.patches.centres, 2, axis=0)) < 0.0
     assert (found.verdict[inward] == Verdict.HIDDEN).all()
     assert (found.verdict[~inward] == Verdict.SEEABLE).all()
@@ -107,12 +107,12 @@ def test_the_floor_of_a_well_is_seen_while_the_range_reaches_it(depth, verdict):
 
 
 def test_a_plate_behind_a_hole_narrower_than_its_patches_is_hidden():
-    # Through a slit of 0.2 m, 0.2 m before it, no patch of 1 m is wholly seen, and each of 0.05 m below the slit is.
-    plates = [((-2, -2, 0), (4, 0, 0), (0, 4, 0)), ((-2, -2, 0.2), (1.9, 0, 0), (0, 4, 0))]
-    plates += [((0.1, -2, 0.2), (1.9, 0, 0), (0, 4, 0))]
+    # Through a slit of 0.2 m, 0.2 m before it, no patch of 0.8 m is wholly seen, and each of 0.05 m below the slit is.
+    plates = [((-0.8, -0.8, 0), (1.6, 0, 0), (0, 1.6, 0)), ((-0.8, -0.8, 0.2), (0.7, 0, 0), (0, 1.6, 0))]
+    plates += [((0.1, -0.8, 0.2), (0.7, 0, 0), (0, 1.6, 0))]
     target = rectangles(*plates)
     middle = np.array([0.0, 0.0, 0.0])
-    for size, verdict in ((1.0, Verdict.HIDDEN), (0.05, Verdict.SEEABLE)):
+    for size, verdict in ((0.8, Verdict.HIDDEN), (0.05, Verdict.SEEABLE)):
         found = judged(target, size, 1.5)
         patches = found.patches
         near = np.repeat(np.linalg.norm(patches.centres - middle, axis=1) < 0.75 * size, 2)
@@ -130,7 +130,7 @@ def test_no_place_around_the_pocket_sees_what_is_called_hidden():
     assert found.upper - found.lower <= 0.002
 
 
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(seed=st.integers(0, 10**6))
 def test_no_place_around_loose_triangles_sees_what_is_called_hidden(seed):
     generator = np.random.default_rng(seed)

@@ -205,7 +205,7 @@ def shortlist(sees: sparse.csr_array, areas: Float[np.ndarray, " units"], most: 
 
     What all see together they see together too: the first cover is complete.
     """
-    left = np.arange(sees.shape[0])
+    left = np.arange(len(sees.indptr) - 1)
     kept: list[Int[np.ndarray, " _"]] = []
     found = 0
     while len(left) and found < most:
@@ -243,9 +243,9 @@ def merged_units(
         b = columns.indices[columns.indptr[other] : columns.indptr[other + 1]]
         first[place] = not np.array_equal(a, b)
     starts = np.flatnonzero(first)
-    joined = sparse.csr_array(columns[:, order[starts]])
-    joined.data = np.ones_like(joined.data, dtype=np.float64)
-    return joined.astype(np.float64), np.add.reduceat(areas[order], starts)
+    joined = sparse.csr_array(columns[:, order[starts]], dtype=np.float64)
+    joined.data[:] = 1.0
+    return joined, np.add.reduceat(areas[order], starts)
 
 
 def _units(sees: sparse.csr_array, view: int | np.integer) -> Int[np.ndarray, " k"]:
@@ -269,7 +269,7 @@ def _completed(
         open_area[_units(sees, view)] = 0.0
     missing = goal - float(areas.sum() - open_area.sum())
     gains = sees @ open_worth
-    queue = [(-gain, view) for view, gain in enumerate(gains) if gain > 0.0]
+    queue = [(-gain, view) for view, gain in enumerate(map(float, gains)) if gain > 0.0]
     heapq.heapify(queue)
     while missing > 0.0 and queue and (most is None or len(taken) < most):
         _, view = queue[0]
@@ -294,9 +294,7 @@ def _covers(sees: sparse.csr_array, areas: Float[np.ndarray, " units"], goal: fl
 
 
 def _any(sees: sparse.csr_array, chosen: np.ndarray) -> Bool[np.ndarray, " units"]:
-    seen = np.zeros(sees.shape[1], dtype=bool)
-    seen[sees[chosen].indices] = True
-    return seen
+    return np.asarray(sees[chosen].sum(axis=0)).ravel() > 0.0
 
 
 def _score(sees: sparse.csr_array, areas: Float[np.ndarray, " units"], chosen: np.ndarray) -> tuple[int, float]:
@@ -305,7 +303,7 @@ def _score(sees: sparse.csr_array, areas: Float[np.ndarray, " units"], chosen: n
 
 def _hardest(sees: sparse.csr_array, most: int) -> Int[np.ndarray, " k"]:
     """Units that the fewest views see: they say most about how many are needed."""
-    return np.argsort(np.bincount(sees.indices, minlength=sees.shape[1]), kind="stable")[:most]
+    return np.argsort(np.asarray(sees.sum(axis=0)).ravel(), kind="stable")[:most]
 
 
 def _missed(sees: sparse.csr_array, taken: Float[np.ndarray, " views"]) -> Float[np.ndarray, " units"]:

@@ -40,7 +40,7 @@ class CoverProgram:
         self._areas = areas
         # Shares of the spare area, so that the row's numbers stay near 1.
         self._scale = float(areas.max())
-        self._views = sees.shape[0]
+        self._views = len(sees.indptr) - 1
         self.has = np.zeros(len(areas), dtype=bool)
         self._rows: list[Int[np.ndarray, " _"]] = []
         self._solver = highspy.Highs()

@@ -91,9 +91,7 @@ def inspect(
     return _Inspector(scenario, target, model, problem, first, progress).flown(part_of(progress, 0.5, 1.0))
 
 
-def _circled(
-    scenario: Scenario, target: Target | None, problem: Problem | None, progress: Progress
-) -> Inspection:
+def _circled(scenario: Scenario, target: Target | None, problem: Problem | None, progress: Progress) -> Inspection:
     """Inspect by natural motion, which has neither plan nor way to be led along."""
     if target is None:
         target = load_target(scenario.target) if problem is None else problem.target
@@ -178,6 +176,7 @@ class _Inspector:
             state, log = segment.fly_segment(setup, state, count)
             self._look(log, count)
             progress(min(0.9 * self.rows / scenario.steps, 0.9), self._said())
+        assert setup is not None
         return self._judged(segment.joined(self.logs), setup, ending, part_of(progress, 0.9, 1.0))
 
     def _said(self) -> str:

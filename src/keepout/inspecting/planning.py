@@ -24,7 +24,10 @@ from keepout.inspecting.ways import Ways
 from keepout.progress import Progress, part_of, silent
 from keepout.seeing.visible import visible
 
-_COVER_SECONDS = 60.0
+_COVER_SECONDS, _LEAST_SECONDS, _UNIT_SECONDS = 60.0, 5.0, 0.01
+"""For the choice of the fewest views: at most, and by the number of units."""
+_PLACES_EACH, _FEWEST_PLACES = 4, 64
+"""Places drawn for every unit wanted, and at least; `inspect.candidates` at most."""
 _AMONG = 4000
 """Views that the fewest are chosen from, or so many in all spells of light together."""
 _INSIDE = 0.02
@@ -40,7 +43,7 @@ def plan(
     wanted: Bool[np.ndarray, " units"],
     share: float | None = None,
     boresight: Float[np.ndarray, "3"] | None = None,
-    seconds: float = _COVER_SECONDS,
+    seconds: float | None = None,
     progress: Progress = silent,
 ) -> InspectionPlan:
     """Plan views that see a share of the area wanted, few of them, and their order; or the nearest-view tour.
@@ -52,7 +55,7 @@ def plan(
         wanted: (units,) to be seen; `covered` of the plan holds none but these.
         share: of their area that is wanted; `inspect.coverage` of the scenario if absent.
         boresight: (3,) where the camera looks; if absent, as at the start of the mission.
-        seconds: for the choice of the fewest views.
+        seconds: for the choice of the fewest views; if absent, by how many units are wanted, a minute at most.
         progress: told of candidates, views and bound.
 
     """
@@ -68,7 +71,8 @@ def plan(
     views = candidates(problem, wanted & lit.lit.any(axis=0), progress=part_of(progress, 0.0, 0.5))
     goal = share * float(areas.sum())
     start = Start(np.asarray(position, dtype=np.float64), time, boresight)
-    ways = Ways.build(problem.target.distance, scenario.inspect.stand_off, *_box(problem, start.position))
+    ways = _ways(problem, start.position)
+    seconds = min(_COVER_SECONDS, _LEAST_SECONDS + _UNIT_SECONDS * wanted.sum()) if seconds is None else seconds
     if scenario.inspect.tour == "nearest":
         look = functools.partial(
             visible, problem.sight, tighter_rules(problem.rules, problem.patches.size), among=areas > 0.0
@@ -105,15 +109,19 @@ def candidates(problem: Problem, wanted: Bool[np.ndarray, " units"], *, progress
         wanted=wanted,
         witnesses=problem.seeable.witness,
         stand_off=level,
-        places=scenario.inspect.candidates,
+        places=min(scenario.inspect.candidates, max(_FEWEST_PLACES, _PLACES_EACH * int(wanted.sum()))),
         seed=scenario.seed,
         progress=progress,
     )
 
 
-def _box(problem: Problem, position: Float[np.ndarray, "3"]) -> tuple[np.ndarray, np.ndarray]:
+def _ways(problem: Problem, position: Float[np.ndarray, "3"]) -> Ways:
+    """Give the problem's ways, or such as reach farther where the chaser is outside their box."""
     lower, upper = problem.box
-    return np.minimum(lower, position - 1.0), np.maximum(upper, position + 1.0)
+    if ((position >= lower) & (position <= upper)).all():
+        return problem.ways
+    lower, upper = np.minimum(lower, position - 1.0), np.maximum(upper, position + 1.0)
+    return Ways.build(problem.target.distance, problem.scenario.inspect.stand_off, lower, upper)
 
 
 def _in_light(views: Views, lit: LitTimes, areas: Float[np.ndarray, " units"]) -> Views:

@@ -1,11 +1,13 @@
 """What one inspection is about, worked out once: the target in patches, what can be seen of it, and from where."""
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
 
 from keepout.geometry.target import Target
 from keepout.inspecting.equipment import patch_size, require_inspectable, rules_of
+from keepout.inspecting.ways import Ways
 from keepout.mission.light import Light
 from keepout.mission.scenario import Scenario
 from keepout.progress import Progress, part_of, silent
@@ -72,6 +74,11 @@ class Problem:
             progress=part_of(progress, 0.15, 1.0),
         )
         return cls(scenario, target, patches, rules, sight, room, judged, Light.of(scenario))
+
+    @functools.cached_property
+    def ways(self) -> Ways:
+        """Ways that keep the stand-off, inside `box`."""
+        return Ways.build(self.target.distance, self.scenario.inspect.stand_off, *self.box)
 
     @property
     def box(self) -> tuple[np.ndarray, np.ndarray]:

@@ -216,7 +216,7 @@ def _drawn(
     kept = np.zeros((0, 3))
     low, high = max(stand_off, rules.least_range), _FAR * rules.greatest_range
     flattest = np.cos(_STEEP * rules.greatest_incidence)
-    for _ in range(_TRIES):
+    for _ in range(_TRIES if low < high else 0):
         missing = count - len(kept)
         if missing <= 0:
             break

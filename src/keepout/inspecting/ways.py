@@ -106,7 +106,8 @@ class Ways:
             result[piece[blocked]] = False
             split = open_ & result[piece]
             middle = np.concatenate([middle[split] - 0.5 * across[split], middle[split] + 0.5 * across[split]])
-            across, half, piece = (np.concatenate([v[split], v[split]]) for v in (0.5 * across, 0.5 * half, piece))
+            across, half = np.tile(0.5 * across[split], (2, 1)), np.tile(0.5 * half[split], 2)
+            piece = np.tile(piece[split], 2)
         return result
 
     def lengths(self, places: Float[np.ndarray, "k 3"]) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, "k k 3"]]:
@@ -125,10 +126,10 @@ class Ways:
         straight[first, second] = self.clear(places[first], places[second])
         straight |= straight.T
         apart = places[None] - places[:, None]
-        length = np.linalg.norm(apart, axis=2)
-        leave: Float[np.ndarray, "k k 3"] = apart / np.maximum(length, 1e-12)[..., None]
+        length: Float[np.ndarray, "k k"] = np.sqrt(np.sum(apart * apart, axis=2))
+        leave = apart / np.maximum(length, 1e-12)[..., None]
         joined = [self._joined(place) for place in places]
-        crooked = ~straight & ~np.eye(count, dtype=bool)
+        crooked = np.logical_not(straight | np.eye(count, dtype=bool))
         length[crooked] = np.inf
         for j in np.flatnonzero(crooked.any(axis=0)).tolist():
             times = self._march(*joined[j])

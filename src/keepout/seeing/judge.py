@@ -10,22 +10,21 @@ from jaxtyping import Bool, Float, Int
 from keepout.errors import InspectionError
 from keepout.geometry import ray_tree
 from keepout.geometry.distance import ExactDistance
-from keepout.geometry.first_hit import FirstHit
 from keepout.geometry.target import Target
 from keepout.progress import Progress, part_of, silent
 from keepout.seeing.beam import Limits
 from keepout.seeing.patches import Patches
 from keepout.seeing.room import Room
 from keepout.seeing.rules import SeeingRules
-from keepout.seeing.search import NONE, OPEN, SEEN, search
+from keepout.seeing.search import NONE, OPEN, SEEN, all_blocked, search
 from keepout.seeing.seeable import Hidden, Seeable, Verdict
-from keepout.seeing.sightlines import LIFT, Sightlines
+from keepout.seeing.sightlines import Sightlines
 
 _SQUARES = (300, 3_000, 30_000)
 """Squares of directions a unit in each stage: most are decided in the first, and the next takes what is left."""
 _TOGETHER = (512, 64, 8)
 """Units between two looks at the clock."""
-_RAYS = 1500
+_RAYS = 1000
 """Over the half sphere of directions: a unit is called enclosed if all of them meet the mesh."""
 
 
@@ -96,7 +95,7 @@ def seeable(
         progress(0.02 + 0.93 * share, f"of {share:.2%} of the area it is known whether it can be seen")
     why = np.full(count, Hidden.NOT, dtype=np.int8)
     hidden = np.flatnonzero(verdict == Verdict.HIDDEN)
-    why[hidden] = np.where(_enclosed(distance, patches, hidden), Hidden.ENCLOSED, Hidden.NARROW)
+    why[hidden] = np.where(_enclosed(tree, patches, hidden), Hidden.ENCLOSED, Hidden.NARROW)
     found = Seeable(patches, verdict, why, witness)
     progress(1.0, f"{found.lower:.2%} to {found.upper:.2%} of the area can be seen")
     return found
@@ -123,27 +122,24 @@ def witnessed(
     return kept
 
 
-def _enclosed(distance: ExactDistance, patches: Patches, units: Int[np.ndarray, " m"]) -> Bool[np.ndarray, " m"]:
+def _enclosed(tree: ray_tree.RayTree, patches: Patches, units: Int[np.ndarray, " m"]) -> Bool[np.ndarray, " m"]:
     """Say from the middle of which units every one of many rays meets the mesh: a measurement, no proof."""
-    normals = patches.unit_normals()[units]
-    first, second = _axes(normals)
     turn = np.arange(_RAYS) * math.pi * (3.0 - math.sqrt(5.0))
-    steep = 1.0 - (np.arange(_RAYS) + 0.5) / _RAYS
+    steep = 1.0 - np.arange(_RAYS) / _RAYS
     flat = np.sqrt(1.0 - steep**2)
-    hits, enclosed = FirstHit(distance.vertices, distance.faces), np.ones(len(units), bool)
-    for x, y, z in zip(flat * np.cos(turn), flat * np.sin(turn), steep):
-        left = np.flatnonzero(enclosed)
-        directions = x * first[left] + y * second[left] + z * normals[left]
-        origins = patches.centres[units[left] >> 1] + LIFT * normals[left]
-        enclosed[left] = np.isfinite(hits.ranges(origins, directions))
+    enclosed = np.empty(len(units), dtype=bool)
+    rays = np.stack([flat * np.cos(turn), flat * np.sin(turn), steep], axis=1)
+    all_blocked(tree, ray_tree.DEEPEST, _frames(patches, units), rays, enclosed)
     return enclosed
 
 
-def _axes(normals: Float[np.ndarray, "m 3"]) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3"]]:
-    """Give two unit vectors that make a right-handed frame with each normal as the third."""
+def _frames(patches: Patches, units: Int[np.ndarray, " m"]) -> Float[np.ndarray, "m 4 3"]:
+    """Give the middle of each unit, two axes in its plane, and its normal."""
+    normals = patches.unit_normals()[units]
     first = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])
     first /= np.linalg.norm(first, axis=1, keepdims=True)
-    return first, np.cross(normals, first)
+    frames = np.stack([patches.centres[units >> 1], first, np.cross(normals, first), normals], axis=1)
+    return np.ascontiguousarray(frames)
 
 
 def _searched(
@@ -154,17 +150,15 @@ def _searched(
     squares: int,
 ) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m 3"]]:
     patch = units >> 1
-    normals, centres = patches.unit_normals()[units], patches.centres[patch]
+    frames, centres = _frames(patches, units), patches.centres[patch]
     # Counter-clockwise about the unit's own normal, the last corner still repeated.
     order = np.arange(patches.corners.shape[1])
     backward = np.maximum(patches.counts[patch, None] - 1 - order, 0)
     order = np.where((units & 1 == 1)[:, None], backward, order)
     corners = np.take_along_axis(patches.corners[patch], order[:, :, None], axis=1)
-    first, second = _axes(normals)
-    frames = np.ascontiguousarray(np.stack([centres, first, second, normals], axis=1))
     outlines = np.ascontiguousarray(np.einsum("mkj,maj->mka", corners - centres[:, None], frames[:, 1:3]))
-    # A place is at least the stand-off from the patch's middle, at no more than the greatest incidence.
-    least = limits.stand_off / math.hypot(1.0, limits.spread) - 1e-6
+    # A place is at least the stand-off from the mesh next to the patch's middle, at the greatest incidence at most.
+    least = limits.stand_off / math.hypot(1.0, limits.spread) - 1e-3
     largest = float(np.abs(tree.corners).max()) + limits.greatest_range
     ends, places = np.full(len(units), OPEN, dtype=np.int64), np.full((len(units), 3), np.nan)
     search(

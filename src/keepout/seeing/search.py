@@ -35,7 +35,7 @@ def _blocker(tree, depth_stack, frame, patch, count, wx, wy, height, rounding, p
         return found
     qx, qy, qz = cx + gx, cy + gy, cz + gz
     # The patch runs counter-clockwise about the unit's normal: its way is 1.
-    sides = pyramid_kernel._sides(patch, count, 1.0, 1.0, qx, qy, qz, planes)
+    sides = pyramid_kernel._sides(patch, count, 1.0, 1.0, qx, qy, qz, 0.0, planes)
     base = -np.inf
     for k in range(count):
         base = max(base, frame[3, 0] * patch[k, 0] + frame[3, 1] * patch[k, 1] + frame[3, 2] * patch[k, 2])
@@ -146,3 +146,33 @@ def search(tree, deepest, limits, frames, outlines, patches, counts, heights, la
                 queue[tail, 2], queue[tail, 3] = 0.5 * half, height
                 tail += 1
         looked[m] = head
+
+
+@numba.njit(cache=True, nogil=True)
+@no_type_check
+def all_blocked(tree, deepest, frames, rays, blocked):
+    """Say of units whether all rays from their middle meet the mesh.
+
+    Args:
+        tree: a `RayTree` of the mesh.
+        deepest: its levels, at most.
+        frames: (m, 4, 3) centre, two axes in the plane, normal of each unit.
+        rays: (k, 3) unit vectors in these axes, above the plane or along it.
+        blocked: (m,) to be filled.
+
+    """
+    stack = np.empty(deepest, dtype=np.int64)
+    for m in range(len(blocked)):
+        f = frames[m]
+        x, y, z = f[0, 0] + LIFT * f[3, 0], f[0, 1] + LIFT * f[3, 1], f[0, 2] + LIFT * f[3, 2]
+        blocked[m] = True
+        for k in range(len(rays)):
+            gx = rays[k, 0] * f[1, 0] + rays[k, 1] * f[2, 0] + rays[k, 2] * f[3, 0]
+            gy = rays[k, 0] * f[1, 1] + rays[k, 1] * f[2, 1] + rays[k, 2] * f[3, 1]
+            gz = rays[k, 0] * f[1, 2] + rays[k, 1] * f[2, 2] + rays[k, 2] * f[3, 2]
+            found = pyramid_kernel.ray_blocker(
+                tree.boxes, tree.children, tree.first, tree.corners, stack, x, y, z, gx, gy, gz, 0.0, np.inf
+            )
+            if found < 0:
+                blocked[m] = False
+                break
