@@ -94,7 +94,8 @@ class CoverProgram:
             if not found:
                 return None
             taken = np.round(np.array(solution.col_value[: self._views]))
-            return CoverAnswer(taken, (prices, 0.0), math.ceil(solver.getInfo().mip_dual_bound - 1e-6))
+            bound = solver.getInfo().mip_dual_bound  # infinite where the time ended before there was one
+            return CoverAnswer(taken, (prices, 0.0), math.ceil(bound - 1e-6) if math.isfinite(bound) else 0)
         if solver.getModelStatus() != highspy.HighsModelStatus.kOptimal:
             return None
         dual = np.array(solution.row_dual)
