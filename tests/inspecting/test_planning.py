@@ -131,6 +131,28 @@ def test_what_no_place_shows_gives_a_plan_without_views(box):
     assert not result.covered.any()
 
 
+class Everywhere(Room):
+    """A room that wrongly allows the hollow inside of a box."""
+
+    def allowed(self, points):
+        return np.ones(len(points), dtype=bool)
+
+
+def test_views_to_which_no_way_leads_are_left_out():
+    problem = problem_of(stand_off=0.6)
+    patches = replace(problem.patches, counted=np.ones(problem.patches.units, dtype=bool))
+    hollow = replace(
+        problem,
+        patches=patches,
+        sight=Sightlines(problem.target.vertices, problem.target.faces, patches),
+        room=Everywhere(problem.target.distance, 0.6),
+    )
+    result = planned(hollow, wanted=patches.counted, share=1.0)
+    assert result.views
+    half = np.array([2.0, 1.5, 1.0])
+    assert all((np.abs(view.position) > half).any() for view in result.views)
+
+
 def test_a_plan_of_what_can_be_seen_by_the_scenario_alone():
     scenario = Scenario.parse(
         {

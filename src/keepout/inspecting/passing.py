@@ -13,7 +13,7 @@ from keepout.seeing.visible import in_view
 
 _SURELY = 2
 """Frames of a leg that must show a unit before it is counted on: the flight's are at other moments."""
-_FRAMES = 600
+_FRAMES = 1500
 """On a whole tour, at most: of more, every second one and so on is looked at."""
 
 

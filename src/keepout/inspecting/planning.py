@@ -159,13 +159,14 @@ def _reached(
         rows = usable[cover.chosen][: problem.scenario.inspect.most_views]
         legs = ways.lengths(np.concatenate([start.position[None], views.positions[rows]]))
         lost = ~np.isfinite(legs[0][0, 1:])
-        if lost.any() and tried == _TRIES - 1:
-            keep = np.concatenate([[0], 1 + np.flatnonzero(~lost)])
-            legs, rows = (legs[0][np.ix_(keep, keep)], legs[1][np.ix_(keep, keep)]), rows[~lost]
         cover = replace(cover, chosen=rows)
         if not lost.any():
             break
         usable = np.setdiff1d(usable, rows[lost])
+        if tried == _TRIES - 1:
+            keep = np.concatenate([[0], 1 + np.flatnonzero(~lost)])
+            legs = (legs[0][np.ix_(keep, keep)], legs[1][np.ix_(keep, keep)])
+            cover = replace(cover, chosen=rows[~lost])
     return cover, legs
 
 
