@@ -175,6 +175,26 @@ def test_in_a_fixed_light_what_is_lit_is_seen_and_no_more(box, parts):
     assert np.all(parts[0].unit_normals()[found.seen] @ sun > 0.0)
 
 
+@pytest.mark.long
+def test_in_the_earths_shadow_nothing_counts_and_what_it_cost_is_seen_in_later_light(box, parts):
+    mission = scenario(
+        light={"kind": "sun"}, orbit={"semi_major_axis": 6878000.0}, duration=7000.0, inspect={"coverage": 0.9}
+    )
+    found = inspect(mission, problem=problem_of(mission, box, parts), first=tour(parts[0]))
+    dark = [frame for frame in found.frames if frame.sun is None]
+    assert len(dark) > 50
+    assert all(len(frame.units) == 0 for frame in dark)
+    assert found.plans >= 2
+    assert found.outcome == "all seen", found.why
+    assert found.coverage_seeable >= 0.89
+    assert found.coverage < found.patches.coverage(found.patches.counted)
+    assert found.audit.contact is Contact.NO
+    for frame in found.frames:
+        if frame.sun is not None and len(frame.units):
+            least = math.cos(found.rules.greatest_sun_incidence) - 1e-9
+            assert (found.patches.unit_normals()[frame.units] @ frame.sun).min() >= least
+
+
 def test_a_view_whose_window_is_over_is_planned_anew(box, parts):
     mission = scenario()
     windows = [(0.0, math.inf)] * 3 + [(0.0, 10.0)] + [(0.0, math.inf)] * 2
@@ -184,6 +204,7 @@ def test_a_view_whose_window_is_over_is_planned_anew(box, parts):
     assert found.audit.contact is Contact.NO
 
 
+@pytest.mark.long
 def test_errors_of_the_estimate_at_their_bounds_cost_little_and_touch_nothing(box, parts):
     mission = scenario(
         guard={"position_error": 0.05, "velocity_error": 0.002},
@@ -199,6 +220,7 @@ def test_errors_of_the_estimate_at_their_bounds_cost_little_and_touch_nothing(bo
     assert box_distance(found.record.position).min() >= 1.5
 
 
+@pytest.mark.long
 def test_a_law_that_flies_into_the_body_is_held_by_the_guard_and_views_are_planned_anew(box, parts):
     mission = scenario(faults={"law": "into the body"}, duration=1200.0, inspect={"coverage": 1.0})
     found = inspect(mission, problem=problem_of(mission, box, parts), first=tour(parts[0]))

@@ -52,6 +52,8 @@ Point = Float[np.ndarray, "3"]
 
 _OF_LIGHT = ("light", "epoch", "orbit", "attitude", "sun")
 """Entries that the light follows from."""
+_WAITED = 0.1
+"""Share of the time left for which the light is waited for where no view is in light, before a plan is made again."""
 _REPLANS = 16
 """Plans after the first, at most: each costs a tour that is mostly way."""
 
@@ -304,7 +306,11 @@ class _Inspector:
         self.replan = False
         again = self._planned(self.estimate, now)
         self.plans += 1
-        self.legs = deque(Leg.views(again, self.scenario.inspect.dwell))
+        self.legs = deque(leg for leg in Leg.views(again, self.scenario.inspect.dwell) if len(leg.left(self.wanted)))
+        if not self.legs and self.scenario.light.kind == "sun":
+            end = self.scenario.duration
+            if ever_lit(self.camera, self.wanted.left, end, begin=now).any():
+                self.legs.append(Leg.waiting(self.estimate, max(_WAITED * (end - now), self.scenario.camera.period)))
         if not self.legs:
             return self._no_way() or nothing
         return None

@@ -72,6 +72,11 @@ class Leg:
             place = np.asarray(point.position, dtype=float)
             yield cls(place, None, np.zeros(0, np.int64), stay=point.seconds, near=tolerance)
 
+    @classmethod
+    def waiting(cls, place: Point, seconds: float) -> "Leg":
+        """Give a leg that waits at a place for the light."""
+        return cls(place, None, np.zeros(0, np.int64), stay=seconds)
+
     @property
     def waits(self) -> bool:
         """Whether the chaser stays there, whatever was seen."""

@@ -13,8 +13,10 @@ _MOST = 720
 """Directions that are looked at, at most."""
 
 
-def ever_lit(camera: Camera, units: Bool[np.ndarray, " units"], duration: float) -> Bool[np.ndarray, " units"]:
-    """Say which units are wholly lit at some time from 0 to `duration` (s); all of them where light does not matter.
+def ever_lit(
+    camera: Camera, units: Bool[np.ndarray, " units"], duration: float, *, begin: float = 0.0
+) -> Bool[np.ndarray, " units"]:
+    """Say which units are wholly lit at some time from `begin` to `duration` (s); all where light does not matter.
 
     The sun is looked at every few degrees of its way. What is lit only in between is left out: the answer is a lower
     bound.
@@ -23,12 +25,13 @@ def ever_lit(camera: Camera, units: Bool[np.ndarray, " units"], duration: float)
         camera: its light and lines of sight.
         units: (2 n,) that are asked for.
         duration: of the mission, s.
+        begin: s.
 
     """
     if not camera.light.matters:
         return units.copy()
     lit, last, looked = np.zeros_like(units), None, 0
-    for now in np.linspace(0.0, duration, max(2, int(np.ceil(duration / _COARSE)) + 1)):
+    for now in np.linspace(begin, duration, max(2, int(np.ceil((duration - begin) / _COARSE)) + 1)):
         sun = camera.sun(float(now))
         if sun is None or (last is not None and float(sun @ last) > np.cos(_TURN)):
             continue
