@@ -36,7 +36,8 @@ class InspectionPlan:
         way_length: from the start through all views by ways that keep the stand-off, m.
         duration: expected, s.
         candidates: views that it was chosen from.
-        fewest_views: proved: no fewer of these candidates see as much.
+        fewest_views: proved: no fewer of these candidates see as much by themselves.
+            With the frames on the way fewer may.
         greedy_views: how many the greedy choice needed.
 
     """
@@ -48,8 +49,3 @@ class InspectionPlan:
     candidates: int
     fewest_views: int
     greedy_views: int
-
-    @property
-    def optimal(self) -> bool:
-        """Whether no choice of fewer of these candidates sees as much."""
-        return len(self.views) <= self.fewest_views

@@ -300,7 +300,7 @@ INSPECTION_ROWS = {
     "coverage_upper_bound": "share that no chaser exceeds (proved)",
     "coverage_planned": "share planned at the start",
     "views": "views planned",
-    "views_at_least": "of these candidates, views needed at least",
+    "views_at_least": "candidates needed at least, without frames on the way",
     "plans": "plans made",
     "frames": "frames",
     "way_m": "planned way m",
