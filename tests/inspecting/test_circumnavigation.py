@@ -31,22 +31,24 @@ def test_states_on_an_ellipse_follow_one_another_by_hills_equations():
     assert np.allclose(states[:-1] @ whole.T, states[1:], atol=1e-9)
 
 
+@pytest.mark.long
 def test_round_a_ball_the_smallest_ellipse_is_as_high_as_ball_and_stand_off():
     found = circumnavigations(Scenario.model_validate(LOW), ball)
     assert len(found) == 9
     for one in found:
-        assert 3.0 <= one.clearance <= ball(one.position).min() + 1e-6
+        assert 3.5 <= one.clearance <= ball(one.position).min() + 1e-6
     flat = next(one for one in found if one.across == 0.0)
-    assert 7.0 <= flat.height < 7.1
+    assert 7.5 <= flat.height < 7.6
     assert np.ptp(flat.position[:, 0]) == pytest.approx(4.0 * flat.height, rel=0.01)
     circle = [one for one in found if one.across > 1.7 * one.height and one.tilt in (0.0, np.pi)]
     assert len(circle) == 2
     assert all(np.ptp(np.linalg.norm(one.position, axis=1)) < 0.02 for one in circle)
-    assert 7.0 <= 2.0 * circle[0].height < 7.1
+    assert 7.5 <= 2.0 * circle[0].height < 7.6
     means = [ball(one.position).mean() for one in found]
     assert means == pytest.approx(sorted(means), abs=0.1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "entries",
     [
@@ -61,7 +63,7 @@ def test_the_exact_motion_comes_back_after_an_orbit_whatever_orbit_and_body_do(e
     case = Scenario.model_validate(LOW | entries)
     one = circumnavigations(case, ball)[0]
     assert ball(one.position).min() >= one.clearance - 1e-6
-    assert one.clearance >= 3.0
+    assert one.clearance >= 3.5
     mass = np.asarray(case.target.centre_of_mass)
     away = np.linalg.norm(one.position - mass, axis=1)
     period = 2 * np.pi / float(relative_motion(case).orbit.mean_motion)
@@ -97,8 +99,10 @@ def test_the_law_coasts_and_steers_back_only_beyond_its_band():
     )
     log = fly(flight_setup(pushed, one.law(pushed)), initial, pushed.steps, jax.random.key(0))
     off = np.linalg.norm(np.asarray(log.position) - one.position, axis=1)
-    assert 0.5 < off.max() < 0.6
-    assert 0.0 < np.mean(np.any(np.asarray(log.force) != 0.0, axis=1)) < 0.9
+    assert 0.5 < off.max() < 0.7
+    spent = np.linalg.norm(np.asarray(log.force), axis=1).sum() / 20.0
+    assert spent < 1.2 * 1e-4 * 1500.0
+    assert not np.any(np.asarray(log.force)[:90])
 
 
 def test_a_mission_that_is_over_and_a_stand_off_that_nothing_keeps_are_refused():

@@ -19,12 +19,14 @@ from keepout.inspecting.circumnavigation import Circumnavigation, circumnavigati
 from keepout.inspecting.equipment import boresight_of
 from keepout.inspecting.frames import Camera, Shot, as_flown
 from keepout.inspecting.inspection import Inspection
+from keepout.inspecting.limits import limits_kept
 from keepout.inspecting.lit import ever_lit
 from keepout.inspecting.plan import InspectionPlan
 from keepout.inspecting.problem import Problem
 from keepout.mission import environment
 from keepout.mission.assumptions import broken_assumptions, guard_numbers
 from keepout.mission.build import build_guard, flight_setup
+from keepout.mission.navigation import navigation, require_navigation
 from keepout.mission.scenario import Scenario
 from keepout.mission.statuses import legend
 from keepout.progress import Progress, part_of, silent
@@ -50,6 +52,11 @@ def circle(problem: Problem, *, progress: Progress = silent) -> Inspection:
 
     """
     begun, scenario, target = time.perf_counter(), problem.scenario, problem.target
+    if scenario.inspect.hold_points:
+        raise InspectionError(
+            f"inspect.hold_points: {len(scenario.inspect.hold_points)}; a circumnavigation is held nowhere: leave them "
+            'out, or give inspect.tour = "plan"'
+        )
     possible = problem.seeable.verdict == Verdict.SEEABLE
     camera = Camera(problem.patches, problem.sight, problem.rules, problem.light)
     lit = ever_lit(camera, possible, scenario.duration)
@@ -69,8 +76,11 @@ def circle(problem: Problem, *, progress: Progress = silent) -> Inspection:
         )
     scenario = _begun_on(scenario, ellipse)
     motion = environment.relative_motion(scenario)
+    require_navigation(scenario)
     guard = build_guard(scenario, target) if scenario.guard.enabled else None
-    setup = flight_setup(scenario, ellipse.law(scenario), guard=guard)
+    assumed = environment.guard_assumptions(scenario, target)
+    sensed = None if scenario.navigation.suite == "none" else navigation(scenario, motion, assumed)
+    setup = flight_setup(scenario, ellipse.law(scenario), guard=guard, navigation=sensed)
     initial = motion.initial_state(ellipse.position[0], ellipse.velocity[0])
     log = fly(setup, initial, scenario.steps, jax.random.key(scenario.seed))
     progress(0.6, "flown")
@@ -96,6 +106,8 @@ def circle(problem: Problem, *, progress: Progress = silent) -> Inspection:
     burn = float(np.linalg.norm(ellipse.velocity[0]))
     certified = None if guard is None else bool(guard.certified_start(initial))
     broken = broken_assumptions(scenario)
+    ticks = round(scenario.camera.period / scenario.control.period)
+    asked = bool(scenario.inspect.no_thrust_towards or scenario.inspect.passive_safety)
     way = float(np.linalg.norm(np.diff(record.position, axis=0), axis=1).sum())
     plan = InspectionPlan((), shares[best], way, float(record.time[-1]), len(ellipses), 0, 0)
     return Inspection(
@@ -119,6 +131,7 @@ def circle(problem: Problem, *, progress: Progress = silent) -> Inspection:
         start_certified=None if certified is None else certified and not broken,
         assumptions_broken=broken,
         guard=None if guard is None else guard_numbers(guard),
+        limits=limits_kept(scenario, record, target.distance.distance, every=ticks) if asked else None,
     )
 
 

@@ -40,9 +40,13 @@ _AFAR = 1e5
 """Metres from which the target's reach along an axis is looked at."""
 _CORRECTIONS = 3
 _BAND = 0.5
-"""Metres from the reference at which thrusting begins; at half of that it ends."""
-_RATE = 0.05
-"""Of the way back to the reference, rad/s, critically damped."""
+"""Metres from the reference at which thrusting begins; an ellipse is sized to keep so much more than the stand-off."""
+_RETURN = 500.0
+"""Seconds in which the chaser is to drift back from the edge of the band; from beyond it faster, by the square."""
+_PERIODS = 5.0
+"""Control periods in which the velocity is brought to that of the way back."""
+_DONE = 0.1
+"""Share of the velocity of the way back within which thrusting ends."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +146,7 @@ def circumnavigations(
     if not found:
         raise InspectionError(
             f"circumnavigation: no ellipse of height {low:.3g} to {high:.3g} m keeps inspect.stand_off "
-            f"{scenario.inspect.stand_off:g} m for {seconds:g} s"
+            f"{scenario.inspect.stand_off:g} m and {_BAND:g} m more for {seconds:g} s"
         )
     return tuple(sorted(found, key=lambda one: float(np.mean(distance(one.position[:: len(one.times) // 200 + 1])))))
 
@@ -168,7 +172,7 @@ def _tried(
     ]
     position, velocity = (np.concatenate(part) for part in zip(*begun, strict=True))
     states = in_body(scenario, time, position, _closed(motion, time, position, velocity))
-    radius, asked = scenario.chaser.radius, scenario.inspect.stand_off
+    radius, asked = scenario.chaser.radius, scenario.inspect.stand_off + _BAND
     least = asked - radius
     kept = passive_safety(scenario, distance, states, seconds, push=0.0, enough=least, too_little=least)
     clearance = (kept.clearance + radius).reshape(heights.shape)
@@ -247,7 +251,9 @@ class CoastingLaw(Law):
         index = jnp.clip(index, 0, len(self.position) - 1)
         off, faster = estimate.position - self.position[index], estimate.velocity - self.velocity[index]
         away = jnp.linalg.norm(off)
-        steering = (away > _BAND) | (state & (away > 0.5 * _BAND))
-        back = -self.mass * (2.0 * _RATE * faster + _RATE**2 * off)
+        missing = -off / _RETURN * jnp.maximum(away / _BAND, 1.0) ** 2 - faster
+        # Once it drifts back as it should it is left alone, also while it is still outside the band.
+        steering = ((away > _BAND) | state) & (jnp.linalg.norm(missing) > _DONE * _BAND / _RETURN)
+        back = self.mass * missing / (_PERIODS * self.period)
         limited = jnp.clip(back, -self.force_limit, self.force_limit)
         return steering, Command.of_force(jnp.where(steering, limited, 0.0))
