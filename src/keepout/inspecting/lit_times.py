@@ -18,6 +18,8 @@ from keepout.seeing.visible import lit_units
 _STEPS = 120
 _SPELLS = 16
 """Parts of the time looked at, in each of which a view is a candidate of its own."""
+_AT_ONCE = 1e-6
+"""Seconds: nearer times are one."""
 _SAME = 1e-9
 """Change of the sun's direction below which it counts as fixed."""
 
@@ -81,12 +83,14 @@ class LitTimes:
         return np.array([self.lit[part[0] : part[-1] + 2].all(axis=0) for part in parts])
 
     def at(self, time: float) -> Bool[np.ndarray, " units"]:
-        """Give what is lit at a time, s: at the looked-at times before and after it."""
+        """Give what is lit at a time, s: at the looked-at times before and after it, or at that of them which it is."""
         if not self.changes:
             return self.lit[0]
         if not self.times[0] <= time <= self.times[-1]:
             return np.zeros(self.lit.shape[1], dtype=bool)
         after = int(np.searchsorted(self.times, time))
+        if self.times[after] - time < _AT_ONCE:
+            return self.lit[after]
         return self.lit[after] & self.lit[max(after - 1, 0)]
 
     def windows(self, units: Int[np.ndarray, " k"]) -> list[tuple[float, float]]:
