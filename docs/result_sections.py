@@ -4,6 +4,7 @@ import statistics
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from inspection_sections import inspecting, public_inspection
 from result_tables import kept_file, measured, note, table
 
 ERRATA = {
@@ -403,6 +404,8 @@ SECTIONS = (
     rivals,
     rare_events,
     exploring,
+    inspecting,
+    public_inspection,
     campaigns,
     startup,
     printed,
