@@ -9,12 +9,13 @@ and what sees more, or as much sooner, is kept.
 
 import time as clock
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import no_type_check
 
 import numba
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
+from scipy import sparse
 
 from keepout.inspecting.lit_times import LitTimes
 from keepout.inspecting.tour import turning_time
@@ -28,6 +29,8 @@ _SETTLE = 20.0
 """Seconds added to every leg when views are compared: a near view that shows little is not free."""
 _CHANCE = (0.0, 0.1, 0.3)
 """Spread of the logarithm of a view's worth when a tour is made again."""
+_IN_VAIN = 400
+"""Tours made again without one that is better, after which the search ends."""
 _LEAST = 1e-4
 """Of what is to be seen, the share below which a view is not worth a leg."""
 
@@ -117,22 +120,27 @@ def tour_in_light(
         pace: of chaser and camera.
         begin: s.
         most_views: in the tour.
-        seconds: of computation for improving it; the greedy tours are made whatever they take.
+        seconds: of computation for improving it, at most; the greedy tours are made whatever they take.
         seed: of the chance in it.
 
     """
+    asked = areas > 0.0
+    views = replace(views, sees=sparse.csr_array(views.sees[:, asked]))
+    lit, areas = replace(lit, lit=lit.lit[:, asked]), areas[asked]
     generator = np.random.default_rng(seed)
     until = clock.perf_counter() + seconds
     maker = _Maker(views, _Moments(lit), areas, goal, lengths, looking, pace, begin, most_views)
     best = max((maker.made((), scarcity, 0.0, generator) for scarcity in _SCARCITY), key=maker.score)
-    while len(best.rows) and clock.perf_counter() < until:
+    in_vain = 0
+    while len(best.rows) and in_vain < _IN_VAIN and clock.perf_counter() < until:
         cut = int(generator.integers(len(best.rows)))
         kept = tuple(zip(best.rows[:cut].tolist(), best.times[:cut].tolist(), strict=True))
         tried = maker.made(
             kept, float(generator.choice(_SCARCITY)), float(generator.choice(_CHANCE)), generator, int(best.rows[cut])
         )
+        in_vain += 1
         if maker.score(tried) > maker.score(best):
-            best = tried
+            best, in_vain = tried, 0
     return best
 
 
@@ -188,21 +196,7 @@ class _Maker:
             gains = np.exp(chance * generator.standard_normal(len(arrival)))
             if len(rows) == len(kept) and barred >= 0:
                 gains[barred] = 0.0
-            view, at = _next_view(
-                self.indptr,
-                self.indices,
-                left,
-                worth,
-                moments.lit,
-                moments.next_light,
-                np.minimum(first, len(moments.times)),
-                moments.times,
-                now,
-                gains,
-                _AHEAD,
-                _SETTLE,
-                _LEAST * whole,
-            )
+            view, at = self._best(left, worth, first, now, gains)
             if view < 0:
                 break
             now = max(float(moments.times[at]), float(arrival[view]))
@@ -214,6 +208,44 @@ class _Maker:
         return LightTour(
             np.array(rows, dtype=np.int64), np.array(times, dtype=np.float64), now, whole - float(left.sum())
         )
+
+    def _best(
+        self,
+        left: Float[np.ndarray, " units"],
+        worth: Float[np.ndarray, " units"],
+        first: Int[np.ndarray, " v"],
+        now: float,
+        gains: Float[np.ndarray, " v"],
+    ) -> tuple[int, int]:
+        """Give the view to go to next and the moment of it, or -1; later moments count where none soon shows enough."""
+        moments, least, soonest = self.moments, _LEAST * float(self.areas.sum()), 0
+        enough: Bool[np.ndarray, " t"] | None = None
+        while soonest < len(moments.times):
+            view, at = _next_view(
+                self.indptr,
+                self.indices,
+                left,
+                worth,
+                moments.lit,
+                moments.next_light,
+                np.clip(first, soonest, len(moments.times)),
+                moments.times,
+                now,
+                gains,
+                _AHEAD,
+                _SETTLE,
+                least,
+            )
+            if view >= 0:
+                return int(view), int(at)
+            if enough is None:
+                enough = moments.lit @ left >= least
+                soonest = int(first.min())
+            later = np.flatnonzero(enough[soonest + _AHEAD :])
+            if not len(later):
+                break
+            soonest += _AHEAD + int(later[0])
+        return -1, -1
 
     def _strike(self, left: Float[np.ndarray, " units"], row: int, at: float) -> None:
         moments = self.moments
