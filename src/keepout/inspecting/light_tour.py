@@ -87,7 +87,7 @@ class _Moments:
         step = float(lit.times[1] - lit.times[0]) if len(lit.times) > 1 else 1.0
         self.step = step
         self.remaining = np.cumsum(self.lit[::-1], axis=0, dtype=np.int32)[::-1]
-        anything = self.lit.any(axis=1)
+        anything: Bool[np.ndarray, " t"] = np.any(self.lit, axis=1)
         following = np.full(len(anything) + 1, len(anything))
         for n in range(len(anything) - 1, -1, -1):
             following[n] = n if anything[n] else following[n + 1]
