@@ -83,6 +83,15 @@ def test_before_its_window_a_view_waits_and_after_it_is_lost_to_the_light():
     assert view.ended(201.0, what) is Lost.LIGHT
 
 
+def test_at_its_place_after_its_window_a_view_goes_on_while_it_shows_more():
+    what, view = wanted(), leg(window=(0.0, 10.0))
+    frame(view, 15.0, what, fresh=1)
+    assert view.ended(15.0, what) is Lost.LIGHT  # what of it is lit is asked for again
+    for now in (20.0, 25.0, 30.0):
+        frame(view, now, what)
+    assert view.ended(30.0, what) is Lost.NOT
+
+
 def test_a_hold_point_is_held_for_its_seconds_from_when_it_is_reached():
     what = wanted()
     (view,) = Leg.holds([HoldPointEntry(position=(1.0, 0.0, 0.0), seconds=60.0)], 0.1)

@@ -206,6 +206,37 @@ def test_in_a_light_that_goes_round_each_view_is_flown_in_its_window():
             assert lit_units(problem.sight, problem.rules, light.suns([now])[0])[view.units].all()
 
 
+class LowOrbit(Light):
+    """The sun over a target in low orbit: round the y axis once in 5677 s, and hidden from 20° below the horizon on."""
+
+    @property
+    def matters(self):
+        return True
+
+    def suns(self, times):
+        turn = 2.0 * np.pi * np.asarray(times) / 5677.0
+        suns = np.stack([-np.sin(turn), 0.0 * turn, -np.cos(turn)], axis=1)
+        suns[suns[:, 2] > math.sin(math.radians(20.0))] = np.nan
+        return suns
+
+
+def test_in_low_orbit_all_that_is_ever_lit_is_planned_for_that_which_is_lit_for_minutes_too():
+    problem = replace(problem_of(), light=(light := LowOrbit(Scenario())))
+    ever = np.zeros(problem.patches.units, dtype=bool)
+    for sun in light.suns(np.arange(0.0, 6000.0, 60.0)):
+        if np.isfinite(sun[0]):
+            ever |= lit_units(problem.sight, problem.rules, sun)
+    below = problem.patches.unit_normals()[:, 2] > 0.9
+    assert (ever & below).any()
+    result = planned(problem, wanted=ever, share=1.0)
+    require_true(problem, result)
+    areas = problem.patches.unit_areas()
+    assert float(areas[result.covered].sum()) >= 0.99 * float(areas[ever].sum())
+    assert float(areas[result.covered & below].sum()) >= 0.99 * float(areas[ever & below].sum())
+    assert result.duration <= problem.scenario.duration
+    assert 1 <= result.fewest_views <= len(result.views)
+
+
 def test_windows_are_the_times_in_which_all_is_lit():
     lit = np.array([[1, 1], [1, 0], [1, 1], [1, 1], [0, 1]], dtype=bool)
     times = LitTimes(np.arange(5) * 10.0, lit, True)

@@ -54,8 +54,12 @@ _OF_LIGHT = ("light", "epoch", "orbit", "attitude", "sun")
 """Entries that the light follows from."""
 _WAITED = 0.1
 """Share of the time left for which the light is waited for where no view is in light, before a plan is made again."""
-_REPLANS = 16
-"""Plans after the first, at most: each costs a tour that is mostly way."""
+_REPLANS, _REPLANS_IN_SUN = 16, 48
+"""Plans after the first, at most: each costs a tour that is mostly way. The sun asks for more."""
+_LOST = 0.01
+"""Share of what is possible that must be lost to the light before a plan is made again while views are left."""
+_AGAIN = 15.0
+"""Seconds for the choice of views in the sun when a plan is made again."""
 
 
 def inspect(
@@ -152,6 +156,7 @@ class _Inspector:
         self.rows = 0
         self.ticks = round(scenario.camera.period / scenario.control.period)
         self.replan = False
+        self.lost = np.zeros(problem.patches.units, dtype=bool)
 
     def flown(self, progress: Progress) -> Inspection:
         """Fly until the end, and judge."""
@@ -192,7 +197,9 @@ class _Inspector:
         place = self.leading.reachable(start)
         return self.leading.law(start if place is None else place, start)
 
-    def _planned(self, position: Point, now: float, progress: Progress = silent) -> InspectionPlan:
+    def _planned(
+        self, position: Point, now: float, progress: Progress = silent, *, again: bool = False
+    ) -> InspectionPlan:
         return plan(
             self.problem,
             position=position,
@@ -200,6 +207,7 @@ class _Inspector:
             wanted=self.wanted.left,
             share=self.wanted.share_of_left,
             boresight=self.boresight.direction,
+            seconds=_AGAIN if self._in_sun and again else None,
             progress=progress,
         )
 
@@ -247,15 +255,32 @@ class _Inspector:
         if ended is None:
             return False
         left = self.leg.left(self.wanted)
+        if ended is Lost.LIGHT and self._in_sun and (lit := self._lit(now, left)).any():
+            # A view goes on with what of it is still in light.
+            self.lost[left[~lit]] = True
+            self.leg.units = left[lit]
+            return False
         if ended is Lost.NOT:
             self.taken_views += 1
             if len(left) and not self._lit(now, left).all():
                 ended = Lost.LIGHT
-        if ended in (Lost.LIGHT, Lost.GUARD):
+        if ended is Lost.GUARD or (ended is Lost.LIGHT and not self._in_sun):
             self.replan = True
+        elif ended is Lost.LIGHT:
+            self.lost[left] = True
         else:
             self.wanted.failed(left)
         return True
+
+    @property
+    def _in_sun(self) -> bool:
+        """Whether the light may change, so that what is lost to it is what every tour loses a little of."""
+        return self.scenario.light.kind == "sun"
+
+    def _lost_much(self) -> bool:
+        """Whether what was lost to the light since the last plan, and is still wanted, asks for another."""
+        areas = self.problem.patches.unit_areas()
+        return float(areas[self.lost & self.wanted.left].sum()) >= _LOST * float(areas[self.wanted.possible].sum())
 
     def _lit(self, now: float, units: Int[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
         sun = self.camera.sun(now)
@@ -266,12 +291,17 @@ class _Inspector:
     def _next(self, now: float) -> Law | tuple[str, str]:
         """Go on to the next view that still has something to show, planning anew where that is due."""
         while True:
-            if (self.replan or not self.legs) and not any(leg.boresight is None for leg in self.legs):
+            if (self.replan or not self.legs or self._lost_much()) and not any(
+                leg.boresight is None for leg in self.legs
+            ):
                 ending = self._replanned(now)
                 if ending is not None:
                     return ending
             leg = self.legs.popleft()
             if leg.boresight is not None and not leg.waits and not len(leg.left(self.wanted)):
+                continue
+            if self._in_sun and now > leg.window[1] and not self._lit(now, left := leg.left(self.wanted)).any():
+                self.lost[left] = True
                 continue
             law = self._law_to(leg, now)
             if law is not None:
@@ -301,13 +331,14 @@ class _Inspector:
         """Plan anew for what is left; give how it ends where nothing is gained by that."""
         left = self.wanted.left
         nothing = ("nothing more to see", f"{self.wanted.reached:.2%} of what can be seen was taken")
-        if not left.any() or self.plans > _REPLANS:
+        if not left.any() or self.plans > (_REPLANS_IN_SUN if self._in_sun else _REPLANS):
             return self._no_way() or nothing
         self.replan = False
-        again = self._planned(self.estimate, now)
+        self.lost[:] = False
+        again = self._planned(self.estimate, now, again=True)
         self.plans += 1
         self.legs = deque(leg for leg in Leg.views(again, self.scenario.inspect.dwell) if len(leg.left(self.wanted)))
-        if not self.legs and self.scenario.light.kind == "sun":
+        if not self.legs and self._in_sun:
             end = self.scenario.duration
             if ever_lit(self.camera, self.wanted.left, end, begin=now).any():
                 self.legs.append(Leg.waiting(self.estimate, max(_WAITED * (end - now), self.scenario.camera.period)))

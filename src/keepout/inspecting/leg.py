@@ -113,11 +113,10 @@ class Leg:
             return Lost.NOT if stayed else self._late(now)
         if not len(self.left(wanted)):
             return Lost.NOT if stayed else self._late(now)
-        if now > self.window[1]:
-            return Lost.LIGHT
         if self._idle >= _SETTLED and stayed:
             return Lost.NOT
-        return self._late(now)
+        late = self._late(now)
+        return Lost.LIGHT if late is None and now > self.window[1] else late
 
     def _late(self, now: float) -> Lost | None:
         if now <= self._given_up:

@@ -1,7 +1,7 @@
 """When each unit is wholly lit, at times a step apart, and the windows in which a view's units all are.
 
 Between two times that follow each other a unit counts as lit if it is at both. The step is at most a hundred and
-twentieth of the time looked at: where the sun turns by more than a few degrees in it, less than that is not resolved.
+twentieth of the time looked at, and shorter where the sun turns fast: what is lit for less than that is not resolved.
 """
 
 import math
@@ -15,9 +15,12 @@ from keepout.seeing.rules import SeeingRules
 from keepout.seeing.sightlines import Sightlines
 from keepout.seeing.visible import lit_units
 
-_STEPS = 120
-_SPELLS = 16
-"""Parts of the time looked at, in each of which a view is a candidate of its own."""
+_STEPS, _MOST_STEPS = 120, 1200
+"""Of the time looked at: so many where the light turns slowly, and at most."""
+_TURN = math.radians(1.25)
+"""By which the sun turns in a step, rad, where `_MOST_STEPS` allow it."""
+_ROOM = 4e8
+"""Steps times units, at most, where these are more than `_STEPS`."""
 _AT_ONCE = 1e-6
 """Seconds: nearer times are one."""
 _SAME = 1e-9
@@ -64,7 +67,10 @@ class LitTimes:
         """
         if not light.matters:
             return cls(np.array([begin]), wanted[None].copy(), False)
-        count = max(2, min(_STEPS, math.floor((end - begin) / shortest)) + 1) if end > begin else 1
+        most = math.floor((end - begin) / shortest) if end > begin else 0
+        steps = max(_STEPS, _turns(light, begin, end, min(most, _MOST_STEPS)))
+        steps = min(steps, most, max(_STEPS, int(_ROOM / len(wanted))))
+        count = max(2, steps + 1) if end > begin else 1
         times = np.linspace(begin, max(end, begin), count)
         suns = light.suns(times)
         dark = np.isnan(suns[:, 0])
@@ -73,14 +79,6 @@ class LitTimes:
         nothing = np.zeros_like(wanted)
         lit = np.array([nothing if dark[n] else lit_units(sight, rules, suns[n], among=wanted) for n in range(count)])
         return cls(times, lit, True)
-
-    def spells(self) -> Bool[np.ndarray, "s units"]:
-        """Give for each spell, a part of the times, what is lit all through it."""
-        if not self.changes:
-            return self.lit
-        parts = np.array_split(np.arange(len(self.times)), max(1, min(_SPELLS, len(self.times) // 2)))
-        # A spell ends at the time at which the next begins.
-        return np.array([self.lit[part[0] : part[-1] + 2].all(axis=0) for part in parts])
 
     def at(self, time: float) -> Bool[np.ndarray, " units"]:
         """Give what is lit at a time, s: at the looked-at times before and after it, or at that of them which it is."""
@@ -100,3 +98,14 @@ class LitTimes:
         together = np.concatenate([[False], self.lit[:, units].all(axis=1), [False]])
         edges = np.flatnonzero(together[1:] != together[:-1]).reshape(-1, 2)
         return [(float(self.times[first]), float(self.times[last - 1])) for first, last in edges]
+
+
+def _turns(light: Light, begin: float, end: float, steps: int) -> int:
+    """Give how many equal steps there would have to be for the sun to turn by `_TURN` in none; `steps` at most."""
+    if steps < 1:
+        return 0
+    suns = light.suns(np.linspace(begin, end, steps + 1))
+    across = np.linalg.norm(np.cross(suns[1:], suns[:-1]), axis=1)
+    angles = np.arctan2(across, np.einsum("ni,ni->n", suns[1:], suns[:-1]))
+    angles = angles[np.isfinite(angles)]
+    return min(steps, math.ceil(steps * float(angles.max()) / _TURN)) if len(angles) else 0

@@ -14,6 +14,7 @@ from scipy import sparse
 
 from keepout.inspecting.cover import Cover, fewest_views, shortlist
 from keepout.inspecting.itinerary import Start, drawn_up, first_seen, legs_of, tighter_rules
+from keepout.inspecting.light_plan import plan_in_light
 from keepout.inspecting.lit_times import LitTimes
 from keepout.inspecting.nearest_view import nearest_views
 from keepout.inspecting.plan import InspectionPlan
@@ -29,7 +30,7 @@ _COVER_SECONDS, _LEAST_SECONDS, _UNIT_SECONDS = 60.0, 5.0, 0.01
 _PLACES_EACH, _FEWEST_PLACES = 4, 64
 """Places drawn for every unit wanted, and at least; `inspect.candidates` at most."""
 _AMONG = 4000
-"""Views that the fewest are chosen from, or so many in all spells of light together."""
+"""Views that the fewest are chosen from."""
 _INSIDE = 0.02
 """Metres by which drawn places keep more than the stand-off."""
 _TRIES = 3
@@ -80,13 +81,15 @@ def plan(
         result = nearest_views(problem, views, lit, areas, goal, ways, start, look)
         progress(1.0, f"{len(result.views)} views, {result.way_length:.0f} m")
         return result
-    timed = _in_light(views, lit, areas)
-    chosen, legs = _reached(problem, timed, areas, goal, ways, start, seconds, part_of(progress, 0.5, 0.85))
-    kept = timed.only(chosen.chosen)
+    if lit.changes:
+        return plan_in_light(problem, views, lit, areas, goal, ways, start, seconds, part_of(progress, 0.5, 1.0))
+    views = views.only(shortlist(views.sees, areas, _AMONG))
+    chosen, legs = _reached(problem, views, areas, goal, ways, start, seconds, part_of(progress, 0.5, 0.85))
+    kept = views.only(chosen.chosen)
     progress(0.9, f"{len(kept.positions)} views: their order")
     result = _ordered(problem, kept, lit, areas, goal, ways, start, legs)
     progress(1.0, f"{len(result.views)} views, {result.way_length:.0f} m")
-    return replace(result, candidates=len(timed.positions), fewest_views=chosen.fewest, greedy_views=chosen.greedy)
+    return replace(result, candidates=len(views.positions), fewest_views=chosen.fewest, greedy_views=chosen.greedy)
 
 
 def candidates(problem: Problem, wanted: Bool[np.ndarray, " units"], *, progress: Progress = silent) -> Views:
@@ -122,19 +125,6 @@ def _ways(problem: Problem, position: Float[np.ndarray, "3"]) -> Ways:
         return problem.ways
     lower, upper = np.minimum(lower, position - 1.0), np.maximum(upper, position + 1.0)
     return Ways.build(problem.target.distance, problem.scenario.inspect.stand_off, lower, upper)
-
-
-def _in_light(views: Views, lit: LitTimes, areas: Float[np.ndarray, " units"]) -> Views:
-    """Give the short list of views, each once for every spell of light in which it sees anything."""
-    spells = lit.spells()
-    short = views.only(shortlist(views.sees, areas, max(_AMONG // len(spells), 500)))
-    parts = [sparse.csr_array(short.sees.multiply(spell[None].astype(np.float64))) for spell in spells]
-    for part in parts:
-        part.eliminate_zeros()
-    sees = sparse.csr_array(sparse.vstack(parts, format="csr"))
-    rows = np.flatnonzero(np.diff(sees.indptr) > 0)
-    which = rows % max(len(short.positions), 1)
-    return Views(short.positions[which], short.boresights[which], sees[rows], views.places)
 
 
 def _reached(
@@ -190,11 +180,6 @@ def _ordered(
         needs = first_seen(views.sees, np.arange(len(views.positions)), areas)
         legs = legs_of(problem, views, needs, lit, start, between)
         tour = best_tour(legs, inspect.objective, worth=inspect.delta_v_worth, seed=problem.scenario.seed)
-        in_time = np.isfinite(tour.times)
-        if not in_time.all():
-            # What the light does not come back for is left to a later plan.
-            views, between = _kept(views, between, np.sort(tour.order[in_time]) - 1)
-            continue
         result, passing = drawn_up(problem, views, lit, tour, ways, start, look, areas)
         if best is not None and float(areas[result.covered].sum()) < min(goal, float(areas[best.covered].sum())):
             return best

@@ -1,0 +1,113 @@
+"""A plan in a light that moves: a tour made for the light, drawn up as views with windows and bounds."""
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from keepout.inspecting.cover import fewest_views, shortlist
+from keepout.inspecting.itinerary import Start, drawn_up, tighter_rules
+from keepout.inspecting.light_tour import Lengths, Pace, tour_in_light
+from keepout.inspecting.lit_times import LitTimes
+from keepout.inspecting.plan import InspectionPlan
+from keepout.inspecting.problem import Problem
+from keepout.inspecting.tour import Tour
+from keepout.inspecting.viewpoints import Views
+from keepout.inspecting.ways import Ways
+from keepout.progress import Progress
+from keepout.seeing.visible import visible
+
+_AMONG = 1500
+"""Views that a tour is made from, about."""
+_NODES = 60_000
+"""Of the grid on which the lengths of ways are compared: one march for each place that any tour passes."""
+_BOUND = 0.1
+"""Share of the seconds for the bound on the number of views."""
+_TAKEN = 0.9
+"""Share of the speed limit at which a tour is made: a law slows down for corners and near the target."""
+
+
+def plan_in_light(
+    problem: Problem,
+    views: Views,
+    lit: LitTimes,
+    areas: Float[np.ndarray, " units"],
+    goal: float,
+    ways: Ways,
+    start: Start,
+    seconds: float,
+    progress: Progress,
+) -> InspectionPlan:
+    """Plan views together with their times; the bound on their number is that of the same views in any light.
+
+    Args:
+        problem: as of `plan`.
+        views: candidates.
+        lit: when.
+        areas: (units,) m², 0 for what is not wanted.
+        goal: m² to be seen.
+        ways: between places.
+        start: of the tour.
+        seconds: for the tour.
+        progress: told of the tour.
+
+    """
+    scenario = problem.scenario
+    views = views.only(shortlist(views.sees, areas, _AMONG))
+    coarse = Ways.build(
+        ways.distance,
+        ways.stand_off,
+        ways.origin,
+        ways.origin + ways.spacing * (np.array(ways.open.shape) - 1),
+        most_nodes=_NODES,
+    )
+    pace = Pace(
+        _TAKEN * scenario.chaser.speed_limit,
+        scenario.chaser.force_limit / scenario.chaser.mass,
+        scenario.camera.turn_rate,
+        scenario.camera.turn_acceleration,
+        scenario.inspect.dwell,
+    )
+    made = tour_in_light(
+        views,
+        lit,
+        areas,
+        goal,
+        _lengths(views, coarse, start),
+        start.looking(problem),
+        pace,
+        start.time,
+        most_views=scenario.inspect.most_views,
+        seconds=seconds,
+        seed=scenario.seed,
+    )
+    progress(0.6, f"{len(made.rows)} views show {made.area:.1f} m2 in time")
+    bound = fewest_views(views.sees, areas, min(goal, made.area), seconds=_BOUND * seconds, seed=scenario.seed)
+    kept = views.only(made.rows)
+    order = np.arange(1, len(made.rows) + 1)
+    # Length and Δv of the tour are those of the courses, which are drawn up now.
+    tour = Tour(order, made.times, 0.0, made.end, 0.0)
+    look = functools.partial(
+        visible, problem.sight, tighter_rules(problem.rules, problem.patches.size), among=areas > 0.0
+    )
+    result, _ = drawn_up(problem, kept, lit, tour, ways, start, look, areas)
+    return replace(
+        result,
+        candidates=len(views.positions),
+        fewest_views=min(bound.fewest, len(made.rows)),
+        greedy_views=bound.greedy,
+    )
+
+
+def _lengths(views: Views, ways: Ways, start: Start) -> Lengths:
+    """Give the lengths of ways from a view or the start to all views, each found once."""
+
+    @functools.cache
+    def from_place(place: tuple[float, ...]) -> Float[np.ndarray, " v"]:
+        return ways.nearly(np.array(place), views.positions)
+
+    def lengths(row: int) -> Float[np.ndarray, " v"]:
+        return from_place(tuple((start.position if row < 0 else views.positions[row]).tolist()))
+
+    return lengths
