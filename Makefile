@@ -57,7 +57,7 @@ tests: install
 	$(BIN)/pytest -m "not slow" $(BY_FILE)
 
 test-all: lint
-	$(BIN)/pytest -n 2 --dist loadgroup
+	$(BIN)/pytest -n 2 --dist loadgroup --hypothesis-profile=random
 
 format: install
 	$(BIN)/ruff check --fix .

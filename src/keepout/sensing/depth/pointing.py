@@ -31,9 +31,9 @@ def axes_towards(direction: Vector, up: Vector) -> Float[np.ndarray, "3 3"]:
     side = np.cross(z, _unit(up, "up"))
     if np.linalg.norm(side) < _PARALLEL:
         side = np.cross(z, np.eye(3)[np.argmin(np.abs(z))])
-    x = side / np.linalg.norm(side)
-    y = np.cross(z, x)
-    return np.column_stack([x, y / np.linalg.norm(y), z])
+    y = _unit(np.cross(z, side), "up")
+    # A short side carries rounding along z; made from y and z, x is across both.
+    return np.column_stack([np.cross(y, z), y, z])
 
 
 @dataclass(frozen=True, eq=False)
