@@ -31,8 +31,8 @@ from hypothesis import HealthCheck, settings
 from truths import real_meshes
 
 # A shared or slow machine must not fail a property: only its truth may.
-# The examples of a property are the same in every run, so that a commit which passes passes again; `make test-all` draws
-# new ones.
+# The examples of a property are the same in every run, so that a commit which passes passes again; `make test-all`
+# draws new ones.
 settings.register_profile("random", deadline=None, suppress_health_check=[HealthCheck.too_slow], print_blob=True)
 settings.register_profile("fixed", parent=settings.get_profile("random"), derandomize=True)
 settings.load_profile("fixed")
