@@ -54,9 +54,11 @@ def test_a_segment_has_a_step():
     setup = make_setup()
     with pytest.raises(FlightError, match="steps is 0"):
         fly_segment(setup, begin(setup, start_state(setup), KEY), 0)
+    with pytest.raises(FlightError, match="steps is 6; longest is 5"):
+        fly_segment(setup, begin(setup, start_state(setup), KEY), 6, longest=5)
 
 
-def test_one_program_flies_every_goal():
+def test_one_program_flies_every_goal_and_every_number_of_steps():
     setup = make_setup()
     state = begin(setup, start_state(setup), KEY)
     compiled = []
@@ -66,8 +68,33 @@ def test_one_program_flies_every_goal():
             compiled.append(1)  # runs when traced, not when flown
             return super().step(count, estimate)
 
+    traced = None
     for shift in range(4):
         goal = GOAL + float(shift)
-        law = Counting(setup.motion, goal)
-        state, _ = fly_segment(dataclasses.replace(setup, controller=law, goal=goal), state, 6)
-    assert len(compiled) == 1
+        led = dataclasses.replace(setup, controller=Counting(setup.motion, goal), goal=goal)
+        for steps in (6, 3):
+            state, log = fly_segment(led, state, steps)
+            assert log.time.shape == (steps,)
+            traced = len(compiled) if traced is None else traced
+            assert len(compiled) == traced > 0
+
+
+def test_one_program_flies_whole_flights_of_other_lengths():
+    setup = make_setup()
+    compiled = []
+
+    class Counting(Spring):
+        def step(self, count, estimate):
+            compiled.append(1)
+            return super().step(count, estimate)
+
+    setup = dataclasses.replace(setup, controller=Counting(setup.motion, GOAL))
+    first = loop.fly(setup, start_state(setup), 40, KEY)
+    traced = len(compiled)
+    assert traced > 0
+    shorter = loop.fly(setup, start_state(setup), 20, KEY)
+    assert len(compiled) == traced
+    np.testing.assert_array_equal(shorter.position, first.position[:21])
+    assert loop.room_for(41) == 64
+    for rows in (1, 16, 17, 64, 65, 4096, 4097):
+        assert loop.room_for(rows) >= max(rows, 16)

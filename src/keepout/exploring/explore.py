@@ -165,7 +165,7 @@ class _Explorer:
             self._count_rest(log)
             share = max(flown / scenario.steps, len(self.views) / scenario.explore.most_views)
             progress(min(share, 0.98), f"{len(self.views)} views, {self.free_volume:.0f} m³ known free")
-        _, last = segment.fly_segment(setup, state, 1)
+        _, last = segment.fly_segment(setup, state, 1, longest=ticks)
         return self._judged(segment.joined([*self.logs, last]), setup, ending)
 
     def _field(self) -> MapField:

@@ -7,6 +7,7 @@ motion.
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree
 
 from keepout.compiled.kept_executables import kept_jit
@@ -190,5 +191,45 @@ def trace(setup: FlightSetup, initial: MotionState, steps: int, key: PRNGKeyArra
     return jax.lax.scan(advance, start(setup, initial, key), length=steps + 1)[1]
 
 
-fly = kept_jit(trace)
-"""`trace`, compiled: `fly(setup, initial, steps, key) -> FlightLog`. Compiles anew for another number of steps."""
+def fly(setup: FlightSetup, initial: MotionState, steps: int, key: PRNGKeyArray) -> FlightLog:
+    """Fly as `trace` does, compiled: one program serves all flights of a room (`room_for`)."""
+    rows = steps + 1
+    return rows_of(_flown(setup, initial, as_count(rows), key, room_for(rows)), rows)
+
+
+def as_count(rows: int) -> Int[Array, ""]:
+    """Give a number of rows as an array, so that it is data to a compiled program."""
+    return jax.device_put(np.asarray(rows, dtype=np.int32))
+
+
+def room_for(rows: int) -> int:
+    """Give the number of rows for which a program is made that is to log so many: a power of four, at least 16."""
+    power = (rows - 1).bit_length()
+    return 1 << max(4, power + power % 2)
+
+
+def advanced(setup: FlightSetup, state: LoopState, rows: Int[Array, ""], room: int) -> tuple[LoopState, FlightLog]:
+    """Fly so many control periods, `room` at most: the state after them, and their rows. To be used inside a `jit`.
+
+    The log has `room` rows, of which those beyond `rows` mean nothing (`rows_of`).
+    """
+    shapes = jax.eval_shape(lambda state: step(setup, state)[1], state)
+    empty = jax.tree.map(lambda row: jnp.zeros((room, *row.shape), row.dtype), shapes)
+
+    def advance(place: Int[Array, ""], flown: tuple[LoopState, FlightLog]) -> tuple[LoopState, FlightLog]:
+        state, log = flown
+        state, row = step(setup, state)
+        put = jax.lax.dynamic_update_index_in_dim
+        return state, jax.tree.map(lambda column, entry: put(column, entry, place, 0), log, row)
+
+    return jax.lax.fori_loop(0, rows, advance, (state, empty))
+
+
+def rows_of(log: FlightLog, rows: int) -> FlightLog:
+    """Give the first rows of a log: cut outside of JAX, which would compile a program for each number of them."""
+    return jax.tree.map(lambda column: jax.device_put(np.asarray(column)[:rows]), log)
+
+
+@kept_jit
+def _flown(setup: FlightSetup, initial: MotionState, rows: Int[Array, ""], key: PRNGKeyArray, room: int) -> FlightLog:
+    return advanced(setup, start(setup, initial, key), rows, room)[1]

@@ -13,7 +13,7 @@ from keepout.errors import ScenarioError
 from keepout.fields.field import Field
 from keepout.guard.safety_layer import SafetyLayer
 from keepout.motion.actuator import ThrusterModel
-from keepout.motion.arrays import as_float64
+from keepout.motion.arrays import as_float64, numbers_as_arrays
 from keepout.motion.disturbance import Disturbance
 from keepout.motion.relative import MotionState, RelativeMotion
 from keepout.motion.rotation import Vector
@@ -76,7 +76,8 @@ class FlightSetup(eqx.Module):
         goal: (3,) m, body axes.
         mass: the true one, kg.
         period: control period, s.
-        guard: the layer between law and thrusters, or None.
+        guard: the layer between law and thrusters, or None. Its numbers become arrays, so that flights whose numbers
+            differ share a compiled program.
         faults: what stands between truth and law.
         field: logged along the true path where given.
         tolerance: m; a flight has reached its goal when it stays closer than this until its end.
@@ -95,7 +96,7 @@ class FlightSetup(eqx.Module):
     goal: Vector = eqx.field(converter=as_float64)
     mass: Scalar = eqx.field(converter=as_float64)
     period: Scalar = eqx.field(converter=as_float64, default=1.0)
-    guard: SafetyLayer | None = None
+    guard: SafetyLayer | None = eqx.field(converter=numbers_as_arrays, default=None)
     faults: Faults = eqx.field(default_factory=NoFaults)
     field: Field | None = None
     tolerance: Scalar = eqx.field(converter=as_float64, default=0.1)

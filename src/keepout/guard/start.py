@@ -12,7 +12,7 @@ from keepout.compiled.kept_executables import kept_jit
 from keepout.errors import ControlError
 from keepout.guard.guard import Guard
 from keepout.guard.nominal import Vector
-from keepout.motion.arrays import as_float64
+from keepout.motion.arrays import numbers_as_arrays
 from keepout.motion.relative import MotionState
 
 _ROOM = 256
@@ -37,7 +37,7 @@ def require_flyable(guard: Guard, start: MotionState, goal: Vector) -> bool:
         if away > guard.assumptions.range_limit:
             limit = guard.assumptions.range_limit
             raise ControlError(f"guard: {name} needs a range of {away:.3f} m; range_limit is {limit} m")
-    here, there, certified = _looked_at(_as_arrays(guard), start, goal)
+    here, there, certified = _looked_at(numbers_as_arrays(guard), start, goal)
     value = float(here)
     if not value > 0.0:
         raise ControlError(f"guard: the field is {value:.3f} m at the start: inside the target; it must be above 0")
@@ -65,18 +65,13 @@ def starts_certified(guard: Guard, truths: MotionState) -> Bool[np.ndarray, "sta
     Guards of other numbers share what is compiled, as their numbers are handed over as arrays. One state is looked at
     after another, so that what is said of one does not depend on how many there are.
     """
-    numbers, found = _as_arrays(guard), []
+    numbers, found = numbers_as_arrays(guard), []
     for first in range(0, len(truths.position), _ROOM):
         count = min(len(truths.position) - first, _ROOM)
         places = np.minimum(np.arange(first, first + _ROOM), first + count - 1)
         some = jax.tree.map(lambda array, places=places: np.asarray(array)[places], truths)
         found.append(np.asarray(_certified_starts(numbers, some, jnp.asarray(count)))[:count])
     return np.concatenate(found)
-
-
-def _as_arrays(guard: Guard) -> Guard:
-    """Give the guard with arrays for its plain numbers, which a compiled program would otherwise be made for."""
-    return jax.tree.map(lambda leaf: as_float64(leaf) if isinstance(leaf, float) else leaf, guard)
 
 
 @kept_jit

@@ -180,7 +180,7 @@ class _Inspector:
                 state = segment.begin(setup, self.leading.initial, jax.random.key(scenario.seed))
             # A frame is taken at a segment's last row; the first, at the start, is a segment of its own.
             count = self.ticks if self.logs else 1
-            state, log = segment.fly_segment(setup, state, count)
+            state, log = segment.fly_segment(setup, state, count, longest=self.ticks)
             self._look(log, count)
             progress(min(0.9 * self.rows / scenario.steps, 0.9), self._said())
         assert setup is not None

@@ -69,7 +69,7 @@ def guard_numbers(guard: Guard) -> dict[str, Any]:
     a, b = guard.assumptions, guard.braking
     longest = watch.windows(a)[-1]
     least = watch.SHARE * float(a.disturbance)
-    return {
+    numbers = {
         "disturbance_force_N": a.disturbance_force,
         "angular_rate_radps": a.angular_rate,
         "angular_acceleration_radps2": a.angular_acceleration,
@@ -98,4 +98,7 @@ def guard_numbers(guard: Guard) -> dict[str, Any]:
         "watched_steps": longest,
         "lasting_excess_mps2": least,
         "lasting_excess_seen_steps": watch.seen_within(a, least),
+    }
+    return {
+        name: number if number is None or isinstance(number, int) else float(number) for name, number in numbers.items()
     }

@@ -1,7 +1,7 @@
 """Numbers as users give them, turned into float64 arrays."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -9,6 +9,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
+T = TypeVar("T")
 NumbersLike = ArrayLike | Sequence[Any]
 """Anything that `jnp.asarray` turns into numbers: an array, a number, nested lists of numbers."""
 
@@ -19,3 +20,8 @@ def as_float64(value: NumbersLike) -> Array:
         return jnp.asarray(value, dtype=jnp.float64)
     # `jnp.asarray` would compile a program for each shape of numbers that are not JAX's yet.
     return jax.device_put(np.asarray(value, dtype=np.float64))
+
+
+def numbers_as_arrays(tree: T) -> T:
+    """Give a tree with arrays for its floating-point numbers, which a compiled program would otherwise be made for."""
+    return jax.tree.map(lambda leaf: as_float64(leaf) if isinstance(leaf, float) else leaf, tree)
