@@ -18,7 +18,6 @@ from keepout.campaign.dataset import Dataset
 from keepout.campaign.flying import initial_state
 from keepout.campaign.keep import Keep, keep_flights
 from keepout.campaign.plan import Plan
-from keepout.campaign.programs import flown_setup
 from keepout.campaign.replay import differences, replay
 from keepout.campaign.run import fly_campaign
 from keepout.campaign.summary import summary
@@ -26,6 +25,7 @@ from keepout.campaign.table import of_bytes
 from keepout.campaign.workshop import Workshop
 from keepout.errors import FlightError, ScenarioError
 from keepout.flight.record import FlightRecord
+from keepout.flight.setup import flown_setup
 from keepout.mission.build import prepare
 from keepout.mission.campaign import room_to_start
 from keepout.mission.scenario import Scenario

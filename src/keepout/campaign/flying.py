@@ -10,10 +10,10 @@ import numpy as np
 
 from keepout.audit.tube import FlightBounds
 from keepout.campaign.drawing import Run
-from keepout.campaign.programs import Program, flown_setup, program_for, stacked_setup
+from keepout.campaign.programs import Program, program_for, stacked_setup
 from keepout.flight.batches import fly_batches
 from keepout.flight.outcome import FlightOutcome
-from keepout.flight.setup import FlightSetup
+from keepout.flight.setup import FlightSetup, flown_setup
 from keepout.mission import environment
 from keepout.mission.scenario import Scenario
 from keepout.motion.relative import MotionState, RelativeMotion

@@ -11,12 +11,13 @@ import keepout
 from keepout.campaign.bands import Bands
 from keepout.campaign.dispersion import Design, design
 from keepout.campaign.drawing import Run, draw
-from keepout.campaign.programs import Program, flown_setup, programs_of
+from keepout.campaign.programs import Program, programs_of
 from keepout.campaign.workshop import Workshop
 from keepout.digest import digest
 from keepout.errors import ScenarioError
 from keepout.fields.model import FieldModel
 from keepout.flight.batches import BATCH
+from keepout.flight.setup import flown_setup
 from keepout.geometry.target import Target
 from keepout.guard.guard import Guard
 from keepout.mission.assumptions import guard_numbers

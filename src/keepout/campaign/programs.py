@@ -13,8 +13,6 @@ from typing import Any
 import jax
 import numpy as np
 
-from keepout.control.controller import Controller
-from keepout.control.law import Law
 from keepout.flight.batches import TARGET
 from keepout.flight.setup import FlightSetup
 
@@ -53,18 +51,6 @@ class Program:
         vary = self.vary
         turned = vary is not None and any(jax.tree.leaves(vary.motion))
         return ("time",) if turned else TARGET
-
-
-def flown_setup(setup: FlightSetup) -> FlightSetup:
-    """Give a setup without what flying it does not need and no two laws share: the conditions checked at its making."""
-    return dataclasses.replace(setup, controller=_unchecked(setup.controller))
-
-
-def _unchecked(law: Law) -> Law:
-    if isinstance(law, Controller):
-        return dataclasses.replace(law, checked=())
-    within = getattr(law, "law", None)
-    return dataclasses.replace(law, law=_unchecked(within)) if isinstance(within, Law) else law  # pyright: ignore
 
 
 def programs_of(setups: Sequence[FlightSetup]) -> tuple[Program, ...]:

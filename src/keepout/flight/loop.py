@@ -8,11 +8,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree
 
 from keepout.compiled.kept_executables import kept_jit
 from keepout.control.law import Command
-from keepout.flight.setup import FlightSetup
+from keepout.flight.setup import FlightSetup, flown_setup
 from keepout.motion.relative import MotionState
 from keepout.sensing.estimator import KnownSet
 
@@ -194,7 +195,7 @@ def trace(setup: FlightSetup, initial: MotionState, steps: int, key: PRNGKeyArra
 def fly(setup: FlightSetup, initial: MotionState, steps: int, key: PRNGKeyArray) -> FlightLog:
     """Fly as `trace` does, compiled: one program serves all flights of a room (`room_for`)."""
     rows = steps + 1
-    return rows_of(_flown(setup, initial, as_count(rows), key, room_for(rows)), rows)
+    return rows_of(_flown(flown_setup(setup), initial, as_count(rows), key, room_for(rows)), rows)
 
 
 def as_count(rows: int) -> Int[Array, ""]:
@@ -227,7 +228,11 @@ def advanced(setup: FlightSetup, state: LoopState, rows: Int[Array, ""], room: i
 
 def rows_of(log: FlightLog, rows: int) -> FlightLog:
     """Give the first rows of a log: cut outside of JAX, which would compile a program for each number of them."""
-    return jax.tree.map(lambda column: jax.device_put(np.asarray(column)[:rows]), log)
+
+    def cut(column: Array) -> Array:
+        return column[:rows] if isinstance(column, Tracer) else jax.device_put(np.asarray(column)[:rows])
+
+    return jax.tree.map(cut, log)
 
 
 @kept_jit

@@ -1,6 +1,7 @@
 """What a flight is made of: the motion, what disturbs it, and the layers that steer it."""
 
 import abc
+import dataclasses
 import math
 
 import equinox as eqx
@@ -8,6 +9,7 @@ import jax
 from jax.core import Tracer
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
+from keepout.control.controller import Controller
 from keepout.control.law import Law
 from keepout.errors import ScenarioError
 from keepout.fields.field import Field
@@ -115,3 +117,15 @@ class FlightSetup(eqx.Module):
                 f"disturbance: it changes sign too often for a step of {stretch:g} s, which must be at most "
                 f"{longest:g} s; give it a longer period or more `most_switches`, or take more substeps"
             )
+
+
+def flown_setup(setup: FlightSetup) -> FlightSetup:
+    """Give a setup without what flying it does not need and no two laws share: the conditions checked at its making."""
+    return dataclasses.replace(setup, controller=_unchecked(setup.controller))
+
+
+def _unchecked(law: Law) -> Law:
+    if isinstance(law, Controller):
+        return dataclasses.replace(law, checked=())
+    within = getattr(law, "law", None)
+    return dataclasses.replace(law, law=_unchecked(within)) if isinstance(within, Law) else law  # pyright: ignore

@@ -35,8 +35,8 @@ _POWERS = 32
 class GuardAssumptions(eqx.Module):
     """What the guard's theorem assumes of the flight; each number is checked here and watched in flight.
 
-    The numbers are Python's, and part of a compiled program; in a campaign that varies them they are arrays, one entry
-    a flight.
+    The numbers are Python's; in a flight's setup they are arrays, and in a campaign that varies them those have one
+    entry a flight.
 
     Attributes:
         mass: the guard's value, kg.

@@ -43,8 +43,6 @@ _STEPS, _STEP = 60, 0.05
 """Of the search for room beside a place that the law does not lead to."""
 _THROUGH = 0.2
 """Share of the law's slowing length within which a chaser that means to fly on slows down."""
-_BESIDE = 10.0
-"""Seconds of travel, at up to a metre a second, beyond the chaser's to which the way to a goal is worked out."""
 _SLOWEST = 0.2
 """Share of the speed limit below which no leg is flown."""
 
@@ -185,7 +183,7 @@ class Leading:
         scenario = _moved(self.scenario, _floats(position), _floats(goal))
         bound = self.model.certificate(scenario.chaser.radius).error_bound
         options = {
-            "guidance": Geodesic(grid=self.grid, beyond=_BESIDE),
+            "guidance": Geodesic(grid=self.grid),
             "reach": self.reach,
             "nominal_offset": self.nominal_offset,
         }

@@ -20,9 +20,6 @@ def travel_time(
     sources: Int[np.ndarray, "n 3"],
     source_times: Float[np.ndarray, " n"],
     spacing: float,
-    *,
-    until: Int[np.ndarray, "3"] | None = None,
-    beyond: float = 0.0,
 ) -> Float[np.ndarray, "nx ny nz"]:
     """Solve ‖∇D‖ speed = 1 with D given at the sources, first order upwind.
 
@@ -32,31 +29,26 @@ def travel_time(
         sources: node indices.
         source_times: s.
         spacing: between nodes, m.
-        until: node index; where given, only what is no more than `beyond` farther than it is solved.
-        beyond: s.
 
     Returns:
-        D in seconds, infinite where nothing leads and where it is not solved.
+        D in seconds, infinite where nothing leads.
 
     """
     padded = np.pad(np.asarray(speed, dtype=np.float64), 1)
     closed = np.pad(walls, ((0, 0), (1, 1), (1, 1), (1, 1))).reshape(3, -1)
     index = np.ravel_multi_index(tuple((np.asarray(sources) + 1).T), padded.shape)
     strides = np.array([padded.shape[1] * padded.shape[2], padded.shape[2], 1])
-    last = -1 if until is None else int(np.ravel_multi_index(tuple(np.asarray(until) + 1), padded.shape))
-    times = np.asarray(source_times, dtype=np.float64)
-    time = _march(padded.ravel(), closed, strides, index, times, float(spacing), last, float(beyond))
+    time = _march(padded.ravel(), closed, strides, index, np.asarray(source_times, dtype=np.float64), float(spacing))
     return time.reshape(padded.shape)[1:-1, 1:-1, 1:-1]
 
 
 @numba.njit(cache=True)
 @no_type_check
-def _march(speed, walls, strides, sources, source_times, spacing, last, beyond):
+def _march(speed, walls, strides, sources, source_times, spacing):
     """Settle nodes bucket by bucket of time, and again whenever a neighbour's time falls: no heap, the same solution.
 
     The upwind equations have one solution, and times only ever fall towards it, so the order of work is free; buckets
     of half the shortest crossing of a cell keep repeats few (Yatziv, Bartesaghi & Sapiro 2006, without its error).
-    Times before the present bucket do not fall any more; the work ends where they are `beyond` that of node `last`.
     """
     time = np.full(speed.size, np.inf)
     fastest, slowest = 0.0, np.inf
@@ -78,17 +70,11 @@ def _march(speed, walls, strides, sources, source_times, spacing, last, beyond):
         if speed[node] > 0.0 and source_times[n] < time[node]:
             time[node] = source_times[n]
             waiting += _enqueue(first, following, before, place, node, int(time[node] / width) % count)
-    passed = int(source_times.min() / width)
+    bucket = int(source_times.min() / width) % count
     while waiting > 0:
-        bucket = passed % count
         node = first[bucket]
         if node < 0:
-            passed += 1
-            if last >= 0 and passed * width > time[last] + beyond:
-                for unsettled in range(time.size):
-                    if place[unsettled] >= 0:
-                        time[unsettled] = np.inf
-                break
+            bucket = (bucket + 1) % count
             continue
         _dequeue(first, following, before, place, node)
         waiting -= 1

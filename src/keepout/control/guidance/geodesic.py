@@ -186,13 +186,11 @@ def geodesic_guidance(
     speed: float,
     slowing_length: float,
     start: Float[np.ndarray, "3"] | None = None,
-    beyond: float | None = None,
 ) -> GeodesicGuidance:
     """March the travel time from the goal through the free nodes of the grid, and keep the directions down it.
 
     The travel speed is clip(h/0.6 m, 0.03, 1) m/s. Directions in the obstacle lead out of it, and weigh little: in a
-    gap between two walls they must not stop the way that leads through. With `beyond` (s of travel) only what is no
-    more than that farther from the goal than the start is solved, and elsewhere directions lead outwards.
+    gap between two walls they must not stop the way that leads through.
 
     Raises:
         ControlError: goal or start lies outside the grid or in the obstacle, or no way as wide as the chaser joins
@@ -210,31 +208,32 @@ def geodesic_guidance(
             f"goal: {goal.tolist()} m has no free grid node beside it at a spacing of {grid.spacing:.3g} m; "
             "move it out of the gap or give a smaller spacing"
         )
-    node = None
-    if start is not None:
-        require_free(field, offset, start, "start")
-        grid.require_inside(start, "start")
-        node = grid.node(start)
-    until = None if beyond is None else node
-    time = travel_time(speeds, grid.walls, sources, times, grid.spacing, until=until, beyond=beyond or 0.0)
-    if node is not None and not np.isfinite(time[tuple(node)]):
-        missing = max(-widest_way(grid.values, node, sources[0]), 0.0)
-        # A way between nodes may be wider than over them, by no more than half the diagonal of a cell's face.
-        hint = "; a smaller spacing may find a wider one" if missing < np.sqrt(0.5) * grid.spacing else ""
-        raise ControlError(
-            f"start: {np.asarray(start).tolist()} m is not connected to the goal {goal.tolist()} m for this chaser; "
-            f"the widest way between them misses {missing:.3g} m of clearance (grid {grid.spacing:.3g} m){hint}"
-        )
-    return GeodesicGuidance(
+    time = travel_time(speeds, grid.walls, sources, times, grid.spacing)
+    guidance = GeodesicGuidance(
         goal=as_float64(goal),
         speed=as_float64(speed),
         slowing_length=as_float64(slowing_length),
         directions=jax.device_put(packed(_directions(grid, time, sources, goal))),
+        nodes=as_float64(time.shape),
         origin=as_float64(grid.origin),
         spacing=as_float64(grid.spacing),
         inner=as_float64(max(0.6, grid.spacing)),
         outer=as_float64(max(1.2, 2.0 * grid.spacing)),
     )
+    if start is not None:
+        start = np.asarray(start, dtype=float)
+        require_free(field, offset, start, "start")
+        grid.require_inside(start, "start")
+        node = grid.node(start)
+        if not np.isfinite(time[tuple(node)]):
+            missing = max(-widest_way(grid.values, node, sources[0]), 0.0)
+            # A way between nodes may be wider than over them, by no more than half the diagonal of a cell's face.
+            hint = "; a smaller spacing may find a wider one" if missing < np.sqrt(0.5) * grid.spacing else ""
+            raise ControlError(
+                f"start: {start.tolist()} m is not connected to the goal {goal.tolist()} m for this chaser; the "
+                f"widest way between them misses {missing:.3g} m of clearance (grid {grid.spacing:.3g} m){hint}"
+            )
+    return guidance
 
 
 @kept_jit

@@ -12,6 +12,9 @@ from jaxtyping import Array, Float, Int8, Int32
 
 from keepout.compiled.joined_rows import joined_rows, rows_last
 
+_EDGE = 32
+"""Nodes; the edges of a grid's array are multiples of it."""
+
 
 class Guidance(eqx.Module):
     """A desired velocity for each position; `goal` (3,) m is where it leads."""
@@ -64,10 +67,11 @@ class GeodesicGuidance(Guidance):
     """Along the shortest free way to the goal, blended into the straight line near it (docs/control.md).
 
     `directions` holds at each node of a regular grid with corner `origin` (m) and `spacing` (m) the direction in which
-    the travel time falls, in 127ths, its three components packed into one number (`packed`); they are blended by cubic
-    B-splines, so that v_c is twice continuously differentiable. Directions and not times are blended, because times on
-    two sides of a wall, or in it, may differ by any amount: in a gap of one node their spline has a minimum before the
-    gap, and a chaser would wait there.
+    the travel time falls, in 127ths, its three components packed into one number (`packed`). The grid has `nodes` of
+    them along each axis, and the array may have more: those mean nothing, and let grids of several sizes share a
+    compiled program. The directions are blended by cubic B-splines, so that v_c is twice continuously differentiable.
+    Directions and not times are blended, because times on two sides of a wall, or in it, may differ by any amount: in
+    a gap of one node their spline has a minimum before the gap, and a chaser would wait there.
     Between `inner` and `outer` metres from the goal the direction turns from straight to geodesic. Outside the grid the
     way leads back to it. The speed is v_max tanh(‖r_e‖ / k_p). Build it with
     `keepout.control.guidance.geodesic.geodesic_guidance`.
@@ -77,6 +81,7 @@ class GeodesicGuidance(Guidance):
     speed: Float[Array, ""]
     slowing_length: Float[Array, ""]
     directions: Int32[Array, "nx ny nz"]
+    nodes: Float[Array, "3"]
     origin: Float[Array, "3"]
     spacing: Float[Array, ""]
     inner: Float[Array, ""]
@@ -92,7 +97,7 @@ class GeodesicGuidance(Guidance):
 
     def direction(self, position: Float[Array, "3"]) -> Float[Array, "3"]:
         """Return the unit vector along the way to the goal, or zero where nothing leads there."""
-        last = jnp.asarray(self.directions.shape) - 2.0
+        last = self.nodes - 2.0
         place = (position - self.origin) / self.spacing
         held = jnp.clip(place, 1.0, last - 1e-9)
         outside = place - held
@@ -108,10 +113,14 @@ class GeodesicGuidance(Guidance):
         return _unit(along)
 
 
-def packed(directions: Int8[np.ndarray, "nx ny nz 3"]) -> Int32[np.ndarray, "nx ny nz"]:
-    """Put three numbers of a byte into one, x lowest: a third as many look-ups, and a whole number a node."""
+def packed(directions: Int8[np.ndarray, "nx ny nz 3"]) -> Int32[np.ndarray, "mx my mz"]:
+    """Put three numbers of a byte into one, x lowest: a third as many look-ups, and a whole number a node.
+
+    Each axis is filled up with zeros to a multiple of `_EDGE` nodes.
+    """
     bytes_ = directions.view(np.uint8).astype(np.int32)
-    return bytes_[..., 0] | bytes_[..., 1] << 8 | bytes_[..., 2] << 16
+    numbers = bytes_[..., 0] | bytes_[..., 1] << 8 | bytes_[..., 2] << 16
+    return np.pad(numbers, [(0, -count % _EDGE) for count in numbers.shape])
 
 
 def _blended(

@@ -98,15 +98,12 @@ class Geodesic(GuidancePlan):
         spacing: of the grid of travel times, m; by default from the room and the zone's width.
         bounds: (lower, upper) corners of that grid, m; by default a box around target, goal and start.
         grid: a `BarrierGrid` to share between goals, instead of both; made for the same offset.
-        beyond: seconds of travel; where given, the way is known only to places no more than that farther from the goal
-            than the start, and elsewhere the guidance leads away from the target.
 
     """
 
     spacing: float | None = None
     bounds: Corners | None = None
     grid: BarrierGrid | None = None
-    beyond: float | None = None
 
     def guidance(
         self,
@@ -124,8 +121,7 @@ class Geodesic(GuidancePlan):
         if grid is None:
             lower, upper = room_around(field, offset, goal, start) if self.bounds is None else self.bounds
             grid = BarrierGrid.build(field, offset, lower, upper, spacing=self.spacing, progress=progress)
-        leading = {"speed": speed, "slowing_length": slowing_length, "start": start, "beyond": self.beyond}
-        return geodesic_guidance(grid, field, offset, goal, **leading)
+        return geodesic_guidance(grid, field, offset, goal, speed=speed, slowing_length=slowing_length, start=start)
 
 
 def _leading(goal: Point, speed: float, slowing_length: float):
