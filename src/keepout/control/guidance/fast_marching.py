@@ -42,7 +42,7 @@ def travel_time(
     return time.reshape(padded.shape)[1:-1, 1:-1, 1:-1]
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 @no_type_check
 def _march(speed, walls, strides, sources, source_times, spacing):
     """Settle nodes bucket by bucket of time, and again whenever a neighbour's time falls: no heap, the same solution.
