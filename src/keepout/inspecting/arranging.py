@@ -17,7 +17,9 @@ from keepout.inspecting.ways import Ways
 from keepout.progress import Progress
 
 INSIDE = 0.02
-"""Metres by which places keep more than the stand-off."""
+"""Metres by which candidates keep more than the stand-off."""
+_LED = 0.17
+"""The same of views that are pulled: so much that the law leads to the very place."""
 _PULLS = 4
 """Times that views are pulled towards the way, at most."""
 _WORTH = 0.01
@@ -26,6 +28,8 @@ _MENDS = 3
 """Times that views are added where frames on the way show less than before."""
 _FEW = 0.02
 """Share of the views below which leaving out so many is the last time."""
+_ASIDE = 0.03
+"""Of what may be missed, what is added beyond what is missing."""
 _SLACK = 0.2
 """Of what may be missed, what is kept back each time that happened."""
 _MISSED = 3
@@ -72,6 +76,9 @@ class Arranger:
     def arranged(self, views: Views) -> Arranged:
         """Give the best found of views, starting from an order from nearest to nearest."""
         best = self._fewer(self._mended(self._ordered(views, self._between(views), None)))
+        settled = self._mended(self._ordered(best.views, best.between, best.tour.order))
+        if self._enough(settled, best) and self._cost(settled) < self._cost(best):
+            best = settled
         for _ in range(_PULLS):
             views = pulled(
                 self.problem,
@@ -83,7 +90,7 @@ class Arranger:
                 self.start,
                 self.areas,
                 self.goal,
-                inside=self.problem.scenario.inspect.stand_off + INSIDE,
+                inside=self.problem.scenario.inspect.stand_off + _LED,
             )
             nearer = self._ordered(views, self._between(views), best.tour.order)
             nearer = self._fewer(self._mended(nearer))
@@ -103,12 +110,19 @@ class Arranger:
         views: Views,
         between: tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n n 3"]],
         begin: Int[np.ndarray, " k"] | None,
+        *,
+        shaken: bool = True,
     ) -> Arranged:
         inspect = self.problem.scenario.inspect
         needs = first_seen(views.sees, np.arange(len(views.positions)), self.areas)
         legs = legs_of(self.problem, views, needs, self.lit, self.start, between)
         tour = best_tour(
-            legs, inspect.objective, worth=inspect.delta_v_worth, seed=self.problem.scenario.seed, begin=begin
+            legs,
+            inspect.objective,
+            worth=inspect.delta_v_worth,
+            seed=self.problem.scenario.seed,
+            begin=begin,
+            shaken=shaken,
         )
         drawn = drawn_up(self.problem, views, self.lit, tour, self.ways, self.start, self.areas, self.known)
         self.progress(0.5, f"{len(drawn.plan.views)} views, {drawn.plan.way_length:.0f} m")
@@ -121,14 +135,15 @@ class Arranger:
             if missing <= 0.0 or len(one.views.positions) >= self.problem.scenario.inspect.most_views:
                 break
             left = self.areas * ~one.drawn.plan.covered
-            extra = greedy_cover(self.candidates.sees, left, missing)
+            asked = missing + _ASIDE * (float(self.areas.sum()) - self.goal)
+            extra = greedy_cover(self.candidates.sees, left, min(asked, float(left.sum())))
             room = self.problem.scenario.inspect.most_views - len(one.views.positions)
             if len(extra) == 0:
                 break
             number = len(one.views.positions)
             views = one.views.and_those(self.candidates.only(extra[:room]))
             order = np.concatenate([one.tour.order, np.arange(number, len(views.positions)) + 1])
-            one = self._ordered(views, self._between(views), order)
+            one = self._ordered(views, self._between(views), order, shaken=False)
         return one
 
     def _fewer(self, best: Arranged) -> Arranged:
@@ -141,7 +156,8 @@ class Arranger:
             rows = np.flatnonzero(keep)
             number = np.cumsum(keep)
             order = np.array([number[row - 1] for row in best.tour.order if keep[row - 1]], dtype=np.int64)
-            fewer = self._mended(self._ordered(*_kept(best.views, best.between, rows), order))
+            # Hardly another order: what frames on the way saw stays.
+            fewer = self._mended(self._ordered(*_kept(best.views, best.between, rows), order, shaken=False))
             if self._enough(fewer, best) and len(fewer.tour.order) < len(best.tour.order):
                 left_out = len(best.tour.order) - len(fewer.tour.order)
                 best = fewer

@@ -33,8 +33,8 @@ from keepout.sensing.navigation import Navigation
 
 Point = Float[np.ndarray, "3"]
 
-_WANDERING = 0.05
-"""Room beyond the stand-off that the law keeps for its own wandering, m."""
+_WANDERING = 0.1
+"""Room beyond the stand-off that the law keeps for its own wandering, m: a coarse grid's slope bends at its nodes."""
 _WITHIN = 0.05
 """Barrier at which a place is led to at least, m: nearer the law comes to its keep-out zone too slowly."""
 _BORDER = 2.0

@@ -111,6 +111,7 @@ def best_tour(
     worth: float = 1000.0,
     seed: int = 0,
     begin: Int[np.ndarray, " k"] | None = None,
+    shaken: bool = True,
 ) -> Tour:
     """Order the views: nearest first, then segments moved and turned round while that helps, then shaken.
 
@@ -122,6 +123,7 @@ def best_tour(
         worth: of Δv, s per m/s, where both count.
         seed: of the shaking.
         begin: (k,) an order to begin with instead.
+        shaken: whether to go on once no move helps, where no view has to be reached at a time.
 
     """
     count = len(legs.lengths) - 1
@@ -130,7 +132,7 @@ def best_tour(
     weights = _weights(objective, worth)
     begin = nearest_first(legs) if begin is None else begin
     if _at_any_time(legs):
-        return flown(legs, _searched(legs, begin, *weights, seed))
+        return flown(legs, _searched(legs, begin, *weights, _SHAKES if shaken else 0, seed))
     shakes = int(np.clip(_WORK / (20.0 * count**3), 0, 400))
     cuts = np.sort(np.random.default_rng(seed).integers(0, count + 1, (shakes, 3)), axis=1)
     order = _improved(begin, *weights, *_packed(legs), cuts)
@@ -143,7 +145,7 @@ def _at_any_time(legs: Legs) -> bool:
 
 
 def _searched(
-    legs: Legs, begin: Int[np.ndarray, " k"], time_weight: float, delta_v_weight: float, seed: int
+    legs: Legs, begin: Int[np.ndarray, " k"], time_weight: float, delta_v_weight: float, shakes: int, seed: int
 ) -> Int[np.ndarray, " k"]:
     lengths, leave, turns, _, _ = _packed(legs)
     taken = np.maximum(np.maximum(lengths / legs.speed, turns), 1e-9)
@@ -154,7 +156,7 @@ def _searched(
         leave,
         change=0.5 * time_weight / legs.acceleration + delta_v_weight,
         stops=legs.dwell > 0.0,
-        shakes=_SHAKES,
+        shakes=shakes,
         seed=seed,
     )
 
