@@ -24,6 +24,8 @@ _SHARES = (1.0, 0.6, 0.3)
 """Of the way to the line between the neighbours, by which a view is pulled: the first that does."""
 _LEAST = 0.1
 """Metres that a pull must spare."""
+_SWEEPS = 2
+"""Along the tour."""
 
 Point = Float[np.ndarray, "3"]
 Some = Int[np.ndarray, " _"]
@@ -41,7 +43,6 @@ def pulled(
     goal: float,
     *,
     inside: float,
-    sweeps: int = 2,
 ) -> Views:
     """Move views towards the way; what views and legs see together stays at least `goal` (m²), or what it was.
 
@@ -56,14 +57,13 @@ def pulled(
         areas: (units,) m², 0 for what is not wanted.
         goal: m² to be seen.
         inside: distance from the mesh that places keep, m.
-        sweeps: along the tour.
 
     Returns:
         The views, rows as before.
 
     """
     line = _Line.of(problem, views, tour, drawn, lit, ways, start, areas, goal, inside)
-    for _ in range(sweeps):
+    for _ in range(_SWEEPS):
         for n in range(1, len(line.places)):
             line.pull(n)
     rows = np.empty(len(tour.order), dtype=np.int64)
