@@ -4,7 +4,8 @@
 
 Stand-off 1.5 m, range 10 m (ISS 20 m), cone 60 degrees, turn 1 degree a second, patches of 0.25 m (ISS 1 m), 99.5 % of
 the area that can be seen (and lit) wanted; chaser and disturbance are the scenario's defaults, guard on. The start is
-8 m off the target's box. A mesh without a shipped field is flown by a grid of exact distances.
+8 m off the target's box. A mesh without a shipped field is flown by a grid of exact distances, and so is the ISS, whose
+shipped field is up to 0.26 m above the distance where the stand-off is kept.
 
 Parts:
   targets    one flight by the plan, without light
@@ -55,6 +56,8 @@ SHOWN += ("minimum_clearance_m", "delta_v_mps", "duration_s", "coverage_loss")
 STAND_OFF, WANTED, AWAY = 1.5, 0.995, 8.0
 FAR, LARGE, LONG = {"iss": 20.0}, {"iss": 1.0}, {"iss": 60_000.0}
 """Range, m, edge of the patches, m, and longest flight, s, where they are not 10 m, 0.25 m and 20,000 s."""
+BY_GRID = ("iss",)
+"""Flown by a grid of exact distances, though there is a shipped field."""
 LOW_ORBIT = 6_878_000.0
 """Semi-major axis, m."""
 LIGHTS = {
@@ -80,7 +83,7 @@ class Inspected:
             "name": f"inspect-{self.name}",
             "duration": LONG.get(self.name, 20_000.0),
             "target": {"source": source},
-            "field": {"source": "shipped" if self.name in shipped_names() else "grid"},
+            "field": {"source": "shipped" if self.name in shipped_names() and self.name not in BY_GRID else "grid"},
             "start": {"position": start.tolist()},
             "camera": {"greatest_range": reach or FAR.get(self.name, 10.0)},
             "inspect": {"stand_off": stand_off, "patch_size": patch or LARGE.get(self.name, 0.25), "coverage": WANTED},

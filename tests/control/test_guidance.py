@@ -35,6 +35,19 @@ def test_travel_time_in_free_space_converges_to_the_distance():
     assert fine < 0.75 * coarse
 
 
+def test_travel_time_ends_where_it_is_said_to_and_is_the_same_before():
+    generator = np.random.default_rng(2)
+    speed = ndimage.gaussian_filter(generator.random((30, 30, 30)), 1.0)
+    walls = generator.random((3, 30, 30, 30)) < 0.2
+    goal, start = np.array([[5, 6, 7]]), np.array([8, 8, 8])
+    whole = travel_time(speed, walls, goal, np.zeros(1), 0.5)
+    part = travel_time(speed, walls, goal, np.zeros(1), 0.5, towards=start, beyond=1.0)
+    limit = 2.0 * whole[tuple(start)] + 1.0
+    assert 100 < np.count_nonzero(whole <= limit) < 0.5 * whole.size
+    np.testing.assert_array_equal(part[whole <= limit], whole[whole <= limit])
+    assert np.isinf(part[whole > limit]).all()
+
+
 def test_travel_time_goes_round_a_wall():
     """A wall between two columns of nodes with one opening: the way is the sum of the two legs."""
     n, spacing = 41, 0.1

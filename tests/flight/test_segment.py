@@ -1,6 +1,7 @@
 """Segments put together are the flight; what is new in a segment leaves the memories as they are."""
 
 import dataclasses
+import time
 
 import jax.numpy as jnp
 import numpy as np
@@ -48,6 +49,17 @@ def test_a_new_goal_leaves_every_memory():
     assert int(log.control_status[0]) == int(usual.control_status[0]) == 10 % 3
     np.testing.assert_array_equal(log.force, usual.force)
     assert not np.array_equal(log.commanded_force, usual.commanded_force)
+
+
+def test_segments_by_the_thousand_are_joined_at_once():
+    setup = make_setup()
+    _, log = fly_segment(setup, begin(setup, start_state(setup), KEY), 2)
+    began = time.perf_counter()
+    rows = joined([log] * 3000)
+    # A program compiled to join them takes longer than that for each of its arrays.
+    assert time.perf_counter() - began < 10.0
+    np.testing.assert_array_equal(rows.position, np.tile(log.position, (3000, 1)))
+    assert rows.guard_status.dtype == log.guard_status.dtype
 
 
 def test_a_segment_has_a_step():

@@ -1,5 +1,6 @@
 """Plans round small targets: what they count on is seen by the rules, from room allowed, in the light; bounds hold."""
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -7,10 +8,12 @@ import numpy as np
 import pytest
 
 from keepout.geometry import Target
+from keepout.inspecting import arranging
 from keepout.inspecting.equipment import rules_of
+from keepout.inspecting.itinerary import frame_of
 from keepout.inspecting.lit_times import LitTimes
-from keepout.inspecting.passing import turned
-from keepout.inspecting.planning import plan
+from keepout.inspecting.passing import seen_in_passing, turned
+from keepout.inspecting.planning import candidates, plan
 from keepout.inspecting.problem import Problem
 from keepout.mission.light import Light
 from keepout.mission.scenario import Scenario
@@ -96,6 +99,45 @@ def test_less_is_asked_for_with_fewer_views(box, whole):
     require_true(box, result)
     assert box.patches.coverage(result.covered) >= 0.7
     assert len(result.views) < len(whole.views)
+
+
+def test_views_pulled_towards_the_way_see_as_much_in_less_time(box, monkeypatch):
+    monkeypatch.setattr(arranging, "_PULLS", 0)
+    as_drawn = planned(box, share=0.95)
+    monkeypatch.undo()
+    result = planned(box, share=0.95)
+    require_true(box, result)
+    assert box.patches.coverage(result.covered) >= 0.95
+    assert result.duration < 0.98 * as_drawn.duration
+    candidate = candidates(box, box.patches.counted).positions
+    apart = np.array([np.abs(candidate - view.position).sum(axis=1).min() for view in result.views])
+    assert (apart > 1e-6).any()
+
+
+def test_legs_looked_at_before_are_not_looked_at_again_and_show_the_same(box):
+    shown = frame_of(box, box.patches.counted)
+    stops = [np.array(place) for place in ([0.0, 8.0, 3.0], [0.0, 5.0, 0.0], [4.0, 3.0, 0.0], [6.0, -2.0, 1.0])]
+    courses = [np.stack(pair) for pair in itertools.pairwise(stops)]
+    boresights = np.array([-place / np.linalg.norm(place) for place in stops])
+    lit = LitTimes.of(box.light, box.sight, box.rules, box.patches.counted, 0.0, 400.0, 5.0)
+    asked, known = [], {}
+
+    def counted(place, boresight):
+        asked.append(place)
+        return shown(place, boresight)
+
+    def seen(times):
+        with_ = {"shown": counted, "lit": lit, "rate": math.radians(1.0), "period": 5.0, "known": known}
+        return seen_in_passing(courses, boresights, np.array(times), **with_)
+
+    first = seen([0.0, 60.0, 110.0, 180.0])
+    number = len(asked)
+    assert number > 30
+    again = seen([7.0, 67.0, 127.0, 197.0])
+    # Of the second leg alone, which lasts ten seconds longer, frames are looked at.
+    assert len(asked) - number == 11
+    assert [units.tolist() for units in first[::2]] == [units.tolist() for units in again[::2]]
+    assert all(len(units) for units in first)
 
 
 def test_only_what_is_wanted_is_planned_for(box):

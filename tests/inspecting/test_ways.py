@@ -86,6 +86,32 @@ def test_lengths_of_all_pairs_and_where_they_set_out(ways):
     assert np.allclose(near, lengths[0, 1:], atol=2.0 * ways.spacing)
 
 
+def test_ways_to_places_beyond_the_neighbours_lead_from_neighbour_to_neighbour(ways):
+    stops = places(11, 70)
+    lengths, leave = ways.lengths(stops)
+    shortest = np.array([[geodesic(a, b) if a is not b else 0.0 for b in stops] for a in stops])
+    other = ~np.eye(len(stops), dtype=bool)
+    assert (lengths >= shortest - 1e-9).all()
+    assert (lengths[other] <= 1.6 * shortest[other]).all()
+    assert np.mean(lengths[other] / shortest[other]) <= 1.08
+    assert np.allclose(lengths, lengths.T)
+    assert np.allclose(np.linalg.norm(leave[other], axis=-1), 1.0)
+    for i, j in zip(*np.nonzero(other), strict=True):
+        assert np.linalg.norm(stops[i] + 0.02 * leave[i, j]) >= RADIUS
+
+
+def test_clusters_far_from_each_other_are_joined():
+    point = ExactDistance(np.zeros((1, 3)), np.zeros((1, 3), dtype=np.int64))
+    ways = Ways.build(point, 1.0, np.full(3, -40.0), np.full(3, 40.0), most_nodes=60_000)
+    middles = np.array([[-30.0, 0.0, 0.0], [30.0, 1.0, 0.0]])
+    stops = np.concatenate([middle + places(4, 30) / 5.0 for middle in middles])
+    lengths, _ = ways.lengths(stops)
+    assert np.isfinite(lengths).all()
+    apart = np.linalg.norm(stops[None] - stops[:, None], axis=2)
+    assert (lengths >= apart - 1e-9).all()
+    assert (lengths <= 1.2 * apart + 2.0).all()
+
+
 def test_what_is_shut_in_is_not_reached():
     corners = np.array([[x, y, z] for x in (-3.0, 3.0) for y in (-3.0, 3.0) for z in (-3.0, 3.0)])
     sides = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
@@ -96,6 +122,7 @@ def test_what_is_shut_in_is_not_reached():
     lengths, _ = ways.lengths(np.stack([inside, outside, beside]))
     assert np.isinf(lengths[[0, 2], 1]).all()
     assert lengths[0, 2] == pytest.approx(math.sqrt(0.5))
+    assert ways.reached(outside, np.stack([inside, outside, -outside, beside])).tolist() == [False, True, True, False]
 
 
 def test_from_a_place_that_is_too_near_a_way_leads_out(ways):

@@ -11,7 +11,7 @@ from keepout.geometry import Target
 from keepout.seeing.cut import cut
 from keepout.seeing.rules import SeeingRules
 from keepout.seeing.sightlines import Sightlines
-from keepout.seeing.visible import in_view, lit_units, visible
+from keepout.seeing.visible import in_frame, in_view, lit_units, visible
 
 
 @pytest.fixture(scope="module")
@@ -89,6 +89,22 @@ def test_in_view_is_what_has_all_corners_in_the_cone(pocket):
                     assert angles.max() <= half_angle + 1e-9
                 else:  # careful by the spread of a unit, not more
                     assert angles.max() > half_angle - 2.0 * spread
+
+
+def test_a_frame_shows_what_is_visible_and_in_view(pocket):
+    patches, rng = pocket.patches, np.random.default_rng(1)
+    among = rng.random(patches.units) < 0.7
+    rules, shown = SeeingRules(), 0
+    for _ in range(40):
+        place = rng.normal(size=3) * np.array([4.0, 5.0, 3.0])
+        boresight = rng.normal(size=3) - place
+        boresight /= np.linalg.norm(boresight)
+        for asked in (None, among):
+            seen = visible(pocket, rules, place, among=asked)
+            expected = seen.units[in_view(seen, boresight, rules.half_angle)]
+            assert in_frame(pocket, rules, place, boresight, among=asked).tolist() == expected.tolist()
+            shown += len(expected)
+    assert shown > 200
 
 
 def test_only_units_asked_for_are_given(pocket):

@@ -58,4 +58,5 @@ def fly_segment(
 
 def joined(logs: Sequence[FlightLog]) -> FlightLog:
     """Put the rows of segments flown one after another into one log."""
-    return jax.tree.map(lambda *rows: jax.device_put(np.concatenate(rows)), *logs)
+    # Not by a compiled program: of thousands of segments that takes minutes to compile.
+    return jax.tree.map(lambda *rows: jax.device_put(np.concatenate([np.asarray(row) for row in rows])), *logs)

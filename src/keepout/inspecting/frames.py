@@ -13,7 +13,7 @@ from keepout.progress import Progress, silent
 from keepout.seeing.patches import Patches
 from keepout.seeing.rules import SeeingRules
 from keepout.seeing.sightlines import Sightlines
-from keepout.seeing.visible import in_view, lit_units, visible
+from keepout.seeing.visible import in_frame, lit_units
 
 Vector = Float[np.ndarray, "3"]
 
@@ -93,11 +93,7 @@ class Camera:
         sun = self.sun(time)
         if self.light.matters and sun is None:
             return np.zeros(0, dtype=np.int64)
-        asked = self._ahead(place, boresight) & (self.patches.counted if among is None else among)
-        if not asked.any():
-            return np.zeros(0, dtype=np.int64)
-        shown = visible(self.sight, self.rules, place, among=asked)
-        units = np.asarray(shown.units)[in_view(shown, boresight, self.rules.half_angle)]
+        units = in_frame(self.sight, self.rules, place, boresight, among=among)
         return units if sun is None else units[self.lit(sun, units)]
 
     def lit(self, sun: Vector, units: Int[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
@@ -110,16 +106,6 @@ class Camera:
             among[fresh] = True
             self._lit[fresh] = lit_units(self.sight, self.rules, sun, among=among)[fresh]
         return self._lit[units] == 1
-
-    def _ahead(self, place: Vector, boresight: Vector) -> Bool[np.ndarray, " units"]:
-        """Whether a unit's patch can be in the cone at all: what is cheap is looked at first.
-
-        A patch wholly in the cone has its centre there, since both are convex.
-        """
-        to = self.patches.centres - place
-        along = to @ boresight
-        inside = along >= np.linalg.norm(to, axis=1) * np.cos(self.rules.half_angle) - 1e-9
-        return np.repeat(inside, 2)
 
 
 def as_flown(

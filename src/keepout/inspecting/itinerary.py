@@ -1,22 +1,23 @@
 """Views in an order as a plan: their legs, their light, what each shows first, and what frames between them see."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy import sparse
 
 from keepout.inspecting.equipment import boresight_of
 from keepout.inspecting.lit_times import LitTimes
-from keepout.inspecting.passing import seen_in_passing
+from keepout.inspecting.passing import Passing, Shown, seen_in_passing
 from keepout.inspecting.plan import InspectionPlan, PlannedView
 from keepout.inspecting.problem import Problem
 from keepout.inspecting.tour import Legs, Tour, turning_time
-from keepout.inspecting.viewpoints import Look, Views
-from keepout.inspecting.ways import Ways, way_length
+from keepout.inspecting.viewpoints import Views
+from keepout.inspecting.ways import Pairs, Ways, way_length
 from keepout.seeing.rules import SeeingRules
+from keepout.seeing.visible import in_frame
 
 _ROOM_TO_FLY = 0.15
 """Metres off its place at which a view is still to show what it was planned for: ranges are planned so much within."""
@@ -97,6 +98,49 @@ def first_seen(
     return result
 
 
+@dataclass(frozen=True, eq=False)
+class DrawnUp:
+    """A tour as a plan, and its legs.
+
+    Attributes:
+        plan: without its bounds.
+        courses: of the legs, the corners of each, m.
+        passing: units seen on each leg between its ends.
+
+    """
+
+    plan: InspectionPlan
+    courses: list[Float[np.ndarray, "_ 3"]]
+    passing: list[Int[np.ndarray, " _"]]
+
+
+@dataclass(frozen=True, eq=False)
+class LegsKnown:
+    """Ways between neighbours, and courses of legs and what is seen on them: most stay while an order changes."""
+
+    courses: dict[tuple[bytes, bytes], Float[np.ndarray, "_ 3"]] = field(default_factory=dict)
+    passing: Passing = field(default_factory=dict)
+    lengths: Pairs = field(default_factory=dict)
+
+    def course(self, ways: Ways, begin: Float[np.ndarray, "3"], end: Float[np.ndarray, "3"]) -> np.ndarray:
+        """Give the corners of a way; straight ones where none leads."""
+        key = (begin.tobytes(), end.tobytes())
+        if key not in self.courses:
+            path = ways.path(begin, end)
+            self.courses[key] = np.stack([begin, end]) if path is None else path
+        return self.courses[key]
+
+
+def frame_of(problem: Problem, wanted: Bool[np.ndarray, " units"]) -> Shown:
+    """Give what says which of the units wanted a frame shows, with room for a flight's errors."""
+    rules = tighter_rules(problem.rules, problem.patches.size)
+
+    def shown(place: Float[np.ndarray, "3"], boresight: Float[np.ndarray, "3"]) -> Int[np.ndarray, " _"]:
+        return in_frame(problem.sight, rules, place, boresight, among=wanted)
+
+    return shown
+
+
 def drawn_up(
     problem: Problem,
     views: Views,
@@ -104,17 +148,15 @@ def drawn_up(
     tour: Tour,
     ways: Ways,
     start: Start,
-    look: Look,
     areas: Float[np.ndarray, " units"],
-) -> tuple[InspectionPlan, list[Int[np.ndarray, " _"]]]:
+    known: LegsKnown | None = None,
+) -> DrawnUp:
     """Give the plan of a tour, and what is seen on each of its legs."""
     scenario, rows = problem.scenario, tour.order - 1
+    known = LegsKnown() if known is None else known
     stops = np.concatenate([start.position[None], views.positions[rows]])
-    courses, moved = [], 0.0
-    for a, b in pairwise(stops):
-        course = ways.path(a, b)
-        courses.append(np.stack([a, b]) if course is None else course)
-        moved += way_length(courses[-1])
+    courses = [known.course(ways, a, b) for a, b in pairwise(stops)]
+    moved = float(sum(way_length(course) for course in courses))
     covered = np.zeros(len(areas), dtype=bool)
     planned = []
     for row, at in zip(rows, tour.times, strict=True):
@@ -129,12 +171,13 @@ def drawn_up(
         courses,
         np.concatenate([start.looking(problem)[None], views.boresights[rows]]),
         np.concatenate([[start.time], tour.times]),
-        look=look,
+        shown=frame_of(problem, areas > 0.0),
         lit=lit,
-        half_angle=tighter_rules(problem.rules, problem.patches.size).half_angle,
         rate=scenario.camera.turn_rate,
         period=scenario.camera.period,
+        known=known.passing,
     )
     for units in passing:
         covered[units] = True
-    return InspectionPlan(tuple(planned), covered, moved, tour.end - start.time, 0, 0, 0), passing
+    plan = InspectionPlan(tuple(planned), covered, moved, tour.end - start.time, 0, 0, 0)
+    return DrawnUp(plan, courses, passing)

@@ -33,14 +33,16 @@ from keepout.sensing.navigation import Navigation
 
 Point = Float[np.ndarray, "3"]
 
-_WANDERING = 0.05
-"""Room beyond the stand-off that the law keeps for its own wandering, m."""
+_WANDERING = 0.1
+"""Room beyond the stand-off that the law keeps for its own wandering, m: a coarse grid's slope bends at its nodes."""
 _WITHIN = 0.05
 """Barrier at which a place is led to at least, m: nearer the law comes to its keep-out zone too slowly."""
 _BORDER = 2.0
 """Metres by which the grid of ways reaches beyond all places from which something is in range."""
 _STEPS, _STEP = 60, 0.05
 """Of the search for room beside a place that the law does not lead to."""
+_BEYOND = 20.0
+"""Seconds of travel at 1 m/s, beyond twice those of a leg, from where on no way to its goal is made."""
 _THROUGH = 0.2
 """Share of the law's slowing length within which a chaser that means to fly on slows down."""
 _SLOWEST = 0.2
@@ -183,7 +185,7 @@ class Leading:
         scenario = _moved(self.scenario, _floats(position), _floats(goal))
         bound = self.model.certificate(scenario.chaser.radius).error_bound
         options = {
-            "guidance": Geodesic(grid=self.grid),
+            "guidance": Geodesic(grid=self.grid, beyond=_BEYOND),
             "reach": self.reach,
             "nominal_offset": self.nominal_offset,
         }

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from keepout.inspecting.cover import fewest_views, shortlist
-from keepout.inspecting.itinerary import Start, drawn_up, tighter_rules
+from keepout.inspecting.itinerary import Start, drawn_up
 from keepout.inspecting.light_tour import Lengths, Pace, tour_in_light
 from keepout.inspecting.lit_times import LitTimes
 from keepout.inspecting.plan import InspectionPlan
@@ -16,7 +16,6 @@ from keepout.inspecting.tour import Tour
 from keepout.inspecting.viewpoints import Views
 from keepout.inspecting.ways import Ways
 from keepout.progress import Progress
-from keepout.seeing.visible import visible
 
 _AMONG = 1500
 """Views that a tour is made from, about."""
@@ -88,10 +87,7 @@ def plan_in_light(
     order = np.arange(1, len(made.rows) + 1)
     # Length and Δv of the tour are those of the courses, which are drawn up now.
     tour = Tour(order, made.times, 0.0, made.end, 0.0)
-    look = functools.partial(
-        visible, problem.sight, tighter_rules(problem.rules, problem.patches.size), among=areas > 0.0
-    )
-    result, _ = drawn_up(problem, kept, lit, tour, ways, start, look, areas)
+    result = drawn_up(problem, kept, lit, tour, ways, start, areas).plan
     return replace(
         result,
         candidates=len(views.positions),

@@ -9,7 +9,7 @@ from keepout.inspecting.lit_times import LitTimes
 from keepout.inspecting.plan import InspectionPlan
 from keepout.inspecting.problem import Problem
 from keepout.inspecting.tour import flown, turning_time
-from keepout.inspecting.viewpoints import Look, Views
+from keepout.inspecting.viewpoints import Views
 from keepout.inspecting.ways import Ways
 
 _ENOUGH = 0.2
@@ -24,7 +24,6 @@ def nearest_views(
     goal: float,
     ways: Ways,
     start: Start,
-    look: Look,
 ) -> InspectionPlan:
     """Go to the view that is soonest reached of those that show at least a fifth of what the best one would, and on.
 
@@ -38,7 +37,6 @@ def nearest_views(
         goal: m² to be seen.
         ways: between places.
         start: of the tour.
-        look: what is visible from a place.
 
     """
     scenario = problem.scenario
@@ -72,7 +70,7 @@ def nearest_views(
     between = ways.lengths(np.concatenate([start.position[None], kept.positions]))
     needs = first_seen(kept.sees, np.arange(len(chosen)), areas)
     tour = flown(legs_of(problem, kept, needs, lit, start, between), np.arange(1, len(chosen) + 1))
-    plan, _ = drawn_up(problem, kept, lit, tour, ways, start, look, areas)
+    plan = drawn_up(problem, kept, lit, tour, ways, start, areas).plan
     return InspectionPlan(
         plan.views, plan.covered, plan.way_length, plan.duration, len(views.positions), 0, len(chosen)
     )

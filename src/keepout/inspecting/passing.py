@@ -1,6 +1,7 @@
 """Frames taken on the way from one view to the next: what they see comes free."""
 
 import math
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -8,13 +9,18 @@ from jaxtyping import Float, Int
 
 from keepout.cores import available_cores
 from keepout.inspecting.lit_times import LitTimes
-from keepout.inspecting.viewpoints import Look
-from keepout.seeing.visible import in_view
+
+Shown = Callable[[Float[np.ndarray, "3"], Float[np.ndarray, "3"]], Int[np.ndarray, " _"]]
+"""What a frame from a place in a direction shows, in any light."""
+Passing = dict[tuple[bytes, ...], Int[np.ndarray, " _"]]
+"""What was seen on legs, by all that it follows from."""
 
 _SURELY = 2
 """Frames of a leg that must show a unit before it is counted on: the flight's are at other moments."""
-_FRAMES = 1500
+_FRAMES = 20_000
 """On a whole tour, at most: of more, every second one and so on is looked at."""
+_SAME = 0.01
+"""Seconds by which a leg may last longer and is still the same leg."""
 
 
 def seen_in_passing(
@@ -22,11 +28,11 @@ def seen_in_passing(
     boresights: Float[np.ndarray, "stops 3"],
     times: Float[np.ndarray, " stops"],
     *,
-    look: Look,
+    shown: Shown,
     lit: LitTimes,
-    half_angle: float,
     rate: float,
     period: float,
+    known: Passing | None = None,
 ) -> list[Int[np.ndarray, " _"]]:
     """Say which units are seen between the views, leg by leg; neither of a leg's ends counts.
 
@@ -37,30 +43,35 @@ def seen_in_passing(
         courses: corners of the way of each leg, m.
         boresights: at the start and at each view.
         times: at the start and at each view, s.
-        look: what is visible from a place.
+        shown: by a frame.
         lit: when.
-        half_angle: of the cone, rad.
         rate: of the boresight, rad/s.
         period: between frames, s.
+        known: legs looked at before, and added to: where the light does not change, they are not looked at again.
 
     """
     every = max(1, math.ceil((times[-1] - times[0]) / period / _FRAMES))
+
+    known = {} if known is None or lit.changes else known
 
     def leg(n: int) -> Int[np.ndarray, " n"]:
         seen = [np.zeros(0, dtype=np.int64)]
         begin, end = times[n], times[n + 1]
         if not math.isfinite(end):
             return seen[0]
+        lasts = round((end - begin) / _SAME)
+        key = (courses[n].tobytes(), boresights[n].tobytes(), boresights[n + 1].tobytes(), b"%d %d" % (lasts, every))
+        if key in known:
+            return known[key]
         along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(courses[n], axis=0), axis=1))])
-        for now in np.arange(begin + every * period, end, every * period):
-            at = along[-1] * (now - begin) / (end - begin)
+        for after in np.arange(every * period, end - begin, every * period):
+            at = along[-1] * after / (end - begin)
             place = np.array([np.interp(at, along, courses[n][:, axis]) for axis in range(3)])
-            direction = turned(boresights[n], boresights[n + 1], rate * (now - begin))
-            found = look(place)
-            units = found.units[in_view(found, direction, half_angle)]
-            seen.append(units[lit.at(float(now))[units]])
+            units = shown(place, turned(boresights[n], boresights[n + 1], rate * after))
+            seen.append(units[lit.at(float(begin + after))[units]])
         units, frames = np.unique(np.concatenate(seen), return_counts=True)
-        return units[frames >= _SURELY]
+        known[key] = units[frames >= _SURELY]
+        return known[key]
 
     with ThreadPoolExecutor(available_cores()) as pool:
         return list(pool.map(leg, range(len(courses))))

@@ -5,35 +5,30 @@ way see more than the views were chosen for; views that become needless by that 
 """
 
 import functools
-import time as clock
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
-from scipy import sparse
+from jaxtyping import Bool, Float
 
+from keepout.inspecting.arranging import INSIDE, Arranger
 from keepout.inspecting.cover import Cover, fewest_views, shortlist
-from keepout.inspecting.itinerary import Start, drawn_up, first_seen, legs_of, tighter_rules
+from keepout.inspecting.itinerary import Start, tighter_rules
 from keepout.inspecting.light_plan import plan_in_light
 from keepout.inspecting.lit_times import LitTimes
 from keepout.inspecting.nearest_view import nearest_views
 from keepout.inspecting.plan import InspectionPlan
 from keepout.inspecting.problem import Problem
-from keepout.inspecting.tour import Tour, best_tour
 from keepout.inspecting.viewpoints import Views, find_views
 from keepout.inspecting.ways import Ways
 from keepout.progress import Progress, part_of, silent
 from keepout.seeing.visible import visible
 
-_COVER_SECONDS, _LEAST_SECONDS, _UNIT_SECONDS = 60.0, 5.0, 0.01
+_COVER_SECONDS, _LEAST_SECONDS, _UNIT_SECONDS = 30.0, 5.0, 0.01
 """For the choice of the fewest views: at most, and by the number of units."""
 _PLACES_EACH, _FEWEST_PLACES = 4, 64
 """Places drawn for every unit wanted, and at least; `inspect.candidates` at most."""
 _AMONG = 4000
 """Views that the fewest are chosen from."""
-_INSIDE = 0.02
-"""Metres by which drawn places keep more than the stand-off."""
-_TRIES = 3
 
 
 def plan(
@@ -56,7 +51,7 @@ def plan(
         wanted: (units,) to be seen; `covered` of the plan holds none but these.
         share: of their area that is wanted; `inspect.coverage` of the scenario if absent.
         boresight: (3,) where the camera looks; if absent, as at the start of the mission.
-        seconds: for the choice of the fewest views; if absent, by how many units are wanted, a minute at most.
+        seconds: for the choice of the fewest views; if absent, by how many units are wanted, half a minute at most.
         progress: told of candidates, views and bound.
 
     """
@@ -75,19 +70,19 @@ def plan(
     ways = _ways(problem, start.position)
     seconds = min(_COVER_SECONDS, _LEAST_SECONDS + _UNIT_SECONDS * wanted.sum()) if seconds is None else seconds
     if scenario.inspect.tour == "nearest":
-        look = functools.partial(
-            visible, problem.sight, tighter_rules(problem.rules, problem.patches.size), among=areas > 0.0
-        )
-        result = nearest_views(problem, views, lit, areas, goal, ways, start, look)
+        result = nearest_views(problem, views, lit, areas, goal, ways, start)
         progress(1.0, f"{len(result.views)} views, {result.way_length:.0f} m")
         return result
     if lit.changes:
         return plan_in_light(problem, views, lit, areas, goal, ways, start, seconds, part_of(progress, 0.5, 1.0))
+    ways = ways if ways is not problem.ways else problem.fine_ways
+    places, at = np.unique(views.positions, axis=0, return_inverse=True)
+    views = views.only(np.flatnonzero(ways.reached(start.position, places)[at.ravel()]))
     views = views.only(shortlist(views.sees, areas, _AMONG))
-    chosen, legs = _reached(problem, views, areas, goal, ways, start, seconds, part_of(progress, 0.5, 0.85))
+    chosen = _fewest(problem, views, areas, goal, seconds, part_of(progress, 0.5, 0.8))
     kept = views.only(chosen.chosen)
-    progress(0.9, f"{len(kept.positions)} views: their order")
-    result = _ordered(problem, kept, lit, areas, goal, ways, start, legs)
+    arranger = Arranger(problem, views, lit, areas, goal, ways, start, part_of(progress, 0.8, 1.0))
+    result = arranger.arranged(kept).drawn.plan
     progress(1.0, f"{len(result.views)} views, {result.way_length:.0f} m")
     return replace(result, candidates=len(views.positions), fewest_views=chosen.fewest, greedy_views=chosen.greedy)
 
@@ -95,7 +90,7 @@ def plan(
 def candidates(problem: Problem, wanted: Bool[np.ndarray, " units"], *, progress: Progress = silent) -> Views:
     """Find views of the units wanted, with room for a flight's errors; witnesses' places by the rules themselves."""
     rules, scenario = problem.rules, problem.scenario
-    level = scenario.inspect.stand_off + _INSIDE
+    level = scenario.inspect.stand_off + INSIDE
     tighter = tighter_rules(rules, problem.patches.size)
 
     def allowed(places: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
@@ -127,111 +122,14 @@ def _ways(problem: Problem, position: Float[np.ndarray, "3"]) -> Ways:
     return Ways.build(problem.target.distance, problem.scenario.inspect.stand_off, lower, upper)
 
 
-def _reached(
+def _fewest(
     problem: Problem,
     views: Views,
     areas: Float[np.ndarray, " units"],
     goal: float,
-    ways: Ways,
-    start: Start,
     seconds: float,
     progress: Progress,
-) -> tuple[Cover, tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n n 3"]]]:
-    """Choose the fewest views to which ways lead, and give lengths and directions of these ways, the start first."""
-    usable = np.arange(len(views.positions))
-    cover, legs = Cover(usable[:0], 0, 0), (np.zeros((1, 1)), np.zeros((1, 1, 3)))
-    until = clock.perf_counter() + seconds
-    for tried in range(_TRIES):
-        left = max(until - clock.perf_counter(), 0.2 * seconds)
-        cover = fewest_views(
-            views.sees[usable], areas, goal, seconds=left, seed=problem.scenario.seed, progress=progress
-        )
-        rows = usable[cover.chosen][: problem.scenario.inspect.most_views]
-        legs = ways.lengths(np.concatenate([start.position[None], views.positions[rows]]))
-        lost = ~np.isfinite(legs[0][0, 1:])
-        cover = replace(cover, chosen=rows)
-        if not lost.any():
-            break
-        usable = np.setdiff1d(usable, rows[lost])
-        if tried == _TRIES - 1:
-            keep = np.concatenate([[0], 1 + np.flatnonzero(~lost)])
-            legs = (legs[0][np.ix_(keep, keep)], legs[1][np.ix_(keep, keep)])
-            cover = replace(cover, chosen=rows[~lost])
-    return cover, legs
-
-
-def _ordered(
-    problem: Problem,
-    views: Views,
-    lit: LitTimes,
-    areas: Float[np.ndarray, " units"],
-    goal: float,
-    ways: Ways,
-    start: Start,
-    between: tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n n 3"]],
-) -> InspectionPlan:
-    """Order views, and leave out those that frames on the way make needless, while the goal is still seen."""
-    inspect = problem.scenario.inspect
-    look = functools.partial(
-        visible, problem.sight, tighter_rules(problem.rules, problem.patches.size), among=areas > 0.0
-    )
-    best: InspectionPlan | None = None
-    while True:
-        needs = first_seen(views.sees, np.arange(len(views.positions)), areas)
-        legs = legs_of(problem, views, needs, lit, start, between)
-        tour = best_tour(legs, inspect.objective, worth=inspect.delta_v_worth, seed=problem.scenario.seed)
-        result, passing = drawn_up(problem, views, lit, tour, ways, start, look, areas)
-        if best is not None and float(areas[result.covered].sum()) < min(goal, float(areas[best.covered].sum())):
-            return best
-        best = result
-        keep = _needed(views.sees, tour, lit, passing, areas, goal)
-        if keep.all():
-            return best
-        views, between = _kept(views, between, np.flatnonzero(keep))
-
-
-def _kept(
-    views: Views, between: tuple[np.ndarray, np.ndarray], rows: Int[np.ndarray, " k"]
-) -> tuple[Views, tuple[np.ndarray, np.ndarray]]:
-    both = np.concatenate([[0], rows + 1])
-    return views.only(rows), (between[0][np.ix_(both, both)], between[1][np.ix_(both, both)])
-
-
-def _needed(
-    sees: sparse.csr_array,
-    tour: Tour,
-    lit: LitTimes,
-    passing: list[Int[np.ndarray, " _"]],
-    areas: Float[np.ndarray, " units"],
-    goal: float,
-) -> Bool[np.ndarray, " v"]:
-    """Say which views are needed, given what other legs than the two that would change with a view see."""
-    rows = tour.order - 1
-    shown = [
-        (units := sees.indices[sees.indptr[row] : sees.indptr[row + 1]])[lit.at(float(at))[units]]
-        for row, at in zip(rows, tour.times, strict=True)
-    ]
-    times = np.zeros(len(areas), dtype=np.int64)
-    for units in [*shown, *passing]:
-        times[units] += 1
-    seen = float(areas[times > 0].sum())
-    keep = np.ones(len(rows), dtype=bool)
-    touched = np.zeros(len(rows) + 2, dtype=bool)
-    alone = []
-    for n in range(len(rows)):
-        less = times.copy()
-        for units in (shown[n], *passing[n : n + 2]):
-            less[units] -= 1
-        alone.append(float(areas[(times > 0) & (less <= 0)].sum()))
-    for n in np.argsort(alone):
-        less = times.copy()
-        for units in (shown[n], *passing[n : n + 2]):
-            less[units] -= 1
-        lost = float(areas[(times > 0) & (less <= 0)].sum())
-        if touched[n : n + 3].any() or seen - lost < goal or keep.sum() <= 1:
-            continue
-        times, seen, keep[n] = less, seen - lost, False
-        touched[n + 1] = True
-    answer = np.ones(len(rows), dtype=bool)
-    answer[rows[~keep]] = False
-    return answer
+) -> Cover:
+    """Choose the fewest views, as many as are allowed at most."""
+    cover = fewest_views(views.sees, areas, goal, seconds=seconds, seed=problem.scenario.seed, progress=progress)
+    return replace(cover, chosen=cover.chosen[: problem.scenario.inspect.most_views])

@@ -7,7 +7,7 @@ import numpy as np
 
 from keepout.geometry.target import Target
 from keepout.inspecting.equipment import patch_size, require_inspectable, rules_of
-from keepout.inspecting.ways import Ways
+from keepout.inspecting.ways import MOST_NODES, Ways
 from keepout.mission.light import Light
 from keepout.mission.scenario import Scenario
 from keepout.progress import Progress, part_of, silent
@@ -18,6 +18,8 @@ from keepout.seeing.room import Room
 from keepout.seeing.rules import SeeingRules
 from keepout.seeing.seeable import Seeable
 from keepout.seeing.sightlines import Sightlines
+
+_FINE_NODES = 4_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +81,15 @@ class Problem:
     def ways(self) -> Ways:
         """Ways that keep the stand-off, inside `box`."""
         return Ways.build(self.target.distance, self.scenario.inspect.stand_off, *self.box)
+
+    @functools.cached_property
+    def fine_ways(self) -> Ways:
+        """The same with nodes at half the stand-off, as far as memory allows: they lead through narrower room."""
+        stand_off, (lower, upper) = self.scenario.inspect.stand_off, self.box
+        nodes = float(np.prod(upper - lower)) / (0.5 * stand_off) ** 3
+        if nodes <= MOST_NODES:
+            return self.ways
+        return Ways.build(self.target.distance, stand_off, lower, upper, most_nodes=int(min(nodes, _FINE_NODES)))
 
     @property
     def box(self) -> tuple[np.ndarray, np.ndarray]:

@@ -15,6 +15,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse.csgraph import minimum_spanning_tree
 
+from keepout.inspecting.tour_search import best_order
+
 Objective = Literal["time", "delta_v", "both"]
 _LATE = 1e7
 """Seconds that a view costs for which the light never comes again."""
@@ -22,6 +24,8 @@ _SIDE = 1e-3
 """Of the other quantity (s, or 100 m/s of Δv), what an objective counts of it so that ties are broken by it."""
 _WORK = 2e8
 """Legs evaluated while an order is shaken, about; the number of shakes follows."""
+_SHAKES = 3000
+"""Of orders in which no place has to be reached at a time."""
 _SPAN = 60
 """Places in the order by which a segment is moved, and views that are turned round together, at most."""
 _DESCENT = 1_500_000
@@ -73,6 +77,16 @@ class Tour:
     end: float
     delta_v: float
 
+    def cost(self, objective: Objective, worth: float) -> float:
+        """Give what an objective counts, beside views that come too late; `worth` is of Δv, s per m/s."""
+        time_weight, delta_v_weight = _weights(objective, worth)
+        return time_weight * self.end + delta_v_weight * self.delta_v
+
+
+def _weights(objective: Objective, worth: float) -> tuple[float, float]:
+    """Give what a second counts, and what 1 m/s does."""
+    return {"time": (1.0, 100.0 * _SIDE), "delta_v": (_SIDE, 100.0), "both": (1.0, worth)}[objective]
+
 
 def turning_time(
     first: Float[np.ndarray, "n 3"], second: Float[np.ndarray, "m 3"], rate: float, acceleration: float
@@ -90,24 +104,61 @@ def flown(legs: Legs, order: Int[np.ndarray, " k"]) -> Tour:
     return Tour(np.asarray(order), times, length, end, delta_v)
 
 
-def best_tour(legs: Legs, objective: Objective = "time", *, worth: float = 1000.0, seed: int = 0) -> Tour:
+def best_tour(
+    legs: Legs,
+    objective: Objective = "time",
+    *,
+    worth: float = 1000.0,
+    seed: int = 0,
+    begin: Int[np.ndarray, " k"] | None = None,
+    shaken: bool = True,
+) -> Tour:
     """Order the views: nearest first, then segments moved and turned round while that helps, then shaken.
+
+    Where a view has to be reached at a time, what comes later depends on it, and fewer orders are looked at.
 
     Args:
         legs: between start and views.
         objective: what is made least.
         worth: of Δv, s per m/s, where both count.
         seed: of the shaking.
+        begin: (k,) an order to begin with instead.
+        shaken: whether to go on once no move helps, where no view has to be reached at a time.
 
     """
     count = len(legs.lengths) - 1
     if count == 0:
         return flown(legs, np.zeros(0, dtype=np.int64))
-    weights = {"time": (1.0, 100.0 * _SIDE), "delta_v": (_SIDE, 100.0), "both": (1.0, worth)}[objective]
+    weights = _weights(objective, worth)
+    begin = nearest_first(legs) if begin is None else begin
+    if _at_any_time(legs):
+        return flown(legs, _searched(legs, begin, *weights, _SHAKES if shaken else 0, seed))
     shakes = int(np.clip(_WORK / (20.0 * count**3), 0, 400))
     cuts = np.sort(np.random.default_rng(seed).integers(0, count + 1, (shakes, 3)), axis=1)
-    order = _improved(nearest_first(legs), *weights, *_packed(legs), cuts)
+    order = _improved(begin, *weights, *_packed(legs), cuts)
     return flown(legs, order)
+
+
+def _at_any_time(legs: Legs) -> bool:
+    """Whether no place has to be reached at a time."""
+    return bool(np.all((legs.windows[:, 0, 0] <= legs.begin) & np.isposinf(legs.windows[:, 0, 1])))
+
+
+def _searched(
+    legs: Legs, begin: Int[np.ndarray, " k"], time_weight: float, delta_v_weight: float, shakes: int, seed: int
+) -> Int[np.ndarray, " k"]:
+    lengths, leave, turns, _, _ = _packed(legs)
+    taken = np.maximum(np.maximum(lengths / legs.speed, turns), 1e-9)
+    return best_order(
+        begin,
+        time_weight * taken,
+        lengths / taken,
+        leave,
+        change=0.5 * time_weight / legs.acceleration + delta_v_weight,
+        stops=legs.dwell > 0.0,
+        shakes=shakes,
+        seed=seed,
+    )
 
 
 def nearest_first(legs: Legs) -> Int[np.ndarray, " k"]:

@@ -65,6 +65,15 @@ class Views:
         """Give some of them."""
         return Views(self.positions[rows], self.boresights[rows], self.sees[rows], self.places)
 
+    def and_those(self, others: "Views") -> "Views":
+        """Give these views, and then others."""
+        return Views(
+            np.concatenate([self.positions, others.positions]),
+            np.concatenate([self.boresights, others.boresights]),
+            sparse.csr_array(sparse.vstack([self.sees, others.sees])),
+            self.places,
+        )
+
 
 def find_views(
     look: Look,

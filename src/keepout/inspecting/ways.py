@@ -4,14 +4,16 @@ The distance d to the mesh is 1-Lipschitz: on a straight piece of half length h 
 d(m) − h. A piece is *clear* where bisection proves d ≥ stand-off on all of it by that; nothing is sampled.
 """
 
-import functools
 import math
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.sparse.csgraph import shortest_path
 
 from keepout.control.guidance.fast_marching import travel_time
+from keepout.cores import available_cores
 from keepout.geometry.distance import Distance
 
 MOST_NODES = 400_000
@@ -24,9 +26,15 @@ _NEAR = 2.5
 _SWEEPS = 6
 _PULLS = (1.0, 0.5, 0.25, 0.1)
 _BATCH = 200_000
+_AROUND = 3.0
+"""Metres beyond places to which the ways between them are looked for first."""
+_NEIGHBOURS = 20
+"""Places to which ways are marched from a place; farther ones are reached by way of these."""
 
 
 Node = tuple[int, ...]
+Pairs = dict[tuple[bytes, bytes], tuple[float, np.ndarray]]
+"""Length of the way from one place to another, m, and the unit vector in which it sets out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,40 +118,97 @@ class Ways:
             piece = np.tile(piece[split], 2)
         return result
 
-    def lengths(self, places: Float[np.ndarray, "k 3"]) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, "k k 3"]]:
+    def lengths(
+        self, places: Float[np.ndarray, "k 3"], known: Pairs | None = None
+    ) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, "k k 3"]]:
         """Give the lengths (m) of the ways between all places, infinite where none leads, and how they set out.
 
         A straight way that is clear has its own length; another has that of the grid, which is a few per cent more
-        than the shortest has.
+        than the shortest has. Both are looked for between neighbours; to a place farther off the way leads from
+        neighbour to neighbour.
+
+        Args:
+            places: m.
+            known: ways between neighbours found before, and added to.
 
         Returns:
             (k, k) lengths, and (k, k, 3) the unit vector in which the way from the first to the second leaves.
 
         """
         count = len(places)
-        first, second = np.triu_indices(count, 1)
-        straight = np.zeros((count, count), dtype=bool)
-        straight[first, second] = self.clear(places[first], places[second])
-        straight |= straight.T
         apart = places[None] - places[:, None]
-        length: Float[np.ndarray, "k k"] = np.sqrt(np.sum(apart * apart, axis=2))
-        leave = apart / np.maximum(length, 1e-12)[..., None]
+        away: Float[np.ndarray, "k k"] = np.sqrt(np.sum(apart * apart, axis=2))
+        leave = apart / np.maximum(away, 1e-12)[..., None]
+        direct = np.full((count, count), np.inf)
         joined = [self._joined(place) for place in places]
-        crooked = np.logical_not(straight | np.eye(count, dtype=bool))
-        length[crooked] = np.inf
-        for j in np.flatnonzero(crooked.any(axis=0)).tolist():
-            times = self._march(*joined[j])
-            for i in np.flatnonzero(crooked[:, j]).tolist():
+        reach = np.sort(away, axis=1)[:, min(_NEIGHBOURS, count - 1)]
+        fresh = away <= np.maximum(reach, reach[:, None])
+        known = {} if known is None else known
+        names = [place.tobytes() for place in places]
+        while True:
+            pairs = [(i, j) for i, j in np.argwhere(fresh & ~np.eye(count, dtype=bool)).tolist()]
+            for i, j in pairs:
+                if (names[i], names[j]) in known:
+                    direct[i, j], leave[i, j] = known[names[i], names[j]]
+            fresh &= np.isinf(direct)
+            self._join(places, joined, fresh, direct, leave)
+            known.update(((names[i], names[j]), (direct[i, j], leave[i, j].copy())) for i, j in pairs)
+            # A matrix entry of 0 would be no edge.
+            edges = np.where(np.isfinite(direct), np.maximum(direct, 1e-12), 0.0)
+            length, before = shortest_path(edges, directed=False, return_predecessors=True)
+            # Neighbours of what is shut off from the rest lie farther off, if there are any.
+            shut = np.isinf(length).any(axis=1) & (reach < away.max(axis=1))
+            if not shut.any():
+                break
+            reach[shut] *= 2.0
+            fresh = (away <= np.maximum(reach, reach[:, None])) & np.isinf(length)
+        # The last stop before i on the way there from j is the first on the way back.
+        stop = np.where(before.T >= 0, before.T, np.arange(count))
+        return length, leave[np.arange(count)[:, None], stop]
+
+    def _join(
+        self,
+        places: Float[np.ndarray, "k 3"],
+        joined: list[tuple[Int[np.ndarray, "_ 3"], Float[np.ndarray, " _"]]],
+        fresh: Bool[np.ndarray, "k k"],
+        direct: Float[np.ndarray, "k k"],
+        leave: Float[np.ndarray, "k k 3"],
+    ) -> None:
+        """Write the lengths of ways between those pairs that are `fresh`, a symmetric matrix, and how they set out."""
+        first, second = np.nonzero(np.triu(fresh, 1))
+        clear = self.clear(places[first], places[second])
+        apart = np.linalg.norm(places[second] - places[first], axis=1)
+        direct[first[clear], second[clear]] = direct[second[clear], first[clear]] = apart[clear]
+        crooked = np.zeros_like(fresh)
+        crooked[first[~clear], second[~clear]] = crooked[second[~clear], first[~clear]] = True
+
+        def march_from(j: int) -> None:
+            ends = [i for i in np.flatnonzero(crooked[:, j]).tolist() if len(joined[i][0])]
+            if not ends:
+                return
+            low, high = self._box(places[[j, *ends]], _AROUND)
+            times = self._march(*joined[j], low, high)
+            for i in ends:
                 nodes, away = joined[i]
-                if len(nodes) == 0:
-                    continue
-                through = times[tuple(nodes.T)] + away
+                through = times[tuple((nodes - low).T)] + away
                 best = int(np.argmin(through))
                 if through[best] < np.inf:
-                    length[i, j] = max(through[best], float(np.linalg.norm(apart[i, j])))
+                    direct[i, j] = max(through[best], float(np.linalg.norm(places[j] - places[i])))
                     course = self.origin + self.spacing * nodes[best] - places[i]
                     leave[i, j] = course / max(float(np.linalg.norm(course)), 1e-12)
-        return np.minimum(length, length.T), leave
+
+        with ThreadPoolExecutor(available_cores()) as pool:
+            list(pool.map(march_from, np.flatnonzero(crooked.any(axis=0)).tolist()))
+        np.minimum(direct, direct.T, out=direct)
+
+    def reached(self, begin: Float[np.ndarray, "3"], places: Float[np.ndarray, "k 3"]) -> Bool[np.ndarray, " k"]:
+        """Say to which places a way leads from one, by the grid or straight."""
+        times = self._march(*self._joined(begin))
+        joined = [self._joined(place)[0] for place in places]
+        found = np.array([bool(np.isfinite(times[tuple(nodes.T)]).any()) for nodes in joined], dtype=bool)
+        alone = np.flatnonzero(~found)
+        found[alone] = self.clear(np.tile(begin, (len(alone), 1)), places[alone])
+        return found
 
     def nearly(self, place: Float[np.ndarray, "3"], places: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
         """Give the lengths (m) of ways from one place to many, to within about a cell; infinite where none leads."""
@@ -165,30 +230,56 @@ class Ways:
         begin, end = np.asarray(begin, dtype=np.float64), np.asarray(end, dtype=np.float64)
         if self.clear(begin[None], end[None])[0]:
             return np.stack([begin, end])
-        nodes, away = self._joined(begin)
-        times = self._march(*self._joined(end))
-        if len(nodes) == 0 or not np.isfinite(through := times[tuple(nodes.T)] + away).any():
+        (nodes, away), (last, beyond) = self._joined(begin), self._joined(end)
+        apart, around = float(np.linalg.norm(end - begin)), _AROUND
+        while True:
+            low, high = self._box(np.stack([begin, end]), around)
+            times = self._march(last, beyond, low, high)
+            through = times[tuple((nodes - low).T)] + away
+            length = float(through.min()) if len(nodes) else np.inf
+            # No way of that length leaves a box so much larger than the two places.
+            needed = 0.5 * (length - apart) if length < np.inf else 2.0 * around
+            if needed <= around or bool(np.all(low == 0) and np.all(high == self.open.shape)):
+                break
+            around = needed
+        if not length < np.inf:
             return None
-        node = tuple(int(i) for i in nodes[np.argmin(through)])
-        corners = [begin, self.place(node)]
-        near = {tuple(n) for n in self._joined(end)[0].tolist()}
+        walls = self.walls[(slice(None), *(slice(a, b) for a, b in zip(low, high, strict=True)))]
+        node = tuple((nodes[int(np.argmin(through))] - low).tolist())
+        corners = [begin, self._place(node, low)]
+        near = {tuple(n) for n in (last - low).tolist()}
         while node not in near:
-            node = self._downhill(times, node)
-            corners.append(self.place(node))
+            node = _downhill(times, walls, node)
+            corners.append(self._place(node, low))
         return self._pulled(np.array([*corners, end]))
 
-    def place(self, node: Node) -> Float[np.ndarray, "3"]:
-        """Give a node's place, m."""
-        return self.origin + self.spacing * np.asarray(node)
+    def _place(self, node: Node, low: Int[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+        return self.origin + self.spacing * (low + np.asarray(node))
 
-    @functools.cached_property
-    def _speed(self) -> Float[np.ndarray, "nx ny nz"]:
-        return self.open.astype(np.float64)
+    def _box(
+        self, places: Float[np.ndarray, "k 3"], around: float
+    ) -> tuple[Int[np.ndarray, "3"], Int[np.ndarray, "3"]]:
+        """Give the first nodes of a box that holds places and all within `around` (m) and their nodes; and the ends."""
+        room = around + (_NEAR + 2.0) * self.spacing + self.stand_off
+        low = np.floor((places.min(axis=0) - room - self.origin) / self.spacing).astype(int)
+        high = np.ceil((places.max(axis=0) + room - self.origin) / self.spacing).astype(int) + 1
+        return np.clip(low, 0, self.open.shape), np.clip(high, 0, self.open.shape)
 
-    def _march(self, nodes: Int[np.ndarray, "n 3"], away: Float[np.ndarray, " n"]) -> Float[np.ndarray, "nx ny nz"]:
+    def _march(
+        self,
+        nodes: Int[np.ndarray, "n 3"],
+        away: Float[np.ndarray, " n"],
+        low: Int[np.ndarray, "3"] | None = None,
+        high: Int[np.ndarray, "3"] | None = None,
+    ) -> Float[np.ndarray, "nx ny nz"]:
+        """March the distance from nodes over the grid, or over a box of it whose first node is then `low`."""
+        low = np.zeros(3, dtype=int) if low is None else low
+        within = tuple(slice(a, b) for a, b in zip(low, self.open.shape if high is None else high, strict=True))
         if len(nodes) == 0:
-            return np.full(self.open.shape, np.inf)
-        return travel_time(self._speed, self.walls, nodes, away, self.spacing)
+            return np.full(self.open[within].shape, np.inf)
+        return travel_time(
+            self.open[within].astype(float), self.walls[(slice(None), *within)], nodes - low, away, self.spacing
+        )
 
     def _joined(self, place: Float[np.ndarray, "3"]) -> tuple[Int[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
         """Give the nodes joined to a place by clear pieces, and their distances from it, m.
@@ -212,20 +303,6 @@ class Ways:
         keep = self.clear(np.tile(place, (len(nodes), 1)), self.origin + self.spacing * nodes)
         return nodes[keep], away[keep]
 
-    def _downhill(self, times: Float[np.ndarray, "nx ny nz"], node: Node) -> Node:
-        best, least = node, times[node]
-        for axis in range(3):
-            for sign in (-1, 1):
-                beside = tuple(n + sign * (a == axis) for a, n in enumerate(node))
-                if not all(0 <= n < m for n, m in zip(beside, times.shape, strict=True)):
-                    continue
-                edge = beside if sign < 0 else node
-                if not self.walls[(axis, *edge)] and times[beside] < least:
-                    best, least = beside, times[beside]
-        if best == node:
-            raise AssertionError(f"no way down from node {node}")
-        return best
-
     def _pulled(self, corners: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "n 3"]:
         """Leave corners out, and pull the rest towards the line between their neighbours, while all stays clear."""
         kept, here = [corners[0]], 0
@@ -248,6 +325,21 @@ class Ways:
             if before - way_length(way) < 1e-3 * before:
                 break
         return way
+
+
+def _downhill(times: Float[np.ndarray, "nx ny nz"], walls: Bool[np.ndarray, "3 nx ny nz"], node: Node) -> Node:
+    best, least = node, times[node]
+    for axis in range(3):
+        for sign in (-1, 1):
+            beside = tuple(n + sign * (a == axis) for a, n in enumerate(node))
+            if not all(0 <= n < m for n, m in zip(beside, times.shape, strict=True)):
+                continue
+            edge = beside if sign < 0 else node
+            if not walls[(axis, *edge)] and times[beside] < least:
+                best, least = beside, times[beside]
+    if best == node:
+        raise AssertionError(f"no way down from node {node}")
+    return best
 
 
 def way_length(corners: Float[np.ndarray, "m 3"]) -> float:

@@ -92,6 +92,32 @@ def in_view(seen: Visible, boresight: Float[np.ndarray, "3"], half_angle: float)
     return np.arctan2(across, seen.directions @ boresight) + seen.spread <= half_angle
 
 
+def in_frame(
+    sight: Sightlines,
+    rules: SeeingRules,
+    place: Float[np.ndarray, "3"],
+    boresight: Float[np.ndarray, "3"],
+    *,
+    among: Bool[np.ndarray, " units"] | None = None,
+) -> Int[np.ndarray, " k"]:
+    """Give the units seen from a place in one direction, in any light: those of `visible` that are `in_view`.
+
+    What stands between is looked at last, and only for what is in view.
+
+    Args:
+        sight: the mesh and its units.
+        rules: range, incidence, ground sample distance and field of view.
+        place: (3,) of the camera, m, body frame.
+        boresight: (3,) unit vector.
+        among: (units,) those that are asked for; those that are counted if absent.
+
+    """
+    place = np.ascontiguousarray(place, dtype=np.float64)
+    found = Visible(*within_rules(sight.patches, rules, place, sight.patches.counted if among is None else among))
+    units = found.units[in_view(found, boresight, rules.half_angle)]
+    return units[sight.clear(place[None], units)]
+
+
 def lit_units(
     sight: Sightlines,
     rules: SeeingRules,

@@ -4,6 +4,7 @@ Inside, grids are padded by one closed node on every side and flattened: a neigh
 """
 
 import heapq
+import math
 from typing import no_type_check
 
 import numba
@@ -20,6 +21,9 @@ def travel_time(
     sources: Int[np.ndarray, "n 3"],
     source_times: Float[np.ndarray, " n"],
     spacing: float,
+    *,
+    towards: Int[np.ndarray, "3"] | None = None,
+    beyond: float = math.inf,
 ) -> Float[np.ndarray, "nx ny nz"]:
     """Solve ‖∇D‖ speed = 1 with D given at the sources, first order upwind.
 
@@ -29,6 +33,8 @@ def travel_time(
         sources: node indices.
         source_times: s.
         spacing: between nodes, m.
+        towards: a node that the way begins at.
+        beyond: seconds more than twice that node's D, from where on D need not be found; it is then infinite.
 
     Returns:
         D in seconds, infinite where nothing leads.
@@ -38,13 +44,15 @@ def travel_time(
     closed = np.pad(walls, ((0, 0), (1, 1), (1, 1), (1, 1))).reshape(3, -1)
     index = np.ravel_multi_index(tuple((np.asarray(sources) + 1).T), padded.shape)
     strides = np.array([padded.shape[1] * padded.shape[2], padded.shape[2], 1])
-    time = _march(padded.ravel(), closed, strides, index, np.asarray(source_times, dtype=np.float64), float(spacing))
+    last = -1 if towards is None else int(np.ravel_multi_index(tuple(np.asarray(towards) + 1), padded.shape))
+    times = np.asarray(source_times, dtype=np.float64)
+    time = _march(padded.ravel(), closed, strides, index, times, float(spacing), last, float(beyond))
     return time.reshape(padded.shape)[1:-1, 1:-1, 1:-1]
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 @no_type_check
-def _march(speed, walls, strides, sources, source_times, spacing):
+def _march(speed, walls, strides, sources, source_times, spacing, last, beyond):
     """Settle nodes bucket by bucket of time, and again whenever a neighbour's time falls: no heap, the same solution.
 
     The upwind equations have one solution, and times only ever fall towards it, so the order of work is free; buckets
@@ -71,6 +79,7 @@ def _march(speed, walls, strides, sources, source_times, spacing):
             time[node] = source_times[n]
             waiting += _enqueue(first, following, before, place, node, int(time[node] / width) % count)
     bucket = int(source_times.min() / width) % count
+    limit = np.inf
     while waiting > 0:
         node = first[bucket]
         if node < 0:
@@ -79,6 +88,11 @@ def _march(speed, walls, strides, sources, source_times, spacing):
         _dequeue(first, following, before, place, node)
         waiting -= 1
         here = time[node]
+        if node == last:
+            limit = 2.0 * here + beyond
+        if here > limit:
+            time[node] = np.inf
+            continue
         for axis in range(3):
             for sign in (-1, 1):
                 beside = node + sign * strides[axis]

@@ -1,5 +1,6 @@
 """Build geodesic guidance: the barrier on a grid once a field, the travel time to the goal once a goal."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -186,11 +187,22 @@ def geodesic_guidance(
     speed: float,
     slowing_length: float,
     start: Float[np.ndarray, "3"] | None = None,
+    beyond: float = math.inf,
 ) -> GeodesicGuidance:
     """March the travel time from the goal through the free nodes of the grid, and keep the directions down it.
 
     The travel speed is clip(h/0.6 m, 0.03, 1) m/s. Directions in the obstacle lead out of it, and weigh little: in a
     gap between two walls they must not stop the way that leads through.
+
+    Args:
+        grid: of the barrier.
+        field: likewise.
+        offset: of the barrier, m.
+        goal: (3,) m.
+        speed: of the guidance, m/s.
+        slowing_length: within which it slows down, m.
+        start: (3,) m, which must be joined to the goal.
+        beyond: travel seconds more than twice those from `start`, from where on no way is looked for.
 
     Raises:
         ControlError: goal or start lies outside the grid or in the obstacle, or no way as wide as the chaser joins
@@ -208,7 +220,11 @@ def geodesic_guidance(
             f"goal: {goal.tolist()} m has no free grid node beside it at a spacing of {grid.spacing:.3g} m; "
             "move it out of the gap or give a smaller spacing"
         )
-    time = travel_time(speeds, grid.walls, sources, times, grid.spacing)
+    towards = None
+    if start is not None and beyond < math.inf:
+        grid.require_inside(start, "start")
+        towards = grid.node(start)
+    time = travel_time(speeds, grid.walls, sources, times, grid.spacing, towards=towards, beyond=beyond)
     guidance = GeodesicGuidance(
         goal=as_float64(goal),
         speed=as_float64(speed),

@@ -1,6 +1,7 @@
 """Which guidance a law is to have; the law makes it once its keep-out zone and speeds are known."""
 
 import abc
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -98,12 +99,15 @@ class Geodesic(GuidancePlan):
         spacing: of the grid of travel times, m; by default from the room and the zone's width.
         bounds: (lower, upper) corners of that grid, m; by default a box around target, goal and start.
         grid: a `BarrierGrid` to share between goals, instead of both; made for the same offset.
+        beyond: travel seconds (at 1 m/s in free room) more than twice those from the start, from where on the guidance
+            leads away from the obstacle only: a flight that stays about its way needs no more of the grid.
 
     """
 
     spacing: float | None = None
     bounds: Corners | None = None
     grid: BarrierGrid | None = None
+    beyond: float = math.inf
 
     def guidance(
         self,
@@ -121,7 +125,8 @@ class Geodesic(GuidancePlan):
         if grid is None:
             lower, upper = room_around(field, offset, goal, start) if self.bounds is None else self.bounds
             grid = BarrierGrid.build(field, offset, lower, upper, spacing=self.spacing, progress=progress)
-        return geodesic_guidance(grid, field, offset, goal, speed=speed, slowing_length=slowing_length, start=start)
+        motion = {"speed": speed, "slowing_length": slowing_length}
+        return geodesic_guidance(grid, field, offset, goal, **motion, start=start, beyond=self.beyond)
 
 
 def _leading(goal: Point, speed: float, slowing_length: float):
