@@ -14,6 +14,7 @@ from keepout.inspecting.inspect import inspect
 from keepout.inspecting.leading import Leading
 from keepout.inspecting.plan import InspectionPlan, PlannedView
 from keepout.inspecting.problem import Problem
+from keepout.inspecting.under_way import UnderWay
 from keepout.mission.light import Light
 from keepout.mission.scenario import Scenario
 from keepout.seeing.cut import cut
@@ -270,3 +271,21 @@ def test_a_problem_of_another_target_is_refused(box, parts):
         inspect(scenario(camera={"greatest_range": 5.0}), problem=made)
     with pytest.raises(InspectionError, match="problem"):
         inspect(mission, problem=dataclasses.replace(made, light=Light.of(scenario(light={"kind": "sun"}))))
+
+
+def test_an_inspection_works_out_once_what_it_needs(box, monkeypatch):
+    made = dict.fromkeys(("room", "patches", "sight"), 0)
+
+    def counted(name, work):
+        def counting(*given, **options):
+            made[name] += 1
+            return work(*given, **options)
+
+        return counting
+
+    monkeypatch.setattr(Room, "__init__", counted("room", Room.__init__))
+    monkeypatch.setattr(Sightlines, "__init__", counted("sight", Sightlines.__init__))
+    monkeypatch.setattr("keepout.inspecting.problem.cut", counted("patches", cut))
+    monkeypatch.setattr(UnderWay, "flown", lambda *_: None)
+    inspect(scenario(inspect={"patch_size": 1.0, "candidates": 64, "proof_time": 2.0}), target=box)
+    assert made == {"room": 1, "patches": 1, "sight": 1}

@@ -69,7 +69,8 @@ def _circled(scenario: Scenario, target: Target | None, problem: Problem | None,
         target = load_target(scenario.target) if problem is None else problem.target
     if problem is None:
         problem = Problem.of(scenario, target, progress=part_of(progress, 0.0, 0.5))
-    _require_of(problem, scenario, target)
+    else:
+        _require_of(problem, scenario, target)
     require_light(scenario, problem.light, problem.patches)
     return circle(dataclasses.replace(problem, scenario=scenario), progress=part_of(progress, 0.5, 1.0))
 
@@ -87,11 +88,12 @@ def _under_way(
     keep_programs()
     if target is None:
         target = load_target(scenario.target) if problem is None else problem.target
-    require_inspectable(scenario, target)
+    if problem is not None:
+        _require_of(problem, scenario, target)
+    room = require_inspectable(scenario, target, room=None if problem is None else problem.room)
     leading = Leading.of(scenario, target, model=model, progress=part_of(progress, 0.0, 0.1))
     if problem is None:
-        problem = Problem.of(scenario, target, progress=part_of(progress, 0.1, 0.4))
-    _require_of(problem, scenario, target)
+        problem = Problem.of(scenario, target, room=room, progress=part_of(progress, 0.1, 0.4))
     camera = Camera(problem.patches, problem.sight, problem.rules, problem.light)
     require_light(scenario, problem.light, problem.patches)
     lit = ever_lit(camera, problem.seeable.verdict == Verdict.SEEABLE, scenario.duration)

@@ -23,6 +23,7 @@ from keepout.inspecting.tour import Tour, best_tour
 from keepout.inspecting.viewpoints import Views, find_views
 from keepout.inspecting.ways import Ways
 from keepout.progress import Progress, part_of, silent
+from keepout.seeing.rules import SeeingRules
 from keepout.seeing.visible import visible
 
 _COVER_SECONDS, _LEAST_SECONDS, _UNIT_SECONDS = 60.0, 5.0, 0.01
@@ -92,11 +93,25 @@ def plan(
     return replace(result, candidates=len(views.positions), fewest_views=chosen.fewest, greedy_views=chosen.greedy)
 
 
-def candidates(problem: Problem, wanted: Bool[np.ndarray, " units"], *, progress: Progress = silent) -> Views:
-    """Find views of the units wanted, with room for a flight's errors; witnesses' places by the rules themselves."""
+def candidates(
+    problem: Problem,
+    wanted: Bool[np.ndarray, " units"],
+    *,
+    within: SeeingRules | None = None,
+    progress: Progress = silent,
+) -> Views:
+    """Find views of the units wanted; witnesses' places by the camera's limits themselves.
+
+    Args:
+        problem: what there is to be seen, and from where.
+        wanted: (units,) to be seen.
+        within: limits of what drawn places show; if absent, the camera's with room for a flight's errors.
+        progress: told how much is seen.
+
+    """
     rules, scenario = problem.rules, problem.scenario
     level = scenario.inspect.stand_off + _INSIDE
-    tighter = tighter_rules(rules, problem.patches.size)
+    tighter = tighter_rules(rules, problem.patches.size) if within is None else within
 
     def allowed(places: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
         answer = problem.target.distance.distance(places) >= level
@@ -139,24 +154,20 @@ def _reached(
 ) -> tuple[Cover, tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n n 3"]]]:
     """Choose the fewest views to which ways lead, and give lengths and directions of these ways, the start first."""
     usable = np.arange(len(views.positions))
-    cover, legs = Cover(usable[:0], 0, 0), (np.zeros((1, 1)), np.zeros((1, 1, 3)))
+    cover = Cover(usable[:0], 0, 0)
     until = clock.perf_counter() + seconds
-    for tried in range(_TRIES):
+    for _ in range(_TRIES):
         left = max(until - clock.perf_counter(), 0.2 * seconds)
         cover = fewest_views(
             views.sees[usable], areas, goal, seconds=left, seed=problem.scenario.seed, progress=progress
         )
         rows = usable[cover.chosen][: problem.scenario.inspect.most_views]
-        legs = ways.lengths(np.concatenate([start.position[None], views.positions[rows]]))
-        lost = ~np.isfinite(legs[0][0, 1:])
-        cover = replace(cover, chosen=rows)
-        if not lost.any():
+        reached = ways.leads(start.position, views.positions[rows])
+        cover = replace(cover, chosen=rows[reached])
+        if reached.all():
             break
-        usable = np.setdiff1d(usable, rows[lost])
-        if tried == _TRIES - 1:
-            keep = np.concatenate([[0], 1 + np.flatnonzero(~lost)])
-            legs = (legs[0][np.ix_(keep, keep)], legs[1][np.ix_(keep, keep)])
-            cover = replace(cover, chosen=rows[~lost])
+        usable = np.setdiff1d(usable, rows[~reached])
+    legs = ways.lengths(np.concatenate([start.position[None], views.positions[cover.chosen]]))
     return cover, legs
 
 

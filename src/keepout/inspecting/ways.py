@@ -145,6 +145,16 @@ class Ways:
                     leave[i, j] = course / max(float(np.linalg.norm(course)), 1e-12)
         return np.minimum(length, length.T), leave
 
+    def leads(self, place: Float[np.ndarray, "3"], places: Float[np.ndarray, "k 3"]) -> Bool[np.ndarray, " k"]:
+        """Say to which places some way leads from one."""
+        found = self.clear(np.tile(place, (len(places), 1)), places)
+        if not found.all():
+            times = self._march(*self._joined(place))
+            for other in np.flatnonzero(~found).tolist():
+                nodes, _ = self._joined(places[other])
+                found[other] = bool(np.isfinite(times[tuple(nodes.T)]).any())
+        return found
+
     def nearly(self, place: Float[np.ndarray, "3"], places: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
         """Give the lengths (m) of ways from one place to many, to within about a cell; infinite where none leads."""
         times = self._march(*self._joined(place))
