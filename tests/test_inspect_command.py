@@ -116,8 +116,8 @@ REFUSALS = {
     "stand-off": (("stand_off = 1.2", "stand_off = 0.45"), "inspect.stand_off: 0.45 m"),
     "field": (('source = "grid"', 'source = "absent.keepout"'), "absent.keepout"),
     "light": (
-        ("[start]", '[light]\nkind = "fixed"\ndirection = [0, 0, 1]\ngreatest_incidence = 1e-9\n[start]'),
-        "light",
+        ("[start]", '[light]\nkind = "fixed"\ndirection = [1, 0, 1]\ngreatest_incidence = 1e-3\n[start]'),
+        "light.greatest_incidence: 0.001 rad",
     ),
     "patches": (("patch_size = 0.5", "patch_size = 9.0"), "inspect.patch_size: 9 m"),
 }
