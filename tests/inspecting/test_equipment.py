@@ -160,6 +160,7 @@ def test_a_camera_that_sees_a_square_from_somewhere_is_never_refused(size, heigh
     told = pixel * float((ranges**2 / height).max())
     equipment.require_inspectable(
         Scenario().replace(
+            duration=1e5,
             start={"position": (1000.0, 0.0, 0.0)},
             inspect={"stand_off": off / more, "patch_size": size},
             camera={
@@ -181,7 +182,11 @@ def test_straight_over_a_square_range_and_sample_distance_are_told_to_a_percent(
     """There they are least: with the stand-off at that height a percent less of either is refused."""
     far = math.sqrt(height**2 + 0.5 * size**2)
     assume(0.5 * size**2 < 0.9 * height**2)
-    tight = {"inspect": {"stand_off": height, "patch_size": size}, "start": {"position": (1000.0, 0.0, 0.0)}}
+    tight = {
+        "inspect": {"stand_off": height, "patch_size": size},
+        "start": {"position": (1000.0, 0.0, 0.0)},
+        "duration": 1e5,
+    }
     pixel = 2.0 * math.tan(math.radians(45.0)) / 1024
     wide = {"field_of_view": math.radians(90.0), "least_range": 1e-3}
     told = pixel * far**2 / height

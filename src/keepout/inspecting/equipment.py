@@ -206,8 +206,8 @@ def require_something_to_see(scenario: Scenario, seeable: Seeable, lit: Bool[np.
         raise InspectionError(
             f"inspect: nothing can be seen from {scenario.inspect.stand_off:g} m and beyond: of {area:.4g} m2, "
             f"{enclosed:.1%} lie enclosed, {narrow:.1%} show only where the camera's limits or inspect.stand_off "
-            f"forbid it, {open_:.1%} are undecided; a greater camera.greatest_range or camera.greatest_incidence, or a "
-            "smaller inspect.patch_size, would show more"
+            f"forbid it (told apart by rays), {open_:.1%} are undecided; a greater camera.greatest_range or "
+            "camera.greatest_incidence, or a smaller inspect.patch_size, would show more"
         )
     if not np.any(lit & patches.counted):
         raise InspectionError(
