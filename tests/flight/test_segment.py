@@ -56,6 +56,30 @@ def test_a_segment_has_a_step():
         fly_segment(setup, begin(setup, start_state(setup), KEY), 0)
 
 
+def test_segments_of_any_length_share_a_program_that_has_room_for_them():
+    setup = make_setup(guard=Halving(), faults=Delayed())
+    compiled = []
+
+    class Counting(Spring):
+        def step(self, count, estimate):
+            compiled.append(1)  # runs when traced, not when flown
+            return super().step(count, estimate)
+
+    counting = dataclasses.replace(setup, controller=Counting(setup.motion, GOAL))
+    state, logs = begin(counting, start_state(setup), KEY), []
+    for length in (1, 7, 4, 7, 2):
+        state, log = fly_segment(counting, state, length, room=7)
+        assert len(log.time) == length
+        logs.append(log)
+    assert len(compiled) == 1
+    one, other = joined(logs), segments(setup, [21])[1]
+    for name, rows in vars(one).items():
+        if rows is not None:
+            np.testing.assert_allclose(rows, getattr(other, name), rtol=1e-12, atol=1e-12, err_msg=name)
+    with pytest.raises(FlightError, match="room is 7"):
+        fly_segment(counting, state, 8, room=7)
+
+
 def test_one_program_flies_every_goal():
     setup = make_setup()
     state = begin(setup, start_state(setup), KEY)

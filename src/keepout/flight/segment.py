@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Int
 
 from keepout.compiled.kept_executables import kept_jit
 from keepout.errors import FlightError
@@ -27,23 +28,46 @@ def _fly(setup: FlightSetup, state: LoopState, steps: int) -> tuple[LoopState, F
     return jax.lax.scan(advance, state, length=steps)
 
 
-def fly_segment(setup: FlightSetup, state: LoopState, steps: int) -> tuple[LoopState, FlightLog]:
+@kept_jit
+def _fly_some(setup: FlightSetup, state: LoopState, steps: Int[Array, ""], room: int) -> tuple[LoopState, FlightLog]:
+    """Step `room` times; the state is that after `steps` of them, and later rows say nothing."""
+
+    def advance(state: LoopState, place: Int[Array, ""]) -> tuple[LoopState, FlightLog]:
+        flown, row = loop.step(setup, state)
+        return jax.tree.map(lambda new, old: jnp.where(place < steps, new, old), flown, state), row
+
+    return jax.lax.scan(advance, state, jnp.arange(room))
+
+
+def fly_segment(
+    setup: FlightSetup, state: LoopState, steps: int, *, room: int | None = None
+) -> tuple[LoopState, FlightLog]:
     """Fly `steps` control periods from a state: the state after them, and a row for the start of each.
 
     Law and guard go on with what they remember: the law's observer, the force held, the commands under way, the guard's
     plan. That is right as long as what is new in `setup` leaves the meaning of these: another goal, guidance or tuning,
-    and a field that says nowhere less than the one before (docs/mapping-field.md). Compiles anew for another number of
-    steps.
+    and a field that says nowhere less than the one before (docs/mapping-field.md).
 
     A whole flight's record has one more row, of its end: fly a last segment of one step and keep its row only.
 
+    Args:
+        setup: that the segment is flown with.
+        state: at its start.
+        steps: of it; compiles anew for another number of them where `room` is absent.
+        room: the most steps of any segment that shall share one compiled program; each costs as much as these.
+
     Raises:
-        FlightError: fewer than one step.
+        FlightError: fewer than one step, or more than there is room for.
 
     """
     if steps < 1:
         raise FlightError(f"segment: steps is {steps}; at least 1 is needed")
-    return _fly(setup, state, steps)
+    if room is None:
+        return _fly(setup, state, steps)
+    if steps > room:
+        raise FlightError(f"segment: steps is {steps}; room is {room}, which is the most")
+    state, log = _fly_some(setup, state, jnp.asarray(steps), room)
+    return state, jax.tree.map(lambda rows: rows[:steps], log)
 
 
 def joined(logs: Sequence[FlightLog]) -> FlightLog:

@@ -77,7 +77,7 @@ class UnderWay:
                 state = segment.begin(setup, self.leading.initial, jax.random.key(scenario.seed))
             # A frame is taken at a segment's last row; the first, at the start, is a segment of its own.
             count = ticks if self._logs else 1
-            state, log = segment.fly_segment(setup, state, count)
+            state, log = segment.fly_segment(setup, state, count, room=ticks)
             self._look(log, count)
             said = f"{self.ahead.wanted.reached:.1%} seen on board, {len(self.ahead.legs)} views ahead"
             progress(min(0.9 * self._rows / scenario.steps, 0.9), said)
