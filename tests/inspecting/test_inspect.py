@@ -34,7 +34,8 @@ SCENARIO = {
     "camera": {"greatest_range": 6.0},
     "start": {"position": [5.0, 0.5, 0.3]},
     "disturbance": {"kind": "none"},
-    "inspect": {"stand_off": STAND_OFF, "patch_size": 0.5, "candidates": 200},
+    "control": {"spacing": 0.4},
+    "inspect": {"stand_off": STAND_OFF, "patch_size": 0.5, "candidates": 100},
 }
 
 

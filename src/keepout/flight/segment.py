@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Int
 
 from keepout.compiled.kept_executables import kept_jit
@@ -67,9 +68,10 @@ def fly_segment(
     if steps > room:
         raise FlightError(f"segment: steps is {steps}; room is {room}, which is the most")
     state, log = _fly_some(setup, state, jnp.asarray(steps), room)
-    return state, jax.tree.map(lambda rows: rows[:steps], log)
+    return state, log if steps == room else jax.tree.map(lambda rows: jnp.asarray(np.asarray(rows)[:steps]), log)
 
 
 def joined(logs: Sequence[FlightLog]) -> FlightLog:
     """Put the rows of segments flown one after another into one log."""
-    return jax.tree.map(lambda *rows: jnp.concatenate(rows), *logs)
+    # By NumPy: JAX would compile a program for each column and number of segments.
+    return jax.tree.map(lambda *rows: jnp.asarray(np.concatenate([np.asarray(one) for one in rows])), *logs)
