@@ -22,6 +22,18 @@ INSPECTIONS = {
     "delta_v_mps": "Δv m/s",
     "duration_s": "time s",
 }
+COVERS = {
+    "target": "target",
+    "by": "candidates see by",
+    "places": "places",
+    "candidates": "candidates",
+    "coverage_of_seeable": "they see of what can be seen",
+    "views": "views",
+    "views_at_least": "at least",
+    "proved": "proved fewest",
+    "views_greedy": "by greed",
+    "seconds": "s",
+}
 ACT3 = {
     "task": "reading",
     "seeds": "seeds",
@@ -82,6 +94,22 @@ def inspecting() -> list[str]:
             }
         )
     return [*lines, *table(dispersed)]
+
+
+def full_covers() -> list[str]:
+    """Give the fewest views that see all that any candidate sees."""
+    words = [
+        "`python benchmarks/inspection_plans.py`; discussed in [Planning](inspection-planning.md). The fewest views "
+        "that together see all that any candidate sees, and the bound: no choice of fewer of these candidates sees as "
+        "much. Other candidates might do with fewer. Stand-off 1.5 m, range 10 m, cone and incidence 60°, patches of "
+        "0.25 m. A plan's candidates show a patch with room for a flight's errors. The seconds are of the choice and "
+        "its bound.",
+        *note("inspection_plans"),
+    ]
+    by = ("the camera's limits", "a plan's tighter ones")
+    rows = [row | {"by": by[row["allowance"]]} for row in kept_file("inspection_plans") if row["part"] == "full cover"]
+    rows.sort(key=lambda row: (row["target"], row["allowance"], row["places"]))
+    return measured("Full covers", words, rows, COVERS)
 
 
 def public_inspection() -> list[str]:

@@ -4,7 +4,7 @@ import statistics
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from inspection_sections import inspecting, public_inspection
+from inspection_sections import full_covers, inspecting, public_inspection
 from result_tables import kept_file, measured, note, table
 
 ERRATA = {
@@ -405,6 +405,7 @@ SECTIONS = (
     rare_events,
     exploring,
     inspecting,
+    full_covers,
     public_inspection,
     campaigns,
     startup,

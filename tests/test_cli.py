@@ -100,6 +100,20 @@ def test_a_folder_that_cannot_be_made_is_told_before_anything_is_drawn(monkeypat
     assert f"{tmp_path / 'taken'}: cannot be made a folder" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("words", "told"), [("", ""), ("Unable to allocate\n469. MiB", " (Unable to allocate 469. MiB)")]
+)
+def test_memory_that_does_not_suffice_is_one_line_too(words, told, monkeypatch, capsys):
+    def full(*_, **__):
+        raise MemoryError(words)
+
+    monkeypatch.setattr(cli, "app", full)
+    with pytest.raises(SystemExit) as stop:
+        cli.main()
+    assert stop.value.code == 1
+    assert capsys.readouterr().err == f"keepout: out of memory{told}; a smaller or coarser target would fit\n"
+
+
 def test_no_command_shows_the_help_and_nothing_else(monkeypatch, capsys):
     assert run(monkeypatch) == 2
     output = capsys.readouterr()

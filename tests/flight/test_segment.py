@@ -1,7 +1,6 @@
 """Segments put together are the flight; what is new in a segment leaves the memories as they are."""
 
 import dataclasses
-import time
 
 import jax.numpy as jnp
 import numpy as np
@@ -51,23 +50,37 @@ def test_a_new_goal_leaves_every_memory():
     assert not np.array_equal(log.commanded_force, usual.commanded_force)
 
 
-def test_segments_by_the_thousand_are_joined_at_once():
-    setup = make_setup()
-    _, log = fly_segment(setup, begin(setup, start_state(setup), KEY), 2)
-    began = time.perf_counter()
-    rows = joined([log] * 3000)
-    # A program compiled to join them takes longer than that for each of its arrays.
-    assert time.perf_counter() - began < 10.0
-    np.testing.assert_array_equal(rows.position, np.tile(log.position, (3000, 1)))
-    assert rows.guard_status.dtype == log.guard_status.dtype
-
-
 def test_a_segment_has_a_step():
     setup = make_setup()
     with pytest.raises(FlightError, match="steps is 0"):
         fly_segment(setup, begin(setup, start_state(setup), KEY), 0)
     with pytest.raises(FlightError, match="steps is 6; longest is 5"):
         fly_segment(setup, begin(setup, start_state(setup), KEY), 6, longest=5)
+
+
+def test_segments_of_any_length_share_a_program_that_has_room_for_them():
+    setup = make_setup(guard=Halving(), faults=Delayed())
+    compiled = []
+
+    class Counting(Spring):
+        def step(self, count, estimate):
+            compiled.append(1)  # runs when traced, not when flown
+            return super().step(count, estimate)
+
+    counting = dataclasses.replace(setup, controller=Counting(setup.motion, GOAL))
+    state, logs, traced = begin(counting, start_state(setup), KEY), [], 0
+    for length in (1, 7, 4, 7, 2):
+        state, log = fly_segment(counting, state, length, longest=7)
+        assert len(log.time) == length
+        logs.append(log)
+        traced = len(compiled) if len(logs) == 1 else traced
+        assert len(compiled) == traced > 0
+    one, other = joined(logs), segments(setup, [21])[1]
+    for name, rows in vars(one).items():
+        if rows is not None:
+            np.testing.assert_array_equal(rows, getattr(other, name), err_msg=name)
+    with pytest.raises(FlightError, match="longest is 7"):
+        fly_segment(counting, state, 8, longest=7)
 
 
 def test_one_program_flies_every_goal_and_every_number_of_steps():

@@ -77,6 +77,19 @@ def plates(*normals, counted=None):
             {"inspect": {"hold_points": [{"position": (9, 0, 0)}, {"position": (0, 0, 2)}]}},
             ("inspect.hold_points.1.position: [0.0, 0.0, 2.0] m", "1.000 m"),
         ),
+        (
+            {"duration": 10.0, "start": {"position": (42.0, 0, 0)}, "inspect": {"stand_off": 1.2}},
+            ("duration: 10 s", "40 m from the target", "camera.greatest_range, 10 m", "300 s"),
+        ),
+        (
+            {"duration": 2500.0, "inspect": {"hold_points": [{"position": (506.2, 0, 0), "seconds": 60}]}},
+            ("duration: 2500 s", "take 60 s", "straight ways to the points 5000 s"),
+        ),
+        ({"inspect": {"patch_size": 1e-4}}, ("inspect.patch_size: 0.0001 m", "5.2e+09 patches", "0.00416 m at least")),
+        (
+            {"inspect": {"no_thrust_towards": [{"centre": (6.0, 0.2, 0), "radius": 0.5}]}},
+            ("inspect.no_thrust_towards: 1 parts", "start.position, [6.0, 0.0, 0.0] m", "every thruster"),
+        ),
     ],
 )
 def test_what_can_never_be_flown_is_refused_in_one_line_with_numbers(tables, said):
@@ -92,7 +105,12 @@ def test_what_can_be_flown_is_not_refused():
     equipment.require_inspectable(scenario(), TARGET)
     equipment.require_inspectable(scenario(camera={"greatest_sample_distance": 0.0018}), TARGET)
     held = [{"position": (0.0, 3.001, 0.0), "seconds": 10.0}]  # a millimetre beyond the stand-off
-    equipment.require_inspectable(scenario(inspect={"hold_points": held}, duration=16.0), TARGET)
+    equipment.require_inspectable(scenario(inspect={"hold_points": held}, duration=100.0), TARGET)
+
+
+def test_a_part_that_only_some_plumes_reach_is_protected():
+    part = [{"centre": (0.0, 0.0, 0.0), "radius": 1.0}]
+    equipment.require_inspectable(scenario(inspect={"no_thrust_towards": part}), TARGET, room=ROOM)
 
 
 def test_a_start_in_a_hollow_is_no_start_however_wide():
@@ -142,6 +160,7 @@ def test_a_camera_that_sees_a_square_from_somewhere_is_never_refused(size, heigh
     told = pixel * float((ranges**2 / height).max())
     equipment.require_inspectable(
         Scenario().replace(
+            duration=1e5,
             start={"position": (1000.0, 0.0, 0.0)},
             inspect={"stand_off": off / more, "patch_size": size},
             camera={
@@ -163,7 +182,11 @@ def test_straight_over_a_square_range_and_sample_distance_are_told_to_a_percent(
     """There they are least: with the stand-off at that height a percent less of either is refused."""
     far = math.sqrt(height**2 + 0.5 * size**2)
     assume(0.5 * size**2 < 0.9 * height**2)
-    tight = {"inspect": {"stand_off": height, "patch_size": size}, "start": {"position": (1000.0, 0.0, 0.0)}}
+    tight = {
+        "inspect": {"stand_off": height, "patch_size": size},
+        "start": {"position": (1000.0, 0.0, 0.0)},
+        "duration": 1e5,
+    }
     pixel = 2.0 * math.tan(math.radians(45.0)) / 1024
     wide = {"field_of_view": math.radians(90.0), "least_range": 1e-3}
     told = pixel * far**2 / height
@@ -229,6 +252,9 @@ def test_nothing_to_see_and_nothing_lit_are_refused_with_their_shares():
         equipment.require_something_to_see(scenario(), Seeable(sides, hidden, why, np.full((4, 3), np.nan)), none)
     assert "of 2 m2, 50.0% lie enclosed, 0.0% show only" in str(refusal.value)
     assert "50.0% are undecided" in str(refusal.value)
+    open_ = Seeable(sides, np.full(4, Verdict.UNDECIDED, np.int8), why, np.full((4, 3), np.nan))
+    with pytest.raises(InspectionError, match=r"inspect\.proof_time: 0 s, .* must be longer"):
+        equipment.require_something_to_see(scenario(inspect={"proof_time": 0.0}), open_, none)
     seen = np.array([Verdict.SEEABLE, Verdict.HIDDEN, Verdict.HIDDEN, Verdict.HIDDEN], np.int8)
     half = Seeable(sides, seen, why, np.zeros((4, 3)))
     with pytest.raises(InspectionError, match=r"light: none of the 50\.0% of 2 m2"):

@@ -28,12 +28,12 @@ def lit():
 def test_the_reasons_are_those_that_the_box_was_given(inspection):
     """-z is 12 of 52 m², half of it enclosed; of the undecided row of +z (3 of 12 m²) two ends were seen."""
     found = shares(inspection)
-    assert found["enclosed"] == pytest.approx(6.0 / 52.0)
-    assert found["too_narrow"] == pytest.approx(6.0 / 52.0)
+    assert found["enclosed_by_rays"] == pytest.approx(6.0 / 52.0)
+    assert found["narrow_by_rays"] == pytest.approx(6.0 / 52.0)
     assert found["undecided"] == pytest.approx(1.5 / 52.0)
     assert found["seen"] == pytest.approx(inspection.coverage)
     assert found["shadowed"] == found["seen_beyond_proof"] == 0.0
-    reasons = ("seen", "missed", "shadowed", "enclosed", "too_narrow", "undecided")
+    reasons = ("seen", "missed", "shadowed", "enclosed_by_rays", "narrow_by_rays", "undecided")
     assert sum(found[name] for name in reasons) == pytest.approx(1.0)
 
 
@@ -87,7 +87,7 @@ def test_whatever_the_verdicts_each_unit_has_one_fate_and_the_shares_add_up(seed
     }
     fate = fates(told)
     for unit in range(count):
-        hidden = Fate.ENCLOSED if why[unit] == Hidden.ENCLOSED else Fate.TOO_NARROW
+        hidden = Fate.ENCLOSED_BY_RAYS if why[unit] == Hidden.ENCLOSED else Fate.NARROW_BY_RAYS
         expected = reasons.get((Verdict(verdict[unit]), bool(lit[unit])), hidden)
         expected = Fate.SEEN if seen[unit] else expected
         assert fate[unit] == (expected if patches.counted[unit] else Fate.NOT_COUNTED)

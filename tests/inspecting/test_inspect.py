@@ -10,10 +10,12 @@ from keepout.audit.audit import Contact
 from keepout.errors import InspectionError
 from keepout.geometry.target import Target
 from keepout.inspecting.equipment import rules_of
+from keepout.inspecting.frames import Camera
 from keepout.inspecting.inspect import inspect
 from keepout.inspecting.leading import Leading
 from keepout.inspecting.plan import InspectionPlan, PlannedView
 from keepout.inspecting.problem import Problem
+from keepout.inspecting.under_way import UnderWay
 from keepout.mission.light import Light
 from keepout.mission.scenario import Scenario
 from keepout.seeing.cut import cut
@@ -32,7 +34,8 @@ SCENARIO = {
     "camera": {"greatest_range": 6.0},
     "start": {"position": [5.0, 0.5, 0.3]},
     "disturbance": {"kind": "none"},
-    "inspect": {"stand_off": STAND_OFF, "patch_size": 0.5, "candidates": 200},
+    "control": {"spacing": 0.4},
+    "inspect": {"stand_off": STAND_OFF, "patch_size": 0.5, "candidates": 100},
 }
 
 
@@ -221,6 +224,41 @@ def test_errors_of_the_estimate_at_their_bounds_cost_little_and_touch_nothing(bo
 
 
 @pytest.mark.long
+def test_by_sensors_the_estimate_strikes_off_on_board_and_the_truth_is_what_counts(box, parts):
+    mission = scenario(
+        navigation={"suite": "close", "estimate": "filter"},
+        disturbance={"kind": "paper"},
+        inspect={"stand_off": 1.8, "coverage": 0.9},
+    )
+    patches, sight, _, seeable = parts
+    problem = problem_of(mission, box, (patches, sight, Room(box.distance, 1.8), seeable))
+    found = inspect(mission, problem=problem, first=tour(patches))
+    assert found.outcome == "all seen", found.why
+    assert found.audit.contact is Contact.NO
+    assert found.assumptions_broken == ()
+    assert found.start_certified
+    assert box_distance(found.record.position).min() >= 1.8
+    off = np.linalg.norm(found.record.position - found.record.estimated_position, axis=1)
+    assert np.median(off) > 1e-3
+    assert off.max() < 0.1
+    camera = Camera(patches, sight, problem.rules, problem.light)
+    taken, reached, differing = np.zeros(patches.units, dtype=bool), [], 0
+    for frame in found.frames:
+        row = int(np.searchsorted(found.record.time, frame.time))
+        assert np.array_equal(frame.position, found.record.position[row])
+        assert np.array_equal(frame.units, camera.units(frame.time, found.record.position[row], frame.boresight))
+        on_board = camera.units(frame.time, found.record.estimated_position[row], frame.boresight)
+        differing += set(on_board.tolist()) != set(frame.units.tolist())
+        taken[on_board] = True
+        reached.append(patches.coverage(taken & found.lit) / patches.coverage(found.lit))
+    # It ends with the first frame in which what was taken by the estimates is enough, whatever the truth shows.
+    assert reached[-2] < 0.9 <= reached[-1] + 1e-12
+    assert f"{reached[-1]:.2%} of what can be seen was taken" in found.why
+    assert differing > 0
+    assert found.coverage_seeable >= 0.88
+
+
+@pytest.mark.long
 def test_a_law_that_flies_into_the_body_is_held_by_the_guard_and_views_are_planned_anew(box, parts):
     mission = scenario(faults={"law": "into the body"}, duration=1200.0, inspect={"coverage": 1.0})
     found = inspect(mission, problem=problem_of(mission, box, parts), first=tour(parts[0]))
@@ -270,3 +308,26 @@ def test_a_problem_of_another_target_is_refused(box, parts):
         inspect(scenario(camera={"greatest_range": 5.0}), problem=made)
     with pytest.raises(InspectionError, match="problem"):
         inspect(mission, problem=dataclasses.replace(made, light=Light.of(scenario(light={"kind": "sun"}))))
+
+
+def test_an_inspection_works_out_once_what_it_needs(box, monkeypatch):
+    made = dict.fromkeys(("room", "patches", "sight"), 0)
+
+    def counted(name, work):
+        def counting(*given, **options):
+            made[name] += 1
+            return work(*given, **options)
+
+        return counting
+
+    monkeypatch.setattr(Room, "__init__", counted("room", Room.__init__))
+    monkeypatch.setattr(Sightlines, "__init__", counted("sight", Sightlines.__init__))
+    monkeypatch.setattr("keepout.inspecting.problem.cut", counted("patches", cut))
+
+    def flown(*_):
+        raise InspectionError("all is ready")
+
+    monkeypatch.setattr(UnderWay, "flown", flown)
+    with pytest.raises(InspectionError, match="all is ready"):
+        inspect(scenario(inspect={"patch_size": 1.0, "candidates": 64, "proof_time": 2.0}), target=box)
+    assert made == {"room": 1, "patches": 1, "sight": 1}

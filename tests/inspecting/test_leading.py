@@ -94,3 +94,24 @@ def test_a_start_nearer_than_the_law_keeps_and_another_profile_are_refused(box):
         Leading.of(scenario(inspect={"stand_off": 0.6}), box)
     with pytest.raises(KeepoutError, match=r"start\.position"):
         Leading.of(scenario(start={"position": [2.3, 0.0, 0.0]}), box)
+
+
+@pytest.mark.parametrize(
+    ("tables", "named"),
+    [
+        ({"camera": {"greatest_range": 1e5}}, r"^camera\.greatest_range, beyond the target: 100003 m"),
+        (
+            {"inspect": {"stand_off": 1.5, "hold_points": [{"position": [0, 4, 0]}, {"position": [0, 6e4, 0]}]}},
+            r"^inspect\.hold_points\.1\.position: 60000 m",
+        ),
+    ],
+)
+def test_what_is_too_far_away_is_named_as_it_was_given(box, tables, named):
+    with pytest.raises(KeepoutError, match=named):
+        Leading.of(scenario(**tables), box)
+
+
+def test_the_law_is_made_to_reach_the_hold_points(box, leading):
+    far = Leading.of(scenario(inspect={"stand_off": 1.5, "hold_points": [{"position": [0.0, 40.0, 0.0]}]}), box)
+    assert far.reach == pytest.approx(40.0)
+    assert leading.reach < 40.0

@@ -9,7 +9,7 @@ import pytest
 
 from keepout.geometry import Target
 from keepout.inspecting import arranging
-from keepout.inspecting.equipment import rules_of
+from keepout.inspecting.equipment import patch_size, rules_of
 from keepout.inspecting.itinerary import frame_of
 from keepout.inspecting.lit_times import LitTimes
 from keepout.inspecting.passing import seen_in_passing, turned
@@ -36,7 +36,7 @@ def problem_of(name="box", *, light=None, **inspect):
         tree["light"] = light
     scenario = Scenario.parse(tree)
     target = Target.load(name)
-    patches = cut(target, scenario.inspect.patch_size)
+    patches = cut(target, patch_size(scenario, target))
     nothing = np.zeros(patches.units, dtype=np.int8)
     return Problem(
         scenario,
@@ -212,7 +212,9 @@ def test_a_plan_of_what_can_be_seen_by_the_scenario_alone():
 
 def test_with_a_fixed_light_only_what_it_falls_on_is_planned_for():
     problem = problem_of("pocket", light={"kind": "fixed", "direction": [1.0, 0.4, 0.2]})
-    lit = lit_units(problem.sight, problem.rules, problem.light.sun(0.0))
+    sun = problem.light.sun(0.0)
+    assert sun is not None
+    lit = lit_units(problem.sight, problem.rules, sun)
     result = planned(problem, share=0.9)
     require_true(problem, result)
     assert result.covered.any()

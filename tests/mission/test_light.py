@@ -169,6 +169,9 @@ def test_without_light_and_with_a_fixed_one():
     fixed = Light.of(Scenario().replace(light={"kind": "fixed", "direction": (0.0, -3.0, 4.0)}))
     assert fixed.matters
     np.testing.assert_allclose(fixed.sun(1e6), [0.0, -0.6, 0.8])
+    for length in (1e-300, 1e308):
+        long = Light.of(Scenario().replace(light={"kind": "fixed", "direction": (0.0, -length, length)}))
+        np.testing.assert_allclose(long.sun(0.0), np.array([0.0, -1.0, 1.0]) / np.sqrt(2.0))
     assert fixed.suns([]).shape == light().suns([]).shape == (0, 3)
 
 

@@ -102,7 +102,7 @@ def test_a_surface_of_very_many_triangles_is_drawn_with_fewer_and_the_page_says_
     # Each triangle left has the fate of the side of the box that it lies on.
     middles = thinned.vertices[thinned.faces].mean(axis=1)
     below = np.abs(middles[:, 2] + 1.0) < 0.05
-    hidden = np.isin(thinned.fates, (Fate.ENCLOSED, Fate.TOO_NARROW)).any(axis=1)
+    hidden = np.isin(thinned.fates, (Fate.ENCLOSED_BY_RAYS, Fate.NARROW_BY_RAYS)).any(axis=1)
     assert hidden[below].mean() > 0.9
     assert not hidden[~below & (middles[:, 2] > -0.8)].any()
     a, b, c = np.moveaxis(thinned.vertices[thinned.faces], 1, 0)

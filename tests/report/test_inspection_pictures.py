@@ -69,7 +69,10 @@ def test_the_surface_has_the_colour_of_what_became_of_it(inspection, tmp_path):
         colour = np.array([int(FATE_COLOURS[kind][place : place + 2], 16) / 255.0 for place in (1, 3, 5)])
         share = picture @ colour / (colour @ colour)  # shaded, a colour keeps its direction
         found[kind] = ((np.abs(picture - share[..., None] * colour).max(axis=2) < 0.02) & (share > 0.5)).sum()
-    assert all(found[kind] > 5000 for kind in (Fate.SEEN, Fate.MISSED, Fate.ENCLOSED, Fate.TOO_NARROW, Fate.UNDECIDED))
+    assert all(
+        found[kind] > 5000
+        for kind in (Fate.SEEN, Fate.MISSED, Fate.ENCLOSED_BY_RAYS, Fate.NARROW_BY_RAYS, Fate.UNDECIDED)
+    )
     assert found[Fate.SHADOWED] == 0
     assert found[Fate.SEEN] > 4 * found[Fate.UNDECIDED]
 

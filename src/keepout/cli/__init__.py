@@ -59,6 +59,10 @@ def main() -> None:
         place = "" if error.filename is None else f"{error.filename}: "
         sys.stderr.write(f"keepout: {place}{error.strerror or error}\n")
         code = 1
+    except MemoryError as error:
+        said = " ".join(str(error).split())
+        sys.stderr.write(f"keepout: out of memory{said and f' ({said})'}; a smaller or coarser target would fit\n")
+        code = 1
     except KeyboardInterrupt:
         sys.stderr.write("keepout: stopped\n")
         code = 130

@@ -40,22 +40,17 @@ def inspect_to_folder(
 ) -> dict[str, Any]:
     """Inspect as a scenario says; write flight, frames, the unseen, pictures, page and `summary.json` into `out`.
 
-    Nothing is written where the scenario is refused.
+    Nothing is written, and no folder left, where the scenario is refused.
     """
-    from keepout.inspecting.equipment import require_inspectable
-    from keepout.mission.target import load_target
-
-    target = load_target(scenario.target)
-    require_inspectable(scenario, target)
     from keepout.inspecting.frames_file import save_frames
     from keepout.inspecting.inspect import inspect
-    from keepout.report.folder import make_folder, write_summary
+    from keepout.report.folder import results_in, write_summary
     from keepout.report.inspection_page import write_inspection
 
-    make_folder(out)
-    inspection = inspect(scenario, target=target, progress=part_of(progress, 0.0, 0.9))
-    frames = save_frames(out / FRAMES, inspection.frames, target_sha256=target.sha256)
-    summary = write_inspection(out, inspection, figures=figures, progress=part_of(progress, 0.9, 1.0))
-    summary |= {"frames_file": str(frames)}
-    write_summary(out, summary)
+    with results_in(out):
+        inspection = inspect(scenario, progress=part_of(progress, 0.0, 0.9))
+        frames = save_frames(out / FRAMES, inspection.frames, target_sha256=inspection.target.sha256)
+        summary = write_inspection(out, inspection, figures=figures, progress=part_of(progress, 0.9, 1.0))
+        summary |= {"frames_file": str(frames)}
+        write_summary(out, summary)
     return summary

@@ -8,27 +8,22 @@ import time
 
 import jax
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
-from keepout.audit.audit import audit
 from keepout.errors import InspectionError
 from keepout.flight.loop import fly
-from keepout.flight.outcome import outcome
-from keepout.flight.record import FlightRecord
 from keepout.inspecting.circumnavigation import Circumnavigation, circumnavigations
 from keepout.inspecting.equipment import boresight_of
-from keepout.inspecting.frames import Camera, Shot, as_flown
+from keepout.inspecting.frames import Camera, Shot
 from keepout.inspecting.inspection import Inspection
-from keepout.inspecting.limits import limits_kept
+from keepout.inspecting.judging import judged
 from keepout.inspecting.lit import ever_lit
 from keepout.inspecting.plan import InspectionPlan
 from keepout.inspecting.problem import Problem
 from keepout.mission import environment
-from keepout.mission.assumptions import broken_assumptions, guard_numbers
 from keepout.mission.build import build_guard, flight_setup
 from keepout.mission.navigation import navigation, require_navigation
 from keepout.mission.scenario import Scenario
-from keepout.mission.statuses import legend
 from keepout.progress import Progress, part_of, silent
 from keepout.seeing.seeable import Verdict
 from keepout.seeing.visible import visible
@@ -84,54 +79,28 @@ def circle(problem: Problem, *, progress: Progress = silent) -> Inspection:
     initial = motion.initial_state(ellipse.position[0], ellipse.velocity[0])
     log = fly(setup, initial, scenario.steps, jax.random.key(scenario.seed))
     progress(0.6, "flown")
-    flown = outcome(setup, log)
-    record = FlightRecord.of_log(
-        log,
-        outcome=flown,
-        scenario=scenario.model_dump_json(),
-        seed=scenario.seed,
-        target_sha256=target.sha256,
-        statuses=legend(),
-    )
-    verdict = audit(
-        record,
-        target,
-        chaser_radius=scenario.chaser.radius,
-        bounds=environment.flight_bounds(scenario),
-        force_limit=scenario.chaser.force_limit,
-        speed_limit=scenario.chaser.speed_limit,
-    )
-    shots = _shots(problem, record, lit)
-    frames, seen = as_flown(record, shots, camera, progress=part_of(progress, 0.8, 1.0))
     burn = float(np.linalg.norm(ellipse.velocity[0]))
-    certified = None if guard is None else bool(guard.certified_start(initial))
-    broken = broken_assumptions(scenario)
-    ticks = round(scenario.camera.period / scenario.control.period)
-    asked = bool(scenario.inspect.no_thrust_towards or scenario.inspect.passive_safety)
-    way = float(np.linalg.norm(np.diff(record.position, axis=0), axis=1).sum())
-    plan = InspectionPlan((), shares[best], way, float(record.time[-1]), len(ellipses), 0, 0)
-    return Inspection(
-        scenario=scenario,
-        target=target,
-        patches=problem.patches,
-        rules=problem.rules,
-        seeable=problem.seeable,
+    time_flown, position = np.asarray(log.time), np.asarray(log.position)
+    way = float(np.linalg.norm(np.diff(position, axis=0), axis=1).sum())
+    return judged(
+        scenario,
+        problem,
+        setup,
+        log,
+        _shots(problem, np.asarray(log.estimated_position), lit),
+        camera,
+        guard=guard,
+        certified=None if guard is None else bool(guard.certified_start(initial)),
         lit=lit,
-        plan=plan,
+        plan=InspectionPlan((), shares[best], way, float(time_flown[-1]), len(ellipses), 0, 0),
         plans=1,
-        record=record,
-        flown=flown,
-        audit=verdict,
-        frames=frames,
-        seen=seen,
-        outcome="out of time",
-        why=f"{ellipse.turns:.2f} turns on an ellipse {ellipse.height:.2f} m high and {ellipse.across:.2f} m across, "
-        f"which a burn of {burn:.4f} m/s from rest leads onto",
-        seconds=time.perf_counter() - begun,
-        start_certified=None if certified is None else certified and not broken,
-        assumptions_broken=broken,
-        guard=None if guard is None else guard_numbers(guard),
-        limits=limits_kept(scenario, record, target.distance.distance, every=ticks) if asked else None,
+        ending=(
+            "out of time",
+            f"{ellipse.turns:.2f} turns on an ellipse {ellipse.height:.2f} m high and {ellipse.across:.2f} m across, "
+            f"which a burn of {burn:.4f} m/s from rest leads onto",
+        ),
+        began=begun,
+        progress=part_of(progress, 0.6, 1.0),
     )
 
 
@@ -156,15 +125,15 @@ def _promised(
     return seen
 
 
-def _shots(problem: Problem, record: FlightRecord, wanted: Bool[np.ndarray, " units"]) -> list[Shot]:
+def _shots(problem: Problem, estimated: Float[np.ndarray, "rows 3"], wanted: Bool[np.ndarray, " units"]) -> list[Shot]:
     """Turn the camera as on board: by the estimated positions, towards the middle of what is still to be seen."""
     scenario, target = problem.scenario, problem.target
     ticks = round(scenario.camera.period / scenario.control.period)
-    every = ticks * max(1, -(-record.steps // (ticks * _MOST_FRAMES)))
+    every = ticks * max(1, -(-(len(estimated) - 1) // (ticks * _MOST_FRAMES)))
     boresight, left, shots = boresight_of(scenario, target), wanted.copy(), []
     areas, middle = problem.patches.unit_areas(), 0.5 * (target.vertices.min(axis=0) + target.vertices.max(axis=0))
-    for row in range(0, record.steps + 1, every):
-        place = record.estimated_position[row]
+    for row in range(0, len(estimated), every):
+        place = estimated[row]
         shots.append(Shot(row, boresight.direction))
         shown = visible(problem.sight, problem.rules, place, among=left)
         if len(shown.units):

@@ -7,15 +7,18 @@ at last by what can be seen of it at all (`require_something_to_see`).
 
 import math
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
 from keepout.control.tuning import least_offset
 from keepout.errors import InspectionError
 from keepout.geometry.target import Target
+from keepout.inspecting.plume import Protected
 from keepout.mission.law import room_for_guard
 from keepout.mission.light import Light
 from keepout.mission.scenario import Scenario
+from keepout.seeing.cut import MOST_PATCHES
 from keepout.seeing.patches import Patches
 from keepout.seeing.room import Room
 from keepout.seeing.rules import SeeingRules
@@ -69,13 +72,16 @@ def frame_times(scenario: Scenario) -> Float[np.ndarray, " frames"]:
     return scenario.camera.period * np.arange(math.floor(end / scenario.camera.period + 1e-9) + 1)
 
 
-def require_inspectable(scenario: Scenario, target: Target, *, room: Room | None = None) -> None:
+def require_inspectable(scenario: Scenario, target: Target, *, room: Room | None = None) -> Room:
     """Refuse a camera that can never see, limits that contradict each other, and a start that is not allowed.
 
     Args:
         scenario: as flown.
         target: its mesh.
         room: where the chaser's centre may be, where that is known already.
+
+    Returns:
+        room: that, worked out here where it was not known.
 
     Raises:
         InspectionError: the message names the entry, its value, and what would be valid.
@@ -96,6 +102,8 @@ def require_inspectable(scenario: Scenario, target: Target, *, room: Room | None
         places[f"inspect.hold_points.{number}.position"] = hold.position
     for entry, position in places.items():
         _require_far(scenario, target, entry, position)
+        _require_thrust(scenario, entry, position)
+    _require_in_time(scenario, target)
     room = Room(target.distance, scenario.inspect.stand_off) if room is None else room
     for (entry, position), allowed in zip(places.items(), room.allowed(np.array(list(places.values())))):
         if not allowed:
@@ -103,6 +111,7 @@ def require_inspectable(scenario: Scenario, target: Target, *, room: Room | None
                 f"{entry}: {list(position)} m; no way that keeps inspect.stand_off, {room.stand_off:g} m, was found "
                 "from there out of the target; a place outside it, with more room, would be valid"
             )
+    return room
 
 
 def law_keeps(scenario: Scenario, target: Target, error_bound: float) -> float:
@@ -186,14 +195,19 @@ def require_something_to_see(scenario: Scenario, seeable: Seeable, lit: Bool[np.
     area = float(patches.unit_areas().sum())
     if not area > 0.0:
         raise InspectionError("target: it has no area that counts as its outside; nothing is to be seen")
+    if not np.any(seeable.verdict[patches.counted] != Verdict.UNDECIDED):
+        raise InspectionError(
+            f"inspect.proof_time: {scenario.inspect.proof_time:g} s, in which nothing was found out of what can be "
+            f"seen of {area:.4g} m2; it must be longer"
+        )
     if seeable.lower == 0.0:
         enclosed, narrow = (patches.coverage(seeable.why == why) for why in (Hidden.ENCLOSED, Hidden.NARROW))
         open_ = patches.coverage(seeable.verdict == Verdict.UNDECIDED)
         raise InspectionError(
             f"inspect: nothing can be seen from {scenario.inspect.stand_off:g} m and beyond: of {area:.4g} m2, "
             f"{enclosed:.1%} lie enclosed, {narrow:.1%} show only where the camera's limits or inspect.stand_off "
-            f"forbid it, {open_:.1%} are undecided; a greater camera.greatest_range or camera.greatest_incidence, or a "
-            "smaller inspect.patch_size, would show more"
+            f"forbid it (told apart by rays), {open_:.1%} are undecided; a greater camera.greatest_range or "
+            "camera.greatest_incidence, or a smaller inspect.patch_size, would show more"
         )
     if not np.any(lit & patches.counted):
         raise InspectionError(
@@ -211,11 +225,19 @@ def _require_times(scenario: Scenario) -> None:
             f"duration: {scenario.duration:g} s; it must be at least camera.period, {camera:g} s, for a second frame"
         )
     held = sum(hold.seconds for hold in inspect.hold_points) + inspect.dwell
-    if held >= scenario.duration:
+    stops = np.array([scenario.start.position, *(hold.position for hold in inspect.hold_points)])
+    way = np.linalg.norm(np.diff(stops, axis=0), axis=1) - 2.0 * scenario.goal.tolerance
+    flown = float(np.maximum(way, 0.0).sum()) / _fastest(scenario)
+    if held + flown >= scenario.duration:
         raise InspectionError(
-            f"duration: {scenario.duration:g} s, and inspect.hold_points and one inspect.dwell alone take {held:g} s; "
-            "it must be longer"
+            f"duration: {scenario.duration:g} s, and inspect.hold_points and one inspect.dwell alone take {held:g} s, "
+            f"straight ways to the points {flown:.4g} s; it must be longer"
         )
+
+
+def _fastest(scenario: Scenario) -> float:
+    """Give the speed, m/s, that the chaser does not exceed."""
+    return max(scenario.chaser.speed_limit, float(np.linalg.norm(scenario.start.velocity)))
 
 
 def _require_range(scenario: Scenario) -> None:
@@ -247,6 +269,13 @@ def _require_whole_patches(scenario: Scenario, target: Target) -> None:
     angle γ is least for sin φ = q, above it for sin φ = 1.
     """
     rules, size = rules_of(scenario), patch_size(scenario, target)
+    edges = np.diff(target.vertices[target.faces], axis=1)
+    area = 0.5 * float(np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1).sum())
+    if area > MOST_PATCHES * size * size:
+        raise InspectionError(
+            f"inspect.patch_size: {size:g} m; {area:.4g} m2 would be cut into {area / size / size:.2g} patches or "
+            f"more, and {MOST_PATCHES} are the most; {math.sqrt(area / MOST_PATCHES):.3g} m at least"
+        )
     d, view = size / math.sqrt(2.0), rules.field_of_view
     narrowest = math.sqrt(1.0 - 0.5 * math.sin(rules.greatest_incidence) ** 2) if view < 0.5 * math.pi else 1.0
     across = narrowest / math.tan(view)
@@ -273,6 +302,35 @@ def _require_whole_patches(scenario: Scenario, target: Target) -> None:
             f"inspect.patch_size: {size:g} m; a whole square of it would have to be looked at from {low:.3g} m or "
             f"more and from {high:.3g} m or less (camera's angles, ranges and sample distance, inspect.stand_off); "
             "smaller patches can be seen whole"
+        )
+
+
+def _require_in_time(scenario: Scenario, target: Target) -> None:
+    """Refuse a duration in which a chaser within its limit of speed comes nowhere from where anything is in range.
+
+    A drift about the target begins elsewhere.
+    """
+    if scenario.inspect.tour == "circumnavigation":
+        return
+    away = float(target.distance.distance(np.array([scenario.start.position]))[0])
+    fastest = _fastest(scenario)
+    missing = away - scenario.camera.greatest_range
+    if missing > fastest * scenario.duration:
+        raise InspectionError(
+            f"duration: {scenario.duration:g} s; start.position is {away:.4g} m from the target, and at {fastest:g} "
+            f"m/s camera.greatest_range, {scenario.camera.greatest_range:g} m, is reached after "
+            f"{missing / fastest:.4g} s; it must be longer than that"
+        )
+
+
+def _require_thrust(scenario: Scenario, entry: str, position: tuple[float, float, float]) -> None:
+    """Refuse a place at which every thruster's plume would reach a part that none may reach."""
+    protected = Protected.of(scenario)
+    if protected is not None and bool(np.all(protected.reached(jnp.asarray(position)))):
+        raise InspectionError(
+            f"inspect.no_thrust_towards: {len(scenario.inspect.no_thrust_towards)} parts, and at {entry}, "
+            f"{list(position)} m, the plume of every thruster would reach one of them; smaller parts, a smaller "
+            "inspect.plume_half_angle or inspect.plume_range, or another place would leave some free"
         )
 
 

@@ -22,10 +22,10 @@ class Fate(enum.IntEnum):
     """Not seen, though it can be, and is lit at some time of the mission."""
     SHADOWED = 2
     """Not seen, and never lit in the mission's time, though there is a place to see it from."""
-    ENCLOSED = 3
-    """Proved hidden: what surrounds it blocks all directions."""
-    TOO_NARROW = 4
-    """Proved hidden: it shows only at an incidence, a range or from room that rules or stand-off forbid."""
+    ENCLOSED_BY_RAYS = 3
+    """Proved hidden. Measured: each of many rays from its middle meets the mesh."""
+    NARROW_BY_RAYS = 4
+    """Proved hidden. Measured: some of these rays gets out, so that incidence, range, stand-off or width forbid it."""
     UNDECIDED = 5
     """Not seen, and neither a place to see it from is known nor a proof that there is none."""
     NOT_COUNTED = 6
@@ -36,8 +36,8 @@ WORDS = {
     Fate.SEEN: "seen",
     Fate.MISSED: "could be seen, was not",
     Fate.SHADOWED: "never lit",
-    Fate.ENCLOSED: "hidden: enclosed",
-    Fate.TOO_NARROW: "hidden: too narrow",
+    Fate.ENCLOSED_BY_RAYS: "hidden: enclosed, by rays",
+    Fate.NARROW_BY_RAYS: "hidden: too narrow, by rays",
     Fate.UNDECIDED: "undecided",
     Fate.NOT_COUNTED: "not counted",
 }
@@ -49,8 +49,8 @@ def fates(inspection: Inspection) -> Int8[np.ndarray, " units"]:
     seeable = inspection.seeable
     found = np.full(inspection.patches.units, Fate.UNDECIDED, np.int8)
     hidden = seeable.verdict == Verdict.HIDDEN
-    found[hidden] = Fate.TOO_NARROW
-    found[hidden & (seeable.why == Hidden.ENCLOSED)] = Fate.ENCLOSED
+    found[hidden] = Fate.NARROW_BY_RAYS
+    found[hidden & (seeable.why == Hidden.ENCLOSED)] = Fate.ENCLOSED_BY_RAYS
     found[seeable.verdict == Verdict.SEEABLE] = Fate.SHADOWED
     found[inspection.lit] = Fate.MISSED
     found[inspection.seen] = Fate.SEEN
@@ -69,7 +69,8 @@ def first_frames(inspection: Inspection) -> Int[np.ndarray, " units"]:
 def shares(inspection: Inspection) -> dict[str, float]:
     """Give shares of the area counted: what can be seen and lit, what was, and the rest by its reason.
 
-    `seen` and the reasons `missed`, `shadowed`, `enclosed`, `too_narrow` and `undecided` add up to 1.
+    `seen` and the reasons `missed`, `shadowed`, `enclosed_by_rays`, `narrow_by_rays` and `undecided` add up to 1.
+    `hidden` is what is proved to be, seen or not; that it is enclosed or too narrow is measured by rays.
     `seen_beyond_proof` is what was seen though it is proved hidden from the room allowed, as from nearer than the
     stand-off.
     """
@@ -78,6 +79,7 @@ def shares(inspection: Inspection) -> dict[str, float]:
     return {
         "seeable": inspection.seeable.lower,
         "seeable_and_lit": patches.coverage(inspection.lit),
+        "hidden": patches.coverage(inspection.seeable.verdict == Verdict.HIDDEN),
         **{kind.name.lower(): patches.coverage(fate == kind) for kind in Fate if kind is not Fate.NOT_COUNTED},
         "seen_beyond_proof": patches.coverage(beyond),
     }

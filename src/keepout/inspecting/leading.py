@@ -60,7 +60,7 @@ class Leading:
         scenario: with the margin that the stand-off asks for, and a goal that reaches as far as any place.
         model: the field that the law flies by.
         grid: of ways, which all goals share.
-        reach: how far the chaser may go from the body frame's origin, m; the law is tuned for it.
+        reach: how far places to go to are from the body frame's origin, m; the law is tuned for it.
         nominal_offset: of the law beyond its keep-out zone, m.
         guard: which is the same for all goals, or None.
         navigation: the sensors and both estimates, or None.
@@ -101,7 +101,14 @@ class Leading:
         model.require_target(target, where="field")
         start = np.asarray(scenario.start.position)
         extent = float(np.linalg.norm(target.vertices, axis=1).max())
-        reach = max(extent + scenario.camera.greatest_range, float(np.linalg.norm(start)))
+        away = {
+            "start.position": float(np.linalg.norm(start)),
+            "camera.greatest_range, beyond the target": extent + scenario.camera.greatest_range,
+        }
+        for number, hold in enumerate(scenario.inspect.hold_points):
+            away[f"inspect.hold_points.{number}.position"] = float(np.linalg.norm(hold.position))
+        environment.require_bounded(scenario, away)
+        reach = max(away.values())
         ahead = start / max(float(np.linalg.norm(start)), 1e-9)
         far = tuple((reach * ahead if ahead.any() else np.array([reach, 0.0, 0.0])).tolist())
         scenario = _moved(scenario, scenario.start.position, far)

@@ -21,6 +21,7 @@ from keepout.inspecting.problem import Problem
 from keepout.inspecting.viewpoints import Views, find_views
 from keepout.inspecting.ways import Ways
 from keepout.progress import Progress, part_of, silent
+from keepout.seeing.rules import SeeingRules
 from keepout.seeing.visible import visible
 
 _COVER_SECONDS, _LEAST_SECONDS, _UNIT_SECONDS = 30.0, 5.0, 0.01
@@ -87,11 +88,25 @@ def plan(
     return replace(result, candidates=len(views.positions), fewest_views=chosen.fewest, greedy_views=chosen.greedy)
 
 
-def candidates(problem: Problem, wanted: Bool[np.ndarray, " units"], *, progress: Progress = silent) -> Views:
-    """Find views of the units wanted, with room for a flight's errors; witnesses' places by the rules themselves."""
+def candidates(
+    problem: Problem,
+    wanted: Bool[np.ndarray, " units"],
+    *,
+    within: SeeingRules | None = None,
+    progress: Progress = silent,
+) -> Views:
+    """Find views of the units wanted; witnesses' places by the camera's limits themselves.
+
+    Args:
+        problem: what there is to be seen, and from where.
+        wanted: (units,) to be seen.
+        within: limits of what drawn places show; if absent, the camera's with room for a flight's errors.
+        progress: told how much is seen.
+
+    """
     rules, scenario = problem.rules, problem.scenario
     level = scenario.inspect.stand_off + INSIDE
-    tighter = tighter_rules(rules, problem.patches.size)
+    tighter = tighter_rules(rules, problem.patches.size) if within is None else within
 
     def allowed(places: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
         answer = problem.target.distance.distance(places) >= level

@@ -48,23 +48,25 @@ class Problem:
     light: Light
 
     @classmethod
-    def of(cls, scenario: Scenario, target: Target, progress: Progress = silent) -> "Problem":
+    def of(
+        cls, scenario: Scenario, target: Target, *, room: Room | None = None, progress: Progress = silent
+    ) -> "Problem":
         """Cut the target into patches, and find out what of it can be seen.
 
         Args:
             scenario: its entries `camera`, `light` and `inspect`.
             target: the mesh.
-            progress: told of the cut, the room and the share that is decided.
+            room: that `require_inspectable` gave for both; else both are looked at here.
+            progress: told of the cut and the share that is decided.
 
         Raises:
             InspectionError: something that no plan could make good; the message names the entry.
 
         """
-        require_inspectable(scenario, target)
+        room = require_inspectable(scenario, target) if room is None else room
         rules, stand_off = rules_of(scenario), scenario.inspect.stand_off
         patches = cut(target, patch_size(scenario, target), progress=part_of(progress, 0.0, 0.1))
         sight = Sightlines(target.vertices, target.faces, patches)
-        room = Room(target.distance, stand_off, progress=part_of(progress, 0.1, 0.15))
         judged = seeable(
             target,
             patches,
@@ -73,7 +75,7 @@ class Problem:
             stand_off,
             room=room,
             seconds=scenario.inspect.proof_time,
-            progress=part_of(progress, 0.15, 1.0),
+            progress=part_of(progress, 0.1, 1.0),
         )
         return cls(scenario, target, patches, rules, sight, room, judged, Light.of(scenario))
 

@@ -183,6 +183,20 @@ def flight_bounds(scenario: Scenario) -> FlightBounds:
     )
 
 
+def require_bounded(scenario: Scenario, away: dict[str, float]) -> None:
+    """Refuse entries that say that the chaser flies farther from the origin than gravity is bounded.
+
+    Args:
+        scenario: its target's centre of mass.
+        away: of each entry, by its name, the distance from the body frame's origin, m.
+
+    Raises:
+        ScenarioError: the message names the entry that is farthest.
+
+    """
+    _region(scenario, away)
+
+
 def _rotation(scenario: Scenario) -> tuple[float, float]:
     """Bound the body frame's inertial rate, rad/s, and its derivative, rad/s².
 

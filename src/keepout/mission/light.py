@@ -78,8 +78,7 @@ class Light:
         if entry.kind == "none":
             return np.full((len(times), 3), np.nan)
         if entry.direction is not None and entry.kind == "fixed":
-            direction = np.asarray(entry.direction)
-            return np.tile(direction / np.linalg.norm(direction), (len(times), 1))
+            return np.tile(_unit(entry.direction), (len(times), 1))
         if not len(times):
             return np.empty((0, 3))
         toward, position, body_from_inertial = self._inertial(times)
@@ -97,8 +96,7 @@ class Light:
             start = parse_instant(scenario.epoch)
             toward = np.array([sun_direction(start + round(time * 1e9)) for time in times]).reshape(-1, 3)
         else:
-            given = np.asarray(scenario.sun.direction)
-            toward = np.tile(given / np.linalg.norm(given), (len(times), 1))
+            toward = np.tile(_unit(scenario.sun.direction), (len(times), 1))
         # Filled up, so that few programs serve any number of times.
         padded = np.pad(times, (0, (1 << (len(times) - 1).bit_length()) - len(times)), mode="edge")
         if scenario.attitude.kind == "tumbling" or motion.perturbations:
@@ -131,6 +129,13 @@ class Light:
             blocks.append(jax.tree.map(np.asarray, _rows(motion, start, period)))
         states = jax.tree.map(lambda *leaves: np.concatenate(leaves)[whole], *blocks)
         return _after(motion, states, jnp.asarray(np.maximum(times - whole * period, 0.0)))
+
+
+def _unit(given: Sequence[float]) -> Float[np.ndarray, "3"]:
+    """Give a vector the length 1, however long or short it is: squares of its numbers may over- or underflow."""
+    vector = np.asarray(given, dtype=np.float64)
+    vector = vector / np.abs(vector).max()
+    return vector / np.linalg.norm(vector)
 
 
 def shines(position: Float[np.ndarray, "n 3"], toward: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:

@@ -19,8 +19,8 @@ FATE_COLOURS = {
     Fate.SEEN: "#2fa77d",
     Fate.MISSED: "#d9722e",
     Fate.SHADOWED: "#3f5fa8",
-    Fate.ENCLOSED: "#5b616b",
-    Fate.TOO_NARROW: "#b76aa4",
+    Fate.ENCLOSED_BY_RAYS: "#5b616b",
+    Fate.NARROW_BY_RAYS: "#b76aa4",
     Fate.UNDECIDED: "#e8d44a",
     Fate.NOT_COUNTED: "#c9ced6",
 }

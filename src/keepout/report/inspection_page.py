@@ -23,6 +23,7 @@ UNSEEN = "unseen.json"
 _SHARES = {
     "seeable": "surely can be seen from the room allowed",
     "seeable_and_lit": "and is lit in the mission's time",
+    "hidden": "proved hidden from the room allowed",
     **{kind.name.lower(): WORDS[kind] for kind in Fate if kind is not Fate.NOT_COUNTED},
     "seen_beyond_proof": "seen, though proved hidden from the room allowed",
 }

@@ -90,8 +90,8 @@ def ray_blocker(boxes, children, first, corners, stack, cx, cy, cz, gx, gy, gz, 
 
 @numba.njit(cache=True, nogil=True)
 @no_type_check
-def _sides(patch, count, way, far, qx, qy, qz, reach, planes):
-    """Write the planes of the pyramid's sides (unit normal inwards, and the least value on pyramid); their number.
+def bounding_planes(patch, count, way, far, qx, qy, qz, reach, planes):
+    """Write the planes that bound a pyramid at its sides (unit normal inwards, least value on it); give their number.
 
     The least value is taken over the computed normal, so that the pyramid is inside whatever rounding did to it.
     """
@@ -319,7 +319,7 @@ def look(boxes, children, first, corners, depth, patches, counts, centres, norma
             continue
         found = ray_blocker(boxes, children, first, corners, stack, cx, cy, cz, gx, gy, gz, low, high)
         if found < 0:
-            sides = _sides(patch, count, way, far, qx, qy, qz, rounding * _REACH, planes)
+            sides = bounding_planes(patch, count, way, far, qx, qy, qz, rounding * _REACH, planes)
             base = -np.inf  # of the patch's plane: the highest corner, so that no corner is above it
             for k in range(count):
                 base = max(base, nx * patch[k, 0] + ny * patch[k, 1] + nz * patch[k, 2])

@@ -35,7 +35,7 @@ def _blocker(tree, depth_stack, frame, patch, count, wx, wy, height, rounding, p
         return found
     qx, qy, qz = cx + gx, cy + gy, cz + gz
     # The patch runs counter-clockwise about the unit's normal: its way is 1.
-    sides = pyramid_kernel._sides(patch, count, 1.0, 1.0, qx, qy, qz, 0.0, planes)
+    sides = pyramid_kernel.bounding_planes(patch, count, 1.0, 1.0, qx, qy, qz, 0.0, planes)
     base = -np.inf
     for k in range(count):
         base = max(base, frame[3, 0] * patch[k, 0] + frame[3, 1] * patch[k, 1] + frame[3, 2] * patch[k, 2])

@@ -21,14 +21,14 @@ class Verdict(enum.IntEnum):
 
 
 class Hidden(enum.IntEnum):
-    """Why a unit is hidden, for people."""
+    """Why a unit that is proved hidden is so, for people: measured by rays from its middle, not proved."""
 
     NOT = 0
     """It is seeable, or not decided."""
     ENCLOSED = 1
-    """All directions are blocked, however wide the angles of the rules."""
+    """Each of many rays over its side meets the mesh."""
     NARROW = 2
-    """Only at an incidence, a range or from room that the rules or the stand-off forbid."""
+    """Some of them gets out: incidence, range, stand-off or the width of what is open forbid it."""
 
 
 @dataclass(frozen=True, eq=False)

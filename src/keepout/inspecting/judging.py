@@ -1,0 +1,112 @@
+"""What was flown put together: audited on the mesh, and each frame judged by where the camera truly was."""
+
+import time
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool
+
+from keepout.audit.audit import audit
+from keepout.flight.loop import FlightLog
+from keepout.flight.outcome import outcome
+from keepout.flight.record import FlightRecord
+from keepout.flight.setup import FlightSetup
+from keepout.guard.guard import Guard
+from keepout.inspecting.frames import Camera, Shot, as_flown
+from keepout.inspecting.inspection import Inspection
+from keepout.inspecting.limits import LimitsKept, limits_kept
+from keepout.inspecting.plan import InspectionPlan
+from keepout.inspecting.problem import Problem
+from keepout.mission import environment
+from keepout.mission.assumptions import broken_assumptions, guard_numbers
+from keepout.mission.scenario import Scenario
+from keepout.mission.statuses import legend
+from keepout.progress import Progress, part_of, silent
+
+
+def judged(
+    scenario: Scenario,
+    problem: Problem,
+    setup: FlightSetup,
+    log: FlightLog,
+    shots: Sequence[Shot],
+    camera: Camera,
+    *,
+    guard: Guard | None,
+    certified: bool | None,
+    lit: Bool[np.ndarray, " units"],
+    plan: InspectionPlan,
+    plans: int,
+    ending: tuple[str, str],
+    began: float,
+    progress: Progress = silent,
+) -> Inspection:
+    """Audit a flight on the mesh, and say what each of its frames truly showed.
+
+    Args:
+        scenario: as flown.
+        problem: what was to be seen.
+        setup: of the flight.
+        log: of the whole flight.
+        shots: frames as the camera was told to take them.
+        camera: what it sees.
+        guard: that it was flown with, or None.
+        certified: whether the guard's theorem holds from the start; None without a guard.
+        lit: (2 n,) what can be seen and is lit at some time.
+        plan: the first one.
+        plans: how many were made.
+        ending: how it ended, and why in words.
+        began: when the computation began, s by `time.perf_counter`.
+        progress: called as the work goes on.
+
+    """
+    flown = outcome(setup, log)
+    record = FlightRecord.of_log(
+        log,
+        outcome=flown,
+        scenario=scenario.model_dump_json(),
+        seed=scenario.seed,
+        target_sha256=problem.target.sha256,
+        statuses=legend(),
+    )
+    progress(0.0, "audit")
+    verdict = audit(
+        record,
+        problem.target,
+        chaser_radius=scenario.chaser.radius,
+        bounds=environment.flight_bounds(scenario),
+        force_limit=scenario.chaser.force_limit,
+        speed_limit=scenario.chaser.speed_limit,
+    )
+    frames, seen = as_flown(record, shots, camera, progress=part_of(progress, 0.3, 1.0))
+    broken = broken_assumptions(scenario)
+    return Inspection(
+        scenario=scenario,
+        target=problem.target,
+        patches=problem.patches,
+        rules=problem.rules,
+        seeable=problem.seeable,
+        lit=lit,
+        plan=plan,
+        plans=plans,
+        record=record,
+        flown=flown,
+        audit=verdict,
+        frames=frames,
+        seen=seen,
+        outcome=ending[0],
+        why=ending[1],
+        seconds=time.perf_counter() - began,
+        start_certified=None if certified is None else certified and not broken,
+        assumptions_broken=broken,
+        guard=None if guard is None else guard_numbers(guard),
+        limits=_limits_kept(scenario, problem, record),
+    )
+
+
+def _limits_kept(scenario: Scenario, problem: Problem, record: FlightRecord) -> LimitsKept | None:
+    entry = scenario.inspect
+    if not (entry.hold_points or entry.no_thrust_towards or entry.passive_safety):
+        return None
+    ticks = round(scenario.camera.period / scenario.control.period)
+    return limits_kept(scenario, record, problem.target.distance.distance, every=ticks)
