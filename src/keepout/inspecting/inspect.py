@@ -39,6 +39,7 @@ from keepout.inspecting.lit import ever_lit
 from keepout.inspecting.plan import InspectionPlan
 from keepout.inspecting.planning import plan
 from keepout.inspecting.problem import Problem
+from keepout.inspecting.safe_speeds import SafeSpeeds
 from keepout.inspecting.wanted import Wanted
 from keepout.mission import environment
 from keepout.mission.assumptions import broken_assumptions, guard_numbers
@@ -141,6 +142,7 @@ class _Inspector:
         self.wanted = Wanted.of(problem.patches, self.lit, scenario.inspect.coverage)
         self.estimate = np.asarray(scenario.start.position, dtype=float)
         self.boresight = boresight_of(scenario, target)
+        self.safe_speeds = SafeSpeeds.of(problem, scenario)
         holds = scenario.inspect.hold_points
         begins = np.asarray(holds[-1].position, dtype=float) if holds else self.estimate
         self.first = self._planned(begins, 0.0, part_of(progress, 0.4, 0.5)) if first is None else first
@@ -317,14 +319,15 @@ class _Inspector:
             way = float(np.linalg.norm(place - self.estimate))
             turn = 0.0 if leg.boresight is None else self.boresight.off(leg.boresight)
             slew = turn / self.boresight.greatest_rate
+            most = self.safe_speeds.of_leg(leg, self.estimate, place, now)
             law = self.leading.law(
-                place, self.estimate, speed=way / slew if slew > 0.0 else None, through=not leg.waits
+                place, self.estimate, speed=way / slew if slew > 0.0 else None, most=most, through=not leg.waits
             )
         except ControlError as refusal:
             self.refused.append(str(refusal))
             self.wanted.failed(leg.units)
             return None
-        leg.begun(now, place, way / self.scenario.chaser.speed_limit + slew)
+        leg.begun(now, place, way / min(most, self.scenario.chaser.speed_limit) + slew)
         return law
 
     def _replanned(self, now: float) -> tuple[str, str] | None:
@@ -397,6 +400,7 @@ class _Inspector:
             assumptions_broken=self.broken,
             guard=None if guard is None else guard_numbers(guard),
             limits=self._limits_kept(record),
+            drifts=self.safe_speeds.flown,
         )
 
     def _limits_kept(self, record: FlightRecord) -> LimitsKept | None:

@@ -12,6 +12,7 @@ from keepout.flight.record import FlightRecord
 from keepout.geometry.target import Target
 from keepout.inspecting.limits import LimitsKept
 from keepout.inspecting.plan import InspectionPlan
+from keepout.inspecting.safe_speeds import DriftsFlown
 from keepout.mission.scenario import Scenario
 from keepout.mission.statuses import flag_counts
 from keepout.seeing.patches import Patches
@@ -64,6 +65,7 @@ class Inspection:
         assumptions_broken: what is flown beyond what the scenario declares.
         guard: what the guard assumes and what follows, as numbers; None without a guard.
         limits: how the operator's limits were kept; None where there are none.
+        drifts: legs as they were begun, judged by passive safety; None where that is not asked for.
 
     """
 
@@ -87,6 +89,7 @@ class Inspection:
     assumptions_broken: tuple[str, ...]
     guard: dict[str, Any] | None
     limits: LimitsKept | None = None
+    drifts: DriftsFlown | None = None
 
     @property
     def coverage(self) -> float:
@@ -141,6 +144,8 @@ class Inspection:
             "start_certified": self.start_certified,
             "assumptions_broken": list(self.assumptions_broken),
             "guard": self.guard,
+            **({} if self.plan.drifts is None else self.plan.drifts.summary()),
+            **({} if self.drifts is None else self.drifts.summary()),
             **({} if self.limits is None else self.limits.summary()),
             "seconds": self.seconds,
         }

@@ -2,17 +2,18 @@
 
 import math
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float, Int
 from scipy import sparse
 
+from keepout.inspecting.drifting import Drifting
 from keepout.inspecting.equipment import boresight_of
 from keepout.inspecting.lit_times import LitTimes
 from keepout.inspecting.passing import seen_in_passing
 from keepout.inspecting.plan import InspectionPlan, PlannedView
 from keepout.inspecting.problem import Problem
+from keepout.inspecting.safe_tour import kept_safe
 from keepout.inspecting.tour import Legs, Tour, turning_time
 from keepout.inspecting.viewpoints import Look, Views
 from keepout.inspecting.ways import Ways, way_length
@@ -106,28 +107,42 @@ def drawn_up(
     start: Start,
     look: Look,
     areas: Float[np.ndarray, " units"],
-) -> tuple[InspectionPlan, list[Int[np.ndarray, " _"]]]:
-    """Give the plan of a tour, and what is seen on each of its legs."""
-    scenario, rows = problem.scenario, tour.order - 1
-    stops = np.concatenate([start.position[None], views.positions[rows]])
-    courses, moved = [], 0.0
-    for a, b in pairwise(stops):
-        course = ways.path(a, b)
-        courses.append(np.stack([a, b]) if course is None else course)
-        moved += way_length(courses[-1])
+) -> tuple[InspectionPlan, list[Int[np.ndarray, " _"]], Tour]:
+    """Give the plan of a tour, what is seen on each of its legs, and the tour that was left of it.
+
+    Where passive safety is asked for, legs that need it are slower, and views to which none is safe are left out.
+    """
+    scenario = problem.scenario
+    looking = np.concatenate([start.looking(problem)[None], views.boresights])
+
+    def course(a: int, b: int) -> Float[np.ndarray, "corners 3"]:
+        begin = start.position if a == 0 else views.positions[a - 1]
+        found = ways.path(begin, views.positions[b - 1])
+        return np.stack([begin, views.positions[b - 1]]) if found is None else found
+
+    def turn(a: int, b: int) -> float:
+        camera = scenario.camera
+        return float(turning_time(looking[[a]], looking[[b]], camera.turn_rate, camera.turn_acceleration)[0, 0])
+
+    tour, courses, speeds, drifts = kept_safe(
+        Drifting.of(scenario, problem.target.distance.distance), tour, course, turn, start.time, scenario.inspect.dwell
+    )
+    rows, moved = tour.order - 1, float(sum(map(way_length, courses)))
     covered = np.zeros(len(areas), dtype=bool)
     planned = []
-    for row, at in zip(rows, tour.times, strict=True):
+    for row, at, speed in zip(rows, tour.times, speeds, strict=True):
         units = views.sees.indices[views.sees.indptr[row] : views.sees.indptr[row + 1]]
         units = np.sort(units[lit.at(float(at))[units] & ~covered[units]]).astype(np.int64)
         covered[units] = True
         window = (
             next((w for w in lit.windows(units) if w[0] <= at <= w[1]), (at, at)) if lit.changes else (0.0, math.inf)
         )
-        planned.append(PlannedView(views.positions[row], views.boresights[row], units, window, scenario.inspect.dwell))
+        planned.append(
+            PlannedView(views.positions[row], views.boresights[row], units, window, scenario.inspect.dwell, speed)
+        )
     passing = seen_in_passing(
         courses,
-        np.concatenate([start.looking(problem)[None], views.boresights[rows]]),
+        looking[np.concatenate([[0], tour.order])],
         np.concatenate([[start.time], tour.times]),
         look=look,
         lit=lit,
@@ -137,4 +152,5 @@ def drawn_up(
     )
     for units in passing:
         covered[units] = True
-    return InspectionPlan(tuple(planned), covered, moved, tour.end - start.time, 0, 0, 0), passing
+    plan = InspectionPlan(tuple(planned), covered, moved, tour.end - start.time, 0, 0, 0, drifts)
+    return plan, passing, tour

@@ -91,7 +91,7 @@ def plan_in_light(
     look = functools.partial(
         visible, problem.sight, tighter_rules(problem.rules, problem.patches.size), among=areas > 0.0
     )
-    result, _ = drawn_up(problem, kept, lit, tour, ways, start, look, areas)
+    result, *_ = drawn_up(problem, kept, lit, tour, ways, start, look, areas)
     return replace(
         result,
         candidates=len(views.positions),

@@ -1,5 +1,7 @@
 """The nearest-view tour, a baseline: always the view next that is soonest reached and shows enough that is new."""
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float
 
@@ -72,7 +74,5 @@ def nearest_views(
     between = ways.lengths(np.concatenate([start.position[None], kept.positions]))
     needs = first_seen(kept.sees, np.arange(len(chosen)), areas)
     tour = flown(legs_of(problem, kept, needs, lit, start, between), np.arange(1, len(chosen) + 1))
-    plan, _ = drawn_up(problem, kept, lit, tour, ways, start, look, areas)
-    return InspectionPlan(
-        plan.views, plan.covered, plan.way_length, plan.duration, len(views.positions), 0, len(chosen)
-    )
+    plan, *_ = drawn_up(problem, kept, lit, tour, ways, start, look, areas)
+    return replace(plan, candidates=len(views.positions), greedy_views=len(chosen))

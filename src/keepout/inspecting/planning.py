@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 from scipy import sparse
 
 from keepout.inspecting.cover import Cover, fewest_views, shortlist
+from keepout.inspecting.drifting import Drifting
 from keepout.inspecting.itinerary import Start, drawn_up, first_seen, legs_of, tighter_rules
 from keepout.inspecting.light_plan import plan_in_light
 from keepout.inspecting.lit_times import LitTimes
@@ -69,41 +70,76 @@ def plan(
     lit = LitTimes.of(
         problem.light, problem.sight, problem.rules, wanted, time, max(scenario.duration, time), scenario.camera.period
     )
-    views = candidates(problem, wanted & lit.lit.any(axis=0), progress=part_of(progress, 0.0, 0.5))
+    views, unsafe = candidates(problem, wanted & lit.lit.any(axis=0), time, progress=part_of(progress, 0.0, 0.5))
     goal = share * float(areas.sum())
     start = Start(np.asarray(position, dtype=np.float64), time, boresight)
-    ways = _ways(problem, start.position)
+    ways = ways_from(problem, start.position)
     seconds = min(_COVER_SECONDS, _LEAST_SECONDS + _UNIT_SECONDS * wanted.sum()) if seconds is None else seconds
     if scenario.inspect.tour == "nearest":
         look = functools.partial(
             visible, problem.sight, tighter_rules(problem.rules, problem.patches.size), among=areas > 0.0
         )
         result = nearest_views(problem, views, lit, areas, goal, ways, start, look)
-        progress(1.0, f"{len(result.views)} views, {result.way_length:.0f} m")
-        return result
-    if lit.changes:
-        return plan_in_light(problem, views, lit, areas, goal, ways, start, seconds, part_of(progress, 0.5, 1.0))
-    views = views.only(shortlist(views.sees, areas, _AMONG))
-    chosen, legs = _reached(problem, views, areas, goal, ways, start, seconds, part_of(progress, 0.5, 0.85))
-    kept = views.only(chosen.chosen)
-    progress(0.9, f"{len(kept.positions)} views: their order")
-    result = _ordered(problem, kept, lit, areas, goal, ways, start, legs)
+    elif lit.changes:
+        result = plan_in_light(problem, views, lit, areas, goal, ways, start, seconds, part_of(progress, 0.5, 1.0))
+    else:
+        result = _planned(problem, views, lit, areas, goal, ways, start, seconds, part_of(progress, 0.5, 1.0))
     progress(1.0, f"{len(result.views)} views, {result.way_length:.0f} m")
+    drifts = None if result.drifts is None else replace(result.drifts, candidates_left_out=unsafe)
+    return replace(result, drifts=drifts)
+
+
+def _planned(
+    problem: Problem,
+    views: Views,
+    lit: LitTimes,
+    areas: Float[np.ndarray, " units"],
+    goal: float,
+    ways: Ways,
+    start: Start,
+    seconds: float,
+    progress: Progress,
+) -> InspectionPlan:
+    """Choose the fewest views, and then their order."""
+    views = views.only(shortlist(views.sees, areas, _AMONG))
+    chosen, legs = _reached(problem, views, areas, goal, ways, start, seconds, part_of(progress, 0.0, 0.7))
+    kept = views.only(chosen.chosen)
+    progress(0.8, f"{len(kept.positions)} views: their order")
+    result = _ordered(problem, kept, lit, areas, goal, ways, start, legs)
     return replace(result, candidates=len(views.positions), fewest_views=chosen.fewest, greedy_views=chosen.greedy)
 
 
-def candidates(problem: Problem, wanted: Bool[np.ndarray, " units"], *, progress: Progress = silent) -> Views:
-    """Find views of the units wanted, with room for a flight's errors; witnesses' places by the rules themselves."""
+def candidates(
+    problem: Problem, wanted: Bool[np.ndarray, " units"], time: float, *, progress: Progress = silent
+) -> tuple[Views, int]:
+    """Find views of the units wanted, with room for a flight's errors; witnesses' places by the rules themselves.
+
+    Where passive safety is asked for, rest at a time (s) is safe at all of them.
+
+    Returns:
+        The views, and at how many places that were tried rest is not safe.
+
+    """
     rules, scenario = problem.rules, problem.scenario
     level = scenario.inspect.stand_off + _INSIDE
     tighter = tighter_rules(rules, problem.patches.size)
+    drifting, unsafe = Drifting.of(scenario, problem.target.distance.distance), 0
 
     def allowed(places: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
         answer = problem.target.distance.distance(places) >= level
         answer[answer] = problem.room.allowed(places[answer])
+        answer[answer] = safe(places[answer])
         return answer
 
-    return find_views(
+    def safe(places: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+        nonlocal unsafe
+        if drifting is None:
+            return np.ones(len(places), dtype=bool)
+        answer = drifting.at_rest(places, time)
+        unsafe += int(np.count_nonzero(~answer))
+        return answer
+
+    views = find_views(
         functools.partial(visible, problem.sight, tighter, among=wanted),
         functools.partial(visible, problem.sight, rules, among=wanted),
         allowed,
@@ -116,9 +152,11 @@ def candidates(problem: Problem, wanted: Bool[np.ndarray, " units"], *, progress
         seed=scenario.seed,
         progress=progress,
     )
+    # The places of witnesses were not drawn.
+    return views if drifting is None else views.only(np.flatnonzero(safe(views.positions))), unsafe
 
 
-def _ways(problem: Problem, position: Float[np.ndarray, "3"]) -> Ways:
+def ways_from(problem: Problem, position: Float[np.ndarray, "3"]) -> Ways:
     """Give the problem's ways, or such as reach farther where the chaser is outside their box."""
     lower, upper = problem.box
     if ((position >= lower) & (position <= upper)).all():
@@ -180,11 +218,11 @@ def _ordered(
         needs = first_seen(views.sees, np.arange(len(views.positions)), areas)
         legs = legs_of(problem, views, needs, lit, start, between)
         tour = best_tour(legs, inspect.objective, worth=inspect.delta_v_worth, seed=problem.scenario.seed)
-        result, passing = drawn_up(problem, views, lit, tour, ways, start, look, areas)
+        result, passing, left = drawn_up(problem, views, lit, tour, ways, start, look, areas)
         if best is not None and float(areas[result.covered].sum()) < min(goal, float(areas[best.covered].sum())):
             return best
         best = result
-        keep = _needed(views.sees, tour, lit, passing, areas, goal)
+        keep = _needed(views.sees, left, lit, passing, areas, goal)
         if keep.all():
             return best
         views, between = _kept(views, between, np.flatnonzero(keep))
