@@ -303,3 +303,21 @@ def test_towards_the_target_it_flies_as_slowly_as_passive_safety_asks(box, parts
     assert figures["legs_flown_slowed"] >= 1
     assert figures["legs_flown_unsafe"] == 0
     assert not [name for name in quick.summary() if "legs" in name or "passive" in name]
+
+
+@pytest.mark.long
+def test_in_the_suns_light_less_delta_v_is_flown_where_that_is_the_objective(box, parts):
+    """Of a box in low orbit each side is lit for a while; the time that it takes is the sun's."""
+    spent = {}
+    for objective in ("time", "delta_v"):
+        mission = scenario(
+            duration=9000.0,
+            start={"position": [0.0, 6.0, 3.0]},
+            orbit={"semi_major_axis": 6_878_000.0},
+            light={"kind": "sun"},
+            inspect={"coverage": 0.97, "candidates": 300, "objective": objective},
+        )
+        found = inspect(mission, problem=problem_of(mission, box, parts))
+        assert found.outcome == "all seen", found.why
+        spent[objective] = found.delta_v
+    assert spent["delta_v"] < spent["time"] - 0.03
