@@ -94,7 +94,7 @@ def covered(problem: Problem, place: dict[str, Any], limit: float) -> dict[str, 
     wanted = (problem.seeable.verdict == Verdict.SEEABLE) & problem.patches.counted
     areas = problem.patches.unit_areas() * wanted
     began = time.perf_counter()
-    views = candidates(problem, wanted, within=None if place["allowance"] else problem.rules)
+    views, _ = candidates(problem, wanted, 0.0, within=None if place["allowance"] else problem.rules)
     seconds_candidates = time.perf_counter() - began
     seen = np.asarray(views.sees.sum(axis=0)).ravel() > 0.0
     began = time.perf_counter()

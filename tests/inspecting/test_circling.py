@@ -36,7 +36,12 @@ def test_half_an_orbit_round_a_box_sees_part_of_it_without_contact(problem):
     assert told["contact"] is False
     assert told["minimum_clearance_m"] > 2.0 - problem.scenario.chaser.radius - 0.2
     assert 0.2 < told["coverage"] < 1.0
-    assert told["delta_v_mps"] < 2.0 * 1e-4 / problem.scenario.chaser.mass * 3000.0
+    flown = float(found.flown.delta_v)
+    assert flown < 2.0 * 1e-4 / problem.scenario.chaser.mass * 3000.0
+    assert told["burn_mps"] > 0.005
+    assert told["delta_v_mps"] == pytest.approx(flown + told["burn_mps"])
+    assert 0.0 < told["transfer_s"] <= 300.0
+    assert told["transfer_keeps_stand_off"] is True
     assert told["duration_s"] == 3000.0
     assert told["limits_kept"] is True
     assert told["passive_safe_share"] == 1.0

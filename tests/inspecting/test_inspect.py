@@ -331,3 +331,54 @@ def test_an_inspection_works_out_once_what_it_needs(box, monkeypatch):
     with pytest.raises(InspectionError, match="all is ready"):
         inspect(scenario(inspect={"patch_size": 1.0, "candidates": 64, "proof_time": 2.0}), target=box)
     assert made == {"room": 1, "patches": 1, "sight": 1}
+
+
+def test_towards_the_target_it_flies_as_slowly_as_passive_safety_asks(box, parts):
+    """From 5 m off the box straight to 1.6 m: at the speed limit a drift of a minute would hit it from half way on."""
+    holds = [{"position": [3.6, 0.0, 0.0], "seconds": 5.0}]
+    told = {}
+    for seconds in (0.0, 60.0):
+        mission = scenario(
+            start={"position": [7.0, 0.0, 0.0]},
+            duration=450.0,
+            inspect={"hold_points": holds, "passive_safety": seconds},
+        )
+        told[seconds] = inspect(mission, problem=problem_of(mission, box, parts), first=tour(parts[0]))
+    quick, careful = told[0.0], told[60.0]
+
+    def approach(flown):
+        """Until the hold point is reached: how far the box is ahead at each sample, and how fast it comes."""
+        away = flown.record.position[:, 0] - HALF[0] - RADIUS
+        until = int(np.argmax(away < 1.3))
+        assert until > 0
+        return away[:until], -flown.record.velocity[:until, 0]
+
+    away, rate = approach(quick)
+    assert np.any(60.0 * rate > away)
+    away, rate = approach(careful)
+    assert np.all(60.0 * rate < away + 0.01)
+    assert rate.max() < 0.25 * mission.chaser.speed_limit
+    assert np.all(careful.limits.passive.safe[: len(rate) // 5])
+    figures = careful.summary()
+    assert figures["legs_flown"] >= 1
+    assert figures["legs_flown_slowed"] >= 1
+    assert figures["legs_flown_unsafe"] == 0
+    assert not [name for name in quick.summary() if "legs" in name or "passive" in name]
+
+
+@pytest.mark.long
+def test_in_the_suns_light_less_delta_v_is_flown_where_that_is_the_objective(box, parts):
+    """Of a box in low orbit each side is lit for a while; the time that it takes is the sun's."""
+    spent = {}
+    for objective in ("time", "delta_v"):
+        mission = scenario(
+            duration=9000.0,
+            start={"position": [0.0, 6.0, 3.0]},
+            orbit={"semi_major_axis": 6_878_000.0},
+            light={"kind": "sun"},
+            inspect={"coverage": 0.97, "candidates": 300, "objective": objective},
+        )
+        found = inspect(mission, problem=problem_of(mission, box, parts))
+        assert found.outcome == "all seen", found.why
+        spent[objective] = found.delta_v
+    assert spent["delta_v"] < spent["time"] - 0.03

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
+from keepout.inspecting.light_cost import Cost
 from keepout.inspecting.light_tour import Pace, tour_in_light
 from keepout.inspecting.lit_times import LitTimes
 from keepout.inspecting.viewpoints import Views
@@ -39,7 +40,15 @@ def made(views, lit, areas, goal=np.inf, **others):
     areas = np.asarray(areas, dtype=float)
     goal = min(goal, areas.sum())
     return tour_in_light(
-        views, lit, areas, goal, lengths, AHEAD, PACE, 0.0, **{"most_views": 20, "seconds": 5.0, **others}
+        views,
+        lit,
+        areas,
+        goal,
+        lengths,
+        AHEAD,
+        PACE,
+        0.0,
+        **{"start": start, "cost": Cost(), "most_views": 20, "seconds": 5.0, **others},
     )
 
 
@@ -123,3 +132,50 @@ def test_no_more_views_than_asked_for_and_none_where_nothing_is_lit():
     assert len(made(views, always, [1.0, 1.0], most_views=1).rows) == 1
     assert len(made(views, always, [1.0, 1.0], goal=1.0).rows) == 1
     assert len(made(views, light(np.zeros((10, 2))), [1.0, 1.0]).rows) == 0
+
+
+def every_order(views):
+    """Give end and Δv of each order, flown through at 0.1 m/s and looked at on the next of the moments."""
+    found = []
+    for order in itertools.permutations(range(len(views.positions))):
+        here, moving, now, delta_v = np.zeros(3), np.zeros(3), 0.0, 0.0
+        for row in order:
+            way = float(np.linalg.norm(views.positions[row] - here))
+            onwards = PACE.speed * (views.positions[row] - here) / way
+            delta_v += float(np.linalg.norm(onwards - moving))
+            now = STEP * np.ceil((now + way / PACE.speed) / STEP - 1e-9)
+            here, moving = views.positions[row], onwards
+        found.append((now, delta_v + PACE.speed))
+    return np.array(found)
+
+
+def test_an_objective_is_made_nearly_as_small_as_by_any_order():
+    """Six views, each alone with what it sees, in a light that is always there."""
+    apart = 0
+    for seed in (0, 2, 3):
+        generator = np.random.default_rng(seed)
+        views = views_at(generator.uniform(-15.0, 15.0, (6, 3)), np.eye(6))
+        always, truth = light(np.ones((160, 6))), every_order(views)
+        quick, cheap, both = (
+            made(views, always, np.ones(6), cost=Cost.of(objective, 500.0)) for objective in ("time", "delta_v", "both")
+        )
+        assert quick.end == pytest.approx(truth[:, 0].min())
+        assert cheap.delta_v <= 1.03 * truth[:, 1].min()
+        assert both.end + 500.0 * both.delta_v <= 1.03 * (truth @ [1.0, 500.0]).min()
+        for tour in (quick, cheap, both):
+            assert tour.area == pytest.approx(6.0)
+            assert [tour.end, tour.delta_v] == pytest.approx(
+                truth[np.argmin(np.abs(truth - [tour.end, tour.delta_v]).sum(axis=1))]
+            )
+        apart += cheap.delta_v < quick.delta_v - 0.02 and quick.end < cheap.end
+    assert apart >= 2
+
+
+def test_a_stop_for_light_is_paid_for():
+    """Two views ahead: the first in light at once, or after a minute at the place; then the chaser sets out anew."""
+    views = views_at([[10.0, 0, 0], [20.0, 0, 0]], [[1, 0], [0, 1]])
+    through = made(views, light(np.ones((60, 2))), [1.0, 1.0])
+    assert through.delta_v == pytest.approx(2.0 * PACE.speed)
+    late = made(views, light([[n >= 9, n >= 14] for n in range(60)]), [1.0, 1.0])
+    assert late.rows.tolist() == [0, 1]
+    assert late.delta_v == pytest.approx(4.0 * PACE.speed)

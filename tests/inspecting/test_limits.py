@@ -84,9 +84,9 @@ def test_only_a_push_whose_plume_reaches_the_part_is_a_violation():
     place = np.tile([10.0, 0.0, 0.0], (5, 1))
     force = [[0.1, 0, 0], [-0.1, 0, 0], [0, 0.1, -0.1], [0, 0, 0], [0.1, 0, 0]]
     parts = protected([-1, -1, -1], [1, 1, 1])
-    assert plume_violations(record(place, force), parts).tolist() == [True, False, False, False]
+    assert plume_violations(record(place, force), parts, Scenario()).tolist() == [True, False, False, False]
     near = protected([-1, -1, -1], [1, 1, 1], reach=8.9)
-    assert not plume_violations(record(place, force), near).any()
+    assert not plume_violations(record(place, force), near, Scenario()).any()
 
 
 def test_a_law_that_spares_a_part_leaves_out_that_component_alone():

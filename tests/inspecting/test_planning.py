@@ -13,8 +13,10 @@ from keepout.inspecting.equipment import patch_size, rules_of
 from keepout.inspecting.itinerary import frame_of
 from keepout.inspecting.lit_times import LitTimes
 from keepout.inspecting.passing import seen_in_passing, turned
+from keepout.inspecting.passive import drift, states_at_times
 from keepout.inspecting.planning import candidates, plan
 from keepout.inspecting.problem import Problem
+from keepout.mission.environment import relative_motion
 from keepout.mission.light import Light
 from keepout.mission.scenario import Scenario
 from keepout.seeing.cut import cut
@@ -109,7 +111,7 @@ def test_views_pulled_towards_the_way_see_as_much_in_less_time(box, monkeypatch)
     require_true(box, result)
     assert box.patches.coverage(result.covered) >= 0.95
     assert result.duration < 0.98 * as_drawn.duration
-    candidate = candidates(box, box.patches.counted).positions
+    candidate = candidates(box, box.patches.counted, 0.0)[0].positions
     apart = np.array([np.abs(candidate - view.position).sum(axis=1).min() for view in result.views])
     assert (apart > 1e-6).any()
 
@@ -298,3 +300,26 @@ def test_a_boresight_turns_on_the_great_circle_and_stops_there():
     back = turned(first, -first, math.radians(90.0))
     assert back @ first == pytest.approx(0.0, abs=1e-12)
     assert np.linalg.norm(back) == pytest.approx(1.0)
+
+
+def test_a_plan_counts_its_legs_and_keeps_to_places_where_rest_is_safe():
+    """In a low orbit a drift of half an hour leads from many places back to the box."""
+    problem = problem_of(passive_safety=1500.0)
+    low = problem.scenario.replace(orbit={"semi_major_axis": 6_878_000.0}, disturbance={"kind": "none"})
+
+    problem = replace(problem, scenario=low)
+    result = planned(problem, share=0.9)
+    drifts = result.drifts
+    assert drifts is not None
+    assert drifts.safe == len(result.views)
+    assert drifts.legs == drifts.safe + drifts.views_left_out
+    assert drifts.candidates_left_out > 0
+    places = np.array([view.position for view in result.views])
+    begun = states_at_times(low, np.zeros(len(places)), places, np.zeros_like(places))
+    path, _ = drift(relative_motion(low), begun, 2.0, 750)
+    apart = problem.target.distance.distance(path.reshape(-1, 3)).reshape(path.shape[:2])
+    assert np.all(apart.min(axis=1) > low.chaser.radius)
+    assert all(0.0 < view.speed <= low.chaser.speed_limit for view in result.views)
+    plain = planned(problem_of())
+    assert plain.drifts is None
+    assert all(np.isinf(view.speed) for view in plain.views)

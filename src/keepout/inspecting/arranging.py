@@ -79,7 +79,8 @@ class Arranger:
         settled = self._mended(self._ordered(best.views, best.between, best.tour.order))
         if self._enough(settled, best) and self._cost(settled) < self._cost(best):
             best = settled
-        for _ in range(_PULLS):
+        # A place that a view is pulled to is not known to be safe to rest at.
+        for _ in range(0 if self.problem.scenario.inspect.passive_safety > 0.0 else _PULLS):
             views = pulled(
                 self.problem,
                 best.views,

@@ -1,6 +1,7 @@
 """An inspection by natural-motion circumnavigation: a drift about the target, frames on the way, and nothing else.
 
-The chaser begins on the ellipse; what a burn from rest onto it costs is told apart. The camera looks where most of what
+The flight begins on the ellipse. What the burns onto it cost, from the scenario's start, counts in its Δv and is told
+apart. The camera looks where most of what
 is still wanted is seen from; law and guard only bring the chaser back to the drift.
 """
 
@@ -20,6 +21,7 @@ from keepout.inspecting.judging import judged
 from keepout.inspecting.lit import ever_lit
 from keepout.inspecting.plan import InspectionPlan
 from keepout.inspecting.problem import Problem
+from keepout.inspecting.transfer import transfer
 from keepout.mission import environment
 from keepout.mission.build import build_guard, flight_setup
 from keepout.mission.navigation import navigation, require_navigation
@@ -38,8 +40,8 @@ def circle(problem: Problem, *, progress: Progress = silent) -> Inspection:
     """Inspect a target by the ellipse that sees most of it.
 
     Args:
-        problem: what there is to be seen; of its scenario the start does not count: the flight begins on the ellipse,
-            and lasts as long as the scenario.
+        problem: what there is to be seen. The flight begins on the ellipse, and lasts as long as the scenario; from its
+            start the burns onto the ellipse are made.
         progress: called as the work goes on.
 
     Raises:
@@ -69,6 +71,7 @@ def circle(problem: Problem, *, progress: Progress = silent) -> Inspection:
             f"circumnavigation: {fastest:.3g} m/s is needed on the ellipse; chaser.speed_limit "
             f"{scenario.chaser.speed_limit:g} m/s must be at least that"
         )
+    onto = transfer(scenario, target.distance.distance, ellipse)
     scenario = _begun_on(scenario, ellipse)
     motion = environment.relative_motion(scenario)
     require_navigation(scenario)
@@ -79,7 +82,6 @@ def circle(problem: Problem, *, progress: Progress = silent) -> Inspection:
     initial = motion.initial_state(ellipse.position[0], ellipse.velocity[0])
     log = fly(setup, initial, scenario.steps, jax.random.key(scenario.seed))
     progress(0.6, "flown")
-    burn = float(np.linalg.norm(ellipse.velocity[0]))
     time_flown, position = np.asarray(log.time), np.asarray(log.position)
     way = float(np.linalg.norm(np.diff(position, axis=0), axis=1).sum())
     return judged(
@@ -97,9 +99,11 @@ def circle(problem: Problem, *, progress: Progress = silent) -> Inspection:
         ending=(
             "out of time",
             f"{ellipse.turns:.2f} turns on an ellipse {ellipse.height:.2f} m high and {ellipse.across:.2f} m across, "
-            f"which a burn of {burn:.4f} m/s from rest leads onto",
+            f"onto which two burns of {onto.first:.4f} and {onto.second:.4f} m/s lead from the start, "
+            f"{onto.seconds:.0f} s apart" + ("" if onto.keeps_stand_off else ", not proved to keep the stand-off"),
         ),
         began=begun,
+        transfer=onto,
         progress=part_of(progress, 0.6, 1.0),
     )
 

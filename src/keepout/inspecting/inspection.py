@@ -12,6 +12,8 @@ from keepout.flight.record import FlightRecord
 from keepout.geometry.target import Target
 from keepout.inspecting.limits import LimitsKept
 from keepout.inspecting.plan import InspectionPlan
+from keepout.inspecting.safe_speeds import DriftsFlown
+from keepout.inspecting.transfer import Transfer
 from keepout.mission.scenario import Scenario
 from keepout.mission.statuses import flag_counts
 from keepout.seeing.patches import Patches
@@ -64,6 +66,8 @@ class Inspection:
         assumptions_broken: what is flown beyond what the scenario declares.
         guard: what the guard assumes and what follows, as numbers; None without a guard.
         limits: how the operator's limits were kept; None where there are none.
+        transfer: how a circumnavigation comes onto its ellipse before the flight; None of any other.
+        drifts: legs as they were begun, judged by passive safety; None where that is not asked for.
 
     """
 
@@ -87,11 +91,18 @@ class Inspection:
     assumptions_broken: tuple[str, ...]
     guard: dict[str, Any] | None
     limits: LimitsKept | None = None
+    drifts: DriftsFlown | None = None
+    transfer: Transfer | None = None
 
     @property
     def coverage(self) -> float:
         """Share of the area counted that was seen."""
         return self.patches.coverage(self.seen)
+
+    @property
+    def delta_v(self) -> float:
+        """Of the flight, with the burns that come before it, m/s."""
+        return float(self.flown.delta_v) + (0.0 if self.transfer is None else self.transfer.delta_v)
 
     @property
     def coverage_seeable(self) -> float:
@@ -134,13 +145,16 @@ class Inspection:
             "contact": self.audit.contact is not Contact.NO,
             "contact_verdict": str(self.audit.contact),
             "minimum_clearance_m": self.audit.minimum_clearance,
-            "delta_v_mps": float(self.flown.delta_v),
+            "delta_v_mps": self.delta_v,
+            **({} if self.transfer is None else self.transfer.summary()),
             "duration_s": float(self.record.time[-1]),
             "guard_interventions": int(self.flown.guard_interventions),
             "guard_flags": flag_counts(self.record.guard_status[:-1]),
             "start_certified": self.start_certified,
             "assumptions_broken": list(self.assumptions_broken),
             "guard": self.guard,
+            **({} if self.plan.drifts is None else self.plan.drifts.summary()),
+            **({} if self.drifts is None else self.drifts.summary()),
             **({} if self.limits is None else self.limits.summary()),
             "seconds": self.seconds,
         }

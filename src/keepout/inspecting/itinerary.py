@@ -2,17 +2,18 @@
 
 import math
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import sparse
 
+from keepout.inspecting.drifting import Drifting
 from keepout.inspecting.equipment import boresight_of
 from keepout.inspecting.lit_times import LitTimes
 from keepout.inspecting.passing import Passing, Shown, seen_in_passing
 from keepout.inspecting.plan import InspectionPlan, PlannedView
 from keepout.inspecting.problem import Problem
+from keepout.inspecting.safe_tour import kept_safe
 from keepout.inspecting.tour import Legs, Tour, turning_time
 from keepout.inspecting.viewpoints import Views
 from keepout.inspecting.ways import Pairs, Ways, way_length
@@ -150,26 +151,44 @@ def drawn_up(
     start: Start,
     areas: Float[np.ndarray, " units"],
     known: LegsKnown | None = None,
+    drifting: Drifting | None = None,
 ) -> DrawnUp:
-    """Give the plan of a tour, and what is seen on each of its legs."""
-    scenario, rows = problem.scenario, tour.order - 1
+    """Give the plan of a tour, what is seen on each of its legs, and the tour that was left of it.
+
+    Where legs are judged (`drifting`), those that need it are slower, and views to which none is safe are left out.
+    """
+    scenario, camera = problem.scenario, problem.scenario.camera
     known = LegsKnown() if known is None else known
-    stops = np.concatenate([start.position[None], views.positions[rows]])
-    courses = [known.course(ways, a, b) for a, b in pairwise(stops)]
-    moved = float(sum(way_length(course) for course in courses))
+    looking = np.concatenate([start.looking(problem)[None], views.boresights])
+    places = np.concatenate([start.position[None], views.positions])
+
+    def turn(a: int, b: int) -> float:
+        return float(turning_time(looking[[a]], looking[[b]], camera.turn_rate, camera.turn_acceleration)[0, 0])
+
+    tour, courses, speeds, drifts = kept_safe(
+        drifting,
+        tour,
+        lambda a, b: known.course(ways, places[a], places[b]),
+        turn,
+        start.time,
+        scenario.inspect.dwell,
+    )
+    rows, moved = tour.order - 1, float(sum(map(way_length, courses)))
     covered = np.zeros(len(areas), dtype=bool)
     planned = []
-    for row, at in zip(rows, tour.times, strict=True):
+    for row, at, speed in zip(rows, tour.times, speeds, strict=True):
         units = views.sees.indices[views.sees.indptr[row] : views.sees.indptr[row + 1]]
         units = np.sort(units[lit.at(float(at))[units] & ~covered[units]]).astype(np.int64)
         covered[units] = True
         window = (
             next((w for w in lit.windows(units) if w[0] <= at <= w[1]), (at, at)) if lit.changes else (0.0, math.inf)
         )
-        planned.append(PlannedView(views.positions[row], views.boresights[row], units, window, scenario.inspect.dwell))
+        planned.append(
+            PlannedView(views.positions[row], views.boresights[row], units, window, scenario.inspect.dwell, speed)
+        )
     passing = seen_in_passing(
         courses,
-        np.concatenate([start.looking(problem)[None], views.boresights[rows]]),
+        looking[np.concatenate([[0], tour.order])],
         np.concatenate([[start.time], tour.times]),
         shown=frame_of(problem, areas > 0.0),
         lit=lit,
@@ -179,5 +198,5 @@ def drawn_up(
     )
     for units in passing:
         covered[units] = True
-    plan = InspectionPlan(tuple(planned), covered, moved, tour.end - start.time, 0, 0, 0)
+    plan = InspectionPlan(tuple(planned), covered, moved, tour.end - start.time, 0, 0, 0, drifts)
     return DrawnUp(plan, courses, passing)

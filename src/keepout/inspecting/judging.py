@@ -17,6 +17,8 @@ from keepout.inspecting.inspection import Inspection
 from keepout.inspecting.limits import LimitsKept, limits_kept
 from keepout.inspecting.plan import InspectionPlan
 from keepout.inspecting.problem import Problem
+from keepout.inspecting.safe_speeds import DriftsFlown
+from keepout.inspecting.transfer import Transfer
 from keepout.mission import environment
 from keepout.mission.assumptions import broken_assumptions, guard_numbers
 from keepout.mission.scenario import Scenario
@@ -39,6 +41,8 @@ def judged(
     plans: int,
     ending: tuple[str, str],
     began: float,
+    drifts: DriftsFlown | None = None,
+    transfer: Transfer | None = None,
     progress: Progress = silent,
 ) -> Inspection:
     """Audit a flight on the mesh, and say what each of its frames truly showed.
@@ -57,6 +61,8 @@ def judged(
         plans: how many were made.
         ending: how it ended, and why in words.
         began: when the computation began, s by `time.perf_counter`.
+        drifts: what became of its legs by passive safety; None where that is not asked for.
+        transfer: onto a circumnavigation, before the flight; None of any other.
         progress: called as the work goes on.
 
     """
@@ -101,6 +107,8 @@ def judged(
         assumptions_broken=broken,
         guard=None if guard is None else guard_numbers(guard),
         limits=_limits_kept(scenario, problem, record),
+        drifts=drifts,
+        transfer=transfer,
     )
 
 

@@ -1,6 +1,7 @@
 """Law and guard led from place to place around one mesh: what is built once, and what each place costs."""
 
 import dataclasses
+import math
 from dataclasses import dataclass
 
 import jax.numpy as jnp
@@ -46,7 +47,7 @@ _BEYOND = 20.0
 _THROUGH = 0.2
 """Share of the law's slowing length within which a chaser that means to fly on slows down."""
 _SLOWEST = 0.2
-"""Share of the speed limit below which no leg is flown."""
+"""Share of the speed limit below which no leg is flown so that the boresight may turn meanwhile."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,13 +176,22 @@ class Leading:
             here = here + slope / size * max(min(needed - said[0] + 1e-3, 5.0 * _STEP), 0.2 * _STEP)
         return None
 
-    def law(self, goal: Point, position: Point, *, speed: float | None = None, through: bool = False) -> Law:
+    def law(
+        self,
+        goal: Point,
+        position: Point,
+        *,
+        speed: float | None = None,
+        most: float = math.inf,
+        through: bool = False,
+    ) -> Law:
         """Make the law that leads to a goal.
 
         Args:
             goal: (3,) m, where the law leads (`reachable`).
             position: (3,) m, where the chaser is.
-            speed: on the way, m/s; by default the chaser's limit. No leg is flown at less than a fifth of that.
+            speed: on the way, m/s; by default the chaser's limit. It is no less than a fifth of that.
+            most: m/s, above which it is not flown, however slow that is.
             through: whether the chaser is hoped to fly on before it is there: then it slows down late, and passes the
                 goal before it comes to rest there.
 
@@ -202,7 +212,7 @@ class Leading:
         # From beyond the grid the guidance leads back to it; from the law's own margin law and guard know the way out.
         law = law_on(scenario, self.model.field, bound, from_start=within and free, **options)
         limit = scenario.chaser.speed_limit
-        slowed = float(np.clip(limit if speed is None else speed, _SLOWEST * limit, limit))
+        slowed = min(float(np.clip(limit if speed is None else speed, _SLOWEST * limit, limit)), most)
         guidance = law.velocity.guidance
         assert isinstance(guidance, GeodesicGuidance)
         slowing = guidance.slowing_length * (_THROUGH if through else 1.0)

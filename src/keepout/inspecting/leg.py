@@ -44,6 +44,7 @@ class Leg:
         window: (from, to) s in which the light is right.
         stay: how long to stay there, s.
         near: distance from the place within which the chaser is there, m.
+        speed: at which it is flown to at most, m/s.
         held_up: steps of it in which the guard replaced the command.
 
     """
@@ -54,6 +55,7 @@ class Leg:
     window: tuple[float, float] = (0.0, float("inf"))
     stay: float = 0.0
     near: float = _NEAR
+    speed: float = float("inf")
     held_up: int = 0
     _given_up: float = float("inf")
     _there_since: float = float("inf")
@@ -63,7 +65,8 @@ class Leg:
     def views(cls, plan: InspectionPlan, dwell: float) -> Iterator["Leg"]:
         """Give the legs of a plan, each staying at least `dwell` (s)."""
         for view in plan.views:
-            yield cls(view.position, view.boresight, view.units, view.window, max(view.dwell, dwell))
+            stay = max(view.dwell, dwell)
+            yield cls(view.position, view.boresight, view.units, view.window, stay, speed=view.speed)
 
     @classmethod
     def holds(cls, points: Iterable[HoldPointEntry], tolerance: float) -> Iterator["Leg"]:

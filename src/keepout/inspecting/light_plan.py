@@ -7,7 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 from keepout.inspecting.cover import fewest_views, shortlist
+from keepout.inspecting.drifting import Drifting
 from keepout.inspecting.itinerary import Start, drawn_up
+from keepout.inspecting.light_cost import Cost
 from keepout.inspecting.light_tour import Lengths, Pace, tour_in_light
 from keepout.inspecting.lit_times import LitTimes
 from keepout.inspecting.plan import InspectionPlan
@@ -77,6 +79,8 @@ def plan_in_light(
         start.looking(problem),
         pace,
         start.time,
+        start=start.position,
+        cost=Cost.of(scenario.inspect.objective, scenario.inspect.delta_v_worth),
         most_views=scenario.inspect.most_views,
         seconds=seconds,
         seed=scenario.seed,
@@ -85,9 +89,10 @@ def plan_in_light(
     bound = fewest_views(views.sees, areas, min(goal, made.area), seconds=_BOUND * seconds, seed=scenario.seed)
     kept = views.only(made.rows)
     order = np.arange(1, len(made.rows) + 1)
-    # Length and Δv of the tour are those of the courses, which are drawn up now.
-    tour = Tour(order, made.times, 0.0, made.end, 0.0)
-    result = drawn_up(problem, kept, lit, tour, ways, start, areas).plan
+    # Its length is that of the courses, which are drawn up now.
+    tour = Tour(order, made.times, 0.0, made.end, made.delta_v)
+    drifting = Drifting.of(scenario, problem.target.distance.distance)
+    result = drawn_up(problem, kept, lit, tour, ways, start, areas, drifting=drifting).plan
     return replace(
         result,
         candidates=len(views.positions),

@@ -3,8 +3,9 @@
 With a sun that turns and sets, a view is worth what of it is lit at the moment, and no order is good at another time.
 So the tour is made forward in time. From where the chaser is, each view is judged at the moments from its arrival on:
 by the area that it would newly show then, over the time until then, and what is lit only for a little longer counts for
-more. This greedy tour is then improved: from a random view on it is made again, with other weights and some chance,
-and what sees more, or as much sooner, is kept.
+more. Where Δv counts, what is divided by is not the time alone (`light_cost`). This greedy tour is then improved: from
+a random view on it is made again, with other weights and some chance, and what sees more, or as much at less cost, is
+kept.
 """
 
 import time as clock
@@ -17,6 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import sparse
 
+from keepout.inspecting.light_cost import Cost, Departures
 from keepout.inspecting.lit_times import LitTimes
 from keepout.inspecting.tour import turning_time
 from keepout.inspecting.viewpoints import Views
@@ -67,6 +69,7 @@ class LightTour:
         times: (k,) on arrival or later, when the light is better, s.
         end: s.
         area: that the views show in time, m².
+        delta_v: with the stop at the end, m/s.
 
     """
 
@@ -74,6 +77,7 @@ class LightTour:
     times: Float[np.ndarray, " k"]
     end: float
     area: float
+    delta_v: float
 
 
 class _Moments:
@@ -104,11 +108,13 @@ def tour_in_light(
     pace: Pace,
     begin: float,
     *,
+    start: Float[np.ndarray, "3"],
+    cost: Cost,
     most_views: int,
     seconds: float,
     seed: int = 0,
 ) -> LightTour:
-    """Choose views, their order and their times, so that as much as is wanted is seen as soon as may be.
+    """Choose views, their order and their times, so that as much as is wanted is seen, at the least cost.
 
     Args:
         views: to choose from.
@@ -119,6 +125,8 @@ def tour_in_light(
         looking: (3,) where the camera looks at the start.
         pace: of chaser and camera.
         begin: s.
+        start: (3,) where the chaser is, at rest, m.
+        cost: what is made least.
         most_views: in the tour.
         seconds: of computation for improving it, at most; the greedy tours are made whatever they take.
         seed: of the chance in it.
@@ -129,7 +137,7 @@ def tour_in_light(
     lit, areas = replace(lit, lit=lit.lit[:, asked]), areas[asked]
     generator = np.random.default_rng(seed)
     until = clock.perf_counter() + seconds
-    maker = _Maker(views, _Moments(lit), areas, goal, lengths, looking, pace, begin, most_views)
+    maker = _Maker(views, _Moments(lit), areas, goal, lengths, looking, pace, begin, most_views, start, cost)
     best = max((maker.made((), scarcity, 0.0, generator) for scarcity in _SCARCITY), key=maker.score)
     in_vain = 0
     while len(best.rows) and in_vain < _IN_VAIN and clock.perf_counter() < until:
@@ -158,14 +166,17 @@ class _Maker:
         pace: Pace,
         begin: float,
         most_views: int,
+        start: Float[np.ndarray, "3"],
+        cost: Cost,
     ) -> None:
         self.views, self.moments, self.areas, self.goal = views, moments, areas, goal
         self.lengths, self.looking, self.pace, self.begin, self.most_views = lengths, looking, pace, begin, most_views
+        self.start, self.cost = start, cost
         self.indptr, self.indices = views.sees.indptr.astype(np.int64), views.sees.indices.astype(np.int64)
 
     def score(self, tour: LightTour) -> tuple[float, float]:
-        """Say how good a tour is: by what it shows, no more than is wanted, and then by how soon it ends."""
-        return min(tour.area, self.goal * (1.0 - 1e-9)), -tour.end
+        """Say how good a tour is: by what it shows, no more than is wanted, and then by what it costs."""
+        return min(tour.area, self.goal * (1.0 - 1e-9)), -self.cost.whole(tour.end - self.begin, tour.delta_v)
 
     def made(
         self,
@@ -179,16 +190,15 @@ class _Maker:
         moments, pace = self.moments, self.pace
         left = self.areas.copy()
         rows, times = [row for row, _ in kept], [at for _, at in kept]
+        now, here, moving, delta_v = self.begin, -1, np.zeros(3), 0.0
         for row, at in kept:
             self._strike(left, row, at)
+            spent, moving = self._flown(self._departures(here, now, moving, np.array([row])), 0, at, moving)
+            now, here, delta_v = at + pace.dwell, row, delta_v + spent
         whole = float(self.areas.sum())
-        now, here = (times[-1] + pace.dwell, rows[-1]) if kept else (self.begin, -1)
         while whole - float(left.sum()) < self.goal and len(rows) < self.most_views:
-            looking = self.looking if here < 0 else self.views.boresights[here]
-            turns = turning_time(looking[None], self.views.boresights, pace.turn_rate, pace.turn_acceleration)[0]
-            way = self.lengths(here)
-            arrival = now + np.maximum(way / pace.speed, turns) + np.minimum(way, 1.0) * pace.speed / pace.acceleration
-            arrival = np.where(np.arange(len(arrival)) == here, now, arrival)
+            legs = self._departures(here, now, moving, np.arange(len(self.views.positions)))
+            arrival = legs.arrival
             first = np.ceil((arrival - moments.times[0]) / moments.step - 1e-9)
             first = np.where(np.isfinite(first), first, len(moments.times)).astype(np.int64)
             row = min(max(int((now - moments.times[0]) / moments.step), 0), len(moments.times) - 1)
@@ -196,18 +206,51 @@ class _Maker:
             gains = np.exp(chance * generator.standard_normal(len(arrival)))
             if len(rows) == len(kept) and barred >= 0:
                 gains[barred] = 0.0
-            view, at = self._best(left, worth, first, now, gains)
+            view, at = self._best(left, worth, first, now, gains, legs)
             if view < 0:
                 break
             now = max(float(moments.times[at]), float(arrival[view]))
+            spent, moving = self._flown(legs, view, now, moving)
+            delta_v += spent
             rows.append(int(view))
             times.append(now)
             self._strike(left, int(view), now)
             now += pace.dwell
             here = int(view)
         return LightTour(
-            np.array(rows, dtype=np.int64), np.array(times, dtype=np.float64), now, whole - float(left.sum())
+            np.array(rows, dtype=np.int64),
+            np.array(times, dtype=np.float64),
+            now,
+            whole - float(left.sum()),
+            delta_v + float(np.linalg.norm(moving)),
         )
+
+    def _departures(
+        self, here: int, now: float, moving: Float[np.ndarray, "3"], rows: Int[np.ndarray, " v"]
+    ) -> Departures:
+        """Give the legs from a view, or the start, to some."""
+        pace, views = self.pace, self.views
+        looking, place = (self.looking, self.start) if here < 0 else (views.boresights[here], views.positions[here])
+        turns = turning_time(looking[None], views.boresights[rows], pace.turn_rate, pace.turn_acceleration)[0]
+        way = self.lengths(here)[rows]
+        taken = np.maximum(way / pace.speed, turns)
+        arrival = now + taken + np.minimum(way, 1.0) * pace.speed / pace.acceleration
+        stays = rows == here
+        return Departures.of(
+            np.where(stays, now, arrival),
+            np.where(stays, 0.0, way),
+            taken,
+            views.positions[rows] - place,
+            moving,
+        )
+
+    def _flown(
+        self, legs: Departures, view: int, at: float, moving: Float[np.ndarray, "3"]
+    ) -> tuple[float, Float[np.ndarray, "3"]]:
+        """Give the Δv of a leg to a view that is worth something at a time, and the velocity after it."""
+        if self.pace.dwell > 0.0 or at > float(legs.arrival[view]) + self.moments.step:
+            return float(legs.change[view] + legs.stop[view]), np.zeros(3)
+        return float(legs.change[view]), legs.velocity[view]
 
     def _best(
         self,
@@ -216,6 +259,7 @@ class _Maker:
         first: Int[np.ndarray, " v"],
         now: float,
         gains: Float[np.ndarray, " v"],
+        legs: Departures,
     ) -> tuple[int, int]:
         """Give the view to go to next and the moment of it, or -1; later moments count where none soon shows enough."""
         moments, least, soonest = self.moments, _LEAST * float(self.areas.sum()), 0
@@ -235,6 +279,8 @@ class _Maker:
                 _AHEAD,
                 _SETTLE,
                 least,
+                (legs.arrival, legs.base(self.pace.speed), legs.stop, moments.step),
+                (self.cost.seconds, self.cost.delta_v),
             )
             if view >= 0:
                 return int(view), int(at)
@@ -256,8 +302,12 @@ class _Maker:
 
 @numba.njit(cache=True)
 @no_type_check
-def _next_view(indptr, indices, left, worth, lit, next_light, first, times, now, gains, ahead, settle, least):
-    """Give the view and the moment with the most worth a second, or -1."""
+def _next_view(
+    indptr, indices, left, worth, lit, next_light, first, times, now, gains, ahead, settle, least, legs, prices
+):
+    """Give the view and the moment with the most worth for its cost, or -1."""
+    arrival, change, stop, step = legs
+    of_seconds, of_delta_v = prices
     best, best_view, best_at = 0.0, -1, -1
     for view in range(len(first)):
         if gains[view] <= 0.0:
@@ -270,7 +320,8 @@ def _next_view(indptr, indices, left, worth, lit, next_light, first, times, now,
                 if left[unit] > 0.0 and lit[at, unit]:
                     area += left[unit]
                     value += worth[unit]
-            rate = gains[view] * value / (times[at] - now + settle)
+            spent = change[view] + (stop[view] if times[at] > arrival[view] + step else 0.0)
+            rate = gains[view] * value / (of_seconds * (times[at] - now + settle) + of_delta_v * spent)
             if area >= least and rate > best:
                 best, best_view, best_at = rate, view, at
     return best_view, best_at

@@ -136,7 +136,7 @@ def limits_kept(
         )
     return LimitsKept(
         holds(record, inspect.hold_points, scenario.goal.tolerance),
-        None if protected is None else int(plume_violations(record, protected).sum()),
+        None if protected is None else int(plume_violations(record, protected, scenario).sum()),
         record.steps,
         passive,
         pushed,

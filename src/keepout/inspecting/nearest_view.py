@@ -1,9 +1,12 @@
 """The nearest-view tour, a baseline: always the view next that is soonest reached and shows enough that is new."""
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float
 
 from keepout.inspecting.cover import shortlist
+from keepout.inspecting.drifting import Drifting
 from keepout.inspecting.itinerary import Start, drawn_up, first_seen, legs_of
 from keepout.inspecting.lit_times import LitTimes
 from keepout.inspecting.plan import InspectionPlan
@@ -70,7 +73,6 @@ def nearest_views(
     between = ways.lengths(np.concatenate([start.position[None], kept.positions]))
     needs = first_seen(kept.sees, np.arange(len(chosen)), areas)
     tour = flown(legs_of(problem, kept, needs, lit, start, between), np.arange(1, len(chosen) + 1))
-    plan = drawn_up(problem, kept, lit, tour, ways, start, areas).plan
-    return InspectionPlan(
-        plan.views, plan.covered, plan.way_length, plan.duration, len(views.positions), 0, len(chosen)
-    )
+    drifting = Drifting.of(problem.scenario, problem.target.distance.distance)
+    plan = drawn_up(problem, kept, lit, tour, ways, start, areas, drifting=drifting).plan
+    return replace(plan, candidates=len(views.positions), greedy_views=len(chosen))

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from keepout.inspecting.drifting import DriftsPlanned
+
 
 @dataclass(frozen=True, eq=False)
 class PlannedView:
@@ -16,6 +18,7 @@ class PlannedView:
         units: those that this view is counted on to see, and no view before it.
         window: (from, to) s: when the light is right; (0, inf) where light does not matter.
         dwell: how long to stay, s.
+        speed: at which it is flown to at most, m/s: below the chaser's limit where passive safety asks for it.
 
     """
 
@@ -24,6 +27,7 @@ class PlannedView:
     units: Int[np.ndarray, " k"]
     window: tuple[float, float] = (0.0, float("inf"))
     dwell: float = 0.0
+    speed: float = float("inf")
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +43,7 @@ class InspectionPlan:
         fewest_views: proved: no fewer of these candidates see as much by themselves.
             With the frames on the way fewer may.
         greedy_views: how many the greedy choice needed.
+        drifts: what passive safety made of it; None where it is not asked for.
 
     """
 
@@ -49,3 +54,4 @@ class InspectionPlan:
     candidates: int
     fewest_views: int
     greedy_views: int
+    drifts: DriftsPlanned | None = None

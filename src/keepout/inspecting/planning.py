@@ -12,7 +12,8 @@ from jaxtyping import Bool, Float
 
 from keepout.inspecting.arranging import INSIDE, Arranger
 from keepout.inspecting.cover import Cover, fewest_views, shortlist
-from keepout.inspecting.itinerary import Start, tighter_rules
+from keepout.inspecting.drifting import Drifting
+from keepout.inspecting.itinerary import Start, drawn_up, tighter_rules
 from keepout.inspecting.light_plan import plan_in_light
 from keepout.inspecting.lit_times import LitTimes
 from keepout.inspecting.nearest_view import nearest_views
@@ -65,55 +66,91 @@ def plan(
     lit = LitTimes.of(
         problem.light, problem.sight, problem.rules, wanted, time, max(scenario.duration, time), scenario.camera.period
     )
-    views = candidates(problem, wanted & lit.lit.any(axis=0), progress=part_of(progress, 0.0, 0.5))
+    views, unsafe = candidates(problem, wanted & lit.lit.any(axis=0), time, progress=part_of(progress, 0.0, 0.5))
     goal = share * float(areas.sum())
     start = Start(np.asarray(position, dtype=np.float64), time, boresight)
-    ways = _ways(problem, start.position)
+    ways = ways_from(problem, start.position)
     seconds = min(_COVER_SECONDS, _LEAST_SECONDS + _UNIT_SECONDS * wanted.sum()) if seconds is None else seconds
     if scenario.inspect.tour == "nearest":
         result = nearest_views(problem, views, lit, areas, goal, ways, start)
-        progress(1.0, f"{len(result.views)} views, {result.way_length:.0f} m")
-        return result
-    if lit.changes:
-        return plan_in_light(problem, views, lit, areas, goal, ways, start, seconds, part_of(progress, 0.5, 1.0))
+    elif lit.changes:
+        result = plan_in_light(problem, views, lit, areas, goal, ways, start, seconds, part_of(progress, 0.5, 1.0))
+    else:
+        result = _planned(problem, views, lit, areas, goal, ways, start, seconds, part_of(progress, 0.5, 1.0))
+    progress(1.0, f"{len(result.views)} views, {result.way_length:.0f} m")
+    drifts = None if result.drifts is None else replace(result.drifts, candidates_left_out=unsafe)
+    return replace(result, drifts=drifts)
+
+
+def _planned(
+    problem: Problem,
+    views: Views,
+    lit: LitTimes,
+    areas: Float[np.ndarray, " units"],
+    goal: float,
+    ways: Ways,
+    start: Start,
+    seconds: float,
+    progress: Progress,
+) -> InspectionPlan:
+    """Choose the fewest views, and then their order."""
     ways = ways if ways is not problem.ways else problem.fine_ways
     places, at = np.unique(views.positions, axis=0, return_inverse=True)
     views = views.only(np.flatnonzero(ways.reached(start.position, places)[at.ravel()]))
     views = views.only(shortlist(views.sees, areas, _AMONG))
-    chosen = _fewest(problem, views, areas, goal, seconds, part_of(progress, 0.5, 0.8))
-    kept = views.only(chosen.chosen)
-    arranger = Arranger(problem, views, lit, areas, goal, ways, start, part_of(progress, 0.8, 1.0))
-    result = arranger.arranged(kept).drawn.plan
-    progress(1.0, f"{len(result.views)} views, {result.way_length:.0f} m")
+    chosen = _fewest(problem, views, areas, goal, seconds, part_of(progress, 0.0, 0.6))
+    arranger = Arranger(problem, views, lit, areas, goal, ways, start, part_of(progress, 0.6, 1.0))
+    best = arranger.arranged(views.only(chosen.chosen))
+    result, drifting = best.drawn.plan, Drifting.of(problem.scenario, problem.target.distance.distance)
+    if drifting is not None:
+        known = arranger.known
+        result = drawn_up(problem, best.views, lit, best.tour, ways, start, areas, known, drifting).plan
     return replace(result, candidates=len(views.positions), fewest_views=chosen.fewest, greedy_views=chosen.greedy)
 
 
 def candidates(
     problem: Problem,
     wanted: Bool[np.ndarray, " units"],
+    time: float,
     *,
     within: SeeingRules | None = None,
     progress: Progress = silent,
-) -> Views:
+) -> tuple[Views, int]:
     """Find views of the units wanted; witnesses' places by the camera's limits themselves.
+
+    Where passive safety is asked for, rest is safe at all of them.
 
     Args:
         problem: what there is to be seen, and from where.
         wanted: (units,) to be seen.
+        time: at which rest is to be safe, s.
         within: limits of what drawn places show; if absent, the camera's with room for a flight's errors.
         progress: told how much is seen.
+
+    Returns:
+        The views, and at how many places that were tried rest is not safe.
 
     """
     rules, scenario = problem.rules, problem.scenario
     level = scenario.inspect.stand_off + INSIDE
     tighter = tighter_rules(rules, problem.patches.size) if within is None else within
+    drifting, unsafe = Drifting.of(scenario, problem.target.distance.distance), 0
 
     def allowed(places: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
         answer = problem.target.distance.distance(places) >= level
         answer[answer] = problem.room.allowed(places[answer])
+        answer[answer] = safe(places[answer])
         return answer
 
-    return find_views(
+    def safe(places: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+        nonlocal unsafe
+        if drifting is None:
+            return np.ones(len(places), dtype=bool)
+        answer = drifting.at_rest(places, time)
+        unsafe += int(np.count_nonzero(~answer))
+        return answer
+
+    views = find_views(
         functools.partial(visible, problem.sight, tighter, among=wanted),
         functools.partial(visible, problem.sight, rules, among=wanted),
         allowed,
@@ -126,9 +163,11 @@ def candidates(
         seed=scenario.seed,
         progress=progress,
     )
+    # The places of witnesses were not drawn.
+    return views if drifting is None else views.only(np.flatnonzero(safe(views.positions))), unsafe
 
 
-def _ways(problem: Problem, position: Float[np.ndarray, "3"]) -> Ways:
+def ways_from(problem: Problem, position: Float[np.ndarray, "3"]) -> Ways:
     """Give the problem's ways, or such as reach farther where the chaser is outside their box."""
     lower, upper = problem.box
     if ((position >= lower) & (position <= upper)).all():

@@ -1,8 +1,7 @@
 """No thrust towards declared parts of the target: where a plume goes, and whether it reaches them.
 
-A plume is a cone: its apex the chaser's centre, its axis opposite to a thruster's force, cut off at a range. The chaser
-has a thruster pair an axis (`motion/chaser.py`), so a force has a plume for each of its components, along the body
-axes. What of the target stands between is not looked at: the answer errs towards "reached".
+A plume is a cone: its apex the place of a thruster, its axis opposite to its force, cut off at a range. Each thruster
+that fires has one (`nozzles`). What of the target stands between is not looked at: the answer errs towards "reached".
 
 A cone K about d of half angle α ≤ 90°, cut at a range ρ, is convex. The point of it nearest to w, both from the apex,
 is the nearest one of the whole cone, cut back to ρ. A ball is reached where its centre's distance from K is at most its
@@ -10,6 +9,7 @@ radius. For a box, projections on box and cone in turn lead to the nearest pair;
 normal of a plane, and what that plane proves is the lower bound that decides: n̂·y over the box, less n̂·z over K.
 """
 
+import math
 from typing import Any
 
 import equinox as eqx
@@ -21,6 +21,7 @@ from jaxtyping import Array, Bool, Float, PyTree
 from keepout.compiled.kept_executables import kept_jit
 from keepout.control.law import Command, Condition, Law
 from keepout.flight.record import FlightRecord
+from keepout.inspecting.nozzles import Nozzles
 from keepout.mission.scenario import Scenario
 from keepout.motion.relative import MotionState
 
@@ -30,8 +31,6 @@ _ROUNDS = 100
 """Projections in turn: what they leave open counts as reached."""
 _ROUNDING = 1e-7
 """Metres: more than float64 loses at that range."""
-_SILENT = 1e-9
-"""Newtons: a smaller component has no plume."""
 
 
 class Protected(eqx.Module):
@@ -43,6 +42,7 @@ class Protected(eqx.Module):
         radius: (parts,) by which each is grown.
         half_angle: of a plume, rad.
         reach: of a plume, m.
+        nozzles: where plumes come from.
 
     """
 
@@ -51,6 +51,7 @@ class Protected(eqx.Module):
     radius: Float[Array, " parts"]
     half_angle: Float[Array, ""]
     reach: Float[Array, ""]
+    nozzles: Nozzles = eqx.field(default_factory=Nozzles)
 
     @classmethod
     def of(cls, scenario: Scenario) -> "Protected | None":
@@ -62,29 +63,30 @@ class Protected(eqx.Module):
         upper = [part.upper if part.centre is None else part.centre for part in entry.no_thrust_towards]
         radius = [part.radius or 0.0 for part in entry.no_thrust_towards]
         reach = _FAR if entry.plume_range is None else entry.plume_range
+        nozzles = Nozzles.of(scenario)
         return cls(
             jnp.asarray(lower, jnp.float64),
             jnp.asarray(upper, jnp.float64),
             jnp.asarray(radius, jnp.float64),
-            jnp.asarray(entry.plume_half_angle, jnp.float64),
+            jnp.asarray(min(entry.plume_half_angle + nozzles.wide, 0.5 * math.pi), jnp.float64),
             jnp.asarray(reach, jnp.float64),
+            nozzles,
         )
 
-    def reached(self, position: Float[Array, "3"], moved: float | Float[Array, ""] = 0.0) -> Bool[Array, "3 2"]:
-        """Say of a thruster that pushes along each axis, forwards [0] and backwards [1], if its plume reaches a part.
+    def reached(self, position: Float[Array, "3"], moved: float | Float[Array, ""] = 0.0) -> Bool[Array, " n"]:
+        """Say of each thruster if its plume reaches a part.
 
         Args:
             position: of the chaser's centre, m.
             moved: by which it may be elsewhere while the thruster fires, m.
 
         """
-        axes = jnp.concatenate([-jnp.eye(3), jnp.eye(3)])  # the plume of a push along +x goes along −x
 
-        def of_axis(axis: Float[Array, "3"]) -> Bool[Array, ""]:
-            apart = jax.vmap(lambda low, high: self._apart(position, axis, low, high))(self.lower, self.upper)
+        def of_thruster(place: Float[Array, "3"], push: Float[Array, "3"]) -> Bool[Array, ""]:
+            apart = jax.vmap(lambda low, high: self._apart(position + place, -push, low, high))(self.lower, self.upper)
             return jnp.any(apart <= self.radius + moved + _ROUNDING)
 
-        return jax.vmap(of_axis)(axes).reshape(2, 3).T
+        return jax.vmap(of_thruster)(self.nozzles.position, self.nozzles.direction)
 
     def _apart(
         self, apex: Float[Array, "3"], axis: Float[Array, "3"], low: Float[Array, "3"], high: Float[Array, "3"]
@@ -117,31 +119,34 @@ class Protected(eqx.Module):
         return found * jnp.minimum(1.0, self.reach / jnp.maximum(jnp.linalg.norm(found), 1e-300))
 
 
-def plume_violations(record: FlightRecord, protected: Protected) -> Bool[np.ndarray, " steps"]:
-    """Say of each step of a flight whether a plume of the force applied in it can have reached a protected part.
+def plume_violations(record: FlightRecord, protected: Protected, scenario: Scenario) -> Bool[np.ndarray, " steps"]:
+    """Say of each step of a flight whether a plume of a thruster that fired can have reached a protected part.
 
     The chaser moves while it fires: by at most the step's chord, and half its change of velocity times its length.
 
     Args:
         record: true positions, velocities and forces.
-        protected: parts and plume.
+        protected: parts, plume and thrusters.
+        scenario: as it was flown.
 
     """
     step = np.diff(record.time)
     chord = np.linalg.norm(np.diff(record.position, axis=0), axis=1)
     bent = 0.5 * np.linalg.norm(np.diff(record.velocity, axis=0), axis=1) * step
-    reached = np.asarray(_reached(protected, jnp.asarray(record.position[:-1]), jnp.asarray(chord + bent)))
-    force = record.force[:-1]
-    return np.any((reached[..., 0] & (force > _SILENT)) | (reached[..., 1] & (force < -_SILENT)), axis=1)
+    moved = jnp.asarray(chord + bent + protected.nozzles.excursion)
+    reached = np.asarray(_reached(protected, jnp.asarray(record.position[:-1]), moved))
+    return np.any(reached & protected.nozzles.fired(record, scenario), axis=1)
 
 
 @kept_jit
-def _reached(protected: Protected, positions: Float[Array, "n 3"], moved: Float[Array, " n"]) -> Bool[Array, "n 3 2"]:
+def _reached(
+    protected: Protected, positions: Float[Array, "n 3"], moved: Float[Array, " n"]
+) -> Bool[Array, "n thrusters"]:
     return jax.vmap(protected.reached)(positions, moved)
 
 
 class SparingLaw(Law):
-    """A law whose force leaves out every component whose plume would reach a protected part.
+    """A law whose force fires no thruster whose plume would reach a protected part.
 
     The guard comes after it and may still fire any thruster: not to touch goes before not to blow.
 
@@ -171,11 +176,10 @@ class SparingLaw(Law):
         return self.law.initial_state(state)
 
     def step(self, state: PyTree, estimate: MotionState) -> tuple[PyTree, Command]:
-        """Give the law's force without the components that are forbidden here."""
+        """Give the law's force without the thrusters that are forbidden here."""
         state, command = self.law.step(state, estimate)
         reached = self.protected.reached(estimate.position, self.moved)
-        forbidden = (reached[:, 0] & (command.force > 0.0)) | (reached[:, 1] & (command.force < 0.0))
-        force = jnp.where(forbidden, 0.0, command.force)
+        force = self.protected.nozzles.without(command.force, reached)
         return self.law.with_applied_force(state, force), eqx.tree_at(lambda c: c.force, command, force)
 
     def with_applied_force(self, state: PyTree, force: Float[Array, "3"]) -> PyTree:
@@ -188,4 +192,5 @@ def sparing(law: Law, scenario: Scenario) -> Law:
     protected = Protected.of(scenario)
     if protected is None:
         return law
-    return SparingLaw(law, protected, scenario.chaser.speed_limit * scenario.control.period)
+    moved = scenario.chaser.speed_limit * scenario.control.period + protected.nozzles.excursion
+    return SparingLaw(law, protected, moved)

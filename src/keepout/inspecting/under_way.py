@@ -97,6 +97,7 @@ class UnderWay:
             plans=self.ahead.plans,
             ending=ending,
             began=self.began,
+            drifts=self.ahead.safe_speeds.flown,
             progress=part_of(progress, 0.9, 1.0),
         )
 

@@ -16,6 +16,7 @@ from keepout.inspecting.lit import ever_lit
 from keepout.inspecting.plan import InspectionPlan
 from keepout.inspecting.planning import plan
 from keepout.inspecting.problem import Problem
+from keepout.inspecting.safe_speeds import SafeSpeeds
 from keepout.inspecting.wanted import Wanted
 from keepout.mission.scenario import Scenario
 from keepout.progress import Progress, silent
@@ -44,6 +45,7 @@ class ViewsAhead:
         camera: what it sees, and what is lit.
         wanted: what is still to be seen, as it is known on board.
         first: the first plan.
+        safe_speeds: of legs, where passive safety is asked for.
         legs: ahead, in their order.
         leg: under way, or None.
         plans: made so far.
@@ -56,6 +58,7 @@ class ViewsAhead:
     camera: Camera
     wanted: Wanted
     first: InspectionPlan
+    safe_speeds: SafeSpeeds
     legs: deque[Leg]
     leg: Leg | None = None
     plans: int = 1
@@ -92,7 +95,7 @@ class ViewsAhead:
                 progress=progress,
             )
         legs = deque([*Leg.holds(holds, scenario.goal.tolerance), *Leg.views(first, scenario.inspect.dwell)])
-        return cls(scenario, problem, leading, camera, wanted, first, legs)
+        return cls(scenario, problem, leading, camera, wanted, first, SafeSpeeds.of(problem, scenario), legs)
 
     @property
     def holding(self) -> bool:
@@ -177,12 +180,14 @@ class ViewsAhead:
             way = float(np.linalg.norm(place - estimate))
             turn = 0.0 if leg.boresight is None else boresight.off(leg.boresight)
             slew = turn / boresight.greatest_rate
-            law = self.leading.law(place, estimate, speed=way / slew if slew > 0.0 else None, through=not leg.waits)
+            most = self.safe_speeds.of_leg(leg, estimate, place, now)
+            turning = way / slew if slew > 0.0 else None
+            law = self.leading.law(place, estimate, speed=turning, most=most, through=not leg.waits)
         except ControlError as refusal:
             self._refused.append(str(refusal))
             self.wanted.failed(leg.units)
             return None
-        leg.begun(now, place, way / self.scenario.chaser.speed_limit + slew)
+        leg.begun(now, place, way / min(most, self.scenario.chaser.speed_limit) + slew)
         return law
 
     def _replanned(self, now: float, estimate: Point, boresight: Boresight) -> tuple[str, str] | None:
