@@ -17,6 +17,7 @@ def guidance():
     return GeodesicGuidance(
         goal=jnp.zeros(3),
         directions=jnp.asarray(packed(DIRECTIONS)),
+        nodes=jnp.asarray(SHAPE, dtype=jnp.float64),
         origin=jnp.asarray(ORIGIN),
         **{name: jnp.asarray(value) for name, value in numbers.items()},
     )
@@ -35,7 +36,9 @@ POSITIONS = ORIGIN + SPACING * np.random.default_rng(3).uniform(1.0, np.array(SH
 
 
 def test_three_numbers_of_a_byte_are_kept():
-    kept = packed(DIRECTIONS)
+    whole = packed(DIRECTIONS)
+    kept = whole[: SHAPE[0], : SHAPE[1], : SHAPE[2]]
+    assert whole.shape == (32, 32, 32)
     for axis, shift in enumerate((24, 16, 8)):
         np.testing.assert_array_equal((kept << shift) >> 24, DIRECTIONS[..., axis])
 

@@ -49,6 +49,10 @@ class AheadOfDelay(Law):
         """Where the law leads, m."""
         return self.law.goal
 
+    def flown(self) -> Law:
+        """Give the same about its law without what flying does not need."""
+        return dataclasses.replace(self, law=self.law.flown())
+
     @property
     def conditions(self) -> tuple[Condition, ...]:
         """The law's design conditions."""

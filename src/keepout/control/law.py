@@ -100,6 +100,10 @@ class Law(eqx.Module):
         """The law's design conditions, checked when it was built; none unless the law has some."""
         return ()
 
+    def flown(self) -> "Law":
+        """Give the law without what flying it does not need, so that more laws share a compiled program."""
+        return self
+
     @abc.abstractmethod
     def initial_state(self, state: MotionState) -> PyTree:
         """Return what the law remembers before its first step at `state`."""

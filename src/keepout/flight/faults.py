@@ -5,6 +5,7 @@
 theorem covers, and under which numbers, is in docs/safety.md.
 """
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -299,6 +300,10 @@ class BrokenLaw(Law):
     def goal(self) -> Vector:
         """Where the working law leads, m."""
         return self.law.goal
+
+    def flown(self) -> Law:
+        """Give the same about its law without what flying does not need."""
+        return dataclasses.replace(self, law=self.law.flown())
 
     @property
     def conditions(self) -> tuple[Condition, ...]:

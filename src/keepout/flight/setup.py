@@ -9,7 +9,6 @@ import jax
 from jax.core import Tracer
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
-from keepout.control.controller import Controller
 from keepout.control.law import Law
 from keepout.errors import ScenarioError
 from keepout.fields.field import Field
@@ -120,12 +119,5 @@ class FlightSetup(eqx.Module):
 
 
 def flown_setup(setup: FlightSetup) -> FlightSetup:
-    """Give a setup without what flying it does not need and no two laws share: the conditions checked at its making."""
-    return dataclasses.replace(setup, controller=_unchecked(setup.controller))
-
-
-def _unchecked(law: Law) -> Law:
-    if isinstance(law, Controller):
-        return dataclasses.replace(law, checked=())
-    within = getattr(law, "law", None)
-    return dataclasses.replace(law, law=_unchecked(within)) if isinstance(within, Law) else law  # pyright: ignore
+    """Give a setup without what flying it does not need and no two laws share (`Law.flown`)."""
+    return dataclasses.replace(setup, controller=setup.controller.flown())

@@ -9,6 +9,7 @@ radius. For a box, projections on box and cone in turn lead to the nearest pair;
 normal of a plane, and what that plane proves is the lower bound that decides: n̂·y over the box, less n̂·z over K.
 """
 
+import dataclasses
 import math
 from typing import Any
 
@@ -165,6 +166,10 @@ class SparingLaw(Law):
     def goal(self) -> Float[Array, "3"]:
         """Where the law leads, m."""
         return self.law.goal
+
+    def flown(self) -> Law:
+        """Give the same about its law without what flying does not need."""
+        return dataclasses.replace(self, law=self.law.flown())
 
     @property
     def conditions(self) -> tuple[Condition, ...]:
