@@ -56,6 +56,8 @@ SHOWN += ("minimum_clearance_m", "delta_v_mps", "duration_s", "coverage_loss")
 STAND_OFF, WANTED, AWAY = 1.5, 0.995, 8.0
 FAR, LARGE, LONG = {"iss": 20.0}, {"iss": 1.0}, {"iss": 60_000.0}
 """Range, m, edge of the patches, m, and longest flight, s, where they are not 10 m, 0.25 m and 20,000 s."""
+LONG_IN_SUN = {"tiangong": 40_000.0, "iss": 120_000.0}
+"""The same in the light of a sun that moves: a third of an orbit is shadow, and a side is lit for a part of the rest."""
 BY_GRID = ("iss",)
 """Flown by a grid of exact distances, though there is a shipped field."""
 LOW_ORBIT = 6_878_000.0
@@ -91,9 +93,15 @@ class Inspected:
         self.scenario = Scenario.parse(tree | entries)
         self.problem, self.seeable_seconds, self.plans = None, 0.0, {}
 
+    def lit(self, light):
+        """Give the entries of a light."""
+        return LIGHTS[light] | (
+            {"duration": LONG_IN_SUN[self.name]} if light == "sun" and self.name in LONG_IN_SUN else {}
+        )
+
     def flown(self, part, tour="plan", light="none", seed=0):
         """Give the scenario of a row."""
-        scenario = self.scenario.replace(seed=seed, inspect={"tour": tour}, **LIGHTS[light])
+        scenario = self.scenario.replace(seed=seed, inspect={"tour": tour}, **self.lit(light))
         if part != "dispersed":
             return scenario
         generator = np.random.default_rng((seed, 21))
@@ -114,7 +122,7 @@ class Inspected:
             self.seeable_seconds = time.perf_counter() - began
             say(f"{self.name}: what can be seen took {self.seeable_seconds:.0f} s")
         if (tour, light) not in self.plans:
-            planned = self.scenario.replace(inspect={"tour": tour}, **LIGHTS[light])
+            planned = self.scenario.replace(inspect={"tour": tour}, **self.lit(light))
             problem = dataclasses.replace(
                 self.problem, scenario=planned, rules=rules_of(planned), light=Light.of(planned)
             )
@@ -146,7 +154,8 @@ class Inspected:
         inspected, camera = self.scenario.inspect, self.scenario.camera
         place = (part, self.name, tour, light, seed)
         made = (RECIPE, inspected.stand_off, camera.greatest_range, inspected.patch_size, inspected.coverage)
-        return dict(zip((*PLACE, *SETTINGS), (*place, *made, self.scenario.duration), strict=True))
+        longest = self.scenario.replace(**self.lit(light)).duration
+        return dict(zip((*PLACE, *SETTINGS), (*place, *made, longest), strict=True))
 
 
 def first_plan(problem):
