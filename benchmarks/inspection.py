@@ -57,7 +57,7 @@ STAND_OFF, WANTED, AWAY = 1.5, 0.995, 8.0
 FAR, LARGE, LONG = {"iss": 20.0}, {"iss": 1.0}, {"iss": 60_000.0}
 """Range, m, edge of the patches, m, and longest flight, s, where they are not 10 m, 0.25 m and 20,000 s."""
 LONG_IN_SUN = {"tiangong": 40_000.0, "iss": 120_000.0}
-"""The same in the light of a sun that moves: a third of an orbit is shadow, and a side is lit for a part of the rest."""
+"""The same in the light of a sun that moves: a third of an orbit is shadow, and a side is lit for part of the rest."""
 BY_GRID = ("iss",)
 """Flown by a grid of exact distances, though there is a shipped field."""
 LOW_ORBIT = 6_878_000.0
@@ -95,9 +95,8 @@ class Inspected:
 
     def lit(self, light):
         """Give the entries of a light."""
-        return LIGHTS[light] | (
-            {"duration": LONG_IN_SUN[self.name]} if light == "sun" and self.name in LONG_IN_SUN else {}
-        )
+        longer = light == "sun" and self.name in LONG_IN_SUN
+        return LIGHTS[light] | ({"duration": LONG_IN_SUN[self.name]} if longer else {})
 
     def flown(self, part, tour="plan", light="none", seed=0):
         """Give the scenario of a row."""
