@@ -47,7 +47,7 @@ from keepout.seeing.seeable import Verdict
 OUT = Path(__file__).with_name("results") / "inspection.json"
 PARTS = ("targets", "baselines", "light", "dispersed")
 TARGETS = ("intelsat30", "tiangong", "iss", "../shared/meshes/ssl1300.glb", "../shared/meshes/hubble.glb")
-RECIPE = 1
+RECIPE = 2
 """Raised where the flights change: rows of an older one are flown again."""
 PLACE = ("part", "target", "tour", "light", "seed")
 SETTINGS = ("recipe", "stand_off_m", "range_m", "patch_m", "wanted", "limit_s")
