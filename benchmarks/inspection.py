@@ -56,7 +56,7 @@ SHOWN += ("minimum_clearance_m", "delta_v_mps", "duration_s", "coverage_loss")
 STAND_OFF, WANTED, AWAY = 1.5, 0.995, 8.0
 FAR, LARGE, LONG = {"iss": 20.0}, {"iss": 1.0}, {"iss": 60_000.0}
 """Range, m, edge of the patches, m, and longest flight, s, where they are not 10 m, 0.25 m and 20,000 s."""
-LONG_IN_SUN = {"tiangong": 40_000.0, "iss": 120_000.0}
+LONG_IN_SUN = {"tiangong": 90_000.0, "iss": 120_000.0}
 """The same in the light of a sun that moves: a third of an orbit is shadow, and a side is lit for part of the rest."""
 BY_GRID = ("iss",)
 """Flown by a grid of exact distances, though there is a shipped field."""

@@ -289,5 +289,5 @@ def test_a_flight_and_a_campaign_are_the_same_bits_with_and_without(tmp_path, la
     without, _ = run(FLIGHT, "off", law)
     assert first == again == without
     assert "persistent compilation cache" not in said
-    assert list(kept.glob("programs-*/code_trace-*"))
+    assert list(kept.glob("programs-*/code__flown-*"))
     assert list(kept.glob("programs-*/code__fly_batch-*"))

@@ -271,7 +271,7 @@ def test_one_program_flies_every_map_and_goal():
     try:
         fly_segment(after, state, LENGTH)
         assert compiled == []
-        fly_segment(after, state, 2)  # another number of steps is another program
+        fly_segment(after, state, 2, longest=16 * LENGTH)  # another room is another program
         assert compiled
     finally:
         jax.monitoring.unregister_event_duration_listener(listen)
