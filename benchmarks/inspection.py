@@ -5,7 +5,7 @@
 Stand-off 1.5 m, range 10 m (ISS 20 m), cone 60 degrees, turn 1 degree a second, patches of 0.25 m (ISS 1 m), 99.5 % of
 the area that can be seen (and lit) wanted; chaser and disturbance are the scenario's defaults, guard on. The start is
 8 m off the target's box. A mesh without a shipped field is flown by a grid of exact distances, and so is the ISS, whose
-shipped field is up to 0.26 m above the distance where the stand-off is kept.
+shipped field is above the distance where the stand-off is kept.
 
 Parts:
   targets    one flight by the plan, without light
