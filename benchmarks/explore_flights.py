@@ -19,19 +19,17 @@ from explore_approaches import enclosing
 from explore_counts import bad_cubes
 from truncated_distance import TruncatedDistanceMap
 
-from keepout.audit.audit import Contact, audit
+from keepout.audit.audit import Contact
 from keepout.errors import ControlError
 from keepout.exploring import equipment
 from keepout.exploring.explore import explore
 from keepout.fields.map_field import MapField
 from keepout.flight import segment
-from keepout.flight.outcome import outcome
-from keepout.flight.record import FlightRecord
 from keepout.geometry.first_hit import FirstHit
 from keepout.geometry.level_points import surface_points, towards_level
 from keepout.mission import by_map, environment
+from keepout.mission.flight import recorded
 from keepout.mission.scenario import Scenario
-from keepout.mission.statuses import legend
 from keepout.sensing.depth import Boresight, ErrorDraw, axes_towards, take
 
 GOAL_AWAY, WAY_CLEAR = 1.5, 1.3
@@ -168,22 +166,7 @@ def by_truncated_distance(flown: Flight):
         resting = 0 if away[-1] else resting + ticks
     _, last = segment.fly_segment(setup, state, 1)
     log = segment.joined([*logs, last])
-    record = FlightRecord.of_log(
-        log,
-        outcome=outcome(setup, log),
-        scenario=scenario.model_dump_json(),
-        seed=scenario.seed,
-        target_sha256=target.sha256,
-        statuses=legend(),
-    )
-    verdict = audit(
-        record,
-        target,
-        chaser_radius=scenario.chaser.radius,
-        bounds=environment.flight_bounds(scenario),
-        force_limit=scenario.chaser.force_limit,
-        speed_limit=scenario.chaser.speed_limit,
-    )
+    flown, record, verdict = recorded(scenario, target, setup, log, environment.flight_bounds(scenario))
     return {
         "bad_cubes": None,
         "outcome": "reached goal" if resting >= 10 else "out of time",
@@ -193,7 +176,7 @@ def by_truncated_distance(flown: Flight):
         "views": len(logs),
         "views_without_way": no_way,
         "duration_s": float(record.time[-1]),
-        "delta_v_mps": float(outcome(setup, log).delta_v),
+        "delta_v_mps": float(flown.delta_v),
     }
 
 

@@ -8,7 +8,6 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from keepout.audit.audit import audit
 from keepout.compiled.kept_programs import keep_programs
 from keepout.control.law import Law
 from keepout.errors import ControlError
@@ -22,8 +21,7 @@ from keepout.exploring.tried import Tried
 from keepout.fields.map_field import MapField
 from keepout.flight import segment
 from keepout.flight.loop import FlightLog
-from keepout.flight.outcome import outcome
-from keepout.flight.record import EXPLORED, FlightRecord
+from keepout.flight.record import EXPLORED
 from keepout.flight.setup import FlightSetup
 from keepout.geometry.first_hit import FirstHit
 from keepout.geometry.target import Target
@@ -32,8 +30,8 @@ from keepout.mapping.known_free import ViewStatus
 from keepout.mapping.view import View
 from keepout.mission import by_map, environment
 from keepout.mission.assumptions import broken_assumptions, guard_numbers
+from keepout.mission.flight import recorded
 from keepout.mission.scenario import Scenario
-from keepout.mission.statuses import legend
 from keepout.mission.target import load_target
 from keepout.progress import Progress, silent
 from keepout.sensing.depth.depth import take
@@ -267,24 +265,8 @@ class _Explorer:
     def _judged(self, log: FlightLog, setup: FlightSetup, ending: Ended) -> Exploration:
         """Put together what was flown, and audit it on the true mesh."""
         scenario = self.scenario
-        flown = outcome(setup, log)
-        record = FlightRecord.of_log(
-            log,
-            outcome=flown,
-            scenario=scenario.model_dump_json(),
-            seed=scenario.seed,
-            target_sha256=self.target.sha256,
-            statuses=legend(),
-            extra={EXPLORED: True},
-        )
-        verdict = audit(
-            record,
-            self.target,
-            chaser_radius=scenario.chaser.radius,
-            bounds=environment.flight_bounds(scenario),
-            force_limit=scenario.chaser.force_limit,
-            speed_limit=scenario.chaser.speed_limit,
-        )
+        bounds = environment.flight_bounds(scenario)
+        flown, record, verdict = recorded(scenario, self.target, setup, log, bounds, extra={EXPLORED: True})
         if self.outside:
             told = f"{self.outside} returns lie outside the declared ball (map.centre, map.radius)"
             self.broken = (*self.broken, told)

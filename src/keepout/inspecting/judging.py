@@ -6,9 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool
 
-from keepout.audit.audit import audit
 from keepout.flight.loop import FlightLog
-from keepout.flight.outcome import outcome
 from keepout.flight.record import FlightRecord
 from keepout.flight.setup import FlightSetup
 from keepout.guard.guard import Guard
@@ -21,8 +19,8 @@ from keepout.inspecting.safe_speeds import DriftsFlown
 from keepout.inspecting.transfer import Transfer
 from keepout.mission import environment
 from keepout.mission.assumptions import broken_assumptions, guard_numbers
+from keepout.mission.flight import recorded
 from keepout.mission.scenario import Scenario
-from keepout.mission.statuses import legend
 from keepout.progress import Progress, part_of, silent
 
 
@@ -66,24 +64,9 @@ def judged(
         progress: called as the work goes on.
 
     """
-    flown = outcome(setup, log)
-    record = FlightRecord.of_log(
-        log,
-        outcome=flown,
-        scenario=scenario.model_dump_json(),
-        seed=scenario.seed,
-        target_sha256=problem.target.sha256,
-        statuses=legend(),
-    )
     progress(0.0, "audit")
-    verdict = audit(
-        record,
-        problem.target,
-        chaser_radius=scenario.chaser.radius,
-        bounds=environment.flight_bounds(scenario),
-        force_limit=scenario.chaser.force_limit,
-        speed_limit=scenario.chaser.speed_limit,
-    )
+    bounds = environment.flight_bounds(scenario)
+    flown, record, verdict = recorded(scenario, problem.target, setup, log, bounds)
     frames, seen = as_flown(record, shots, camera, progress=part_of(progress, 0.3, 1.0))
     broken = broken_assumptions(scenario)
     return Inspection(

@@ -173,10 +173,8 @@ class _Line:
 
     def _aimed(self, place: Point, units: Some, planned: Point) -> Point:
         patches = self.problem.patches
-        corners, counts = patches.corners[units // 2], patches.counts[units // 2]
-        points = corners[np.arange(corners.shape[1]) < counts[:, None]]
         half_angle = tighter_rules(self.problem.rules, patches.size).half_angle
-        return aim(place, points, planned, half_angle)
+        return aim(place, patches.corners_of(units), planned, half_angle)
 
     def _shown(self, place: Point, boresight: Point) -> Some:
         units = self.frame(place, boresight)

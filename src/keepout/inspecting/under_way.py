@@ -137,10 +137,7 @@ class UnderWay:
             vertices = self.problem.target.vertices
             return 0.5 * (vertices.min(axis=0) + vertices.max(axis=0)) - self._estimate
         left = leg.left(self.ahead.wanted)
-        counts = patches.counts[left // 2]
-        corners = patches.corners[left // 2]
-        points = corners[np.arange(corners.shape[1]) < counts[:, None]]
-        return aim(self._estimate, points, leg.boresight, self.problem.rules.half_angle)
+        return aim(self._estimate, patches.corners_of(left), leg.boresight, self.problem.rules.half_angle)
 
     def _ending(self) -> tuple[str, str] | None:
         scenario, wanted = self.scenario, self.ahead.wanted

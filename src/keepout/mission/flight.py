@@ -10,10 +10,12 @@ import numpy as np
 from jaxtyping import Float
 
 from keepout.audit.audit import Audit, Contact, audit
+from keepout.audit.tube import FlightBounds
 from keepout.fields.model import FieldModel
 from keepout.flight import loop
 from keepout.flight.outcome import FlightOutcome, outcome
 from keepout.flight.record import FlightRecord
+from keepout.flight.setup import FlightSetup
 from keepout.geometry.target import Target
 from keepout.mission import environment
 from keepout.mission.assumptions import guard_numbers
@@ -172,28 +174,11 @@ def judged(
 
     """
     scenario = mission.scenario
-    result = outcome(mission.setup, log) if result is None else result
-    record = FlightRecord.of_log(
-        log,
-        outcome=result,
-        scenario=scenario.model_dump_json(),
-        seed=scenario.seed,
-        target_sha256=mission.target.sha256,
-        statuses=legend(),
-        extra=extra,
-    )
     bounds = environment.flight_bounds(scenario)
     if mission.own_push is not None:
         pushed = bounds.disturbance_force - environment.disturbance(scenario).bound + mission.own_push
         bounds = replace(bounds, disturbance_force=pushed)
-    verdict = audit(
-        record,
-        mission.target,
-        chaser_radius=scenario.chaser.radius,
-        bounds=bounds,
-        force_limit=scenario.chaser.force_limit,
-        speed_limit=scenario.chaser.speed_limit,
-    )
+    result, record, verdict = recorded(scenario, mission.target, mission.setup, log, bounds, result=result, extra=extra)
     clearance = mission.target.distance.distance(record.position) - scenario.chaser.radius
     violated = tuple(str(c) for c in mission.setup.controller.conditions if not c.satisfied)
     return Flight(
@@ -209,3 +194,46 @@ def judged(
         guard=None if mission.guard is None else guard_numbers(mission.guard),
         mission=mission,
     )
+
+
+def recorded(
+    scenario: Scenario,
+    target: Target,
+    setup: FlightSetup,
+    log: loop.FlightLog,
+    bounds: FlightBounds,
+    *,
+    result: FlightOutcome | None = None,
+    extra: Mapping[str, Any] | None = None,
+) -> tuple[FlightOutcome, FlightRecord, Audit]:
+    """Give the outcome of a flight, its record, and its audit on the exact mesh.
+
+    Args:
+        scenario: as flown.
+        target: its mesh.
+        setup: of the flight.
+        log: of that one flight.
+        bounds: of what the record does not hold.
+        result: the outcome, where it is known already.
+        extra: further entries of the record's header.
+
+    """
+    result = outcome(setup, log) if result is None else result
+    record = FlightRecord.of_log(
+        log,
+        outcome=result,
+        scenario=scenario.model_dump_json(),
+        seed=scenario.seed,
+        target_sha256=target.sha256,
+        statuses=legend(),
+        extra=extra,
+    )
+    verdict = audit(
+        record,
+        target,
+        chaser_radius=scenario.chaser.radius,
+        bounds=bounds,
+        force_limit=scenario.chaser.force_limit,
+        speed_limit=scenario.chaser.speed_limit,
+    )
+    return result, record, verdict

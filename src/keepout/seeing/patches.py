@@ -46,6 +46,11 @@ class Patches:
         """Area of each unit, m²; 0 for those that are not counted."""
         return np.repeat(self.areas, 2) * self.counted
 
+    def corners_of(self, units: Int[np.ndarray, " k"]) -> Float[np.ndarray, "corners 3"]:
+        """Give all corners of some units' patches, m."""
+        corners = self.corners[units // 2]
+        return corners[np.arange(corners.shape[1]) < self.counts[units // 2][:, None]]
+
     def coverage(self, seen: Bool[np.ndarray, " units"]) -> float:
         """Give the share, 0 to 1, that the units seen have of the area counted."""
         areas = self.unit_areas()
