@@ -62,6 +62,7 @@ class GuardAssumptions(eqx.Module):
         velocity_excursion: likewise to the velocity, m/s.
         fault_force: largest norm of the force that is wrong in a fault, N.
         fault_steps: consecutive control steps after which a fault is over, once in a flight.
+        valid_until: time, s since the orbit's epoch, until which the other numbers hold; infinite where they always do.
 
     Raises:
         ControlError: a number that is not finite or outside its range.
@@ -88,6 +89,7 @@ class GuardAssumptions(eqx.Module):
     velocity_excursion: float = 0.0
     fault_force: float = 0.0
     fault_steps: int = eqx.field(static=True, default=0)
+    valid_until: float = math.inf
 
     def __check_init__(self) -> None:
         """Check each number against its range."""
@@ -118,6 +120,8 @@ class GuardAssumptions(eqx.Module):
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0.0):
                 raise ControlError(f"guard: {name} is {value} {unit}; it must be finite and at least 0")
+        if math.isnan(self.valid_until):
+            raise ControlError("guard: valid_until is nan s; it must be a time, or infinite")
         if not 0.0 <= self.mass_error < 1.0:
             raise ControlError(f"guard: mass_error is {self.mass_error}; it must be at least 0 and below 1")
         if self.delay != int(self.delay) or not 0 <= self.delay <= 8:

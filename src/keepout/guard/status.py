@@ -35,6 +35,10 @@ class GuardFlag(IntFlag):
     """The estimate held a number that is not finite; the plan was followed blind."""
     WIDE = 512
     """The estimate's error bound is wider than declared; no command was passed on, the plan was followed."""
+    CONTRADICTED = 1024
+    """What the guard is told contradicts itself (samples that no state explains, a map that a view proves wrong)."""
+    EXPIRED = 2048
+    """The time is past the one until which the assumptions' numbers were worked out."""
 
 
 def flag_names(flags: int) -> tuple[str, ...]:
