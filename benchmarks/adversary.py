@@ -60,11 +60,13 @@ MISSIONS = {
         "target": {"source": "box"},
         "attitude": {
             "kind": "tumbling",
-            "angular_velocity": (0.004, 0.006, -0.003),
+            "angular_velocity": (0.002, 0.003, -0.0015),
             "inertia": ((2.0, 0.1, 0.0), (0.1, 1.5, 0.05), (0.0, 0.05, 1.0)),
         },
-        "chaser": {"force_limit": 0.3, "speed_limit": 0.15},
+        "chaser": {"force_limit": 0.4},
         "guard": {"position_error": 0.02, "velocity_error": 0.001, "gain_error": 0.02, "mass_error": 0.02},
+        "start": {"position": (0.0, 6.0, 4.0)},
+        "goal": {"position": (0.0, -6.0, -3.0)},
     },
     "delay of two": {
         "target": {"source": "tiangong"},
@@ -315,8 +317,7 @@ class Flights:
         return self._row()
 
     def _period(self, step):
-        case, truth, row = self.case, self.case.truth, 2 * SUBSTEPS * step
-        position, velocity = truth.seen(self.place, row)
+        position, velocity = self.case.truth.seen(self.place, row := 2 * SUBSTEPS * step)
         self.adversary.look(position, velocity, self.pending)
         asked = self.adversary.forces()
         told = self._told(step, position, velocity)
