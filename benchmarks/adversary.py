@@ -128,8 +128,17 @@ class Case:
         self.surface, self.truth = Surface(target.vertices, target.faces), Truth(self.scenario, steps + LONGEST_WAIT)
         self.radius, self.period = self.scenario.chaser.radius, self.scenario.control.period
         self.reach = float(np.linalg.norm(target.vertices, axis=1).max()) + 8.0
-        self.on_board = OnBoard(self.setup, self.state(np.full(3, self.reach), np.zeros(3), 0.0))
+        self.on_board = functools.lru_cache(2)(self._on_board)
         self.field_value = eqx.filter_jit(self.guard.field.value)
+
+    def _on_board(self, on_gap):
+        return OnBoard(self.setup, self.state(np.full(3, self.reach), np.zeros(3), 0.0), on_gap)
+
+    def board(self, on_gap):
+        """Give an `OnBoard` as newly built: what is compiled is shared by all flights, memory and clock are not."""
+        board = copy.copy(self.on_board(on_gap))
+        board._clock = copy.deepcopy(board._clock)
+        return board
 
     def state(self, position, velocity, time):
         """Give an estimate as `OnBoard` takes it."""
@@ -284,12 +293,15 @@ class Flights:
         self.braked = np.zeros(count, int)
         self.braking, self.promised, self.broken = (np.zeros(count, bool) for _ in range(3))
         self.false_flags, self.flagged = np.zeros(count, int), np.zeros(count, int)
-        self.refused = self.promised_steps = 0
+        self.refused = self.let_in = self.promised_steps = 0
+        self.missed = np.zeros(count, bool)
         self.gap = np.zeros(count, int)
         self.jump = np.zeros((count, 6))
         self.told = None
         self.kept = []
-        self.boards = [copy.copy(case.on_board) for _ in range(count)]
+        # A wrong time or a gap is refused in every other flight, and begun anew from in the others.
+        self.anew = (np.arange(count) % 2 == 1) & (attack in ("gaps", "wrong times"))
+        self.boards = [case.board("begin anew" if anew else "refuse") for anew in self.anew]
         seen = case.truth.seen(self.place, 0)
         self.adversary.look(*seen, self.pending)
         errors = self.adversary.errors(0, self.braking)
@@ -321,17 +333,17 @@ class Flights:
         self.adversary.look(position, velocity, self.pending)
         asked = self.adversary.forces()
         told = self._told(step, position, velocity)
-        begun = step >= self.first
-        missed = begun & (self.gap > 0)
+        begun, away = step >= self.first, self.gap > 0
         self.gap = np.maximum(self.gap - 1, 0)
         if self.attack == "gaps":
-            begins = begun & ~missed & (step > self.first + 3) & (self.generator.random(self.count) < 0.02)
-            self.gap[begins] = self.generator.choice([1, 2, 5, 15], begins.sum())
-            missed |= begins
-        self.promised[missed] = False
+            begins = begun & ~away & ~self.missed & (step > self.first) & (self.generator.random(self.count) < 0.02)
+            self.gap[begins] = self.generator.choice([0, 1, 4, 14], begins.sum())
+            away |= begins
+        self.promised[away] = False
         forces = np.zeros((self.count, 3))
-        for i in np.flatnonzero(begun & ~missed):
+        for i in np.flatnonzero(begun & ~away):
             forces[i] = self._on_board(i, step, told[i], asked[i])
+        self.missed = away
         self._stick(step)
         self._move(row, forces)
         self.promised_steps += int((self.promised & ~self.broken).sum())
@@ -361,18 +373,37 @@ class Flights:
         """Step one chaser's guard; give the force that it commands."""
         board, now = self.boards[i], step * self.case.period
         numbers = {"position": told[:3], "velocity": told[3:], "angular_velocity": asked}
-        if self.attack == "restarts" and step and self.generator.random() < 0.04:
+        if self.attack == "restarts" and step > self.first[i] and self.generator.random() < 0.04:
             self.promised[i] = False
             board.restart(self.case.state(told[:3], told[3:], now))
-        if self.attack == "wrong times" and step and self.generator.random() < 0.1:
-            off = self.generator.choice([-1.0, -0.4, 0.3, 1.0]) * self.case.period
-            try:
-                board.step(now + off, **numbers)
-            except ControlError:
-                self.refused += 1
+        wrong = self.attack == "wrong times" and step > self.first[i] and self.generator.random() < 0.1
+        if self.missed[i] or (wrong and not self.anew[i]):
+            early_or_late = self.generator.choice([-1.0, -0.4, 0.3, 1.0]) * self.case.period
+            self._refused(i, now if self.missed[i] else now + early_or_late, numbers)
+        if self.missed[i]:
+            self.promised[i] = False
+            if not self.anew[i]:
+                board.restart(self.case.state(told[:3], told[3:], now))
         force = board.step(now, **numbers)
+        if wrong:
+            if self.anew[i]:
+                self.promised[i] = False
+                force = board.step(now, **numbers)
+            else:
+                self._refused(i, now, numbers)
         self._note(i, step, board.order.guard_status)
         return force
+
+    def _refused(self, i, time, numbers):
+        """Step at a time that is not due, where that must be refused."""
+        if self.anew[i]:
+            return
+        try:
+            self.boards[i].step(time, **numbers)
+        except ControlError:
+            self.refused += 1
+        else:
+            self.let_in += 1
 
     def _note(self, i, step, status):
         """Take down what the guard says of a step."""
@@ -438,7 +469,8 @@ class Flights:
             "broken_flagged": int((self.broken & (self.flagged != 0)).sum()),
             "broken_contacts": int(hurt.sum()),
             "broken_contacts_flagged": int((hurt & (self.flagged != 0)).sum()),
-            "refused": self.refused,
+            "wrong_times_refused": self.refused,
+            "wrong_times_let_in": self.let_in,
             **{name: round(float(value), 5) if np.isfinite(value) else None for name, value in least.items()},
             "found": [self._described(i, clearance, above, promised) for i in dict.fromkeys(found[:SAID].tolist())],
         }
@@ -469,7 +501,7 @@ COLUMNS = (
     "broken",
     "broken_contacts",
     "broken_contacts_flagged",
-    "refused",
+    "wrong_times_let_in",
     "least_clearance_m",
     "least_above_threshold_m",
     "seconds",
