@@ -295,6 +295,7 @@ class Flights:
         self.false_flags, self.flagged = np.zeros(count, int), np.zeros(count, int)
         self.refused = self.let_in = self.promised_steps = 0
         self.missed = np.zeros(count, bool)
+        self.often = generator.choice([0.1, 1.0], count)
         self.gap = np.zeros(count, int)
         self.jump = np.zeros((count, 6))
         self.told = None
@@ -376,7 +377,7 @@ class Flights:
         if self.attack == "restarts" and step > self.first[i] and self.generator.random() < 0.04:
             self.promised[i] = False
             board.restart(self.case.state(told[:3], told[3:], now))
-        wrong = self.attack == "wrong times" and step > self.first[i] and self.generator.random() < 0.1
+        wrong = self.attack == "wrong times" and step > self.first[i] and self.generator.random() < self.often[i]
         if self.missed[i] or (wrong and not self.anew[i]):
             early_or_late = self.generator.choice([-1.0, -0.4, 0.3, 1.0]) * self.case.period
             self._refused(i, now if self.missed[i] else now + early_or_late, numbers)
@@ -384,13 +385,13 @@ class Flights:
             self.promised[i] = False
             if not self.anew[i]:
                 board.restart(self.case.state(told[:3], told[3:], now))
+        if wrong and self.anew[i]:
+            # Two commands for one period: the second takes the place of the first, which it asks to lead away.
+            self.promised[i] = False
+            board.step(now, **(numbers | {"angular_velocity": -asked}))
         force = board.step(now, **numbers)
         if wrong:
-            if self.anew[i]:
-                self.promised[i] = False
-                force = board.step(now, **numbers)
-            else:
-                self._refused(i, now, numbers)
+            self._refused(i, now, numbers)
         self._note(i, step, board.order.guard_status)
         return force
 
@@ -410,12 +411,13 @@ class Flights:
         mode, flags = status & 3, status & VIOLATIONS
         self.braking[i] = mode in (GuardStatus.BRAKING, GuardStatus.HOLDING)
         self.braked[i] += self.braking[i]
-        if mode != GuardStatus.ESCAPING:
-            self.promised[i] = True
         if self.broken[i]:
             self.flagged[i] |= flags
         elif self.struck_at[i] < 0:
-            self.false_flags[i] |= flags
+            # Where nothing was promised the chaser may truly be below the threshold, or too fast.
+            self.false_flags[i] |= flags if self.promised[i] else flags & ~int(GuardFlag.FIELD | GuardFlag.REGION)
+        if mode != GuardStatus.ESCAPING:
+            self.promised[i] = True
 
     def _stick(self, step):
         """Let a thruster stick while its chaser brakes, and be known some steps later."""
@@ -424,8 +426,13 @@ class Flights:
         begins = (self.struck_at < 0) & (self.braked >= self.strikes_after)
         self.struck_at[begins] = step
         count = int(begins.sum())
-        self.thrusters.stuck[begins] = self.generator.integers(0, 12, count)
-        self.thrusters.on[begins] = self.generator.random(count) < 0.5
+        on = self.generator.random(count) < 0.5
+        towards = np.argmax(-self.adversary.outward[begins] @ AxisThrusters.DIRECTIONS.T, axis=1)
+        # On: one that pushes towards the surface; off: its opposite, or any.
+        worst = np.where(on, towards, (towards // 4) * 4 + (towards + 2) % 4)
+        anywhere = self.generator.random(count) < 0.3
+        self.thrusters.stuck[begins] = np.where(anywhere, self.generator.integers(0, 12, count), worst)
+        self.thrusters.on[begins] = on
         periods = round(self.case.scenario.thrusters.detection_time / self.case.period)
         self.thrusters.known = (self.struck_at >= 0) & (step >= self.struck_at + periods)
 
