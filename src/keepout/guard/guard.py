@@ -499,8 +499,7 @@ class Guard(SafetyLayer):
         around everything. Where it is not `wanted`, the answer may be a mere no. With `moved` (m) and `faster` (m/s)
         the answer holds for a path whose points are that far off, and its velocities too.
 
-        Three tests, each for what the one before leaves open: from `value` alone, as no point is further away than the
-        path's furthest corner; from the corners' values; from points along the stop segment.
+        Three tests, each for what the one before leaves open: `_free_from_here`, `_free_at_corners`, `_free_along`.
         """
         # An answer of yes or no has no derivative, and what leads to it needs none.
         self, position, value, points, velocities, moved, faster = jax.lax.stop_gradient(
@@ -511,17 +510,14 @@ class Guard(SafetyLayer):
         corners = jnp.concatenate([points, rest[None]])
         sagitta = 3.0**0.5 * a.authority * a.period**2 / 8.0
         least = jnp.asarray(self.least_value + self.lipschitz * (sagitta + moved))
-        # Both norms are convex, so that a polyline's largest is a corner's.
-        furthest = jnp.max(jnp.linalg.norm(corners - position, axis=-1))
-        range_ = jnp.maximum(jnp.max(jnp.linalg.norm(corners, axis=-1)), jnp.linalg.norm(position))
-        # Until the path's end the commands under way may leave a speed above the limit that its end keeps.
-        fastest = jnp.max(jnp.linalg.norm(velocities, axis=-1)) + self.braking.velocity_radius + faster
-        within = range_ + sagitta + self.braking.position_radius + moved <= a.range_limit
-        kept = (fastest <= a.speed_limit) & within
-        far = value - self.lipschitz * furthest > least
+        kept = self._within_limits(
+            position, corners, velocities, sagitta + self.braking.position_radius + moved, faster
+        )
+        far = self._free_from_here(position, value, corners, least)
+        # The field's arrays and `least` are handed on, not closed over: in a batch `least` differs from flight to
+        # flight where `moved` does.
         arrays, still = eqx.partition(self.field, eqx.is_array)
 
-        # `least` is handed on, not closed over: in a batch it differs from flight to flight where `moved` does.
         def at_corners(
             arrays: Field,
             position: Vector,
@@ -529,19 +525,12 @@ class Guard(SafetyLayer):
             corners: Float[Array, "corners 3"],
             least: Float[Array, ""],
         ):
-            field = eqx.combine(arrays, still)
-            values = jnp.concatenate([value[None], field.value(corners)])
-            lowest = self._lowest(jnp.concatenate([position[None], corners]), values)
-            proved = lowest > least
-            return jnp.all(proved[:-1]), proved[-1], values[-2:]
+            return self._free_at_corners(eqx.combine(arrays, still), position, value, corners, least)
 
         def along(
             arrays: Field, ends: Float[Array, "2 3"], values: Float[Array, "2"], least: Float[Array, ""]
         ) -> Bool[Array, ""]:
-            field = eqx.combine(arrays, still)
-            points = ends[0] + jnp.linspace(0.0, 1.0, self.parts + 1)[:, None] * (ends[1] - ends[0])
-            inside = field.value(points[1:-1])
-            return jnp.all(self._lowest(points, jnp.concatenate([values[:1], inside, values[1:]])) > least)
+            return self._free_along(eqx.combine(arrays, still), ends, values, least)
 
         no = jnp.asarray(False)
         path_free, stop_free, values = where_needed(
@@ -550,6 +539,54 @@ class Guard(SafetyLayer):
         open_ = path_free & ~stop_free & jnp.all(values > least)
         stop_free = stop_free | where_needed(along, open_, no, arrays, corners[-2:], values, least)
         return kept & (far | (path_free & stop_free))
+
+    def _within_limits(
+        self,
+        position: Vector,
+        corners: Float[Array, "corners 3"],
+        velocities: Float[Array, "states 3"],
+        around: Number,
+        faster: Number,
+    ) -> Bool[Array, ""]:
+        """Whether a polyline from `position`, and what is `around` it (m), keeps within V̄ and R̄."""
+        a = self.assumptions
+        # Norms are convex, so that a polyline's largest is a corner's.
+        range_ = jnp.maximum(jnp.max(jnp.linalg.norm(corners, axis=-1)), jnp.linalg.norm(position))
+        # Until the path's end the commands under way may leave a speed above the limit that its end keeps.
+        fastest = jnp.max(jnp.linalg.norm(velocities, axis=-1)) + self.braking.velocity_radius + faster
+        return (fastest <= a.speed_limit) & (range_ + around <= a.range_limit)
+
+    def _free_from_here(
+        self,
+        position: Vector,
+        value: Float[Array, ""],
+        corners: Float[Array, "corners 3"],
+        least: Float[Array, ""],
+    ) -> Bool[Array, ""]:
+        """Test 1, from the field's value here alone: no point of the path is further away than its furthest corner."""
+        return value - self.lipschitz * jnp.max(jnp.linalg.norm(corners - position, axis=-1)) > least
+
+    def _free_at_corners(
+        self,
+        field: Field,
+        position: Vector,
+        value: Float[Array, ""],
+        corners: Float[Array, "corners 3"],
+        least: Float[Array, ""],
+    ) -> tuple[Bool[Array, ""], Bool[Array, ""], Float[Array, "2"]]:
+        """Test 2, from the corners' values: of the path until its end, of the stop segment; and its ends' values."""
+        values = jnp.concatenate([value[None], field.value(corners)])
+        lowest = self._lowest(jnp.concatenate([position[None], corners]), values)
+        proved = lowest > least
+        return jnp.all(proved[:-1]), proved[-1], values[-2:]
+
+    def _free_along(
+        self, field: Field, ends: Float[Array, "2 3"], values: Float[Array, "2"], least: Float[Array, ""]
+    ) -> Bool[Array, ""]:
+        """Test 3, from points along the stop segment."""
+        points = ends[0] + jnp.linspace(0.0, 1.0, self.parts + 1)[:, None] * (ends[1] - ends[0])
+        inside = field.value(points[1:-1])
+        return jnp.all(self._lowest(points, jnp.concatenate([values[:1], inside, values[1:]])) > least)
 
     def _lowest(self, points: Float[Array, "points 3"], values: Float[Array, "points"]) -> Float[Array, "segments"]:
         """Lower bound of the field on each segment of a polyline: between two points Δ apart, (f₁ + f₂ − L Δ)/2."""
