@@ -31,6 +31,7 @@ import numpy as np
 from adversary_truth import SUBSTEPS, AxisThrusters, Surface, Truth
 from kept_rows import Rows, show
 
+import keepout
 from keepout.control.law import Command, Law
 from keepout.digest import digest
 from keepout.errors import ControlError
@@ -93,7 +94,7 @@ MISSIONS = {
 ATTACKS = ("lookahead", "late", "restarts", "gaps", "wrong times", "stale", "jumps", "stuck")
 """`late`: built long before its first step; `gaps`: steps left out; `stuck`: a thruster, while the guard brakes."""
 ROWS = [(mission, attack) for mission in MISSIONS for attack in ATTACKS if attack != "stuck" or mission == "thrusters"]
-PLACE, SETTINGS = ("mission", "attack", "flights", "duration_s", "seed"), ("scenario", "guard_recipe")
+PLACE, SETTINGS = ("mission", "attack", "flights", "duration_s", "seed"), ("scenario", "guard_recipe", "version")
 LONGEST_WAIT = 30
 """Periods before a late first step, at most."""
 SAID = 5
@@ -525,7 +526,16 @@ def fly_all(arguments):
         for done, (mission, attack) in enumerate(rows):
             progress(done / len(rows), f"{mission}: {attack}")
             scenario = digest(Scenario().replace(**MISSIONS[mission]).model_dump_json())[:16]
-            values = (mission, attack, flights, arguments.duration, arguments.seed, scenario, RECIPE)
+            values = (
+                mission,
+                attack,
+                flights,
+                arguments.duration,
+                arguments.seed,
+                scenario,
+                RECIPE,
+                keepout.__version__,
+            )
             plan = dict(zip(PLACE + SETTINGS, values, strict=True))
             row = store.find(plan)
             if row is None:

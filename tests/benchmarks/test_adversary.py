@@ -1,0 +1,195 @@
+"""`benchmarks/adversary.py`: its truth against closed forms, and that it catches a guard that does not guard."""
+
+from argparse import Namespace
+from types import SimpleNamespace
+
+import adversary
+import numpy as np
+import pytest
+from adversary_truth import GRAVITY, SUBSTEPS, AxisThrusters, Surface, Truth
+from scipy.linalg import expm
+
+from keepout.mission.scenario import Scenario
+
+PERIODS = 120
+ROWS = 2 * SUBSTEPS * PERIODS
+CUBE = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
+SIDES = np.array([[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1]])
+SIDES = np.vstack([SIDES, [[2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]])
+
+
+def flown(truth, place, push):
+    for row in range(0, ROWS, 2):
+        place = truth.flown(place, row, push)
+    return place
+
+
+def test_chasers_near_a_circular_orbit_follow_clohessy_and_wiltshire():
+    scenario = Scenario().replace(orbit={"semi_major_axis": 6_778_000.0})
+    truth, rate = Truth(scenario, PERIODS), np.sqrt(GRAVITY / 6_778_000.0**3)
+    start = np.array([[1.0, -2.0, 1.5, 0.02, 0.01, -0.03], [-2.0, 1.0, 0.0, 0.0, 0.0, 0.0]])
+    push = np.array([2e-4, -1e-4, 3e-4])
+    # x along the velocity, y against the orbit's normal, z to the Earth; the last state is the constant 1.
+    slope = np.zeros((7, 7))
+    slope[:3, 3:6] = np.eye(3)
+    slope[3, 5], slope[4, 1], slope[5, 3], slope[5, 2] = 2.0 * rate, -(rate**2), -2.0 * rate, 3.0 * rate**2
+    slope[3:6, 6] = push
+    expected = (np.hstack([start, np.ones((2, 1))]) @ expm(slope * PERIODS).T)[:, :6]
+    place = flown(truth, truth.placed(start[:, :3], start[:, 3:], 0), push)
+    # What the linear equations leave out is 1.5 rate² r²/a over a second: 1e-5 m here.
+    assert np.hstack(truth.seen(place, ROWS)) == pytest.approx(expected, abs=2e-5)
+    back = place
+    for row in range(ROWS, 0, -2):
+        back = truth.flown(back, row, push, back=True)
+    assert np.hstack(truth.seen(back, 0)) == pytest.approx(start, abs=1e-6)
+
+
+def test_the_target_and_a_chaser_without_force_keep_to_their_ellipses():
+    scenario = Scenario().replace(
+        orbit={"semi_major_axis": 9e6, "eccentricity": 0.2, "true_anomaly": 0.7}, attitude={"kind": "inertial"}
+    )
+    truth = Truth(scenario, PERIODS)
+
+    def after(state, seconds):
+        """Kepler's equation, from the elements of an ECI state in the plane of the target's ellipse."""
+        r, v = state[:3], state[3:]
+        a = 1.0 / (2.0 / np.linalg.norm(r) - v @ v / GRAVITY)
+        towards_perigee = np.cross(v, np.cross(r, v)) / GRAVITY - r / np.linalg.norm(r)
+        e = np.linalg.norm(towards_perigee)
+        p = towards_perigee / e
+        q = np.cross(np.cross(r, v), p)
+        q /= np.linalg.norm(q)
+        E = np.arctan2(r @ q / (a * np.sqrt(1.0 - e**2)), r @ p / a + e)
+        M = E - e * np.sin(E) + np.sqrt(GRAVITY / a**3) * seconds
+        for _ in range(20):
+            E -= (E - e * np.sin(E) - M) / (1.0 - e * np.cos(E))
+        return a * (np.cos(E) - e) * p + a * np.sqrt(1.0 - e**2) * np.sin(E) * q
+
+    target = np.concatenate([truth.position[0], truth.velocity[0]])
+    assert truth.position[ROWS] == pytest.approx(after(target, PERIODS), abs=1e-4)
+    chaser = truth.placed(np.array([[30.0, 0.0, -20.0]]), np.array([[0.2, 0.1, -0.1]]), 0)
+    assert flown(truth, chaser, np.zeros(3))[0, :3] == pytest.approx(after(chaser[0], PERIODS), abs=1e-4)
+
+
+def test_a_free_body_turns_as_eulers_top_does():
+    moments, rate = np.array([2.0, 2.0, 3.0]), np.array([0.01, 0.0, 0.03])
+    attitude = {"kind": "tumbling", "angular_velocity": tuple(rate), "inertia": tuple(map(tuple, np.diag(moments)))}
+    truth = Truth(Scenario().replace(attitude=attitude), PERIODS)
+    angle = (moments[2] / moments[0] - 1.0) * rate[2] * PERIODS
+    assert truth.rate[ROWS] == pytest.approx([0.01 * np.cos(angle), 0.01 * np.sin(angle), 0.03], abs=1e-12)
+    momentum = np.einsum("nij,ni->nj", truth.axes, truth.rate * moments)
+    assert momentum == pytest.approx(np.broadcast_to(momentum[0], momentum.shape), abs=1e-12)
+    assert truth.axes[ROWS] @ truth.axes[ROWS].T == pytest.approx(np.eye(3), abs=1e-12)
+    # The symmetry axis goes round the momentum at J ω / J₁.
+    turned, around = np.linalg.norm(momentum[0]) / moments[0] * PERIODS, momentum[0] / np.linalg.norm(momentum[0])
+    axis = truth.axes[0, 2]
+    along = (axis @ around) * around
+    went = along + np.cos(turned) * (axis - along) + np.sin(turned) * np.cross(around, axis)
+    assert truth.axes[ROWS, 2] == pytest.approx(went, abs=1e-10)
+    # A velocity seen is the derivative of positions seen.
+    place = truth.placed(np.array([[3.0, -4.0, 5.0]]), np.array([[0.1, 0.0, -0.2]]), 8)
+    after, before = truth.flown(place, 8, np.zeros(3)), truth.flown(place, 8, np.zeros(3), back=True)
+    slope = (truth.seen(after, 10)[0] - truth.seen(before, 6)[0]) / (2.0 * truth.step)
+    assert slope == pytest.approx(truth.seen(place, 8)[1], abs=2e-5)
+
+
+def test_thrusters_give_what_is_wanted_but_for_the_least_pulse_and_the_one_that_sticks():
+    generator = np.random.default_rng(1)
+    wanted = generator.uniform(-0.1, 0.1, (400, 3))
+    whole = AxisThrusters(400, 0.1, np.ones((400, 12)), 1.0, 0.02)
+    quantum = 2 * 0.1 * 0.01 + 1e-12
+    assert np.abs(whole.give(wanted).mean(axis=0) - wanted).max() <= quantum
+    first_half, last_half = whole.give(wanted).reshape(2, -1, 400, 3).mean(axis=1)
+    assert first_half == pytest.approx(last_half, abs=1e-12)
+    whole.stuck, whole.on = generator.integers(0, 12, 400), generator.random(400) < 0.5
+    wrong = np.linalg.norm(whole.give(wanted).mean(axis=0) - wanted, axis=1)
+    assert 0.09 < wrong.max() <= 0.1 + 2.0 * quantum
+    whole.known = np.ones(400, bool)
+    assert np.abs(whole.give(wanted).mean(axis=0) - wanted).max() <= quantum
+
+
+def test_distances_to_a_cube_are_those_of_a_cube():
+    points = np.random.default_rng(2).uniform(-3.0, 3.0, (500, 3))
+    away, nearest = Surface(CUBE, SIDES).nearest(points)
+    outside = np.linalg.norm(np.maximum(np.abs(points) - 1.0, 0.0), axis=1)
+    inside = np.maximum(1.0 - np.abs(points).max(axis=1), 0.0)
+    assert away == pytest.approx(outside + inside, abs=1e-12)
+    assert np.linalg.norm(points - nearest, axis=1) == pytest.approx(away, abs=1e-12)
+
+
+class PassesOn:
+    """A guard that says that all is well and passes every command on."""
+
+    def __init__(self, jumps=False):
+        self.order = SimpleNamespace(guard_status=int(adversary.GuardFlag.STATE_JUMP) if jumps else 0)
+
+    def restart(self, estimate):
+        pass
+
+    def step(self, time, position, velocity, angular_velocity):
+        return angular_velocity
+
+
+class CubeCase(adversary.Case):
+    """A mission around a cube, without anything compiled."""
+
+    def __init__(self, periods):
+        self.scenario, self.radius, self.period = Scenario(), 0.5, 1.0
+        assumed = SimpleNamespace(mass=20.0, force_limit=0.1, disturbance_force=0.01, position_error=0.05)
+        vars(assumed).update(velocity_error=0.002, mass_error=0.0, delay=1)
+        braking = SimpleNamespace(position_radius=0.1, deceleration=0.004)
+        self.guard = SimpleNamespace(assumptions=assumed, braking=braking, threshold=0.5)
+        self.surface, self.truth = Surface(CUBE, SIDES), Truth(self.scenario, periods + adversary.LONGEST_WAIT)
+
+    def starts(self, generator, flights):
+        return np.tile([3.0, 0.0, 0.0], (flights, 1)), np.zeros((flights, 3))
+
+    def board(self, on_gap):
+        return PassesOn()
+
+    def state(self, position, velocity, time):
+        return None
+
+    def above_threshold(self, points):
+        return self.surface.nearest(points)[0] - self.guard.threshold
+
+
+def test_a_guard_that_passes_everything_on_is_caught():
+    flights = adversary.Flights(CubeCase(60), "lookahead", 6, 60, np.random.default_rng(0))
+    flights.adversary.law[:] = 0
+    row = flights.fly()
+    assert row["contacts"] == row["below_threshold"] == 6
+    assert row["least_clearance_m"] < 0.0
+    assert row["broken"] == row["false_flags"] == 0
+    assert row["promised_steps"] == row["steps"] == 360
+
+
+def test_estimates_beyond_the_declaration_are_counted_apart():
+    flights = adversary.Flights(CubeCase(90), "jumps", 30, 90, np.random.default_rng(0))
+    flights.boards = [PassesOn(jumps=True) for _ in range(30)]
+    flights.adversary.law[:] = 0
+    row = flights.fly()
+    assert 0 < row["broken"] == row["broken_flagged"] < 30
+    assert 0 < row["broken_contacts"] == row["broken_contacts_flagged"]
+    assert 0 < row["contacts"] < 30
+    assert row["false_flags"] == 30  # said before the first jump
+    assert row["promised_steps"] < row["steps"]
+
+
+def test_rows_are_flown_once_and_again_by_another_guard(tmp_path, monkeypatch):
+    made = []
+    monkeypatch.setattr(adversary, "Case", lambda mission, duration: made.append(mission))
+    monkeypatch.setattr(adversary, "Flights", lambda *chosen: SimpleNamespace(fly=lambda: {"found": []}))
+    asked = Namespace(flights=30, duration=9, seed=0, out=tmp_path / "rows.json", missions=["pocket", "thrusters"])
+    asked.attacks = ["late", "stuck"]
+    rows = adversary.fly_all(asked)
+    assert [(row["mission"], row["attack"], row["flights"]) for row in rows] == [
+        ("pocket", "late", 10),
+        ("thrusters", "late", 10),
+        ("thrusters", "stuck", 10),
+    ]
+    assert adversary.fly_all(asked) == rows
+    assert made == ["pocket", "thrusters"]
+    monkeypatch.setattr(adversary, "RECIPE", adversary.RECIPE + 1)
+    assert len(adversary.fly_all(asked)) == 3
+    assert made == ["pocket", "thrusters"] * 2
