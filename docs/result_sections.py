@@ -85,6 +85,23 @@ STUCK = {
     "propellant_kg": "propellant kg",
 }
 
+ADVERSARY = {
+    "mission": "mission",
+    "attack": "attack",
+    "flights": "flights",
+    "steps": "steps",
+    "contacts": "contacts",
+    "below_threshold": "at or below θ",
+    "false_flags": "flagged wrongly",
+    "least_clearance_m": "least clearance m",
+    "least_above_threshold_m": "least f̃ − θ m",
+    "unpromised_contacts": "contacts before a plan",
+    "broken": "broken",
+    "broken_flagged": "of them flagged",
+    "broken_contacts": "contacts of the broken",
+    "broken_contacts_flagged": "of these flagged",
+}
+
 
 def origins() -> list[str]:
     """Give where each table comes from: command, machine, date, and the commit with which it was kept."""
@@ -179,6 +196,25 @@ def stuck() -> list[str]:
         *note("stuck_thrusters"),
     ]
     return measured("Stuck thrusters, with the guard", words, rows, STUCK)
+
+
+def adversary() -> list[str]:
+    """Give what an adversary's law, disturbance, estimates and clock do to the guard in real time."""
+    rows = kept_file("adversary")
+    sums = {name: sum(row[name] for row in rows) for name in ADVERSARY if isinstance(rows[0][name], int)}
+    least = {name: min(row[name] for row in rows) for name in ("least_clearance_m", "least_above_threshold_m")}
+    words = [
+        "`python benchmarks/adversary.py`; discussed in [The guard](guard.md). Chaser and target fly as two bodies "
+        "about the Earth, by a truth that shares no code with Keepout; distances are libigl's. The law looks ahead to "
+        "the least clearance, the disturbance has its declared norm at every instant, and the estimates' errors are at "
+        "their vertices. Contacts, least clearance and f̃ − θ are those of flights in which the guard has a certified "
+        "plan and no assumption is broken: contacts must be 0 there, and f̃ − θ above 0. Contacts before a plan: those "
+        "of chasers that nothing has been promised to since they began, or went without steps. Broken: "
+        "estimates worse than declared, repeated or jumping.",
+        *note("adversary"),
+    ]
+    whole = dict.fromkeys(ADVERSARY) | {"mission": "all", "attack": "all"} | sums | least
+    return measured("An adversary, with the guard in real time", words, [*rows, whole], ADVERSARY)
 
 
 def reproduction() -> list[str]:
@@ -399,6 +435,7 @@ SECTIONS = (
     faults,
     navigation,
     stuck,
+    adversary,
     reproduction,
     errata,
     rivals,
