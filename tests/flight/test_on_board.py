@@ -20,7 +20,7 @@ from keepout.fields.analytic import SphereField
 from keepout.fields.grid import GridField
 from keepout.fields.neural import NeuralField
 from keepout.flight import FlightSetup, loop
-from keepout.flight.on_board import Clock, OnBoard
+from keepout.flight.on_board import OnBoard
 from keepout.guard.guard import Guard
 from keepout.guard.status import GuardFlag
 from keepout.mission.build import prepare
@@ -147,24 +147,6 @@ def test_a_restart_keeps_what_is_under_way():
     assert flown_on(on_board, state, 12, queue)[3] & GuardFlag.STATE_JUMP
     with pytest.raises(ControlError, match=r"under_way has the shape \(1, 2\)"):
         on_board.restart(MOTION.initial_state(state[1], state[2]), [[1.0, 2.0]])
-
-
-def test_a_step_made_again_takes_the_place_of_the_first():
-    clock, forces = Clock(0.5), np.arange(1.0, 16.0).reshape(5, 3)
-    for number, force in enumerate(forces):
-        clock.stepped(0.5 * number, force)
-    nothing = np.zeros(3)
-    for time, under_way in (
-        (2.5, forces[2:]),  # due
-        (3.0, [*forces[3:], nothing]),
-        (9.0, [nothing] * 3),
-        (2.0, forces[1:4]),  # once more
-        (1.0, [nothing, *forces[:2]]),
-        (-100.0, [nothing] * 3),  # another flight
-    ):
-        np.testing.assert_array_equal(clock.under_way(time)[-3:], under_way)
-    clock.stepped(2.0, -forces[4])
-    np.testing.assert_array_equal(clock.under_way(2.5)[-3:], [*forces[2:4], -forces[4]])
 
 
 def test_a_mission_as_it_is_prepared_is_one_kernel():

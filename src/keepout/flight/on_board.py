@@ -67,16 +67,14 @@ class Clock:
         """Whether a time told is the one expected: within a millionth of a period, and what rounding leaves of it."""
         return bool(abs(time - expected) <= 1e-6 * self.period + 1e-15 * abs(expected))
 
-    def under_way(self, time: float) -> Float[np.ndarray, "steps 3"]:
-        """Give the forces that may be under way at `time`, N: those given in the periods before it.
+    def missed(self, time: float) -> int:
+        """Count the periods that passed without a step until `time`, in which no force was commanded."""
+        return 0 if self.due is None else max(0, round((time - self.due) / self.period))
 
-        In periods that passed without a step none was commanded. A step made again for a period that has had one takes
-        that one's place, so that the forces given at `time` or later are not under way.
-        """
-        since = 0 if self.due is None else round((time - self.due) / self.period)
-        none = np.zeros((min(abs(since), len(self.sent)), 3))
-        kept = len(self.sent) - len(none)
-        return np.concatenate([self.sent[len(none) :], none] if since > 0 else [none, self.sent[:kept]])
+    def under_way(self, time: float) -> Float[np.ndarray, "steps 3"]:
+        """Give the forces that may be under way at `time`, N."""
+        missed = min(self.missed(time), len(self.sent))
+        return np.concatenate([self.sent[missed:], np.zeros((missed, 3))])
 
     def stepped(self, time: float, force: Float[np.ndarray, "3"]) -> None:
         """Take down that a force (N) was given at `time`."""
