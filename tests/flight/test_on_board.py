@@ -135,8 +135,11 @@ def test_a_time_that_is_not_due_is_refused_or_begins_anew(on_board, pushed):
 
 def test_a_restart_keeps_what_is_under_way():
     start = 0.0, np.array([9.0, 0.0, 0.0]), np.zeros(3)
-    on_board = OnBoard(pushing(delay=2), MOTION.initial_state(start[1], start[2]))
+    on_board = OnBoard(pushing(delay=2), MOTION.initial_state(start[1], start[2]), on_gap="begin anew")
     state, queue, _, flags = flown_on(on_board, start, 12, [np.zeros(3)] * 2)
+    for time in (state[0] - 1.0, state[0] + 0.5):  # what is under way then is not known
+        with pytest.raises(ControlError, match=r"the commands under way$"):
+            on_board.step(time, state[1], state[2])
     for given in (None, "queue"):
         on_board.restart(MOTION.initial_state(state[1], state[2]), given and 20.0 * np.array(queue))
         state, queue, _, more = flown_on(on_board, state, 12, queue)

@@ -67,13 +67,19 @@ class Clock:
         """Whether a time told is the one expected: within a millionth of a period, and what rounding leaves of it."""
         return bool(abs(time - expected) <= 1e-6 * self.period + 1e-15 * abs(expected))
 
-    def missed(self, time: float) -> int:
-        """Count the periods that passed without a step until `time`, in which no force was commanded."""
-        return 0 if self.due is None else max(0, round((time - self.due) / self.period))
+    def tells(self, time: float, delay: int) -> bool:
+        """Whether it can be said what is under way at `time`, where commands take `delay` periods to take effect.
+
+        Not before the time that is due, since some were given later; nor between two control steps of those given.
+        """
+        if delay == 0 or self.due is None or self.holds(time, self.due):
+            return True
+        after = (time - self.due) / self.period
+        return after > 0.0 and (after >= delay - 1 or self.holds(time, self.due + round(after) * self.period))
 
     def under_way(self, time: float) -> Float[np.ndarray, "steps 3"]:
-        """Give the forces that may be under way at `time`, N."""
-        missed = min(self.missed(time), len(self.sent))
+        """Give the forces that may be under way at `time`, N: none was commanded in the periods without a step."""
+        missed = 0 if self.due is None else min(max(round((time - self.due) / self.period), 0), len(self.sent))
         return np.concatenate([self.sent[missed:], np.zeros((missed, 3))])
 
     def stepped(self, time: float, force: Float[np.ndarray, "3"]) -> None:
@@ -124,7 +130,8 @@ class OnBoard:
             setup: of a flight.
             estimate: of the motion now. A first step that tells no finite state begins from it, if it is of that time.
             on_gap: what a step does at another time than the last one plus a period: "refuse" raises an error, "begin
-                anew" begins law and guard from the state that it tells.
+                anew" begins law and guard from the state that it tells. Where commands take effect late an earlier time
+                is refused all the same, and so is one between two control steps: what is under way then is not known.
 
         Raises:
             ControlError: a law or guard whose memory cannot be kept as numbers (a random key, say), or another
@@ -136,6 +143,7 @@ class OnBoard:
         keep_programs()
         unpack_estimate = ravel_pytree(estimate)[1]
         self._clock, self._anew = Clock(float(setup.period)), on_gap == "begin anew"
+        self._delay = 0 if setup.guard is None else setup.guard.delay
         self.restart(estimate)
 
         def memories(numbers: Float[Array, " m"], under_way: Float[Array, "steps 3"]):
@@ -214,15 +222,16 @@ class OnBoard:
             self._put(numbers, "angular_velocity", angular_velocity)
         if target_orbit is not None:
             self._put(numbers, "target_orbit", target_orbit)
-        if self._begun and self._clock.due is not None and not self._clock.holds(time, self._clock.due):
-            if not (self._anew and math.isfinite(time)):
-                raise ControlError(
-                    f"on board: told the time {time:.9g} s; {self._clock.due:.9g} s is due, a period of "
-                    f"{self._clock.period:g} s after the last step. Call restart with the state now, or build it with "
-                    'on_gap="begin anew"'
-                )
-            self._begun = False
-        whole = self._whole if self._begun else self._memories(time, numbers)
+        due = self._clock.due
+        goes_on = self._begun and due is not None and self._clock.holds(time, due)
+        refused = (self._begun and not self._anew) or not self._clock.tells(time, self._delay)
+        if not goes_on and due is not None and refused:
+            raise ControlError(
+                f"on board: told the time {time:.9g} s; {due:.9g} s is due, a period of {self._clock.period:g} s after "
+                "the last step. Call restart with the state now and the commands under way"
+                + ("" if self._anew else ', or build it with on_gap="begin anew"')
+            )
+        whole = self._whole if goes_on else self._memories(time, numbers)
         self._numbers, self._begun = numbers, True
         self._whole = self._step(whole, numbers)
         self._latest = np.asarray(self._whole)

@@ -190,6 +190,11 @@ class Guard(SafetyLayer):
         self.windows = watch.windows(assumptions)
 
     @property
+    def delay(self) -> int:
+        """Control steps between a command and its effect."""
+        return self.assumptions.delay
+
+    @property
     def least_value(self) -> Number:
         """Field value, in metres, below which no plan is ever certified: threshold plus the tube's radius.
 

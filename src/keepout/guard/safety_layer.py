@@ -20,6 +20,11 @@ class SafetyLayer(eqx.Module):
     def initial_state(self, estimate: MotionState) -> PyTree:
         """Return the memory before the first step, at the estimate of the motion that the layer is told."""
 
+    @property
+    def delay(self) -> int:
+        """Control steps between a command and its effect, as the layer assumes them; 0 unless it knows of a delay."""
+        return 0
+
     def begun_with(self, estimate: MotionState, under_way: Float[Array, "steps 3"]) -> PyTree:
         """Return the memory before the first step where commands are under way: forces, N, body axes, the oldest first.
 
