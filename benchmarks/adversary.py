@@ -379,27 +379,27 @@ class Flights:
             self.promised[i] = False
             board.restart(self.case.state(told[:3], told[3:], now))
         wrong = self.attack == "wrong times" and step > self.first[i] and self.generator.random() < self.often[i]
-        if self.missed[i] or (wrong and not self.anew[i]):
-            early_or_late = self.generator.choice([-1.0, -0.4, 0.3, 1.0]) * self.case.period
-            self._refused(i, now if self.missed[i] else now + early_or_late, numbers)
         if self.missed[i]:
             self.promised[i] = False
             if not self.anew[i]:
+                self._refused(i, now, numbers)
                 board.restart(self.case.state(told[:3], told[3:], now))
-        if wrong and self.anew[i]:
+        elif wrong and not self.anew[i]:
+            early_or_late = self.generator.choice([-1.0, -0.4, 0.3, 1.0]) * self.case.period
+            self._refused(i, now + early_or_late, numbers)
+        again = wrong and self.anew[i] and not self.case.guard.assumptions.delay
+        if again:
             # Two commands for one period: the second takes the place of the first, which it asks to lead away.
             self.promised[i] = False
             board.step(now, **(numbers | {"angular_velocity": -asked}))
         force = board.step(now, **numbers)
-        if wrong:
+        if wrong and not again:
             self._refused(i, now, numbers)
         self._note(i, step, board.order.guard_status)
         return force
 
     def _refused(self, i, time, numbers):
-        """Step at a time that is not due, where that must be refused."""
-        if self.anew[i]:
-            return
+        """Step at a time that must be refused: one that is not due, or before it with commands under way."""
         try:
             self.boards[i].step(time, **numbers)
         except ControlError:
