@@ -20,7 +20,7 @@ from keepout.fields.analytic import SphereField
 from keepout.fields.grid import GridField
 from keepout.fields.neural import NeuralField
 from keepout.flight import FlightSetup, loop
-from keepout.flight.on_board import OnBoard
+from keepout.flight.on_board import Clock, OnBoard
 from keepout.guard.guard import Guard
 from keepout.guard.status import GuardFlag
 from keepout.mission.build import prepare
@@ -131,6 +131,15 @@ def test_a_time_that_is_not_due_is_refused_or_begins_anew(on_board, pushed):
     np.testing.assert_array_equal(anew, pushed.order.force)
     with pytest.raises(ControlError, match="begin anew"):
         OnBoard(pushing(), MOTION.initial_state(position, velocity), on_gap="never mind")
+
+
+@pytest.mark.parametrize("delay", [1, 2, 3])
+def test_between_control_steps_it_is_known_what_acts_once_nothing_does(delay):
+    clock = Clock(0.5)
+    clock.stepped(7.0, np.ones(3))
+    acts_until = 7.0 + 0.5 * delay + 0.5
+    for time in 7.5 + 0.5 * np.arange(0.1, 5.0, 0.2):
+        assert clock.tells(time, delay) == (time >= acts_until)
 
 
 def test_a_restart_keeps_what_is_under_way():

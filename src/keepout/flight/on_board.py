@@ -70,12 +70,13 @@ class Clock:
     def tells(self, time: float, delay: int) -> bool:
         """Whether it can be said what is under way at `time`, where commands take `delay` periods to take effect.
 
-        Not before the time that is due, since some were given later; nor between two control steps of those given.
+        Not before the time that is due, since some were given later; nor between two control steps while one of those
+        given acts: the last does until `delay` periods after the time that is due.
         """
         if delay == 0 or self.due is None or self.holds(time, self.due):
             return True
         after = (time - self.due) / self.period
-        return after > 0.0 and (after >= delay - 1 or self.holds(time, self.due + round(after) * self.period))
+        return after > 0.0 and (after >= delay or self.holds(time, self.due + round(after) * self.period))
 
     def under_way(self, time: float) -> Float[np.ndarray, "steps 3"]:
         """Give the forces that may be under way at `time`, N: none was commanded in the periods without a step."""
