@@ -35,19 +35,22 @@ def recorded(mission, steps):
         return jax.lax.scan(advance, loop.start(setup, initial, key), length=steps)[1]
 
     samples = jax.device_get(fly(mission.initial))
-    told = [[one.value[k] if one.came[k] else None for one in samples] for k in range(steps)]
-    return told
+    period, late = mission.scenario.control.period, [sensor.latency for sensor in navigation.suite.sensors]
+    return [
+        [((k - ago) * period, one.value[k]) if one.came[k] else None for one, ago in zip(samples, late, strict=True)]
+        for k in range(steps)
+    ]
 
 
-def timed(on_board, told):
+def timed(on_board, told, period):
     """Give the seconds of each step after the first."""
-    on_board.step(told[0])
+    on_board.step(0.0, told[0])
     seconds = []
     gc.collect()
     gc.disable()
-    for samples in told[1:]:
+    for number, samples in enumerate(told[1:], start=1):
         begin = time.perf_counter()
-        on_board.step(samples)
+        on_board.step(number * period, samples)
         seconds.append(time.perf_counter() - begin)
     gc.enable()
     return np.asarray(seconds)
@@ -71,7 +74,7 @@ def main():
     mission = prepare(scenario)
     told = recorded(mission, chosen.steps)
     on_board = OnBoardNavigation(mission.setup, mission.initial)
-    micro = 1e6 * timed(on_board, told)
+    micro = 1e6 * timed(on_board, told, scenario.control.period)
     row = {
         "suite": chosen.suite,
         "layout": chosen.layout,

@@ -123,13 +123,13 @@ class Flown:
 def step_ms(case: RivalCase, law, goal: Point, flight, guarded: bool) -> float:
     """Median milliseconds of a control step on board, at states along a flight (its times, positions, velocities)."""
     setup = setup_of(case, law, goal, guarded)
-    times, positions, velocities = (column[:: max(1, len(column) // TIMED)] for column in flight)
+    _, positions, velocities = (column[:: max(1, len(column) // TIMED)] for column in flight)
     board, seconds = OnBoard(setup, setup.motion.initial_state(positions[0], velocities[0])), []
     gc.collect()
     gc.disable()
-    for moment, position, velocity in zip(times, positions, velocities, strict=True):
+    for number, (position, velocity) in enumerate(zip(positions, velocities, strict=True)):
         began = time.perf_counter()
-        board.step(float(moment), position, velocity)
+        board.step(number * float(setup.period), position, velocity)
         seconds.append(time.perf_counter() - began)
     gc.enable()
     return 1e3 * float(np.median(seconds))

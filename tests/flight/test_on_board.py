@@ -1,5 +1,7 @@
 """On board, the same law and guard as in the loop, in numbers."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -12,6 +14,7 @@ from keepout.control import profiles
 from keepout.control.guidance.guidance import GeodesicGuidance
 from keepout.control.guidance.plan import Straight
 from keepout.control.law import ControlStatus, Law
+from keepout.control.policy import PolicyLaw
 from keepout.errors import ControlError
 from keepout.fields.analytic import SphereField
 from keepout.fields.grid import GridField
@@ -19,9 +22,11 @@ from keepout.fields.neural import NeuralField
 from keepout.flight import FlightSetup, loop
 from keepout.flight.on_board import OnBoard
 from keepout.guard.guard import Guard
+from keepout.guard.status import GuardFlag
 from keepout.mission.build import prepare
 from keepout.mission.scenario import Scenario
 from keepout.motion import Orbit, RelativeMotion, Thrusters, paper_disturbance
+from keepout.motion.disturbance import NoDisturbance
 
 pytestmark = pytest.mark.long
 
@@ -64,6 +69,86 @@ def test_forces_are_those_of_the_loop(setup, on_board):
     assert np.linalg.norm(on_board.order.disturbance_estimate) == 0.0
 
 
+def push(time, position, velocity):
+    """Full thrust towards the sphere."""
+    return jnp.array([-0.1, 0.0, 0.0])
+
+
+def pushing(**changes):
+    """A law that pushes, behind a guard whose estimate has errors."""
+    sphere = SphereField(jnp.zeros(3), jnp.asarray(2.0))
+    assumed = dataclasses.replace(ASSUMED, position_error=0.05, velocity_error=0.002, **changes)
+    guard = Guard(field=sphere, threshold=0.5, lipschitz=1.0, assumptions=assumed)
+    return FlightSetup(MOTION, NoDisturbance(), Thrusters(0.1), PolicyLaw(GOAL, push), GOAL, 20.0, guard=guard)
+
+
+def flown_on(on_board, state, steps, under_way=()):
+    """Fly the true state in a straight line's motion; least distance from the sphere, and all flags."""
+    (time, position, velocity), queue, least, flags = state, list(under_way), np.inf, 0
+    for _ in range(steps):
+        queue.append(np.asarray(on_board.step(time, position, velocity)) / 20.0)
+        acceleration = queue.pop(0)
+        position, velocity = position + velocity + 0.5 * acceleration, velocity + acceleration
+        time, least = time + 1.0, min(least, float(np.linalg.norm(position)) - 2.0)
+        flags |= on_board.order.guard_status & ~3
+    return (time, position, velocity), queue, least, flags
+
+
+@pytest.fixture(scope="module")
+def pushed():
+    return OnBoard(pushing(), MOTION.initial_state([9.5, 0.0, 0.0], [-0.14, 0.0, 0.0]), on_gap="begin anew")
+
+
+@pytest.mark.parametrize("lag", [0.0, 4.0, 15.0, 30.0])
+def test_a_first_step_long_after_it_was_built_begins_with_what_it_tells(pushed, lag):
+    pushed.restart(MOTION.initial_state([9.5, 0.0, 0.0], [-0.14, 0.0, 0.0]))
+    start = lag, np.array([9.5 - 0.14 * lag, 0.0, 0.0]), np.array([-0.14, 0.0, 0.0])
+    _, _, least, flags = flown_on(pushed, start, 150)
+    assert flags == 0 or lag == 30.0
+    assert least > (0.5 if lag < 30.0 else 0.0)
+
+
+def test_a_time_that_is_not_due_is_refused_or_begins_anew(on_board, pushed):
+    on_board.restart(MOTION.initial_state([0.5, 7.0, 4.0], np.zeros(3)))
+    position, still = np.array([0.5, 7.0, 4.0]), np.zeros(3)
+    on_board.step(5.0, position, still)
+    force = on_board.step(6.0, position, still)
+    for time in (6.0, 6.5, 7.001, 22.0, -1.0, np.nan):
+        with pytest.raises(ControlError, match="7 s is due"):
+            on_board.step(time, position, still)
+    np.testing.assert_array_equal(on_board.order.force, force)
+    on_board.step(7.0, position, still)
+    # Begun anew it flies as after a restart, wherever it was before.
+    start = 0.0, np.array([9.5, 0.0, 0.0]), np.array([-0.14, 0.0, 0.0])
+    pushed.restart(MOTION.initial_state(start[1], start[2]))
+    (time, position, velocity), _, _, flags = flown_on(pushed, start, 5)
+    later = time + 10.0, position + 10.0 * velocity, velocity
+    flags |= flown_on(pushed, later, 3)[3]
+    anew = pushed.order.force
+    pushed.restart(MOTION.initial_state(position, velocity))
+    flown_on(pushed, later, 3)
+    assert flags == 0
+    np.testing.assert_array_equal(anew, pushed.order.force)
+    with pytest.raises(ControlError, match="begin anew"):
+        OnBoard(pushing(), MOTION.initial_state(position, velocity), on_gap="never mind")
+
+
+def test_a_restart_keeps_what_is_under_way():
+    start = 0.0, np.array([9.0, 0.0, 0.0]), np.zeros(3)
+    on_board = OnBoard(pushing(delay=2), MOTION.initial_state(start[1], start[2]))
+    state, queue, _, flags = flown_on(on_board, start, 12, [np.zeros(3)] * 2)
+    for given in (None, "queue"):
+        on_board.restart(MOTION.initial_state(state[1], state[2]), given and 20.0 * np.array(queue))
+        state, queue, _, more = flown_on(on_board, state, 12, queue)
+        flags |= more
+    assert flags == 0
+    # Told of what is not under way, the guard sees that it was not.
+    on_board.restart(MOTION.initial_state(state[1], state[2]), [[0.1, 0.1, 0.1], [0.1, 0.1, 0.1]])
+    assert flown_on(on_board, state, 12, queue)[3] & GuardFlag.STATE_JUMP
+    with pytest.raises(ControlError, match=r"under_way has the shape \(1, 2\)"):
+        on_board.restart(MOTION.initial_state(state[1], state[2]), [[1.0, 2.0]])
+
+
 def test_a_mission_as_it_is_prepared_is_one_kernel():
     """Learned field, geodesic guidance, and the guard with its grid field."""
     mission = prepare(Scenario())
@@ -94,6 +179,9 @@ def test_a_number_that_is_none_is_answered_and_forgotten(on_board):
     force = on_board.step(1.0, [0.5, 7.0, 4.0], np.zeros(3))
     assert np.isfinite(force).all()
     assert on_board.order.control_status in (ControlStatus.NOMINAL, ControlStatus.SATURATED)
+    on_board.restart(MOTION.initial_state([0.5, 7.0, 4.0], np.zeros(3)))
+    with pytest.raises(ControlError, match="step at 3 s tells no finite state to begin with"):
+        on_board.step(3.0, [np.nan, 7.0, 4.0], np.zeros(3))
 
 
 def test_wrong_numbers_are_named(on_board):

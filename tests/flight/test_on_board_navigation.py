@@ -56,8 +56,8 @@ def on_board(setup_and_start, flown):
     return OnBoardNavigation(setup_and_start[0], flown[0])
 
 
-def told(samples):
-    return [one.value if one.came else None for one in samples]
+def told(samples, time):
+    return [(time, one.value) if one.came else None for one in samples]
 
 
 def test_forces_and_on_times_are_those_of_the_loop(on_board, flown):
@@ -67,7 +67,8 @@ def test_forces_and_on_times_are_those_of_the_loop(on_board, flown):
     for again in range(2):  # the second time after a restart, which forgets everything
         on_board.restart(estimate)
         for samples, row, on_time in steps:
-            force, known = on_board.step(told(samples)), on_board.known
+            time = float(row.time)
+            force, known = on_board.step(time, told(samples, time)), on_board.known
             close = {"rtol": 0.0, "atol": 1e-9}
             np.testing.assert_allclose(force, row.guarded_force, **close)
             np.testing.assert_allclose(known.position, row.estimated_position, **close)
@@ -77,7 +78,7 @@ def test_forces_and_on_times_are_those_of_the_loop(on_board, flown):
             np.testing.assert_allclose(known.errors, [row.known_position_error, row.known_velocity_error], **close)
             np.testing.assert_allclose(known.on_time, on_time, **close)
             assert (known.control_status, known.guard_status) == (row.control_status, row.guard_status)
-            assert (known.outliers, known.contradicted) == (row.outliers, row.contradicted), again
+            assert (known.outliers, known.contradicted, known.not_due) == (row.outliers, row.contradicted, 0), again
     assert np.max([on_time for *_, on_time in steps]) > 0.1
     assert on_board.known.on_time.shape == (6,)
 
@@ -85,20 +86,41 @@ def test_forces_and_on_times_are_those_of_the_loop(on_board, flown):
 def test_a_sample_that_is_no_number_is_left_out(on_board, flown):
     estimate, steps = flown
     on_board.restart(estimate)
-    for samples, _, _ in steps[:5]:
-        on_board.step(told(samples))
-    force = on_board.step([np.full(3, np.nan), np.full(3, np.nan)])
+    for time, (samples, _, _) in enumerate(steps[:5]):
+        on_board.step(float(time), told(samples, float(time)))
+    force = on_board.step(5.0, [(5.0, np.full(3, np.nan)), (5.0, np.full(3, np.nan))])
     assert np.isfinite(force).all()
     assert on_board.known.outliers == 2
     assert np.isfinite(on_board.known.errors).all()
-    assert np.isfinite(on_board.step([None, None])).all()
+    assert np.isfinite(on_board.step(6.0, [None, None])).all()
 
 
-def test_wrong_samples_are_named(on_board, setup_and_start):
+def test_another_time_is_refused_and_a_sample_of_another_time_left_out(on_board, flown):
+    estimate, steps = flown
+    on_board.restart(estimate)
+    with pytest.raises(ControlError, match="told the time 15 s; 0 s is due, when the estimate"):
+        on_board.step(15.0, [None, None])
+    on_board.step(0.0, told(steps[0][0], 0.0))
+    for time in (0.0, 1.5, 20.0, np.nan):
+        with pytest.raises(ControlError, match="1 s is due, a period after"):
+            on_board.step(time, [None, None])
+    value = np.asarray(steps[0][0][0].value)
+    on_board.step(1.0, [(0.0, value), None])  # the sample of the step before, once more
+    twice = on_board.known
+    assert twice.not_due == 1
+    on_board.restart(estimate)
+    on_board.step(0.0, told(steps[0][0], 0.0))
+    on_board.step(1.0, [None, None])
+    np.testing.assert_array_equal(twice.known_position, on_board.known.known_position)
+    assert on_board.known.not_due == 0
+
+
+def test_wrong_samples_are_named(on_board, setup_and_start, flown):
+    on_board.restart(flown[0])
     with pytest.raises(ControlError, match="1 samples; the suite has 2 sensors"):
-        on_board.step([None])
+        on_board.step(0.0, [None])
     with pytest.raises(ControlError, match="sample 1 has 2 numbers; it must have 3"):
-        on_board.step([None, np.zeros(2)])
+        on_board.step(0.0, [None, (0.0, np.zeros(2))])
     setup, initial = setup_and_start
     without = eqx.tree_at(lambda s: s.navigation, setup, None, is_leaf=lambda x: x is None)
     with pytest.raises(ControlError, match="no navigation; fly it with OnBoard"):

@@ -261,13 +261,13 @@ def test_the_observer_begins_again_within_the_bounds():
     guard = guard_for()
     a, rng = guard.assumptions, np.random.default_rng(0)
     memory = observer.begin(motion_state(jnp.zeros(3), jnp.zeros(3)), a, guard.windows)
-    memory = dataclasses.replace(memory, begun=jnp.asarray(True), steady=jnp.asarray(False))
+    memory, no = dataclasses.replace(memory, steady=jnp.asarray(False)), jnp.asarray(False)
     for _ in range(20):
         errors = np.asarray(CAPS) * rng.uniform(0.0, 1.0, 2)
         told = rng.normal(size=(2, 3)) * 0.1
-        seen = observer.correct(a, guard.braking, memory, *map(jnp.asarray, told), jnp.asarray(errors))
+        seen = observer.correct(a, guard.braking, memory, *map(jnp.asarray, told), jnp.asarray(errors), no, no)
         for part, where, error, most in zip(seen, told, errors, CAPS, strict=True):
             assert np.linalg.norm(part - where) + error <= most * (1 + 1e-12)
     steady = dataclasses.replace(memory, steady=jnp.asarray(True))
-    seen = observer.correct(a, guard.braking, steady, jnp.ones(3), jnp.zeros(3), jnp.zeros(2))
+    seen = observer.correct(a, guard.braking, steady, jnp.ones(3), jnp.zeros(3), jnp.zeros(2), no, no)
     assert np.linalg.norm(seen[0] - 1.0) > 0.1

@@ -53,7 +53,7 @@ class Halving(SafetyLayer):
     def initial_state(self, estimate):
         return jnp.zeros((), jnp.int32)
 
-    def filter(self, guard_state, estimate, force, disturbance_estimate, errors=None):
+    def filter(self, guard_state, estimate, force, disturbance_estimate, errors=None, contradicted=None):
         return guard_state + 1, force / 2, jnp.where(disturbance_estimate[0] > 0, 2, 0) + 8 * (guard_state == 5)
 
 

@@ -68,8 +68,12 @@ class AheadOfDelay(Law):
 
     def initial_state(self, state: MotionState) -> PyTree:
         """Start the law where it will be first obeyed; nothing is under way."""
-        pending = jnp.zeros((self.delay, 3))
-        return self.law.initial_state(self.ahead(state, pending)), pending
+        return self.begun_with(state, jnp.zeros((self.delay, 3)))
+
+    def begun_with(self, state: MotionState, under_way: Float[Array, "steps 3"]) -> PyTree:
+        """Start the law where it will be first obeyed."""
+        pending = under_way[-self.delay :]
+        return self.law.begun_with(self.ahead(state, pending), under_way), pending
 
     def with_applied_force(self, state: PyTree, force: Float[Array, "3"]) -> PyTree:
         """Return the state told that `force` (N) was commanded instead of the law's own."""

@@ -108,6 +108,13 @@ class Law(eqx.Module):
     def initial_state(self, state: MotionState) -> PyTree:
         """Return what the law remembers before its first step at `state`."""
 
+    def begun_with(self, state: MotionState, under_way: Float[Array, "steps 3"]) -> PyTree:
+        """Return the same where commands are under way: forces that have not taken effect, N, the oldest first.
+
+        A law that knows of no delay begins as it always does.
+        """
+        return self.initial_state(state)
+
     @abc.abstractmethod
     def step(self, state: PyTree, estimate: MotionState) -> tuple[PyTree, Command]:
         """Run one control step on an estimate of the motion; called once a period."""

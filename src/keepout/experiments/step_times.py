@@ -102,8 +102,12 @@ def ready(contender: Contender) -> Callable[[], Timed]:
         return lambda: _flown(usual.step, mission, advance, lambda: usual.unsolved)
     on_board = OnBoard(setup, start)
     on_board.step(0.0, np.asarray(start.position), np.asarray(start.velocity))
-    on_board.restart(start)
-    return lambda: _flown(on_board.step, mission, advance, lambda: 0)
+
+    def flown() -> Timed:
+        on_board.restart(start)
+        return _flown(on_board.step, mission, advance, lambda: 0)
+
+    return flown
 
 
 def usual_way(mission: Mission, *, idle: tuple[int, int] | None = None) -> UsualWay:

@@ -95,13 +95,23 @@ def start(setup: FlightSetup, initial: MotionState, key: PRNGKeyArray) -> LoopSt
     return LoopState(initial, law, guard, faults, thrusters, sensors, known)
 
 
-def memories(setup: FlightSetup, estimate: MotionState, known: MotionState | None = None) -> tuple[PyTree, PyTree]:
+def memories(
+    setup: FlightSetup,
+    estimate: MotionState,
+    known: MotionState | None = None,
+    under_way: Float[Array, "steps 3"] | None = None,
+) -> tuple[PyTree, PyTree]:
     """Give the states of control law and guard before their first `command`; the guard's is () where there is none.
 
-    The law starts from `estimate`, and so does the guard unless it is told of another state, `known`.
+    The law starts from `estimate`, and so does the guard unless it is told of another state, `known`. Forces
+    `under_way` (N, the oldest first) were commanded before and have not taken effect; without them nothing was.
     """
-    law = setup.controller.initial_state(estimate)
-    return law, () if setup.guard is None else setup.guard.initial_state(estimate if known is None else known)
+    told = estimate if known is None else known
+    if under_way is None:
+        law = setup.controller.initial_state(estimate)
+        return law, () if setup.guard is None else setup.guard.initial_state(told)
+    law = setup.controller.begun_with(estimate, under_way)
+    return law, () if setup.guard is None else setup.guard.begun_with(told, under_way)
 
 
 def command(
@@ -123,7 +133,12 @@ def command(
         guard_state, force, status = setup.guard.filter(guard_state, estimate, order.force, order.disturbance_estimate)
     else:
         guard_state, force, status = setup.guard.filter(
-            guard_state, known.state, order.force, order.disturbance_estimate, errors=known.errors
+            guard_state,
+            known.state,
+            order.force,
+            order.disturbance_estimate,
+            errors=known.errors,
+            contradicted=known.contradicted,
         )
     controller_state = setup.controller.with_applied_force(controller_state, force)
     return controller_state, guard_state, order, force, jnp.asarray(status, jnp.int32)

@@ -4,9 +4,11 @@ The compiled step is `loop.command`, the one that flies in single flights and ca
 step is one array of numbers inside: passing trees of arrays through Python would take longer than the step itself.
 """
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
@@ -21,6 +23,8 @@ from keepout.motion.relative import MotionState
 
 Numbers = Float[np.ndarray, "_"] | Array | Sequence[float]
 """One number a component, SI units."""
+Forces = Sequence[Numbers] | Float[np.ndarray, "_ _"]
+"""Three numbers each, N, body axes, the oldest first."""
 
 
 class Order(NamedTuple):
@@ -42,8 +46,64 @@ _WIDTH = 5 * 3 + 3 + 2
 """Numbers in an `Order`."""
 
 
+_LONGEST_DELAY = 8
+"""Commands that may be under way: the guard's theorem and the law's model allow no more."""
+
+
+class Clock:
+    """The time at which the next step is due, and the forces that may not have taken effect by then.
+
+    Attributes:
+        period: control period, s.
+        due: time of the next step, s; None before the first.
+        sent: the last forces given, N, body axes, the oldest first; zero where none was.
+
+    """
+
+    def __init__(self, period: float) -> None:
+        self.period, self.due, self.sent = float(period), None, np.zeros((_LONGEST_DELAY, 3))
+
+    def holds(self, time: float, expected: float) -> bool:
+        """Whether a time told is the one expected: within a millionth of a period, and what rounding leaves of it."""
+        return bool(abs(time - expected) <= 1e-6 * self.period + 1e-15 * abs(expected))
+
+    def missed(self, time: float) -> int:
+        """Count the periods that passed without a step until `time`, in which no force was commanded."""
+        return 0 if self.due is None else max(0, round((time - self.due) / self.period))
+
+    def under_way(self, time: float) -> Float[np.ndarray, "steps 3"]:
+        """Give the forces that may be under way at `time`, N."""
+        missed = min(self.missed(time), len(self.sent))
+        return np.concatenate([self.sent[missed:], np.zeros((missed, 3))])
+
+    def stepped(self, time: float, force: Float[np.ndarray, "3"]) -> None:
+        """Take down that a force (N) was given at `time`."""
+        self.sent = np.concatenate([self.under_way(time)[1:], force[None]])
+        self.due = time + self.period
+
+
+def as_under_way(forces: Forces) -> Float[np.ndarray, "steps 3"]:
+    """Give forces (n, 3), N, the oldest first, as those of the last steps.
+
+    Raises:
+        ControlError: another shape, too many, or numbers that are not finite.
+
+    """
+    told = np.asarray(forces, dtype=np.float64) if len(forces) else np.zeros((0, 3))
+    if told.ndim != 2 or told.shape[1] != 3 or len(told) > _LONGEST_DELAY or not np.isfinite(told).all():
+        raise ControlError(
+            f"on board: under_way has the shape {told.shape}; it must be at most {_LONGEST_DELAY} finite forces of "
+            "3 numbers, N, the oldest first"
+        )
+    return np.concatenate([np.zeros((_LONGEST_DELAY - len(told), 3)), told])
+
+
 class OnBoard:
     """A setup's law and guard, compiled, with their memory: call `step` once a control period.
+
+    Law and guard begin with the first step, from the state that it tells. From then on the time told must be that of
+    the last step plus a period: the guard's numbers are those of exact periods. Where a clock jitters, tell the state
+    of the nominal time.
 
     Faults, disturbance and thrusters of the setup are the world's and stay out of it; a force beyond the thrusters'
     limits is the law's to avoid, and the guard's to cut.
@@ -57,38 +117,68 @@ class OnBoard:
 
     """
 
-    def __init__(self, setup: FlightSetup, estimate: MotionState) -> None:
-        """Compile the step, and start law and guard from an estimate.
+    def __init__(self, setup: FlightSetup, estimate: MotionState, on_gap: str = "refuse") -> None:
+        """Compile the step.
+
+        Args:
+            setup: of a flight.
+            estimate: of the motion now. A first step that tells no finite state begins from it, if it is of that time.
+            on_gap: what a step does at another time than the last one plus a period: "refuse" raises an error, "begin
+                anew" begins law and guard from the state that it tells.
 
         Raises:
-            ControlError: a law or guard whose memory cannot be kept as numbers (a random key, say).
+            ControlError: a law or guard whose memory cannot be kept as numbers (a random key, say), or another
+                `on_gap`.
 
         """
+        if on_gap not in ("refuse", "begin anew"):
+            raise ControlError(f'on board: on_gap is {on_gap!r}; it must be "refuse" or "begin anew"')
         keep_programs()
+        unpack_estimate = ravel_pytree(estimate)[1]
+        self._clock, self._anew = Clock(float(setup.period)), on_gap == "begin anew"
+        self.restart(estimate)
+
+        def memories(numbers: Float[Array, " m"], under_way: Float[Array, "steps 3"]):
+            return loop.memories(setup, unpack_estimate(numbers), under_way=under_way)
+
         try:
-            packed, unpack = ravel_pytree(loop.memories(setup, estimate))
+            packed, unpack = ravel_pytree(jax.jit(memories)(self._numbers, self._clock.sent))
         except TypeError as error:
             raise ControlError(f"on board: the memory of law and guard must be arrays of numbers: {error}") from None
-        size, unpack_estimate = len(packed), ravel_pytree(estimate)[1]
+        self._size, self._places = len(packed), _places(estimate)
+
+        def begin(numbers: Float[Array, " m"], under_way: Float[Array, "steps 3"]) -> Float[Array, " n"]:
+            return jnp.concatenate([ravel_pytree(memories(numbers, under_way))[0], jnp.zeros(_WIDTH)])
 
         def step(whole: Float[Array, " n"], numbers: Float[Array, " m"]) -> Float[Array, " n"]:
-            law, guard = unpack(whole[:size])
+            law, guard = unpack(whole[: self._size])
             law, guard, order, force, status = loop.command(setup, law, guard, unpack_estimate(numbers))
             vectors = (force, order.force, order.desired_velocity, order.safe_velocity, order.disturbance_estimate)
             rest = (order.barrier, order.backstepping_barrier, order.lyapunov, order.status, status)
             given = [*vectors, jnp.stack([jnp.asarray(number, jnp.float64) for number in rest])]
             return jnp.concatenate([ravel_pytree((law, guard))[0], *given])
 
-        self._setup, self._size, self._places = setup, size, _places(estimate)
-        self.restart(estimate)
-        self._step, self.one_kernel = compiled(step, self._whole, self._numbers)
-
-    def restart(self, estimate: MotionState) -> None:
-        """Forget what was learned in flight, and start law and guard from an estimate."""
-        self._numbers = np.array(ravel_pytree(estimate)[0])
-        packed = ravel_pytree(loop.memories(self._setup, estimate))[0]
+        self._begin = jax.jit(begin).lower(self._numbers, self._clock.sent).compile()
         self._whole = jnp.concatenate([packed, jnp.zeros(_WIDTH)])
         self._latest = np.asarray(self._whole)
+        self._step, self.one_kernel = compiled(step, self._whole, self._numbers)
+
+    def restart(self, estimate: MotionState, under_way: Forces | None = None) -> None:
+        """Forget what was learned in flight: law and guard begin with the next step, from the state that it tells.
+
+        Args:
+            estimate: of the motion, as at the beginning.
+            under_way: forces commanded that have not taken effect at the next step, N, body axes, the oldest first.
+                Left out, they are those that the last steps gave, with none in the periods since.
+
+        Raises:
+            ControlError: `under_way` of another shape.
+
+        """
+        if under_way is not None:
+            self._clock.sent, self._clock.due = as_under_way(under_way), None
+        self._numbers = np.array(ravel_pytree(estimate)[0])
+        self._begun = False
 
     def step(
         self,
@@ -110,7 +200,8 @@ class OnBoard:
             target_orbit: (6,) ECI position (m) and velocity (m/s), where the setup's motion carries it; likewise.
 
         Raises:
-            ControlError: too few or too many numbers. Those that are not finite are law's and guard's to answer.
+            ControlError: too few or too many numbers (those that are not finite are law's and guard's to answer), a
+                time that is not due, or a first step that tells nothing to begin with. Nothing has changed then.
 
         """
         numbers = self._numbers.copy()
@@ -123,10 +214,33 @@ class OnBoard:
             self._put(numbers, "angular_velocity", angular_velocity)
         if target_orbit is not None:
             self._put(numbers, "target_orbit", target_orbit)
-        self._numbers = numbers
-        self._whole = self._step(self._whole, numbers)
+        if self._begun and self._clock.due is not None and not self._clock.holds(time, self._clock.due):
+            if not (self._anew and math.isfinite(time)):
+                raise ControlError(
+                    f"on board: told the time {time:.9g} s; {self._clock.due:.9g} s is due, a period of "
+                    f"{self._clock.period:g} s after the last step. Call restart with the state now, or build it with "
+                    'on_gap="begin anew"'
+                )
+            self._begun = False
+        whole = self._whole if self._begun else self._memories(time, numbers)
+        self._numbers, self._begun = numbers, True
+        self._whole = self._step(whole, numbers)
         self._latest = np.asarray(self._whole)
-        return self._latest[self._size : self._size + 3]
+        force = self._latest[self._size : self._size + 3]
+        self._clock.stepped(time, force)
+        return force
+
+    def _memories(self, time: float, numbers: Float[np.ndarray, " m"]) -> Array:
+        """Begin law and guard from what is told, or, where that is no state, from the estimate of this time."""
+        told = math.isfinite(time) and np.isfinite(numbers).all()
+        if not told:
+            if not (math.isfinite(time) and self._clock.holds(time, self._numbers[0])):
+                raise ControlError(
+                    f"on board: the step at {time:g} s tells no finite state to begin with, and the last one known is "
+                    f"of {self._numbers[0]:g} s"
+                )
+            numbers = self._numbers
+        return self._begin(numbers, self._clock.under_way(time))
 
     def _put(self, numbers: Float[np.ndarray, " m"], name: str, value: Numbers) -> None:
         if name not in self._places:

@@ -176,6 +176,7 @@ class ObserverGain(eqx.Module):
         position: l_r.
         velocity: l_v.
         error_radius: how far x̂ can be from the true position while the assumptions hold, m.
+        velocity_error_radius: likewise of the velocity, m/s.
         plan_radius: how far the position predicted from x̂ can be from the plan then, m.
 
     """
@@ -183,6 +184,7 @@ class ObserverGain(eqx.Module):
     position: float
     velocity: float
     error_radius: float
+    velocity_error_radius: float
     plan_radius: float
 
 
@@ -297,7 +299,11 @@ def observed_radii(assumptions: GuardAssumptions, gains: responses.Gains) -> Bra
         velocity_radius=float(reach[responses.VELOCITY]) + 0.5 * (D + fault) * T + a.velocity_excursion,
         # The first of the times is that of the plan itself, where the error from it is that of x̂.
         observer=ObserverGain(
-            gains[2], gains[3], float(at_each_time[responses.POSITION, 0]), float(reach[responses.PREDICTED])
+            position=gains[2],
+            velocity=gains[3],
+            error_radius=float(at_each_time[responses.POSITION, 0]),
+            velocity_error_radius=float(at_each_time[responses.VELOCITY, 0]),
+            plan_radius=float(reach[responses.PREDICTED]),
         ),
     )
 

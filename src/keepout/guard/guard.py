@@ -23,6 +23,7 @@ from keepout.guard.nominal import Vector
 from keepout.guard.safety_layer import SafetyLayer
 from keepout.guard.status import GuardFlag, GuardStatus
 from keepout.motion.relative import MotionState
+from keepout.motion.vectors import norm
 
 _ROUNDING = 1e-9
 """Metres: far more than float64 loses between two evaluations of the same field value."""
@@ -42,6 +43,10 @@ class GuardState(eqx.Module):
         expected_velocity: likewise.
         unexplained: the sums of velocity that `watch` keeps, one a window, m/s.
         counted: the steps that `watch` has counted.
+        begun: whether a step was made.
+        left_out: whether the state told at the last step was left out, as nothing explained it.
+        contradicted: whether what the guard flies by (a map) was proved wrong. It is set from outside; while it is, no
+            command is passed on.
         observed: memory of the guard's observer; None where the estimate has no errors.
 
     """
@@ -54,7 +59,74 @@ class GuardState(eqx.Module):
     expected_velocity: Vector
     unexplained: Float[Array, "windows 3"]
     counted: Int[Array, ""]
+    begun: Bool[Array, ""]
+    left_out: Bool[Array, ""]
+    contradicted: Bool[Array, ""]
     observed: observer.ObserverState | None = None
+
+
+class Seen(eqx.Module):
+    """What the guard goes by at a step: x̂, and how far it can be trusted (docs/guard.md, section 2).
+
+    Attributes:
+        told: whether a state was told that is gone by.
+        told_position: y, or what was expected where none was told, m.
+        told_velocity: likewise, m/s.
+        position: x̂, m.
+        velocity: likewise, m/s.
+        spread: how far (m, m/s) y and the guard's own expectation are from x̂; 0 where they explain each other.
+        sound: whether a candidate may rest on it: told, errors within the caps, nothing contradicted.
+        narrow: whether the errors are within the caps; None where none are told.
+        jumped: whether y, or a window of them, is beyond what the assumptions explain.
+        left_out: whether a state was told and left out.
+        contradicted: whether what is told, or flown by, contradicts itself.
+        unexplained: for the next step's memory, as are the next two.
+        counted: likewise.
+        doubts: likewise.
+
+    """
+
+    told: Bool[Array, ""]
+    told_position: Vector
+    told_velocity: Vector
+    position: Vector
+    velocity: Vector
+    spread: Float[Array, "2"]
+    sound: Bool[Array, ""]
+    narrow: Bool[Array, ""] | None
+    jumped: Bool[Array, ""]
+    left_out: Bool[Array, ""]
+    contradicted: Bool[Array, ""]
+    unexplained: Float[Array, "windows 3"]
+    counted: Int[Array, ""]
+    doubts: watch.Doubts | None
+
+
+class Course(eqx.Module):
+    """Where the commands under way lead from x̂, and how far that is from the plan.
+
+    Attributes:
+        path: predicted positions, now and after each command under way, m.
+        velocities: likewise, m/s.
+        drifted: position after them, less the plan's, m.
+        off_plan: whether that is further than the theorem allows.
+        planned: whether there is a certified plan to follow by what is told.
+
+    """
+
+    path: Float[Array, "points 3"]
+    velocities: Float[Array, "points 3"]
+    drifted: Vector
+    off_plan: Bool[Array, ""]
+    planned: Bool[Array, ""]
+
+
+class Motion(eqx.Module):
+    """An acceleration commanded, m/s², and the nominal state that it leads to a step later, m and m/s."""
+
+    acceleration: Vector
+    position: Vector
+    velocity: Vector
 
 
 class Guard(SafetyLayer):
@@ -127,24 +199,38 @@ class Guard(SafetyLayer):
         """
         return self.threshold + self.lipschitz * self.braking.position_radius + 2.0 * self.evaluation_error
 
-    def initial_state(self, estimate: MotionState) -> GuardState:
-        """Give the memory before the first step: the plan is to brake at once, certified if that is free."""
-        pending = jnp.zeros((self.assumptions.delay, 3))
+    def initial_state(self, estimate: MotionState, under_way: Float[Array, "delay 3"] | None = None) -> GuardState:
+        """Give the memory before the first step: the plan is to brake at once, certified if that is free.
+
+        Args:
+            estimate: of the motion.
+            under_way: forces commanded that have not taken effect, N, body axes, the oldest first; none if left out.
+
+        """
+        pending = self._accelerations(under_way)
         path, velocities = nominal.predict(self.assumptions, estimate.position, estimate.velocity, pending)
         unexplained, counted = watch.begin(self.windows)
+        no = jnp.asarray(False)
         return GuardState(
             plan_position=path[-1],
             plan_velocity=velocities[-1],
-            certified=self.certified(estimate),
+            certified=self._braking_free(estimate, pending, jnp.zeros(()), 0.0),
             pending=pending,
             expected_position=estimate.position,
             expected_velocity=estimate.velocity,
             unexplained=unexplained,
             counted=counted,
+            begun=no,
+            left_out=no,
+            contradicted=no,
             observed=None
             if self.braking.observer is None
             else observer.begin(estimate, self.assumptions, self.windows),
         )
+
+    def begun_with(self, estimate: MotionState, under_way: Float[Array, "steps 3"]) -> GuardState:
+        """Give the memory before the first step of a flight that has commands under way, N, body axes."""
+        return self.initial_state(estimate, under_way[-self.assumptions.delay :] if self.assumptions.delay else None)
 
     def filter(
         self,
@@ -153,108 +239,212 @@ class Guard(SafetyLayer):
         force: Vector,
         disturbance_estimate: Vector,
         errors: Float[Array, "2"] | None = None,
+        contradicted: Bool[Array, ""] | None = None,
     ) -> tuple[GuardState, Vector, Int[Array, ""]]:
         """Accept or replace a commanded force (N, body axes); the status is a `GuardStatus` plus `GuardFlag` bits.
 
         A command that is not finite is replaced; an estimate that is not finite leaves the plan to be followed blind.
-        With `errors` (m, m/s) above those declared, or not finite, no command is passed on.
+        With `errors` (m, m/s) above those declared, or not finite, and where what is told is `contradicted`, no command
+        is passed on. A state that the guard's own estimate cannot explain carries a command only if that is safe from
+        both. The parts, in this order, are those of docs/guard.md, section 2.
         """
-        a, T = self.assumptions, self.assumptions.period
-        told = jnp.all(jnp.isfinite(estimate.position)) & jnp.all(jnp.isfinite(estimate.velocity))
-        told_position = jnp.where(told, estimate.position, guard_state.expected_position)
-        told_velocity = jnp.where(told, estimate.velocity, guard_state.expected_velocity)
-        narrow = None if errors is None else jnp.all(errors <= observer.caps(a))
-        position, velocity, doubts = told_position, told_velocity, None
-        if guard_state.observed is not None:
-            known = observer.caps(a) if errors is None else jnp.where(jnp.isnan(errors), jnp.inf, errors)
-            known = jnp.where(told, known, jnp.inf)
-            before = guard_state.observed.doubts
-            doubts = before, watch.next_doubts(self.windows, guard_state.counted, before, known)
-            position, velocity = observer.correct(
-                a, self.braking, guard_state.observed, told_position, told_velocity, known
-            )
-        path, velocities = nominal.predict(a, position, velocity, guard_state.pending)
-        ahead, moving = path[-1], velocities[-1]
-        here = self.field.value(position)
-
-        drifted = ahead - guard_state.plan_position
-        off_plan = jnp.linalg.norm(drifted) > self._plan_radius
-        planned = guard_state.certified & ~off_plan & told
+        a = self.assumptions
+        seen = self._see(guard_state, estimate, errors, contradicted)
+        here = self.field.value(seen.position)
+        course = self._predict(guard_state, seen)
         finite = jnp.all(jnp.isfinite(force))
-        asked = jnp.clip(jnp.where(finite, force, 0.0), -a.force_limit, a.force_limit) / a.mass
-        candidate = jnp.where(
-            planned,
-            asked,
-            nominal.escape(a, self.braking, self.escape_speed, position, moving, self._outward(position, ~planned)),
-        )
-        next_position = ahead + T * moving + 0.5 * T**2 * candidate
-        next_velocity = moving + T * candidate
-        usable = (finite | ~planned) & told
-        if narrow is not None:
-            usable = usable & narrow
-        ahead_path = jnp.concatenate([path[1:], next_position[None]])
-        velocities = jnp.concatenate([velocities, next_velocity[None]])
-        accepted = usable & self._free(position, here, ahead_path, velocities, usable)
-
-        brake, rest = nominal.brake(a, self.braking, guard_state.plan_velocity)
-        feedback = self.braking.position_gain * drifted + self.braking.velocity_gain * (
-            moving - guard_state.plan_velocity
-        )
-        followed = brake - jnp.where(told, feedback, 0.0)
-        follow = (planned | (guard_state.certified & ~told)) & ~accepted
-        chosen = jnp.where(follow, jnp.clip(followed, -a.authority, a.authority), candidate)
-        unexplained, counted, jumped = watch.watch(
-            a,
-            self.windows,
-            guard_state.unexplained,
-            guard_state.counted,
-            told_position - guard_state.expected_position,
-            told_velocity - guard_state.expected_velocity,
-            doubts,
-        )
-        in_effect, certified = self._in_effect(guard_state, chosen), accepted | follow
-        new = GuardState(
-            plan_position=jnp.where(
-                follow, guard_state.plan_position + T * guard_state.plan_velocity + 0.5 * T**2 * brake, next_position
-            ),
-            plan_velocity=jnp.where(follow, guard_state.plan_velocity + T * brake, next_velocity),
-            certified=certified,
-            pending=jnp.concatenate([guard_state.pending, chosen[None]])[1:],
-            expected_position=told_position + T * told_velocity + 0.5 * T**2 * in_effect,
-            expected_velocity=told_velocity + T * in_effect,
-            unexplained=unexplained,
-            counted=counted,
-            observed=None
-            if guard_state.observed is None or doubts is None
-            else observer.advance(
-                a,
-                position,
-                velocity,
-                in_effect,
-                told & (True if narrow is None else narrow) & (accepted | (follow & guard_state.observed.steady)),
-                doubts[1],
-            ),
-        )
+        candidate = self._candidate(force, finite, seen, course)
+        accepted = self._accept(candidate, (finite | ~course.planned) & seen.sound, here, seen, course)
+        plan, followed, rest = self._follow(guard_state, seen, course)
+        follow = (course.planned | (guard_state.certified & ~seen.told)) & ~accepted
+        chosen = jnp.where(follow, followed, candidate.acceleration)
+        new = self._remember(guard_state, seen, follow, accepted, chosen, plan, candidate)
         done = jnp.where(
-            accepted & planned,
+            accepted & course.planned,
             GuardStatus.CLEAR,
             jnp.where(follow, jnp.where(rest, GuardStatus.HOLDING, GuardStatus.BRAKING), GuardStatus.ESCAPING),
         )
         flags = (
-            jnp.where(jumped, GuardFlag.STATE_JUMP, 0)
+            jnp.where(seen.jumped, GuardFlag.STATE_JUMP, 0)
             + jnp.where(watch.too_strong(a, disturbance_estimate), GuardFlag.DISTURBANCE, 0)
             + jnp.where(here > self._seen_threshold, 0, GuardFlag.FIELD)
-            + jnp.where(watch.outside_region(a, told_position, told_velocity), GuardFlag.REGION, 0)
+            + jnp.where(watch.outside_region(a, seen.told_position, seen.told_velocity), GuardFlag.REGION, 0)
             + jnp.where(finite, 0, GuardFlag.COMMAND)
-            + jnp.where(off_plan, GuardFlag.OFF_PLAN, 0)
-            + jnp.where(told, 0, GuardFlag.ESTIMATE)
-            + (0 if narrow is None else jnp.where(narrow, 0, GuardFlag.WIDE))
+            + jnp.where(course.off_plan, GuardFlag.OFF_PLAN, 0)
+            + jnp.where(seen.told | seen.left_out, 0, GuardFlag.ESTIMATE)
+            + (0 if seen.narrow is None else jnp.where(seen.narrow, 0, GuardFlag.WIDE))
+            + jnp.where(seen.contradicted, GuardFlag.CONTRADICTED, 0)
+            + jnp.where(watch.expired(a, estimate.time), GuardFlag.EXPIRED, 0)
         )
         return new, a.mass * chosen, (done + flags).astype(jnp.int32)
 
+    def _see(
+        self,
+        state: GuardState,
+        estimate: MotionState,
+        errors: Float[Array, "2"] | None,
+        contradicted: Bool[Array, ""] | None,
+    ) -> Seen:
+        """Take what is told: x̂ of it, whether it is explained, and whether a candidate may rest on it."""
+        a, observed = self.assumptions, state.observed
+        finite = jnp.all(jnp.isfinite(estimate.position)) & jnp.all(jnp.isfinite(estimate.velocity))
+        position = jnp.where(finite, estimate.position, state.expected_position)
+        velocity = jnp.where(finite, estimate.velocity, state.expected_velocity)
+        own_position, own_velocity = state.expected_position, state.expected_velocity
+        known, doubts = observer.caps(a), None
+        if observed is not None:
+            own_position, own_velocity = observed.expected_position, observed.expected_velocity
+            if errors is not None:
+                known = jnp.where(jnp.isnan(errors), jnp.inf, errors)
+            known = jnp.where(finite, known, jnp.inf)
+            doubts = observed.doubts, watch.next_doubts(self.windows, state.counted, observed.doubts, known)
+        moved, changed = position - state.expected_position, velocity - state.expected_velocity
+        unexplained, counted, jumped = watch.watch(
+            a, self.windows, state.unexplained, state.counted, moved, changed, doubts
+        )
+        if self.braking.observer is None or observed is None:
+            beyond = jumped & finite
+        else:
+            beyond = observer.beyond(a, self.braking.observer, position - own_position, velocity - own_velocity, known)
+            # After steps without a sound estimate the guard's own one is no evidence of a jump.
+            jumped = jumped | (beyond & (observed.steady | state.left_out))
+
+        lost = self._off_plan(state, own_position, own_velocity)
+        strays = self._off_plan(state, position, velocity)
+        left_out = beyond & state.begun & state.certified & strays & ~lost & ~state.left_out
+        told = finite & ~left_out
+        position = jnp.where(left_out, state.expected_position, position)
+        velocity = jnp.where(left_out, state.expected_velocity, velocity)
+        seen_position, seen_velocity = position, velocity
+        if observed is not None:
+            known = jnp.where(told, known, jnp.inf)
+            begins = ~state.begun & ~beyond
+            seen_position, seen_velocity = observer.correct(
+                a, self.braking, observed, position, velocity, known, begins, beyond
+            )
+        doubted = (jumped | beyond) & told
+        apart = [
+            jnp.maximum(norm(seen - told_), norm(seen - own))
+            for seen, told_, own in (
+                (seen_position, position, own_position),
+                (seen_velocity, velocity, own_velocity),
+            )
+        ]
+        narrow = None if errors is None else jnp.all(errors <= observer.caps(a))
+        wrong = state.contradicted if contradicted is None else state.contradicted | contradicted
+        sound = told & ~wrong
+        return Seen(
+            told=told,
+            told_position=position,
+            told_velocity=velocity,
+            position=seen_position,
+            velocity=seen_velocity,
+            spread=jnp.where(doubted, jnp.stack(apart), 0.0),
+            sound=sound if narrow is None else sound & narrow,
+            narrow=narrow,
+            jumped=jumped,
+            left_out=left_out,
+            contradicted=wrong,
+            unexplained=unexplained,
+            # What was told before and after a state left out is not compared.
+            counted=jnp.where(left_out, 0, counted),
+            doubts=None if doubts is None else doubts[1],
+        )
+
+    def _predict(self, state: GuardState, seen: Seen) -> Course:
+        """Follow the commands under way from x̂, and say whether the plan can still be followed from there."""
+        path, velocities = nominal.predict(self.assumptions, seen.position, seen.velocity, state.pending)
+        drifted = path[-1] - state.plan_position
+        off_plan = jnp.linalg.norm(drifted) > self._plan_radius
+        return Course(path, velocities, drifted, off_plan, state.certified & ~off_plan & seen.told)
+
+    def _off_plan(self, state: GuardState, position: Vector, velocity: Vector) -> Bool[Array, ""]:
+        path, _ = nominal.predict(self.assumptions, position, velocity, state.pending)
+        return jnp.linalg.norm(path[-1] - state.plan_position) > self._plan_radius
+
+    def _candidate(self, force: Vector, finite: Bool[Array, ""], seen: Seen, course: Course) -> Motion:
+        """Give the command, cut to the box, or without a plan the way out; and where it leads."""
+        a, T = self.assumptions, self.assumptions.period
+        ahead, moving = course.path[-1], course.velocities[-1]
+        asked = jnp.clip(jnp.where(finite, force, 0.0), -a.force_limit, a.force_limit) / a.mass
+        outward = self._outward(seen.position, ~course.planned)
+        way_out = nominal.escape(a, self.braking, self.escape_speed, seen.position, moving, outward)
+        candidate = jnp.where(course.planned, asked, way_out)
+        return Motion(candidate, ahead + T * moving + 0.5 * T**2 * candidate, moving + T * candidate)
+
+    def _accept(
+        self, candidate: Motion, usable: Bool[Array, ""], here: Float[Array, ""], seen: Seen, course: Course
+    ) -> Bool[Array, ""]:
+        """Whether the candidate leaves a free plan, from x̂ and from all that is as far from it as `seen.spread`."""
+        away, faster = seen.spread
+        moved = away + faster * self._lever(norm(candidate.velocity) + faster, self.assumptions.delay + 1)
+        path = jnp.concatenate([course.path[1:], candidate.position[None]])
+        velocities = jnp.concatenate([course.velocities, candidate.velocity[None]])
+        return usable & self._free(seen.position, here, path, velocities, usable, moved, faster)
+
+    def _follow(self, state: GuardState, seen: Seen, course: Course) -> tuple[Motion, Vector, Bool[Array, ""]]:
+        """Give the plan's next state, the acceleration that follows it, m/s², and whether it is at rest."""
+        a, T = self.assumptions, self.assumptions.period
+        brake, rest = nominal.brake(a, self.braking, state.plan_velocity)
+        feedback = self.braking.position_gain * course.drifted + self.braking.velocity_gain * (
+            course.velocities[-1] - state.plan_velocity
+        )
+        followed = jnp.clip(brake - jnp.where(seen.told, feedback, 0.0), -a.authority, a.authority)
+        position = state.plan_position + T * state.plan_velocity + 0.5 * T**2 * brake
+        return Motion(brake, position, state.plan_velocity + T * brake), followed, rest
+
+    def _remember(
+        self,
+        state: GuardState,
+        seen: Seen,
+        follow: Bool[Array, ""],
+        accepted: Bool[Array, ""],
+        chosen: Vector,
+        plan: Motion,
+        candidate: Motion,
+    ) -> GuardState:
+        """Give the memory for the next step: the plan that is followed, or that of the candidate."""
+        a, T = self.assumptions, self.assumptions.period
+        acting = state.pending[0] if a.delay else chosen
+        observed = state.observed
+        if observed is not None and seen.doubts is not None:
+            good = seen.told & (True if seen.narrow is None else seen.narrow)
+            steady = good & (accepted | (follow & observed.steady))
+            observed = observer.advance(a, seen.position, seen.velocity, acting, steady, seen.doubts)
+        return GuardState(
+            plan_position=jnp.where(follow, plan.position, candidate.position),
+            plan_velocity=jnp.where(follow, plan.velocity, candidate.velocity),
+            certified=accepted | follow,
+            pending=jnp.concatenate([state.pending, chosen[None]])[1:],
+            expected_position=seen.told_position + T * seen.told_velocity + 0.5 * T**2 * acting,
+            expected_velocity=seen.told_velocity + T * acting,
+            unexplained=seen.unexplained,
+            counted=seen.counted,
+            begun=jnp.asarray(True),
+            left_out=seen.left_out,
+            contradicted=state.contradicted,
+            observed=observed,
+        )
+
+    def _lever(self, speed: Float[Array, ""], steps: int) -> Float[Array, ""]:
+        """Time, s, by which an error of the velocity moves the end of `steps` periods and the braking from `speed`."""
+        return steps * self.assumptions.period + speed / self.braking.deceleration + 0.5 * self.assumptions.period
+
+    def _accelerations(self, under_way: Float[Array, "delay 3"] | None) -> Float[Array, "delay 3"]:
+        """Give the accelerations of the forces under way, m/s²."""
+        nothing = jnp.zeros((self.assumptions.delay, 3))
+        if under_way is None:
+            return nothing
+        if jnp.shape(under_way) != nothing.shape:
+            raise ControlError(
+                f"guard: under_way has the shape {jnp.shape(under_way)}; with a delay of {self.assumptions.delay} "
+                f"steps it must be {nothing.shape}"
+            )
+        return jnp.asarray(under_way) / self.assumptions.mass
+
     def certified(self, estimate: MotionState) -> Bool[Array, ""]:
         """Whether braking at once from this estimate is certified free: then a guarded flight can start from it."""
-        return self._braking_free(estimate, jnp.zeros(()), 0.0)
+        return self._braking_free(estimate, self._accelerations(None), jnp.zeros(()), 0.0)
 
     def certified_start(self, truth: MotionState) -> Bool[Array, ""]:
         """Whether a true state is `certified` by every estimate of it that the assumed errors allow.
@@ -263,15 +453,15 @@ class Guard(SafetyLayer):
         4), so the true path is asked for L δ more of the field, δ more of the range, ε_v more of the speed limit.
         """
         a = self.assumptions
-        fastest = jnp.linalg.norm(truth.velocity) + a.velocity_error
-        longer = a.delay * a.period + fastest / self.braking.deceleration + 0.5 * a.period
+        longer = self._lever(jnp.linalg.norm(truth.velocity) + a.velocity_error, a.delay)
         # What the field's joints lose between two values is as much as some way more.
         joints = 2.0 * self.evaluation_error / self.lipschitz
         moved = a.position_error + longer * a.velocity_error + joints + _ROUNDING
-        return self._braking_free(truth, moved, a.velocity_error)
+        return self._braking_free(truth, self._accelerations(None), moved, a.velocity_error)
 
-    def _braking_free(self, state: MotionState, moved: Float[Array, ""], faster: Number) -> Bool[Array, ""]:
-        pending = jnp.zeros((self.assumptions.delay, 3))
+    def _braking_free(
+        self, state: MotionState, pending: Float[Array, "delay 3"], moved: Float[Array, ""], faster: Number
+    ) -> Bool[Array, ""]:
         path, velocities = nominal.predict(self.assumptions, state.position, state.velocity, pending)
         value = self.field.value(state.position)
         points = path[1:] if self.assumptions.delay else path
@@ -291,9 +481,6 @@ class Guard(SafetyLayer):
         late = self.assumptions.delay * self.assumptions.period
         unseen = self.assumptions.disturbance + self.assumptions.fault_push
         return self.braking.position_radius + 0.5 * unseen * late**2
-
-    def _in_effect(self, guard_state: GuardState, chosen: Vector) -> Vector:
-        return guard_state.pending[0] if self.assumptions.delay else chosen
 
     def _free(
         self,

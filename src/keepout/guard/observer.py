@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from keepout.guard import watch
-from keepout.guard.braking import BrakingDesign, GuardAssumptions
+from keepout.guard.braking import BrakingDesign, GuardAssumptions, ObserverGain
 from keepout.motion.relative import MotionState
 from keepout.motion.vectors import norm
 
@@ -24,7 +24,6 @@ class ObserverState(eqx.Module):
     Attributes:
         expected_position: x̄ of the next step, m.
         expected_velocity: likewise, m/s.
-        begun: whether a step was made: the first one leaves x̄, the estimate that the flight's first plan was made for.
         steady: whether every step since one that accepted a candidate left a certified plan, and was told an estimate
             within the bounds assumed.
         doubts: errors that `watch` allows for.
@@ -33,7 +32,6 @@ class ObserverState(eqx.Module):
 
     expected_position: Vector
     expected_velocity: Vector
-    begun: Bool[Array, ""]
     steady: Bool[Array, ""]
     doubts: watch.Doubts
 
@@ -42,12 +40,26 @@ def begin(estimate: MotionState, assumptions: GuardAssumptions, windows: tuple[i
     """Give the memory before the first step, from the estimate that the first plan is made for."""
     yes = jnp.asarray(True)
     doubts = watch.begin_doubts(windows, caps(assumptions))
-    return ObserverState(estimate.position, estimate.velocity, jnp.asarray(False), yes, doubts)
+    return ObserverState(estimate.position, estimate.velocity, yes, doubts)
 
 
 def caps(assumptions: GuardAssumptions) -> Float[Array, "2"]:
     """Bounds ε_r (m) and ε_v (m/s) that every estimate keeps."""
     return jnp.asarray(assumptions.estimate_errors)
+
+
+def beyond(
+    assumptions: GuardAssumptions,
+    gain: ObserverGain,
+    off_position: Vector,
+    off_velocity: Vector,
+    errors: Float[Array, "2"],
+) -> Bool[Array, ""]:
+    """Whether what is told is further from x̄ (m, m/s) than its errors, those of x̂ a step ago and D explain."""
+    T, D = assumptions.period, assumptions.disturbance
+    further = errors[0] + gain.error_radius + T * gain.velocity_error_radius + 0.5 * T**2 * D
+    faster = errors[1] + gain.velocity_error_radius + T * D
+    return (norm(off_position) > watch.loosened(further)) | (norm(off_velocity) > watch.loosened(faster))
 
 
 def correct(
@@ -57,21 +69,24 @@ def correct(
     position: Vector,
     velocity: Vector,
     errors: Float[Array, "2"],
+    first: Bool[Array, ""],
+    beyond: Bool[Array, ""],
 ) -> tuple[Vector, Vector]:
     """Give x̂, from the position (m) and velocity (m/s) told and the bounds of their errors.
 
     An estimate with larger errors than assumed counts as much less as they are larger; one of which nothing is known
-    not at all.
+    not at all. The `first` step leaves x̄, the estimate that the flight's first plan was made for. Where what is told is
+    `beyond` explanation, and within its bounds, the observer begins again from it.
     """
     gain, T, most = braking.observer, assumptions.period, caps(assumptions)
     assert gain is not None
     within = errors <= most
     share = jnp.min(jnp.where(within, 1.0, most / jnp.where(errors > most, errors, jnp.inf)))
-    share = jnp.where(state.begun, share, 0.0)
+    share = jnp.where(first, 0.0, share)
     off_r, off_v = position - state.expected_position, velocity - state.expected_velocity
     seen_r = state.expected_position + share * (gain.position * off_r + (1.0 - gain.position) * T * off_v)
     seen_v = state.expected_velocity + share * (gain.velocity * off_v)
-    again = ~state.steady & jnp.all(within)
+    again = (~state.steady | beyond) & jnp.all(within)
     return _moved(seen_r, position, most[0] - errors[0], again), _moved(seen_v, velocity, most[1] - errors[1], again)
 
 
@@ -94,7 +109,6 @@ def advance(
     return ObserverState(
         expected_position=position + T * velocity + 0.5 * T**2 * acceleration,
         expected_velocity=velocity + T * acceleration,
-        begun=jnp.asarray(True),
         steady=steady,
         doubts=doubts,
     )

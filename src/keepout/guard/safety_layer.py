@@ -3,7 +3,7 @@
 import abc
 
 import equinox as eqx
-from jaxtyping import Array, Float, Int, PyTree
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from keepout.motion.relative import MotionState
 
@@ -20,6 +20,13 @@ class SafetyLayer(eqx.Module):
     def initial_state(self, estimate: MotionState) -> PyTree:
         """Return the memory before the first step, at the estimate of the motion that the layer is told."""
 
+    def begun_with(self, estimate: MotionState, under_way: Float[Array, "steps 3"]) -> PyTree:
+        """Return the memory before the first step where commands are under way: forces, N, body axes, the oldest first.
+
+        A layer that knows of no delay begins as it always does.
+        """
+        return self.initial_state(estimate)
+
     @abc.abstractmethod
     def filter(
         self,
@@ -28,6 +35,7 @@ class SafetyLayer(eqx.Module):
         force: Float[Array, "3"],
         disturbance_estimate: Float[Array, "3"],
         errors: Float[Array, "2"] | None = None,
+        contradicted: Bool[Array, ""] | None = None,
     ) -> tuple[PyTree, Float[Array, "3"], Int[Array, ""]]:
         """Accept or replace a commanded force.
 
@@ -38,6 +46,8 @@ class SafetyLayer(eqx.Module):
             disturbance_estimate: of the law, N.
             errors: bounds of this estimate's errors in position (m) and velocity (m/s), where they are known; None
                 where only those declared for the whole flight are.
+            contradicted: whether what this estimate is made of contradicts itself, so that those bounds cannot all
+                hold; None where nothing could tell.
 
         Returns:
             The memory for the next step, the force to command (N, body axes), and a status: 0 in its two lowest bits

@@ -1,4 +1,4 @@
-"""What the guard measures of its own assumptions: `STATE_JUMP`, `DISTURBANCE` and `REGION` (docs/guard.md, section 5).
+"""What the guard measures of its own assumptions: `STATE_JUMP`, `DISTURBANCE`, `REGION`, `EXPIRED` (docs/guard.md, 5).
 
 `watch` is the exact test, of ‖w‖ ≤ D. Over any c steps the estimated velocities differ from what the commands explain
 by at most c T D and the errors of the first and the last, 2 ε_v at most, as those of the samples between cancel. The
@@ -12,7 +12,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from keepout.guard.braking import GuardAssumptions
+from keepout.guard.braking import GuardAssumptions, Number
 
 SHARE = 0.01
 """A lasting excess of this share of D is within reach of the longest window, unless that would pass `LONGEST`."""
@@ -116,10 +116,19 @@ def watch(
         turned = now.begun + now.last[1]
         shifted = before.last[0] + now.last[0] + T * before.last[1]
     allowed = a.disturbance * T * (place + 1) + turned
-    pushed = jnp.any(jnp.linalg.norm(unexplained, axis=-1) > allowed * (1.0 + _LOOSE) + _ROUNDING)
-    shift = 0.5 * a.disturbance * T**2 + shifted
-    jumped = jnp.linalg.norm(moved) > shift * (1.0 + _LOOSE) + _ROUNDING
+    pushed = jnp.any(jnp.linalg.norm(unexplained, axis=-1) > loosened(allowed))
+    jumped = jnp.linalg.norm(moved) > loosened(0.5 * a.disturbance * T**2 + shifted)
     return unexplained, (counted + 1) % lengths[-1], jumped | pushed
+
+
+def loosened(bound: Number | Float[Array, "windows"]) -> Number | Float[Array, "windows"]:
+    """Give a bound (m or m/s) with the slack that rounding needs."""
+    return bound * (1.0 + _LOOSE) + _ROUNDING
+
+
+def expired(assumptions: GuardAssumptions, time: Float[Array, ""]) -> Bool[Array, ""]:
+    """Whether the time, s since the orbit's epoch, is past the one until which the assumptions hold: `EXPIRED`."""
+    return time > assumptions.valid_until + 0.5 * assumptions.period
 
 
 def too_strong(assumptions: GuardAssumptions, disturbance_estimate: Float[Array, "3"]) -> Bool[Array, ""]:

@@ -180,6 +180,10 @@ class SparingLaw(Law):
         """Give the memory of the law that leads."""
         return self.law.initial_state(state)
 
+    def begun_with(self, state: MotionState, under_way: Float[Array, "steps 3"]) -> PyTree:
+        """Give the memory of the law that leads."""
+        return self.law.begun_with(state, under_way)
+
     def step(self, state: PyTree, estimate: MotionState) -> tuple[PyTree, Command]:
         """Give the law's force without the thrusters that are forbidden here."""
         state, command = self.law.step(state, estimate)

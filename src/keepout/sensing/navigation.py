@@ -61,12 +61,13 @@ class Navigation(eqx.Module):
         """Draw the estimate that a flight starts with."""
         return first_estimate(key, truth, self.initial_errors)
 
-    def begin(self, estimate: MotionState) -> OnBoardState:
-        """Start both estimators from the first estimate; nothing is under way."""
+    def begin(self, estimate: MotionState, under_way: Float[Array, "steps 3"] | None = None) -> OnBoardState:
+        """Start both estimators from the first estimate; of the forces `under_way` (N) the last `delay` count."""
+        nothing = jnp.zeros((self.delay, 3))
         return OnBoardState(
             self.estimator.initial_state(estimate, self.initial_errors),
             self.bounded.initial_state(estimate, self.initial_errors),
-            jnp.zeros((self.delay, 3)),
+            nothing if under_way is None or not self.delay else under_way[-self.delay :],
         )
 
     def know(self, state: OnBoardState, samples: tuple[Sample, ...]) -> tuple[OnBoardState, Knowledge]:
