@@ -59,8 +59,6 @@ _OF_LATTICE = 1.0
 """Cubes by which a place is kept further from unknown room than the law keeps: what is between the lattice's nodes."""
 _STOPPING = 240.0
 """Seconds after which the way back begins although the guard does not say that the chaser rests."""
-_DONE = min(GuardFlag) - 1
-"""Bits of a guard's status that say what it did."""
 _RESTING = 10
 """Control steps within the tolerance after which the goal is reached."""
 
@@ -241,7 +239,9 @@ class _Explorer:
                 return setup, state, self._contradicted("the chaser came to rest; it did not get back in time")
             return setup, state, None
         assert self.contradicted_at is not None
-        resting = self.guard is None or int(self.logs[-1].guard_status[-1]) & _DONE == GuardStatus.HOLDING
+        said = int(self.logs[-1].guard_status[-1]) if self.logs else 0
+        held = bool(said & GuardFlag.CONTRADICTED) and said & max(GuardStatus) == GuardStatus.HOLDING
+        resting = self.guard is None or held
         if not resting and now < self.contradicted_at + _STOPPING:
             return setup, state, None
         field = self._field()
