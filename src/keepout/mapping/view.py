@@ -102,7 +102,7 @@ class SensorBounds:
         pitch = 1.0 / (camera.focal * self.rays_across)
         return min(self.greatest_range, self.surely_returned_width / (WIDTH_IN_PITCHES * pitch))
 
-    def return_error(self, camera: Pinhole, ranges: Float[np.ndarray, "*n"] | float) -> Float[np.ndarray, "*n"] | float:
+    def return_error(self, camera: Pinhole, ranges: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
         """Bound how far from a part of the target its return is put, m, at some ranges (m).
 
         It is ε_ρ + ε_p + v (ε_θ + a): the errors of range and place; at the range v those of the axes, and the angle a
