@@ -77,7 +77,7 @@ def explained_distance(known: KnownFreeMap, camera: Pinhole) -> float:
     It is the error of a return at the greatest range, and half the diagonal of the lattice that returns are kept on.
     """
     lattice = 0.5 * math.sqrt(3.0) * known.spacing / LATTICE
-    return float(known.bounds.return_error(camera, np.array(known.bounds.greatest_range))) + lattice + _ROUNDING
+    return float(known.bounds.return_error(camera, np.array([known.bounds.greatest_range]))[0]) + lattice + _ROUNDING
 
 
 def departures(known: KnownFreeMap, expected: Target, camera: Pinhole, *, seed: int = 0) -> Departures:
