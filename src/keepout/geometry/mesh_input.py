@@ -69,7 +69,7 @@ def read_surface(
         actions.append(f"left out {counted(unused, 'point')} that no triangle uses")
     faces = _clean(path, vertices, faces, drop_stray, actions)
     kept, faces = np.unique(faces, return_inverse=True)
-    return Surface(vertices[kept], faces.reshape(-1, 3).astype(np.int64), 0.0, tuple(actions))
+    return Surface(vertices[kept], faces.reshape(-1, 3).astype(np.int64), 0.0, tuple(actions), contents.broken)
 
 
 def _check_file(path: Path) -> None:

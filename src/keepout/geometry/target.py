@@ -21,6 +21,7 @@ class Target:
     """A target's surface in its body frame, in metres.
 
     A point cloud has one degenerate triangle (i, i, i) a point and a positive `ball_radius`: each point is a ball.
+    Of the skin of a map, `broken` says what makes it one that nothing is promised of (docs/mapping.md).
     """
 
     name: str
@@ -28,6 +29,7 @@ class Target:
     faces: Int[np.ndarray, "f 3"]
     report: MeshReport
     ball_radius: float = 0.0
+    broken: tuple[str, ...] = ()
 
     @classmethod
     def load(
@@ -75,7 +77,7 @@ class Target:
             name = Path(source).stem
             surface = read_surface(Path(source), units=units, scale=scale, drop_stray=drop_stray, thickness=thickness)
         surface = surface.moved(_rotation(rotation), _origin(origin))
-        return cls(name, surface.vertices, surface.faces, describe(surface), surface.ball_radius)
+        return cls(name, surface.vertices, surface.faces, describe(surface), surface.ball_radius, surface.broken)
 
     @functools.cached_property
     def distance(self) -> Distance:

@@ -151,7 +151,7 @@ def prepare(
         assumed = environment.guard_assumptions(scenario, target)
         setup = replace(setup, navigation=navigation(scenario, setup.motion, assumed))
     initial = setup.motion.initial_state(np.asarray(scenario.start.position), np.asarray(scenario.start.velocity))
-    guard, start_certified, broken = None, None, broken_assumptions(scenario)
+    guard, start_certified, broken = None, None, broken_assumptions(scenario, target)
     if scenario.guard.enabled:
         guard = build_guard(
             scenario,

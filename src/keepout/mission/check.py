@@ -133,7 +133,7 @@ def check(
     progress(0.0, "target")
     target = load_target(scenario.target) if target is None else target
     words = in_words(scenario, target)
-    broken = broken_assumptions(scenario) if _bounded(scenario) else ()
+    broken = broken_assumptions(scenario, target) if _bounded(scenario) else ()
     found: list[Refusal] = []
     progress(0.1, "numbers")
     refused = number_refusal(scenario, target)

@@ -24,6 +24,8 @@ class MeshContents:
     """What was left out or interpreted, one line each."""
     unit: str | None = None
     """The length unit that the file declares, in the file's own word."""
+    broken: tuple[str, ...] = ()
+    """Of the skin of a map: what makes it one that nothing is promised of."""
 
 
 def counted(number: int, noun: str) -> str:
