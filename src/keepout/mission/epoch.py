@@ -8,7 +8,7 @@ import datetime
 import re
 from typing import Any
 
-_FORM = re.compile(r"(\d{4}-(?:\d\d-\d\d|\d{3})T\d\d:\d\d:\d\d)(?:\.(\d*))?Z?")
+_FORM = re.compile(r"(\d{4}-(?:\d\d-\d\d|\d{3})T\d\d:\d\d:\d\d)(?:\.(\d*))?Z?", re.ASCII)
 _NANOSECONDS = 1_000_000_000
 _ORIGIN = datetime.datetime(1970, 1, 1)
 
