@@ -186,7 +186,7 @@ def _turn(attitude: Attitude, chaser: Orbit, body_frame: str | None) -> Float[np
     if not (BODY.fullmatch(body) if body_frame is None else body == body_frame.upper()):
         raise ExchangeError(
             f"{attitude.path}: REF_FRAME_{'B' if forwards else 'A'} is {body}; it must be the frame in which the mesh "
-            f"lies: {body_frame or 'SC_BODY, SC_BODY_1'}"
+            f"lies, the body's: {body_frame or 'SC_BODY, SC_BODY_1'}"
         )
     a_from_b = Rotation.from_quat(attitude.quaternion).as_matrix()
     return np.swapaxes(a_from_b, 1, 2) if forwards else a_from_b
