@@ -182,7 +182,7 @@ def test_few_digits_never_call_a_contact_clear(coarse, digits, beam, tmp_path):
     assumed = answer["assumptions"]
     if coarse == "attitude":
         assert assumed["attitude_error_rad"] == pytest.approx(2 * np.arcsin(2 * 10.0**-digits))
-        assert any("attitudes have few digits" in remark for remark in answer["remarks"])
+        assert any("axes have few digits" in remark for remark in answer["remarks"])
     else:
         assert assumed["sample_error_m"] == pytest.approx(2 * np.sqrt(3) * 10.0 ** (3 - digits), rel=1e-6)
         assert any("positions have few digits" in remark for remark in answer["remarks"])

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, get_args
 
+import numpy as np
+
 from keepout.audit.audit import Contact
 from keepout.audit.passage import audit_passage, measured_turning_acceleration
 from keepout.errors import ExchangeError
@@ -124,10 +126,11 @@ def audit_files(
         unambiguous=unambiguous if target_attitude is not None else None,
         measured=measured,
     )
-    if motion.position_error > sample_error:
+    if motion.position_error > max(sample_error, tolerance):
         depends.append(f"positions have few digits: {motion.position_error:.4g} m is assumed as the sample error")
-    if motion.attitude_error > attitude_error and target_attitude is not None:
-        depends.append(f"attitudes have few digits: {motion.attitude_error:.4g} rad is assumed as the attitude error")
+    swung = turned * float(np.linalg.norm(motion.relative, axis=1).max())
+    if motion.attitude_error > attitude_error and swung > tolerance:
+        depends.append(f"the target's axes have few digits: {turned:.4g} rad is assumed as the attitude error")
     overrides = []
     if isinstance(attitude, Attitude):
         if not attitude.subject.is_same(of_target.subject):
