@@ -26,7 +26,12 @@ def instant(second):
     return (START + datetime.timedelta(seconds=float(second))).isoformat(timespec="milliseconds")
 
 
-def segment(kind, who, time, rows, *, digits, more="", frames=("EME2000", "SC_BODY_1"), centre="EARTH"):
+def printed(number, digits, *, cut):
+    """A number with so many decimals: rounded, or cut off."""
+    return f"{number:.{digits + 4}f}"[:-4] if cut else f"{number:.{digits}f}"
+
+
+def segment(kind, who, time, rows, *, digits, cut=False, more="", frames=("EME2000", "SC_BODY_1"), centre="EARTH"):
     """One segment of metadata and rows, numbers with so many decimals (in km where they are of an orbit)."""
     name, identifier = who
     where = (
@@ -34,7 +39,9 @@ def segment(kind, who, time, rows, *, digits, more="", frames=("EME2000", "SC_BO
         if kind == "OEM"
         else f"REF_FRAME_A = {frames[0]}\nREF_FRAME_B = {frames[1]}\nATTITUDE_TYPE = QUATERNION"
     )
-    lines = [f"{instant(t)} " + " ".join(f"{number:.{digits}f}" for number in row) for t, row in zip(time, rows)]
+    lines = [
+        f"{instant(t)} " + " ".join(printed(number, digits, cut=cut) for number in row) for t, row in zip(time, rows)
+    ]
     data = lines if kind == "OEM" else ["DATA_START", *lines, "DATA_STOP"]
     return "\n".join(
         [
@@ -91,14 +98,14 @@ def base(time):
     return np.concatenate([line, np.tile([0.0, 7500.0, 0.0], (len(time), 1))], axis=1)
 
 
-def orbits(folder, time, relative, velocity, *, digits=12, comment=""):
+def orbits(folder, time, relative, velocity, *, digits=12, comment="", cut=False):
     rows = base(time)
     chaser = rows + np.concatenate([relative, velocity], axis=1)
     return {
         "target_orbit": message(
-            folder / "t.oem", "OEM", segment("OEM", TARGET, time, rows / 1e3, digits=digits), comment=comment
+            folder / "t.oem", "OEM", segment("OEM", TARGET, time, rows / 1e3, digits=digits, cut=cut), comment=comment
         ),
-        "chaser": message(folder / "c.oem", "OEM", segment("OEM", CHASER, time, chaser / 1e3, digits=digits)),
+        "chaser": message(folder / "c.oem", "OEM", segment("OEM", CHASER, time, chaser / 1e3, digits=digits, cut=cut)),
     }
 
 
@@ -167,13 +174,17 @@ def flown_past(seed):
 @pytest.mark.parametrize("digits", [3, 4])
 @pytest.mark.parametrize("coarse", ["attitude", "orbits"])
 def test_few_digits_never_call_a_contact_clear(coarse, digits, beam, tmp_path):
-    """60 encounters in contact by 3 mm and 0.5 mm, which fewer decimals hide."""
+    """60 encounters in contact by 3 mm and 0.5 mm, which decimals that are rounded or cut off hide."""
     verdicts = []
     depth = {3: 3e-3, 4: 5e-4}[digits]
     for seed in range(60):
         time, relative, velocity, quaternions, least = flown_past(seed)
-        files = orbits(tmp_path, time, relative, velocity, digits=digits if coarse == "orbits" else 12)
-        rows = segment("AEM", TARGET, time, quaternions, digits=digits if coarse == "attitude" else 12)
+        files = orbits(
+            tmp_path, time, relative, velocity, digits=digits if coarse == "orbits" else 12, cut=seed % 2 == 0
+        )
+        rows = segment(
+            "AEM", TARGET, time, quaternions, digits=digits if coarse == "attitude" else 12, cut=seed % 2 == 0
+        )
         files["target_attitude"] = message(tmp_path / "a.aem", "AEM", rows)
         answer = judged(beam, files, radius=least + depth, turning_acceleration_bound=0.0, bound=0.0)
         assert answer["minimum_clearance_bound_m"] <= -depth + 1e-6
@@ -446,6 +457,15 @@ def test_a_spin_of_one_turn_a_sample_is_said(box, tmp_path):
     stated = judged(box, resting(tmp_path) | {"target_attitude": attitude(tmp_path)}, turning_acceleration_bound=0.0)
     assert sum("turning acceleration was not given" in remark for remark in answer["remarks"]) == 1
     assert not any("turning acceleration was not given" in remark for remark in stated["remarks"])
+
+
+def test_two_epochs_do_not_show_a_turning_acceleration(box, tmp_path):
+    time = np.arange(2.0)
+    files = orbits(tmp_path, time, np.tile([9.0, 0.0, 0.0], (2, 1)), np.zeros((2, 3)))
+    files["target_attitude"] = attitude(tmp_path, time=time)
+    with pytest.raises(ExchangeError, match="--turning-acceleration-bound: not given, and 2 epochs"):
+        judged(box, files)
+    assert judged(box, files, turning_acceleration_bound=1e-3)["contact_verdict"] == "no"
 
 
 # ---- numbers and lines

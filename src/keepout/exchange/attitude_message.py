@@ -131,11 +131,11 @@ def read_aem(path: Path, *, wanted: SpaceObject | str | None = None) -> Attitude
         return (2, 3, 4, 1) if order == "FIRST" else (1, 2, 3, 4), (TYPES[kind],)
 
     def contradiction(one: State, other: State, _: float) -> str | None:
-        quaternions = np.stack([one[0], other[0]])
+        quaternions = np.array([one[0], other[0]])
         units = quaternions / np.maximum(np.linalg.norm(quaternions, axis=1), 1e-300)[:, None]
         # From the chord between the two points of the sphere: precise for the smallest angles.
         chord = min(np.linalg.norm(units[0] - units[1]), np.linalg.norm(units[0] + units[1]))
-        apart, allowed = 4.0 * np.arcsin(0.5 * chord), _errors(quaternions, np.stack([one[1], other[1]])).sum()
+        apart, allowed = 4.0 * np.arcsin(0.5 * chord), _errors(quaternions, np.array([one[1], other[1]])).sum()
         if apart <= allowed:
             return None
         pair = " and ".join(str(quaternion.tolist()) for quaternion in quaternions)

@@ -83,12 +83,16 @@ def audit_files(
     progress(0.0, "reading")
     of_chaser = read_oem(chaser, wanted=chaser_object, sample_error=sample_error)
     of_target = read_oem(target_orbit, wanted=target_object, sample_error=sample_error)
-    attitude = (
-        axes if target_attitude is None else read_aem(target_attitude, wanted=attitude_object or of_target.subject)
-    )
+    whom = of_target.subject if attitude_object is None else attitude_object
+    attitude = axes if target_attitude is None else read_aem(target_attitude, wanted=whom)
     motion = encounter(of_chaser, of_target, attitude, body_frame=attitude_frame)  # pyright: ignore[reportArgumentType]
     sampled, turned = max(sample_error, motion.position_error), max(attitude_error, motion.attitude_error)
     measured = turning_acceleration_bound is None
+    if measured and attitude != "inertial" and len(motion.epochs) < 3:
+        raise ExchangeError(
+            "--turning-acceleration-bound: not given, and 2 epochs do not show how the target's turning changes; a "
+            "number in rad/s² is valid"
+        )
     turning = (
         measured_turning_acceleration(motion.time, motion.turn, turned) if measured else turning_acceleration_bound
     )

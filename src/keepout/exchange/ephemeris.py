@@ -7,8 +7,10 @@ unit of the last digit written, and no better.
 
 import math
 import re
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -75,7 +77,7 @@ class Ephemeris:
     unuseable: int
 
 
-State = tuple[np.ndarray, np.ndarray]
+State = tuple[list[float], list[float]]
 """Numbers of one row, and the units of their last digits."""
 
 
@@ -130,7 +132,7 @@ def read_ephemeris(
     useable = [_useable_rows(path, segment, columns) for segment in segments]
     rows: dict[int, State] = {}
     for states in sorted(filter(None, useable), key=lambda states: next(iter(states))):
-        rows = _joined(path, rows, states, contradiction)
+        _join(path, rows, states, contradiction)
     if len(rows) < 2:
         raise ExchangeError(f"{path}: has {len(rows)} epochs that may be used; it must have at least 2")
     return Ephemeris(
@@ -209,30 +211,34 @@ def _useable_rows(
     return {epoch: state for epoch, state in rows.items() if spans[0] <= epoch <= spans[1]}
 
 
-def _joined(
+def _join(
     path: Path,
     rows: dict[int, State],
     states: dict[int, State],
     contradiction: Callable[[State, State, float], str | None],
-) -> dict[int, State]:
-    """Put the rows of a segment to those of segments that begin no later."""
-    epochs = list(states)
-    end = max(rows, default=epochs[0] - 1)
-    until = min(end, epochs[-1])
-    shared = [epoch for epoch in rows if epochs[0] <= epoch <= until]
-    own = [epoch for epoch in epochs if epoch <= until]
-    if shared != own:
+) -> None:
+    """Append the rows of a segment to those of segments that begin no later."""
+    before, own = list(rows), list(states)
+    until = min(before[-1], own[-1]) if before else own[0] - 1
+    shared = before[bisect_left(before, own[0]) : bisect_right(before, until)]
+    repeated = own[: bisect_right(own, until)]
+    if shared != repeated:
         raise ExchangeError(
-            f"{path}: two segments overlap, and the epochs there are not the same ({len(shared)} and {len(own)}); "
+            f"{path}: two segments overlap, and the epochs there are not the same ({len(shared)} and {len(repeated)}); "
             "useable times that meet at one epoch are valid"
         )
-    every = np.array(sorted({*rows, *epochs}))
-    for epoch, k in zip(shared, np.searchsorted(every, shared)):
-        step = np.diff(every[max(k - 1, 0) : k + 2]).min(initial=_FURTHEST) / 1e9
-        said = contradiction(rows[epoch], states[epoch], float(step))
+    for epoch in shared:
+        neighbours = [every[place] for every in (before, own) for place in _beside(every, epoch)]
+        step = min((abs(epoch - other) for other in neighbours), default=_FURTHEST) / 1e9
+        said = contradiction(rows[epoch], states[epoch], step)
         if said is not None:
             raise ExchangeError(f"{path}: two segments hold the same epoch with other states: {said}")
-    return dict(sorted({**states, **rows}.items()))
+    rows.update((epoch, states[epoch]) for epoch in own[len(repeated) :])
+
+
+def _beside(epochs: list[int], epoch: int) -> list[int]:
+    place = bisect_left(epochs, epoch)
+    return [beside for beside in (place - 1, place + 1) if 0 <= beside < len(epochs)]
 
 
 def _instant(path: Path, keyword: str, text: str) -> int:
@@ -243,6 +249,11 @@ def _instant(path: Path, keyword: str, text: str) -> int:
     if abs(epoch) >= _FURTHEST:
         raise ExchangeError(f"{path}: {keyword} {text!r} must lie between 1824 and 2116")
     return epoch
+
+
+@lru_cache
+def _unit(exponent: int) -> float:
+    return float(f"1e{exponent}")
 
 
 def _numbers(path: Path, row: Row, places: tuple[int, ...], widths: tuple[int, ...]) -> State:
@@ -257,9 +268,9 @@ def _numbers(path: Path, row: Row, places: tuple[int, ...], widths: tuple[int, .
         if found is not None:
             number = float(row[place])
             decimals = found[1] or found[2] or ""
-            unit = float(f"1e{int(found[3] or 0) - len(decimals)}")
+            unit = _unit(int(found[3] or 0) - len(decimals))
         if not (math.isfinite(number) and math.isfinite(unit)):
             raise ExchangeError(f"{path}: the row of {row[0]} holds {row[place]!r}; it must be a finite number")
         numbers.append(number)
         units.append(unit)
-    return np.array(numbers), np.array(units)
+    return numbers, units

@@ -101,12 +101,13 @@ def read_oem(path: Path, *, wanted: SpaceObject | str | None = None, sample_erro
     """
 
     def contradiction(one: State, other: State, step: float) -> str | None:
-        apart = np.linalg.norm((one[0] - other[0]).reshape(2, 3) * 1000.0, axis=1)
-        errors = _errors(one[1][None])[:, 0] + _errors(other[1][None])[:, 0]
-        allowed = np.maximum(errors, [sample_error, sample_error / step])
+        numbers, units = (np.array([one[k], other[k]]) for k in (0, 1))
+        metres = numbers.reshape(2, 2, 3) * 1000.0
+        apart = np.linalg.norm(metres[0] - metres[1], axis=1)
+        allowed = np.maximum(_errors(units).sum(axis=1), [sample_error, sample_error / step])
         for kind, unit, k in (("positions", "m", 0), ("velocities", "m/s", 1)):
             if apart[k] > allowed[k]:
-                pair = " and ".join(str((state[0][3 * k : 3 * k + 3] * 1000.0).tolist()) for state in (one, other))
+                pair = " and ".join(str(state[k].tolist()) for state in metres)
                 return f"{kind} {pair} {unit} are {apart[k]:.4g} {unit} apart; at most {allowed[k]:.4g} {unit} is valid"
         return None
 
