@@ -56,7 +56,8 @@ def audit_of_files(
     Args:
         target: a mesh file, a built-in's name, or a scenario file (TOML), whose table `[target]` says all of it.
         placed: of a mesh: entries of `[target]` that say how it lies in the body frame; None where not given.
-        centre_of_mass: of the target, in the body frame, m; the scenario's, or the origin, where not given.
+        centre_of_mass: of the target, in the body frame, m; the scenario's, or the origin, which a remark
+            says, where not given.
         **files: the other arguments of `exchange.audited.audit_files`.
 
     """
@@ -64,7 +65,8 @@ def audit_of_files(
     from keepout.mission.target import load_target
 
     entry = _audited_target(target, placed)
-    centre = entry.centre_of_mass if centre_of_mass is None else centre_of_mass
+    told = entry.centre_of_mass if "centre_of_mass" in entry.model_fields_set else None
+    centre = told if centre_of_mass is None else centre_of_mass
     return audit_files(load_target(entry), centre_of_mass=centre, **files)
 
 

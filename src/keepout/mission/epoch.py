@@ -8,7 +8,7 @@ import datetime
 import re
 from typing import Any
 
-_FORM = re.compile(r"(\d{4}-(?:\d\d-\d\d|\d{3})T\d\d:\d\d:\d\d)(?:\.(\d*))?Z?")
+_FORM = re.compile(r"(\d{4}-(?:\d\d-\d\d|\d{3})T\d\d:\d\d:\d\d)(?:\.(\d*))?Z?", re.ASCII)
 _NANOSECONDS = 1_000_000_000
 _ORIGIN = datetime.datetime(1970, 1, 1)
 
@@ -35,11 +35,14 @@ def parse_instant(text: str) -> int:
     if found is None:
         raise ValueError("must be an instant such as 2026-01-01T00:00:00Z")
     whole, digits = found.groups()
-    pattern = "%Y-%m-%dT%H:%M:%S" if whole.count("-") == 2 else "%Y-%jT%H:%M:%S"
     if whole.endswith(":60"):
         raise ValueError("lies within a leap second; instants before or after one are valid")
     try:
-        seconds = (datetime.datetime.strptime(whole, pattern) - _ORIGIN) // datetime.timedelta(seconds=1)
+        by_month = whole.count("-") == 2  # strptime is ten times as slow
+        read = (
+            datetime.datetime.fromisoformat(whole) if by_month else datetime.datetime.strptime(whole, "%Y-%jT%H:%M:%S")
+        )
+        seconds = (read - _ORIGIN) // datetime.timedelta(seconds=1)
     except ValueError:
         raise ValueError("must be a day and time that there are") from None
     return seconds * _NANOSECONDS + round(float(f"0.{digits or 0}") * _NANOSECONDS)
