@@ -391,6 +391,13 @@ def test_an_obj_statement_that_another_would_swallow_is_refused(tmp_path, held, 
     refused(path, "line 7", "line 6")
 
 
+def test_time_is_linear_in_continued_lines(tmp_path):
+    path = tmp_path / "a.obj"
+    path.write_text(VERTICES + "f 1 2 \\\n" + "3 4 \\\n" * 20_000 + "1\n")
+    with within(15.0):
+        assert any("into 40001 triangles" in action for action in Target.load(path).report.actions)
+
+
 def test_an_obj_polygon_of_many_corners_is_read(tmp_path):
     path = tmp_path / "a.obj"
     path.write_text(VERTICES + "f " + "1 2 3 4 " * 15_000 + "\n")

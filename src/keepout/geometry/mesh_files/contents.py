@@ -105,7 +105,7 @@ def require_countable(placements: int, triangles: int, corners: int) -> None:
     ):
         if number > most:
             told = str(number) if number < 10**30 else f"10^{int(number.bit_length() * 0.30103)}"
-            raise MeshError(f"it makes {told} {noun} by placing the same ones many times; at most {most} are read")
+            raise MeshError(f"it makes {told} {noun}; at most {most} are built")
 
 
 def counted(number: int, noun: str) -> str:

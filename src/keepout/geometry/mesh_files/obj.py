@@ -49,7 +49,8 @@ def read_obj(path: Path) -> MeshContents:
     sizes: list[int] = []
     where: list[int] = []
     dropped: Counter[str] = Counter()
-    held, held_from = "", 0
+    held: list[str] = []
+    held_from = 0
     for number, line in enumerate(lines, 1):
         text, remark, _ = line.partition("#")
         first = text.split(None, 1)[:1]
@@ -60,10 +61,11 @@ def read_obj(path: Path) -> MeshContents:
             )
         # A remark ends with its line, whatever it ends in.
         if text.endswith("\\") and not remark:
-            held, held_from = held + text[:-1] + " ", held_from or number
+            held.extend(text[:-1].split())
+            held_from = held_from or number
             continue
-        row = (held + text).split()
-        at, held, held_from = held_from or number, "", 0
+        row = [*held, *text.split()]
+        at, held, held_from = held_from or number, [], 0
         if not row:
             continue
         statement, values = row[0], row[1:]
