@@ -23,7 +23,7 @@ FACES = '<triangle v1="0" v2="1" v3="2"/><triangle v1="0" v2="2" v3="3"/>'
 BODY = f'<object id="1"><mesh><vertices>{CORNERS}</vertices><triangles>{FACES}</triangles></mesh></object>'
 SQUARE = np.array([(0.0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)])
 REFUSED_IN = 4.0
-"""Seconds: one on an idle machine."""
+"""Seconds on the processor, all threads together; one on an idle machine."""
 
 
 def three_mf(path, resources, build, head=""):
@@ -46,18 +46,18 @@ def nested(levels, wide, leaf=1):
 
 @contextmanager
 def within(seconds):
-    """Fail, rather than go on, past a time: memory would end first."""
+    """Fail, rather than go on, past a time on the processor: memory would end first."""
 
     def late(*_):
-        raise AssertionError(f"not done in {seconds} s")
+        pytest.fail(f"not done in {seconds} s")  # no Exception, which a reader would take for a damaged file
 
-    before = signal.signal(signal.SIGALRM, late)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    before = signal.signal(signal.SIGPROF, late)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
     try:
         yield
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, before)
 
 
 def refused(path, *words, **arguments):
@@ -70,7 +70,7 @@ def refused(path, *words, **arguments):
     return told
 
 
-@settings(max_examples=12)
+@settings(max_examples=8)
 @given(st.integers(4, 40), st.integers(2, 12), st.booleans())
 @example(5, 10, False)
 @example(3000, 2, True)
@@ -95,6 +95,7 @@ def test_many_triangles_in_few_placements_are_counted(tmp_path):
     refused(three_mf(tmp_path / "a.3mf", body + resources, item), "30000000 triangles", "20000000")
 
 
+@pytest.mark.long
 def test_time_is_linear_in_items(tmp_path):
     path = three_mf(tmp_path / "a.3mf", BODY, '<item objectid="1"/>' * 16_000)
     with within(15.0):
@@ -131,6 +132,7 @@ def test_an_archive_of_another_compression_is_refused(tmp_path):
     refused(path, "compress")
 
 
+@pytest.mark.long
 def test_more_elements_than_memory_holds_are_refused_unparsed(tmp_path):
     refused(three_mf(tmp_path / "a.3mf", "<a/>" * 42_000_000, ""), "40000000")
 
@@ -283,6 +285,7 @@ def test_instances_that_take_no_bytes_are_counted(tmp_path):
     refused(file.write(tmp_path / "a.glb"), "9000000", "100000")
 
 
+@pytest.mark.long
 def test_time_is_linear_in_nodes(tmp_path):
     file = GltfFile()
     file.primitive(SQUARE, [0, 1, 2])

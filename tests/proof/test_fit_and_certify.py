@@ -110,6 +110,8 @@ def test_a_file_is_proved_again_and_a_forged_one_is_not(certified, tmp_path, mon
         {"kind": "sampled"},
     ):
         dataclasses.replace(certified, certificates=(dataclasses.replace(true, **forged),)).save(path)
+        # An evaluation error of zero would be sought until the limit of elements.
+        monkeypatch.setattr(certificate, "MOST_ELEMENTS", 50_000)
         before = path.read_bytes()
         code, said = checked([path], monkeypatch, capsys)
         assert (code, said["proved"]) == (1, False), forged

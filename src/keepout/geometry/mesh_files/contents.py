@@ -55,11 +55,9 @@ class Resolution:
     def __init__(self) -> None:
         self._parts: list[tuple[str, float, float, float]] = []
 
-    def note(self, name: str, vertices: Float[np.ndarray, "v 3"], place: Place) -> None:
-        """Note a part, named for a refusal, with its vertices in its own axes."""
-        if not len(vertices):
-            return
-        lower, upper = vertices.min(axis=0), vertices.max(axis=0)
+    def note(self, name: str, box: tuple[np.ndarray, np.ndarray], place: Place) -> None:
+        """Note a part, named for a refusal, with its `box` in its own axes."""
+        lower, upper = box
         size = float((np.abs(place.matrix[:3, :3]) @ (upper - lower)).max())
         met = float((place.magnitude[:3] @ [*np.maximum(np.abs(lower), np.abs(upper)), 1.0]).max())
         if np.isfinite(met):  # what is not finite is refused where a triangle uses it
@@ -79,6 +77,11 @@ class Resolution:
                     f"{name} is {size:.4g} in size and its transforms move it by numbers up to {met:.4g}, in the end "
                     f"by {moved:.4g}: rounding would change it by more than a millionth of its size"
                 )
+
+
+def box(vertices: Float[np.ndarray, "v 3"]) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Lowest and highest coordinates; of no vertices the origin."""
+    return (vertices.min(axis=0), vertices.max(axis=0)) if len(vertices) else (np.zeros(3), np.zeros(3))
 
 
 def resolved(vertices: Float[np.ndarray, "n 3"], size: float) -> bool:

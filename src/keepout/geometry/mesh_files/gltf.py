@@ -14,6 +14,7 @@ from keepout.geometry.mesh_files.contents import (
     MeshContents,
     Place,
     Resolution,
+    box,
     counted,
     left_out,
     require_countable,
@@ -169,10 +170,11 @@ class _Scene:
             self._left_out["line segment"] += primitive.segments * len(places)
             self._left_out["line primitive"] += len(places) if primitive.segments else 0
             self._left_out["joint, of strips or fans"] += primitive.joints * len(places)
-            used = primitive.positions[primitive.faces if len(primitive.faces) else primitive.points].reshape(-1, 3)
+            used = primitive.faces if len(primitive.faces) else primitive.points
+            bounds = box(primitive.positions[used].reshape(-1, 3))
             for place in places:
                 matrix = place.matrix
-                self._resolution.note(f"what node {index} places", used, place)
+                self._resolution.note(f"what node {index} places", bounds, place)
                 if len(primitive.points):
                     self._points.append(_moved(primitive.positions[primitive.points], matrix))
                 if len(primitive.faces):

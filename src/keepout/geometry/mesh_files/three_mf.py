@@ -14,6 +14,7 @@ from keepout.geometry.mesh_files.contents import (
     FILE_AXES,
     MeshContents,
     Resolution,
+    box,
     check_indices,
     counted,
     left_out,
@@ -67,7 +68,7 @@ class _Package:
         self._names = dict(zip(names, archive.namelist()))
         self._objects: dict[_Key, etree._Element] = {}
         self._read: set[str] = set()
-        self._meshes: dict[_Key, tuple[np.ndarray, np.ndarray]] = {}
+        self._meshes: dict[_Key, tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]] = {}
         self._components: dict[_Key, list[tuple[_Key, np.ndarray]]] = {}
         self._inflated = 0
         self._left_out: Counter[str] = Counter()
@@ -142,11 +143,12 @@ class _Package:
             self._note(key)
             if _only(self._objects[key], "mesh") is not None:
                 if key not in self._meshes:
-                    self._meshes[key] = self._mesh(self._objects[key])
-                vertices, faces = self._meshes[key]
+                    vertices, faces = self._mesh(self._objects[key])
+                    self._meshes[key] = vertices, faces, box(vertices[faces].reshape(-1, 3))
+                vertices, faces, bounds = self._meshes[key]
                 with np.errstate(invalid="ignore", over="ignore"):  # refused where a triangle uses it
                     all_vertices.append(vertices @ place.matrix[:3, :3].T + place.matrix[:3, 3])
-                    resolution.note(f"the object {key[1][:40]!r}", vertices[faces].reshape(-1, 3), place)
+                    resolution.note(f"the object {key[1][:40]!r}", bounds, place)
                 all_faces.append(faces + number)
                 number += len(vertices)
             with np.errstate(invalid="ignore", over="ignore"):
