@@ -148,6 +148,48 @@ def certify_file(
     }
 
 
+def check_file(path: Path, *, mesh: str | None = None, seed: int = 0, progress: Progress = silent) -> dict[str, Any]:
+    """Prove all certificates of a field file again, from its field and its mesh alone; the file stays as it is.
+
+    Raises:
+        FieldError: no certificate in it, or a mesh that the field was not made for.
+
+    """
+    from keepout.fields.model import FieldModel
+    from keepout.mission.build import load_target
+    from keepout.proof.certificate import check_certificate
+
+    model = FieldModel.load(path)
+    if not model.certificates:
+        raise FieldError(f"{path}: has no certificate to check; `keepout certify {path}` adds one")
+    target = load_target(recorded_target(path, model, mesh))
+    model.require_target(target, where=str(path))
+    rows = []
+    for place, stated in enumerate(model.certificates):
+        part = part_of(progress, place / len(model.certificates), (place + 1) / len(model.certificates))
+        check = check_certificate(model, target, stated, seed=seed, progress=part)
+        rows.append(
+            {
+                "chaser_radius_m": stated.chaser_radius,
+                "kind": stated.kind,
+                "proved": check.proved,
+                "error_bound_m": stated.error_bound,
+                "error_bound_now_m": check.error_bound,
+                "evaluation_error_m": stated.evaluation_error,
+                "evaluation_error_now_m": check.evaluation_error,
+                "gradient_kind": stated.gradient_kind,
+                "gradient_bound": stated.gradient_bound,
+                "gradient_bound_now": check.gradient_bound,
+            }
+        )
+    return {
+        "field": str(path),
+        "target_sha256": target.sha256,
+        "proved": all(row["proved"] for row in rows),
+        "certificates": rows,
+    }
+
+
 def measure_field(
     path: Path, out: Path | None = None, *, mesh: str | None = None, seed: int = 0, progress: Progress = silent
 ) -> dict[str, Any]:

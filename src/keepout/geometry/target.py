@@ -12,6 +12,7 @@ from keepout.digest import digest
 from keepout.errors import MeshError
 from keepout.geometry.builtin import BUILTINS
 from keepout.geometry.distance import BallCloudDistance, Distance, ExactDistance
+from keepout.geometry.mesh_files.contents import resolved
 from keepout.geometry.mesh_input import read_surface
 from keepout.geometry.mesh_report import MeshReport, Surface, describe
 
@@ -76,7 +77,13 @@ class Target:
                 raise MeshError(f"{name}: parameters are for built-ins; a file takes none")
             name = Path(source).stem
             surface = read_surface(Path(source), units=units, scale=scale, drop_stray=drop_stray, thickness=thickness)
+        size = float(np.ptp(surface.vertices, axis=0).max())
         surface = surface.moved(_rotation(rotation), _origin(origin))
+if size > 0.0 and not resolved(surface.vertices, size):
+            raise MeshError(
+                f"{name}: origin is {np.max(np.abs(_origin(origin))):.4g} m away from a mesh of {size:.4g} m: rounding "
+                "would change it by more than a millionth"
+            )
         return cls(name, surface.vertices, surface.faces, describe(surface), surface.ball_radius, surface.broken)
 
     @functools.cached_property
