@@ -111,7 +111,7 @@ def load_model(scenario: Scenario, target: Target, progress: Progress = silent) 
 
 
 def prepare(
-    scenario: Scenario,
+    scenario: Scenario | str | Path,
     *,
     target: Target | None = None,
     model: FieldModel | None = None,
@@ -122,7 +122,7 @@ def prepare(
     """Build everything that flying a scenario needs.
 
     Args:
-        scenario: what to fly.
+        scenario: what to fly, or the path of its TOML file.
         target: already loaded; else the scenario's.
         model: its field, already loaded; else the scenario's.
         guidance: instead of the one that the scenario names.
@@ -134,6 +134,7 @@ def prepare(
 
     """
     keep_programs()
+    scenario = Scenario.of(scenario)
     target = load_target(scenario.target) if target is None else target
     model = load_model(scenario, target) if model is None else model
     model.require_target(target, where="field")
