@@ -1,5 +1,6 @@
 import json
 import math
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from pydantic import ValidationError
 
 from keepout.errors import ScenarioError
 from keepout.mission.entries import Entry
+from keepout.mission.epoch import parse_instant
 from keepout.mission.scenario import Scenario, reference
 from keepout.mission.schema import schema
 
@@ -150,6 +152,21 @@ def test_bad_files(tmp_path: Path, content: bytes):
             Scenario.load(path)
         assert len(str(refusal.value)) < 600
         assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    "instant", ["2262-04-12T00:00:00", "9999-12-31T23:59:59.9", "1677-09-20T00:00:00", "0001-001T00:00:00"]
+)
+def test_an_instant_that_64_bits_cannot_count_is_refused(instant):
+    with pytest.raises(ValueError, match="from 1677-09-22 to 2262-04-11") as refusal:
+        parse_instant(instant)
+    assert "\n" not in str(refusal.value)
+
+
+@given(st.datetimes(min_value=datetime(1677, 9, 22), max_value=datetime(2262, 4, 11)))
+def test_an_instant_between_is_counted_as_numpy_counts_it(moment):
+    counted = np.datetime64(moment, "ns").astype(np.int64)
+    assert np.int64(parse_instant(moment.isoformat())) == counted
 
 
 def test_missing_file_and_folder(tmp_path: Path):

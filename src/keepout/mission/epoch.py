@@ -30,7 +30,8 @@ def parse_instant(text: str) -> int:
     Digits beyond the nanosecond are rounded.
 
     Raises:
-        ValueError: not such an instant, within a leap second, or too far from 1970; the message leaves the text to the caller.
+        ValueError: not such an instant, within a leap second, or too far from 1970 for 64 bits; the message leaves the
+            text to the caller.
 
     """
     found = _FORM.fullmatch(text.strip())

@@ -36,7 +36,7 @@ def require_law(law: Any, start: MotionState) -> None:
     """
     if not isinstance(law, Law):
         raise ControlError(
-            f"law: {described(law)}; it must be a keepout.Law; keepout.PolicyLaw(goal, callable) makes one of a callable"
+            f"law: {described(law)}; it must be a keepout.Law; of a callable, keepout.PolicyLaw(goal, callable) is one"
         )
     name = f"law: {type(law).__name__}"
     asked: dict[str, Any] = {"part": f"{name}.goal", "wanted": f"{THREE_NUMBERS}, m", "refusal": ControlError}
@@ -52,7 +52,7 @@ def require_law(law: Any, start: MotionState) -> None:
         require_numbers(getattr(command, key), shape, part=f"{name}.step", wanted=wanted, refusal=ControlError)
     of_status: dict[str, Any] = asked | {"wanted": "a status, one whole number"}
     require_numbers(command.status, (), kind=np.integer, **of_status)
-    told = {"part": f"{name}.with_applied_force", "wanted": "its memory", "refusal": ControlError}
+    told: dict[str, Any] = {"part": f"{name}.with_applied_force", "wanted": "its memory", "refusal": ControlError}
     require_same(
         tried(law.with_applied_force, after, command.force, **told), memory, part=told["part"], refusal=ControlError
     )
