@@ -107,7 +107,8 @@ def require_disturbance(disturbance: Any) -> None:
     asked |= {"part": f"{name}.switches", "wanted": "times, an array (switches,) of floats, s"}
     switches = tried(disturbance.switches, now, now, **asked)
     require_numbers(switches, np.shape(switches)[:1] if np.shape(switches) else (0,), **asked)
-    between = tried(disturbance.between_switches, now, **(asked | {"part": f"{name}.between_switches"}))
+    asked |= {"part": f"{name}.between_switches", "wanted": "a keepout.Disturbance"}
+    between = tried(disturbance.between_switches, now, **asked)
     if not isinstance(between, Disturbance):
         raise ScenarioError(f"{name}.between_switches: gives {described(between)}; it must give a keepout.Disturbance")
 
