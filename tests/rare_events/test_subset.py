@@ -149,7 +149,11 @@ def test_what_never_happens_is_said_to_be_below_a_bound():
     result = estimate(found, 0.0)
     assert found.ended == "stuck"
     assert result.bounded_only
-    assert result.summary() == {"probability": None, "interval": None, "below": pytest.approx(-math.log(0.025) / 8192, rel=0.01)}
+    assert result.summary() == {
+        "probability": None,
+        "interval": None,
+        "below": pytest.approx(-math.log(0.025) / 8192, rel=0.01),
+    }
 
 
 def test_a_number_out_of_reach_is_bounded_by_the_last_level():
