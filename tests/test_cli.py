@@ -1,5 +1,6 @@
 """The command line as a user meets it: one-line refusals, JSON on standard output, help with an example."""
 
+import importlib
 import json
 import shutil
 import subprocess
@@ -12,7 +13,6 @@ import pytest
 from keepout import cli
 from keepout.commands import mesh
 from keepout.fields.model import FieldModel
-from keepout.fields.shipped import load_shipped
 
 REPOSITORY = Path(__file__).parents[1]
 CASE = REPOSITORY / "examples" / "case1.toml"
@@ -157,16 +157,16 @@ def working(*_, **__):
 @pytest.mark.parametrize(
     ("command", "work"),
     [
-        (("targets", "--pictures"), "keepout.geometry.shape.enclosed_volume"),
-        (("describe", "box", "-o"), "keepout.geometry.survey.survey"),
-        (("measure", "box", "--shipped", "-o"), "keepout.measures.field_measures.measure_model"),
-        (("fly", "mission.toml", "-o"), "keepout.mission.flight.fly"),
-        (("explore", "explore.toml", "-o"), "keepout.exploring.explore.explore"),
-        (("inspect", "mission.toml", "-o"), "keepout.inspecting.inspect.inspect"),
-        (("campaign", "mission.toml", "-o"), "keepout.campaign.plan.Plan.of"),
-        (("campaign", "compare", "a", "b", "-o"), "keepout.report.comparison_page.read_campaign"),
-        (("rare", "mission.toml", "-o"), "keepout.rare_events.event.rare"),
-        (("reproduce", "runtime", "-o"), "keepout.experiments.side_by_side"),
+        (("targets", "--pictures"), "keepout.geometry.shape:enclosed_volume"),
+        (("describe", "box", "-o"), "keepout.geometry.survey:survey"),
+        (("measure", "intelsat30", "--shipped", "-o"), "keepout.measures.field_measures:measure_model"),
+        (("fly", "mission.toml", "-o"), "keepout.mission.flight:fly"),
+        (("explore", "explore.toml", "-o"), "keepout.exploring.explore:explore"),
+        (("inspect", "mission.toml", "-o"), "keepout.inspecting.inspect:inspect"),
+        (("campaign", "mission.toml", "-o"), "keepout.campaign.plan:Workshop"),
+        (("campaign", "compare", "a", "b", "-o"), "keepout.report.comparison_page:read_campaign"),
+        (("rare", "mission.toml", "-o"), "keepout.rare_events.event:rare"),
+        (("reproduce", "runtime", "-o"), "keepout.experiments:side_by_side"),
     ],
 )
 @pytest.mark.long
@@ -176,7 +176,8 @@ def test_a_folder_that_cannot_be_written_to_is_refused_before_the_work(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mission.toml").write_text("duration = 5.0")
     shutil.copy(REPOSITORY / "examples" / "explore.toml", tmp_path)
-    monkeypatch.setattr(work, working)
+    module, _, name = work.partition(":")
+    monkeypatch.setattr(importlib.import_module(module), name, working)
     assert run(monkeypatch, *command, nowhere) == 1
     said = capsys.readouterr().err.splitlines()[-1]
     assert said.startswith(f"keepout: {nowhere}")
@@ -186,19 +187,20 @@ def test_a_folder_that_cannot_be_written_to_is_refused_before_the_work(
 @pytest.mark.parametrize(
     ("command", "name", "work"),
     [
-        (("fit", "box", "-o"), "box.keepout", "keepout.learning.training.fit"),
-        (("scenario", "new", "--for", "box", "-o"), "mission.toml", "keepout.mission.draft.draft"),
-        (("scenario", "schema", "-o"), "schema.json", "keepout.mission.schema.schema"),
-        (("replay", "a.parquet", "-o"), "page.html", "keepout.replay.flights.of_files"),
-        (("export", "a.parquet", "--to", "oem", "-o"), "a.oem", "keepout.exchange.export.export_flight"),
-        (("certify",), "box.keepout", "keepout.proof.certificate.certify"),
+        (("fit", "box", "-o"), "box.keepout", "keepout.learning.training:fit"),
+        (("scenario", "new", "--for", "box", "-o"), "mission.toml", "keepout.mission.draft:draft"),
+        (("scenario", "schema", "-o"), "schema.json", "keepout.mission.schema:schema"),
+        (("replay", "a.parquet", "-o"), "page.html", "keepout.replay.flights:of_files"),
+        (("export", "a.parquet", "--to", "oem", "-o"), "a.oem", "keepout.exchange.export:export_flight"),
+        (("certify",), "box.keepout", "keepout.proof.certificate:certify"),
     ],
 )
 @pytest.mark.long
 def test_a_file_that_cannot_be_written_is_refused_before_the_work(command, name, work, monkeypatch, capsys, tmp_path):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(work, working)
-    monkeypatch.setattr(FieldModel, "load", staticmethod(lambda *_, **__: load_shipped("box")))
+    module, _, worker = work.partition(":")
+    monkeypatch.setattr(importlib.import_module(module), worker, working)
+    monkeypatch.setattr(FieldModel, "load", staticmethod(lambda *_, **__: None))
     folder = tmp_path / name
     for place in (folder,) if command == ("certify",) else (folder, Path("/proc") / name):
         folder.mkdir(exist_ok=True)

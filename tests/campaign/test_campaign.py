@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from keepout.campaign.chunk import ChunkResult, certified, fly_chunk
+from keepout.campaign.chunk import certified, fly_chunk
 from keepout.campaign.dataset import Dataset
 from keepout.campaign.flying import initial_state
 from keepout.campaign.keep import Keep, keep_flights
@@ -156,30 +156,22 @@ def test_a_torn_or_foreign_part_is_flown_again(plan, flown, tmp_path):
     assert dataset.bands().to_bytes() == flown[0].bands().to_bytes()
 
 
-def test_a_resumed_campaign_counts_from_where_the_folder_stands(plan, flown, tmp_path):
-    whole = flown[0].table(["reached", "contact"]).to_pylist()
-    dataset = Dataset.begin(tmp_path, plan)
+def test_a_resumed_campaign_counts_from_where_the_folder_stands(scenario, tmp_path):
+    plan = Plan.of(scenario.replace(goal={"tolerance": 12.0}, campaign={"runs": 12}), batch=BATCH)
+    dataset, told = Dataset.begin(tmp_path, plan), []
     for number in range(plan.chunks - 1):
-        dataset.write(ChunkResult(number, *(flown[0].folder.joinpath(*part).read_bytes() for part in parts_of(number))))
-    first, _ = plan.chunk_runs(plan.chunks - 1)
-    told = []
+        dataset.write(fly_chunk(plan, number))
     fly_campaign(plan, dataset, told=told.append)
-    before, after = told[0], told[-1]
-    assert (before.done, before.flown) == (first, 0)
-    for standing, rows in ((before, whole[:first]), (after, whole)):
-        assert standing.reached == sum(row["reached"] is True for row in rows)
-        assert standing.contacts == sum(row["contact"] not in (None, "no") for row in rows)
-    assert before.contacts > 0
-    assert 0 < after.flown <= 22 - first
+    rows, (first, _) = dataset.table(["reached", "contact"]).to_pylist(), plan.chunk_runs(plan.chunks - 1)
+    for standing, done in ((told[0], rows[:first]), (told[-1], rows)):
+        assert standing.done == len(done)
+        assert standing.reached == sum(row["reached"] is True for row in done) > 0
+        assert standing.contacts == sum(row["contact"] not in (None, "no") for row in done)
+    assert (told[0].flown, told[0].rate, told[0].seconds_left) == (0, 0.0, None)
+    assert told[-1].flown <= 12 - first
     complete = []
     fly_campaign(plan, dataset, told=complete.append)
-    assert [(one.done, one.reached, one.contacts, one.flown) for one in complete] == [
-        (22, after.reached, after.contacts, 0)
-    ]
-
-
-def parts_of(number: int) -> tuple[tuple[str, str], tuple[str, str]]:
-    return ("flights", f"part-{number:05d}.parquet"), ("bands", f"part-{number:05d}.npz")
+    assert [(one.done, one.reached, one.flown) for one in complete] == [(12, told[-1].reached, 0)]
 
 
 def test_a_folder_of_another_campaign_is_refused_with_what_differs(scenario, flown):
