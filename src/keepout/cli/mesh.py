@@ -162,6 +162,7 @@ def measure(
     as_json: AsJson = False,
 ) -> None:
     """Measure a field against its mesh, and list its certificates."""
+    from keepout.commands import usage
     from keepout.commands.mesh import measure_field
     from keepout.fields.shipped import shipped_path
 
@@ -170,7 +171,8 @@ def measure(
             f"{field} is not a .keepout file; `keepout describe {field}` says what is wrong with a mesh"
         )
     with terminal.progress(f"measure {field}") as progress:
-        path = shipped_path(field) if shipped else Path(field)
+        with usage():
+            path = shipped_path(field) if shipped else Path(field)
         summary = measure_field(path, out, mesh=mesh, seed=seed, progress=progress)
         tables = terminal.measures_tables(summary)
     answer(summary, as_json)

@@ -6,9 +6,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from keepout.commands import usage
 from keepout.commands.named_target import recorded_target, target_entry
-from keepout.errors import FieldError
+from keepout.errors import FieldError, UsageError
 from keepout.progress import Progress, part_of, silent
+from keepout.whole_file import require_place
 
 
 def describe_targets(*, pictures: Path | None = None, progress: Progress = silent) -> list[dict[str, Any]]:
@@ -17,37 +19,37 @@ def describe_targets(*, pictures: Path | None = None, progress: Progress = silen
     from keepout.geometry.builtin import BUILTINS
     from keepout.geometry.shape import enclosed_volume
     from keepout.geometry.target import Target
-    from keepout.report.folder import make_folder
+    from keepout.report.folder import results_in
 
-    if pictures is not None:
-        make_folder(pictures)
     rows = []
-    for place, (name, builtin) in enumerate(BUILTINS.items()):
-        progress(place / len(BUILTINS), name)
-        target = Target.load(name)
-        row: dict[str, Any] = {
-            "name": name,
-            "extents_m": [float(extent) for extent in target.vertices.max(axis=0) - target.vertices.min(axis=0)],
-            "volume_m3": enclosed_volume(target.vertices, target.faces),
-            "triangles": len(target.faces),
-            "shipped_field": name in shipped_names(),
-            "parameters": {key: parameter.default for key, parameter in builtin.parameters.items()},
-        }
-        if pictures is not None:
-            from keepout.report import target_view
+    with results_in(pictures):
+        for place, (name, builtin) in enumerate(BUILTINS.items()):
+            progress(place / len(BUILTINS), name)
+            target = Target.load(name)
+            row: dict[str, Any] = {
+                "name": name,
+                "extents_m": [float(extent) for extent in target.vertices.max(axis=0) - target.vertices.min(axis=0)],
+                "volume_m3": enclosed_volume(target.vertices, target.faces),
+                "triangles": len(target.faces),
+                "shipped_field": name in shipped_names(),
+                "parameters": {key: parameter.default for key, parameter in builtin.parameters.items()},
+            }
+            if pictures is not None:
+                from keepout.report import target_view
 
-            picture = pictures / f"{name}.png"
-            target_view.draw_target(picture, name, target.vertices, target.faces)
-            row["picture"] = str(picture)
-        rows.append(row)
+                picture = pictures / f"{name}.png"
+                target_view.draw_target(picture, name, target.vertices, target.faces)
+                row["picture"] = str(picture)
+            rows.append(row)
     return rows
 
 
 def _field_path(path: Path) -> Path:
     if path.suffix != ".keepout":
-        raise FieldError(f"{path}: a field file ends in .keepout")
+        raise UsageError(f"{path}: a field file ends in .keepout")
     if not path.absolute().parent.is_dir():
         raise FieldError(f"{path}: the folder {path.parent} does not exist")
+    require_place(path, refusal=FieldError)
     return path
 
 
@@ -66,10 +68,13 @@ def fit_to_file(
     While it runs, a checkpoint stands beside `out`; a run that was killed goes on from there. The field is written
     before it is certified, so that a proof that is stopped loses nothing.
     """
+    from keepout.learning.profile import find_profile
     from keepout.learning.training import fit
     from keepout.measures.quality import surface_errors
     from keepout.mission.build import load_target
 
+    with usage():
+        find_profile(profile)
     out = _field_path(out)
     entry = target_entry(source)
     target = load_target(entry)
@@ -123,6 +128,7 @@ def certify_file(
     from keepout.proof.certificate import certify
 
     model = FieldModel.load(path)
+    require_place(path, refusal=FieldError)
     entry = recorded_target(path, model, mesh)
     model = certify(
         model,
@@ -197,22 +203,21 @@ def measure_field(
     from keepout.fields.model import FieldModel
     from keepout.measures.field_measures import measure_model
     from keepout.mission.build import load_target
-    from keepout.report.folder import make_folder
+    from keepout.report.folder import results_in
 
     model = FieldModel.load(path)
     target = load_target(recorded_target(path, model, mesh))
     model = FieldModel.load(path, target=target)
-    if out is not None:
-        make_folder(out)
-    measures, surface = measure_model(model, target, seed=seed, progress=part_of(progress, 0.0, 0.9))
-    summary: dict[str, Any] = {"field": str(path), **measures}
-    if out is not None:
-        from keepout.report.field_view import draw_slices, draw_surface
+    with results_in(out):
+        measures, surface = measure_model(model, target, seed=seed, progress=part_of(progress, 0.0, 0.9))
+        summary: dict[str, Any] = {"field": str(path), **measures}
+        if out is not None:
+            from keepout.report.field_view import draw_slices, draw_surface
 
-        progress(0.9, "pictures")
-        draw_slices(out / "slices.png", model, target)
-        draw_surface(out / "surface.png", target, surface, level=measures["surface"]["level"])
-        summary["pictures"] = [str(out / "slices.png"), str(out / "surface.png")]
+            progress(0.9, "pictures")
+            draw_slices(out / "slices.png", model, target)
+            draw_surface(out / "surface.png", target, surface, level=measures["surface"]["level"])
+            summary["pictures"] = [str(out / "slices.png"), str(out / "surface.png")]
     progress(1.0, "")
     return summary
 
@@ -221,18 +226,18 @@ def describe_mesh(source: Mapping[str, Any], out: Path | None = None, *, progres
     """Report what is known about a mesh before anything is learned from it; draw it into `out` if that is given."""
     from keepout.geometry.survey import survey
     from keepout.mission.build import load_target
-    from keepout.report.folder import make_folder
+    from keepout.report.folder import results_in
 
     target = load_target(target_entry(source))
     summary: dict[str, Any] = {"lengths": _lengths(source)}
-    summary |= asdict(survey(target, progress=part_of(progress, 0.0, 0.95)))
-    if out is not None:
-        from keepout.report import target_view
+    with results_in(out):
+        summary |= asdict(survey(target, progress=part_of(progress, 0.0, 0.95)))
+        if out is not None:
+            from keepout.report import target_view
 
-        make_folder(out)
-        picture = out / f"{target.name}.png"
-        target_view.draw_target(picture, target.name, target.vertices, target.faces)
-        summary["picture"] = str(picture)
+            picture = out / f"{target.name}.png"
+            target_view.draw_target(picture, target.name, target.vertices, target.faces)
+            summary["picture"] = str(picture)
     progress(1.0, "")
     return summary
 

@@ -86,8 +86,7 @@ def explore(
         KeepoutError: something cannot be flown; the message names the entry, and nothing has been flown.
 
     """
-    if not isinstance(scenario, Scenario):
-        scenario = Scenario.load(scenario)
+    scenario = Scenario.of(scenario)
     return _Explorer(scenario, target, expected).flown(progress)
 
 

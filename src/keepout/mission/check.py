@@ -128,8 +128,7 @@ def check(
         MeshError: the mesh cannot be used.
 
     """
-    if not isinstance(scenario, Scenario):
-        scenario = Scenario.load(scenario)
+    scenario = Scenario.of(scenario)
     progress(0.0, "target")
     target = load_target(scenario.target) if target is None else target
     words = in_words(scenario, target)

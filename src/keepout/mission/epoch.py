@@ -11,6 +11,8 @@ from typing import Any
 _FORM = re.compile(r"(\d{4}-(?:\d\d-\d\d|\d{3})T\d\d:\d\d:\d\d)(?:\.(\d*))?Z?", re.ASCII)
 _NANOSECONDS = 1_000_000_000
 _ORIGIN = datetime.datetime(1970, 1, 1)
+_FURTHEST = 2**63 // _NANOSECONDS
+"""Seconds from there, about 292 years: further on, nanoseconds are more than 64 bits count."""
 
 _JUNE = (1972, 1981, 1982, 1983, 1985, 1992, 1993, 1994, 1997, 2012, 2015)
 _DECEMBER = (1972, 1973, 1974, 1975, 1976, 1977, 1978, 1979, 1987, 1989, 1990, 1995, 1998, 2005, 2008, 2016)
@@ -28,7 +30,8 @@ def parse_instant(text: str) -> int:
     Digits beyond the nanosecond are rounded.
 
     Raises:
-        ValueError: not such an instant, or within a leap second; the message leaves the text to the caller.
+        ValueError: not such an instant, within a leap second, or too far from 1970 for 64 bits; the message leaves the
+            text to the caller.
 
     """
     found = _FORM.fullmatch(text.strip())
@@ -45,6 +48,8 @@ def parse_instant(text: str) -> int:
         seconds = (read - _ORIGIN) // datetime.timedelta(seconds=1)
     except ValueError:
         raise ValueError("must be a day and time that there are") from None
+    if not abs(seconds) < _FURTHEST:
+        raise ValueError("must lie from 1677-09-22 to 2262-04-11: nanoseconds are counted in 64 bits")
     return seconds * _NANOSECONDS + round(float(f"0.{digits or 0}") * _NANOSECONDS)
 
 
