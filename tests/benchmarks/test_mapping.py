@@ -20,7 +20,7 @@ def test_numpy_frees_cubes_that_the_map_frees_and_some():
     view = mapping.view_towards(np.array([0.0, -6.5, 0.5]), np.zeros(3), known.bounds)
     before = known.free.copy()
     freed = mapping.freed_by_numpy(known, view)
-    known.see(view)
+    known.open(view)
     assert len(freed) > 100
     before[tuple(freed.T)] = True
     np.testing.assert_array_equal(before, known.free)
