@@ -49,6 +49,10 @@ def test_every_scenario_command_has_help_with_an_example(command, monkeypatch, c
 
 
 USAGE = 2
+AUDIT = (
+    *("audit", "--target", "box", "--chaser", "a.oem", "--target-orbit", "b.oem"),
+    *("--chaser-radius", "0.5", "--acceleration-bound", "0.1"),
+)
 
 
 @pytest.mark.parametrize(
@@ -87,6 +91,8 @@ USAGE = 2
         (("export", "absent.npz", "--to", "oem", "--of", "moon", "-o", "a.oem"), "moon"),
         (("export", "absent.txt", "--to", "oem", "-o", "a.oem"), "absent.txt"),
         (("audit", "--target", "box", "--chaser", "a"), "--target-orbit"),
+        ((*AUDIT, "--target-fixed-in", "ecef"), "ecef"),
+        ((*AUDIT, "--target-scale", "-1"), "--target-scale"),
         (("targets", "--seed", "-1"), "-1"),
     ],
 )
