@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from truths.command_line import keepout_command
 
 from keepout.cli.options import ORDER
 
@@ -216,6 +217,19 @@ def test_campaign_compare(folder, campaign):
 def test_campaign_replay(folder, campaign):
     said = answer(folder, "campaign", "replay", "runs", "--run", "1", "--no-figures", "--json")
     assert (said["equal"], said["differences"]) == (True, {})
+
+
+def test_without_json_a_person_is_told(folder, flown, campaign, monkeypatch):
+    monkeypatch.chdir(folder)
+    for command, said in (
+        (("replay", flown["flight"], "-o", "third.html"), ("open third.html",)),
+        (("campaign", "report", "runs"), ("no contact", "open runs/index.html")),
+        (("campaign", "compare", "runs", "runs", "-o", "told"), ("open told/index.html",)),
+    ):
+        told = keepout_command(*command)
+        assert told.code == 0
+        assert "keepout:" not in told.err
+        assert all(words in told.out for words in said)
 
 
 def test_rare(folder):
