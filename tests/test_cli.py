@@ -1,7 +1,6 @@
 """The command line as a user meets it: one-line refusals, JSON on standard output, help with an example."""
 
 import importlib
-import json
 import shutil
 import subprocess
 import sys
@@ -49,6 +48,10 @@ def test_every_scenario_command_has_help_with_an_example(command, monkeypatch, c
 
 
 USAGE = 2
+AUDIT = (
+    *("audit", "--target", "box", "--chaser", "a.oem", "--target-orbit", "b.oem"),
+    *("--chaser-radius", "0.5", "--acceleration-bound", "0.1"),
+)
 
 
 @pytest.mark.parametrize(
@@ -87,6 +90,8 @@ USAGE = 2
         (("export", "absent.npz", "--to", "oem", "--of", "moon", "-o", "a.oem"), "moon"),
         (("export", "absent.txt", "--to", "oem", "-o", "a.oem"), "absent.txt"),
         (("audit", "--target", "box", "--chaser", "a"), "--target-orbit"),
+        ((*AUDIT, "--target-fixed-in", "ecef"), "ecef"),
+        ((*AUDIT, "--target-scale", "-1"), "--target-scale"),
         (("targets", "--seed", "-1"), "-1"),
     ],
 )
@@ -211,23 +216,9 @@ def test_a_file_that_cannot_be_written_is_refused_before_the_work(command, name,
     assert not list(folder.iterdir())
 
 
-def test_targets_as_json(monkeypatch, capsys):
-    assert run(monkeypatch, "targets", "--json") == 0
-    rows = json.loads(capsys.readouterr().out)["targets"]
-    by_name = {row["name"]: row for row in rows}
-    assert {"intelsat30", "box", "sphere", "pocket"} <= by_name.keys()
-    assert by_name["intelsat30"]["triangles"] > 100
-
-
 def test_version(monkeypatch, capsys):
     assert run(monkeypatch, "--version") == 0
     assert capsys.readouterr().out.startswith("keepout ")
-
-
-def test_a_folder_that_cannot_be_made_is_told_before_anything_is_drawn(monkeypatch, capsys, tmp_path):
-    (tmp_path / "taken").write_text("", encoding="utf-8")
-    assert run(monkeypatch, "targets", "--pictures", tmp_path / "taken") == 1
-    assert f"{tmp_path / 'taken'}: cannot be made a folder" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from truths.command_line import keepout_command
 
 from keepout.cli.options import ORDER
 
@@ -192,7 +193,7 @@ def test_export_and_audit(folder, flown):
         assert said["file"] == f"{craft}.oem"
     files = ("--chaser", "chaser.oem", "--target-orbit", "target.oem", "--chaser-radius", "0.4")
     said = answer(folder, "audit", "--target", "box", *files, "--acceleration-bound", "0.02", "--json")
-    assert said["contact"] == flown["contact_verdict"] == "no"
+    assert (said["contact"], flown["contact_verdict"]) == (False, "no")
 
 
 def test_campaign_fly(folder, campaign):
@@ -216,6 +217,19 @@ def test_campaign_compare(folder, campaign):
 def test_campaign_replay(folder, campaign):
     said = answer(folder, "campaign", "replay", "runs", "--run", "1", "--no-figures", "--json")
     assert (said["equal"], said["differences"]) == (True, {})
+
+
+def test_without_json_a_person_is_told(folder, flown, campaign, monkeypatch):
+    monkeypatch.chdir(folder)
+    for command, said in (
+        (("replay", flown["flight"], "-o", "third.html"), ("open third.html",)),
+        (("campaign", "report", "runs"), ("no contact", "open runs/index.html")),
+        (("campaign", "compare", "runs", "runs", "-o", "told"), ("open told/index.html",)),
+    ):
+        told = keepout_command(*command)
+        assert told.code == 0
+        assert "keepout:" not in told.err
+        assert all(words in told.out for words in said)
 
 
 def test_rare(folder):

@@ -414,17 +414,6 @@ def test_a_place_that_cannot_be_written_is_named_in_one_line(place, flown, kept,
     assert not [path.name for path in out.iterdir() if path.name.startswith(".")]
 
 
-@pytest.mark.parametrize("command", [("fly", "mission.toml"), ("campaign", "mission.toml"), ("reproduce", "case1")])
-def test_a_file_in_place_of_the_folder_is_named_before_anything_is_flown(place, certified, command):
-    (place / "taken").write_text("not a folder", encoding="utf-8")
-    answer = keepout_command(*command, "-o", "taken")
-    assert answer.code == 1
-    assert answer.out == ""
-    assert answer.err.count("\n") == 1
-    assert "taken" in answer.err
-    assert (place / "taken").read_text(encoding="utf-8") == "not a folder"
-
-
 def test_a_refused_certificate_leaves_the_field_as_it_was(place, certified):
     before = (place / "box.keepout").read_bytes()
     for wrong in (("--mesh", "sphere"), ("--chaser-radius", "50")):

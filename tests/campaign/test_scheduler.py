@@ -48,7 +48,7 @@ def test_without_dask_the_line_that_installs_it_is_named(monkeypatch):
 def test_the_command_refuses_in_a_line_before_it_builds_anything(tmp_path):
     example = Path(__file__).parents[2] / "examples" / "case1.toml"
     answer = keepout_command("campaign", example, "-o", tmp_path / "out", "--scheduler", "host:8786")
-    assert answer.code == 1
+    assert answer.code == 2
     assert "scheduler: 'host:8786' is not valid; valid are tcp://HOST:PORT" in " ".join(answer.err.split())
     assert not (tmp_path / "out").exists()
 

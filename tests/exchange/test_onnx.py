@@ -135,20 +135,20 @@ def test_a_graph_that_is_wrong_is_measured_so(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "said", "code"),
     [
-        (("--to", "czml"), "--to czml: valid for a field: onnx, glb"),
-        (("--to", "onnx"), "--chaser-radius: the field has certificates for 0, 0.5 m; name one of them"),
-        (("--to", "onnx", "--chaser-radius", "0.7"), "chaser radius 0.7 m"),
-        (("--to", "onnx", "--xml"), "--xml: only for --to oem and --to aem, not --to onnx"),
-        (("--to", "onnx", "--of", "chaser"), "--of: only for --to oem"),
-        (("--to", "onnx", "--mesh", "box"), "--mesh: only for --to glb"),
-        (("--to", "glb", "--mesh", "box", "--chaser-radius", "0"), "--mesh: the field was made for intelsat30"),
+        (("--to", "czml"), "--to czml: valid for a field: onnx, glb", 2),
+        (("--to", "onnx"), "--chaser-radius: the field has certificates for 0, 0.5 m; name one of them", 1),
+        (("--to", "onnx", "--chaser-radius", "0.7"), "chaser radius 0.7 m", 1),
+        (("--to", "onnx", "--xml"), "--xml: only for --to oem and --to aem, not --to onnx", 2),
+        (("--to", "onnx", "--of", "chaser"), "--of: only for --to oem", 2),
+        (("--to", "onnx", "--mesh", "box"), "--mesh: only for --to glb", 2),
+        (("--to", "glb", "--mesh", "box", "--chaser-radius", "0"), "--mesh: the field was made for intelsat30", 1),
     ],
 )
-def test_what_cannot_be_exported_of_a_field(arguments, said, tmp_path):
+def test_what_cannot_be_exported_of_a_field(arguments, said, code, tmp_path):
     answer = keepout_command("export", shipped_path("intelsat30"), *arguments, "-o", tmp_path / "a")
-    assert answer.code == 1
+    assert answer.code == code
     assert said in answer.err
     assert answer.err.count("\n") == 1
     assert not list(tmp_path.iterdir())

@@ -70,6 +70,9 @@ def audit_of_files(
     from keepout.exchange.audited import audit_files
     from keepout.mission.target import load_target
 
+    fixed_in = files.get("fixed_in")
+    if fixed_in not in (None, "vvlh", "inertial"):
+        raise UsageError(f"--target-fixed-in {fixed_in}: valid: vvlh, inertial")
     entry = _audited_target(target, placed)
     told = entry.centre_of_mass if "centre_of_mass" in entry.model_fields_set else None
     centre = told if centre_of_mass is None else centre_of_mass
