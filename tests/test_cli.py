@@ -1,14 +1,21 @@
 """The command line as a user meets it: one-line refusals, JSON on standard output, help with an example."""
 
+import importlib
 import json
+import shutil
 import subprocess
 import sys
 import warnings
+from pathlib import Path
 
 import pytest
 
 from keepout import cli
 from keepout.commands import mesh
+from keepout.fields.model import FieldModel
+
+REPOSITORY = Path(__file__).parents[1]
+CASE = REPOSITORY / "examples" / "case1.toml"
 
 COMMANDS = (
     *("targets", "describe", "fit", "certify", "measure", "fly", "explore", "inspect"),
@@ -41,44 +48,167 @@ def test_every_scenario_command_has_help_with_an_example(command, monkeypatch, c
     assert f"keepout scenario {command}" in text
 
 
+USAGE = 2
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
         (("nonsense",), "nonsense"),
         (("fly",), "scenario"),
-        (("fly", "absent.toml"), "absent.toml"),
-        (("scenario", "check", "absent.toml"), "absent.toml"),
+        (("fly", "a.toml", "--nonsense"), "--nonsense"),
+        (("fly", "a.toml", "--seed", "1.5"), "--seed"),
+        (("fly", "a.toml", "--seed", "4294967296"), "4294967296"),
         (("scenario", "nonsense"), "nonsense"),
-        (("fit", "absent.glb", "-o", "out.keepout"), "absent.glb"),
-        (("fit", "box", "-o", "absent-folder/out.keepout"), "absent-folder"),
+        (("scenario", "new", "-o", "mission.yaml"), ".toml"),
+        (("scenario", "new", "--profile", "papre"), "papre"),
+        (("scenario", "new", "--units", "cm"), "--for"),
         (("fit", "box", "-o", "out.keepout", "--profile", "papre"), "papre"),
         (("fit", "box", "-o", "out.keepout", "--units", "furlong"), "furlong"),
+        (("fit", "box", "-o", "out.keepout", "--chaser-radius", "nan"), "nan"),
+        (("fit", "box", "-o", "out.keepout", "--chaser-radius", "inf"), "inf"),
         (("fit", "box", "-o", "out.txt"), ".keepout"),
-        (("certify", "absent.keepout"), "absent.keepout"),
         (("certify", "field.keepout", "--chaser-radius", "-1"), "-1"),
-        (("measure", "absent.keepout"), "absent.keepout"),
         (("measure", "pocket", "--shipped"), "'pocket': there is none"),
         (("measure", "box"), "box is not a .keepout file; `keepout describe box`"),
-        (("describe", "absent.glb"), "absent.glb"),
         (("describe", "box.keepout"), "box.keepout is a field; `keepout measure box.keepout`"),
         (("describe", "box", "--scale", "-1"), "keepout: --scale: -1"),
+        (("replay", "a.parquet", "-o", "page.txt"), ".html"),
         (("campaign", "absent.toml", "--runs", "0"), "0"),
+        (("campaign", "absent.toml", "--runs", "1000000001"), "1000000001"),
+        (("campaign", CASE, "--keep", "best:3"), "best:3"),
+        (("campaign", CASE, "--scheduler", "near"), "near"),
         (("rare", "absent.toml", "--runs", "1"), "1"),
         (("rare", "absent.toml", "--flights", "8"), "8"),
+        (("rare", "absent.toml", "--flights", "100"), "multiple of 8"),
+        (("rare", "absent.toml", "--below", "nan"), "nan"),
         (("reproduce", "case7"), "case1"),
-        (("export", "absent.npz", "--to", "oem", "-o", "a.oem"), "absent.npz"),
+        (("export", "absent.npz", "--to", "omm", "-o", "a.oem"), "omm"),
+        (("export", "absent.npz", "--to", "oem", "--of", "moon", "-o", "a.oem"), "moon"),
+        (("export", "absent.txt", "--to", "oem", "-o", "a.oem"), "absent.txt"),
         (("audit", "--target", "box", "--chaser", "a"), "--target-orbit"),
         (("targets", "--seed", "-1"), "-1"),
     ],
 )
-def test_bad_input_is_one_line_and_a_non_zero_exit(arguments, said, monkeypatch, capsys, tmp_path):
+def test_a_command_that_cannot_be_meant_is_one_line_and_exit_code_2(arguments, said, monkeypatch, capsys, tmp_path):
+    assert refused(arguments, said, monkeypatch, capsys, tmp_path) == USAGE
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("fly", "absent.toml"), "absent.toml"),
+        (("scenario", "check", "absent.toml"), "absent.toml"),
+        (("fit", "absent.glb", "-o", "out.keepout"), "absent.glb"),
+        (("fit", "box", "-o", "absent-folder/out.keepout"), "absent-folder"),
+        (("certify", "absent.keepout"), "absent.keepout"),
+        (("measure", "absent.keepout"), "absent.keepout"),
+        (("describe", "absent.glb"), "absent.glb"),
+        (("describe", "absent.glb", "-o", "picture"), "absent.glb"),
+        (("measure", "absent.keepout", "-o", "picture"), "absent.keepout"),
+        (("campaign", "absent.toml", "-o", "runs"), "absent.toml"),
+        (("campaign", "compare", "a", "b", "-o", "compared"), "campaign.json"),
+        (("campaign", "report", "a"), "campaign.json"),
+        (("campaign", "replay", "a", "--run", "3", "-o", "run"), "campaign.json"),
+        (("rare", "absent.toml", "-o", "rare"), "absent.toml"),
+        (("replay", "absent.parquet", "-o", "page/replay.html"), "absent.parquet"),
+        (("reproduce", "case1", "--fields", "absent", "-o", "paper"), "absent"),
+        (("export", "absent.npz", "--to", "oem", "-o", "a.oem"), "absent.npz"),
+    ],
+)
+def test_what_is_refused_is_one_line_and_exit_code_1(arguments, said, monkeypatch, capsys, tmp_path):
+    assert refused(arguments, said, monkeypatch, capsys, tmp_path) == 1
+
+
+def refused(arguments, said, monkeypatch, capsys, tmp_path) -> int:
     monkeypatch.chdir(tmp_path)
-    assert run(monkeypatch, *arguments) != 0
+    code = run(monkeypatch, *arguments)
     output = capsys.readouterr()
     assert output.out == ""
     assert said in output.err
     assert output.err.count("\n") == 1
     assert not list(tmp_path.iterdir()), "a refused command leaves nothing behind"
+    return code
+
+
+@pytest.mark.parametrize(
+    ("mission", "command"),
+    [
+        ("[faults]\ndropped = 0.0", ("rare", "mission.toml", "-o", "out/deep")),
+        ("[goal]\nposition = [0.0, 0.0, 0.0]", ("fly", "mission.toml", "-o", "out/deep")),
+        ("[goal]\nposition = [0.0, 0.0, 0.0]", ("campaign", "mission.toml", "-o", "out/deep")),
+    ],
+)
+@pytest.mark.long
+def test_a_mission_that_is_refused_leaves_no_folder(mission, command, monkeypatch, capsys, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    settings = 'duration = 5.0\ncontrol.guidance = "straight"\nguard.enabled = false\n'
+    (tmp_path / "mission.toml").write_text(settings + mission)
+    assert run(monkeypatch, *command) == 1
+    assert capsys.readouterr().err.splitlines()[-1].startswith("keepout: ")
+    assert [path.name for path in tmp_path.iterdir()] == ["mission.toml"]
+
+
+def working(*_, **__):
+    raise AssertionError("worked before it tried where the result is to go")
+
+
+@pytest.mark.parametrize("nowhere", ["/proc", "/proc/new", "/proc/self/new/folder"])
+@pytest.mark.parametrize(
+    ("command", "work"),
+    [
+        (("targets", "--pictures"), "keepout.geometry.shape:enclosed_volume"),
+        (("describe", "box", "-o"), "keepout.geometry.survey:survey"),
+        (("measure", "intelsat30", "--shipped", "-o"), "keepout.measures.field_measures:measure_model"),
+        (("fly", "mission.toml", "-o"), "keepout.mission.flight:fly"),
+        (("explore", "explore.toml", "-o"), "keepout.exploring.explore:explore"),
+        (("inspect", "mission.toml", "-o"), "keepout.inspecting.inspect:inspect"),
+        (("campaign", "mission.toml", "-o"), "keepout.campaign.plan:Workshop"),
+        (("campaign", "compare", "a", "b", "-o"), "keepout.report.comparison_page:read_campaign"),
+        (("rare", "mission.toml", "-o"), "keepout.rare_events.event:rare"),
+        (("reproduce", "runtime", "-o"), "keepout.experiments:side_by_side"),
+    ],
+)
+@pytest.mark.long
+def test_a_folder_that_cannot_be_written_to_is_refused_before_the_work(
+    command, work, nowhere, monkeypatch, capsys, tmp_path
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mission.toml").write_text("duration = 5.0")
+    shutil.copy(REPOSITORY / "examples" / "explore.toml", tmp_path)
+    module, _, name = work.partition(":")
+    monkeypatch.setattr(importlib.import_module(module), name, working)
+    assert run(monkeypatch, *command, nowhere) == 1
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert said.startswith(f"keepout: {nowhere}")
+    assert "cannot be" in said
+
+
+@pytest.mark.parametrize(
+    ("command", "name", "work"),
+    [
+        (("fit", "box", "-o"), "box.keepout", "keepout.learning.training:fit"),
+        (("scenario", "new", "--for", "box", "-o"), "mission.toml", "keepout.mission.draft:draft"),
+        (("scenario", "schema", "-o"), "schema.json", "keepout.mission.schema:schema"),
+        (("replay", "a.parquet", "-o"), "page.html", "keepout.replay.flights:of_files"),
+        (("export", "a.parquet", "--to", "oem", "-o"), "a.oem", "keepout.exchange.export:export_flight"),
+        (("certify",), "box.keepout", "keepout.proof.certificate:certify"),
+    ],
+)
+@pytest.mark.long
+def test_a_file_that_cannot_be_written_is_refused_before_the_work(command, name, work, monkeypatch, capsys, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    module, _, worker = work.partition(":")
+    monkeypatch.setattr(importlib.import_module(module), worker, working)
+    monkeypatch.setattr(FieldModel, "load", staticmethod(lambda *_, **__: None))
+    folder = tmp_path / name
+    for place in (folder,) if command == ("certify",) else (folder, Path("/proc") / name):
+        folder.mkdir(exist_ok=True)
+        assert run(monkeypatch, *command, place, *(("--force",) if "new" in command else ())) == 1
+        said = capsys.readouterr().err.splitlines()[-1]
+        assert said.startswith(f"keepout: {place}: cannot be written: ")
+    assert list(tmp_path.iterdir()) == [folder]
+    assert not list(folder.iterdir())
 
 
 def test_targets_as_json(monkeypatch, capsys):

@@ -5,6 +5,10 @@ class KeepoutError(ValueError):
     """A refusal with a one-line reason that names the field or file, the value, and what would be valid."""
 
 
+class UsageError(KeepoutError):
+    """A value of a command's option or argument that is none of those that it takes, whatever files there are."""
+
+
 class MeshError(KeepoutError):
     """A mesh or point cloud that cannot give a distance."""
 

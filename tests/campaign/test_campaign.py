@@ -156,6 +156,24 @@ def test_a_torn_or_foreign_part_is_flown_again(plan, flown, tmp_path):
     assert dataset.bands().to_bytes() == flown[0].bands().to_bytes()
 
 
+def test_a_resumed_campaign_counts_from_where_the_folder_stands(scenario, tmp_path):
+    plan = Plan.of(scenario.replace(goal={"tolerance": 12.0}, campaign={"runs": 12}), batch=BATCH)
+    dataset, told = Dataset.begin(tmp_path, plan), []
+    for number in range(plan.chunks - 1):
+        dataset.write(fly_chunk(plan, number))
+    fly_campaign(plan, dataset, told=told.append)
+    rows, (first, _) = dataset.table(["reached", "contact"]).to_pylist(), plan.chunk_runs(plan.chunks - 1)
+    for standing, done in ((told[0], rows[:first]), (told[-1], rows)):
+        assert standing.done == len(done)
+        assert standing.reached == sum(row["reached"] is True for row in done) > 0
+        assert standing.contacts == sum(row["contact"] not in (None, "no") for row in done)
+    assert (told[0].flown, told[0].rate, told[0].seconds_left) == (0, 0.0, None)
+    assert told[-1].flown <= 12 - first
+    complete = []
+    fly_campaign(plan, dataset, told=complete.append)
+    assert [(one.done, one.reached, one.flown) for one in complete] == [(12, told[-1].reached, 0)]
+
+
 def test_a_folder_of_another_campaign_is_refused_with_what_differs(scenario, flown):
     other = Plan.of(scenario.replace(seed=1, chaser={"radius": 0.5}), batch=BATCH)
     with pytest.raises(ScenarioError, match="holds another campaign: seed is 0 there and 1 here; give another folder"):

@@ -1,5 +1,7 @@
 """AEM files: Q1, Q2, Q3, QC turn frame A into frame B, in the standard's order, whoever reads or writes them."""
 
+import re
+
 import numpy as np
 import pytest
 from lxml import etree
@@ -44,6 +46,8 @@ DATA_START
 1996-11-30T01:28:02.5555 0.74563 -0.45375 0.36875 0.31964
 DATA_STOP
 """
+WITH_USEABLE_TIMES = FIRST_EDITION
+FIRST_EDITION = re.sub(r"USEABLE.*\n", "", FIRST_EDITION)
 SECOND_EDITION = (
     FIRST_EDITION.replace("VERS = 1.0", "VERS = 2.0")
     .replace("ATTITUDE_DIR = A2B\n", "")
@@ -100,6 +104,12 @@ def test_the_first_edition_may_put_the_scalar_first_and_turn_round(tmp_path):
     assert np.abs(read_text(tmp_path, first).quaternion - PRINTED).max() < 1e-5
     back = read_text(tmp_path, FIRST_EDITION.replace("A2B", "B2A"))
     assert (back.frame_a, back.frame_b) == ("SC_BODY_1", "EME2000")
+
+
+def test_rows_outside_the_useable_times_are_left_out(tmp_path):
+    attitude = read_text(tmp_path, WITH_USEABLE_TIMES)
+    assert attitude.unuseable == 2
+    assert np.abs(attitude.quaternion - PRINTED[1:3]).max() < 1e-5
 
 
 def test_the_standards_quaternion_is_scipys_from_b_to_a():

@@ -2,6 +2,7 @@
 
 import contextlib
 import datetime
+import re
 
 import jax
 import jax.numpy as jnp
@@ -97,8 +98,14 @@ def test_numbers_and_epochs_come_back_as_they_were(tmp_path_factory, numbers, se
     write_oem(orbit, comments=["of a test"], xml=xml)
     back = read_oem(path)
     assert np.array_equal(back.epochs, epochs)
-    assert np.allclose(back.position, orbit.position, rtol=3e-16, atol=1e-300)
-    assert np.allclose(back.velocity, orbit.velocity, rtol=3e-16, atol=1e-300)
+    assert np.allclose(back.position, orbit.position, rtol=1e-15, atol=1e-300)
+    assert np.allclose(back.velocity, orbit.velocity, rtol=1e-15, atol=1e-300)
+    assert (np.linalg.norm(back.position - orbit.position, axis=1) <= back.position_error).all()
+    assert (np.linalg.norm(back.velocity - orbit.velocity, axis=1) <= back.velocity_error).all()
+    # CCSDS 502.0-B allows a number 16 digits.
+    mantissas = re.findall(r"(-?\d\.\d+)e[+-]\d+", path.read_text())
+    assert len(mantissas) == 12
+    assert max(len(mantissa.lstrip("-").replace(".", "")) for mantissa in mantissas) <= 16
     assert (back.name, back.centre, back.frame, back.time_system) == ("A", "EARTH", "GCRF", "TAI")
 
 
@@ -150,6 +157,8 @@ COV_REF_FRAME = RTN
 COVARIANCE_STOP
 """
 """After the examples of an OEM printed in annex G of CCSDS 502.0-B."""
+STANDARD_USEABLE = STANDARD
+STANDARD = re.sub(r"USEABLE.*\n", "", STANDARD)
 
 
 def test_an_example_after_the_standard_is_read(tmp_path):
@@ -162,6 +171,11 @@ def test_an_example_after_the_standard_is_read(tmp_path):
     first = datetime.datetime(1996, 12, 18, 12, 0, 0, 331_000, tzinfo=datetime.UTC)
     assert orbit.epochs[0] == round(first.timestamp() * 1000) * 1_000_000
     assert len(orbit.epochs) == 6
+    # With the useable times printed there, none of the first segment's rows that are shown may be used.
+    path.write_text(STANDARD_USEABLE)
+    useable = read_oem(path)
+    assert useable.unuseable == 4
+    assert np.array_equal(useable.epochs, orbit.epochs[4:])
 
 
 @pytest.mark.parametrize(
@@ -178,7 +192,7 @@ def test_an_example_after_the_standard_is_read(tmp_path):
         ),
         ("2783.419", "2783.4l9", "holds '2783.4l9'; it must be a finite number"),
         ("2783.419", "nan", "holds 'nan'; it must be a finite number"),
-        ("-308.143 -1877.071 5.18604 -2.42124 -1.99608", "-308.143", "has 2 numbers; it must have 6"),
+        ("-308.143 -1877.071 5.18604 -2.42124 -1.99608", "-308.143", "has 2 numbers; it must have 6 or 9"),
         ("12:01:00.331 ", "11:01:00.331 ", "EPOCH 1996-12-18T11:01:00.331 does not come after"),
         ("12:01:00.331 ", "12:01:60.331 ", "EPOCH '1996-12-18T12:01:60.331' lies within a leap second"),
         ("1996-12-18T12:01:00.331 ", "yesterday ", "EPOCH 'yesterday' must be an instant"),
@@ -190,6 +204,25 @@ def test_an_example_after_the_standard_is_read(tmp_path):
         ),
         ("STOP_TIME = 1996-12-28T21:28:00.331", "STOP_TIME = never", "STOP_TIME 'never' must be an instant"),
         ("OBJECT_ID = 1996-062A", "OBJECT_NAME = X", "OBJECT_NAME must stand there once"),
+        ("OBJECT_ID = 1996-062A\n", "", "OBJECT_ID is missing"),
+        ("START_TIME = 1996-12-18T12:00:00.331\n", "", "START_TIME is missing"),
+        (
+            "START_TIME = 1996-12-18T12:00",
+            "START_TIME = 1996-12-18T11:00",
+            "but the first row is of 1996-12-18T12:00:00",
+        ),
+        ("2783.419", "2_783.419", "holds '2_783.419'; it must be a finite number"),
+        ("2783.419", "2783.419d0", "holds '2783.419d0'; it must be a finite number"),
+        ("2783.419", "0e999", "holds '0e999'; it must be a finite number"),
+        ("2783.419", "\u0662\u0667\u0668\u0663.419", "only ASCII may stand there"),
+        ("12:01:00.331 ", "12:01:0\u0660.331 ", "only ASCII may stand there"),
+        ("COMMENT This file", "COMMENT\nMETA_START\nCOMMENT This file", "a keyword = value must stand there"),
+        ("1996-12-18T12:01:00.331 ", "9999-12-18T12:01:00.331 ", "must lie between 1824 and 2116"),
+        (
+            "1996-12-28T21:28:00.331 -3881.024 563.959 -682.773 -3.28827 -3.66735 1.63861",
+            "1996-12-28T21:28:00.331 -3881.024 563.959 -682.773 -3.28827 -3.66735 1.63861 1.0",
+            "has 7 numbers; it must have 6 or 9",
+        ),
     ],
 )
 def test_damage_is_one_line_that_names_it(tmp_path, old, new, said):
@@ -214,7 +247,7 @@ def test_damage_is_one_line_that_names_it(tmp_path, old, new, said):
         (
             b"<oem version='3.0'><body><segment><metadata/><data><stateVector><EPOCH>2020-01-01T00:00:00</EPOCH>"
             b"</stateVector></data></segment></body></oem>",
-            "a stateVector has no X",
+            "a stateVector has no X; it must have one each of",
         ),
     ],
 )

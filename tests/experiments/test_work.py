@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from keepout import experiments
-from keepout.errors import KeepoutError, ScenarioError
+from keepout.errors import KeepoutError, ScenarioError, UsageError
 from keepout.experiments.part import Part, Table
 from keepout.experiments.work import Work
 from keepout.report.reproduction import Drawing
@@ -93,7 +93,7 @@ def test_a_run_leaves_a_page_its_tables_and_its_figures(tmp_path, monkeypatch):
 
 def test_an_unknown_part_names_those_that_there_are(tmp_path, monkeypatch):
     monkeypatch.setattr(experiments, "PARTS", {"small": small})
-    with pytest.raises(ScenarioError, match="'case7' is not known; valid: all, small"):
+    with pytest.raises(UsageError, match="'case7' is not known; valid: all, small"):
         experiments.reproduce(["case7"], tmp_path / "out")
     assert not (tmp_path / "out").exists()
 

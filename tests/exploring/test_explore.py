@@ -8,6 +8,8 @@ from keepout.errors import KeepoutError
 from keepout.exploring.explore import explore
 from keepout.geometry.mesh_report import Surface, describe
 from keepout.geometry.target import Target
+from keepout.guard.status import GuardFlag, GuardStatus
+from keepout.mapping import map_file
 from keepout.mission.scenario import Scenario
 
 SCENARIO = {
@@ -47,7 +49,8 @@ def test_a_goal_behind_an_unknown_body_is_reached_without_touching_it(to_goal):
     assert to_goal.outcome == "reached goal", to_goal.why
     assert to_goal.audit.contact is Contact.NO
     assert to_goal.start_certified
-    assert to_goal.assumptions_broken == ()
+    assert to_goal.assumptions_broken == to_goal.map.assumptions_broken == ()
+    assert to_goal.summary()["contradicting_returns"] == 0
     end = to_goal.record.position[-1]
     assert np.linalg.norm(end - [-3.2, 0.2, 0.4]) < 0.15
     # Truth from elsewhere: distances of the recorded samples to the crate as a box.
@@ -136,10 +139,61 @@ def test_a_target_that_is_not_where_it_was_expected_is_reported(to_goal):
 def test_a_target_beyond_its_ball_and_broken_promises_are_named():
     found = explore(scenario(map={"radius": 1.6}, start={"position": [4.5, 0.2, 0.1]}, duration=60.0), target=crate())
     assert any("map.radius 1.6" in line for line in found.assumptions_broken)
+    assert any("outside the declared ball" in line for line in found.assumptions_broken)
     assert not found.start_certified
     late = explore(scenario(depth_sensor={"broken": "late"}, duration=60.0), target=crate())
     assert any("late" in line for line in late.assumptions_broken)
     assert not late.start_certified
+    for flown in (found, late):
+        assert flown.outcome == "contradicted"
+        assert flown.views[-1].contradicting > 0
+        assert set(flown.assumptions_broken) >= set(flown.map.broken)
+
+
+def wired():
+    """The crate with a wire of a millimetre, 3 m long, along x."""
+    body, wire = crate(), crate(size=(3.0, 0.001, 0.001), at=(3.0, 0.0, 0.0))
+    surface = Surface(
+        np.concatenate([body.vertices, wire.vertices]), np.concatenate([body.faces, wire.faces + len(body.vertices)])
+    )
+    return Target("wired", surface.vertices, surface.faces, describe(surface))
+
+
+@pytest.fixture(scope="module")
+def along_a_wire():
+    return explore(scenario(start={"position": [7.5, 0.0, 0.0]}), target=wired())
+
+
+@pytest.mark.long
+def test_a_wire_that_no_ray_meets_is_named_and_what_is_seen_of_it_ends_the_flight(along_a_wire):
+    found = along_a_wire
+    assert any("assumption A1 (width 0.1 m) is broken" in line for line in found.assumptions_broken)
+    assert not found.start_certified
+    assert found.outcome == "contradicted", found.why
+    assert found.views[-1].status == "contradicted"
+    assert found.views[-1].opened == 0
+    assert found.summary()["contradicting_returns"] == found.map.contradicting > 0
+    assert found.record.header["contradicting_returns"] == found.map.contradicting
+    assert found.audit.contact is Contact.NO
+    # It held, by the guard's flag, came to rest, and went back to where it began.
+    record, status = found.record, found.record.guard_status
+    flagged = np.flatnonzero(status & GuardFlag.CONTRADICTED)
+    assert record.time[flagged[0]] == found.views[-1].time
+    assert np.array_equal(flagged, np.arange(flagged[0], flagged[-1] + 1))
+    assert status[flagged[-1]] & 3 == GuardStatus.HOLDING
+    assert np.linalg.norm(record.velocity[flagged[-1]]) < 0.01
+    assert np.linalg.norm(record.position[-1] - record.position[0]) < 0.6
+
+
+@pytest.mark.long
+def test_a_flight_by_a_map_that_was_contradicted_says_so(along_a_wire, tmp_path):
+    path = map_file.save(along_a_wire.map, tmp_path / "wired.keepmap")
+    again = explore(scenario(map={"file": str(path)}, duration=20.0), target=wired())
+    assert set(along_a_wire.map.assumptions_broken) <= set(again.assumptions_broken)
+    assert any(
+        line.startswith("map.file: ") and "hold a part of the target" in line for line in again.assumptions_broken
+    )
+    assert not again.start_certified
 
 
 @pytest.mark.parametrize(

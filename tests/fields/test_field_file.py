@@ -10,7 +10,7 @@ import safetensors.numpy
 from truths.networks import random_field
 
 from keepout.errors import FieldError
-from keepout.fields.model import Certificate, FieldModel
+from keepout.fields.model import Certificate, FieldModel, _digest
 from keepout.geometry.target import Target
 
 
@@ -167,14 +167,50 @@ def test_a_field_of_which_nothing_can_be_proved_is_refused_everywhere(tmp_path, 
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("error_bound", float("nan")), ("gradient_bound", -1.0), ("evaluation_error", float("inf"))],
+    [
+        ("error_bound", float("nan")),
+        ("error_bound", 0.029),  # found was 0.03
+        ("gradient_bound", -1.0),
+        ("gradient_found", 1.4),
+        ("evaluation_error", float("inf")),
+        ("chaser_radius", -0.5),
+        ("allowance", -0.01),
+    ],
 )
 def test_a_certificate_that_bounds_nothing_is_refused(tmp_path, monkeypatch, model, name, value):
     good = model.certificates[0]
-    with pytest.raises(FieldError, match=f"certificate: {name} is"):
+    shown = "gradient_bound is 1.3 and gradient_found" if name == "gradient_found" else f"{name} is"
+    with pytest.raises(FieldError, match=f"certificate: {shown}"):
         dataclasses.replace(good, **{name: value})
     with monkeypatch.context() as unchecked:
         unchecked.setattr(Certificate, "__post_init__", lambda self: None)
         model.with_certificate(dataclasses.replace(good, **{name: value})).save(tmp_path / "a.keepout")
-    with pytest.raises(FieldError, match=f"certificate: {name} is"):
+    with pytest.raises(FieldError, match=f"certificate: {shown}"):
         FieldModel.load(tmp_path / "a.keepout")
+
+
+def test_a_proof_has_no_allowance_and_a_radius_one_certificate(model):
+    good = model.certificates[0]
+    with pytest.raises(FieldError, match=r"allowance is 0\.01 m"):
+        dataclasses.replace(good, kind="certified")
+    with pytest.raises(FieldError, match=r"two are for the chaser radius 0\.5 m"):
+        dataclasses.replace(model, certificates=(good, good))
+
+
+@pytest.mark.parametrize("value", [True, "0.04", None, [0.04], 10**400])
+@pytest.mark.parametrize("name", ["error_bound", "chaser_radius"])
+def test_a_certificate_whose_numbers_are_none_is_refused(tmp_path, model, name, value):
+    """A file that something else wrote, with every digest right."""
+    path = tmp_path / "a.keepout"
+    model.save(path)
+    with safetensors.safe_open(path, framework="numpy") as file:
+        metadata = file.metadata()
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    header = json.loads(metadata["header"])
+    header["certificates"][0][name] = value
+    metadata |= {"header": json.dumps(header), "sha256": _digest(tensors, header)}
+    safetensors.numpy.save_file(tensors, path, metadata)
+    with pytest.raises(FieldError, match=name) as refusal:
+        FieldModel.load(path)
+    assert str(path) in str(refusal.value)
+    assert "\n" not in str(refusal.value)

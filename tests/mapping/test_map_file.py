@@ -13,9 +13,12 @@ from hypothesis import strategies as st
 from truths.depth_views import Ball, axes_towards, view_of
 
 from keepout.errors import MapError
+from keepout.geometry import Target
 from keepout.mapping import KnownFreeMap, Pinhole, SensorBounds, ViewStatus
 from keepout.mapping.map_file import fingerprint, load, save
 from keepout.mapping.map_file import settings as settings_of
+from keepout.mission.assumptions import broken_assumptions
+from keepout.mission.scenario import Scenario
 
 CAMERA = Pinhole(40, 30, math.radians(60.0))
 BOUNDS = SensorBounds(surely_returned_width=0.12)
@@ -40,6 +43,7 @@ def see(known, places):
 def same(one, two):
     assert settings_of(one) == settings_of(two)
     assert one.bounds == two.bounds
+    assert (one.broken, one.contradicting) == (two.broken, two.contradicting)
     for name in ("free", "squares", "return_keys", "origin", "_unknown"):
         np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
     assert [(s.time, *s.position, *s.axes.flat) for s in one.seen] == [
@@ -52,6 +56,31 @@ def test_a_map_reads_back_bit_for_bit(tmp_path, limit):
     known = see(begin(speed_limit=limit), PLACES)
     assert known.views == 4
     same(load(save(known, tmp_path / "a.keepmap"), name="bodies", spacing=0.1), known)
+
+
+def test_what_was_broken_when_it_was_made_reads_back(tmp_path):
+    known = see(begin(), PLACES)
+    known.broken, known.contradicting = ("depth_sensor.broken pose", "a wire"), 7
+    read = load(save(known, tmp_path / "a.keepmap"))
+    same(read, known)
+    assert "map: a wire" in read.assumptions_broken
+    assert any("7 returns" in line for line in read.assumptions_broken)
+    broken = Target.load(tmp_path / "a.keepmap").broken
+    assert broken == read.assumptions_broken
+    assert set(broken) <= set(broken_assumptions(Scenario(), Target.load(tmp_path / "a.keepmap")))
+
+
+def test_a_file_of_version_1_says_nothing_and_that_is_said(tmp_path):
+    def older(header, tensors):
+        header["version"] = 1
+        del header["broken"], header["contradicting"]
+
+    known = see(begin(), PLACES)
+    read = load(rewritten(save(known, tmp_path / "a.keepmap"), older))
+    assert np.array_equal(read.free, known.free)
+    [line] = read.assumptions_broken
+    assert "version 1" in line
+    assert load(save(read, tmp_path / "b.keepmap")).assumptions_broken == (line,)
 
 
 def test_an_empty_map_reads_back(tmp_path):
@@ -151,7 +180,9 @@ FOREIGN = {
     "no spacing": (_set("settings", "spacing", None), "misused"),
     "an endless grid": (_set("settings", "spacing", 1e-9), "spacing"),
     "settings that are a list": (_set("header", "settings", []), "misused"),
-    "a later version": (_set("header", "version", 2), "version 2"),
+    "a later version": (_set("header", "version", 3), "version 3"),
+    "a word for what was broken": (_set("header", "broken", "range"), "no list of lines"),
+    "a count below zero": (_set("header", "contradicting", -1), "no list of lines"),
     "fewer cubes": (_set("tensors", "free", np.zeros(5, dtype=np.uint8)), "cubes need"),
     "no free room outside the ball": (_set("tensors", "free", np.zeros(4096, dtype=np.uint8)), "outside the declared"),
     "returns beyond the box": (_set("tensors", "returns", np.array([2**60])), "map's box"),

@@ -12,8 +12,9 @@ from keepout.fields.model import FieldModel
 from keepout.geometry.first_hit import FirstHit
 from keepout.geometry.target import Target
 from keepout.mapping.known_free import KnownFreeMap
-from keepout.mapping.map_file import save
+from keepout.mapping.map_file import load, save
 from keepout.mission import environment
+from keepout.mission.build import prepare
 from keepout.mission.flight import fly
 from keepout.mission.scenario import Scenario
 from keepout.sensing.depth.camera import DepthCamera
@@ -117,3 +118,13 @@ def test_a_field_is_refused_for_the_map_that_has_grown_since(place, fitted, know
     save(grown, place / "grown.keepmap")
     with pytest.raises(FieldError, match="another target"):
         FieldModel.load(place / "box.keepout", target=Target.load(place / "grown.keepmap"))
+
+
+def test_a_mission_by_a_map_that_was_made_under_a_broken_sensor_says_so(place, fitted, known):
+    told = load(save(known, place / "told.keepmap"))
+    told.broken, told.contradicting = ("depth_sensor.broken pose",), 3
+    mission = prepare(Scenario.load("mission.toml"), target=Target.load(save(told, place / "told.keepmap")))
+    assert mission.assumptions_broken == told.assumptions_broken
+    assert len(mission.assumptions_broken) == 2
+    assert mission.start_certified is False
+    assert prepare(Scenario.load("mission.toml")).start_certified is True

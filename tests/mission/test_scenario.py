@@ -1,13 +1,19 @@
 import json
 import math
+from datetime import datetime
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
 from keepout.errors import ScenarioError
+from keepout.mission.entries import Entry
+from keepout.mission.epoch import parse_instant
 from keepout.mission.scenario import Scenario, reference
+from keepout.mission.schema import schema
 
 REPOSITORY = Path(__file__).parents[2]
 
@@ -62,6 +68,22 @@ def test_every_example_is_valid(path: Path):
         ({"faults": {"stuck_force": 0.1}}, ("faults", "need stuck")),
         ({"faults": {"stuck": "+x", "stuck_force": 0.2}}, ("faults.stuck_force 0.2", "chaser.force_limit")),
         ({"name": "../x"}, ("name", "'../x'")),
+        ({"duration": True}, ("duration", "True", "valid number")),
+        ({"duration": "5"}, ("duration", "'5'", "valid number")),
+        ({"duration": 10**400}, ("duration", "an integer of 1329 bits", "valid number")),
+        ({"seed": 16**5000}, ("seed", "an integer of 20001 bits", "less than")),
+        ({"chaser": {"mass": "2_0"}}, ("chaser.mass", "'2_0'", "valid number")),
+        ({"seed": True}, ("seed", "True", "valid integer")),
+        ({"guard": {"enabled": 1}}, ("guard.enabled", "1", "valid boolean")),
+        ({"guard": {"enabled": "no"}}, ("guard.enabled", "'no'", "valid boolean")),
+        ({"start": {"position": [0, "1", 2]}}, ("start.position.1", "'1'", "valid number")),
+        ({"campaign": {"runs": "7"}}, ("campaign.runs", "'7'", "valid integer")),
+        (
+            {"campaign": {"dispersions": {"chaser.mass": {"uniform": ["18", 22]}}}},
+            ("campaign.dispersions.chaser.mass.uniform", "'18'", "valid number"),
+        ),
+        ({"target": {"parameters": {"length": True}}}, ("target.parameters.length", "True", "valid number")),
+        ({"thrusters": {"own": [{"position": [0, 0, 0], "direction": [1, 0, False]}]}}, ("direction.2", "False")),
     ],
 )
 def test_bad_entries_are_named_with_value_and_range(tree: dict, said: tuple[str, ...]):
@@ -73,20 +95,78 @@ def test_bad_entries_are_named_with_value_and_range(tree: dict, said: tuple[str,
         assert part in text
 
 
+def test_no_entry_takes_a_value_of_another_kind():
+    """Found in the schema, so that an entry that is new is held to it: no flag is a number, and no text is either."""
+    wrong = {"number": (True, "5", b"5"), "integer": (True, "5", 5.0), "boolean": (1, 0.0, "true"), "string": (5, b"x")}
+    made = schema()
+    tried = 0
+    for name, model in {"Scenario": made, **made["$defs"]}.items():
+        table = next(one for one in [Scenario, *Entry.__subclasses__()] if one.__name__ == name)
+        for key, entry in model["properties"].items():
+            for kind in {part.get("type") for part in entry.get("anyOf", [entry])} & wrong.keys():
+                for value in wrong[kind]:
+                    with pytest.raises(ValidationError) as refusal:
+                        table.model_validate({key: value})
+                    assert key in {one["loc"][0] for one in refusal.value.errors()}
+                    tried += 1
+    assert tried > 300
+
+
+def test_whole_numbers_are_numbers_and_lists_are_vectors():
+    made = Scenario.parse({"duration": 20, "start": {"position": [0, 9, 5]}, "chaser": {"mass": np.float64(21.0)}})
+    assert (made.duration, made.start.position, made.chaser.mass) == (20.0, (0.0, 9.0, 5.0), 21.0)
+    assert isinstance(made.duration, float)
+
+
+def test_a_scenario_of_python_is_refused_in_one_line():
+    with pytest.raises(ScenarioError, match=r"^scenario: chaser\.mass: -1 must be greater than 0$"):
+        Scenario(chaser={"mass": -1})  # pyright: ignore[reportArgumentType]
+    assert Scenario.parse({"seed": 3}) == Scenario(seed=3)
+
+
 def test_all_bad_entries_are_named_at_once():
     with pytest.raises(ScenarioError, match=r"chaser\.mass.*orbit\.eccentricity"):
         Scenario.parse({"chaser": {"mass": -1}, "orbit": {"eccentricity": 2}})
 
 
-@pytest.mark.parametrize("content", [b"", b"not = [toml", b"\xff\xfe\x00", b"duration = 'long'"])
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"not = [toml",
+        b"\xff\xfe\x00",
+        b"duration = 'long'",
+        pytest.param(b"duration = " + b"9" * 5000, id="5000 digits"),
+        pytest.param(b"seed = 0x" + b"f" * 5000, id="5000 hexadecimal digits"),
+        pytest.param(b"duration = " + b"[" * 5000 + b"]" * 5000, id="deep list"),
+        pytest.param(b"x = " + b"{a=" * 5000 + b"1" + b"}" * 5000, id="deep table"),
+    ],
+)
 def test_bad_files(tmp_path: Path, content: bytes):
     path = tmp_path / "scenario.toml"
     path.write_bytes(content)
     if content == b"":
         assert Scenario.load(path) == Scenario()
     else:
-        with pytest.raises(ScenarioError, match=r"scenario\.toml"):
+        with pytest.raises(ScenarioError, match=r"scenario\.toml") as refusal:
             Scenario.load(path)
+        assert len(str(refusal.value)) < 600
+        assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    "instant", ["2262-04-12T00:00:00", "9999-12-31T23:59:59.9", "1677-09-20T00:00:00", "0001-001T00:00:00"]
+)
+def test_an_instant_that_64_bits_cannot_count_is_refused(instant):
+    with pytest.raises(ValueError, match="from 1677-09-22 to 2262-04-11") as refusal:
+        parse_instant(instant)
+    assert "\n" not in str(refusal.value)
+
+
+@given(st.datetimes(min_value=datetime(1677, 9, 22), max_value=datetime(2262, 4, 11)))
+def test_an_instant_between_is_counted_as_numpy_counts_it(moment):
+    counted = np.datetime64(moment, "ns").astype(np.int64)
+    assert np.int64(parse_instant(moment.isoformat())) == counted
 
 
 def test_missing_file_and_folder(tmp_path: Path):

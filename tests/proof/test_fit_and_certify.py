@@ -1,6 +1,7 @@
 """A small fit, end to end: certified, reproducible, and the same after a kill."""
 
 import dataclasses
+import json
 import os
 import signal
 import subprocess
@@ -11,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from keepout.cli import main
 from keepout.errors import FieldError
 from keepout.fields import mlp
 from keepout.fields.domain import Domain
@@ -78,6 +80,51 @@ def test_no_search_beats_the_certificate(certified, target, radius):
     assert worst <= proof.error_bound
     assert proof.sampled_maximum <= proof.error_bound <= proof.sampled_maximum + 0.02
     assert worst > proof.error_bound - 0.1
+
+
+def checked(arguments, monkeypatch, capsys):
+    """What `keepout certify --check` prints and exits with."""
+    monkeypatch.setattr(sys, "argv", ["keepout", "certify", "--check", *map(str, arguments), "--json"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    return ended.value.code or 0, json.loads(capsys.readouterr().out)
+
+
+def test_a_file_is_proved_again_and_a_forged_one_is_not(certified, tmp_path, monkeypatch, capsys):
+    path = tmp_path / "a.keepout"
+    located = {"source": "box", "parameters": {"length": 2.0, "width": 1.0, "height": 1.0}}
+    certified = certified.with_training(target=located)
+    certified.save(path)
+    before = path.read_bytes()
+    code, said = checked([path], monkeypatch, capsys)
+    assert (code, said["proved"]) == (0, True)
+    for row, stated in zip(said["certificates"], certified.certificates, strict=True):
+        assert row["error_bound_now_m"] <= row["error_bound_m"] == stated.error_bound
+    assert path.read_bytes() == before
+
+    true = certified.certificate(0.3)
+    for forged in (
+        {"error_bound": -5.0, "sampled_maximum": -6.0},
+        {"error_bound": true.sampled_maximum - 1e-3, "sampled_maximum": -6.0},
+        {"evaluation_error": 0.0},
+        {"kind": "sampled"},
+    ):
+        dataclasses.replace(certified, certificates=(dataclasses.replace(true, **forged),)).save(path)
+        # An evaluation error of zero would be sought until the limit of elements.
+        monkeypatch.setattr(certificate, "MOST_ELEMENTS", 50_000)
+        before = path.read_bytes()
+        code, said = checked([path], monkeypatch, capsys)
+        assert (code, said["proved"]) == (1, False), forged
+        (row,) = said["certificates"]
+        assert row["error_bound_m"] == forged.get("error_bound", true.error_bound)
+        assert row["error_bound_now_m"] >= true.sampled_maximum - 1e-3
+        assert path.read_bytes() == before
+    dataclasses.replace(certified, certificates=()).save(path)
+    monkeypatch.setattr(sys, "argv", ["keepout", "certify", "--check", str(path)])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code not in (0, None)
+    assert "no certificate to check" in capsys.readouterr().err
 
 
 def test_a_planted_violation_is_found(model, certified, target):

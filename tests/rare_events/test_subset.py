@@ -8,12 +8,15 @@ import sys
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from rare import crossing_level, crossing_performance, crossing_probability
 from scipy import stats
 
 from keepout.errors import ScenarioError
 from keepout.rare_events import kept
-from keepout.rare_events.estimate import curve, estimate, interval
+from keepout.rare_events.estimate import band, curve, estimate, interval
 from keepout.rare_events.subset import simulate
 
 
@@ -48,9 +51,53 @@ def test_many_short_simulations_have_no_bias():
 
 def test_every_level_of_the_curve_is_right():
     found = simulate(linear, 20, below=RARE, tapes=4096, seed=5)
-    for number, mean, lower, upper in curve(found):
+    points = curve(found)
+    for number, mean, lower, upper in points:
         assert mean == pytest.approx(stats.norm.cdf(number), rel=0.5)
         assert lower <= mean <= upper
+    assert (np.diff(points, axis=0) >= 0.0).all()
+
+
+@settings(max_examples=25)
+@given(arrays(float, (6, 8), elements=st.sampled_from([1e-6, 1e-4, 1e-3, 1e-2, 0.1])))
+def test_the_band_rises_with_its_number_whatever_the_runs_found(runs):
+    runs = np.sort(runs, axis=0)  # each run's own probability rises
+    found = band(np.arange(6.0).tolist(), list(runs))
+    assert (np.diff(found, axis=0) >= 0.0).all()
+    assert ((found[:, 2] <= found[:, 1]) & (found[:, 1] <= found[:, 3])).all()
+    # No end of it says less than the number's own interval at the same confidence.
+    alone = np.array([interval(of, 1.0 - 0.05 / 6) for of in runs])
+    assert ((found[:, 2] >= alone[:, 1]) & (found[:, 3] <= alone[:, 2])).all()
+
+
+@pytest.mark.long
+def test_the_band_covers_the_whole_curve_at_once():
+    """Two ways to the event, one of them rarer: the truth is a closed form, the numbers' own intervals miss it."""
+
+    def performance(tapes):
+        return np.minimum(linear(tapes[:, :5]), 0.7 * tapes[:, 5] - 1.0)
+
+    covered, alone = 0, 0
+    for seed in range(100):
+        found = simulate(performance, 6, below=-3.7, tapes=64, seed=seed)
+        number, _, lower, upper = curve(found).T
+        truth = 1.0 - stats.norm.sf(number) * stats.norm.sf((number + 1.0) / 0.7)
+        covered += bool(((lower <= truth) & (truth <= upper)).all())
+        ends = np.array([interval(found.below(one)) for one in number])
+        alone += bool(((ends[:, 1] <= truth) & (truth <= ends[:, 2])).all())
+    # 89 of 100 and fewer have a chance of 1 % where the cover is 0.95.
+    assert covered >= 90
+    assert alone <= 75
+
+
+@pytest.mark.long
+def test_what_it_is_below_is_so_as_often_as_said():
+    truth, right = float(stats.norm.cdf(-6.0)), 0
+    for seed in range(100):
+        result = estimate(simulate(linear, 3, below=-6.0, tapes=64, seed=seed, most_levels=6), -6.0)
+        assert result.bounded_only
+        right += truth <= result.upper
+    assert right >= 90
 
 
 def test_moves_keep_the_normal_law_given_the_threshold():
@@ -102,7 +149,11 @@ def test_what_never_happens_is_said_to_be_below_a_bound():
     result = estimate(found, 0.0)
     assert found.ended == "stuck"
     assert result.bounded_only
-    assert result.summary() == {"probability": None, "interval": None, "below": pytest.approx(3.0 / 8192, rel=0.01)}
+    assert result.summary() == {
+        "probability": None,
+        "interval": None,
+        "below": pytest.approx(-math.log(0.025) / 8192, rel=0.01),
+    }
 
 
 def test_a_number_out_of_reach_is_bounded_by_the_last_level():
@@ -111,7 +162,7 @@ def test_a_number_out_of_reach_is_bounded_by_the_last_level():
     assert found.ended == "levels"
     assert result.bounded_only
     assert len(found.levels) == 7
-    # Far less than what none in the 8192 independent tapes of the first level allows, 3.7e-4.
+    # Far less than what none in the 8192 independent tapes of the first level allows, 4.5e-4.
     assert stats.norm.cdf(found.levels[-1].threshold) < result.upper < 3 * 8.0**-6
 
 

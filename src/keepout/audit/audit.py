@@ -151,6 +151,9 @@ def audit_campaign(
 ) -> list[Audit]:
     """Judge flights that share their sample times; the arguments are those of `audit`, with a leading flight axis."""
     _check(time, position, velocity, force, chaser_radius)
+    for name, value in (("tolerance", tolerance), ("consistency", consistency)):
+        if not (np.isfinite(value) and value > 0.0):
+            raise FlightError(f"audit: {name} is {value} m; it must be finite and greater than 0")
     finite = _finite(position) & _finite(velocity) & _finite(force)
     shown, moving, pushed = (_or_zero(array, finite) for array in (position, velocity, force))
     tube = Tube.of(time, shown, moving, pushed, bounds)

@@ -13,7 +13,6 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from jaxtyping import Bool, Int
-from pydantic import ValidationError
 
 from keepout.campaign.bands import Bands
 from keepout.campaign.dataset import Dataset
@@ -224,8 +223,8 @@ def read_campaign(folder: str | Path, *, progress: Progress = silent) -> Reading
             f"{folder}: campaign.json: format {identity.get('format')!r}; this version of Keepout reads {FORMAT}"
         )
     try:
-        scenario = Scenario.model_validate(identity["scenario"])
-    except (ValidationError, ScenarioError) as error:
+        scenario = Scenario.parse(identity["scenario"])
+    except ScenarioError as error:
         said = " ".join(str(error).split())[:120]
         raise ScenarioError(f"{folder}: campaign.json is of another version of Keepout ({said})") from None
     parts, sketches = [], []

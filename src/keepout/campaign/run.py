@@ -7,6 +7,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from threading import Lock
 
+from keepout.audit.audit import Contact
 from keepout.campaign.chunk import ChunkResult, Told, fly_chunk
 from keepout.campaign.dataset import Dataset
 from keepout.campaign.plan import Plan
@@ -24,8 +25,8 @@ class Standing:
         runs: of the whole campaign.
         done: runs in chunks that are written, and flights that landed since.
         flown: flights that landed since this start.
-        reached: of these, how many reached their goal.
-        contacts: of these, how many the audit does not clear of a contact.
+        reached: of all flights that are done, how many reached their goal.
+        contacts: of all flights that are done, how many the audit does not clear of a contact.
         seconds: since this start.
 
     """
@@ -91,7 +92,7 @@ def fly_campaign(
         plan: of the campaign.
         dataset: its folder (`Dataset.begin`), locked by the caller.
         flyer: who flies the chunks.
-        told: called as flights land and chunks are written.
+        told: called at the start, as flights land, and as chunks are written.
 
     Raises:
         FlightError: a file cannot be written.
@@ -100,7 +101,7 @@ def fly_campaign(
     began, lock = time.perf_counter(), Lock()
     missing = dataset.missing()
     before = plan.runs - sum(last - first for first, last in map(plan.chunk_runs, missing))
-    flown = reached = contacts = 0
+    flown, (reached, contacts) = 0, _found(dataset, missing)
     written = before
 
     def standing() -> Standing:
@@ -113,6 +114,7 @@ def fly_campaign(
             flown, reached, contacts = flown + flights, reached + at_goal, contacts + touching
             told(standing())
 
+    told(standing())
     with closing(flyer(plan, missing, landed)) as results:  # an interrupt between two results stops it at once
         for result in results:
             dataset.write(result)
@@ -121,3 +123,13 @@ def fly_campaign(
                 written += last - first
                 told(standing())
     return standing()
+
+
+def _found(dataset: Dataset, missing: list[int]) -> tuple[int, int]:
+    """Count the flights that reached their goal, and those not clear of a contact, in the chunks that are there."""
+    reached = contacts = 0
+    for number in sorted(set(range(dataset.chunks)) - set(missing)):
+        part = dataset.part(number, ["reached", "contact"])
+        reached += part["reached"].to_pylist().count(True)
+        contacts += sum(verdict not in (None, Contact.NO) for verdict in part["contact"].to_pylist())
+    return reached, contacts

@@ -14,7 +14,7 @@ import keepout
 # Each adds its commands to the application.
 from keepout.cli import campaign, exchange, flight, mesh, scenario, study  # noqa: F401
 from keepout.cli.options import app
-from keepout.errors import KeepoutError
+from keepout.errors import KeepoutError, UsageError
 
 
 @app.callback(invoke_without_command=True)
@@ -39,7 +39,11 @@ def _show_each_once() -> Callable[..., None]:
 
 
 def main() -> None:
-    """Run the command line: a refusal is one line on standard error and a non-zero exit, a warning is one line."""
+    """Run the command line: a refusal is one line on standard error, and so is a warning.
+
+    The exit code is 0 where the command did its work, 1 where it refused or failed, 2 where it cannot be meant, and 130
+    where it was interrupted.
+    """
     warnings.showwarning = _show_each_once()
     # Tracing a program makes many objects that live on; looking through them for garbage took a tenth of a start.
     gc.set_threshold(1_000_000, 50, 100)
@@ -49,7 +53,7 @@ def main() -> None:
             raise KeyboardInterrupt
     except KeepoutError as error:
         sys.stderr.write(f"keepout: {error}\n")
-        code = 1
+        code = 2 if isinstance(error, UsageError) else 1
     except TyperException as error:
         said = error.format_message().replace("\n", " ").rstrip()
         if said:  # without arguments the help has been shown, and there is nothing to add

@@ -39,7 +39,7 @@ def campaign(
     scenario: Annotated[Path, typer.Argument(help="A scenario file (TOML) with its [campaign] table.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for results and figure.")] = Path("out"),
     runs: Annotated[
-        int | None, typer.Option(callback=at_least(1), help="Replaces the scenario's own number of flights.")
+        int | None, typer.Option(callback=at_least(1, 10**9), help="Replaces the scenario's own number of flights.")
     ] = None,
     keep: Annotated[
         str, typer.Option(help="Flights that become flight files: worst:N, by least clearance, all or none.")

@@ -91,9 +91,31 @@ def audit(
         tuple[float, float, float] | None,
         typer.Option(help="Of the target, in body axes, m; if not given, the scenario's, or 0 0 0."),
     ] = None,
+    chaser_object: Annotated[
+        str | None, typer.Option(help="OBJECT_NAME or OBJECT_ID that the chaser's OEM must have.")
+    ] = None,
+    target_object: Annotated[
+        str | None, typer.Option(help="OBJECT_NAME or OBJECT_ID that the target's OEM must have.")
+    ] = None,
+    attitude_object: Annotated[
+        str | None, typer.Option(help="What the AEM calls the target, if not as the target's OEM does.")
+    ] = None,
+    attitude_frame: Annotated[
+        str | None, typer.Option(help="What the AEM calls the body's frame, if not SC_BODY or SC_BODY_1.")
+    ] = None,
     sample_error: Annotated[
-        float, typer.Option(callback=at_least(0.0), help="How far a relative position in the files can be wrong, m.")
+        float,
+        typer.Option(
+            callback=at_least(0.0),
+            help="How far a relative position in the files can be wrong, m, if more than by its digits.",
+        ),
     ] = 1e-6,
+    attitude_error: Annotated[
+        float,
+        typer.Option(
+            callback=at_least(0.0), help="By what angle an attitude can be wrong, rad, if more than by its digits."
+        ),
+    ] = 0.0,
     target_units: Units = None,
     target_scale: Annotated[
         float | None, typer.Option(help="Metres per unit of a mesh file, instead of units.")
@@ -140,7 +162,12 @@ def audit(
             fixed_in=target_fixed_in,
             turning_acceleration_bound=turning_acceleration_bound,
             centre_of_mass=centre_of_mass,
+            chaser_object=chaser_object,
+            target_object=target_object,
+            attitude_object=attitude_object,
+            attitude_frame=attitude_frame,
             sample_error=sample_error,
+            attitude_error=attitude_error,
             progress=progress,
         )
     answer(summary, as_json)

@@ -101,18 +101,41 @@ def fit(
             Console().print(terminal.facts_table("Certificate", certificate))
 
 
-@app.command(epilog=example("keepout certify satellite.keepout --chaser-radius 0.5"))
+@app.command(
+    epilog=example(
+        "keepout certify satellite.keepout --chaser-radius 0.5",
+        "keepout certify --check satellite.keepout",
+    )
+)
 def certify(
     field: Annotated[Path, typer.Argument(help="A field file (.keepout); the certificate is added to it.")],
     chaser_radius: ChaserRadius = 0.5,
     prove_slope: Annotated[bool, typer.Option("--prove-slope", help="Prove a bound of ‖∇f̃‖ too: minutes.")] = False,
+    check: Annotated[
+        bool,
+        typer.Option(
+            "--check",
+            help="Add nothing: prove every certificate of the file again, for all its radii. Exit code 1: not proved.",
+        ),
+    ] = False,
     mesh: Annotated[str | None, typer.Option(help="The mesh, where it is not where `fit` found it.")] = None,
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
     """Bound how far the field can over-state the distance where a chaser of this radius would touch."""
-    from keepout.commands.mesh import certify_file
+    from keepout.commands.mesh import certify_file, check_file
 
+    if check:
+        if prove_slope:
+            raise typer.BadParameter("--prove-slope adds a proof; --check proves what the file says and adds none")
+        with terminal.progress(f"check {field.name}") as progress:
+            summary = check_file(field, mesh=mesh, seed=seed, progress=progress)
+        answer(summary, as_json)
+        if not as_json:
+            for row in summary["certificates"]:
+                said = "proved" if row["proved"] else "not proved"
+                Console().print(terminal.facts_table(f"Certificate for {row['chaser_radius_m']:g} m: {said}", row))
+        raise typer.Exit(0 if summary["proved"] else 1)
     with terminal.progress(f"certify {field.name}") as progress:
         summary = certify_file(
             field, chaser_radius=chaser_radius, prove_slope=prove_slope, mesh=mesh, seed=seed, progress=progress
@@ -139,6 +162,7 @@ def measure(
     as_json: AsJson = False,
 ) -> None:
     """Measure a field against its mesh, and list its certificates."""
+    from keepout.commands import usage
     from keepout.commands.mesh import measure_field
     from keepout.fields.shipped import shipped_path
 
@@ -147,7 +171,8 @@ def measure(
             f"{field} is not a .keepout file; `keepout describe {field}` says what is wrong with a mesh"
         )
     with terminal.progress(f"measure {field}") as progress:
-        path = shipped_path(field) if shipped else Path(field)
+        with usage():
+            path = shipped_path(field) if shipped else Path(field)
         summary = measure_field(path, out, mesh=mesh, seed=seed, progress=progress)
         tables = terminal.measures_tables(summary)
     answer(summary, as_json)

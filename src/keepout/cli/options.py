@@ -1,6 +1,7 @@
 """The application that commands are added to, the options that they share, and how they answer."""
 
 import json
+import math
 import sys
 from collections.abc import Callable
 from typing import Annotated, Any
@@ -31,22 +32,27 @@ app = typer.Typer(
 )
 
 
-def at_least(least: int | float) -> Callable[[int | float | None], int | float | None]:
-    """Refuse a smaller number with the value and what would be valid."""
+def at_least(
+    least: int | float, most: int | float = math.inf, *, multiple_of: int | None = None
+) -> Callable[[int | float | None], int | float | None]:
+    """Refuse another number, and one that is not finite, with the value and what would be valid."""
+    valid = "finite" if least == -math.inf else f"at least {least:g}"
+    valid += "" if most == math.inf else f" and at most {most:.10g}"
+    valid += "" if multiple_of is None else f" and a multiple of {multiple_of}"
 
     def check(value: int | float | None) -> int | float | None:
-        if value is not None and not value >= least:
-            raise typer.BadParameter(f"{value} is not valid; it must be at least {least:g}")
+        right = value is None or (math.isfinite(value) and least <= value <= most)
+        if not right or (value is not None and multiple_of is not None and value % multiple_of):
+            raise typer.BadParameter(f"{value} is not valid; it must be {valid}")
         return value
 
     return check
 
 
+_SEED = at_least(0, 2**32 - 1)
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on standard output; all else on standard error.")]
-Seed = Annotated[
-    int, typer.Option(callback=at_least(0), help="Of every random choice; the same seed gives the same answer.")
-]
-ScenarioSeed = Annotated[int | None, typer.Option(callback=at_least(0), help="Replaces the scenario's own seed.")]
+Seed = Annotated[int, typer.Option(callback=_SEED, help="Of every random choice; the same seed gives the same answer.")]
+ScenarioSeed = Annotated[int | None, typer.Option(callback=_SEED, help="Replaces the scenario's own seed.")]
 Units = Annotated[str | None, typer.Option(help="Length unit of a mesh file: m, cm, mm, in or ft.")]
 Scale = Annotated[float | None, typer.Option(help="Metres per unit of a mesh file, instead of --units.")]
 DropStray = Annotated[bool, typer.Option("--drop-stray", help="Leave out parts far from the rest.")]

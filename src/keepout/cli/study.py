@@ -1,5 +1,6 @@
 """Commands that answer a question by many flights: rare, reproduce."""
 
+import math
 from pathlib import Path
 from typing import Annotated
 
@@ -14,9 +15,11 @@ from keepout.report import terminal
 def rare(
     scenario: Annotated[Path, typer.Argument(help="A scenario file (TOML) in which something is random.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for results, figure and page.")] = Path("out"),
-    below: Annotated[float, typer.Option(help="The clearance, m; 0 is contact.")] = 0.0,
+    below: Annotated[float, typer.Option(callback=at_least(-math.inf), help="The clearance, m; 0 is contact.")] = 0.0,
     runs: Annotated[int, typer.Option(callback=at_least(2), help="Whose spread gives the interval.")] = 8,
-    flights: Annotated[int, typer.Option(callback=at_least(64), help="Of each level and run; a multiple of 8.")] = 1024,
+    flights: Annotated[
+        int, typer.Option(callback=at_least(64, multiple_of=8), help="Of each level and run; a multiple of 8.")
+    ] = 1024,
     quick: Annotated[bool, typer.Option("--quick", help="256 flights of each level and run: a rough answer.")] = False,
     seed: ScenarioSeed = None,
     as_json: AsJson = False,

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from keepout.commands import usage
 from keepout.progress import Progress, part_of, silent
 
 if TYPE_CHECKING:
@@ -33,18 +34,23 @@ def campaign_to_folder(
     from keepout.campaign.keep import Keep, keep_flights
     from keepout.campaign.plan import Plan
     from keepout.campaign.run import fly_campaign, in_threads
-    from keepout.campaign.scheduler import flyer_on
+    from keepout.campaign.scheduler import Scheduler, flyer_on
     from keepout.campaign.summary import band_figures, summary
     from keepout.report.campaign_page import report_campaign
     from keepout.report.campaign_view import DRAWN, draw_campaign
-    from keepout.report.folder import write_summary
+    from keepout.report.folder import results_in, write_summary
     from keepout.whole_file import write_whole
 
+    with usage():
+        chosen = Keep.parse(keep)
+        if scheduler is not None:
+            Scheduler.parse(scheduler)
     flyer = in_threads if scheduler is None else flyer_on(scheduler, mixed_processors=mixed_processors)
-    began, chosen = time.perf_counter(), Keep.parse(keep)
+    began = time.perf_counter()
     progress(0.0, "preparing")
-    plan = Plan.of(scenario, batch=batch)
-    dataset = Dataset.begin(out, plan)
+    with results_in(out):
+        plan = Plan.of(scenario, batch=batch)
+        dataset = Dataset.begin(out, plan)
 
     def tell(standing: "Standing") -> None:
         told(standing)
@@ -81,35 +87,36 @@ def replay_to_folder(
     from keepout.campaign.plan import Plan
     from keepout.campaign.replay import differences, replay
     from keepout.mission.scenario import Scenario
-    from keepout.report.folder import write_flights, write_summary
+    from keepout.report.folder import results_in, write_flights, write_summary
 
     dataset = Dataset.open(campaign)
     identity = dataset.identity
     scenario = Scenario.parse(identity["scenario"], where=str(campaign / "campaign.json"))
-    progress(0.0, "preparing")
-    plan = Plan.of(scenario, batch=identity["batch"])
-    dataset = Dataset.begin(campaign, plan)  # refused where mesh, field or version are others now
     out = campaign / f"run-{run}" if out is None else out
-    progress(0.4, "flying")
-    [again] = replay(plan, [run])
-    kept = dataset.part(run // plan.chunk).slice(run % plan.chunk, 1)
-    differing = differences(kept, again.row)
-    progress(0.8, "writing")
-    introduction = f"Run {run} of the campaign {scenario.name}, flown again."
-    [summary] = write_flights(
-        out,
-        {f"run {run}": again.flight},
-        title=f"Run {run} of {scenario.name}",
-        introduction=introduction,
-        figures=figures,
-    )
-    summary |= {
-        "run": run,
-        "equal": not differing,
-        "differences": {name: {"campaign": a, "replay": b} for name, (a, b) in differing.items()},
-        "record_apart": again.apart,
-        "drawn": dict(again.run.values),
-        "seed": scenario.seed,
-    }
-    write_summary(out, summary)
+    with results_in(out):
+        progress(0.0, "preparing")
+        plan = Plan.of(scenario, batch=identity["batch"])
+        dataset = Dataset.begin(campaign, plan)  # refused where mesh, field or version are others now
+        progress(0.4, "flying")
+        [again] = replay(plan, [run])
+        kept = dataset.part(run // plan.chunk).slice(run % plan.chunk, 1)
+        differing = differences(kept, again.row)
+        progress(0.8, "writing")
+        introduction = f"Run {run} of the campaign {scenario.name}, flown again."
+        [summary] = write_flights(
+            out,
+            {f"run {run}": again.flight},
+            title=f"Run {run} of {scenario.name}",
+            introduction=introduction,
+            figures=figures,
+        )
+        summary |= {
+            "run": run,
+            "equal": not differing,
+            "differences": {name: {"campaign": a, "replay": b} for name, (a, b) in differing.items()},
+            "record_apart": again.apart,
+            "drawn": dict(again.run.values),
+            "seed": scenario.seed,
+        }
+        write_summary(out, summary)
     return summary

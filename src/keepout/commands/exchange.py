@@ -4,9 +4,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from keepout.commands import usage
 from keepout.commands.named_target import recorded_target, target_entry
-from keepout.errors import ExchangeError
+from keepout.errors import ExchangeError, UsageError
 from keepout.progress import Progress, silent
+from keepout.whole_file import require_place
 
 if TYPE_CHECKING:
     from keepout.mission.entries import TargetEntry
@@ -28,7 +30,11 @@ def export_to_file(
     from keepout.exchange.export import check_export, export_field, export_flight
 
     given = {"--of": craft is not None, "--xml": xml, "--mesh": mesh is not None}
-    check_export(source, to, out, craft=craft, given=given | {"--chaser-radius": chaser_radius is not None})
+    with usage():
+        check_export(source, to, craft=craft, given=given | {"--chaser-radius": chaser_radius is not None})
+    if not out.absolute().parent.is_dir():
+        raise ExchangeError(f"{out}: the folder {out.parent} does not exist")
+    require_place(out, refusal=ExchangeError)
     chosen: dict[str, Any] = {"progress": progress}
     if source.suffix == ".keepout":
         from keepout.fields.model import FieldModel
@@ -56,7 +62,8 @@ def audit_of_files(
     Args:
         target: a mesh file, a built-in's name, or a scenario file (TOML), whose table `[target]` says all of it.
         placed: of a mesh: entries of `[target]` that say how it lies in the body frame; None where not given.
-        centre_of_mass: of the target, in the body frame, m; the scenario's, or the origin, where not given.
+        centre_of_mass: of the target, in the body frame, m; the scenario's, or the origin, which a remark
+            says, where not given.
         **files: the other arguments of `exchange.audited.audit_files`.
 
     """
@@ -64,7 +71,8 @@ def audit_of_files(
     from keepout.mission.target import load_target
 
     entry = _audited_target(target, placed)
-    centre = entry.centre_of_mass if centre_of_mass is None else centre_of_mass
+    told = entry.centre_of_mass if "centre_of_mass" in entry.model_fields_set else None
+    centre = told if centre_of_mass is None else centre_of_mass
     return audit_files(load_target(entry), centre_of_mass=centre, **files)
 
 
@@ -74,7 +82,7 @@ def _audited_target(target: str, placed: Mapping[str, Any]) -> "TargetEntry":
     given = next((name for name, value in placed.items() if value is not None), None)
     if given is not None:
         name = f"--target-{given.replace('_', '-')}"
-        raise ExchangeError(f"{name}: not with the scenario {target}, whose [target] says how its mesh lies")
+        raise UsageError(f"{name}: not with the scenario {target}, whose [target] says how its mesh lies")
     from keepout.mission.scenario import Scenario
 
     return Scenario.load(Path(target)).target

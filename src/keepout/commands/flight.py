@@ -4,8 +4,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from keepout.errors import FlightError
+from keepout.errors import FlightError, UsageError
 from keepout.progress import Progress, part_of, silent
+from keepout.whole_file import require_place
 
 if TYPE_CHECKING:
     from keepout.mission.scenario import Scenario
@@ -40,7 +41,8 @@ def replay_to_page(
     from keepout.report.replay_view import write_replay
 
     if out.suffix.lower() not in (".html", ".htm"):
-        raise FlightError(f"{out}: a replay is a page; its name ends in .html")
+        raise UsageError(f"{out}: a replay is a page; its name ends in .html")
+    require_place(out, refusal=FlightError)
     gathered = of_files(flights, progress=part_of(progress, 0.0, 0.4))
     first = gathered[0]
     title = title or f"{first.scenario.name} · {first.target.name}"

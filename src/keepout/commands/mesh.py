@@ -6,9 +6,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from keepout.commands import usage
 from keepout.commands.named_target import recorded_target, target_entry
-from keepout.errors import FieldError
+from keepout.errors import FieldError, UsageError
 from keepout.progress import Progress, part_of, silent
+from keepout.whole_file import require_place
 
 
 def describe_targets(*, pictures: Path | None = None, progress: Progress = silent) -> list[dict[str, Any]]:
@@ -17,37 +19,37 @@ def describe_targets(*, pictures: Path | None = None, progress: Progress = silen
     from keepout.geometry.builtin import BUILTINS
     from keepout.geometry.shape import enclosed_volume
     from keepout.geometry.target import Target
-    from keepout.report.folder import make_folder
+    from keepout.report.folder import results_in
 
-    if pictures is not None:
-        make_folder(pictures)
     rows = []
-    for place, (name, builtin) in enumerate(BUILTINS.items()):
-        progress(place / len(BUILTINS), name)
-        target = Target.load(name)
-        row: dict[str, Any] = {
-            "name": name,
-            "extents_m": [float(extent) for extent in target.vertices.max(axis=0) - target.vertices.min(axis=0)],
-            "volume_m3": enclosed_volume(target.vertices, target.faces),
-            "triangles": len(target.faces),
-            "shipped_field": name in shipped_names(),
-            "parameters": {key: parameter.default for key, parameter in builtin.parameters.items()},
-        }
-        if pictures is not None:
-            from keepout.report import target_view
+    with results_in(pictures):
+        for place, (name, builtin) in enumerate(BUILTINS.items()):
+            progress(place / len(BUILTINS), name)
+            target = Target.load(name)
+            row: dict[str, Any] = {
+                "name": name,
+                "extents_m": [float(extent) for extent in target.vertices.max(axis=0) - target.vertices.min(axis=0)],
+                "volume_m3": enclosed_volume(target.vertices, target.faces),
+                "triangles": len(target.faces),
+                "shipped_field": name in shipped_names(),
+                "parameters": {key: parameter.default for key, parameter in builtin.parameters.items()},
+            }
+            if pictures is not None:
+                from keepout.report import target_view
 
-            picture = pictures / f"{name}.png"
-            target_view.draw_target(picture, name, target.vertices, target.faces)
-            row["picture"] = str(picture)
-        rows.append(row)
+                picture = pictures / f"{name}.png"
+                target_view.draw_target(picture, name, target.vertices, target.faces)
+                row["picture"] = str(picture)
+            rows.append(row)
     return rows
 
 
 def _field_path(path: Path) -> Path:
     if path.suffix != ".keepout":
-        raise FieldError(f"{path}: a field file ends in .keepout")
+        raise UsageError(f"{path}: a field file ends in .keepout")
     if not path.absolute().parent.is_dir():
         raise FieldError(f"{path}: the folder {path.parent} does not exist")
+    require_place(path, refusal=FieldError)
     return path
 
 
@@ -66,10 +68,13 @@ def fit_to_file(
     While it runs, a checkpoint stands beside `out`; a run that was killed goes on from there. The field is written
     before it is certified, so that a proof that is stopped loses nothing.
     """
+    from keepout.learning.profile import find_profile
     from keepout.learning.training import fit
     from keepout.measures.quality import surface_errors
     from keepout.mission.build import load_target
 
+    with usage():
+        find_profile(profile)
     out = _field_path(out)
     entry = target_entry(source)
     target = load_target(entry)
@@ -123,6 +128,7 @@ def certify_file(
     from keepout.proof.certificate import certify
 
     model = FieldModel.load(path)
+    require_place(path, refusal=FieldError)
     entry = recorded_target(path, model, mesh)
     model = certify(
         model,
@@ -148,6 +154,48 @@ def certify_file(
     }
 
 
+def check_file(path: Path, *, mesh: str | None = None, seed: int = 0, progress: Progress = silent) -> dict[str, Any]:
+    """Prove all certificates of a field file again, from its field and its mesh alone; the file stays as it is.
+
+    Raises:
+        FieldError: no certificate in it, or a mesh that the field was not made for.
+
+    """
+    from keepout.fields.model import FieldModel
+    from keepout.mission.build import load_target
+    from keepout.proof.certificate import check_certificate
+
+    model = FieldModel.load(path)
+    if not model.certificates:
+        raise FieldError(f"{path}: has no certificate to check; `keepout certify {path}` adds one")
+    target = load_target(recorded_target(path, model, mesh))
+    model.require_target(target, where=str(path))
+    rows = []
+    for place, stated in enumerate(model.certificates):
+        part = part_of(progress, place / len(model.certificates), (place + 1) / len(model.certificates))
+        check = check_certificate(model, target, stated, seed=seed, progress=part)
+        rows.append(
+            {
+                "chaser_radius_m": stated.chaser_radius,
+                "kind": stated.kind,
+                "proved": check.proved,
+                "error_bound_m": stated.error_bound,
+                "error_bound_now_m": check.error_bound,
+                "evaluation_error_m": stated.evaluation_error,
+                "evaluation_error_now_m": check.evaluation_error,
+                "gradient_kind": stated.gradient_kind,
+                "gradient_bound": stated.gradient_bound,
+                "gradient_bound_now": check.gradient_bound,
+            }
+        )
+    return {
+        "field": str(path),
+        "target_sha256": target.sha256,
+        "proved": all(row["proved"] for row in rows),
+        "certificates": rows,
+    }
+
+
 def measure_field(
     path: Path, out: Path | None = None, *, mesh: str | None = None, seed: int = 0, progress: Progress = silent
 ) -> dict[str, Any]:
@@ -155,22 +203,21 @@ def measure_field(
     from keepout.fields.model import FieldModel
     from keepout.measures.field_measures import measure_model
     from keepout.mission.build import load_target
-    from keepout.report.folder import make_folder
+    from keepout.report.folder import results_in
 
     model = FieldModel.load(path)
     target = load_target(recorded_target(path, model, mesh))
     model = FieldModel.load(path, target=target)
-    if out is not None:
-        make_folder(out)
-    measures, surface = measure_model(model, target, seed=seed, progress=part_of(progress, 0.0, 0.9))
-    summary: dict[str, Any] = {"field": str(path), **measures}
-    if out is not None:
-        from keepout.report.field_view import draw_slices, draw_surface
+    with results_in(out):
+        measures, surface = measure_model(model, target, seed=seed, progress=part_of(progress, 0.0, 0.9))
+        summary: dict[str, Any] = {"field": str(path), **measures}
+        if out is not None:
+            from keepout.report.field_view import draw_slices, draw_surface
 
-        progress(0.9, "pictures")
-        draw_slices(out / "slices.png", model, target)
-        draw_surface(out / "surface.png", target, surface, level=measures["surface"]["level"])
-        summary["pictures"] = [str(out / "slices.png"), str(out / "surface.png")]
+            progress(0.9, "pictures")
+            draw_slices(out / "slices.png", model, target)
+            draw_surface(out / "surface.png", target, surface, level=measures["surface"]["level"])
+            summary["pictures"] = [str(out / "slices.png"), str(out / "surface.png")]
     progress(1.0, "")
     return summary
 
@@ -179,18 +226,18 @@ def describe_mesh(source: Mapping[str, Any], out: Path | None = None, *, progres
     """Report what is known about a mesh before anything is learned from it; draw it into `out` if that is given."""
     from keepout.geometry.survey import survey
     from keepout.mission.build import load_target
-    from keepout.report.folder import make_folder
+    from keepout.report.folder import results_in
 
     target = load_target(target_entry(source))
     summary: dict[str, Any] = {"lengths": _lengths(source)}
-    summary |= asdict(survey(target, progress=part_of(progress, 0.0, 0.95)))
-    if out is not None:
-        from keepout.report import target_view
+    with results_in(out):
+        summary |= asdict(survey(target, progress=part_of(progress, 0.0, 0.95)))
+        if out is not None:
+            from keepout.report import target_view
 
-        make_folder(out)
-        picture = out / f"{target.name}.png"
-        target_view.draw_target(picture, target.name, target.vertices, target.faces)
-        summary["picture"] = str(picture)
+            picture = out / f"{target.name}.png"
+            target_view.draw_target(picture, target.name, target.vertices, target.faces)
+            summary["picture"] = str(picture)
     progress(1.0, "")
     return summary
 

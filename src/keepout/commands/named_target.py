@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from keepout.errors import FieldError, ScenarioError
+from keepout.errors import FieldError, ScenarioError, UsageError
 
 if TYPE_CHECKING:
     from keepout.fields.model import FieldModel
@@ -19,7 +19,7 @@ def target_entry(source: Mapping[str, Any], *, options: str = "--") -> "TargetEn
         options: what each one's name begins with on the command line, for a refusal.
 
     Raises:
-        ScenarioError: an option is not valid.
+        UsageError: an option is not valid.
 
     """
     from keepout.mission.scenario import Scenario
@@ -28,7 +28,7 @@ def target_entry(source: Mapping[str, Any], *, options: str = "--") -> "TargetEn
     try:
         return Scenario.parse({"target": given}).target
     except ScenarioError as error:  # the user gave options, not a scenario
-        raise ScenarioError(str(error).replace("scenario: target.", options)) from None
+        raise UsageError(str(error).replace("scenario: target.", options)) from None
 
 
 def recorded_target(path: Path, model: "FieldModel", mesh: str | None) -> "TargetEntry":

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from keepout.errors import ScenarioError
+from keepout.errors import ScenarioError, UsageError
 from keepout.progress import Progress, silent
 
 
@@ -19,19 +19,21 @@ def new_scenario_file(
 ) -> dict[str, Any]:
     """Draft a scenario, for a target where `source` names one, and write it to `out` where that is given."""
     from keepout.mission.draft import draft
-    from keepout.whole_file import write_whole
+    from keepout.whole_file import require_place, write_whole
 
     if out is not None and out.suffix != ".toml":
-        raise ScenarioError(f"{out}: a scenario file ends in .toml")
+        raise UsageError(f"{out}: a scenario file ends in .toml")
     if out is not None and out.exists() and not force:
         raise ScenarioError(f"{out}: is there already; --force replaces it")
     if out is not None and not out.absolute().parent.is_dir():
         raise ScenarioError(f"{out}: the folder {out.parent} does not exist")
+    if out is not None:
+        require_place(out, refusal=ScenarioError)
     if profile not in ("default", "paper"):
-        raise ScenarioError(f"--profile: {profile!r}; it must be 'default' or 'paper'")
+        raise UsageError(f"--profile: {profile!r}; it must be 'default' or 'paper'")
     given = {key: value for key, value in source.items() if value}
     if "source" not in given and given:
-        raise ScenarioError(f"--{next(iter(given)).replace('_', '-')}: only with --for, which names the mesh")
+        raise UsageError(f"--{next(iter(given)).replace('_', '-')}: only with --for, which names the mesh")
     name = "mission" if out is None else "".join(c if c.isalnum() and c.isascii() else "-" for c in out.stem).strip("-")
     made = draft(
         **given,
@@ -70,8 +72,10 @@ def check_scenario_file(path: Path, *, progress: Progress = silent) -> dict[str,
 def schema_file(out: Path | None) -> str:
     """Give the JSON Schema of scenarios as text, written to `out` where that is given."""
     from keepout.mission.schema import schema
-    from keepout.whole_file import write_whole
+    from keepout.whole_file import require_place, write_whole
 
+    if out is not None:
+        require_place(out, refusal=ScenarioError)
     text = json.dumps(schema(), indent=2, ensure_ascii=False) + "\n"
     if out is not None:
         write_whole(out, text, refusal=ScenarioError)

@@ -20,15 +20,17 @@ def rare_to_folder(
 ) -> dict[str, Any]:
     """Measure a rare event; write levels, curve, the worst flight, a page and `summary.json` into `out`.
 
-    Stopped, it goes on from its last level when it is started again.
+    Stopped, it goes on from its last level when it is started again. No folder is left where the scenario is refused.
     """
     from keepout.rare_events.event import FLIGHTS, RUNS, rare
-    from keepout.report.folder import make_folder, write_summary
+    from keepout.report.folder import results_in, write_summary
     from keepout.report.rare_view import write_rare
 
-    make_folder(out)
     runs, flights = RUNS if runs is None else runs, FLIGHTS if flights is None else flights
-    event = rare(scenario, below=below, runs=runs, flights=flights, state=out, progress=part_of(progress, 0.0, 0.97))
-    summary = write_rare(out, event)
-    write_summary(out, summary)
+    with results_in(out):
+        event = rare(
+            scenario, below=below, runs=runs, flights=flights, state=out, progress=part_of(progress, 0.0, 0.97)
+        )
+        summary = write_rare(out, event)
+        write_summary(out, summary)
     return summary

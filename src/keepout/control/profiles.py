@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from keepout.compiled.tried import THREE_NUMBERS, computed, described, is_own, require_numbers
 from keepout.control.circulation import CirculationLaw, NoCirculation, printed_circulation
 from keepout.control.conditions import conditions, drift_bound
 from keepout.control.controller import Controller
@@ -46,15 +47,22 @@ def _leader(
     start: Float[np.ndarray, "3"] | None,
     progress: Progress,
 ) -> Guidance:
-    """Make the guidance of a plan; one already made must lead to the goal."""
+    """Make the guidance of a plan; it must lead to the goal, with a velocity there."""
     # Before a grid is built, which takes seconds.
     require_free(field, offset, goal, "goal")
     if start is not None:
         require_free(field, offset, start, "start")
     if isinstance(guidance, GuidancePlan):
-        return guidance.guidance(
+        guidance = guidance.guidance(
             field, offset, goal, speed=speed, slowing_length=slowing_length, start=start, progress=progress
         )
+    if not isinstance(guidance, Guidance):
+        raise ControlError(f"guidance: {described(guidance)}; it must be a keepout.Guidance or a keepout.GuidancePlan")
+    if is_own(guidance):
+        asked: dict[str, Any] = {"part": f"guidance: {type(guidance).__name__}.desired_velocity"}
+        asked |= {"wanted": f"{THREE_NUMBERS}, m/s", "refusal": ControlError}
+        velocity = computed(lambda part, place: part.desired_velocity(place), guidance, as_float64(goal), **asked)
+        require_numbers(velocity, (3,), **asked)
     if not np.array_equal(np.asarray(guidance.goal), goal):
         raise ControlError(f"guidance: leads to {np.asarray(guidance.goal).tolist()}, and the goal is {goal.tolist()}")
     return guidance

@@ -15,16 +15,17 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from keepout.errors import ExchangeError
-from keepout.exchange.ephemeris import joined
-from keepout.exchange.message import Segment, read_message, write_message
+from keepout.exchange.ephemeris import SpaceObject, State, read_ephemeris
+from keepout.exchange.message import Segment, write_message
 from keepout.mission.epoch import format_instant
 
 VERSION = "2.0"
 VERSIONS = ("1.0", "2.0")
-TYPES = ("QUATERNION", "QUATERNION/DERIVATIVE", "QUATERNION/RATE", "QUATERNION/ANGVEL")
-"""Attitude types whose rows begin with a quaternion."""
+TYPES = {"QUATERNION": 4, "QUATERNION/DERIVATIVE": 8, "QUATERNION/RATE": 7, "QUATERNION/ANGVEL": 7}
+"""Attitude types whose rows begin with a quaternion, and how many numbers their rows have."""
 _NORM = 1e-3
-"""A quaternion's length may differ from 1 by so much: it was printed with few digits."""
+"""A quaternion's length may differ from 1 by so much, or by what its digits say where that is more."""
+_SAME = ("REF_FRAME_A", "REF_FRAME_B")
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +33,21 @@ class Attitude:
     """How one object is turned: epochs (ns, of `time_system`) and unit quaternions (Q1, Q2, Q3, QC) as in the standard.
 
     `quaternion` turns the axes of `frame_a` into those of `frame_b`.
+
+    Attributes:
+        path: the file it was read from, or is to be written to.
+        name: of the object.
+        frame_a: one of the frames.
+        frame_b: the other.
+        time_system: of the epochs.
+        epochs: rising, ns.
+        quaternion: a row an epoch.
+        identifier: of the object, its OBJECT_ID; the name, where absent.
+        centre: of frame A, if the file says.
+        error: of each row, rad: the angle by which its digits let it be turned from the truth.
+        comments: of the file.
+        unuseable: rows that the file holds beyond its useable times, and that are left out.
+
     """
 
     path: Path
@@ -41,19 +57,29 @@ class Attitude:
     time_system: str
     epochs: Int[np.ndarray, "n"]
     quaternion: Float[np.ndarray, "n 4"]
+    identifier: str = ""
+    centre: str = ""
+    error: Float[np.ndarray, "n"] | None = None
+    comments: tuple[str, ...] = ()
+    unuseable: int = 0
+
+    @property
+    def subject(self) -> SpaceObject:
+        """The object."""
+        return SpaceObject(self.name, self.identifier or self.name)
 
 
 def write_aem(attitude: Attitude, *, centre: str, comments: Sequence[str], xml: bool) -> None:
     """Write an attitude to its path, with the sign of each quaternion that lies next to the one before.
 
     Raises:
-        ExchangeError: the file cannot be written.
+        ExchangeError: a name is too long or not ASCII, or the file cannot be written.
 
     """
     times = [format_instant(int(epoch)) for epoch in attitude.epochs]
     metadata = {
         "OBJECT_NAME": attitude.name,
-        "OBJECT_ID": attitude.name,
+        "OBJECT_ID": attitude.identifier or attitude.name,
         "CENTER_NAME": centre,
         "REF_FRAME_A": attitude.frame_a,
         "REF_FRAME_B": attitude.frame_b,
@@ -63,7 +89,7 @@ def write_aem(attitude: Attitude, *, centre: str, comments: Sequence[str], xml: 
         "ATTITUDE_TYPE": "QUATERNION",
     }
     quaternions = _without_jumps(attitude.quaternion)
-    rows = [(time, *(f"{number:.16e}" for number in row)) for time, row in zip(times, quaternions.tolist())]
+    rows = [(time, *(f"{number:.15e}" for number in row)) for time, row in zip(times, quaternions.tolist())]
     write_message(attitude.path, "AEM", VERSION, metadata, rows, comments=comments, xml=xml)
 
 
@@ -75,38 +101,78 @@ def _without_jumps(quaternion: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n
     return quaternion * signs[:, None]
 
 
-def read_aem(path: Path) -> Attitude:
-    """Read an attitude, in either form and of either version.
+def read_aem(path: Path, *, wanted: SpaceObject | str | None = None) -> Attitude:
+    """Read the attitude of one object, in either form and of either version.
+
+    Args:
+        path: the file.
+        wanted: the object, or its OBJECT_NAME or OBJECT_ID; where absent, the file must be of one object.
 
     Raises:
-        ExchangeError: the file is missing, damaged, not an AEM, of a version unknown here, or without quaternions.
+        ExchangeError: the file is missing, damaged, not an AEM, of a version unknown here, without quaternions, of
+            another object, or contradicts itself.
 
     """
-    message = read_message(path, "AEM")
-    if message.version not in VERSIONS:
-        raise ExchangeError(f"{path}: CCSDS_AEM_VERS is {message.version}; valid: {', '.join(VERSIONS)}")
-    directed = message.version == "1.0"
+    directions = []
 
-    def columns(segment: Segment) -> tuple[int, ...]:
+    def columns(segment: Segment) -> tuple[tuple[int, ...], tuple[int, ...]]:
         kind = segment.required(path, "ATTITUDE_TYPE").upper()
         if kind not in TYPES:
             raise ExchangeError(f"{path}: ATTITUDE_TYPE is {kind}; valid: {', '.join(TYPES)}")
-        order = segment.required(path, "QUATERNION_TYPE").upper() if directed else "LAST"
+        first_edition = segment.version == "1.0"
+        order = segment.required(path, "QUATERNION_TYPE").upper() if first_edition else "LAST"
         if order not in ("FIRST", "LAST"):
             raise ExchangeError(f"{path}: QUATERNION_TYPE is {order}; valid: FIRST, LAST")
-        return (2, 3, 4, 1) if order == "FIRST" else (1, 2, 3, 4)
+        directions.append(segment.required(path, "ATTITUDE_DIR").upper() if first_edition else "A2B")
+        if directions[-1] not in ("A2B", "B2A"):
+            raise ExchangeError(f"{path}: ATTITUDE_DIR is {directions[-1]}; valid: A2B, B2A")
+        if directions[-1] != directions[0]:
+            raise ExchangeError(f"{path}: ATTITUDE_DIR is A2B in one segment and B2A in another; one for all is valid")
+        return (2, 3, 4, 1) if order == "FIRST" else (1, 2, 3, 4), (TYPES[kind],)
 
-    same = ("OBJECT_NAME", "REF_FRAME_A", "REF_FRAME_B", "TIME_SYSTEM", *(("ATTITUDE_DIR",) if directed else ()))
-    rows = joined(path, message, same=same, columns=columns)
-    name, a, b, system = (rows.metadata[keyword] for keyword in same[:4])
-    direction = rows.metadata["ATTITUDE_DIR"].upper() if directed else "A2B"
-    if direction not in ("A2B", "B2A"):
-        raise ExchangeError(f"{path}: ATTITUDE_DIR is {direction}; valid: A2B, B2A")
-    if direction == "B2A":
+    def contradiction(one: State, other: State, _: float) -> str | None:
+        quaternions = np.array([one[0], other[0]])
+        units = quaternions / np.maximum(np.linalg.norm(quaternions, axis=1), 1e-300)[:, None]
+        # From the chord between the two points of the sphere: precise for the smallest angles.
+        chord = min(np.linalg.norm(units[0] - units[1]), np.linalg.norm(units[0] + units[1]))
+        apart, allowed = 4.0 * np.arcsin(0.5 * chord), _errors(quaternions, np.array([one[1], other[1]])).sum()
+        if apart <= allowed:
+            return None
+        pair = " and ".join(str(quaternion.tolist()) for quaternion in quaternions)
+        return f"quaternions {pair} are {apart:.4g} rad apart; at most {allowed:.4g} rad is valid"
+
+    rows = read_ephemeris(
+        path, "AEM", versions=VERSIONS, wanted=wanted, same=_SAME, columns=columns, contradiction=contradiction
+    )
+    a, b, system = (rows.metadata[keyword].upper() for keyword in (*_SAME, "TIME_SYSTEM"))
+    if directions[0] == "B2A":
         a, b = b, a
     length = np.linalg.norm(rows.numbers, axis=1)
-    wrong = np.flatnonzero(np.abs(length - 1.0) > _NORM)
+    wrong = np.flatnonzero(np.abs(length - 1.0) > np.clip(np.linalg.norm(rows.units, axis=1), _NORM, 0.5))
     if wrong.size:
         epoch = format_instant(int(rows.epochs[wrong[0]]))
         raise ExchangeError(f"{path}: the quaternion of {epoch} has length {length[wrong[0]]:.6g}; it must be 1")
-    return Attitude(path, name, a.upper(), b.upper(), system.upper(), rows.epochs, rows.numbers / length[:, None])
+    return Attitude(
+        path,
+        rows.subject.name,
+        a,
+        b,
+        system,
+        rows.epochs,
+        rows.numbers / length[:, None],
+        rows.subject.identifier,
+        rows.metadata.get("CENTER_NAME", "").upper(),
+        _errors(rows.numbers, rows.units),
+        rows.comments,
+        rows.unuseable,
+    )
+
+
+def _errors(quaternion: Float[np.ndarray, "n 4"], units: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n"]:
+    """Give the angles, rad, by which attitudes may be turned from the truth, of their digits and their lengths.
+
+    A quaternion that lies within δ < 1 of a unit one points within asin δ of it, and turns by at most twice as much.
+    A length that differs from 1 shows an error at least as large.
+    """
+    shown = np.abs(np.linalg.norm(quaternion, axis=1) - 1.0)
+    return 2.0 * np.arcsin(np.minimum(np.maximum(np.linalg.norm(units, axis=1), shown), 1.0))

@@ -18,13 +18,12 @@ FlightFormat = Literal["oem", "aem", "czml", "csv", "parquet", "npz", "glb"]
 FieldFormat = Literal["onnx", "glb"]
 
 
-def check_export(source: Path, to: str, out: Path, *, craft: str | None, given: dict[str, bool]) -> None:
+def check_export(source: Path, to: str, *, craft: str | None, given: dict[str, bool]) -> None:
     """Refuse what cannot be exported before anything is read.
 
     Args:
         source: a flight or a field file.
         to: the format.
-        out: the file to be written.
         craft: of an OEM.
         given: by option, whether it was given: --of, --xml, --chaser-radius, --mesh.
 
@@ -46,8 +45,6 @@ def check_export(source: Path, to: str, out: Path, *, craft: str | None, given: 
         raise ExchangeError("--chaser-radius: only for a field; a flight's is its scenario's")
     if craft is not None and craft not in get_args(Craft):
         raise ExchangeError(f"--of {craft}: valid: {', '.join(get_args(Craft))}")
-    if not out.absolute().parent.is_dir():
-        raise ExchangeError(f"{out}: the folder {out.parent} does not exist")
 
 
 def export_flight(

@@ -2,11 +2,13 @@
 
 What is common to orbit ephemeris messages (OEM, CCSDS 502.0-B-3) and attitude ephemeris messages (AEM, 504.0-B-2): a
 header, and segments of metadata and rows. The meaning of metadata and rows is `orbit_message`'s and
-`attitude_message`'s. A row is an epoch and numbers, all of them still text.
+`attitude_message`'s. A row is an epoch and numbers, all of them still text. A file of keywords and values holds one
+message; an XML file holds one, or an `ndm` (505.0-B) of several, of which all of the wanted kind are read.
 """
 
 import datetime
 import re
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,12 +25,17 @@ Row = tuple[str, ...]
 _KEYWORD = re.compile(r"([A-Z][A-Z0-9_]*)\s*=\s*(.*)")
 _STATE = {"X": "km", "Y": "km", "Z": "km", "X_DOT": "km/s", "Y_DOT": "km/s", "Z_DOT": "km/s"}
 _QUATERNION = ("Q1", "Q2", "Q3", "QC")
+_LONGEST_LINE = 254
+"""Letters of a line, by both standards."""
+_KVN_LINE = re.compile(r"\r\n|\r|\n")
+_PRINTABLE = re.compile(r"[ -~]+")
 
 
 @dataclass(frozen=True)
 class Segment:
-    """Metadata by keyword, and rows of text: an epoch first."""
+    """The version of the standard, metadata by keyword, and rows of text: an epoch first."""
 
+    version: str
     metadata: dict[str, str]
     rows: tuple[Row, ...]
 
@@ -46,11 +53,10 @@ class Segment:
 
 @dataclass(frozen=True)
 class Message:
-    """What stands in a file: its kind, the version of its standard, and its segments."""
+    """What stands in a file: the segments of all its messages of one kind, and its comments."""
 
-    kind: Kind
-    version: str
     segments: tuple[Segment, ...]
+    comments: tuple[str, ...]
 
 
 def write_message(
@@ -71,13 +77,23 @@ def write_message(
         version: of its standard.
         metadata: by keyword, in the standard's order.
         rows: an epoch and numbers, as text.
-        comments: lines of the header, for people.
+        comments: of the header, for people; one that is longer than a line goes on in the next, and letters that are
+            not ASCII are written as Python's escapes.
         xml: as XML instead of keywords and values.
 
     Raises:
-        ExchangeError: the file cannot be written.
+        ExchangeError: a value of the metadata is no line of the standard, or the file cannot be written.
 
     """
+    for key, value in metadata.items():
+        if not _PRINTABLE.fullmatch(value) or len(f"{key} = {value}") > _LONGEST_LINE or value != value.strip():
+            raise ExchangeError(
+                f"{path}: {key} would be {value[:60]!r}, {len(value)} characters; valid: printable ASCII, in a line of "
+                f"at most {_LONGEST_LINE}"
+            )
+    width = _LONGEST_LINE - len("COMMENT ")
+    ascii_only = (comment.encode("ascii", "backslashreplace").decode() for comment in comments)
+    comments = [line for comment in ascii_only for line in textwrap.wrap(comment, width)]
     created = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H:%M:%S")
     header = {"CREATION_DATE": created, "ORIGINATOR": "KEEPOUT"}
     write = _xml if xml else _kvn
@@ -167,15 +183,21 @@ def _read_kvn(path: Path, kind: Kind, text: str) -> Message:
     version, segments = "", []
     metadata: dict[str, str] = {}
     rows: list[Row] = []
+    comments: list[str] = []
     place = "start"
 
     def refuse(number: int, line: str, valid: str) -> ExchangeError:
         return ExchangeError(f"{path}: line {number}: {line[:60]!r}; {valid}")
 
-    for number, raw in enumerate(text.splitlines(), 1):
+    for number, raw in enumerate(_KVN_LINE.split(text), 1):
         line = raw.strip()
-        if not line or line.split()[0] == "COMMENT":
+        if not line:
             continue
+        if line.split()[0] == "COMMENT":
+            comments.append(line.removeprefix("COMMENT").strip())
+            continue
+        if not line.isascii():
+            raise refuse(number, line, "only ASCII may stand there")
         keyword = _KEYWORD.fullmatch(line)
         if place == "start":
             if keyword is None or keyword[1] != f"CCSDS_{kind}_VERS":
@@ -185,7 +207,7 @@ def _read_kvn(path: Path, kind: Kind, text: str) -> Message:
             place = "data" if line == "COVARIANCE_STOP" else place
         elif line == "META_START" and place in ("header", "data"):
             if place == "data":
-                segments.append(Segment(metadata, tuple(rows)))
+                segments.append(Segment(version, metadata, tuple(rows)))
             metadata, rows, place = {}, [], "meta"
         elif line == "META_STOP" and place == "meta":
             place = "data"
@@ -210,52 +232,71 @@ def _read_kvn(path: Path, kind: Kind, text: str) -> Message:
             rows.append(tuple(line.split()))
     if place != "data":
         raise ExchangeError(f"{path}: ends in its {place}; it is cut off or no {kind}")
-    segments.append(Segment(metadata, tuple(rows)))
-    return Message(kind, version, tuple(segments))
+    segments.append(Segment(version, metadata, tuple(rows)))
+    return Message(tuple(segments), tuple(comments))
 
 
 def _read_xml(path: Path, kind: Kind, content: bytes) -> Message:
-    parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, remove_comments=True)
+    parser = etree.XMLParser(
+        resolve_entities=False, no_network=True, load_dtd=False, remove_comments=True, remove_pis=True
+    )
     try:
         root = etree.fromstring(content.lstrip(), parser)
     except etree.XMLSyntaxError as error:
         raise ExchangeError(f"{path}: damaged or not XML ({' '.join(str(error).split())[:120]})") from None
-    if _name(root) == "ndm":
-        root = next((child for child in root if _name(child) == kind.lower()), root)
-    if _name(root) != kind.lower():
+    if _name(root) not in (kind.lower(), "ndm"):
         raise ExchangeError(f"{path}: its element is {_name(root)!r}; an {kind} in XML is one {kind.lower()!r}")
     segments = []
-    for segment in (element for element in root.iter() if _name(element) == "segment"):
-        parts = {_name(part): part for part in segment}
-        if not {"metadata", "data"} <= parts.keys():
-            raise ExchangeError(f"{path}: a segment has no metadata or no data; it must have both")
-        metadata = {
-            _name(entry): (entry.text or "").strip() for entry in parts["metadata"] if _name(entry) != "COMMENT"
-        }
-        if kind == "OEM":
-            rows = [_row(path, state, _STATE) for state in parts["data"] if _name(state) == "stateVector"]
-        else:
-            metadata["QUATERNION_TYPE"] = "LAST"
-            states = (state for state in parts["data"] if _name(state) == "attitudeState")
-            rows = [_row(path, state, dict.fromkeys(_QUATERNION, "")) for state in states]
-        segments.append(Segment(metadata, tuple(rows)))
+    for message in (element for element in root.iter() if _name(element) == kind.lower()):
+        for segment in (element for element in message.iter() if _name(element) == "segment"):
+            segments.append(_segment(path, kind, message.get("version", ""), segment))
     if not segments:
-        raise ExchangeError(f"{path}: has no segment; an {kind} has at least one")
-    return Message(kind, root.get("version", ""), tuple(segments))
+        raise ExchangeError(f"{path}: has no segment of an {kind}; at least one must be there")
+    comments = tuple((element.text or "").strip() for element in root.iter() if _name(element) == "COMMENT")
+    return Message(tuple(segments), comments)
+
+
+def _segment(path: Path, kind: Kind, version: str, segment) -> Segment:
+    parts = {_name(part): part for part in segment}
+    if not {"metadata", "data"} <= parts.keys():
+        raise ExchangeError(f"{path}: a segment has no metadata or no data; it must have both")
+    metadata: dict[str, str] = {}
+    for entry in parts["metadata"]:
+        if _name(entry) in metadata:
+            raise ExchangeError(f"{path}: {_name(entry)} must stand once in a segment's metadata")
+        if _name(entry) != "COMMENT":
+            metadata[_name(entry)] = _text(path, entry)
+    if kind == "OEM":
+        states, names = "stateVector", _STATE
+    else:
+        metadata["QUATERNION_TYPE"] = "LAST"
+        states, names = "attitudeState", {name: "" for name in _QUATERNION}
+    rows = tuple(_row(path, state, names) for state in parts["data"] if _name(state) == states)
+    return Segment(version, metadata, rows)
 
 
 def _row(path: Path, state, names: Mapping[str, str]) -> Row:
     """Give the epoch and the named numbers of a state, wherever inside it they stand."""
-    found = {_name(element): element for element in state.iter()}
     row = []
     for name in ("EPOCH", *names):
-        if name not in found:
-            raise ExchangeError(f"{path}: a {_name(state)} has no {name}; it must have {', '.join(('EPOCH', *names))}")
-        unit = found[name].get("units", names.get(name, ""))
+        found = [element for element in state.iter() if _name(element) == name]
+        if len(found) != 1:
+            raise ExchangeError(
+                f"{path}: a {_name(state)} has {'no' if not found else len(found)} {name}; it must have one each of "
+                f"{', '.join(('EPOCH', *names))}"
+            )
+        unit = found[0].get("units", names.get(name, ""))
         if unit != names.get(name, ""):
             raise ExchangeError(f"{path}: {name} in {unit!r}; it must be in {names[name]!r}")
-        row.append((found[name].text or "").strip())
+        row.append(_text(path, found[0]))
     return tuple(row)
+
+
+def _text(path: Path, element) -> str:
+    """Give an element's text, whole: an entity or an element inside would end it early."""
+    if len(element):
+        raise ExchangeError(f"{path}: {_name(element)} holds more than text; text alone is valid")
+    return (element.text or "").strip()
 
 
 def _name(element) -> str:

@@ -3,16 +3,17 @@
 import functools
 import threading
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
 from keepout.compiled.kept_programs import keep_programs
-from keepout.errors import ScenarioError
+from keepout.errors import ScenarioError, UsageError
 from keepout.experiments import case1, case2, case3, runtime, surfaces, table1, volumes
 from keepout.experiments.part import Part
 from keepout.experiments.side_by_side import side_by_side
 from keepout.experiments.work import Work
 from keepout.progress import Progress, never_back, part_of, silent
-from keepout.report.folder import make_folder, write_summary
+from keepout.report.folder import results_in, write_summary
 from keepout.report.reproduction import write_reproduction
 
 PARTS: dict[str, Callable[[Work], Part]] = {
@@ -58,18 +59,17 @@ def reproduce(
         progress: told how far the work is.
 
     Raises:
-        ScenarioError: a part of that name does not exist, or the folder cannot be written to.
+        UsageError: a part of that name does not exist.
+        ScenarioError: the folder cannot be written to.
 
     """
     keep_programs()
     chosen = [name for name in PARTS if name in names or "all" in names]
     for name in names:
         if name not in PARTS and name != "all":
-            raise ScenarioError(f"experiment: {name!r} is not known; valid: all, {', '.join(PARTS)}")
+            raise UsageError(f"experiment: {name!r} is not known; valid: all, {', '.join(PARTS)}")
     if fields is not None and not fields.is_dir():
         raise ScenarioError(f"--fields: {fields} is not a folder; give the one that an earlier run has written")
-    for name in chosen:
-        make_folder(out / name)
     done: dict[str, Part] = {}
     progress = never_back(progress)
     writing = threading.Lock()
@@ -91,8 +91,11 @@ def reproduce(
     share = 1.0 - 0.5 * len(alone) / len(chosen)
     order = sorted(chosen, key=lambda name: LONG.index(name) if name in LONG else len(LONG))
     jobs = {name: functools.partial(ahead if name in ALONE else repeated, name) for name in order}
-    side_by_side(jobs, part_of(progress, 0.0, share))
-    for name in alone:
-        repeated(name, part_of(progress, share, 1.0))
+    with ExitStack() as folders:
+        for name in chosen:
+            folders.enter_context(results_in(out / name))
+        side_by_side(jobs, part_of(progress, 0.0, share))
+        for name in alone:
+            repeated(name, part_of(progress, share, 1.0))
     progress(1.0, "")
     return [done[name] for name in chosen]

@@ -74,16 +74,10 @@ class Departures:
 def explained_distance(known: KnownFreeMap, camera: Pinhole) -> float:
     """Bound the distance between a return of the map and the surface that it came from, m.
 
-    It is ε_ρ + ε_p + D (ε_θ + a) + l: the errors of range and place; those of the axes and the angle a between a
-    pixel's middle, where the map puts its return, and the ray that returned, both at the greatest range D; and the half
-    diagonal l of the lattice that returns are kept on.
+    It is the error of a return at the greatest range, and half the diagonal of the lattice that returns are kept on.
     """
-    bounds = known.bounds
-    # Rays are at the middles of a pixel's sub-squares; on the image plane they are farther apart than on the sphere.
-    aside = math.hypot(0.5, 0.5) * (1.0 - 1.0 / bounds.rays_across) / camera.focal
     lattice = 0.5 * math.sqrt(3.0) * known.spacing / LATTICE
-    turned = bounds.greatest_range * (bounds.attitude_error + aside)
-    return bounds.range_error + bounds.position_error + turned + lattice + _ROUNDING
+    return float(known.bounds.return_error(camera, np.array([known.bounds.greatest_range]))[0]) + lattice + _ROUNDING
 
 
 def departures(known: KnownFreeMap, expected: Target, camera: Pinhole, *, seed: int = 0) -> Departures:

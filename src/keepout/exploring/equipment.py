@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from keepout.errors import ScenarioError
+from keepout.geometry.cubes_met import cubes_met
 from keepout.geometry.target import Target
 from keepout.mapping import map_file
 from keepout.mapping.known_free import KnownFreeMap
@@ -159,6 +160,46 @@ def expected_target(scenario: Scenario) -> Target | None:
     if entry.expected is None:
         return None
     return Target.load(entry.expected, units=entry.expected_units)
+
+
+class WronglyFree:
+    """Cubes that a map calls free although they hold a part of the true mesh, which only a simulation can know.
+
+    They are what the assumptions of docs/mapping.md exclude. So this looks at assumption A1 wherever it matters, in
+    every view, and misses no part however thin: where an image frees no such cube, nothing follows from a part that
+    it did not meet.
+    """
+
+    def __init__(self, known: KnownFreeMap, target: Target) -> None:
+        met = cubes_met(target.vertices, target.faces, known.origin, known.spacing, len(known.free))
+        self._held = np.flatnonzero(met)
+        self._before = self._count = int(known.free.ravel()[self._held].sum())
+        self._first = math.inf
+
+    def note(self, known: KnownFreeMap, now: float) -> None:
+        """Look at the map after it has taken in an image of the time `now` (s)."""
+        self._count = int(known.free.ravel()[self._held].sum())
+        if self._count > self._before:
+            self._first = min(self._first, now)
+
+    def words(self, scenario: Scenario) -> tuple[str, ...]:
+        """Say what was found; () where every free cube is."""
+        told = []
+        if self._before and scenario.map.file is not None:
+            told.append(f"map.file: {self._before} cubes that it calls free hold a part of the target")
+        if self._count > self._before:
+            sensor = scenario.depth_sensor
+            # Its other promises are kept wherever the simulation is not told to break one.
+            why = (
+                ""
+                if sensor.broken != "none"
+                else f": assumption A1 (width {sensor.surely_returned_width:g} m) is broken"
+            )
+            told.append(
+                f"{self._count - self._before} cubes that hold a part of the target were called free, the first by the "
+                f"image at {self._first:g} s{why}"
+            )
+        return tuple(told)
 
 
 def broken_promises(scenario: Scenario, target: Target, ball: DeclaredBall) -> tuple[str, ...]:

@@ -29,6 +29,7 @@ class TakenView:
         opened: cubes that became free.
         free_volume: known-free room inside the declared ball after it, m³.
         why: what the planner wanted when it was taken.
+        contradicting: returns in it that prove that a promise of ball or sensor is broken.
 
     """
 
@@ -39,6 +40,7 @@ class TakenView:
     opened: int
     free_volume: float
     why: str
+    contradicting: int = 0
 
 
 @dataclass(frozen=True)
@@ -113,6 +115,7 @@ class Exploration:
             "seen_share": self.seen_share,
             "views": len(self.views),
             "refused_views": {status: refused.count(status) for status in sorted(set(refused))},
+            "contradicting_returns": sum(view.contradicting for view in self.views),
             "opened_m3": sum(view.opened for view in self.views) * self.map.spacing**3,
             "duration_s": float(self.record.time[-1]),
             "delta_v_mps": float(self.flown.delta_v),

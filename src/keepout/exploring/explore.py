@@ -4,6 +4,7 @@ import math
 import time
 from pathlib import Path
 
+import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Float
@@ -20,12 +21,14 @@ from keepout.exploring.stages import Stages
 from keepout.exploring.tried import Tried
 from keepout.fields.map_field import MapField
 from keepout.flight import segment
-from keepout.flight.loop import FlightLog
+from keepout.flight.loop import FlightLog, LoopState
 from keepout.flight.record import EXPLORED
 from keepout.flight.setup import FlightSetup
 from keepout.geometry.first_hit import FirstHit
 from keepout.geometry.target import Target
+from keepout.guard.guard import GuardState
 from keepout.guard.start import starts_certified
+from keepout.guard.status import GuardFlag, GuardStatus
 from keepout.mapping.known_free import ViewStatus
 from keepout.mapping.view import View
 from keepout.mission import by_map, environment
@@ -54,6 +57,8 @@ _ATTEMPTS = 4
 """Views that the law may refuse to lead to before nothing more is tried; each keeps a little more room."""
 _OF_LATTICE = 1.0
 """Cubes by which a place is kept further from unknown room than the law keeps: what is between the lattice's nodes."""
+_STOPPING = 240.0
+"""Seconds after which the way back begins although the guard does not say that the chaser rests."""
 _RESTING = 10
 """Control steps within the tolerance after which the goal is reached."""
 
@@ -81,8 +86,7 @@ def explore(
         KeepoutError: something cannot be flown; the message names the entry, and nothing has been flown.
 
     """
-    if not isinstance(scenario, Scenario):
-        scenario = Scenario.load(scenario)
+    scenario = Scenario.of(scenario)
     return _Explorer(scenario, target, expected).flown(progress)
 
 
@@ -105,7 +109,8 @@ class _Explorer:
         by_map.require_start(scenario, self.ball, self.initial, self.guard)
         self.target = load_target(scenario.target) if target is None else target
         self.expected = equipment.expected_target(scenario) if expected is None else expected
-        self.broken = (*broken_assumptions(scenario), *equipment.broken_promises(scenario, self.target, self.ball))
+        self.wrongly_free = equipment.WronglyFree(self.known, self.target)
+        self.inherited = self.known.assumptions_broken
         self.first_hit = FirstHit(self.target.vertices, self.target.faces)
         self.surface = open_surface(self.target, self.first_hit)
         self.generator = np.random.default_rng(scenario.seed)
@@ -126,6 +131,8 @@ class _Explorer:
         self.wanted: NextView | None = None
         self.given_up = self.there_since = math.inf
         self.resting = self.outside = 0
+        self.contradicted_at: float | None = None
+        self.on_way_back = False
         self.free_volume = 0.0
 
     def flown(self, progress: Progress) -> Exploration:
@@ -141,10 +148,15 @@ class _Explorer:
         flown = 0
         while True:
             now, position = float(state.motion.time), np.asarray(state.motion.position)
-            self._look(now, position)
-            self._take_in(now)
+            if self.contradicted_at is None:
+                self._look(now, position)
+                self._take_in(now)
+                if self.contradicted_at is not None:
+                    self.wanted, state = None, _told(state, contradicted=True)
             ending = self._ending(flown)
-            if ending is None and self._is_over(now, position):
+            if ending is None and self.contradicted_at is not None:
+                setup, state, ending = self._go_back(setup, state, now, position)
+            elif ending is None and self._is_over(now, position):
                 field = self._field()
                 choice = self._choose(field, position)
                 if isinstance(choice, Ended):
@@ -190,22 +202,64 @@ class _Explorer:
             report = self.known.see(view)
             if report.status is ViewStatus.SEEN:
                 self.tried.note(self.known, view)
+                self.wrongly_free.note(self.known, view.time)
+            if report.contradicting and self.contradicted_at is None:
+                self.contradicted_at = now
             self.outside += report.outside
             self.free_volume += report.opened * self.known.spacing**3
             why = "" if self.wanted is None else self.wanted.why
             said = report.status.value.replace("_", " ")
-            self.views.append(TakenView(view.time, place, axes[:, 2], said, report.opened, self.free_volume, why))
+            told = said, report.opened, self.free_volume, why, report.contradicting
+            self.views.append(TakenView(view.time, place, axes[:, 2], *told))
             self.stages.note(self.known, view.time, self.free_volume)
 
     def _ending(self, flown: int) -> Ended | None:
         none = np.zeros((0, 3))
         if self.wanted is not None and self.wanted.is_goal and self.resting >= _RESTING:
             return Ended("reached goal", f"the goal is held within {self.scenario.goal.tolerance:g} m", none)
+        if flown >= self.scenario.steps and self.contradicted_at is not None:
+            return self._contradicted(f"duration {self.scenario.duration:g} s was over before the chaser was back")
         if flown >= self.scenario.steps:
             return Ended("out of time", f"duration {self.scenario.duration:g} s is over", none)
-        if len(self.views) >= self.scenario.explore.most_views:
+        if len(self.views) >= self.scenario.explore.most_views and self.contradicted_at is None:
             return Ended("out of views", f"explore.most_views {self.scenario.explore.most_views} were taken", none)
         return None
+
+    def _go_back(
+        self, setup: FlightSetup, state: LoopState, now: float, position: Point
+    ) -> tuple[FlightSetup, LoopState, Ended | None]:
+        """Lead to where the map began once the chaser rests: by the map as it was before the view that contradicts."""
+        began = self._within_map(np.asarray(self.initial.position))
+        if self.on_way_back:
+            back = float(np.linalg.norm(position - began)) < _NEAR
+            if back:
+                return setup, state, self._contradicted("the chaser came to rest, and went back to where it began")
+            if now > self.given_up:
+                return setup, state, self._contradicted("the chaser came to rest; it did not get back in time")
+            return setup, state, None
+        assert self.contradicted_at is not None
+        said = int(self.logs[-1].guard_status[-1]) if self.logs else 0
+        held = bool(said & GuardFlag.CONTRADICTED) and said & max(GuardStatus) == GuardStatus.HOLDING
+        resting = self.guard is None or held
+        if not resting and now < self.contradicted_at + _STOPPING:
+            return setup, state, None
+        field = self._field()
+        try:
+            law = self._law(began, position, field)
+        except ControlError as refusal:
+            return setup, state, self._contradicted(f"the chaser came to rest, and no way back is known: {refusal}")
+        way = float(np.linalg.norm(began - position))
+        self.on_way_back, self.given_up = True, now + _PATIENCE * way / self.scenario.chaser.speed_limit + _EXTRA
+        return by_map.led_on(setup, field, law), _told(state, contradicted=False), None
+
+    def _contradicted(self, then: str) -> Ended:
+        view = next(view for view in self.views if view.contradicting)
+        return Ended(
+            "contradicted",
+            f"{view.contradicting} returns of the image at {view.time:g} s lie in room that was known free, so a "
+            f"promise of ball or sensor is broken; {then}",
+            np.zeros((0, 3)),
+        )
 
     def _is_over(self, now: float, position: Point) -> bool:
         """Whether the view under way has been taken and taken in, or is given up."""
@@ -266,10 +320,16 @@ class _Explorer:
         """Put together what was flown, and audit it on the true mesh."""
         scenario = self.scenario
         bounds = environment.flight_bounds(scenario)
-        flown, record, verdict = recorded(scenario, self.target, setup, log, bounds, extra={EXPLORED: True})
+        contradicting = sum(view.contradicting for view in self.views)
+        extra = {EXPLORED: True, "contradicting_returns": contradicting}
+        flown, record, verdict = recorded(scenario, self.target, setup, log, bounds, extra=extra)
+        promises = equipment.broken_promises(scenario, self.target, self.ball) + self.wrongly_free.words(scenario)
         if self.outside:
-            told = f"{self.outside} returns lie outside the declared ball (map.centre, map.radius)"
-            self.broken = (*self.broken, told)
+            promises += (f"{self.outside} returns lie outside the declared ball (map.centre, map.radius)",)
+        self.known.broken = tuple(dict.fromkeys((*self.known.broken, *promises)))
+        if contradicting:
+            promises += (f"{contradicting} returns lie in room that was known free: ball or sensor broke a promise",)
+        broken = (*broken_assumptions(scenario, self.target), *self.inherited, *promises)
         start = jax.tree.map(lambda leaf: leaf[None], self.initial)
         certified = self.guard is not None and bool(starts_certified(self.guard, start)[0])
         return Exploration(
@@ -288,8 +348,15 @@ class _Explorer:
             unknown=ending.unknown,
             departures=None if self.expected is None else departures(self.known, self.expected, self.camera.camera),
             seconds=time.perf_counter() - self.began,
-            start_certified=certified and not self.broken,
-            assumptions_broken=self.broken,
+            start_certified=certified and not broken,
+            assumptions_broken=broken,
             guard={} if self.guard is None else guard_numbers(self.guard),
             keep=self.keep,
         )
+
+
+def _told(state: LoopState, *, contradicted: bool) -> LoopState:
+    """Tell the guard, where there is one, whether what it is told is contradicted."""
+    if not isinstance(state.guard, GuardState):
+        return state
+    return eqx.tree_at(lambda state: state.guard.contradicted, state, jax.device_put(np.asarray(contradicted)))

@@ -54,7 +54,9 @@ class NextView:
     is_goal: bool = False
 
 
-Ending = Literal["reached goal", "everything reachable seen", "no way known", "out of time", "out of views"]
+Ending = Literal[
+    "reached goal", "everything reachable seen", "no way known", "out of time", "out of views", "contradicted"
+]
 
 
 @dataclass(frozen=True, eq=False)

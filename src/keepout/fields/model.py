@@ -1,9 +1,9 @@
 """A field with its papers: what it was made from, how, and what was proved of it; and the file that holds them."""
 
 import dataclasses
+import itertools
 import json
-import math
-from itertools import chain
+import sys
 from pathlib import Path
 from typing import Any, Literal
 
@@ -29,6 +29,7 @@ VERSION = 1
 STORED_TYPES = ("F32", "F64", "I32")
 """Number types of a file's tensors, as safetensors names them."""
 _RADIUS_TOLERANCE = 1e-9
+_MOST = sys.float_info.max
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,17 +68,31 @@ class Certificate:
     gradient_found: float | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what bounds nothing."""
+        """Refuse what bounds nothing, or contradicts itself."""
         for entry in dataclasses.fields(self):
             value = getattr(self, entry.name)
             if entry.name.endswith("kind"):
                 if value not in ("certified", "sampled"):
                     raise FieldError(f"certificate: {entry.name} is {value!r}; it must be 'certified' or 'sampled'")
-            elif not entry.name.endswith("sha256") and value is not None and not math.isfinite(value):
-                raise FieldError(f"certificate: {entry.name} is {value}; it must be finite")
-        for name in ("gradient_bound", "evaluation_error"):
+            elif entry.name.endswith("sha256"):
+                if not isinstance(value, str):
+                    raise FieldError(f"certificate: {entry.name} is {value!r}; it must be text")
+            elif value is None and entry.name == "gradient_found":
+                continue
+            elif isinstance(value, bool) or not isinstance(value, int | float) or not -_MOST < value < _MOST:
+                raise FieldError(f"certificate: {entry.name} is {str(value)[:40]}; it must be a finite number")
+        for name in ("chaser_radius", "allowance", "gradient_bound", "evaluation_error", "seconds"):
             if getattr(self, name) < 0.0:
                 raise FieldError(f"certificate: {name} is {getattr(self, name)}; it must be at least 0")
+        if self.kind == "certified" and self.allowance != 0.0:
+            raise FieldError(f"certificate: allowance is {self.allowance} m and kind 'certified'; it must be 0 there")
+        for bound, found in (("error_bound", "sampled_maximum"), ("gradient_bound", "gradient_found")):
+            least = getattr(self, found)
+            if least is not None and getattr(self, bound) < least:
+                raise FieldError(
+                    f"certificate: {bound} is {getattr(self, bound)} and {found} {least}; a bound is at least what was "
+                    "found"
+                )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,8 +117,12 @@ class FieldModel:
     certificates: tuple[Certificate, ...] = ()
 
     def __post_init__(self) -> None:
-        """Refuse a field of which nothing could be proved; see `require_admissible`."""
+        """Refuse a field of which nothing could be proved (`require_admissible`), and two certificates for a radius."""
         require_admissible(self.field)
+        radii = sorted(certificate.chaser_radius for certificate in self.certificates)
+        for radius, following in itertools.pairwise(radii):
+            if following - radius <= _RADIUS_TOLERANCE:
+                raise FieldError(f"certificates: two are for the chaser radius {radius:g} m; one is valid")
 
     @property
     def sha256(self) -> str:
@@ -181,6 +200,9 @@ class FieldModel:
     def load(cls, path: str | Path, *, target: Target | None = None) -> "FieldModel":
         """Read a `.keepout` file, and check it against a target if one is given.
 
+        Its certificates are believed: who made the file could write any number that does not contradict the others.
+        `check_certificate` proves one again.
+
         Raises:
             FieldError: missing, damaged, truncated, edited, not a field file, made for another target, or with numbers
                 of which nothing can be proved (`require_admissible`).
@@ -214,7 +236,7 @@ class FieldModel:
 
 def _digest(tensors: dict[str, np.ndarray], description: dict) -> str:
     named = ((f"{name} {tensors[name].dtype} {tensors[name].shape}", tensors[name]) for name in sorted(tensors))
-    return digest(json.dumps(description, sort_keys=True), *chain.from_iterable(named))
+    return digest(json.dumps(description, sort_keys=True), *itertools.chain.from_iterable(named))
 
 
 def _read(path: Path) -> tuple[dict, dict[str, np.ndarray]]:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from keepout.compiled.tried import require_numbers, tried
 from keepout.errors import FieldError
 from keepout.fields.evaluate import values_and_gradients
 from keepout.fields.field import Field
@@ -81,8 +82,9 @@ def stated_field(
         FieldError: the bound is no positive number, or a gradient above it or a value that is no number is found.
 
     """
-    if not (math.isfinite(lipschitz) and lipschitz > 0.0):
-        raise FieldError(f"field: a Lipschitz bound of {lipschitz}; it must be positive and finite")
+    number = isinstance(lipschitz, int | float | np.number) and not isinstance(lipschitz, bool)
+    if not (number and math.isfinite(lipschitz) and lipschitz > 0.0):
+        raise FieldError(f"field: a Lipschitz bound of {lipschitz!r}; it must be a number, positive and finite")
     field = FunctionField(function, float(lipschitz), "stated")
     steepest, where = _steepest(field, lower, upper, samples, seed)
     if steepest > lipschitz * _LOOSE:
@@ -120,13 +122,29 @@ def sampled_field(
     return FunctionField(function, (1.0 + allowance) * steepest, "sampled")
 
 
+def _corner(name: str, corner: Any) -> Float[np.ndarray, "3"]:
+    try:
+        place = np.asarray(corner, np.float64)
+    except (TypeError, ValueError):
+        place = np.full(0, np.nan)
+    if place.shape != (3,) or not np.isfinite(place).all():
+        raise FieldError(f"field: {name} {corner!r}; it must be three finite numbers, m")
+    return place
+
+
 def _steepest(
     field: FunctionField, lower: Corner, upper: Corner, samples: int, seed: int
 ) -> tuple[float, Float[np.ndarray, "3"]]:
-    shape = jax.eval_shape(field.function, jnp.zeros(3)).shape
-    if shape != ():
-        raise FieldError(f"field: the function gives an array of shape {shape} for one point; it must give one number")
-    points = np.random.default_rng(seed).uniform(lower, upper, (samples, 3))
+    asked: dict[str, Any] = {
+        "part": "field: the function",
+        "wanted": "one number of floats, an array (), for a point (3,)",
+        "refusal": FieldError,
+    }
+    require_numbers(tried(lambda point: field.function(point), jnp.zeros(3), **asked), (), **asked)
+    low, high = (_corner(name, corner) for name, corner in (("lower", lower), ("upper", upper)))
+    if not (low < high).all():
+        raise FieldError(f"field: lower {low.tolist()} must be below upper {high.tolist()} along every axis")
+    points = np.random.default_rng(seed).uniform(low, high, (samples, 3))
     found, gradients = values_and_gradients(field, points)
     wrong = ~(np.isfinite(found) & np.isfinite(gradients).all(axis=1))
     if wrong.any():

@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 
 from keepout.errors import MeshError
 from keepout.geometry.mesh_files import READERS, MeshContents
-from keepout.geometry.mesh_files.contents import counted, text_lines
+from keepout.geometry.mesh_files.contents import counted, resolved, text_lines
 from keepout.geometry.mesh_report import Surface, part_labels, stray_faces, weld, zero_area
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
@@ -62,6 +62,11 @@ def read_surface(
             f"{path.name}: the largest extent would be {size:.4g} m; give units (m, cm, mm, in, ft) or "
             f"scale, whether that is right or wrong; without them {SMALLEST} to {LARGEST:.0f} m is taken"
         )
+    if size > 0.0 and not resolved(used, size):
+        raise MeshError(
+            f"{path.name}: its largest extent is {size / factor:.4g} and its coordinates go up to "
+            f"{np.abs(used).max() / factor:.4g}, in the file's unit: rounding changes it by more than a millionth"
+        )
     if cloud:
         return Surface(vertices, faces, 0.5 * float(thickness or 0.0), tuple(actions))
     unused = len(vertices) - len(np.unique(faces))
@@ -69,7 +74,7 @@ def read_surface(
         actions.append(f"left out {counted(unused, 'point')} that no triangle uses")
     faces = _clean(path, vertices, faces, drop_stray, actions)
     kept, faces = np.unique(faces, return_inverse=True)
-    return Surface(vertices[kept], faces.reshape(-1, 3).astype(np.int64), 0.0, tuple(actions))
+    return Surface(vertices[kept], faces.reshape(-1, 3).astype(np.int64), 0.0, tuple(actions), contents.broken)
 
 
 def _check_file(path: Path) -> None:
@@ -134,10 +139,16 @@ def _scale(path: Path, units: str | None, scale: float | None, declared: str | N
     if scale is not None:
         if not (np.isfinite(scale) and scale > 0.0):
             raise MeshError(f"{path.name}: scale = {scale}; it must be a positive number of metres a file unit")
-        return float(scale), [f"scaled by {scale}"]
-    if units is None and declared is not None:
+        aside = "" if declared is None else f", where the file declares {declared[:40]}"
+        return float(scale), [f"scaled by {scale}{aside}"]
+    if declared is not None:
         if declared not in _DECLARED:
             raise MeshError(f"{path.name}: declares the unit {declared[:40]!r}; valid are {', '.join(_DECLARED)}")
+        if units is not None and UNITS.get(units) != _DECLARED[declared]:
+            raise MeshError(
+                f"{path.name}: units = {units!r}, and the file declares {declared}; leave units out, or give scale, "
+                "the metres of a file unit, if the file is wrong"
+            )
         said = [] if declared == "meter" else [f"converted from {declared}, the unit that the file declares"]
         return _DECLARED[declared], said
     units = units or "m"

@@ -17,6 +17,8 @@ class Surface:
     ball_radius: float = 0.0
     """Positive for a point cloud: metres; the faces are then (i, i, i)."""
     actions: tuple[str, ...] = ()
+    broken: tuple[str, ...] = ()
+    """Of the skin of a map: what makes it one that nothing is promised of."""
 
     def moved(self, rotation: Float[np.ndarray, "3 3"], origin: Float[np.ndarray, "3"]) -> "Surface":
         """Express the surface in body axes: rotation @ (vertex - origin)."""

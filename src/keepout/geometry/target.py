@@ -12,6 +12,7 @@ from keepout.digest import digest
 from keepout.errors import MeshError
 from keepout.geometry.builtin import BUILTINS
 from keepout.geometry.distance import BallCloudDistance, Distance, ExactDistance
+from keepout.geometry.mesh_files.contents import resolved
 from keepout.geometry.mesh_input import read_surface
 from keepout.geometry.mesh_report import MeshReport, Surface, describe
 
@@ -21,6 +22,7 @@ class Target:
     """A target's surface in its body frame, in metres.
 
     A point cloud has one degenerate triangle (i, i, i) a point and a positive `ball_radius`: each point is a ball.
+    Of the skin of a map, `broken` says what makes it one that nothing is promised of (docs/mapping.md).
     """
 
     name: str
@@ -28,6 +30,7 @@ class Target:
     faces: Int[np.ndarray, "f 3"]
     report: MeshReport
     ball_radius: float = 0.0
+    broken: tuple[str, ...] = ()
 
     @classmethod
     def load(
@@ -74,8 +77,14 @@ class Target:
                 raise MeshError(f"{name}: parameters are for built-ins; a file takes none")
             name = Path(source).stem
             surface = read_surface(Path(source), units=units, scale=scale, drop_stray=drop_stray, thickness=thickness)
+        size = float(np.ptp(surface.vertices, axis=0).max())
         surface = surface.moved(_rotation(rotation), _origin(origin))
-        return cls(name, surface.vertices, surface.faces, describe(surface), surface.ball_radius)
+if size > 0.0 and not resolved(surface.vertices, size):
+            raise MeshError(
+                f"{name}: origin is {np.max(np.abs(_origin(origin))):.4g} m away from a mesh of {size:.4g} m: rounding "
+                "would change it by more than a millionth"
+            )
+        return cls(name, surface.vertices, surface.faces, describe(surface), surface.ball_radius, surface.broken)
 
     @functools.cached_property
     def distance(self) -> Distance:

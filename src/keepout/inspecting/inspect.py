@@ -56,8 +56,7 @@ def inspect(
         KeepoutError: something cannot be flown or seen; the message names the entry, and nothing has been flown.
 
     """
-    if not isinstance(scenario, Scenario):
-        scenario = Scenario.load(scenario)
+    scenario = Scenario.of(scenario)
     if scenario.inspect.tour == "circumnavigation":
         return _circled(scenario, target, problem, progress)
     return _under_way(scenario, target, model, problem, first, progress).flown(part_of(progress, 0.5, 1.0))

@@ -68,7 +68,7 @@ def judged(
     bounds = environment.flight_bounds(scenario)
     flown, record, verdict = recorded(scenario, problem.target, setup, log, bounds)
     frames, seen = as_flown(record, shots, camera, progress=part_of(progress, 0.3, 1.0))
-    broken = broken_assumptions(scenario)
+    broken = broken_assumptions(scenario, problem.target)
     return Inspection(
         scenario=scenario,
         target=problem.target,

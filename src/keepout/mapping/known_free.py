@@ -13,10 +13,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
 from keepout.errors import MapError
+from keepout.mapping.contradiction import in_free_room
 from keepout.mapping.distance_transform import renew, squares_of
 from keepout.mapping.pyramid import pyramid
 from keepout.mapping.returns import Returns
-from keepout.mapping.rule import empty_ranges, rule_of
+from keepout.mapping.rule import SLACK, empty_ranges, rule_of
 from keepout.mapping.view import SensorBounds, View
 from keepout.mapping.windows import BLOCK, free_cubes
 
@@ -40,6 +41,8 @@ class ViewStatus(enum.Enum):
     """A pose or range that no sensor can have: not finite, a range below zero, axes that are no rotation."""
     EMPTY = "empty"
     """No pixel says anything."""
+    CONTRADICTED = "contradicted"
+    """A return lies in known-free room: this view, or one before, broke a promise."""
 
 
 @dataclass(frozen=True)
@@ -51,8 +54,11 @@ class ViewReport:
     """Cubes that became free."""
     seconds: float
     """Time that it took."""
+    contradicting: int = 0
+    """Returns farther inside known-free room, or outside the declared ball, than the errors explain: each proves that a
+    promise of ball or sensor is broken. Counted in every view whose pose is finite, taken or not."""
     outside: int = 0
-    """Returns farther outside the declared ball than the errors explain: the ball does not hold all that is there."""
+    """Those of them that lie outside the ball."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +86,9 @@ class KnownFreeMap:
         squares: (n+1, n+1, n+1) uint16, squared distance in cells of each cube corner to the nearest cube that is not
             free, capped at (cap / spacing)². To be read only.
         seen: pose and time of each view taken, in order.
+        broken: promises of ball and sensor that were broken when the map was made, each in words, as far as whoever
+            made it knew; to be added to by whoever knows more.
+        contradicting: returns so far that prove that a promise was broken.
 
     """
 
@@ -106,6 +115,8 @@ class KnownFreeMap:
             )
         self.origin = self.centre - 0.5 * cubes * self.spacing
         self.seen: list[Seen] = []
+        self.broken: tuple[str, ...] = ()
+        self.contradicting = 0
         self._flight_began = 0
         self.free = np.zeros((cubes, cubes, cubes), dtype=np.bool_)
         self.squares = np.zeros((0, 0, 0), dtype=np.uint16)
@@ -196,6 +207,14 @@ class KnownFreeMap:
         return self.origin + len(self.free) * self.spacing
 
     @property
+    def assumptions_broken(self) -> tuple[str, ...]:
+        """What makes this map one that nothing is promised of, in words; () where nothing is known against it."""
+        told = tuple(f"map: {line}" for line in self.broken)
+        if self.contradicting:
+            told += (f"map: {self.contradicting} returns contradict it (docs/mapping.md#what-contradicts-a-map)",)
+        return told
+
+    @property
     def views(self) -> int:
         """How many views the map took."""
         return len(self.seen)
@@ -231,16 +250,22 @@ class KnownFreeMap:
         self._flight_began = len(self.seen)
 
     def see(self, view: View) -> ViewReport:
-        """Grow the map by a view, in place; a refused view leaves it as it was."""
+        """Grow the map by a view, in place; a refused view leaves it as it was, but for `contradicting`."""
         begin = time.perf_counter()
         status = self._status(view)
-        if status is not ViewStatus.SEEN:
+        if status is ViewStatus.NOT_FINITE:
             return ViewReport(status, 0, time.perf_counter() - begin)
-        opened = self.open(view)
         points = view.points()
-        self._returns.add(points)
-        self.seen.append(Seen(float(view.time), view.position.copy(), view.axes.copy()))
-        return ViewReport(status, opened, time.perf_counter() - begin, self._outside(view, points))
+        contradicting, outside = self._contradicting(view, points)
+        self.contradicting += contradicting
+        if contradicting and status is ViewStatus.SEEN:
+            status = ViewStatus.CONTRADICTED
+        opened = 0
+        if status is ViewStatus.SEEN:
+            opened = self.open(view)
+            self._returns.add(points)
+            self.seen.append(Seen(float(view.time), view.position.copy(), view.axes.copy()))
+        return ViewReport(status, opened, time.perf_counter() - begin, contradicting, outside)
 
     def open(self, view: View) -> int:
         """Free the cubes that the rule frees, and bring the distances up to date; gives how many were freed."""
@@ -298,12 +323,9 @@ class KnownFreeMap:
                 return ViewStatus.POSE_JUMP
         return ViewStatus.SEEN
 
-    def _outside(self, view: View, points: Float[np.ndarray, "m 3"]) -> int:
-        ranges = view.ranges[np.isfinite(view.ranges)]
-        slant = 2.0 * math.hypot(0.5, 0.5) / view.camera.focal  # of a pixel's corner against its middle, at most
-        explained = self.bounds.range_error + self.bounds.position_error + (self.bounds.attitude_error + slant) * ranges
-        return int((np.linalg.norm(points - self.centre, axis=1) > self.radius + explained).sum())
-
-
-def _is_rotation(axes: Float[np.ndarray, "3 3"]) -> bool:
-    return bool(np.abs(axes.T @ axes - np.eye(3)).max() <= _ROTATION and np.linalg.det(axes) > 0.0)
+    def _contradicting(self, view: View, points: Float[np.ndarray, "m 3"]) -> tuple[int, int]:
+        """Count the returns that no part of a target in unknown room can have sent, and those outside the ball."""
+        explained = self.bounds.return_error(view.camera, view.ranges[np.isfinite(view.ranges)]) + SLACK
+        outside = np.linalg.norm(points - self.centre, axis=1) > self.radius + explained
+        inside = in_free_room(points, explained, self.origin, self.spacing, self.free, self.cap)
+        return int((outside | inside).sum()), int(outside.sum())

@@ -1,4 +1,4 @@
-"""Map files, `.keepmap`: every setting, which cubes are free (a bit each), the returns, and the views that were taken.
+"""Map files, `.keepmap`: settings, which cubes are free (a bit each), returns, views taken, and what was broken then.
 
 A file reads back bit for bit or is refused. Distances are not kept: they follow from the cubes. A map that was read
 goes on seeing and becomes the same map as one that was never written.
@@ -23,7 +23,9 @@ from keepout.mapping.view import SensorBounds
 from keepout.whole_file import write_whole
 
 FORMAT = "keepout-map"
-VERSION = 1
+VERSION = 2
+UNTOLD = "its file is of version 1, which keeps no word of what was broken when it was made"
+"""Said of a map from such a file: what is not known to have been kept counts as broken."""
 SUFFIX = ".keepmap"
 _TENSORS = {"free": "U8", "returns": "I64", "times": "F64", "positions": "F64", "axes": "F64"}
 """Arrays of a file and their number types, as safetensors names them."""
@@ -64,7 +66,8 @@ def save(known: KnownFreeMap, path: str | Path) -> Path:
         "positions": np.array([seen.position for seen in known.seen], dtype=np.float64).reshape(-1, 3),
         "axes": np.array([seen.axes for seen in known.seen], dtype=np.float64).reshape(-1, 3, 3),
     }
-    header = json.dumps({"version": VERSION, "fingerprint": fingerprint(known), "settings": settings(known)})
+    told = {"broken": list(known.broken), "contradicting": known.contradicting}
+    header = json.dumps({"version": VERSION, "fingerprint": fingerprint(known), "settings": settings(known), **told})
     # One entry: safetensors keeps entries in no order, and the same map is to be the same file.
     envelope = json.dumps({"sha256": _digest(header, tensors), "header": header})
     write_whole(path, safetensors.numpy.save(tensors, {FORMAT: envelope}), refusal=MapError)
@@ -124,8 +127,8 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         why = " ".join(str(error).split())[:160]
         raise MapError(f"{path}: damaged, truncated, or not a map file ({why})") from None
     version = header.get("version") if isinstance(header, dict) else None
-    if version != VERSION:
-        raise MapError(f"{path}: map format version {version}; this release reads version {VERSION}")
+    if version not in (1, VERSION):
+        raise MapError(f"{path}: map format version {version}; this release reads versions 1 and {VERSION}")
     if _digest(text, tensors) != checksum:
         raise MapError(f"{path}: its contents do not match its checksum: edited or damaged")
     return header, tensors
@@ -144,6 +147,11 @@ def _put_together(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Kno
     )
     if fingerprint(known) != header["fingerprint"]:
         raise MapError("its settings do not match its fingerprint; make the map again")
+    told = {"broken": [UNTOLD], "contradicting": 0} if header["version"] == 1 else header
+    lines, count = told["broken"], told["contradicting"]
+    if not (type(lines) is list and all(type(line) is str for line in lines) and type(count) is int and count >= 0):
+        raise MapError("what was broken when it was made is no list of lines and a count")
+    known.broken, known.contradicting = tuple(lines), count
     cubes = known.free.size
     if tensors["free"].shape != (-(-cubes // 8),):
         raise MapError(f"free holds {tensors['free'].size} bytes; {cubes} cubes need {-(-cubes // 8)}")

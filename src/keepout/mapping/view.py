@@ -102,6 +102,16 @@ class SensorBounds:
         pitch = 1.0 / (camera.focal * self.rays_across)
         return min(self.greatest_range, self.surely_returned_width / (WIDTH_IN_PITCHES * pitch))
 
+    def return_error(self, camera: Pinhole, ranges: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+        """Bound how far from a part of the target its return is put, m, at some ranges (m).
+
+        It is ε_ρ + ε_p + v (ε_θ + a): the errors of range and place; at the range v those of the axes, and the angle a
+        between the pixel's middle, where the return is put, and the ray of the pixel that returned.
+        """
+        # Rays are at the middles of sub-squares; on the image plane they are farther apart than on the sphere.
+        aside = math.hypot(0.5, 0.5) * (1.0 - 1.0 / self.rays_across) / camera.focal
+        return self.range_error + self.position_error + ranges * (self.attitude_error + aside)
+
 
 @dataclass(frozen=True, eq=False)
 class View:

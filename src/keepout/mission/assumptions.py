@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from keepout.geometry.target import Target
 from keepout.guard import watch
 from keepout.guard.guard import Guard
 from keepout.mission import environment
@@ -12,8 +13,10 @@ _ROUNDING = 1e-9
 """Relative: a bound declared is not broken by the rounding of the flown one."""
 
 
-def broken_assumptions(scenario: Scenario) -> tuple[str, ...]:
+def broken_assumptions(scenario: Scenario, target: Target | None = None) -> tuple[str, ...]:
     """Name what the scenario flies beyond what it declares to the guard, each with its numbers; () where nothing is.
+
+    A target that is the skin of a map brings along what was broken when that map was made.
 
     A broken control law is none of it: the theorem holds whatever is commanded. Sufficient for the theorem, not
     necessary: that needs the sum D only, and one part may use what another leaves.
@@ -61,7 +64,7 @@ def broken_assumptions(scenario: Scenario) -> tuple[str, ...]:
                 f"navigation.suite {scenario.navigation.suite}: Gaussian noise has no bound (the guard's set "
                 f"misses the truth with a probability per flight of at most {missed:.3g})"
             )
-    return tuple(found)
+    return (*found, *(() if target is None else target.broken))
 
 
 def guard_numbers(guard: Guard) -> dict[str, Any]:

@@ -28,6 +28,7 @@ from keepout.mission.navigation import navigation, require_navigation
 from keepout.mission.scenario import Scenario
 from keepout.mission.target import load_target, require_apart
 from keepout.mission.thrusters import thrusters
+from keepout.mission.tried import require_guard, require_law
 from keepout.motion import MotionState
 from keepout.motion.arrays import as_float64
 from keepout.progress import Progress, part_of, silent
@@ -79,12 +80,23 @@ class Mission:
         """Give the same mission flown by another law, told of the scenario's delay and broken by its faults.
 
         The guard's theorem holds for any law, so what is certified of the start stays.
+
+        Raises:
+            ControlError: it is no law, or tried at the start it does not answer as one.
+
         """
+        require_law(law, self.initial)
         flown = flown_law(self.scenario, law, self.model)
         return replace(self, setup=replace(self.setup, controller=flown))
 
     def with_guard(self, guard: SafetyLayer | None) -> "Mission":
-        """Give the same mission with another safety layer, or none; nothing is certified of it."""
+        """Give the same mission with another safety layer, or none; nothing is certified of it.
+
+        Raises:
+            ControlError: it is no safety layer, or tried at the start it does not answer as one.
+
+        """
+        require_guard(guard, self.initial)
         return replace(self, setup=replace(self.setup, guard=guard), start_certified=None)
 
 
@@ -111,7 +123,7 @@ def load_model(scenario: Scenario, target: Target, progress: Progress = silent) 
 
 
 def prepare(
-    scenario: Scenario,
+    scenario: Scenario | str | Path,
     *,
     target: Target | None = None,
     model: FieldModel | None = None,
@@ -122,7 +134,7 @@ def prepare(
     """Build everything that flying a scenario needs.
 
     Args:
-        scenario: what to fly.
+        scenario: what to fly, or the path of its TOML file.
         target: already loaded; else the scenario's.
         model: its field, already loaded; else the scenario's.
         guidance: instead of the one that the scenario names.
@@ -134,6 +146,7 @@ def prepare(
 
     """
     keep_programs()
+    scenario = Scenario.of(scenario)
     target = load_target(scenario.target) if target is None else target
     model = load_model(scenario, target) if model is None else model
     model.require_target(target, where="field")
@@ -151,7 +164,7 @@ def prepare(
         assumed = environment.guard_assumptions(scenario, target)
         setup = replace(setup, navigation=navigation(scenario, setup.motion, assumed))
     initial = setup.motion.initial_state(np.asarray(scenario.start.position), np.asarray(scenario.start.velocity))
-    guard, start_certified, broken = None, None, broken_assumptions(scenario)
+    guard, start_certified, broken = None, None, broken_assumptions(scenario, target)
     if scenario.guard.enabled:
         guard = build_guard(
             scenario,

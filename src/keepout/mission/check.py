@@ -128,12 +128,11 @@ def check(
         MeshError: the mesh cannot be used.
 
     """
-    if not isinstance(scenario, Scenario):
-        scenario = Scenario.load(scenario)
+    scenario = Scenario.of(scenario)
     progress(0.0, "target")
     target = load_target(scenario.target) if target is None else target
     words = in_words(scenario, target)
-    broken = broken_assumptions(scenario) if _bounded(scenario) else ()
+    broken = broken_assumptions(scenario, target) if _bounded(scenario) else ()
     found: list[Refusal] = []
     progress(0.1, "numbers")
     refused = number_refusal(scenario, target)

@@ -5,7 +5,15 @@ Every entry is in SI units. What depends on two entries of one table is checked 
 
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    model_validator,
+)
 
 from keepout.mission.epoch import checked_epoch
 
@@ -23,10 +31,27 @@ Angle = Annotated[float, Field(ge=-6.3, le=6.3)]
 Epoch = Annotated[str, BeforeValidator(checked_epoch)]
 
 
+def _strict(part: Any) -> Any:
+    if isinstance(part, list):
+        return [_strict(inner) for inner in part]
+    if not isinstance(part, dict):
+        return part
+    made = {key: _strict(inner) for key, inner in part.items()}
+    return made | {"strict": True} if part.get("type") in ("float", "int", "bool", "str") else made
+
+
 class Entry(BaseModel):
-    """A table of a scenario: immutable, and without unknown keys."""
+    """A table of a scenario: immutable, without unknown keys, and with values of the kind that each entry asks for.
+
+    `true` and `"5"` are no numbers, and 1 is no flag; a whole number is a number, and a list is a vector.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> Any:
+        """Make every number, flag and text of the table strict; `strict` of the model would refuse lists as well."""
+        return _strict(handler(source))
 
 
 class TargetEntry(Entry):

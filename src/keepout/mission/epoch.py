@@ -8,9 +8,11 @@ import datetime
 import re
 from typing import Any
 
-_FORM = re.compile(r"(\d{4}-(?:\d\d-\d\d|\d{3})T\d\d:\d\d:\d\d)(?:\.(\d*))?Z?")
+_FORM = re.compile(r"(\d{4}-(?:\d\d-\d\d|\d{3})T\d\d:\d\d:\d\d)(?:\.(\d*))?Z?", re.ASCII)
 _NANOSECONDS = 1_000_000_000
 _ORIGIN = datetime.datetime(1970, 1, 1)
+_FURTHEST = 2**63 // _NANOSECONDS
+"""Seconds from there, about 292 years: further on, nanoseconds are more than 64 bits count."""
 
 _JUNE = (1972, 1981, 1982, 1983, 1985, 1992, 1993, 1994, 1997, 2012, 2015)
 _DECEMBER = (1972, 1973, 1974, 1975, 1976, 1977, 1978, 1979, 1987, 1989, 1990, 1995, 1998, 2005, 2008, 2016)
@@ -28,20 +30,26 @@ def parse_instant(text: str) -> int:
     Digits beyond the nanosecond are rounded.
 
     Raises:
-        ValueError: not such an instant, or within a leap second; the message leaves the text to the caller.
+        ValueError: not such an instant, within a leap second, or too far from 1970 for 64 bits; the message leaves the
+            text to the caller.
 
     """
     found = _FORM.fullmatch(text.strip())
     if found is None:
         raise ValueError("must be an instant such as 2026-01-01T00:00:00Z")
     whole, digits = found.groups()
-    pattern = "%Y-%m-%dT%H:%M:%S" if whole.count("-") == 2 else "%Y-%jT%H:%M:%S"
     if whole.endswith(":60"):
         raise ValueError("lies within a leap second; instants before or after one are valid")
     try:
-        seconds = (datetime.datetime.strptime(whole, pattern) - _ORIGIN) // datetime.timedelta(seconds=1)
+        by_month = whole.count("-") == 2  # strptime is ten times as slow
+        read = (
+            datetime.datetime.fromisoformat(whole) if by_month else datetime.datetime.strptime(whole, "%Y-%jT%H:%M:%S")
+        )
+        seconds = (read - _ORIGIN) // datetime.timedelta(seconds=1)
     except ValueError:
         raise ValueError("must be a day and time that there are") from None
+    if not abs(seconds) < _FURTHEST:
+        raise ValueError("must lie from 1677-09-22 to 2262-04-11: nanoseconds are counted in 64 bits")
     return seconds * _NANOSECONDS + round(float(f"0.{digits or 0}") * _NANOSECONDS)
 
 

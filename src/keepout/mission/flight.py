@@ -135,8 +135,7 @@ def fly(
         KeepoutError: something in the scenario cannot be flown; the message names the entry.
 
     """
-    if not isinstance(scenario, Scenario):
-        scenario = Scenario.load(scenario)
+    scenario = Scenario.of(scenario)
     progress(0.0, "preparing")
     mission = prepare(
         scenario,

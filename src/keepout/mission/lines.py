@@ -1,6 +1,7 @@
 """Where entries stand in a scenario file, so that a refusal names the line."""
 
 import tomllib
+from collections.abc import Mapping
 from typing import Any
 
 Path = tuple[Any, ...]
@@ -35,7 +36,7 @@ def entry_lines(text: str) -> dict[Path, int]:
     return lines
 
 
-def line_of(lines: dict[Path, int], path: Path) -> int | None:
+def line_of(lines: Mapping[Path, int], path: Path) -> int | None:
     """Give the line of an entry, or of the closest table around it that the file names; None where there is none."""
     for length in range(len(path), 0, -1):
         if path[:length] in lines:

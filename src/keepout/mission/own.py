@@ -7,11 +7,13 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from keepout.errors import ScenarioError
+from keepout.compiled.tried import described
+from keepout.errors import FieldError, ScenarioError
 from keepout.fields.own import FunctionField
 from keepout.mission import environment
 from keepout.mission.build import Mission
 from keepout.mission.law import broken_as, law_on
+from keepout.mission.tried import require_disturbance, require_thruster_model
 from keepout.motion import Disturbance, ThrusterModel
 from keepout.motion.arrays import as_float64
 from keepout.progress import Progress, silent
@@ -28,9 +30,10 @@ def with_disturbance(mission: Mission, disturbance: Disturbance) -> Mission:
     Where its bound is above what they assume, that is an assumption broken, and nothing is promised.
 
     Raises:
-        ScenarioError: its force is found above the bound that it states.
+        ScenarioError: it does not answer as a disturbance, or its force is found above the bound that it states.
 
     """
+    require_disturbance(disturbance)
     bound, times = disturbance.bound, np.linspace(0.0, mission.scenario.duration, _TRIED)
     found = float(np.linalg.norm(np.asarray(_forces(disturbance, as_float64(times))), axis=1).max())
     if not found <= bound * _ROUNDING:
@@ -59,7 +62,12 @@ def with_thrusters(mission: Mission, thrusters: ThrusterModel) -> Mission:
 
     The guard's theorem asks for thrusters that give what is commanded within `guard.gain_error`. Whether these do is
     not known, so nothing is certified of the start.
+
+    Raises:
+        ScenarioError: tried on an example, they do not answer as thrusters.
+
     """
+    require_thruster_model(thrusters)
     said = "thrusters: others than the scenario's (what they give of a command is not known)"
     return replace(
         mission,
@@ -84,6 +92,8 @@ def with_field(mission: Mission, field: FunctionField, *, leaf: float = 0.1, pro
         KeepoutError: the law cannot be built on it; the message names the entry.
 
     """
+    if not isinstance(field, FunctionField):
+        raise FieldError(f"field: {described(field)}; it must be one of keepout.stated_field or keepout.sampled_field")
     scenario = mission.scenario
     bound = error_bound(field, mission.target, scenario.chaser.radius, leaf=leaf)
     law = law_on(scenario, field, bound, progress=progress)

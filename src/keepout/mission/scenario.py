@@ -7,6 +7,7 @@ the value, and what would be valid; nothing is guessed.
 import difflib
 import re
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin
 
@@ -40,6 +41,9 @@ from keepout.mission.lines import entry_lines, line_of
 from keepout.mission.navigation_entries import NavigationEntry
 from keepout.mission.thruster_entries import ThrustersEntry
 
+_SHOWN = 200
+"""Characters shown of a value that is refused, and bits of a whole number."""
+
 _ESTIMATE_FAULTS = (
     *("position_bias", "velocity_bias", "position_noise", "velocity_noise"),
     *("position_noise_std", "velocity_noise_std"),
@@ -47,7 +51,20 @@ _ESTIMATE_FAULTS = (
 """Entries of `faults` that put errors on a state that no sensor measured."""
 
 
-class Scenario(Entry):
+class _RefusedAsOthers(type(Entry)):
+    """Makes `Scenario(chaser={"mass": -1})` the refusal that `Scenario.parse` gives.
+
+    Not an `__init__`, which pydantic's own validation would call too.
+    """
+
+    def __call__(cls, *args, **entries):
+        try:
+            return super().__call__(*args, **entries)
+        except ValidationError as error:
+            raise _refusal(error, "scenario") from None
+
+
+class Scenario(Entry, metaclass=_RefusedAsOthers):
     """One mission: target, chaser, law, environment, start and goal. The defaults are the source paper's Case 1."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")] = Field(
@@ -141,10 +158,21 @@ class Scenario(Entry):
         try:
             return cls.model_validate(tree)
         except ValidationError as error:
-            lines = {} if text is None else entry_lines(text)
-            reasons = "; ".join(f"{_line(item, lines)}{_reason(item, cls)}" for item in error.errors())
-            # A key may hold a line break; a refusal is one line whatever was given.
-            raise ScenarioError(" ".join(f"{where}: {reasons}".split())) from None
+            raise _refusal(error, where, {} if text is None else entry_lines(text)) from None
+
+    @classmethod
+    def of(cls, given: "Scenario | str | Path") -> "Scenario":
+        """Give a scenario as it is, or the one in a file.
+
+        Raises:
+            ScenarioError: the file is refused, or it is neither a scenario nor a path.
+
+        """
+        if isinstance(given, cls):
+            return given
+        if isinstance(given, str | Path):
+            return cls.load(given)
+        raise ScenarioError(f"scenario: {type(given).__name__}; it must be a Scenario or the path of its TOML file")
 
     @classmethod
     def load(cls, path: str | Path) -> "Scenario":
@@ -162,7 +190,9 @@ class Scenario(Entry):
             raise ScenarioError(f"{path}: cannot be read ({error.strerror}); give a scenario in TOML") from None
         except UnicodeDecodeError:
             raise ScenarioError(f"{path}: not a text file; give a scenario in TOML") from None
-        except tomllib.TOMLDecodeError as error:
+        except RecursionError:
+            raise ScenarioError(f"{path}: not valid TOML: arrays or tables too deep within each other") from None
+        except ValueError as error:  # of TOML, or of a number with more digits than Python reads
             raise ScenarioError(" ".join(f"{path}: not valid TOML: {error}".split())) from None
         return cls.parse(tree, where=str(path), text=text)._resolved(path.parent)
 
@@ -191,6 +221,20 @@ class Scenario(Entry):
         return self.replace(**changes) if changes else self
 
 
+def _refusal(error: ValidationError, where: str, lines: Mapping[tuple[Any, ...], int] = {}) -> ScenarioError:
+    """Say all that pydantic found in one line, whatever was given: a key may hold a line break."""
+    reasons = "; ".join(f"{_line(item, lines)}{_reason(item, Scenario)}" for item in error.errors())
+    return ScenarioError(" ".join(f"{where}: {reasons}".split()))
+
+
+def _shown(value: Any) -> str:
+    """Write a value that was refused, however large it is."""
+    if isinstance(value, int) and value.bit_length() > _SHOWN:
+        return f"an integer of {value.bit_length()} bits"
+    text = repr(value)
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}…"
+
+
 def _reason(item: Any, model: type[BaseModel]) -> str:
     """Turn one pydantic finding into the entry's name, the value and what would be valid."""
     name = ".".join(str(part) for part in item["loc"])
@@ -202,11 +246,11 @@ def _reason(item: Any, model: type[BaseModel]) -> str:
         hint = f"did you mean {' or '.join(near)}?" if near else f"valid: {', '.join(valid)}"
         return f"{name}: no such entry; {hint}"
     message = item["msg"].removeprefix("Value error, ").removeprefix("Input ").replace("should be", "must be")
-    shown = "" if isinstance(value, dict | BaseModel) else f"{value!r} "
+    shown = "" if isinstance(value, dict | BaseModel) else f"{_shown(value)} "
     return f"{name}: {shown}{message}" if name else message
 
 
-def _line(item: Any, lines: dict[tuple[Any, ...], int]) -> str:
+def _line(item: Any, lines: Mapping[tuple[Any, ...], int]) -> str:
     """Say on which line the entry of a pydantic finding stands, where that is known."""
     path = item["loc"]
     if item["type"] == "value_error":  # of a whole table: its message begins with the entry, unless it is about several

@@ -6,7 +6,9 @@ is covered with triangles (R = 0) or cubes (R > 0), f̃ is bounded over each, an
 (docs/certificate.md).
 """
 
+import dataclasses
 import time
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -14,6 +16,7 @@ from jaxtyping import Float
 from keepout.compiled.kept_programs import keep_programs
 from keepout.errors import FieldError
 from keepout.fields.evaluate import values, values_and_gradients
+from keepout.fields.grid import GridField
 from keepout.fields.model import Certificate, FieldModel
 from keepout.fields.neural import NeuralField
 from keepout.geometry.distance import ExactDistance
@@ -23,7 +26,8 @@ from keepout.geometry.octree import CORNERS, straddling_cells
 from keepout.geometry.target import Target
 from keepout.progress import Progress, part_of, silent
 from keepout.proof import bounds
-from keepout.proof.slope import Lipschitz, prove_lipschitz
+from keepout.proof.grid import certify_grid
+from keepout.proof.slope import GAP, Lipschitz, prove_lipschitz
 
 PIECE = 32_768
 """Elements bounded between two reports of progress."""
@@ -39,6 +43,8 @@ GRADIENT_ALLOWANCE = 0.2
 """Added to the largest gradient found, as a share of it, where the proof of a bound takes too long."""
 FIRST_LEAF, LARGEST_LEAF = 0.02, 0.4
 """Side of the cubes that first cover {d = R}: this share of the domain's radius, at most so many metres."""
+OTHER_MACHINE = 1e-12
+"""Metres, or slope: what float64 sums in another order change; every bound has more than that added for it."""
 LOOKED_AT = 1024
 """Elements with the largest bounds, of each size, where a larger value is looked for."""
 
@@ -70,18 +76,7 @@ def certify(
     """
     keep_programs()
     start = time.perf_counter()
-    field, distance = require_network_and_mesh(model, target, where="certify")
-    reach = float(
-        np.linalg.norm(
-            np.maximum(
-                np.abs(distance.lower - field.continuation.centre), np.abs(distance.upper - field.continuation.centre)
-            )
-        )
-    )
-    largest = float(field.continuation.domain_radius) - reach - _first_leaf(field) * np.sqrt(3.0)
-    if not 0.0 <= chaser_radius <= largest:
-        raise FieldError(f"chaser radius {chaser_radius:g} m: for this field it must be 0 to {largest:.3g} m")
-
+    field, distance = _in_reach(model, target, chaser_radius)
     found = largest_found(field, distance, chaser_radius, np.random.default_rng(seed))
     progress(0.1, f"largest value found {found - chaser_radius:+.4f} m")
     upper, evaluation, found = _bound_on_contact(field, distance, chaser_radius, found, progress)
@@ -102,6 +97,78 @@ def certify(
     )
     progress(1.0, f"error bound {certificate.error_bound:+.4f} m, largest found {certificate.sampled_maximum:+.4f} m")
     return model.with_certificate(certificate)
+
+
+class Check(NamedTuple):
+    """What a proof of a certificate's numbers came to."""
+
+    proved: bool
+    """Whether all that the certificate calls certified was proved; of a sampled one nothing is."""
+    error_bound: float
+    """e_h as proved now, metres; of a sampled certificate the largest f̃ - R found now."""
+    evaluation_error: float | None
+    """As proved now, metres; None of a sampled certificate."""
+    gradient_bound: float | None
+    """As proved now; None where the certificate does not call its own certified, or the proof takes too long."""
+
+
+def check_certificate(
+    model: FieldModel, target: Target, stated: Certificate, *, seed: int = 0, progress: Progress = silent
+) -> Check:
+    """Prove again what a certificate says, without believing any of its numbers.
+
+    The field is bounded as in `certify` and `certify_grid`; a network's surface is split until the stated numbers are
+    proved, a point is found that contradicts them, or the limit of elements is reached.
+
+    Args:
+        model: with its field.
+        target: the mesh it was made for.
+        stated: the certificate.
+        seed: of the searches; what is proved is sound whatever they find.
+        progress: as of `certify`.
+
+    Raises:
+        FieldError: as `certify` and `certify_grid`.
+
+    """
+    radius, slope_stated = stated.chaser_radius, stated.gradient_kind == "certified"
+    if isinstance(model.field, GridField):
+        bare = dataclasses.replace(model, certificates=())
+        again = certify_grid(bare, target, chaser_radius=radius, seed=seed).certificate(radius)
+        error, evaluation, slope = again.error_bound, again.evaluation_error, again.gradient_bound
+    else:
+        keep_programs()
+        field, distance = _in_reach(model, target, radius)
+        found = largest_found(field, distance, radius, np.random.default_rng(seed))
+        if stated.kind == "sampled":
+            return Check(False, found - radius, None, None)
+        upper, evaluation, _ = _bound_on_contact(field, distance, radius, found, progress, stated)
+        error, slope = upper - radius, None
+        if slope_stated:
+            # Cubes are then split until the stated bound holds, or a larger slope is found.
+            enough = stated.gradient_bound / (1.0 + GAP) * (1.0 - 1e-12)
+            part = part_of(progress, 0.7, 1.0)
+            slope = prove_lipschitz(field, distance, found=enough, clearance=radius, progress=part).proved
+    holds = error <= stated.error_bound + OTHER_MACHINE and evaluation <= stated.evaluation_error + OTHER_MACHINE
+    if slope_stated:
+        holds = holds and slope is not None and slope <= stated.gradient_bound + OTHER_MACHINE
+    return Check(holds and stated.kind == "certified", error, evaluation, slope if slope_stated else None)
+
+
+def _in_reach(model: FieldModel, target: Target, chaser_radius: float) -> tuple[NeuralField, ExactDistance]:
+    """Give network and distance, and refuse a radius that reaches out of the learned domain."""
+    field, distance = require_network_and_mesh(model, target, where="certify")
+    reach = float(
+        np.linalg.norm(
+            np.maximum(
+                np.abs(distance.lower - field.continuation.centre), np.abs(distance.upper - field.continuation.centre)
+            )
+        )
+    )
+    largest = float(field.continuation.domain_radius) - reach - _first_leaf(field) * np.sqrt(3.0)
+    if not 0.0 <= chaser_radius <= largest:
+        raise FieldError(f"chaser radius {chaser_radius:g} m: for this field it must be 0 to {largest:.3g} m")
+    return field, distance
 
 
 def require_network_and_mesh(model: FieldModel, target: Target, *, where: str) -> tuple[NeuralField, ExactDistance]:
@@ -188,14 +255,24 @@ def steepest_found(
 
 
 def _bound_on_contact(
-    field: NeuralField, distance: ExactDistance, radius: float, found: float, progress: Progress
+    field: NeuralField,
+    distance: ExactDistance,
+    radius: float,
+    found: float,
+    progress: Progress,
+    stated: Certificate | None = None,
 ) -> tuple[float, float, float]:
-    """Return an upper bound of f̃ in float32 on {d = radius}, the float32 error in it, and the largest f̃ found."""
+    """Return an upper bound of f̃ in float32 on {d = radius}, the float32 error in it, and the largest f̃ found.
+
+    Where a bound is stated, and as long as no point contradicts it, elements are split until it is proved.
+    """
     network = bounds.Network.of(field.layers, field.beta)
     centre, scale = np.asarray(field.continuation.centre), float(field.scale)
     # The normalisation in float64 and its inverse: a few units in the last place of numbers of the domain's size.
     normalisation = 64.0 * bounds.UNIT64 * (scale + float(np.abs(centre).max()))
     frontier = _cover(distance, radius, _first_leaf(field))
+    lipschitz = float(np.prod([np.linalg.norm(W) for W in network.weights]))  # σ' ≤ 1; Frobenius exceeds spectral
+    slack = lipschitz * normalisation
     settled, evaluation, seen = -np.inf, 0.0, 0
     while len(frontier):
         gap = max(RELATIVE_GAP * abs(found - radius), SMALLEST_GAP)
@@ -210,7 +287,10 @@ def _bound_on_contact(
         places = worst.mean(axis=1) if radius == 0.0 else onto_level(distance, worst[:, 0], radius)
         found = max(found, float(values(field, places).max(initial=-np.inf)))
         large = _length(frontier, radius) > POINT_LIKE
-        open_ = (upper - error > found + gap) | ((upper > found + gap + ERROR_GAP * scale) & large)
+        if stated is None or found > radius + stated.error_bound:
+            open_ = (upper - error > found + gap) | ((upper > found + gap + ERROR_GAP * scale) & large)
+        else:
+            open_ = (upper > radius + stated.error_bound - slack) | ((error > stated.evaluation_error) & large)
         if seen + 8 * int(open_.sum()) > MOST_ELEMENTS:
             open_[:] = False
         settled = max(settled, float(upper[~open_].max(initial=-np.inf)))
@@ -220,8 +300,7 @@ def _bound_on_contact(
             0.1 + 0.6 * min(1.0, seen / 400_000), f"{int(open_.sum())} elements open, bound so far {so_far:+.4f} m"
         )
         frontier = _split(frontier[open_], distance, radius)
-    lipschitz = float(np.prod([np.linalg.norm(W) for W in network.weights]))  # σ' ≤ 1; Frobenius exceeds spectral
-    return settled + lipschitz * normalisation, evaluation, found
+    return settled + slack, evaluation, found
 
 
 def _bounded(

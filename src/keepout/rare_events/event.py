@@ -131,8 +131,7 @@ def rare(
 
     """
     began = time.perf_counter()
-    if not isinstance(scenario, Scenario):
-        scenario = Scenario.load(scenario)
+    scenario = Scenario.of(scenario)
     progress(0.0, "preparing")
     mission = prepare(scenario, target=target, model=model, progress=part_of(progress, 0.0, 0.1))
     _refuse_theorem(mission, below)

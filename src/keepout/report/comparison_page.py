@@ -13,6 +13,7 @@ from keepout.campaign.reading import read_campaign
 from keepout.errors import ScenarioError
 from keepout.progress import Progress, part_of, silent
 from keepout.report.campaign_page import SAMPLING, html_table, percent
+from keepout.report.folder import results_in
 from keepout.report.page import STYLE
 from keepout.report.reproduction import Table, write_table
 from keepout.report.style import COLOURS, figure
@@ -38,8 +39,9 @@ def compare_campaigns(
     """
     if out is not None and out.absolute() in (first.absolute(), second.absolute()):
         raise ScenarioError(f"{out}: holds a campaign, whose page would be replaced; give another folder")
-    readings = [read_campaign(folder) for folder in (first, second)]
-    found = compare(*readings, progress=part_of(progress, 0.0, 0.8))
+    with results_in(out):
+        readings = [read_campaign(folder) for folder in (first, second)]
+        found = compare(*readings, progress=part_of(progress, 0.0, 0.8))
     tables = comparison_tables(found)
     answer: dict[str, Any] = {
         "first": str(first),

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from keepout.errors import ScenarioError
-from keepout.whole_file import write_whole
+from keepout.whole_file import removed_again, require_place, write_whole
 
 if TYPE_CHECKING:
     from keepout.mission.flight import Flight
@@ -22,27 +22,28 @@ def make_folder(out: Path) -> None:
     """Make the folder that results go into, with those above it; before anything is flown, so that no flight is lost.
 
     Raises:
-        ScenarioError: it cannot be made, as where a file has its name.
+        ScenarioError: it cannot be made, as where a file has its name, or nothing can be written into it.
 
     """
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ScenarioError(f"{out}: cannot be made a folder ({error.strerror}); give another folder") from None
+    require_place(out / "results", refusal=ScenarioError)
 
 
 @contextlib.contextmanager
-def results_in(out: Path) -> Iterator[None]:
-    """Make the folder as `make_folder` does; where what follows fails, those made that are still empty go again."""
-    made = [folder for folder in (out, *out.parents) if not folder.exists()]
-    make_folder(out)
-    try:
+def results_in(out: Path | None) -> Iterator[None]:
+    """Make the folder as `make_folder` does; where what follows fails, those made that are still empty go again.
+
+    Without a folder there is nothing to do.
+    """
+    if out is None:
         yield
-    except BaseException:
-        for folder in made:
-            if not any(folder.iterdir()):
-                folder.rmdir()
-        raise
+        return
+    with removed_again(out, only_on_failure=True):
+        make_folder(out)
+        yield
 
 
 def write_flights(

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from keepout.rare_events.estimate import curve, interval
+from keepout.rare_events.estimate import band, curve
 from keepout.rare_events.event import RareEvent
 from keepout.replay.flights import of_flights
 from keepout.report.page import STYLE, embedded
@@ -47,13 +47,15 @@ def write_rare(out: Path, event: RareEvent) -> dict[str, Any]:
 
 
 def draw_curve(path: Path, event: RareEvent) -> None:
-    """Draw the probability of a clearance below a number against that number, with its interval, into one PNG."""
+    """Draw the probability of a clearance below a number against that number, with its band, into one PNG."""
     points = curve(event.simulation)
     with figure(path, width=7.0, height=4.2) as drawing:
         axes = drawing.add_subplot()
         if len(points):
             clearance, mean, lower, upper = points.T
-            axes.fill_between(clearance, lower, upper, color=COLOURS[5], alpha=0.4, label="95 % interval")
+            axes.fill_between(
+                clearance, lower, upper, color=COLOURS[5], alpha=0.4, label="95 % band, of the whole curve"
+            )
             axes.semilogy(clearance, mean, color=COLOURS[0], label="measured")
         for level in event.simulation.levels[1:]:
             axes.axvline(level.threshold, color="grey", linewidth=0.6, linestyle=":")
@@ -69,16 +71,17 @@ def draw_curve(path: Path, event: RareEvent) -> None:
 
 
 def _levels(event: RareEvent) -> list[dict[str, Any]]:
-    rows = []
-    for number, level in enumerate(event.simulation.levels, 1):
-        (mean, lower, upper), least = interval(level.probability), float(level.values.min())
+    rows, levels = [], event.simulation.levels
+    ends = band([level.threshold for level in levels[::-1]], [level.probability for level in levels[::-1]])[::-1]
+    for number, (level, (_, mean, lower, upper)) in enumerate(zip(levels, ends.tolist()), 1):
+        least = float(level.values.min())
         rows.append(
             {
                 "level": number,
                 "threshold_m": None if math.isinf(level.threshold) else level.threshold,
                 "probability": mean,
                 "lower": lower,
-                "upper": upper,
+                "upper": None if math.isnan(upper) else upper,
                 "least_clearance_m": least if math.isfinite(least) else None,
                 "acceptance": level.acceptance,
                 "step": level.step,

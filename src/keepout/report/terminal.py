@@ -271,6 +271,7 @@ EXPLORATION_ROWS = {
     "seen_share": "share of the outer surface seen",
     "views": "views",
     "refused_views": "of them refused",
+    "contradicting_returns": "returns in room known free",
     "opened_m3": "opened m³",
     "departures_largest_m": "largest departure from the expected mesh m",
     "duration_s": "flown s",

@@ -10,6 +10,12 @@ from jaxtyping import Float, Int
 
 from keepout.errors import MeshError
 
+MOST_TRIANGLES, MOST_CORNERS, MOST_PLACED = 20_000_000, 60_000_000, 100_000
+"""Of what a file makes out of few bytes by placing one thing many times: triangles, vertices or corners of triangles,
+and placements. More is refused before anything is built."""
+ROUNDING = 1e-6
+"""Share of a mesh's size by which the rounding of its coordinates may change it."""
+_UNIT = 2.0**-52
 UNENDED = "the last line has no line end, as in a file that was cut short: its last number may be incomplete"
 
 
@@ -24,6 +30,87 @@ class MeshContents:
     """What was left out or interpreted, one line each."""
     unit: str | None = None
     """The length unit that the file declares, in the file's own word."""
+    broken: tuple[str, ...] = ()
+    """Of the skin of a map: what makes it one that nothing is promised of."""
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """Where a node, an instance or a component puts what it holds, in file axes."""
+
+    matrix: Float[np.ndarray, "4 4"]
+    magnitude: Float[np.ndarray, "4 4"]
+    """Product of the absolute values of the matrices that `matrix` is the product of: how large a number was met, also
+    where large ones cancel."""
+
+    def then(self, own: Float[np.ndarray, "4 4"]) -> "Place":
+        """Give the place of a child by the child's own matrix."""
+        return Place(self.matrix @ own, self.magnitude @ np.abs(own))
+
+
+FILE_AXES = Place(np.eye(4), np.eye(4))
+
+
+class Resolution:
+    """Whether placed parts are still there: what rounding takes of each beside its size."""
+
+    def __init__(self) -> None:
+        self._parts: list[tuple[str, float, float, float]] = []
+
+    def note(self, name: str, box: tuple[np.ndarray, np.ndarray], place: Place) -> None:
+        """Note a part, named for a refusal, with its `box` in its own axes."""
+        lower, upper = box
+        size = float((np.abs(place.matrix[:3, :3]) @ (upper - lower)).max())
+        met = float((place.magnitude[:3] @ [*np.maximum(np.abs(lower), np.abs(upper)), 1.0]).max())
+        if np.isfinite(met):  # what is not finite is refused where a triangle uses it
+            self._parts.append((name, size, met, float(np.abs(place.matrix[:3, 3]).max())))
+
+    def require(self) -> None:
+        """Refuse a file of which a part is lost to rounding; a part that is a point to the whole file may be.
+
+        Raises:
+            MeshError: naming what placed the part, and how far.
+
+        """
+        largest = max((size for _, size, _, _ in self._parts), default=0.0)
+        for name, size, met, moved in self._parts:
+            if size > 0.0 and 4.0 * _UNIT * met > max(ROUNDING * size, 2.0**-40 * largest):
+                raise MeshError(
+                    f"{name} is {size:.4g} in size and its transforms move it by numbers up to {met:.4g}, in the end "
+                    f"by {moved:.4g}: rounding would change it by more than a millionth of its size"
+                )
+
+
+def box(vertices: Float[np.ndarray, "v 3"]) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Lowest and highest coordinates; of no vertices the origin."""
+    return (vertices.min(axis=0), vertices.max(axis=0)) if len(vertices) else (np.zeros(3), np.zeros(3))
+
+
+def resolved(vertices: Float[np.ndarray, "n 3"], size: float) -> bool:
+    """Whether float64 coordinates hold a mesh of this size to a millionth of it."""
+    return bool(_UNIT * np.abs(vertices).max(initial=0.0) <= ROUNDING * size)
+
+
+def require_countable(placements: int, triangles: int, corners: int) -> None:
+    """Refuse a file that places more than can be built; the limits are this module's.
+
+    Args:
+        placements: of objects or meshes.
+        triangles: in all placements together.
+        corners: vertices, or corners of triangles where there are more, in all placements together.
+
+    Raises:
+        MeshError: with the number and the limit.
+
+    """
+    for number, most, noun in (
+        (placements, MOST_PLACED, "placements"),
+        (triangles, MOST_TRIANGLES, "triangles"),
+        (corners, MOST_CORNERS, "vertices or corners"),
+    ):
+        if number > most:
+            told = str(number) if number < 10**30 else f"10^{int(number.bit_length() * 0.30103)}"
+            raise MeshError(f"it makes {told} {noun}; at most {most} are built")
 
 
 def counted(number: int, noun: str) -> str:

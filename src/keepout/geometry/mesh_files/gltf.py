@@ -8,7 +8,17 @@ import numpy as np
 from jaxtyping import Float
 
 from keepout.errors import MeshError
-from keepout.geometry.mesh_files.contents import MeshContents, counted, left_out
+from keepout.geometry.mesh_files.contents import (
+    FILE_AXES,
+    MOST_PLACED,
+    MeshContents,
+    Place,
+    Resolution,
+    box,
+    counted,
+    left_out,
+    require_countable,
+)
 from keepout.geometry.mesh_files.gltf_data import GltfData, listed, part, parts
 from keepout.geometry.mesh_files.gltf_primitives import DRACO, QUANTIZATION, read_primitive
 
@@ -76,15 +86,17 @@ class _Scene:
         self._vertex_count = 0
         self._left_out: Counter[str] = Counter()
         self._morph_targets = 0
+        self._drawn: list[tuple[int, dict[str, Any], list[Place]]] = []
+        self._resolution = Resolution()
 
     def walk(self) -> None:
-        """Visit all nodes of the shown scene once."""
+        """Visit all nodes of the shown scene once, count what their meshes make, and make it."""
         nodes = self._data.rows("nodes")
         if not self._data.rows("scenes"):
             raise MeshError("no scene in it, so nothing says where its meshes are")
         scene = self._data.entry("scenes", self._data.tree.get("scene", 0))
         # The last node first: this order of the vertices is part of the target's hash, which learned fields carry.
-        queue = [(index, np.eye(4)) for index in listed(scene, "nodes")]
+        queue = [(index, FILE_AXES) for index in listed(scene, "nodes")]
         seen = set()
         while queue:
             index, parent = queue.pop()
@@ -92,11 +104,15 @@ class _Scene:
             if index in seen:
                 raise MeshError(f"node {index} has two parents, or is its own ancestor")
             seen.add(index)
-            place = parent @ _placement(node, index)
+            place = parent.then(_placement(node, index))
             queue.extend((child, place) for child in listed(node, "children"))
             if "mesh" in node:
                 self._node(node, index, place)
-        placed = [node.get("mesh") for node in nodes]
+        self._count()
+        for index, mesh, places in self._drawn:
+            self._draw(index, mesh, places)
+        self._resolution.require()
+        placed = {node["mesh"] for node in nodes if type(node.get("mesh")) is int}
         self._left_out["node with a mesh, not in the shown scene"] = sum(
             "mesh" in node for index, node in enumerate(nodes) if index not in seen
         )
@@ -121,7 +137,7 @@ class _Scene:
             actions += left_out(number, noun)
         return MeshContents(vertices, faces, tuple(actions))
 
-    def _node(self, node: dict[str, Any], index: int, place: Float[np.ndarray, "4 4"]) -> None:
+    def _node(self, node: dict[str, Any], index: int, place: Place) -> None:
         if "skin" in node:
             raise MeshError(f"node {index} has a skin, which joints bend; export the mesh in one pose without it")
         mesh = self._data.entry("meshes", node["mesh"])
@@ -130,14 +146,35 @@ class _Scene:
             raise MeshError(f"node {index} has morph targets of weights {weights}; export the shape that they make")
         places = [place]
         if INSTANCING in part(node, "extensions"):
-            places = [place @ instance for instance in self._instances(part(node["extensions"], INSTANCING))]
+            places = [place.then(instance) for instance in self._instances(part(node["extensions"], INSTANCING))]
+        self._drawn.append((index, mesh, places))
+
+    def _count(self) -> None:
+        """Refuse more than can be built, by the numbers that the accessors declare."""
+        placements = triangles = corners = 0
+        for _, mesh, places in self._drawn:
+            for entry in parts(mesh, "primitives"):
+                declared = [part(entry, "attributes").get("POSITION"), entry.get("indices")]
+                counts = [self._data.count(index) for index in declared if index is not None] or [0]
+                # An empty primitive costs its reading too.
+                corners += len(places) * max(1, *counts)
+                drawn = counts[-1] // 3 if entry.get("mode", 4) == 4 else counts[-1]
+                triangles += len(places) * drawn if entry.get("mode", 4) > 3 else 0
+            placements += len(places)
+        require_countable(placements, triangles, corners)
+
+    def _draw(self, index: int, mesh: dict[str, Any], places: list[Place]) -> None:
         for entry in parts(mesh, "primitives"):
             primitive = read_primitive(self._data, entry)
             self._morph_targets += len(parts(entry, "targets"))
             self._left_out["line segment"] += primitive.segments * len(places)
             self._left_out["line primitive"] += len(places) if primitive.segments else 0
             self._left_out["joint, of strips or fans"] += primitive.joints * len(places)
-            for matrix in places:
+            used = primitive.faces if len(primitive.faces) else primitive.points
+            bounds = box(primitive.positions[used].reshape(-1, 3))
+            for place in places:
+                matrix = place.matrix
+                self._resolution.note(f"what node {index} places", bounds, place)
                 if len(primitive.points):
                     self._points.append(_moved(primitive.positions[primitive.points], matrix))
                 if len(primitive.faces):
@@ -151,6 +188,11 @@ class _Scene:
     def _instances(self, extension: dict[str, Any]) -> list[Float[np.ndarray, "4 4"]]:
         """One matrix for each instance of a node's mesh."""
         attributes = part(extension, "attributes")
+        for accessor in attributes.values():
+            if self._data.count(accessor) > MOST_PLACED:
+                raise MeshError(
+                    f"{INSTANCING} with {self._data.count(accessor)} instances; at most {MOST_PLACED} are read"
+                )
         tables = {
             key: self._data.numbers(attributes[key], shape, kinds=kinds)
             for key, shape, kinds in (("TRANSLATION", "VEC3", "f"), ("ROTATION", "VEC4", "if"), ("SCALE", "VEC3", "f"))

@@ -37,10 +37,13 @@ class GltfData:
             raise MeshError(f"its asset version is {version!r}; it must be 2.x")
         self.tree: dict[str, Any] = tree
         self._buffers: dict[int, bytes] = {}
+        self._rows: dict[str, list[dict[str, Any]]] = {}
 
     def rows(self, kind: str) -> list[dict[str, Any]]:
         """All entries of one kind, such as "nodes"; none if the file has no such array."""
-        return parts(self.tree, kind)
+        if kind not in self._rows:
+            self._rows[kind] = parts(self.tree, kind)
+        return self._rows[kind]
 
     def entry(self, kind: str, index: Any) -> dict[str, Any]:
         """One entry by its index, which may neither be negative nor past the end."""
@@ -130,27 +133,47 @@ class GltfData:
         entry = self.entry("buffers", index)
         if index not in self._buffers:
             declared = _whole(entry, "byteLength")
-            data = self._fetch(entry.get("uri"), index)
+            data = self._fetch(entry.get("uri"), index, declared)
             if len(data) < declared:
                 raise MeshError(f"buffers {index} declares {declared} bytes and has {len(data)}")
             self._buffers[index] = data[:declared]
         return self._buffers[index]
 
-    def _fetch(self, uri: Any, index: int) -> bytes:
+    def _fetch(self, uri: Any, index: int, declared: int) -> bytes:
         if uri is None:
             if index != 0 or self._chunk is None:
                 raise MeshError(f"buffers {index} has neither a uri nor a binary chunk")
             return self._chunk
-        if str(uri).startswith("data:"):
-            head, _, text = str(uri).partition(",")
+        if not isinstance(uri, str):
+            raise MeshError(f"buffers {index} has the uri {str(uri)[:60]}; text is valid")
+        if uri.startswith("data:"):
+            head, _, text = uri.partition(",")
             try:
                 return base64.b64decode(text, validate=True) if head.endswith(";base64") else unquote(text).encode()
             except binascii.Error as cause:
                 raise MeshError(f"buffers {index} is no base64: {cause}") from None
+        return self._file(uri, index, declared)
+
+    def _file(self, uri: str, index: int, declared: int) -> bytes:
+        """Read a buffer from a file beside the mesh: a mesh from elsewhere is not to name any other of the machine."""
+        place = f"buffers {index} is in the file {uri[:60]!r}"
+        valid = "valid is the relative path of a regular file in or below the mesh's folder"
         try:
-            return (self._folder / unquote(str(uri))).read_bytes()
-        except (OSError, ValueError):
-            raise MeshError(f"buffers {index} is in the file {str(uri)[:60]!r}, which cannot be read") from None
+            folder = self._folder.resolve(strict=True)
+            path = (folder / unquote(uri)).resolve(strict=True)
+            if Path(unquote(uri)).is_absolute() or not path.is_relative_to(folder):
+                raise MeshError(f"{place}, which is not in the mesh's folder; {valid}")
+            if not path.is_file():
+                raise MeshError(f"{place}, which is no regular file; {valid}")
+            size = path.stat().st_size
+            # As many bytes as declared, or up to three more that fill the last word.
+            if not declared <= size <= declared + 3:
+                raise MeshError(f"{place}; it declares {declared} bytes and has {size}")
+            return path.read_bytes()
+        except MeshError:
+            raise
+        except (OSError, ValueError, RuntimeError):  # RuntimeError: links in a circle
+            raise MeshError(f"{place}, which cannot be read; {valid}") from None
 
 
 def _chunks(data: bytes) -> tuple[bytes, bytes | None]:

@@ -20,6 +20,6 @@ def read_keepmap(path: Path) -> MeshContents:
     except MapError as refusal:
         raise MeshError(str(refusal).removeprefix(f"{path}: ")) from refusal
     vertices, faces = skin(known)
-    return MeshContents(
-        vertices, faces, (f"took the skin of a map of {known.name} after {known.views} views",), "meter"
-    )
+    broken = known.assumptions_broken
+    said = (f"took the skin of a map of {known.name} after {known.views} views", *broken)
+    return MeshContents(vertices, faces, said, "meter", broken)

@@ -33,6 +33,7 @@ _LEFT_OUT = {
     "cdp": "free-form patch",
     "res": "free-form reference",
 }
+_STATEMENTS = frozenset(("v", "f", "fo", *_LEFT_OUT, *_NO_GEOMETRY))
 
 
 def read_obj(path: Path) -> MeshContents:
@@ -48,13 +49,23 @@ def read_obj(path: Path) -> MeshContents:
     sizes: list[int] = []
     where: list[int] = []
     dropped: Counter[str] = Counter()
-    held, held_from = "", 0
+    held: list[str] = []
+    held_from = 0
     for number, line in enumerate(lines, 1):
-        if line.endswith("\\"):
-            held, held_from = held + line[:-1] + " ", held_from or number
+        text, remark, _ = line.partition("#")
+        first = text.split(None, 1)[:1]
+        if held_from and first and first[0].rstrip("\\") in _STATEMENTS:
+            raise MeshError(
+                f"line {number}: begins with {first[0][:20]!r}, and line {held_from} ends in a backslash, which would "
+                "make it part of that line's statement"
+            )
+        # A remark ends with its line, whatever it ends in.
+        if text.endswith("\\") and not remark:
+            held.extend(text[:-1].split())
+            held_from = held_from or number
             continue
-        row = (held + line).partition("#")[0].split()
-        at, held, held_from = held_from or number, "", 0
+        row = [*held, *text.split()]
+        at, held, held_from = held_from or number, [], 0
         if not row:
             continue
         statement, values = row[0], row[1:]
@@ -74,7 +85,7 @@ def read_obj(path: Path) -> MeshContents:
             dropped[_LEFT_OUT[statement]] += 1
         elif statement not in _NO_GEOMETRY:
             raise MeshError(f"line {at}: the statement {statement[:20]!r} is not OBJ, or names another file")
-    if held.split():
+    if held_from:
         raise MeshError(f"line {held_from}: goes on past the end of the file")
     vertices = to_numbers(words, "in the vertices, ").reshape(-1, 3)
     flat, counts = np.array(corners, dtype=np.int64), np.array(sizes, dtype=np.int64)

@@ -1,5 +1,6 @@
 """3MF: the build's items, with their components and their placements."""
 
+import graphlib
 import zipfile
 from collections import Counter
 from pathlib import Path
@@ -10,9 +11,14 @@ from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]  (lxml has
 
 from keepout.errors import MeshError
 from keepout.geometry.mesh_files.contents import (
+    FILE_AXES,
     MeshContents,
+    Resolution,
+    box,
     check_indices,
+    counted,
     left_out,
+    require_countable,
     to_indices,
     to_numbers,
 )
@@ -26,7 +32,8 @@ _READ = {
     "http://schemas.microsoft.com/3dmanufacturing/core/2021/07": "triangle sets",
 }
 _PLAIN = frozenset(("vertices", "triangles", "trianglesets", "metadatagroup", "metadata", "mesh", "components"))
-_MOST_TRIANGLES = 50_000_000
+_MOST_BYTES, _MOST_NODES = 256 << 20, 40_000_000
+"""Of the parts of an archive that are read: bytes when inflated, and elements and attributes of their XML."""
 
 _Key = tuple[str, str]
 """A model part's name and an object's id in it."""
@@ -61,11 +68,11 @@ class _Package:
         self._names = dict(zip(names, archive.namelist()))
         self._objects: dict[_Key, etree._Element] = {}
         self._read: set[str] = set()
-        self._meshes: dict[_Key, tuple[np.ndarray, np.ndarray]] = {}
-        self._vertices: list[np.ndarray] = [np.zeros((0, 3))]
-        self._faces: list[np.ndarray] = [np.zeros((0, 3), dtype=np.int64)]
-        self._count = 0
+        self._meshes: dict[_Key, tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]] = {}
+        self._components: dict[_Key, list[tuple[_Key, np.ndarray]]] = {}
+        self._inflated = 0
         self._left_out: Counter[str] = Counter()
+        self._kept: Counter[str] = Counter()
 
     def contents(self) -> MeshContents:
         """Triangles of all build items."""
@@ -74,23 +81,95 @@ class _Package:
         build = _only(root, "build")
         if build is None:
             raise MeshError("its model has no build, so nothing says what belongs to it")
-        placed: set[_Key] = set()
-        for item in build.iterfind("{*}item"):
-            self._place(self._key(item, main), _transform(item), (), placed)
-        unplaced = sum(entry.find("{*}mesh") is not None for key, entry in self._objects.items() if key not in placed)
+        items = [(self._key(item, main), _transform(item)) for item in build.iterfind("{*}item")]
+        unprinted = [item.get("printable") for item in build.iterfind("{*}item") if item.get("printable") is not None]
+        self._kept["build item that is not to be printed"] = sum(value not in ("1", "true") for value in unprinted)
+        self._count(items)
+        vertices, faces = self._placed(items)
+        unplaced = sum(
+            entry.find("{*}mesh") is not None for key, entry in self._objects.items() if key not in self._components
+        )
         self._left_out["mesh object, not in the build"] = unplaced
         actions = []
         for noun, number in self._left_out.items():
             actions += left_out(number, noun)
-        vertices, faces = np.concatenate(self._vertices), np.concatenate(self._faces)
+        # Geometry is the target whatever a printer makes of it: what is left out, a chaser may fly into.
+        for noun, number in self._kept.items():
+            if number:
+                first, _, rest = noun.partition(" of ")
+                aside = f" of {rest}" if rest else ""
+                actions.append(f"kept {counted(number, first)}{aside}, as part of the target")
         # Points without triangles are no point cloud here: the format has none.
         if not len(faces):
             vertices = np.zeros((0, 3))
         return MeshContents(vertices, faces, tuple(actions), root.get("unit", "millimeter"))
 
+    def _count(self, items: list[tuple[_Key, np.ndarray]]) -> None:
+        """Find all objects that the items lead to, and count what placing them makes before anything is placed."""
+        waiting = [key for key, _ in items]
+        while waiting:
+            key = waiting.pop()
+            if key in self._components:
+                continue
+            entry = self._objects[key]
+            self._components[key] = [
+                (self._key(component, key[0]), _transform(component))
+                for component in entry.iterfind("{*}components/{*}component")
+            ]
+            waiting.extend(child for child, _ in self._components[key])
+        graph = {key: {child for child, _ in children} for key, children in self._components.items()}
+        try:
+            order = list(graphlib.TopologicalSorter(graph).static_order())
+        except graphlib.CycleError as cause:
+            raise MeshError(f"the object {cause.args[1][0][1]!r} is a component of itself") from None
+        made: dict[_Key, tuple[int, int, int]] = {}
+        for key in order:
+            mesh = _only(self._objects[key], "mesh")
+            own = (0, 0) if mesh is None else (_number(mesh, "triangles"), _number(mesh, "vertices"))
+            below = [made[child] for child, _ in self._components[key]]
+            placements, triangles, vertices = (sum(column) for column in zip(*below)) if below else (0, 0, 0)
+            made[key] = (1 + placements, own[0] + triangles, own[1] + vertices)
+        totals = [made[key] for key, _ in items] or [(0, 0, 0)]
+        placements, triangles, vertices = (sum(column) for column in zip(*totals))
+        require_countable(placements, triangles, vertices)
+
+    def _placed(self, items: list[tuple[_Key, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices and faces of all items, each object before its components, in the file's order."""
+        all_vertices, all_faces = [np.zeros((0, 3))], [np.zeros((0, 3), dtype=np.int64)]
+        number, resolution = 0, Resolution()
+        waiting = [(key, FILE_AXES.then(own)) for key, own in reversed(items)]
+        while waiting:
+            key, place = waiting.pop()
+            self._note(key)
+            if _only(self._objects[key], "mesh") is not None:
+                if key not in self._meshes:
+                    vertices, faces = self._mesh(self._objects[key])
+                    self._meshes[key] = vertices, faces, box(vertices[faces].reshape(-1, 3))
+                vertices, faces, bounds = self._meshes[key]
+                with np.errstate(invalid="ignore", over="ignore"):  # refused where a triangle uses it
+                    all_vertices.append(vertices @ place.matrix[:3, :3].T + place.matrix[:3, 3])
+                    resolution.note(f"the object {key[1][:40]!r}", bounds, place)
+                all_faces.append(faces + number)
+                number += len(vertices)
+            with np.errstate(invalid="ignore", over="ignore"):
+                waiting.extend((child, place.then(own)) for child, own in reversed(self._components[key]))
+        resolution.require()
+        return np.concatenate(all_vertices), np.concatenate(all_faces)
+
+    def _note(self, key: _Key) -> None:
+        """Note what one placement of an object leaves out, and what it keeps that a printer would not."""
+        entry = self._objects[key]
+        kind = entry.get("type", "model")
+        if kind != "model":
+            self._kept[f"placement of an object of type {kind[:40]!r}"] += 1
+        for child in entry:
+            name = etree.QName(child).localname if isinstance(child.tag, str) else "metadata"
+            if name not in _PLAIN:
+                self._left_out[f"element, '{name[:40]}' of an object"] += 1
+
     def _main_part(self) -> str:
         if "_rels/.rels" in self._names:
-            for relation in _parse(self._archive.read(self._names["_rels/.rels"])):
+            for relation in self._parse("_rels/.rels"):
                 if relation.get("Type") == _MODEL:
                     return relation.get("Target", "").lower().strip("/")
         return "3d/3dmodel.model"
@@ -99,7 +178,7 @@ class _Package:
         """Parse one model part and note its objects."""
         if name not in self._names:
             raise MeshError(f"its archive has no part {name[:60]!r}")
-        root = _parse(self._archive.read(self._names[name]))
+        root = self._parse(name)
         for prefix in root.get("requiredextensions", "").split():
             namespace = root.nsmap.get(prefix, prefix)
             if namespace not in _READ:
@@ -115,6 +194,36 @@ class _Package:
         self._read.add(name)
         return root
 
+    def _parse(self, name: str) -> etree._Element:
+        """Inflate and parse one part of the archive, within the limits of all parts together."""
+        entry = self._archive.getinfo(self._names[name])
+        if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise MeshError(
+                f"its part {name[:60]!r} is compressed by the method {entry.compress_type}; 0 and 8 are valid"
+            )
+        self._inflated += entry.file_size
+        if self._inflated > _MOST_BYTES:
+            raise MeshError(f"its parts inflate to {self._inflated} bytes or more; at most {_MOST_BYTES} are read")
+        with self._archive.open(entry) as stream:
+            data = stream.read(entry.file_size)  # `read` of an archive inflates what is there, whatever it declares
+        if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+            data = data.decode("utf-16").encode()
+        nodes = data.count(b"<") + data.count(b"=")
+        if nodes > _MOST_NODES:
+            raise MeshError(
+                f"its part {name[:60]!r} has about {nodes} elements and attributes; at most {_MOST_NODES} are read"
+            )
+        # The format forbids document types; their entities make much of little.
+        if b"<!DOCTYPE" in data:
+            raise MeshError(f"its part {name[:60]!r} has a DOCTYPE, which 3MF forbids")
+        parser = etree.XMLParser(
+            resolve_entities=False, no_network=True, load_dtd=False, huge_tree=True, encoding="utf-8"
+        )
+        try:
+            return etree.fromstring(data, parser)
+        except etree.XMLSyntaxError as cause:
+            raise MeshError(f"its XML is damaged: {cause}") from None
+
     def _key(self, reference: etree._Element, part: str) -> _Key:
         """Object that an item or a component refers to, in another part where it gives a path."""
         path = next((value for key, value in reference.attrib.items() if etree.QName(key).localname == "path"), None)
@@ -125,28 +234,6 @@ class _Package:
         if key not in self._objects:
             raise MeshError(f"it refers to the object {key[1][:40]!r}, which is not there")
         return key
-
-    def _place(self, key: _Key, matrix: Float[np.ndarray, "4 4"], above: tuple[_Key, ...], placed: set[_Key]) -> None:
-        if key in above:
-            raise MeshError(f"the object {key[1]!r} is a component of itself")
-        placed.add(key)
-        entry = self._objects[key]
-        for child in entry:
-            name = etree.QName(child).localname if isinstance(child.tag, str) else "metadata"
-            if name not in _PLAIN:
-                self._left_out[f"element, '{name[:40]}' of an object"] += 1
-        if _only(entry, "mesh") is not None:
-            if key not in self._meshes:
-                self._meshes[key] = self._mesh(entry)
-            vertices, faces = self._meshes[key]
-            with np.errstate(invalid="ignore", over="ignore"):  # what is not finite is refused where a triangle uses it
-                self._vertices.append(vertices @ matrix[:3, :3].T + matrix[:3, 3])
-            self._faces.append(faces + self._count)
-            self._count += len(vertices)
-            if sum(map(len, self._faces)) > _MOST_TRIANGLES:
-                raise MeshError(f"its components make more than {_MOST_TRIANGLES} triangles")
-        for component in entry.iterfind("{*}components/{*}component"):
-            self._place(self._key(component, key[0]), matrix @ _transform(component), (*above, key), placed)
 
     def _mesh(self, entry: etree._Element) -> tuple[np.ndarray, np.ndarray]:
         mesh = entry.find("{*}mesh")
@@ -181,12 +268,9 @@ def _only(parent: etree._Element, name: str) -> etree._Element | None:
     return children[0] if children else None
 
 
-def _parse(data: bytes) -> etree._Element:
-    parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, huge_tree=True)
-    try:
-        return etree.fromstring(data, parser)
-    except etree.XMLSyntaxError as cause:
-        raise MeshError(f"its XML is damaged: {cause}") from None
+def _number(mesh: etree._Element, name: str) -> int:
+    """How many elements the lists of this name in a mesh hold."""
+    return sum(len(entries) for entries in mesh.iterfind(f"{{*}}{name}"))
 
 
 def _transform(element: etree._Element) -> Float[np.ndarray, "4 4"]:
