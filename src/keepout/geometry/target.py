@@ -79,7 +79,7 @@ class Target:
             surface = read_surface(Path(source), units=units, scale=scale, drop_stray=drop_stray, thickness=thickness)
         size = float(np.ptp(surface.vertices, axis=0).max())
         surface = surface.moved(_rotation(rotation), _origin(origin))
-if size > 0.0 and not resolved(surface.vertices, size):
+        if size > 0.0 and not resolved(surface.vertices, size):
             raise MeshError(
                 f"{name}: origin is {np.max(np.abs(_origin(origin))):.4g} m away from a mesh of {size:.4g} m: rounding "
                 "would change it by more than a millionth"
