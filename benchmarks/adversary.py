@@ -1,6 +1,6 @@
 """Attack the guard in real time: law, disturbance, estimates and clock are an adversary's, the truth is none of ours.
 
-    python benchmarks/adversary.py [--flights 2000] [--seed 0] [--missions pocket …] [--attacks lag …] [--duration 200]
+    python benchmarks/adversary.py [--flights 2000] [--seed 0] [--missions pocket …] [--attacks late …] [--duration 200]
         [--out benchmarks/results/adversary.json] [--json]
 
 `keepout.OnBoard` is what is attacked, once a control period, as on board; `adversary_truth.py` flies. In every attack

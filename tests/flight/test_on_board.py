@@ -138,7 +138,7 @@ def test_between_control_steps_it_is_known_what_acts_once_nothing_does(delay):
     clock = Clock(0.5)
     clock.stepped(7.0, np.ones(3))
     acts_until = 7.0 + 0.5 * delay + 0.5
-    for time in 7.5 + 0.5 * np.arange(0.1, 5.0, 0.2):
+    for time in (7.5 + 0.5 * np.arange(0.1, 5.0, 0.2)).tolist():
         assert clock.tells(time, delay) == (time >= acts_until)
 
 
