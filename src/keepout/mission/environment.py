@@ -299,7 +299,8 @@ def guard_assumptions_within(scenario: Scenario, extent: float) -> GuardAssumpti
     region = _region(scenario, away)
     rate, acceleration = _rotation(scenario)
     differential = _differential(scenario, region)
-    entry, pulses = scenario.guard, errors(scenario)
+    entry = scenario.guard
+    thrust = errors(scenario).times_gain(entry.gain_error)
     assumed = GuardAssumptions(
         mass=scenario.chaser.mass,
         force_limit=scenario.chaser.force_limit,
@@ -313,14 +314,14 @@ def guard_assumptions_within(scenario: Scenario, extent: float) -> GuardAssumpti
         position_error=entry.position_error,
         velocity_error=entry.velocity_error,
         mass_error=entry.mass_error,
-        gain_error=entry.gain_error + pulses.gain_error,
+        gain_error=thrust.gain_error,
         delay=entry.delay,
         origin_offset=_origin_offset(scenario),
-        force_error=pulses.force_error,
-        excursion=pulses.excursion,
-        velocity_excursion=pulses.velocity_excursion,
-        fault_force=pulses.fault_force,
-        fault_steps=pulses.fault_steps,
+        force_error=thrust.force_error,
+        excursion=thrust.excursion,
+        velocity_excursion=thrust.velocity_excursion,
+        fault_force=thrust.fault_force,
+        fault_steps=thrust.fault_steps,
     )
     if scenario.navigation.suite == "none":
         return assumed
