@@ -1,5 +1,6 @@
 """What the guard's theorem assumes of a scenario, as numbers to show, and where the scenario flies beyond it."""
 
+import math
 from typing import Any
 
 from keepout.guard import watch
@@ -87,6 +88,8 @@ def guard_numbers(guard: Guard) -> dict[str, Any]:
         "velocity_excursion_mps": a.velocity_excursion,
         "fault_force_N": a.fault_force,
         "fault_steps": a.fault_steps,
+        "turning_error": a.turning_error,
+        "valid_until_s": a.valid_until if math.isfinite(a.valid_until) else None,
         "disturbance_D_mps2": a.disturbance,
         "deceleration_a_b_mps2": b.deceleration,
         "reserve_U_mps2": b.reserve,
