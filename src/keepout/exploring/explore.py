@@ -292,6 +292,6 @@ class _Explorer:
             seconds=time.perf_counter() - self.began,
             start_certified=certified and not self.broken,
             assumptions_broken=self.broken,
-            guard={} if self.guard is None else guard_numbers(self.guard),
+            guard={} if self.guard is None else guard_numbers(self.guard, scenario),
             keep=self.keep,
         )

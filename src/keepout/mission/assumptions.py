@@ -65,8 +65,8 @@ def broken_assumptions(scenario: Scenario) -> tuple[str, ...]:
     return tuple(found)
 
 
-def guard_numbers(guard: Guard) -> dict[str, Any]:
-    """Give what the guard assumes and what follows from it (docs/guard.md) as plain numbers for JSON, SI units."""
+def guard_numbers(guard: Guard, scenario: Scenario) -> dict[str, Any]:
+    """Give what a scenario's guard assumes and what follows (docs/guard.md) as plain numbers for JSON, SI units."""
     a, b = guard.assumptions, guard.braking
     longest = watch.windows(a)[-1]
     least = watch.SHARE * float(a.disturbance)
@@ -95,6 +95,7 @@ def guard_numbers(guard: Guard) -> dict[str, Any]:
         "reserve_U_mps2": b.reserve,
         "position_radius_rho_m": b.position_radius,
         "velocity_radius_sigma_mps": b.velocity_radius,
+        "margin_kept_m": environment.kept_margin(scenario),
         "threshold_theta_m": guard.threshold,
         "lipschitz_L": guard.lipschitz,
         "evaluation_error_j_m": guard.evaluation_error,

@@ -160,6 +160,11 @@ def noise_memory(scenario: Scenario) -> float:
     return math.exp(-scenario.control.period / lasting) if lasting else 0.0
 
 
+def kept_margin(scenario: Scenario) -> float:
+    """Give what the guard keeps beyond contact, m: the operator's margin, or nothing."""
+    return scenario.safety.margin if scenario.guard.keeps_margin else 0.0
+
+
 def flight_bounds(scenario: Scenario) -> FlightBounds:
     """Bound what a flight's record does not hold, for the audit: true disturbance, rotation, differential gravity.
 
