@@ -47,7 +47,9 @@ def answers(field, points):
     return field.value(points), field.value_and_gradient(points)[0], field.value_gradient_hessian(points)[0]
 
 
-@pytest.mark.parametrize("name", [*(pytest.param(n, marks=pytest.mark.long) for n in ("grid", "neural")), *list(FIELDS)[2:]])
+@pytest.mark.parametrize(
+    "name", [*(pytest.param(n, marks=pytest.mark.long) for n in ("grid", "neural")), *list(FIELDS)[2:]]
+)
 def test_far_away_no_field_over_states_and_at_points_that_are_none_nothing_is_free(name):
     away = np.linalg.norm(POINTS[: -len(NOWHERE)].astype(np.longdouble), axis=1)
     for answer in answers(FIELDS[name](), jnp.asarray(POINTS)):

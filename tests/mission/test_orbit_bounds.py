@@ -153,7 +153,9 @@ def test_each_part_of_the_differential_bound_is_needed():
     (oblate,) = environment.relative_motion(scenario_of("low and round")).perturbations
     pole = jnp.array([0.0, 0.0, radius])
     steepest = jnp.linalg.norm(jax.jit(jax.jacfwd(oblate.of_target))(pole, jnp.zeros(3)), ord=2)
-    plain = differential_bounds(scenario_of("low and round"), orbit, nearest=radius, angular_rate=orbit.rate, fastest=100.0)
+    plain = differential_bounds(
+        scenario_of("low and round"), orbit, nearest=radius, angular_rate=orbit.rate, fastest=100.0
+    )
     assert float(steepest) == pytest.approx(plain.gradient, rel=1e-12)
 
 
@@ -173,7 +175,9 @@ def test_without_perturbations_the_bounds_are_keplers():
     perigee = 7e6 * 0.95
     assert bounds.rate == pytest.approx(np.sqrt(MU * 1.05 / perigee**3), rel=1e-12)
     assert bounds.lowest_radius == pytest.approx(perigee)
-    assert differential_bounds(scenario, bounds, nearest=perigee, angular_rate=bounds.rate, fastest=100.0).gradient == 0.0
+    assert (
+        differential_bounds(scenario, bounds, nearest=perigee, angular_rate=bounds.rate, fastest=100.0).gradient == 0.0
+    )
     assert environment.relative_motion(scenario).perturbations == ()
 
 

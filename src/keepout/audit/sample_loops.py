@@ -20,9 +20,7 @@ def _length(x, y, z):
 
 @numba.njit(cache=True, nogil=True)
 @no_type_check
-def bound_steps(
-    step, slack, turned, position, velocity, acceleration, disturbance, rate, kappa, offset, range_limit
-):
+def bound_steps(step, slack, turned, position, velocity, acceleration, disturbance, rate, kappa, offset, range_limit):
     """Give residual (m/s²), speed (m/s) and whether gravity may be unbounded, of each flight and step: `Tube.of`."""
     flights, steps = position.shape[0], len(step)
     residual, speed = np.empty((flights, steps)), np.empty((flights, steps))
