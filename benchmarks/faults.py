@@ -1,15 +1,16 @@
 """Flights with everything that can go wrong, audited on the exact mesh: what the guard holds, and what it cannot.
 
-    python benchmarks/faults.py [--flights N] [--targets intelsat30 mesh.glb …] [--keeps-margin] [--json] [--out rows.json]
+    python benchmarks/faults.py [--flights N] [--targets intelsat30 mesh.glb …] [--json] [--out rows.json]
+    python benchmarks/faults.py --keeps-margin …
     python benchmarks/faults.py --cost [--targets intelsat30]
 
 One row for each target, fault and disturbance; N flights in all, spread evenly over the rows. `within_assumptions`
 says whether the guard's theorem (docs/guard.md) covers the row; only there is zero contacts a promise. `hurt` flights
 were not proved free of contact; `inside_margin` ones came nearer than the operator's margin, which the law keeps and
-the guard does not, unless it is told to (`--keeps-margin`). The guard's field is a grid of exact distances; the law flies by the shipped field where the target
-has one (`law_field`), else by the same grid. Rows are saved to `--out` as they come, and are not flown again when the
-command is repeated with the same field (`digest`, of the mesh where the law has the grid) and the same recipe of the
-guard's field (`guard_recipe`).
+the guard does not, unless it is told to (`--keeps-margin`). The guard's field is a grid of exact distances; the law
+flies by the shipped field where the target has one (`law_field`), else by the same grid. Rows are saved to `--out` as
+they come, and are not flown again when the command is repeated with the same field (`digest`, of the mesh where the law
+has the grid) and the same recipe of the guard's field (`guard_recipe`).
 """
 
 import argparse

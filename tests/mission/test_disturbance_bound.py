@@ -86,7 +86,7 @@ class Truth:
         shares = [(u, self.shares(u)) for u in commands]
         on = [(u, share, self.on_times(share, sign)) for u, share in shares for sign in (1.0, -1.0)]
         for u, shares, now in on:
-            yield u, shares, now, self.pulses(now, on[rng.integers(len(on))][2])
+            yield u, shares, self.pulses(now, on[rng.integers(len(on))][2])
 
 
 def integrals(spans, pushes, time):
@@ -126,7 +126,7 @@ def shares_used(scenario, rng, commands):
         share = max(np.linalg.norm(vector) for vector in vectors) / getattr(assumed, name)
         used[name] = max(used.get(name, 0.0), share)
 
-    for u, shares, on, spans in truth.steps(commands, rng):
+    for u, shares, spans in truth.steps(commands, rng):
         for toward in (u, -u, drifting[rng.integers(len(drifting))], rng.normal(size=3)):
             along = toward / np.linalg.norm(toward)
             # The frame and the disturbance push as far in that direction as they can.

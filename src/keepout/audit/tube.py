@@ -92,8 +92,8 @@ class Tube:
     """Flights of equal length as recorded states and the bounds that hold between them.
 
     `residual` (m/s²) is b of the module's docstring and `speed` (m/s) bounds |ṙ| over the step, one of each a step.
-    `beyond` says of each step whether it can have left the range, speed or time within which b is one. `excursion` (m) is e
-    of the docstring; half a step's travel at `speed` holds it too.
+    `beyond` says of each step whether it can have left the range, speed or time within which b is a bound. `excursion`
+    (m) is e of the docstring; half a step's travel at `speed` holds it too.
     """
 
     time: Float[np.ndarray, "samples"]

@@ -71,8 +71,8 @@ class ThrustersEntry(Entry):
             raise ValueError(f'own: {len(self.own)} thrusters, and layout is "{self.layout}"; they belong to "own"')
         if self.held_in != "target" and self.layout != "ideal":
             raise ValueError(
-                f'held_in: "{self.held_in}" is for layout = "ideal"; the thrusters of a layout are taken to be parallel '
-                "to the target's axes"
+                f'held_in: "{self.held_in}" is for layout = "ideal"; the thrusters of a layout are taken to be '
+                "parallel to the target's axes"
             )
         lacking = [str(number) for number, thruster in enumerate(self.own) if thruster.force is None]
         if self.force is None and lacking:
