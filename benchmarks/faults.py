@@ -1,15 +1,16 @@
 """Flights with everything that can go wrong, audited on the exact mesh: what the guard holds, and what it cannot.
 
     python benchmarks/faults.py [--flights N] [--targets intelsat30 mesh.glb …] [--json] [--out rows.json]
+    python benchmarks/faults.py --keeps-margin …
     python benchmarks/faults.py --cost [--targets intelsat30]
 
 One row for each target, fault and disturbance; N flights in all, spread evenly over the rows. `within_assumptions`
 says whether the guard's theorem (docs/guard.md) covers the row; only there is zero contacts a promise. `hurt` flights
 were not proved free of contact; `inside_margin` ones came nearer than the operator's margin, which the law keeps and
-the guard does not. The guard's field is a grid of exact distances; the law flies by the shipped field where the target
-has one (`law_field`), else by the same grid. Rows are saved to `--out` as they come, and are not flown again when the
-command is repeated with the same field (`digest`, of the mesh where the law has the grid) and the same recipe of the
-guard's field (`guard_recipe`).
+the guard does not, unless it is told to (`--keeps-margin`). The guard's field is a grid of exact distances; the law
+flies by the shipped field where the target has one (`law_field`), else by the same grid. Rows are saved to `--out` as
+they come, and are not flown again when the command is repeated with the same field (`digest`, of the mesh where the law
+has the grid) and the same recipe of the guard's field (`guard_recipe`).
 """
 
 import argparse
@@ -44,7 +45,8 @@ VIOLATIONS = int(functools.reduce(operator.or_, (flag for flag in GuardFlag if f
 """Flags that say that an assumption did not hold."""
 TOLERANCE = 2e-3
 """How close to the truth clearances are driven, m."""
-PLACE, SETTINGS = ("target", "fault", "disturbance", "flights", "duration_s", "seed"), ("digest", "guard_recipe")
+PLACE = ("target", "fault", "disturbance", "flights", "duration_s", "seed")
+SETTINGS = ("digest", "guard_recipe")
 
 
 @dataclass(frozen=True)
@@ -214,13 +216,15 @@ def cost(name, duration, flights=128):
 def fly_all(arguments, show):
     """Fly every row that is not in `--out` yet; give all that are there, but for those of another field than now."""
     flights = max(1, round(arguments.flights / (len(arguments.targets) * len(ROWS))))
-    store, world_of = Rows(arguments.out, PLACE, SETTINGS), functools.lru_cache(1)(World)
+    kind = {"keeps_margin": True} if arguments.keeps_margin else {}
+    store = Rows(arguments.out, (*PLACE, "keeps_margin"), SETTINGS)
+    world_of = functools.lru_cache(1)(functools.partial(World, **kind))
     setup_of = functools.lru_cache(1)(lambda world, told: world.setup(told, arguments.duration))
     with terminal.progress("faults") as progress:
         wanted = list(itertools.product(arguments.targets, ROWS))
         for done, (name, (fault, shape)) in enumerate(wanted):
             place = (Path(name).stem, fault.name, shape, flights, arguments.duration, arguments.seed)
-            plan = dict(zip(PLACE + SETTINGS, (*place, look_up(name)[2], RECIPE), strict=True))
+            plan = dict(zip(PLACE + SETTINGS, (*place, look_up(name)[2], RECIPE), strict=True)) | kind
             progress(done / len(wanted), f"{place[0]}: {fault.name}, {shape}")
             if store.find(plan) is None:
                 world = world_of(name)
@@ -229,7 +233,7 @@ def fly_all(arguments, show):
                 show(row)
     current = {Path(name).stem: look_up(name)[2] for name in arguments.targets}
     rows = [row for row in store.kept if row["digest"] == current.get(row["target"], row["digest"])]
-    return [row for row in rows if row.get("guard_recipe") == RECIPE]
+    return [r for r in rows if r.get("guard_recipe") == RECIPE and r.get("keeps_margin") == kind.get("keeps_margin")]
 
 
 def totals(rows):
@@ -260,6 +264,7 @@ def main():
     parser.add_argument("--flights", type=int, default=2000, help="in all, spread evenly over targets and rows")
     parser.add_argument("--duration", type=int, default=600, help="of each flight, s")
     parser.add_argument("--targets", nargs="+", default=list(TARGETS), help="built-in names or mesh files")
+    parser.add_argument("--keeps-margin", action="store_true", help="the guard keeps the operator's margin too")
     parser.add_argument("--out", type=Path, help="file of rows, written after each and taken up again")
     parser.add_argument("--cost", action="store_true", help="instead, time the parts of a batched step")
     parser.add_argument("--seed", type=int, default=0)

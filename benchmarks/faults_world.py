@@ -16,7 +16,7 @@ from keepout.geometry.offset_solid import OffsetSolid
 from keepout.geometry.target import Target
 from keepout.guard.field import guard_field
 from keepout.mission.build import build_guard, flight_setup
-from keepout.mission.law import build_law, flown_law
+from keepout.mission.law import build_law, flown_law, room_for_guard
 from keepout.mission.scenario import Scenario
 from keepout.motion.disturbance import CombinedDisturbance, SinusoidalDisturbance, SquareWaveDisturbance
 
@@ -67,8 +67,8 @@ def look_up(name):
 class World:
     """A target with all that its rows share: the guard's field, the law and its field, the box of starts."""
 
-    def __init__(self, name):
-        self.name = Path(name).stem
+    def __init__(self, name, *, keeps_margin=False):
+        self.name, self.keeps_margin = Path(name).stem, keeps_margin
         self.target, shipped, self.digest = look_up(name)
         self.solid = OffsetSolid.build(self.target.distance, closing_radius=0.25)
         lower, upper = self.target.vertices.min(axis=0), self.target.vertices.max(axis=0)
@@ -78,12 +78,15 @@ class World:
         self.lower, self.upper = np.maximum(lower - 4.0, self.goal - REACH), np.minimum(upper + 4.0, self.goal + REACH)
         self.model, self.law_field = (shipped, "shipped") if shipped else (self.grid, "grid")
         room = (np.minimum(self.lower, self.goal) - 3.0, np.maximum(self.upper, self.goal) + 3.0)
-        self.law = build_law(self.scenario("", 600), self.model, guidance=Geodesic(bounds=room), from_start=False)
+        scenario = self.scenario("", 600)
+        chosen = {"guidance": Geodesic(bounds=room), "from_start": False} | room_for_guard(scenario, self.target)
+        self.law = build_law(scenario, self.model, **chosen)
 
     def scenario(self, told, duration):
         """Give the scenario behind a group of rows, with the strongest disturbance that any of them flies."""
         entry = {"position_error": 0.01, "velocity_error": 3e-4, "gain_error": 0.02} if told else {}
         entry |= {"delay": 1} if told == "late" else {}
+        entry |= {"keeps_margin": self.keeps_margin}
         return Scenario().replace(
             goal={"position": tuple(self.goal)},
             start={"position": tuple(self.upper)},

@@ -32,7 +32,7 @@ class Rows:
     def find(self, plan):
         """Give the row of a plan, if it has been flown with the same settings."""
         names = (*self.place, *self.settings)
-        return next((row for row in self.kept if all(row.get(name) == plan[name] for name in names)), None)
+        return next((row for row in self.kept if all(row.get(name) == plan.get(name) for name in names)), None)
 
     def keep(self, row):
         """Keep a row, in place of the one flown with other settings, and write the file."""
@@ -44,7 +44,7 @@ class Rows:
             write_whole(self.path, "[\n" + ",\n".join(json.dumps(one) for one in self._with(row)) + "\n]\n")
 
     def _with(self, row):
-        return [*(old for old in self.kept if any(old.get(name) != row[name] for name in self.place)), row]
+        return [*(old for old in self.kept if any(old.get(name) != row.get(name) for name in self.place)), row]
 
 
 def show(rows, columns):

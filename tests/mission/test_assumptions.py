@@ -1,5 +1,6 @@
 """What a scenario's numbers promise: bounds that hold where they are said to, and broken assumptions by name."""
 
+import dataclasses
 import re
 from pathlib import Path
 
@@ -159,6 +160,55 @@ def test_the_audit_joins_the_steps_of_a_flight_about_a_centre_of_mass_off_the_or
 
     assert excess() < 1e-9
     assert excess(origin_offset=0.0) > 1e-6
+
+
+def about_z(angle):
+    return np.array([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
+
+
+def test_a_force_held_in_inertial_axes_is_flown_so_and_bounded_by_guard_and_audit():
+    """About a principal axis, far from the Earth: the path under each force is a parabola in inertial axes."""
+    rate, T, mass = 0.02, 2.0, 20.0
+    slender = ((5.0, 0.0, 0.0), (0.0, 4.0, 0.0), (0.0, 0.0, 3.0))
+    scenario = Scenario().replace(
+        thrusters={"held_in": "inertial"},
+        attitude={"kind": "tumbling", "angular_velocity": (0.0, 0.0, rate), "inertia": slender},
+        orbit={"semi_major_axis": 9e8},
+        disturbance={"kind": "none", "bound": 1e-9},
+        control={"period": T},
+    )
+    motion, omega = environment.relative_motion(scenario), np.array([0.0, 0.0, rate])
+    state, rows = motion.initial_state(np.array([3.0, -4.0, 2.0]), np.array([0.02, 0.01, -0.03])), []
+    step = jax.jit(lambda state, force: motion.step(state, force, NoDisturbance(), T, mass))
+    for force in np.random.default_rng(0).uniform(-0.1, 0.1, (20, 3)):
+        place, speed = np.asarray(state.position), np.asarray(state.velocity)
+        rows.append((float(state.time), place, speed, force))
+        state = step(state, jnp.asarray(force))
+        drifting = speed + np.cross(omega, place)
+        ahead = about_z(-rate * T) @ (place + drifting * T + 0.5 * force / mass * T**2)
+        np.testing.assert_allclose(state.position, ahead, atol=1e-8)  # one Runge-Kutta step
+        faster = about_z(-rate * T) @ (drifting + force / mass * T) - np.cross(omega, ahead)
+        np.testing.assert_allclose(state.velocity, faster, atol=1e-8)
+
+    assumed = environment.guard_assumptions_within(scenario, 5.0)
+    corner = np.array([0.1, 0.1, 0.0]) / mass
+    turned = max(np.linalg.norm(about_z(-rate * t) @ corner - corner) for t in np.linspace(0.0, T, 11))
+    share = assumed.turning_error * np.linalg.norm(corner)
+    assert 0.999 * share < turned <= share * (1.0 + 1e-9)
+    held = environment.guard_assumptions_within(scenario.replace(thrusters={"held_in": "target"}), 5.0)
+    assert held.turning_error == 0.0
+    assert assumed.disturbance - held.disturbance == pytest.approx(assumed.turning_error * np.sqrt(3.0) * 0.1 / mass)
+
+    time, position, velocity, force = (np.array([row[i] for row in rows]) for i in range(4))
+
+    def excess(bounds):
+        return Tube.of(time, position[None], velocity[None], force[None], bounds).inconsistency().max()
+
+    bounds = environment.flight_bounds(scenario)
+    assert excess(bounds) < 1e-8
+    # With the target's own part of the bounds small: what is left is the force's.
+    near = dataclasses.replace(bounds, angular_rate=0.0, angular_acceleration=0.0, gravity_gradient=0.0)
+    assert excess(dataclasses.replace(near, force_turning=0.0)) > excess(near) + 1e-5
 
 
 def test_gravity_is_bounded_over_the_whole_region(box):

@@ -31,10 +31,10 @@ from keepout.mission import environment
 from keepout.mission.by_map import (
     DeclaredBall,
     guard_by_map,
+    kept_by_law,
     law_by_map,
     led_on,
     require_start,
-    room_for_guard,
     setup_by_map,
 )
 from keepout.mission.scenario import Scenario
@@ -346,13 +346,15 @@ def with_errors(position, velocity, **more):
     )
 
 
-@pytest.mark.parametrize(("position", "velocity"), [(0.0, 0.0), (0.1, 0.004)])
-def test_the_guard_passes_on_what_the_law_does_at_its_own_edge(position, velocity):
-    scenario = with_errors(position, velocity)
+@pytest.mark.parametrize(
+    ("position", "velocity", "keeps_margin"), [(0.0, 0.0, False), (0.1, 0.004, False), (0.0, 0.0, True)]
+)
+def test_the_guard_passes_on_what_the_law_does_at_its_own_edge(position, velocity, keeps_margin):
+    scenario = with_errors(position, velocity).replace(guard={"keeps_margin": keeps_margin})
     solid = CUBES.solid & (CUBES.centres[..., 1] < 1.0)
     field = CUBES.field(solid)
     guard = guard_by_map(scenario, field, BALL)
-    offset = guard.threshold + scenario.safety.margin + room_for_guard(scenario, guard)["nominal_offset"]
+    offset = kept_by_law(scenario, field, guard)
     assert offset > guard.least_value
     goal = np.array([0.0, 1.0 + offset + 0.02, 0.0])
     law = law_by_map(scenario, field, goal, START, ball=BALL, guard=guard)

@@ -244,8 +244,10 @@ def _verdict(
 def _beyond(
     contact: Contact, remarks: tuple[str, ...], since: float, bounds: FlightBounds
 ) -> tuple[Contact, tuple[str, ...]]:
-    """Leave a flight undecided that was not seen to touch, but may have been where gravity is not bounded."""
-    remark = f"from {since:.6g} s on it may be beyond {bounds.range_limit:.6g} m, where gravity is not bounded"
+    """Leave a flight undecided that was not seen to touch, but may have been where its drift is not bounded."""
+    limits = ((bounds.range_limit, "m"), (bounds.speed_limit, "m/s"), (bounds.valid_until, "s"))
+    said = " or ".join(f"{limit:.6g} {unit}" for limit, unit in limits if np.isfinite(limit))
+    remark = f"from {since:.6g} s on it may be beyond {said}, where gravity is not bounded"
     return (Contact.UNDECIDED if contact is Contact.NO else contact), (*remarks, remark)
 
 

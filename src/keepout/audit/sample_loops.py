@@ -20,7 +20,7 @@ def _length(x, y, z):
 
 @numba.njit(cache=True, nogil=True)
 @no_type_check
-def bound_steps(step, slack, position, velocity, acceleration, disturbance, rate, kappa, offset, range_limit):
+def bound_steps(step, slack, turned, position, velocity, acceleration, disturbance, rate, kappa, offset, range_limit):
     """Give residual (m/s²), speed (m/s) and whether gravity may be unbounded, of each flight and step: `Tube.of`."""
     flights, steps = position.shape[0], len(step)
     residual, speed = np.empty((flights, steps)), np.empty((flights, steps))
@@ -30,10 +30,10 @@ def bound_steps(step, slack, position, velocity, acceleration, disturbance, rate
             away = _length(position[i, k, 0], position[i, k, 1], position[i, k, 2])
             start = _length(velocity[i, k, 0], velocity[i, k, 1], velocity[i, k, 2])
             thrust = _length(acceleration[i, k, 0], acceleration[i, k, 1], acceleration[i, k, 2])
-            radius = away + offset
-            fastest = (start + step[k] * (thrust + disturbance + kappa * radius)) / slack[k]
+            radius, unknown = away + offset, disturbance + turned[k] * thrust
+            fastest = (start + step[k] * (thrust + unknown + kappa * radius)) / slack[k]
             speed[i, k] = fastest
-            residual[i, k] = disturbance + 2.0 * rate * fastest + kappa * (radius + fastest * step[k])
+            residual[i, k] = unknown + 2.0 * rate * fastest + kappa * (radius + fastest * step[k])
             beyond[i, k] = away + fastest * step[k] > range_limit
     return residual, speed, beyond
 

@@ -43,7 +43,9 @@ class FlightBounds:
     (1/s²) bounds the norm of the gradient of differential gravity within `range_limit` (m) of the body frame's origin,
     2 μ / r³ for a point mass with r the least distance from the Earth's centre; `origin_offset` (m) is the origin's
     distance from the target's centre of mass. `excursion` (m) and `velocity_excursion` (m/s) bound the departure of
-    pulsed thrusters from the motion under the recorded mean force.
+    pulsed thrusters from the motion under the recorded mean force. All of them hold for relative speeds up to
+    `speed_limit` (m/s), until `valid_until` (s). `force_turning` (rad/s) bounds how fast the axes in which the recorded
+    force is held turn against the body frame.
     """
 
     mass: float
@@ -55,18 +57,23 @@ class FlightBounds:
     range_limit: float = np.inf
     excursion: float = 0.0
     velocity_excursion: float = 0.0
+    speed_limit: float = np.inf
+    valid_until: float = np.inf
+    force_turning: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse a number that bounds nothing."""
         if not (np.isfinite(self.mass) and self.mass > 0.0):
             raise FlightError(f"audit: mass is {self.mass} kg; it must be finite and greater than 0")
         pushes = ("disturbance_force", "excursion", "velocity_excursion")
-        for name in (*pushes, "angular_rate", "angular_acceleration", "gravity_gradient", "origin_offset"):
+        turns = ("angular_rate", "angular_acceleration", "gravity_gradient", "force_turning")
+        for name in (*pushes, *turns, "origin_offset"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value >= 0.0):
                 raise FlightError(f"audit: {name} is {value}; a bound must be finite and at least 0")
-        if not self.range_limit > 0.0:
-            raise FlightError(f"audit: range_limit is {self.range_limit} m; it must be greater than 0")
+        for name, unit in (("range_limit", "m"), ("speed_limit", "m/s"), ("valid_until", "s")):
+            if not getattr(self, name) > 0.0:
+                raise FlightError(f"audit: {name} is {getattr(self, name)} {unit}; it must be greater than 0")
 
 
 def components(vectors: Float[np.ndarray, "*batch 3"]) -> list[Float[np.ndarray, "*batch"]]:
@@ -85,8 +92,8 @@ class Tube:
     """Flights of equal length as recorded states and the bounds that hold between them.
 
     `residual` (m/s²) is b of the module's docstring and `speed` (m/s) bounds |ṙ| over the step, one of each a step.
-    `beyond` says of each step whether it can have left the range within which gravity is bounded. `excursion` (m) is e
-    of the docstring; half a step's travel at `speed` holds it too.
+    `beyond` says of each step whether it can have left the range, speed or time within which b is a bound. `excursion`
+    (m) is e of the docstring; half a step's travel at `speed` holds it too.
     """
 
     time: Float[np.ndarray, "samples"]
@@ -112,7 +119,8 @@ class Tube:
         The drift |2ω×v + ω̇×r + ω×(ω×r) + Δg| is at most 2ω|v| + κ|r|, κ = ω̇ + ω² + gravity gradient, r from the centre
         of mass. With X the largest speed in the step, |r| ≤ |r₀| + X T and X ≤ |v₀| + T (|a| + d/m + 2ωX + κ(|r₀| +
         X T)), which is solved for X. A path that is still within the range limit after |r₀| + X T never left it, so
-        that κ held all along; one that may not be is `beyond`.
+        that κ held all along, and likewise X the speed limit; one that may not be is `beyond`. A force whose axes turn
+        by α in the step is off by at most 2 sin(α/2)|a|, which adds to d/m.
         """
         step = np.diff(time)
         acceleration = force / bounds.mass
@@ -126,9 +134,11 @@ class Tube:
                 f"{bounds.angular_rate:.3g} rad/s; the record needs "
                 f"samples at most {0.4 / max(bounds.angular_rate, kappa**0.5):.3g} s apart"
             )
+        turned = 2.0 * np.sin(0.5 * np.minimum(bounds.force_turning * step, np.pi))
         residual, speed, beyond = sample_loops.bound_steps(
             step,
             slack,
+            turned,
             position,
             velocity,
             acceleration,
@@ -140,6 +150,7 @@ class Tube:
         )
         if bounds.excursion > 0.0:
             speed = speed + 2.0 * bounds.excursion / step
+        beyond |= (speed + bounds.velocity_excursion > bounds.speed_limit) | (time[1:] > bounds.valid_until)
         return cls(time, position, velocity, acceleration, residual, speed, beyond, bounds.excursion)
 
     def inconsistency(self) -> Float[np.ndarray, "flights steps"]:

@@ -87,7 +87,7 @@ class Plan:
     def guard_numbers(self) -> dict[str, Any] | None:
         """Give what the guard of the first run that can be flown assumes, and what follows; None without a guard."""
         guard = self.programs[0].setup.guard
-        return guard_numbers(guard) if isinstance(guard, Guard) else None
+        return guard_numbers(guard, self.scenario) if isinstance(guard, Guard) else None
 
     def identity(self) -> dict[str, Any]:
         """Give all that the campaign's table depends on, as JSON values: two campaigns are one where these agree."""

@@ -168,10 +168,12 @@ class _Explorer:
                     setup = by_map.led_on(setup, field, law)
             if ending is not None and self.logs:
                 break
-            state, log = segment.fly_segment(setup, state, ticks)
+            # Not beyond the duration, over which orbit and rotation are bounded.
+            count = min(ticks, scenario.steps - flown)
+            state, log = segment.fly_segment(setup, state, count, longest=ticks)
             self.logs.append(log)
-            flown += ticks
-            self._turn(ticks)
+            flown += count
+            self._turn(count)
             self._count_rest(log)
             share = max(flown / scenario.steps, len(self.views) / scenario.explore.most_views)
             progress(min(share, 0.98), f"{len(self.views)} views, {self.free_volume:.0f} m³ known free")
@@ -350,7 +352,7 @@ class _Explorer:
             seconds=time.perf_counter() - self.began,
             start_certified=certified and not broken,
             assumptions_broken=broken,
-            guard={} if self.guard is None else guard_numbers(self.guard),
+            guard={} if self.guard is None else guard_numbers(self.guard, scenario),
             keep=self.keep,
         )
 

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from keepout.fields.field import Field
+from keepout.fields.field import Field, of_places, within_numbers
 
 
 def _derivatives(function, points: Float[Array, "*batch 3"]):
@@ -29,7 +29,8 @@ class SphereField(Field):
 
     def value(self, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
         """Signed distance in metres."""
-        return jnp.sqrt(jnp.sum((points - self.centre) ** 2, axis=-1)) - self.radius
+        y = within_numbers(points) - self.centre
+        return of_places(points, jnp.sqrt(jnp.sum(y**2, axis=-1)) - self.radius)
 
     def value_and_gradient(
         self, points: Float[Array, "*batch 3"]
@@ -42,12 +43,12 @@ class SphereField(Field):
         self, points: Float[Array, "*batch 3"]
     ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch 3"], Float[Array, "*batch 3 3"]]:
         """Signed distance in metres, u = y/‖y‖, and (I - u uᵀ)/‖y‖ in 1/m."""
-        y = points - self.centre
+        y = within_numbers(points) - self.centre
         r = jnp.sqrt(jnp.sum(y * y, axis=-1))
         inverse = jnp.where(r > 0.0, 1.0 / jnp.where(r > 0.0, r, 1.0), 0.0)
         u = y * inverse[..., None]
         across = jnp.eye(3) - u[..., :, None] * u[..., None, :]
-        return r - self.radius, u, across * inverse[..., None, None]
+        return of_places(points, r - self.radius), u, across * inverse[..., None, None]
 
 
 class BoxUnionField(Field):
@@ -71,10 +72,10 @@ class BoxUnionField(Field):
     smoothing: Float[Array, ""]
 
     def _single(self, p: Float[Array, "3"]) -> Float[Array, ""]:
-        tau = self.smoothing
-        faces = jnp.concatenate([self.lower - p, p - self.upper], axis=-1)
+        tau, near = self.smoothing, within_numbers(p)
+        faces = jnp.concatenate([self.lower - near, near - self.upper], axis=-1)
         boxes = tau * (jax.nn.logsumexp(faces / tau, axis=-1) - jnp.log(6.0))
-        return -tau * jax.nn.logsumexp(-boxes / tau)
+        return of_places(p, -tau * jax.nn.logsumexp(-boxes / tau))
 
     def value(self, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
         """Return a distance in metres that is never over-stated outside the boxes, negative inside."""

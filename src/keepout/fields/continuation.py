@@ -13,6 +13,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from keepout.fields.field import of_places, within_numbers
+
 Batch = Float[Array, "n"]
 Points = Float[Array, "n 3"]
 Matrices = Float[Array, "n 3 3"]
@@ -38,7 +40,7 @@ class RadialContinuation(eqx.Module):
     allowance: Float[Array, ""]
 
     def _radial(self, points: Points):
-        y = points - self.centre
+        y = within_numbers(points) - self.centre
         outside = jnp.sum(y * y, axis=-1) > self.domain_radius**2
         # Inside, a harmless stand-in keeps every derivative finite; its results are not used.
         away = jnp.where(outside[:, None], y, jnp.array([1.0, 0.0, 0.0]) * self.domain_radius)
@@ -53,7 +55,7 @@ class RadialContinuation(eqx.Module):
 
     def _lowering(self, points: Points) -> tuple[Batch, Points, Matrices]:
         """Return the allowance times a smoothstep from ρ_T to ρ_0, with its gradient and Hessian."""
-        y = points - self.centre
+        y = within_numbers(points) - self.centre
         beyond = jnp.sum(y * y, axis=-1) > self.target_radius**2
         away = jnp.where(beyond[:, None], y, jnp.array([1.0, 0.0, 0.0]) * self.target_radius)
         r = jnp.sqrt(jnp.sum(away * away, axis=-1))
@@ -86,7 +88,7 @@ class RadialContinuation(eqx.Module):
         """Return the continued value, from the field's value at `into_domain(points)`."""
         outside, _, r, psi, _, _ = self._radial(points)
         added = self._rise(r) - self._rise(psi)
-        return value + jnp.where(outside, added, 0.0) - self._lowering(points)[0]
+        return of_places(points, value + jnp.where(outside, added, 0.0) - self._lowering(points)[0])
 
     def gradient(self, points: Points, gradient: Points) -> Points:
         """Return the continued gradient, from the field's gradient at `into_domain(points)`."""

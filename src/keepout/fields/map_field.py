@@ -19,7 +19,7 @@ from jaxtyping import Array, Float, Int32, Shaped, UInt16
 
 from keepout.compiled.joined_rows import joined_rows, rows_last
 from keepout.errors import FieldError
-from keepout.fields.field import Field
+from keepout.fields.field import Field, of_places
 from keepout.fields.spline_weights import contracted, cubic_weights
 
 SLOPE = 1.14
@@ -131,14 +131,14 @@ class MapField(Field):
     def value(self, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
         """Distance to all that is not known free, in metres, at most the cap."""
         found = joined_rows(_value, self.squares, self._places(points.reshape(-1, 3)))
-        return (self.spacing * found).reshape(points.shape[:-1])
+        return of_places(points, (self.spacing * found).reshape(points.shape[:-1]))
 
     def value_and_gradient(
         self, points: Float[Array, "*batch 3"]
     ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch 3"]]:
         """Distance in metres and its gradient."""
         value, gradient = joined_rows(_first, self.squares, self._places(points.reshape(-1, 3)))
-        return (self.spacing * value).reshape(points.shape[:-1]), gradient.reshape(points.shape)
+        return of_places(points, (self.spacing * value).reshape(points.shape[:-1])), gradient.reshape(points.shape)
 
     def value_gradient_hessian(
         self, points: Float[Array, "*batch 3"]
@@ -147,7 +147,7 @@ class MapField(Field):
         batch = points.shape[:-1]
         value, gradient, hessian = joined_rows(_second, self.squares, self._places(points.reshape(-1, 3)))
         return (
-            (self.spacing * value).reshape(batch),
+            of_places(points, (self.spacing * value).reshape(batch)),
             gradient.reshape(points.shape),
             (hessian / self.spacing).reshape(*batch, 3, 3),
         )

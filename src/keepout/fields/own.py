@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from keepout.compiled.tried import require_numbers, tried
 from keepout.errors import FieldError
 from keepout.fields.evaluate import values_and_gradients
-from keepout.fields.field import Field
+from keepout.fields.field import Field, of_places, within_numbers
 
 Corner = Sequence[float] | Float[np.ndarray, "3"]
 """Of a box, m."""
@@ -39,15 +39,18 @@ class FunctionField(Field):
     lipschitz: float = eqx.field(static=True)
     kind: Literal["stated", "sampled"] = eqx.field(static=True)
 
+    def _at(self, point: Float[Array, "3"]) -> Float[Array, ""]:
+        return of_places(point, self.function(within_numbers(point)))
+
     def value(self, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
         """Signed distance in metres."""
-        return jax.vmap(self.function)(points.reshape(-1, 3)).reshape(points.shape[:-1])
+        return jax.vmap(self._at)(points.reshape(-1, 3)).reshape(points.shape[:-1])
 
     def value_and_gradient(
         self, points: Float[Array, "*batch 3"]
     ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch 3"]]:
         """Signed distance in metres and its gradient."""
-        value, gradient = jax.vmap(jax.value_and_grad(self.function))(points.reshape(-1, 3))
+        value, gradient = jax.vmap(jax.value_and_grad(self._at))(points.reshape(-1, 3))
         return value.reshape(points.shape[:-1]), gradient.reshape(points.shape)
 
     def value_gradient_hessian(
@@ -55,7 +58,7 @@ class FunctionField(Field):
     ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch 3"], Float[Array, "*batch 3 3"]]:
         """Signed distance in metres, gradient, and Hessian in 1/m."""
         value, gradient = self.value_and_gradient(points)
-        hessian = jax.vmap(jax.hessian(self.function))(points.reshape(-1, 3))
+        hessian = jax.vmap(jax.hessian(self._at))(points.reshape(-1, 3))
         return value, gradient, hessian.reshape(*points.shape, 3)
 
 

@@ -62,6 +62,8 @@ class GuardAssumptions(eqx.Module):
         velocity_excursion: likewise to the velocity, m/s.
         fault_force: largest norm of the force that is wrong in a fault, N.
         fault_steps: consecutive control steps after which a fault is over, once in a flight.
+        turning_error: largest relative change of a held force while the axes that it is held in turn against the body
+            frame over a period, 2 sin(α/2) for an angle α; 0 where a force is held in the body frame.
         valid_until: time, s since the orbit's epoch, until which the other numbers hold; infinite where they always do.
 
     Raises:
@@ -89,6 +91,7 @@ class GuardAssumptions(eqx.Module):
     velocity_excursion: float = 0.0
     fault_force: float = 0.0
     fault_steps: int = eqx.field(static=True, default=0)
+    turning_error: float = 0.0
     valid_until: float = math.inf
 
     def __check_init__(self) -> None:
@@ -116,10 +119,16 @@ class GuardAssumptions(eqx.Module):
             ("excursion", "m"),
             ("velocity_excursion", "m/s"),
             ("fault_force", "N"),
+            ("turning_error", ""),
         ):
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0.0):
                 raise ControlError(f"guard: {name} is {value} {unit}; it must be finite and at least 0")
+        if self.turning_error and self.excursion:
+            raise ControlError(
+                f"guard: turning_error is {self.turning_error} and excursion {self.excursion} m; pulses are bounded "
+                "only in the body frame, where turning_error is 0"
+            )
         if math.isnan(self.valid_until):
             raise ControlError("guard: valid_until is nan s; it must be a time, or infinite")
         if not 0.0 <= self.mass_error < 1.0:
@@ -151,12 +160,13 @@ class GuardAssumptions(eqx.Module):
     def disturbance(self) -> Number:
         """D: bound on every acceleration beyond commanded force over nominal mass, m/s², but for a fault's.
 
-        The disturbance's, the drift, the errors of scale and those of the force that thrusters give.
+        The disturbance's, the drift, the errors of scale, those of the force that thrusters give, and what a force held
+        in other axes than the body frame's turns away.
         """
         scale = (1.0 + self.gain_error) / (1.0 - self.mass_error) - 1.0
         push = self.disturbance_force / (self.mass * (1.0 - self.mass_error))
         wrong = self.force_error / (self.mass * (1.0 - self.mass_error))
-        return push + self.drift + scale * math.sqrt(3.0) * self.authority + wrong
+        return push + self.drift + (scale + self.turning_error) * math.sqrt(3.0) * self.authority + wrong
 
     @property
     def fault_push(self) -> Number:

@@ -88,7 +88,7 @@ def judged(
         seconds=time.perf_counter() - began,
         start_certified=None if certified is None else certified and not broken,
         assumptions_broken=broken,
-        guard=None if guard is None else guard_numbers(guard),
+        guard=None if guard is None else guard_numbers(guard, scenario),
         limits=_limits_kept(scenario, problem, record),
         drifts=drifts,
         transfer=transfer,

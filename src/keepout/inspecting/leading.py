@@ -121,7 +121,7 @@ class Leading:
         nominal = law_keeps(scenario, target, bound) - least
         assumed = environment.guard_assumptions(scenario, target)
         kept = scenario.inspect.stand_off + float(assumed.position_error) + _WANDERING
-        margin = max(scenario.safety.margin, kept - scenario.chaser.radius - bound - nominal)
+        margin, stated = max(scenario.safety.margin, kept - scenario.chaser.radius - bound - nominal), scenario
         scenario = scenario.model_copy(update={"safety": scenario.safety.model_copy(update={"margin": margin})})
         offset = bound + scenario.chaser.radius + margin + nominal
         beyond = scenario.camera.greatest_range + _BORDER
@@ -139,8 +139,9 @@ class Leading:
         sensed = None if scenario.navigation.suite == "none" else navigation(scenario, motion, assumed)
         guard, certified = None, None
         if scenario.guard.enabled:
+            # By the operator's own margin: what the stand-off asks for beyond it is the law's to keep.
             guard = build_guard(
-                scenario,
+                stated,
                 target,
                 offset=model.offset,
                 closing_radius=closing_radius(model),

@@ -97,7 +97,9 @@ def passive_safety(
     """
     if not (math.isfinite(seconds) and seconds > 0.0):
         raise InspectionError(f"passive safety: {seconds} s; it must be positive and finite")
-    motion, bounds, spread = relative_motion(scenario), flight_bounds(scenario), Spread.of(scenario, push)
+    # A drift may begin at the end of the mission, and goes on after it.
+    lasting = scenario.model_copy(update={"duration": scenario.duration + seconds})
+    motion, bounds, spread = relative_motion(scenario), flight_bounds(lasting), Spread.of(lasting, push)
     step = min(_LONGEST_STEP, _TURN / max(bounds.angular_rate, 1e-12))
     count = math.ceil(seconds / step - 1e-9)
     if count > _MOST_STEPS:
@@ -117,6 +119,7 @@ def passive_safety(
         tube = Tube.of(times, position, velocity, np.zeros_like(position), still)
         farthest = lengths(position).max(axis=1) + radius[-1]
         within = ~tube.beyond.any(axis=1) & (farthest <= bounds.range_limit)
+        within &= np.asarray(some.time) + seconds <= bounds.valid_until
         parts.append(_least(tube, radius, distance, within, (too_little + keep, enough + keep), tolerance))
     lower, upper, at = (np.concatenate(part) for part in zip(*parts, strict=True))
     return PassiveSafety(lower - keep, upper - keep, at, float(radius[-1]))

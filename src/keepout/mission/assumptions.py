@@ -1,5 +1,6 @@
 """What the guard's theorem assumes of a scenario, as numbers to show, and where the scenario flies beyond it."""
 
+import math
 from typing import Any
 
 from keepout.geometry.target import Target
@@ -67,8 +68,8 @@ def broken_assumptions(scenario: Scenario, target: Target | None = None) -> tupl
     return (*found, *(() if target is None else target.broken))
 
 
-def guard_numbers(guard: Guard) -> dict[str, Any]:
-    """Give what the guard assumes and what follows from it (docs/guard.md) as plain numbers for JSON, SI units."""
+def guard_numbers(guard: Guard, scenario: Scenario) -> dict[str, Any]:
+    """Give what a scenario's guard assumes and what follows (docs/guard.md) as plain numbers for JSON, SI units."""
     a, b = guard.assumptions, guard.braking
     longest = watch.windows(a)[-1]
     least = watch.SHARE * float(a.disturbance)
@@ -90,11 +91,14 @@ def guard_numbers(guard: Guard) -> dict[str, Any]:
         "velocity_excursion_mps": a.velocity_excursion,
         "fault_force_N": a.fault_force,
         "fault_steps": a.fault_steps,
+        "turning_error": a.turning_error,
+        "valid_until_s": a.valid_until if math.isfinite(a.valid_until) else None,
         "disturbance_D_mps2": a.disturbance,
         "deceleration_a_b_mps2": b.deceleration,
         "reserve_U_mps2": b.reserve,
         "position_radius_rho_m": b.position_radius,
         "velocity_radius_sigma_mps": b.velocity_radius,
+        "margin_kept_m": environment.kept_margin(scenario),
         "threshold_theta_m": guard.threshold,
         "lipschitz_L": guard.lipschitz,
         "evaluation_error_j_m": guard.evaluation_error,

@@ -234,10 +234,11 @@ def build_guard(
     """Build the guard, with the scenario's numbers as its assumptions and a field of its own (`guard/field.py`).
 
     That field is a spline of exact distances whose error and gradient bounds are proved, not the learned one: an error
-    in one is not an error in the other.
+    in one is not an error in the other. Where the guard keeps a margin, it is above its threshold nowhere that is
+    nearer: from there to contact the field falls by no more than the gradient bound allows (docs/guard.md, section 7).
 
     Args:
-        scenario: its entries `guard`, `chaser`, `disturbance`, `orbit`, `attitude`, `start` and `goal`.
+        scenario: its entries `guard`, `safety`, `chaser`, `disturbance`, `orbit`, `attitude`, `start` and `goal`.
         target: the mesh.
         offset: of the solid behind the field, m.
         closing_radius: of the gaps that this solid seals, m.
@@ -251,10 +252,13 @@ def build_guard(
     radius = scenario.chaser.radius
     if grid is None:
         grid = guard_field(target, radius, offset=offset, closing_radius=closing_radius, progress=progress)
-    certificate = grid.certificate(radius)
+    certificate, margin = grid.certificate(radius), environment.kept_margin(scenario)
+    threshold = certificate.error_bound + radius
+    if margin:
+        threshold += certificate.gradient_bound * margin + 2.0 * certificate.evaluation_error
     return Guard(
         field=grid.field,
-        threshold=certificate.error_bound + radius,
+        threshold=threshold,
         lipschitz=certificate.gradient_bound,
         evaluation_error=certificate.evaluation_error,
         assumptions=environment.guard_assumptions(scenario, target),

@@ -58,10 +58,10 @@ def guard_by_map(scenario: Scenario, field: MapField, ball: DeclaredBall) -> Gua
             certified; the message names the entry.
 
     """
-    radius = scenario.chaser.radius
+    kept = scenario.chaser.radius + environment.kept_margin(scenario)
     guard = Guard(
         field=field,
-        threshold=radius + field.error_bound(radius),
+        threshold=kept + field.error_bound(kept),
         lipschitz=SLOPE,
         evaluation_error=field.evaluation_error,
         assumptions=environment.guard_assumptions_within(scenario, ball.extent),
@@ -81,9 +81,11 @@ def _require_cap(field: MapField, needed: float, what: str) -> None:
 
 def room_for_guard(scenario: Scenario, guard: Guard) -> dict[str, float]:
     """Give the default law's `nominal_offset` (m) by which it stays where the guard passes its commands on."""
-    a = guard.assumptions
+    a, radius = guard.assumptions, scenario.chaser.radius
+    assert isinstance(guard.field, MapField)
+    contact = radius + guard.field.error_bound(radius)
     sagitta = 3.0**0.5 * a.authority * a.period**2 / 8.0
-    asked = float(guard.least_value + guard.lipschitz * sagitta) - guard.threshold + _WANDERING
+    asked = float(guard.least_value + guard.lipschitz * sagitta) - contact + _WANDERING
     own = least_offset(scenario.chaser.speed_limit, scenario.control.period)
     return {"nominal_offset": max(own, asked - scenario.safety.margin)}
 

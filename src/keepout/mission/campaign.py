@@ -214,7 +214,7 @@ class CampaignPlan:
             time.perf_counter() - began,
             starts_certified=None if self.starts_certified is None else self.starts_certified[first:last],
             assumptions_broken=mission.assumptions_broken,
-            guard=None if mission.guard is None else guard_numbers(mission.guard),
+            guard=None if mission.guard is None else guard_numbers(mission.guard, scenario),
             starts_drawn_again=self.starts.drawn_again,
             series=keeper.kept(),
         )

@@ -169,7 +169,7 @@ def check(
         scenario,
         words,
         conditions=mission.setup.controller.conditions,
-        guard=None if mission.guard is None else guard_numbers(mission.guard),
+        guard=None if mission.guard is None else guard_numbers(mission.guard, scenario),
         start_certified=mission.start_certified,
         assumptions_broken=broken,
         expected=estimate,

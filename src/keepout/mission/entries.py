@@ -112,6 +112,9 @@ class GuardEntry(Entry):
     velocity_error: NonNegative = Field(default=0.0, description="largest error of the velocity estimate, m/s")
     mass_error: Annotated[float, Field(ge=0.0, lt=1.0)] = Field(default=0.0, description="largest relative error")
     gain_error: Annotated[float, Field(ge=0.0, lt=1.0)] = Field(default=0.0, description="of the thrusters, relative")
+    keeps_margin: bool = Field(
+        default=False, description="whether its theorem too keeps `safety.margin`, and not only from contact"
+    )
     delay: Annotated[int, Field(ge=0, le=8)] = Field(
         default=0, description="from command to effect, control periods; the control law predicts its state over it too"
     )

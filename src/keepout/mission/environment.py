@@ -46,6 +46,8 @@ _NEAR = 1000.0
 """Gravity is bounded at least this far from the target, m."""
 _FARTHEST = 100_000.0
 """Gravity is bounded at most this far from the target's centre of mass, m."""
+_FAST = 100.0
+"""Differential drag is bounded at least up to this relative speed, m/s."""
 _DIAGONAL = np.full(3, 1.0 / math.sqrt(3.0))
 
 _BANG_BANG_PERIOD = 100.0
@@ -73,6 +75,7 @@ def relative_motion(scenario: Scenario) -> RelativeMotion:
         turning,
         perturbations(scenario),
         centre_of_mass=np.asarray(scenario.target.centre_of_mass),
+        held_inertially=scenario.thrusters.held_in == "inertial",
     )
 
 
@@ -157,11 +160,17 @@ def noise_memory(scenario: Scenario) -> float:
     return math.exp(-scenario.control.period / lasting) if lasting else 0.0
 
 
+def kept_margin(scenario: Scenario) -> float:
+    """Give what the guard keeps beyond contact, m: the operator's margin, or nothing."""
+    return scenario.safety.margin if scenario.guard.keeps_margin else 0.0
+
+
 def flight_bounds(scenario: Scenario) -> FlightBounds:
     """Bound what a flight's record does not hold, for the audit: true disturbance, rotation, differential gravity.
 
     Differential gravity is bounded within a range that holds every start and the goal twice over, and 1000 m at least.
-    Of what perturbations add, the constant is part of the force, and half of what grows with speed of the rate.
+    Of what perturbations add, the constant is part of the force, and half of what grows with speed of the rate. Drag is
+    bounded up to the speed that the guard allows, and 100 m/s at least.
 
     Raises:
         ScenarioError: start, goal or campaign are too far away for any bound, or the orbit has none.
@@ -180,6 +189,9 @@ def flight_bounds(scenario: Scenario) -> FlightBounds:
         range_limit=region,
         excursion=(pulsed := errors(scenario)).excursion,
         velocity_excursion=pulsed.velocity_excursion,
+        speed_limit=_fastest(scenario) if scenario.drag.density > 0.0 else math.inf,
+        valid_until=_valid_until(scenario),
+        force_turning=_force_turning(scenario),
     )
 
 
@@ -228,6 +240,19 @@ def _rotation(scenario: Scenario) -> tuple[float, float]:
     return orbit.rate * outward, orbit.acceleration * outward
 
 
+def _force_turning(scenario: Scenario) -> float:
+    """Bound how fast the axes in which a force is held turn against the body frame, rad/s."""
+    return _rotation(scenario)[0] if scenario.thrusters.held_in == "inertial" else 0.0
+
+
+def _valid_until(scenario: Scenario) -> float:
+    """Give the time, s since the epoch, until which orbit and rotation are bounded; infinite where they always are."""
+    until = orbit_bounds(scenario).valid_until
+    if scenario.attitude.gravity_gradient:
+        until = min(until, turning_bounds.valid_until(scenario.control.period, scenario.steps))
+    return until
+
+
 def _origin_offset(scenario: Scenario) -> float:
     """Distance of the body frame's origin from the target's centre of mass, m."""
     return float(np.linalg.norm(scenario.target.centre_of_mass))
@@ -270,8 +295,19 @@ def _differential(scenario: Scenario, region: float) -> DifferentialBounds:
     """
     orbit = orbit_bounds(scenario)
     nearest = orbit.lowest_radius - max(_NEAR, region + _origin_offset(scenario))
-    bent = differential_bounds(scenario, orbit, nearest=nearest, angular_rate=_rotation(scenario)[0])
+    rate, fastest = _rotation(scenario)[0], _fastest(scenario)
+    bent = differential_bounds(scenario, orbit, nearest=nearest, angular_rate=rate, fastest=fastest)
     return replace(bent, gradient=2.0 * EARTH_GRAVITATIONAL_PARAMETER / nearest**3 + bent.gradient)
+
+
+def _allowed_speed(scenario: Scenario) -> float:
+    """V̄: the speed, m/s, up to which the guard lets the chaser fly."""
+    return 1.5 * scenario.chaser.speed_limit
+
+
+def _fastest(scenario: Scenario) -> float:
+    """Give the relative speed, m/s, up to which drag is bounded."""
+    return max(_FAST, _allowed_speed(scenario))
 
 
 def guard_assumptions(scenario: Scenario, target: Target) -> GuardAssumptions:
@@ -299,7 +335,8 @@ def guard_assumptions_within(scenario: Scenario, extent: float) -> GuardAssumpti
     region = _region(scenario, away)
     rate, acceleration = _rotation(scenario)
     differential = _differential(scenario, region)
-    entry, pulses = scenario.guard, errors(scenario)
+    entry = scenario.guard
+    thrust = errors(scenario).times_gain(entry.gain_error)
     assumed = GuardAssumptions(
         mass=scenario.chaser.mass,
         force_limit=scenario.chaser.force_limit,
@@ -309,18 +346,20 @@ def guard_assumptions_within(scenario: Scenario, extent: float) -> GuardAssumpti
         angular_acceleration=acceleration,
         gravity_gradient=differential.gradient,
         range_limit=2.0 * max(away.values()) + 20.0,
-        speed_limit=1.5 * scenario.chaser.speed_limit,
+        speed_limit=_allowed_speed(scenario),
         position_error=entry.position_error,
         velocity_error=entry.velocity_error,
         mass_error=entry.mass_error,
-        gain_error=entry.gain_error + pulses.gain_error,
+        gain_error=thrust.gain_error,
         delay=entry.delay,
         origin_offset=_origin_offset(scenario),
-        force_error=pulses.force_error,
-        excursion=pulses.excursion,
-        velocity_excursion=pulses.velocity_excursion,
-        fault_force=pulses.fault_force,
-        fault_steps=pulses.fault_steps,
+        force_error=thrust.force_error,
+        excursion=thrust.excursion,
+        velocity_excursion=thrust.velocity_excursion,
+        fault_force=thrust.fault_force,
+        fault_steps=thrust.fault_steps,
+        turning_error=2.0 * math.sin(0.5 * min(_force_turning(scenario) * scenario.control.period, math.pi)),
+        valid_until=_valid_until(scenario),
     )
     if scenario.navigation.suite == "none":
         return assumed

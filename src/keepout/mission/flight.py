@@ -190,7 +190,7 @@ def judged(
         violated,
         start_certified=mission.start_certified,
         assumptions_broken=mission.assumptions_broken,
-        guard=None if mission.guard is None else guard_numbers(mission.guard),
+        guard=None if mission.guard is None else guard_numbers(mission.guard, scenario),
         mission=mission,
     )
 

@@ -194,11 +194,14 @@ def broken_as(scenario: Scenario, law: Law, field: Field) -> Law:
 
 
 def room_for_guard(scenario: Scenario, target: Target) -> dict[str, float]:
-    """Give the default law's `nominal_offset` (m) where the guard expects errors or a fault: no less than it asks.
+    """Give the default law's `nominal_offset` (m) where the guard asks for more than the law's margin holds anyway.
+
+    That is where it expects errors or a fault, or keeps the margin itself.
 
     The guard passes commands on only where its tube around the way to rest is free. The more it allows for, the wider
-    the tube; a law that led into it would be held there for ever. So it keeps the tube's radius, times the steepest
-    guard field met, and a little for that field's own error, beyond what the margin holds already.
+    the tube; a law that led into it would be held there for ever. So it keeps the tube's radius and the margin that the
+    guard keeps, times the steepest guard field met, and a little for that field's own error, beyond what its own margin
+    holds already.
 
     Raises:
         ControlError: the thrusters cannot meet the guard's assumptions.
@@ -206,11 +209,11 @@ def room_for_guard(scenario: Scenario, target: Target) -> dict[str, float]:
     """
     if not scenario.guard.enabled or scenario.control.profile != "default":
         return {}
-    assumed = environment.guard_assumptions(scenario, target)
-    if not (any(assumed.estimate_errors) or assumed.fault_steps):
+    assumed, kept = environment.guard_assumptions(scenario, target), environment.kept_margin(scenario)
+    if not (any(assumed.estimate_errors) or assumed.fault_steps or kept):
         return {}
     own = least_offset(scenario.chaser.speed_limit, scenario.control.period)
-    asked = _STEEPEST * float(design(assumed).position_radius) + _GUARD_FIELD_ERROR
+    asked = _STEEPEST * (float(design(assumed).position_radius) + kept) + _GUARD_FIELD_ERROR
     return {"nominal_offset": max(own, asked - scenario.safety.margin)}
 
 

@@ -31,8 +31,6 @@ from keepout.motion.sun import PENUMBRA, SOLAR_PRESSURE, sun_direction
 _OUTWARD = 1.0 + 1e-6
 """Covers what the Runge–Kutta steps of the target's orbit lose: 1e-8 at most (tests/mission/test_orbit_bounds.py)."""
 _MOST_STEPS = 200_000
-_FASTEST = 100.0
-"""Relative speed, m/s, up to which differential drag is bounded."""
 _LOWEST = 6.39e6
 """Metres from the Earth's centre below which a perturbed orbit is refused."""
 _STRONGEST = 12.0
@@ -50,6 +48,7 @@ class OrbitBounds:
         acceleration: its derivative, rad/s².
         lowest_radius: least distance of the target from the Earth's centre, m.
         air_speed: largest speed of the target against the air, m/s; 0 without perturbations.
+        valid_until: time, s since the epoch, until which they hold; infinite without perturbations.
 
     """
 
@@ -57,6 +56,7 @@ class OrbitBounds:
     acceleration: float
     lowest_radius: float
     air_speed: float = 0.0
+    valid_until: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,7 @@ def orbit_bounds(scenario: Scenario) -> OrbitBounds:
 
 
 def differential_bounds(
-    scenario: Scenario, orbit: OrbitBounds, *, nearest: float, angular_rate: float
+    scenario: Scenario, orbit: OrbitBounds, *, nearest: float, angular_rate: float, fastest: float
 ) -> DifferentialBounds:
     """Bound the difference of the perturbations' accelerations of chaser and target.
 
@@ -148,6 +148,7 @@ def differential_bounds(
         orbit: its bounds.
         nearest: least distance from the Earth's centre of any point between target and chaser, m.
         angular_rate: largest inertial rate of the body frame, rad/s.
+        fastest: largest speed of the chaser relative to the target, m/s.
 
     """
     by_place = 12.0 * _OBLATENESS / nearest**5 if scenario.orbit.j2 else 0.0
@@ -158,7 +159,7 @@ def differential_bounds(
         return DifferentialBounds(constant=pushed, gradient=by_place)
     turning = angular_rate + EARTH_ROTATION_RATE
     density = _density(drag, nearest)
-    wind = orbit.air_speed + _FASTEST + turning * (orbit.lowest_radius - nearest)
+    wind = orbit.air_speed + fastest + turning * (orbit.lowest_radius - nearest)
     per_speed = drag.chaser_area_to_mass * density * wind
     by_place += 0.5 * drag.chaser_area_to_mass * density * wind**2 / drag.scale_height
     return DifferentialBounds(
@@ -226,6 +227,7 @@ def _perturbed(
         acceleration=math.hypot(along_change, across_change),
         lowest_radius=floor,
         air_speed=wind,
+        valid_until=duration + half,
     )
 
 

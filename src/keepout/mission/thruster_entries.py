@@ -29,6 +29,11 @@ class ThrustersEntry(Entry):
         description="ideal: any force up to chaser.force_limit an axis, at any instant; six, 12, 24: on/off thrusters, "
         "one, two or four for each direction; own: those of `own`",
     )
+    held_in: Literal["target", "inertial"] = Field(
+        default="target",
+        description="axes in which a force is held over a control period: those of the target, which turn with it, or "
+        "inertial ones, as of a chaser that does not turn; only of ideal thrusters",
+    )
     own: tuple[ThrusterEntry, ...] = Field(
         default=(), description="thrusters of a layout of your own, each with position, direction and force"
     )
@@ -64,6 +69,11 @@ class ThrustersEntry(Entry):
     def _own_thrusters_are_there(self) -> "ThrustersEntry":
         if (self.layout == "own") != bool(self.own):
             raise ValueError(f'own: {len(self.own)} thrusters, and layout is "{self.layout}"; they belong to "own"')
+        if self.held_in != "target" and self.layout != "ideal":
+            raise ValueError(
+                f'held_in: "{self.held_in}" is for layout = "ideal"; the thrusters of a layout are taken to be '
+                "parallel to the target's axes"
+            )
         lacking = [str(number) for number, thruster in enumerate(self.own) if thruster.force is None]
         if self.force is None and lacking:
             raise ValueError(f"own: force of thrusters {', '.join(lacking)} not given; give it, or thrusters.force")

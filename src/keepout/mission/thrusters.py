@@ -72,7 +72,9 @@ def require_thrusters(scenario: Scenario) -> None:
     """
     flown = layout(scenario)
     if flown is None:
-        given = [f"thrusters.{key}" for key in scenario.thrusters.model_dump(exclude_defaults=True)]
+        given = [
+            f"thrusters.{key}" for key in scenario.thrusters.model_dump(exclude_defaults=True, exclude={"held_in"})
+        ]
         if scenario.faults.thruster is not None:
             given.append("faults.thruster")
         if given:

@@ -45,6 +45,11 @@ def pulled(motion: RelativeMotion, *, period: float, steps: int, lowest_radius: 
     return _pulled(structure, numbers, period, steps, lowest_radius)
 
 
+def valid_until(period: float, steps: int) -> float:
+    """Give the time, s, until which `pulled` bounds: half a period after the last of the flight's states."""
+    return (steps + 0.5) * period
+
+
 @functools.lru_cache(maxsize=64)
 def _pulled(
     structure: Any, numbers: tuple[tuple, ...], period: float, steps: int, lowest_radius: float

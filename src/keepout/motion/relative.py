@@ -46,6 +46,10 @@ class MotionState(eqx.Module):
     disturbance: Vector | None = None
 
 
+Pushed = tuple[MotionState, Vector | None]
+"""A state, and the force (N, body axes) that is held in inertial axes, where one is."""
+
+
 class RelativeMotion(eqx.Module):
     """The relative dynamics (paper, section II, with the sign of g corrected).
 
@@ -53,7 +57,8 @@ class RelativeMotion(eqx.Module):
 
     There r is measured from the target's centre of mass, which is at `centre_of_mass` (m, body axes) in the body frame;
     `MotionState.position` is measured from the frame's origin. `substeps` Runge–Kutta steps are taken for each control
-    step; one a second is enough below 0.5 °/s of tumbling.
+    step; one a second is enough below 0.5 °/s of tumbling. A force is held in the body frame's axes; with
+    `held_inertially` it keeps the direction that it has at the step's beginning in inertial ones, so that Ḟ = −ω×F.
     """
 
     orbit: Orbit
@@ -61,6 +66,7 @@ class RelativeMotion(eqx.Module):
     perturbations: tuple[Perturbation, ...] = ()
     substeps: int = eqx.field(static=True, default=1)
     centre_of_mass: Vector = eqx.field(converter=as_float64, default=(0.0, 0.0, 0.0))
+    held_inertially: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):
         if self.substeps < 1:
@@ -99,27 +105,35 @@ class RelativeMotion(eqx.Module):
 
         The disturbance is evaluated at the times of the Runge–Kutta stages. At its jumps the steps are split, and a
         piece sees the force of its own middle: a force that is constant between jumps acts with its full strength.
+
+        Raises:
+            ScenarioError: pulses, and forces are held inertially.
+
         """
+        if self.held_inertially and pulses is not None:
+            raise ScenarioError("pulses: their forces turn with the target; they cannot be held in inertial axes")
         h = duration / self.substeps
         departure = None if pulses is None else self._departure(state, pulses, mass)
 
-        def substep(at: MotionState) -> MotionState:
+        def substep(pushed: Pushed) -> Pushed:
+            at = pushed[0]
             switches = disturbance.switches(at.time, h)
             if switches.size == 0:
-                return self._runge_kutta(at, force, disturbance, h, mass, state.time, departure)
+                return self._runge_kutta(pushed, force, disturbance, h, mass, state.time, departure)
 
-            def piece(now: MotionState, ends: Float[Array, "2"]) -> tuple[MotionState, None]:
+            def piece(now: Pushed, ends: Float[Array, "2"]) -> tuple[Pushed, None]:
                 smooth = disturbance.between_switches(at.time + 0.5 * (ends[0] + ends[1]))
                 return self._runge_kutta(now, force, smooth, ends[1] - ends[0], mass, state.time, departure), None
 
             ends = jnp.concatenate([jnp.zeros(1), switches, jnp.full(1, h)])
-            end, _ = jax.lax.scan(piece, at, jnp.stack([ends[:-1], ends[1:]], axis=1))
-            return eqx.tree_at(lambda state: state.time, end, at.time + h)
+            end, _ = jax.lax.scan(piece, pushed, jnp.stack([ends[:-1], ends[1:]], axis=1))
+            return eqx.tree_at(lambda pushed: pushed[0].time, end, at.time + h)
 
+        begun = (state, as_float64(force) if self.held_inertially else None)
         if self.substeps == 1:
-            end = substep(state)
+            end, _ = substep(begun)
         else:
-            end = jax.lax.fori_loop(0, self.substeps, lambda _, at: substep(at), state)
+            end, _ = jax.lax.fori_loop(0, self.substeps, lambda _, at: substep(at), begun)
         if departure is None:
             return end
         position, velocity, _ = departure.at(jnp.asarray(duration, jnp.float64))
@@ -133,20 +147,21 @@ class RelativeMotion(eqx.Module):
 
     def _runge_kutta(
         self,
-        start: MotionState,
+        start: Pushed,
         force: Vector,
         disturbance: Disturbance,
         h: float | Scalar,
         mass: float | Scalar,
         since: Scalar,
         departure: Departure | None,
-    ) -> MotionState:
+    ) -> Pushed:
         """Take one step of `h` seconds under a disturbance without jumps; a departure began at `since`."""
 
-        def derivative(at: MotionState) -> MotionState:
+        def derivative(now: Pushed) -> Pushed:
+            at, held = now
             frame = self.orbital_frame(at)
             omega, omega_dot = self.attitude_motion.rates(at.attitude, at.angular_velocity, frame)
-            push = (force + disturbance.force(at.time)) / mass
+            push = ((force if held is None else held) + disturbance.force(at.time)) / mass
             there = at
             if departure is not None:
                 position, velocity, counted = departure.at(at.time - since)
@@ -155,7 +170,7 @@ class RelativeMotion(eqx.Module):
                     lambda s: (s.position, s.velocity), at, (at.position + position, at.velocity + velocity)
                 )
             relative_rate = omega - rotation.matrix(at.attitude) @ frame.angular_velocity
-            return MotionState(
+            change = MotionState(
                 time=jnp.ones(()),
                 position=at.velocity,
                 velocity=self._drift(there, frame, omega, omega_dot) + push,
@@ -163,9 +178,10 @@ class RelativeMotion(eqx.Module):
                 angular_velocity=omega_dot,
                 target_orbit=None if at.target_orbit is None else self._target_derivative(at.target_orbit),
             )
+            return change, None if held is None else -jnp.cross(omega, held)
 
         # As a loop, the stages compile in half the time that they take written out, and run as fast.
-        def stage(slopes: tuple[MotionState, MotionState], weights: Float[Array, "2"]) -> Any:
+        def stage(slopes: tuple[Pushed, Pushed], weights: Float[Array, "2"]) -> Any:
             last, total = slopes
             slope = derivative(_advance(start, last, weights[0] * h))
             return (slope, _advance(total, slope, weights[1])), None
@@ -173,12 +189,12 @@ class RelativeMotion(eqx.Module):
         rest = jax.tree.map(jnp.zeros_like, start)
         stages = jnp.array([[0.0, 1 / 6], [1 / 2, 1 / 3], [1 / 2, 1 / 3], [1.0, 1 / 6]])
         (_, mean), _ = jax.lax.scan(stage, (rest, rest), stages)
-        end = _advance(start, mean, h)
-        time = start.time + h  # whole periods stay whole numbers
+        end, held = _advance(start, mean, h)
+        time = start[0].time + h  # whole periods stay whole numbers
         attitude = rotation.normalise(end.attitude)
         frame = self._frame(time, end.target_orbit)
         omega, _ = self.attitude_motion.rates(attitude, end.angular_velocity, frame)
-        return MotionState(time, end.position, end.velocity, attitude, omega, end.target_orbit)
+        return MotionState(time, end.position, end.velocity, attitude, omega, end.target_orbit), held
 
     def _frame(self, time: Scalar, target_orbit: Float[Array, "6"] | None) -> OrbitalFrame:
         if target_orbit is None:
@@ -234,5 +250,5 @@ def gravity_difference(relative: Vector, target: Vector) -> Vector:
     return (relative * (1 + shrink) + target * shrink) / radius_squared**1.5
 
 
-def _advance(state: MotionState, derivative: MotionState, duration: float | Scalar) -> MotionState:
+def _advance(state: Pushed, derivative: Pushed, duration: float | Scalar) -> Pushed:
     return jax.tree.map(lambda value, slope: value + duration * slope, state, derivative)

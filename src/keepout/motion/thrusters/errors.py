@@ -6,7 +6,7 @@ whatever signs and sizes e_g ≤ e their errors have, ‖Σ e_g F_g d_g‖ ≤ e
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -40,6 +40,22 @@ class ThrusterErrors:
     gain_error: float = 0.0
     fault_force: float = 0.0
     fault_steps: int = 0
+
+    def times_gain(self, gain_error: float) -> "ThrusterErrors":
+        """Give the errors of thrusters whose every force is wrong by a further factor of 1 ± `gain_error`.
+
+        Whatever they give is scaled, what they give wrongly too: relative errors compound, all else grows.
+        """
+        most = 1.0 + gain_error
+        return replace(
+            self,
+            force_error=most * self.force_error,
+            running_error=most * self.running_error,
+            excursion=most * self.excursion,
+            velocity_excursion=most * self.velocity_excursion,
+            gain_error=gain_error + self.gain_error + gain_error * self.gain_error,
+            fault_force=most * self.fault_force,
+        )
 
 
 def thruster_errors(
