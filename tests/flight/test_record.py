@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from keepout.errors import FlightError
+from keepout.flight import record_file
 from keepout.flight.loop import FlightLog
 from keepout.flight.record import _KINDS, _SHAPES, FlightRecord
 
@@ -228,3 +229,14 @@ def test_a_flown_log_becomes_a_record(tmp_path):
     assert loaded.header["statuses"] == {"control_status": {"0": "nominal"}}
     assert loaded.header["versions"]["jax"] == jax.__version__
     np.testing.assert_array_equal(loaded.force, np.asarray(jnp.asarray(log.force)))
+
+
+def test_a_small_file_that_holds_much_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(record_file, "_MOST_BYTES", 2**20)
+    np.savez_compressed(tmp_path / "bomb.npz", force=np.zeros(2**18))
+    once = pa.DictionaryArray.from_arrays(pa.array(np.zeros(2**18, np.int8)), pa.array([0.0]))
+    pq.write_table(pa.table({"time": once}), tmp_path / "bomb.parquet")
+    for path in tmp_path.iterdir():
+        assert path.stat().st_size < 2**16
+        with pytest.raises(FlightError, match="bytes when inflated; at most 1048576 are read"):
+            FlightRecord.load(path)

@@ -7,6 +7,7 @@ column a component (`position_x`, `position_y`, `position_z`), for other program
 
 import io
 import json
+import zipfile
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,8 @@ FORMAT = "keepout-flight"
 VERSION = 1
 
 _HEADER = "keepout_flight"
+_MOST_BYTES = 2**31
+"""Of the columns of a file that is read: some four million control steps."""
 _COMPONENTS = {3: ("x", "y", "z"), 4: ("w", "x", "y", "z"), 6: ("x", "y", "z", "vx", "vy", "vz")}
 
 Columns = dict[str, np.ndarray]
@@ -94,7 +97,14 @@ def _encode_npz(envelope: str, columns: Columns) -> bytes:
     return stream.getvalue()
 
 
+def _require_size(size: int) -> None:
+    if size > _MOST_BYTES:
+        raise FlightError(f"it holds {size} bytes when inflated; at most {_MOST_BYTES} are read")
+
+
 def _decode_npz(content: bytes) -> tuple[str, Columns]:
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        _require_size(sum(entry.file_size for entry in archive.infolist()))
     with np.load(io.BytesIO(content), allow_pickle=False) as archive:
         columns = {name: archive[name] for name in archive.files}
     return columns.pop(_HEADER).tobytes().decode(), columns
@@ -118,6 +128,8 @@ def _encode_parquet(envelope: str, columns: Columns) -> bytes:
 
 
 def _decode_parquet(content: bytes) -> tuple[str, Columns]:
+    metadata = pq.read_metadata(pa.BufferReader(content))
+    _require_size(8 * metadata.num_rows * metadata.num_columns)  # a column of one value takes no room in the file
     table = pq.read_table(pa.BufferReader(content), page_checksum_verification=True)
     described = table.schema.metadata or {}
     shapes = json.loads(described[b"keepout_shapes"])

@@ -275,7 +275,7 @@ class Guard(SafetyLayer):
             + jnp.where(here > self._seen_threshold, 0, GuardFlag.FIELD)
             + jnp.where(watch.outside_region(a, seen.told_position, seen.told_velocity), GuardFlag.REGION, 0)
             + jnp.where(finite, 0, GuardFlag.COMMAND)
-            + jnp.where(course.off_plan, GuardFlag.OFF_PLAN, 0)
+            + jnp.where(course.off_plan & guard_state.certified, GuardFlag.OFF_PLAN, 0)
             + jnp.where(seen.told | seen.left_out, 0, GuardFlag.ESTIMATE)
             + (0 if seen.narrow is None else jnp.where(seen.narrow, 0, GuardFlag.WIDE))
             + jnp.where(seen.contradicted, GuardFlag.CONTRADICTED, 0)

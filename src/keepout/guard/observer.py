@@ -55,8 +55,8 @@ def beyond(
     off_velocity: Vector,
     errors: Float[Array, "2"],
 ) -> Bool[Array, ""]:
-    """Whether what is told is further from x̄ (m, m/s) than its errors, those of x̂ a step ago and D explain."""
-    T, D = assumptions.period, assumptions.disturbance
+    """Whether what is told is further from x̄ (m, m/s) than its errors, those of x̂ a step ago, D and a fault explain."""
+    T, D = assumptions.period, assumptions.disturbance + assumptions.fault_push
     further = errors[0] + gain.error_radius + T * gain.velocity_error_radius + 0.5 * T**2 * D
     faster = errors[1] + gain.velocity_error_radius + T * D
     return (norm(off_position) > watch.loosened(further)) | (norm(off_velocity) > watch.loosened(faster))

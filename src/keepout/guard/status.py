@@ -30,7 +30,7 @@ class GuardFlag(IntFlag):
     COMMAND = 64
     """The command held a number that is not finite; it was replaced."""
     OFF_PLAN = 128
-    """The chaser has left the tube around its plan."""
+    """The chaser has left the tube around its certified plan."""
     ESTIMATE = 256
     """The estimate held a number that is not finite; the plan was followed blind."""
     WIDE = 512
