@@ -33,7 +33,6 @@ stand_off = 1.2
 patch_size = 0.5
 coverage = 0.98
 candidates = 300
-proof_time = 2.0
 """
 HALF, RADIUS = np.array([2.0, 1.5, 1.0]), 0.4
 """Of the box and of the chaser, m."""

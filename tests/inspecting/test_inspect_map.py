@@ -27,7 +27,7 @@ chaser.radius = 0.4
 start.position = [0.0, 5.5, 2.0]
 disturbance.kind = "none"
 camera.greatest_range = 6.0
-inspect = {stand_off = 1.2, patch_size = 0.6, coverage = 0.8, candidates = 300, proof_time = 2.0}
+inspect = {stand_off = 1.2, patch_size = 0.6, coverage = 0.8, candidates = 300}
 """
 
 
