@@ -250,7 +250,7 @@ def test_nothing_to_see_and_nothing_lit_are_refused_with_their_shares():
     why = np.array([Hidden.ENCLOSED, Hidden.NOT, Hidden.NOT, Hidden.NOT], np.int8)
     none = np.zeros(4, bool)
     undecided = Seeable(sides, hidden, why, np.full((4, 3), np.nan), squares=7)
-    with pytest.raises(InspectionError, match=r"inspect\.proof_squares: 7 of 20000000 .* 50\.0% are proved hidden"):
+    with pytest.raises(InspectionError, match=r"inspect\.proof_squares: 7 of 4000000 .* 50\.0% are proved hidden"):
         equipment.require_something_to_see(scenario(), undecided, none)
     clocked = dataclasses.replace(undecided, by_clock=True)
     with pytest.raises(InspectionError, match=r"inspect\.proof_time, 0 s, ended it"):

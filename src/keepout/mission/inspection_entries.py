@@ -128,7 +128,7 @@ class InspectEntry(Entry):
     most_views: Annotated[int, Field(ge=1, le=100_000)] = Field(default=1000, description="in one plan, at most")
     dwell: NonNegative = Field(default=0.0, description="for which the chaser stays at each view, s; 0: it flies on")
     proof_squares: Annotated[int, Field(ge=1, le=10_000_000_000)] = Field(
-        default=20_000_000,
+        default=4_000_000,
         description="squares of directions looked at, at most, for the proof of what can and cannot be seen: counted "
         "work, the same on every machine",
     )

@@ -20,7 +20,7 @@ from keepout.seeing.search import NONE, OPEN, SEEN, all_blocked, search
 from keepout.seeing.seeable import Hidden, Seeable, Verdict
 from keepout.seeing.sightlines import Sightlines
 
-SQUARES = 20_000_000
+SQUARES = 4_000_000
 """Of directions looked at in all, unless told otherwise."""
 _SQUARES = (300, 3_000, 30_000)
 """Squares of directions a unit in each stage: most are decided in the first, and the next takes what is left."""
