@@ -89,7 +89,7 @@ def planned(problem: Problem, place: dict[str, Any]) -> dict[str, Any]:
 
 
 def covered(problem: Problem, place: dict[str, Any], effort: float) -> dict[str, Any]:
-    """Find the fewest of all candidates that see what all of them see, and the bound, by so many times the usual work."""
+    """Find the fewest of all candidates that see what all of them see, and the bound; `effort` is of the usual work."""
     problem = dataclasses.replace(problem, scenario=asked(problem.scenario, candidates=place["most_places"]))
     wanted = (problem.seeable.verdict == Verdict.SEEABLE) & problem.patches.counted
     areas = problem.patches.unit_areas() * wanted

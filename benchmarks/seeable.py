@@ -74,7 +74,7 @@ def _places(target: Target, count: int) -> np.ndarray:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--meshes", type=Path, help="folder with ssl1300.glb and hubble.glb")
-    parser.add_argument("--squares", type=int, default=SQUARES, help="of directions, after which what is left is undecided")
+    parser.add_argument("--squares", type=int, default=SQUARES, help="of directions; what is left then is undecided")
     parser.add_argument("--places", type=int, default=1000, help="that are looked from against the verdicts")
     parser.add_argument("--only", nargs="*", help="names of the meshes wanted")
     parser.add_argument("--json", action="store_true")

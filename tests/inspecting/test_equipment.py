@@ -1,7 +1,7 @@
 """What a scenario says of inspecting as objects, and what is refused before anything flies."""
 
-import itertools
 import dataclasses
+import itertools
 import math
 
 import jax.numpy as jnp

@@ -166,7 +166,9 @@ def test_frames_that_no_camera_takes_are_told_by_its_limits():
 
     def at(time, degrees, length=1.0):
         turn = math.radians(degrees)
-        return Frame(time, np.zeros(3), length * np.array([math.cos(turn), math.sin(turn), 0.0]), None, np.zeros(0, int))
+        return Frame(
+            time, np.zeros(3), length * np.array([math.cos(turn), math.sin(turn), 0.0]), None, np.zeros(0, int)
+        )
 
     assert camera_breaches((at(0.0, 0.0), at(5.0, 5.0), at(20.0, -10.0)), camera) == ()
     assert camera_breaches((), camera) == ()
