@@ -79,7 +79,7 @@ def fewest_views(
         return Cover(np.zeros(0, dtype=np.int64), 0, 0)
     first = greedy_cover(sees, areas, goal)
     progress(0.02, f"{len(first)} views by greed")
-    bound, reduced = greedy_bound(sees, areas, goal, first), np.ones(sees.shape[0])
+    bound, reduced = greedy_bound(sees, areas, goal, first), np.ones(len(sees.indptr) - 1)
     best = pruned(sees, areas, goal, first)
     # The units that the fewest views see say most about how many are needed; then those that an answer misses.
     rows, steps = _hardest(sees, _FIRST_ROWS), round(effort * _STEPS)

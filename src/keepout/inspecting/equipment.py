@@ -212,8 +212,8 @@ def require_something_to_see(scenario: Scenario, seeable: Seeable, lit: Bool[np.
         )
     if not np.any(lit & patches.counted):
         raise InspectionError(
-            f"light: none of the {seeable.upper:.1%} of {area:.4g} m2 that are not proved hidden is lit in any frame; another "
-            "direction or epoch, or a longer duration, would light some"
+            f"light: none of the {seeable.upper:.1%} of {area:.4g} m2 that are not proved hidden is lit in any frame; "
+            "another direction or epoch, or a longer duration, would light some"
         )
 
 

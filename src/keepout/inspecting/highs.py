@@ -46,9 +46,9 @@ class CoverProgram:
 
     def relaxed(self, iterations: int) -> Relaxed | None:
         """Solve it with x_v between 0 and 1, in so many steps of the dual simplex; None if these do not suffice."""
-        matrix, limits = self._inequalities()
+        costs, matrix, limits = self._written()
         found = linprog(
-            self._costs(matrix),
+            costs,
             A_ub=matrix,
             b_ub=limits,
             bounds=(0.0, 1.0),
@@ -68,12 +68,12 @@ class CoverProgram:
 
         A choice that does not exist has an infinite bound, given as one more than there are views.
         """
-        matrix, limits = self._inequalities()
+        costs, matrix, limits = self._written()
         found = milp(
-            self._costs(matrix),
-            integrality=np.arange(matrix.shape[1]) < self._views,
+            costs,
+            integrality=costs,
             bounds=Bounds(0.0, 1.0),
-            constraints=LinearConstraint(matrix, -np.inf, limits),
+            constraints=LinearConstraint(matrix, np.full(len(limits), -np.inf), limits),
             options={"node_limit": nodes},
         )
         if found.status == 2:
@@ -91,19 +91,22 @@ class CoverProgram:
         """Areas count as shares of the largest, so that the row's numbers stay near 1."""
         return float(self.areas.max())
 
-    def _costs(self, matrix: sparse.csr_array) -> Float[np.ndarray, " variables"]:
-        return (np.arange(matrix.shape[1]) < self._views).astype(np.float64)
+    def _written(
+        self,
+    ) -> tuple[Float[np.ndarray, " variables"], sparse.csr_array, Float[np.ndarray, " rows"]]:
+        """Give what each of (x, m) costs, 1 or 0, a matrix, and what its product with them must not exceed.
 
-    def _inequalities(self) -> tuple[sparse.csr_array, Float[np.ndarray, " rows"]]:
-        """Give a matrix and what its product with (x, m) must not exceed; without spare area there is no m."""
+        Without spare area there is no m.
+        """
         by_unit = sparse.csr_array(self.sees.T)[self.rows]
         least = -np.ones(len(self.rows))
         if not self.spare > 0.0:
-            return -by_unit, least
+            return np.ones(self._views), -by_unit, least
         count = len(self.rows)
         let_go = sparse.csr_array((self.areas[self.rows] / self._scale)[None])
         rows = [
             sparse.hstack([-by_unit, -sparse.eye_array(count)]),
             sparse.hstack([sparse.csr_array((1, self._views)), let_go]),
         ]
-        return sparse.csr_array(sparse.vstack(rows)), np.append(least, self.spare / self._scale)
+        costs = np.append(np.ones(self._views), np.zeros(count))
+        return costs, sparse.csr_array(sparse.vstack(rows)), np.append(least, self.spare / self._scale)

@@ -51,7 +51,7 @@ class Inspection:
         patches: of that mesh.
         rules: when a patch counts as seen.
         seeable: what can be seen at all.
-        possible: (2 n,) units not proved hidden that the sun lights at some time of the mission; all of them without light.
+        possible: (2 n,) units not proved hidden that are lit at some time of the mission; all of them without light.
         plan: the first one.
         plans: how many were made: replans are counted.
         record: of the whole flight.
@@ -59,7 +59,7 @@ class Inspection:
         audit: the verdict on the mesh.
         frames: every image.
         seen: (2 n,) units seen in some frame.
-        outcome: "all seen", "50 % asked, seen" (for any share less than all), "out of time", "nothing more to see" or "no way".
+        outcome: "all seen", "50 % asked, seen" (or another share), "out of time", "nothing more to see" or "no way".
         why: in words.
         seconds: that the computation took.
         start_certified: whether the guard's theorem holds from the start; None without a guard.
@@ -116,7 +116,7 @@ class Inspection:
 
     @property
     def coverage_seeable(self) -> float:
-        """Share of what surely can be seen, and be lit in the mission's time, that was seen: what is undecided is out."""
+        """Share of what surely can be seen, and be lit in the mission's time, that was seen; without the undecided."""
         return self._share_of(self.lit)
 
     def _share_of(self, units: Bool[np.ndarray, " units"]) -> float:

@@ -46,7 +46,8 @@ class InspectionPlan:
         way_length: from the start through all views by ways that keep the stand-off, m.
         duration: expected, s.
         candidates: views that were found.
-        fewest_views: proved: no fewer of the short list see as much by themselves. With the frames on the way fewer may.
+        fewest_views: proved: no fewer of the short list see as much by themselves; frames on the way may
+            spare some.
         greedy_views: how many the greedy choice needed.
         drifts: what passive safety made of it; None where it is not asked for.
         short_list: how many of the candidates the views were chosen from; the bound is about these.
