@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 from scipy import sparse
-from scipy.optimize import Bounds, LinearConstraint, linprog, milp
+from scipy.optimize import Bounds, linprog, milp
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +73,7 @@ class CoverProgram:
             costs,
             integrality=costs,
             bounds=Bounds(0.0, 1.0),
-            constraints=LinearConstraint(matrix, np.full(len(limits), -np.inf), limits),
+            constraints=(matrix, -np.inf, limits),
             options={"node_limit": nodes},
         )
         if found.status == 2:
