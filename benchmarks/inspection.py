@@ -42,7 +42,6 @@ from keepout.inspecting.problem import Problem
 from keepout.inspecting.wanted import Wanted
 from keepout.mission.light import Light
 from keepout.mission.scenario import Scenario
-from keepout.seeing.seeable import Verdict
 
 OUT = Path(__file__).with_name("results") / "inspection.json"
 PARTS = ("targets", "baselines", "light", "dispersed")
@@ -161,7 +160,7 @@ def first_plan(problem):
     """Make the plan that an inspection begins with."""
     scenario = problem.scenario
     camera = Camera(problem.patches, problem.sight, problem.rules, problem.light)
-    lit = ever_lit(camera, problem.seeable.verdict == Verdict.SEEABLE, scenario.duration)
+    lit = ever_lit(camera, problem.seeable.possible, scenario.duration)
     wanted = Wanted.of(problem.patches, lit, scenario.inspect.coverage)
     return plan(
         problem,

@@ -1,7 +1,7 @@
 """Plans of inspections: views, way and time beside the bound on views, greed, and other tours; and full covers.
 
     python benchmarks/inspection_plans.py [PART ...] [--target intelsat30 ...] [--share 0.99 ...] [--places 4000]
-        [--seconds 300] [--out FILE] [--json]
+        [--effort 10] [--out FILE] [--json]
 
 Stand-off 1.5 m, range 10 m (ISS 20 m), cone 60 degrees, incidence 60 degrees, turn 1 degree a second.
 
@@ -10,7 +10,7 @@ Parts:
               on views is one on the short list that a plan is made from.
   full cover  the fewest views that see all that any candidate sees, by the camera's limits (`allowance` 0) and with a
               plan's room for a flight's errors (1). All candidates count. `seconds` is of the choice and its bound,
-              until it is proved or --seconds are over.
+              until it is proved or --effort times the usual work is spent.
 
 `seconds_seeable` is of what comes once a target. Rows are kept in the file as they come, and none is made twice.
 """
@@ -88,8 +88,8 @@ def planned(problem: Problem, place: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def covered(problem: Problem, place: dict[str, Any], limit: float) -> dict[str, Any]:
-    """Find the fewest of all candidates that see what all of them see, and the bound, in at most `limit` s."""
+def covered(problem: Problem, place: dict[str, Any], effort: float) -> dict[str, Any]:
+    """Find the fewest of all candidates that see what all of them see, and the bound; `effort` is of the usual work."""
     problem = dataclasses.replace(problem, scenario=asked(problem.scenario, candidates=place["most_places"]))
     wanted = (problem.seeable.verdict == Verdict.SEEABLE) & problem.patches.counted
     areas = problem.patches.unit_areas() * wanted
@@ -98,7 +98,7 @@ def covered(problem: Problem, place: dict[str, Any], limit: float) -> dict[str, 
     seconds_candidates = time.perf_counter() - began
     seen = np.asarray(views.sees.sum(axis=0)).ravel() > 0.0
     began = time.perf_counter()
-    cover = fewest_views(views.sees, areas, float(areas[seen].sum()), seconds=limit)
+    cover = fewest_views(views.sees, areas, float(areas[seen].sum()), effort=effort)
     seconds = time.perf_counter() - began
     shown = np.asarray(views.sees[cover.chosen].sum(axis=0)).ravel() > 0.0
     return {
@@ -129,7 +129,7 @@ def places(parts: list[str], shares: list[float], objectives: list[Objective], m
     return found
 
 
-def made(source: str, asked_for: list[dict[str, Any]], rows: Rows, limit: float) -> list[dict[str, Any]]:
+def made(source: str, asked_for: list[dict[str, Any]], rows: Rows, effort: float) -> list[dict[str, Any]]:
     """Make the rows of one target that are not kept yet; give all that were asked for."""
     target, problem, once, shown = Target.load(source), None, {}, []
     for place in asked_for:
@@ -145,7 +145,7 @@ def made(source: str, asked_for: list[dict[str, Any]], rows: Rows, limit: float)
                     "coverage_upper_bound": problem.seeable.upper,
                     "seconds_seeable": time.perf_counter() - began,
                 }
-            found = planned(problem, place) if place["part"] == "plans" else covered(problem, place, limit)
+            found = planned(problem, place) if place["part"] == "plans" else covered(problem, place, effort)
             row = place | found | once
             rows.keep(row)
             print(json.dumps({name: row[name] for name in SHOWN if name in row}), file=sys.stderr, flush=True)
@@ -163,7 +163,7 @@ def main() -> None:
     parser.add_argument("--share", nargs="+", type=float, default=[0.99, 1.0])
     parser.add_argument("--objective", nargs="+", default=["time"], choices=["time", "delta_v", "both"])
     parser.add_argument("--places", type=int, default=4000, help="drawn for candidates, at most")
-    parser.add_argument("--seconds", type=float, default=300.0, help="for a full cover and its proof, at most")
+    parser.add_argument("--effort", type=float, default=10.0, help="of the usual work, for a full cover and its proof")
     parser.add_argument("--out", type=Path, default=OUT, help="rows kept")
     parser.add_argument("--json", action="store_true", help="print rows as JSON")
     given = parser.parse_args()
@@ -172,7 +172,7 @@ def main() -> None:
             parser.error(f"no part {part!r}; it must be one of {', '.join(PARTS)}")
     rows, shown = Rows(given.out, PLACE, ()), []
     for source in given.target:
-        shown += made(source, places(given.parts, given.share, given.objective, given.places), rows, given.seconds)
+        shown += made(source, places(given.parts, given.share, given.objective, given.places), rows, given.effort)
     if given.json:
         sys.stdout.write(json.dumps(shown, indent=1) + "\n")
     else:

@@ -1,6 +1,6 @@
 """What can be seen at all: lower and upper bound on the area, and why the rest is not.
 
-    python benchmarks/seeable.py [--meshes DIRECTORY] [--seconds S] [--json]
+    python benchmarks/seeable.py [--meshes DIRECTORY] [--squares N] [--json]
 
 One thread. Stand-off 1.5 m, range 10 m (ISS 20 m), incidence 60 degrees, patches 0.25 m (ISS 1 m). `seconds` is
 processor time of `seeable` as a whole, the room included, without the compilation of its loops.
@@ -18,7 +18,7 @@ import numpy as np
 
 from keepout.geometry import Target
 from keepout.seeing.cut import cut
-from keepout.seeing.judge import seeable
+from keepout.seeing.judge import SQUARES, seeable
 from keepout.seeing.room import Room
 from keepout.seeing.rules import SeeingRules
 from keepout.seeing.seeable import Hidden, Verdict
@@ -30,7 +30,7 @@ FILES = ("ssl1300", "hubble")
 STAND_OFF = 1.5
 
 
-def judged(source: str, seconds: float | None, places: int) -> dict[str, Any]:
+def judged(source: str, squares: int, places: int) -> dict[str, Any]:
     """Judge one mesh."""
     target = Target.load(source, units="m") if Path(source).stem == "ssl1300" else Target.load(source)
     large = source == "iss"
@@ -38,7 +38,7 @@ def judged(source: str, seconds: float | None, places: int) -> dict[str, Any]:
     rules = SeeingRules(greatest_range=20.0 if large else 10.0)
     sight = Sightlines(target.vertices, target.faces, patches)
     began = time.process_time()
-    found = seeable(target, patches, sight, rules, STAND_OFF, seconds=seconds)
+    found = seeable(target, patches, sight, rules, STAND_OFF, squares=squares)
     took = time.process_time() - began
     hidden = found.verdict == Verdict.HIDDEN
     return {
@@ -49,6 +49,7 @@ def judged(source: str, seconds: float | None, places: int) -> dict[str, Any]:
         "gap": found.upper - found.lower,
         "enclosed": patches.coverage(found.why == Hidden.ENCLOSED),
         "narrow": patches.coverage(found.why == Hidden.NARROW),
+        "squares": found.squares,
         "units_undecided": int((found.verdict == Verdict.UNDECIDED)[patches.counted].sum()),
         "seconds": took,
         "places_looked_from": places,
@@ -73,7 +74,7 @@ def _places(target: Target, count: int) -> np.ndarray:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--meshes", type=Path, help="folder with ssl1300.glb and hubble.glb")
-    parser.add_argument("--seconds", type=float, default=120.0, help="after which what is left is undecided")
+    parser.add_argument("--squares", type=int, default=SQUARES, help="of directions; what is left then is undecided")
     parser.add_argument("--places", type=int, default=1000, help="that are looked from against the verdicts")
     parser.add_argument("--only", nargs="*", help="names of the meshes wanted")
     parser.add_argument("--json", action="store_true")
@@ -86,7 +87,7 @@ def main() -> None:
     judged("box", None, 0)  # compiles the loops
     rows = []
     for source in sources:
-        rows.append(judged(source, given.seconds, given.places))
+        rows.append(judged(source, given.squares, given.places))
         if not given.json:
             print("  ".join(f"{k} {v:.5g}" if isinstance(v, float) else f"{k} {v}" for k, v in rows[-1].items()))
     if given.json:

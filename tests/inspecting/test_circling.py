@@ -18,7 +18,7 @@ ENTRIES = {
     "duration": 3000.0,
     "start": {"position": [0.0, -6.0, 0.0]},
     "disturbance": {"kind": "constant", "force": [1e-4, 0.0, 0.0]},
-    "inspect": {"passive_safety": 300.0, "stand_off": 2.0, "patch_size": 0.5, "proof_time": 1.0},
+    "inspect": {"passive_safety": 300.0, "stand_off": 2.0, "patch_size": 0.5},
     "camera": {"period": 30.0},
 }
 

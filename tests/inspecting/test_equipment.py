@@ -1,5 +1,6 @@
 """What a scenario says of inspecting as objects, and what is refused before anything flies."""
 
+import dataclasses
 import itertools
 import math
 
@@ -248,13 +249,15 @@ def test_nothing_to_see_and_nothing_lit_are_refused_with_their_shares():
     hidden = np.array([Verdict.HIDDEN, Verdict.SEEABLE, Verdict.UNDECIDED, Verdict.SEEABLE], np.int8)
     why = np.array([Hidden.ENCLOSED, Hidden.NOT, Hidden.NOT, Hidden.NOT], np.int8)
     none = np.zeros(4, bool)
-    with pytest.raises(InspectionError) as refusal:
-        equipment.require_something_to_see(scenario(), Seeable(sides, hidden, why, np.full((4, 3), np.nan)), none)
-    assert "of 2 m2, 50.0% lie enclosed, 0.0% show only" in str(refusal.value)
-    assert "50.0% are undecided" in str(refusal.value)
-    open_ = Seeable(sides, np.full(4, Verdict.UNDECIDED, np.int8), why, np.full((4, 3), np.nan))
-    with pytest.raises(InspectionError, match=r"inspect\.proof_time: 0 s, .* must be longer"):
-        equipment.require_something_to_see(scenario(inspect={"proof_time": 0.0}), open_, none)
+    undecided = Seeable(sides, hidden, why, np.full((4, 3), np.nan), squares=7)
+    with pytest.raises(InspectionError, match=r"inspect\.proof_squares: 7 of 4000000 .* 50\.0% are proved hidden"):
+        equipment.require_something_to_see(scenario(), undecided, none)
+    clocked = dataclasses.replace(undecided, by_clock=True)
+    with pytest.raises(InspectionError, match=r"inspect\.proof_time, 0 s, ended it"):
+        equipment.require_something_to_see(scenario(inspect={"proof_time": 0.0}), clocked, none)
+    nothing = Seeable(sides, np.full(4, Verdict.HIDDEN, np.int8), why, np.full((4, 3), np.nan))
+    with pytest.raises(InspectionError, match=r"of 2 m2, 50\.0% lie enclosed, 0\.0% show only"):
+        equipment.require_something_to_see(scenario(), nothing, none)
     seen = np.array([Verdict.SEEABLE, Verdict.HIDDEN, Verdict.HIDDEN, Verdict.HIDDEN], np.int8)
     half = Seeable(sides, seen, why, np.zeros((4, 3)))
     with pytest.raises(InspectionError, match=r"light: none of the 50\.0% of 2 m2"):

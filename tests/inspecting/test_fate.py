@@ -77,18 +77,19 @@ def test_whatever_the_verdicts_each_unit_has_one_fate_and_the_shares_add_up(seed
     count = patches.units
     verdict = rng.integers(0, 3, count).astype(np.int8)
     why = np.where(verdict == Verdict.HIDDEN, rng.integers(1, 3, count), Hidden.NOT).astype(np.int8)
-    lit, seen = (verdict == Verdict.SEEABLE) & (rng.random(count) < 0.5), rng.random(count) < 0.3
+    possible, seen = (verdict != Verdict.HIDDEN) & (rng.random(count) < 0.5), rng.random(count) < 0.3
     seeable = Seeable(patches, verdict, why, np.full((count, 3), np.nan))
-    told = dataclasses.replace(BASE, patches=patches, seeable=seeable, lit=lit, seen=seen)
+    told = dataclasses.replace(BASE, patches=patches, seeable=seeable, possible=possible, seen=seen)
     reasons = {
         (Verdict.SEEABLE, True): Fate.MISSED,
         (Verdict.SEEABLE, False): Fate.SHADOWED,
         (Verdict.UNDECIDED, False): Fate.UNDECIDED,
+        (Verdict.UNDECIDED, True): Fate.UNDECIDED,
     }
     fate = fates(told)
     for unit in range(count):
         hidden = Fate.ENCLOSED_BY_RAYS if why[unit] == Hidden.ENCLOSED else Fate.NARROW_BY_RAYS
-        expected = reasons.get((Verdict(verdict[unit]), bool(lit[unit])), hidden)
+        expected = reasons.get((Verdict(verdict[unit]), bool(possible[unit])), hidden)
         expected = Fate.SEEN if seen[unit] else expected
         assert fate[unit] == (expected if patches.counted[unit] else Fate.NOT_COUNTED)
     found = shares(told)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import re
 
 import numpy as np
 import pytest
@@ -9,8 +10,10 @@ import pytest
 from keepout.errors import InspectionError
 from keepout.geometry.target import Target
 from keepout.inspecting.frames import Camera, Shot, as_flown
-from keepout.inspecting.frames_file import load_frames, save_frames
+from keepout.inspecting.frames_file import camera_breaches, load_frames, save_frames
+from keepout.inspecting.inspection import Frame
 from keepout.inspecting.lit import ever_lit
+from keepout.mission.inspection_entries import CameraEntry
 from keepout.seeing.cut import cut
 from keepout.seeing.rules import SeeingRules
 from keepout.seeing.sightlines import Sightlines
@@ -156,6 +159,30 @@ def test_frames_come_back_from_their_file_bit_for_bit(tmp_path, flown):
         assert (one.sun is None) == (other.sun is None)
         for name in ("position", "boresight", "units") + (("sun",) if one.sun is not None else ()):
             assert np.array_equal(getattr(one, name), getattr(other, name))
+
+
+def test_frames_that_no_camera_takes_are_told_by_its_limits():
+    camera = CameraEntry(period=5.0, turn_rate=math.radians(1.0))
+
+    def at(time, degrees, length=1.0):
+        turn = math.radians(degrees)
+        return Frame(
+            time, np.zeros(3), length * np.array([math.cos(turn), math.sin(turn), 0.0]), None, np.zeros(0, int)
+        )
+
+    assert camera_breaches((at(0.0, 0.0), at(5.0, 5.0), at(20.0, -10.0)), camera) == ()
+    assert camera_breaches((), camera) == ()
+    wrong = {
+        r"frame 1 at 5 s: the boresight turned by 0\.09076 rad in 5 s": (at(0.0, 0.0), at(5.0, 5.2)),
+        r"frame 1 at 5 s: the boresight turned by 3\.142 rad": (at(0.0, 0.0), at(5.0, 180.0)),
+        r"frame 1 at 2\.5 s: frames are taken every camera\.period, 5 s": (at(0.0, 0.0), at(2.5, 0.0)),
+        r"frame 1 at 5 s: frames are taken every": (at(5.0, 0.0), at(5.0, 0.0)),
+        r"frame 0: a boresight of length 2,": (at(0.0, 0.0, 2.0),),
+        r"frame 0: a boresight of length nan,": (at(0.0, 0.0, math.nan),),
+    }
+    for words, frames in wrong.items():
+        (line,) = camera_breaches(frames, camera)
+        assert re.match(words, line)
 
 
 def test_a_damaged_or_foreign_frames_file_is_refused_in_a_line(tmp_path, flown):

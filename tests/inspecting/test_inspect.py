@@ -188,7 +188,7 @@ def test_in_the_earths_shadow_nothing_counts_and_what_it_cost_is_seen_in_later_l
     assert len(dark) > 50
     assert all(len(frame.units) == 0 for frame in dark)
     assert found.plans >= 2
-    assert found.outcome == "all seen", found.why
+    assert found.outcome in {"all seen", "90 % asked, seen"}, found.why
     assert found.coverage_seeable >= 0.89
     assert found.coverage < found.patches.coverage(found.patches.counted)
     assert found.audit.contact is Contact.NO
@@ -233,7 +233,7 @@ def test_by_sensors_the_estimate_strikes_off_on_board_and_the_truth_is_what_coun
     patches, sight, _, seeable = parts
     problem = problem_of(mission, box, (patches, sight, Room(box.distance, 1.8), seeable))
     found = inspect(mission, problem=problem, first=tour(patches))
-    assert found.outcome == "all seen", found.why
+    assert found.outcome in {"all seen", "90 % asked, seen"}, found.why
     assert found.audit.contact is Contact.NO
     assert found.assumptions_broken == ()
     assert found.start_certified
@@ -285,8 +285,31 @@ def test_the_end_of_time_and_less_than_all_are_ends_too(box, parts):
     assert found.record.time[-1] == 100.0
     some = scenario(inspect={"coverage": 0.3})
     found = inspect(some, problem=problem_of(some, box, parts), first=tour(parts[0]))
-    assert found.outcome == "all seen"
+    assert found.outcome == "30 % asked, seen"
     assert 0.3 <= found.coverage < 0.9
+    assert "30.00% were asked for" in found.why
+
+
+def test_what_is_undecided_is_wanted_and_counts_in_the_figure(box, parts):
+    """The end x = 2 m is undecided, though it can be seen; the plan shows all."""
+    patches, sight, room, seeable = parts
+    end = patches.counted & (patches.unit_normals()[:, 0] > 0.5)
+    verdict = np.where(end, Verdict.UNDECIDED, seeable.verdict).astype(np.int8)
+    open_ = dataclasses.replace(seeable, verdict=verdict)
+    mission = scenario()
+    problem = problem_of(mission, box, (patches, sight, room, open_))
+    plan = tour(patches)
+    found = inspect(mission, problem=problem, first=plan)
+    assert (found.outcome, found.coverage_possible) == ("all seen", pytest.approx(1.0))
+    # Looked at from the other five sides alone, in 400 s: 46 of 52 m2 at most, and never "all seen".
+    short = mission.replace(duration=400.0)
+    others = dataclasses.replace(plan, views=plan.views[1:])
+    less = inspect(short, problem=dataclasses.replace(problem, scenario=short), first=others)
+    assert less.outcome == "out of time"
+    areas = patches.unit_areas()
+    assert less.coverage_possible == pytest.approx(areas[less.seen].sum() / areas.sum())
+    assert less.coverage_seeable == pytest.approx(areas[less.seen & ~end].sum() / areas[~end].sum())
+    assert found.summary()["coverage_possible"] == found.coverage_possible
 
 
 def test_where_the_law_leads_nowhere_it_says_so_and_leaves_a_flight_to_audit(box, parts, monkeypatch):
@@ -329,7 +352,7 @@ def test_an_inspection_works_out_once_what_it_needs(box, monkeypatch):
 
     monkeypatch.setattr(UnderWay, "flown", flown)
     with pytest.raises(InspectionError, match="all is ready"):
-        inspect(scenario(inspect={"patch_size": 1.0, "candidates": 64, "proof_time": 2.0}), target=box)
+        inspect(scenario(inspect={"patch_size": 1.0, "candidates": 64}), target=box)
     assert made == {"room": 1, "patches": 1, "sight": 1}
 
 
@@ -379,6 +402,6 @@ def test_in_the_suns_light_less_delta_v_is_flown_where_that_is_the_objective(box
             inspect={"coverage": 0.97, "candidates": 300, "objective": objective},
         )
         found = inspect(mission, problem=problem_of(mission, box, parts))
-        assert found.outcome == "all seen", found.why
+        assert found.outcome in {"all seen", "97 % asked, seen"}, found.why
         spent[objective] = found.delta_v
     assert spent["delta_v"] < spent["time"] - 0.03

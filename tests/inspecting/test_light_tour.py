@@ -48,7 +48,7 @@ def made(views, lit, areas, goal=np.inf, **others):
         AHEAD,
         PACE,
         0.0,
-        **{"start": start, "cost": Cost(), "most_views": 20, "seconds": 5.0, **others},
+        **{"start": start, "cost": Cost(), "most_views": 20, "tries": 1500, **others},
     )
 
 

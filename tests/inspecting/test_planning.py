@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -10,12 +11,13 @@ import pytest
 from keepout.geometry import Target
 from keepout.inspecting import arranging
 from keepout.inspecting.equipment import patch_size, rules_of
-from keepout.inspecting.itinerary import frame_of
+from keepout.inspecting.itinerary import Start, frame_of, legs_of
 from keepout.inspecting.lit_times import LitTimes
 from keepout.inspecting.passing import seen_in_passing, turned
 from keepout.inspecting.passive import drift, states_at_times
 from keepout.inspecting.planning import candidates, plan
 from keepout.inspecting.problem import Problem
+from keepout.inspecting.tour import flown
 from keepout.mission.environment import relative_motion
 from keepout.mission.light import Light
 from keepout.mission.scenario import Scenario
@@ -54,7 +56,7 @@ def problem_of(name="box", *, light=None, **inspect):
 
 def planned(problem, **others):
     start = np.array(problem.scenario.start.position)
-    others = {"wanted": problem.patches.counted, "seconds": 4.0, "time": 0.0, **others}
+    others = {"wanted": problem.patches.counted, "time": 0.0, **others}
     return plan(problem, position=start, **others)
 
 
@@ -150,9 +152,17 @@ def test_only_what_is_wanted_is_planned_for(box):
     assert not planned(box, wanted=np.zeros_like(wanted)).views
 
 
-def test_the_same_problem_gives_the_same_plan(box):
-    one, other = planned(box, share=0.9), planned(box, share=0.9)
-    assert len(one.views) == len(other.views)
+def test_the_plan_is_the_same_however_fast_the_clock_runs(box, whole, monkeypatch):
+    begun = time.perf_counter()
+    monkeypatch.setattr(time, "perf_counter", lambda: 1e4 * (begun + next(ticks)))
+    ticks = itertools.count()
+    again = planned(box, share=1.0)
+    assert (again.way_length, again.duration, again.fewest_views) == (
+        whole.way_length,
+        whole.duration,
+        whole.fewest_views,
+    )
+    assert all(np.array_equal(a.position, b.position) for a, b in zip(again.views, whole.views, strict=True))
 
 
 def test_the_nearest_view_tour_sees_as_much_and_proves_nothing(box, whole):
@@ -161,6 +171,59 @@ def test_the_nearest_view_tour_sees_as_much_and_proves_nothing(box, whole):
     require_true(box, nearest)
     assert box.patches.coverage(nearest.covered) >= 0.95
     assert nearest.fewest_views == 0
+
+
+def greedy_over_way(problem, wanted, share, until):
+    """Always the view next that newly shows most a metre of way: metres and area seen after each, by a time."""
+    views, _ = candidates(problem, wanted, 0.0)
+    start = Start(np.array(problem.scenario.start.position), 0.0, None)
+    left, here, rows = problem.patches.unit_areas() * wanted, start.position, []
+    goal = (1.0 - share) * left.sum()
+    while left.sum() > goal:
+        way = problem.fine_ways.nearly(here, views.positions)
+        rates = np.where(np.isfinite(way), (views.sees @ left) / np.maximum(way, 1e-3), 0.0)
+        rows.append(int(np.argmax(rates)))
+        if rates[rows[-1]] == 0.0:
+            break
+        here = views.positions[rows[-1]]
+        left[views.sees.indices[views.sees.indptr[rows[-1]] : views.sees.indptr[rows[-1] + 1]]] = 0.0
+    chosen, areas = views.only(np.array(rows)), problem.patches.unit_areas() * wanted
+    lit = LitTimes.of(problem.light, problem.sight, problem.rules, wanted, 0.0, until, 5.0)
+    between = problem.fine_ways.lengths(np.concatenate([start.position[None], chosen.positions]))
+    needs = [np.zeros(0, dtype=int)] * len(rows)
+    order = np.arange(1, len(rows) + 1)
+    times = flown(legs_of(problem, chosen, needs, lit, start, between), order).times
+    metres, seen = [0.0], [0.0]
+    for place, at in enumerate(times):
+        if at > until:
+            break
+        areas[chosen.sees.indices[chosen.sees.indptr[place] : chosen.sees.indptr[place + 1]]] = 0.0
+        metres.append(metres[-1] + between[0][place, place + 1])
+        seen.append(float((problem.patches.unit_areas() * wanted).sum() - areas.sum()))
+    return np.array(metres), np.array(seen)
+
+
+@pytest.mark.long
+def test_in_short_time_a_plan_is_nowhere_behind_greed_and_sees_more_than_the_order_for_all(box, whole):
+    short = replace(box, scenario=box.scenario.replace(duration=0.4 * whole.duration))
+    end, areas = short.scenario.duration, box.patches.unit_areas()
+    result = planned(short, share=1.0)
+    assert result.duration > end
+    metres, seen = [0.0], [0.0]
+    told = np.zeros(box.patches.units, dtype=bool)
+    for view in result.views:
+        if view.at > end:
+            break
+        told[view.units] = told[view.on_the_way] = True
+        metres.append(metres[-1] + view.way)
+        seen.append(float(areas[told].sum()))
+    assert (told == result.seen_by(end)).all()
+    ways, by_greed = greedy_over_way(box, box.patches.counted, 1.0, end)
+    for quarter in metres[-1] * np.arange(1, 5) / 4.0:
+        mine = seen[np.searchsorted(metres, quarter + 1e-3, side="right") - 1]
+        assert mine >= by_greed[np.searchsorted(ways, quarter + 1e-3, side="right") - 1] - 0.02 * areas.sum()
+    assert seen[-1] >= by_greed[-1] - 1e-9
+    assert seen[-1] >= float(areas[whole.seen_by(end)].sum()) - 1e-9
 
 
 def test_views_are_as_many_as_asked_for_at_most(box):
@@ -202,7 +265,7 @@ def test_a_plan_of_what_can_be_seen_by_the_scenario_alone():
         {
             "target": {"source": "box"},
             "start": {"position": [0.0, 8.0, 3.0]},
-            "inspect": {"patch_size": 1.0, "candidates": 80, "proof_time": 5.0},
+            "inspect": {"patch_size": 1.0, "candidates": 80},
         }
     )
     problem = Problem.of(scenario, Target.load("box"))

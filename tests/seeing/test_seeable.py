@@ -184,13 +184,16 @@ def test_a_camera_must_come_as_near_as_its_corners_allow():
     assert (judged(target, 4.0, 1.0, short).verdict == Verdict.HIDDEN).all()
 
 
-def test_out_of_time_is_undecided():
+def test_a_proof_that_a_clock_ends_says_so_and_what_is_counted_ends_where_it_did():
     target = Target.load("box")
     patches = cut(target, 0.5)
     sight = Sightlines(target.vertices, target.faces, patches)
     found = seeable(target, patches, sight, RULES, 1.5, seconds=-1.0)
     assert (found.verdict == Verdict.UNDECIDED).all()
-    assert (found.lower, found.upper) == (0.0, 1.0)
+    assert (found.lower, found.upper, found.by_clock) == (0.0, 1.0, True)
+    whole, again = (seeable(target, patches, sight, RULES, 1.5, squares=count) for count in (10**9, 1))
+    assert not whole.by_clock
+    assert 0 < again.squares <= whole.squares
 
 
 def test_a_room_of_another_stand_off_is_refused():

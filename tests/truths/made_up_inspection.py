@@ -97,9 +97,10 @@ def made_up(*, views=8, light=False, across=4, name="made-up", outcome="all seen
     why[(side == 2) & (row >= across // 2)] = Hidden.NARROW
     verdict[(side == 5) & (row == 0)] = Verdict.UNDECIDED
     witness = np.where((verdict == Verdict.SEEABLE)[:, None], np.array([5.0, 5.0, 5.0]), np.nan)
-    lit = verdict == Verdict.SEEABLE
+    possible = patches.counted & (verdict != Verdict.HIDDEN)
     if light:
-        lit &= patches.unit_normals() @ SUN >= math.cos(RULES.greatest_sun_incidence)
+        possible &= patches.unit_normals() @ SUN >= math.cos(RULES.greatest_sun_incidence)
+    lit = possible & (verdict == Verdict.SEEABLE)
     view = PlannedView(frames[0].position, frames[0].boresight, frames[0].units)
     record = made_up_record(told, target, whole)
     record.columns["position"] += np.array([0.0, 0.0, 2.0])
@@ -109,7 +110,7 @@ def made_up(*, views=8, light=False, across=4, name="made-up", outcome="all seen
         patches=patches,
         rules=RULES,
         seeable=Seeable(patches, verdict, why, witness),
-        lit=lit,
+        possible=possible,
         plan=InspectionPlan((view,) * views, lit.copy(), 20.0, whole, 100, views - 1, views + 1),
         plans=1,
         record=record,

@@ -11,7 +11,7 @@ from keepout.inspecting.itinerary import DrawnUp, LegsKnown, Start, drawn_up, fi
 from keepout.inspecting.lit_times import LitTimes
 from keepout.inspecting.problem import Problem
 from keepout.inspecting.pulled import pulled
-from keepout.inspecting.tour import Tour, best_tour
+from keepout.inspecting.tour import Tour, best_tour, flown
 from keepout.inspecting.viewpoints import Views
 from keepout.inspecting.ways import Ways
 from keepout.progress import Progress
@@ -102,6 +102,15 @@ class Arranger:
             if gained < _WORTH * self._cost(best):
                 break
         return best
+
+    def in_order(self, rows: Int[np.ndarray, " k"]) -> Arranged:
+        """Give candidates in the order of their rows."""
+        views = self.candidates.only(rows)
+        between, order = self._between(views), np.arange(len(rows)) + 1
+        needs = first_seen(views.sees, order - 1, self.areas)
+        tour = flown(legs_of(self.problem, views, needs, self.lit, self.start, between), order)
+        drawn = drawn_up(self.problem, views, self.lit, tour, self.ways, self.start, self.areas, self.known)
+        return Arranged(views, between, tour, drawn)
 
     def _between(self, views: Views) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n n 3"]]:
         return self.ways.lengths(np.concatenate([self.start.position[None], views.positions]), self.known.lengths)

@@ -27,7 +27,6 @@ from keepout.mission.build import build_guard, flight_setup
 from keepout.mission.navigation import navigation, require_navigation
 from keepout.mission.scenario import Scenario
 from keepout.progress import Progress, part_of, silent
-from keepout.seeing.seeable import Verdict
 from keepout.seeing.visible import visible
 
 _MOST_FRAMES = 1500
@@ -54,7 +53,7 @@ def circle(problem: Problem, *, progress: Progress = silent) -> Inspection:
             f"inspect.hold_points: {len(scenario.inspect.hold_points)}; a circumnavigation is held nowhere: leave them "
             'out, or give inspect.tour = "plan"'
         )
-    possible = problem.seeable.verdict == Verdict.SEEABLE
+    possible = problem.seeable.possible
     camera = Camera(problem.patches, problem.sight, problem.rules, problem.light)
     lit = ever_lit(camera, possible, scenario.duration)
     ellipses = circumnavigations(scenario, target.distance.distance)
@@ -93,7 +92,7 @@ def circle(problem: Problem, *, progress: Progress = silent) -> Inspection:
         camera,
         guard=guard,
         certified=None if guard is None else bool(guard.certified_start(initial)),
-        lit=lit,
+        possible=lit,
         plan=InspectionPlan((), shares[best], way, float(time_flown[-1]), len(ellipses), 0, 0),
         plans=1,
         ending=(

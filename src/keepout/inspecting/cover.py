@@ -5,13 +5,12 @@ x_v = 1 for a view that is taken and m_u the share of unit u (area a_u) that is 
 
     minimise Σ x_v   subject to   Σ_{v sees u} x_v + m_u ≥ 1 for every unit u,   Σ a_u m_u ≤ B,   0 ≤ m_u ≤ 1.
 
-Rows of units are generated as choices violate them (`highs`). Every bound is recomputed here from the solver's prices
-π_u ≥ 0 and λ ≥ 0 alone, by the Lagrangian, which is a bound whatever the prices are (`price_bound`).
+The bound of the relaxation (`highs`) is recomputed here from the solver's prices π_u ≥ 0 and λ ≥ 0 alone, by the
+Lagrangian, which is a bound whatever the prices are (`price_value`). That of an exact solution is the solver's.
 """
 
 import heapq
 import math
-import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,8 +22,12 @@ from keepout.progress import Progress, silent
 
 _ROUNDING = 1e-6
 """What a bound on a number of views loses before it is rounded up: far above the rounding of its sums."""
-_ROWS_AT_ONCE = 1500
-_FIRST_ROWS = 3000
+_FIRST_ROWS, _ROWS_AT_ONCE = 3000, 1500
+"""Units that the relaxation asks for at first, and those that are added each time."""
+_STEPS, _SHAKES, _NODES = 60_000, 600, 200
+"""Of the simplex in all relaxations, of the shaking, and of the exact search, at most and usually."""
+_LARGEST = 20_000
+"""Entries of a program that is solved exactly, at most: a larger one takes long before its first node."""
 _TAKEN_OUT = (2, 7)
 """How many views a shake takes out, from and below."""
 _AMONG = 4000
@@ -52,22 +55,23 @@ def fewest_views(
     areas: Float[np.ndarray, " units"],
     goal: float,
     *,
-    seconds: float = 60.0,
+    effort: float = 1.0,
     seed: int = 0,
     progress: Progress = silent,
 ) -> Cover:
     """Choose few views that see at least `goal` of the area, and bound how few could.
 
+    All work is counted and no clock is read, so that the answer is the same however fast or busy the machine is.
+
     Args:
         sees: (views, units) non-zero where a view sees a unit.
         areas: (units,) m²; 0 for what nobody asks to see.
         goal: m² to be seen; what all the views see together if that is less.
-        seconds: for all of it: a quarter for shaking, the rest for the bound and the exact solution.
+        effort: of the usual numbers of simplex steps, shakes and nodes, how much is spent.
         seed: of the shaking.
         progress: told the best number and the bound.
 
     """
-    began = time.perf_counter()
     sees, areas = merged_units(sees, np.asarray(areas, dtype=np.float64))
     total = float(areas.sum())
     goal = min(float(goal), total) * (1.0 - 1e-12)
@@ -75,30 +79,37 @@ def fewest_views(
         return Cover(np.zeros(0, dtype=np.int64), 0, 0)
     first = greedy_cover(sees, areas, goal)
     progress(0.02, f"{len(first)} views by greed")
-    bound = greedy_bound(sees, areas, goal, first)
-    best = shaken(sees, areas, goal, pruned(sees, areas, goal, first), bound, seconds=0.25 * seconds, seed=seed)
-    progress(0.25, f"{len(best)} views, at least {bound}")
-    program = CoverProgram(sees, areas, total - goal)
-    program.add(_hardest(sees, _FIRST_ROWS))
-    exact = False
-    while len(best) > bound and (left := seconds - (time.perf_counter() - began)) > 0.0:
-        # The solver looks at its clock seldom: it is told of half the time.
-        answer = program.solve(0.5 * left if exact else left, exact=exact)
+    bound, reduced = greedy_bound(sees, areas, goal, first), np.ones(len(sees.indptr) - 1)
+    best = pruned(sees, areas, goal, first)
+    # The units that the fewest views see say most about how many are needed; then those that an answer misses.
+    rows, steps = _hardest(sees, _FIRST_ROWS), round(effort * _STEPS)
+    while len(best) > bound and len(rows):
+        answer = CoverProgram(sees, areas, total - goal, rows).relaxed(steps)
         if answer is None:
             break
-        bound = max(bound, price_bound(sees, areas, total - goal, *answer.prices), answer.fewest)
-        missed = _missed(sees, answer.taken)
-        fresh = np.flatnonzero((missed > 1e-6) & ~program.has)
-        lost = float((areas * missed).sum())
-        if not exact or lost <= total - goal:
-            best = min(best, pruned(sees, areas, goal, _rounded(sees, areas, goal, answer.taken)), key=len)
-        progress(min(0.25 + 0.74 * (1.0 - left / seconds), 0.99), f"{len(best)} views, at least {bound}")
-        if lost <= (total - goal) * (1.0 + 1e-9) + 1e-12 or len(fresh) == 0:
-            if exact:
-                break
-            exact = True
-            continue
-        program.add(fresh[np.argsort(-(areas * missed)[fresh])[:_ROWS_AT_ONCE]])
+        steps -= answer.steps
+        value, costs = price_value(sees, areas, total - goal, answer.prices, answer.area_price)
+        if _rounded_up(value) >= bound:
+            # With a view of reduced cost c, no choice has fewer views than the value and c.
+            bound, reduced = _rounded_up(value), value + costs
+        best = min(best, pruned(sees, areas, goal, _rounded(sees, areas, goal, answer.taken)), key=len)
+        progress(0.3, f"{len(best)} views, at least {bound}")
+        missed = np.maximum(1.0 - sees.T @ answer.taken, 0.0)
+        missed[rows] = 0.0
+        fresh = np.flatnonzero(missed > 1e-6)
+        if not len(fresh) or steps <= 0:
+            break
+        rows = np.concatenate([rows, fresh[np.argsort(-(areas * missed)[fresh], kind="stable")[:_ROWS_AT_ONCE]]])
+    best = shaken(sees, areas, goal, best, bound, most=round(effort * _SHAKES), seed=seed)
+    progress(0.7, f"{len(best)} views, at least {bound}")
+    # A choice with fewer views than the best has none but these.
+    fit = np.flatnonzero(reduced <= len(best) - 1 + _ROUNDING)
+    if len(best) > bound and sees[fit].nnz <= _LARGEST:
+        exact = CoverProgram(sees[fit], areas, total - goal, np.arange(len(areas)))
+        taken, least = exact.exact(round(effort * _NODES))
+        bound = max(bound, min(least, len(best)))
+        if taken is not None and _covers(sees, areas, goal, chosen := fit[taken > 0.5]):
+            best = min(best, pruned(sees, areas, goal, chosen), key=len)
     progress(1.0, f"{len(best)} views, at least {min(bound, len(best))}")
     return Cover(_by_gain(sees, areas, best), min(bound, len(best)), len(first))
 
@@ -129,22 +140,28 @@ def greedy_bound(
     return bound
 
 
-def price_bound(
+def price_value(
     sees: sparse.csr_array,
     areas: Float[np.ndarray, " units"],
     spare: float,
     unit_prices: Float[np.ndarray, " units"],
     area_price: float,
-) -> int:
+) -> tuple[float, Float[np.ndarray, " views"]]:
     """Bound from below how many views see all but `spare` (m²) of the area, by any prices.
 
     With π ≥ 0 and λ ≥ 0 the Lagrangian's least value over 0 ≤ x, m ≤ 1 is
     Σ π_u − λ B + Σ_v min(0, 1 − Σ_{u seen by v} π_u) + Σ_u min(0, λ a_u − π_u), which is at most the number of views.
+
+    Returns:
+        That value, and by how much it is greater at least for choices that have a view, the view's reduced cost:
+        max(0, 1 − Σ_{u seen by v} π_u).
+
     """
     prices, area_price = np.maximum(unit_prices, 0.0), max(area_price, 0.0)
+    costs = 1.0 - sees @ prices
     value = prices.sum() - area_price * spare
-    value += np.minimum(0.0, 1.0 - sees @ prices).sum() + np.minimum(0.0, area_price * areas - prices).sum()
-    return math.ceil(float(value) - _ROUNDING)
+    value += np.minimum(0.0, costs).sum() + np.minimum(0.0, area_price * areas - prices).sum()
+    return float(value), np.maximum(costs, 0.0)
 
 
 def pruned(
@@ -172,19 +189,17 @@ def shaken(
     chosen: Int[np.ndarray, " m"],
     fewest: int,
     *,
-    seconds: float,
+    most: int,
     seed: int = 0,
-    most: int = 1000,
 ) -> Int[np.ndarray, " k"]:
     """Take some views out and fill up by greed, again and again; keep what is fewer, or as many and sees more.
 
-    It ends with `fewest` views, after `seconds`, or after `most` times.
+    It ends with `fewest` views, or after `most` times.
     """
     generator = np.random.default_rng(seed)
-    until = time.perf_counter() + seconds
     best, score = chosen, _score(sees, areas, chosen)
     for _ in range(most):
-        if time.perf_counter() > until or len(best) <= max(fewest, 1):
+        if len(best) <= max(fewest, 1):
             break
         out = int(generator.integers(*_TAKEN_OUT))
         # Half the time views that see the same as one of them: neighbours are what one view may replace.
@@ -306,8 +321,8 @@ def _hardest(sees: sparse.csr_array, most: int) -> Int[np.ndarray, " k"]:
     return np.argsort(np.asarray(sees.sum(axis=0)).ravel(), kind="stable")[:most]
 
 
-def _missed(sees: sparse.csr_array, taken: Float[np.ndarray, " views"]) -> Float[np.ndarray, " units"]:
-    return np.maximum(1.0 - sees.T @ taken, 0.0)
+def _rounded_up(value: float) -> int:
+    return math.ceil(value - _ROUNDING)
 
 
 def _rounded(

@@ -22,7 +22,7 @@ from keepout.seeing.cut import MOST_PATCHES
 from keepout.seeing.patches import Patches
 from keepout.seeing.room import Room
 from keepout.seeing.rules import SeeingRules
-from keepout.seeing.seeable import Hidden, Seeable, Verdict
+from keepout.seeing.seeable import Hidden, Seeable
 from keepout.sensing.depth.pointing import Boresight
 
 _PATCH, _LARGE_PATCH = 0.25, 1.0
@@ -185,7 +185,7 @@ def require_something_to_see(scenario: Scenario, seeable: Seeable, lit: Bool[np.
     Args:
         scenario: as flown.
         seeable: what can be seen at all.
-        lit: (2 n,) units that can be seen and that the sun lights in some frame.
+        lit: (2 n,) units that are not proved hidden and that the sun lights in some frame.
 
     Raises:
         InspectionError: the message tells the shares of the area.
@@ -195,24 +195,25 @@ def require_something_to_see(scenario: Scenario, seeable: Seeable, lit: Bool[np.
     area = float(patches.unit_areas().sum())
     if not area > 0.0:
         raise InspectionError("target: it has no area that counts as its outside; nothing is to be seen")
-    if not np.any(seeable.verdict[patches.counted] != Verdict.UNDECIDED):
+    if seeable.lower == 0.0 and seeable.upper > 0.0:
+        clock = f"inspect.proof_time, {scenario.inspect.proof_time:g} s, ended it: " if seeable.by_clock else ""
         raise InspectionError(
-            f"inspect.proof_time: {scenario.inspect.proof_time:g} s, in which nothing was found out of what can be "
-            f"seen of {area:.4g} m2; it must be longer"
+            f"inspect.proof_squares: {seeable.squares} of {scenario.inspect.proof_squares} were looked at, {clock}no "
+            f"place was found that sees anything of {area:.4g} m2, and {1.0 - seeable.upper:.1%} are proved hidden; "
+            "more, or a longer time where that ended it, may find one"
         )
     if seeable.lower == 0.0:
         enclosed, narrow = (patches.coverage(seeable.why == why) for why in (Hidden.ENCLOSED, Hidden.NARROW))
-        open_ = patches.coverage(seeable.verdict == Verdict.UNDECIDED)
         raise InspectionError(
             f"inspect: nothing can be seen from {scenario.inspect.stand_off:g} m and beyond: of {area:.4g} m2, "
             f"{enclosed:.1%} lie enclosed, {narrow:.1%} show only where the camera's limits or inspect.stand_off "
-            f"forbid it (told apart by rays), {open_:.1%} are undecided; a greater camera.greatest_range or "
+            f"forbid it (told apart by rays); a greater camera.greatest_range or "
             "camera.greatest_incidence, or a smaller inspect.patch_size, would show more"
         )
     if not np.any(lit & patches.counted):
         raise InspectionError(
-            f"light: none of the {seeable.lower:.1%} of {area:.4g} m2 that can be seen is lit in any frame; another "
-            "direction or epoch, or a longer duration, would light some"
+            f"light: none of the {seeable.upper:.1%} of {area:.4g} m2 that are not proved hidden is lit in any frame; "
+            "another direction or epoch, or a longer duration, would light some"
         )
 
 

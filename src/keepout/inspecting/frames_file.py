@@ -2,6 +2,7 @@
 
 import io
 import json
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from keepout.geometry.target import Target
 from keepout.inspecting.equipment import patch_size, rules_of
 from keepout.inspecting.frames import Camera, Shot, as_flown
 from keepout.inspecting.inspection import Frame
+from keepout.mission.inspection_entries import CameraEntry
 from keepout.mission.light import Light
 from keepout.mission.scenario import Scenario
 from keepout.mission.target import load_target
@@ -30,6 +32,8 @@ FORMAT, VERSION = "keepout-frames", 1
 _HEADER = "keepout_frames"
 _AXES = ("x", "y", "z")
 _NONE = np.full(3, np.nan)
+_APART, _ROUNDING = 1e-6, 1e-7
+"""Seconds, and radians or lengths, by which frames may be off a camera's limits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,13 +44,16 @@ class Recomputed:
         patches: of the target, cut anew.
         frames: worked out anew from the flight's true positions.
         seen: (2 n,) units seen in some of them.
-        same: whether each frame shows exactly the units that the frames file names.
+        breaches: of the camera's limits by the frames: times between frames that are no whole periods, turns faster
+            than its rate, boresights that are no unit vectors. Empty if the camera could have taken them.
+        same: whether there are none, and each frame shows exactly the units that the frames file names.
 
     """
 
     patches: Patches
     frames: tuple[Frame, ...]
     seen: Bool[np.ndarray, " units"]
+    breaches: tuple[str, ...]
     same: bool
 
     @property
@@ -159,8 +166,41 @@ def coverage_of_files(
         shots.append(Shot(row, frame.boresight))
     camera = Camera(patches, sight, rules_of(scenario), Light.of(scenario))
     again, seen = as_flown(record, shots, camera, progress=progress)
+    breaches = camera_breaches(kept, scenario.camera)
     same = all(np.array_equal(np.sort(a.units), np.sort(b.units)) for a, b in zip(again, kept, strict=True))
-    return Recomputed(patches, again, seen, same)
+    return Recomputed(patches, again, seen, breaches, same and not breaches)
+
+
+def camera_breaches(frames: tuple[Frame, ...], camera: CameraEntry) -> tuple[str, ...]:
+    """Say in lines which limits of a camera a row of frames breaks: its period, its turn rate, unit vectors.
+
+    Every frame is at a whole number of periods, later than the one before, and looks no farther from where that one
+    looked than the camera turns in the time between. How fast the turn begins and ends is not judged.
+    """
+    found = []
+    for place, frame in enumerate(frames):
+        periods = frame.time / camera.period
+        if abs(periods - round(periods)) * camera.period > _APART or (
+            place > 0 and frame.time <= frames[place - 1].time + _APART
+        ):
+            found.append(
+                f"frame {place} at {frame.time:.9g} s: frames are taken every camera.period, {camera.period:g} s, each "
+                "later than the one before"
+            )
+        length = float(np.linalg.norm(frame.boresight))
+        if not abs(length - 1.0) <= _ROUNDING:
+            found.append(f"frame {place}: a boresight of length {length:.9g}, which must be a unit vector")
+        if place == 0:
+            continue
+        before, passed = frames[place - 1], frame.time - frames[place - 1].time
+        across = float(np.linalg.norm(np.cross(before.boresight, frame.boresight)))
+        turned = math.atan2(across, float(before.boresight @ frame.boresight))
+        if not turned <= camera.turn_rate * passed + _ROUNDING:
+            found.append(
+                f"frame {place} at {frame.time:.9g} s: the boresight turned by {turned:.4g} rad in {passed:.4g} s, and "
+                f"camera.turn_rate, {camera.turn_rate:.4g} rad/s, allows {camera.turn_rate * max(passed, 0.0):.4g} rad"
+            )
+    return tuple(found)
 
 
 def _digest(frames: tuple[Frame, ...]) -> str:

@@ -22,7 +22,6 @@ from keepout.inspecting.wanted import Wanted
 from keepout.mission.scenario import Scenario
 from keepout.mission.target import load_target
 from keepout.progress import Progress, part_of, silent
-from keepout.seeing.seeable import Verdict
 
 _OF_LIGHT = ("light", "epoch", "orbit", "attitude", "sun")
 """Entries that the light follows from."""
@@ -95,7 +94,7 @@ def _under_way(
         problem = Problem.of(scenario, target, room=room, progress=part_of(progress, 0.1, 0.4))
     camera = Camera(problem.patches, problem.sight, problem.rules, problem.light)
     require_light(scenario, problem.light, problem.patches)
-    lit = ever_lit(camera, problem.seeable.verdict == Verdict.SEEABLE, scenario.duration)
+    lit = ever_lit(camera, problem.seeable.possible, scenario.duration)
     require_something_to_see(scenario, problem.seeable, lit)
     wanted = Wanted.of(problem.patches, lit, scenario.inspect.coverage)
     ahead = ViewsAhead.of(scenario, problem, leading, camera, wanted, first=first, progress=part_of(progress, 0.4, 0.5))

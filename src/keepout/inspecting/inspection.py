@@ -18,7 +18,7 @@ from keepout.mission.scenario import Scenario
 from keepout.mission.statuses import flag_counts
 from keepout.seeing.patches import Patches
 from keepout.seeing.rules import SeeingRules
-from keepout.seeing.seeable import Seeable
+from keepout.seeing.seeable import Seeable, Verdict
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ class Inspection:
         patches: of that mesh.
         rules: when a patch counts as seen.
         seeable: what can be seen at all.
-        lit: (2 n,) seeable units that the sun lights at some time of the mission; all of them without light.
+        possible: (2 n,) units not proved hidden that are lit at some time of the mission; all of them without light.
         plan: the first one.
         plans: how many were made: replans are counted.
         record: of the whole flight.
@@ -59,7 +59,7 @@ class Inspection:
         audit: the verdict on the mesh.
         frames: every image.
         seen: (2 n,) units seen in some frame.
-        outcome: "all seen", "out of time", "nothing more to see" or "no way".
+        outcome: "all seen", "50 % asked, seen" (or another share), "out of time", "nothing more to see" or "no way".
         why: in words.
         seconds: that the computation took.
         start_certified: whether the guard's theorem holds from the start; None without a guard.
@@ -76,7 +76,7 @@ class Inspection:
     patches: Patches
     rules: SeeingRules
     seeable: Seeable
-    lit: Bool[np.ndarray, " units"]
+    possible: Bool[np.ndarray, " units"]
     plan: InspectionPlan
     plans: int
     record: FlightRecord
@@ -105,10 +105,23 @@ class Inspection:
         return float(self.flown.delta_v) + (0.0 if self.transfer is None else self.transfer.delta_v)
 
     @property
+    def lit(self) -> Bool[np.ndarray, " units"]:
+        """The units of which it is known that they can be seen, and be lit in the mission's time."""
+        return self.possible & (self.seeable.verdict == Verdict.SEEABLE)
+
+    @property
+    def coverage_possible(self) -> float:
+        """Share of what is not proved hidden, and can be lit in the mission's time, that was seen."""
+        return self._share_of(self.possible)
+
+    @property
     def coverage_seeable(self) -> float:
-        """Share of what surely can be seen, and be lit in the mission's time, that was seen."""
-        possible = self.patches.coverage(self.lit)
-        return self.patches.coverage(self.seen & self.lit) / possible if possible > 0.0 else 1.0
+        """Share of what surely can be seen, and be lit in the mission's time, that was seen; without the undecided."""
+        return self._share_of(self.lit)
+
+    def _share_of(self, units: Bool[np.ndarray, " units"]) -> float:
+        whole = self.patches.coverage(units)
+        return self.patches.coverage(self.seen & units) / whole if whole > 0.0 else 1.0
 
     def over_time(self) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
         """Give the time of each frame, s, and the coverage after it."""
@@ -130,15 +143,21 @@ class Inspection:
             "outcome": self.outcome,
             "why": self.why,
             "coverage": self.coverage,
+            "coverage_possible": self.coverage_possible,
             "coverage_seeable": self.coverage_seeable,
             "coverage_upper_bound": self.seeable.upper,
             "coverage_lower_bound": self.seeable.lower,
             "coverage_lit": self.patches.coverage(self.lit),
             "coverage_planned": self.patches.coverage(self.plan.covered),
+            "coverage_planned_in_time": self.patches.coverage(self.plan.seen_by(self.scenario.duration)),
+            "plan_duration_s": self.plan.duration,
             "views": len(self.plan.views),
             "views_at_least": self.plan.fewest_views,
             "views_greedy": self.plan.greedy_views,
             "candidates": self.plan.candidates,
+            "candidates_short_listed": self.plan.short_list,
+            "proof_squares": self.seeable.squares,
+            "proof_ended_by_clock": self.seeable.by_clock,
             "plans": self.plans,
             "frames": len(self.frames),
             "way_m": self.plan.way_length,

@@ -175,17 +175,6 @@ def drawn_up(
     )
     rows, moved = tour.order - 1, float(sum(map(way_length, courses)))
     covered = np.zeros(len(areas), dtype=bool)
-    planned = []
-    for row, at, speed in zip(rows, tour.times, speeds, strict=True):
-        units = views.sees.indices[views.sees.indptr[row] : views.sees.indptr[row + 1]]
-        units = np.sort(units[lit.at(float(at))[units] & ~covered[units]]).astype(np.int64)
-        covered[units] = True
-        window = (
-            next((w for w in lit.windows(units) if w[0] <= at <= w[1]), (at, at)) if lit.changes else (0.0, math.inf)
-        )
-        planned.append(
-            PlannedView(views.positions[row], views.boresights[row], units, window, scenario.inspect.dwell, speed)
-        )
     passing = seen_in_passing(
         courses,
         looking[np.concatenate([[0], tour.order])],
@@ -196,7 +185,28 @@ def drawn_up(
         period=scenario.camera.period,
         known=known.passing,
     )
+    planned = []
+    for row, at, speed, course, under_way in zip(rows, tour.times, speeds, courses, passing, strict=True):
+        units = views.sees.indices[views.sees.indptr[row] : views.sees.indptr[row + 1]]
+        units = np.sort(units[lit.at(float(at))[units] & ~covered[units]]).astype(np.int64)
+        covered[units] = True
+        window = (
+            next((w for w in lit.windows(units) if w[0] <= at <= w[1]), (at, at)) if lit.changes else (0.0, math.inf)
+        )
+        planned.append(
+            PlannedView(
+                views.positions[row],
+                views.boresights[row],
+                units,
+                window,
+                scenario.inspect.dwell,
+                speed,
+                at=float(at),
+                way=way_length(course),
+                on_the_way=under_way,
+            )
+        )
     for units in passing:
         covered[units] = True
-    plan = InspectionPlan(tuple(planned), covered, moved, tour.end - start.time, 0, 0, 0, drifts)
+    plan = InspectionPlan(tuple(planned), covered, moved, tour.end - start.time, 0, 0, 0, drifts, begin=start.time)
     return DrawnUp(plan, courses, passing)

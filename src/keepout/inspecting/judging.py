@@ -34,7 +34,7 @@ def judged(
     *,
     guard: Guard | None,
     certified: bool | None,
-    lit: Bool[np.ndarray, " units"],
+    possible: Bool[np.ndarray, " units"],
     plan: InspectionPlan,
     plans: int,
     ending: tuple[str, str],
@@ -54,7 +54,7 @@ def judged(
         camera: what it sees.
         guard: that it was flown with, or None.
         certified: whether the guard's theorem holds from the start; None without a guard.
-        lit: (2 n,) what can be seen and is lit at some time.
+        possible: (2 n,) what is not proved hidden and is lit at some time.
         plan: the first one.
         plans: how many were made.
         ending: how it ended, and why in words.
@@ -75,7 +75,7 @@ def judged(
         patches=problem.patches,
         rules=problem.rules,
         seeable=problem.seeable,
-        lit=lit,
+        possible=possible,
         plan=plan,
         plans=plans,
         record=record,

@@ -24,7 +24,9 @@ _AMONG = 1500
 _NODES = 60_000
 """Of the grid on which the lengths of ways are compared: one march for each place that any tour passes."""
 _BOUND = 0.1
-"""Share of the seconds for the bound on the number of views."""
+"""Share of the usual work that goes into the bound on the number of views."""
+_TRIES = 1500
+"""Tours made again, at most, and usually."""
 _TAKEN = 0.9
 """Share of the speed limit at which a tour is made: a law slows down for corners and near the target."""
 
@@ -37,7 +39,7 @@ def plan_in_light(
     goal: float,
     ways: Ways,
     start: Start,
-    seconds: float,
+    effort: float,
     progress: Progress,
 ) -> InspectionPlan:
     """Plan views together with their times; the bound on their number is that of the same views in any light.
@@ -50,19 +52,13 @@ def plan_in_light(
         goal: m² to be seen.
         ways: between places.
         start: of the tour.
-        seconds: for the tour.
+        effort: counted work for the tour and the bound, against the usual.
         progress: told of the tour.
 
     """
     scenario = problem.scenario
+    found = len(views.positions)
     views = views.only(shortlist(views.sees, areas, _AMONG))
-    coarse = Ways.build(
-        ways.distance,
-        ways.stand_off,
-        ways.origin,
-        ways.origin + ways.spacing * (np.array(ways.open.shape) - 1),
-        most_nodes=_NODES,
-    )
     pace = Pace(
         _TAKEN * scenario.chaser.speed_limit,
         scenario.chaser.force_limit / scenario.chaser.mass,
@@ -75,18 +71,18 @@ def plan_in_light(
         lit,
         areas,
         goal,
-        _lengths(views, coarse, start),
+        nearly(views, ways, start.position),
         start.looking(problem),
         pace,
         start.time,
         start=start.position,
         cost=Cost.of(scenario.inspect.objective, scenario.inspect.delta_v_worth),
         most_views=scenario.inspect.most_views,
-        seconds=seconds,
+        tries=round(effort * _TRIES),
         seed=scenario.seed,
     )
     progress(0.6, f"{len(made.rows)} views show {made.area:.1f} m2 in time")
-    bound = fewest_views(views.sees, areas, min(goal, made.area), seconds=_BOUND * seconds, seed=scenario.seed)
+    bound = fewest_views(views.sees, areas, min(goal, made.area), effort=_BOUND * effort, seed=scenario.seed)
     kept = views.only(made.rows)
     order = np.arange(1, len(made.rows) + 1)
     # Its length is that of the courses, which are drawn up now.
@@ -95,20 +91,28 @@ def plan_in_light(
     result = drawn_up(problem, kept, lit, tour, ways, start, areas, drifting=drifting).plan
     return replace(
         result,
-        candidates=len(views.positions),
+        candidates=found,
+        short_list=len(views.positions),
         fewest_views=min(bound.fewest, len(made.rows)),
         greedy_views=bound.greedy,
     )
 
 
-def _lengths(views: Views, ways: Ways, start: Start) -> Lengths:
-    """Give the lengths of ways from a view or the start to all views, each found once."""
+def nearly(views: Views, ways: Ways, start: Float[np.ndarray, "3"]) -> Lengths:
+    """Give the lengths of ways from a view or the start to all views, on a coarse grid, each found once."""
+    coarse = Ways.build(
+        ways.distance,
+        ways.stand_off,
+        ways.origin,
+        ways.origin + ways.spacing * (np.array(ways.open.shape) - 1),
+        most_nodes=_NODES,
+    )
 
     @functools.cache
     def from_place(place: tuple[float, ...]) -> Float[np.ndarray, " v"]:
-        return ways.nearly(np.array(place), views.positions)
+        return coarse.nearly(np.array(place), views.positions)
 
     def lengths(row: int) -> Float[np.ndarray, " v"]:
-        return from_place(tuple((start.position if row < 0 else views.positions[row]).tolist()))
+        return from_place(tuple((start if row < 0 else views.positions[row]).tolist()))
 
     return lengths

@@ -8,7 +8,6 @@ a random view on it is made again, with other weights and some chance, and what 
 kept.
 """
 
-import time as clock
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import no_type_check
@@ -111,7 +110,7 @@ def tour_in_light(
     start: Float[np.ndarray, "3"],
     cost: Cost,
     most_views: int,
-    seconds: float,
+    tries: int,
     seed: int = 0,
 ) -> LightTour:
     """Choose views, their order and their times, so that as much as is wanted is seen, at the least cost.
@@ -128,7 +127,7 @@ def tour_in_light(
         start: (3,) where the chaser is, at rest, m.
         cost: what is made least.
         most_views: in the tour.
-        seconds: of computation for improving it, at most; the greedy tours are made whatever they take.
+        tries: how often a tour is made again to improve it, at most.
         seed: of the chance in it.
 
     """
@@ -136,11 +135,12 @@ def tour_in_light(
     views = replace(views, sees=sparse.csr_array(views.sees[:, asked]))
     lit, areas = replace(lit, lit=lit.lit[:, asked]), areas[asked]
     generator = np.random.default_rng(seed)
-    until = clock.perf_counter() + seconds
     maker = _Maker(views, _Moments(lit), areas, goal, lengths, looking, pace, begin, most_views, start, cost)
     best = max((maker.made((), scarcity, 0.0, generator) for scarcity in _SCARCITY), key=maker.score)
     in_vain = 0
-    while len(best.rows) and in_vain < _IN_VAIN and clock.perf_counter() < until:
+    for _ in range(tries):
+        if not len(best.rows) or in_vain >= _IN_VAIN:
+            break
         cut = int(generator.integers(len(best.rows)))
         kept = tuple(zip(best.rows[:cut].tolist(), best.times[:cut].tolist(), strict=True))
         tried = maker.made(

@@ -42,7 +42,7 @@ def nearest_views(
         start: of the tour.
 
     """
-    scenario = problem.scenario
+    scenario, found = problem.scenario, len(views.positions)
     views = views.only(shortlist(views.sees, areas))
     camera, speed = scenario.camera, scenario.chaser.speed_limit
     left, chosen, now = areas.copy(), [], start.time
@@ -75,4 +75,4 @@ def nearest_views(
     tour = flown(legs_of(problem, kept, needs, lit, start, between), np.arange(1, len(chosen) + 1))
     drifting = Drifting.of(problem.scenario, problem.target.distance.distance)
     plan = drawn_up(problem, kept, lit, tour, ways, start, areas, drifting=drifting).plan
-    return replace(plan, candidates=len(views.positions), greedy_views=len(chosen))
+    return replace(plan, candidates=found, short_list=len(views.positions), greedy_views=len(chosen))

@@ -1,6 +1,6 @@
 """An inspection's plan: the views in the order in which they are flown, and how far from the best it may be."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -19,6 +19,9 @@ class PlannedView:
         window: (from, to) s: when the light is right; (0, inf) where light does not matter.
         dwell: how long to stay, s.
         speed: at which it is flown to at most, m/s: below the chaser's limit where passive safety asks for it.
+        at: when it is expected to be worth what it shows, s.
+        way: from the view before it, m.
+        on_the_way: units that frames on that way are counted on to show.
 
     """
 
@@ -28,6 +31,9 @@ class PlannedView:
     window: tuple[float, float] = (0.0, float("inf"))
     dwell: float = 0.0
     speed: float = float("inf")
+    at: float = 0.0
+    way: float = 0.0
+    on_the_way: Int[np.ndarray, " j"] = field(default_factory=lambda: np.zeros(0, np.int64))
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,11 +45,13 @@ class InspectionPlan:
         covered: (2 n,) units that the plan sees.
         way_length: from the start through all views by ways that keep the stand-off, m.
         duration: expected, s.
-        candidates: views that it was chosen from.
-        fewest_views: proved: no fewer of these candidates see as much by themselves.
-            With the frames on the way fewer may.
+        candidates: views that were found.
+        fewest_views: proved: no fewer of the short list see as much by themselves; frames on the way may
+            spare some.
         greedy_views: how many the greedy choice needed.
         drifts: what passive safety made of it; None where it is not asked for.
+        short_list: how many of the candidates the views were chosen from; the bound is about these.
+        begin: when it begins, s.
 
     """
 
@@ -55,3 +63,15 @@ class InspectionPlan:
     fewest_views: int
     greedy_views: int
     drifts: DriftsPlanned | None = None
+    short_list: int = 0
+    begin: float = 0.0
+
+    def seen_by(self, time: float) -> Bool[np.ndarray, " units"]:
+        """Give the units that the plan sees by a time, s: those of the views reached by then, and of the ways there."""
+        if self.begin + self.duration <= time:
+            return self.covered.copy()
+        seen = np.zeros_like(self.covered)
+        for view in self.views:
+            if view.at <= time:
+                seen[view.units] = seen[view.on_the_way] = True
+        return seen

@@ -19,14 +19,13 @@ from keepout.inspecting.lit_times import LitTimes
 from keepout.inspecting.nearest_view import nearest_views
 from keepout.inspecting.plan import InspectionPlan
 from keepout.inspecting.problem import Problem
+from keepout.inspecting.short_time import in_short_time
 from keepout.inspecting.viewpoints import Views, find_views
 from keepout.inspecting.ways import Ways
 from keepout.progress import Progress, part_of, silent
 from keepout.seeing.rules import SeeingRules
 from keepout.seeing.visible import visible
 
-_COVER_SECONDS, _LEAST_SECONDS, _UNIT_SECONDS = 30.0, 5.0, 0.01
-"""For the choice of the fewest views: at most, and by the number of units."""
 _PLACES_EACH, _FEWEST_PLACES = 4, 64
 """Places drawn for every unit wanted, and at least; `inspect.candidates` at most."""
 _AMONG = 4000
@@ -41,7 +40,7 @@ def plan(
     wanted: Bool[np.ndarray, " units"],
     share: float | None = None,
     boresight: Float[np.ndarray, "3"] | None = None,
-    seconds: float | None = None,
+    effort: float = 1.0,
     progress: Progress = silent,
 ) -> InspectionPlan:
     """Plan views that see a share of the area wanted, few of them, and their order; or the nearest-view tour.
@@ -53,7 +52,7 @@ def plan(
         wanted: (units,) to be seen; `covered` of the plan holds none but these.
         share: of their area that is wanted; `inspect.coverage` of the scenario if absent.
         boresight: (3,) where the camera looks; if absent, as at the start of the mission.
-        seconds: for the choice of the fewest views; if absent, by how many units are wanted, half a minute at most.
+        effort: of the usual counted work for the choice of views, how much is spent.
         progress: told of candidates, views and bound.
 
     """
@@ -70,13 +69,12 @@ def plan(
     goal = share * float(areas.sum())
     start = Start(np.asarray(position, dtype=np.float64), time, boresight)
     ways = ways_from(problem, start.position)
-    seconds = min(_COVER_SECONDS, _LEAST_SECONDS + _UNIT_SECONDS * wanted.sum()) if seconds is None else seconds
     if scenario.inspect.tour == "nearest":
         result = nearest_views(problem, views, lit, areas, goal, ways, start)
     elif lit.changes:
-        result = plan_in_light(problem, views, lit, areas, goal, ways, start, seconds, part_of(progress, 0.5, 1.0))
+        result = plan_in_light(problem, views, lit, areas, goal, ways, start, effort, part_of(progress, 0.5, 1.0))
     else:
-        result = _planned(problem, views, lit, areas, goal, ways, start, seconds, part_of(progress, 0.5, 1.0))
+        result = _planned(problem, views, lit, areas, goal, ways, start, effort, part_of(progress, 0.5, 1.0))
     progress(1.0, f"{len(result.views)} views, {result.way_length:.0f} m")
     drifts = None if result.drifts is None else replace(result.drifts, candidates_left_out=unsafe)
     return replace(result, drifts=drifts)
@@ -90,22 +88,31 @@ def _planned(
     goal: float,
     ways: Ways,
     start: Start,
-    seconds: float,
+    effort: float,
     progress: Progress,
 ) -> InspectionPlan:
     """Choose the fewest views, and then their order."""
     ways = ways if ways is not problem.ways else problem.fine_ways
     places, at = np.unique(views.positions, axis=0, return_inverse=True)
     views = views.only(np.flatnonzero(ways.reached(start.position, places)[at.ravel()]))
+    found = len(views.positions)
     views = views.only(shortlist(views.sees, areas, _AMONG))
-    chosen = _fewest(problem, views, areas, goal, seconds, part_of(progress, 0.0, 0.6))
+    chosen = _fewest(problem, views, areas, goal, effort, part_of(progress, 0.0, 0.6))
     arranger = Arranger(problem, views, lit, areas, goal, ways, start, part_of(progress, 0.6, 1.0))
     best = arranger.arranged(views.only(chosen.chosen))
+    if best.drawn.plan.views and best.tour.end > problem.scenario.duration:
+        best = in_short_time(arranger, best)
     result, drifting = best.drawn.plan, Drifting.of(problem.scenario, problem.target.distance.distance)
     if drifting is not None:
         known = arranger.known
         result = drawn_up(problem, best.views, lit, best.tour, ways, start, areas, known, drifting).plan
-    return replace(result, candidates=len(views.positions), fewest_views=chosen.fewest, greedy_views=chosen.greedy)
+    return replace(
+        result,
+        candidates=found,
+        short_list=len(views.positions),
+        fewest_views=chosen.fewest,
+        greedy_views=chosen.greedy,
+    )
 
 
 def candidates(
@@ -181,9 +188,9 @@ def _fewest(
     views: Views,
     areas: Float[np.ndarray, " units"],
     goal: float,
-    seconds: float,
+    effort: float,
     progress: Progress,
 ) -> Cover:
     """Choose the fewest views, as many as are allowed at most."""
-    cover = fewest_views(views.sees, areas, goal, seconds=seconds, seed=problem.scenario.seed, progress=progress)
+    cover = fewest_views(views.sees, areas, goal, effort=effort, seed=problem.scenario.seed, progress=progress)
     return replace(cover, chosen=cover.chosen[: problem.scenario.inspect.most_views])

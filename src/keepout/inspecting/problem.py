@@ -74,6 +74,7 @@ class Problem:
             rules,
             stand_off,
             room=room,
+            squares=scenario.inspect.proof_squares,
             seconds=scenario.inspect.proof_time,
             progress=part_of(progress, 0.1, 1.0),
         )

@@ -92,7 +92,7 @@ class UnderWay:
             self.camera,
             guard=self.leading.guard,
             certified=self.leading.start_certified,
-            lit=self.ahead.wanted.possible,
+            possible=self.ahead.wanted.possible,
             plan=self.ahead.first,
             plans=self.ahead.plans,
             ending=ending,
@@ -142,8 +142,7 @@ class UnderWay:
     def _ending(self) -> tuple[str, str] | None:
         scenario, wanted = self.scenario, self.ahead.wanted
         if wanted.enough and not self.ahead.holding:
-            share = scenario.inspect.coverage
-            return "all seen", f"{wanted.reached:.2%} of what can be seen was taken, {share:.2%} were wanted"
+            return wanted.ending
         if max(self._rows - 1, 0) + self._ticks > scenario.steps:
             return "out of time", f"duration {scenario.duration:g} s is over"
         return None

@@ -30,8 +30,8 @@ _REPLANS, _REPLANS_IN_SUN = 16, 48
 """Plans after the first, at most: each costs a tour that is mostly way. The sun asks for more."""
 _LOST = 0.01
 """Share of what is possible that must be lost to the light before a plan is made again while views are left."""
-_AGAIN = 15.0
-"""Seconds for the choice of views in the sun when a plan is made again."""
+_AGAIN = 0.5
+"""Of the usual work for the choice of views, what is spent in the sun when a plan is made again."""
 
 
 @dataclass(eq=False)
@@ -193,7 +193,7 @@ class ViewsAhead:
     def _replanned(self, now: float, estimate: Point, boresight: Boresight) -> tuple[str, str] | None:
         """Plan anew for what is left; give how it ends where nothing is gained by that."""
         left = self.wanted.left
-        nothing = ("nothing more to see", f"{self.wanted.reached:.2%} of what can be seen was taken")
+        nothing = ("nothing more to see", f"{self.wanted.reached:.2%} of what is not proved hidden was taken")
         if not left.any() or self.plans > (_REPLANS_IN_SUN if self._in_sun else _REPLANS):
             return self._no_way() or nothing
         self._replan = False
@@ -205,7 +205,7 @@ class ViewsAhead:
             wanted=left,
             share=self.wanted.share_of_left,
             boresight=boresight.direction,
-            seconds=_AGAIN if self._in_sun else None,
+            effort=_AGAIN if self._in_sun else 1.0,
         )
         self.plans += 1
         self.legs = deque(leg for leg in Leg.views(again, self.scenario.inspect.dwell) if len(leg.left(self.wanted)))

@@ -18,7 +18,7 @@ class Wanted:
 
     Attributes:
         patches: the units.
-        possible: (2 n,) what can be seen and be lit in the mission's time.
+        possible: (2 n,) what is not proved hidden, and is lit in the mission's time.
         share: of the area of these that is wanted, 0 to 1.
         taken: (2 n,) seen in some frame, by the estimates on board.
         failures: (2 n,) tours that promised a unit and ended without it.
@@ -52,6 +52,17 @@ class Wanted:
     def enough(self) -> bool:
         """Whether the share wanted was taken."""
         return self.reached >= self.share - _ROUNDING
+
+    @property
+    def all_taken(self) -> bool:
+        """Whether nothing of the possible area is left, given up or not."""
+        return not bool((self.possible & ~self.taken).any())
+
+    @property
+    def ending(self) -> tuple[str, str]:
+        """Say how an inspection ends by which the share wanted was taken, and why."""
+        outcome = "all seen" if self.all_taken else f"{100.0 * self.share:g} % asked, seen"
+        return outcome, f"{self.reached:.2%} of what is not proved hidden was taken, {self.share:.2%} were asked for"
 
     @property
     def share_of_left(self) -> float:

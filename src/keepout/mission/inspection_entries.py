@@ -127,8 +127,15 @@ class InspectEntry(Entry):
     )
     most_views: Annotated[int, Field(ge=1, le=100_000)] = Field(default=1000, description="in one plan, at most")
     dwell: NonNegative = Field(default=0.0, description="for which the chaser stays at each view, s; 0: it flies on")
-    proof_time: NonNegative = Field(
-        default=60.0, description="of computation, at most, for the proof of what cannot be seen, s"
+    proof_squares: Annotated[int, Field(ge=1, le=10_000_000_000)] = Field(
+        default=4_000_000,
+        description="squares of directions looked at, at most, for the proof of what can and cannot be seen: counted "
+        "work, the same on every machine",
+    )
+    proof_time: NonNegative | None = Field(
+        default=None,
+        description="by the clock, at most, for that proof, s; where it ends the proof, results say so, and differ "
+        "from machine to machine; unset: no clock",
     )
     passive_safety: NonNegative = Field(
         default=0.0, description="for which a chaser that stops thrusting anywhere on its way touches nothing, s"

@@ -185,9 +185,21 @@ def said(inspection: Inspection) -> str:
     lit = " and be lit" if any(frame.sun is not None for frame in inspection.frames) else ""
     words = (
         f"{inspection.outcome[0].upper()}{inspection.outcome[1:]}: {inspection.why}. {inspection.coverage:.2%} of the "
-        f"surface was seen, {inspection.coverage_seeable:.2%} of what surely can be seen{lit}; no chaser can see more "
+        f"surface was seen, {inspection.coverage_possible:.2%} of what is not proved hidden{lit} "
+        f"({inspection.coverage_seeable:.2%} of what surely can be seen{lit}); no chaser can see more "
         f"than {inspection.seeable.upper:.2%} of it. {contact[str(inspection.audit.contact)]}"
     )
     if inspection.audit.contact == "no":
         words += f": the clearance is at least {inspection.audit.minimum_clearance:.3f} m"
+    if inspection.plan.duration > inspection.scenario.duration:
+        by_then = inspection.patches.coverage(inspection.plan.seen_by(inspection.scenario.duration))
+        words += (
+            f". The first plan takes {inspection.plan.duration:.0f} s and the mission lasts "
+            f"{inspection.scenario.duration:g} s: by then the plan sees {by_then:.2%} of the surface"
+        )
+    if inspection.seeable.by_clock:
+        words += (
+            f". A clock (inspect.proof_time, {inspection.scenario.inspect.proof_time:g} s) ended the proof of what can "
+            "be seen: on another machine more or less may be undecided, and plan and figures differ"
+        )
     return words + "."

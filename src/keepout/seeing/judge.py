@@ -20,10 +20,12 @@ from keepout.seeing.search import NONE, OPEN, SEEN, all_blocked, search
 from keepout.seeing.seeable import Hidden, Seeable, Verdict
 from keepout.seeing.sightlines import Sightlines
 
+SQUARES = 4_000_000
+"""Of directions looked at in all, unless told otherwise."""
 _SQUARES = (300, 3_000, 30_000)
 """Squares of directions a unit in each stage: most are decided in the first, and the next takes what is left."""
 _TOGETHER = (512, 64, 8)
-"""Units between two looks at the clock."""
+"""Units between two looks at what was spent."""
 _RAYS = 1000
 """Over the half sphere of directions: a unit is called enclosed if all of them meet the mesh."""
 
@@ -36,7 +38,8 @@ def seeable(
     stand_off: float,
     *,
     room: Room | None = None,
-    seconds: float | None = 120.0,
+    squares: int = SQUARES,
+    seconds: float | None = None,
     progress: Progress = silent,
 ) -> Seeable:
     """Say of each counted unit whether it can be seen at all from the room allowed, without regard to light.
@@ -51,8 +54,10 @@ def seeable(
         rules: range, incidence and ground sample distance; the field of view holds any one patch.
         stand_off: least distance of the camera to the mesh, m.
         room: of that stand-off, where one is at hand.
-        seconds: after which what is left is called undecided; none: hours for a mesh
-            of tens of thousands of loose triangles.
+        squares: of directions that are looked at in all, after which what is left is called undecided. It is counted
+            between groups of units, so that some more may be looked at.
+        seconds: of the clock, after which it is called undecided as well; by default none. The verdicts that a clock
+            ends differ from machine to machine.
         progress: told of the share that is decided.
 
     Raises:
@@ -77,13 +82,18 @@ def seeable(
     units = units[np.argsort(-areas[units], kind="stable")]
     # In each queue the largest come first; of the queues, the one whose first unit has most area for the work ahead.
     queues = [collections.deque([units] if len(units) else [])] + [collections.deque() for _ in _SQUARES[1:]]
-    while any(queues) and (seconds is None or time.monotonic() - began < seconds):
+    looked, by_clock = 0, False
+    while any(queues) and looked < squares:
+        if seconds is not None and time.monotonic() - began >= seconds:
+            by_clock = True
+            break
         stage = max((k for k in range(len(queues)) if queues[k]), key=lambda k: areas[queues[k][0][0]] / _SQUARES[k])
         some = queues[stage].popleft()
         if len(some) > _TOGETHER[stage]:
             queues[stage].appendleft(some[_TOGETHER[stage] :])
             some = some[: _TOGETHER[stage]]
-        ends, places = _searched(tree, limits, patches, some, _SQUARES[stage])
+        ends, places, spent = _searched(tree, limits, patches, some, _SQUARES[stage])
+        looked += spent
         seen = some[ends == SEEN]
         sure = witnessed(patches, sight, rules, room, places[ends == SEEN], seen)
         verdict[seen[sure]], witness[seen[sure]] = Verdict.SEEABLE, places[ends == SEEN][sure]
@@ -96,7 +106,7 @@ def seeable(
     why = np.full(count, Hidden.NOT, dtype=np.int8)
     hidden = np.flatnonzero(verdict == Verdict.HIDDEN)
     why[hidden] = np.where(_enclosed(tree, patches, hidden), Hidden.ENCLOSED, Hidden.NARROW)
-    found = Seeable(patches, verdict, why, witness)
+    found = Seeable(patches, verdict, why, witness, looked, by_clock)
     progress(1.0, f"{found.lower:.2%} to {found.upper:.2%} of the area can be seen")
     return found
 
@@ -148,7 +158,7 @@ def _searched(
     patches: Patches,
     units: Int[np.ndarray, " m"],
     squares: int,
-) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m 3"]]:
+) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m 3"], int]:
     patch = units >> 1
     frames, centres = _frames(patches, units), patches.centres[patch]
     # Counter-clockwise about the unit's own normal, the last corner still repeated.
@@ -161,6 +171,7 @@ def _searched(
     least = limits.stand_off / math.hypot(1.0, limits.spread) - 1e-3
     largest = float(np.abs(tree.corners).max()) + limits.greatest_range
     ends, places = np.full(len(units), OPEN, dtype=np.int64), np.full((len(units), 3), np.nan)
+    looked = np.zeros(len(units), dtype=np.int64)
     search(
         tree,
         ray_tree.DEEPEST,
@@ -174,6 +185,6 @@ def _searched(
         squares,
         ends,
         places,
-        np.zeros(len(units), dtype=np.int64),
+        looked,
     )
-    return ends, places
+    return ends, places, int(looked.sum())

@@ -4,7 +4,7 @@ import enum
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int8
+from jaxtyping import Bool, Float, Int8
 
 from keepout.seeing.patches import Patches
 
@@ -40,6 +40,9 @@ class Seeable:
         verdict: (2 n,) a `Verdict`.
         why: (2 n,) a `Hidden`.
         witness: (2 n, 3) a place from which the unit is wholly seen, m; nan where none is known.
+        squares: of directions that were looked at for it.
+        by_clock: whether a clock ended the search before that was all it might look at: another machine may then decide
+            more, or less.
 
     """
 
@@ -47,6 +50,13 @@ class Seeable:
     verdict: Int8[np.ndarray, " units"]
     why: Int8[np.ndarray, " units"]
     witness: Float[np.ndarray, "units 3"]
+    squares: int = 0
+    by_clock: bool = False
+
+    @property
+    def possible(self) -> Bool[np.ndarray, " units"]:
+        """Say which counted units are not proved hidden: an inspection wants to see them."""
+        return self.patches.counted & (self.verdict != Verdict.HIDDEN)
 
     @property
     def lower(self) -> float:
