@@ -128,7 +128,7 @@ def loosened(bound: Number | Float[Array, "windows"]) -> Number | Float[Array, "
 
 def expired(assumptions: GuardAssumptions, time: Float[Array, ""]) -> Bool[Array, ""]:
     """Whether the time, s since the orbit's epoch, is past the one until which the assumptions hold: `EXPIRED`."""
-    return time > assumptions.valid_until + 0.5 * assumptions.period
+    return time > assumptions.valid_until
 
 
 def too_strong(assumptions: GuardAssumptions, disturbance_estimate: Float[Array, "3"]) -> Bool[Array, ""]:
