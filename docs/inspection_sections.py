@@ -82,7 +82,7 @@ def inspecting() -> list[str]:
                 "target": target,
                 "flights": len(some),
                 "refused": len(some) - len(flown),
-                "all seen": sum(row["outcome"].endswith(("all seen", "asked, seen")) for row in flown),
+                "saw all asked": sum(row["outcome"].endswith(("all seen", "asked, seen")) for row in flown),
                 "contacts": sum(row["contact"] for row in flown),
                 "least clearance m": min(row["minimum_clearance_m"] for row in flown),
                 "seen, median %": 100.0 * statistics.median(row["coverage_seeable"] for row in flown),
