@@ -136,7 +136,7 @@ class Guard(keepout.SafetyLayer):
     def initial_state(self, estimate):
         return ()
 
-    def filter(self, guard_state, estimate, force, disturbance_estimate, errors=None):
+    def filter(self, guard_state, estimate, force, disturbance_estimate, errors=None, contradicted=None):
         return self.answer
 
 

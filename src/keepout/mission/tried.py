@@ -76,7 +76,9 @@ def require_guard(guard: Any, start: MotionState) -> None:
     asked: dict[str, Any] = {"part": f"{name}.initial_state", "wanted": "a memory", "refusal": ControlError}
     memory = tried(guard.initial_state, start, **asked)
     asked |= {"part": f"{name}.filter", "wanted": _FILTERED}
-    answer = tried(guard.filter, memory, start, jnp.zeros(3), jnp.zeros(3), **asked)
+    # With sensors it is told the errors of what it is told, and whether that contradicts itself.
+    known = jnp.zeros(2), jnp.zeros((), bool)
+    answer = tried(guard.filter, memory, start, jnp.zeros(3), jnp.zeros(3), *known, **asked)
     if not (isinstance(answer, tuple) and len(answer) == 3):
         raise ControlError(f"{name}.filter: gives {described(answer)}; it must give {_FILTERED}")
     require_same(answer[0], memory, part=f"{name}.filter", refusal=ControlError)
