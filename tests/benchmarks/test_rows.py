@@ -41,7 +41,9 @@ def test_rows_of_faults_are_flown_once_and_again_where_the_field_is_another(tmp_
     monkeypatch.setattr(faults, "World", lambda name: world)
     monkeypatch.setattr(faults, "look_up", lambda name: (None, None, digests[name]))
     monkeypatch.setattr(faults, "fly_row", lambda world, setup, fault, plan: flown.append(plan) or plan)
-    asked = Namespace(flights=1520, targets=["here", "there"], duration=60, seed=0, out=tmp_path / "rows.json")
+    asked = Namespace(
+        flights=1520, targets=["here", "there"], duration=60, seed=0, keeps_margin=False, out=tmp_path / "rows.json"
+    )
     rows = faults.fly_all(asked, lambda row: None)
     assert len(rows) == len(flown) == 2 * len(faults.ROWS)
     assert {row["flights"] for row in rows} == {10}

@@ -217,7 +217,8 @@ def test_an_example_after_the_standard_is_read(tmp_path):
         ("2783.419", "\u0662\u0667\u0668\u0663.419", "only ASCII may stand there"),
         ("12:01:00.331 ", "12:01:0\u0660.331 ", "only ASCII may stand there"),
         ("COMMENT This file", "COMMENT\nMETA_START\nCOMMENT This file", "a keyword = value must stand there"),
-        ("1996-12-18T12:01:00.331 ", "9999-12-18T12:01:00.331 ", "must lie between 1824 and 2116"),
+        ("1996-12-18T12:01:00.331 ", "9999-12-18T12:01:00.331 ", "must lie from 1677-09-22 to 2262-04-11"),
+        ("1996-12-18T12:01:00.331 ", "2200-12-18T12:01:00.331 ", "must lie between 1824 and 2116"),
         (
             "1996-12-28T21:28:00.331 -3881.024 563.959 -682.773 -3.28827 -3.66735 1.63861",
             "1996-12-28T21:28:00.331 -3881.024 563.959 -682.773 -3.28827 -3.66735 1.63861 1.0",
