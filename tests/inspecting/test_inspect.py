@@ -253,7 +253,7 @@ def test_by_sensors_the_estimate_strikes_off_on_board_and_the_truth_is_what_coun
         reached.append(patches.coverage(taken & found.lit) / patches.coverage(found.lit))
     # It ends with the first frame in which what was taken by the estimates is enough, whatever the truth shows.
     assert reached[-2] < 0.9 <= reached[-1] + 1e-12
-    assert f"{reached[-1]:.2%} of what can be seen was taken" in found.why
+    assert f"{reached[-1]:.2%} of what is not proved hidden was taken" in found.why
     assert differing > 0
     assert found.coverage_seeable >= 0.88
 
