@@ -100,7 +100,8 @@ def bound_the_middle(monkeypatch):
 @pytest.mark.parametrize("broken", [lose_pieces, lose_elements, bound_the_middle])
 def test_a_broken_cover_is_noticed(box, radius, broken, monkeypatch):
     broken(monkeypatch)
-    with pytest.raises(AssertionError):
+    # The certificate's own sampling may notice first.
+    with pytest.raises((AssertionError, FieldError), match="a bound is at least what was found|<= 0.0"):
         check_no_search_beats_the_bound(box, radius)
 
 
