@@ -303,10 +303,8 @@ class Guard(SafetyLayer):
                 known = jnp.where(jnp.isnan(errors), jnp.inf, errors)
             known = jnp.where(finite, known, jnp.inf)
             doubts = observed.doubts, watch.next_doubts(self.windows, state.counted, observed.doubts, known)
-        moved, changed = position - state.expected_position, velocity - state.expected_velocity
-        unexplained, counted, jumped = watch.watch(
-            a, self.windows, state.unexplained, state.counted, moved, changed, doubts
-        )
+        off = position - state.expected_position, velocity - state.expected_velocity
+        unexplained, counted, jumped = watch.watch(a, self.windows, state.unexplained, state.counted, *off, doubts)
         if self.braking.observer is None or observed is None:
             beyond = jumped & finite
         else:
@@ -322,19 +320,15 @@ class Guard(SafetyLayer):
         velocity = jnp.where(left_out, state.expected_velocity, velocity)
         seen_position, seen_velocity = position, velocity
         if observed is not None:
-            known = jnp.where(told, known, jnp.inf)
-            begins = ~state.begun & ~beyond
+            known, first = jnp.where(told, known, jnp.inf), ~state.begun & ~beyond
             seen_position, seen_velocity = observer.correct(
-                a, self.braking, observed, position, velocity, known, begins, beyond
+                a, self.braking, observed, position, velocity, known, first, beyond
             )
         doubted = (jumped | beyond) & told
-        apart = [
-            jnp.maximum(norm(seen - told_), norm(seen - own))
-            for seen, told_, own in (
-                (seen_position, position, own_position),
-                (seen_velocity, velocity, own_velocity),
-            )
-        ]
+        apart = (
+            jnp.maximum(norm(seen_position - position), norm(seen_position - own_position)),
+            jnp.maximum(norm(seen_velocity - velocity), norm(seen_velocity - own_velocity)),
+        )
         narrow = None if errors is None else jnp.all(errors <= observer.caps(a))
         wrong = state.contradicted if contradicted is None else state.contradicted | contradicted
         sound = told & ~wrong
@@ -437,13 +431,12 @@ class Guard(SafetyLayer):
 
     def _accelerations(self, under_way: Float[Array, "delay 3"] | None) -> Float[Array, "delay 3"]:
         """Give the accelerations of the forces under way, m/s²."""
-        nothing = jnp.zeros((self.assumptions.delay, 3))
+        shape = self.assumptions.delay, 3
         if under_way is None:
-            return nothing
-        if jnp.shape(under_way) != nothing.shape:
+            return jnp.zeros(shape)
+        if jnp.shape(under_way) != shape:
             raise ControlError(
-                f"guard: under_way has the shape {jnp.shape(under_way)}; with a delay of {self.assumptions.delay} "
-                f"steps it must be {nothing.shape}"
+                f"guard: under_way has the shape {jnp.shape(under_way)}; by the delay it must be {shape}"
             )
         return jnp.asarray(under_way) / self.assumptions.mass
 
