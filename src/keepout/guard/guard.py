@@ -331,7 +331,6 @@ class Guard(SafetyLayer):
         )
         narrow = None if errors is None else jnp.all(errors <= observer.caps(a))
         wrong = state.contradicted if contradicted is None else state.contradicted | contradicted
-        sound = told & ~wrong
         return Seen(
             told=told,
             told_position=position,
@@ -339,7 +338,7 @@ class Guard(SafetyLayer):
             position=seen_position,
             velocity=seen_velocity,
             spread=jnp.where(doubted, jnp.stack(apart), 0.0),
-            sound=sound if narrow is None else sound & narrow,
+            sound=told & ~wrong & (True if narrow is None else narrow),
             narrow=narrow,
             jumped=jumped,
             left_out=left_out,
