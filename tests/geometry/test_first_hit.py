@@ -1,13 +1,11 @@
-"""First hits of rays against brute force, Embree and closed forms; edges and corners are never slipped through."""
+"""First hits of rays against brute force and closed forms; edges and corners are never slipped through."""
 
-import igl.embree
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import Delaunay
-from truths.messy_meshes import MESSY
-from truths.real_meshes import present
+from truths.messy_meshes import MESSY_AND_REAL
 
 from keepout.errors import MeshError
 from keepout.geometry import Target
@@ -91,25 +89,11 @@ def box_entry(origins, directions, half=1.0):
     return enter, leave - enter
 
 
-@pytest.mark.parametrize("mesh", [*MESSY.values(), *present()], ids=[*MESSY, *(mesh.name for mesh in present())])
+@pytest.mark.parametrize("mesh", MESSY_AND_REAL)
 def test_agrees_with_brute_force_on_real_and_messy_meshes(mesh, tmp_path):
-    target = Target.load(mesh(tmp_path).path) if callable(mesh) else Target.load(mesh.path, scale=mesh.scale)
+    target = mesh(tmp_path)
     first_hit = FirstHit(target.vertices, target.faces)
     assert_as_brute_force(first_hit, *random_rays(first_hit.lower, first_hit.upper, 300))
-
-
-@pytest.mark.parametrize("name", ["intelsat30", "tiangong"])
-def test_agrees_with_embree_in_single_precision(name):
-    target = Target.load(name)
-    first_hit = FirstHit(target.vertices, target.faces)
-    other = igl.embree.EmbreeIntersector()
-    other.init(target.vertices.astype(np.float32), target.faces.astype(np.int32))
-    origins, directions = random_rays(first_hit.lower, first_hit.upper, 3000, seed=1)
-    ranges = first_hit.ranges(origins, directions)
-    rows = [other.intersectRay_first(o, d) for o, d in zip(origins.astype(np.float32), directions.astype(np.float32))]
-    truth = np.array([row[1] if row[0] >= 0 else np.inf for row in rows])
-    same = np.isclose(ranges, truth, rtol=0.0, atol=1e-3)
-    assert same.mean() > 0.995  # the others pass an edge within single precision, or lie along a triangle
 
 
 triangle_soups = st.integers(1, 40).flatmap(
@@ -122,7 +106,6 @@ triangle_soups = st.integers(1, 40).flatmap(
 )
 
 
-@settings(max_examples=60)
 @given(triangle_soups)
 def test_agrees_with_brute_force_on_any_soup(drawn):
     corners, seed, size, offset = drawn
@@ -134,16 +117,14 @@ def test_agrees_with_brute_force_on_any_soup(drawn):
     ranges = first_hit.ranges(origins, directions)
     triangles = first_hit.vertices[first_hit.faces]
     most, least = brute_force(origins, directions, triangles, 1e-9), brute_force(origins, directions, triangles, -1e-9)
-    assert (ranges >= most - 1e-6).all()
-    assert ((ranges <= least + 1e-6) | np.isinf(least)).all()
     # The same, moved and of another size: only rounding may differ.
     moved = FirstHit(size * vertices + offset, first_hit.faces).ranges(size * origins + offset, directions) / size
-    assert (moved >= most - 1e-6).all()
-    assert ((moved <= least + 1e-6) | np.isinf(least)).all()
+    for found in (ranges, moved):
+        assert (found >= most - 1e-6).all()
+        assert ((found <= least + 1e-6) | np.isinf(least)).all()
 
 
-@pytest.mark.parametrize("pieces", [1, 2, 7, 10])
-@pytest.mark.parametrize("offset", [0.0, 1e4])
+@pytest.mark.parametrize(("pieces", "offset"), [(1, 1e4), (2, 0.0), (7, 1e4), (10, 0.0)])
 def test_edges_and_corners_aimed_at_exactly_are_met(pieces, offset):
     vertices, faces = grid_box(pieces)
     first_hit = FirstHit(vertices + offset, faces)
@@ -162,9 +143,8 @@ def test_edges_and_corners_aimed_at_exactly_are_met(pieces, offset):
         np.testing.assert_allclose(ranges, enter[through], atol=1e-11 * (1.0 + offset))
 
 
-@pytest.mark.long
 def test_no_ray_slips_through_a_sheet_of_slivers():
-    """A million rays at points of edges, as exactly as they can be told."""
+    """Rays at points of edges, as exactly as they can be told."""
     rng = np.random.default_rng(3)
     flat = np.concatenate([rng.uniform(-1.0, 1.0, (2000, 2)), [[-1, -1], [-1, 1], [1, -1], [1, 1]]])
     flat[:1000, 0] *= 1e-3  # many slivers
@@ -175,7 +155,7 @@ def test_no_ray_slips_through_a_sheet_of_slivers():
     start, end = vertices[edges].transpose(1, 0, 2)
     first_hit = FirstHit(vertices, faces)
     tried = slipped = 0
-    while tried < 1_000_000:
+    while tried < 150_000:
         origin = turn @ np.array([*rng.uniform(-1.0, 1.0, 2), 5.0])
         share = rng.choice([0.0, 1.0, 0.5, rng.random()], size=(len(start), 1))
         aims = (1.0 - share) * start + share * end
@@ -193,8 +173,8 @@ def test_a_sphere_is_met_from_outside_before_its_back():
     middle = 0.5 * (first_hit.lower + first_hit.upper)
     radius = float((first_hit.upper - middle).min())
     rng = np.random.default_rng(5)
-    origins = middle + unit(rng.normal(size=(200_000, 3))) * radius * rng.uniform(1.5, 20.0, (200_000, 1))
-    goals = middle + unit(rng.normal(size=(200_000, 3))) * radius * rng.uniform(0.0, 0.9, (200_000, 1))
+    origins = middle + unit(rng.normal(size=(40_000, 3))) * radius * rng.uniform(1.5, 20.0, (40_000, 1))
+    goals = middle + unit(rng.normal(size=(40_000, 3))) * radius * rng.uniform(0.0, 0.9, (40_000, 1))
     directions = unit(goals - origins)
     ranges, faces = first_hit.cast(origins, directions)
     assert np.isfinite(ranges).all()
@@ -211,10 +191,9 @@ def test_a_sphere_is_met_from_outside_before_its_back():
         assert (sign * (ranges[crosses] - sphere) > -1e-9).all()
 
 
-@pytest.mark.parametrize("name", ["intelsat30", "tiangong"])
-def test_what_is_hit_is_nearer_than_the_surface_point_aimed_at(name):
+def test_what_is_hit_is_nearer_than_the_surface_point_aimed_at():
     """A ray towards a point of the surface meets it or what is before it: none arrives at the back first."""
-    target = Target.load(name)
+    target = Target.load("intelsat30")
     first_hit = FirstHit(target.vertices, target.faces)
     rng = np.random.default_rng(7)
     weights = rng.dirichlet([1.0, 1.0, 1.0], len(target.faces))
@@ -229,40 +208,41 @@ def test_what_is_hit_is_nearer_than_the_surface_point_aimed_at(name):
     assert target.distance.distance(hits[faces >= 0]).max() < 1e-9
 
 
-def test_a_sheet_along_the_ray_is_met_at_its_rim():
-    vertices = np.array([[1.0, -1.0, 0.0], [3.0, -1.0, 0.0], [3.0, 1.0, 0.0], [1.0, 1.0, 0.0]])
-    sheet = FirstHit(vertices, np.array([[0, 1, 2], [0, 2, 3]]))
-    along = np.array([[1.0, 0.0, 0.0]])
-    assert sheet.ranges(np.zeros((1, 3)), along) == 1.0
-    assert sheet.ranges(np.array([[2.0, 0.25, 0.0]]), along) == 0.0
-    assert sheet.ranges(np.array([[4.0, 0.0, 0.0]]), along) == np.inf
-    assert sheet.ranges(np.array([[5.0, 0.0, 0.0]]), -along) == 2.0
-    assert sheet.ranges(np.array([[0.0, 0.0, 1e-9]]), along) == np.inf
-    assert sheet.ranges(np.array([[0.0, 5.0, 0.0]]), along) == np.inf
+SHEET = [(1, -1, 0), (3, -1, 0), (3, 1, 0), (1, 1, 0)], [(0, 1, 2), (0, 2, 3)]
+NEEDLE = [(1, 0, 0), (1, 1, 0), (1, 2, 0)], [(0, 1, 2)]
+POINT = [(5, 0, 0)], [(0, 0, 0)]
 
 
-def test_triangles_without_area_are_met_as_what_they_are():
-    vertices = np.array([[1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [1.0, 2.0, 0.0], [5.0, 0.0, 0.0]])
-    needle = FirstHit(vertices, np.array([[0, 1, 2]]))
-    assert needle.ranges(np.array([[0.0, 0.5, 0.0]]), np.array([[1.0, 0.0, 0.0]])) == 1.0
-    assert needle.ranges(np.array([[0.0, 0.5, 1e-6]]), np.array([[1.0, 0.0, 0.0]])) == np.inf
-    point = FirstHit(vertices, np.array([[3, 3, 3]]))
-    assert point.ranges(np.zeros((1, 3)), np.array([[1.0, 0.0, 0.0]])) == 5.0
-    np.testing.assert_array_equal(point.normals, np.zeros((1, 3)))
+@pytest.mark.parametrize(
+    ("mesh", "origin", "direction", "greatest", "met"),
+    [
+        # A sheet along the ray is met at its rim.
+        (SHEET, (0, 0, 0), (1, 0, 0), np.inf, 1.0),
+        (SHEET, (2, 0.25, 0), (1, 0, 0), np.inf, 0.0),
+        (SHEET, (4, 0, 0), (1, 0, 0), np.inf, np.inf),
+        (SHEET, (5, 0, 0), (-1, 0, 0), np.inf, 2.0),
+        (SHEET, (0, 0, 1e-9), (1, 0, 0), np.inf, np.inf),
+        (SHEET, (0, 5, 0), (1, 0, 0), np.inf, np.inf),
+        # Triangles without area are met as what they are.
+        (NEEDLE, (0, 0.5, 0), (1, 0, 0), np.inf, 1.0),
+        (NEEDLE, (0, 0.5, 1e-6), (1, 0, 0), np.inf, np.inf),
+        (POINT, (0, 0, 0), (1, 0, 0), np.inf, 5.0),
+        # A range counts in metres from the origin, within it too, whatever the direction's length, up to the greatest.
+        (grid_box(2), (-3, 0.3, 0.4), (2, 0, 0), np.inf, 2.0),
+        (grid_box(2), (-3, 0.3, 0.4), (2, 0, 0), 2.0, 2.0),
+        (grid_box(2), (-3, 0.3, 0.4), (2, 0, 0), 1.999, np.inf),
+        (grid_box(2), (-1, 0.3, 0.4), (2, 0, 0), np.inf, 0.0),
+        (grid_box(2), (0, 0.3, 0.4), (2, 0, 0), np.inf, 1.0),
+        (grid_box(2), (-3, 0.3, 0.4), (-2, 0, 0), np.inf, np.inf),
+    ],
+)
+def test_special_places(mesh, origin, direction, greatest, met):
+    vertices, faces = np.asarray(mesh[0], float), np.asarray(mesh[1])
+    assert FirstHit(vertices, faces).ranges(np.array([origin], float), np.array([direction], float), greatest) == met
 
 
-def test_range_counts_from_the_origin_up_to_the_greatest():
-    vertices, faces = grid_box(2)
-    box = FirstHit(vertices, faces)
-    to_right = np.array([[2.0, 0.0, 0.0]])  # not a unit vector: a range is in metres all the same
-    origin = np.array([[-3.0, 0.3, 0.4]])
-    assert box.ranges(origin, to_right) == 2.0
-    assert box.ranges(origin, to_right, 2.0) == 2.0
-    assert box.ranges(origin, to_right, 1.999) == np.inf
-    assert box.ranges(np.array([[-1.0, 0.3, 0.4]]), to_right) == 0.0
-    assert box.ranges(np.array([[0.0, 0.3, 0.4]]), to_right) == 1.0  # from within: both sides count
-    assert box.ranges(origin, -to_right) == np.inf
-    assert box.ranges(np.zeros((0, 3)), np.zeros((0, 3))).shape == (0,)
+def test_no_rays_have_no_ranges():
+    assert FirstHit(*grid_box(1)).ranges(np.zeros((0, 3)), np.zeros((0, 3))).shape == (0,)
 
 
 def test_the_order_of_rays_does_not_matter():
@@ -290,16 +270,3 @@ def test_bad_rays_are_refused(change, words):
     with pytest.raises(MeshError, match=words) as refusal:
         FirstHit(vertices, faces).ranges(**rays)
     assert "\n" not in str(refusal.value)
-
-
-@pytest.mark.parametrize(
-    ("vertices", "faces", "words"),
-    [
-        (np.zeros((3, 3)), np.zeros((0, 3), dtype=int), "there are 0"),
-        (np.zeros((3, 3)), np.array([[0, 1, 3]]), "outside 0 to 2"),
-        (np.full((3, 3), np.inf), np.array([[0, 1, 2]]), "not finite"),
-    ],
-)
-def test_bad_meshes_are_refused(vertices, faces, words):
-    with pytest.raises(MeshError, match=words):
-        FirstHit(vertices, faces)

@@ -1,26 +1,57 @@
-"""Shape measures against closed forms and against what they must enclose."""
+"""Bodies round a cloud of points - ball, capsule, ellipsoid, hull - against closed forms and the points within."""
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from keepout.errors import MeshError
 from keepout.geometry import Target, shape
+from keepout.geometry.envelopes import small_capsule, smallest_ball, to_segment
+
+CLOUDS = st.tuples(st.integers(0, 2**32 - 1), st.integers(5, 60), st.floats(0.01, 100.0))
 
 
-def cube_corners(a, b, c):
-    return np.array([(x, y, z) for x in (-a, a) for y in (-b, b) for z in (-c, c)], dtype=float)
+def cloud(drawn):
+    seed, count, scale = drawn
+    generator = np.random.default_rng(seed)
+    return scale * (generator.normal(size=(count, 3)) * generator.uniform(0.05, 1.0, 3) + generator.normal(size=3))
 
 
-def turned(points, seed=0):
-    q, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
-    return points @ (q * np.sign(np.linalg.det(q))).T + np.array([3.0, -1.0, 7.0])
+@given(CLOUDS)
+def test_the_ball_encloses_every_point_and_is_the_smallest(drawn):
+    # The optimality condition: the centre is a convex mean of points on the ball, so no shift takes it closer to all.
+    points = cloud(drawn)
+    ball = smallest_ball(points)
+    away = np.linalg.norm(points - ball.centre, axis=1)
+    assert away.max() <= ball.radius + 1e-12 * np.abs(points).max()
+    touching = (points - ball.centre)[away > ball.radius * (1.0 - 1e-7)] / ball.radius
+    directions = np.random.default_rng(0).normal(size=(2000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    assert (touching @ directions.T).min(axis=0).max() <= 1e-5
+
+
+def test_the_capsule_of_a_capsules_points_is_that_capsule():
+    generator = np.random.default_rng(1)
+    sphere = generator.normal(size=(400, 3))
+    sphere /= np.linalg.norm(sphere, axis=1, keepdims=True)
+    turn = np.linalg.qr(generator.normal(size=(3, 3)))[0]
+    ends = np.array([[2.0, 0.0, 0.0], [-2.0, 0.0, 0.0]]) @ turn + 5.0
+    points = np.concatenate([sphere + ends[0], sphere + ends[1]])
+    found = small_capsule(points)
+    assert to_segment(points, found.start, found.end).max() <= found.radius + 1e-12
+    assert found.radius == pytest.approx(1.0, rel=0.02)
+    assert np.linalg.norm(found.end - found.start) == pytest.approx(4.0, rel=0.02)
 
 
 def test_smallest_ellipsoid_of_a_box():
     # Semi-axes of the smallest ellipsoid round a box are √3 times the box's half sides.
-    found = shape.smallest_ellipsoid(turned(cube_corners(3.0, 1.0, 0.5)))
-    np.testing.assert_allclose(found.semi_axes, np.sqrt(3.0) * np.array([3.0, 1.0, 0.5]), rtol=1e-6)
-    np.testing.assert_allclose(found.centre, [3.0, -1.0, 7.0], atol=1e-6)
+    half, middle = np.array([3.0, 1.0, 0.5]), np.array([3.0, -1.0, 7.0])
+    turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    corners = half * np.array(list(np.ndindex(2, 2, 2))) * 2.0 - half
+    found = shape.smallest_ellipsoid(corners @ turn.T + middle)
+    np.testing.assert_allclose(found.semi_axes, np.sqrt(3.0) * half, rtol=1e-6)
+    np.testing.assert_allclose(found.centre, middle, atol=1e-6)
 
 
 def test_smallest_ellipsoid_of_an_affine_simplex():
@@ -31,14 +62,16 @@ def test_smallest_ellipsoid_of_an_affine_simplex():
     assert found.volume == pytest.approx(4.0 / 3.0 * np.pi * 3.0**1.5 * np.linalg.det(stretch), rel=1e-6)
 
 
-@pytest.mark.parametrize("name", ["intelsat30", "tiangong"])
-def test_measures_enclose_the_target(name):
-    points = Target.load(name).vertices
+def test_all_enclose_a_target():
+    points = Target.load("intelsat30").vertices
     ellipsoid = shape.smallest_ellipsoid(points, 1e-4)
     offset = points - ellipsoid.centre
     assert np.einsum("ij,jk,ik->i", offset, ellipsoid.matrix, offset).max() <= 1.0 + 1e-9
     _, hull = shape.convex_hull(points)
     assert hull < min(ellipsoid.volume, np.prod(np.ptp(points, axis=0)))
+    ball, capsule = smallest_ball(points), small_capsule(points)
+    assert to_segment(points, capsule.start, capsule.end).max() <= capsule.radius + 1e-12
+    assert capsule.volume < 0.5 * ball.volume
 
 
 def test_volumes_of_simple_targets():
@@ -49,6 +82,7 @@ def test_volumes_of_simple_targets():
     assert shape.convex_hull(box.vertices)[1] == pytest.approx(24.0)
 
 
-def test_flat_points_are_refused():
+@pytest.mark.parametrize("body", [shape.smallest_ellipsoid, smallest_ball])
+def test_flat_points_are_refused(body):
     with pytest.raises(MeshError, match="span no volume"):
-        shape.smallest_ellipsoid(np.zeros((10, 3)))
+        body(np.zeros((10, 3)))

@@ -9,8 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pytest
 
+from keepout.geometry import Target
 from truths.gltf_files import GltfFile
+from truths.real_meshes import RealMesh, present
 
 
 @dataclass(frozen=True)
@@ -213,3 +216,16 @@ def messy_station(folder: Path) -> MessyMesh:
 
 
 MESSY: dict[str, Callable[[Path], MessyMesh]] = {"messy_satellite": messy_satellite, "messy_station": messy_station}
+
+
+def _loads(made: Callable[[Path], MessyMesh] | RealMesh) -> Callable[[Path], Target]:
+    if isinstance(made, RealMesh):
+        return lambda folder: Target.load(made.path, scale=made.scale)
+    return lambda folder: Target.load(made(folder).path)
+
+
+MESSY_AND_REAL = [
+    *(pytest.param(_loads(made), id=name) for name, made in MESSY.items()),
+    *(pytest.param(_loads(mesh), id=mesh.name, marks=pytest.mark.slow) for mesh in present()),
+]
+"""Functions of a folder that give the target of each messy mesh, and of the real ones that are there."""

@@ -5,7 +5,7 @@ import trimesh
 
 from keepout.geometry import ExactDistance, OffsetSolid
 
-QUERIES = 100_000
+QUERIES = 40_000
 
 
 def boxes_mesh(boxes):
@@ -53,6 +53,28 @@ def assert_sound(solid, points, exterior):
     d = solid.distance.distance(points)
     assert (signed <= d - solid.offset + 1e-12).all()
     return free
+
+
+def assert_lipschitz(solid, points, seed):
+    """No step changes the signed distance by more than its own length."""
+    rng = np.random.default_rng(seed)
+    before = solid.signed_distance(points)
+    for length in (1e-3, 0.05, 1.0):
+        step = rng.normal(size=points.shape)
+        step *= length / np.linalg.norm(step, axis=1, keepdims=True)
+        assert np.abs(solid.signed_distance(points + step) - before).max() <= length + 1e-9
+
+
+def solid_angle(target, points):
+    """Solid angle under which each point sees a mesh: 4π inside one that is closed and oriented, 0 outside."""
+    total = np.zeros(len(points))
+    for number, point in enumerate(points):
+        a, b, c = np.moveaxis(target.vertices[target.faces] - point, 1, 0)
+        la, lb, lc = (np.linalg.norm(side, axis=1) for side in (a, b, c))
+        top = (a * np.cross(b, c)).sum(1)
+        bottom = la * lb * lc + (a * b).sum(1) * lc + (b * c).sum(1) * la + (c * a).sum(1) * lb
+        total[number] = 2.0 * np.arctan2(top, bottom).sum()
+    return total
 
 
 def hollow_box(half_hole):
