@@ -4,10 +4,11 @@ import graphlib
 import zipfile
 from collections import Counter
 from pathlib import Path
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
 
 import numpy as np
 from jaxtyping import Float
-from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]  (lxml has no types)
 
 from keepout.errors import MeshError
 from keepout.geometry.mesh_files.contents import (
@@ -66,7 +67,7 @@ class _Package:
         if twice:
             raise MeshError(f"its archive has the part {twice[0][:60]!r} {names.count(twice[0])} times; once is valid")
         self._names = dict(zip(names, archive.namelist()))
-        self._objects: dict[_Key, etree._Element] = {}
+        self._objects: dict[_Key, Element] = {}
         self._read: set[str] = set()
         self._meshes: dict[_Key, tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]] = {}
         self._components: dict[_Key, list[tuple[_Key, np.ndarray]]] = {}
@@ -163,24 +164,24 @@ class _Package:
         if kind != "model":
             self._kept[f"placement of an object of type {kind[:40]!r}"] += 1
         for child in entry:
-            name = etree.QName(child).localname if isinstance(child.tag, str) else "metadata"
+            name = _name(child.tag)
             if name not in _PLAIN:
                 self._left_out[f"element, '{name[:40]}' of an object"] += 1
 
     def _main_part(self) -> str:
         if "_rels/.rels" in self._names:
-            for relation in self._parse("_rels/.rels"):
+            for relation in self._parse("_rels/.rels")[0]:
                 if relation.get("Type") == _MODEL:
                     return relation.get("Target", "").lower().strip("/")
         return "3d/3dmodel.model"
 
-    def _part(self, name: str) -> etree._Element:
+    def _part(self, name: str) -> Element:
         """Parse one model part and note its objects."""
         if name not in self._names:
             raise MeshError(f"its archive has no part {name[:60]!r}")
-        root = self._parse(name)
+        root, namespaces = self._parse(name)
         for prefix in root.get("requiredextensions", "").split():
-            namespace = root.nsmap.get(prefix, prefix)
+            namespace = namespaces.get(prefix, prefix)
             if namespace not in _READ:
                 raise MeshError(
                     f"it requires the extension {namespace[:100]}, which is not read; those read: "
@@ -194,8 +195,8 @@ class _Package:
         self._read.add(name)
         return root
 
-    def _parse(self, name: str) -> etree._Element:
-        """Inflate and parse one part of the archive, within the limits of all parts together."""
+    def _parse(self, name: str) -> tuple[Element, dict[str, str]]:
+        """Inflate and parse one part of the archive, within the limits of all parts: its root, and namespaces."""
         entry = self._archive.getinfo(self._names[name])
         if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             raise MeshError(
@@ -216,17 +217,16 @@ class _Package:
         # The format forbids document types; their entities make much of little.
         if b"<!DOCTYPE" in data:
             raise MeshError(f"its part {name[:60]!r} has a DOCTYPE, which 3MF forbids")
-        parser = etree.XMLParser(
-            resolve_entities=False, no_network=True, load_dtd=False, huge_tree=True, encoding="utf-8"
-        )
+        prefixes = _Prefixes()
         try:
-            return etree.fromstring(data, parser)
-        except etree.XMLSyntaxError as cause:
+            root = ElementTree.fromstring(data, ElementTree.XMLParser(target=prefixes, encoding="utf-8"))
+        except ElementTree.ParseError as cause:
             raise MeshError(f"its XML is damaged: {cause}") from None
+        return root, prefixes.namespaces
 
-    def _key(self, reference: etree._Element, part: str) -> _Key:
+    def _key(self, reference: Element, part: str) -> _Key:
         """Object that an item or a component refers to, in another part where it gives a path."""
-        path = next((value for key, value in reference.attrib.items() if etree.QName(key).localname == "path"), None)
+        path = next((value for key, value in reference.attrib.items() if _name(key) == "path"), None)
         part = part if path is None else str(path).lower().strip("/")
         if part not in self._read:
             self._part(part)
@@ -235,17 +235,17 @@ class _Package:
             raise MeshError(f"it refers to the object {key[1][:40]!r}, which is not there")
         return key
 
-    def _mesh(self, entry: etree._Element) -> tuple[np.ndarray, np.ndarray]:
+    def _mesh(self, entry: Element) -> tuple[np.ndarray, np.ndarray]:
         mesh = entry.find("{*}mesh")
         assert mesh is not None
         for child in mesh:
-            name = etree.QName(child).localname if isinstance(child.tag, str) else "metadata"
+            name = _name(child.tag)
             if name == "beamlattice":
-                self._left_out["lattice beam"] += sum(1 for _ in child.iter("{*}beam"))
+                self._left_out["lattice beam"] += sum(_name(part.tag) == "beam" for part in child.iter())
             elif name not in _PLAIN:
                 self._left_out[f"element, '{name[:40]}' of a mesh"] += 1
         for child in mesh.iterfind("{*}triangles/*"):
-            name = etree.QName(child).localname
+            name = _name(child.tag)
             if name != "triangle":
                 self._left_out[f"element, '{name[:40]}' among triangles"] += 1
         words = [v.get(axis, "") for v in mesh.iterfind("{*}vertices/{*}vertex") for axis in "xyz"]
@@ -260,20 +260,37 @@ class _Package:
         return vertices, faces
 
 
-def _only(parent: etree._Element, name: str) -> etree._Element | None:
+class _Prefixes(ElementTree.TreeBuilder):
+    """Builds the tree of a part, and notes which namespace each prefix stands for."""
+
+    def __init__(self):
+        super().__init__()
+        self.namespaces: dict[str, str] = {}
+
+    def start_ns(self, prefix: str | None, uri: str) -> None:
+        """Note the first meaning of a prefix: the root's, which comes first."""
+        self.namespaces.setdefault(prefix or "", uri)
+
+
+def _name(tag: str) -> str:
+    """Give a name without its namespace."""
+    return tag.rpartition("}")[2]
+
+
+def _only(parent: Element, name: str) -> Element | None:
     """Find a child that there may be one of at most."""
     children = parent.findall(f"{{*}}{name}")
     if len(children) > 1:
-        raise MeshError(f"{etree.QName(parent).localname} has {len(children)} elements {name!r}; one is valid")
+        raise MeshError(f"{_name(parent.tag)} has {len(children)} elements {name!r}; one is valid")
     return children[0] if children else None
 
 
-def _number(mesh: etree._Element, name: str) -> int:
+def _number(mesh: Element, name: str) -> int:
     """How many elements the lists of this name in a mesh hold."""
     return sum(len(entries) for entries in mesh.iterfind(f"{{*}}{name}"))
 
 
-def _transform(element: etree._Element) -> Float[np.ndarray, "4 4"]:
+def _transform(element: Element) -> Float[np.ndarray, "4 4"]:
     """Column-vector matrix of a transform attribute, which lists the rows of a row-vector one."""
     matrix = np.eye(4)
     words = element.get("transform", "").split()
