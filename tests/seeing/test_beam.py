@@ -22,7 +22,7 @@ def test_no_place_below_the_least_height_is_allowed(name):
     generator = np.random.default_rng(0)
     used = target.vertices[target.faces]
     checked = 0
-    for _ in range(300):
+    for _ in range(120):
         face = used[generator.integers(len(used))]
         normal = np.cross(face[1] - face[0], face[2] - face[0]) * generator.choice([-1.0, 1.0])
         first = (face[1] - face[0]) / np.linalg.norm(face[1] - face[0])
@@ -47,7 +47,7 @@ def test_no_place_below_the_least_height_is_allowed(name):
         below = heights < height
         assert not (kept & allowed & below).any()
         checked += int(below.sum())
-    assert checked > 30000
+    assert checked > 12000
 
 
 def test_over_a_plate_the_least_height_is_the_stand_off():

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from truths.made_meshes import patch_of, target_of
 
 from keepout.errors import InspectionError
-from keepout.geometry.distance import ExactDistance
 from keepout.geometry.target import Target
 from keepout.seeing.cut import cut
 from keepout.seeing.judge import seeable
-from keepout.seeing.patches import Patches
 from keepout.seeing.room import Room
 from keepout.seeing.rules import SeeingRules
 from keepout.seeing.seeable import Hidden, Seeable, Verdict
@@ -23,11 +22,6 @@ from keepout.seeing.visible import visible
 RULES = SeeingRules()
 
 
-def target_of(vertices, faces) -> Target:
-    """Make a target of a mesh; the report is the box's, and nothing here reads it."""
-    return Target("made", np.array(vertices, float), np.array(faces), Target.load("box").report)
-
-
 def rectangles(*parts) -> Target:
     """Make a target of rectangles, each an origin and two edges."""
     vertices, faces = [], []
@@ -36,14 +30,14 @@ def rectangles(*parts) -> Target:
         k = len(vertices)
         vertices += [o, o + a, o + a + b, o + b]
         faces += [(k, k + 1, k + 2), (k, k + 2, k + 3)]
-    return target_of(vertices, faces)
+    return target_of(np.array(vertices, float), np.array(faces))
 
 
-def judged(target: Target, size: float, stand_off: float, rules: SeeingRules = RULES, *, both: bool = True) -> Seeable:
+def judged(target: Target, size: float, stand_off: float, *, both: bool = True) -> Seeable:
     patches = cut(target, size)
     if both:
         patches = dataclasses.replace(patches, counted=np.ones(patches.units, bool))
-    return seeable(target, patches, Sightlines(target.vertices, target.faces, patches), rules, stand_off)
+    return seeable(target, patches, Sightlines(target.vertices, target.faces, patches), RULES, stand_off)
 
 
 def check_by_places(target: Target, found: Seeable, stand_off: float, places: np.ndarray) -> None:
@@ -67,17 +61,6 @@ def test_all_of_a_box_can_be_seen_from_outside_and_nothing_of_its_inner_sides():
     assert (found.verdict[~outward] == Verdict.HIDDEN).all()
     assert (found.why[~outward] == Hidden.ENCLOSED).all()
     assert found.lower == found.upper == pytest.approx(0.5)
-
-
-def test_a_hollow_large_enough_for_the_chaser_is_still_hidden():
-    # A cube of 6 m: its middle is farther from the walls than the stand-off, but no way leads there.
-    square = [((-3, -3, z), (6, 0, 0), (0, 6, 0)) for z in (-3, 3)]
-    square += [((-3, y, -3), (6, 0, 0), (0, 0, 6)) for y in (-3, 3)]
-    square += [((x, -3, -3), (0, 6, 0), (0, 0, 6)) for x in (-3, 3)]
-    found = judged(rectangles(*square), 2.0, 1.0)
-    inward = np.einsum("ui,ui->u", found.patches.unit_normals(), np.repeat(found.patches.centres, 2, axis=0)) < 0.0
-    assert (found.verdict[inward] == Verdict.HIDDEN).all()
-    assert (found.verdict[~inward] == Verdict.SEEABLE).all()
 
 
 def test_between_two_plates_only_what_the_incidence_reaches_from_the_edge():
@@ -130,7 +113,7 @@ def test_no_place_around_the_pocket_sees_what_is_called_hidden():
     assert found.upper - found.lower <= 0.002
 
 
-@settings(max_examples=4, deadline=None)
+@settings(max_examples=settings().max_examples // 6)
 @given(seed=st.integers(0, 10**6))
 def test_no_place_around_loose_triangles_sees_what_is_called_hidden(seed):
     generator = np.random.default_rng(seed)
@@ -144,7 +127,6 @@ def test_no_place_around_loose_triangles_sees_what_is_called_hidden(seed):
     check_by_places(target, found, 0.5, places[Room(target.distance, 0.5).allowed(places)])
 
 
-@settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 10**6))
 def test_a_shadow_is_where_the_sight_lines_are_blocked(seed):
     generator = np.random.default_rng(seed)
@@ -152,14 +134,10 @@ def test_a_shadow_is_where_the_sight_lines_are_blocked(seed):
     plate = size * np.array([[-0.5, -0.4], [0.5, -0.5], [0.4, 0.5], [-0.3, 0.3]])
     plate -= plate.mean(axis=0)
     corners = np.concatenate([plate, np.zeros((4, 1))], axis=1)
-    patches = Patches(
-        corners[None], np.array([4]), np.array([[0.0, 0, 1]]), np.array([size**2]), np.zeros((1, 3)), np.array([0]),
-        np.ones(2, bool), size,
-    )  # fmt: skip
     height = float(generator.uniform(1.0, 5.0))
     blocker = generator.uniform(-1.0, 1.0, (3, 3)) * [1.0, 1.0, 0.5 * height] + [0.0, 0.0, 0.5 * height]
     vertices = np.concatenate([corners, blocker])
-    sight = Sightlines(vertices, np.array([(0, 1, 2), (0, 2, 3), (4, 5, 6)]), patches)
+    sight = Sightlines(vertices, np.array([(0, 1, 2), (0, 2, 3), (4, 5, 6)]), patch_of(corners, size))
     edges = np.empty((MOST_EDGES, 3))
     number = shadow(
         blocker.reshape(1, 9), 0, np.concatenate([np.zeros((1, 3)), np.eye(3)]), plate, 4, height, 2.5, 10.0, edges,
@@ -176,15 +154,7 @@ def test_a_shadow_is_where_the_sight_lines_are_blocked(seed):
             assert (~inside & ~clear).sum() <= 4
 
 
-def test_a_camera_must_come_as_near_as_its_corners_allow():
-    # A plate of 4 m as one patch: at 60 degrees to its farthest corner, 2.83 m away, at least 1.63 m above its middle.
-    target = rectangles(((-2, -2, 0), (4, 0, 0), (0, 4, 0)))
-    wide, short = SeeingRules(), SeeingRules(greatest_range=3.2)
-    assert (judged(target, 4.0, 1.0, wide).verdict == Verdict.SEEABLE).all()
-    assert (judged(target, 4.0, 1.0, short).verdict == Verdict.HIDDEN).all()
-
-
-def test_a_proof_that_a_clock_ends_says_so_and_what_is_counted_ends_where_it_did():
+def test_a_proof_that_a_clock_ends_says_so_what_is_counted_ends_where_it_did_and_another_room_is_refused():
     target = Target.load("box")
     patches = cut(target, 0.5)
     sight = Sightlines(target.vertices, target.faces, patches)
@@ -194,11 +164,5 @@ def test_a_proof_that_a_clock_ends_says_so_and_what_is_counted_ends_where_it_did
     whole, again = (seeable(target, patches, sight, RULES, 1.5, squares=count) for count in (10**9, 1))
     assert not whole.by_clock
     assert 0 < again.squares <= whole.squares
-
-
-def test_a_room_of_another_stand_off_is_refused():
-    target = Target.load("box")
-    patches = cut(target, 0.5)
-    sight = Sightlines(target.vertices, target.faces, patches)
     with pytest.raises(InspectionError, match=r"stand-off of 1 m, not 1\.5 m"):
-        seeable(target, patches, sight, RULES, 1.5, room=Room(ExactDistance(target.vertices, target.faces), 1.0))
+        seeable(target, patches, sight, RULES, 1.5, room=Room(target.distance, 1.0))

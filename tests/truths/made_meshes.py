@@ -4,6 +4,7 @@ import numpy as np
 
 from keepout.geometry import Target
 from keepout.geometry.mesh_report import Surface, describe
+from keepout.seeing.patches import Patches
 
 
 def target_of(vertices, faces, name="made"):
@@ -26,3 +27,16 @@ def plate(lower, upper, height):
     (x0, y0), (x1, y1) = lower, upper
     corners = np.array([[x0, y0, height], [x1, y0, height], [x1, y1, height], [x0, y1, height]])
     return corners, np.array([[0, 1, 2], [0, 2, 3]])
+
+
+def patch_of(corners, size=16.0):
+    """The patch that a convex plane polygon is; both its sides count."""
+    corners = np.asarray(corners, dtype=np.float64)
+    spokes = corners[1:] - corners[0]
+    twice = np.cross(spokes[:-1], spokes[1:]).sum(axis=0)
+    area, counted = 0.5 * np.linalg.norm(twice), np.array([True, True])
+    normal, middle = twice / (2.0 * area), corners.mean(axis=0)
+    return Patches(
+        *(corners[None], np.array([len(corners)]), normal[None], np.array([area]), middle[None], np.array([0])),
+        *(counted, size),
+    )
