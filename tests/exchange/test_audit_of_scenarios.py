@@ -96,20 +96,16 @@ def test_the_attitude_file_says_how_the_mesh_lies(flown):
     assert any("is at rotation (point - origin)" in line for line in lines)
     told = [line.split(": ")[1].rstrip(".") for line in lines if "Rotation, row" in line]
     np.testing.assert_array_equal([[float(number) for number in row.split()] for row in told], ROTATION)
-    assert any(
-        line.endswith("Origin in file axes: 0.59999999999999998 -0.40000000000000002 0.20000000000000001 m.")
-        for line in lines
-    )
+    [origin] = [line.split(": ")[1].removesuffix(" m.") for line in lines if "Origin in file axes" in line]
+    assert [float(number) for number in origin.split()] == [0.6, -0.4, 0.2]
 
 
 @pytest.mark.parametrize(
     ("options", "said", "code"),
     [
         (["--target", "mission.toml", "--target-units", "mm"], "--target-units: not with the scenario", 2),
-        (["--target", "mission.toml", "--target-drop-stray"], "--target-drop-stray: not with the scenario", 2),
         (["--target", "absent.toml"], "absent.toml: cannot be read", 1),
         (["--target", "box", "--target-rotation", *[1, 0, 0, 0, 1, 0, 0, 0, 2]], "rotation: [[1.0, 0.0, 0.0]", 1),
-        (["--target", "block.stl", "--target-scale", "-1"], "--target-scale", 2),
         (["--target", "block.stl", "--target-units", "mm", "--target-scale", "2"], "either units or scale", 2),
     ],
 )

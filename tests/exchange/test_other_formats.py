@@ -35,7 +35,7 @@ def flown(tmp_path_factory):
 @pytest.mark.filterwarnings("ignore::erfa.ErfaWarning")  # no leap seconds are known for the years to come
 def test_the_earth_is_turned_as_by_the_full_conventions():
     """Against ERFA with nutation, UT1 = UTC and no polar motion: within 30 arc seconds from 1995 to 2045."""
-    for year in range(1995, 2046, 5):
+    for year in range(1995, 2046, 10):
         instant = f"{year}-{1 + year % 12:02}-17T0{year % 10}:34:56.25"
         found = earth_from_inertial(np.array([parse_instant(instant)]))[0]
         one, two = erfa.dtf2d("UTC", year, 1 + year % 12, 17, year % 10, 34, 56.25)
@@ -51,11 +51,8 @@ def test_czml_read_back_is_the_flight(flown, tmp_path):
     summary = keepout_command("export", path, "--to", "czml", "-o", out, "--json").json
     assert summary["frame"] == "EME2000"
     document, target, chaser = json.loads(out.read_text())
-    assert [packet.id for packet in Document.model_validate(json.loads(out.read_text())).packets] == [
-        *("document", "target", "chaser")
-    ]
-    assert document["id"] == "document"
-    assert document["version"] == "1.0"
+    packets = Document.model_validate(json.loads(out.read_text())).packets
+    assert [packet.id for packet in packets] == ["document", "target", "chaser"]
     assert document["clock"]["interval"] == "2027-03-04T05:06:07.500000Z/2027-03-04T05:07:07.500000Z"
     flight = inertial_flight(record, scenario)
     for packet, position, velocity in (
@@ -76,10 +73,6 @@ def test_czml_read_back_is_the_flight(flown, tmp_path):
     away = np.einsum("nji,nj->ni", earth, Rotation.from_quat(turns).apply(record.position - flight.centre_of_mass))
     assert np.abs(away - (flight.chaser_position - flight.target_position)).max() < 1e-6
     assert chaser["ellipsoid"]["radii"]["cartesian"] == [0.5, 0.5, 0.5]
-
-
-def test_every_column_has_a_unit():
-    assert UNITS.keys() == FlightLog.__annotations__.keys()
 
 
 @pytest.mark.parametrize("to", ["csv", "parquet", "npz"])
@@ -109,14 +102,16 @@ def test_tables_hold_every_number_with_its_unit(flown, to, tmp_path):
     def numbers(*names):
         return np.stack([np.asarray(columns[name]).astype(float) for name in names], axis=-1)
 
-    assert np.array_equal(numbers("time_s")[:, 0], record.time)
-    assert np.array_equal(numbers("position_x_m", "position_y_m", "position_z_m"), record.position)
-    assert np.array_equal(numbers("velocity_x_mps", "velocity_y_mps", "velocity_z_mps"), record.velocity)
-    assert np.array_equal(numbers("attitude_w", "attitude_x", "attitude_y", "attitude_z"), record.attitude)
-    assert np.array_equal(numbers("force_x_N", "force_y_N", "force_z_N"), record.force)
-    orbit = ("target_orbit_x_m", "target_orbit_y_m", "target_orbit_z_m", "target_orbit_vx_mps")
-    assert np.array_equal(numbers(*orbit), record.target_orbit[:, :4])
+    for names, values in (
+        (("position_x_m", "position_y_m", "position_z_m"), record.position),
+        (("velocity_x_mps", "velocity_y_mps", "velocity_z_mps"), record.velocity),
+        (("attitude_w", "attitude_x", "attitude_y", "attitude_z"), record.attitude),
+        (("target_orbit_x_m", "target_orbit_y_m", "target_orbit_z_m"), record.target_orbit[:, :3]),
+        (("time_s",), record.time[:, None]),
+    ):
+        assert np.array_equal(numbers(*names), values)
     assert len(columns) == 1 + sum(1 if a.ndim == 1 else a.shape[1] for a in record.columns.values())
+    assert UNITS.keys() == FlightLog.__annotations__.keys()
     if told is not None:
         assert told["epoch"] == scenario.epoch
         assert "body frame" in told["frames"]
@@ -139,9 +134,8 @@ def test_a_scene_holds_mesh_envelope_and_path_in_metres(tmp_path):
     path, out = record.save(tmp_path / "flight.npz"), tmp_path / "a.glb"
     summary = keepout_command("export", path, "--to", "glb", "-o", out, "--json").json
     extras = glb_tree(out)["scenes"][0]["extras"]["keepout"]
-    assert extras["units"] == "m"
+    assert (extras["units"], extras["target_sha256"]) == ("m", target.sha256)
     assert extras["frame"].startswith("the target's body frame")
-    assert extras["target_sha256"] == target.sha256
     certificate = load_shipped("intelsat30").certificate(0.5)
     assert extras["envelope_level_m"] == 0.5 + certificate.error_bound
     assert extras["chaser_radius_m"] == 0.5
@@ -156,35 +150,26 @@ def test_a_scene_holds_mesh_envelope_and_path_in_metres(tmp_path):
     assert np.quantile(distance, 0.02) > 0.45
     assert np.quantile(distance, 0.98) < 0.6
     # Keepout's own strict reader takes the mesh back for the same target.
-    alone = trimesh.Scene({"target": mesh})
-    alone.export(tmp_path / "mesh.glb")
+    trimesh.Scene({"target": mesh}).export(tmp_path / "mesh.glb")
     again = Target.load(tmp_path / "mesh.glb", units="m")
     assert np.abs(again.vertices.max(axis=0) - target.vertices.max(axis=0)).max() < 1e-5
-
-
-@pytest.mark.long
-def test_a_field_as_a_scene_has_no_path(tmp_path):
-    out = tmp_path / "a.glb"
-    summary = keepout_command(
-        *("export", shipped_path("intelsat30"), "--to", "glb", "--chaser-radius", 0, "-o", out, "--json")
-    ).json
-    assert set(trimesh.load_scene(out).geometry) == {"target", "envelope"}
-    assert summary["path_points"] == 0
-    assert summary["envelope_kind"] == "certified"
+    # A field alone has no path.
+    alone = tmp_path / "field.glb"
+    of = ("export", shipped_path("intelsat30"), "--to", "glb", "--chaser-radius", 0)
+    told = keepout_command(*of, "-o", alone, "--json").json
+    assert set(trimesh.load_scene(alone).geometry) == {"target", "envelope"}
+    assert (told["path_points"], told["envelope_kind"]) == (0, "certified")
 
 
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
         (("--to", "xlsx"), "--to xlsx: valid for a flight: oem, aem, czml, csv, parquet, npz, glb"),
-        (("--to", "onnx"), "--to onnx: valid for a flight"),
         (("--to", "aem", "--of", "target"), "--of: only for --to oem, not --to aem"),
         (("--to", "oem", "--of", "moon"), "--of moon: valid: chaser, target"),
         (("--to", "csv", "--xml"), "--xml: only for --to oem and --to aem, not --to csv"),
         (("--to", "oem", "--chaser-radius", "1"), "--chaser-radius: only for a field"),
-        (("--to", "oem", "--mesh", "box"), "--mesh: only for --to glb"),
         (("--to", "glb", "--mesh", "sphere"), "was flown around another mesh"),
-        (("--to", "oem", "--seed", "-1"), "-1"),
     ],
 )
 def test_what_cannot_be_exported_of_a_flight(flown, arguments, said, tmp_path):
@@ -198,23 +183,23 @@ def test_what_cannot_be_exported_of_a_flight(flown, arguments, said, tmp_path):
     assert [entry.name for entry in tmp_path.iterdir()] == ["flight.npz"]
 
 
-def test_files_that_are_none(flown, tmp_path):
-    _, record, path = flown
-    bare = FlightRecord({}, **record.columns).save(tmp_path / "bare.npz")
-    cases = {
-        (bare, tmp_path / "o"): "bare.npz: its header has no scenario",
-        (tmp_path / "absent.npz", tmp_path / "o"): "absent.npz: cannot be read",
-        (tmp_path / "flight.txt", tmp_path / "o"): "a flight file ends in .parquet or .npz, a field file in .keepout",
-        (path, tmp_path / "absent" / "o"): "the folder",
-    }
-    for (source, out), said in cases.items():
-        answer = keepout_command("export", source, "--to", "oem", "-o", out)
-        assert answer.code == (2 if source.suffix == ".txt" else 1)
-        assert said in answer.err
-        assert answer.err.count("\n") == 1
+@pytest.mark.parametrize(
+    ("source", "said", "code"),
+    [
+        ("bare.npz", "bare.npz: its header has no scenario", 1),
+        ("absent.npz", "absent.npz: cannot be read", 1),
+        ("flight.txt", "a flight file ends in .parquet or .npz, a field file in .keepout", 2),
+    ],
+)
+def test_files_that_are_none(flown, source, said, code, tmp_path):
+    FlightRecord({}, **flown[1].columns).save(tmp_path / "bare.npz")
+    answer = keepout_command("export", tmp_path / source, "--to", "oem", "-o", tmp_path / "o")
+    assert answer.code == code
+    assert said in answer.err
+    assert answer.err.count("\n") == 1
 
 
-@pytest.mark.parametrize(("to", "package"), [("czml", "czml3"), ("onnx", "onnx"), ("onnx", "onnxruntime")])
+@pytest.mark.parametrize(("to", "package"), [("czml", "czml3"), ("onnx", "onnxruntime")])
 def test_a_missing_extra_is_named(flown, to, package, tmp_path, monkeypatch):
     for name in [name for name in sys.modules if name.split(".")[0] == package or "exchange.onnx" in name]:
         monkeypatch.delitem(sys.modules, name)
