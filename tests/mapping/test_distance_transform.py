@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 
@@ -23,22 +23,10 @@ def whole(free, cap):
     return np.minimum(np.rint(distance_transform_edt(~corner) ** 2), cap * cap)
 
 
-@settings(max_examples=25)
 @given(st.integers(0, 10**6), st.sampled_from([8, 24, 32, 40, 72]), st.integers(1, 40), st.floats(0.0, 4.0))
 def test_squares_are_those_of_the_whole_grid(seed, cubes, cap, rarity):
     free = np.random.default_rng(seed).random((cubes, cubes, cubes)) >= 10.0**-rarity * 0.5
     np.testing.assert_array_equal(squares_of(free, cap), whole(free, cap))
-
-
-def test_a_single_cube_by_hand():
-    free = np.ones((16, 16, 16), dtype=bool)
-    free[8, 8, 8] = False
-    squares = squares_of(free, 5)
-    assert squares[8, 8, 8] == squares[9, 9, 9] == 0
-    assert squares[7, 8, 9] == 1
-    assert squares[6, 11, 9] == 4 + 4
-    assert squares[12, 8, 8] == 9
-    assert squares[0, 0, 0] == squares[14, 8, 8] == 25
 
 
 @pytest.mark.parametrize("cap", [1, 12, 33])
@@ -49,7 +37,7 @@ def test_local_renewal_gives_the_whole_transform(cap):
     free = generator.random((cubes, cubes, cubes)) < 0.99999
     free[24:64, 20:60, 28:62] = False
     squares = squares_of(free, cap)
-    for _ in range(25):
+    for _ in range(12):
         before = squares.copy()
         middle, half = generator.integers(20, 64, 3), generator.integers(1, 14, 3)
         opened = np.zeros_like(free)

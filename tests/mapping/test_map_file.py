@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import safetensors
 import safetensors.numpy
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from truths.depth_views import Ball, axes_towards, view_of
 
@@ -51,10 +51,10 @@ def same(one, two):
     ]
 
 
-@pytest.mark.parametrize("limit", [5.0, math.inf])
-def test_a_map_reads_back_bit_for_bit(tmp_path, limit):
-    known = see(begin(speed_limit=limit), PLACES)
-    assert known.views == 4
+@pytest.mark.parametrize(("limit", "places"), [(5.0, PLACES), (math.inf, PLACES), (5.0, [])])
+def test_a_map_reads_back_bit_for_bit(tmp_path, limit, places):
+    known = see(begin(speed_limit=limit), places)
+    assert known.views == len(places)
     same(load(save(known, tmp_path / "a.keepmap"), name="bodies", spacing=0.1), known)
 
 
@@ -83,10 +83,6 @@ def test_a_file_of_version_1_says_nothing_and_that_is_said(tmp_path):
     assert load(save(read, tmp_path / "b.keepmap")).assumptions_broken == (line,)
 
 
-def test_an_empty_map_reads_back(tmp_path):
-    same(load(save(begin(), tmp_path / "a.keepmap")), begin())
-
-
 def test_a_resumed_map_is_the_map_that_was_never_written(tmp_path):
     whole = see(see(begin(), PLACES[:2]), PLACES[2:])
     resumed = see(load(save(see(begin(), PLACES[:2]), tmp_path / "a.keepmap")), PLACES[2:])
@@ -102,18 +98,11 @@ def test_an_old_file_stays_where_a_new_one_cannot_be_written(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("wanted", "words"),
-    [
-        ({"name": "hubble"}, ["'bodies'", "'hubble'"]),
-        ({"spacing": 0.2}, ["0.1 m", "0.2 m"]),
-    ],
+    ("wanted", "words"), [({"name": "hubble"}, "'bodies'.*'hubble'"), ({"spacing": 0.2}, r"0\.1 m.*0\.2 m")]
 )
 def test_a_map_of_something_else_is_refused(tmp_path, wanted, words):
-    path = save(begin(), tmp_path / "a.keepmap")
-    with pytest.raises(MapError) as refusal:
-        load(path, **wanted)
-    assert all(word in str(refusal.value) for word in words)
-    assert "\n" not in str(refusal.value)
+    with pytest.raises(MapError, match=f"^[^\n]*{words}[^\n]*$"):
+        load(save(begin(), tmp_path / "a.keepmap"), **wanted)
 
 
 def test_endings_and_missing_files_are_said(tmp_path):
@@ -121,25 +110,26 @@ def test_endings_and_missing_files_are_said(tmp_path):
         save(begin(), tmp_path / "a.npz")
     with pytest.raises(MapError, match="no such file"):
         load(tmp_path / "none.keepmap")
+    path = tmp_path / "field.keepmap"
+    path.write_bytes(safetensors.numpy.save({"a": np.zeros(3)}, {"format": "keepout-field"}))
+    with pytest.raises(MapError, match="not a map file"):
+        load(path)
 
 
-CONTENT = None
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    return save(see(begin(), PLACES), tmp_path_factory.mktemp("map") / "whole.keepmap")
 
 
-@settings(max_examples=80)
 @given(data=st.data())
-def test_damage_is_refused_in_one_line_or_changes_nothing(tmp_path_factory, data):
-    global CONTENT
-    folder = tmp_path_factory.getbasetemp()
-    if CONTENT is None:
-        CONTENT = save(see(begin(), PLACES), folder / "whole.keepmap").read_bytes()
-    damaged = bytearray(CONTENT)
+def test_damage_is_refused_in_one_line_or_changes_nothing(whole, data):
+    damaged = bytearray(whole.read_bytes())
     if data.draw(st.booleans()):
         del damaged[data.draw(st.integers(0, len(damaged) - 1)) :]
     else:
         place = data.draw(st.integers(0, len(damaged) - 1) | st.integers(0, 1500))
         damaged[place] ^= data.draw(st.integers(1, 255))
-    path = folder / "damaged.keepmap"
+    path = whole.with_name("damaged.keepmap")
     path.write_bytes(damaged)
     refusal = ""
     try:
@@ -150,7 +140,7 @@ def test_damage_is_refused_in_one_line_or_changes_nothing(tmp_path_factory, data
         assert refusal.startswith(f"{path}: ")
         assert "\n" not in refusal
     else:  # another white space between entries
-        same(read, load(folder / "whole.keepmap"))
+        same(read, load(whole))
 
 
 def rewritten(path, change):
@@ -200,13 +190,6 @@ def test_a_file_that_fits_its_checksum_and_not_itself_is_refused(tmp_path, case)
     with pytest.raises(MapError, match=words) as refusal:
         load(path)
     assert "\n" not in str(refusal.value)
-
-
-def test_another_kind_of_file_is_named_so(tmp_path):
-    path = tmp_path / "field.keepmap"
-    path.write_bytes(safetensors.numpy.save({"a": np.zeros(3)}, {"format": "keepout-field"}))
-    with pytest.raises(MapError, match="not a map file"):
-        load(path)
 
 
 def test_the_fingerprint_is_of_every_setting():

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from keepout.mapping import Pinhole, SensorBounds, View
 from keepout.mapping.rule import SLACK
@@ -114,22 +115,26 @@ def _rectangle(local, radius, camera):
 
 
 def freed_by_rectangles(known, view):
-    """Which cubes the rule frees, each window the exact bounding rectangle of the ball: one cube after another."""
+    """Which cubes not yet free the rule frees, each window the exact bounding rectangle of the ball."""
     camera, empty = view.camera, _empty(view, known.bounds)
     local, distance, radius, clear, fits = _in_camera(known, view, cube_centres(known))
+    fits &= ~known.free
+    left, right, top, bottom = _rectangle(local[fits], radius[fits], camera)
+    inside = (left >= 0.0) & (top >= 0.0) & (right <= camera.width) & (bottom <= camera.height)
+    cubes, limit = np.argwhere(fits)[inside], distance[fits][inside] + clear
+    left, right, top, bottom = (np.floor(side[inside]).astype(int) for side in (left, right, top, bottom))
+    sizes = np.stack([bottom - top, right - left], axis=1) + 1
     freed = np.zeros_like(known.free)
-    for cube in zip(*np.nonzero(fits), strict=True):
-        left, right, top, bottom = _rectangle(local[cube], radius[cube], camera)
-        if left < 0.0 or top < 0.0 or right > camera.width or bottom > camera.height:
-            continue
-        rows = slice(int(np.floor(top)), int(np.floor(bottom)) + 1)
-        columns = slice(int(np.floor(left)), int(np.floor(right)) + 1)
-        freed[cube] = (empty[rows, columns] > distance[cube] + clear).all()
+    for rows, columns in np.unique(sizes, axis=0):
+        least = sliding_window_view(empty, rows, axis=0).min(axis=2)
+        least = sliding_window_view(least, columns, axis=1).min(axis=2)
+        alike = (sizes == (rows, columns)).all(axis=1)
+        freed[tuple(cubes[alike].T)] = least[top[alike], left[alike]] > limit[alike]
     return freed
 
 
-def freed_by_projections(known, view):
-    """Which cubes may be freed where the window is every pixel whose square meets the ball's projection, and no other.
+def freed_by_projections(known, view, cubes):
+    """Which of some cubes may be freed where the window is every pixel whose square meets the ball's projection.
 
     The projection is {u : |u|² |c|² cos² a <= (c . u)²} on the plane u = (x, y, 1), an ellipse; a convex quadratic is
     least over a square at its own lowest point or on a side.
@@ -140,19 +145,19 @@ def freed_by_projections(known, view):
     top = (np.arange(camera.height) - 0.5 * camera.height) / camera.focal
     step = 1.0 / camera.focal
     x0, y0 = np.meshgrid(left, top)
-    freed = np.zeros_like(known.free)
-    for cube in zip(*np.nonzero(fits), strict=True):
+
+    def may_be(cube):
         c = local[cube]
         sides = _rectangle(c, radius[cube], camera)
         if sides[0] < 0.0 or sides[2] < 0.0 or sides[1] > camera.width or sides[3] > camera.height:
-            continue
+            return False
         form = (c @ c - radius[cube] ** 2) * np.eye(3) - np.outer(c, c)
 
-        def value(x, y, form=form):
+        def value(x, y):
             u = np.stack([x, y, np.ones_like(x)])
             return np.einsum("i...,ij,j...->...", u, form, u)
 
-        def along(x, y, axis, form=form, value=value):
+        def along(x, y, axis):
             """Least value on a side that begins at (x, y) and runs along an axis."""
             u = np.stack([x, y, np.ones_like(x)])
             slope = 2.0 * np.einsum("j,j...->...", form[axis], u)
@@ -165,5 +170,6 @@ def freed_by_projections(known, view):
         middle = np.linalg.solve(form[:2, :2], -form[:2, 2])
         holds = (x0 <= middle[0]) & (middle[0] <= x0 + step) & (y0 <= middle[1]) & (middle[1] <= y0 + step)
         meets = holds | (least <= 0.0)
-        freed[cube] = (empty[meets] > distance[cube] + clear).all()
-    return freed
+        return bool((empty[meets] > distance[cube] + clear).all())
+
+    return np.array([bool(fits[cube]) and may_be(cube) for cube in map(tuple, cubes)], dtype=bool)
