@@ -35,14 +35,6 @@ def test_a_batch_is_one_call_and_each_flight_gets_its_own():
     np.testing.assert_allclose(nested[0], TABLE[place[0]].sum(axis=-1) * jnp.sin(x), rtol=1e-14)
 
 
-def test_a_table_of_each_flight():
-    place, x = drawn(5, 3)
-    tables = jnp.stack([TABLE * k for k in range(5)])
-    answer = jax.vmap(lambda t, p, x: joined_rows(looked_up([]), t, (p, x))["sum"])(tables, place, x)
-    expected = np.stack([k * TABLE[place[k]].sum(axis=-1) * jnp.sin(x[k]) for k in range(5)])
-    np.testing.assert_allclose(answer, expected, rtol=1e-14)
-
-
 def test_derivatives_of_both_directions_alone_and_in_a_batch():
     place, x = drawn(5, 3)
 

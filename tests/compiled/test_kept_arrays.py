@@ -1,19 +1,15 @@
 """Arrays on disk: the same bits as made anew, and only where all that they are made from is the same."""
 
 import os
-import warnings
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from keepout.compiled.kept_arrays import kept_arrays
-from keepout.compiled.kept_programs import VARIABLE, KeptProgramsWarning, keep_programs
+from keepout.compiled.kept_programs import KeptProgramsWarning
 from keepout.fields.analytic import SphereField
 from keepout.fields.own import stated_field
-from keepout.geometry.target import Target
-from keepout.replay import surfaces
-from keepout.replay.surfaces import drawn_surface
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "getuid"), reason="no owners and modes of files here")
 
@@ -71,33 +67,19 @@ def test_another_version_of_a_library_makes_anew(folder, made, monkeypatch):
     assert len(calls) == 2
 
 
-def damage_first(path):
-    content = path.read_bytes()
-    path.write_bytes(bytes([content[0] ^ 1]) + content[1:])
-
-
-def cut_short(path):
-    path.write_bytes(path.read_bytes()[:-9])
-
-
-def empty(path):
-    path.write_bytes(b"")
-
-
-@pytest.mark.parametrize("damage", [damage_first, cut_short, empty])
+@pytest.mark.parametrize(
+    "damage", [lambda whole: bytes([whole[0] ^ 1]) + whole[1:], lambda whole: whole[:-9], lambda _: b""]
+)
 def test_a_damaged_file_is_one_warning_and_mended(folder, made, damage):
     calls, make = made
     first = kept_arrays("numbers", SPHERE, make)
     [path] = entries(folder)
-    damage(path)
+    path.write_bytes(damage(path.read_bytes()))
     with pytest.warns(KeptProgramsWarning, match="damaged") as said:
         again = kept_arrays("numbers", SPHERE, make)
     assert len(said) == 1
-    assert len(calls) == 2
     assert again["numbers"].tobytes() == first["numbers"].tobytes()
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        kept_arrays("numbers", SPHERE, make)
+    kept_arrays("numbers", SPHERE, make)
     assert len(calls) == 2
 
 
@@ -108,30 +90,3 @@ def test_what_cannot_be_told_apart_is_not_kept(folder, made):
         kept_arrays("numbers", own, make)
     assert len(calls) == 2
     assert entries(folder) == []
-
-
-def test_without_a_folder_nothing_is_kept(folder, made, monkeypatch):
-    calls, make = made
-    monkeypatch.setenv(VARIABLE, "off")
-    keep_programs.cache_clear()
-    for _ in range(2):
-        kept_arrays("numbers", SPHERE, make)
-    assert len(calls) == 2
-    assert entries(folder) == []
-
-
-def test_a_drawn_surface_is_cut_once(folder, monkeypatch):
-    distance = Target.load("box").distance
-    field = SphereField(jnp.zeros(3), jnp.asarray(1.5))
-    cut, cuts = surfaces._cut, []
-    monkeypatch.setattr(surfaces, "_cut", lambda *given: cuts.append(1) or cut(*given))
-    first = drawn_surface(field, distance, 0.5, steepest=1.0)
-    again = drawn_surface(field, distance, 0.5, steepest=1.0)
-    assert len(cuts) == 1
-    for name in ("vertices", "normals", "faces"):
-        assert getattr(first, name).tobytes() == getattr(again, name).tobytes()
-        assert getattr(first, name).dtype == getattr(again, name).dtype
-    assert (first.spacing, first.within) == (again.spacing, again.within)
-    np.testing.assert_allclose(np.linalg.norm(again.vertices, axis=1), 2.0, atol=0.01)
-    drawn_surface(field, distance, 0.6, steepest=1.0)
-    assert len(cuts) == 2
