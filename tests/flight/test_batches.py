@@ -1,3 +1,7 @@
+"""Campaigns: each flight is that flown alone, whatever flies beside it, and what flights share is computed once."""
+
+import functools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -7,27 +11,51 @@ from truths.flights import KEY, STEPS, make_setup, start_state
 
 from keepout.errors import ScenarioError
 from keepout.flight import FlightOutcome, fly, outcome
-from keepout.flight.batches import fly_batches, states_at
+from keepout.flight.batches import TARGET, _fly_batch, _shared, alike_among, flight_key, fly_batches, states_at
 from keepout.flight.faults import WrongEstimate
-from keepout.motion import ConstantDisturbance
+from keepout.flight.loop import start, step
+from keepout.flight.record import FlightRecord
+from keepout.motion import ConstantDisturbance, Tumbling
+from keepout.motion.thrusters.layout import preset
+from keepout.motion.thrusters.on_off import OnOffThrusters
 
-NAMES = [name for name in FlightOutcome.__annotations__ if name != "propellant"]
+TUMBLING = Tumbling([0.002, -0.003, 0.001], np.diag([1.0, 2.0, 2.5]))
 
 
-def shell(generator, count):
-    direction = generator.standard_normal((count, 3))
-    return 8 * direction / np.linalg.norm(direction, axis=1, keepdims=True), np.zeros((count, 3))
+def starts(setup, count, seed=3):
+    direction = np.random.default_rng(seed).standard_normal((count, 3))
+    position = 8 * direction / np.linalg.norm(direction, axis=1, keepdims=True)
+    return states_at(setup.motion, position, np.zeros((count, 3)))
+
+
+def tumbling_setup(**changes):
+    return eqx.tree_at(lambda s: s.motion.attitude_motion, make_setup(**changes), TUMBLING)
+
+
+def flown(setup, states, columns=("position",), **options):
+    """The columns of all flights, and their outcomes."""
+    parts = []
+    result = fly_batches(setup, states, STEPS, columns=columns, landed=lambda _, log: parts.append(log), **options)
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}, result
+
+
+def on_off(*, stuck=None, stuck_from=20.0, **numbers):
+    layout = preset("12", arm=0.5, **numbers)
+    chosen = {"stuck": stuck, "stuck_from": stuck_from, "detection_time": 5.0, "delta_sigma": stuck is None}
+    return OnOffThrusters.of(layout, force_limit=0.1, period=1.0, **chosen)
 
 
 @pytest.fixture(scope="module")
-def flown():
-    setup = make_setup()
-    states = states_at(setup.motion, *shell(np.random.default_rng(3), 7))
-    chunks, reports = {}, []
+def campaign():
+    """Seven flights with errors of the estimate and thrusters that are on or off, three at a time."""
+    thrusters = on_off(force=0.05, misalignment=0.02, scale_error=0.02, rise_delay=0.005)
+    setup = make_setup(faults=WrongEstimate(0.1, 0.0, 0.1, 0.01), thrusters=thrusters)
+    states, chunks, reports = starts(setup, 7), {}, []
     result = fly_batches(
         setup,
         states,
         STEPS,
+        seed=5,
         columns=("position", "guard_status"),
         landed=lambda first, log: chunks.update({first: log}),
         batch=3,
@@ -38,20 +66,22 @@ def flown():
 
 
 @pytest.mark.long
-def test_a_campaign_is_its_single_flights(flown):
-    setup, states, result, chunks, _ = flown
+def test_a_campaign_is_its_single_flights(campaign):
+    setup, states, result, chunks, _ = campaign
     position = np.concatenate([chunks[first]["position"] for first in sorted(chunks)])
     assert position.shape == (7, STEPS + 1, 3)
     for index in (0, 4, 6):
-        log = fly(setup, jax.tree.map(lambda x, i=index: x[i], states), STEPS, KEY)
-        np.testing.assert_allclose(position[index], log.position, atol=1e-12)
+        log = fly(setup, jax.tree.map(lambda x, i=index: x[i], states), STEPS, flight_key(5, index))
+        np.testing.assert_allclose(position[index], log.position, atol=1e-11)
         alone = outcome(setup, log)
-        for name in NAMES:
-            np.testing.assert_allclose(getattr(result, name)[index], getattr(alone, name), rtol=1e-10, err_msg=name)
+        for name in FlightOutcome.__annotations__:
+            np.testing.assert_allclose(getattr(result, name)[index], getattr(alone, name), rtol=1e-9, err_msg=name)
+    assert len(set(result.propellant.tolist())) == 7
 
 
-def test_batches_land_whole_and_once(flown):
-    *_, chunks, reports = flown
+@pytest.mark.long
+def test_batches_land_whole_and_once(campaign):
+    *_, chunks, reports = campaign
     assert {first: len(log["position"]) for first, log in chunks.items()} == {0: 3, 3: 3, 6: 1}
     assert set(chunks[0]) == {"position", "guard_status"}
     assert [fraction for fraction, _ in reports] == pytest.approx([3 / 7, 6 / 7, 1.0])
@@ -59,31 +89,26 @@ def test_batches_land_whole_and_once(flown):
 
 
 @pytest.mark.long
-def test_flown_in_parts_each_flight_is_the_same():
-    noisy = WrongEstimate(0.0, 0.0, 0.1, 0.01)
-    setup = make_setup(faults=noisy)
-    states = states_at(setup.motion, *shell(np.random.default_rng(3), 7))
+def test_flown_in_parts_or_alone_each_flight_is_the_same_to_the_bit():
+    setup = make_setup(faults=WrongEstimate(0.1, 0.0, 0.1, 0.01))
+    states = starts(setup, 7)
 
-    def positions(first, last, *, place=None):
-        place = first if place is None else place
-        part, parts = jax.tree.map(lambda x: x[first:last], states), []
-        landed = lambda _, log: parts.append(log["position"])  # noqa: E731
-        fly_batches(setup, part, STEPS, seed=5, first=place, columns=("position",), landed=landed, batch=4)
-        return np.concatenate(parts)
+    def part(first, last, place):
+        some = jax.tree.map(lambda x: x[first:last], states)
+        return flown(setup, some, seed=5, batch=4, first=place, alike=alike_among(states))[0]["position"]
 
-    whole = positions(0, 7)
-    assert whole.shape == (7, STEPS + 1, 3)
-    np.testing.assert_array_equal(np.concatenate([positions(0, 4), positions(4, 7)]), whole)
+    whole = flown(setup, states, seed=5, batch=4, workers=2)[0]["position"]
+    for first, last in ((0, 4), (4, 7), (3, 4), (6, 7)):
+        np.testing.assert_array_equal(part(first, last, first), whole[first:last])
     # In another place, from the same starts, other noise.
-    assert np.abs(positions(4, 7, place=0) - whole[4:]).max() > 1e-3
+    assert np.abs(part(4, 7, 0) - whole[4:]).max() > 1e-3
 
 
 def test_flights_begin_where_they_are_told_to():
-    motion, (position, velocity) = make_setup().motion, shell(np.random.default_rng(1), 5)
-    moving = states_at(motion, position, velocity + 0.01)
+    motion, position = make_setup().motion, np.random.default_rng(1).normal(size=(5, 3))
+    moving = states_at(motion, position, np.full((5, 3), 0.01))
     np.testing.assert_array_equal(moving.position, position)
     np.testing.assert_array_equal(moving.velocity, np.full((5, 3), 0.01))
-    assert moving.attitude.shape == (5, 4)
     resting, alone = states_at(motion, position), motion.initial_state(position[3], np.zeros(3))
     for one, other in zip(jax.tree.leaves(resting), jax.tree.leaves(alone), strict=True):
         np.testing.assert_allclose(one[3], other, rtol=1e-14)
@@ -91,38 +116,113 @@ def test_flights_begin_where_they_are_told_to():
 
 @pytest.mark.long
 def test_what_varies_differs_between_flights():
-    pushes = jnp.array([[0.0, 0.0, 0.0], [0.05, 0.0, 0.0]])
-    setup = make_setup(disturbance=ConstantDisturbance([0.0, 0.0, 0.0]))
-    many = eqx.tree_at(lambda s: s.disturbance.constant, setup, pushes)
-    states = jax.vmap(lambda r: start_state(setup, r))(jnp.tile(jnp.array([8.0, 0.0, 0.0]), (2, 1)))
-    logs = {}
-    fly_batches(
-        many,
-        states,
-        STEPS,
-        vary=lambda s: s.disturbance,
-        columns=("position",),
-        landed=lambda first, log: logs.update(log),
-    )
-    for index in range(2):
-        own = make_setup(disturbance=ConstantDisturbance(pushes[index]))
-        log = fly(own, start_state(own, (8.0, 0.0, 0.0)), STEPS, KEY)
-        np.testing.assert_allclose(logs["position"][index], log.position, atol=1e-12)
-    assert np.abs(logs["position"][0] - logs["position"][1]).max() > 1e-3
+    """Each with its own push and its own turn of the target."""
+    pushes = jnp.array([[0.0, 0.0, 0.0], [0.05, 0.0, 0.0], [0.0, 0.0, 0.05]])
+    rates = jnp.array([[0.002, -0.003, 0.001], [0.0, 0.004, 0.0], [0.001, 0.0, -0.002]])
+
+    def varied(setup):
+        return setup.disturbance.constant, setup.motion.attitude_motion.angular_velocity
+
+    setup = tumbling_setup(disturbance=ConstantDisturbance([0.0, 0.0, 0.0]))
+    states = eqx.tree_at(lambda s: (s.position, s.angular_velocity), starts(setup, 3), (jnp.full((3, 3), 5.0), rates))
+    assert alike_among(states) == ("time", "attitude")
+    position = flown(eqx.tree_at(varied, setup, (pushes, rates)), states, vary=varied)[0]["position"]
+    for k in range(3):
+        own = eqx.tree_at(varied, setup, (pushes[k], rates[k]))
+        log = fly(own, jax.tree.map(lambda x, k=k: x[k], states), STEPS, KEY)
+        np.testing.assert_allclose(position[k], log.position, atol=1e-12)
+    assert np.abs(position[0] - position[1]).max() > 1e-3
+
+
+@pytest.mark.long
+def test_shared_or_not_a_flight_is_the_same():
+    setup = tumbling_setup()
+    states = starts(setup, 4)
+    assert alike_among(states) == ("time", "attitude", "angular_velocity")
+    columns = "time", "position", "velocity", "attitude"
+    shared, own = (flown(setup, states, columns, **how)[0] for how in ({}, {"alike": ()}))
+    for name, array in shared.items():
+        np.testing.assert_allclose(array, own[name], rtol=0.0, atol=1e-12, err_msg=name)
+
+
+def test_what_is_shared_has_no_axis_of_flights_in_the_loop():
+    setup = tumbling_setup()
+    states = starts(setup, 5)
+
+    def attitudes(alike):
+        shared, own = _shared(states, alike)
+        cases = eqx.filter(setup, jax.tree.map(lambda _: False, setup)), own, jnp.arange(5)
+        flying = functools.partial(_fly_batch, setup, steps=3, columns=("position",))
+        program = str(jax.make_jaxpr(lambda shared, cases: flying(shared, jnp.asarray(0), cases))(shared, cases))
+        return program.count("f64[5,4]")
+
+    # The flights' attitude, four numbers for each of five, turns with each flight or once for all.
+    assert attitudes(()) > 5 * attitudes(alike_among(states))
+
+
+def test_keys_of_flights_differ():
+    keys = jax.vmap(lambda place: flight_key(7, place))(jnp.arange(100_000))
+    assert len(np.unique(jax.random.key_data(keys), axis=0)) == 100_000
+    np.testing.assert_array_equal(jax.random.key_data(flight_key(7, 99_990)), jax.random.key_data(keys)[99_990])
 
 
 def test_impossible_campaigns_are_refused():
     setup = make_setup()
-    states = states_at(setup.motion, *shell(np.random.default_rng(0), 2))
+    states = starts(setup, 2)
     with pytest.raises(ScenarioError, match="columns: thrust"):
         fly_batches(setup, states, 5, columns=("thrust",))
+    with pytest.raises(ScenarioError, match="alike: position; valid are time"):
+        fly_batches(setup, states, 5, alike=("position",))
+    assert set(TARGET) < set(vars(states))
     with pytest.raises(ScenarioError, match="leading axes"):
         fly_batches(setup, states, 5, vary=lambda s: s.goal)  # (3,) is not one goal a flight
-    with pytest.raises(ScenarioError, match="flights: 0"):
-        states_at(setup.motion, np.zeros((0, 3)))
-    with pytest.raises(ScenarioError, match="velocities: shape"):
-        states_at(setup.motion, np.zeros((2, 3)), np.zeros(3))
-    with pytest.raises(ScenarioError, match="positions: shape"):
-        states_at(setup.motion, np.full((2, 3), np.nan))
-    with pytest.raises(ScenarioError, match="positions: shape"):
-        states_at(setup.motion, np.zeros(3))
+    for position, velocity, said in (
+        (np.zeros((0, 3)), None, "flights: 0"),
+        (np.zeros((2, 3)), np.zeros(3), "velocities: shape"),
+        (np.full((2, 3), np.nan), None, "positions: shape"),
+        (np.zeros(3), None, "positions: shape"),
+    ):
+        with pytest.raises(ScenarioError, match=said):
+            states_at(setup.motion, position, velocity)
+
+
+@pytest.mark.long
+def test_rows_hold_the_mean_force_and_what_it_burnt_and_the_record_keeps_it(campaign, tmp_path):
+    setup, states, *_ = campaign
+    first = jax.tree.map(lambda x: x[0], states)
+    log = fly(setup, first, STEPS, KEY)
+    state, one = start(setup, first, KEY), eqx.filter_jit(step)
+    fire, memory = eqx.filter_jit(setup.thrusters.fire), state.thrusters
+    for row in range(5):
+        state, entry = one(setup, state)
+        memory, firing = fire(memory, entry.guarded_force)
+        np.testing.assert_allclose(entry.force, firing.force, atol=1e-15)
+        np.testing.assert_allclose(log.force[row], firing.force, atol=1e-12)
+        np.testing.assert_allclose(log.propellant[row], firing.propellant, rtol=1e-9)
+    final = outcome(setup, log)
+    assert float(final.propellant) == pytest.approx(float(jnp.sum(log.propellant[:-1])))
+    # One thruster for each newton second: at least what the forces' largest axes need, at most what all of them do.
+    thrust, flow = np.abs(np.asarray(log.force[:-1])), 1.0 / (70.0 * 9.80665)
+    assert 0.9 * flow * thrust.max(axis=1).sum() < float(final.propellant) < 1.1 * flow * thrust.sum()
+    record = FlightRecord.of_log(log, outcome=final)
+    again = FlightRecord.load(record.save(tmp_path / "flight.parquet"))
+    np.testing.assert_array_equal(again.propellant, log.propellant)
+    assert again.header["final"]["propellant"] == pytest.approx(float(final.propellant))
+
+
+@pytest.mark.long
+def test_a_stuck_thruster_acts_from_its_time_until_it_is_made_up_for():
+    def forces(stuck, stuck_from):
+        setup = make_setup(thrusters=on_off(force=0.1, stuck=stuck, stuck_from=stuck_from))
+        log = fly(setup, start_state(setup), STEPS, KEY)
+        return np.asarray(log.force), np.clip(np.asarray(log.guarded_force), -0.1, 0.1)
+
+    used = forces((0, "on"), 1e6)[0][15:20].mean(axis=0)
+    axis = int(np.argmax(np.abs(used)))
+    for how in ("on", "off"):
+        thruster = 4 * axis + (0 if (used[axis] > 0) == (how == "off") else 2)  # off: one in use; on: one against it
+        given, asked = forces((thruster, how), 15.0)
+        wrong = np.linalg.norm(given - asked, axis=1)
+        assert wrong[:15].max() < 0.0036  # √3 · 0.2 N · half of 20 ms
+        assert wrong[15:20].max() > 0.01
+        assert wrong[20:].max() < 0.0036

@@ -9,7 +9,7 @@ from truths import operations
 
 from keepout.control import profiles
 from keepout.control.circulation import SwitchingCirculation
-from keepout.control.guidance.plan import Geodesic, GuidancePlan, Straight
+from keepout.control.guidance.plan import Geodesic, Straight
 from keepout.control.observer import NoObserver
 from keepout.errors import ControlError
 from keepout.fields.analytic import SphereField
@@ -23,15 +23,12 @@ STEPS = 30
 GOAL = np.array([0.0, -4.0, -1.0])
 
 
-def flown(*, guarded: bool = False, guidance: GuidancePlan | None = None, **chosen):
+def flown(*, guarded=False, guidance=None, **chosen):
     """Fly round a ball of 1 m, near enough that barrier, speed limit and filter act."""
     field = SphereField(jnp.zeros(3), jnp.ones(()))
     operation = operations.operation(error_bound=0.0)
     law = profiles.default(field, operation, GOAL, guidance=guidance or Straight(), **chosen)
-    guard = None
-    if guarded:
-        assumed = GuardAssumptions(20.0, 0.1, 1.0, 0.0142, 8e-5, 0.0, 1.1e-8, 100.0, 0.15)
-        guard = Guard(field, threshold=0.5, lipschitz=1.0, assumptions=assumed)
+    assumed = GuardAssumptions(20.0, 0.1, 1.0, 0.0142, 8e-5, 0.0, 1.1e-8, 100.0, 0.15)
     setup = FlightSetup(
         operation.motion,
         paper_disturbance(),
@@ -39,18 +36,18 @@ def flown(*, guarded: bool = False, guidance: GuidancePlan | None = None, **chos
         law,
         goal=GOAL,
         mass=operation.chaser.mass,
-        guard=guard,
+        guard=Guard(field, threshold=0.5, lipschitz=1.0, assumptions=assumed) if guarded else None,
     )
     return setup, operation.motion.initial_state([0.3, 2.3, 0.6], [0.0, 0.0, 0.0])
 
 
 def cost(flight):
-    """Time-integrated error, and Δv."""
+    """Time-integrated error, and Δv; and by how much the safe velocity is not the desired one."""
     setup, initial = flight
     log = loop.trace(setup, initial, STEPS, jax.random.key(0))
     error = jnp.sum(jnp.linalg.norm(log.position - setup.goal, axis=-1)) * setup.period
     delta_v = jnp.sum(jnp.sqrt(jnp.sum(log.force**2, axis=-1))) * setup.period / setup.mass
-    return error + 100.0 * delta_v
+    return error + 100.0 * delta_v, jnp.max(jnp.abs(log.safe_velocity - log.desired_velocity))
 
 
 NUMBERS = {
@@ -70,51 +67,44 @@ NUMBERS = {
     "semi-major axis": (lambda f: f[0].motion.orbit.semi_major_axis, None, 1e3),
     "eccentricity": (lambda f: f[0].motion.orbit.eccentricity, None, 1e-5),
 }
+FEW = "tracking gain", "true mass", "start", "amplitude", "offset"
 
 
-def compared(flight, names):
-    slopes = eqx.filter_jit(eqx.filter_grad(cost))(flight)
-    value = eqx.filter_jit(cost)
+@pytest.mark.parametrize(
+    ("chosen", "names"),
+    [
+        pytest.param({}, tuple(NUMBERS), marks=pytest.mark.long),
+        # tests/control/test_guidance.py has the derivative of the guidance alone
+        pytest.param({"guidance": Geodesic(spacing=0.4)}, (*FEW, "start's height"), marks=pytest.mark.slow),
+        pytest.param(
+            {"guarded": True, "circulation": SwitchingCirculation(), "observer": NoObserver()},
+            FEW,
+            marks=pytest.mark.slow,
+        ),
+    ],
+    ids=["default", "geodesic", "guard, circulation, interior point"],
+)
+def test_the_gradient_of_a_flight_is_that_of_central_differences(chosen, names):
+    flight = flown(**chosen)
+    # The differences are of the same program's values: one is compiled.
+    sloped = eqx.filter_jit(eqx.filter_value_and_grad(cost, has_aux=True))
+    (_, barrier), slopes = sloped(flight)
+    assert chosen or barrier > 0.01, "the barrier takes part"
     for name in names:
         where, index, step = NUMBERS[name]
         number = where(flight)
         direction = np.zeros(np.shape(number))
         direction[() if index is None else index] = 1.0
-        high, low = (float(value(eqx.tree_at(where, flight, number + side * step * direction))) for side in (1.0, -1.0))
+        ends = (eqx.tree_at(where, flight, number + side * step * direction) for side in (1.0, -1.0))
+        high, low = (float(sloped(end)[0][0]) for end in ends)
         found = float(np.sum(np.asarray(where(slopes)) * direction))
         assert found == pytest.approx((high - low) / (2.0 * step), rel=2e-5, abs=1e-6), name
-    return slopes
-
-
-@pytest.mark.long
-def test_the_gradient_of_a_flight_is_that_of_central_differences():
-    flight = flown()
-    log = eqx.filter_jit(loop.trace)(*flight, STEPS, jax.random.key(0))
-    # The flight is one in which the barrier takes part: the safe velocity is not the desired one.
-    assert float(jnp.max(jnp.abs(log.safe_velocity - log.desired_velocity))) > 0.01
-    slopes = compared(flight, NUMBERS)
-    for place, leaf in jax.tree_util.tree_leaves_with_path(slopes):
-        assert np.all(np.isfinite(leaf)), jax.tree_util.keystr(place)
-
-
-@pytest.mark.slow  # tests/control/test_packed_guidance.py has the derivative of the guidance alone
-def test_the_gradient_along_a_geodesic_way():
-    flight = flown(guidance=Geodesic(spacing=0.4))
-    slopes = compared(flight, ["tracking gain", "true mass", "start", "start's height", "amplitude", "offset"])
-    for place, leaf in jax.tree_util.tree_leaves_with_path(slopes):
-        assert np.all(np.isfinite(leaf)), jax.tree_util.keystr(place)
-
-
-@pytest.mark.slow
-def test_the_gradient_through_guard_circulation_and_interior_point():
-    flight = flown(guarded=True, circulation=SwitchingCirculation(), observer=NoObserver())
-    slopes = compared(flight, ["tracking gain", "true mass", "start", "amplitude", "offset"])
     for place, leaf in jax.tree_util.tree_leaves_with_path(slopes):
         assert np.all(np.isfinite(leaf)), jax.tree_util.keystr(place)
 
 
 @pytest.mark.long
 def test_a_law_that_differentiates_itself_is_refused():
-    flight = flown(feedforward=True)
+    setup, state = flown(feedforward=True)
     with pytest.raises(ControlError, match="default law"):
-        eqx.filter_grad(cost)(flight)
+        eqx.filter_grad(lambda law: law.step(law.initial_state(state), state)[1].lyapunov)(setup.controller)
