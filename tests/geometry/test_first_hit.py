@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import Delaunay
@@ -60,25 +61,12 @@ def assert_as_brute_force(first_hit, origins, directions):
     np.testing.assert_array_equal(faces >= 0, np.isfinite(ranges))
 
 
-def grid_box(pieces):
-    """A box from (-1, -1, -1) to (1, 1, 1) whose sides are grids of `pieces` squares, two triangles each."""
-    ticks = np.linspace(-1.0, 1.0, pieces + 1)
-    u, v = (side.ravel() for side in np.meshgrid(ticks, ticks, indexing="ij"))
-    corner = (np.arange(pieces)[:, None] * (pieces + 1) + np.arange(pieces)).ravel()
-    faces = np.concatenate(
-        [
-            np.stack([corner, corner + 1, corner + pieces + 2], 1),
-            np.stack([corner, corner + pieces + 2, corner + pieces + 1], 1),
-        ]
-    )
-    vertices, all_faces = [], []
-    for axis in range(3):
-        for side in (-1.0, 1.0):
-            sheet = np.empty((len(u), 3))
-            sheet[:, axis], sheet[:, (axis + 1) % 3], sheet[:, (axis + 2) % 3] = side, u, v
-            all_faces.append(faces + sum(map(len, vertices)))
-            vertices.append(sheet)
-    return np.concatenate(vertices), np.concatenate(all_faces)
+def grid_box(times):
+    """A box from (-1, -1, -1) to (1, 1, 1) whose triangles are cut in four so many times."""
+    mesh = trimesh.creation.box(extents=(2.0, 2.0, 2.0))
+    for _ in range(times):
+        mesh = mesh.subdivide()
+    return np.asarray(mesh.vertices), np.asarray(mesh.faces)
 
 
 def box_entry(origins, directions, half=1.0):
@@ -124,11 +112,11 @@ def test_agrees_with_brute_force_on_any_soup(drawn):
         assert ((found <= least + 1e-6) | np.isinf(least)).all()
 
 
-@pytest.mark.parametrize(("pieces", "offset"), [(1, 1e4), (2, 0.0), (7, 1e4), (10, 0.0)])
-def test_edges_and_corners_aimed_at_exactly_are_met(pieces, offset):
-    vertices, faces = grid_box(pieces)
+@pytest.mark.parametrize(("times", "offset"), [(0, 1e4), (1, 0.0), (2, 1e4), (3, 0.0)])
+def test_edges_and_corners_aimed_at_exactly_are_met(times, offset):
+    vertices, faces = grid_box(times)
     first_hit = FirstHit(vertices + offset, faces)
-    rng = np.random.default_rng(pieces)
+    rng = np.random.default_rng(times)
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     share = rng.choice([0.0, 0.25, 0.5, 1.0], size=(len(edges), 1))
     aims = np.concatenate([vertices, (1.0 - share) * vertices[edges[:, 0]] + share * vertices[edges[:, 1]]])
@@ -167,30 +155,6 @@ def test_no_ray_slips_through_a_sheet_of_slivers():
     assert slipped == 0
 
 
-def test_a_sphere_is_met_from_outside_before_its_back():
-    target = Target.load("sphere")
-    first_hit = FirstHit(target.vertices, target.faces)
-    middle = 0.5 * (first_hit.lower + first_hit.upper)
-    radius = float((first_hit.upper - middle).min())
-    rng = np.random.default_rng(5)
-    origins = middle + unit(rng.normal(size=(40_000, 3))) * radius * rng.uniform(1.5, 20.0, (40_000, 1))
-    goals = middle + unit(rng.normal(size=(40_000, 3))) * radius * rng.uniform(0.0, 0.9, (40_000, 1))
-    directions = unit(goals - origins)
-    ranges, faces = first_hit.cast(origins, directions)
-    assert np.isfinite(ranges).all()
-    outward = first_hit.normals * np.sign(
-        (first_hit.normals * (first_hit.vertices[first_hit.faces].mean(1) - middle)).sum(1, keepdims=True)
-    )
-    assert ((outward[faces] * directions).sum(1) < 0.0).all()
-    # The closed form of the sphere around the mesh, and of the one within it.
-    for size, sign in ((radius, 1.0), (0.9 * radius, -1.0)):
-        along = ((origins - middle) * directions).sum(1)
-        root = along**2 - ((origins - middle) ** 2).sum(1) + size**2
-        crosses = root > 0.0
-        sphere = -along[crosses] - np.sqrt(root[crosses])
-        assert (sign * (ranges[crosses] - sphere) > -1e-9).all()
-
-
 def test_what_is_hit_is_nearer_than_the_surface_point_aimed_at():
     """A ray towards a point of the surface meets it or what is before it: none arrives at the back first."""
     target = Target.load("intelsat30")
@@ -211,6 +175,7 @@ def test_what_is_hit_is_nearer_than_the_surface_point_aimed_at():
 SHEET = [(1, -1, 0), (3, -1, 0), (3, 1, 0), (1, 1, 0)], [(0, 1, 2), (0, 2, 3)]
 NEEDLE = [(1, 0, 0), (1, 1, 0), (1, 2, 0)], [(0, 1, 2)]
 POINT = [(5, 0, 0)], [(0, 0, 0)]
+BOX = grid_box(1)
 
 
 @pytest.mark.parametrize(
@@ -228,12 +193,12 @@ POINT = [(5, 0, 0)], [(0, 0, 0)]
         (NEEDLE, (0, 0.5, 1e-6), (1, 0, 0), np.inf, np.inf),
         (POINT, (0, 0, 0), (1, 0, 0), np.inf, 5.0),
         # A range counts in metres from the origin, within it too, whatever the direction's length, up to the greatest.
-        (grid_box(2), (-3, 0.3, 0.4), (2, 0, 0), np.inf, 2.0),
-        (grid_box(2), (-3, 0.3, 0.4), (2, 0, 0), 2.0, 2.0),
-        (grid_box(2), (-3, 0.3, 0.4), (2, 0, 0), 1.999, np.inf),
-        (grid_box(2), (-1, 0.3, 0.4), (2, 0, 0), np.inf, 0.0),
-        (grid_box(2), (0, 0.3, 0.4), (2, 0, 0), np.inf, 1.0),
-        (grid_box(2), (-3, 0.3, 0.4), (-2, 0, 0), np.inf, np.inf),
+        (BOX, (-3, 0.3, 0.4), (2, 0, 0), np.inf, 2.0),
+        (BOX, (-3, 0.3, 0.4), (2, 0, 0), 2.0, 2.0),
+        (BOX, (-3, 0.3, 0.4), (2, 0, 0), 1.999, np.inf),
+        (BOX, (-1, 0.3, 0.4), (2, 0, 0), np.inf, 0.0),
+        (BOX, (0, 0.3, 0.4), (2, 0, 0), np.inf, 1.0),
+        (BOX, (-3, 0.3, 0.4), (-2, 0, 0), np.inf, np.inf),
     ],
 )
 def test_special_places(mesh, origin, direction, greatest, met):

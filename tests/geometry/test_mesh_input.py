@@ -126,14 +126,3 @@ def test_a_single_triangle_is_a_sheet(tmp_path):
     target = Target.load(written(tmp_path / "one.off", TRIANGLE))
     assert target.report.open_edges == 3
     assert target.distance.distance(np.array([[0.2, 0.2, 0.5]])) == pytest.approx([0.5])
-
-
-@pytest.mark.slow
-def test_a_million_triangles(tmp_path):
-    mesh = trimesh.creation.icosphere(subdivisions=8)
-    assert len(mesh.faces) > 1_000_000
-    mesh.export(tmp_path / "large.stl")
-    target = Target.load(tmp_path / "large.stl")
-    points = np.random.default_rng(0).normal(size=(10_000, 3)) * 2.0
-    truth = np.abs(np.linalg.norm(points, axis=1) - 1.0)
-    np.testing.assert_allclose(target.distance.distance(points), truth, atol=1e-5)

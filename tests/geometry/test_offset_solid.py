@@ -199,20 +199,6 @@ def test_real_conservative_and_lipschitz():
 
 
 @pytest.mark.long
-def test_messy_report_counts_what_was_put_in(messy):
-    mesh, kept = messy
-    report = Target.load(mesh.path).report
-    assert report.triangles == mesh.triangles - mesh.duplicates
-    assert report.degenerate_faces == mesh.without_area
-    assert report.stray_parts == mesh.stray_parts
-    assert not report.watertight
-    assert {*mesh.left_out, f"left out {mesh.duplicates} duplicate faces"} == set(report.actions)
-    assert kept.report.stray_parts == 0
-    if mesh.stray_parts:
-        assert "left out 1 stray parts, 12 triangles" in kept.report.actions
-
-
-@pytest.mark.long
 def test_messy_exterior_against_a_flood_of_voxels(messy, solid):
     """Voxels joined through their faces, by exact distances alone: no octree, no walks.
 

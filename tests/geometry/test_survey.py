@@ -6,15 +6,18 @@ import json
 import numpy as np
 import pytest
 import trimesh
+from rich.console import Console
 from truths.solids import hollow_box
 
 from keepout.errors import MeshError
 from keepout.geometry import Target, leak_check, survey
+from keepout.report import terminal
 
 
 def loaded(tmp_path, half_hole):
     """A sheet box of half side 1.5 m, closed or with a square hole in its lid."""
     vertices, faces, _ = hollow_box(half_hole)
+    vertices = np.concatenate([vertices, np.zeros((1, 3))])
     trimesh.Trimesh(vertices, faces, process=False).export(tmp_path / "box.ply")
     return Target.load(tmp_path / "box.ply")
 
@@ -31,9 +34,13 @@ def test_a_leaking_compartment_is_named(tmp_path):
     assert "0.25 m" in leak
     assert seen == sorted(seen)
     assert seen[-1] == 1.0
-    # Every field is plain: it survives JSON.
+    # Every field is plain: it survives JSON, and the table shows all warnings and actions.
     plain = json.loads(json.dumps(dataclasses.asdict(found)))
     assert all(plain[name] == (list(v) if isinstance(v, tuple) else v) for name, v in vars(found).items())
+    console = Console(width=80, record=True)
+    console.print(terminal.facts_table("Mesh", plain))
+    shown = " ".join(console.export_text().replace("│", " ").split())
+    assert all(line in shown for line in (*found.warnings, "left out 1 point that no triangle uses"))
 
 
 def test_a_closed_compartment_is_not():
@@ -44,13 +51,6 @@ def test_a_closed_compartment_is_not():
     assert found.sealed_volume == pytest.approx(found.sealed_volume_at_offset, rel=0.02)
     assert found.sha256 == target.sha256
     assert all(getattr(found, name) == value for name, value in vars(target.report).items())
-
-
-def test_a_lone_sheet_seals_nothing_and_does_not_leak(tmp_path):
-    (tmp_path / "one.off").write_text("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n")
-    found = survey(Target.load(tmp_path / "one.off"))
-    assert found.sealed_volume < 0.05
-    assert not any("leaks" in line for line in found.warnings)
 
 
 def test_a_point_cloud_is_surveyed_too(tmp_path):
