@@ -1,14 +1,11 @@
 """The small machinery that every room uses: files written whole, digests, and progress of a part."""
 
-import hashlib
 import os
 
-import numpy as np
 import pytest
 
-from keepout.digest import digest
 from keepout.errors import FlightError, KeepoutError
-from keepout.progress import never_back, part_of
+from keepout.progress import never_back
 from keepout.report.folder import write_summary
 from keepout.whole_file import write_whole
 
@@ -51,21 +48,6 @@ def test_a_summary_that_json_does_not_hold_leaves_the_old_one(tmp_path):
     with pytest.raises(ValueError, match="JSON compliant"):
         write_summary(tmp_path, {"reached": float("nan")})
     assert (tmp_path / "summary.json").read_text() == '{\n  "reached": true\n}\n'
-
-
-def test_a_digest_is_that_of_the_parts_in_a_row():
-    numbers = np.arange(6.0).reshape(2, 3)
-    expected = hashlib.sha256("aµ".encode() + numbers.T.tobytes() + b"b").hexdigest()
-    assert digest("aµ", numbers.T, "b") == expected
-    assert digest(numbers) != digest(numbers.T)
-
-
-def test_progress_of_a_part():
-    told = []
-    inner = part_of(part_of(lambda fraction, message: told.append((fraction, message)), 0.5, 1.0), 0.0, 0.4)
-    inner(0.0, "a")
-    inner(1.0, "b")
-    assert told == [(0.5, "a"), (pytest.approx(0.7), "b")]
 
 
 def test_progress_never_goes_back():
