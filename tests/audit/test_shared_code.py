@@ -11,7 +11,7 @@ from fractions import Fraction
 import igl
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from keepout.audit.tube import Tube
@@ -91,7 +91,6 @@ def shaped(rng, shape, thinness):
 
 
 @pytest.mark.long
-@settings(max_examples=100)
 @given(
     seed=st.integers(0, 2**32 - 1),
     shapes=st.lists(st.sampled_from(SHAPES), min_size=1, max_size=6),
@@ -129,10 +128,10 @@ def by_rationals(target, point, near):
 def test_distances_to_targets_are_libigls_and_where_it_rounds_the_rational_ones(name):
     target = Target.load(name)
     rng = np.random.default_rng(4)
-    points = rng.uniform(target.distance.lower - 2.0, target.distance.upper + 2.0, (10_000, 3))
-    corners = target.vertices[target.faces[rng.integers(0, len(target.faces), 10_000)]]
-    beside = np.einsum("nk,nki->ni", rng.dirichlet(np.ones(3), 10_000), corners)
-    points = np.concatenate([points, beside + rng.normal(size=beside.shape) * 10.0 ** rng.uniform(-9, -1, (10_000, 1))])
+    points = rng.uniform(target.distance.lower - 2.0, target.distance.upper + 2.0, (3_000, 3))
+    corners = target.vertices[target.faces[rng.integers(0, len(target.faces), 3_000)]]
+    beside = np.einsum("nk,nki->ni", rng.dirichlet(np.ones(3), 3_000), corners)
+    points = np.concatenate([points, beside + rng.normal(size=beside.shape) * 10.0 ** rng.uniform(-9, -1, (3_000, 1))])
     found = target.distance.distance(points)
     theirs = np.sqrt(igl.point_mesh_squared_distance(points, target.vertices, target.faces)[0])
     apart = np.abs(found - theirs) > 1e-12
@@ -247,12 +246,13 @@ def drifts(scenario, count, seed, *, speed=0.15, h=0.5):
 
 
 WORLDS = {
-    # Scenario, and the share of the bound that the largest sampled drift reaches at least.
-    "circular, VVLH": ({"orbit": {"semi_major_axis": 7e6}}, 0.95),
-    "eccentric, VVLH": ({"orbit": {"semi_major_axis": 1.2e7, "eccentricity": 0.4}}, 0.9),
+    # Scenario, the share of the bound that the largest sampled drift reaches at least, and samples.
+    "circular, VVLH": ({"orbit": {"semi_major_axis": 7e6}}, 0.95, 150),
+    "eccentric, VVLH": ({"orbit": {"semi_major_axis": 1.2e7, "eccentricity": 0.4}}, 0.9, 600),
     "eccentric, fixed to the stars": (
         {"orbit": {"semi_major_axis": 1.2e7, "eccentricity": 0.4}, "attitude": {"kind": "inertial"}},
         0.95,
+        150,
     ),
     "eccentric, tumbling": (
         {
@@ -264,6 +264,7 @@ WORLDS = {
             },
         },
         0.65,
+        150,
     ),
 }
 
@@ -271,18 +272,18 @@ WORLDS = {
 @pytest.mark.long
 @pytest.mark.parametrize("world", WORLDS)
 def test_no_sampled_drift_passes_the_bound_and_the_largest_comes_near_it(world):
-    entries, least = WORLDS[world]
+    entries, least, count = WORLDS[world]
     scenario = Scenario.parse({**entries, "disturbance": {"kind": "none"}})
     bounds = flight_bounds(scenario)
     kappa = bounds.angular_acceleration + bounds.angular_rate**2 + bounds.gravity_gradient
-    position, velocity, acceleration = drifts(scenario, 600, seed=3)
+    position, velocity, acceleration = drifts(scenario, count, seed=3)
     found = np.linalg.norm(acceleration, axis=1)
     allowed = 2.0 * bounds.angular_rate * np.linalg.norm(velocity, axis=1) + kappa * np.linalg.norm(position, axis=1)
     # Differences of positions of 1e7 m leave a few nanometres, over the square of half a second.
     noise = 1e-7
     assert (found <= allowed + noise).all()
     large = allowed > 1e-5
-    assert large.sum() > 200
+    assert large.sum() > count / 3
     assert (found / allowed)[large].max() >= least
     # And what the tube takes for the whole step from these states is no less.
     time = np.array([0.0, 1.0])
