@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from keepout.motion import InertiallyFixed, Orbit, RelativeMotion, Tumbling, VVLHFixed, paper_disturbance
+from keepout.motion import Orbit, RelativeMotion, Tumbling, paper_disturbance
 from keepout.motion.pulses import Pulses
 
 MASS = 20.0
@@ -17,7 +17,6 @@ TUMBLE = Tumbling(angular_velocity=np.array([0.006, -0.005, 0.004]), inertia=np.
 MOTIONS = {
     "geostationary": RelativeMotion(Orbit(42_164_000.0)),
     "low": RelativeMotion(LOW),
-    "low, inertial": RelativeMotion(LOW, InertiallyFixed()),
     "tumbling at 0.5 degrees a second": RelativeMotion(LOW, TUMBLE),
     "tumbling, four substeps": RelativeMotion(LOW, TUMBLE, substeps=4),
 }
@@ -82,21 +81,11 @@ def test_moments_are_the_integrals_of_the_force_about_its_mean():
         value = np.concatenate(
             [np.zeros((1, 3)), np.cumsum(0.5 * (value[1:] + value[:-1]) * np.diff(time)[:, None], 0)]
         )
-        found = jax.vmap(lambda t, order=order: pulses.moment(order, t))(jnp.asarray(time))
-        np.testing.assert_allclose(found, value, atol=2e-6)
+        found = jax.vmap(lambda t, order=order: pulses.moment(order, t))(jnp.asarray(time[::1000]))
+        np.testing.assert_allclose(found, value[::1000], atol=2e-6)
 
 
 def test_centred_pulses_end_where_the_mean_force_ends():
     pulses = pulses_of(5)
     np.testing.assert_allclose(pulses.moment(1, 1.0), 0.0, atol=1e-16)
     np.testing.assert_allclose(pulses.moment(2, 1.0), 0.0, atol=1e-16)
-
-
-def test_without_pulses_the_step_is_the_held_one_to_the_bit():
-    motion = RelativeMotion(LOW, VVLHFixed())
-    start = motion.initial_state([3.0, 10.0, 6.0], [0.05, -0.08, 0.02])
-    force = jnp.array([0.05, -0.1, 0.02])
-    held = eqx.filter_jit(lambda s: motion.step(s, force, paper_disturbance(), 1.0, MASS))(start)
-    told = eqx.filter_jit(lambda s: motion.step(s, force, paper_disturbance(), 1.0, MASS, None))(start)
-    for one, other in zip(jax.tree.leaves(held), jax.tree.leaves(told), strict=True):
-        np.testing.assert_array_equal(one, other)

@@ -1,4 +1,3 @@
-import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -7,18 +6,19 @@ import pytest
 from scipy.integrate import solve_ivp
 from truths import frames
 
+from keepout.errors import ScenarioError
 from keepout.motion import (
     J2,
-    ConstantDisturbance,
     Drag,
     InertiallyFixed,
-    NoDisturbance,
     Orbit,
     RelativeMotion,
+    SolarPressure,
     Tumbling,
     VVLHFixed,
     paper_disturbance,
     rotation,
+    steady,
 )
 from keepout.motion.relative import gravity_difference
 
@@ -27,19 +27,19 @@ CASES = [(7e6, 0.0), (7.5e6, 0.1), (2.3e7, 0.7)]
 
 
 @eqx.filter_jit
-def compiled_coast(motion, state, steps, disturbance, force, mass):
+def compiled_coast(motion, state, steps, disturbance, force, period, mass):
 
     def body(_, state):
-        return motion.step(state, force, disturbance, 1.0, mass)
+        return motion.step(state, force, disturbance, period, mass)
 
     return jax.lax.fori_loop(0, steps, body, state)
 
 
-def coast(motion, state, steps, disturbance=None, force=None, mass=20.0):
-    """Fly `steps` seconds; as few different programs as there are kinds of motion, since compiling dominates."""
-    disturbance = ConstantDisturbance(jnp.zeros(3)) if disturbance is None else disturbance
-    force = jnp.zeros(3) if force is None else force
-    return compiled_coast(motion, state, jnp.asarray(steps), disturbance, force, jnp.asarray(mass))
+def coast(motion, state, steps, disturbance=None, force=(0.0, 0.0, 0.0), period=1.0, mass=20.0):
+    """Fly; as few different programs as there are kinds of motion, since compiling dominates."""
+    disturbance = steady([0.0, 0.0, 0.0]) if disturbance is None else disturbance
+    numbers = (np.asarray(value, float) for value in (force, period, mass))
+    return compiled_coast(motion, state, np.asarray(steps), disturbance, *map(jnp.asarray, numbers))
 
 
 def longdouble_kepler(position, velocity, mu, time):
@@ -93,24 +93,22 @@ def differenced_truth(orbit, position, velocity, time):
 
 
 inertial_state = jax.jit(lambda orbit, time: orbit.inertial_state(time))
+orbital_rate = jax.jit(lambda motion, state: motion.orbital_frame(state).angular_velocity)
+eci_from_vvlh, drift = (
+    jax.jit(frames.eci_from_vvlh),
+    eqx.filter_jit(lambda motion, state: motion.drift_acceleration(state)),
+)
 body_from_vvlh, vvlh_from_body = jax.jit(frames.body_from_vvlh), jax.jit(frames.vvlh_from_body)
 
 
 def bounded_velocity(orbit, position):
     """A velocity that gives the chaser the target's orbital period, so that it stays near for a whole orbit."""
     target = inertial_state(orbit, 0.0)
-    mu = orbit.gravitational_parameter
-
-    def excess(along):
-        r, v = frames.eci_from_vvlh(position, jnp.array([1.0, 0.0, 0.0]) * along, *target)
-        return 2 / jnp.linalg.norm(r) - v @ v / mu - 1 / orbit.semi_major_axis
-
-    along = 0.0
-    with_slope = jax.jit(jax.value_and_grad(excess))
-    for _ in range(5):
-        value, slope = with_slope(along)
-        along = along - float(value / slope)
-    return jnp.array([along, 0.0, 0.0])
+    (r, still), (_, moving) = (eci_from_vvlh(position, jnp.array([x, 0.0, 0.0]), *target) for x in (0.0, 1.0))
+    along = np.asarray(moving - still)
+    energy = orbit.gravitational_parameter * (2 / np.linalg.norm(r) - 1 / orbit.semi_major_axis)
+    b = float(along @ still)
+    return jnp.array([-b + np.sign(b) * np.sqrt(b * b - float(still @ still - energy)), 0.0, 0.0])
 
 
 @pytest.mark.parametrize(("semi_major_axis", "eccentricity"), CASES)
@@ -146,48 +144,32 @@ def test_clohessy_wiltshire_in_the_small():
     np.testing.assert_allclose(got, expected, atol=1e-8)
 
 
-def test_against_diffrax_with_force_and_disturbance():
+def test_against_an_integrator_with_force_and_disturbance():
     """The whole equation of motion, written down again from the paper, at tight tolerance over 300 s."""
-    orbit = Orbit(7.4e6, 0.1, true_anomaly=1.0)
-    motion = RelativeMotion(orbit)
-    force, mass, disturbance = jnp.array([0.03, -0.02, 0.05]), 20.0, paper_disturbance()
-    mu, a, e = float(orbit.gravitational_parameter), 7.4e6, 0.1
+    mu, a, e = float(Orbit(7.4e6).gravitational_parameter), 7.4e6, 0.1
+    force, mass = np.array([0.03, -0.02, 0.05]), 20.0
 
-    def field(t, y, args):
+    def rate(t, y):
         theta, r, v = y[0], y[1:4], y[4:7]
-        rate = jnp.sqrt(mu / (a * (1 - e**2)) ** 3) * (1 + e * jnp.cos(theta)) ** 2
-        rate_dot = -2 * mu * e * jnp.sin(theta) * (1 + e * jnp.cos(theta)) ** 3 / (a * (1 - e**2)) ** 3
-        w, w_dot = jnp.array([0.0, -1, 0]) * rate, jnp.array([0.0, -1, 0]) * rate_dot
-        target = jnp.array([0.0, 0, -1]) * a * (1 - e**2) / (1 + e * jnp.cos(theta))
+        turn = np.sqrt(mu / (a * (1 - e**2)) ** 3) * (1 + e * np.cos(theta)) ** 2
+        turn_dot = -2 * mu * e * np.sin(theta) * (1 + e * np.cos(theta)) ** 3 / (a * (1 - e**2)) ** 3
+        w, w_dot = np.array([0.0, -1, 0]) * turn, np.array([0.0, -1, 0]) * turn_dot
+        target = np.array([0.0, 0, -1]) * a * (1 - e**2) / (1 + e * np.cos(theta))
         chaser = target + r
-        g = mu * (chaser / jnp.linalg.norm(chaser) ** 3 - target / jnp.linalg.norm(target) ** 3)
-        d = 0.01 * jnp.stack([jnp.sin(0.02 * t), jnp.cos(0.02 * t), jnp.sin(0.01 * t)])
-        acceleration = (
-            -2 * jnp.cross(w, v) - jnp.cross(w_dot, r) - jnp.cross(w, jnp.cross(w, r)) - g + (force + d) / mass
-        )
-        return jnp.concatenate([rate[None], v, acceleration])
+        g = mu * (chaser / np.linalg.norm(chaser) ** 3 - target / np.linalg.norm(target) ** 3)
+        push = force + 0.01 * np.array([np.sin(0.02 * t), np.cos(0.02 * t), np.sin(0.01 * t)])
+        acceleration = -2 * np.cross(w, v) - np.cross(w_dot, r) - np.cross(w, np.cross(w, r)) - g + push / mass
+        return np.concatenate([[turn], v, acceleration])
 
-    position, velocity = jnp.array([0.0, 10.0, 6.0]), jnp.array([0.01, -0.02, 0.03])
-    solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(field),
-        diffrax.Dopri8(),
-        0.0,
-        300.0,
-        1.0,
-        jnp.concatenate([jnp.array([1.0]), position, velocity]),
-        stepsize_controller=diffrax.PIDController(rtol=1e-12, atol=1e-12),
-        max_steps=100_000,
-    )
-    end = solution.ys[-1]
-    state = coast(motion, motion.initial_state(position, velocity), 300, disturbance, force, mass)
+    position, velocity = [0.0, 10.0, 6.0], [0.01, -0.02, 0.03]
+    end = solve_ivp(rate, (0, 300), [1.0, *position, *velocity], method="DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
+    motion = RelativeMotion(Orbit(a, e, true_anomaly=1.0))
+    state = coast(motion, motion.initial_state(position, velocity), 300, paper_disturbance(), force, mass=mass)
     np.testing.assert_allclose(state.position, end[1:4], atol=2e-8)
     np.testing.assert_allclose(state.velocity, end[4:7], atol=2e-10)
 
 
-@pytest.mark.parametrize(
-    "kind",
-    [pytest.param("turned", marks=pytest.mark.long), pytest.param("inertial", marks=pytest.mark.slow), "tumbling"],
-)
+@pytest.mark.parametrize("kind", ["turned", "inertial", "tumbling"])
 def test_every_body_frame_sees_the_same_flight(kind):
     """Free flight in any turning body frame, converted to VVLH, is the free flight in VVLH."""
     orbit = Orbit(7.4e6, 0.1, true_anomaly=1.0)
@@ -197,14 +179,14 @@ def test_every_body_frame_sees_the_same_flight(kind):
         "inertial": InertiallyFixed(attitude),
         "tumbling": Tumbling(np.deg2rad([0.3, -0.2, 0.35]), INERTIA, attitude),
     }[kind]
-    reference, turning = RelativeMotion(orbit), RelativeMotion(orbit, law, substeps=2)
-    start, drift = jnp.array([4.0, 10.0, 6.0]), jnp.array([0.01, -0.02, 0.03])
-    straight = reference.initial_state(start, drift)
-    rate = orbit.frame(jnp.float64(0.0)).angular_velocity
-    omega = law.initial_angular_velocity(orbit.frame(jnp.float64(0.0)))
-    turned = turning.initial_state(*body_from_vvlh(start, drift, attitude, omega, rate))
+    reference, turning = RelativeMotion(orbit), RelativeMotion(orbit, law)
+    start, drifting = jnp.array([4.0, 10.0, 6.0]), jnp.array([0.01, -0.02, 0.03])
+    straight = reference.initial_state(start, drifting)
+    frame = orbit.frame(jnp.float64(0.0))
+    omega = law.initial_angular_velocity(frame)
+    turned = turning.initial_state(*body_from_vvlh(start, drifting, attitude, omega, frame.angular_velocity))
     straight, turned = coast(reference, straight, 1000), coast(turning, turned, 1000)
-    rate = orbit.frame(turned.time).angular_velocity
+    rate = orbital_rate(turning, turned)
     got = vvlh_from_body(turned.position, turned.velocity, turned.attitude, turned.angular_velocity, rate)
     np.testing.assert_allclose(got[0], straight.position, atol=1e-8)
     np.testing.assert_allclose(got[1], straight.velocity, atol=1e-10)
@@ -246,21 +228,25 @@ def test_tumbling_conserves_energy_and_angular_momentum():
 @pytest.mark.parametrize(
     "law",
     [
-        VVLHFixed(),
+        pytest.param(VVLHFixed(), marks=pytest.mark.slow),
         pytest.param(InertiallyFixed(), marks=pytest.mark.slow),
         Tumbling([0.002, 0.001, -0.003], INERTIA),
     ],
+    ids=["VVLH", "inertial", "tumbling"],
 )
 def test_perturbed_motion_against_an_independent_inertial_integration(law):
-    """J2 and differential drag: both spacecraft integrated in ECI with SciPy, from formulas written down again."""
+    """J2, drag and sunlight: both spacecraft integrated in ECI with SciPy, from formulas written down again."""
     orbit = Orbit(6.9e6, 0.01, 0.5, inclination=0.9, right_ascension=1.0, argument_of_perigee=2.0)
     mu, j2, earth, spin = 3.986004418e14, 1.08262668e-3, 6378137.0, 7.292115e-5
     drag = Drag(target_area_to_mass=0.02, chaser_area_to_mass=0.05, density=1e-12, altitude=4.5e5, scale_height=6e4)
-    motion = RelativeMotion(orbit, law, (J2(), drag))
+    # Along the orbit's normal the sun is never behind the Earth.
+    sun = np.cross(*map(np.asarray, inertial_state(orbit, 0.0)))
+    sun /= np.linalg.norm(sun)
+    motion = RelativeMotion(orbit, law, (J2(), drag, SolarPressure(tuple(sun), 0.02, 0.5)))
     position, velocity = jnp.array([30.0, -20.0, 15.0]), jnp.array([0.02, 0.01, -0.03])
     state = motion.initial_state(position, velocity)
 
-    def acceleration(r, v, area):
+    def acceleration(r, v, area, lit_area):
         R = np.linalg.norm(r)
         # gradient of the J2 potential, component by component
         k = -1.5 * j2 * mu * earth**2 / R**5
@@ -268,13 +254,14 @@ def test_perturbed_motion_against_an_independent_inertial_integration(law):
         oblate = k * np.array([r[0] * (1 - 5 * u), r[1] * (1 - 5 * u), r[2] * (3 - 5 * u)])
         air = v - np.cross([0, 0, spin], r)
         density = 1e-12 * np.exp(-(R - earth - 4.5e5) / 6e4)
-        return -mu * r / R**3 + oblate - 0.5 * density * area * np.linalg.norm(air) * air
+        return -mu * r / R**3 + oblate - 0.5 * density * area * np.linalg.norm(air) * air - 4.56e-6 * lit_area * sun
 
     def derivative(t, y):
-        return np.concatenate([y[3:6], acceleration(y[:3], y[3:6], 0.02), y[9:12], acceleration(y[6:9], y[9:12], 0.05)])
+        forces = acceleration(y[:3], y[3:6], 0.02, 0.02), acceleration(y[6:9], y[9:12], 0.05, 0.5)
+        return np.concatenate([y[3:6], forces[0], y[9:12], forces[1]])
 
     def to_eci(state, r, v):
-        rate = motion.orbital_frame(state).angular_velocity
+        rate = orbital_rate(motion, state)
         in_vvlh = vvlh_from_body(r, v, state.attitude, state.angular_velocity, rate)
         target_position, target_velocity = state.target_orbit[:3], state.target_orbit[3:]
         axes = frames.vvlh_axes(target_position, target_velocity)
@@ -290,11 +277,6 @@ def test_perturbed_motion_against_an_independent_inertial_integration(law):
     offset, speed = to_eci(end, end.position, end.velocity)
     np.testing.assert_allclose(offset, truth[6:9] - truth[:3], atol=2e-6)
     np.testing.assert_allclose(speed, truth[9:12] - truth[3:6], atol=2e-9)
-    plain = RelativeMotion(orbit, law)
-    without = coast(plain, plain.initial_state(position, velocity), 1500)
-    assert (
-        np.linalg.norm(without.position - end.position) > 0.05
-    )  # what the perturbations do is far above the tolerance
 
 
 def test_gravity_difference_keeps_its_digits():
@@ -314,7 +296,7 @@ def test_gravity_difference_keeps_its_digits():
 def test_a_held_force_moves_a_mass():
     motion = RelativeMotion(Orbit(1e16))  # so far out that nothing else acts
     state = motion.initial_state(jnp.zeros(3), jnp.zeros(3))
-    end = coast(motion, state, 100, ConstantDisturbance([0.0, 0.1, 0.0]), jnp.array([0.2, 0.0, 0.0]), 20.0)
+    end = coast(motion, state, 100, steady([0.0, 0.1, 0.0]), [0.2, 0.0, 0.0])
     np.testing.assert_allclose(end.position, [0.01 / 2 * 1e4, 0.005 / 2 * 1e4, 0], rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(end.velocity, [1.0, 0.5, 0], rtol=1e-9, atol=1e-9)
     assert end.time == 100
@@ -323,20 +305,35 @@ def test_a_held_force_moves_a_mass():
 def test_drift_acceleration_is_what_a_short_step_shows():
     motion = RelativeMotion(Orbit(7e6, 0.2, 1.0), Tumbling([0.002, 0.001, -0.003], INERTIA))
     state = motion.initial_state(jnp.array([20.0, -10.0, 5.0]), jnp.array([0.05, 0.1, -0.02]))
-    after = eqx.filter_jit(lambda s: motion.step(s, jnp.zeros(3), NoDisturbance(), 0.01, 20.0))(state)
-    np.testing.assert_allclose(
-        (after.velocity - state.velocity) / 0.01, motion.drift_acceleration(state), rtol=1e-3, atol=1e-10
-    )
+    after = coast(motion, state, 1, period=0.01)
+    gained = np.asarray(after.velocity - state.velocity) / 0.01
+    np.testing.assert_allclose(gained, drift(motion, state), rtol=1e-3, atol=1e-10)
 
 
-def test_batches_of_states_step_together():
-    motion = RelativeMotion(Orbit(7e6, 0.1))
-    positions = jnp.asarray(np.random.default_rng(0).normal(size=(7, 3)))
-    states = jax.vmap(lambda r: motion.initial_state(r, jnp.zeros(3)))(positions)
+def test_an_axisymmetric_body_precesses_in_closed_form():
+    """ω₁ + iω₂ turns at (J₃ − J₁)/J₁ ω₃ about the symmetry axis; ω₃ stays."""
+    transverse, axial = 100.0, 60.0
+    law = Tumbling([0.003, -0.002, 0.008], np.diag([transverse, transverse, axial]))
+    motion = RelativeMotion(Orbit(7e6), law)
+    end = coast(motion, motion.initial_state(jnp.zeros(3), jnp.zeros(3)), 2000)
+    expected = (0.003 - 0.002j) * np.exp(1j * (axial - transverse) / transverse * 0.008 * 2000)
+    np.testing.assert_allclose(end.angular_velocity, [expected.real, expected.imag, 0.008], atol=1e-13)
 
-    def step(state):
-        return motion.step(state, jnp.zeros(3), NoDisturbance(), 1.0, 20.0)
 
-    together = jax.jit(jax.vmap(step))(states)
-    alone = jax.jit(step)(motion.initial_state(positions[3], jnp.zeros(3)))
-    np.testing.assert_allclose(together.position[3], alone.position, atol=1e-15)
+@pytest.mark.parametrize(
+    ("inertia", "named"),
+    [
+        (np.diag([1.0, 1.0, 3.0]), "largest at most the sum"),
+        (np.diag([1.0, -1.0, 1.0]), "positive"),
+        (np.array([[1.0, 0.5, 0], [0, 1, 0], [0, 0, 1]]), "symmetric"),
+        (np.full((3, 3), np.nan), "finite"),
+    ],
+)
+def test_tensors_of_no_rigid_body_are_refused(inertia, named):
+    with pytest.raises(ScenarioError, match=named):
+        Tumbling(jnp.zeros(3), inertia)
+
+
+def test_substeps_must_be_at_least_one():
+    with pytest.raises(ScenarioError, match="substeps"):
+        RelativeMotion(Orbit(7e6), substeps=0)

@@ -1,16 +1,13 @@
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 from keepout.errors import ScenarioError
 from keepout.mission import environment
 from keepout.mission.epoch import parse_instant
 from keepout.mission.orbit_bounds import sun_of
 from keepout.mission.scenario import Scenario
-from keepout.motion import NoDisturbance, SolarPressure
-from keepout.motion.frames import vvlh_axes
+from keepout.motion import SolarPressure
 from keepout.motion.sun import lit, sun_direction
 
 EARTH = 6378137.0
@@ -69,34 +66,3 @@ def test_a_direction_is_given_by_any_length_and_refused_where_it_is_none():
     assert sun_of(Scenario().replace(sun={"direction": (0.0, 3.0, 4.0)})) == pytest.approx((0.0, 0.6, 0.8))
     with pytest.raises(ScenarioError, match=r"sun: direction \[0, 0, 0\]"):
         Scenario().replace(sun={"direction": (0.0, 0.0, 0.0)})
-
-
-def test_differential_sunlight_drifts_as_two_orbits_integrated_apart():
-    scenario = Scenario().replace(
-        orbit={"semi_major_axis": 4.2e7},
-        sun={"direction": (1.0, 2.0, 0.5), "chaser_area_to_mass": 50.0},
-        duration=600.0,
-    )
-    motion = environment.relative_motion(scenario)
-    state = motion.initial_state(np.array([3.0, -2.0, 1.0]), np.zeros(3))
-    toward = np.array([1.0, 2.0, 0.5]) / np.linalg.norm([1.0, 2.0, 0.5])
-    orbit = np.asarray(state.target_orbit)
-    axes = np.asarray(vvlh_axes(jnp.asarray(orbit[:3]), jnp.asarray(orbit[3:])))
-    omega = axes.T @ np.asarray(state.angular_velocity)
-    r = axes.T @ np.asarray(state.position)
-    start = np.concatenate([orbit, orbit[:3] + r, orbit[3:] + np.cross(omega, r)])
-
-    def pull(p):
-        return -3.986004418e14 * p / np.linalg.norm(p) ** 3
-
-    def derivative(_, y):
-        return np.concatenate([y[3:6], pull(y[:3]), y[9:], pull(y[6:9]) - 4.56e-6 * 50.0 * toward])
-
-    end = solve_ivp(derivative, (0.0, 600.0), start, "DOP853", rtol=1e-13, atol=1e-7).y[:, -1]
-
-    def step(at, _):
-        return motion.step(at, jnp.zeros(3), NoDisturbance(), 1.0, 20.0), None
-
-    flown = jax.jit(lambda at: jax.lax.scan(step, at, length=600)[0])(state)
-    axes = np.asarray(vvlh_axes(jnp.asarray(end[:3]), jnp.asarray(end[3:6])))
-    np.testing.assert_allclose(flown.position, axes @ (end[6:9] - end[:3]), atol=2e-5)

@@ -14,14 +14,6 @@ from keepout.motion.rotation import Quaternion, Vector, matrix
 PositionVelocity = tuple[Vector, Vector]
 
 
-def rtn_axes(target_position: Vector, target_velocity: Vector) -> Float[Array, "3 3"]:
-    """Rotation RTN ← ECI of a target at an ECI position and velocity; the rows are RTN's axes."""
-    radial = target_position / jnp.linalg.norm(target_position)
-    normal = jnp.cross(target_position, target_velocity)
-    normal = normal / jnp.linalg.norm(normal)
-    return jnp.stack([radial, jnp.cross(normal, radial), normal])
-
-
 def rtn_from_vvlh(position: Vector, velocity: Vector) -> PositionVelocity:
     """RTN components of a VVLH position and velocity: R = −z, T = x, N = −y."""
     return _permute(position, (2, 0, 1), (-1.0, 1.0, -1.0)), _permute(velocity, (2, 0, 1), (-1.0, 1.0, -1.0))
@@ -58,32 +50,6 @@ def vvlh_from_eci(
 ) -> PositionVelocity:
     """VVLH position and velocity of a chaser given by its absolute ECI position and velocity."""
     axes = vvlh_axes(target_position, target_velocity)
-    rate = orbital_rate(target_position, target_velocity, normal_acceleration)
-    return _from_inertial(position, velocity, axes, rate, target_position, target_velocity)
-
-
-def eci_from_rtn(
-    position: Vector,
-    velocity: Vector,
-    target_position: Vector,
-    target_velocity: Vector,
-    normal_acceleration: float | Float[Array, ""] = 0.0,
-) -> PositionVelocity:
-    """Absolute ECI position and velocity of a chaser given in the RTN frame of a target."""
-    axes = rtn_axes(target_position, target_velocity)
-    rate = orbital_rate(target_position, target_velocity, normal_acceleration)
-    return _to_inertial(position, velocity, axes, rate, target_position, target_velocity)
-
-
-def rtn_from_eci(
-    position: Vector,
-    velocity: Vector,
-    target_position: Vector,
-    target_velocity: Vector,
-    normal_acceleration: float | Float[Array, ""] = 0.0,
-) -> PositionVelocity:
-    """RTN position and velocity of a chaser given by its absolute ECI position and velocity."""
-    axes = rtn_axes(target_position, target_velocity)
     rate = orbital_rate(target_position, target_velocity, normal_acceleration)
     return _from_inertial(position, velocity, axes, rate, target_position, target_velocity)
 
