@@ -1,10 +1,9 @@
 """The field of a map against SciPy's spline, extended precision and brute-force distances."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import ndimage
 from truths.growing_maps import Cubes
@@ -41,25 +40,16 @@ def test_values_are_those_of_scipys_spline():
 
 @pytest.mark.long
 def test_derivatives_are_those_of_the_value():
-    field, points = EMPTY.field(scattered(1)), jnp.asarray(places(400, 1))
-    value, gradient, hessian = values_gradients_hessians(field, np.asarray(points))
-    np.testing.assert_allclose(gradient, jax.vmap(jax.grad(field.value))(points), atol=1e-11)
-    np.testing.assert_allclose(hessian, jax.vmap(jax.hessian(field.value))(points), atol=1e-9)
-    also, slope = values_and_gradients(field, np.asarray(points))
+    field, points = EMPTY.field(scattered(1)), places(64, 1)
+    value, gradient, hessian = values_gradients_hessians(field, points)
+    single = jax.jit(lambda points: jax.vmap(jax.value_and_grad(field.value))(points))
+    # A batch of single points is the points together.
+    np.testing.assert_allclose(value, single(points)[0], atol=1e-12)
+    np.testing.assert_allclose(gradient, single(points)[1], atol=1e-11)
+    np.testing.assert_allclose(hessian, jax.jit(jax.vmap(jax.hessian(field.value)))(points), atol=1e-9)
+    also, slope = values_and_gradients(field, points)
     np.testing.assert_array_equal(also, value)
     np.testing.assert_array_equal(slope, gradient)
-
-
-@pytest.mark.long
-def test_a_batch_of_single_points_is_the_points_together():
-    field, points = EMPTY.field(scattered(2)), jnp.asarray(places(64, 2))
-    for name in ("value", "value_and_gradient", "value_gradient_hessian"):
-        for one, many in zip(
-            jax.tree.leaves(jax.vmap(getattr(field, name))(points)),
-            jax.tree.leaves(getattr(field, name)(points)),
-            strict=True,
-        ):
-            np.testing.assert_allclose(one, many, atol=1e-12)
 
 
 def test_beyond_the_box_it_is_the_cap():
@@ -106,7 +96,7 @@ def ascended(field, distance, points, steps=40):
     return points, best
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_no_value_passes_its_bound_where_ascent_seeks_it(seed):
     solid = scattered(seed)
     field = EMPTY.field(solid)
@@ -131,7 +121,6 @@ def test_the_error_bound_is_of_that_inequality_and_the_cap_only_lowers():
     assert np.all(values(field, points) <= values(uncapped.field(solid), points) + 1e-12)
 
 
-@settings(max_examples=60)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_no_slope_is_met_that_is_steeper_than_the_bound(seed):
     solid = scattered(seed)
@@ -149,25 +138,28 @@ def test_the_field_keeps_its_numbers_while_the_map_grows_on():
     np.testing.assert_array_equal(values(field, places(50)), before)
 
 
-def test_what_is_no_map_is_refused():
-    good = EMPTY.squares()
-    with pytest.raises(FieldError, match="uint16"):
-        MapField.of(good.astype(np.int32), EMPTY.origin, 0.1)
-    with pytest.raises(FieldError, match="uint16"):
-        MapField.of(good[:4], EMPTY.origin, 0.1)
-    for spacing in (0.0, -0.1, np.nan, np.inf):
-        with pytest.raises(FieldError, match="spacing"):
-            MapField.of(good, EMPTY.origin, spacing)
-    for origin in ([0.0, 1.0], [0.0, np.nan, 0.0]):
-        with pytest.raises(FieldError, match="origin"):
-            MapField.of(good, origin, 0.1)
-    for axis in range(3):
-        for place in (2, -3):
-            low = good.copy()
-            np.moveaxis(low, axis, 0)[place, 20, 20] = 100
-            with pytest.raises(FieldError, match=f"outermost 3 layers along axis {axis}"):
-                MapField.of(low, EMPTY.origin, 0.1)
-    high = good.copy()
-    high[20, 20, 20] = 145
-    with pytest.raises(FieldError, match="cap, 144"):
-        MapField.of(high, EMPTY.origin, 0.1)
+def changed(axis, place, value):
+    squares = EMPTY.squares()
+    np.moveaxis(squares, axis, 0)[place, 20, 20] = value
+    return squares
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"squares": EMPTY.squares().astype(np.int32)}, "uint16"),
+        ({"squares": EMPTY.squares()[:4]}, "uint16"),
+        *(({"spacing": spacing}, "spacing") for spacing in (0.0, -0.1, np.nan, np.inf)),
+        *(({"origin": origin}, "origin") for origin in ([0.0, 1.0], [0.0, np.nan, 0.0])),
+        *(
+            ({"squares": changed(axis, place, 100)}, f"outermost 3 layers along axis {axis}")
+            for axis in range(3)
+            for place in (2, -3)
+        ),
+        ({"squares": changed(0, 20, 145)}, "cap, 144"),
+    ],
+)
+def test_what_is_no_map_is_refused(given, said):
+    whole = {"squares": EMPTY.squares(), "origin": EMPTY.origin, "spacing": 0.1} | given
+    with pytest.raises(FieldError, match=said):
+        MapField.of(*whole.values())

@@ -9,41 +9,40 @@ from truths.networks import numbers, random_field
 
 from keepout.fields.analytic import BoxUnionField, SphereField
 from keepout.fields.continuation import RadialContinuation
+from keepout.fields.evaluate import values, values_and_gradients, values_gradients_hessians
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("seed", [0])
-def test_derivatives_equal_nested_autodiff_inside_and_beyond_the_domain(seed):
-    field = random_field(seed)
+def test_derivatives_equal_nested_autodiff_inside_and_beyond_the_domain():
+    field = random_field(0)
 
     @jax.jit
     def nested(points):
         return field.value(points), jax.vmap(jax.grad(field.value))(points), jax.vmap(jax.hessian(field.value))(points)
 
-    points = 9.0 * jax.random.normal(jax.random.key(seed), (200, 3))
-    value, gradient, hessian = eqx.filter_jit(field.value_gradient_hessian)(points)
-    radius = np.linalg.norm(points - field.continuation.centre, axis=-1)
+    points = 9.0 * np.random.default_rng(0).normal(size=(200, 3))
+    value, gradient, hessian = values_gradients_hessians(field, points)
+    radius = np.linalg.norm(points - np.asarray(field.continuation.centre), axis=-1)
     assert min((radius < 11).sum(), ((radius > 11) & (radius < 13)).sum(), (radius > 13).sum()) > 10
-    true_value, true_gradient, true_hessian = nested(points)
+    true_value, true_gradient, true_hessian = nested(jnp.asarray(points))
     np.testing.assert_allclose(value, true_value, atol=1e-12)
     np.testing.assert_allclose(gradient, true_gradient, atol=1e-10)
-    np.testing.assert_allclose(eqx.filter_jit(field.value_and_gradient)(points)[1], gradient, atol=1e-12)
+    np.testing.assert_allclose(values_and_gradients(field, points)[1], gradient, atol=1e-12)
     np.testing.assert_allclose(hessian, true_hessian, atol=1e-10)
     assert abs(hessian).max() > 0.01
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("batch", [(), (2, 3), (300,)])
+@pytest.mark.parametrize("batch", [(), (2, 3)])
 def test_any_batch_shape_gives_the_single_point_answers(batch):
     field = random_field(0, dtype=jnp.float32)
-    points = 5.0 * jax.random.normal(jax.random.key(1), (*batch, 3))
-    derivatives = eqx.filter_jit(field.value_gradient_hessian)
-    value, gradient, hessian = derivatives(points)
+    points = 5.0 * np.random.default_rng(1).normal(size=(*batch, 3))
+    value, gradient, hessian = eqx.filter_jit(field.value_gradient_hessian)(points)
     assert (value.shape, gradient.shape, hessian.shape) == (batch, (*batch, 3), (*batch, 3, 3))
     assert value.dtype == gradient.dtype == hessian.dtype == jnp.float64
-    single = derivatives(points.reshape(-1, 3)[-1])
-    np.testing.assert_allclose(value.reshape(-1)[-1], single[0], atol=1e-5)
-    np.testing.assert_allclose(hessian.reshape(-1, 3, 3)[-1], single[2], atol=1e-3)
+    many = values_gradients_hessians(field, points.reshape(-1, 3))
+    for answer, one, tolerance in zip((value, gradient, hessian), many, (1e-5, 1e-5, 1e-3)):
+        np.testing.assert_allclose(np.asarray(answer).reshape(one.shape), one, atol=tolerance)
 
 
 def test_continuation_never_rises_faster_than_the_distance_to_anything_in_the_ball():
@@ -56,35 +55,34 @@ def test_continuation_never_rises_faster_than_the_distance_to_anything_in_the_ba
     points *= np.exp(rng.uniform(np.log(4.0), np.log(60.0), (20_000, 1))) / np.linalg.norm(
         points, axis=1, keepdims=True
     )
-    asked = np.asarray(continuation.into_domain(jnp.asarray(points)))
-    assert np.linalg.norm(asked, axis=1).max() <= 4.5 + 1e-12
 
     def truth(p):
         return np.linalg.norm(p[:, None] - cloud, axis=-1).min(axis=1)
 
-    excess = np.asarray(continuation.value(jnp.asarray(points), jnp.asarray(truth(asked)))) - truth(points)
+    asked = np.asarray(eqx.filter_jit(continuation.into_domain)(points))
+    assert np.linalg.norm(asked, axis=1).max() <= 4.5 + 1e-12
+    excess = np.asarray(eqx.filter_jit(continuation.value)(points, truth(asked))) - truth(points)
     assert excess.max() <= 1e-9
     assert excess.min() < -0.1
 
 
-@pytest.mark.long
 def test_sphere_is_exact_and_box_union_never_overstates():
-    rng = np.random.default_rng(1)
-    points = rng.uniform(-4.0, 4.0, (500, 3))
-    sphere = SphereField(jnp.array([0.5, 0.0, 0.0]), jnp.asarray(1.0))
-    value, gradient, hessian = eqx.filter_jit(sphere.value_gradient_hessian)(jnp.asarray(points))
-    np.testing.assert_allclose(value, np.linalg.norm(points - [0.5, 0, 0], axis=1) - 1.0, atol=1e-12)
-    np.testing.assert_allclose(
-        hessian, jax.jit(jax.vmap(jax.hessian(lambda point: sphere.value(point))))(jnp.asarray(points)), atol=1e-9
-    )
-    np.testing.assert_allclose(np.linalg.norm(gradient, axis=1), 1.0, atol=1e-12)
-    assert np.isfinite(sphere.value_and_gradient(jnp.array([0.5, 0.0, 0.0]))[1]).all()
+    points = np.random.default_rng(1).uniform(-4.0, 4.0, (500, 3))
+    points[0] = centre = np.array([0.5, 0.0, 0.0])
+    value, gradient, hessian = values_gradients_hessians(SphereField(jnp.asarray(centre), jnp.asarray(1.0)), points)
+    assert np.isfinite(gradient).all()
+    value, gradient, hessian, away = value[1:], gradient[1:], hessian[1:], points[1:] - centre
+    radius = np.linalg.norm(away, axis=1, keepdims=True)
+    np.testing.assert_allclose(value, radius[:, 0] - 1.0, atol=1e-12)
+    np.testing.assert_allclose(gradient, away / radius, atol=1e-12)
+    across = np.eye(3) - gradient[:, :, None] * gradient[:, None, :]
+    np.testing.assert_allclose(hessian, across / radius[..., None], atol=1e-9)
 
     lower, upper = np.array([[-1.0, -1, -1], [1.0, -0.2, -0.2]]), np.array([[1.0, 1, 1], [3.0, 0.2, 0.2]])
     boxes = BoxUnionField(jnp.asarray(lower), jnp.asarray(upper), jnp.asarray(0.02))
+    points[0] = [0.0, 0.0, 2.0]  # beside a face
     outside = np.maximum(np.maximum(lower - points[:, None], points[:, None] - upper), 0.0)
     exact = np.linalg.norm(outside, axis=-1).min(axis=1)
-    value = np.asarray(eqx.filter_jit(boxes.value)(jnp.asarray(points)))
+    value = values(boxes, points)
     assert (value - exact)[exact > 0].max() <= 1e-9
-    beside_a_face = jnp.array([0.0, 0.0, 2.0])
-    assert float(boxes.value(beside_a_face)) == pytest.approx(1.0, abs=0.02 * (np.log(6) + np.log(2)))
+    assert value[0] == pytest.approx(1.0, abs=0.02 * (np.log(6) + np.log(2)))

@@ -4,11 +4,11 @@ import functools
 
 import numpy as np
 import pytest
+from truths import small_box
 
 from keepout.fields.domain import Domain
 from keepout.geometry.level_points import level_points
-from keepout.geometry.offset_solid import OffsetSolid
-from keepout.geometry.target import Target
+from keepout.learning import counter_examples
 from keepout.learning.counter_examples import HIGHEST, JITTER, ROUNDS_KEPT, WORST, Hunt
 from keepout.learning.profile import TrainingProfile
 
@@ -20,7 +20,13 @@ PROFILE = TrainingProfile(webs=WEBS)
 
 @pytest.fixture(scope="module")
 def solid():
-    return OffsetSolid.build(Target.load("box", parameters={"length": 2.0, "width": 1.0, "height": 1.0}).distance)
+    return small_box.solid()
+
+
+@pytest.fixture(autouse=True)
+def _fewer_candidates(monkeypatch):
+    monkeypatch.setattr(counter_examples, "ON_LEVEL", 60_000)
+    monkeypatch.setattr(counter_examples, "NEAR", 60_000)
 
 
 @functools.cache
@@ -78,8 +84,8 @@ def test_corners_and_edges_get_their_share_of_the_candidates(solid, level):
 
     def shares(**choice):
         """Of points whose nearest one on the box 2 x 1 x 1 m is on a face, an edge, a corner."""
-        points = level_points(distance, level, 20_000, np.random.default_rng(0), **choice)
-        assert len(points) > 18_000
+        points = level_points(distance, level, 10_000, np.random.default_rng(0), **choice)
+        assert len(points) > 9_000
         assert np.abs(distance.distance(points) - level).max() < 1e-8
         at_side = (np.abs(np.abs(distance.closest(points)[1]) - [1.0, 0.5, 0.5]) < 1e-9).sum(axis=1)
         return np.array([(at_side == k).mean() for k in (1, 2, 3)])

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from truths import small_box
 
 from keepout.fields.model import FieldModel
 from keepout.fields.neural import NeuralField
@@ -14,22 +15,21 @@ from keepout.learning.training import fit
 from keepout.measures.quality import distance_errors, surface_errors
 from keepout.proof.certificate import certify
 
-pytestmark = [pytest.mark.xdist_group("paper"), pytest.mark.long]
+pytestmark = pytest.mark.long
 
 
 @pytest.fixture(scope="module")
 def target() -> Target:
-    return Target.load("pocket")
+    return small_box.target()
 
 
 @pytest.fixture(scope="module")
-def solid(target) -> OffsetSolid:
-    return OffsetSolid.build(target.distance)
+def solid() -> OffsetSolid:
+    return small_box.solid()
 
 
-def shortened(name: str, **changes):
-    numbers = {"width": 48, "depth": 4, "samples": 3000, "batch": 3000, "steps": 750, **changes}
-    return dataclasses.replace(PROFILES[name], **numbers)
+def shortened(name: str):
+    return dataclasses.replace(PROFILES[name], width=24, depth=2, samples=2000, batch=2000, steps=750)
 
 
 @pytest.fixture(scope="module")
