@@ -1,141 +1,148 @@
-"""Every command as a program calls it: in a process of its own, its `--json` read as strict JSON from standard output.
+"""Every command, succeeding, as a program calls it: in a process of its own, with strict JSON on standard output.
 
-What a library writes past Python, to the file descriptor, is seen here and nowhere else.
+One small mission is fitted, certified and flown, and what comes after reads the files that this left. The truths are
+the box's closed forms, and what the files say when read without the code that wrote them.
 """
 
 import json
-import os
+import re
+import shutil
 import subprocess
 import sys
+import tomllib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pyarrow.parquet as pq
 import pytest
-from truths.command_line import keepout_command
+import trimesh
+from truths.boxes import HALF, box_distance, contact_with_box
+from truths.command_line import keepout_command, keepout_process, told_by_process
+from truths.replay_page import ReplayPage
+from truths.results import Page, check_picture
 
+import keepout
+from keepout.audit.audit import Audit, audit
 from keepout.cli.options import ORDER
+from keepout.exploring import equipment
+from keepout.fields.evaluate import values
+from keepout.fields.model import FieldModel
+from keepout.flight.record import FlightRecord
+from keepout.geometry.builtin import BUILTINS
+from keepout.geometry.first_hit import FirstHit
+from keepout.geometry.target import Target
+from keepout.inspecting.frames_file import coverage_of_files
+from keepout.mapping import map_file
+from keepout.mission import environment
+from keepout.mission.scenario import Scenario
+from keepout.report.terminal import FLIGHT_COLUMNS, shown
+from keepout.sensing.depth import ErrorDraw, axes_towards, take
 
 pytestmark = pytest.mark.long
 
-FLIGHT = """
-name = "short"
-duration = 20.0
-[target]
-source = "box"
-[field]
-source = "grid"
-[chaser]
-radius = 0.4
-[start]
-position = [0.0, 5.0, 2.0]
-[goal]
-position = [0.0, -5.0, 2.0]
-[control]
-guidance = "straight"
-[guard]
-enabled = false
-[faults]
-position_noise_std = 0.05
-[campaign]
-runs = 3
-[campaign.dispersions]
-"chaser.mass" = {uniform = [18.0, 22.0]}
+README = Path(__file__).parents[1] / "README.md"
+
+RADIUS = 0.5
+START, GOAL, SECONDS = (0.0, 10.0, 6.0), (0.0, -10.0, -4.0), 500
+"""Those of README, so that one compiled program serves both."""
+MISSION = f"""
+name = "boxed"
+duration = {SECONDS}.0
+target.source = "box"
+field.source = "box.keepout"
+start.position = {list(START)}
+goal.position = {list(GOAL)}
 """
-EXPLORE = """
+RUNS = 3
+DRAWN = f"""
+name = "drawn"
+duration = 20.0
+target.source = "box"
+field.source = "grid"
+chaser.radius = {RADIUS}
+start.position = [0.0, 5.0, 2.0]
+goal.position = [0.0, -5.0, 2.0]
+control.guidance = "straight"
+guard.enabled = false
+faults.position_noise_std = 0.05
+campaign.runs = {RUNS}
+campaign.dispersions = {{"chaser.mass" = {{uniform = [18.0, 22.0]}}}}
+"""
+EXPLORE = f"""
 name = "unknown"
 duration = 60.0
-[target]
-source = "box"
-[explore]
-towards = "goal"
-most_views = 4
-[map]
-radius = 6.0
-spacing = 0.2
-[depth_sensor]
-width = 40
-height = 30
-period = 10.0
-[chaser]
-radius = 0.4
-[start]
-position = [0.0, 8.0, 2.0]
-[goal]
-position = [0.0, 4.0, 2.0]
+target.source = "box"
+guard.enabled = false
+explore = {{towards = "goal", most_views = 4}}
+map = {{file = "kept.keepmap", radius = 6.0, spacing = 0.2}}
+depth_sensor = {{width = 40, height = 30, period = 10.0}}
+chaser.radius = {RADIUS}
+start.position = [0.0, 8.0, 2.0]
+goal.position = [0.0, 4.0, 2.0]
 """
-INSPECT = """
+INSPECT = f"""
 name = "look"
 duration = 60.0
-[target]
-source = "box"
-[field]
-source = "grid"
-[chaser]
-radius = 0.4
-[disturbance]
-kind = "none"
-[camera]
-greatest_range = 6.0
-[start]
-position = [0.0, 5.0, 2.0]
-[inspect]
-stand_off = 1.2
-patch_size = 1.0
-coverage = 0.5
-candidates = 100
-proof_time = 0.5
+target.source = "box"
+field.source = "grid"
+chaser.radius = {RADIUS}
+disturbance.kind = "none"
+camera.greatest_range = 6.0
+guard.enabled = false
+start.position = [0.0, 5.0, 2.0]
+inspect = {{stand_off = 1.2, patch_size = 1.0, coverage = 0.5, candidates = 100, proof_time = 0.5}}
 """
-ROUGH = """
+FEW = {"width": 16, "depth": 2, "samples": 4000, "batch": 400, "steps": 250, "tuning_steps": 50}
+"""A fit of seconds; tests/proof/test_fit_and_certify.py says how good a fit is."""
+ROUGH = f"""
 from dataclasses import replace
 from keepout.learning import profile
-few = {"samples": 4000, "batch": 400, "steps": 200, "tuning_steps": 50}
-profile.PROFILES["quick"] = replace(profile.PROFILES["quick"], **few)
+profile.PROFILES["quick"] = replace(profile.PROFILES["quick"], **{FEW})
 from keepout.cli import main
 main()
 """
-"""A fit of seconds: the command is the one of every fit."""
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("commands")
-    for name, text in (("mission", FLIGHT), ("explore", EXPLORE), ("inspect", INSPECT)):
+    for name, text in (("mission", MISSION), ("drawn", DRAWN), ("explore", EXPLORE), ("inspect", INSPECT)):
         (folder / f"{name}.toml").write_text(text)
-    return folder
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.setenv("COLUMNS", "80")
+        yield folder
 
 
-def never(word: str) -> Any:
-    raise AssertionError(f"{word} is no JSON")
-
-
-def answer(folder, *arguments: str, program: str = "from keepout.cli import main; main()") -> Any:
-    """What a command says on standard output: one JSON object, and the command went well."""
-    environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
-    environment["PYTHONPATH"] = os.pathsep.join(path for path in sys.path if path)
-    done = subprocess.run(
-        [sys.executable, "-c", program, *arguments], cwd=folder, env=environment, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
-    assert "Traceback" not in done.stderr
-    said = json.loads(done.stdout, parse_constant=never)
-    assert isinstance(said, dict | list)
-    return said
-
-
-@pytest.fixture(scope="module")
-def flown(folder):
-    return answer(folder, "fly", "mission.toml", "-o", "flight", "--json")
-
-
-@pytest.fixture(scope="module")
-def campaign(folder):
-    return answer(folder, "campaign", "mission.toml", "-o", "runs", "--keep", "worst:1", "--json")
+FIT = ("fit", "box", "-o", "box.keepout", "--profile", "quick", "--chaser-radius", RADIUS, "--certify", "--json")
 
 
 @pytest.fixture(scope="module")
 def fitted(folder):
-    arguments = ("fit", "box", "-o", "box.keepout", "--profile", "quick", "--json")
-    return answer(folder, *arguments, program=ROUGH)
+    return keepout_process(folder, *FIT, program=ROUGH)
+
+
+@pytest.fixture(scope="module")
+def flown(folder, fitted):
+    return keepout_process(folder, "fly", "mission.toml", "-o", "flight", "--json")
+
+
+@pytest.fixture(scope="module")
+def campaign(folder):
+    return keepout_process(folder, "campaign", "drawn.toml", "-o", "many", "--keep", "all", "--json")
+
+
+def written(folder: Path) -> Any:
+    return json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+
+
+def judged(record: Any, scenario: Scenario) -> Audit:
+    """Audit one flight around the box by the numbers of its scenario."""
+    bounds, limits = environment.flight_bounds(scenario), scenario.chaser
+    limits = {"force_limit": limits.force_limit, "speed_limit": limits.speed_limit}
+    return audit(record, Target.load("box"), chaser_radius=RADIUS, bounds=bounds, **limits)
 
 
 def test_every_command_is_here():
@@ -145,110 +152,278 @@ def test_every_command_is_here():
         assert f'"{command}", ' in text
 
 
-def test_targets(folder):
-    assert {row["name"] for row in answer(folder, "targets", "--json")["targets"]} >= {"box", "intelsat30"}
+def test_the_installed_command_lists_and_draws_the_targets(folder):
+    script = shutil.which("keepout", path=str(Path(sys.executable).parent))
+    assert script is not None
+    command = [script, "targets", "--pictures", "pictures", "--json"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
+    rows = {row["name"]: row for row in json.loads(done.stdout)["targets"]}
+    assert list(rows) == list(BUILTINS)
+    assert rows["box"]["extents_m"] == pytest.approx(list(2.0 * HALF))
+    assert rows["box"]["volume_m3"] == pytest.approx(float(np.prod(2.0 * HALF)))
+    assert (rows["intelsat30"]["shipped_field"], rows["box"]["shipped_field"]) == (True, False)
+    for name in BUILTINS:
+        check_picture(folder / "pictures" / f"{name}.png")
+
+
+def test_the_module_runs_as_a_program():
+    command = [sys.executable, "-m", "keepout.cli", "--version"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout == f"keepout {keepout.__version__}\n"
 
 
 def test_describe(folder):
-    assert answer(folder, "describe", "box", "-o", "mesh", "--json")["triangles"] == 12
-    assert (folder / "mesh" / "box.png").exists()
+    summary = keepout_process(folder, "describe", "box", "-o", "mesh", "--json")
+    assert (summary["watertight"], summary["triangles"], summary["warnings"]) == (True, 12, [])
+    assert summary["extents"] == pytest.approx(list(2.0 * HALF))
+    check_picture(folder / "mesh" / "box.png")
 
 
 def test_scenario(folder):
-    assert answer(folder, "scenario", "new", "--for", "box", "-o", "new.toml", "--json")["scenario"] == "new.toml"
-    assert answer(folder, "scenario", "check", "mission.toml", "--json")["flies"] is True
-    assert answer(folder, "scenario", "schema")["title"] == "Keepout scenario"
+    assert (
+        keepout_process(folder, "scenario", "new", "--for", "box", "-o", "new.toml", "--json")["scenario"] == "new.toml"
+    )
+    assert keepout_process(folder, "scenario", "check", "drawn.toml", "--json")["flies"] is True
+    assert keepout_process(folder, "scenario", "schema")["title"] == "Keepout scenario"
 
 
-def test_fit(folder, fitted):
-    assert fitted["field"] == "box.keepout"
-    assert sorted(path.name for path in folder.glob("box*")) == ["box.keepout"]
+def test_a_fit_is_certified_in_the_same_command_and_no_search_beats_it(folder, fitted):
+    model = FieldModel.load(folder / fitted["field"], target=Target.load("box"))
+    assert {path.name for path in folder.glob("box*")} == {"box.keepout"}
+    assert fitted["target_sha256"] == model.target_sha256
+    assert model.training["profile"] == fitted["profile"] == "quick"
+    [certificate] = model.certificates
+    said = fitted["certificate"]
+    assert (said["kind"], certificate.kind) == ("certified", "certified")
+    assert (said["chaser_radius_m"], said["error_bound_m"]) == (RADIUS, certificate.error_bound)
+    worst = float((values(model.field, contact_with_box(100_000, RADIUS)) - RADIUS).max())
+    assert certificate.error_bound - 0.05 < worst <= certificate.error_bound
 
 
-def test_certify(folder, fitted):
-    said = answer(folder, "certify", fitted["field"], "--chaser-radius", "0.4", "--json")
+def test_certify_adds_another_certificate(folder, fitted):
+    shutil.copy(folder / "box.keepout", folder / "two.keepout")
+    said = keepout_process(folder, "certify", "two.keepout", "--chaser-radius", "0.0", "--json")
+    first, second = FieldModel.load(folder / "two.keepout").certificates
+    assert {first.chaser_radius, second.chaser_radius} == {RADIUS, 0.0}
+    assert said["error_bound_m"] in (first.error_bound, second.error_bound)
     assert said["error_bound_m"] >= said["sampled_maximum_m"]
 
 
+def test_a_refused_certificate_leaves_the_field_as_it_was(folder, fitted):
+    before = (folder / "box.keepout").read_bytes()
+    for wrong in (("--mesh", "sphere"), ("--chaser-radius", "50")):
+        answer = keepout_command("certify", "box.keepout", *wrong)
+        assert answer.code == 1
+        assert answer.err.count("\n") == 1
+        assert (folder / "box.keepout").read_bytes() == before
+
+
+def test_a_field_that_is_not_certified_for_the_chaser_is_not_flown(folder, fitted):
+    (folder / "wide.toml").write_text(f"{MISSION}chaser.radius = 0.7\n")
+    refused = keepout_command("fly", "wide.toml", "-o", "refused")
+    assert (refused.code, refused.out) == (1, "")
+    assert "certified for: 0.5" in refused.err
+    assert refused.err.splitlines()[-1].startswith("keepout: ")
+
+
 def test_measure(folder, fitted):
-    assert answer(folder, "measure", fitted["field"], "--json")["field"] == "box.keepout"
+    summary = keepout_process(folder, "measure", "box.keepout", "--json")
+    [proof] = summary["certificates"]
+    assert proof["error_bound"] == fitted["certificate"]["error_bound_m"]
+    assert summary["sealed_volume_m3"] == pytest.approx(24.0, rel=0.02)
 
 
-def test_fly(folder, flown):
-    assert {path.name for path in (folder / "flight").iterdir()} >= {
-        *("short.parquet", "summary.json", "index.html", "replay.html")
-    }
-    assert json.loads((folder / "flight" / "summary.json").read_text()) == flown
+def test_a_flight_reaches_its_goal_and_says_so_everywhere(folder, flown):
+    assert written(folder / "flight") == flown
+    assert (flown["reached"], flown["contact"], flown["contact_verdict"]) == (True, False, "no")
+    assert flown["start_certified"]
+    table = pq.read_table(folder / "flight" / "boxed.parquet")
+    column = {name: table.column(name).to_numpy() for name in table.schema.names}
+    position, velocity, force = (
+        np.column_stack([column[f"{name}_{axis}"] for axis in "xyz"]) for name in ("position", "velocity", "force")
+    )
+    np.testing.assert_array_equal(column["time"], np.arange(SECONDS + 1.0))
+    np.testing.assert_array_equal(position[0], START)
+    error = np.linalg.norm(position - np.array(GOAL), axis=1)
+    assert flown["final_error_m"] == pytest.approx(error[-1], abs=1e-12)
+    assert flown["time_to_reach_s"] == column["time"][np.flatnonzero(error >= 0.1)[-1] + 1]
+    assert flown["delta_v_mps"] == pytest.approx(np.linalg.norm(force[:-1], axis=1).sum() / 20.0)
+    assert flown["largest_speed_mps"] == pytest.approx(np.linalg.norm(velocity, axis=1).max())
+    assert np.abs(force).max() <= 0.1
+    assert flown["saturated_fraction"] == column["saturated"][:-1].mean()
+    assert flown["statuses"]["guard"]["clear"] == np.sum(column["guard_status"][:-1] & 3 == 0)
+    assert flown["guard_interventions"] == np.sum(column["guard_status"][:-1] & 3 != 0)
+    least = box_distance(position).min() - RADIUS
+    assert least - 0.01 < flown["minimum_clearance_m"] <= least
+
+
+def test_the_flight_file_says_what_was_flown_and_can_be_judged_again(folder, flown):
+    envelope = json.loads(pq.read_schema(folder / "flight" / "boxed.parquet").metadata[b"keepout_flight"])
+    header = json.loads(envelope["header"])
+    scenario = Scenario.load(folder / "mission.toml")
+    assert Scenario.parse(json.loads(header["scenario"])) == scenario
+    assert (header["target_sha256"], header["seed"]) == (Target.load("box").sha256, scenario.seed)
+    assert header["versions"]["keepout"] == keepout.__version__
+    record = FlightRecord.load(folder / flown["flight"])
+    again = judged(record, scenario)
+    assert (str(again.contact), again.minimum_clearance) == ("no", flown["minimum_clearance_m"])
+    # Moved into the box between two samples, the same file is not called safe.
+    record.position[100] = [0.0, 1.0, 0.0]
+    assert str(judged(record, scenario).contact) != "no"
+
+
+def test_the_page_of_the_flight(folder, flown):
+    """It holds the table of the summary, the pictures beside it, and the recorded path; it fetches nothing."""
+    out = folder / "flight"
+    pictures = {"paths", "clearance", "error", "boxed"}
+    files = {"boxed.parquet", "index.html", "replay.html", "summary.json", *(f"{name}.png" for name in pictures)}
+    assert {path.name for path in out.iterdir()} == files
+    page = Page.read(out / "index.html")
+    assert set(page.outside) == {"replay.html"}
+    assert page.unclosed == []
+    assert page.table[1:] == [["boxed", *(shown(flown[key]) for key in FLIGHT_COLUMNS)]]
+    assert set(page.images) == pictures
+    for name, content in page.images.items():
+        assert content == (out / f"{name}.png").read_bytes()
+        check_picture(out / f"{name}.png")
+    drawn = ReplayPage.read(out / "replay.html").positions("boxed")
+    np.testing.assert_allclose(drawn, FlightRecord.load(flown["flight"]).position, rtol=1e-6, atol=1e-6)
+
+
+def test_the_ten_lines_of_readme(folder, fitted, monkeypatch, capsys):
+    """As they stand, but for the fit, which is that of the command, and for the time that they take."""
+    box = Target.load("box")
+    trimesh.Trimesh(box.vertices, box.faces, process=False).export(folder / "satellite.glb")
+    learned = replace(FieldModel.load(folder / "box.keepout"), certificates=())
+    monkeypatch.setattr(keepout, "fit", lambda target, seed: learned)
+    [code] = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), flags=re.DOTALL)
+    assert code.count("duration=1200.0") == 1
+    names: dict = {}
+    exec(code.replace("duration=1200.0", f"duration={SECONDS}.0"), names)
+    flight = names["flight"]
+    assert flight.outcome.reached
+    assert flight.summary()["contact"] is False
+    exact = box_distance(flight.record.position) - RADIUS
+    np.testing.assert_allclose(flight.clearance, exact, atol=1e-9)
+    assert 0.0 < flight.audit.minimum_clearance <= exact.min()
+    np.testing.assert_allclose(names["force"], flight.record.guarded_force[0], rtol=0.0, atol=1e-9)
+    assert "'reached': True" in capsys.readouterr().out
+    again = FlightRecord.load("flight.parquet")
+    np.testing.assert_array_equal(again.position, flight.record.position)
 
 
 def test_replay(folder, flown):
-    said = answer(folder, "replay", flown["flight"], "-o", "again.html", "--title", "Once more", "--json")
-    assert said["replay"] == "again.html"
+    told = told_by_process(folder, "replay", flown["flight"], "-o", "again.html", "--title", "Once more")
+    assert "open again.html" in told
     assert "<title>Once more</title>" in (folder / "again.html").read_text(encoding="utf-8")
 
 
 def test_export_and_audit(folder, flown):
     for craft in ("chaser", "target"):
-        said = answer(folder, "export", flown["flight"], "--to", "oem", "--of", craft, "-o", f"{craft}.oem", "--json")
-        assert said["file"] == f"{craft}.oem"
-    files = ("--chaser", "chaser.oem", "--target-orbit", "target.oem", "--chaser-radius", "0.4")
-    said = answer(folder, "audit", "--target", "box", *files, "--acceleration-bound", "0.02", "--json")
-    assert (said["contact"], flown["contact_verdict"]) == (False, "no")
+        command = ("export", flown["flight"], "--to", "oem", "--of", craft, "-o", f"{craft}.oem", "--json")
+        assert keepout_process(folder, *command)["file"] == f"{craft}.oem"
+    files = ("--chaser", "chaser.oem", "--target-orbit", "target.oem", "--chaser-radius", RADIUS)
+    said = keepout_process(folder, "audit", "--target", "box", *files, "--acceleration-bound", "0.02", "--json")
+    assert said["contact"] is False
 
 
-def test_campaign_fly(folder, campaign):
-    assert json.loads((folder / "runs" / "summary.json").read_text()) == campaign
-    assert campaign["runs"] == 3
-    assert len(list((folder / "runs" / "kept").glob("*.parquet"))) == 1
+def test_a_campaigns_summary_is_that_of_its_rows_and_these_are_its_flights(folder, campaign):
+    out = folder / "many"
+    assert written(out) == campaign
+    table = pq.read_table(folder / campaign["flights"])
+    rows = {name: table.column(name).to_numpy(zero_copy_only=False) for name in table.schema.names}
+    assert table.num_rows == campaign["runs"] == RUNS
+    assert campaign["reached"] == rows["reached"].sum()
+    assert campaign["contacts"] == (rows["contact"] != "no").sum() == 0
+    assert campaign["minimum_clearance_m"] == rows["minimum_clearance"].min()
+    assert campaign["median_delta_v_mps"] == np.median(rows["delta_v"])
+    check_picture(out / "campaign.png")
+    assert len(campaign["kept"]) == RUNS
+    for row in table.to_pylist():
+        record = FlightRecord.load(out / "kept" / f"run-{row['run']:010d}.parquet")
+        least = box_distance(record.position).min() - RADIUS
+        assert least - 0.01 < row["minimum_clearance"] <= least
+        own = Scenario.parse(json.loads(record.header["scenario"]))
+        assert row["minimum_clearance"] == judged(record, own).minimum_clearance
+        assert row["final_error"] == pytest.approx(np.linalg.norm(record.position[-1] - [0.0, -5.0, 2.0]), abs=1e-12)
 
 
-def test_campaign_report(folder, campaign):
-    page = folder / "runs" / "index.html"
+def test_campaign_report_compare_and_replay(folder, campaign):
+    page = folder / "many" / "index.html"
     page.unlink()
-    assert answer(folder, "campaign", "report", "runs", "--json")["rates"] == campaign["rates"]
+    told = told_by_process(folder, "campaign", "report", "many")
+    assert "no contact" in told
+    assert "open many/index.html" in told
     assert page.exists()
-
-
-def test_campaign_compare(folder, campaign):
-    assert answer(folder, "campaign", "compare", "runs", "runs", "-o", "compared", "--json")["paired"]
+    assert keepout_process(folder, "campaign", "compare", "many", "many", "-o", "compared", "--json")["paired"]
     assert (folder / "compared" / "index.html").exists()
-
-
-def test_campaign_replay(folder, campaign):
-    said = answer(folder, "campaign", "replay", "runs", "--run", "1", "--no-figures", "--json")
+    said = keepout_process(folder, "campaign", "replay", "many", "--run", 1, "--no-figures", "--json")
     assert (said["equal"], said["differences"]) == (True, {})
 
 
-def test_without_json_a_person_is_told(folder, flown, campaign, monkeypatch):
-    monkeypatch.chdir(folder)
-    for command, said in (
-        (("replay", flown["flight"], "-o", "third.html"), ("open third.html",)),
-        (("campaign", "report", "runs"), ("no contact", "open runs/index.html")),
-        (("campaign", "compare", "runs", "runs", "-o", "told"), ("open told/index.html",)),
-    ):
-        told = keepout_command(*command)
-        assert told.code == 0
-        assert "keepout:" not in told.err
-        assert all(words in told.out for words in said)
-
-
 def test_rare(folder):
-    said = answer(
-        folder, "rare", "mission.toml", "--below", "3", "--runs", "2", "--flights", "64", "-o", "rare", "--json"
-    )
-    assert said["grade"] == "measured"
+    command = ("rare", "drawn.toml", "--below", 3, "--runs", 2, "--flights", 64, "-o", "rare", "--json")
+    assert keepout_process(folder, *command)["grade"] == "measured"
 
 
-def test_explore(folder):
-    said = answer(folder, "explore", "explore.toml", "-o", "explored", "--no-figures", "--json")
-    assert json.loads((folder / "explored" / "summary.json").read_text()) == said
+@pytest.fixture(scope="module")
+def kept_map(folder):
+    """A map that one true view has grown, kept for the exploration to go on from."""
+    scenario = Scenario.parse(tomllib.loads(EXPLORE) | {"map": {"radius": 6.0, "spacing": 0.2}})
+    sensor, box, place = equipment.depth_camera(scenario), Target.load("box"), np.array([0.0, -8.0, 2.0])
+    known, rays = equipment.map_of(scenario, sensor), FirstHit(box.vertices, box.faces)
+    axes = axes_towards(-place, np.array([0.0, 0.0, 1.0]))
+    assert known.see(take(sensor, rays, place, axes, np.random.default_rng(0), ErrorDraw("random"))).opened > 0
+    map_file.save(known, folder / "kept.keepmap")
+    return known
 
 
-def test_inspect(folder):
-    said = answer(folder, "inspect", "inspect.toml", "-o", "inspected", "--no-figures", "--json")
-    assert json.loads((folder / "inspected" / "summary.json").read_text()) == said
+def test_explore_goes_on_from_the_map_and_frees_no_cube_that_meets_the_box(folder, kept_map):
+    summary = keepout_process(folder, "explore", "explore.toml", "-o", "explored", "--no-figures", "--json")
+    assert written(folder / "explored") == summary
+    files = {"map.keepmap", "unknown.parquet", "summary.json"}
+    assert {path.name for path in (folder / "explored").iterdir()} == files
+    check_flown(folder / "explored" / "unknown.parquet", summary)
+    later = map_file.load(folder / "explored" / "map.keepmap", name="unknown", spacing=0.2)
+    assert later.views == kept_map.views + summary["views"] - sum(summary["refused_views"].values())
+    assert (later.free >= kept_map.free).all()
+    # The nearest place of each free cube to the box is not inside it.
+    centres = later.origin + (np.argwhere(later.free) + 0.5) * later.spacing
+    assert np.maximum(np.abs(centres) - HALF, 0.0).max(axis=1).min() >= 0.5 * later.spacing - 1e-9
+
+
+def test_explore_refuses_the_map_of_something_else_and_leaves_it_as_it_was(folder, kept_map):
+    before = (folder / "kept.keepmap").read_bytes()
+    for stands, other in (("spacing = 0.2", "spacing = 0.1"), ('"unknown"', '"other"'), ("= 6.0", "= 6.5")):
+        assert stands in EXPLORE
+        (folder / "other.toml").write_text(EXPLORE.replace(stands, other))
+        refused = keepout_command("explore", "other.toml", "-o", "other")
+        assert refused.code == 1
+        assert refused.err.count("\n") == 1
+        assert "kept.keepmap" in refused.err
+        assert (folder / "kept.keepmap").read_bytes() == before
+
+
+def test_inspect_and_its_files_alone_give_the_same_coverage(folder):
+    summary = keepout_process(folder, "inspect", "inspect.toml", "-o", "inspected", "--no-figures", "--json")
+    assert written(folder / "inspected") == summary
+    check_flown(folder / "inspected" / "look.parquet", summary)
+    assert (folder / "inspected" / "unseen.json").exists()
+    again = coverage_of_files(folder / "inspected" / "look.parquet", folder / "inspected" / "frames.parquet")
+    assert again.same
+    assert again.coverage == pytest.approx(summary["coverage"], abs=1e-12)
+
+
+def check_flown(path: Path, summary: dict) -> None:
+    """Clearance and Δv are those of the file's positions and forces around the true box."""
+    record = FlightRecord.load(path)
+    least = box_distance(record.position).min() - RADIUS
+    assert least - 5e-3 <= summary["minimum_clearance_m"] <= least + 1e-9
+    pushed = np.linalg.norm(record.force[:-1], axis=1).sum() * (record.time[1] - record.time[0]) / 20.0
+    assert summary["delta_v_mps"] == pytest.approx(pushed, rel=1e-6)
+    assert summary["contact"] is False
 
 
 def test_reproduce(folder):
-    assert answer(folder, "reproduce", "volumes", "--quick", "-o", "paper", "--json")
+    assert keepout_process(folder, "reproduce", "volumes", "--quick", "-o", "paper", "--json")
     assert (folder / "paper" / "index.html").exists()
