@@ -1,23 +1,121 @@
-"""`keepout scenario check`: conditions with margins, estimates, refusals, and nearest values that are not refused."""
+"""Scenarios written by `keepout scenario new`, and what `keepout scenario check` says of them."""
 
 import math
-from pathlib import Path
+import re
+import tomllib
 
 import numpy as np
 import pytest
+import trimesh
 from truths.command_line import keepout_command
 
-from keepout.errors import KeepoutError
+from keepout.errors import ScenarioError
 from keepout.fields.shipped import load_shipped
 from keepout.geometry.target import Target
 from keepout.mission.build import prepare
 from keepout.mission.check import check
+from keepout.mission.commented import commented
+from keepout.mission.draft import draft
+from keepout.mission.entries import Entry
 from keepout.mission.entry_names import with_entries
-from keepout.mission.nearest import nearest_number, nearest_place, number_refusal
+from keepout.mission.nearest import number_refusal
 from keepout.mission.scenario import Scenario
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
-pytestmark = pytest.mark.long
+
+def entries(model=Scenario, before=""):
+    for name, field in model.model_fields.items():
+        if isinstance(field.annotation, type) and issubclass(field.annotation, Entry):
+            yield from entries(field.annotation, f"{before}{name}.")
+        else:
+            yield f"{before}{name}"
+
+
+def test_every_entry_is_there_and_what_is_commented_out_is_valid():
+    lines = draft().text.split("\n")
+    table, named, tried, live = "", set(), 0, 0
+    for place, line in enumerate(lines):
+        header = re.fullmatch(r"\[(.*)\]", line)
+        if header:
+            table = f"{header[1]}."
+        told = re.match(r"(# )?([a-z0-9_]+)(\.\S+)? = ", line)
+        if not told:
+            continue
+        named.add(f"{table}{told[2]}")
+        if told[1] is None:
+            live += 1
+        else:
+            trial = [*lines[:place], line[2:], *lines[place + 1 :]]
+            tree = tomllib.loads("\n".join(trial))
+            if told[2] == "parameters":  # of a built-in; which it has is the built-in's own matter
+                continue
+            Scenario.parse(tree)
+            tried += 1
+    assert named == set(entries())
+    assert tried + live + 1 == len(named)
+    assert tried > 50
+    assert max(len(line) for line in lines) <= 130
+
+
+def test_words_of_all_kinds_survive_the_file():
+    odd = 'a "b" \\ c\té\x7f.glb'
+    assert tomllib.loads(commented({"target.source": odd}))["target"]["source"] == odd
+    with pytest.raises(ScenarioError, match=r"chaser\.mass"):
+        commented({"chaser.mass": -1.0})
+
+
+@pytest.mark.parametrize("name", ["box", "pocket", "sphere", "intelsat30"])
+def test_a_draft_is_free_and_honoured(name):
+    made = draft(name)
+    target = Target.load(name)
+    places = np.array([made.scenario.start.position, made.scenario.goal.position])
+    # Outside the bounding box by more than chaser, margin and 3 m: by closed form, with no distance of the package.
+    outside = np.maximum(target.vertices.min(axis=0) - places, places - target.vertices.max(axis=0)).max(axis=1)
+    assert (outside > 0.6 + 2.9).all()
+    assert made.extents == pytest.approx(np.ptp(target.vertices, axis=0))
+    assert number_refusal(made.scenario, target) is None
+    assert made.honoured_speed is not None
+    faster = made.scenario.replace(chaser={"speed_limit": 1.02 * made.honoured_speed})
+    assert number_refusal(faster, target) is not None
+    assert made.scenario.duration * made.scenario.chaser.speed_limit > np.linalg.norm(places[0] - places[1])
+
+
+def test_a_mesh_file_is_drafted_in_its_units(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    trimesh.creation.box(extents=(300.0, 200.0, 150.0)).export("satellite.stl")
+    made = draft("satellite.stl", units="cm")
+    assert made.extents == pytest.approx([3.0, 2.0, 1.5])
+    assert Scenario.parse(tomllib.loads(made.text)) == made.scenario
+    assert made.scenario.field.source.endswith(".keepout")  # of which the next steps tell how to make it
+    assert number_refusal(made.scenario, Target.load("satellite.stl", units="cm")) is None
+
+
+def test_the_command_writes_what_is_not_there_and_replaces_nothing_unasked(tmp_path):
+    path = tmp_path / "mission.toml"
+    path.write_text("mine", encoding="utf-8")
+    answer = keepout_command("scenario", "new", "-o", path)
+    assert answer.code == 1
+    assert "is there already; --force replaces it" in answer.err
+    assert path.read_text(encoding="utf-8") == "mine"
+    answer = keepout_command("scenario", "new", "-o", path, "--force")
+    assert "next: keepout scenario check" in answer.out
+    assert Scenario.load(path) == Scenario(name="mission")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("-o", "absent/mission.toml"), "the folder absent does not exist"),
+        (("--for", "absent.glb"), "absent.glb: no such file"),
+        (("--for", "box", "--units", "cm"), "a built-in is in metres"),
+    ],
+)
+def test_what_cannot_be_written_is_refused(tmp_path, monkeypatch, arguments, said):
+    monkeypatch.chdir(tmp_path)
+    answer = keepout_command("scenario", "new", *arguments)
+    assert answer.code == 1
+    assert said in answer.err
+    assert answer.err.count("\n") == 1
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.fixture(scope="module")
@@ -34,6 +132,7 @@ def straight(**entries) -> Scenario:
     return Scenario.parse({"control": {"guidance": "straight"}, "duration": 400.0} | entries)
 
 
+@pytest.mark.long
 def test_what_would_be_flown(target, model):
     scenario = straight()
     found = check(scenario, target=target, model=model)
@@ -55,14 +154,14 @@ def test_what_would_be_flown(target, model):
     assert expected["way_m"] is None or expected["way_m"] > apart - 0.2
 
 
+@pytest.mark.long
 def test_too_short_a_flight_is_remarked(target, model):
     found = check(straight(duration=50.0, goal={"position": (0.0, 12.0, 14.0)}), target=target, model=model)
     assert found.flies
     assert found.expected is not None
     assert found.expected.way == pytest.approx(math.hypot(2.0, 8.0), abs=0.2)
     [remark] = [remark for remark in found.remarks if remark.startswith("duration 50 s is shorter")]
-    enough = float(remark.split("duration = ")[1].split()[0])
-    assert enough > (found.expected.duration or math.inf)
+    assert float(remark.split("duration = ")[1].split()[0]) > (found.expected.duration or math.inf)
 
 
 @pytest.mark.parametrize(
@@ -70,7 +169,6 @@ def test_too_short_a_flight_is_remarked(target, model):
     [
         ({"chaser": {"speed_limit": 0.5}}, "chaser.speed_limit"),
         ({"chaser": {"force_limit": 0.01}}, "chaser.force_limit"),
-        ({"guard": {"position_error": 30.0}}, "guard.position_error"),
         ({"attitude": {"kind": "tumbling", "angular_velocity": (0.0, 0.0, 0.02)}}, "chaser.force_limit"),
     ],
 )
@@ -79,8 +177,7 @@ def test_the_nearest_number_is_not_refused_and_nearly_nothing_beyond_is(entries,
     found = check(scenario, target=target, model=model)
     assert not found.flies
     [refusal] = found.refusals
-    with pytest.raises(KeepoutError):
-        prepare(scenario, target=target, model=model)
+    assert str(number_refusal(scenario, target)) == refusal.said
     near = {nearest.entry: nearest.value for nearest in refusal.nearest}
     value, was = float(near[entry]), float(_entry(scenario, entry))  # pyright: ignore[reportArgumentType]
     assert number_refusal(with_entries(scenario, {entry: value}), target) is None
@@ -93,8 +190,8 @@ def _entry(scenario: Scenario, name: str):
     return getattr(getattr(scenario, table), key)
 
 
-@pytest.mark.parametrize("name", ["start", "goal"])
-@pytest.mark.parametrize("place", [(0.0, 0.5, 0.0), (0.0, 1.8, 0.0)])
+@pytest.mark.long
+@pytest.mark.parametrize(("name", "place"), [("start", (0.0, 1.8, 0.0)), ("goal", (0.0, 0.5, 0.0))])
 def test_the_nearest_place_is_flown_from(name, place, target, model):
     scenario = straight(**{name: {"position": place}})
     found = check(scenario, target=target, model=model)
@@ -133,31 +230,3 @@ def test_the_command_says_it_and_fails(tmp_path):
     assert "would do: chaser.speed_limit at most 0.1" in answer.out
     assert "It would not be flown." in answer.out
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_a_file_that_is_no_scenario_is_one_line(tmp_path):
-    path = tmp_path / "bad.toml"
-    path.write_text("[chaser]\nmasss = 3\n", encoding="utf-8")
-    answer = keepout_command("scenario", "check", path)
-    assert answer.code == 1
-    assert answer.out == ""
-    assert answer.err == f"keepout: {path}: line 2: chaser.masss: no such entry; did you mean mass?\n"
-
-
-@pytest.mark.parametrize("boundary", [1e-6, 0.0312, 0.5, 7.0, 123.4])
-def test_bisection_finds_a_known_boundary(boundary):
-    found = nearest_number(lambda x: x > boundary, 200.0, 1e-9)
-    assert found is not None
-    assert 0.98 * boundary <= found <= boundary
-    found = nearest_number(lambda x: x < boundary, 1e-9, 1e4)
-    assert found is not None
-    assert boundary <= found <= 1.02 * boundary
-    assert nearest_number(lambda x: True, 1.0, 2.0) is None
-
-
-def test_the_search_for_a_place_finds_the_surface_of_a_ball():
-    found = nearest_place(lambda points: np.linalg.norm(points, axis=1) > 3.0, np.array([0.0, 0.0, 2.0]), 20.0)
-    assert found is not None
-    assert 3.0 < np.linalg.norm(found) < 3.02
-    assert math.dist(found, (0.0, 0.0, 2.0)) < 1.3
-    assert nearest_place(lambda points: np.zeros(len(points), bool), np.zeros(3), 5.0) is None

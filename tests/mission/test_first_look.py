@@ -1,11 +1,9 @@
 """What is refused before JAX is imported: at once, and only what would be refused anyway."""
 
-import math
 import os
 import subprocess
 import sys
 
-import jax.numpy as jnp
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -53,13 +51,8 @@ def test_disturbances_are_judged_as_their_models_judge_them(entry, limit):
             environment.disturbance_bound(scenario)
 
 
-def test_the_thrusters_limit_itself_is_judged_alike():
-    """At equality the model refuses; here it may pass, and never the other way round."""
-    weak = Scenario.parse({"disturbance": {"kind": "bang-bang", "amplitude": 0.1}})
-    with pytest.raises(ScenarioError, match=r"0\.1 N, is not below chaser\.force_limit"):
-        environment.disturbance_bound(weak)
-    with pytest.raises(ScenarioError, match=r"0\.1001 N, is not below"):
-        require_authority(weak.replace(disturbance={"amplitude": 0.1001}))
+def test_shipped_fields_are_the_packages():
+    assert shipped_fields() == shipped_names()
 
 
 @pytest.mark.parametrize("radius", [0.0, 0.3, 0.5, 0.77])
@@ -75,17 +68,13 @@ def test_a_radius_is_refused_as_the_field_refuses_it(radius):
     assert len(set(said)) <= 1
 
 
-@pytest.mark.parametrize("content", [b"", b"abc", b"\xff" * 64, (3).to_bytes(8, "little") + b"{}}", b"\0" * 100])
+@pytest.mark.parametrize("content", [b"", b"\xff" * 64, (3).to_bytes(8, "little") + b"{}}"])
 def test_a_damaged_field_is_left_to_what_reads_it(tmp_path, content):
     path = tmp_path / "damaged.keepout"
     path.write_bytes(content)
     require_certified(Scenario.parse({"field": {"source": str(path)}}))
     with pytest.raises(FieldError, match=r"damaged\.keepout"):
         load_model(Scenario.parse({"field": {"source": str(path)}}), Target.load("intelsat30"))
-
-
-def test_shipped_fields_are_the_packages():
-    assert shipped_fields() == shipped_names()
 
 
 def test_files_are_refused_in_the_words_of_what_reads_them(tmp_path):
@@ -126,18 +115,7 @@ def test_the_paper_law_keeps_its_speed():
     assert look(Scenario.parse({"chaser": {"speed_limit": 0.5}, "control": {"profile": "paper"}})).name == "intelsat30"
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "safty = 3",
-        "[chaser]\nspeed_limit = 0.5",
-        "[start]\nposition = [0.0, 1.8, 0.0]",
-        "[disturbance]\nkind = 'constant'\nforce = [0.2, 0.0, 0.0]",
-        "[target]\nsource = 'absent.glb'",
-        "[field]\nsource = 'absent.keepout'",
-        "[chaser]\nradius = 0.77",
-    ],
-)
+@pytest.mark.parametrize("text", ["[start]\nposition = [0.0, 1.8, 0.0]", "[chaser]\nradius = 0.77\nspeed_limit = 0.05"])
 def test_a_refused_file_waits_for_no_jax_and_leaves_nothing_behind(tmp_path, text):
     path = tmp_path / "mission.toml"
     path.write_text(text, encoding="utf-8")
@@ -153,10 +131,3 @@ def test_a_refused_file_waits_for_no_jax_and_leaves_nothing_behind(tmp_path, tex
     assert not list(compiled.rglob("*.nbc"))  # nor for numba, which would keep there what it compiled
     assert done.stderr.count("\n") == 1
     assert [entry.name for entry in tmp_path.iterdir()] == ["mission.toml"]
-
-
-def test_the_papers_disturbance_is_as_strong_as_said():
-    scenario = Scenario()
-    force = environment.disturbance(scenario).force
-    peak = max(math.hypot(*map(float, force(jnp.asarray(50.0 * math.pi + shift)))) for shift in (-1.0, 0.0, 1.0))
-    assert peak == pytest.approx(flown_disturbance(scenario), rel=1e-4)

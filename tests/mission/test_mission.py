@@ -4,20 +4,24 @@ import dataclasses
 import re
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
 
-from keepout.commands.mesh import describe_mesh
 from keepout.control.profiles import ControlWarning
-from keepout.errors import ControlError, MeshError
+from keepout.control.tuning import least_offset
+from keepout.errors import ControlError, FieldError, MeshError
+from keepout.fields.evaluate import values
 from keepout.fields.neural import NeuralField
 from keepout.fields.shipped import load_shipped
 from keepout.geometry.target import Target
-from keepout.mission.build import load_target, prepare
-from keepout.mission.law import build_law
+from keepout.mission.assumptions import guard_numbers
+from keepout.mission.build import build_guard, load_model, prepare
+from keepout.mission.first_look import require_certified, require_files
+from keepout.mission.flight import fly
+from keepout.mission.law import build_law, room_for_guard
 from keepout.mission.scenario import Scenario
+from keepout.mission.target import load_target
 
 pytestmark = pytest.mark.long
 
@@ -31,14 +35,9 @@ def test_the_body_frame_is_the_users(tmp_path):
     # File x spans -2 to 2; about an origin at x = 1 it spans -3 to 1, and the turn takes it to body y.
     np.testing.assert_allclose(target.vertices.min(axis=0), [-1.5, -3.0, -1.0], atol=1e-12)
     np.testing.assert_allclose(target.vertices.max(axis=0), [1.5, 1.0, 1.0], atol=1e-12)
-
-
-def test_a_rotation_that_is_none_is_refused(tmp_path):
-    path = tmp_path / "box.stl"
-    trimesh.creation.box(extents=(4.0, 3.0, 2.0)).export(path)
-    skewed = [[1.0, 0.5, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    entry["rotation"] = [[1.0, 0.5, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
     with pytest.raises(MeshError, match="rotation"):
-        load_target(Scenario.parse({"target": {"source": str(path), "units": "m", "rotation": skewed}}).target)
+        load_target(Scenario.parse({"target": entry}).target)
 
 
 def test_parameters_reach_the_built_in():
@@ -46,14 +45,6 @@ def test_parameters_reach_the_built_in():
     assert np.ptp(wide.vertices[:, 0]) == pytest.approx(7.0)
     with pytest.raises(MeshError, match="wings"):
         load_target(Scenario.parse({"target": {"source": "box", "parameters": {"wings": 7.0}}}).target)
-
-
-def test_a_mesh_report_has_the_sealed_volume(tmp_path):
-    summary = describe_mesh({"source": "box"}, tmp_path)
-    assert summary["watertight"]
-    # The offset solid holds the 4 × 3 × 2 m box and at most a skin of offset and two leaves around it.
-    assert 24.0 < summary["sealed_volume"] < (4.0 + 0.22) * (3.0 + 0.22) * (2.0 + 0.22)
-    assert (tmp_path / "box.png").stat().st_size > 1000
 
 
 @pytest.mark.parametrize(
@@ -83,7 +74,7 @@ def test_a_goal_where_the_field_misses_the_room_is_refused_with_both_distances()
     model = dataclasses.replace(shipped, field=low, certificates=())
     model = model.with_certificate(dataclasses.replace(certificate, field_sha256=model.sha256))
     goal = target.vertices[target.vertices[:, 1].argmin()] - [0.0, 1.3, 0.0]
-    said = float(low.value(jnp.asarray(goal)))
+    said = float(values(low, goal[None])[0])
     assert said == pytest.approx(0.27, abs=0.1)
     scenario = Scenario.parse({"target": {"source": "intelsat30"}, "goal": {"position": goal.tolist()}})
     reason = f"the mesh is 1.3 m away there and the field says {said:.3g} m: move the goal"
@@ -100,3 +91,83 @@ def test_what_the_paper_leaves_unprinted_reaches_its_law():
     assert float(law.tracking.sharpness) == 3.0
     np.testing.assert_array_equal(law.tracking.position_weight, 0.5 * np.eye(3))
     assert float(law.tracking.gradient_error) == float(law.velocity.gradient_error) == 0.2
+
+
+HALF = np.array([2.0, 1.5, 1.0])
+"""Of the built-in box, m."""
+
+
+def test_it_is_the_exact_distance_less_a_little_and_certified_for_the_chaser():
+    scenario = Scenario.parse({"target": {"source": "box"}, "field": {"source": "grid"}})
+    require_files(scenario)
+    require_certified(scenario)
+    model = load_model(scenario, load_target(scenario.target))
+    assert model.certificate(scenario.chaser.radius).kind == "certified"
+    generator = np.random.default_rng(0)
+    points = generator.uniform(-6.0, 6.0, (4000, 3))
+    apart = np.linalg.norm(np.maximum(np.abs(points) - HALF, 0.0), axis=1)
+    error = values(model.field, points) - apart
+    outside, near = apart > 0.3, (apart > 0.3) & (apart < 1.5)
+    assert error[outside].max() < 0.02
+    assert error[near].min() > -0.1
+    assert np.median(np.abs(error[near])) < 0.05
+
+
+def test_without_a_shipped_field_the_refusal_names_it():
+    scenario = Scenario.parse({"target": {"source": "box"}})
+    for ask in (require_files, lambda scenario: load_model(scenario, load_target(scenario.target))):
+        with pytest.raises(FieldError, match='"grid"'):
+            ask(scenario)
+
+
+HOSTILE = Scenario().replace(
+    target={"source": "box"},
+    field={"source": "grid"},
+    start={"position": (0.0, 0.0, 4.0)},
+    goal={"position": (0.0, 0.0, -4.0)},
+    duration=200.0,
+)
+
+
+def test_nothing_within_the_margin_is_above_a_threshold_that_keeps_it():
+    target, radius = Target.load("box"), HOSTILE.chaser.radius
+    kept = HOSTILE.replace(guard={"keeps_margin": True}, safety={"margin": 0.3})
+    plain, guard = build_guard(HOSTILE, target), build_guard(kept, target)
+    lower, upper = target.vertices.min(axis=0) - 1.5, target.vertices.max(axis=0) + 1.5
+    points = np.random.default_rng(0).uniform(lower, upper, (40_000, 3))
+    away = target.distance.distance(points)
+    near = points[(away > radius) & (away <= radius + 0.3)]
+    said = values(guard.field, near)
+    assert len(near) > 1000
+    assert said.max() <= guard.threshold
+    # The margin as it is would not be enough where the field rises faster than the distance.
+    assert guard.threshold > plain.threshold + 0.3 * guard.lipschitz
+    assert guard_numbers(guard, kept)["margin_kept_m"] == 0.3
+    assert guard_numbers(plain, HOSTILE)["margin_kept_m"] == 0.0
+
+
+def test_the_law_leads_to_no_goal_that_the_guard_does_not_let_it_rest_at():
+    """The goal comes nearer until it is refused; the guard never is the one that refuses it."""
+    for keeps, margin in ((False, 0.1), (True, 0.1), (True, 0.4)):
+        scenario = HOSTILE.replace(guard={"keeps_margin": keeps}, safety={"margin": margin})
+        target = Target.load("box")
+        room, bound = room_for_guard(scenario, target), load_model(scenario, target).certificate(0.5).error_bound
+        own = least_offset(scenario.chaser.speed_limit, scenario.control.period)
+        law_keeps = bound + 0.5 + margin + room.get("nominal_offset", own)
+        assert law_keeps > build_guard(scenario, target).least_value
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    "law", ["through", *(pytest.param(law, marks=pytest.mark.slow) for law in ("into the body", "bang-bang"))]
+)
+def test_no_hostile_law_comes_inside_a_margin_that_the_guard_keeps(law):
+    least = []
+    for keeps in (True, False):
+        flight = fly(HOSTILE.replace(faults={"law": law}, guard={"keeps_margin": keeps}))
+        assert flight.start_certified
+        assert flight.guard_flags() == {}
+        least.append(flight.audit.minimum_clearance)
+    assert least[0] > 0.1
+    assert least[1] > 0.0
+    assert law == "bang-bang" or least[1] < 0.1

@@ -10,12 +10,13 @@ from keepout.campaign.dataset import Dataset
 from keepout.campaign.plan import Plan
 from keepout.campaign.replay import differences, replay
 from keepout.campaign.run import fly_campaign
-from keepout.errors import ControlError, KeepoutError, ScenarioError
+from keepout.errors import ScenarioError
 from keepout.mission import environment
 from keepout.mission.build import prepare
 from keepout.mission.check import check
-from keepout.mission.flight import fly, fly_mission
-from keepout.mission.navigation import require_navigation, suite_of
+from keepout.mission.flight import fly_mission
+from keepout.mission.navigation import require_navigation
+from keepout.mission.nearest import number_refusal
 from keepout.mission.scenario import Scenario
 from keepout.mission.target import load_target
 
@@ -61,6 +62,10 @@ def test_a_flight_by_sensors_and_pulses_arrives(flight):
     assert told["saturated_fraction"] < 0.01
 
 
+def away_from_known(record):
+    return np.linalg.norm(record.known_position - record.position, axis=1)
+
+
 @pytest.mark.long
 def test_the_truth_is_in_the_known_set_and_the_set_within_its_caps(flight):
     record, guard = flight.record, flight.guard
@@ -76,11 +81,22 @@ def test_the_truth_is_in_the_known_set_and_the_set_within_its_caps(flight):
 
 @pytest.mark.long
 def test_a_seed_says_everything(mission, flight):
-    again = fly_mission(mission).record
+    again, other = (
+        fly_mission(dataclasses.replace(mission, scenario=mission.scenario.replace(seed=seed))).record
+        for seed in (mission.scenario.seed, mission.scenario.seed + 1)
+    )
     for name, column in flight.record.columns.items():
         np.testing.assert_array_equal(getattr(again, name), column, err_msg=name)
-    other = dataclasses.replace(mission, scenario=mission.scenario.replace(seed=1))
-    assert np.abs(fly_mission(other).record.estimated_position - flight.record.estimated_position).max() > 1e-3
+    assert np.abs(other.estimated_position - flight.record.estimated_position).max() > 1e-3
+
+
+@pytest.mark.long
+def test_what_is_expected_is_what_the_flight_took(flight):
+    found, told = check(flight.scenario), flight.summary()
+    assert (found.refusals, found.start_certified) == ((), True)
+    assert found.expected is not None
+    assert told["delta_v_mps"] == pytest.approx(found.expected.delta_v, rel=0.25)
+    assert told["time_to_reach_s"] == pytest.approx(found.expected.duration, rel=0.25)
 
 
 @pytest.mark.long
@@ -100,26 +116,6 @@ def test_the_summary_tells_of_the_navigation(flight):
     json.dumps(told, allow_nan=False)
 
 
-@pytest.fixture(scope="module")
-def without():
-    """The same flight by the truth."""
-    return fly(scenario(navigation={}))
-
-
-@pytest.mark.long
-def test_a_filter_costs_little(flight, without):
-    assert without.summary()["navigation"] is None
-    assert without.record.known_position is None
-    assert 0.95 < float(flight.outcome.delta_v) / float(without.outcome.delta_v) < 1.3
-
-
-@pytest.mark.slow  # the campaign below flies by the last samples, too
-def test_the_last_samples_cost_much(without):
-    raw = fly(scenario(navigation={"suite": "close", "estimate": "observer"}))
-    assert raw.summary()["navigation"]["estimate"] == "observer"
-    assert float(raw.outcome.delta_v) > 2.0 * float(without.outcome.delta_v)
-
-
 def test_the_guard_assumes_more_the_more_samples_can_be_lost(target):
     def caps(**entries):
         given = scenario(navigation={"suite": "close"} | entries)
@@ -135,18 +131,10 @@ def test_the_guard_assumes_more_the_more_samples_can_be_lost(target):
         assert now[1] > before[1]
         before = now
         # A period without a sample adds D T to the velocity's radius; the first estimate is as good as a sample.
-        first = {"initial_position_error": 0.05, "initial_velocity_error": 0.002}
-        told = caps(dropout=0.1, most_missed=missed, **first)
+        told = caps(dropout=0.1, most_missed=missed, initial_position_error=0.05, initial_velocity_error=0.002)
         assert told[1] == pytest.approx(0.002 + missed * told[2])
     wider = caps(position_noise=0.2, velocity_noise=0.01)
     assert wider[:2] == pytest.approx((0.2, 0.01))
-
-
-def test_noise_without_a_bound_has_a_probability():
-    assert suite_of(scenario().navigation).probability_beyond(1000) == 0.0
-    far = suite_of(scenario(navigation={"suite": "far"}).navigation)
-    # Two sensors, each sampled 1001 times, Pr[chi2_3 > 36] = 7.5e-8 a sample.
-    assert far.probability_beyond(1000) == pytest.approx(2 * 1001 * 7.485e-8, rel=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -155,11 +143,7 @@ def test_noise_without_a_bound_has_a_probability():
         ({"navigation": {"position_noise": 0.1}}, ("position_noise", 'suite is "none"', '"close"')),
         ({"navigation": {"estimate": "raw"}}, ("estimate", 'suite is "none"')),
         ({"navigation": {"suite": "far", "position_noise": 0.1}}, ("position_noise", '"close"', 'it is "far"')),
-        ({"navigation": {"suite": "clos"}}, ("navigation.suite", "'clos'", "'close'")),
-        ({"navigation": {"suite": "close", "position_noise": -1.0}}, ("navigation.position_noise: -1",)),
-        ({"navigation": {"suite": "close", "dropout": 1.0}}, ("navigation.dropout: 1",)),
         ({"guard": {"position_error": 0.1}}, ("guard.position_error", '"close"', "leave them out")),
-        ({"guard": {"velocity_error": 0.1}}, ("guard.velocity_error", '"close"')),
         ({"faults": {"position_noise": 0.1}}, ("faults.position_noise", '"close"', "leave them out")),
     ],
 )
@@ -171,36 +155,23 @@ def test_entries_are_refused(tables, said):
 
 
 @pytest.mark.parametrize(
-    ("navigation", "kind", "said"),
+    ("navigation", "said"),
     [
-        ({"suite": "close", "dropout": 0.1}, ScenarioError, ("navigation.dropout: 0.1", "most_missed")),
-        ({"suite": "close", "dropout": 0.1, "most_missed": 0}, ScenarioError, ("navigation.most_missed: 0", "0.1")),
-        ({"suite": "far"}, ControlError, ("guard: disturbance, drift and errors ask for", "0.1 N")),
-        (
-            {"suite": "close", "position_noise": 1.0, "velocity_noise": 0.05},
-            ControlError,
-            ("guard: ", "force_limit is 0.1 N"),
-        ),
+        ({"suite": "close", "dropout": 0.1}, ("navigation.dropout: 0.1", "most_missed")),
+        ({"suite": "close", "dropout": 0.1, "most_missed": 0}, ("navigation.most_missed: 0", "0.1")),
+        ({"suite": "far"}, ("guard: disturbance, drift and errors ask for", "force_limit is 0.1 N")),
+        ({"suite": "close", "position_noise": 1.0, "velocity_noise": 0.05}, ("guard: ", "force_limit is 0.1 N")),
     ],
 )
-@pytest.mark.long
-def test_what_cannot_be_flown_is_refused_with_numbers(navigation, kind, said):
-    with pytest.raises(KeepoutError) as refusal:
-        prepare(scenario(navigation=navigation))
-    assert isinstance(refusal.value, kind)
-    assert all(part in str(refusal.value) for part in said), refusal.value
-    assert "\n" not in str(refusal.value)
+def test_what_cannot_be_flown_is_refused_with_numbers(navigation, said, target):
+    refusal = number_refusal(scenario(navigation=navigation), target)
+    assert all(part in str(refusal) for part in said), refusal
+    assert "\n" not in str(refusal)
 
 
-PLAIN = {"navigation": {"suite": "close", "estimate": "observer"}, "thrusters": {}}
-"""By the last samples, without pulses."""
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    "entries", [pytest.param(PLAIN, id="last samples"), pytest.param({}, id="filter, pulses", marks=pytest.mark.slow)]
-)
-def test_a_campaign_over_noise_and_starts_flies_and_replays(entries, tmp_path):
+@pytest.mark.slow
+def test_a_campaign_over_noise_and_starts_flies_and_replays(tmp_path):
+    """By the last samples, without pulses."""
     campaign = {
         "runs": 3,
         "dispersions": {
@@ -208,7 +179,8 @@ def test_a_campaign_over_noise_and_starts_flies_and_replays(entries, tmp_path):
             "start.position": {"sphere": [7.5, 9.0]},
         },
     }
-    given = scenario(campaign=campaign, duration=40.0, **entries)
+    plain = {"navigation": {"suite": "close", "estimate": "observer"}, "thrusters": {}}
+    given = scenario(campaign=campaign, duration=40.0, **plain)
     plan = Plan.of(given, batch=2)
     dataset = Dataset.begin(tmp_path, plan)
     with dataset.lock():
@@ -221,18 +193,6 @@ def test_a_campaign_over_noise_and_starts_flies_and_replays(entries, tmp_path):
         record, caps = again.flight.record, again.flight.guard
         noise = rows[again.run.number]["navigation.position_noise"]
         assert caps["position_error_m"] == pytest.approx(noise)
-        away = np.linalg.norm(record.known_position - record.position, axis=1)
-        assert np.all(away <= record.known_position_error)
+        assert np.all(away_from_known(record) <= record.known_position_error)
         assert record.known_position_error.max() <= caps["position_error_m"]
         assert np.abs(record.known_position_error - record.known_position_error[0]).max() > 0.0
-
-
-@pytest.mark.long
-def test_a_scenario_with_sensors_can_be_checked():
-    report = check(scenario())
-    assert report.refusals == ()
-    assert report.start_certified is True
-    assert report.guard is not None
-    assert report.guard["position_error_m"] == pytest.approx(0.05)
-    refused = check(scenario(navigation={"suite": "far"}))
-    assert any("force_limit is 0.1 N" in refusal.said for refusal in refused.refusals)

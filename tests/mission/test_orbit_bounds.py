@@ -1,4 +1,7 @@
-"""Bounds on bent orbits against paths by SciPy's DOP853 from formulas of the test's own, and against sampled drifts."""
+"""Bounds on bent orbits and turning bodies against paths by SciPy from formulas of the tests' own."""
+
+import dataclasses
+import functools
 
 import equinox as eqx
 import jax
@@ -7,14 +10,11 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from keepout.audit.audit import Contact
 from keepout.errors import ScenarioError
-from keepout.flight.record import FlightRecord
-from keepout.mission import environment
-from keepout.mission.flight import fly
+from keepout.mission import environment, turning_bounds
 from keepout.mission.orbit_bounds import _path, differential_bounds, orbit_bounds, orbit_of, perturbations
 from keepout.mission.scenario import Scenario
-from keepout.motion import MotionState
+from keepout.motion import MotionState, NoDisturbance
 
 MU, EARTH, OBLATE, SPIN = 3.986004418e14, 6378137.0, 1.08262668e-3, 7.292115e-5
 CASES = {
@@ -40,6 +40,11 @@ def scenario_of(case):
     orbit, drag, duration = CASES[case]
     sun = SUN if case == "sunlight and shadow" else {}
     return Scenario().replace(orbit=orbit, drag=drag, sun=sun, duration=duration)
+
+
+@functools.cache
+def path_of(case):
+    return true_path(scenario_of(case))
 
 
 def true_path(scenario):
@@ -89,7 +94,7 @@ def turning(path):
 @pytest.mark.parametrize("case", CASES)
 def test_the_frame_never_turns_faster_and_the_target_never_flies_lower(case):
     scenario = scenario_of(case)
-    path, bounds = true_path(scenario), orbit_bounds(scenario)
+    path, bounds = path_of(case), orbit_bounds(scenario)
     rate, change = turning(path)
     # A central difference over two seconds is low by (ω · 1 s)²/6, about 2e-7.
     assert bounds.rate * (1 - 1e-6) >= rate.max() >= bounds.rate * (1 - 2e-3)
@@ -101,16 +106,15 @@ def test_the_frame_never_turns_faster_and_the_target_never_flies_lower(case):
 
 
 @pytest.mark.parametrize(
-    "attitude",
-    [pytest.param("vvlh", marks=pytest.mark.long), pytest.param("inertial", marks=pytest.mark.long), "tumbling"],
+    ("case", "attitude"),
+    [*((case, "tumbling") for case in CASES), ("polar with drag", "inertial"), ("long ellipse", "vvlh")],
 )
-@pytest.mark.parametrize("case", CASES)
 def test_no_sampled_drift_exceeds_the_bound(case, attitude):
     scenario = scenario_of(case)
     turned = {"angular_velocity": (0.01, -0.02, 0.005), "inertia": ((120.0, 8, -5), (8, 90, 4), (-5, 4, 60))}
     scenario = scenario.replace(attitude={"kind": attitude} | (turned if attitude == "tumbling" else {}))
     bounds, motion = environment.flight_bounds(scenario), environment.relative_motion(scenario)
-    path = true_path(scenario)
+    path = path_of(case)
     random = np.random.default_rng(0)
     count = 10_000
     at = path[random.integers(len(path), size=count)]
@@ -140,7 +144,7 @@ def test_each_part_of_the_differential_bound_is_needed():
     scenario = scenario_of("polar with drag")
     orbit, motion = orbit_bounds(scenario), environment.relative_motion(scenario)
     bent = differential_bounds(scenario, orbit, nearest=orbit.lowest_radius, angular_rate=orbit.rate, fastest=100.0)
-    path = true_path(scenario)
+    path = path_of("polar with drag")
     lowest = path[np.argmin(np.linalg.norm(path[:, :3], axis=1))]
     state = motion.initial_state(np.zeros(3), np.zeros(3))
     beside = MotionState(
@@ -159,11 +163,11 @@ def test_each_part_of_the_differential_bound_is_needed():
     assert float(steepest) == pytest.approx(plain.gradient, rel=1e-12)
 
 
-@pytest.mark.parametrize("case", ["polar with drag", "long ellipse"])
-def test_the_integrated_path_is_that_of_dop853(case):
+def test_the_integrated_path_is_that_of_dop853():
+    case = "polar with drag"
     scenario = scenario_of(case)
     positions, velocities = _path(scenario.orbit, perturbations(scenario), 1.0, int(scenario.duration))
-    truth = true_path(scenario)
+    truth = path_of(case)
     error = np.linalg.norm(positions - truth[:, :3], axis=1) / np.linalg.norm(positions, axis=1)
     assert error.max() < 1e-8
     assert (np.linalg.norm(velocities - truth[:, 3:], axis=1) / np.linalg.norm(velocities, axis=1)).max() < 1e-8
@@ -191,19 +195,6 @@ def test_without_perturbations_the_bounds_are_keplers():
 def test_orbits_without_a_bound_are_refused(changes, reason):
     with pytest.raises(ScenarioError, match=reason):
         environment.flight_bounds(Scenario().replace(**changes))
-
-
-@pytest.mark.long
-def test_a_guarded_flight_in_a_low_orbit_keeps_its_promises_and_records_the_targets_orbit(tmp_path):
-    orbit, drag, _ = CASES["polar with drag"]
-    flight = fly(Scenario().replace(orbit=orbit, drag=drag | {"density": 3e-12}, duration=150.0))
-    assert flight.audit.contact is Contact.NO
-    assert flight.audit.inconsistent_steps == ()
-    assert flight.guard_flags() == {}
-    flight.record.save(tmp_path / "flight.parquet")
-    orbit_column = FlightRecord.load(tmp_path / "flight.parquet").target_orbit
-    truth = true_path(flight.scenario)
-    np.testing.assert_allclose(orbit_column[:, :3], truth[:, :3], atol=1e-4)
 
 
 def test_drag_is_bounded_up_to_the_speed_that_the_guard_allows():
@@ -234,8 +225,7 @@ def test_drag_is_bounded_up_to_the_speed_that_the_guard_allows():
     ("entries", "until"),
     [
         ({}, np.inf),
-        ({"orbit": {"semi_major_axis": 6.9e6, "eccentricity": 0.01}}, np.inf),
-        ({"attitude": {"kind": "tumbling", "angular_velocity": (0.01, 0.0, 0.0)}}, np.inf),
+        ({"orbit": {"eccentricity": 0.01}, "attitude": {"kind": "tumbling"}}, np.inf),
         ({"orbit": {"semi_major_axis": 6.9e6, "j2": True}}, 15.5),
         ({"sun": {"chaser_area_to_mass": 0.01}}, 15.5),
         ({"orbit": {"semi_major_axis": 6.9e6}, "drag": {"density": 1e-12}, "control": {"period": 10.0}}, 20.5),
@@ -269,3 +259,76 @@ def test_bounds_hold_to_the_end_of_the_last_control_period():
     assert np.linalg.norm(r, axis=1).min() >= found.lowest_radius
     # With the duration's own end the bound would be exceeded, so that this test can fail.
     assert rates.max() > orbit_bounds(scenario.replace(duration=15.0, control={"period": 1.0})).rate
+
+
+INERTIA = np.array([[120.0, 8, -5], [8, 90, 4], [-5, 4, 60]])
+RADIUS = 6.9e6
+
+
+def turned_by_gravity(rates, duration=3000.0, period=1.0, inertia=INERTIA):
+    attitude = {
+        "kind": "tumbling",
+        "angular_velocity": tuple(rates),
+        "inertia": tuple(tuple(row) for row in inertia.tolist()),
+        "gravity_gradient": True,
+    }
+    orbit = {"semi_major_axis": RADIUS}
+    return Scenario().replace(attitude=attitude, orbit=orbit, duration=duration, control={"period": period})
+
+
+def truth(rates, duration, inertia=INERTIA, start=None):
+    """ω and the body axes (rows) in inertial space, on a circular orbit in the x-z plane of VVLH at the start."""
+    n = np.sqrt(MU / RADIUS**3)
+
+    def derivative(t, y):
+        w, axes = y[:3], y[3:].reshape(3, 3)
+        # VVLH at the start: x forward, z to nadir, and the frame turns about −y.
+        nadir = axes @ np.array([-np.sin(n * t), 0.0, np.cos(n * t)])
+        torque = 3.0 * n**2 * np.cross(nadir, inertia @ nadir)
+        spin = np.array([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]])
+        return np.concatenate([np.linalg.solve(inertia, torque - np.cross(w, inertia @ w)), (-spin @ axes).ravel()])
+
+    begin = np.concatenate([rates, (np.eye(3) if start is None else start).ravel()])
+    times = np.arange(0.0, duration + 0.25, 0.25)
+    return times, solve_ivp(derivative, (0.0, duration), begin, "DOP853", times, rtol=1e-12, atol=1e-14).y[:3].T
+
+
+@pytest.mark.parametrize("rates", [(0.0, 0.0, 0.0), (0.002, -0.001, 0.0005), (0.01, -0.02, 0.005)])
+def test_no_rate_of_a_body_that_gravity_turns_is_beyond_the_bound(rates):
+    scenario = turned_by_gravity(rates)
+    motion = environment.relative_motion(scenario)
+    _, omega = truth(np.array(rates), scenario.duration)
+    rate, acceleration = turning_bounds.pulled(
+        motion, period=1.0, steps=scenario.steps, lowest_radius=orbit_bounds(scenario).lowest_radius
+    )
+    largest = np.linalg.norm(omega, axis=1).max()
+    assert largest <= rate <= largest * 1.03 + 4e-6
+    assert np.linalg.norm(np.diff(omega, axis=0) / 0.25, axis=1).max() <= acceleration
+    state = motion.initial_state(np.zeros(3), np.zeros(3))
+    step = lambda s, _: (motion.step(s, jnp.zeros(3), NoDisturbance(), 1.0, 1.0), s.angular_velocity)  # noqa: E731
+    flown = np.asarray(jax.jit(lambda s: jax.lax.scan(step, s, length=scenario.steps + 1)[1])(state))
+    np.testing.assert_allclose(flown, omega[::4], atol=1e-9)
+
+
+def test_motions_of_the_same_numbers_that_are_stepped_otherwise_have_bounds_of_their_own():
+    scenario = turned_by_gravity((0.0, 0.0, 0.0), duration=200.0, period=10.0)  # gravity alone turns it, ever faster
+    motion = environment.relative_motion(scenario)
+    numbers = {"period": 10.0, "steps": scenario.steps, "lowest_radius": RADIUS}
+    coarse, fine = (
+        turning_bounds.pulled(dataclasses.replace(motion, substeps=substeps), **numbers) for substeps in (1, 20)
+    )
+    assert coarse != fine
+    assert coarse == pytest.approx(fine, rel=1e-4)
+
+
+def test_the_bounds_without_torque_are_those_of_energy_and_momentum():
+    rates = np.array([0.01, -0.02, 0.005])
+    rate, acceleration = turning_bounds.free(rates, INERTIA)
+    least = np.linalg.eigvalsh(INERTIA)[0]
+    assert rate == pytest.approx(np.sqrt(rates @ INERTIA @ rates / least))
+    assert acceleration == pytest.approx(np.linalg.norm(INERTIA @ rates) * rate / least)
+
+
+def test_a_body_that_turns_too_fast_for_its_steps_is_refused():
+    with pytest.raises(ScenarioError, match=r"attitude\.angular_velocity"):
+        environment.flight_bounds(turned_by_gravity((1.0, 0.5, 0.0), duration=100.0, period=10.0))

@@ -6,7 +6,6 @@ import pytest
 from keepout.errors import ScenarioError
 from keepout.mission import environment
 from keepout.mission.first_look import look
-from keepout.mission.flight import fly
 from keepout.mission.scenario import Scenario
 from keepout.mission.thrusters import errors, layout, require_thrusters, thrusters
 from keepout.motion import Thrusters
@@ -69,26 +68,6 @@ def test_layouts_are_refused_with_numbers(entries, said):
     assert "\n" not in str(refusal.value)
 
 
-@pytest.mark.parametrize(
-    ("tree", "said"),
-    [
-        ({"thrusters": {"layout": "six", "least_on_time": 2.0}}, ("least_on_time 2.0 s", "period, 1.0 s")),
-        ({"thrusters": {"layout": "7"}}, ("thrusters.layout", "'7'")),
-        ({"thrusters": {"layout": "own", "own": [UP | {"direction": [0, 0, 0]}]}}, ("own.0", "must point somewhere")),
-        ({"thrusters": {"layout": "own", "own": [UP | {"force": None}]}}, ("force of thrusters 0 not given",)),
-        ({"thrusters": {"layout": "own", "own": [UP | {"forc": 1}]}}, ("own.0.forc", "did you mean force")),
-        ({"thrusters": {"layout": "own"}}, ("own: 0 thrusters",)),
-        ({"thrusters": {"layout": "six", "own": [UP]}}, ("own: 1 thrusters", '"six"')),
-        ({"faults": {"thruster_stuck": "on"}}, ("thruster_stuck needs thruster",)),
-        ({"faults": {"stuck": "+x"}, "thrusters": {"layout": "six"}}, ("faults.stuck is for", "faults.thruster")),
-    ],
-)
-def test_entries_are_refused(tree, said):
-    with pytest.raises(ScenarioError) as refusal:
-        Scenario.parse(tree)
-    assert all(part in str(refusal.value) for part in said), refusal.value
-
-
 def test_what_the_guard_is_to_assume():
     """The figures of docs/my-thrusters.md: 0.1 N an axis, 20 kg, 1 s, 20 ms."""
     for name in ("six", "12", "24"):
@@ -104,16 +83,3 @@ def test_what_the_guard_is_to_assume():
     assert (covered.fault_force, covered.fault_steps) == (pytest.approx(0.1), 5)
     told = environment.flight_bounds(scenario(layout="six"))
     assert (told.excursion, told.velocity_excursion) == (width.excursion, width.velocity_excursion)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("how", ["on", "off"])
-def test_a_flight_with_a_stuck_thruster_is_flown_and_audited(how):
-    flown = fly(
-        scenario(layout="12", force=0.1, survive_failure=True, faults={"thruster": 3, "thruster_stuck": how}).replace(
-            duration=600.0
-        )
-    )
-    assert flown.audit.consistent
-    assert str(flown.audit.contact) == "no"
-    assert flown.summary()["propellant_kg"] > 0.0
