@@ -96,11 +96,20 @@ def _flight(estimate, disturbance, key, kind, start, errors):
     return step, (truth, lines, estimate.initial_state(told, errors), keys[4])
 
 
+def against(tree, kind):
+    """The same with noise of another kind in every adversary."""
+
+    def told(part):
+        return Adversary(part.radius, kind) if isinstance(part, Adversary) else part
+
+    return jax.tree.map(told, tree, is_leaf=lambda part: isinstance(part, Adversary))
+
+
 @eqx.filter_jit
-def fly_many(make, disturbance, keys, kinds, starts, errors, steps):
-    """Fly flights in a batch; `make(kind of noise)` gives the estimate."""
+def fly_many(estimate, disturbance, keys, kinds, starts, errors, steps):
+    """Fly flights in a batch, each against the kind of noise that its first entry of `kinds` says."""
 
     def one(key, kind, start):
-        return fly(make(kind[0]), disturbance, key, kind, start, errors, steps)
+        return fly(against(estimate, kind[0]), disturbance, key, kind, start, errors, steps)
 
     return jax.vmap(one)(keys, kinds, starts)
