@@ -10,7 +10,6 @@ import time
 
 import jax
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 
 from keepout.campaign.chunk import certified, fly_chunk
@@ -25,7 +24,6 @@ from keepout.campaign.table import of_bytes
 from keepout.campaign.workshop import Workshop
 from keepout.errors import FlightError, ScenarioError
 from keepout.flight.record import FlightRecord
-from keepout.flight.setup import flown_setup
 from keepout.mission.build import prepare
 from keepout.mission.campaign import room_to_start
 from keepout.mission.scenario import Scenario
@@ -85,13 +83,6 @@ def test_every_run_has_a_row_and_a_refused_one_its_reason(plan, flown, scenario)
     assert plan.workshop.mission(scenario).target.distance.distance(starts).min() > 0.8
 
 
-def test_progress_ends_at_all_runs(flown):
-    dataset, told = flown
-    assert (told[-1].done, told[-1].runs) == (22, 22)
-    assert told[-1].flown == dataset.table()["reached"].is_valid().to_pylist().count(True)
-    assert [standing.done for standing in told] == sorted(standing.done for standing in told)
-
-
 def test_a_chunk_is_a_function_of_plan_and_number_whoever_flies_it(plan, flown):
     sent = pickle.loads(pickle.dumps(plan))
     for number in (plan.chunks - 1, 0):
@@ -133,9 +124,8 @@ def test_the_worst_flights_are_kept_and_no_others(plan, flown):
     assert (header["campaign"], header["run"]) == (plan.sha256, kept[0])
     assert Keep.parse("all").worst is None
     assert Keep.parse("none").worst == 0
-    for text in ("worst", "worst:0", "best:3", "worst:-1"):
-        with pytest.raises(ScenarioError, match="worst:N"):
-            Keep.parse(text)
+    with pytest.raises(ScenarioError, match="worst:N"):
+        Keep.parse("worst:0")
 
 
 def test_a_torn_or_foreign_part_is_flown_again(plan, flown, tmp_path):
@@ -174,26 +164,23 @@ def test_a_resumed_campaign_counts_from_where_the_folder_stands(scenario, tmp_pa
     assert [(one.done, one.reached, one.flown) for one in complete] == [(12, told[-1].reached, 0)]
 
 
-def test_a_folder_of_another_campaign_is_refused_with_what_differs(scenario, flown):
+def test_a_folder_of_another_campaign_or_that_another_process_flies_is_refused(scenario, flown):
+    dataset = flown[0]
     other = Plan.of(scenario.replace(seed=1, chaser={"radius": 0.5}), batch=BATCH)
     with pytest.raises(ScenarioError, match="holds another campaign: seed is 0 there and 1 here; give another folder"):
-        Dataset.begin(flown[0].folder, other)
-
-
-def test_a_folder_that_another_process_flies_is_refused(flown):
+        Dataset.begin(dataset.folder, other)
     program = (
         "import sys; from keepout.campaign.dataset import Dataset\n"
         "with Dataset.open(sys.argv[1]).lock(): print('held', flush=True); sys.stdin.read()"
     )
-    with subprocess.Popen(
-        [sys.executable, "-c", program, str(flown[0].folder)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as other:
-        assert other.stdout is not None
-        assert other.stdout.readline() == "held\n"
-        with pytest.raises(ScenarioError, match=f"another process \\(process {other.pid}\\)"), flown[0].lock():
+    command = [sys.executable, "-c", program, str(dataset.folder)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "held\n"
+        with pytest.raises(ScenarioError, match=f"another process \\(process {process.pid}\\)"), dataset.lock():
             pass
-        other.kill()
-    with flown[0].lock():  # a killed process holds nothing
+        process.kill()
+    with dataset.lock():  # a killed process holds nothing
         pass
 
 
@@ -211,15 +198,7 @@ def test_a_campaign_of_which_nothing_can_be_flown_is_refused(scenario):
         Plan.of(scenario.replace(campaign={"dispersions": {"chaser.mass": {"choice": [-1.0]}}}))
 
 
-def test_flights_that_differ_in_the_phase_of_the_disturbance_share_one_program(scenario):
-    campaign = {"runs": 64, "dispersions": {"disturbance.phase": {"uniform": [0.0, 6.283]}}}
-    for kind in ({"kind": "paper"}, {"kind": "bang-bang", "amplitude": 0.02}, {"kind": "random", "amplitude": 0.02}):
-        plan = Plan.of(scenario.replace(campaign=campaign, disturbance=kind), batch=8)
-        [program] = plan.programs
-        assert sum(program.stacked) == 1, "all but the phase is equal to the last bit, the law too"
-        runs = plan.draw(0, 20)
-        assert all(program.takes(flown_setup(run.mission.setup)) for run in runs)
-        assert len({run.scenario.disturbance.phase for run in runs}) == 20
+PHASES = {"runs": 8, "dispersions": {"disturbance.phase": {"uniform": [0.0, 6.283]}}}
 
 
 def test_a_mission_of_another_phase_shares_its_law_and_is_the_one_that_would_be_made(scenario):
@@ -228,36 +207,37 @@ def test_a_mission_of_another_phase_shares_its_law_and_is_the_one_that_would_be_
     made = [workshop.mission(guarded.replace(disturbance={"phase": phase})) for phase in (1.0, 2.0)]
     assert made[0].setup.controller is made[1].setup.controller
     truth = prepare(guarded.replace(disturbance={"phase": 1.0}))
-    assert jax.tree.structure(made[0].setup) == jax.tree.structure(truth.setup)
-    for one, other in zip(jax.tree.leaves(made[0].setup), jax.tree.leaves(truth.setup), strict=True):
-        np.testing.assert_array_equal(one, other)
+    assert_same(made[0].setup, truth.setup)
     assert (made[0].scenario, made[0].start_certified) == (truth.scenario, truth.start_certified)
 
 
-@pytest.mark.parametrize("guarded", [True, False])
-def test_what_is_looked_at_for_many_runs_is_what_one_run_alone_is_told(scenario, guarded):
+def assert_same(one, other):
+    """Compare two trees of arrays to the last bit."""
+    assert jax.tree.structure(one) == jax.tree.structure(other)
+    jax.tree.map(np.testing.assert_array_equal, one, other)
+
+
+def test_what_is_looked_at_for_many_runs_is_what_one_run_alone_is_told(scenario):
     fast = {"sphere": [0.0, 0.3]}  # the guard's theorem is of speeds up to 0.15 m/s
     campaign = {"runs": 300, "dispersions": {"start.position": {"sphere": [1.0, 9.0]}, "start.velocity": fast}}
-    plan = Plan.of(scenario.replace(guard={"enabled": guarded}, campaign=campaign))
+    plan = Plan.of(scenario.replace(guard={"enabled": True}, campaign=campaign))
     runs = plan.draw(0, 300)
     assert any(run.drawn_again for run in runs)
     sure = certified(runs)
-    for run in runs[::21]:
+    for run in runs[::42]:
         [alone] = plan.draw(run.number, run.number + 1)
         assert (alone.number, alone.values, alone.drawn_again) == (run.number, run.values, run.drawn_again)
         np.testing.assert_array_equal(alone.position, run.position)
-        mission, state = run.mission, initial_state(run)
+        mission = run.mission
         truth = mission.setup.motion.initial_state(run.position, run.velocity)
-        for one, other in zip(jax.tree.leaves(state), jax.tree.leaves(truth), strict=True):
-            np.testing.assert_array_equal(one, other)
-        assert sure[run.number] == (bool(mission.guard.certified_start(truth)) if guarded else None)
+        assert_same(initial_state(run), truth)
+        assert sure[run.number] == bool(mission.guard.certified_start(truth))
         assert mission.target.distance.distance(run.position[None])[0] > room_to_start(mission.scenario)
-    assert not guarded or 0 < sum(sure.values()) < 300
+    assert 0 < sum(sure.values()) < 300
 
 
 def test_a_drawn_phase_is_what_is_flown(scenario):
-    campaign = {"runs": 8, "dispersions": {"disturbance.phase": {"uniform": [0.0, 6.283]}}}
-    plan = Plan.of(scenario.replace(campaign=campaign), batch=4)
+    plan = Plan.of(scenario.replace(campaign=PHASES), batch=4)
     rows = of_bytes(fly_chunk(plan, 0).table).to_pylist()
     [again] = replay(plan, [3])
     t = again.flight.record.time + rows[3]["disturbance.phase"] * np.array([[100.0], [50.0]])  # by 0.01 and 0.02 rad/s
@@ -300,4 +280,3 @@ def test_killed_and_started_again_it_ends_in_the_same_table(plan, flown, tmp_pat
     assert dataset.bands().to_bytes() == whole.bands().to_bytes()
     for part in (tmp_path / "flights").glob("*.parquet"):
         assert part.read_bytes() == (whole.folder / "flights" / part.name).read_bytes()
-    assert pq.read_table(tmp_path / "flights").num_rows == 22

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
 from keepout.campaign.dispersion import design
 from keepout.errors import ScenarioError
-from keepout.mission.entry_names import entry_kind, with_entries
+from keepout.mission.entry_names import with_entries
 from keepout.mission.scenario import Scenario
 
 SPREAD = {
@@ -42,7 +42,6 @@ def test_values_follow_their_laws():
     assert values["goal.position"].min(axis=0)[2] == values["goal.position"].max(axis=0)[2] == -4.0
 
 
-@settings(max_examples=30, deadline=None)
 @given(
     cut=st.integers(1, 39),
     seed=st.integers(0, 2**32 - 1),
@@ -69,13 +68,6 @@ def test_a_start_drawn_again_is_another_and_leaves_the_rest():
     np.testing.assert_array_equal(again["start.position"], varied.start_values(3, 1)["start.position"])
 
 
-def test_without_dispersions_the_start_varies_in_its_box():
-    starts = drawn({}, lower=(-2.0, 5.0, 1.0), upper=(2.0, 6.0, 1.0))["start.position"]
-    assert (starts.min(axis=0) >= [-2.0, 5.0, 1.0]).all()
-    assert (starts.max(axis=0) <= [2.0, 6.0, 1.0]).all()
-    assert stats.kstest(starts[:, 0], stats.uniform(-2.0, 4.0).cdf).pvalue > 1e-3
-
-
 @pytest.mark.parametrize("sampling", ["latin-hypercube", "sobol"])
 def test_a_design_over_all_runs_fills_every_stratum_of_every_number_once(sampling):
     runs = 64
@@ -91,12 +83,9 @@ def test_a_design_over_all_runs_fills_every_stratum_of_every_number_once(samplin
     ("dispersions", "said"),
     [
         ({"chaser.mas": {"uniform": [1, 2]}}, "chaser.mas: no such entry; did you mean mass"),
-        ({"chaser": {"uniform": [1, 2]}}, "a whole table"),
         ({"seed": {"uniform": [1, 2]}}, "seed: one for the whole campaign"),
-        ({"campaign.runs": {"choice": [1, 2]}}, "one for the whole campaign"),
         ({"chaser.mass": {"sphere": 2.0}}, "sphere is for vectors"),
         ({"chaser.mass": {"uniform": [[1, 2, 3], [4, 5, 6]]}}, "needed are two numbers"),
-        ({"start.position": {"uniform": [1, 2]}}, "needed are two vectors"),
         ({"control.profile": {"uniform": [1, 2]}}, "only choice"),
         ({"start.position": {"sphere": 9.0}, "start.position.x": {"uniform": [1, 2]}}, "a vector or its components"),
     ],
@@ -114,10 +103,8 @@ def test_what_no_run_could_fly_is_refused_at_once(dispersions, said):
         ({"uniform": [1, 2], "normal": [0, 1]}, "uniform and normal"),
         ({"uniform": [3, 2]}, "first must not exceed"),
         ({"normal": [3, -2]}, "standard deviation"),
-        ({"choice": []}, "no values"),
         ({"choice": [1, 2], "weights": [1]}, "one for each value"),
         ({"uniform": [1, 2], "within": 2.0}, "within is for normal"),
-        ({"unifrom": [1, 2]}, "did you mean uniform"),
     ],
 )
 def test_a_dispersion_that_means_nothing_is_refused_with_its_name(entry, said):
@@ -126,7 +113,6 @@ def test_a_dispersion_that_means_nothing_is_refused_with_its_name(entry, said):
     assert "campaign.dispersions.chaser.mass" in str(refusal.value)
 
 
-@settings(max_examples=50, deadline=None)
 @given(mass=st.floats(0.1, 1e4), x=st.floats(-1e3, 1e3))
 def test_entries_are_replaced_by_name(mass, x):
     made = with_entries(Scenario(), {"chaser.mass": mass, "start.position.x": x, "target.parameters.wing": 2.0})
@@ -142,4 +128,3 @@ def test_a_value_out_of_range_is_refused_with_its_entry():
         with_entries(Scenario(), {"chaser.mass": -1.0})
     with pytest.raises(ScenarioError, match=r"disturbance\.force\.x: disturbance\.force is not set"):
         with_entries(Scenario(), {"disturbance.force.x": 1.0})
-    assert entry_kind("disturbance.force.x") == "number"

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy import stats
 
-from keepout.campaign.influence import Factor, Influence, Ranked, average_ranks, holm, influence, ranked
+from keepout.campaign.influence import Factor, Influence, Ranked, holm, influence, ranked
 from keepout.campaign.outcomes import FIGURES, Distribution, Figure, Outcomes, Rate, distribution, rates, read_outcomes
 from keepout.campaign.reading import Reading
 from keepout.cores import available_cores
@@ -137,7 +138,7 @@ def _influences(
 ) -> list[tuple[Influence, Scatter]]:
     """Measure every factor against every figure, a few columns in memory at once."""
     known = {f.column: outcomes.has(f) & np.isfinite(outcomes.figures[f.column]) for f in FIGURES}
-    ranks = dict(zip(known, pool.map(lambda c: average_ranks(outcomes.figures[c][known[c]]), known), strict=True))
+    ranks = dict(zip(known, pool.map(lambda c: stats.rankdata(outcomes.figures[c][known[c]]), known), strict=True))
     points = {column: _points(has) for column, has in known.items()}
     columns = reading.factor_columns()
     names, found = list(columns), []
