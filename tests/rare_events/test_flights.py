@@ -1,13 +1,6 @@
-"""Flights by their tapes: what the numbers stand for, the clearance, and `keepout rare` from end to end."""
+"""Flights by their tapes: what the numbers stand for, the clearance, and a rare event from end to end."""
 
-import csv
-import json
 import math
-import os
-import signal
-import subprocess
-import sys
-import time
 
 import equinox as eqx
 import jax
@@ -15,11 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
-from truths.command_line import keepout_command
 
 from keepout.errors import ScenarioError
 from keepout.flight import loop
-from keepout.flight.record import FlightRecord
 from keepout.mission.assumptions import broken_assumptions
 from keepout.mission.build import prepare
 from keepout.mission.scenario import Scenario
@@ -85,24 +76,9 @@ def test_the_numbers_of_a_tape_have_the_laws_of_the_faults(flown):
 
 
 @pytest.mark.long
-def test_a_tape_draws_the_random_disturbances_phases_whatever_phase_is_added(flown):
-    """A phase that is uniform over a turn stays so: the tape is the same, and what it draws."""
-    moved = NEAR.replace(faults=ALL, disturbance=RANDOM | {"phase": 1.0}, rare=SPREAD)
-    tape = Tape.of(moved)
-    assert tape.layout == flown.tape.layout
-    numbers = jnp.asarray(np.random.default_rng(0).standard_normal(tape.numbers))
-    old, _ = flown.tape.flown(flown.mission.setup, numbers)
-    new, _ = tape.flown(prepare(moved).setup, numbers)
-    for name in ("frequency", "phase"):
-        waves = (getattr(setup.disturbance.sinusoids, name) for setup in (old, new))
-        np.testing.assert_array_equal(*waves)
-
-
-@pytest.mark.long
 def test_bounded_noise_stays_in_its_ball():
     scenario = NEAR.replace(faults={"position_noise": 0.02})
-    tape = Tape.of(scenario)
-    setup = prepare(scenario).setup
+    tape, setup = Tape.of(scenario), prepare(scenario).setup
     tapes = jnp.asarray(np.random.default_rng(1).standard_normal((100, tape.numbers)))
     parts = eqx.filter_jit(eqx.filter_vmap(lambda z: tape.flown(setup, z)[0].faults))(tapes).parts
     length = np.linalg.norm(parts[0].position, axis=-1).ravel()
@@ -135,56 +111,38 @@ def test_the_clearance_is_the_audits_and_knows_no_company(flown):
 
 
 @pytest.mark.long
-def test_a_rare_event_from_end_to_end_goes_on_after_a_kill(tmp_path):
-    scenario = tmp_path / "near.toml"
-    scenario.write_text(
-        'name = "near"\nduration = 40.0\nstart.position = [8.0, 1.5, 1.2]\ngoal.position = [8.0, -1.5, 1.2]\n'
-        'guard.enabled = false\ncontrol.guidance = "straight"\n'
-        "faults = {position_noise_std = 0.05, velocity_noise_std = 0.02, noise_correlation_time = 10.0}\n"
-    )
-    command = ["rare", str(scenario), "--below", "0.3", "--flights", "64", "--json"]
-    program = [sys.executable, "-m", "keepout.cli", *command]
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-    killed, whole = tmp_path / "killed", tmp_path / "whole"
-    with subprocess.Popen([*program, "-o", str(killed)], env=environment, stdout=subprocess.DEVNULL) as process:
-        while not list(killed.glob("state-*.npz")) and process.poll() is None:
-            time.sleep(0.02)
-        process.send_signal(signal.SIGKILL)
-        assert process.wait() == -signal.SIGKILL
-    assert not (killed / "summary.json").exists()
-    answers = []
-    for out in (killed, whole):
-        answers.append(keepout_command(*command, "-o", out).json)
-        assert json.loads((out / "summary.json").read_text()) == answers[-1]
-    same = [{k: v for k, v in a.items() if k not in ("seconds", "worst_flight", "worst_tape")} for a in answers]
-    assert same[0] == same[1]
-    summary = answers[1]
+def test_a_rare_event_that_was_interrupted_goes_on_to_the_same_answer_and_gives_its_worst_flight_again(tmp_path):
+    noisy = {"position_noise_std": 0.05, "velocity_noise_std": 0.02, "noise_correlation_time": 10.0}
+    scenario = NEAR.replace(faults=noisy)
+
+    def interrupted(fraction, message):
+        if list(tmp_path.glob("state-*.npz")):
+            raise KeyboardInterrupt
+
+    asked = {"below": 0.3, "flights": 64}
+    with pytest.raises(KeyboardInterrupt):
+        rare(scenario, **asked, state=tmp_path, progress=interrupted)
+    resumed, whole = rare(scenario, **asked, state=tmp_path), rare(scenario, **asked)
+    answers = [found.summary() | {"seconds": None} for found in (resumed, whole)]
+    assert answers[0] == answers[1]
+    summary = answers[0]
     assert summary["grade"] == "measured"
     low, high = summary["interval"]
     assert low < summary["probability"] < high
     assert summary["probability"] == pytest.approx(np.mean(summary["runs"]))
-    assert "not proved" in summary["said"]
-    with (whole / "levels.csv").open() as file:
-        levels = list(csv.DictReader(file))
-    assert len(levels) == summary["levels"]
-    assert [float(level["threshold_m"]) for level in levels[1:]] == summary["thresholds_m"]
-    assert (whole / "curve.png").stat().st_size > 10_000
-    assert "nearest" in (whole / "index.html").read_text()
-    record = FlightRecord.load(whole / "near-worst.parquet")
-    tape = np.load(whole / "near-worst-tape.npy")
-    again = TapedFlights(prepare(Scenario.load(scenario))).fly(tape)
-    assert np.array_equal(again.record.position, record.position)
+    assert "not proved" in whole.said
+    again = TapedFlights(prepare(scenario)).fly(resumed.worst_tape)
+    assert np.array_equal(again.record.position, whole.worst.record.position)
     assert again.audit.minimum_clearance == summary["least_clearance_m"] < 0.3
 
 
-def test_a_scenario_without_anything_random_has_no_tape():
-    with pytest.raises(ScenarioError, match="nothing in it is random"):
-        Tape.of(NEAR)
-
-
-def test_a_law_with_draws_of_its_own_has_no_tape():
-    with pytest.raises(ScenarioError, match=r'faults\.law: "random" draws'):
-        Tape.of(NEAR.replace(faults={"law": "random"}))
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [({}, "nothing in it is random"), ({"faults": {"law": "random"}}, r'faults\.law: "random" draws')],
+)
+def test_what_is_not_random_or_draws_for_itself_has_no_tape(changes, said):
+    with pytest.raises(ScenarioError, match=said):
+        Tape.of(NEAR.replace(**changes))
 
 
 @pytest.mark.long
@@ -194,13 +152,10 @@ def test_what_the_theorem_excludes_is_not_measured():
         rare(covered)
 
 
-def test_gaussian_noise_is_beyond_the_assumptions():
+def test_gaussian_noise_is_beyond_the_assumptions_and_correlation_without_noise_is_refused():
     guarded = NEAR.replace(guard={"enabled": True, "position_error": 1.0})
     assert broken_assumptions(guarded) == ()
     [broken] = broken_assumptions(guarded.replace(faults={"position_noise_std": 0.01}))
     assert broken == "faults.position_noise_std 0.01 m > 0 (Gaussian noise has no bound)"
-
-
-def test_a_correlation_time_without_noise_is_refused():
     with pytest.raises(ScenarioError, match="noise_correlation_time needs"):
         NEAR.replace(faults={"noise_correlation_time": 5.0})

@@ -8,7 +8,7 @@ import sys
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from rare import crossing_level, crossing_performance, crossing_probability
@@ -43,7 +43,7 @@ def test_many_short_simulations_have_no_bias():
     # 64 tapes a level are few: a share counted without the whole clump of a refused move, or thresholds of one run
     # alone, show here as tens of percent.
     below, probability = -stats.norm.isf(1e-4), 1e-4
-    runs = np.array([simulate(linear, 10, below=below, tapes=128, seed=seed).below(below) for seed in range(250)])
+    runs = np.array([simulate(linear, 10, below=below, tapes=128, seed=seed).below(below) for seed in range(160)])
     error = np.std(runs.mean(axis=1)) / math.sqrt(len(runs)) / probability
     assert error < 0.04
     assert np.mean(runs) / probability - 1.0 == pytest.approx(0.0, abs=3.0 * error + 0.05)
@@ -58,7 +58,6 @@ def test_every_level_of_the_curve_is_right():
     assert (np.diff(points, axis=0) >= 0.0).all()
 
 
-@settings(max_examples=25)
 @given(arrays(float, (6, 8), elements=st.sampled_from([1e-6, 1e-4, 1e-3, 1e-2, 0.1])))
 def test_the_band_rises_with_its_number_whatever_the_runs_found(runs):
     runs = np.sort(runs, axis=0)  # each run's own probability rises
@@ -90,16 +89,6 @@ def test_the_band_covers_the_whole_curve_at_once():
     assert alone <= 75
 
 
-@pytest.mark.long
-def test_what_it_is_below_is_so_as_often_as_said():
-    truth, right = float(stats.norm.cdf(-6.0)), 0
-    for seed in range(100):
-        result = estimate(simulate(linear, 3, below=-6.0, tapes=64, seed=seed, most_levels=6), -6.0)
-        assert result.bounded_only
-        right += truth <= result.upper
-    assert right >= 90
-
-
 def test_moves_keep_the_normal_law_given_the_threshold():
     # The first level is independent, and so are the ends of the second level's chains, one a seed.
     found = simulate(linear, 7, below=-5.0, tapes=1024, seed=3, most_levels=2)
@@ -121,7 +110,7 @@ def test_the_quadrature_agrees_with_brute_force():
     assert crossing_probability(level, memory, samples) == pytest.approx(1e-2, rel=1e-6)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_intervals_cover_a_crossing_of_probability_1e_7():
     memory, samples = math.exp(-0.1), 100
     level = crossing_level(1e-7, memory, samples)
@@ -159,9 +148,7 @@ def test_what_never_happens_is_said_to_be_below_a_bound():
 def test_a_number_out_of_reach_is_bounded_by_the_last_level():
     found = simulate(linear, 5, below=-12.0, most_levels=7)
     result = estimate(found, -12.0)
-    assert found.ended == "levels"
-    assert result.bounded_only
-    assert len(found.levels) == 7
+    assert (found.ended, result.bounded_only, len(found.levels)) == ("levels", True, 7)
     # Far less than what none in the 8192 independent tapes of the first level allows, 4.5e-4.
     assert stats.norm.cdf(found.levels[-1].threshold) < result.upper < 3 * 8.0**-6
 
@@ -199,7 +186,7 @@ simulate(performance, 12, below={RARE!r}, tapes=256, seed=4, kept=lambda s: kept
     assert kept.load(state).below(RARE).tolist() == whole.below(RARE).tolist()
 
 
-@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 no archive", None])
+@pytest.mark.parametrize("content", [b"PK\x03\x04 no archive", None])
 def test_a_damaged_state_is_refused_in_one_line(tmp_path, content):
     state = tmp_path / "state.npz"
     kept.save(state, simulate(linear, 3, below=-1.0, tapes=64))
@@ -219,20 +206,14 @@ def test_a_damaged_state_is_refused_in_one_line(tmp_path, content):
         ({"tapes": 8}, "flights: 8"),
         ({"seed": -1}, "seed: -1"),
         ({"most_levels": 0}, "most_levels: 0"),
+        ({"numbers": 0}, "numbers: 0"),
+        ({"performance": lambda tapes: np.full(len(tapes), np.nan)}, "gave no number"),
+        ({"performance": lambda tapes: tapes}, "shape"),
     ],
 )
 def test_bad_numbers_are_refused(changed, named):
     with pytest.raises(ScenarioError, match=named):
-        simulate(linear, 3, **({"below": -1.0} | changed))
-
-
-def test_a_tape_without_numbers_and_a_performance_that_is_none_are_refused():
-    with pytest.raises(ScenarioError, match="numbers: 0"):
-        simulate(linear, 0, below=-1.0)
-    with pytest.raises(ScenarioError, match="gave no number"):
-        simulate(lambda tapes: np.full(len(tapes), np.nan), 3, below=-1.0)
-    with pytest.raises(ScenarioError, match="shape"):
-        simulate(lambda tapes: tapes, 3, below=-1.0)
+        simulate(**({"performance": linear, "numbers": 3, "below": -1.0} | changed))
 
 
 def test_progress_rises_to_its_end():
