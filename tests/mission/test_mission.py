@@ -170,4 +170,4 @@ def test_no_hostile_law_comes_inside_a_margin_that_the_guard_keeps(law):
         least.append(flight.audit.minimum_clearance)
     assert least[0] > 0.1
     assert least[1] > 0.0
-    assert law == "bang-bang" or least[1] < 0.1
+    assert law != "through" or least[1] < 0.1  # so that the margin says something
