@@ -1,101 +1,16 @@
-"""Rivals of `benchmarks/rivals.py`: each steers to a goal in free space, and rows and envelopes say what they must."""
+"""Rivals of `benchmarks/rivals.py`: envelopes, splines and plans against closed forms and another integrator."""
 
-import dataclasses
-import json
-from pathlib import Path
+import itertools
+from types import SimpleNamespace
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from rivals_laws import rows
+import scipy.integrate
+import scipy.interpolate
+from rivals_laws.convexified_plan import guess_along, integrated
 from rivals_laws.envelope_fields import CapsuleField, EllipsoidField
-from rivals_laws.flying import stacked
-from rivals_laws.observed import Plant
-from rivals_laws.potential_field import ArtificialPotential, PotentialField
-from rivals_laws.registry import RIVALS
-from rivals_laws.rival import Rival
-from rivals_laws.sampling_mpc import PathIntegral, SamplingMPC, Weights
-
-from keepout.control import profiles
-from keepout.control.guidance.plan import Straight
-from keepout.control.operation import Operation
-from keepout.fields.analytic import SphereField
-from keepout.flight.batches import fly_batches
-from keepout.flight.loop import fly
-from keepout.flight.setup import FlightSetup
-from keepout.motion import Chaser, paper_disturbance
-from keepout.motion.orbit import Orbit
-from keepout.motion.relative import RelativeMotion
-
-CHASER = Chaser(mass=20.0, radius=0.5, force_limit=0.1, speed_limit=0.1)
-MOTION = RelativeMotion(Orbit(6_778_137.0))
-GOAL, START = np.array([4.0, 0.5, 0.0]), np.array([6.0, 1.0, 0.5])
-FIELD = SphereField(jnp.zeros(3), jnp.asarray(1.0))
-OFFSET = 0.6
-
-
-@pytest.fixture(scope="module")
-def default_law():
-    operation = Operation(CHASER, MOTION, error_bound=0.0, disturbance_bound=paper_disturbance().bound)
-    return profiles.default(FIELD, operation, [0.0, 0.0, 20.0], guidance=Straight())
-
-
-@pytest.fixture(scope="module")
-def plant(default_law):
-    speed = default_law.velocity.speed
-    force_limit = default_law.force_limit
-    return Plant(MOTION, default_law.observer, default_law.mass, force_limit, speed.limit, speed.authority)
-
-
-def setup_of(law):
-    return FlightSetup(MOTION, paper_disturbance(), CHASER.thrusters, law, GOAL, CHASER.mass)
-
-
-def potential_field(plant):
-    tuned = ArtificialPotential()
-    numbers = (tuned.gain, tuned.slowing_length, tuned.influence, tuned.stand_off)
-    return PotentialField(plant, FIELD, OFFSET, jnp.asarray(GOAL), *numbers)
-
-
-def sampling_mpc(plant):
-    tuned = PathIntegral()
-    spread = tuned.spread_of_authority * float(plant.authority)
-    costs = (tuned.room_m, tuned.collision, tuned.speeding)
-    weights = Weights(tuned.temperature_s, spread, tuned.held_s, *costs)
-    return SamplingMPC(plant, FIELD, OFFSET, jnp.asarray(GOAL), weights, tuned.knots, 64)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(("make", "tolerance"), [(potential_field, 0.1), (sampling_mpc, 0.3)])
-def test_a_rival_reaches_a_goal_in_free_space_within_the_speed_limit(plant, make, tolerance):
-    log = fly(setup_of(make(plant)), MOTION.initial_state(START, np.zeros(3)), 200, jax.random.key(0))
-    assert np.linalg.norm(log.position[-1] - GOAL) < tolerance
-    assert np.linalg.norm(log.velocity, axis=-1).max() < 0.11
-
-
-@pytest.mark.long
-def test_a_batch_flies_each_flight_as_it_flies_alone(plant):
-    goals = np.array([GOAL, [4.0, -1.0, 0.0], [3.0, 2.0, 1.0]])
-    prototype = potential_field(plant)
-    laws = [eqx.tree_at(lambda law: law.towards, prototype, jnp.asarray(goal)) for goal in goals]
-    law, select = stacked(laws)
-    assert len(select(law)) == 1
-    setup = eqx.tree_at(lambda s: (s.controller, s.goal), setup_of(laws[0]), (law, jnp.asarray(goals)))
-    initial = eqx.filter_vmap(MOTION.initial_state)(jnp.tile(START, (3, 1)), jnp.zeros((3, 3)))
-    columns = {}
-    fly_batches(
-        setup,
-        initial,
-        50,
-        vary=lambda s: [s.goal, *select(s.controller)],
-        columns=("position",),
-        landed=lambda first, log: columns.update(log),
-    )
-    alone = fly(setup_of(laws[2]), MOTION.initial_state(START, np.zeros(3)), 50, jax.random.key(0))
-    np.testing.assert_allclose(columns["position"][2], alone.position, atol=1e-9)
-    assert np.linalg.norm(columns["position"][2, -1] - columns["position"][0, -1]) > 0.5
+from rivals_laws.field_spline import FieldSpline
 
 
 def closest_on_ellipsoid(point, semi_axes):
@@ -129,74 +44,45 @@ def test_the_capsule_fields_distance_is_the_distance():
     np.testing.assert_allclose(field.value(points), [1.5, 2.5, -0.3], atol=1e-12)
 
 
-class Prepared:
-    """Just enough of a case for rows that fly nothing."""
+def test_the_spline_is_the_cubic_that_it_interpolates_on_axes_of_unlike_lengths():
+    def cubic(p):
+        return 0.1 * p[:, 0] ** 3 - p[:, 1] * p[:, 2] ** 2 + p[:, 0] * p[:, 1] - 2.0
 
-    name, seed = "pocket", 0
-    model = type("Model", (), {"sha256": "0" * 64})
-    scenario = type("Scenario", (), {"model_dump": lambda self: {}})()
-
-
-@dataclasses.dataclass(frozen=True)
-class Absent(Rival):
-    name = "absent"
-    packages = ("no_such_package",)
-    number: float = 1.0
-
-    def law(self, case, start, goal):
-        raise AssertionError("it must not be asked")
+    lower, upper = np.array([-1.0, -2.0, -3.0]), np.array([4.0, 2.5, 3.0])
+    spline = FieldSpline.interpolating(cubic, lower, upper, 0.7)
+    assert len(set(spline.coefficients.shape)) == 3
+    points = np.random.default_rng(0).uniform(lower, upper, (200, 3))
+    found = scipy.interpolate.NdBSpline(spline.knots, spline.coefficients, 3)(points)
+    np.testing.assert_allclose(found, cubic(points), atol=1e-10)
 
 
-def test_a_rival_whose_package_is_missing_has_a_row_that_says_how_to_install_it():
-    plan = rows.planned(Prepared(), Absent(), False, 5)
-    row = rows.flown_row(Prepared(), Absent(), plan, None)
-    assert list(row) == list(rows.COLUMNS)
-    assert "pip install" in row["note"]
-    assert "no_such_package" in row["note"]
-    assert row["reached"] is None
+def task_of(nodes):
+    drift = (
+        np.array([[0.0, 0.0, 0.0], [0.0, -1e-4, 0.0], [0.0, 0.0, 3e-4]]),
+        1e-2 * np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]),
+    )
+    return SimpleNamespace(by_position=drift[0], by_velocity=drift[1], nodes=nodes, speed=0.1)
 
 
-def test_progress_of_a_row_ends_at_its_end_where_the_last_batch_is_not_full(monkeypatch):
-    class Landed:
-        first = None
+def by_another_integrator(task, nodes):
+    """Positions and velocities at the nodes, from the first one on, by SciPy."""
+    state, states = nodes[0, 1:7], [nodes[0, 1:7]]
+    for before, after in itertools.pairwise(nodes):
 
-        def __init__(self, case):
-            pass
+        def slope(_, x, held=before[7:]):
+            return np.concatenate([x[3:], task.by_position @ x[:3] + task.by_velocity @ x[3:] + held])
 
-        def add(self, index, laws, guarded, size, progress):
-            progress(1.0, "")
-
-        def row(self):
-            return {}
-
-    class Present(Absent):
-        packages, batch = (), 4
-
-    monkeypatch.setattr(rows, "Flown", Landed)
-    monkeypatch.setattr(rows, "laws_of", lambda case, rival, index: (list(index), [None for _ in index], [], [0.0]))
-    monkeypatch.setattr(rows, "step_ms", lambda *_: 0.0)
-    case, done = Prepared(), []
-    case.pairs = np.zeros((10, 2, 3))
-    plan = rows.planned(case, Present(), False, 10)
-    rows.flown_row(case, Present(), plan, lambda fraction, _: done.append(fraction))
-    assert done == pytest.approx([0.4, 0.8, 1.0])
+        span = (before[0], after[0])
+        state = scipy.integrate.solve_ivp(slope, span, state, rtol=1e-10, atol=1e-12).y[:, -1]
+        states.append(state)
+    return np.array(states)
 
 
-def test_rows_are_kept_and_found_again_only_with_the_same_settings(tmp_path: Path):
-    store = rows.Rows(tmp_path / "rows.json")
-    plan = rows.planned(Prepared(), Absent(), True, 5)
-    store.keep(rows.flown_row(Prepared(), Absent(), plan, None))
-    again = rows.Rows(tmp_path / "rows.json")
-    assert again.find(plan) is not None
-    assert again.find(rows.planned(Prepared(), Absent(number=2.0), True, 5)) is None
-    assert again.find(rows.planned(Prepared(), Absent(), True, 6)) is None
-    # More flights take the place of fewer.
-    again.keep(rows.flown_row(Prepared(), Absent(), rows.planned(Prepared(), Absent(), True, 6), None))
-    assert [row["flights"] for row in json.loads((tmp_path / "rows.json").read_text())] == [6]
-
-
-def test_rivals_have_names_of_their_own_and_settings_that_can_be_kept():
-    names = [rival.name for rival in RIVALS]
-    assert len(set(names)) == len(names)
-    for rival in RIVALS:
-        json.dumps(rival.settings)
+def test_a_plan_is_integrated_as_another_integrator_does():
+    task, rng = task_of(6), np.random.default_rng(1)
+    nodes = guess_along(task, np.array([[-4.0, 0.3, 0.2], [4.0, 0.0, 0.0]]), np.array([0.01, 0.0, -0.02]))
+    nodes[:, 7:] = rng.normal(size=(6, 3)) * 4e-3
+    _, position, velocity = integrated(task, nodes)
+    truth = by_another_integrator(task, nodes)
+    np.testing.assert_allclose(position[[0, -1]], truth[[0, -1], :3], atol=1e-7)
+    np.testing.assert_allclose(velocity[[0, -1]], truth[[0, -1], 3:], atol=1e-9)

@@ -6,7 +6,6 @@ import jax
 import numpy as np
 import pytest
 
-from keepout.errors import FieldError
 from keepout.experiments import fitted
 from keepout.experiments.fitted import Recipe, field_of
 from keepout.experiments.work import Work
@@ -30,17 +29,10 @@ def target() -> Target:
 
 
 @pytest.fixture(scope="module")
-def told():
-    """What the first fit has said while it ran."""
-    return []
-
-
-@pytest.fixture(scope="module")
-def fitted_once(target, told, tmp_path_factory):
+def fitted_once(target, tmp_path_factory):
     """Folder of a part that has fitted the field, and the field."""
     folder = tmp_path_factory.mktemp("reproduction") / "table1"
-    work = Work(folder, progress=lambda _, message: told.append(message))
-    return folder, field_of(work, TINY, target, fitting=True)
+    return folder, field_of(Work(folder), TINY, target, fitting=True)
 
 
 def weights(model):
@@ -70,12 +62,6 @@ def test_a_fit_that_was_stopped_goes_on_to_the_same_field(target, fitted_once, t
     assert resumed.training["curve"]["steps"] == [250, 500]
 
 
-def test_the_time_left_is_not_told_from_the_block_that_compiles(fitted_once, told):
-    first, second = [message for message in told if message.startswith("distance")]
-    assert " left" not in first
-    assert second.endswith(", 0 s left")
-
-
 def test_a_kept_field_is_not_fitted_again_and_a_named_folder_comes_first(target, fitted_once, tmp_path, monkeypatch):
     folder, first = fitted_once
     monkeypatch.setattr(fitted, "fit", lambda *_, **__: pytest.fail("fitted again"))
@@ -86,12 +72,6 @@ def test_a_kept_field_is_not_fitted_again_and_a_named_folder_comes_first(target,
     ):
         assert field_of(work, TINY, target, fitting=True).sha256 == first.sha256
     assert field_of(Work(tmp_path / "volumes"), TINY, target, fitting=False) is None
-
-
-def test_a_field_of_another_target_is_refused_by_name(fitted_once, tmp_path):
-    fitted_once[1].save(tmp_path / "intelsat30-tiny.keepout")
-    with pytest.raises(FieldError, match=r"intelsat30-tiny\.keepout: the field was made for pocket"):
-        field_of(Work(tmp_path / "table1", fields=tmp_path), TINY, Target.load("intelsat30"), fitting=False)
 
 
 @pytest.mark.parametrize("fitting", [True, False])

@@ -43,16 +43,3 @@ def test_a_ball_learned_of_a_cube(tmp_path, monkeypatch):
     grown = 1.0 + 6.0 * 0.5 + 3.0 * np.pi * 0.25 + 4.0 / 3.0 * np.pi * 0.125
     assert ball["exact_m3"] == pytest.approx(grown, abs=4.0 * ball["standard_error_m3"])
     assert ball["hull_m3"] == pytest.approx(grown, rel=1e-6)
-
-
-def test_the_ratio_of_the_paper_is_computed_and_ours_beside_it():
-    row = {
-        "target": "intelsat30",
-        "field": "any",
-        "level_m": 0.0,
-        "field_m3": 40.0,
-        "ellipsoid_over_field": 22.5,
-    }
-    said = " ".join(volumes._found([row]))
-    assert "2.96" in said
-    assert "22.5 times" in said

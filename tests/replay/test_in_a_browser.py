@@ -7,10 +7,9 @@ import matplotlib.image
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from truths.browser import SOFTWARE, browsers
-from truths.passing import SPEED, STEPS, box_scenario, pass_position, pass_record
+from truths.browser import SOFTWARE, browsers, slide
+from truths.passing import STEPS, box_scenario, pass_position, pass_record
 
-from keepout.replay import scene
 from keepout.replay.flights import of_records
 from keepout.report.replay_view import write_replay
 
@@ -89,31 +88,12 @@ def picture(page):
     return matplotlib.image.imread(io.BytesIO(page.locator(".stage").screenshot()))
 
 
-def slide(page, time):
-    page.locator("input[type=range]").evaluate(
-        "(of, time) => { of.value = time; of.dispatchEvent(new Event('input', {bubbles: true})) }", time
-    )
-
-
 def test_the_page_says_what_was_flown_and_runs_nothing_that_a_name_holds(opened):
     assert opened.title() == EVIL
     assert opened.locator("header h1").inner_text() == EVIL
     assert "No contact, proved" in opened.locator(".verdict").inner_text()
     assert opened.evaluate("globalThis.evil") is None
     assert state(opened)["flights"] == [EVIL, "low"]
-
-
-def test_the_page_says_what_the_drawing_leaves_out(opened, started, tmp_path, monkeypatch):
-    assert not opened.locator(".note").is_visible()
-    monkeypatch.setattr(scene, "MOST_ROWS", 50)
-    record = pass_record(box_scenario(tmp_path, 3.0, "thinned"), 3.0)
-    write_replay(tmp_path / "thinned.html", of_records({"thinned": record}), title="thinned")
-    page = started.new_page()
-    page.goto((tmp_path / "thinned.html").as_uri())
-    page.wait_for_selector("#replay[data-ready]", timeout=60_000)
-    assert page.locator(".note").is_visible()
-    assert f"of the flight's {STEPS + 1} rows" in page.locator(".note").inner_text()
-    page.close()
 
 
 def test_the_slider_moves_the_chaser(opened):
@@ -191,26 +171,6 @@ def test_a_toggle_takes_away_what_it_names(opened, name):
         assert state(opened)["surfaces"] == shown["surfaces"]
 
 
-def test_the_sun_lights_the_target_of_a_flight_that_has_one(opened):
-    """The arrow points where the recorded attitude and the orbit say; the other flight has none."""
-    sun = "() => { const { sun, flight, body } = keepoutReplay; return [sun.visible, sun.position.toArray(), "
-    sun += "body.children[0].material.uniforms.sunlit.value, Array.from(flight.sun ?? [])]; }"
-    state(opened)
-    assert opened.evaluate(sun)[0] is False
-    opened.evaluate("() => keepoutReplay.choose(keepoutReplay.flights.find((of) => of.name === 'low'))")
-    state(opened)
-    visible, place, sunlit, told = opened.evaluate(sun)
-    assert visible
-    assert sunlit == 1
-    toward = np.array(told).reshape(-1, 3)[0]
-    assert np.allclose(np.array(place) / np.linalg.norm(place), toward / np.linalg.norm(toward), atol=1e-4)
-    before = picture(opened)
-    opened.evaluate("() => document.querySelector('input[name=sun]').click()")
-    state(opened)
-    assert opened.evaluate(sun)[0] is False
-    assert (np.abs(picture(opened) - before).max(axis=2) > 0.02).sum() > 30
-
-
 def test_frames_turn_path_and_target(opened):
     slide(opened, 100.0)
     body = pass_position(100.0, 3.0)
@@ -228,49 +188,6 @@ def test_frames_turn_path_and_target(opened):
     assert np.linalg.norm(np.subtract(inertial["chaser"], shown["chaser"])) > 0.1
     opened.keyboard.press("b")
     np.testing.assert_allclose(state(opened)["chaser"], body, atol=1e-5)
-
-
-def test_cameras_sit_where_they_are_called_after(opened):
-    slide(opened, 40.0)
-    free = state(opened)["eye"]
-    opened.keyboard.press("2")
-    chaser = state(opened)
-    np.testing.assert_allclose(chaser["eye"], chaser["chaser"], atol=1e-6)
-    slide(opened, 90.0)
-    np.testing.assert_allclose(state(opened)["eye"], pass_position(90.0, 3.0), atol=1e-5)
-    opened.get_by_role("button", name="goal", exact=True).click()
-    np.testing.assert_allclose(state(opened)["eye"], [5.0, 0.0, 3.0], atol=1e-6)
-    opened.keyboard.press("1")
-    np.testing.assert_allclose(state(opened)["eye"], free, atol=1e-9)
-
-
-def test_flights_are_compared(opened):
-    before = picture(opened)
-    opened.locator(".chip button", has_text="low").click()
-    slide(opened, 100.0)
-    low = state(opened)
-    assert low["flight"] == "low"
-    np.testing.assert_allclose(low["chaser"], pass_position(100.0, 2.0), atol=1e-5)
-    assert "0.500 m" in opened.locator("output[data-quantity=clearance]").inner_text()
-    opened.locator(".chip input").first.click()
-    assert state(opened)["flights"] == ["low"]
-    assert (np.abs(picture(opened) - before).max(axis=2) > 0.05).sum() > 100
-    opened.keyboard.press("f")
-    assert state(opened)["flights"] == [EVIL, "low"]
-
-
-def test_an_address_names_the_flight_in_focus(started, page_path):
-    page = started.new_page()
-    page.goto(f"{page_path.as_uri()}#low")
-    page.wait_for_selector("#replay[data-ready]", timeout=60_000)
-    assert state(page)["flight"] == "low"
-    page.close()
-
-
-def test_a_click_in_a_plot_goes_to_that_time(opened):
-    box = opened.locator("[data-plot=speed] .u-over").bounding_box()
-    opened.mouse.click(box["x"] + 0.25 * box["width"], box["y"] + 0.5 * box["height"])
-    assert state(opened)["time"] == pytest.approx(50.0, abs=2.0)
 
 
 @pytest.mark.parametrize(("width", "height"), [(1280, 720), (900, 700)])
@@ -326,10 +243,3 @@ def test_a_browser_without_webgl_shows_the_figures(start, page_path):
     assert "WebGL" in page.locator(".failed").inner_text()
     assert page.locator("#figures").is_visible()
     bare.close()
-
-
-def test_the_speed_is_that_of_the_flight(opened):
-    assert state(opened)["end"] == STEPS
-    slide(opened, 77.0)
-    state(opened)
-    assert f"{100 * SPEED:.2f} cm/s" in opened.locator("output[data-quantity=speed]").inner_text()

@@ -39,7 +39,3 @@ def test_the_libraries_are_those_that_are_locked_and_their_licences_are_there():
             assert f"{entry['name']} {entry['version']}" in text
     assert viewer("LICENCES.txt").count("Permission is hereby granted") == 2
     assert viewer("replay.js").count("Permission is hereby granted") == 2
-
-
-def test_the_lock_names_no_registry():
-    assert "http" not in (SOURCE / "package-lock.json").read_text(encoding="utf-8").replace('"url": "https', "")

@@ -14,7 +14,6 @@ from truths.passing import box_scenario, pass_record
 from truths.replay_page import ReplayPage
 
 from keepout.campaign.dataset import Dataset
-from keepout.cli import app
 from keepout.errors import ScenarioError
 from keepout.report.campaign_page import PLACE, replay_command, report_campaign
 from keepout.report.comparison_page import compare_campaigns
@@ -82,16 +81,6 @@ def test_the_command_flies_the_run_of_that_folder(tmp_path):
     assert re.findall(r"<tr><td>(\d+)</td>", table) == [str(run) for run in worst]
 
 
-@pytest.mark.parametrize(("sampling", "words"), [("latin-hypercube", "not independent"), ("sobol", "not independent")])
-def test_samples_that_are_not_independent_are_called_so(tmp_path, sampling, words):
-    folder = campaign(tmp_path / "out", 64, sampling=sampling)
-    report_campaign(folder)
-    page = (folder / "index.html").read_text(encoding="utf-8")
-    assert words in page
-    assert "approximate" in page
-    assert "No contact in" not in page  # that bound is for independent runs
-
-
 @pytest.mark.long
 def test_the_worst_flights_that_were_kept_have_a_replay(tmp_path):
     folder = campaign(tmp_path / "out")
@@ -125,33 +114,6 @@ def test_the_worst_flights_that_were_kept_have_a_replay(tmp_path):
     assert not (folder / PLACE / "worst.html").exists()
 
 
-def test_an_unfinished_campaign_says_so(tmp_path):
-    folder = campaign(tmp_path / "out", done=2)
-    answer = report_campaign(folder)
-    assert (answer["done"], answer["complete"]) == (128, False)
-    assert "128 of 200 runs are done. The campaign is not finished" in (folder / "index.html").read_text(
-        encoding="utf-8"
-    )
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("runs", [1, 3])
-@pytest.mark.parametrize(
-    "columns",
-    [
-        {},
-        {"reached": False, "time_to_reach": np.inf},
-        {"status": "refused", "reason": "start: 3 m"},
-        {"contact": "undecided", "minimum_clearance": -np.inf, "delta_v": np.nan, "final_error": np.nan},
-    ],
-    ids=["fine", "none reached", "all refused", "not finite"],
-)
-def test_degenerate_campaigns_have_a_page(tmp_path, runs, columns):
-    folder = campaign(tmp_path / "out", runs, **columns)
-    json.dumps(report_campaign(folder), allow_nan=False)
-    check_links(folder / "index.html")
-
-
 def test_two_campaigns_compared(tmp_path):
     first = campaign(tmp_path / "a", delta_v=np.arange(200.0))
     second = campaign(tmp_path / "b", delta_v=np.arange(200.0) + 1.0)
@@ -164,17 +126,3 @@ def test_two_campaigns_compared(tmp_path):
     check_links(out / "index.html")
     with pytest.raises(ScenarioError, match="holds a campaign"):
         compare_campaigns(first, second, first)
-
-
-def test_the_command_line_says_rates_and_page(tmp_path, capsys):
-    folder = campaign(tmp_path / "out")
-    app(["campaign", "report", str(folder)], standalone_mode=False)
-    said = capsys.readouterr().out
-    assert "contact or undecided" in said
-    assert f"open {folder / 'index.html'}" in said.replace("\n", "")
-    app(["campaign", "compare", str(folder), str(folder), "--json"], standalone_mode=False)
-    answer = json.loads(capsys.readouterr().out)
-    assert answer["paired"] == 200
-    assert all(row["A - B"] == 0.0 for row in answer["rates"])
-    with pytest.raises(ScenarioError, match="no campaign was flown here"):
-        app(["campaign", "compare", str(folder), str(tmp_path)], standalone_mode=False)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from keepout.geometry.first_hit import FirstHit
@@ -37,7 +37,6 @@ def agree_with_rays(triangles, camera, position, axes):
     return picture, faces
 
 
-@settings(max_examples=30, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_pictures_of_any_triangles_are_what_rays_meet(seed):
     """Triangles anywhere round the camera: behind it, across its near plane, through each other."""
@@ -85,30 +84,3 @@ def test_a_plate_shades_what_lies_along_the_sun_behind_it(height):
     assert (lit[inside] < 0.2).all()
     np.testing.assert_allclose(lit[outside], 0.13 + 0.87 * math.sqrt(0.8))
     np.testing.assert_allclose(lit[~floor], 0.13 + 0.87 * math.sqrt(0.8))
-
-
-def test_what_faces_away_from_the_sun_is_dark_and_a_headlight_falls_off_with_the_slant():
-    target = Target.load("box")
-    studio = Studio(target.vertices[target.faces])
-    camera, position = Pinhole(100, 100, 1.0), np.array([0.0, -6.0, 0.0])
-    axes = axes_towards(-position, UP)
-    picture = studio.take(camera, position, axes)
-    assert np.unique(studio.light(picture, camera, position, axes, np.array([0.0, 1.0, 0.0]))[picture.hit]) == 0.13
-    bright = studio.light(picture, camera, position, axes)[picture.hit]
-    there, _ = studio.places(picture, camera, position, axes)
-    cosine = 4.5 / np.linalg.norm(there - position, axis=1)  # the side nearest to the camera is y = -1.5
-    np.testing.assert_allclose(bright, 0.25 + 0.75 * cosine, rtol=1e-9)
-
-
-def test_outlines_lie_where_the_surface_bends_or_ends():
-    target = Target.load("box")
-    studio = Studio(target.vertices[target.faces])
-    camera, position = Pinhole(200, 200, 1.0), np.array([5.0, -6.0, 4.0])
-    axes = axes_towards(-position, UP)
-    picture = studio.take(camera, position, axes)
-    marked = studio.outlines(picture)
-    there, _ = studio.places(picture, camera, position, axes)
-    edge = np.sort(np.abs(np.abs(there) - np.array([2.0, 1.5, 1.0])), axis=1)[:, 1]
-    on = marked[picture.hit]
-    assert (edge[on] < 0.12).all()
-    assert on.sum() > 200

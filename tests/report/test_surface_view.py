@@ -1,11 +1,10 @@
-"""Silhouettes of ellipsoids, and training curves drawn."""
+"""Silhouettes of ellipsoids."""
 
 import numpy as np
 
 from keepout.geometry.shape import Ellipsoid
 from keepout.report import surface_view
 from keepout.report.raster import eye_axes
-from keepout.report.training_view import draw_sinking, draw_training
 
 
 def test_the_silhouette_holds_every_point_of_the_ellipsoid_and_is_touched():
@@ -21,16 +20,3 @@ def test_the_silhouette_holds_every_point_of_the_ellipsoid_and_is_touched():
     assert 0.999 < level.max() <= 1.0 + 1e-9
     width, height = surface_view._extent(surface_view._outline(ellipsoid))
     np.testing.assert_allclose([width, height], 2.0 * np.abs(seen).max(axis=0), rtol=1e-3)
-
-
-def test_curves_are_drawn(tmp_path):
-    curve = {
-        "steps": [250, 500, 750],
-        "value_term": [0.1, 0.05, 0.02],
-        "gradient_term": [0.2, 0.1, 0.1],
-        "mean_error_m": [0.5, -0.2, 0.0],
-    }
-    draw_training(tmp_path / "training.png", {"one": curve, "two": curve})
-    draw_sinking(tmp_path / "sinking.png", {"printed": curve, "pinball": {**curve, "steps": [250, 500, 1000]}})
-    for name in ("training", "sinking"):
-        assert (tmp_path / f"{name}.png").stat().st_size > 5_000 < (tmp_path / f"{name}.svg").stat().st_size

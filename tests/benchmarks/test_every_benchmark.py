@@ -1,18 +1,41 @@
-"""Rows of `benchmarks/faults.py` and `benchmarks/reach.py`: kept, flown no second time, and summed up."""
+"""Every benchmark can be imported, says what it is and has a command line; its rows are kept and summed up rightly."""
 
+import importlib
+import inspect
 import json
-from argparse import Namespace
+import sys
 from collections import namedtuple
+from pathlib import Path
 from types import SimpleNamespace
 
-import faults
 import numpy as np
 import pytest
 import reach
-from kept_rows import Rows, show
+from kept_rows import Rows
 
 from keepout.audit.audit import Contact
 from keepout.mission.scenario import Scenario
+
+ROOT = Path(__file__).parents[2]
+BENCHMARKS = sorted(path.stem for path in (ROOT / "benchmarks").glob("*.py"))
+WITHOUT_OPTIONS = {"fields", "guard_field", "motion"}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", BENCHMARKS)
+def test_it_is_imported_and_helps(name, monkeypatch, capsys):
+    text = (ROOT / "benchmarks" / f"{name}.py").read_text(encoding="utf-8")
+    if name == "cluster":
+        pytest.importorskip("distributed", reason="needs keepout[cluster]")
+    module = importlib.import_module(name)
+    assert (module.__doc__ or "").strip()
+    if "__main__" not in text or name in WITHOUT_OPTIONS:
+        return
+    monkeypatch.setattr(sys, "argv", [f"{name}.py", "--help"])
+    with pytest.raises(SystemExit) as stop:
+        module.main(*([["--help"]] if inspect.signature(module.main).parameters else []))
+    assert stop.value.code == 0
+    assert capsys.readouterr().out.startswith("usage: ")
 
 
 @pytest.mark.parametrize("kept", ["rows.json", None])
@@ -28,35 +51,6 @@ def test_a_row_takes_the_place_of_one_flown_with_other_settings(tmp_path, kept):
     assert [(row["name"], row["figure"]) for row in store.kept] == [("b", 1.5), ("a", 2.5)]
     if path is not None:
         assert Rows(path, ("name", "seed"), ("version",)).kept == store.kept == json.loads(path.read_text())
-
-
-def test_a_table_has_three_digits_and_blanks_for_what_a_row_lacks(capsys):
-    show([{"name": "a", "figure": 1.23456}, {"name": "b"}], ("name", "figure"))
-    assert capsys.readouterr().out.splitlines()[2:] == ["| a | 1.23 |", "| b |  |"]
-
-
-def test_rows_of_faults_are_flown_once_and_again_where_the_field_is_another(tmp_path, monkeypatch):
-    flown, digests = [], {"here": "1" * 64, "there": "2" * 64}
-    world = type("World", (), {"setup": lambda self, told, duration: None})()
-    monkeypatch.setattr(faults, "World", lambda name: world)
-    monkeypatch.setattr(faults, "look_up", lambda name: (None, None, digests[name]))
-    monkeypatch.setattr(faults, "fly_row", lambda world, setup, fault, plan: flown.append(plan) or plan)
-    asked = Namespace(
-        flights=1520, targets=["here", "there"], duration=60, seed=0, keeps_margin=False, out=tmp_path / "rows.json"
-    )
-    rows = faults.fly_all(asked, lambda row: None)
-    assert len(rows) == len(flown) == 2 * len(faults.ROWS)
-    assert {row["flights"] for row in rows} == {10}
-    assert faults.fly_all(asked, lambda row: None) == rows
-    assert len(flown) == len(rows)
-    digests["there"] = "3" * 64
-    again = faults.fly_all(asked, lambda row: None)
-    assert len(flown) == 3 * len(faults.ROWS)
-    assert len(again) == len(rows)
-    assert {row["digest"] for row in again} == {"1" * 64, "3" * 64}
-    monkeypatch.setattr(faults, "RECIPE", faults.RECIPE + 1)
-    faults.fly_all(asked, lambda row: None)
-    assert len(flown) == 5 * len(faults.ROWS)
 
 
 Outcome = namedtuple("Outcome", ("reached", "time_to_reach", "delta_v", "saturated_fraction"))
@@ -82,9 +76,18 @@ def test_a_row_of_reach_sums_up_all_parts():
         "delta_v_over_floor": 1.0,
         "time_over_bound": pytest.approx(1.75),
     }
-    assert reach.figures([], np.empty(0), 0.1) == {}
 
 
 def test_the_floor_of_delta_v_is_that_of_a_steady_push_and_two_changes_of_speed():
     push = np.tile([0.0, 0.03, 0.04], (2, 101, 1))
     assert reach.floor(Scenario(), push) == pytest.approx(2 * [0.05 * 101 / 20.0 + 0.2])
+
+
+def test_the_plan_of_the_docs_is_that_of_the_kept_figures(capsys):
+    pytest.importorskip("distributed", reason="needs keepout[cluster]")
+    import cluster
+
+    measured = json.loads((ROOT / "benchmarks" / "results" / "cluster.json").read_text())["measured"]
+    cluster.show(measured, cluster.plan_of(measured, 1e9, 32))
+    page = (ROOT / "docs" / "clusters.md").read_text()
+    assert f"```text\n{capsys.readouterr().out}```" in page
