@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import sparse
 
@@ -38,7 +38,6 @@ def least_number(sees, areas, goal):
     raise AssertionError("all views together do not see the goal")
 
 
-@settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 2**31), share=st.sampled_from([0.5, 0.9, 0.99, 1.0]))
 def test_the_fewest_of_all_choices_is_found_and_proved(seed, share):
     sees, areas = drawn(seed)
@@ -49,7 +48,6 @@ def test_the_fewest_of_all_choices_is_found_and_proved(seed, share):
     assert cover.greedy >= len(cover.chosen)
 
 
-@settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 2**31), share=st.sampled_from([0.5, 0.9, 1.0]), scale=st.floats(0.0, 3.0))
 def test_no_bound_passes_the_least_number_whatever_the_prices(seed, share, scale):
     sees, areas = merged_units(*drawn(seed))
@@ -92,21 +90,18 @@ def test_a_short_list_sees_all_that_can_be_seen():
     assert seen_by(sees, areas, few) == pytest.approx(seen_by(sees, areas, np.arange(300)))
 
 
-def test_a_case_that_greed_gets_wrong():
-    # Two views see all; the view that greed takes first sees more than either, and then both are needed as well.
-    sees = np.zeros((3, 12))
-    sees[0, :6] = sees[1, 6:] = 1.0
-    sees[2, [0, 1, 2, 3, 6, 7, 8, 9]] = 1.0
-    cover = fewest_views(sparse.csr_array(sees), np.ones(12), 12.0)
-    assert (cover.greedy, len(cover.chosen), cover.fewest) == (3, 2, 2)
-
-
 def test_the_solver_says_nothing_on_its_own(capfd):
     sees, areas = drawn(11, views=30, units=60)
     fewest_views(sees, areas, areas.sum())
     assert capfd.readouterr() == ("", "")
 
 
-def test_nothing_to_see_needs_no_view():
+def test_cases_by_hand():
+    # Two views see all; the view that greed takes first sees more than either, and then both are needed as well.
+    sees = np.zeros((3, 12))
+    sees[0, :6] = sees[1, 6:] = 1.0
+    sees[2, [0, 1, 2, 3, 6, 7, 8, 9]] = 1.0
+    cover = fewest_views(sparse.csr_array(sees), np.ones(12), 12.0)
+    assert (cover.greedy, len(cover.chosen), cover.fewest) == (3, 2, 2)
     cover = fewest_views(sparse.csr_array(np.eye(4)), np.zeros(4), 1.0)
     assert (len(cover.chosen), cover.fewest, cover.greedy) == (0, 0, 0)

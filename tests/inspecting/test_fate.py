@@ -5,7 +5,7 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from truths.made_up_inspection import SUN, box_patches, made_up
 
@@ -68,7 +68,6 @@ def test_the_list_holds_every_unit_that_was_not_seen_once_and_says_where_it_is(i
     assert "-0.0" not in json.dumps(listed)
 
 
-@settings(max_examples=50, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_whatever_the_verdicts_each_unit_has_one_fate_and_the_shares_add_up(seed):
     rng = np.random.default_rng(seed)

@@ -8,7 +8,7 @@ import pytest
 from truths.invented_flight import Invented
 
 from keepout.errors import InspectionError
-from keepout.inspecting.hill import closing_velocity, coast_matrix
+from keepout.inspecting.hill import coast_matrix
 from keepout.inspecting.passive import drift, passive_safety, states_at_times, states_of_record
 from keepout.inspecting.spread import Spread
 from keepout.mission.environment import flight_bounds, relative_motion
@@ -32,18 +32,6 @@ def ball(points):
 
 def states(entries, position, velocity):
     return states_at_times(scenario(**entries), np.zeros(len(position)), np.asarray(position), np.asarray(velocity))
-
-
-def test_a_closed_ellipse_about_a_ball_misses_it_by_its_height():
-    place = np.array([[40.0, 0.0, 0.0]])
-    found = passive_safety(scenario(**CALM), ball, states(CALM, place, closing_velocity(N, place)), 6000.0)
-    told = 20.0 - RADIUS - scenario(**CALM).chaser.radius
-    assert found.safe.all()
-    assert found.clearance[0] == pytest.approx(told, abs=0.05)
-    assert found.clearance[0] <= found.found[0] <= found.clearance[0] + 0.03
-    assert found.time[0] == pytest.approx(0.5 * np.pi / N, rel=0.01) or found.time[0] == pytest.approx(
-        1.5 * np.pi / N, rel=0.01
-    )
 
 
 def test_a_drift_aimed_at_the_ball_touches_it():
@@ -74,14 +62,6 @@ def test_the_bound_lies_below_what_a_fine_drift_finds_and_not_far():
     cheap = passive_safety(case, ball, begun, 1500.0, enough=0.0)
     assert np.array_equal(cheap.safe, found.safe)
     assert np.all(cheap.clearance <= found.clearance + 1e-9)
-
-
-def test_long_steps_lose_less_than_is_taken_off():
-    case, place = scenario(**CALM), np.array([[30.0, 10.0, -20.0]])
-    begun = states(CALM, place, np.array([[0.02, -0.03, 0.01]]))
-    coarse, _ = drift(relative_motion(case), begun, 8.0, 750)
-    fine, _ = drift(relative_motion(case), begun, 1.0, 6000)
-    assert np.abs(coarse - fine[:, ::8]).max() < 1e-5
 
 
 @pytest.mark.parametrize(
@@ -121,16 +101,6 @@ def pushed(motion, states, forces, mass, count):
     return eqx.filter_vmap(one)(states, forces)
 
 
-def test_on_a_circular_orbit_the_tube_of_an_orbit_is_less_than_ten_times_what_a_push_can_do():
-    case = scenario(**LOW)
-    motion, bounds = relative_motion(case), flight_bounds(case)
-    begun = states_at_times(case, np.zeros(1), np.array([[25.0, 3.0, -10.0]]), np.zeros((1, 3)))
-    nominal, _ = drift(motion, begun, 5.0, 1160)
-    force = jnp.asarray([[bounds.disturbance_force, 0.0, 0.0]])
-    off = np.linalg.norm(np.asarray(pushed(motion, begun, force, bounds.mass, 1160))[0, -1] - nominal[0, -1])
-    assert off <= Spread.of(case).radius(np.array([5800.0]))[0] < 3.0 * off
-
-
 def test_a_drift_out_of_the_range_of_the_bounds_is_not_called_safe():
     far = np.array([[100.0, 0.0, 0.0]])
     found = passive_safety(scenario(**CALM), ball, states(CALM, far, [[0.0, 0.0, 3.0]]), 5000.0)
@@ -161,22 +131,10 @@ MOVED = ("time", "position", "velocity", "attitude", "angular_velocity")
 STEP = eqx.filter_jit(lambda motion, at: motion.step(at, jnp.zeros(3), NoDisturbance(), 1.0, 1.0))
 
 
-@pytest.mark.parametrize("seconds", [0.0, -1.0, np.nan, np.inf, 1e8])
-def test_times_that_cannot_be_flown_are_refused(seconds):
-    with pytest.raises(InspectionError, match="passive safety"):
-        passive_safety(scenario(**CALM), ball, states(CALM, [[9.0, 0, 0]], [[0.0, 0, 0]]), seconds)
-
-
-def test_a_push_may_be_told_in_place_of_the_disturbance():
-    place, still = [[9.0, 0.0, 0.0]], [[0.0, 0.0, 0.0]]
-    case, begun = scenario(**LOW), states(LOW, place, still)
-    told = [passive_safety(case, ball, begun, 300.0, push=push).clearance[0] for push in (0.0, 1e-4, None)]
-    assert told[0] > told[1] > told[2]
-    assert told[0] - told[1] == pytest.approx(0.5 * 1e-4 / case.chaser.mass * 300.0**2, rel=0.1)
-    with pytest.raises(InspectionError, match="push is nan"):
-        passive_safety(case, ball, begun, 300.0, push=np.nan)
-
-
-def test_errors_that_bound_nothing_are_refused():
+def test_times_and_errors_that_bound_nothing_are_refused():
+    begun = states(CALM, [[9.0, 0, 0]], [[0.0, 0, 0]])
+    for seconds in (0.0, np.nan, np.inf, 1e8):
+        with pytest.raises(InspectionError, match="passive safety"):
+            passive_safety(scenario(**CALM), ball, begun, seconds)
     with pytest.raises(InspectionError, match="position_error"):
         Spread.of(scenario(**CALM)).radius(np.zeros(1), position_error=-1.0)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from keepout.geometry import Target
+from keepout.inspecting.aiming import aim, middle_of
 from keepout.inspecting.viewpoints import boresights_of, find_views
 from keepout.seeing.cut import cut
 from keepout.seeing.rules import SeeingRules
@@ -17,25 +18,22 @@ RULES = SeeingRules(greatest_range=6.0)
 STAND_OFF = 1.0
 
 
+def views_of(target, places, allowed, witness=None):
+    """Give sight lines and views among places that are allowed, and from the witness of the first unit."""
+    patches = cut(target, 0.5)
+    sight = Sightlines(target.vertices, target.faces, patches)
+    witnesses = np.full((patches.units, 3), np.nan)
+    if witness is not None:
+        witnesses[0] = patches.centres[0] + witness * patches.unit_normals()[0]
+    look = functools.partial(visible, sight, RULES, among=patches.counted)
+    more = {"wanted": patches.counted, "witnesses": witnesses, "stand_off": STAND_OFF, "places": places}
+    return target, sight, find_views(look, look, allowed, patches, RULES, **more)
+
+
 @pytest.fixture(scope="module")
 def found():
     target = Target.load("pocket")
-    patches = cut(target, 0.5)
-    sight = Sightlines(target.vertices, target.faces, patches)
-    wanted = patches.counted
-    look = functools.partial(visible, sight, RULES, among=wanted)
-    views = find_views(
-        look,
-        look,
-        lambda places: target.distance.distance(places) >= STAND_OFF,
-        patches,
-        RULES,
-        wanted=wanted,
-        witnesses=np.full((patches.units, 3), np.nan),
-        stand_off=STAND_OFF,
-        places=60,
-    )
-    return target, sight, views
+    return views_of(target, 60, lambda places: target.distance.distance(places) >= STAND_OFF)
 
 
 def test_views_see_what_they_say_and_keep_the_stand_off(found):
@@ -58,26 +56,10 @@ def test_all_sides_of_the_target_are_seen(found):
 
 
 def test_witnesses_bring_what_drawn_places_miss():
-    target = Target.load("box")
-    patches = cut(target, 0.5)
-    sight = Sightlines(target.vertices, target.faces, patches)
-    look = functools.partial(visible, sight, RULES)
-    unit = int(np.flatnonzero(patches.counted)[0])
-    witnesses = np.full((patches.units, 3), np.nan)
-    witnesses[unit] = patches.centres[unit // 2] + 2.0 * patches.unit_normals()[unit]
-    views = find_views(
-        look,
-        look,
-        lambda places: np.zeros(len(places), dtype=bool),
-        patches,
-        RULES,
-        wanted=patches.counted,
-        witnesses=witnesses,
-        stand_off=STAND_OFF,
-        places=8,
-    )
+    _, sight, views = views_of(Target.load("box"), 8, lambda places: np.zeros(len(places), dtype=bool), witness=2.0)
+    assert sight.patches.counted[0]
     assert views.places == 1
-    assert views.sees[:, [unit]].sum() >= 1
+    assert views.sees[:, [0]].sum() >= 1
 
 
 def test_few_directions_show_all_that_is_visible():
@@ -103,3 +85,38 @@ def test_a_unit_as_wide_as_the_cone_is_looked_straight_at():
     )
     assert units[0].tolist() == [0]
     assert np.allclose(chosen, direction)
+
+
+# ---- where to look: against the smallest cone found by brute force
+
+
+def smallest_cone(directions):
+    """Least greatest angle over a fine lattice of middles near the mean."""
+    generator = np.random.default_rng(0)
+    middles = directions.mean(axis=0) + 0.4 * generator.standard_normal((200_000, 3))
+    middles /= np.linalg.norm(middles, axis=1, keepdims=True)
+    return float(np.arccos(np.clip((middles @ directions.T).min(axis=1).max(), -1.0, 1.0)))
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_the_middle_is_nearly_that_of_the_smallest_cone(seed):
+    generator = np.random.default_rng(seed)
+    directions = np.array([0.0, 0.0, 1.0]) + 0.5 * generator.standard_normal((12, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    middle, spread = middle_of(directions)
+    assert np.linalg.norm(middle) == pytest.approx(1.0)
+    assert spread == pytest.approx(float(np.arccos((directions @ middle).min())))
+    assert spread <= smallest_cone(directions) + np.radians(3.0)
+
+
+def test_the_planned_direction_stays_while_it_shows_all_and_gives_way_where_another_does():
+    place, planned = np.zeros(3), np.array([0.0, 0.0, 1.0])
+    within = np.array([[0.5, 0.0, 2.0], [-0.5, 0.0, 2.0]])
+    assert aim(place, within, planned, np.radians(30.0)) is planned
+    aside = np.array([[2.0, 0.0, 2.0], [2.0, 0.5, 2.0]])
+    turned = aim(place, aside, planned, np.radians(30.0))
+    assert np.all(aside @ turned >= np.linalg.norm(aside, axis=1) * np.cos(np.radians(30.0)))
+    around = np.array([[2.0, 0.0, 0.0], [-2.0, 0.0, 0.0], [0.0, 0.0, -2.0]])
+    assert aim(place, around, planned, np.radians(30.0)) is planned
+    assert aim(place, np.zeros((0, 3)), planned, 0.5) is planned
+    assert aim(place, place[None], planned, 0.5) is planned

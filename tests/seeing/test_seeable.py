@@ -113,6 +113,7 @@ def test_no_place_around_the_pocket_sees_what_is_called_hidden():
     assert found.upper - found.lower <= 0.002
 
 
+@pytest.mark.long
 @settings(max_examples=settings().max_examples // 6)
 @given(seed=st.integers(0, 10**6))
 def test_no_place_around_loose_triangles_sees_what_is_called_hidden(seed):

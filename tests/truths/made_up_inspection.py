@@ -57,7 +57,7 @@ def box_patches(across=4, half=HALF):
     )
 
 
-def seen_of_box(patches, rules, position, boresight, sun):
+def seen_of_box(patches, rules, position, boresight, sun=None):
     """Units of a convex box that a camera outside it sees wholly: by each corner alone."""
     away = position - patches.corners
     far = np.linalg.norm(away, axis=2)
