@@ -162,17 +162,21 @@ def test_a_field_of_which_nothing_can_be_proved_is_refused_everywhere(tmp_path, 
         ("evaluation_error", float("inf")),
         ("chaser_radius", -0.5),
         ("allowance", -0.01),
+        *(
+            (name, value)
+            for name in ("error_bound", "chaser_radius")
+            for value in (True, "0.04", None, [0.04], 10**400)
+        ),
     ],
 )
-def test_a_certificate_that_bounds_nothing_is_refused(tmp_path, monkeypatch, model, name, value):
-    good = model.certificates[0]
-    shown = "gradient_bound is 1.3 and gradient_found" if name == "gradient_found" else f"{name} is"
-    with pytest.raises(FieldError, match=f"certificate: {shown}"):
-        dataclasses.replace(good, **{name: value})
-    with monkeypatch.context() as unchecked:
-        unchecked.setattr(Certificate, "__post_init__", lambda self: None)
-        model.with_certificate(dataclasses.replace(good, **{name: value})).save(tmp_path / "a.keepout")
-    refused(tmp_path / "a.keepout", f"certificate: {shown}")
+def test_a_certificate_that_bounds_nothing_is_refused(tmp_path, model, name, value):
+    path = tmp_path / "a.keepout"
+    model.save(path)
+    rewritten(path, lambda header: header["certificates"][0].update({name: value}))
+    refused(path, name)
+    if isinstance(value, float):
+        with pytest.raises(FieldError, match=f"certificate: .*{name}"):
+            dataclasses.replace(model.certificates[0], **{name: value})
 
 
 def test_a_proof_has_no_allowance_and_a_radius_one_certificate(model):
@@ -181,15 +185,6 @@ def test_a_proof_has_no_allowance_and_a_radius_one_certificate(model):
         dataclasses.replace(good, kind="certified")
     with pytest.raises(FieldError, match=r"two are for the chaser radius 0\.5 m"):
         dataclasses.replace(model, certificates=(good, good))
-
-
-@pytest.mark.parametrize("value", [True, "0.04", None, [0.04], 10**400])
-@pytest.mark.parametrize("name", ["error_bound", "chaser_radius"])
-def test_a_certificate_whose_numbers_are_none_is_refused(tmp_path, model, name, value):
-    path = tmp_path / "a.keepout"
-    model.save(path)
-    rewritten(path, lambda header: header["certificates"][0].update({name: value}))
-    refused(path, name)
 
 
 @pytest.mark.parametrize("dtype", [jnp.float16, jnp.bfloat16, jnp.float32])

@@ -32,9 +32,8 @@ def test_derivatives_are_those_of_the_value_and_keep_the_gradient_bound(model):
     """Within a cell and the target's ball the field is a cubic along each axis, for which differences are exact."""
     field, rng = model.field, np.random.default_rng(2)
     h, origin = float(field.spacing), np.asarray(field.origin)
-    points = origin + h * (
-        np.floor((rng.uniform(-0.65, 0.65, (100, 3)) - origin) / h) + rng.uniform(0.3, 0.7, (100, 3))
-    )
+    cells = np.floor((rng.uniform(-0.65, 0.65, (100, 3)) - origin) / h)
+    points = origin + h * (cells + rng.uniform(0.3, 0.7, cells.shape))
     value, gradient, hessian = values_gradients_hessians(field, points)
     np.testing.assert_allclose(value, values(field, points), atol=1e-12)
     step, offsets = 0.1 * h, np.arange(-2.0, 3.0)

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy import ndimage
 from truths.growing_maps import Cubes
 
 from keepout.errors import FieldError
@@ -28,14 +27,6 @@ def scattered(seed):
 def places(count, seed=0):
     box = EMPTY.origin, EMPTY.origin + EMPTY.spacing * EMPTY.count
     return np.random.default_rng(seed).uniform(box[0] - 0.4, box[1] + 0.4, (count, 3))
-
-
-def test_values_are_those_of_scipys_spline():
-    squares, points = EMPTY.squares(scattered(0)), places(3000)
-    cells = np.clip((points - EMPTY.origin) / EMPTY.spacing, 1.0, EMPTY.count - 1.0)
-    nodes = EMPTY.spacing * np.sqrt(squares.astype(float))
-    truth = ndimage.map_coordinates(nodes, cells.T, order=3, prefilter=False, mode="nearest")
-    np.testing.assert_allclose(values(EMPTY.field(scattered(0)), points), truth, atol=1e-12)
 
 
 @pytest.mark.long

@@ -155,23 +155,6 @@ def test_no_ray_slips_through_a_sheet_of_slivers():
     assert slipped == 0
 
 
-def test_what_is_hit_is_nearer_than_the_surface_point_aimed_at():
-    """A ray towards a point of the surface meets it or what is before it: none arrives at the back first."""
-    target = Target.load("intelsat30")
-    first_hit = FirstHit(target.vertices, target.faces)
-    rng = np.random.default_rng(7)
-    weights = rng.dirichlet([1.0, 1.0, 1.0], len(target.faces))
-    points = (target.vertices[target.faces] * weights[:, :, None]).sum(1)
-    origins = random_rays(first_hit.lower, first_hit.upper, len(points), seed=8)[0]
-    distance = np.linalg.norm(points - origins, axis=1)
-    ranges, faces = first_hit.cast(origins, points - origins)
-    cosine = np.abs((first_hit.normals * unit(points - origins)).sum(1))
-    steep = cosine > 1e-6
-    assert (ranges[steep] <= distance[steep] + 1e-8).all()
-    hits = origins + ranges[:, None] * unit(points - origins)
-    assert target.distance.distance(hits[faces >= 0]).max() < 1e-9
-
-
 SHEET = [(1, -1, 0), (3, -1, 0), (3, 1, 0), (1, 1, 0)], [(0, 1, 2), (0, 2, 3)]
 NEEDLE = [(1, 0, 0), (1, 1, 0), (1, 2, 0)], [(0, 1, 2)]
 POINT = [(5, 0, 0)], [(0, 0, 0)]

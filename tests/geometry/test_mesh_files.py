@@ -213,13 +213,6 @@ def test_a_whole_file_is_read_and_what_it_leaves_out_is_said(tmp_path, case):
         assert any(word in line for line in actions), actions
 
 
-def test_obj_relative_indices_count_back_from_their_line(tmp_path):
-    text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf -3 -2 -1\nv 5 0 0\nv 6 0 0\nv 5 1 0\nf -3//-1 -2//-1 -1//-1\n"
-    target = Target.load(written(tmp_path / "a.obj", text))
-    first = SQUARE[[0, 1, 3]]
-    assert soup(target.vertices[target.faces]) == soup([first, first + np.array([5.0, 0, 0])])
-
-
 @pytest.mark.parametrize("faces", ["f 1/1 2/2 3/3\nf 1 2 3 4\n", "f 1//1 2//1 3//1 4//1\nf 4 3 2\n"])
 def test_obj_with_mixed_faces_loses_none(tmp_path, faces):
     target = Target.load(written(tmp_path / "a.obj", OBJ + faces))
@@ -250,22 +243,29 @@ def test_a_concave_polygon_is_said(tmp_path):
     assert any("1 split polygon concave" in line for line in actions)
 
 
-def test_ply_strips_are_their_triangles(tmp_path):
-    strip = Target.load(written(tmp_path / "a.ply", STRIP))
-    assert soup(strip.vertices[strip.faces]) == soup([SQUARE[[0, 1, 3]], SQUARE[[1, 3, 2]], SQUARE[[0, 1, 2]]])
+RELATIVE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf -3 -2 -1\nv 5 0 0\nv 6 0 0\nv 5 1 0\nf -3//-1 -2//-1 -1//-1\n"
+CORNER = SQUARE[[0, 1, 3]]
+MOVED = "1 0 0 0 1 0 0 0 1 5 0 0"
+TURNED = "0 1 0 -1 0 0 0 0 1 0 0 0"
+COMPONENTS = "".join(f'<component objectid="1" transform="{place}"/>' for place in (MOVED, TURNED))
+PLACED = three_mf(
+    BODY + f'<object id="2"><components>{COMPONENTS}</components></object>',
+    '<item objectid="2" transform="2 0 0 0 2 0 0 0 2 0 0 1"/><item objectid="1"/>',
+)
+SQUARES = (np.add(SQUARE, [5, 0, 0]) * 2 + [0, 0, 1], SQUARE[:, [1, 0, 2]] * [-2.0, 2, 0] + [0, 0, 1], SQUARE)
 
 
-def test_three_mf_components_are_multiplied_out(tmp_path):
-    parts = (
-        '<object id="2"><components><component objectid="1" transform="1 0 0 0 1 0 0 0 1 5 0 0"/>'
-        '<component objectid="1" transform="0 1 0 -1 0 0 0 0 1 0 0 0"/></components></object>'
-    )
-    build = '<item objectid="2" transform="2 0 0 0 2 0 0 0 2 0 0 1"/><item objectid="1"/>'
-    target = Target.load(written(tmp_path / "a.3mf", three_mf(BODY + parts, build)))
-    turned = SQUARE @ np.array([(0, 1, 0), (-1, 0, 0), (0, 0, 1)])
-    squares = ((SQUARE + np.array([5.0, 0, 0])) * 2 + [0, 0, 1], turned * 2 + [0, 0, 1], SQUARE)
-    truth = [square[list(corners)] for square in squares for corners in ((0, 1, 2), (0, 2, 3))]
-    assert soup(target.vertices[target.faces]) == soup(truth)
+@pytest.mark.parametrize(
+    ("name", "content", "triangles"),
+    [
+        ("a.obj", RELATIVE, [CORNER, np.add(CORNER, [5, 0, 0])]),  # counted back from their line
+        ("a.ply", STRIP, [SQUARE[[0, 1, 3]], SQUARE[[1, 3, 2]], SQUARE[[0, 1, 2]]]),
+        ("a.3mf", PLACED, [square[corners] for square in SQUARES for corners in ([0, 1, 2], [0, 2, 3])]),
+    ],
+)
+def test_every_triangle_is_in_its_place(tmp_path, name, content, triangles):
+    target = Target.load(written(tmp_path / name, content))
+    assert soup(target.vertices[target.faces]) == soup(triangles)
 
 
 @pytest.mark.parametrize(("unit", "metres"), [("micron", 1e-6), ("millimeter", 1e-3), ("inch", 0.0254), (None, 1e-3)])

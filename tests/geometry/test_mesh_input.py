@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
-from truths.small_files import refused, written
+from truths.small_files import refused
 
 from keepout.errors import MeshError
 from keepout.geometry import Target
@@ -120,9 +120,3 @@ def test_hash_follows_geometry(stl):
     one, again, other = Target.load(stl), Target.load(stl), Target.load(stl, scale=1.0000001)
     assert one.sha256 == again.sha256
     assert one.sha256 != other.sha256
-
-
-def test_a_single_triangle_is_a_sheet(tmp_path):
-    target = Target.load(written(tmp_path / "one.off", TRIANGLE))
-    assert target.report.open_edges == 3
-    assert target.distance.distance(np.array([[0.2, 0.2, 0.5]])) == pytest.approx([0.5])

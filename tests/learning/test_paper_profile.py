@@ -7,7 +7,6 @@ import pytest
 from truths import small_box
 
 from keepout.fields.model import FieldModel
-from keepout.fields.neural import NeuralField
 from keepout.geometry.offset_solid import OffsetSolid
 from keepout.geometry.target import Target
 from keepout.learning.profile import PROFILES
@@ -57,15 +56,6 @@ def test_a_field_of_the_paper_is_certified_like_any_other(pinball, target):
     assert certificate.sampled_maximum <= certificate.error_bound
     # The paper's Table I is a mean over samples, which the proved bound exceeds.
     assert certificate.error_bound > surface_errors(pinball.field, target, count=20_000).epsilon_plus
-
-
-@pytest.mark.slow
-def test_the_network_of_the_paper_trains_at_its_own_size(target, solid):
-    numbers = {"samples": 512, "batch": 512, "steps": 250}
-    model = fit(target, profile=dataclasses.replace(PROFILES["paper"], **numbers), solid=solid)
-    assert isinstance(model.field, NeuralField)
-    assert [W.shape for W in model.field.layers.weights] == [(512, 3), *[(512, 512)] * 9, (1, 512)]
-    assert np.isfinite(surface_errors(model.field, target, count=2000).epsilon)
 
 
 def test_the_training_curve_follows_the_field(pinball, target, solid):

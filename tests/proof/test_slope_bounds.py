@@ -98,6 +98,23 @@ def test_a_planted_steep_spot_raises_the_proof():
     assert after >= searched(random_field(4, spike=20.0)) > before
 
 
+def straight(slope, allowance):
+    """A network that is the linear function of a slope along x: its neurons are saturated."""
+    W, b = ([np.zeros(np.shape(a), np.float32) for a in arrays] for arrays in random_field(0).layers)
+    W[0][0, 0], W[1][0, 0], W[2][0, 0], b[0][0], b[2][0] = slope, 1.0, 1.0, 20.0, -20.0
+    layers = random_field(0).layers._replace(weights=tuple(map(jnp.asarray, W)), biases=tuple(map(jnp.asarray, b)))
+    return NeuralField(
+        layers, jnp.asarray(4.25), RadialContinuation(jnp.zeros(3), *numbers(1.25, 3.25, 5.25, allowance)), 5.0
+    )
+
+
+@pytest.mark.parametrize(("slope", "allowance", "steepest"), [(0.0, 4.0, 3.75), (0.0, 0.0, 0.99), (1.0, 0.0, 1.01)])
+def test_lowering_and_continuation_count_where_the_network_is_straight(slope, allowance, steepest):
+    """The lowering's steepest slope is 15/8 of its mean; far away the continuation's is 1, or more where they add."""
+    found = searched(straight(slope, allowance))
+    assert steepest - 0.01 <= found <= proved(straight(slope, allowance)).proved <= 1.2 * max(found, 1.0)
+
+
 def test_giving_up_is_told_apart_from_a_proof(monkeypatch):
     monkeypatch.setattr(lipschitz, "MOST_CUBES", 100)
     assert proved(random_field(0), found=1.0) == lipschitz.Lipschitz(1.0, None)
