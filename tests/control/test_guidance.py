@@ -6,11 +6,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import ndimage
+from scipy.interpolate import BSpline
 
 from keepout.control.circulation import SwitchingCirculation, skew
 from keepout.control.guidance.fast_marching import downhill, travel_time, widest_way
 from keepout.control.guidance.geodesic import BarrierGrid, _refined, geodesic_guidance
-from keepout.control.guidance.guidance import ComponentwiseGuidance, StraightGuidance
+from keepout.control.guidance.guidance import ComponentwiseGuidance, GeodesicGuidance, StraightGuidance, packed
 from keepout.errors import ControlError
 from keepout.fields.analytic import BoxUnionField, SphereField
 
@@ -119,12 +120,20 @@ def test_geodesic_direction_is_a_smooth_unit_vector():
     position, along, step = jnp.asarray([1.0, 3.3, 0.4]), jnp.asarray([0.6, 0.0, -0.8]), 1e-5
     direction = jax.jit(lambda r: guidance.direction(r))
     assert float(jnp.linalg.norm(direction(position))) == pytest.approx(1.0)
-    turned = jax.jacfwd(direction)(position) @ along
+    jacobian = jax.jit(jax.jacfwd(direction))
+    turned = jacobian(position) @ along
     difference = (direction(position + step * along) - direction(position - step * along)) / (2.0 * step)
     np.testing.assert_allclose(turned, difference, atol=1e-8)
     # Over a face of the grid's cells (x = 1.0) the derivative goes on without a step.
-    sides = [jax.jacfwd(direction)(position.at[0].add(side)) for side in (-1e-9, 1e-9)]
+    sides = [jacobian(position.at[0].add(side)) for side in (-1e-9, 1e-9)]
     np.testing.assert_allclose(*sides, atol=1e-6)
+
+
+def union(lower, upper):
+    """Boxes, of which there are four or more for all fields to share their programs."""
+    rows = np.resize(np.arange(len(lower)), max(len(lower), 4))
+    corners = (jnp.asarray(np.array(side, float)[rows]) for side in (lower, upper))
+    return BoxUnionField(*corners, jnp.asarray(0.005))
 
 
 def slid(field, offset, guidance, start, steps):
@@ -148,8 +157,7 @@ def test_geodesic_goes_through_a_gap_of_a_node_or_two(half_width, aside):
     """A wall 1 m thick with a square hole: of which the chaser is left 0.1 to 1.2 m, on a grid of 0.5 m."""
     near, far = aside - half_width, aside + half_width
     lower = [[-4, -0.5, -4], [far, -0.5, -4], [-4, -0.5, -4], [-4, -0.5, far]]
-    upper = [[near, 0.5, 4], [4, 0.5, 4], [4, 0.5, near], [4, 0.5, 4]]
-    wall = BoxUnionField(jnp.asarray(lower, dtype=float), jnp.asarray(upper, dtype=float), jnp.asarray(0.005))
+    wall = union(lower, [[near, 0.5, 4], [4, 0.5, 4], [4, 0.5, near], [4, 0.5, 4]])
     grid = BarrierGrid.build(wall, 0.5, np.full(3, -4.0), np.full(3, 4.0), spacing=0.5)
     start, goal = np.array([0.9, 2.5, -0.7]), np.array([0.3, -2.5, 0.2])
     guidance = geodesic_guidance(grid, wall, 0.5, goal, speed=0.1, slowing_length=1.0, start=start)
@@ -160,8 +168,7 @@ def test_geodesic_goes_through_a_gap_of_a_node_or_two(half_width, aside):
 
 def test_a_finer_grid_finds_a_gap_between_nodes():
     """A slot of 0.3 m for the chaser, between two layers of nodes that are 0.5 m apart."""
-    lower, upper = [[-4, -0.5, -4], [0.9, -0.5, -4]], [[-0.4, 0.5, 4], [4, 0.5, 4]]
-    wall = BoxUnionField(jnp.asarray(lower, dtype=float), jnp.asarray(upper, dtype=float), jnp.asarray(0.005))
+    wall = union([[-4, -0.5, -4], [0.9, -0.5, -4]], [[-0.4, 0.5, 4], [4, 0.5, 4]])
     start, goal = np.array([0.9, 2.5, -0.7]), np.array([0.3, -2.5, 0.2])
 
     def ends(spacing):
@@ -177,8 +184,7 @@ def test_a_finer_grid_finds_a_gap_between_nodes():
 @pytest.mark.long
 def test_geodesic_leads_round_sheets_from_both_sides():
     """Two crossed sheets: from every chamber to every other, also from close to a sheet to right behind it."""
-    lower, upper = [[-3, -0.01, -3], [-0.01, -3, -3]], [[3, 0.01, 3], [0.01, 3, 3]]
-    cross = BoxUnionField(jnp.asarray(lower, dtype=float), jnp.asarray(upper, dtype=float), jnp.asarray(0.005))
+    cross = union([[-3, -0.01, -3], [-0.01, -3, -3]], [[3, 0.01, 3], [0.01, 3, 3]])
     grid = BarrierGrid.build(cross, 0.5, np.full(3, -6.0), np.full(3, 6.0), spacing=0.45)
     places = np.array([[1.5, 0.7, 0.2], [-0.7, 1.4, -1.0], [-2.0, -0.6, 0.5], [0.6, -0.6, 1.2]])
     for goal in places:
@@ -213,7 +219,7 @@ def test_says_how_much_too_narrow_the_way_is():
     ]
     lower += [low for low, _ in window]
     upper += [high for _, high in window]
-    room = BoxUnionField(jnp.asarray(lower, dtype=float), jnp.asarray(upper, dtype=float), jnp.asarray(0.005))
+    room = union(lower, upper)
     grid = BarrierGrid.build(room, 0.5, np.full(3, -4.0), np.full(3, 4.0), spacing=0.1)
     with pytest.raises(ControlError, match=r"not connected .* misses 0\.(19|2)\d* m"):
         geodesic_guidance(
@@ -256,3 +262,57 @@ def test_a_refined_grid_is_trilinear_interpolation_to_the_bit(shape):
     coarse = np.random.default_rng(0).normal(size=shape)
     where = np.meshgrid(*[np.arange(2 * count - 1) / 2.0 for count in shape], indexing="ij")
     assert np.array_equal(_refined(coarse), ndimage.map_coordinates(coarse, where, order=1))
+
+
+SHAPE, ORIGIN, SPACING = (9, 8, 10), np.array([-2.0, -1.5, -2.5]), 0.5
+DIRECTIONS = np.random.default_rng(2).integers(-127, 128, (*SHAPE, 3)).astype(np.int8)
+
+
+def blended_guidance():
+    numbers = {"speed": 0.1, "slowing_length": 1.0, "spacing": SPACING, "inner": 0.6, "outer": 1.2}
+    return GeodesicGuidance(
+        goal=jnp.zeros(3),
+        directions=jnp.asarray(packed(DIRECTIONS)),
+        nodes=jnp.asarray(SHAPE, dtype=jnp.float64),
+        origin=jnp.asarray(ORIGIN),
+        **{name: jnp.asarray(value) for name, value in numbers.items()},
+    )
+
+
+def summed(position):
+    """Sum every node's direction times its cubic B-spline, wherever it is not zero."""
+    spline = BSpline.basis_element(np.arange(-2.0, 3.0), extrapolate=False)
+    at = (position - ORIGIN) / SPACING
+    x, y, z = (np.nan_to_num(spline(at[axis] - np.arange(SHAPE[axis]))) for axis in range(3))
+    blended = np.einsum("i,j,k,ijka->a", x, y, z, DIRECTIONS.astype(float))
+    return blended / np.linalg.norm(blended)
+
+
+POSITIONS = ORIGIN + SPACING * np.random.default_rng(3).uniform(1.0, np.array(SHAPE) - 2.0, (40, 3))
+
+
+def test_three_numbers_of_a_byte_are_kept():
+    whole = packed(DIRECTIONS)
+    kept = whole[: SHAPE[0], : SHAPE[1], : SHAPE[2]]
+    assert whole.shape == (32, 32, 32)
+    for axis, shift in enumerate((24, 16, 8)):
+        np.testing.assert_array_equal((kept << shift) >> 24, DIRECTIONS[..., axis])
+
+
+def test_the_blend_is_the_sum_of_splines_alone_and_in_a_batch():
+    law = blended_guidance()
+    truth = np.stack([summed(position) for position in POSITIONS])
+    np.testing.assert_allclose(jax.jit(jax.vmap(law.direction))(POSITIONS), truth, rtol=0.0, atol=1e-13)
+    alone = jax.jit(lambda p: law.direction(p))
+    np.testing.assert_allclose([alone(p) for p in POSITIONS[:3]], truth[:3], rtol=0.0, atol=1e-13)
+
+
+@pytest.mark.long
+def test_its_derivative_is_that_of_the_blend():
+    law, step = blended_guidance(), 1e-5
+    found = jax.jit(jax.vmap(jax.jacfwd(law.direction)))(POSITIONS[:5])
+    for position, jacobian in zip(POSITIONS[:5], found, strict=True):
+        for axis in range(3):
+            shift = step * np.eye(3)[axis]
+            difference = (summed(position + shift) - summed(position - shift)) / (2 * step)
+            np.testing.assert_allclose(jacobian[:, axis], difference, rtol=0.0, atol=1e-6)

@@ -1,7 +1,9 @@
 """The theorems of the tracking layer, in continuous time with unlimited thrust, over random states."""
 
 import dataclasses
+import itertools
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -76,14 +78,15 @@ def states(count, seed):
     )
 
 
+@eqx.filter_jit
+def rates_of(velocity_law, layer, position, velocity, error_d):
+    return jax.vmap(lambda r, v, e: rates(velocity_law, layer, r, v, e))(position, velocity, error_d)
+
+
 @pytest.mark.long
 def test_safe_set_is_invariant():
     """ḣ₁ ≥ −β_c h₁ (paper, theorem safety_backstepping) under any estimation error."""
-    position, velocity, error_d = states(1000, 2)
-    velocity_law, layer = law(), tracking(gain=0.2)
-    slack, unfiltered, _, _ = jax.jit(jax.vmap(lambda r, v, e: rates(velocity_law, layer, r, v, e)))(
-        position, velocity, error_d
-    )
+    slack, unfiltered, *_ = rates_of(law(), tracking(gain=0.2), *states(1000, 2))
     assert np.min(slack) > -1e-9
     # The filter must have had work to do: without it many of these states would break the inequality.
     assert np.mean(np.asarray(unfiltered) < 0.0) > 0.05
@@ -93,10 +96,7 @@ def test_safe_set_is_invariant():
 def test_invariance_needs_the_observer_to_outpace_the_filter():
     """With 2β_e < β_c, as printed, the inequality fails for some states."""
     position, velocity, error_d = states(1000, 2)
-    velocity_law, layer = law(), tracking(estimation_rate=0.1)
-    slack, _, _, _ = jax.jit(jax.vmap(lambda r, v, e: rates(velocity_law, layer, r, v, 5.0 * e)))(
-        position, velocity, error_d
-    )
+    slack, *_ = rates_of(law(), tracking(estimation_rate=0.1), position, velocity, 5.0 * error_d)
     assert np.min(slack) < -1e-3
 
 
@@ -104,31 +104,23 @@ def test_invariance_needs_the_observer_to_outpace_the_filter():
 def test_lyapunov_function_falls_where_the_desired_velocity_is_safe():
     """V̇₁ = r_eᵀ H₀ v_c − λ/(2 μ_v) ‖v − v_s‖² where v_s = v_c (paper, theorem stability_backstepping)."""
     velocity_law = dataclasses.replace(law(), field=SphereField(jnp.asarray([0.0, 0.0, 500.0]), jnp.asarray(2.0)))
-    layer = tracking()
-    position, velocity, _ = states(500, 3)
-
-    def rate(r, v):
-        _, _, v1_rate, v1 = rates(velocity_law, layer, r, v, jnp.zeros(3))
-        desired = velocity_law.guidance.desired_velocity(r)
-        expected = jnp.sum((r - velocity_law.guidance.goal) * desired) - 0.5 / 1e-4 * jnp.sum((v - desired) ** 2)
-        return v1_rate, expected, v1
-
-    v1_rate, expected, v1 = jax.jit(jax.vmap(rate))(position, velocity)
+    position, velocity, error_d = states(1000, 3)
+    _, _, v1_rate, v1 = rates_of(velocity_law, tracking(), position, velocity, 0.0 * error_d)
+    desired = jax.jit(jax.vmap(velocity_law.guidance.desired_velocity))(position)
+    along = np.sum((position - velocity_law.guidance.goal) * desired, axis=1)
+    expected = along - 0.5 / 1e-4 * np.sum((velocity - desired) ** 2, axis=1)
     np.testing.assert_allclose(v1_rate, expected, rtol=1e-9, atol=1e-10)
     assert np.all(np.asarray(v1_rate) < 0.0)
     assert np.all(np.asarray(v1) > 0.0)
 
 
 def test_safety_gain_is_the_papers_and_never_overflows():
-    for a, b in ((0.3, 2.0), (-0.3, 2.0), (5.0, 0.1)):
-        direct = np.log1p(np.exp(-0.7 * a / b)) / 0.7
-        assert float(safety_gain(jnp.asarray(a), jnp.asarray(b), jnp.asarray(0.7))) == pytest.approx(direct, rel=1e-12)
-    for a in (-1e300, -1.0, 0.0, 1.0, 1e300):
-        for b in (0.0, 1e-23, 1e-3, 1e3):
-            value, slope = jax.value_and_grad(safety_gain, argnums=(0, 1))(
-                jnp.asarray(a), jnp.asarray(b), jnp.asarray(1.0)
-            )
-            assert float(value) >= 0.0
-            assert not np.isnan(float(value))
-            assert not np.any(np.isnan(np.asarray(slope))) or abs(a) > 1e200
-    assert float(safety_gain(jnp.asarray(-1.0), jnp.asarray(0.0), jnp.asarray(1.0))) == 0.0
+    both = jax.jit(jax.vmap(jax.value_and_grad(safety_gain, argnums=(0, 1))))
+    a, b = np.array([0.3, -0.3, 5.0]), np.array([2.0, 2.0, 0.1])
+    found = both(jnp.asarray(a), jnp.asarray(b), jnp.full(3, 0.7))[0]
+    np.testing.assert_allclose(found, np.log1p(np.exp(-0.7 * a / b)) / 0.7, rtol=1e-12)
+    wild = np.array(list(itertools.product([-1e300, -1.0, 0.0, 1.0, 1e300], [0.0, 1e-23, 1e-3, 1e3]))).T
+    value, slope = both(*map(jnp.asarray, wild), jnp.ones(wild.shape[1]))
+    assert np.all(np.asarray(value) >= 0.0)
+    assert not np.any(np.isnan(slope)[:, np.abs(wild[0]) < 1e200])
+    assert value[4] == 0.0  # where b is 0 and a negative
