@@ -59,6 +59,7 @@ def flown(rng, steps, *, start, velocity, thrust=0.1, period=1.0, fine=20):
     return SimpleNamespace(time=time, position=position, velocity=velocity, force=force), np.array(dense)
 
 
+@pytest.mark.long
 @given(seed=st.integers(0, 2**32 - 1), period=st.sampled_from([1.0, 2.0, 0.37]))
 def test_tube_holds_the_dense_path_and_its_minimum(seed, period):
     rng = np.random.default_rng(seed)

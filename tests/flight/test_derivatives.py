@@ -107,4 +107,6 @@ def test_the_gradient_of_a_flight_is_that_of_central_differences(chosen, names):
 def test_a_law_that_differentiates_itself_is_refused():
     setup, state = flown(feedforward=True)
     with pytest.raises(ControlError, match="default law"):
-        eqx.filter_grad(lambda law: law.step(law.initial_state(state), state)[1].lyapunov)(setup.controller)
+        eqx.filter_eval_shape(
+            eqx.filter_grad(lambda law: law.step(law.initial_state(state), state)[1].lyapunov), setup.controller
+        )

@@ -48,6 +48,7 @@ def test_layers_act_in_their_fixed_order(flown):
     np.testing.assert_allclose(log.disturbance, expected, atol=1e-16)
 
 
+@pytest.mark.long
 def test_each_row_leads_to_the_next_through_the_motion_as_stepping_by_hand_does(flown):
     setup, log = flown
     advance = eqx.filter_jit(lambda state, force: setup.motion.step(state, force, setup.disturbance, 1.0, 20.0))
@@ -130,6 +131,7 @@ def test_segments_joined_are_one_flight_to_the_bit(flown):
             np.testing.assert_array_equal(one, other, err_msg=f"{field.name} in {lengths}")
 
 
+@pytest.mark.long
 def test_a_new_goal_leaves_every_memory():
     setup = layered()
     state, _ = segments(setup, [10])
@@ -153,6 +155,7 @@ def test_a_segment_has_a_step_and_no_more_than_the_longest():
         fly_segment(setup, begin(setup, start_state(setup), KEY), 6, longest=5)
 
 
+@pytest.mark.long
 def test_one_program_flies_every_goal_and_every_number_of_steps_that_it_has_room_for():
     setup, traces = make_setup(), []
 

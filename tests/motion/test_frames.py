@@ -1,6 +1,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -20,6 +21,7 @@ def test_axes_of_an_equatorial_circular_orbit():
     np.testing.assert_allclose(orbital_rate(position, velocity), [0, 0, 7500 / 7e6], rtol=1e-15)
 
 
+@pytest.mark.long
 def test_velocity_in_vvlh_is_the_rate_of_the_position_in_vvlh():
     """The rotation rates are right if differentiating converted positions gives the converted velocity."""
     chaser = Orbit(9.01e6, 0.21, true_anomaly=0.7, inclination=0.9, right_ascension=2.0, argument_of_perigee=-1.1)

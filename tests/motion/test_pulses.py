@@ -56,6 +56,7 @@ def from_switch_to_switch(motion, state, pulses, fine=4):
     return state
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", MOTIONS)
 @pytest.mark.parametrize("centred", [True, False])
 def test_a_step_with_pulses_is_the_integration_from_switch_to_switch(name, centred):

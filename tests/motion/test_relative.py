@@ -169,6 +169,7 @@ def test_against_an_integrator_with_force_and_disturbance():
     np.testing.assert_allclose(state.velocity, end[4:7], atol=2e-10)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["turned", "inertial", "tumbling"])
 def test_every_body_frame_sees_the_same_flight(kind):
     """Free flight in any turning body frame, converted to VVLH, is the free flight in VVLH."""
@@ -192,6 +193,7 @@ def test_every_body_frame_sees_the_same_flight(kind):
     np.testing.assert_allclose(got[1], straight.velocity, atol=1e-10)
 
 
+@pytest.mark.long
 def test_inertially_fixed_attitude_keeps_the_stars():
     orbit = Orbit(7.4e6, 0.3, true_anomaly=1.0, inclination=0.7)
     motion = RelativeMotion(orbit, InertiallyFixed())
@@ -204,6 +206,7 @@ def test_inertially_fixed_attitude_keeps_the_stars():
     np.testing.assert_allclose(body_from_eci(last), body_from_eci(first), atol=1e-12)
 
 
+@pytest.mark.long
 def test_tumbling_conserves_energy_and_angular_momentum():
     law = Tumbling(np.deg2rad([0.4, -0.2, 0.3]), INERTIA)
     orbit = Orbit(7.4e6, 0.05, inclination=1.2)
@@ -302,6 +305,7 @@ def test_a_held_force_moves_a_mass():
     assert end.time == 100
 
 
+@pytest.mark.long
 def test_drift_acceleration_is_what_a_short_step_shows():
     motion = RelativeMotion(Orbit(7e6, 0.2, 1.0), Tumbling([0.002, 0.001, -0.003], INERTIA))
     state = motion.initial_state(jnp.array([20.0, -10.0, 5.0]), jnp.array([0.05, 0.1, -0.02]))
@@ -310,6 +314,7 @@ def test_drift_acceleration_is_what_a_short_step_shows():
     np.testing.assert_allclose(gained, drift(motion, state), rtol=1e-3, atol=1e-10)
 
 
+@pytest.mark.long
 def test_an_axisymmetric_body_precesses_in_closed_form():
     """ω₁ + iω₂ turns at (J₃ − J₁)/J₁ ω₃ about the symmetry axis; ω₃ stays."""
     transverse, axial = 100.0, 60.0

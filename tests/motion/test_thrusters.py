@@ -43,6 +43,7 @@ def least_propellant(layout, force):
 shares = eqx.filter_jit(lambda allocation, force: allocation.shares(force))
 
 
+@pytest.mark.long
 @given(layouts, st.integers(0, 10_000))
 def test_the_allocation_is_the_linear_program(layout, seed):
     generator = np.random.default_rng(seed)
@@ -158,6 +159,7 @@ ERRORS = {"rise_delay": 0.004, "misalignment": 0.02, "scale_error": 0.03}
 SLOW = [pytest.param(*pair, marks=pytest.mark.slow) for pair in (("12", False), ("24", True))]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "delta_sigma"), [("six", False), ("six", True), ("12", True), ("24", False), *SLOW])
 @pytest.mark.parametrize("errors", [{}, ERRORS], ids=["exact", "errors"])
 def test_bounds_hold_and_are_nearly_met(name, delta_sigma, errors):
@@ -225,6 +227,7 @@ def test_errors_are_drawn_within_their_bounds_once_a_flight():
     assert 0.7 * vector_error(layout) < worst <= vector_error(layout)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("stuck", ["off", "on"])
 @pytest.mark.parametrize("name", ["12", pytest.param("24", marks=pytest.mark.slow)])
 def test_every_stuck_thruster_is_made_up_for_once_it_is_known(name, stuck):
