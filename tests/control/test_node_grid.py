@@ -1,7 +1,5 @@
 """The guidance's grid from a map's nodes against the field itself, and the ways that it opens and closes."""
 
-import time
-
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -91,25 +89,3 @@ def test_a_way_opens_with_the_map():
     box = (away > 0.7) & (away < 0.95)
     with pytest.raises(ControlError, match="not connected"):
         way(box, middle)
-
-
-@pytest.mark.slow
-def test_a_map_of_thirty_metres_takes_a_second():
-    cubes = Cubes((0.0, 0.0, 0.0), 15.0)
-    solid = cubes.solid & ~((cubes.centres[..., 0] > 3.0) & (np.abs(cubes.centres[..., 1]) < 4.0))
-    squares, field = cubes.squares(solid), cubes.field(solid)
-    times = []
-    for _ in range(3):
-        begun = time.process_time()
-        made = grid_of_nodes(squares, cubes.origin, cubes.spacing, 0.73)
-        geodesic_guidance(
-            made,
-            field,
-            0.73,
-            np.array([6.0, 0.0, 0.0]),
-            speed=0.1,
-            slowing_length=1.5,
-            start=np.array([0.0, 16.5, 0.0]),
-        )
-        times.append(time.process_time() - begun)
-    assert min(times) < 1.0

@@ -169,16 +169,6 @@ def test_undeclared_faults_raise_flags(base, entries, flag):
     assert flag in fly(base.replace(**entries)).summary()["guard_flags"]
 
 
-@pytest.mark.slow
-def test_leaving_the_region_is_flagged_and_mended(base):
-    flight = fly(base.replace(start={"position": (30.0, 0.0, 0.0), "velocity": (0.5, 0.0, 0.0)}, duration=400.0))
-    summary = flight.summary()
-    assert summary["start_certified"] is False
-    assert summary["guard_flags"]["region"] > 0
-    assert flight.audit.contact is Contact.NO
-    assert not flight.record.guard_status[-1] & 32, "and it comes back"
-
-
 def test_the_guards_field_is_kept_and_a_damaged_one_built_anew(tmp_path, monkeypatch):
     target = Target.load("box")
     first = guard_field(target, 0.5)

@@ -8,11 +8,10 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from truths.guarded_worlds import ASSUMED
 
-from keepout.errors import ControlError
 from keepout.guard.braking import design, observed_radii
 
 FINE = 40
@@ -143,7 +142,6 @@ def test_each_radius_is_the_least_upper_bound(changes):
     assert np.all(worst >= 0.98 * bound), worst / bound
 
 
-@settings(max_examples=25, deadline=None)
 @given(
     poles=st.tuples(st.floats(0.0, 0.9), st.floats(0.0, 0.9)),
     gains=st.tuples(st.floats(0.1, 1.0), st.floats(0.1, 1.0)),
@@ -161,43 +159,6 @@ def test_no_gains_pass_what_is_stated_of_them(poles, gains, errors, delay, befor
     assert np.all(worst <= stated(made, a) * (1 + 2e-3)), worst / stated(made, a)
 
 
-def inputs(kind, rng, shape, size):
-    """Values within ± size, (flights, steps)."""
-    flights, steps = shape
-    if kind == "constant":
-        return size * np.broadcast_to(rng.choice([-1.0, 1.0], (flights, 1)), shape)
-    if kind == "flipping":
-        period = rng.integers(1, 60, (flights, 1))
-        return size * np.where((np.arange(steps) + rng.integers(0, 60, (flights, 1))) // period % 2 == 0, 1.0, -1.0)
-    return rng.uniform(-size, size, shape)
-
-
-@pytest.mark.parametrize("delay", [0, 2])
-def test_simulated_errors_stay_within_and_the_worst_sequence_reaches_the_radius(delay):
-    a = assumed(delay=delay)
-    made, bound, T = design(a), stated(design(a), a), a.period
-    rng, before, after = np.random.default_rng(delay), 80, 150
-    shape = (300, before + after)
-    for kinds in (("constant",) * 3, ("flipping",) * 3, ("random",) * 3, ("constant", "flipping", "flipping")):
-        noise_r, noise_v, push = (
-            inputs(k, rng, shape, s)
-            for k, s in zip(kinds, (a.position_error, a.velocity_error, a.disturbance), strict=True)
-        )
-        noise, pushes = np.stack([noise_r, noise_v], -1), push[..., None] * np.array([0.5 * T**2, T])
-        for value, most in zip(wanted(made, *simulate(made, T, delay, noise, pushes, before)), bound, strict=True):
-            assert np.abs(value).max() <= most
-    # The signs of the answers to single inputs make the sequence that reaches ρ, at the time at which it is worst.
-    told, pushed = (wanted(made, *answer)[0] for answer in impulses(made, T, delay, before, after))
-    worst = np.argmax(np.abs(told).sum(axis=0))
-    noise = np.sign(told[:, worst]).reshape(1, -1, 2) * np.array([a.position_error, a.velocity_error])
-    fine = (np.arange(FINE) + 0.5) / FINE * T
-    kernel = np.stack([T - fine, np.ones(FINE)])
-    line = pushed[:, worst].reshape(-1, 2) @ kernel
-    pushes = (a.disturbance * T / FINE * np.sign(line) @ kernel.T)[None]
-    error = wanted(made, *simulate(made, T, delay, noise, pushes, before))[0][0]
-    assert 0.98 * bound[0] <= np.abs(error).max() <= bound[0] * (1 + 1e-3)
-
-
 def test_without_what_came_before_the_plan_the_sum_is_passed():
     # The observer's error when the plan is made is not 0: a plan right after a long flight shows it.
     a = assumed()
@@ -207,26 +168,14 @@ def test_without_what_came_before_the_plan_the_sum_is_passed():
     assert early > 1.2 * alone
 
 
-def test_errors_within_half_the_bound_are_what_half_the_bound_says():
-    a = assumed()
-    half = dataclasses.replace(a, position_error=0.025, velocity_error=1e-3)
-    made = design(half)
-    worst, _ = worst_sums(made, a, 90, 180)
-    assert np.all(worst > 1.3 * stated(made, half))
-
-
 def test_pulses_and_force_errors_widen_the_tube_by_what_they_are():
     a = assumed()
-    plain = design(a)
-    pulsed = design(dataclasses.replace(a, excursion=2e-3, velocity_excursion=5e-4))
-    assert pulsed.position_radius - plain.position_radius == pytest.approx(2e-3, rel=1e-9)
-    assert pulsed.velocity_radius - plain.velocity_radius == pytest.approx(5e-4, rel=1e-9)
-    exact = design(ASSUMED)
-    pulsed = design(dataclasses.replace(ASSUMED, excursion=2e-3, velocity_excursion=5e-4))
-    assert pulsed.position_radius - exact.position_radius == pytest.approx(2e-3, rel=1e-9)
-    assert pulsed.velocity_radius - exact.velocity_radius == pytest.approx(5e-4, rel=1e-9)
-    wrong = dataclasses.replace(a, force_error=4e-3, mass_error=0.1)
+    for plain in (a, ASSUMED):
+        pulsed = design(dataclasses.replace(plain, excursion=2e-3, velocity_excursion=5e-4))
+        assert pulsed.position_radius - design(plain).position_radius == pytest.approx(2e-3, rel=1e-9)
+        assert pulsed.velocity_radius - design(plain).velocity_radius == pytest.approx(5e-4, rel=1e-9)
     right = dataclasses.replace(a, mass_error=0.1)
+    wrong = dataclasses.replace(right, force_error=4e-3)
     assert wrong.disturbance - right.disturbance == pytest.approx(4e-3 / (a.mass * 0.9), rel=1e-9)
 
 
@@ -248,24 +197,3 @@ def test_a_fault_of_a_perfect_estimate_adds_its_worst_steps(delay):
     worst = max(each[i : i + 3].sum() for i in range(len(each)))
     bow = T**2 / 8 * (made.reserve + a.disturbance + push)
     assert made.position_radius - bow == pytest.approx(a.disturbance * each.sum() + push * worst, rel=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("force_error", -1.0),
-        ("excursion", np.nan),
-        ("velocity_excursion", -1e-9),
-        ("fault_force", np.inf),
-        ("fault_steps", 101),
-        ("fault_steps", -1),
-    ],
-)
-def test_new_assumptions_out_of_range_are_refused(name, value):
-    with pytest.raises(ControlError, match=f"guard: {name} is"):
-        dataclasses.replace(ASSUMED, **{name: value})
-
-
-def test_a_fault_without_an_end_is_refused():
-    with pytest.raises(ControlError, match=r"fault_steps is 0; with a fault_force of 0\.1 N"):
-        dataclasses.replace(ASSUMED, fault_force=0.1)
