@@ -4,6 +4,8 @@ The writer is text templates, and the truth the closed form of a box on fine poi
 reader or the audit. Whatever a file leaves out, cuts off or contradicts, a flight in contact is never called clear.
 """
 
+from functools import partial
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -150,10 +152,10 @@ def test_axes_of_the_orbit_are_no_better_than_the_states_they_come_from(box, tmp
 
 # ---- segments, objects, frames: what contradicts itself is refused, and what is said of it is listed
 
-FIRST, THEN = (0.0, 1.0, 2.0), (2.0, 3.0, 4.0)
+FIRST, THEN, NEAR = (0.0, 1.0, 2.0), (2.0, 3.0, 4.0), (1.7, 0.0, 0.0)
 
 
-def two_segments(folder, first, second, *, between=FIRST, after=THEN, jump=0.0, own_more="", more=""):
+def two_segments(folder, second=NEAR, *, first=NEAR, between=FIRST, after=THEN, jump=0.0, own_more="", more=""):
     """A chaser's OEM of two segments, at the places `first` and `second`."""
     one, other = base(between, beside=first), base(after, beside=second)
     other[:, 3] += jump
@@ -162,8 +164,7 @@ def two_segments(folder, first, second, *, between=FIRST, after=THEN, jump=0.0, 
     return resting(folder) | {"chaser": message(folder / "c.oem", "OEM", *segments)}
 
 
-def overlapping(folder, after, place=(9.0, 0.0, 0.0), **more):
-    return two_segments(folder, (9.0, 0.0, 0.0), place, between=(*FIRST, 3.0), after=after, **more)
+overlapping = partial(two_segments, between=(*FIRST, 3.0))
 
 
 def jumping_attitude(folder):
@@ -172,12 +173,14 @@ def jumping_attitude(folder):
     return resting(folder) | {"target_attitude": message(folder / "a.aem", "AEM", *both)}
 
 
+def useable_from(**times):
+    return "".join(f"\nUSEABLE_{which.upper()}_TIME = {instant(time)}" for which, time in times.items())
+
+
 def useable(folder, start, stop):
-    more = f"\nUSEABLE_START_TIME = {instant(start)}\nUSEABLE_STOP_TIME = {instant(stop)}"
-    rows = base(np.arange(5.0), beside=(9.0, 0.0, 0.0)) / 1e3
-    return resting(folder) | {
-        "chaser": message(folder / "c.oem", "OEM", segment("OEM", CHASER, np.arange(5.0), rows, more=more))
-    }
+    rows, more = base(np.arange(5.0), beside=(9.0, 0.0, 0.0)) / 1e3, useable_from(start=start, stop=stop)
+    chaser = segment("OEM", CHASER, np.arange(5.0), rows, more=more)
+    return resting(folder) | {"chaser": message(folder / "c.oem", "OEM", chaser)}
 
 
 def all_in_one(folder):
@@ -202,58 +205,33 @@ def twice(folder):
     return dict.fromkeys(("chaser", "target_orbit"), resting(folder)["chaser"])
 
 
-def two_epochs(folder):
-    return turning(folder, time=np.arange(2.0))
+two_epochs, other = partial(turning, time=np.arange(2.0)), partial(turning, who=("SAT", "12345"))
 
 
 @pytest.mark.parametrize(
     ("made", "options", "said"),
     [
         # The second segment begins at the last epoch of the first, and is 0.2 m in contact there.
-        (
-            lambda folder: two_segments(folder, (1.7, 0.0, 0.0), (1.3, 0.0, 0.0)),
-            {},
-            r"7000001\.7.* and .*7000001\.3.* are 0\.4 m apart; at most",
-        ),
-        (
-            lambda folder: two_segments(folder, (9.0, 0.0, 0.0), (9.0, 0.0, 0.0), jump=0.5),
-            {},
-            r"velocities .* and .* are 0\.5 m/s apart",
-        ),
+        (partial(two_segments, second=(1.3, 0.0, 0.0)), {}, r"7000001\.7.* and .*7000001\.3.* are 0\.4 m apart"),
+        (partial(two_segments, jump=0.5), {}, r"velocities .* and .* are 0\.5 m/s apart"),
         (jumping_attitude, {}, r"quaternions .* are 0\.1 rad apart"),
-        (lambda folder: overlapping(folder, (2.5, 3.5, 4.0)), {}, "two segments overlap"),
-        (lambda folder: overlapping(folder, THEN, (9.2, 0.0, 0.0)), {}, r"are 0\.2 m apart"),
-        (lambda folder: useable(folder, 4, 3), {}, "USEABLE_START_TIME is after USEABLE_STOP_TIME"),
+        (partial(overlapping, after=(2.5, 3.5, 4.0)), {}, "two segments overlap"),
+        (partial(overlapping, second=(1.9, 0.0, 0.0)), {}, r"are 0\.2 m apart"),
+        (partial(useable, start=4, stop=3), {}, "USEABLE_START_TIME is after USEABLE_STOP_TIME"),
         (all_in_one, {}, r"several objects, SATELLITE \(2026-001A\), VISITOR \(2026-002A\), DEBRIS"),
         (all_in_one, {"chaser_object": "ROCKET", "target_object": "SATELLITE"}, r"is of .*, not of ROCKET"),
         (swapped, {"chaser_object": "VISITOR"}, r"t\.oem: is of SATELLITE \(2026-001A\), not of VISITOR"),
         # With an attitude of the target, the swap shows by itself.
-        (
-            lambda folder: swapped(folder, turning),
-            {},
-            r"a\.aem: is of SATELLITE \(2026-001A\), not of VISITOR \(2026-002A\)",
-        ),
+        (partial(swapped, files=turning), {}, r"a\.aem: is of SATELLITE \(2026-001A\), not of VISITOR \(2026-002A\)"),
         (twice, {}, "chaser and target must be two objects"),
-        (
-            lambda folder: turning(folder, who=("SAT", "12345")),
-            {},
-            r"a\.aem: is of SAT \(12345\), not of SATELLITE",
-        ),
-        (lambda folder: turning(folder, who=("SAT", "12345")), {"attitude_object": "DEBRIS"}, "not of DEBRIS"),
+        (other, {}, r"a\.aem: is of SAT \(12345\), not of SATELLITE"),
+        (other, {"attitude_object": "DEBRIS"}, "not of DEBRIS"),
         *(
-            (
-                lambda folder, frame=frame: turning(folder, frames=("EME2000", frame)),
-                {},
-                rf"REF_FRAME_B is {frame}; it must be the frame in which the mesh lies",
-            )
+            (partial(turning, frames=("EME2000", frame)), {}, rf"REF_FRAME_B is {frame}; it must be")
             for frame in ("INSTRUMENT_A", "STARTRACKER_1", "SENSOR_2", "ACTUATOR_3", "RTN", "GCRF")
         ),
-        (lambda folder: turning(folder, frames=("GCRF", "SC_BODY_1")), {}, "one of them must be EME2000"),
-        (
-            lambda folder: turning(folder, more="\nCENTER_NAME = MARS"),
-            {},
-            r"a\.aem: CENTER_NAME is MARS; it must be EARTH",
-        ),
+        (partial(turning, frames=("GCRF", "SC_BODY_1")), {}, "one of them must be EME2000"),
+        (partial(turning, more="\nCENTER_NAME = MARS"), {}, r"a\.aem: CENTER_NAME is MARS; it must be EARTH"),
         (two_epochs, {}, "--turning-acceleration-bound: not given, and 2 epochs"),
         (resting, {"attitude_object": "SAT"}, "--attitude-object SAT: only with --target-attitude"),
         *((resting, {"tolerance": value}, "tolerance is") for value in (float("nan"), -1.0, 0.0, float("inf"))),
@@ -270,20 +248,19 @@ def test_what_contradicts_itself_is_refused_in_a_line(made, options, said, box, 
     assert "\n" not in str(refusal.value)
 
 
-def beyond_use(folder):
-    """What only serves an interpolation is no truth: beyond the useable times it may be anything."""
-    end, begin = f"\nUSEABLE_STOP_TIME = {instant(2.0)}", f"\nUSEABLE_START_TIME = {instant(3.0)}"
-    return overlapping(folder, THEN, (9.001, 0.0, 0.0), own_more=end, more=begin)
-
-
 @pytest.mark.parametrize(
     ("made", "options", "found"),
     [
-        (lambda folder: two_segments(folder, (1.7, 0.0, 0.0), (1.7, 0.0, 0.0)), {}, {"epochs": 5}),
-        (lambda folder: overlapping(folder, THEN), {}, {"epochs": 5}),
-        (beyond_use, {}, {"epochs": 5, "rows_outside_useable_times": 2}),
+        (two_segments, {}, {"epochs": 5}),
+        (overlapping, {}, {"epochs": 5}),
+        # What only serves an interpolation is no truth: beyond the useable times it may be anything.
         (
-            lambda folder: useable(folder, 1, 3),
+            partial(overlapping, second=(1.701, 0.0, 0.0), own_more=useable_from(stop=2), more=useable_from(start=3)),
+            {},
+            {"epochs": 5, "rows_outside_useable_times": 2},
+        ),
+        (
+            partial(useable, start=1, stop=3),
             {},
             {"start_epoch": f"{instant(1)}000", "stop_epoch": f"{instant(3)}000", "rows_outside_useable_times": 2},
         ),
@@ -293,14 +270,14 @@ def beyond_use(folder):
             {"chaser_object_id": "2026-002A", "target_object": "SATELLITE"},
         ),
         (
-            lambda folder: turning(folder, frames=("EME2000", "RTN")),
+            partial(turning, frames=("EME2000", "RTN")),
             {"attitude_frame": "RTN"},
             {"overrides": ["--attitude-frame RTN: taken as the frame in which the mesh lies"]},
         ),
         (turning, {}, {"overrides": []}),
         # Where an identifier is not known, names decide.
-        (lambda folder: turning(folder, who=("satellite", "UNKNOWN")), {}, {"overrides": []}),
-        (lambda folder: turning(folder, frames=("SC_BODY_1", "J2000")), {}, {"overrides": []}),
+        (partial(turning, who=("satellite", "UNKNOWN")), {}, {"overrides": []}),
+        (partial(turning, frames=("SC_BODY_1", "J2000")), {}, {"overrides": []}),
         (two_epochs, {"turning_acceleration_bound": 1e-3}, {"epochs": 2}),
     ],
 )
@@ -312,7 +289,7 @@ def test_what_agrees_is_read_and_judged(made, options, found, box, tmp_path):
 
 
 def test_who_says_that_samples_may_be_wrong_by_so_much_is_answered_but_never_with_no(box, tmp_path):
-    files = two_segments(tmp_path, (1.7, 0.0, 0.0), (1.3, 0.0, 0.0))
+    files = two_segments(tmp_path, (1.3, 0.0, 0.0))
     assert judged(box, files, sample_error=0.5)["contact_verdict"] != "no"
 
 

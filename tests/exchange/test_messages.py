@@ -3,6 +3,7 @@
 import contextlib
 import datetime
 import re
+from xml.etree import ElementTree
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +12,6 @@ import pytest
 from astropy.time import Time
 from hypothesis import given
 from hypothesis import strategies as st
-from lxml import etree
 from oem import OrbitEphemerisMessage
 from truths.command_line import keepout_command
 from truths.frames import eci_from_vvlh, vvlh_from_body
@@ -427,7 +427,7 @@ def test_a_flights_attitude_takes_the_chaser_back_to_where_it_was(tree, form, tm
     def rows(name):
         text = (tmp_path / name).read_text()
         if form == "xml":
-            states = etree.fromstring(text.encode()).iter("stateVector", "quaternionEphemeris")
+            states = ElementTree.fromstring(text).iter("quaternionEphemeris" if name == "a" else "stateVector")
             keys = ("Q1", "Q2", "Q3", "QC") if name == "a" else ("X", "Y", "Z")
             return np.array([[float(state.find(f".//{key}").text) for key in keys] for state in states])
         width = 4 if name == "a" else 3
