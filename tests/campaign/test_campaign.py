@@ -41,6 +41,7 @@ MISSION = {
             # 1 mN cannot hold against the disturbance: such a run is refused.
             "chaser.force_limit": {"choice": [0.1, 0.001], "weights": [4, 1]},
             "start.position": {"sphere": [2.0, 12.0]},
+            "disturbance.phase": {"uniform": [0.0, 6.283]},
         },
     },
 }
@@ -108,6 +109,10 @@ def test_a_replay_is_equal_to_its_row(plan, flown):
     position = again.flight.record.position
     np.testing.assert_array_equal(position[0], [row[f"start_{axis}"][0].as_py() for axis in "xyz"])
     assert np.linalg.norm(position[-1] - [0.0, -10.0, -4.0]) == pytest.approx(row["final_error"][0].as_py(), abs=1e-9)
+    # The phase that was drawn is what is flown.
+    t, phase = again.flight.record.time, row["disturbance.phase"][0].as_py()
+    expected = np.stack([np.sin(0.02 * t + phase), np.cos(0.02 * t + phase), np.sin(0.01 * t + phase)], axis=1)
+    np.testing.assert_allclose(again.flight.record.disturbance, 0.01 * expected, atol=1e-15)
     changed = dict(again.row) | {"delta_v": 1.0}
     assert list(differences(row, changed)) == ["delta_v"]
     with pytest.raises(ScenarioError, match="run 22: the campaign has the runs 0 to 21"):
@@ -198,9 +203,6 @@ def test_a_campaign_of_which_nothing_can_be_flown_is_refused(scenario):
         Plan.of(scenario.replace(campaign={"dispersions": {"chaser.mass": {"choice": [-1.0]}}}))
 
 
-PHASES = {"runs": 8, "dispersions": {"disturbance.phase": {"uniform": [0.0, 6.283]}}}
-
-
 def test_a_mission_of_another_phase_shares_its_law_and_is_the_one_that_would_be_made(scenario):
     guarded = scenario.replace(guard={"enabled": True})
     workshop = Workshop()
@@ -234,17 +236,6 @@ def test_what_is_looked_at_for_many_runs_is_what_one_run_alone_is_told(scenario)
         assert sure[run.number] == bool(mission.guard.certified_start(truth))
         assert mission.target.distance.distance(run.position[None])[0] > room_to_start(mission.scenario)
     assert 0 < sum(sure.values()) < 300
-
-
-def test_a_drawn_phase_is_what_is_flown(scenario):
-    plan = Plan.of(scenario.replace(campaign=PHASES), batch=4)
-    rows = of_bytes(fly_chunk(plan, 0).table).to_pylist()
-    [again] = replay(plan, [3])
-    t = again.flight.record.time + rows[3]["disturbance.phase"] * np.array([[100.0], [50.0]])  # by 0.01 and 0.02 rad/s
-    expected = 0.01 * np.stack([np.sin(0.02 * t[1]), np.cos(0.02 * t[1]), np.sin(0.01 * t[0])], axis=1)
-    np.testing.assert_allclose(again.flight.record.disturbance, expected, atol=1e-15)
-    assert again.row["final_error"] == rows[3]["final_error"]
-    assert len({row["final_error"] for row in rows}) == len(rows) == 4
 
 
 PROGRAM = """

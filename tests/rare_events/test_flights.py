@@ -38,6 +38,15 @@ ALL = {
     "gain_error": 0.1,
     "delay": 1,
 }
+NOISY = NEAR.replace(
+    faults={
+        "dropped": 0.2,
+        "gain_error": 0.1,
+        "position_noise_std": 0.05,
+        "velocity_noise_std": 0.02,
+        "noise_correlation_time": 10.0,
+    }
+)
 RANDOM = {"kind": "random", "amplitude": 0.02}
 SPREAD = {"start_position_std": 0.05, "start_velocity_std": 0.001}
 
@@ -89,8 +98,7 @@ def test_bounded_noise_stays_in_its_ball():
 @pytest.mark.long
 def test_a_tape_without_errors_is_the_flight_without_faults():
     # In the middle of each normal no command is lost and the thrusters are right.
-    scenario = NEAR.replace(faults={"dropped": 0.2, "gain_error": 0.1, "position_noise_std": 0.1})
-    taped = TapedFlights(prepare(scenario), workers=1)
+    taped = TapedFlights(prepare(NOISY), workers=1)
     clean = prepare(NEAR)
     log = loop.fly(clean.setup, clean.initial, clean.steps, jax.random.key(0))
     flight = taped.fly(np.zeros(taped.tape.numbers))
@@ -112,8 +120,7 @@ def test_the_clearance_is_the_audits_and_knows_no_company(flown):
 
 @pytest.mark.long
 def test_a_rare_event_that_was_interrupted_goes_on_to_the_same_answer_and_gives_its_worst_flight_again(tmp_path):
-    noisy = {"position_noise_std": 0.05, "velocity_noise_std": 0.02, "noise_correlation_time": 10.0}
-    scenario = NEAR.replace(faults=noisy)
+    scenario = NOISY
 
     def interrupted(fraction, message):
         if list(tmp_path.glob("state-*.npz")):
