@@ -16,6 +16,7 @@ SIZES = {
     "sphere": ((4.0, 4.0, 4.0), 1e-3),
     "pocket": ((6.0, 4.0, 6.0), 1e-12),
 }
+VOLUMES = {"box": 24.0, "pocket": 6 * 4 * 6 - 5.4 * 3.7 * 5.4}
 
 
 @pytest.mark.parametrize("name", sorted(BUILTINS))
@@ -26,7 +27,8 @@ def test_closed_single_and_of_public_size(name):
     assert report.parts == 1
     size, tolerance = SIZES[name]
     assert report.extents == pytest.approx(size, abs=tolerance)
-    assert shape.enclosed_volume(target.vertices, target.faces) > 0.0
+    volume = shape.enclosed_volume(target.vertices, target.faces)
+    assert volume == pytest.approx(VOLUMES[name]) if name in VOLUMES else volume > 0.0
 
 
 @pytest.mark.long

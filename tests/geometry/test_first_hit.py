@@ -189,10 +189,6 @@ def test_special_places(mesh, origin, direction, greatest, met):
     assert FirstHit(vertices, faces).ranges(np.array([origin], float), np.array([direction], float), greatest) == met
 
 
-def test_no_rays_have_no_ranges():
-    assert FirstHit(*grid_box(1)).ranges(np.zeros((0, 3)), np.zeros((0, 3))).shape == (0,)
-
-
 def test_the_order_of_rays_does_not_matter():
     target = Target.load("intelsat30")
     first_hit = FirstHit(target.vertices, target.faces)

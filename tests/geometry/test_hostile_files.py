@@ -276,20 +276,19 @@ def test_time_is_linear_in_nodes_items_lines_and_corners(tmp_path, name, made):
         assert Target.load(path, units="m").report.triangles <= 4
 
 
+def declared(kind, count, properties="property float x\nproperty float y\nproperty float z\n"):
+    head = f"ply\nformat {kind} 1.0\nelement vertex {count}\n{properties}"
+    return head + "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n"
+
+
 @pytest.mark.parametrize("count", [4_000_000_000, 10**17])
 def test_elements_that_are_declared_alone_are_refused(tmp_path, count):
     for kind in ("ascii", "binary_little_endian"):
-        for properties in ("property float x\nproperty float y\nproperty float z\n", ""):
-            head = f"ply\nformat {kind} 1.0\nelement vertex {count}\n{properties}"
-            rest = "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n"
-            refused(written(tmp_path / "a.ply", head + rest))
+        refused(written(tmp_path / "a.ply", declared(kind, count)))
+        refused(written(tmp_path / "a.ply", declared(kind, count, "")))
     stl = b"\0" * 80 + struct.pack("<I", count % 2**32) + b"\0" * 50
     refused(written(tmp_path / "a.stl", stl), str(count % 2**32))
     refused(written(tmp_path / "a.off", f"OFF\n{count} {count} 0\n0 0 0\n"), str(count))
-
-
-def test_a_header_of_npy_that_declares_more_than_there_is_is_refused(tmp_path):
+    np.save(tmp_path / "a.npy", np.zeros((4, 3)))
     path = tmp_path / "a.npy"
-    np.save(path, np.zeros((4, 3)))
-    path.write_bytes(path.read_bytes().replace(b"(4, 3)", b"(4000000000, 3)".ljust(6)))
-    refused(path, thickness=0.1)
+    refused(written(path, path.read_bytes().replace(b"(4, 3)", f"({count}, 3)".encode())), thickness=0.1)

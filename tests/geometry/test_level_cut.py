@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 
 from keepout.geometry.distance import ExactDistance
 from keepout.geometry.level_cut import largest_on_level
-from keepout.geometry.octree import straddling_cells
 
 
 def random_soup(rng, count):
@@ -44,15 +43,3 @@ def test_a_cube_beside_a_flat_face_is_bounded_by_its_level_plane():
     bound = largest_on_level(distance, 0.5, centres, np.full(3, 0.1), slopes)
     assert bound[:2] == pytest.approx([0.05, -0.05], abs=1e-8)  # the whole cubes would give 0.1
     assert bound[2] == -np.inf  # it does not meet the level
-
-
-def test_cells_that_miss_the_level_are_told_apart_and_those_that_meet_it_are_kept():
-    rng = np.random.default_rng(5)
-    distance = random_soup(rng, 20)
-    centres, half = straddling_cells(distance, 0.3, leaf=0.1, lower=np.full(3, -3.0), upper=np.full(3, 3.0))
-    slopes = rng.normal(size=centres.shape)
-    missed = largest_on_level(distance, 0.3, centres, half, slopes) == -np.inf
-    inside = centres[missed][:, None, :] + half[0] * rng.uniform(-1.0, 1.0, (int(missed.sum()), 200, 3))
-    d = distance.distance(inside.reshape(-1, 3)).reshape(len(inside), -1)
-    assert missed.any()
-    assert not ((d.min(axis=1) < 0.3) & (d.max(axis=1) > 0.3)).any()

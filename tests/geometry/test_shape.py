@@ -74,14 +74,6 @@ def test_all_enclose_a_target():
     assert capsule.volume < 0.5 * ball.volume
 
 
-def test_volumes_of_simple_targets():
-    pocket = Target.load("pocket")
-    assert shape.enclosed_volume(pocket.vertices, pocket.faces) == pytest.approx(6 * 4 * 6 - 5.4 * 3.7 * 5.4)
-    box = Target.load("box")
-    assert shape.enclosed_volume(box.vertices, box.faces) == pytest.approx(24.0)
-    assert shape.convex_hull(box.vertices)[1] == pytest.approx(24.0)
-
-
 @pytest.mark.parametrize("body", [shape.smallest_ellipsoid, smallest_ball])
 def test_flat_points_are_refused(body):
     with pytest.raises(MeshError, match="span no volume"):

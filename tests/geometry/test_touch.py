@@ -6,7 +6,6 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from keepout.geometry.distance import ExactDistance
-from keepout.geometry.target import Target
 from keepout.geometry.touch import distance_within
 
 COARSE = st.tuples(*[st.integers(-3, 3).map(float)] * 3)
@@ -23,15 +22,3 @@ def test_it_is_the_exact_distance_within_reach_and_infinite_beyond(triangles, po
     exact = ExactDistance(vertices, faces).distance(point[None])[0]
     assert distance_within(vertices, faces, point, exact + 1e-6) == pytest.approx(exact, abs=1e-9)
     assert distance_within(vertices, faces, point, exact - 1e-6) == np.inf
-
-
-@pytest.mark.parametrize("name", ["intelsat30", "sphere", "pocket"])
-def test_it_is_the_exact_distance_to_targets(name):
-    target = Target.load(name)
-    points = np.random.default_rng(0).uniform(
-        target.vertices.min(axis=0) - 1.0, target.vertices.max(axis=0) + 1.0, (200, 3)
-    )
-    exact = target.distance.distance(points)
-    found = [distance_within(target.vertices, target.faces, point, 0.5) for point in points]
-    np.testing.assert_allclose(found, np.where(exact <= 0.5, exact, np.inf), atol=1e-12)
-    assert 0 < np.isfinite(found).sum() < len(points)

@@ -9,7 +9,7 @@ from truths import small_box
 from keepout.fields.domain import Domain
 from keepout.geometry.level_points import level_points
 from keepout.learning import counter_examples
-from keepout.learning.counter_examples import HIGHEST, JITTER, ROUNDS_KEPT, WORST, Hunt
+from keepout.learning.counter_examples import HIGHEST, JITTER, ROUNDS_KEPT, Hunt
 from keepout.learning.profile import TrainingProfile
 
 pytestmark = pytest.mark.long
@@ -94,12 +94,6 @@ def test_corners_and_edges_get_their_share_of_the_candidates(solid, level):
     assert sharp.sum() == even.sum() == pytest.approx(1.0)
     assert sharp[1] > 0.1
     assert sharp[2] > max(0.02, 4.0 * even[2])
-
-
-def test_a_point_chaser_is_hunted_on_the_surface_alone(solid):
-    hunt = prepared(solid, 0.0)
-    assert hunt.levels == (0.0,)
-    assert hunt.kept == ROUNDS_KEPT * (2 * WORST + WEBS)
 
 
 def test_a_web_is_found(solid):

@@ -53,11 +53,6 @@ def test_the_papers_eikonal_term_is_asked_of_every_point(name):
     assert (len(parts.sloped.x), len(parts.plain.x)) == (50, 0)
 
 
-def test_the_near_field_reaches_beyond_where_the_chaser_touches():
-    assert PROFILE.for_chaser(0.3).near_field == PROFILE.near_field == 1.2
-    assert PROFILE.for_chaser(3.0).near_field == pytest.approx(3.7)
-
-
 @pytest.mark.long
 def test_the_keepout_loss_by_hand():
     """Weighted pinball, by another share beyond the near field; no under-statement where hidden; a slope's error."""

@@ -242,6 +242,12 @@ def test_no_sample_beats_the_bound_of_its_own_element(radius):
         assert held.all()
     assert (largest <= upper).all()
     assert np.isfinite(largest).sum() > 100
+    # The bound of a point leaves room for float32's rounding of the value there, and for little more.
+    points = contact_with_box(4096, radius)
+    alone = np.stack([points, 0.0 * points], axis=1) if radius else np.repeat(points[:, None], 3, axis=1)
+    upper, error = certificate._bounded(network, alone, distance, radius, centre, float(field.scale), 1e-12)
+    over = upper - values(field, points)
+    assert 0.0 <= over.min() <= over.max() <= 3.0 * error.max()
 
 
 def lose_pieces(monkeypatch):
