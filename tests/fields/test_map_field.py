@@ -43,6 +43,7 @@ def test_derivatives_are_those_of_the_value():
     np.testing.assert_array_equal(slope, gradient)
 
 
+@pytest.mark.long
 def test_beyond_the_box_it_is_the_cap():
     field = EMPTY.field(scattered(3))
     away = np.array([[9.0, 0.0, 0.0], [0.1, -80.0, 0.3], [3.0, 3.0, -3.0], EMPTY.origin, EMPTY.origin + 0.25])

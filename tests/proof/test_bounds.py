@@ -14,6 +14,7 @@ BETA = 100.0
 KINDS = pytest.mark.parametrize("kind", ["triangle", "box"])
 
 
+@pytest.mark.long
 @KINDS
 def test_random_networks_are_never_above_their_bound(kind):
     check_random_networks_are_never_above_their_bound(kind)
