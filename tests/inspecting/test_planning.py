@@ -26,7 +26,7 @@ pytestmark = pytest.mark.long
 
 def asked(**inspect):
     """Give the problem of the box for a mission that asks for this."""
-    options = {"candidates": 160, "patch_size": 0.5, "stand_off": 1.2, **inspect}
+    options = {"candidates": 100, "patch_size": 0.5, "stand_off": 1.2, **inspect}
     start = {"position": (0.0, 8.0, 3.0)}
     return problem_of(Scenario().replace(target={"source": "box"}, start=start, duration=6000.0, inspect=options))
 
