@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from keepout.exploring.departures import _depth, departures, explained_distance
@@ -46,7 +46,7 @@ def lifted_map() -> KnownFreeMap:
     return seen(body(SHIFT), 0)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_nothing_departs_where_nothing_moved(seed):
     target = body(0.0)
     known = seen(target, seed)
@@ -72,13 +72,9 @@ def test_a_moved_panel_is_found_where_it_is_and_missed_where_it_was(lifted_map):
     # The old panel is missing, and no deeper in free room than the true surface leaves it.
     assert (true.distance.distance(found.missing) >= found.depth).all()
     assert found.missing[:, 0].min() > 0.75
-    panel = 2.0 * 2.0 * 2.0
-    assert 0.6 * panel < found.missing_area < 1.1 * panel
+    assert 0.6 * 8.0 < found.missing_area < 1.1 * 8.0
     assert found.depth.max() > 0.5
     assert found.largest == pytest.approx(max(found.distance.max(), found.depth.max()))
-    summary = found.summary()
-    assert summary["differs"]
-    assert summary["largest_m"] > 1.0
 
 
 def test_a_part_that_nobody_expected_is_seen_and_nothing_is_missing(lifted_map):
@@ -96,7 +92,6 @@ def test_what_errors_explain_is_the_sum_of_its_parts(lifted_map):
     assert explained_distance(lifted_map, CAMERA.camera) == pytest.approx(by_hand, abs=2e-5)
 
 
-@settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_depth_never_exceeds_the_distance_to_what_is_not_free(seed):
     generator = np.random.default_rng(seed)

@@ -40,30 +40,34 @@ def scenario(**changes):
     return Scenario.parse(tree)
 
 
+HARD = {"depth_sensor": {"errors": "adversarial", "latency": 3.0}, "seed": 3}
+"""Errors at their bounds, and late images."""
+
+
 @pytest.fixture(scope="module")
 def to_goal():
-    return explore(scenario(), target=crate())
+    return explore(scenario(**HARD), target=crate())
 
 
+@pytest.mark.long
 def test_a_goal_behind_an_unknown_body_is_reached_without_touching_it(to_goal):
     assert to_goal.outcome == "reached goal", to_goal.why
     assert to_goal.audit.contact is Contact.NO
     assert to_goal.start_certified
     assert to_goal.assumptions_broken == to_goal.map.assumptions_broken == ()
-    assert to_goal.summary()["contradicting_returns"] == 0
-    end = to_goal.record.position[-1]
-    assert np.linalg.norm(end - [-3.2, 0.2, 0.4]) < 0.15
+    summary = to_goal.summary()
+    assert summary["contradicting_returns"] == 0
+    assert np.linalg.norm(to_goal.record.position[-1] - [-3.2, 0.2, 0.4]) < 0.15
     # Truth from elsewhere: distances of the recorded samples to the crate as a box.
     gap = np.linalg.norm(np.maximum(np.abs(to_goal.record.position) - [1.5, 1.0, 1.0], 0.0), axis=1) - 0.4
     assert gap.min() > 0.1
     assert to_goal.audit.minimum_clearance <= gap.min() + 1e-9
-
-
-def test_the_guard_holds_a_plan_from_start_to_end(to_goal):
-    assert to_goal.summary()["guard_flags"] == {}
+    # The guard held a plan from start to end.
+    assert summary["guard_flags"] == {}
     assert int(to_goal.flown.guard_interventions) == 0
 
 
+@pytest.mark.long
 def test_no_free_cube_meets_the_body(to_goal):
     known = to_goal.map
     centres = known.origin + known.spacing * (np.argwhere(known.free) + 0.5)
@@ -71,83 +75,49 @@ def test_no_free_cube_meets_the_body(to_goal):
     assert np.all(apart.max(axis=1) > 0.0)
 
 
-def test_views_and_figures_agree(to_goal):
-    summary = to_goal.summary()
-    assert summary["views"] == len(to_goal.views) == to_goal.map.views
-    assert sum(view.opened for view in to_goal.views) * 0.2**3 == pytest.approx(summary["opened_m3"])
-    assert to_goal.views[-1].free_volume == pytest.approx(summary["opened_m3"])
-    assert 0.0 < summary["seen_share"] <= 1.0
-    assert 2 <= len(to_goal.stages) <= 8
-    assert [stage.time for stage in to_goal.stages] == sorted(stage.time for stage in to_goal.stages)
-    areas = [len(stage.faces) for stage in to_goal.stages]
-    assert areas[0] > 0
-
-
-def test_a_seed_gives_the_same_flight_and_map_bit_for_bit(to_goal):
-    again = explore(scenario(), target=crate())
+@pytest.mark.long
+def test_a_seed_gives_the_same_flight_and_map_and_a_target_that_is_not_where_it_was_expected_is_reported(to_goal):
+    again = explore(scenario(**HARD), target=crate(), expected=crate(at=(0.0, 0.0, 1.5)))
     assert np.array_equal(again.record.position, to_goal.record.position)
     assert np.array_equal(again.map.free, to_goal.map.free)
+    assert again.summary()["departures_largest_m"] > 1.0
 
 
-def test_errors_at_their_bounds_and_late_images_touch_nothing():
-    found = explore(
-        scenario(depth_sensor={"errors": "adversarial", "latency": 3.0}, disturbance={"kind": "paper"}, seed=3),
-        target=crate(),
-    )
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("changes", "outcome"),
+    [
+        ({"explore": {"towards": "all round"}, "duration": 4000.0}, "everything reachable seen"),
+        ({"goal": {"position": [0.5, 0.2, 0.1]}, "duration": 4000.0}, "no way known"),  # within the body
+        ({"start": {"position": [30.0, 0.5, 0.3]}, "duration": 1500.0}, "reached goal"),
+        ({"depth_sensor": {"surely_returned_width": 0.008}}, "no way known"),  # it sees too short to open one
+    ],
+)
+def test_every_end_is_said_and_nothing_is_touched(changes, outcome):
+    found = explore(scenario(**changes), target=crate())
+    assert found.outcome == outcome, found.why
     assert found.audit.contact is Contact.NO
-    assert found.outcome == "reached goal", found.why
-    assert found.assumptions_broken == ()
-
-
-def test_looking_all_round_ends_by_itself_with_the_whole_body_seen():
-    found = explore(scenario(explore={"towards": "all round"}, duration=4000.0), target=crate())
-    assert found.outcome == "everything reachable seen", found.why
-    assert found.summary()["seen_share"] > 0.97
-    assert found.audit.contact is Contact.NO
-
-
-def test_a_goal_inside_the_body_has_no_way_and_the_reason_is_given():
-    found = explore(scenario(goal={"position": [0.5, 0.2, 0.1]}, duration=4000.0), target=crate())
-    assert found.outcome == "no way known"
-    assert found.why
-    assert len(found.unknown) > 0
-    assert found.audit.contact is Contact.NO
-
-
-def test_a_flight_may_begin_far_from_the_map():
-    found = explore(scenario(start={"position": [30.0, 0.5, 0.3]}, duration=1500.0), target=crate())
-    assert found.outcome == "reached goal", found.why
-    assert found.audit.contact is Contact.NO
-
-
-def test_a_sensor_that_sees_too_short_to_open_a_way_ends_the_flight_and_says_so():
-    found = explore(scenario(depth_sensor={"surely_returned_width": 0.008}), target=crate())
-    assert found.outcome == "no way known", found.why
-    assert found.why
     assert len(found.record.time) > 2
-    assert found.audit.contact is Contact.NO
+    assert outcome != "no way known" or found.why
+    assert outcome != "everything reachable seen" or found.summary()["seen_share"] > 0.97
 
 
-def test_a_target_that_is_not_where_it_was_expected_is_reported(to_goal):
-    found = explore(scenario(), target=crate(), expected=crate(at=(0.0, 0.0, 1.5)))
-    assert found.summary()["departures_largest_m"] > 1.0
-    same = explore(scenario(), target=crate(), expected=crate())
-    assert same.summary()["departures_largest_m"] == 0.0
-    assert np.array_equal(same.record.position, to_goal.record.position)
-
-
-def test_a_target_beyond_its_ball_and_broken_promises_are_named():
-    found = explore(scenario(map={"radius": 1.6}, start={"position": [4.5, 0.2, 0.1]}, duration=60.0), target=crate())
-    assert any("map.radius 1.6" in line for line in found.assumptions_broken)
-    assert any("outside the declared ball" in line for line in found.assumptions_broken)
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("changes", "at", "said"),
+    [
+        ({"duration": 60.0}, (4.0, 0.0, 0.0), ("map.radius 5", "outside the declared ball")),
+        ({"duration": 60.0, "depth_sensor": {"broken": "late"}}, (0.0, 0.0, 0.0), ("late",)),
+    ],
+)
+def test_a_target_beyond_its_ball_and_broken_promises_are_named(changes, at, said):
+    found = explore(scenario(**changes), target=crate(at=at))
+    for part in said:
+        assert any(part in line for line in found.assumptions_broken)
     assert not found.start_certified
-    late = explore(scenario(depth_sensor={"broken": "late"}, duration=60.0), target=crate())
-    assert any("late" in line for line in late.assumptions_broken)
-    assert not late.start_certified
-    for flown in (found, late):
-        assert flown.outcome == "contradicted"
-        assert flown.views[-1].contradicting > 0
-        assert set(flown.assumptions_broken) >= set(flown.map.broken)
+    assert found.outcome == "contradicted"
+    assert found.views[-1].contradicting > 0
+    assert set(found.assumptions_broken) >= set(found.map.broken)
 
 
 def wired():
@@ -202,11 +172,8 @@ def test_a_flight_by_a_map_that_was_contradicted_says_so(along_a_wire, tmp_path)
         ({"start": {"position": [5.2, 0.0, 0.0]}}, "start.position"),
         ({"depth_sensor": {"surely_returned_width": 0.001}}, "surely_returned_width"),
         ({"depth_sensor": {"period": 10.5}}, "depth_sensor.period"),
-        ({"map": {"radius": None}}, "map.radius"),
         ({"map": {"cap": 0.6}}, "map.cap"),
-        ({"goal": {"position": [0.0, 30.0, 0.0]}}, "goal.position"),
         ({"control": {"profile": "paper"}}, "control.profile"),
-        ({"chaser": {"force_limit": 0.001}}, ""),
     ],
 )
 def test_what_cannot_be_explored_is_refused_in_a_line(changes, said):
