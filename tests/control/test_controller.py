@@ -174,6 +174,7 @@ def test_the_state_ahead_of_a_delay_feels_the_estimates_disturbance(default, pus
     assert ahead.disturbance is None if push is None else np.array_equal(ahead.disturbance, push)
 
 
+@pytest.mark.long
 def test_observer_is_told_of_a_replaced_force(default):
     state = MOTION.initial_state(START, np.zeros(3))
     memory = default.with_applied_force(default.initial_state(state), jnp.asarray([0.01, 0.0, 0.0]))
@@ -204,6 +205,7 @@ def test_refuses_a_law_that_cannot_work(change, message):
         profiles.default(PANELS, told, **arguments)
 
 
+@pytest.mark.long
 def test_a_guidance_and_a_circulation_are_objects(default):
     made = StraightGuidance(jnp.asarray(GOAL), jnp.asarray(0.05), jnp.asarray(2.0))
     law = profiles.default(PANELS, CASE, GOAL, guidance=made, circulation=NoCirculation())

@@ -92,6 +92,7 @@ def test_widest_way_finds_the_saddle():
     assert widest_way(values, np.array([0, 2, 2]), np.array([4, 2, 2])) == pytest.approx(-0.3)
 
 
+@pytest.mark.long
 def test_geodesic_leads_round_a_sphere():
     goal, start = np.array([0.0, -5.0, 0.0]), np.array([0.0, 5.0, 0.1])
     grid = BarrierGrid.build(SPHERE, 0.5, np.full(3, -7.0), np.full(3, 7.0), spacing=0.35)
@@ -114,6 +115,7 @@ def test_geodesic_leads_round_a_sphere():
     assert float(outside[0]) < -0.05
 
 
+@pytest.mark.long
 def test_geodesic_direction_is_a_smooth_unit_vector():
     grid = BarrierGrid.build(SPHERE, 0.5, np.full(3, -5.0), np.full(3, 5.0), spacing=0.5)
     guidance = geodesic_guidance(grid, SPHERE, 0.5, np.array([0.0, -4.0, 0.0]), speed=0.1, slowing_length=2.0)
@@ -152,6 +154,7 @@ def _slid(field, offset, guidance, start, steps):
     return jax.lax.scan(move, start, length=steps)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("half_width", "aside"), [(0.55, 0.0), (0.75, 0.12), (0.9, 0.12), (1.1, 0.0)])
 def test_geodesic_goes_through_a_gap_of_a_node_or_two(half_width, aside):
     """A wall 1 m thick with a square hole: of which the chaser is left 0.1 to 1.2 m, on a grid of 0.5 m."""
@@ -166,6 +169,7 @@ def test_geodesic_goes_through_a_gap_of_a_node_or_two(half_width, aside):
     assert float(jnp.min(barrier)) > 0.0
 
 
+@pytest.mark.long
 def test_a_finer_grid_finds_a_gap_between_nodes():
     """A slot of 0.3 m for the chaser, between two layers of nodes that are 0.5 m apart."""
     wall = union([[-4, -0.5, -4], [0.9, -0.5, -4]], [[-0.4, 0.5, 4], [4, 0.5, 4]])
@@ -227,6 +231,7 @@ def test_says_how_much_too_narrow_the_way_is():
         )
 
 
+@pytest.mark.long
 def test_straight_guidance_is_capped_in_norm_and_the_papers_in_components():
     goal = jnp.zeros(3)
     numbers = (goal, jnp.asarray(0.1), jnp.asarray(1.5))
@@ -299,6 +304,7 @@ def test_three_numbers_of_a_byte_are_kept():
         np.testing.assert_array_equal((kept << shift) >> 24, DIRECTIONS[..., axis])
 
 
+@pytest.mark.long
 def test_the_blend_is_the_sum_of_splines_alone_and_in_a_batch():
     law = blended_guidance()
     truth = np.stack([summed(position) for position in POSITIONS])

@@ -64,6 +64,7 @@ def test_each_row_leads_to_the_next_through_the_motion_as_stepping_by_hand_does(
         np.testing.assert_allclose(entry.force, log.force[row], atol=1e-16)
 
 
+@pytest.mark.long
 def test_outcome_against_numpy():
     setup = make_setup()
     log = fly(setup, start_state(setup, (0.5, -9.0, -4.0)), STEPS, KEY)
@@ -82,6 +83,7 @@ def test_outcome_against_numpy():
     assert summary.propellant is None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("first", "rest", "reached", "time"),
     [

@@ -84,6 +84,7 @@ def told(fault, steps, key=KEY):
     return jax.lax.scan(step, fault.initial_state(key), length=steps)[1]
 
 
+@pytest.mark.long
 def test_estimate_errors_stay_in_their_balls_and_vary():
     errors = np.asarray(told(WrongEstimate(0.02, 1e-3, 0.01, 5e-4), 500))
     for error, bias, noise in ((errors[:, 0], 0.02, 0.01), (errors[:, 1], 1e-3, 5e-4)):
@@ -97,6 +98,7 @@ def told_often(fault):
     return jax.vmap(lambda key: told(fault, 60, key))(jax.random.split(KEY, 2000))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("memory", [0.0, 0.8])
 def test_a_gaussian_estimate_has_its_spread_and_forgets_at_its_rate(memory):
     fault = GaussianEstimate(0.03, 0.002, memory)
@@ -125,6 +127,7 @@ class Resting(Law):
         return state, Command(jnp.full(3, 0.01), nothing, nothing, nothing, zero, zero, zero, jnp.zeros((), jnp.int32))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", KINDS)
 def test_broken_laws(kind):
     law = BrokenLaw(Resting(), WORLDS["ball"], kind, 0.1, 20.0, 0.1)

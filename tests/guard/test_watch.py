@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from truths.guarded_worlds import ASSUMED, PIECES, advance, units
@@ -64,6 +65,7 @@ def test_a_lasting_excess_of_two_hundredths_is_seen():
     assert 32 * 0.02 * NOISY.disturbance * NOISY.period < 2 * NOISY.velocity_error
 
 
+@pytest.mark.long
 @given(
     share=st.sampled_from([0.01, 0.017, 0.1, 0.5, 3.0]),
     velocity_error=st.sampled_from([0.0, 1e-5, 5e-4, 2e-3]),

@@ -159,6 +159,7 @@ def test_noise_is_seeded_bounded_and_in_its_band():
         band_limited_noise(jax.random.key(0), 0.01, 0.02, (0.05, 0.2), terms=0)
 
 
+@pytest.mark.long
 def test_the_noise_cut_keeps_the_direction_and_has_a_derivative_at_rest():
     strong = BandLimitedNoise(ConstantSinusoid, 0.1)
     np.testing.assert_allclose(strong.force(jnp.float64(0.0)), [0.06, 0.08, 0.0], atol=1e-16)

@@ -48,6 +48,7 @@ def along(orbit, time):
     return jax.jvp(all_, (time,), (jnp.ones(()),))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("eccentricity", [0.0, 0.1, 0.7])
 def test_rates_are_derivatives_and_the_motion_obeys_newton(eccentricity):
     orbit = Orbit(1.2e7, eccentricity, 0.4, inclination=1.0, right_ascension=2.0, argument_of_perigee=3.0)
@@ -65,6 +66,7 @@ def test_rates_are_derivatives_and_the_motion_obeys_newton(eccentricity):
     np.testing.assert_allclose(plain.angular_acceleration, frame.angular_acceleration, atol=1e-19)
 
 
+@pytest.mark.long
 def test_j2_turns_the_orbital_plane_at_the_known_mean_rate():
     """Mean nodal drift −1.5 n J2 (R/p)² cos i, by averaging the frame's rate about the pole over one orbit."""
     inclination = 0.9

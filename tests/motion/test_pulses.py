@@ -73,6 +73,7 @@ def test_a_step_with_pulses_is_the_integration_from_switch_to_switch(name, centr
             assert np.abs(held.position - truth.position).max() > 1e-5
 
 
+@pytest.mark.long
 def test_moments_are_the_integrals_of_the_force_about_its_mean():
     pulses = pulses_of(3, centred=False)
     time = np.linspace(0.0, 1.0, 200_001)

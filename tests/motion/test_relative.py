@@ -111,6 +111,7 @@ def bounded_velocity(orbit, position):
     return jnp.array([-b + np.sign(b) * np.sqrt(b * b - float(still @ still - energy)), 0.0, 0.0])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("semi_major_axis", "eccentricity"), CASES)
 def test_two_kepler_orbits_differenced_after_one_orbit(semi_major_axis, eccentricity):
     orbit = Orbit(semi_major_axis, eccentricity, true_anomaly=0.3, inclination=0.8)

@@ -184,6 +184,7 @@ def test_bounds_hold_and_are_nearly_met(name, delta_sigma, errors):
         assert owed.max() > 0.3 * min(bounds.running_error, 0.01)
 
 
+@pytest.mark.long
 def test_delta_sigma_gives_in_the_mean_what_pulse_width_leaves_out():
     small = np.tile([0.0004, -0.0007, 0.0009], (500, 1))  # all below half of the shortest pulse's 0.002 N
     plain = flown(thrusters(made("six")), small)
@@ -192,6 +193,7 @@ def test_delta_sigma_gives_in_the_mean_what_pulse_width_leaves_out():
     np.testing.assert_allclose(summed, small[0], atol=0.001 / 500 + 1e-12)
 
 
+@pytest.mark.long
 def test_pulses_keep_to_the_least_on_time_and_the_period():
     firing = flown(thrusters(made("12"), delta_sigma=True), commands(2000))
     on = np.asarray(firing.on_time)
@@ -200,12 +202,14 @@ def test_pulses_keep_to_the_least_on_time_and_the_period():
     assert np.any((on > 0.0) & (on < 0.03))
 
 
+@pytest.mark.long
 def test_propellant_is_thrust_over_exhaust_velocity():
     firing = flown(thrusters(made("24", specific_impulse=60.0)), commands(100))
     thrust = (np.asarray(firing.on_time) * LIMIT / 4.0).sum(axis=1)
     np.testing.assert_allclose(firing.propellant, thrust / (60.0 * 9.80665), rtol=1e-12)
 
 
+@pytest.mark.long
 def test_a_late_valve_pours_into_the_next_period():
     layout = made("six", rise_delay=0.01)
     asked = np.array([[LIMIT, 0, 0], [LIMIT, 0, 0], [0, 0, 0], [0.5 * LIMIT, 0, 0]])
@@ -213,6 +217,7 @@ def test_a_late_valve_pours_into_the_next_period():
     np.testing.assert_allclose(firing.on_time[:, 0], [0.99, 1.0, 0.01, 0.5], atol=1e-12)
 
 
+@pytest.mark.long
 def test_errors_are_drawn_within_their_bounds_once_a_flight():
     layout = made("12", misalignment=0.02, scale_error=0.03)
     model = thrusters(layout)
@@ -248,6 +253,7 @@ def test_every_stuck_thruster_is_made_up_for_once_it_is_known(name, stuck):
         assert np.linalg.norm(unknown.force - asked, axis=1)[14:].max() > 2.0 * bounds.force_error
 
 
+@pytest.mark.long
 def test_a_command_that_is_not_a_number_stays_one():
     firing = flown(thrusters(made("six")), np.array([[np.nan, 0.0, 0.0]]))
     assert np.isnan(firing.force).any()
