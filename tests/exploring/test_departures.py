@@ -46,7 +46,8 @@ def lifted_map() -> KnownFreeMap:
     return seen(body(SHIFT), 0)
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_nothing_departs_where_nothing_moved(seed):
     target = body(0.0)
     known = seen(target, seed)
@@ -58,6 +59,7 @@ def test_nothing_departs_where_nothing_moved(seed):
     assert target.distance.distance(known.returns.astype(float)).max() > 0.4 * found.explained
 
 
+@pytest.mark.long
 def test_a_moved_panel_is_found_where_it_is_and_missed_where_it_was(lifted_map):
     true, expected = body(SHIFT), body(0.0)
     found = departures(lifted_map, expected, CAMERA.camera)
@@ -77,6 +79,7 @@ def test_a_moved_panel_is_found_where_it_is_and_missed_where_it_was(lifted_map):
     assert found.largest == pytest.approx(max(found.distance.max(), found.depth.max()))
 
 
+@pytest.mark.long
 def test_a_part_that_nobody_expected_is_seen_and_nothing_is_missing(lifted_map):
     vertices, faces = mesh(box((0.0, 0.0, 0.0), (1.5, 1.5, 1.5)))
     alone = Target("alone", vertices, faces, describe(Surface(vertices, faces)))
@@ -85,6 +88,7 @@ def test_a_part_that_nobody_expected_is_seen_and_nothing_is_missing(lifted_map):
     assert len(found.missing) == 0
 
 
+@pytest.mark.long
 def test_what_errors_explain_is_the_sum_of_its_parts(lifted_map):
     # The outermost of 5 rays across is 0.4 pixels from the middle.
     b, slant = CAMERA.bounds, math.hypot(0.4, 0.4) / CAMERA.camera.focal

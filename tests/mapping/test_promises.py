@@ -81,6 +81,7 @@ def test_no_free_cube_meets_a_body_and_no_return_contradicts_the_map(scene, seed
     assert known.assumptions_broken == ()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("broken", [{"ranges": 4.0, "pose": 1.0}, {"ranges": 1.0, "pose": 3.0}])
 def test_broken_promises_free_cubes_that_meet_a_body(broken):
     bad = 0

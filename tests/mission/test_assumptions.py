@@ -102,6 +102,7 @@ def states(scenario, radius, speed, count, seed=0):
     return motion, eqx.tree_at(lambda s: (s.position, s.velocity), at, (radius * directions[0], speed * directions[1]))
 
 
+@pytest.mark.long
 def test_the_centre_of_mass_shifts_where_the_drift_is_measured_from():
     offset = np.array([2.0, -5.0, 1.0])
     scenario = Scenario().replace(orbit=LOW, attitude=TUMBLING)
@@ -114,6 +115,7 @@ def test_the_centre_of_mass_shifts_where_the_drift_is_measured_from():
     np.testing.assert_allclose(drift(further), true_drift(at), rtol=1e-12, atol=1e-16)
 
 
+@pytest.mark.long
 def test_the_guards_drift_holds_with_an_offset_and_not_without(box):
     scenario = Scenario().replace(
         orbit=LOW, attitude=TUMBLING, target={"source": "box", "centre_of_mass": (0.0, 120.0, 0.0)}
@@ -195,6 +197,7 @@ def test_a_force_held_in_inertial_axes_is_flown_so_and_bounded_by_guard_and_audi
     assert excess(rows, bounds, **near, force_turning=0.0) > excess(rows, bounds, **near) + 1e-5
 
 
+@pytest.mark.long
 def test_gravity_is_bounded_over_the_whole_region(box):
     near = Scenario().replace(orbit=LOW, attitude={"kind": "inertial"}, target={"source": "box"})
     far = near.replace(start={"position": (0.0, 0.0, 20_000.0)})

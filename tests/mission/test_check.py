@@ -205,6 +205,7 @@ def test_the_nearest_place_is_flown_from(name, place, target, model):
     assert target.distance.distance(np.array([near.value]))[0] > 0.6
 
 
+@pytest.mark.long
 def test_several_refusals_are_told_at_once(target, model):
     inside = {"position": (0.0, 1.8, 0.0)}
     found = check(straight(chaser={"speed_limit": 0.5}, start=inside, goal=inside), target=target, model=model)
@@ -221,6 +222,7 @@ def test_a_radius_without_a_certificate_has_a_nearest_one(target, model):
     assert [(near.entry, near.value) for near in refusal.nearest] == [("chaser.radius", 0.5)]
 
 
+@pytest.mark.long
 def test_the_command_says_it_and_fails(tmp_path):
     path = tmp_path / "fast.toml"
     path.write_text("[chaser]\nspeed_limit = 0.5\n", encoding="utf-8")

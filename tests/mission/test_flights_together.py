@@ -34,6 +34,7 @@ def drawn(target, **campaign):
     return draw_starts(Scenario().replace(campaign=campaign), target).position
 
 
+@pytest.mark.long
 def test_starts_are_seeded_outside_and_roomy(shell):
     starts = drawn(shell, runs=50, lower=(-5.0, -5.0, -5.0), upper=(5.0, 5.0, 5.0))
     assert starts.shape == (50, 3)
@@ -42,11 +43,13 @@ def test_starts_are_seeded_outside_and_roomy(shell):
     np.testing.assert_array_equal(starts, drawn(shell, runs=50, lower=(-5.0, -5.0, -5.0), upper=(5.0, 5.0, 5.0)))
 
 
+@pytest.mark.long
 def test_a_box_without_a_way_out_is_refused(shell):
     with pytest.raises(ScenarioError, match="only 0 lie outside"):
         drawn(shell, runs=5, lower=(-2.0, -2.0, -2.0), upper=(2.0, 2.0, 2.0))
 
 
+@pytest.mark.long
 def test_starts_that_are_drawn_again_are_counted(shell):
     campaign = {"runs": 50, "lower": (-5.0, -5.0, 3.0), "upper": (5.0, 5.0, 5.0)}
     scenario = Scenario().replace(campaign=campaign)

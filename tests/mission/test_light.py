@@ -91,6 +91,7 @@ def test_a_target_fixed_to_the_stars_sees_a_sun_that_moves_a_degree_a_day():
     assert apart(moving.sun(0.0), moving.sun(10.0 * day)) == pytest.approx(10.01, abs=0.03)
 
 
+@pytest.mark.long
 def test_a_tumbling_target_sees_the_sun_as_euler_and_scipy_say():
     """A body with two equal moments: ω runs round its axis at λ = (C - A)/A ω_z, in closed form; ds/dt = -ω × s."""
     inertia, slow, spin = (2.0, 2.0, 3.0), 0.01, 0.02
@@ -107,6 +108,7 @@ def test_a_tumbling_target_sees_the_sun_as_euler_and_scipy_say():
     np.testing.assert_allclose(shown, path.y.T, atol=2e-6)
 
 
+@pytest.mark.long
 def test_a_bent_orbit_carries_its_frame_along():
     """J2 turns the plane; the path and VVLH's axes are SciPy's and NumPy's."""
     orbit = {"semi_major_axis": 7e6, "inclination": 0.9, "j2": True}

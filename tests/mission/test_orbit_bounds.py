@@ -17,6 +17,8 @@ from keepout.mission.scenario import Scenario
 from keepout.motion import MotionState, NoDisturbance
 
 MU, EARTH, OBLATE, SPIN = 3.986004418e14, 6378137.0, 1.08262668e-3, 7.292115e-5
+pytestmark = pytest.mark.long
+
 CASES = {
     "low and round": ({"semi_major_axis": 6.9e6, "inclination": 0.9, "j2": True}, {}, 6000.0),
     "polar with drag": (
