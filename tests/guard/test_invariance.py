@@ -241,14 +241,14 @@ def clearance_after(position, velocity, accelerations, deceleration):
     ids=["no errors", "errors, delay", "errors, at the first step"],
 )
 def test_after_a_jump_a_command_is_passed_on_only_where_it_is_safe_from_both_states(changes, calm_steps):
-    guard, rng, many, k = guard_in("ball", **changes), np.random.default_rng(0), 1200, calm_steps
+    guard, rng, many, k = guard_in("ball", **changes), np.random.default_rng(0), 4200, calm_steps
     a, deceleration = guard.assumptions, float(guard.braking.deceleration)
     flights = calm(
         rng.uniform(3.0, 8.0, (many, 1)) * units(rng, many), rng.uniform(0, 0.1, (many, 1)) * units(rng, many), 10
     )
     flights = flights._replace(errors=np.broadcast_to(a.estimate_errors, flights.errors.shape))
-    moved = rng.choice([0.005, 0.15, 0.3, 1.0, 4.0], (many, 1)) * units(rng, many)
-    turned = rng.choice([0.0, 0.05, 0.2], (many, 1)) * units(rng, many)
+    moved = rng.choice([0.002, 0.01, 0.03, 0.1, 0.15, 0.3, 1.0], (many, 1)) * units(rng, many)
+    turned = rng.choice([0.0, 0.01, 0.05], (many, 1)) * units(rng, many)
     flights.off[:, k] = np.stack([moved, turned], axis=1)
     flights.force[:, k] = rng.choice([-0.1, 0.0, 0.1], (many, 3))
     certified, flown = fly(guard, flights, 0.0, first=np.zeros((many, 2, 3)))
