@@ -262,7 +262,8 @@ def test_a_goal_too_near_to_the_seen_surface_ends_at_once_and_one_farther_does_n
     assert isinstance(run.step(3.0 * seen), NextView)
 
 
-@pytest.mark.parametrize("goal", [None, np.zeros(3)])
+@pytest.mark.long
+@pytest.mark.parametrize("goal", [pytest.param(None, marks=pytest.mark.slow), np.zeros(3)])
 def test_views_that_open_nothing_are_not_taken_again_and_come_to_an_end(goal):
     known = begun(1.0)
     tried = Tried.nothing(known)
