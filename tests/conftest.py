@@ -19,11 +19,10 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
         "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "0",
     }
-# Likewise what one test learns and proves (truths/learned.py).
-if "KEEPOUT_TESTS_LEARNED" not in os.environ:
-    _learned = tempfile.mkdtemp(prefix="keepout-learned-")
-    atexit.register(shutil.rmtree, _learned, ignore_errors=True)
-    os.environ["KEEPOUT_TESTS_LEARNED"] = _learned
+# Likewise the fields that guards stand on.
+if "KEEPOUT_CACHE" not in os.environ:
+    os.environ["KEEPOUT_CACHE"] = tempfile.mkdtemp(prefix="keepout-kept-")
+    atexit.register(shutil.rmtree, os.environ["KEEPOUT_CACHE"], ignore_errors=True)
 
 import equinox as eqx
 import jax
@@ -66,32 +65,19 @@ def _forgetful(_left=[0.0]):  # noqa: B006
 
 
 FIRST = (
-    "test_journey.py",
-    "test_demonstration.py",
-    "test_fit_and_certify.py",
-    "test_examples.py",
-    "test_readme.py",
-    "test_docs_code.py",
-    "test_cluster.py",
-    "test_loose_ends.py",
-    "test_cone.py",
+    "test_commands.py",
+    "test_inspect.py",
+    "test_certificate.py",
     "test_campaign.py",
-    "test_known_errors.py",
-    "test_orbit_bounds.py",
     "test_navigation.py",
-    "test_on_board_navigation.py",
-    "test_flights.py",
+    "test_by_map.py",
+    "test_planning.py",
+    "test_cone.py",
     "test_invariance.py",
-    "test_kept_programs.py",
+    "test_relative.py",
     "test_on_board.py",
-    "test_derivatives.py",
-    "test_draft.py",
-    "test_start.py",
-    "test_check.py",
-    "test_thrusters.py",
 )
-"""What a user runs first is tested first; these take longest too, so that no worker ends with one while others wait.
-README comes after what learns, certifies and flies the same."""
+"""What a user runs first is tested first; the others take longest, so that no worker ends with one while others wait."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

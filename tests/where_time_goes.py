@@ -1,11 +1,11 @@
 """Where the tests' processor time goes, by file: `python tests/where_time_goes.py [--keep FOLDER] [options of pytest]`.
 
 It runs pytest with what is given (all that `make test` runs, on two cores, where nothing is) and prints a table in
-seconds of processor: tracing (JAX turns Python into programs), compiling, running compiled programs, Python, and
-commands that tests start; then the number of distinct programs, the most memory of a worker and the clock. Tracing and
-compiling are JAX's own monitoring events. Running is what other threads than Python's use outside of those: a program
-so small that JAX runs it on Python's own thread counts as Python. A worker that finds a program that another has
-compiled reads it from the disk, which counts as compiling.
+seconds of processor: tracing (JAX turns Python into programs), compiling, compiling Numba's kernels, running compiled
+programs, Python, and commands that tests start; then the number of distinct programs, the most memory of a worker and
+the clock. Tracing and compiling are JAX's own monitoring events. Running is what other threads than Python's use
+outside of those: a program so small that JAX runs it on Python's own thread counts as Python. A worker that finds a
+program that another has compiled reads it from the disk, which counts as compiling.
 
 With `--keep`, a line for each test is kept in the folder as it ends; a run that was stopped goes on with the tests that
 have not passed, and its table is that of both, while no file of the repository has changed. `make test-all` does so.
@@ -27,7 +27,7 @@ from pathlib import Path
 FOLDER = "KEEPOUT_TIME_GOES"
 """The environment variable that names the folder of the measurements: the plugin measures where it is set."""
 PASSED = "passed.json"
-COLUMNS = ("tracing", "compiling", "running", "python", "commands")
+COLUMNS = ("tracing", "compiling", "numba", "running", "python", "commands")
 EVENTS = {
     "/jax/core/compile/jaxpr_trace_duration": "tracing",
     "/jax/core/compile/jaxpr_to_mlir_module_duration": "tracing",
@@ -40,6 +40,7 @@ class Meter:
 
     def __init__(self):
         import jax
+        from numba.core import event
 
         self.spent = collections.Counter()
         self.programs = 0
@@ -47,6 +48,17 @@ class Meter:
         self._last = (time.perf_counter(), time.process_time(), time.thread_time())
         self._thread = threading.get_ident()
         jax.monitoring.register_event_duration_secs_listener(self._ended)
+        self._kernels: list[float] = []  # Python's time as each kernel began: one may compile others
+        listener = type("Listener", (event.Listener,), {"on_start": self._kernel_begun, "on_end": self._kernel_ended})
+        event.register("numba:compile", listener())
+
+    def _kernel_begun(self, *_):
+        self._kernels.append(time.thread_time())
+
+    def _kernel_ended(self, *_):
+        begun = self._kernels.pop()
+        if not self._kernels:
+            self.spent["numba"] += time.thread_time() - begun
 
     def _ended(self, event: str, seconds: float, **_):
         if event not in EVENTS or threading.get_ident() != self._thread:
@@ -79,8 +91,9 @@ class Meter:
         return {
             "tracing": traced,
             "compiling": compiled,
+            "numba": self.spent["numba"],
             "running": time.process_time() - traced - compiled - main,
-            "python": main,
+            "python": main - self.spent["numba"],
             "commands": children.ru_utime + children.ru_stime,
             "programs": self.programs,
         }
