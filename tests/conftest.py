@@ -77,7 +77,7 @@ FIRST = (
     "test_relative.py",
     "test_on_board.py",
 )
-"""What a user runs first is tested first; the others take longest, so that no worker ends with one while others wait."""
+"""What a user runs first is tested first. The others take longest: no worker ends with one while another waits."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
