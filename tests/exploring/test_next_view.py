@@ -265,7 +265,7 @@ def test_a_goal_too_near_to_the_seen_surface_ends_at_once_and_one_farther_does_n
 @pytest.mark.long
 @pytest.mark.parametrize("goal", [pytest.param(None, marks=pytest.mark.slow), np.zeros(3)])
 def test_views_that_open_nothing_are_not_taken_again_and_come_to_an_end(goal):
-    known = begun(1.0)
+    known = begun(0.5)
     tried = Tried.nothing(known)
     position, before = np.array([2.0, 0.0, 0.0]), []
     blind = np.full(CAMERA.shape, np.nan)
