@@ -13,7 +13,7 @@ from keepout.motion import MotionState, NoDisturbance, RelativeMotion
 from keepout.motion.perturbation import EARTH_GRAVITATIONAL_PARAMETER
 
 _OUTWARD = 1.0 + 1e-6
-"""Covers what a Runge–Kutta step a control period loses: tests/mission/test_turning_bounds.py."""
+"""Covers what a Runge–Kutta step a control period loses: tests/mission/test_orbit_bounds.py."""
 
 
 def free(angular_velocity: np.ndarray, inertia: np.ndarray) -> tuple[float, float]:
