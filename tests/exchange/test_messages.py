@@ -1,6 +1,7 @@
 """OEM and AEM files: what another program reads in them is what was flown, and damage is one clear line."""
 
 import contextlib
+import dataclasses
 import datetime
 import re
 from xml.etree import ElementTree
@@ -146,8 +147,7 @@ COV_REF_FRAME = RTN
 COVARIANCE_STOP
 """
 """After the examples of an OEM printed in annex G of CCSDS 502.0-B."""
-STANDARD_USEABLE = STANDARD
-STANDARD = re.sub(r"USEABLE.*\n", "", STANDARD)
+STANDARD_USEABLE, STANDARD = STANDARD, re.sub(r"USEABLE.*\n", "", STANDARD)
 
 
 def test_an_example_after_the_standard_is_read(tmp_path):
@@ -167,6 +167,25 @@ def test_an_example_after_the_standard_is_read(tmp_path):
     assert np.array_equal(useable.epochs, orbit.epochs[4:])
 
 
+def refusal_of(read, path, content):
+    """What reading the content says, in a line that names the file."""
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(ExchangeError) as refusal:
+        read(path)
+    said = str(refusal.value)
+    assert "\n" not in said
+    assert str(path) in said
+    return said
+
+
+def damaged(whole, old, new):
+    assert old in whole
+    return whole.replace(old, new, 2 if old.startswith("TIME_SYSTEM") else 1)
+
+
+NO_NUMBERS = ("0e999", "1_000.5", "\u0661\u0660", "1e5_0", "0x10", "1,5", "infinity", "1.5D0", "1.5e3.0")
+
+
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
@@ -175,31 +194,21 @@ def test_an_example_after_the_standard_is_read(tmp_path):
         ("REF_FRAME = EME2000", "COMMENT none", "REF_FRAME is missing"),
         ("TIME_SYSTEM = UTC", "TIME_SYSTEM = MET", "TIME_SYSTEM is MET; valid: UTC, TAI"),
         ("CENTER_NAME = MARS BARYCENTER", "CENTER_NAME = SUN", "CENTER_NAME is SUN in one segment and MARS BARYCENTER"),
-        ("2783.419", "2783.4l9", "holds '2783.4l9'; it must be a finite number"),
         ("-308.143 -1877.071 5.18604 -2.42124 -1.99608", "-308.143", "has 2 numbers; it must have 6 or 9"),
         ("12:01:00.331 ", "11:01:00.331 ", "EPOCH 1996-12-18T11:01:00.331 does not come after"),
         ("12:01:00.331 ", "12:01:60.331 ", "EPOCH '1996-12-18T12:01:60.331' lies within a leap second"),
         ("META_STOP\n\nCOMMENT", "COMMENT", "a keyword = value must stand there"),
         ("1996-12-28T21:28:00.331 -", "COMMENT ", "the rows end at 1996-12-18T12:02:00.331, before STOP_TIME"),
         ("OBJECT_ID = 1996-062A", "OBJECT_NAME = X", "OBJECT_NAME must stand there once"),
-        ("OBJECT_ID = 1996-062A\n", "", "OBJECT_ID is missing"),
-        ("START_TIME = 1996-12-18T12:00:00.331\n", "", "START_TIME is missing"),
         ("= 1996-12-18T12:00", "= 1996-12-18T11:00", "but the first row is of 1996-12-18T12:00:00"),
-        ("2783.419", "0e999", "holds '0e999'; it must be a finite number"),
         ("12:01:00.331 ", "12:01:0\u0660.331 ", "only ASCII may stand there"),
         ("1996-12-18T12:01:00.331 ", "9999-12-18T12:01:00.331 ", "must lie from 1677-09-22 to 2262-04-11"),
         ("1996-12-18T12:01:00.331 ", "2200-12-18T12:01:00.331 ", "must lie between 1824 and 2116"),
+        *(("2783.419", no, "must be a finite number" if no.isascii() else "only ASCII") for no in NO_NUMBERS),
     ],
 )
 def test_damage_is_one_line_that_names_it(tmp_path, old, new, said):
-    assert old in STANDARD
-    path = tmp_path / "damaged.oem"
-    path.write_text(STANDARD.replace(old, new, 2 if old.startswith("TIME_SYSTEM") else 1))
-    with pytest.raises(ExchangeError) as refusal:
-        read_oem(path)
-    assert "\n" not in str(refusal.value)
-    assert str(path) in str(refusal.value)
-    assert said in str(refusal.value)
+    assert said in refusal_of(read_oem, tmp_path / "damaged.oem", damaged(STANDARD, old, new))
 
 
 @pytest.mark.parametrize(
@@ -217,10 +226,7 @@ def test_damage_is_one_line_that_names_it(tmp_path, old, new, said):
     ],
 )
 def test_what_is_no_oem(tmp_path, content, said):
-    path = tmp_path / "x"
-    path.write_bytes(content)
-    with pytest.raises(ExchangeError, match=said):
-        read_oem(path)
+    assert said in refusal_of(read_oem, tmp_path / "x", content)
 
 
 @given(cut=st.integers(0, len(STANDARD)))
@@ -259,42 +265,25 @@ def test_a_flight_over_a_leap_second_is_refused(tmp_path):
 # ---- numbers and lines
 
 
-@pytest.mark.parametrize("number", ["1_000.5", "\u0661\u0660", "1e5_0", "0x10", "1,5", "infinity", "1.5D0", "1.5e3.0"])
-@pytest.mark.parametrize("form", ["kvn", "xml"])
-def test_what_looks_like_a_number_is_none(number, form, tmp_path):
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("<X>7000.000000000000</X>", "<X>7<b/>000</X>", "holds more than text"),
+        ("<X>7000.000000000000</X>", "<X>7000.0</X><X>1.0</X>", "has 2 X"),
+        ("<Z>0.000000000000</Z>", "<Z>1_000.5</Z>", "must be a finite number"),
+        ("<?xml", "<!DOCTYPE oem [<!ENTITY e '3'>]><?xml", "DOCTYPE"),
+    ],
+)
+def test_xml_that_reads_as_less_than_it_says_is_refused(old, new, said, tmp_path):
     rows = base(np.arange(5.0)) / 1e3
-    if form == "xml":
-        path = ndm(tmp_path / "c.xml", xml_of("OEM", CHASER, np.arange(5.0), rows))
-    else:
-        path = resting(tmp_path)["chaser"]
-    text = path.read_text()
-    first = "<Z>0.000000000000</Z>" if form == "xml" else " 0.000000000000 "
-    path.write_text(text.replace(first, first.replace("0.000000000000", number), 1))
-    with pytest.raises(ExchangeError, match=r"it must be a finite number|only ASCII") as refusal:
-        read_oem(path)
-    assert "\n" not in str(refusal.value)
-
-
-@pytest.mark.parametrize("inside", ["<!DOCTYPE oem [<!ENTITY e '3'>]>", "<X>7<b/>000</X>", "<X>7000.0</X><X>1.0</X>"])
-def test_xml_that_reads_as_less_than_it_says_is_refused(inside, tmp_path):
-    rows = base(np.arange(5.0)) / 1e3
-    text = xml_of("OEM", CHASER, np.arange(5.0), rows)
-    if inside.startswith("<!DOCTYPE"):
-        text = inside + text.replace("<X>7000.0", "<X>7000.&e;", 1)
-    else:
-        text = text.replace("<X>7000.000000000000</X>", inside, 1)
-    (tmp_path / "c.xml").write_text(text)
-    with pytest.raises(ExchangeError, match=r"DOCTYPE|holds more than text|has 2 X"):
-        read_oem(tmp_path / "c.xml")
+    path = ndm(tmp_path / "c.xml", xml_of("OEM", CHASER, np.arange(5.0), rows))
+    assert said in refusal_of(read_oem, path, damaged(path.read_text(), old, new))
 
 
 @pytest.mark.parametrize("name", ["N" * 300, "a\nCENTER_NAME = MARS", "Büro", "", " x"])
 @pytest.mark.parametrize("xml", [False, True])
 def test_a_name_that_is_no_line_is_refused(name, xml, tmp_path):
-    rows = base([0.0, 1.0])
-    orbit = Orbit(
-        tmp_path / "o", name, "EARTH", "EME2000", "UTC", np.array([0, 10**9]), rows[:, :3], rows[:, 3:], identifier="A"
-    )
+    orbit = dataclasses.replace(read_oem(resting(tmp_path)["chaser"]), path=tmp_path / "o", name=name)
     with pytest.raises(ExchangeError, match="OBJECT_NAME would be") as refusal:
         write_oem(orbit, comments=[], xml=xml)
     assert "\n" not in str(refusal.value)
@@ -351,21 +340,9 @@ DATA_START
 1996-11-30T01:28:02.5555 0.74563 -0.45375 0.36875 0.31964
 DATA_STOP
 """
-WITH_USEABLE_TIMES = FIRST_EDITION
-FIRST_EDITION = re.sub(r"USEABLE.*\n", "", FIRST_EDITION)
-SECOND_EDITION = (
-    FIRST_EDITION.replace("VERS = 1.0", "VERS = 2.0")
-    .replace("ATTITUDE_DIR = A2B\n", "")
-    .replace("QUATERNION_TYPE = LAST\n", "")
-)
-PRINTED = np.array(
-    [
-        [0.56748, 0.03146, 0.45689, 0.68427],
-        [0.42319, -0.45697, 0.23784, 0.74533],
-        [-0.84532, 0.26974, -0.06532, 0.45652],
-        [0.74563, -0.45375, 0.36875, 0.31964],
-    ]
-)
+WITH_USEABLE_TIMES, FIRST_EDITION = FIRST_EDITION, re.sub(r"USEABLE.*\n", "", FIRST_EDITION)
+SECOND_EDITION = re.sub(r"(ATTITUDE_DIR|QUATERNION_TYPE) = .*\n", "", FIRST_EDITION.replace("VERS = 1.0", "VERS = 2.0"))
+PRINTED = np.array([line.split()[1:] for line in FIRST_EDITION.splitlines() if line.startswith("1996-")], float)
 
 
 def direction_cosines(q1, q2, q3, qc):
@@ -455,8 +432,4 @@ def test_a_flights_attitude_takes_the_chaser_back_to_where_it_was(tree, form, tm
     ],
 )
 def test_what_cannot_be_used_of_an_attitude_is_named(old, new, said, tmp_path):
-    assert old in FIRST_EDITION
-    with pytest.raises(ExchangeError) as refusal:
-        read_attitude(tmp_path, FIRST_EDITION.replace(old, new, 1))
-    assert said in str(refusal.value)
-    assert "\n" not in str(refusal.value)
+    assert said in refusal_of(read_aem, tmp_path / "a.aem", damaged(FIRST_EDITION, old, new))
