@@ -16,6 +16,7 @@ from keepout import cli
 from keepout.cli.options import ORDER
 from keepout.commands import mesh
 from keepout.fields.model import FieldModel
+from keepout.fields.shipped import shipped_path
 
 REPOSITORY = Path(__file__).parents[1]
 EXAMPLES = REPOSITORY / "examples"
@@ -35,6 +36,7 @@ def test_every_command_has_help_with_an_example(command):
 
 
 USAGE = 2
+SHIPPED = shipped_path("intelsat30")
 AUDIT = (
     *("audit", "--target", "box", "--chaser", "a.oem", "--target-orbit", "b.oem"),
     *("--chaser-radius", "0.5", "--acceleration-bound", "0.1"),
@@ -61,9 +63,17 @@ CANNOT_BE_MEANT = [
     (("rare", "absent.toml", "--flights", "100"), "multiple of 8"),
     (("rare", "absent.toml", "--below", "nan"), "nan"),
     (("reproduce", "case7"), "case1"),
-    (("export", "absent.npz", "--to", "omm", "-o", "a.oem"), "omm"),
+    (("export", "flight.txt", "--to", "oem", "-o", "a.oem"), "a flight file ends in .parquet or .npz, a field file in"),
+    (("export", "a.npz", "--to", "omm", "-o", "a"), "--to omm: valid for a flight: oem, aem, czml, csv, parquet, npz"),
+    (("export", "a.npz", "--to", "aem", "--of", "target", "-o", "a"), "--of: only for --to oem, not --to aem"),
+    (("export", "a.npz", "--to", "oem", "--of", "moon", "-o", "a"), "--of moon: valid: chaser, target"),
+    (("export", "a.npz", "--to", "oem", "--chaser-radius", "1", "-o", "a"), "--chaser-radius: only for a field"),
+    (("export", SHIPPED, "--to", "czml", "-o", "a"), "--to czml: valid for a field: onnx, glb"),
     (("audit", "--target", "box", "--chaser", "a"), "--target-orbit"),
-    ((*AUDIT, "--target-fixed-in", "ecef"), "ecef"),
+    ((*AUDIT, "--target-fixed-in", "ecef"), "--target-fixed-in ecef: valid: vvlh, inertial"),
+    ((*AUDIT, "--acceleration-bound", "inf"), "inf is not valid"),
+    ((*AUDIT, "--target", "mission.toml", "--target-units", "mm"), "--target-units: not with the scenario"),
+    ((*AUDIT, "--target", "a.stl", "--target-units", "mm", "--target-scale", "2"), "either units or scale"),
     (("targets", "--seed", "-1"), "-1"),
 ]
 REFUSED = [
@@ -79,6 +89,13 @@ REFUSED = [
     (("replay", "absent.parquet", "-o", "page/replay.html"), "absent.parquet"),
     (("reproduce", "case1", "--fields", "absent", "-o", "paper"), "absent"),
     (("export", "absent.npz", "--to", "oem", "-o", "a.oem"), "absent.npz"),
+    (("export", SHIPPED, "--to", "onnx", "-o", "a"), "the field has certificates for 0, 0.5 m; name one of them"),
+    (("export", SHIPPED, "--to", "onnx", "--chaser-radius", "0.7", "-o", "a"), "chaser radius 0.7 m"),
+    (("export", SHIPPED, "--to", "glb", "--mesh", "box", "--chaser-radius", "0", "-o", "a"), "made for intelsat30"),
+    (AUDIT, "a.oem: cannot be read"),
+    ((*AUDIT, "--target-fixed-in", "vvlh", "--target-attitude", "a.aem"), "not with --target-attitude"),
+    ((*AUDIT, "--target", "absent.glb"), "absent.glb"),
+    ((*AUDIT, "--target-rotation", *"100010002"), "rotation: [[1.0, 0.0, 0.0]"),
     # Who means a mesh or a field is told what the commands are called now.
     (("inspect", "intelsat30"), "keepout describe intelsat30"),
     (("inspect", "absent.keepout"), "keepout measure"),

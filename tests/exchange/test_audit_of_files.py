@@ -251,25 +251,3 @@ def test_files_that_do_not_fit_are_refused(names, old, new, said, tmp_path):
         judged(Target.load("box"), files)
     assert said in str(refusal.value)
     assert "\n" not in str(refusal.value)
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (["--target-fixed-in", "sideways"], "--target-fixed-in sideways: valid: vvlh, inertial"),
-        (["--target-attitude", "a.aem", "--target-fixed-in", "vvlh"], "not with --target-attitude"),
-        (["--acceleration-bound", "-1"], "-1"),
-        (["--acceleration-bound", "inf"], "inf is not valid"),
-        (["--chaser-radius", "nan"], "nan is not valid"),
-        (["--target", "absent.glb"], "absent.glb"),
-        (["--chaser", "absent.oem"], "absent.oem: cannot be read"),
-    ],
-)
-def test_options_that_cannot_be_used_are_refused(options, said, tmp_path, monkeypatch):
-    resting(tmp_path)
-    monkeypatch.chdir(tmp_path)
-    basis = ["--target", "box", "--chaser", "c.oem", "--target-orbit", "t.oem", "--chaser-radius", 0.5]
-    answer = keepout_command("audit", *basis, "--acceleration-bound", 0.1, *options)
-    assert answer.code != 0
-    assert said in answer.err
-    assert answer.err.count("\n") == 1

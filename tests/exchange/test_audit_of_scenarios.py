@@ -86,20 +86,3 @@ def test_the_attitude_file_says_how_the_mesh_lies(flown):
     np.testing.assert_array_equal([[float(number) for number in row.split()] for row in told], ROTATION)
     [origin] = [line.split(": ")[1].removesuffix(" m.") for line in lines if "Origin in file axes" in line]
     assert [float(number) for number in origin.split()] == [0.6, -0.4, 0.2]
-
-
-@pytest.mark.parametrize(
-    ("options", "said", "code"),
-    [
-        (["--target", "mission.toml", "--target-units", "mm"], "--target-units: not with the scenario", 2),
-        (["--target", "absent.toml"], "absent.toml: cannot be read", 1),
-        (["--target", "box", "--target-rotation", *[1, 0, 0, 0, 1, 0, 0, 0, 2]], "rotation: [[1.0, 0.0, 0.0]", 1),
-        (["--target", "block.stl", "--target-units", "mm", "--target-scale", "2"], "either units or scale", 2),
-    ],
-)
-def test_what_cannot_be_is_refused_in_a_line(flown, options, said, code, monkeypatch):
-    monkeypatch.chdir(flown[0])
-    answer = audited(flown, *options)
-    assert answer.code == code
-    assert said in answer.err
-    assert answer.err.count("\n") == 1

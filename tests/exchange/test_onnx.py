@@ -111,21 +111,3 @@ def test_a_field_without_certificates_tells_none_and_a_graph_that_is_wrong_is_me
     wrong = eqx.tree_at(lambda f: f.continuation, model.field, other)
     found = measure(field_graph(wrong).SerializeToString(), model.field, sample_points(model.field, 3000, 0))
     assert found.value == pytest.approx(0.25, rel=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "said", "code"),
-    [
-        (("--to", "czml"), "--to czml: valid for a field: onnx, glb", 2),
-        (("--to", "onnx"), "--chaser-radius: the field has certificates for 0, 0.5 m; name one of them", 1),
-        (("--to", "onnx", "--chaser-radius", "0.7"), "chaser radius 0.7 m", 1),
-        (("--to", "onnx", "--of", "chaser"), "--of: only for --to oem", 2),
-        (("--to", "glb", "--mesh", "box", "--chaser-radius", "0"), "--mesh: the field was made for intelsat30", 1),
-    ],
-)
-def test_what_cannot_be_exported_of_a_field(arguments, said, code, tmp_path):
-    answer = keepout_command("export", shipped_path("intelsat30"), *arguments, "-o", tmp_path / "a")
-    assert answer.code == code
-    assert said in answer.err
-    assert answer.err.count("\n") == 1
-    assert not list(tmp_path.iterdir())

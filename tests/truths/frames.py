@@ -1,8 +1,6 @@
-"""Conversions of positions and velocities between ECI, VVLH, RTN and body axes, to hold the motion against.
+"""Conversions of positions and velocities between ECI, VVLH and body axes, to hold the motion against.
 
-RTN (also Hill, RSW, and one of the meanings of "LVLH") is centred on the target, R outwards along the radius, T along
-the velocity side, N along the orbit normal; it rotates with VVLH. A velocity in a rotating frame is the rate of change
-that an observer turning with the frame sees.
+A velocity in a rotating frame is the rate of change that an observer turning with the frame sees.
 """
 
 import jax.numpy as jnp
@@ -12,20 +10,6 @@ from keepout.motion.frames import orbital_rate, vvlh_axes
 from keepout.motion.rotation import Quaternion, Vector, matrix
 
 PositionVelocity = tuple[Vector, Vector]
-
-
-def rtn_from_vvlh(position: Vector, velocity: Vector) -> PositionVelocity:
-    """RTN components of a VVLH position and velocity: R = −z, T = x, N = −y."""
-    return _permute(position, (2, 0, 1), (-1.0, 1.0, -1.0)), _permute(velocity, (2, 0, 1), (-1.0, 1.0, -1.0))
-
-
-def vvlh_from_rtn(position: Vector, velocity: Vector) -> PositionVelocity:
-    """VVLH components of an RTN position and velocity: x = T, y = −N, z = −R."""
-    return _permute(position, (1, 2, 0), (1.0, -1.0, -1.0)), _permute(velocity, (1, 2, 0), (1.0, -1.0, -1.0))
-
-
-def _permute(vector: Vector, order: tuple[int, ...], signs: tuple[float, ...]) -> Vector:
-    return vector[jnp.array(order)] * jnp.array(signs)
 
 
 def eci_from_vvlh(
@@ -38,20 +22,18 @@ def eci_from_vvlh(
     """Absolute ECI position and velocity of a chaser given in the VVLH frame of a target."""
     axes = vvlh_axes(target_position, target_velocity)
     rate = orbital_rate(target_position, target_velocity, normal_acceleration)
-    return _to_inertial(position, velocity, axes, rate, target_position, target_velocity)
+    offset = axes.T @ position
+    return target_position + offset, target_velocity + axes.T @ velocity + jnp.cross(rate, offset)
 
 
 def vvlh_from_eci(
-    position: Vector,
-    velocity: Vector,
-    target_position: Vector,
-    target_velocity: Vector,
-    normal_acceleration: float | Float[Array, ""] = 0.0,
+    position: Vector, velocity: Vector, target_position: Vector, target_velocity: Vector
 ) -> PositionVelocity:
     """VVLH position and velocity of a chaser given by its absolute ECI position and velocity."""
     axes = vvlh_axes(target_position, target_velocity)
-    rate = orbital_rate(target_position, target_velocity, normal_acceleration)
-    return _from_inertial(position, velocity, axes, rate, target_position, target_velocity)
+    rate = orbital_rate(target_position, target_velocity)
+    offset = position - target_position
+    return axes @ offset, axes @ (velocity - target_velocity - jnp.cross(rate, offset))
 
 
 def body_from_vvlh(
@@ -79,17 +61,3 @@ def vvlh_from_body(
     rotation = matrix(attitude)
     turning = velocity + jnp.cross(angular_velocity - rotation @ vvlh_rate, position)
     return rotation.T @ position, rotation.T @ turning
-
-
-def _to_inertial(
-    position: Vector, velocity: Vector, axes: Float[Array, "3 3"], rate: Vector, origin: Vector, origin_velocity: Vector
-) -> PositionVelocity:
-    offset = axes.T @ position
-    return origin + offset, origin_velocity + axes.T @ velocity + jnp.cross(rate, offset)
-
-
-def _from_inertial(
-    position: Vector, velocity: Vector, axes: Float[Array, "3 3"], rate: Vector, origin: Vector, origin_velocity: Vector
-) -> PositionVelocity:
-    offset = position - origin
-    return axes @ offset, axes @ (velocity - origin_velocity - jnp.cross(rate, offset))
