@@ -4,12 +4,10 @@
 A file that is there must have the hash below. Tests that want real meshes run on those that are there, which may be
 none: they add to the messy meshes of `truths.messy_meshes`, which are always there.
 
-Run `python tests/truths/real_meshes.py` to see what is there; it ends with 1 if a file's hash is wrong.
 """
 
 import hashlib
 import os
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -75,20 +73,3 @@ REAL_MESHES = (
 def present() -> list[RealMesh]:
     """Real meshes that are there, whole or not."""
     return [mesh for mesh in REAL_MESHES if mesh.path.is_file()]
-
-
-def main() -> int:
-    """Print a line for each mesh; 1 if one that is there has another hash."""
-    wrong = 0
-    print(f"real meshes in {FOLDER} (set KEEPOUT_MESHES for another folder)")
-    for mesh in REAL_MESHES:
-        state = "absent"
-        if mesh.path.is_file():
-            state = "whole" if mesh.is_whole else "ANOTHER FILE of that name"
-            wrong += not mesh.is_whole
-        print(f"{mesh.name:26}{state:10}{mesh.sha256}  {mesh.source}")
-    return int(wrong > 0)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
