@@ -218,14 +218,6 @@ def test_a_refused_certificate_leaves_the_field_as_it_was(folder, fitted):
         assert (folder / "box.keepout").read_bytes() == before
 
 
-def test_a_field_that_is_not_certified_for_the_chaser_is_not_flown(folder, fitted):
-    (folder / "wide.toml").write_text(f"{MISSION}chaser.radius = 0.7\n")
-    refused = keepout_command("fly", "wide.toml", "-o", "refused")
-    assert (refused.code, refused.out) == (1, "")
-    assert "certified for: 0.5" in refused.err
-    assert refused.err.splitlines()[-1].startswith("keepout: ")
-
-
 def test_measure(folder, fitted):
     summary = keepout_process(folder, "measure", "box.keepout", "--json")
     [proof] = summary["certificates"]

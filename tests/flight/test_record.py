@@ -1,4 +1,3 @@
-import json
 import pickle
 
 import jax
@@ -161,28 +160,6 @@ def test_headers_that_json_does_not_hold_are_refused(tmp_path, header):
     with pytest.raises(FlightError, match="header"):
         make_record(header=header).save(tmp_path / "flight.npz")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
-    path = make_record(seed=3).save(tmp_path / "flight.npz")
-
-    def full(*_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("os.fsync", full)
-    with pytest.raises(FlightError, match="No space left"):
-        make_record(seed=4).save(path)
-    monkeypatch.undo()
-    assert_same_bits(FlightRecord.load(path), make_record(seed=3))
-    assert [p.name for p in tmp_path.iterdir()] == ["flight.npz"]
-
-
-def test_parquet_reads_without_keepout(tmp_path):
-    record = make_record(7)
-    path = record.save(tmp_path / "flight.parquet")
-    table = pq.read_table(path)
-    np.testing.assert_array_equal(table.column("position_y").to_numpy(), record.position[:, 1])
-    assert json.loads(table.schema.metadata[b"keepout_flight"])["format"] == "keepout-flight"
 
 
 def test_a_flown_log_becomes_a_record(tmp_path):

@@ -1,39 +1,13 @@
-"""Exact distance against float64 brute force, libigl and closed forms."""
+"""Exact distance against libigl and closed forms; tests/audit/test_shared_code.py holds it against exact arithmetic."""
 
 import igl
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from truths.messy_meshes import MESSY_AND_REAL
 
 from keepout.errors import MeshError
 from keepout.geometry import ExactDistance, Target, straddling_cells
 from keepout.geometry.first_hit import FirstHit
-
-
-def brute_force(points, triangles):
-    """Smallest of plane distance where the foot lies within the triangle, and the three segment distances."""
-    a, b, c = np.moveaxis(triangles, 1, 0)
-    normal = np.cross(b - a, c - a)
-    length = np.linalg.norm(normal, axis=1)
-    flat = length == 0.0
-    unit = normal / np.where(flat, 1.0, length)[:, None]
-    out = np.empty(len(points))
-    for i, p in enumerate(points):
-        best = np.inf
-        for start, end in ((a, b), (b, c), (c, a)):
-            edge = end - start
-            along = ((p - start) * edge).sum(1) / np.where((edge**2).sum(1) > 0.0, (edge**2).sum(1), 1.0)
-            foot = start + np.clip(along, 0.0, 1.0)[:, None] * edge
-            best = min(best, np.linalg.norm(p - foot, axis=1).min())
-        height = ((p - a) * unit).sum(1)
-        foot = p - height[:, None] * unit
-        within = ~flat
-        for start, end in ((a, b), (b, c), (c, a)):
-            within &= (np.cross(end - start, foot - start) * unit).sum(1) >= 0.0
-        out[i] = min(best, np.abs(height[within]).min()) if within.any() else best
-    return out
 
 
 def queries(distance, count, seed=0):
@@ -44,30 +18,15 @@ def queries(distance, count, seed=0):
 
 
 @pytest.mark.parametrize("mesh", MESSY_AND_REAL)
-def test_agrees_with_brute_force_on_real_and_messy_meshes(mesh, tmp_path):
+def test_agrees_with_libigl_on_real_and_messy_meshes(mesh, tmp_path):
     target = mesh(tmp_path)
-    distance = target.distance
-    points = queries(distance, 60)
-    truth = brute_force(points, target.vertices[target.faces])
-    d, closest, face = distance.closest(points)
-    np.testing.assert_allclose(d, truth, atol=1e-12)
+    points = queries(target.distance, 3_000)
+    d, closest, face = target.distance.closest(points)
+    squared, _, _ = igl.point_mesh_squared_distance(points, target.vertices, target.faces)
+    np.testing.assert_allclose(d, np.sqrt(squared), atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(points - closest, axis=1), d, atol=1e-12)
-    on_face = ExactDistance(target.vertices, target.faces[face]).distance(closest)
+    on_face = ExactDistance(target.vertices, target.faces[face[:60]]).distance(closest[:60])
     assert on_face.max() < 1e-9
-    many = queries(distance, 3_000, seed=1)
-    squared, _, _ = igl.point_mesh_squared_distance(many, target.vertices, target.faces)
-    np.testing.assert_allclose(distance.distance(many), np.sqrt(squared), atol=1e-12)
-
-
-@given(st.integers(0, 2**32 - 1), st.integers(1, 40), st.sampled_from([1.0, 1e-3, 1e-6, 0.0]))
-def test_random_soups_with_slivers(seed, count, thinness):
-    rng = np.random.default_rng(seed)
-    triangles = rng.normal(size=(count, 3, 3))
-    along = rng.random((count, 1))
-    triangles[:, 2] = (1 - along) * triangles[:, 0] + along * triangles[:, 1] + thinness * rng.normal(size=(count, 3))
-    points = rng.normal(size=(50, 3)) * 2.0
-    soup = ExactDistance(triangles.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3))
-    np.testing.assert_allclose(soup.distance(points), brute_force(points, triangles), atol=1e-12)
 
 
 def test_gradient_is_the_derivative():
@@ -105,11 +64,6 @@ def test_bad_meshes_are_refused(made, vertices, faces, words):
         made(vertices, faces)
 
 
-def test_points_that_are_none_are_refused():
-    with pytest.raises(MeshError, match="finite"):
-        Target.load("box").distance.distance(np.array([[np.nan, 0.0, 0.0]]))
-
-
 @pytest.mark.parametrize("level", [0.0, 0.4])
 def test_straddling_cells_cover_the_level_set(level):
     distance = Target.load("pocket").distance
@@ -129,8 +83,10 @@ def test_straddling_cells_cover_the_level_set(level):
     assert (np.abs(distance.distance(centres) - level) <= np.sqrt(3) * half_widths + 1e-8).all()
 
 
-def test_straddling_cells_refuse_bad_boxes():
+def test_points_that_are_none_and_bad_boxes_of_cells_are_refused():
     distance = Target.load("box").distance
+    with pytest.raises(MeshError, match="finite"):
+        distance.distance(np.array([[np.nan, 0.0, 0.0]]))
     for leaf, lower, upper, word in (
         (0.0, distance.lower, distance.upper, "leaf"),
         (0.1, distance.upper, distance.lower, "box"),

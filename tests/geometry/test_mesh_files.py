@@ -52,17 +52,13 @@ REFUSED = [
     ("a.obj", OBJ + "f 1 2 3\n# a remark\nf 1 2 5\n", "line 7", "index 5;", "valid is"),
     ("a.obj", OBJ + "f 0 1 2\n", "line 5", "index 0;"),
     ("a.obj", OBJ + "f -5 -2 -1\n", "line 5", "index -5;"),
-    ("a.obj", OBJ + "f 1/1 2/2 99/3\n", "line 5", "index 99;"),
     # Words that are no numbers, and statements that are none.
-    ("a.obj", OBJ + "f 1 2 3.5\n", "line 5"),
     ("a.obj", "v 0 0\n" + OBJ, "line 1"),
     ("a.obj", OBJ + "v 1 2 1_0\nf 1 2 3\n", "1_0"),
     ("a.obj", OBJ + "fac 1 2 3\n", "'fac'"),
-    ("a.obj", OBJ + "call other.obj\nf 1 2 3\n", "'call'"),
     ("a.obj", OBJ + "f 1 2 \\", "end of the file"),
     # Faces behind a vertex on one line, as where line ends were lost.
     ("a.obj", OBJ + "v 2 0 0 f 1 2 3\nf 1 2 4\n", "line 5: after a vertex, 'f' is not a number"),
-    ("a.obj", OBJ + "v 2 0 0\x0cf 1 2 3\nf 1 2 4\n", "line 5: after a vertex, 'f' is not a number"),
     # A statement that a backslash would make part of another.
     *(
         ("a.obj", f"{OBJ}f 1 2 3\n{held}\n{lost}\nf 1 2 4\n", "line 7", "line 6")
@@ -70,15 +66,12 @@ REFUSED = [
         for lost in ("f 1 3 4", "  fo 1 3 4")
     ),
     ("a.off", OFF.replace("3 0 2 3\n", ""), "4 vertex lines and 2 face lines", "4 and 1"),
-    ("a.off", OFF + "3 1 2 3\n", "2 face lines", "4 and 3"),
     ("a.off", OFF.replace("4 2 0", "5 2 0"), "5 vertex lines", "5 and 1"),
-    ("a.off", OFF.replace("3 0 2 3", "3 0 2 -1"), "line 8", "index -1", "0 to 3"),
     ("a.off", OFF.replace("3 0 2 3", "3 0 2 4"), "line 8", "index 4", "0 to 3"),
     ("a.off", OFF.replace("3 0 2 3", "3 0 2"), "line 8", "3 corners and has 2"),
     ("a.off", OFF.replace("3 0 2 3", "3 0 2 x"), "line 8", "'x'"),
     ("a.off", OFF.replace("1 1 0", "1 1"), "line 5", "2 numbers"),
     ("a.off", OFF.replace("OFF", "4OFF"), "4OFF"),
-    ("a.off", OFF.replace("OFF\n", ""), "OFF, COFF"),
     ("a.off", "OFF\n4 x 0\n", "counts"),
     ("a.off", OFF.replace("0 1 0", "nan 1 0"), "not finite"),
     ("a.off", "OFF\n3 1 0\n0 0 0\n1 0 0\n2 0 0\n3 0 1 2\n", "area"),
@@ -88,17 +81,13 @@ REFUSED = [
     ),
     ("a.ply", PLY.replace("3 0 2 3\n", ""), "2 elements 'face'", "1 are there"),
     ("a.ply", PLY + "3 1 2 3\n", "6 lines", "there are 7"),
-    ("a.ply", PLY.replace("vertex 4", "vertex 7"), "7 elements 'vertex'", "6 are there"),
     ("a.ply", PLY.replace("3 0 2 3", "3 0 2 -1"), "index -1", "0 to 3"),
-    ("a.ply", PLY.replace("3 0 2 3", "3 0 2 4"), "index 4", "0 to 3"),
     ("a.ply", PLY.replace("3 0 2 3", "3 0 2"), "'face' number 1", "3 values"),
     ("a.ply", PLY.replace("3 0 2 3", "-3 0 2 3"), "'face' number 1"),
     ("a.ply", PLY.replace("1 1 0", "1 1"), "'vertex' number 2", "2 values"),
-    ("a.ply", PLY.replace("1 1 0", "1 1 x"), "'x'"),
     ("a.ply", PLY.replace("property float z", "property float w"), "'z'"),
     ("a.ply", PLY.replace("element vertex", "element point"), "'vertex'"),
     ("a.ply", PLY.replace("vertex_indices", "corners"), "vertex_indices"),
-    ("a.ply", PLY.replace("end_header\n", ""), "line 10"),
     ("a.ply", PLY.replace("property float x", "property real x"), "line 5"),
     ("a.ply", PLY[: len(HEAD) - 5], "end_header"),
     ("a.ply", PLY.replace("ascii", "unary"), "line 2"),
@@ -107,22 +96,15 @@ REFUSED = [
     ("a.ply", binary_ply()[:-1], "2 elements 'face'", "1 are there"),
     ("a.ply", binary_ply(declared=10**17), "elements 'face'", "2 are there"),
     ("a.ply", binary_ply(extra=b"\0"), "bytes"),
-    ("a.ply", binary_ply(faces=((0, 1, -1),)), "index -1", "0 to 3"),
     ("a.stl", BINARY[:-1], "not a valid STL", "12 triangles", "684 bytes", "683"),
-    ("a.stl", BINARY + b"\0", "not a valid STL", "684", "685"),
     ("a.stl", BINARY[:50], "not a valid STL", "50 bytes"),
     ("a.stl", b"\x93\xff\x00random bytes\x81" * 40, "not a valid STL"),
     ("a.stl", ASCII[: ASCII.index("endfacet", 900)], "not a valid STL", "whole facet", "line"),
-    ("a.stl", ASCII[: ASCII.index("facet normal", 900)], "not a valid STL", "whole facet"),
     ("a.stl", ASCII.replace("vertex", "vertez", 1), "not a valid STL", "after 0 whole facets"),
-    ("a.stl", ASCII.replace("endloop", "vertex 0 0 0\nendloop", 1), "after 0 whole facets"),
     ("a.stl", ASCII.replace("1.0", "one", 9), "not a valid STL", "one"),
     ("a.stl", f"solid a\n{FACET}\nendsolid a {FACET}\n", "line 3 has a facet where a name belongs"),
-    ("a.stl", f"solid a {FACET}\n{FACET}\nendsolid a\n", "line 1 has a facet where a name belongs"),
     ("a.3mf", three_mf(BODY.replace('v3="3"', 'v3="4"')), "index 4", "0 to 3"),
-    ("a.3mf", three_mf(BODY.replace('v3="3"', 'v3="-1"')), "index -1"),
     ("a.3mf", three_mf(BODY.replace('v3="3"', "")), "whole number"),
-    ("a.3mf", three_mf(BODY.replace('y="1"', 'y="one"', 1)), "one"),
     ("a.3mf", three_mf(build='<item objectid="7"/>'), "'7'"),
     ("a.3mf", three_mf(build='<item objectid="1" transform="1 2 3"/>'), "twelve"),
     ("a.3mf", three_mf(build=""), "no triangles"),
@@ -156,11 +138,11 @@ def test_what_is_no_file_is_refused(tmp_path):
 SPLIT = "split 1 polygon of more than three corners into 2 triangles"
 READ = [
     ("a.obj", OBJ + "f 1 2 3\nl 1 2\nl 2 3 4\n", 1, "left out 2 line elements"),
-    ("a.obj", OBJ + "f 1 2 3\np 1\n", 1, "left out 1 point element"),
     ("a.obj", OBJ + "f 1 2 3\ncstype bezier\ncurv 0 1 1 2 3 4\nparm u 0 1\nend\n", 1, "left out 1 free-form curve"),
     ("a.obj", OBJ + "f 1 2 3\ndeg 3 3\nsurf 0 1 0 1 1 2 3 4\nend\n", 1, "left out 1 free-form surface"),
     ("a.obj", OBJ + "f 1 2 3\nf 1 2\n", 1, "left out 1 polygon, of fewer than three corners"),
     ("a.obj", OBJ + "f 1 2 3 4\n", 2, SPLIT),
+    ("a.obj", "v 0 1 0\nv 2 0 0\nv 0 -1 0\nv 1 0 0\nf 1 2 3 4\n", 2, SPLIT, "1 split polygon concave"),
     ("a.obj", "mtllib a.mtl\no part\n\tv\t0 0 0 # here\nv 1 0 0 1.0\nv 1 1 0 .5 .5 .5\ng a b\n f\t1 \\\n 2 3\n", 1),
     # A remark ends with its line, whatever it ends in.
     *(
@@ -168,10 +150,8 @@ READ = [
         for remark in ("# made by C:\\", "v 0 0 9 # last \\", "g part # of C:\\")
     ),
     ("a.off", OFF, 2),
-    ("a.off", OFF.replace("OFF\n", "OFF "), 2),
     ("a.off", OFF.replace("OFF", "# a remark\n\nCOFF").replace("1 1 0\n", "1 1 0 0.5 0.5 0.5 1 # corner\n"), 2),
     ("a.off", OFF.replace("4 2 0", "4 2").replace("3 0 2 3", "3 0 2 3 255 0 0"), 2),
-    ("a.off", OFF.replace("\n", "\r\n"), 2),
     ("a.ply", PLY.replace(HEAD, EDGES) + "0 1\n1 2\n2 3\n", 2, "left out 3 elements, 'edge'"),
     ("a.ply", STRIP, 3),
     ("a.ply", PLY.replace("vertex 4", "vertex 6").replace("0 1 0\n", "0 1 0\n7 7 7\n8 8 8\n"), 2, "left out 2 points"),
@@ -180,7 +160,6 @@ READ = [
     ("a.ply", binary_ply("<", ((0, 1, 2, 3), (0, 1, 2))), 2, SPLIT, "left out 1 duplicate faces"),
     ("a.ply", binary_ply(">", ((0, 1), (0, 1, 2))), 1, "left out 1 polygon, of fewer"),
     *(("a.stl", text, 12) for text in (BINARY, b"solid looks like text" + BINARY[21:], ASCII, ASCII.upper())),
-    ("a.stl", ASCII.replace("\n", "\r\n  "), 12),
     ("a.stl", ASCII + ASCII.replace("1.0", "3.0"), 24, "2 solids taken together"),
     ("a.3mf", three_mf(ELSEWHERE, '<item objectid="9"/>', f"{METRES} {PRODUCTION}", [PART]), 2),
     ("a.3mf", three_mf(head='<?xml version="1.0" encoding="UTF-16"?>', encoding="utf-16"), 2),
@@ -207,13 +186,6 @@ def test_a_whole_file_is_read_and_what_it_leaves_out_is_said(tmp_path, case):
         assert any(word in line for line in actions), actions
 
 
-@pytest.mark.parametrize("faces", ["f 1/1 2/2 3/3\nf 1 2 3 4\n", "f 1//1 2//1 3//1 4//1\nf 4 3 2\n"])
-def test_obj_with_mixed_faces_loses_none(tmp_path, faces):
-    target = Target.load(written(tmp_path / "a.obj", OBJ + faces))
-    inside = np.random.default_rng(0).uniform(size=(100, 3)) * [1.0, 1.0, 0.0]
-    assert target.distance.distance(inside) == pytest.approx(np.zeros(100), abs=1e-12)
-
-
 @given(st.integers(3, 9), st.integers(0, 2**32 - 1))
 def test_the_fan_of_a_flat_polygon_covers_it(tmp_path_factory, corners, seed):
     rng = np.random.default_rng(seed)
@@ -231,12 +203,6 @@ def test_the_fan_of_a_flat_polygon_covers_it(tmp_path_factory, corners, seed):
     assert (target.distance.distance(np.column_stack([points[inside], np.zeros(inside.sum())])) < 1e-9).all()
 
 
-def test_a_concave_polygon_is_said(tmp_path):
-    text = "v 0 1 0\nv 2 0 0\nv 0 -1 0\nv 1 0 0\nf 1 2 3 4\n"
-    actions = Target.load(written(tmp_path / "a.obj", text)).report.actions
-    assert any("1 split polygon concave" in line for line in actions)
-
-
 RELATIVE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf -3 -2 -1\nv 5 0 0\nv 6 0 0\nv 5 1 0\nf -3//-1 -2//-1 -1//-1\n"
 CORNER = SQUARE[[0, 1, 3]]
 MOVED = "1 0 0 0 1 0 0 0 1 5 0 0"
@@ -252,6 +218,7 @@ SQUARES = (np.add(SQUARE, [5, 0, 0]) * 2 + [0, 0, 1], SQUARE[:, [1, 0, 2]] * [-2
 @pytest.mark.parametrize(
     ("name", "content", "triangles"),
     [
+        ("a.obj", OBJ + "f 1//1 2//1 4//1\nf 2/1 3/2 4/3\nf 1 2 3\n", [CORNER, SQUARE[1:], SQUARE[:3]]),
         ("a.obj", RELATIVE, [CORNER, np.add(CORNER, [5, 0, 0])]),  # counted back from their line
         ("a.ply", STRIP, [SQUARE[[0, 1, 3]], SQUARE[[1, 3, 2]], SQUARE[[0, 1, 2]]]),
         ("a.3mf", PLACED, [square[corners] for square in SQUARES for corners in ([0, 1, 2], [0, 2, 3])]),

@@ -37,9 +37,12 @@ def test_every_format_gives_the_same_distances(tmp_path, suffix):
 
 
 @pytest.mark.parametrize(("units", "metres"), [("m", 1.0), ("cm", 0.01), ("mm", 0.001), ("in", 0.0254), ("ft", 0.3048)])
-def test_units(stl, units, metres):
-    assert Target.load(stl, units=units).report.extents[0] == pytest.approx(2.0 * metres)
-    assert Target.load(stl, scale=metres).report.extents[0] == pytest.approx(2.0 * metres)
+def test_units_and_the_body_frame(stl, units, metres):
+    turn = [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    for told in ({"units": units}, {"scale": metres}):
+        report = Target.load(stl, rotation=turn, origin=(5.0, 0.0, 0.0), **told).report
+        assert report.lower == pytest.approx((-metres, 5.0 - metres, -metres))
+        assert report.upper == pytest.approx((metres, 5.0 + metres, metres))
 
 
 @pytest.mark.parametrize("size", [0.4, 2000.0])
@@ -48,12 +51,6 @@ def test_implausible_size_is_questioned(tmp_path, size):
     cube(size).export(path)
     refused(path, "units")
     assert Target.load(path, units="m").report.extents[0] == pytest.approx(size)
-
-
-def test_body_frame(stl):
-    turn = [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
-    target = Target.load(stl, rotation=turn, origin=(5.0, 0.0, 0.0))
-    assert target.report.lower == pytest.approx((-1.0, 4.0, -1.0))
 
 
 @pytest.mark.parametrize(

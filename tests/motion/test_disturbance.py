@@ -89,33 +89,6 @@ def test_a_phase_moves_every_sinusoid_and_the_square_wave_by_its_part_of_a_perio
     assert wave.bound == SquareWaveDisturbance([0.02, 0.0, -0.01], period=10.0).bound
 
 
-@pytest.mark.parametrize("phase", [0.7, -2.0, np.pi / 2, 6.28])
-def test_a_shifted_square_wave_pushes_with_the_exact_integral_of_its_sign(phase):
-    """The integral of sign(sin(2πt/P + φ)) is a triangle wave; the pieces between jumps must add up to it."""
-    wave = SquareWaveDisturbance([1.0, 0.0, 0.0], period=10.0).shifted(phase)
-
-    def triangle(time):
-        turns = time / 10.0 + phase / (2 * np.pi)
-        return 5.0 - np.abs(10.0 * (turns - np.floor(turns)) - 5.0)
-
-    for duration in (1.0, 5.0):
-        starts = np.arange(0.0, 40.0, duration)
-        for start, switch, before, after in zip(starts, *pieces(wave, starts, duration), strict=True):
-            pushed = switch * before + (duration - switch) * after
-            assert pushed == pytest.approx(triangle(start + duration) - triangle(start), abs=1e-9)
-
-
-def pieces(wave, starts, duration):
-    """The only switch within each stretch, and the force along x before and after it."""
-
-    def one(start):
-        switch = jnp.clip(wave.switches(start, duration)[0], 0.0, duration)
-        middles = jnp.stack([0.5 * switch, 0.5 * (switch + duration)])
-        return switch, *(wave.between_switches(start + middle).force(jnp.asarray(0.0))[0] for middle in middles)
-
-    return (np.asarray(column) for column in jax.jit(jax.vmap(one))(starts))
-
-
 def test_phase_zero_leaves_every_bit():
     noise = band_limited_noise(jax.random.key(3), 0.01, 0.02, (0.05, 0.2))
     for one in (paper_disturbance(), resonant([0.0, 0.03, 0.0], control_period=2.0), noise):

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from scipy.optimize import brentq
 
 from keepout.errors import ScenarioError
 from keepout.motion import J2, Orbit
@@ -21,19 +20,6 @@ def test_kepler_equation_holds_to_rounding(mean, eccentricity):
     wrapped = mean - 2 * np.pi * np.round(mean / (2 * np.pi))
     assert abs(E - eccentricity * np.sin(E) - wrapped) <= 1e-15
     assert abs(E) <= np.pi + 1e-15
-
-
-def test_true_anomaly_against_quadrature_of_keplers_second_law():
-    """Equal areas in equal times: ∫ r² dθ = h t, by SciPy's root finder on the classical formulas."""
-    orbit = Orbit(2e7, 0.6, true_anomaly=-2.0)
-    for time in (0.0, 1234.5, 9e4):
-        n, e = float(orbit.mean_motion), 0.6
-        E0 = 2 * np.arctan(np.sqrt((1 - e) / (1 + e)) * np.tan(-1.0))
-        M = E0 - e * np.sin(E0) + n * time
-        E = brentq(lambda x, M=M, e=e: x - e * np.sin(x) - M, M - 1, M + 1, xtol=1e-14, rtol=1e-15)
-        expected = 2 * np.arctan(np.sqrt((1 + e) / (1 - e)) * np.tan(E / 2))
-        difference = float(orbit.true_anomaly_at(jnp.float64(time))) - expected
-        assert abs(np.sin(difference / 2)) < 1e-12
 
 
 @jax.jit

@@ -85,9 +85,3 @@ def test_moments_are_the_integrals_of_the_force_about_its_mean():
         )
         found = jax.vmap(lambda t, order=order: pulses.moment(order, t))(jnp.asarray(time[::1000]))
         np.testing.assert_allclose(found, value[::1000], atol=2e-6)
-
-
-def test_centred_pulses_end_where_the_mean_force_ends():
-    pulses = pulses_of(5)
-    np.testing.assert_allclose(pulses.moment(1, 1.0), 0.0, atol=1e-16)
-    np.testing.assert_allclose(pulses.moment(2, 1.0), 0.0, atol=1e-16)

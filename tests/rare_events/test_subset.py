@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from rare import crossing_level, crossing_performance, crossing_probability
 from scipy import stats
 
 from keepout.errors import ScenarioError
@@ -99,28 +98,6 @@ def test_moves_keep_the_normal_law_given_the_threshold():
     # Chains that never moved would pass, too.
     assert not np.any(ends == level.values[:, : 1024 // 8].ravel()[0])
     assert np.mean(ends == level.values[:, : 1024 // 8].ravel()) < 0.3
-
-
-@pytest.mark.long
-def test_the_quadrature_agrees_with_brute_force():
-    memory, samples = math.exp(-0.1), 100
-    level = crossing_level(1e-2, memory, samples)
-    values = crossing_performance(memory)(np.random.default_rng(0).standard_normal((100_000, samples)))
-    assert np.mean(values < -level) == pytest.approx(1e-2, rel=0.1)
-    assert crossing_probability(level, memory, samples) == pytest.approx(1e-2, rel=1e-6)
-
-
-@pytest.mark.slow
-def test_intervals_cover_a_crossing_of_probability_1e_7():
-    memory, samples = math.exp(-0.1), 100
-    level = crossing_level(1e-7, memory, samples)
-    performance = crossing_performance(memory)
-    groups = np.array([simulate(performance, samples, below=-level, seed=seed).below(-level) for seed in range(40)])
-    ends = np.array([interval(group) for group in groups])
-    # 35 of 40 and fewer have a chance of 4 % where the cover is 0.95.
-    assert np.sum((ends[:, 1] <= 1e-7) & (ends[:, 2] >= 1e-7)) >= 35
-    assert np.mean(groups) == pytest.approx(1e-7, rel=0.12)
-    assert np.std(groups.mean(axis=1)) < 0.25e-7
 
 
 def test_a_value_that_most_tapes_share():

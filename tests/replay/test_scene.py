@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from truths.invented_flight import record_of
 from truths.passing import RADIUS, SPEED, START, STEPS, box_scenario, pass_position, pass_record
 from truths.replay_page import ReplayPage
 
@@ -16,9 +17,9 @@ from keepout.audit.tube import FlightBounds
 from keepout.commands.flight import replay_to_page
 from keepout.errors import FieldError, FlightError, KeepoutError, MeshError
 from keepout.fields.evaluate import values
-from keepout.flight.record import OPTIONAL_COLUMNS, FlightRecord
 from keepout.geometry.target import Target
 from keepout.mission import environment
+from keepout.mission.orbit_bounds import orbit_of
 from keepout.motion.frames import vvlh_axes
 from keepout.replay import body, scene
 from keepout.replay.clearance import proved_clearance
@@ -38,6 +39,11 @@ def box():
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("replay")
+
+
+def passed(folder, name, **columns):
+    """A pass 3 m over the box's middle."""
+    return pass_record(box_scenario(folder, 3.0, name), 3.0, **columns)
 
 
 @given(st.lists(st.tuples(*[st.floats(-1e6, 1e6)] * 3), min_size=1, max_size=30))
@@ -70,10 +76,12 @@ def test_no_point_of_the_true_path_is_nearer_than_the_proved_clearance(box, forc
         position = position + velocity * step + 0.5 * acceleration * step**2
         velocity = velocity + acceleration * step
         rows.append((position, velocity))
-    record = _recorded(np.arange(len(rows)) * step, rows, [*forces, (0.0, 0.0, 0.0)])
-    proved = proved_clearance(
-        record, box.distance, chaser_radius=RADIUS, bounds=FlightBounds(mass, bound, 0.0, 0.0, 0.0)
-    )
+    positions, velocities = map(np.array, zip(*rows))
+    attitude = np.tile([1.0, 0.0, 0.0, 0.0], (len(rows), 1))
+    flown = {"position": positions, "velocity": velocities, "force": np.array([*forces, (0.0, 0.0, 0.0)])}
+    record = record_of({}, time=np.arange(len(rows)) * step, attitude=attitude, **flown)
+    bounds = FlightBounds(mass, bound, 0.0, 0.0, 0.0)
+    proved = proved_clearance(record, box.distance, chaser_radius=RADIUS, bounds=bounds)
     assert np.isfinite(proved).all()
     for path, least in zip(paths, proved, strict=True):
         clearance = box.distance.distance(path) - RADIUS
@@ -81,22 +89,6 @@ def test_no_point_of_the_true_path_is_nearer_than_the_proved_clearance(box, forc
         assert least >= clearance.min() - 0.25 * step * (
             np.linalg.norm(np.diff(path, axis=0), axis=1).sum() / step + 0.1
         )
-
-
-def _recorded(time, rows, forces):
-    position, velocity = (np.array(of) for of in zip(*rows))
-    zeros = {
-        name: np.zeros((len(time), 3))
-        for name in FlightRecord.__annotations__
-        if name not in ("header", "time", *OPTIONAL_COLUMNS)
-    }
-    flat = ("barrier", "backstepping_barrier", "lyapunov", "field_value")
-    kinds = {"control_status": np.int32, "guard_status": np.int32, "saturated": bool}
-    columns = zeros | {name: np.zeros(len(time)) for name in flat}
-    columns |= {name: np.zeros(len(time), kind) for name, kind in kinds.items()}
-    columns |= {"attitude": np.tile([1.0, 0, 0, 0], (len(time), 1))}
-    columns |= {"position": position, "velocity": velocity, "force": np.array(forces)}
-    return FlightRecord({}, time, **columns)
 
 
 def test_nothing_is_proved_of_a_step_that_cannot_have_been_flown(box, folder):
@@ -111,14 +103,13 @@ def test_nothing_is_proved_of_a_step_that_cannot_have_been_flown(box, folder):
 
 
 def test_marks_are_where_guard_flags_and_law_spoke(folder):
-    scenario = box_scenario(folder, 3.0, "marked")
     guard = np.zeros(STEPS + 1, np.int32)
     guard[40:60] = 1  # braking
     guard[50:55] |= 8  # disturbance
     guard[STEPS] = 3  # the last row was not flown
     law = np.zeros(STEPS + 1, np.int32)
     law[100:102] = 1
-    record = pass_record(scenario, 3.0, guard_status=guard, control_status=law)
+    record = passed(folder, "marked", guard_status=guard, control_status=law)
     clearance = np.abs(np.arange(STEPS + 1.0) - 120.0)
     error = np.where((np.arange(STEPS + 1) >= 150) | (np.arange(STEPS + 1) == 30), 0.0, 1.0)  # and left again
     found = {mark.words: (mark.kind, mark.start, mark.end) for mark in marks(record, clearance, error, 0.1)}
@@ -138,8 +129,6 @@ def test_frames_agree_with_rotations_by_matrices(folder):
     vvlh = Rotation.from_quat(to_vvlh(record), scalar_first=True).as_matrix()
     np.testing.assert_allclose(vvlh, np.swapaxes(body_from_vvlh, 1, 2), atol=1e-12)
     inertial = Rotation.from_quat(to_inertial(record, scenario), scalar_first=True).as_matrix()
-    from keepout.mission.orbit_bounds import orbit_of
-
     for row in (0, 77, STEPS):
         axes = np.asarray(vvlh_axes(*orbit_of(scenario.orbit).inertial_state(jnp.asarray(record.time[row]))))
         np.testing.assert_allclose(inertial[row], axes.T @ vvlh[row], atol=1e-12)
@@ -153,8 +142,7 @@ def test_frames_agree_with_rotations_by_matrices(folder):
 
 
 def test_a_surface_lies_on_its_level_with_its_normals_outward(box, folder):
-    scenario = box_scenario(folder, 3.0, "surface")
-    [flight] = of_records({"surface": pass_record(scenario, 3.0)})
+    [flight] = of_records({"surface": passed(folder, "surface")})
     envelope, guard = flight.levels
     assert (envelope.kind, guard.kind) == ("envelope", "guard")
     for level in flight.levels:
@@ -166,16 +154,14 @@ def test_a_surface_lies_on_its_level_with_its_normals_outward(box, folder):
         outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         volume = np.einsum("fi,fi->f", corners[:, 0], outward).sum() / 6.0
         assert volume > 8.0  # of the box alone: so the triangles turn outward, and enclose it
-        edges = np.sort(
-            np.concatenate([drawn.faces[:, [0, 1]], drawn.faces[:, [1, 2]], drawn.faces[:, [2, 0]]]), axis=1
-        )
+        edges = np.sort(np.concatenate([drawn.faces[:, [k, k - 2]] for k in range(3)]), axis=1)
         assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()  # closed
         assert len(drawn.faces) < 20_000
 
 
 @pytest.mark.long
 def test_the_page_says_what_it_leaves_out(folder, tmp_path, monkeypatch):
-    records = {"whole": pass_record(box_scenario(folder, 3.0, "whole"), 3.0)}
+    records = {"whole": passed(folder, "whole")}
     write_replay(tmp_path / "whole.html", of_records(records), title="whole")
     page = ReplayPage.read(tmp_path / "whole.html")
     assert page.told["target"]["remark"] == page.flights()["whole"]["remark"] == ""
@@ -230,27 +216,27 @@ START_TO_END = START + SPEED * np.arange(STEPS + 1.0)
 
 
 def test_what_comes_after_a_position_that_is_not_a_number_is_not_drawn(folder):
-    position = pass_record(box_scenario(folder, 3.0, "nan"), 3.0).position.copy()
+    position = passed(folder, "nan").position.copy()
     position[120:] = np.nan
-    [flight] = of_records({"nan": pass_record(box_scenario(folder, 3.0, "nan"), 3.0, position=position)})
+    [flight] = of_records({"nan": passed(folder, "nan", position=position)})
     assert flight.shown.steps == 119
     assert str(flight.verdict.contact) == "undecided"
     position[0] = np.nan
-    [flight] = of_records({"nan": pass_record(box_scenario(folder, 3.0, "nan"), 3.0, position=position)})
+    [flight] = of_records({"nan": passed(folder, "nan", position=position)})
     with pytest.raises(FlightError, match=r"^nan: its first position"):
         _ = flight.shown
 
 
 def test_refusals_name_the_file_and_leave_no_page(folder, tmp_path):
     out = tmp_path / "replay.html"
-    good = pass_record(box_scenario(folder, 3.0, "good"), 3.0)
+    good = passed(folder, "good")
     whole = good.save(tmp_path / "whole.parquet")
     (tmp_path / "damaged.parquet").write_bytes(whole.read_bytes()[:-100])
     dataclasses.replace(good, header={}).save(tmp_path / "bare.npz")
     gone = {"lost": {"target": {"source": "lost.stl"}}, "fieldless": {"field": {"source": "gone.keepout"}}}
     for name, entry in gone.items():
         pass_record(box_scenario(folder, 3.0, name, **entry), 3.0).save(tmp_path / f"{name}.parquet")
-    other = pass_record(box_scenario(folder, 3.0, "other"), 3.0)
+    other = passed(folder, "other")
     other.header["target_sha256"] = "0" * 64
     other.save(tmp_path / "other.parquet")
     for name, kind, said in (

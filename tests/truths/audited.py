@@ -1,6 +1,5 @@
 """Flights whose clearance is known in closed form, and what an audit must say of them."""
 
-from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,58 +14,27 @@ BOUNDS = FlightBounds(
 )
 
 
-@dataclass
-class Shell:
-    """Two boxes of zero thickness, 2 × 2 × 2 m and (if `cavity`) 10 × 10 × 10 m, as distances in closed form."""
+class Mesh:
+    """Boxes of zero thickness of these half sides, as distances in closed form, which are counted."""
 
-    halves: tuple[float, ...] = (1.0,)
+    def __init__(self, *halves: float):
+        self.halves, self.queries = halves, 0
+        self.vertices = max(halves) * np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]])
+        self.distance = SimpleNamespace(distance=self._counted)
 
-    @property
-    def vertices(self):
-        h = max(self.halves)
-        return np.array([[-h, -h, -h], [h, h, h]])
-
-    @property
-    def distance(self):
-        return self
-
-    def __call__(self, points):
+    def _counted(self, points):
+        self.queries += len(points)
         return self.distance_to(points)
 
     def distance_to(self, points):
-        def one(h):
-            q = np.abs(points) - h
-            out = np.linalg.norm(np.maximum(q, 0.0), axis=-1)
-            return np.abs(out + np.minimum(q.max(axis=-1), 0.0))
-
-        return np.min([one(h) for h in self.halves], axis=0)
-
-
-class Mesh:
-    def __init__(self, *halves):
-        self.shell = Shell(halves)
-        self.vertices = self.shell.vertices
-        self.queries = 0
-
-    @property
-    def distance(self):
-        return SimpleNamespace(distance=self._distance)
-
-    def _distance(self, points):
-        self.queries += len(points)
-        return self.shell.distance_to(points)
+        beyond = [np.abs(points) - half for half in self.halves]
+        out = [np.linalg.norm(np.maximum(q, 0.0), axis=-1) + np.minimum(q.max(axis=-1), 0.0) for q in beyond]
+        return np.abs(out).min(axis=0)
 
 
 def judged(record, mesh, radius=0.0, **options):
-    return audit(
-        record,
-        mesh,
-        chaser_radius=radius,
-        bounds=options.pop("bounds", BOUNDS),
-        force_limit=0.1,
-        speed_limit=0.2,
-        **options,
-    )
+    limits = {"bounds": BOUNDS, "force_limit": 0.1, "speed_limit": 0.2}
+    return audit(record, mesh, chaser_radius=radius, **limits | options)
 
 
 def straight(speed, steps, start=(-4.0, 0.0, 1.5)):

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from keepout.flight.record import FlightRecord
 from keepout.geometry.target import Target
 from keepout.guard.field import guard_field
 from keepout.mission.scenario import Scenario
+from truths.invented_flight import record_of
 
 SPEED, STEPS, RADIUS = 0.05, 200, 0.5
 START = -5.0
@@ -29,26 +29,16 @@ def box_scenario(folder, height, name, **changes):
 def pass_record(scenario, height, *, turning=0.0, **columns):
     """A pass at a height, m, at constant speed; the body frame turns about z against VVLH, rad/s."""
     time = np.arange(STEPS + 1.0)
-    rows = len(time)
-    half = 0.5 * turning * time
-    zeros = (
-        *("angular_velocity", "estimated_position", "estimated_velocity", "commanded_force", "guarded_force"),
-        *("force", "disturbance", "disturbance_estimate", "desired_velocity"),
-    )
+    half, moving = 0.5 * turning * time, np.tile([SPEED, 0.0, 0.0], (len(time), 1))
     chosen = {
-        "position": np.column_stack([START + SPEED * time, np.zeros(rows), np.full(rows, height)]),
-        "velocity": np.tile([SPEED, 0.0, 0.0], (rows, 1)),
-        "attitude": np.column_stack([np.cos(half), np.zeros(rows), np.zeros(rows), np.sin(half)]),
-        "safe_velocity": np.tile([SPEED, 0.0, 0.0], (rows, 1)),
-        "barrier": np.full(rows, height - 1.6),
-        **{name: np.zeros((rows, 3)) for name in zeros},
-        **{name: np.zeros(rows) for name in ("backstepping_barrier", "lyapunov", "field_value")},
-        **{name: np.zeros(rows, np.int32) for name in ("control_status", "guard_status")},
-        "saturated": np.zeros(rows, bool),
-        **columns,
+        "position": np.array([START, 0.0, height]) + time[:, None] * moving,
+        "velocity": moving,
+        "attitude": np.column_stack([np.cos(half), 0.0 * half, 0.0 * half, np.sin(half)]),
+        "safe_velocity": moving,
+        "barrier": np.full(len(time), height - 1.6),
     }
     header = {"scenario": scenario.model_dump_json(), "target_sha256": Target.load("box").sha256}
-    return FlightRecord(header, time, **chosen)
+    return record_of(header, time=time, **chosen | columns)
 
 
 def pass_position(time, height):
