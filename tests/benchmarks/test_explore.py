@@ -6,6 +6,7 @@ from explore_counts import _meets, bad_cubes, over_statements
 
 from keepout.fields.field import Field
 from keepout.fields.map_field import MapField
+from keepout.geometry.cubes_met import cubes_met
 from keepout.geometry.mesh_report import Surface, describe
 from keepout.geometry.target import Target
 from keepout.mapping import KnownFreeMap, SensorBounds
@@ -32,30 +33,13 @@ def known_round(box):
     return known
 
 
-def clipped(triangle, half):
-    """Whether a triangle and a cube round the origin meet, by cutting the triangle with its six sides in turn."""
-    polygon = list(triangle)
-    for axis in range(3):
-        for side in (-1.0, 1.0):
-            cut = []
-            for a, b in zip(polygon, polygon[1:] + polygon[:1], strict=True):
-                inside, after = half - side * a[axis], half - side * b[axis]
-                if inside >= 0.0:
-                    cut.append(a)
-                if inside * after < 0.0:
-                    cut.append(a + (b - a) * inside / (inside - after))
-            polygon = cut
-            if not polygon:
-                return False
-    return True
-
-
-def test_triangle_meets_cube_as_cutting_says():
+def test_triangle_meets_cube_as_the_packages_geometry_says():
+    """Which tests/geometry/test_cubes_met.py holds against a linear programme."""
     generator = np.random.default_rng(0)
     answers = []
     for _ in range(2000):
         triangle = generator.normal(size=(3, 3)) * generator.choice([0.3, 1.0, 5.0]) + generator.normal(size=3)
-        answers.append(clipped(triangle, 0.5))
+        answers.append(bool(cubes_met(triangle, np.array([[0, 1, 2]]), np.full(3, -0.5), 1.0, 1)[0, 0, 0]))
         assert _meets(triangle, 0.5) == answers[-1]
     assert 0.1 < np.mean(answers) < 0.9
 

@@ -4,7 +4,6 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy import integrate
 
 from keepout.control.observer import constant_observer, continuous, harmonic_observer
 from keepout.errors import ControlError
@@ -73,33 +72,6 @@ def test_error_shrinks_at_the_designed_rates(factors):
     # Late in the transient the slowest factor governs.
     if slowest < 0.8:
         assert (errors[28] / errors[24]) ** 0.25 == pytest.approx(slowest, abs=0.05)
-
-
-def test_continuous_form_converges_at_the_eigenvalues_of_its_error_matrix():
-    """Against a general integrator of ż with a velocity that follows the same disturbance."""
-    generator = np.kron(np.eye(3), np.array([[0.0, 0.02], [-0.02, 0.0]]))
-    output = np.kron(np.eye(3), np.array([[1.0, 0.0]]))
-    gain = np.kron(np.eye(3), np.array([[6.0], [1.0]]))
-    observer = continuous(generator, output, gain, mass=MASS, period=PERIOD)
-    xi0 = np.array([0.0, 0.01, 0.01, 0.0, 0.005, -0.004])
-
-    def derivative(_, y):
-        z, v, xi = y[:6], y[6:9], y[9:]
-        force = np.array([0.03, -0.01, 0.02])
-        # The observer's own equation, without drift.
-        rate = np.asarray(observer.error_matrix()) @ (z + gain @ v) - gain @ force / MASS
-        return np.concatenate([rate, (force + output @ xi) / MASS, generator @ xi])
-
-    times = np.array([0.0, 5.0, 10.0])
-    answer = integrate.solve_ivp(
-        derivative, (0.0, 10.0), np.concatenate([np.zeros(9), xi0]), t_eval=times, rtol=1e-10, atol=1e-14
-    )
-    error = answer.y[:6] + gain @ answer.y[6:9] - answer.y[9:]
-    matrix = np.asarray(observer.error_matrix())
-    values, vectors = np.linalg.eig(matrix)
-    for i, t in enumerate(times):
-        truth = (vectors @ np.diag(np.exp(values * t)) @ np.linalg.solve(vectors, -xi0.astype(complex))).real
-        np.testing.assert_allclose(error[:, i], truth, atol=1e-8)
 
 
 def test_sampled_continuous_form_is_exact_for_a_constant_push():

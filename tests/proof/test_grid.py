@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import trimesh
 from truths import small_box
-from truths.cells import used_cells
 from truths.networks import numbers
 from truths.slopes import places, steepest, steepest_chord
 
@@ -82,6 +81,22 @@ def cubes(plates):
     distance, h = plates[0].distance, float(plates[1].field.spacing)
     lower, upper = distance.lower - AT - h, distance.upper + AT + h
     return straddling_cells(distance, AT, leaf=h, lower=lower, upper=upper)
+
+
+def used_cells(field):
+    """Lower corners (n, 3) and sides (n,) in metres, and (level, node) rows, of every cell that no finer one is in."""
+    origin, spacing = np.asarray(field.origin), float(field.spacing)
+    tables = [np.asarray(table) for table in field.tables]
+    steps = np.argwhere(np.ones((BLOCK, BLOCK, BLOCK), bool))
+    rows = []
+    for level, table in enumerate(tables):
+        node = (BLOCK * np.argwhere(table >= 0)[:, None, :] + steps).reshape(-1, 3)
+        if level > 0:
+            node = node[tables[level - 1][tuple((2 * node // BLOCK).T)] < 0]
+        rows.append(np.column_stack([np.full(len(node), level), node]))
+    key = np.concatenate(rows)
+    side = spacing * 2.0 ** key[:, 0]
+    return origin + side[:, None] * key[:, 1:], side, key
 
 
 def looked_at(field, cubes):
