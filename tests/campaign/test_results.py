@@ -6,7 +6,6 @@ import pytest
 from scipy import stats
 from truths.campaigns import drawn, flown, scenario, write_campaign
 
-from keepout.campaign.bands import Bands
 from keepout.campaign.comparison import compare
 from keepout.campaign.outcomes import FIGURES, QUANTILES
 from keepout.campaign.reading import read_campaign
@@ -155,19 +154,6 @@ def test_a_changed_byte_and_a_missing_row_are_damage_and_another_format_is_refus
         read_campaign(tmp_path)
     with pytest.raises(FlightError, match="none of its 1 parts is done"):
         results(read_campaign(write_campaign(tmp_path / "none", scenario(10), world(10), done=0)))
-
-
-def test_bands_add_up_exactly(tmp_path):
-    of = scenario(1000)
-    bands = Bands.empty(of.duration, of.control.period)
-    position = np.cumsum(np.random.default_rng(2).standard_normal((5, of.steps + 1, 3)), axis=1)
-    rows = {"position": position, "velocity": position, "barrier": position[..., 0], "lyapunov": position[..., 1]}
-    bands.count(rows, np.zeros((5, 3)), of.control.period)
-    folder = write_campaign(tmp_path / "out", of, world(1000), chunk=100, done=7, bands=bands)
-    found = read_campaign(folder).bands()
-    assert np.array_equal(found.counts, 7 * bands.counts)
-    assert np.array_equal(found.least, bands.least)
-    assert np.array_equal(found.largest, bands.largest)
 
 
 @pytest.mark.parametrize("runs", [1, 5])

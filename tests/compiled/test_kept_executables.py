@@ -268,31 +268,3 @@ def test_from_one_process_to_the_next_programs_are_taken_and_lost_damaged_or_edi
     (_, values, was_traced, _), _ = run(VALUE, kept_in)
     assert was_traced
     assert float.fromhex(values[0]) == pytest.approx(float.fromhex(first[0]) + 1.0)
-
-
-FLIGHT = """
-import json, hashlib
-import numpy as np
-import keepout
-from keepout.mission.campaign import run_campaign
-scenario = keepout.Scenario().replace(duration=60.0)
-bare = scenario.replace(control={"guidance": "straight"}, guard={"enabled": False}, campaign={"runs": 3})
-flight, flown = keepout.fly(scenario), run_campaign(bare)
-whole = hashlib.sha256()
-for columns in (vars(flight.record), flown.columns(), flown.series.values):
-    for name, column in sorted(columns.items()):
-        if isinstance(column, np.ndarray):
-            whole.update(np.ascontiguousarray(column).tobytes())
-print(json.dumps([flight.summary(), whole.hexdigest()]))
-"""
-
-
-@pytest.mark.slow
-def test_a_flight_and_a_campaign_are_the_same_bits_with_and_without(tmp_path):
-    first, _ = run(FLIGHT, tmp_path)
-    again, said = run(FLIGHT, tmp_path)
-    without, _ = run(FLIGHT, "off")
-    assert first == again == without
-    assert "persistent compilation cache" not in said
-    for name in ("_flown", "_fly_batch"):
-        assert list(tmp_path.glob(f"programs-*/code_{name}-*"))

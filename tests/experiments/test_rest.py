@@ -1,7 +1,6 @@
 """When a flight counts as trapped, against motions in closed form."""
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -22,14 +21,16 @@ def unhindered(length: float, distance: float) -> np.ndarray:
     return length * np.arcsinh(np.sinh(distance / length) * np.exp(-0.1 * TIME / length))
 
 
-def test_at_rest_away_from_the_goal():
-    assert trapped(TIME, at(12.8), GOAL, 0.1)
-    assert trapped(TIME, at(0.11), GOAL, 0.1)
-
-
-def test_at_rest_within_the_tolerance():
-    assert not trapped(TIME, at(0.09), GOAL, 0.1)
-    assert not trapped(TIME, at(0.0), GOAL, 0.1)
+@pytest.mark.parametrize(
+    ("distance", "rests"),
+    [
+        *((12.8, True), (0.11, True), (0.09, False), (0.0, False)),
+        # Rest takes the last five minutes.
+        *((np.where(TIME[-1] - since <= TIME, 6.0, 9.0), since == 300.0) for since in (300.0, 299.0)),
+    ],
+)
+def test_at_rest_is_long_enough_and_away_from_the_goal(distance, rests):
+    assert trapped(TIME, at(distance), GOAL, 0.1) is rests
 
 
 @given(st.floats(0.5, 30.0), st.floats(0.2, 60.0))
@@ -44,12 +45,6 @@ def test_a_chatter_of_less_than_a_twentieth_is_rest_and_a_swing_of_more_is_not(l
     beyond = 0.05 * share * np.abs(np.cos(0.1 * TIME[-301:])).max()
     if abs(beyond - 0.05) > 1e-9:
         assert trapped(TIME, at(swing), GOAL, 0.1) == (beyond < 0.05)
-
-
-@pytest.mark.parametrize(("since", "rests"), [(300.0, True), (299.0, False)])
-def test_rest_takes_the_last_five_minutes(since, rests):
-    distance = np.where(TIME[-1] - since <= TIME, 6.0, 9.0)
-    assert trapped(TIME, at(distance), GOAL, 0.1) is rests
 
 
 def test_too_short_or_not_a_number_is_not_said_to_rest():

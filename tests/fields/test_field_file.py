@@ -57,9 +57,6 @@ def test_round_trip(tmp_path, model, box):
     for ours, theirs in zip(jax.tree.leaves(loaded.field), jax.tree.leaves(model.field), strict=True):
         np.testing.assert_array_equal(ours, theirs)
     assert [p.name for p in tmp_path.iterdir()] == ["a.keepout"]
-    plain = tmp_path / "plain"
-    plain.touch()
-    assert path.stat().st_mode == plain.stat().st_mode
     # What is not of this target, this field or this version is refused.
     refused(path, "not for box", Target.load("box", parameters={"length": 3.3}))
     rewritten(path, lambda header: header.update(version=99))
@@ -68,12 +65,6 @@ def test_round_trip(tmp_path, model, box):
     refused(path, "belongs to another field")
     with pytest.raises(FieldError, match="cannot be written"):
         model.save(tmp_path / "none" / "a.keepout")
-
-
-def test_another_radius_is_refused_with_the_list(model):
-    assert model.certificate(0.5).error_bound == 0.04
-    with pytest.raises(FieldError, match=r"chaser radius 0\.3 m.*certified for: 0\.5 m"):
-        model.certificate(0.3)
 
 
 def test_missing_truncated_foreign_and_edited_files_are_refused(tmp_path, model):
@@ -93,11 +84,11 @@ def test_missing_truncated_foreign_and_edited_files_are_refused(tmp_path, model)
     refused(path, "not a field file")
 
 
-def network(model, change, name="weights", layer=1):
+def network(model, change):
     """The model's field with one of its arrays changed."""
-    arrays = list(getattr(model.field.layers, name))
-    arrays[layer] = change(arrays[layer])
-    return dataclasses.replace(model.field, layers=model.field.layers._replace(**{name: tuple(arrays)}))
+    first, second, *others = model.field.layers.weights
+    layers = model.field.layers._replace(weights=(first, change(second), *others))
+    return dataclasses.replace(model.field, layers=layers)
 
 
 def continued(field, **lengths):
@@ -114,13 +105,11 @@ def cast(field, dtype):
 
 INADMISSIBLE = {
     "half": (lambda m: cast(m.field, jnp.float16), r"W0 is float16; a network must be float32 or float64"),
-    "brain": (lambda m: cast(m.field, jnp.bfloat16), r"W0 is bfloat16; a network must be float32 or float64"),
     "mixed": (lambda m: network(m, lambda a: a.astype(jnp.float64)), r"W1 float64.*all must be of one type"),
     "nan weight": (
         lambda m: network(m, lambda a: a.at[2, 3].set(jnp.nan)),
         r"W1: 1 of \d+ .*not finite.*nan",
     ),
-    "inf bias": (lambda m: network(m, lambda a: a.at[0].set(jnp.inf), "biases", 0), r"b0: 1 of \d+ .*not finite.*inf"),
     "scale": (lambda m: dataclasses.replace(m.field, scale=jnp.asarray(jnp.nan)), r"scale is nan; it must be finite"),
     "beta": (lambda m: dataclasses.replace(m.field, beta=-1.0), r"beta is -1; it must be finite and above 0"),
     "tiny scale": (
@@ -131,7 +120,6 @@ INADMISSIBLE = {
     "centre": (lambda m: continued(m.field, centre=[0.0, jnp.nan, 0.0]), r"continuation\.centre: 1 of 3 numbers"),
     "radii": (lambda m: continued(m.field, domain_radius=20.0), r"domain_radius 20 m, outer_radius 13 m; each must"),
     "beta too small": (lambda m: dataclasses.replace(m.field, beta=1e-42), "a float32 holds"),
-    "beta too large": (lambda m: dataclasses.replace(m.field, beta=1e39), "a float32 holds"),
     "no target": (lambda m: continued(m.field, target_radius=0.0), r"target_radius 0 m.*the first above 0"),
 }
 
@@ -148,8 +136,7 @@ def test_a_field_of_which_nothing_can_be_proved_is_refused_everywhere(tmp_path, 
         unchecked.setattr("keepout.fields.model.require_admissible", lambda field: None)
         dataclasses.replace(model, field=make(model), certificates=()).save(path)
     # Half floats do not get as far as the network: the file's own types are refused.
-    stored = {"half": "W0 is F16", "brain": "W0 is BF16"}.get(case, message)
-    refused(path, stored, box)
+    refused(path, "W0 is F16" if case == "half" else message, box)
 
 
 @pytest.mark.parametrize(
@@ -181,6 +168,8 @@ def test_a_certificate_that_bounds_nothing_is_refused(tmp_path, model, name, val
 
 def test_a_proof_has_no_allowance_and_a_radius_one_certificate(model):
     good = model.certificates[0]
+    with pytest.raises(FieldError, match=r"chaser radius 0\.3 m.*certified for: 0\.5 m"):
+        model.certificate(0.3)
     with pytest.raises(FieldError, match=r"allowance is 0\.01 m"):
         dataclasses.replace(good, kind="certified")
     with pytest.raises(FieldError, match=r"two are for the chaser radius 0\.5 m"):

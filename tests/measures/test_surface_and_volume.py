@@ -14,7 +14,7 @@ from keepout.geometry.offset_solid import OffsetSolid
 from keepout.geometry.shape import Ellipsoid, enclosed_volume
 from keepout.geometry.target import Target
 from keepout.measures.quality import gradient_errors, summarised, surface_errors
-from keepout.measures.surface import Surface, extract_surface, steepest_slope, surface_distance, visible_points
+from keepout.measures.surface import Surface, extract_surface, surface_distance, visible_points
 from keepout.measures.volume import grown_ellipsoid_volume, grown_hull_volume, measure_volumes
 
 pytestmark = pytest.mark.long
@@ -87,13 +87,6 @@ def test_a_level_of_a_sphere_is_the_larger_sphere(ball):
     welded = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
     welded.merge_vertices(digits_vertex=6)
     assert welded.is_watertight
-
-
-def test_spacing_is_refined_without_a_larger_steepness_changing_the_surface(ball):
-    lean = extract_surface(sphere(1.0), ball, 0.0, steepest=1.0, spacing=0.1)
-    generous = extract_surface(sphere(1.0), ball, 0.0, steepest=3.0, spacing=0.1)
-    assert len(lean.faces) == len(generous.faces)
-    assert steepest_slope(sphere(1.0), ball) == pytest.approx(1.2)
 
 
 def test_distances_between_concentric_spheres(ball, solid):

@@ -5,7 +5,6 @@ Every break is one that a slip of the pen could make. The search is the one that
 
 import dataclasses
 import json
-import sys
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,9 +12,9 @@ import pytest
 import trimesh
 from truths import small_box
 from truths.boxes import contact_with_box
+from truths.command_line import keepout_command
 from truths.networks import random_field
 
-from keepout.cli import main
 from keepout.errors import FieldError
 from keepout.fields.analytic import SphereField
 from keepout.fields.domain import Domain
@@ -117,22 +116,19 @@ def test_a_planted_violation_is_found_and_splitting_that_runs_out_stays_sound(mo
     assert certify(model, target).certificate(0.0).error_bound >= before
 
 
-def checked(path, monkeypatch, capsys):
+def checked(path):
     """What `keepout certify --check` exits with, and prints; the file is as before."""
     before = path.read_bytes()
-    monkeypatch.setattr(sys, "argv", ["keepout", "certify", "--check", str(path), "--json"])
-    with pytest.raises(SystemExit) as ended:
-        main()
+    answer = keepout_command("certify", "--check", path, "--json")
     assert path.read_bytes() == before
-    said = capsys.readouterr()
-    return ended.value.code or 0, json.loads(said.out) if said.out else said.err
+    return answer.code, json.loads(answer.out) if answer.out else answer.err
 
 
-def test_a_file_is_proved_again_and_a_forged_one_is_not(certified, tmp_path, monkeypatch, capsys):
+def test_a_file_is_proved_again_and_a_forged_one_is_not(certified, tmp_path, monkeypatch):
     path = tmp_path / "a.keepout"
     certified = certified.with_training(target={"source": "box", "parameters": small_box.PARAMETERS})
     certified.save(path)
-    code, said = checked(path, monkeypatch, capsys)
+    code, said = checked(path)
     assert (code, said["proved"]) == (0, True)
     for row, stated in zip(said["certificates"], certified.certificates, strict=True):
         assert row["error_bound_now_m"] <= row["error_bound_m"] == stated.error_bound
@@ -146,13 +142,13 @@ def test_a_file_is_proved_again_and_a_forged_one_is_not(certified, tmp_path, mon
         {"kind": "sampled"},
     ):
         dataclasses.replace(certified, certificates=(dataclasses.replace(true, **forged),)).save(path)
-        code, said = checked(path, monkeypatch, capsys)
+        code, said = checked(path)
         assert (code, said["proved"]) == (1, False), forged
         (row,) = said["certificates"]
         assert row["error_bound_m"] == forged.get("error_bound", true.error_bound)
         assert row["error_bound_now_m"] >= true.sampled_maximum - 1e-3
     dataclasses.replace(certified, certificates=()).save(path)
-    code, said = checked(path, monkeypatch, capsys)
+    code, said = checked(path)
     assert code != 0
     assert "no certificate to check" in said
 

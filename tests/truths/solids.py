@@ -102,10 +102,10 @@ def check_nested_shells_are_solid():
     assert abs(solid.sealed_volume - 64.0) < 0.05 * 64.0
 
 
-def check_a_narrow_hole_is_sealed(half_hole):
+def check_a_narrow_hole_is_sealed(half_hole, **options):
     """A box with a hole that the chaser cannot pass is solid; returns the solid and the box's half side."""
     vertices, faces, half = hollow_box(half_hole)
-    solid = OffsetSolid.build(ExactDistance(vertices, spoil(faces, 3)))
+    solid = OffsetSolid.build(ExactDistance(vertices, spoil(faces, 3)), **options)
     points = around(solid.distance, 7)
     inside = (np.abs(points) < half).all(axis=1)
     mouth = inside & (np.abs(points[:, :2]).max(axis=1) < half_hole) & (points[:, 2] > half - half_hole)
