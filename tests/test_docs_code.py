@@ -11,8 +11,6 @@ import pytest
 from test_commands import INSPECT
 from test_docs import PAGES, blocks, named
 
-from keepout.mission.scenario import Scenario
-
 pytestmark = pytest.mark.long
 
 ELSEWHERE = {"README.md", "docs/export.md", "docs/clusters.md"}
@@ -122,11 +120,6 @@ def check_law(names: dict) -> None:
     summary = names["flight"].summary()
     assert summary["contact"] is False
     assert summary["guard_interventions"] > 0
-
-
-def check_my_thrusters(names: dict) -> None:
-    assert isinstance(names["mission"].scenario, Scenario)
-    assert names["force"].shape == (3,)
 
 
 def check_reading_a_certificate(names: dict) -> None:

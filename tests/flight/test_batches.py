@@ -1,7 +1,5 @@
 """Campaigns: each flight is that flown alone, whatever flies beside it, and what flights share is computed once."""
 
-import functools
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -11,7 +9,7 @@ from truths.flights import KEY, STEPS, make_setup, start_state
 
 from keepout.errors import ScenarioError
 from keepout.flight import FlightOutcome, fly, outcome
-from keepout.flight.batches import TARGET, _fly_batch, _shared, alike_among, flight_key, fly_batches, states_at
+from keepout.flight.batches import TARGET, alike_among, flight_key, fly_batches, states_at
 from keepout.flight.faults import WrongEstimate
 from keepout.flight.loop import start, step
 from keepout.flight.record import FlightRecord
@@ -120,31 +118,6 @@ def test_what_varies_differs_between_flights(campaign):
         own = eqx.tree_at(varied, setup, (pushes[k], rates[k]))
         log = fly(own, jax.tree.map(lambda x, k=k: x[k], states), STEPS, flight_key(5, k))
         np.testing.assert_allclose(position[k], log.position, atol=1e-11)
-
-
-def test_flights_begin_where_they_are_told_to():
-    motion, position = make_setup().motion, np.random.default_rng(1).normal(size=(5, 3))
-    moving = states_at(motion, position, np.full((5, 3), 0.01))
-    np.testing.assert_array_equal(moving.position, position)
-    np.testing.assert_array_equal(moving.velocity, np.full((5, 3), 0.01))
-    resting, alone = states_at(motion, position), motion.initial_state(position[3], np.zeros(3))
-    for one, other in zip(jax.tree.leaves(resting), jax.tree.leaves(alone), strict=True):
-        np.testing.assert_allclose(one[3], other, rtol=1e-14)
-
-
-def test_what_is_shared_has_no_axis_of_flights_in_the_loop():
-    setup = tumbling_setup()
-    states = starts(setup, 5)
-
-    def attitudes(alike):
-        shared, own = _shared(states, alike)
-        cases = eqx.filter(setup, jax.tree.map(lambda _: False, setup)), own, jnp.arange(5)
-        flying = functools.partial(_fly_batch, setup, steps=3, columns=("position",))
-        program = str(jax.make_jaxpr(lambda shared, cases: flying(shared, jnp.asarray(0), cases))(shared, cases))
-        return program.count("f64[5,4]")
-
-    # The flights' attitude, four numbers for each of five, turns with each flight or once for all.
-    assert attitudes(()) > 5 * attitudes(alike_among(states))
 
 
 def test_keys_of_flights_differ():

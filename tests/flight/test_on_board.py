@@ -52,15 +52,21 @@ def on_board(setup):
     return OnBoard(setup, MOTION.initial_state([0.5, 7.0, 4.0], np.zeros(3)))
 
 
-def test_forces_are_those_of_the_loop(setup, on_board):
-    begin, step = eqx.filter_jit(loop.start), eqx.filter_jit(loop.step)
-    state = begin(setup, MOTION.initial_state([0.5, 7.0, 4.0], np.zeros(3)), jax.random.key(0))
-    on_board.restart(state.motion)
+def beside_the_loop(setup, initial, on_board, steps):
+    """Fly the loop and tell its states on board: each row of the loop, and the force on board."""
     assert on_board.one_kernel
-    for _ in range(40):
+    state, step = eqx.filter_jit(loop.start)(setup, initial, jax.random.key(0)), eqx.filter_jit(loop.step)
+    for _ in range(steps):
         told = state.motion
         state, row = step(setup, state)
         force = on_board.step(float(told.time), told.position, told.velocity, told.attitude, told.angular_velocity)
+        yield row, force
+
+
+def test_forces_are_those_of_the_loop(setup, on_board):
+    initial = MOTION.initial_state([0.5, 7.0, 4.0], np.zeros(3))
+    on_board.restart(initial)
+    for row, force in beside_the_loop(setup, initial, on_board, 40):
         order = on_board.order
         assert np.allclose(force, row.guarded_force, rtol=0.0, atol=1e-12)
         assert np.allclose(order.safe_velocity, row.safe_velocity, rtol=0.0, atol=1e-12)
@@ -69,8 +75,8 @@ def test_forces_are_those_of_the_loop(setup, on_board):
         assert (order.control_status, order.guard_status) == (row.control_status, row.guard_status)
     # The observer has learned something by now, and forgets it.
     assert np.linalg.norm(on_board.order.disturbance_estimate) > 0.005
-    on_board.restart(told)
-    on_board.step(float(told.time), told.position, told.velocity)
+    on_board.restart(initial)
+    on_board.step(0.0, initial.position, initial.velocity)
     assert np.linalg.norm(on_board.order.disturbance_estimate) == 0.0
 
 
@@ -174,18 +180,10 @@ def test_a_restart_keeps_what_is_under_way(pushed):
 def test_a_mission_as_it_is_prepared_is_one_kernel():
     """Learned field, geodesic guidance, and the guard with its grid field."""
     mission = prepare(Scenario())
-    assert isinstance(mission.setup.controller.velocity.field, NeuralField)
-    assert isinstance(mission.setup.controller.velocity.guidance, GeodesicGuidance)
-    assert mission.setup.guard is not None
-    assert isinstance(mission.setup.guard.field, GridField)
-    on_board = OnBoard(mission.setup, mission.initial)
-    assert on_board.one_kernel
-    state, step = loop.start(mission.setup, mission.initial, jax.random.key(0)), eqx.filter_jit(loop.step)
-    largest = 0.0
-    for _ in range(30):
-        told = state.motion
-        state, row = step(mission.setup, state)
-        force = on_board.step(float(told.time), told.position, told.velocity, told.attitude, told.angular_velocity)
+    law, guard = mission.setup.controller.velocity, mission.setup.guard
+    assert (type(law.field), type(law.guidance), type(guard.field)) == (NeuralField, GeodesicGuidance, GridField)
+    on_board, largest = OnBoard(mission.setup, mission.initial), 0.0
+    for row, force in beside_the_loop(mission.setup, mission.initial, on_board, 30):
         # The network's float32 products are summed in another order, and each observer believes its own force.
         assert np.allclose(force, row.guarded_force, rtol=0.0, atol=2e-5)
         assert on_board.order.guard_status == row.guard_status

@@ -72,22 +72,21 @@ def test_a_resonant_force_changes_the_velocity_by_its_full_strength_each_step(pe
     np.testing.assert_allclose(np.diff(velocity[:101], axis=0), expected, rtol=1e-12, atol=1e-17)
 
 
-@given(st.floats(2.0, 300.0), st.floats(0.0, 50.0))
-def test_a_square_wave_is_integrated_exactly_wherever_it_switches(wave_period, delay):
-    wave = SquareWaveDisturbance(AMPLITUDE, wave_period, delay)
-    position, velocity = steps(wave, 1.0, 150)
-    gained, moved = square_wave_truth(wave_period, delay, 0.0, 150.0)
+def check_integrated_exactly(wave_period, delay, number, **most):
+    position, velocity = steps(SquareWaveDisturbance(AMPLITUDE, wave_period, delay, **most), 1.0, number)
+    gained, moved = square_wave_truth(wave_period, delay, 0.0, float(number))
     np.testing.assert_allclose(velocity[-1], AMPLITUDE / MASS * gained, atol=1e-13)
     np.testing.assert_allclose(position[-1], AMPLITUDE / MASS * moved, atol=1e-11)
 
 
+@given(st.floats(2.0, 300.0), st.floats(0.0, 50.0))
+def test_a_square_wave_is_integrated_exactly_wherever_it_switches(wave_period, delay):
+    check_integrated_exactly(wave_period, delay, 150)
+
+
 @pytest.mark.parametrize(("wave_period", "most"), [(0.37, 6), (1.0, 2), (0.5, 4)])
 def test_several_switches_a_step(wave_period, most):
-    wave = SquareWaveDisturbance(AMPLITUDE, wave_period, 0.11, most_switches=most)
-    position, velocity = steps(wave, 1.0, 40)
-    gained, moved = square_wave_truth(wave_period, 0.11, 0.0, 40.0)
-    np.testing.assert_allclose(velocity[-1], AMPLITUDE / MASS * gained, atol=1e-14)
-    np.testing.assert_allclose(position[-1], AMPLITUDE / MASS * moved, atol=1e-13)
+    check_integrated_exactly(wave_period, 0.11, 40, most_switches=most)
 
 
 def test_sums_switch_at_every_parts_switches():

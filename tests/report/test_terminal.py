@@ -3,7 +3,6 @@
 import io
 import re
 
-import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 from rich.console import Console
@@ -48,17 +47,6 @@ def flight(name: str, figure: float, steps: int = 1500) -> dict:
 
 def figures_of(one: dict) -> list:
     return [value for key, value in one.items() if key != "assumptions_broken"]
-
-
-CASES = ("paper without circulation", "paper with circulation", "default law")
-
-
-@pytest.mark.parametrize("names", [("box",), CASES[:2], CASES])
-@pytest.mark.parametrize("figure", [0.0, 0.9204, LONGEST])
-def test_flights(names, figure):
-    flights = [flight(name, figure * (k + 1), steps=k + 7) for k, name in enumerate(names)]
-    text = drawn(terminal.flights_table(flights))
-    check(text, *terminal.FLIGHT_COLUMNS.values(), *(value for one in flights for value in figures_of(one)))
 
 
 def test_what_a_flight_goes_beyond_is_said_under_the_table():

@@ -2,8 +2,10 @@
 
 import base64
 import html.parser
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import matplotlib.image
 import numpy as np
@@ -20,7 +22,6 @@ class Page(html.parser.HTMLParser):
     table: list[list[str]] = field(default_factory=list)
     images: dict[str, bytes] = field(default_factory=dict)
     outside: list[str] = field(default_factory=list)
-    headings: list[str] = field(default_factory=list)
     unclosed: list[str] = field(default_factory=list)
 
     def __post_init__(self):
@@ -44,8 +45,6 @@ class Page(html.parser.HTMLParser):
             self.table.append([])
         elif tag in ("td", "th"):
             self.table[-1].append("")
-        elif tag in ("h1", "h2"):
-            self.headings.append("")
         for name in ("src", "href"):
             address = given.get(name)
             if address is None:
@@ -60,20 +59,30 @@ class Page(html.parser.HTMLParser):
         assert self.unclosed.pop() == tag
 
     def handle_data(self, data):
-        within = self.unclosed[-1] if self.unclosed else ""
-        if within in ("td", "th"):
+        if self.unclosed and self.unclosed[-1] in ("td", "th"):
             self.table[-1][-1] += data
-        elif within in ("h1", "h2"):
-            self.headings[-1] += data
 
 
-def check_picture(path: Path, *, least: int = 300) -> None:
+def check_picture(path: Path) -> None:
     """A PNG of sensible size that shows more than one colour, and not almost only its background."""
     picture = matplotlib.image.imread(path)
     height, width = picture.shape[:2]
-    assert least <= min(height, width)
-    assert max(height, width) <= 4000
+    assert 300 <= min(height, width) <= max(height, width) <= 4000
     shades = np.round(picture[..., :3] * 15).astype(int) @ [256, 16, 1]
     colours, counts = np.unique(shades, return_counts=True)
     assert len(colours) > 10
     assert counts.max() < 0.995 * height * width
+
+
+def check_folder(folder: Path, summary: dict[str, Any], stems: Iterable[str]) -> str:
+    """The pictures that there are to see, each in the page and showing something, and a replay; nothing evil in it."""
+    assert summary["pictures"] == [str(folder / f"{stem}.png") for stem in stems]
+    for path in summary["pictures"]:
+        assert matplotlib.image.imread(path)[..., :3].std() > 0.02
+    page = (folder / "index.html").read_text()
+    assert page.count("data:image/png") == len(summary["pictures"])
+    assert "<script>" not in page
+    assert "<b>broken" not in page
+    assert 'src="replay.html"' in page
+    assert (folder / "replay.html").stat().st_size < 4_000_000
+    return page
