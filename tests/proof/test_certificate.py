@@ -1,7 +1,4 @@
-"""A small fit, certified: no search beats what is proved, a break of the proof is noticed, and forgeries are found.
-
-Every break is one that a slip of the pen could make. The search is the one that passes without it.
-"""
+"""A small fit, certified: no search beats what is proved, and forgeries are found."""
 
 import dataclasses
 import json
@@ -189,7 +186,7 @@ def test_refusals(model, target, solid, tmp_path):
         fit(target, profile=TINY, solid=solid, checkpoint=tmp_path / "c")
 
 
-# Breaks ---------------------------------------------------------------------------------------------------------------
+# Any network ----------------------------------------------------------------------------------------------------------
 
 
 def random_model(radius: float, seed: int) -> FieldModel:
@@ -202,17 +199,13 @@ def random_model(radius: float, seed: int) -> FieldModel:
     return raised(model, radius - values(model.field, contact_with_box(50_000, radius)).max())
 
 
-def check_no_search_beats_the_bound(radius: float) -> None:
+@pytest.mark.parametrize("radius", [0.0, 0.5])
+def test_no_search_beats_the_bound_of_any_network(radius):
     """Whatever the network, no point at distance R has a value above R + e_h."""
     for seed in (0, 1, 2):
         model = random_model(radius, seed)
         bound = certify(model, Target.load("box"), chaser_radius=radius).certificate(radius).error_bound
         assert float(values(model.field, contact_with_box(100_000, radius)).max()) - radius - bound <= 0.0
-
-
-@pytest.mark.parametrize("radius", [0.0, 0.5])
-def test_without_a_break_no_search_beats_the_bound(radius):
-    check_no_search_beats_the_bound(radius)
 
 
 @pytest.mark.parametrize("radius", [0.0, 0.5])
@@ -244,48 +237,3 @@ def test_no_sample_beats_the_bound_of_its_own_element(radius):
     upper, error = certificate._bounded(network, alone, distance, radius, centre, float(field.scale), 1e-12)
     over = upper - values(field, points)
     assert 0.0 <= over.min() <= over.max() <= 3.0 * error.max()
-
-
-def lose_pieces(monkeypatch):
-    """Splitting goes on with the first of two halves only, or with one cube in eight."""
-    split = certificate._split
-
-    def without(elements, distance, radius):
-        pieces = split(elements, distance, radius)
-        return pieces[: len(pieces) // 2] if radius == 0.0 else pieces[::8]
-
-    monkeypatch.setattr(certificate, "_split", without)
-
-
-def lose_elements(monkeypatch):
-    """The cover stops after a quarter of the target."""
-    cover = certificate._cover
-
-    def without(*arguments):
-        elements = cover(*arguments)
-        return elements[: len(elements) // 4]
-
-    monkeypatch.setattr(certificate, "_cover", without)
-
-
-def bound_the_middle(monkeypatch):
-    """Elements are bounded over the inner half of themselves."""
-    bounded = certificate._bounded
-
-    def without(network, piece, distance, radius, *rest):
-        if radius == 0.0:
-            smaller = 0.5 * (piece + piece.mean(axis=1, keepdims=True))
-        else:
-            smaller = piece * np.array([1.0, 0.5])[None, :, None]
-        return bounded(network, smaller, distance, radius, *rest)
-
-    monkeypatch.setattr(certificate, "_bounded", without)
-
-
-@pytest.mark.parametrize("radius", [0.0, 0.5])
-@pytest.mark.parametrize("broken", [lose_pieces, lose_elements, bound_the_middle])
-def test_a_broken_cover_is_noticed(radius, broken, monkeypatch):
-    broken(monkeypatch)
-    # The certificate's own sampling may notice first.
-    with pytest.raises((AssertionError, FieldError), match=r"a bound is at least what was found|<= 0\.0"):
-        check_no_search_beats_the_bound(radius)
