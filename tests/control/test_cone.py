@@ -89,21 +89,13 @@ def _standard_form(one, *, circulation, box, speed):
         linear.append(np.append(-one["tangent"], -1.0))
         linear_offset.append(-one["circulation_rate"] / LIMIT)
     if box:
-        for sign in (1.0, -1.0):
-            for axis in range(3):
-                row = np.zeros(n)
-                row[axis] = sign
-                linear.append(row)
-                linear_offset.append(1.0)
-    cone = np.zeros((4, n))
-    cone[0, :3] = -one["normal"]
-    cone[1:, :3] = -one["gradient_error"] * np.eye(3)
+        linear += [*np.eye(3, n), *-np.eye(3, n)]
+        linear_offset += 6 * [1.0]
+    cone = np.vstack([np.append(-one["normal"], np.zeros(n - 3)), -one["gradient_error"] * np.eye(3, n)])
     cone_offset = np.array([one["barrier_rate"] / LIMIT, 0.0, 0.0, 0.0])
     blocks, offsets, sizes = [cone], [cone_offset], [4]
     if speed:
-        cap = np.zeros((4, n))
-        cap[1:, :3] = -np.eye(3)
-        blocks.append(cap)
+        blocks.append(np.vstack([np.zeros(n), -np.eye(3, n)]))
         offsets.append(np.array([one["speed"] / LIMIT, 0.0, 0.0, 0.0]))
         sizes.append(4)
     rows = (np.array(linear).reshape(-1, n), *blocks)
