@@ -1,14 +1,9 @@
-"""Rivals of `benchmarks/rivals.py`: envelopes, splines and plans against closed forms and another integrator."""
-
-import itertools
-from types import SimpleNamespace
+"""Rivals of `benchmarks/rivals.py`: envelopes and splines against closed forms."""
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import scipy.integrate
 import scipy.interpolate
-from rivals_laws.convexified_plan import guess_along, integrated
 from rivals_laws.envelope_fields import CapsuleField, EllipsoidField
 from rivals_laws.field_spline import FieldSpline
 
@@ -54,35 +49,3 @@ def test_the_spline_is_the_cubic_that_it_interpolates_on_axes_of_unlike_lengths(
     points = np.random.default_rng(0).uniform(lower, upper, (200, 3))
     found = scipy.interpolate.NdBSpline(spline.knots, spline.coefficients, 3)(points)
     np.testing.assert_allclose(found, cubic(points), atol=1e-10)
-
-
-def task_of(nodes):
-    drift = (
-        np.array([[0.0, 0.0, 0.0], [0.0, -1e-4, 0.0], [0.0, 0.0, 3e-4]]),
-        1e-2 * np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]),
-    )
-    return SimpleNamespace(by_position=drift[0], by_velocity=drift[1], nodes=nodes, speed=0.1)
-
-
-def by_another_integrator(task, nodes):
-    """Positions and velocities at the nodes, from the first one on, by SciPy."""
-    state, states = nodes[0, 1:7], [nodes[0, 1:7]]
-    for before, after in itertools.pairwise(nodes):
-
-        def slope(_, x, held=before[7:]):
-            return np.concatenate([x[3:], task.by_position @ x[:3] + task.by_velocity @ x[3:] + held])
-
-        span = (before[0], after[0])
-        state = scipy.integrate.solve_ivp(slope, span, state, rtol=1e-10, atol=1e-12).y[:, -1]
-        states.append(state)
-    return np.array(states)
-
-
-def test_a_plan_is_integrated_as_another_integrator_does():
-    task, rng = task_of(6), np.random.default_rng(1)
-    nodes = guess_along(task, np.array([[-4.0, 0.3, 0.2], [4.0, 0.0, 0.0]]), np.array([0.01, 0.0, -0.02]))
-    nodes[:, 7:] = rng.normal(size=(6, 3)) * 4e-3
-    _, position, velocity = integrated(task, nodes)
-    truth = by_another_integrator(task, nodes)
-    np.testing.assert_allclose(position[[0, -1]], truth[[0, -1], :3], atol=1e-7)
-    np.testing.assert_allclose(velocity[[0, -1]], truth[[0, -1], 3:], atol=1e-9)

@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import datetime
 import re
+from pathlib import Path
 from xml.etree import ElementTree
 
 import jax
@@ -102,52 +103,9 @@ def test_numbers_and_epochs_come_back_as_they_were(tmp_path_factory, numbers, se
     assert (back.name, back.centre, back.frame, back.time_system) == ("A", "EARTH", "GCRF", "TAI")
 
 
-STANDARD = """CCSDS_OEM_VERS = 3.0
-CREATION_DATE = 1996-11-04T17:22:31
-ORIGINATOR = NASA/JPL
-
-META_START
-OBJECT_NAME = MARS GLOBAL SURVEYOR
-OBJECT_ID = 1996-062A
-CENTER_NAME = MARS BARYCENTER
-REF_FRAME = EME2000
-TIME_SYSTEM = UTC
-START_TIME = 1996-12-18T12:00:00.331
-USEABLE_START_TIME = 1996-12-18T12:10:00.331
-USEABLE_STOP_TIME = 1996-12-28T21:23:00.331
-STOP_TIME = 1996-12-28T21:28:00.331
-INTERPOLATION = HERMITE
-META_STOP
-
-COMMENT This file was produced by M.R. Somebody, MSOO NAV/JPL, 1996NOV 04. It is
-
-1996-12-18T12:00:00.331 2789.619 -280.045 -1746.755 4.73372 -2.49586 -1.04195
-1996-12-18T12:01:00.331 2783.419 -308.143 -1877.071 5.18604 -2.42124 -1.99608
-1996-12-18T12:02:00.331 2776.033 -336.859 -2008.682 5.63678 -2.33951 -1.94687
-
-1996-12-28T21:28:00.331 -3881.024 563.959 -682.773 -3.28827 -3.66735 1.63861
-
-META_START
-OBJECT_NAME = MARS GLOBAL SURVEYOR
-OBJECT_ID = 1996-062A
-CENTER_NAME = MARS BARYCENTER
-REF_FRAME = EME2000
-TIME_SYSTEM = UTC
-START_TIME = 1996-12-28T21:29:07.267
-STOP_TIME = 1996-12-30T01:28:02.267
-META_STOP
-
-1996-12-28T21:29:07.267 -2432.166 -063.042 1742.754 7.33702 -3.495867 -1.041945
-1996-12-30T01:28:02.267 2164.375 1115.811 -688.131 -3.53328 -2.88452 0.88535
-
-COVARIANCE_START
-EPOCH = 1996-12-28T21:29:07.267
-COV_REF_FRAME = RTN
-3.3313494e-04
-COVARIANCE_STOP
-"""
+STANDARD_USEABLE = (Path(__file__).parent / "annex_g.oem").read_text()
 """After the examples of an OEM printed in annex G of CCSDS 502.0-B."""
-STANDARD_USEABLE, STANDARD = STANDARD, re.sub(r"USEABLE.*\n", "", STANDARD)
+STANDARD = re.sub(r"USEABLE.*\n", "", STANDARD_USEABLE)
 
 
 def test_an_example_after_the_standard_is_read(tmp_path):
@@ -309,38 +267,12 @@ def test_what_ends_a_line_elsewhere_does_not_end_a_comment(tmp_path):
 
 # ---- attitudes: Q1, Q2, Q3, QC turn frame A into frame B, in the standard's order, whoever reads or writes them
 
-# After the example of an AEM with quaternions printed in the annex of CCSDS 504.0-B-1 and, without the two
-# keywords that went, of 504.0-B-2.
-FIRST_EDITION = """CCSDS_AEM_VERS = 1.0
-CREATION_DATE = 2002-11-04T17:22:31
-ORIGINATOR = NASA/JPL
+WITH_USEABLE_TIMES = (Path(__file__).parent / "quaternions.aem").read_text()
+"""After the example of an AEM with quaternions printed in the annex of CCSDS 504.0-B-1.
 
-META_START
-COMMENT This file was produced by M.R. Somebody, MSOO NAV/JPL, 2002 OCT 04.
-OBJECT_NAME = MARS GLOBAL SURVEYOR
-OBJECT_ID = 1996-062A
-CENTER_NAME = MARS BARYCENTER
-REF_FRAME_A = EME2000
-REF_FRAME_B = SC_BODY_1
-ATTITUDE_DIR = A2B
-TIME_SYSTEM = UTC
-START_TIME = 1996-11-28T21:29:07.2555
-USEABLE_START_TIME = 1996-11-28T22:08:02.5555
-USEABLE_STOP_TIME = 1996-11-30T01:18:02.5555
-STOP_TIME = 1996-11-30T01:28:02.5555
-ATTITUDE_TYPE = QUATERNION
-QUATERNION_TYPE = LAST
-INTERPOLATION_METHOD = HERMITE
-META_STOP
-
-DATA_START
-1996-11-28T21:29:07.2555 0.56748 0.03146 0.45689 0.68427
-1996-11-28T22:08:03.5555 0.42319 -0.45697 0.23784 0.74533
-1996-11-28T22:08:04.5555 -0.84532 0.26974 -0.06532 0.45652
-1996-11-30T01:28:02.5555 0.74563 -0.45375 0.36875 0.31964
-DATA_STOP
+Without two keywords, that went, it is one of 504.0-B-2.
 """
-WITH_USEABLE_TIMES, FIRST_EDITION = FIRST_EDITION, re.sub(r"USEABLE.*\n", "", FIRST_EDITION)
+FIRST_EDITION = re.sub(r"USEABLE.*\n", "", WITH_USEABLE_TIMES)
 SECOND_EDITION = re.sub(r"(ATTITUDE_DIR|QUATERNION_TYPE) = .*\n", "", FIRST_EDITION.replace("VERS = 1.0", "VERS = 2.0"))
 PRINTED = np.array([line.split()[1:] for line in FIRST_EDITION.splitlines() if line.startswith("1996-")], float)
 

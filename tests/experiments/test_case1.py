@@ -1,8 +1,5 @@
 """Case 1: pairs, counts and kept batches; its flights are those of tests/experiments/test_reproduce_all.py."""
 
-from types import SimpleNamespace
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -14,45 +11,31 @@ from keepout.mission.scenario import Scenario
 SCENARIO = Scenario().replace(name="some", control={"profile": "paper"})
 
 
-def unprepared() -> Any:
-    """Stands for a mission that nothing asks for."""
+def test_a_stopped_run_loses_only_the_batch_under_way(tmp_path, monkeypatch):
+    passages = [Passage((float(i), 10.0, 0.0), (0.0, -10.0, 0.0), 20.0) for i in range(150)]
+    work, asked, stops_at = Work(tmp_path), [], [3]
 
-
-@pytest.fixture
-def flown(monkeypatch):
-    """Batches that were asked for, as lists of starts; the third stops the run where it is told to."""
-    asked = []
-
-    def fly(mission, part, size, guidances, logs):
+    def batch(mission, part, size, guidances, logs):
         asked.append((len(part), size, logs))
-        if len(asked) == flown.stops_at:
+        if len(asked) in stops_at:
             raise KeyboardInterrupt
         columns = {name: np.array([one.start[0] for one in part]) for name in ("trapped", "contact")}
         return columns | {"log_time": np.array([[one.start[0]] for one in part[:logs]]).reshape(logs, 1)}
 
-    monkeypatch.setattr(flying, "_fly", fly)
-    monkeypatch.setattr(flying, "_own_guidances", lambda mission: None)
-    flown = SimpleNamespace(asked=asked, stops_at=0)
-    return flown
-
-
-def test_a_stopped_run_loses_only_the_batch_under_way(tmp_path, flown):
-    passages = [Passage((float(i), 10.0, 0.0), (0.0, -10.0, 0.0), 20.0) for i in range(150)]
-    work = Work(tmp_path)
-
     def fly(made_with="field"):
-        return fly_passages(work, SCENARIO, passages, unprepared, made_with=[made_with], logs=2)
+        # No mission is asked for, and so none is prepared.
+        return fly_passages(work, SCENARIO, passages, lambda: None, made_with=[made_with], logs=2)
 
-    flown.stops_at = 3
+    monkeypatch.setattr(flying, "_fly", batch)
+    monkeypatch.setattr(flying, "_own_guidances", lambda mission: None)
     with pytest.raises(KeyboardInterrupt):
         fly()
-    flown.stops_at = 0
     landed = fly()
     # Every batch is as large as the first, so that one program serves all; the last is flown again, the others not.
-    assert flown.asked == [(60, 60, 2), (60, 60, 0), (30, 60, 0), (30, 60, 0)]
+    assert asked == [(60, 60, 2), (60, 60, 0), (30, 60, 0), (30, 60, 0)]
     np.testing.assert_array_equal(landed["trapped"], np.arange(150.0))
     np.testing.assert_array_equal(landed["log_time"], [[0.0], [1.0]])
     fly()
-    assert len(flown.asked) == 4
+    assert len(asked) == 4
     fly("another field")
-    assert len(flown.asked) == 7
+    assert len(asked) == 7

@@ -20,7 +20,6 @@ TINY = Recipe(
     dataclasses.replace(PROFILES["paper"], width=8, depth=2, samples=2000, batch=200, steps=500),
     None,
 )
-SAMPLED = dataclasses.replace(TINY, bound="sampled")
 
 
 @pytest.fixture(scope="module")
@@ -39,6 +38,7 @@ def weights(model):
     return [np.asarray(leaf) for leaf in jax.tree.leaves(model.field.layers)]
 
 
+@pytest.mark.bits
 def test_a_fit_that_was_stopped_goes_on_to_the_same_field(target, fitted_once, tmp_path):
     def stop(_fraction: float, message: str) -> None:
         if message.startswith("distance"):
@@ -72,18 +72,3 @@ def test_a_kept_field_is_not_fitted_again_and_a_named_folder_comes_first(target,
     ):
         assert field_of(work, TINY, target, fitting=True).sha256 == first.sha256
     assert field_of(Work(tmp_path / "volumes"), TINY, target, fitting=False) is None
-
-
-@pytest.mark.parametrize("fitting", [True, False])
-def test_progress_runs_to_its_end_once_with_both_certificates(target, fitted_once, tmp_path, fitting):
-    done: list[float] = []
-    work = Work(
-        tmp_path / "part",
-        fields=None if fitting else fitted_once[0] / "fields",
-        progress=lambda fraction, _: done.append(fraction),
-    )
-    model = field_of(work, SAMPLED, target, fitting=fitting)
-    assert [certificate.chaser_radius for certificate in model.certificates] == list(fitted.CHASER_RADII)
-    assert done == sorted(done)
-    assert done[-1] == pytest.approx(1.0)
-    assert sum(fraction > 0.999 for fraction in done) == 1

@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 from truths import small_box
 
-from keepout.errors import FieldError
 from keepout.fields.evaluate import values, values_gradients_hessians
 from keepout.fields.grid import BLOCK
 from keepout.fields.grid_build import build_grid
-from keepout.fields.model import FieldModel
 
 pytestmark = pytest.mark.long
 
@@ -88,13 +86,3 @@ def test_second_derivatives_join_across_blocks_and_levels(nested, level, coarser
     rounding = 4.0 / h**2 * np.spacing(np.float32(largest))
     assert np.abs(here - there).max() <= rounding
     assert np.abs(here).max() > 100.0 * rounding
-
-
-def test_file_round_trip_and_refusals(tmp_path, model):
-    path = tmp_path / "g.keepout"
-    model.save(path)
-    loaded = FieldModel.load(path, target=small_box.target())
-    points = np.random.default_rng(4).uniform(-3.0, 3.0, (100, 3))
-    np.testing.assert_array_equal(values(loaded.field, points), values(model.field, points))
-    with pytest.raises(FieldError, match="both must be positive"):
-        build_grid(small_box.target(), spacing=0.0)

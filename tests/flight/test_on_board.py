@@ -37,6 +37,8 @@ pytestmark = pytest.mark.long
 
 GOAL = jnp.array([0.0, -6.0, -3.0])
 MOTION = RelativeMotion(Orbit(6_778_137.0))
+PLACE, STILL = np.array([0.5, 7.0, 4.0]), np.zeros(3)
+RESTING = MOTION.initial_state(PLACE, STILL)
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +51,7 @@ def setup():
 
 @pytest.fixture(scope="module")
 def on_board(setup):
-    return OnBoard(setup, MOTION.initial_state([0.5, 7.0, 4.0], np.zeros(3)))
+    return OnBoard(setup, RESTING)
 
 
 def beside_the_loop(setup, initial, on_board, steps):
@@ -64,9 +66,8 @@ def beside_the_loop(setup, initial, on_board, steps):
 
 
 def test_forces_are_those_of_the_loop(setup, on_board):
-    initial = MOTION.initial_state([0.5, 7.0, 4.0], np.zeros(3))
-    on_board.restart(initial)
-    for row, force in beside_the_loop(setup, initial, on_board, 40):
+    on_board.restart(RESTING)
+    for row, force in beside_the_loop(setup, RESTING, on_board, 40):
         order = on_board.order
         assert np.allclose(force, row.guarded_force, rtol=0.0, atol=1e-12)
         assert np.allclose(order.safe_velocity, row.safe_velocity, rtol=0.0, atol=1e-12)
@@ -75,8 +76,8 @@ def test_forces_are_those_of_the_loop(setup, on_board):
         assert (order.control_status, order.guard_status) == (row.control_status, row.guard_status)
     # The observer has learned something by now, and forgets it.
     assert np.linalg.norm(on_board.order.disturbance_estimate) > 0.005
-    on_board.restart(initial)
-    on_board.step(0.0, initial.position, initial.velocity)
+    on_board.restart(RESTING)
+    on_board.step(0.0, PLACE, STILL)
     assert np.linalg.norm(on_board.order.disturbance_estimate) == 0.0
 
 
@@ -127,16 +128,16 @@ def test_a_first_step_long_after_it_was_built_begins_with_what_it_tells(pushed, 
     assert least > 0.5
 
 
+@pytest.mark.bits
 def test_a_time_that_is_not_due_is_refused_or_begins_anew(on_board, pushed, setup):
-    on_board.restart(MOTION.initial_state([0.5, 7.0, 4.0], np.zeros(3)))
-    position, still = np.array([0.5, 7.0, 4.0]), np.zeros(3)
-    on_board.step(5.0, position, still)
-    force = on_board.step(6.0, position, still)
+    on_board.restart(RESTING)
+    on_board.step(5.0, PLACE, STILL)
+    force = on_board.step(6.0, PLACE, STILL)
     for time in (6.0, 6.5, 7.001, 22.0, -1.0, np.nan):
         with pytest.raises(ControlError, match="7 s is due"):
-            on_board.step(time, position, still)
+            on_board.step(time, PLACE, STILL)
     np.testing.assert_array_equal(on_board.order.force, force)
-    on_board.step(7.0, position, still)
+    on_board.step(7.0, PLACE, STILL)
     # Begun anew it flies as after a restart, wherever it was before.
     (time, position, velocity), _, _, flags = flown_on(pushed, restarted(pushed, AFAR, NOTHING), 5)
     later = time + 10.0, position + 10.0 * velocity, velocity
@@ -192,14 +193,14 @@ def test_a_mission_as_it_is_prepared_is_one_kernel():
 
 
 def test_a_number_that_is_none_is_answered_and_forgotten(on_board):
-    on_board.restart(MOTION.initial_state([0.5, 7.0, 4.0], np.zeros(3)))
+    on_board.restart(RESTING)
     force = on_board.step(0.0, [np.nan, 7.0, 4.0], np.zeros(3))
     assert np.isfinite(force).all()
     assert on_board.order.control_status == ControlStatus.NOT_FINITE
     force = on_board.step(1.0, [0.5, 7.0, 4.0], np.zeros(3))
     assert np.isfinite(force).all()
     assert on_board.order.control_status in (ControlStatus.NOMINAL, ControlStatus.SATURATED)
-    on_board.restart(MOTION.initial_state([0.5, 7.0, 4.0], np.zeros(3)))
+    on_board.restart(RESTING)
     with pytest.raises(ControlError, match="step at 3 s tells no finite state to begin with"):
         on_board.step(3.0, [np.nan, 7.0, 4.0], np.zeros(3))
 
@@ -228,7 +229,7 @@ class Keyed(Law):
 def test_a_memory_that_is_not_numbers_is_refused():
     setup = FlightSetup(MOTION, paper_disturbance(), Thrusters(0.1), Keyed(), GOAL, 20.0)
     with pytest.raises(ControlError, match="memory of law and guard must be arrays of numbers"):
-        OnBoard(setup, MOTION.initial_state([0.5, 7.0, 4.0], np.zeros(3)))
+        OnBoard(setup, RESTING)
 
 
 ENTRIES = {

@@ -9,7 +9,6 @@ from scipy.spatial import Delaunay
 from truths.messy_meshes import MESSY_AND_REAL
 
 from keepout.errors import MeshError
-from keepout.geometry import Target
 from keepout.geometry.first_hit import FirstHit
 
 
@@ -187,15 +186,6 @@ BOX = grid_box(1)
 def test_special_places(mesh, origin, direction, greatest, met):
     vertices, faces = np.asarray(mesh[0], float), np.asarray(mesh[1])
     assert FirstHit(vertices, faces).ranges(np.array([origin], float), np.array([direction], float), greatest) == met
-
-
-def test_the_order_of_rays_does_not_matter():
-    target = Target.load("intelsat30")
-    first_hit = FirstHit(target.vertices, target.faces)
-    origins, directions = random_rays(first_hit.lower, first_hit.upper, 20_000, seed=11)
-    order = np.random.default_rng(0).permutation(len(origins))
-    ranges = first_hit.ranges(origins, directions, 12.0)
-    np.testing.assert_array_equal(first_hit.ranges(origins[order], directions[order], 12.0), ranges[order])
 
 
 @pytest.mark.parametrize(

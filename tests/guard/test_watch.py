@@ -118,12 +118,7 @@ def test_a_pattern_of_zero_mean_within_a_step_is_not_seen():
     assert np.linalg.norm(path, axis=-1).min() < 2.5, "and the threshold was passed all the same"
 
 
-def test_windows_double_up_to_what_the_errors_ask():
-    assert watch.windows(ASSUMED) == (1,)
-    lengths = watch.windows(NOISY)
-    assert lengths == tuple(2**k for k in range(len(lengths)))
-    assert lengths[-2] < watch.steps_needed(NOISY, watch.SHARE * NOISY.disturbance) <= lengths[-1]
+def test_what_is_too_small_to_be_seen_is_said_not_to_be():
     lost = dataclasses.replace(NOISY, disturbance_force=0.0, angular_rate=0.0, gravity_gradient=0.0)
-    assert watch.windows(lost)[-1] == watch.LONGEST
     assert watch.seen_within(lost, 1e-9) is None
     assert watch.seen_within(NOISY, 1e-7 * NOISY.disturbance) is None

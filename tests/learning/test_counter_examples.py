@@ -7,7 +7,6 @@ import pytest
 from truths import small_box
 
 from keepout.fields.domain import Domain
-from keepout.geometry.level_points import level_points
 from keepout.learning import counter_examples
 from keepout.learning.counter_examples import HIGHEST, JITTER, ROUNDS_KEPT, Hunt
 from keepout.learning.profile import TrainingProfile
@@ -76,24 +75,6 @@ def test_a_planted_peak_is_climbed(solid, peak, level, width):
     truth = solid.distance.distance(found[near]) - solid.offset
     inside = np.asarray(batch.hidden)[near]
     assert np.allclose(np.asarray(batch.distance)[near][~inside], truth[~inside], atol=1e-5)
-
-
-@pytest.mark.parametrize("level", [0.0, 0.3])
-def test_corners_and_edges_get_their_share_of_the_candidates(solid, level):
-    distance = solid.distance
-
-    def shares(**choice):
-        """Of points whose nearest one on the box 2 x 1 x 1 m is on a face, an edge, a corner."""
-        points = level_points(distance, level, 10_000, np.random.default_rng(0), **choice)
-        assert len(points) > 9_000
-        assert np.abs(distance.distance(points) - level).max() < 1e-8
-        at_side = (np.abs(np.abs(distance.closest(points)[1]) - [1.0, 0.5, 0.5]) < 1e-9).sum(axis=1)
-        return np.array([(at_side == k).mean() for k in (1, 2, 3)])
-
-    sharp, even = shares(), shares(uniform=True)
-    assert sharp.sum() == even.sum() == pytest.approx(1.0)
-    assert sharp[1] > 0.1
-    assert sharp[2] > max(0.02, 4.0 * even[2])
 
 
 def test_a_web_is_found(solid):

@@ -57,14 +57,7 @@ def flown(runs: int, **columns: Any) -> dict[str, np.ndarray]:
 
 
 def write_campaign(
-    folder: Path,
-    of: Scenario,
-    columns: Mapping[str, np.ndarray],
-    *,
-    chunk: int = 512,
-    done: int | None = None,
-    bands: Bands | None = None,
-    **identity: Any,
+    folder: Path, of: Scenario, columns: Mapping[str, np.ndarray], *, chunk: int = 512, done: int | None = None
 ) -> Path:
     """Write a campaign's folder; figures of refused runs become null.
 
@@ -74,8 +67,6 @@ def write_campaign(
         columns: one entry a run.
         chunk: runs in a part.
         done: parts that are done; by default all.
-        bands: of each part.
-        identity: further entries of `campaign.json`.
 
     """
     runs = of.campaign.runs
@@ -85,14 +76,12 @@ def write_campaign(
         "batch": 128,
         "chunk": chunk,
         "versions": {"keepout": "0"},
-        **identity,
     }
     (folder / "flights").mkdir(parents=True)
     (folder / "bands").mkdir()
     (folder / "campaign.json").write_text(json.dumps(known, indent=1))
     plan = digest(json.dumps(known, sort_keys=True))
-    counted = Bands.empty(of.duration, of.control.period) if bands is None else bands
-    sketch = counted.to_bytes()
+    sketch = Bands.empty(of.duration, of.control.period).to_bytes()
     refused = np.asarray(columns["status"]) == "refused"
     figures = set(flown(1)) - {"status", "reason"}
     for number in range(-(-runs // chunk) if done is None else done):
