@@ -15,11 +15,10 @@ from keepout.flight.batches import states_at
 from keepout.geometry.target import Target
 from keepout.mission import series
 from keepout.mission.audited import AUDITED, fly_audited, judge
-from keepout.mission.build import flight_setup, prepare
+from keepout.mission.build import prepare
 from keepout.mission.campaign import draw_starts, plan_campaign
 from keepout.mission.scenario import Scenario
 from keepout.mission.series import SERIES, SeriesKeeper
-from keepout.motion import NoDisturbance
 
 
 @pytest.fixture(scope="module")
@@ -37,14 +36,9 @@ def drawn(target, **campaign):
 @pytest.mark.long
 def test_starts_are_seeded_outside_and_roomy(shell):
     starts = drawn(shell, runs=50, lower=(-5.0, -5.0, -5.0), upper=(5.0, 5.0, 5.0))
-    assert starts.shape == (50, 3)
+    # Not in the hollow, and away from the walls.
     assert np.abs(starts).max(axis=1).min() > 3.0 + 0.8 / 3**0.5
     assert shell.distance.distance(starts).min() > 0.8
-    np.testing.assert_array_equal(starts, drawn(shell, runs=50, lower=(-5.0, -5.0, -5.0), upper=(5.0, 5.0, 5.0)))
-
-
-@pytest.mark.long
-def test_a_box_without_a_way_out_is_refused(shell):
     with pytest.raises(ScenarioError, match="only 0 lie outside"):
         drawn(shell, runs=5, lower=(-2.0, -2.0, -2.0), upper=(2.0, 2.0, 2.0))
 
@@ -154,31 +148,14 @@ def test_verdicts_are_by_the_scenarios_own_numbers(mission, flown):
     assert still.contact is Contact.UNDECIDED
 
 
-def test_a_setup_is_the_scenarios_but_for_what_is_chosen(mission):
-    scenario = mission.scenario.replace(
-        chaser={"mass": 30.0}, goal={"tolerance": 0.3}, control={"period": 0.5}, faults={"dropped": 0.1}
-    )
-    setup = flight_setup(scenario, mission.setup.controller, disturbance=NoDisturbance(), mass=31.0)
-    assert (float(setup.mass), float(setup.tolerance), float(setup.period)) == (31.0, 0.3, 0.5)
-    assert isinstance(setup.disturbance, NoDisturbance)
-    assert len(setup.faults.parts) == 1
-    assert setup.guard is None
-    np.testing.assert_array_equal(setup.goal, GOALS[0])
-
-
 END = (1.0, -2.0, 3.0)
 ROWS = 10
 
 
-def log(flights, seed=0):
-    draw = np.random.default_rng(seed)
-    rows = ROWS + 1
-    return {
-        "position": draw.normal(size=(flights, rows, 3)),
-        "velocity": draw.normal(size=(flights, rows, 3)),
-        "barrier": draw.normal(size=(flights, rows)),
-        "lyapunov": draw.normal(size=(flights, rows)),
-    }
+def log(flights):
+    draw, rows = np.random.default_rng(0), ROWS + 1
+    vectors = {name: draw.normal(size=(flights, rows, 3)) for name in ("position", "velocity")}
+    return vectors | {name: draw.normal(size=(flights, rows)) for name in ("barrier", "lyapunov")}
 
 
 def keeper(**options):
@@ -200,24 +177,18 @@ def test_each_quantity_is_the_logs():
     np.testing.assert_array_equal(kept.kept().time, 0.5 * np.arange(ROWS + 1))
 
 
-def test_a_stride_keeps_the_end_and_flights_that_did_not_land_are_not_numbers(tmp_path):
+def test_a_stride_keeps_the_end_and_flights_that_did_not_land_are_not_numbers():
     whole, keeping = log(2), keeper(stride=4)
     keeping.land(0, whole)
     kept = keeping.kept()
     np.testing.assert_array_equal(kept.time, [0.0, 2.0, 4.0, 5.0])
     np.testing.assert_array_equal(kept.values["barrier"][:2], whole["barrier"][:, [0, 4, 8, 10]].astype(np.float32))
     assert np.isnan(kept.values["speed"][2:]).all()
-    kept.save(tmp_path / "series.npz")
-    with np.load(tmp_path / "series.npz", allow_pickle=False) as stored:
-        assert set(stored) == {"time", *SERIES}
-        for name in SERIES:
-            np.testing.assert_array_equal(stored[name], kept.values[name])
 
 
 def test_many_flights_are_kept_at_a_stride(monkeypatch):
     monkeypatch.setattr(series, "MOST_NUMBERS", 5 * 11 * 5 // 2)
     kept = keeper().kept()
-    assert kept.stride == 3
     assert sum(values.size for values in kept.values.values()) <= series.MOST_NUMBERS
 
 
