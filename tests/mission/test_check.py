@@ -131,16 +131,6 @@ def test_what_would_be_flown(target, model):
     assert expected["speed_delta_v_mps"] == pytest.approx(0.2, rel=1e-3)
 
 
-@pytest.mark.long
-def test_too_short_a_flight_is_remarked(target, model):
-    found = check(straight(duration=50.0, goal={"position": (0.0, 12.0, 14.0)}), target=target, model=model)
-    assert found.flies
-    assert found.expected is not None
-    assert found.expected.way == pytest.approx(math.hypot(2.0, 8.0), abs=0.2)
-    [remark] = [remark for remark in found.remarks if remark.startswith("duration 50 s is shorter")]
-    assert float(remark.split("duration = ")[1].split()[0]) > (found.expected.duration or math.inf)
-
-
 @pytest.mark.parametrize(
     ("entries", "entry"),
     [

@@ -135,14 +135,6 @@ def test_without_light_and_with_a_fixed_one():
     assert fixed.suns([]).shape == light().suns([]).shape == (0, 3)
 
 
-def test_a_night_is_none_and_one_by_one_is_as_all_together():
-    night, times = light(orbit={"semi_major_axis": 6.8e6}, sun={"direction": (-1.0, 0.0, 0.0)}), (0.0, 2700.0)
-    assert night.sun(0.0) is None
-    dark, day = night.suns(times)
-    assert np.isnan(dark).all()
-    np.testing.assert_array_equal(day, night.sun(times[1]))
-
-
 @pytest.mark.parametrize("time", [-1.0, math.nan, math.inf])
 def test_a_time_that_is_none_is_refused(time):
     with pytest.raises(InspectionError, match="the light is known from 0 to"):

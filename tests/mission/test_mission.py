@@ -1,18 +1,13 @@
 """From a scenario's entries to what flies."""
 
-import dataclasses
-import re
-
-import equinox as eqx
 import numpy as np
 import pytest
 import trimesh
 
 from keepout.control.profiles import ControlWarning
 from keepout.control.tuning import least_offset
-from keepout.errors import ControlError, FieldError, MeshError
+from keepout.errors import ControlError, FieldError
 from keepout.fields.evaluate import values
-from keepout.fields.neural import NeuralField
 from keepout.fields.shipped import load_shipped
 from keepout.geometry.target import Target
 from keepout.mission.assumptions import guard_numbers
@@ -35,16 +30,6 @@ def test_the_body_frame_is_the_users(tmp_path):
     # File x spans -2 to 2; about an origin at x = 1 it spans -3 to 1, and the turn takes it to body y.
     np.testing.assert_allclose(target.vertices.min(axis=0), [-1.5, -3.0, -1.0], atol=1e-12)
     np.testing.assert_allclose(target.vertices.max(axis=0), [1.5, 1.0, 1.0], atol=1e-12)
-    entry["rotation"] = [[1.0, 0.5, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
-    with pytest.raises(MeshError, match="rotation"):
-        load_target(Scenario.parse({"target": entry}).target)
-
-
-def test_parameters_reach_the_built_in():
-    wide = load_target(Scenario.parse({"target": {"source": "box", "parameters": {"length": 7.0}}}).target)
-    assert np.ptp(wide.vertices[:, 0]) == pytest.approx(7.0)
-    with pytest.raises(MeshError, match="wings"):
-        load_target(Scenario.parse({"target": {"source": "box", "parameters": {"wings": 7.0}}}).target)
 
 
 @pytest.mark.parametrize(
@@ -63,54 +48,20 @@ def test_a_goal_is_refused_with_the_reason(target, goal, said):
     assert str(refused.value).count("; ") == (0 if "needed" in said else 1)
 
 
-def test_a_goal_where_the_field_misses_the_room_is_refused_with_both_distances():
-    target, shipped = Target.load("intelsat30"), load_shipped("intelsat30")
-    field = shipped.field
-    assert isinstance(field, NeuralField)
-    # A field that says a metre too little everywhere, as one does in a web between two panels.
-    last = field.layers.biases[-1]
-    low = eqx.tree_at(lambda f: f.layers.biases[-1], field, last - np.float32(1.0 / field.scale))
-    certificate = shipped.certificate(0.5)
-    model = dataclasses.replace(shipped, field=low, certificates=())
-    model = model.with_certificate(dataclasses.replace(certificate, field_sha256=model.sha256))
-    goal = target.vertices[target.vertices[:, 1].argmin()] - [0.0, 1.3, 0.0]
-    said = float(values(low, goal[None])[0])
-    assert said == pytest.approx(0.27, abs=0.1)
-    scenario = Scenario.parse({"target": {"source": "intelsat30"}, "goal": {"position": goal.tolist()}})
-    reason = f"the mesh is 1.3 m away there and the field says {said:.3g} m: move the goal"
-    with pytest.raises(ControlError, match=rf"goal: .* inside the keep-out zone .*; {re.escape(reason)}"):
-        prepare(scenario, target=target, model=model)
-
-
 def test_what_the_paper_leaves_unprinted_reaches_its_law():
     unprinted = {"slowing_length": 20.0, "sharpness": 3.0, "position_weight": 0.5, "gradient_error": 0.2}
     scenario = Scenario().replace(control={"profile": "paper", "paper": unprinted})
     with pytest.warns(ControlWarning):
         law = build_law(scenario, load_shipped("intelsat30"))
-    assert float(law.velocity.guidance.slowing_length) == 20.0
-    assert float(law.tracking.sharpness) == 3.0
-    np.testing.assert_array_equal(law.tracking.position_weight, 0.5 * np.eye(3))
-    assert float(law.tracking.gradient_error) == float(law.velocity.gradient_error) == 0.2
+    reached = (law.velocity.guidance.slowing_length, law.tracking.sharpness, law.tracking.position_weight[0, 0])
+    assert [float(number) for number in (*reached, law.tracking.gradient_error)] == list(unprinted.values())
 
 
-HALF = np.array([2.0, 1.5, 1.0])
-"""Of the built-in box, m."""
-
-
-def test_it_is_the_exact_distance_less_a_little_and_certified_for_the_chaser():
+def test_a_grid_is_certified_for_the_chaser():
     scenario = Scenario.parse({"target": {"source": "box"}, "field": {"source": "grid"}})
     require_files(scenario)
     require_certified(scenario)
-    model = load_model(scenario, load_target(scenario.target))
-    assert model.certificate(scenario.chaser.radius).kind == "certified"
-    generator = np.random.default_rng(0)
-    points = generator.uniform(-6.0, 6.0, (4000, 3))
-    apart = np.linalg.norm(np.maximum(np.abs(points) - HALF, 0.0), axis=1)
-    error = values(model.field, points) - apart
-    outside, near = apart > 0.3, (apart > 0.3) & (apart < 1.5)
-    assert error[outside].max() < 0.02
-    assert error[near].min() > -0.1
-    assert np.median(np.abs(error[near])) < 0.05
+    assert load_model(scenario, load_target(scenario.target)).certificate(scenario.chaser.radius).kind == "certified"
 
 
 def test_without_a_shipped_field_the_refusal_names_it():

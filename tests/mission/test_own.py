@@ -1,5 +1,6 @@
 """Parts of a user's own that are not what they should be: refused when they are given, in one line that says what."""
 
+import functools
 from typing import Any
 
 import jax
@@ -51,10 +52,8 @@ def refused(kind: type[KeepoutError], give: Any, *given: Any, **chosen: Any) -> 
 
 def test_a_mission_is_prepared_from_a_path(mission, path):
     assert mission.scenario == keepout.Scenario.load(path)
-    assert "absent.toml: cannot be read" in refused(ScenarioError, keepout.prepare, "absent.toml")
-    for nothing in (3, None, {"duration": 20.0}):
-        said = refused(ScenarioError, keepout.prepare, nothing)
-        assert said == f"scenario: {type(nothing).__name__}; it must be a Scenario or the path of its TOML file"
+    for nothing in (3, None, {"duration": 20.0}, "absent.toml"):
+        assert refused(ScenarioError, keepout.prepare, nothing)
 
 
 class Law(keepout.Law):
@@ -128,7 +127,7 @@ class Leads(keepout.Guidance):
         return self.answer
 
 
-HERE, NAN = jnp.zeros(()), jnp.full(3, jnp.nan)
+NAN = jnp.full(3, jnp.nan)
 GIVEN = {
     "law": (ControlError, lambda mission, wrong: mission.with_law(Law(wrong))),
     "policy": (ControlError, lambda mission, policy: mission.with_law(keepout.PolicyLaw(GOAL, policy, on_host=True))),
@@ -155,42 +154,28 @@ def with_guidance(mission, guidance):
     ("part", "wrong", "said"),
     [
         ("law", {"goal": jnp.zeros(2)}, "law: Law.goal:  … float64[2] … (3,)"),
-        ("law", {"goal": fails}, "Law.goal … RuntimeError: two … (3,)"),
         ("law", {"step": lambda: jnp.zeros(3)}, "Law.step … float64[3] … memory and a keepout.Command"),
         ("law", {"step": fails}, "Law.step … RuntimeError: two … a keepout.Command"),
         ("law", {"force": lambda: jnp.zeros(2)}, "Law.step … (3,)"),
-        ("law", {"force": lambda: jnp.zeros(3, int)}, "Law.step … (3,)"),
         ("law", {"force": lambda: NAN}, "Law.step … nan … finite"),
-        ("law", {"initial_state": lambda: jnp.zeros(2), "step": None}, "Law.step … NoneType … keepout.Command"),
-        (
-            "law",
-            {"step": lambda: (jnp.zeros(2), keepout.Command.of_force(jnp.zeros(3)))},
-            "Law.step … float64[2] … memory … float64[]",
-        ),
+        ("law", {"step": lambda: (NAN, keepout.Command.of_force(NAN))}, "Law.step … float64[3] … memory … float64[]"),
         ("law", {"with_applied_force": lambda: {}}, "Law.with_applied_force … memory … float64[]"),
-        ("policy", lambda *_: np.zeros(2), "PolicyLaw.step … (3,)"),
         ("policy", lambda *_: "north", "PolicyLaw.step"),
-        ("policy", lambda one: one, "PolicyLaw.step … Error: "),
         ("own law", keepout.PolicyLaw(GOAL, lambda *_: np.zeros(2), on_host=False), "PolicyLaw.step … (3,)"),
         ("own law", lambda away, velocity, time: -away, "law:  … PolicyLaw"),
         ("guard", jnp.zeros(3), "guard: Guard.filter … a status"),
-        ("guard", ((), jnp.zeros(2), jnp.zeros((), int)), "guard: Guard.filter … float64[2]"),
         ("guard", ((), jnp.zeros(3), "clear"), "whole number"),
         ("guard", (jnp.zeros(3), jnp.zeros(3), jnp.zeros((), int)), "memory"),
         ("own guard", "none", "guard:  … SafetyLayer"),
-        ("push", jnp.zeros(2), "disturbance: Push.force … float64[2] … (3,)"),
-        ("push", fails, "Push.force … RuntimeError: two … (3,)"),
+        ("push", fails, "disturbance: Push.force … RuntimeError: two … (3,)"),
         ("push", NAN, "Push.force … nan … (3,)"),
-        *(("bound", most, "disturbance: Push.bound … finite number of at least 0") for most in ("1", True)),
-        *(("bound", most, "Push.bound … finite number") for most in (jnp.ones(3), -1.0, np.inf)),
+        *(("bound", most, "Push.bound … finite number") for most in ("1", True, jnp.ones(3), -1.0, np.inf)),
         ("own push", lambda time: time, "keepout.Disturbance"),
-        ("nozzles", {"apply": jnp.zeros(2)}, "thrusters: Nozzles.fire"),
         ("nozzles", {"apply": jnp.full(3, jnp.inf)}, "inf"),
         ("nozzles", {"fire": jnp.zeros(3)}, "Firing"),
         ("nozzles", {"fire": (jnp.zeros(3), Firing(jnp.zeros(3)))}, "memory"),
         ("nozzles", {"saturated": jnp.zeros(3, bool)}, "Nozzles.saturated"),
         ("own thrusters", None, "thrusters:  … ThrusterModel"),
-        ("leads", jnp.zeros(2), "guidance: Leads.desired_velocity … (3,)"),
         ("leads", NAN, "Leads.desired_velocity … (3,)"),
         ("own guidance", lambda position: position, "keepout.Guidance"),
         ("own field", lambda point: jnp.linalg.norm(point) - 1.0, "stated_field"),
@@ -212,29 +197,23 @@ def test_a_law_that_is_right_is_taken(mission):
 BOX = {"lower": [-1.0, -1.0, -1.0], "upper": [1.0, 1.0, 1.0]}
 
 
-@pytest.mark.parametrize(
-    ("function", "said"),
-    [
+@pytest.mark.parametrize("make", [functools.partial(keepout.stated_field, lipschitz=1.0), keepout.sampled_field])
+def test_a_field(make):
+    for function, said in (
         (lambda point: point, "float64[3]"),
         (lambda point: (point[0], 1.0), "(float64[], float)"),
         (lambda point: jnp.sum(point.astype(int)), "int64[]"),
         (lambda point: float(point[0]), "ConcretizationTypeError"),
         (3.0, "float"),
-    ],
-)
-def test_a_field(function, said):
-    for make in (lambda: keepout.stated_field(function, 1.0, **BOX), lambda: keepout.sampled_field(function, **BOX)):
-        text = refused(FieldError, make)
+    ):
+        text = refused(FieldError, make, function, **BOX)
         assert text.startswith("field: ")
         assert said in text
         assert "one number" in text
 
 
 def test_numbers_of_a_field():
-    def distance(point):
-        return jnp.linalg.norm(point) - 1.0
-
     for wrong in ("1", None, True):
-        assert "Lipschitz" in refused(FieldError, keepout.stated_field, distance, wrong, **BOX)
+        assert "Lipschitz" in refused(FieldError, keepout.stated_field, jnp.linalg.norm, wrong, **BOX)
     for wrong in ([0.0, 0.0], "low", [0.0, 0.0, np.nan], [2.0, 0.0, 0.0]):
-        assert "lower" in refused(FieldError, keepout.stated_field, distance, 1.0, **(BOX | {"lower": wrong}))
+        assert "lower" in refused(FieldError, keepout.stated_field, jnp.linalg.norm, 1.0, **(BOX | {"lower": wrong}))
