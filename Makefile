@@ -11,6 +11,9 @@ BY_FILE := -n 2 --dist loadfile --no-loadscope-reorder
 # The rooms from a mesh to a flight: the paper's system, made safe.
 CORE := $(addprefix tests/,geometry motion fields learning proof measures control guard flight audit mission)
 
+# What compares bits is run as users run it: with XLA's own settings.
+BITS = $(shell grep -rlw mark.bits tests --include='test_*.py')
+
 # Without them each start of Python would compile 1,800 modules of the libraries anew: 5 s a command.
 unexport PYTHONDONTWRITEBYTECODE
 
@@ -83,10 +86,11 @@ quick-tests: install
 	$(BIN)/pytest -m "not slow and not long" $(BY_FILE)
 
 tests: install
-	$(BIN)/pytest -m "not slow" $(BY_FILE)
+	$(BIN)/pytest -m "not slow and not bits" $(BY_FILE)
+	XLA_FLAGS= $(BIN)/pytest -m "bits and not slow" $(BY_FILE) $(BITS)
 
 test-all: lint
-	$(BIN)/python tests/where_time_goes.py --keep out/test-all -n 2 --dist loadgroup --hypothesis-profile=random
+	XLA_FLAGS= $(BIN)/python tests/where_time_goes.py --keep out/test-all -n 2 --dist loadgroup --hypothesis-profile=random
 
 format: install
 	$(BIN)/ruff check --fix .

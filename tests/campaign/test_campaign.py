@@ -28,7 +28,7 @@ from keepout.mission.build import prepare
 from keepout.mission.campaign import room_to_start
 from keepout.mission.scenario import Scenario
 
-pytestmark = pytest.mark.long
+pytestmark = [pytest.mark.long, pytest.mark.bits]
 
 MISSION = {
     "duration": 30.0,

@@ -28,7 +28,10 @@ from keepout.control.tuning import Tuning
 from keepout.fields import evaluate
 from keepout.fields.analytic import SphereField
 
-pytestmark = pytest.mark.skipif(not hasattr(os, "getuid"), reason="no owners and modes of files here")
+pytestmark = [
+    pytest.mark.bits,
+    pytest.mark.skipif(not hasattr(os, "getuid"), reason="no owners and modes of files here"),
+]
 
 POINTS = np.random.default_rng(0).normal(size=(5, 3))
 SPHERE = SphereField(jnp.zeros(3), jnp.asarray(2.0))

@@ -12,7 +12,10 @@ import pytest
 from keepout.compiled import kept_programs
 from keepout.compiled.kept_programs import VARIABLE, KeptProgramsWarning, keep_programs
 
-pytestmark = pytest.mark.skipif(not hasattr(os, "getuid"), reason="no owners and modes of files here")
+pytestmark = [
+    pytest.mark.bits,
+    pytest.mark.skipif(not hasattr(os, "getuid"), reason="no owners and modes of files here"),
+]
 
 JAX_SETTINGS = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
 

@@ -7,6 +7,8 @@ import pytest
 
 from keepout.compiled.on_demand import GROUP, where_needed
 
+pytestmark = pytest.mark.bits
+
 
 def wave(shared, x, y):
     return {"sum": jnp.sin(shared * x) + y, "large": y > 1.0}

@@ -134,7 +134,6 @@ def test_segments_joined_are_one_flight_to_the_bit(flown):
             np.testing.assert_array_equal(one, other, err_msg=f"{field.name} in {lengths}")
 
 
-@pytest.mark.bits
 @pytest.mark.long
 def test_a_new_goal_leaves_every_memory():
     setup = layered()

@@ -128,7 +128,6 @@ def test_a_first_step_long_after_it_was_built_begins_with_what_it_tells(pushed, 
     assert least > 0.5
 
 
-@pytest.mark.bits
 def test_a_time_that_is_not_due_is_refused_or_begins_anew(on_board, pushed, setup):
     on_board.restart(RESTING)
     on_board.step(5.0, PLACE, STILL)
