@@ -11,8 +11,8 @@ BY_FILE := -n 2 --dist loadfile --no-loadscope-reorder
 # The rooms from a mesh to a flight: the paper's system, made safe.
 CORE := $(addprefix tests/,geometry motion fields learning proof measures control guard flight audit mission)
 
-# What compares bits is run as users run it: with XLA's own settings.
-BITS = $(shell grep -rlw mark.bits tests --include='test_*.py')
+# What compares bits, or runs more than it compiles, is run as users run it: with XLA's own settings.
+AS_USED = $(shell grep -rlw mark.as_used tests --include='test_*.py')
 
 # Without them each start of Python would compile 1,800 modules of the libraries anew: 5 s a command.
 unexport PYTHONDONTWRITEBYTECODE
@@ -86,8 +86,8 @@ quick-tests: install
 	$(BIN)/pytest -m "not slow and not long" $(BY_FILE)
 
 tests: install
-	$(BIN)/pytest -m "not slow and not bits" $(BY_FILE)
-	XLA_FLAGS= $(BIN)/pytest -m "bits and not slow" $(BY_FILE) $(BITS)
+	XLA_FLAGS= $(BIN)/pytest -m "as_used and not slow" $(BY_FILE) $(AS_USED)
+	$(BIN)/pytest -m "not slow and not as_used" $(BY_FILE)
 
 test-all: lint
 	XLA_FLAGS= $(BIN)/python tests/where_time_goes.py --keep out/test-all -n 2 --dist loadgroup --hypothesis-profile=random

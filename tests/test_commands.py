@@ -40,7 +40,7 @@ from keepout.mission.scenario import Scenario
 from keepout.report.terminal import FLIGHT_COLUMNS, shown
 from keepout.sensing.depth import ErrorDraw, axes_towards, take
 
-pytestmark = pytest.mark.long
+pytestmark = [pytest.mark.as_used, pytest.mark.long]
 
 README = Path(__file__).parents[1] / "README.md"
 

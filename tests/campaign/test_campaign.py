@@ -28,7 +28,7 @@ from keepout.mission.build import prepare
 from keepout.mission.campaign import room_to_start
 from keepout.mission.scenario import Scenario
 
-pytestmark = [pytest.mark.long, pytest.mark.bits]
+pytestmark = [pytest.mark.long, pytest.mark.as_used]
 
 MISSION = {
     "duration": 30.0,

@@ -20,7 +20,7 @@ distributed = pytest.importorskip("distributed", reason="needs keepout[cluster]"
 
 from keepout.campaign.cluster import Cluster  # noqa: E402
 
-pytestmark = [pytest.mark.long, pytest.mark.bits]
+pytestmark = [pytest.mark.long, pytest.mark.as_used]
 
 
 def silent(*counts):

@@ -29,7 +29,7 @@ from keepout.fields import evaluate
 from keepout.fields.analytic import SphereField
 
 pytestmark = [
-    pytest.mark.bits,
+    pytest.mark.as_used,
     pytest.mark.skipif(not hasattr(os, "getuid"), reason="no owners and modes of files here"),
 ]
 

@@ -13,7 +13,7 @@ from keepout.compiled import kept_programs
 from keepout.compiled.kept_programs import VARIABLE, KeptProgramsWarning, keep_programs
 
 pytestmark = [
-    pytest.mark.bits,
+    pytest.mark.as_used,
     pytest.mark.skipif(not hasattr(os, "getuid"), reason="no owners and modes of files here"),
 ]
 

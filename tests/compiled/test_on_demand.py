@@ -7,7 +7,7 @@ import pytest
 
 from keepout.compiled.on_demand import GROUP, where_needed
 
-pytestmark = pytest.mark.bits
+pytestmark = pytest.mark.as_used
 
 
 def wave(shared, x, y):

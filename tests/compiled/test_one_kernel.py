@@ -7,7 +7,7 @@ import pytest
 
 from keepout.compiled.one_kernel import compiled
 
-pytestmark = pytest.mark.bits
+pytestmark = pytest.mark.as_used
 
 X = np.random.default_rng(0).normal(size=12)
 MATRIX = 3.0 * np.eye(4) + 0.1

@@ -25,6 +25,8 @@ from keepout.flight.record import FlightRecord
 from keepout.geometry.target import Target
 from keepout.mission.epoch import parse_instant
 
+pytestmark = pytest.mark.as_used
+
 
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory):

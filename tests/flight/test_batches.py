@@ -80,7 +80,7 @@ def test_a_campaign_is_its_single_flights(campaign):
             np.testing.assert_allclose(getattr(result, name)[index], getattr(alone, name), rtol=1e-9, err_msg=name)
 
 
-@pytest.mark.bits
+@pytest.mark.as_used
 @pytest.mark.long
 def test_flown_in_parts_or_alone_each_flight_is_the_same_to_the_bit(campaign):
     setup, states, _, whole = campaign

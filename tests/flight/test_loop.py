@@ -122,7 +122,7 @@ def segments(setup, lengths, **options):
     return state, joined(logs)
 
 
-@pytest.mark.bits
+@pytest.mark.as_used
 @pytest.mark.long
 def test_segments_joined_are_one_flight_to_the_bit(flown):
     setup, whole = flown

@@ -10,6 +10,8 @@ from keepout.inspecting.tour import Tour
 from keepout.mission.environment import relative_motion
 from keepout.mission.scenario import Scenario
 
+pytestmark = pytest.mark.as_used
+
 RADIUS = 5.0
 FAR, LOW = 42_164_000.0, 6_878_000.0
 """Semi-major axes, m."""
@@ -77,9 +79,8 @@ def test_a_tour_is_slowed_where_it_must_be_and_goes_round_what_it_may_not_fly_to
     """Past the ball, down to it too near, down to it near enough to be slow, and away."""
     found = judge(200.0)
     tour = Tour(np.arange(1, 5), np.array([140.0, 180.0, 200.0, 350.0]), 0.0, 360.0, 0.0)
-    left, courses, speeds, told = kept_safe(
-        found, tour, lambda a, b: PLACES[[a, b]], lambda a, b: 0.0, begin=0.0, dwell=0.0
-    )
+    way = (lambda a, b: PLACES[[a, b]]), (lambda a, b: 0.0)
+    left, courses, speeds, told = kept_safe(found, tour, *way, begin=0.0, dwell=0.0)
     assert left.order.tolist() == [1, 3, 4]
     assert (told.legs, told.safe, told.slowed, told.views_left_out) == (4, 3, 1, 1)
     assert [course[0].tolist() for course in courses] == [PLACES[row].tolist() for row in (0, 1, 3)]
@@ -92,9 +93,6 @@ def test_a_tour_is_slowed_where_it_must_be_and_goes_round_what_it_may_not_fly_to
     assert late[1] == pytest.approx(1.5 / speeds[1] - 15.0, abs=1.5 * 60.0)
     assert late[1] > 0.0
     assert left.end - tour.end == pytest.approx(late[2])
-    same, _, fastest, nothing = kept_safe(
-        None, tour, lambda a, b: PLACES[[a, b]], lambda a, b: 0.0, begin=0.0, dwell=0.0
-    )
-    assert same is tour
-    assert nothing is None
+    same, _, fastest, nothing = kept_safe(None, tour, *way, begin=0.0, dwell=0.0)
+    assert (same, nothing) == (tour, None)
     assert np.all(np.isinf(fastest))

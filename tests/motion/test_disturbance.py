@@ -89,7 +89,7 @@ def test_a_phase_moves_every_sinusoid_and_the_square_wave_by_its_part_of_a_perio
     assert wave.bound == SquareWaveDisturbance([0.02, 0.0, -0.01], period=10.0).bound
 
 
-@pytest.mark.bits
+@pytest.mark.as_used
 def test_phase_zero_leaves_every_bit():
     noise = band_limited_noise(jax.random.key(3), 0.01, 0.02, (0.05, 0.2))
     for one in (paper_disturbance(), resonant([0.0, 0.03, 0.0], control_period=2.0), noise):

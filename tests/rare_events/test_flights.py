@@ -106,7 +106,7 @@ def test_a_tape_without_errors_is_the_flight_without_faults():
     assert np.allclose(flight.record.force, log.force, atol=1e-9)
 
 
-@pytest.mark.bits
+@pytest.mark.as_used
 @pytest.mark.long
 def test_the_clearance_is_the_audits_and_knows_no_company(flown):
     tapes = np.random.default_rng(2).standard_normal((140, flown.tape.numbers))

@@ -30,6 +30,8 @@ from keepout.replay.packing import Packing
 from keepout.replay.surfaces import drawn_surface
 from keepout.report.replay_view import write_replay
 
+pytestmark = pytest.mark.as_used
+
 
 @pytest.fixture(scope="module")
 def box():

@@ -18,6 +18,8 @@ from keepout.errors import ScenarioError
 from keepout.report.campaign_page import PLACE, replay_command, report_campaign
 from keepout.report.comparison_page import compare_campaigns
 
+pytestmark = pytest.mark.as_used
+
 FIGURES = ("distributions", "bands", "influences")
 TABLES = ("rates", "quantiles", "distributions", "bands", "influences", "scatter", "worst", "refused")
 
