@@ -14,7 +14,7 @@ from keepout.exploring.cells import CLOSE, EXPLAINED, FREE, NEARBY, SURFACE, UNK
 from keepout.exploring.frontier import frontier
 from keepout.exploring.lattice import FAR, shortest, walk_back
 from keepout.exploring.reachable import distance_at, reachable
-from keepout.exploring.sight import UP, inside, panoramas, sphere
+from keepout.exploring.sight import UP, panoramas, sphere
 from keepout.exploring.tried import PATIENCE, Tried
 from keepout.mapping import KnownFreeMap, Pinhole, SensorBounds, View
 from keepout.sensing.depth import DepthCamera, axes_towards
@@ -30,51 +30,22 @@ def world():
     return ((offset**2).sum(axis=0) <= 144.0).astype(np.uint8) * 3
 
 
-def opened(codes, passes=FULL, worth=FULL, rays=4000, **lengths):
-    """What all rays from a place 26 from the middle are expected to open, in cells."""
-    return panoramas(codes, worth, passes, np.array([[30.0, 30.0, 4.0]]), sphere(rays), **LENGTHS | lengths).sum()
-
-
 def test_all_rays_together_open_the_volume_of_an_unknown_ball():
-    assert opened(world(), rays=20_000) == pytest.approx(4.0 / 3.0 * math.pi * 12.0**3, rel=0.03)
-
-
-def test_nothing_is_opened_behind_a_surface_and_less_behind_doubtful_cells():
-    codes, worth = world(), FULL.copy()
-    codes[:, :, :17][codes[:, :, :17] == 3] = 0
-    codes[:, :, 16] = 1  # a wall through all the room
-    worth[1] = 0.0
-
-    def behind(share):
-        passes = FULL.copy()
-        passes[1] = share
-        return opened(codes, passes, worth)
-
-    assert behind(0.0) == 0.0
-    assert behind(0.5) == pytest.approx(0.5 * behind(1.0), rel=0.05)  # slanting rays may cross two cells of the wall
-    assert behind(0.5) > 0.0
-
-
-def test_where_no_return_says_nothing_only_rays_that_return_open_anything():
-    codes, passes = world(), FULL.copy()
-    passes[9] = 0.0
-    assert opened(codes, passes, empty=0.0) == 0.0
-    codes[:, :, 50] = 9
-    assert opened(codes, passes, empty=0.0) == pytest.approx(opened(codes, passes), rel=1e-6)
-
-
-def test_rays_of_an_image_fill_its_solid_angle():
-    directions = sphere(7)
-    rays = sphere(40_000)
-    images = inside(CAMERA, np.stack([axes_towards(one, UP) for one in directions]), rays, 0.0)
-    a, b = math.tan(math.radians(30.0)), 0.75 * math.tan(math.radians(30.0))
-    solid = 4.0 * math.asin(a * b / math.sqrt((1.0 + a * a) * (1.0 + b * b)))
-    assert images.mean(axis=1) * 4.0 * math.pi == pytest.approx(solid, rel=0.03)
-    assert (inside(CAMERA, np.stack([axes_towards(one, UP) for one in directions]), rays, 0.1) <= images).all()
+    found = panoramas(world(), FULL, FULL, np.array([[30.0, 30.0, 4.0]]), sphere(20_000), **LENGTHS)
+    assert found.sum() == pytest.approx(4.0 / 3.0 * math.pi * 12.0**3, rel=0.03)
 
 
 def begun(radius=1.5, **bounds):
     return KnownFreeMap.begin(np.zeros(3), radius, bounds=SensorBounds(**bounds), name="test")
+
+
+BLIND = np.full(CAMERA.shape, np.nan)
+
+
+def view_at(position, ranges):
+    """A view of the middle from a place."""
+    position = np.array(position, dtype=float)
+    return View(CAMERA, position, axes_towards(-position, UP), ranges, 0.0)
 
 
 def test_cells_and_frontier_are_what_brute_force_says():
@@ -106,13 +77,11 @@ def test_cells_and_frontier_are_what_brute_force_says():
 
 
 def test_a_cell_that_stays_closed_is_given_up_after_views_from_different_directions_only():
-    known, camera = begun(), CAMERA
+    known = begun()
     tried = Tried.nothing(known)
-    blind = np.full(camera.shape, np.nan)
 
     def look(position):
-        position = np.asarray(position, dtype=float)
-        tried.note(known, View(camera, position, axes_towards(-position, UP), blind, 0.0))
+        tried.note(known, view_at(position, BLIND))
 
     look([2.6, 0.0, 0.0])
     once = tried.failures.copy()
@@ -131,10 +100,9 @@ def test_the_memory_of_views_can_be_made_again_from_the_map():
     known = begun()
     tried = Tried.nothing(known)
     for position in ([2.6, 0.0, 0.0], [0.0, 2.6, 0.0], [0.0, 0.3, 2.6]):
-        position = np.array(position)
         ranges = np.full(CAMERA.shape, np.inf)
         ranges[:, :30] = np.nan
-        view = View(CAMERA, position, axes_towards(-position, UP), ranges, 0.0)
+        view = view_at(position, ranges)
         assert known.see(view).opened > 0
         tried.note(known, view)
     again = Tried.of_map(known, CAMERA)
@@ -224,10 +192,13 @@ def next_of(known, goal=None, tried=None, position=OUTSIDE, **options):
     return choose(known, position, goal, CAMERA, tried or Tried.nothing(known), keep=APART, **options)
 
 
-def test_a_goal_in_known_free_room_is_flown_to():
+def test_a_goal_in_known_free_room_is_flown_to_and_no_way_leads_from_too_near_to_unknown_room():
     answer = next_of(begun(), np.array([-2.6, 0.0, 0.0]))
     assert answer.is_goal
     assert np.array_equal(answer.position, [-2.6, 0.0, 0.0])
+    answer = next_of(begun(), position=np.zeros(3))
+    assert isinstance(answer, Ended)
+    assert answer.outcome == "no way known"
 
 
 def test_the_first_view_looks_at_the_ball_from_room_that_keeps_the_distance_and_is_the_same_again():
@@ -242,13 +213,6 @@ def test_the_first_view_looks_at_the_ball_from_room_that_keeps_the_distance_and_
         again = next_of(known, goal, position=np.array([5.3, 0.0, 0.0]))
         assert np.array_equal(answer.position, again.position)
         assert np.array_equal(answer.direction, again.direction)
-
-
-def test_a_chaser_that_is_too_near_to_unknown_room_is_told_so():
-    answer = next_of(begun(), position=np.zeros(3))
-    assert isinstance(answer, Ended)
-    assert answer.outcome == "no way known"
-    assert "0.50 m" in answer.why
 
 
 def test_a_goal_too_near_to_the_seen_surface_ends_at_once_and_one_farther_does_not():
@@ -268,18 +232,16 @@ def test_views_that_open_nothing_are_not_taken_again_and_come_to_an_end(goal):
     known = begun(0.5)
     tried = Tried.nothing(known)
     position, before = np.array([2.0, 0.0, 0.0]), []
-    blind = np.full(CAMERA.shape, np.nan)
     for count in range(60):
         answer = next_of(known, goal, tried, position, seed=count)
         if isinstance(answer, Ended):
             break
         for place, direction in before:
-            assert np.linalg.norm(answer.position - place) >= 0.3 or answer.direction @ direction < math.cos(
-                math.radians(10)
-            )
+            turned = answer.direction @ direction < math.cos(math.radians(10))
+            assert turned or np.linalg.norm(answer.position - place) >= 0.3
         position = answer.position
         before.append((position, answer.direction))
-        view = View(CAMERA, position, axes_towards(answer.direction, UP), blind, 0.0)
+        view = View(CAMERA, position, axes_towards(answer.direction, UP), BLIND, 0.0)
         assert known.see(view).opened == 0
         tried.note(known, view)
     assert isinstance(answer, Ended)
@@ -289,13 +251,10 @@ def test_views_that_open_nothing_are_not_taken_again_and_come_to_an_end(goal):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    "name", ["plates", *(pytest.param(name, marks=pytest.mark.slow) for name in ("ball", "pocket"))]
-)
-def test_exploring_all_round_connects_goals_that_flying_around_does_not(name):
-    mesh = explore_views.solid(name)
+def test_exploring_all_round_connects_goals_that_flying_around_does_not():
+    mesh = explore_views.solid("plates")
     goals = explore_views.goals_near(mesh, 60, 5)
-    run = explore_views.Jumping(mesh, name, DepthCamera(), APART, 1)
+    run = explore_views.Jumping(mesh, "plates", DepthCamera(), APART, 1)
     row = explore_views.all_round(run, goals, 40)
     assert row["connected"]["40"] >= 0.97
     assert row["outcome"] in ("everything reachable seen", None)

@@ -89,21 +89,6 @@ def test_the_floor_of_a_well_is_seen_while_the_range_reaches_it(depth, verdict):
     assert (found.why[floor] == (Hidden.NARROW if verdict == Verdict.HIDDEN else Hidden.NOT)).all()
 
 
-def test_a_plate_behind_a_hole_narrower_than_its_patches_is_hidden():
-    # Through a slit of 0.2 m, 0.2 m before it, no patch of 0.8 m is wholly seen, and each of 0.05 m below the slit is.
-    plates = [((-0.8, -0.8, 0), (1.6, 0, 0), (0, 1.6, 0)), ((-0.8, -0.8, 0.2), (0.7, 0, 0), (0, 1.6, 0))]
-    plates += [((0.1, -0.8, 0.2), (0.7, 0, 0), (0, 1.6, 0))]
-    target = rectangles(*plates)
-    middle = np.array([0.0, 0.0, 0.0])
-    for size, verdict in ((0.8, Verdict.HIDDEN), (0.05, Verdict.SEEABLE)):
-        found = judged(target, size, 1.5)
-        patches = found.patches
-        near = np.repeat(np.linalg.norm(patches.centres - middle, axis=1) < 0.75 * size, 2)
-        near &= patches.unit_normals()[:, 2] > 0.5
-        assert near.any()
-        assert (found.verdict[near] == verdict).all()
-
-
 def test_no_place_around_the_pocket_sees_what_is_called_hidden():
     target = Target.load("pocket")
     found = judged(target, 0.5, 1.0, both=False)
