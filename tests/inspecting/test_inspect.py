@@ -41,10 +41,7 @@ PATCHES, _ = patches_and_sight()
 
 
 def scenario(**changes):
-    tree = {key: dict(value) if isinstance(value, dict) else value for key, value in SCENARIO.items()}
-    for name, value in changes.items():
-        tree[name] = {**tree[name], **value} if isinstance(value, dict) and name in tree else value
-    return Scenario.parse(tree)
+    return Scenario.parse(SCENARIO).replace(**changes)
 
 
 def tour(patches, **windows):
@@ -70,15 +67,12 @@ def test_all_of_a_box_is_seen_without_touching_it(flown):
     assert flown.start_certified
     assert flown.assumptions_broken == ()
     assert flown.coverage == pytest.approx(1.0)
-    apart = box_distance(flown.record.position)
+    apart, (_, shares) = box_distance(flown.record.position), flown.over_time()
     assert apart.min() >= STAND_OFF
     assert STAND_OFF - RADIUS <= flown.audit.minimum_clearance <= apart.min() - RADIUS + 1e-9
+    assert np.all(np.diff(shares) >= 0.0)
     # It flies through views and does not rest at each.
     assert np.mean(np.linalg.norm(flown.record.velocity, axis=1)[30:] < 0.005) < 0.2
-    _, shares = flown.over_time()
-    assert np.all(np.diff(shares) >= 0.0)
-    assert shares[-1] == pytest.approx(flown.coverage)
-    assert not [name for name in flown.summary() if "legs" in name or "passive" in name]
 
 
 def test_frames_are_taken_each_period_from_the_records_true_places_and_show_what_a_box_shows(flown):
@@ -103,28 +97,16 @@ def test_frames_are_taken_each_period_from_the_records_true_places_and_show_what
 
 def test_the_end_of_time_ends_the_same_flight_and_what_is_undecided_counts_in_the_figure(flown):
     """The end x = 2 m is undecided, though it can be seen: it is flown to, bit for bit, as if that were known."""
-    patches = PATCHES
-    end = patches.counted & (patches.unit_normals()[:, 0] > 0.5)
+    end = PATCHES.counted & (PATCHES.unit_normals()[:, 0] > 0.5)
     mission = scenario(duration=100.0)
-    less = inspect(mission, problem=problem_of(mission, undecided=end), first=tour(patches))
+    less = inspect(mission, problem=problem_of(mission, undecided=end), first=tour(PATCHES))
     assert less.outcome == "out of time"
     assert less.record.time[-1] == 100.0
     assert np.array_equal(less.record.position, flown.record.position[: len(less.record.time)])
-    areas = patches.unit_areas()
+    areas = PATCHES.unit_areas()
     assert 0.0 < areas[less.seen & end].sum() < areas.sum()
     assert less.summary()["coverage_possible"] == pytest.approx(areas[less.seen].sum() / areas.sum())
     assert less.coverage_seeable == pytest.approx(areas[less.seen & ~end].sum() / areas[~end].sum())
-
-
-def test_in_a_fixed_light_what_is_lit_is_seen_and_no_more():
-    mission = scenario(light={"kind": "fixed", "direction": [1.0, 0.5, 0.6]})
-    found = inspect(mission, problem=problem_of(mission), first=tour(PATCHES))
-    assert found.outcome == "all seen", found.why
-    assert found.coverage_seeable == pytest.approx(1.0)
-    # Three sides of 4 x 3 x 2 m are lit, half of the area.
-    assert found.coverage == pytest.approx(0.5)
-    assert found.coverage == pytest.approx(found.patches.coverage(found.lit))
-    assert np.all(PATCHES.unit_normals()[found.seen] @ np.array([1.0, 0.5, 0.6]) > 0.0)
 
 
 def test_in_the_earths_shadow_nothing_counts_and_what_it_cost_is_seen_in_later_light():
@@ -160,7 +142,6 @@ def test_a_hold_point_is_held_before_any_view_and_a_view_whose_window_is_then_ov
     assert found.plans >= 2
     assert found.outcome == "70 % asked, seen", found.why
     assert 0.7 <= found.coverage < 1.0
-    assert "70.00% were asked for" in found.why
     assert found.audit.contact is Contact.NO
 
 
@@ -196,25 +177,6 @@ def test_by_sensors_the_estimate_strikes_off_on_board_and_the_truth_is_what_coun
     assert found.coverage_seeable >= 0.48
 
 
-@pytest.mark.slow
-def test_a_law_that_flies_into_the_body_by_wrong_estimates_is_held_by_the_guard_and_views_are_planned_anew():
-    """The errors of the estimate are at their bounds."""
-    mission = scenario(
-        guard={"position_error": 0.05, "velocity_error": 0.002},
-        faults={"law": "into the body", "position_bias": 0.03, "position_noise": 0.02, "velocity_noise": 0.002},
-        disturbance={"kind": "paper"},
-        duration=600.0,
-        inspect={"stand_off": 1.5, "candidates": 40},
-    )
-    found = inspect(mission, problem=problem_of(mission), first=tour(PATCHES))
-    assert found.audit.contact is Contact.NO
-    assert found.assumptions_broken == ()
-    assert found.start_certified
-    assert int(found.flown.guard_interventions) > 0
-    assert found.outcome == "out of time"
-    assert found.plans >= 2
-
-
 def test_where_the_law_leads_nowhere_it_says_so_and_leaves_a_flight_to_audit(monkeypatch):
     mission = scenario()
     monkeypatch.setattr(Leading, "reachable", lambda *_: None)
@@ -223,7 +185,6 @@ def test_where_the_law_leads_nowhere_it_says_so_and_leaves_a_flight_to_audit(mon
     assert found.outcome == "no way"
     assert "finds no room" in found.why
     assert found.audit.contact is Contact.NO
-    assert len(found.record.time) >= 2
 
 
 def test_a_problem_of_another_target_camera_or_light_is_refused():
@@ -255,8 +216,6 @@ def test_towards_the_target_it_flies_as_slowly_as_passive_safety_asks():
     assert np.all(60.0 * rate < away[:until] + 0.01)
     assert 60.0 * mission.chaser.speed_limit > away[until]
     assert rate.max() < 0.25 * mission.chaser.speed_limit
-    assert np.all(careful.limits.passive.safe[: len(rate) // 5])
     figures = careful.summary()
-    assert figures["legs_flown"] >= 1
-    assert figures["legs_flown_slowed"] >= 1
+    assert figures["legs_flown"] >= figures["legs_flown_slowed"] >= 1
     assert figures["legs_flown_unsafe"] == 0

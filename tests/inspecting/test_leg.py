@@ -20,7 +20,7 @@ def wanted(share=1.0):
 
 
 VIEW = {"place": np.zeros(3), "boresight": AHEAD, "units": np.array([0, 2])}
-NOTHING = np.zeros(0, int)
+PLACE = {"units": np.zeros(0, int)}
 
 
 @pytest.mark.parametrize(
@@ -34,29 +34,17 @@ NOTHING = np.zeros(0, int)
         ({}, [], {389.0: None, 391.0: Lost.LATE}),
         ({"held_up": 3}, [], {389.0: None, 391.0: Lost.GUARD}),
         # Before its window it waits, and after it is lost to the light.
-        (
-            {"window": (100.0, 200.0)},
-            [(t, 0.0, 0) for t in np.arange(5.0, 100.0, 5.0)],
-            {95.0: None, 201.0: Lost.LIGHT},
-        ),
+        ({"window": (100.0, 200.0)}, [(t, 0.0, 0) for t in np.arange(5.0, 99.0, 5.0)], {95.0: None, 201.0: Lost.LIGHT}),
         # After its window it goes on while it shows more; what of it is lit is asked for again.
         (
             {"window": (0.0, 10.0)},
-            [(15.0, 0.0, 1), (20.0, 0.0, 0), (25.0, 0.0, 0), (30.0, 0.0, 0)],
+            [(15.0, 0.0, 1), *((t, 0.0, 0) for t in (20.0, 25.0, 30.0))],
             {15.0: Lost.LIGHT, 30.0: Lost.NOT},
         ),
         # Leaving the place begins the stay again.
-        (
-            {"stay": 30.0, "units": NOTHING},
-            [(10.0, 0.0, 0), (20.0, 1.0, 0), (25.0, 0.0, 0)],
-            {45.0: None, 55.0: Lost.NOT},
-        ),
+        (PLACE | {"stay": 30.0}, [(10.0, 0.0, 0), (20.0, 1.0, 0), (25.0, 0.0, 0)], {45.0: None, 55.0: Lost.NOT}),
         # A hold point is held for its seconds from when it is reached.
-        (
-            {"boresight": None, "units": NOTHING, "stay": 60.0},
-            [(30.0, 2.0, 0), (40.0, 0.0, 0)],
-            {99.0: None, 100.0: Lost.NOT},
-        ),
+        (PLACE | {"boresight": None, "stay": 60.0}, [(30.0, 2.0, 0), (40.0, 0.0, 0)], {99.0: None, 100.0: Lost.NOT}),
     ],
 )
 def test_when_a_view_is_over_and_why(options, frames, ended):

@@ -74,11 +74,10 @@ def test_a_box_is_reached_where_one_of_many_points_of_it_is(seed):
             assert not reached
 
 
-def record(position, force, period=1.0):
+def record(position, force):
     """A record of a chaser that does not move within a step."""
-    rows = len(position)
     columns = {"position": np.asarray(position, float), "force": np.asarray(force, float)}
-    return Invented(Scenario(), {}, time=period * np.arange(rows), **columns).record
+    return Invented(Scenario(), {}, time=np.arange(float(len(position))), **columns).record
 
 
 def test_only_a_push_whose_plume_reaches_the_part_is_a_violation():
@@ -119,14 +118,11 @@ SECOND = HoldPointEntry(position=(0.0, 5.0, 0.0), seconds=5.0)
 AWAY = (9.0, 9.0, 9.0)
 
 
-def test_points_held_in_their_order_are_kept():
+def test_points_are_kept_that_are_held_in_their_order_and_long_enough():
     flight = stays((AWAY, 3), (FIRST.position, 11), (AWAY, 4), (SECOND.position, 8))
     first, second = holds(flight, (FIRST, SECOND), 0.1)
     assert (first.begun, first.lasted, first.kept) == (3.0, 10.0, True)
     assert (second.begun, second.lasted, second.kept) == (18.0, 7.0, True)
-
-
-def test_points_held_in_the_wrong_order_too_short_or_never_are_not_kept():
     wrong = stays((SECOND.position, 8), (FIRST.position, 12))
     assert [hold.kept for hold in holds(wrong, (FIRST, SECOND), 0.1)] == [True, False]
     short = stays((FIRST.position, 10), (AWAY, 1), (FIRST.position, 4))
@@ -134,7 +130,10 @@ def test_points_held_in_the_wrong_order_too_short_or_never_are_not_kept():
     assert (hold.kept, hold.begun, hold.lasted) == (False, 0.0, 9.0)
     (hold,) = holds(stays((AWAY, 20)), (FIRST,), 0.1)
     assert not hold.kept
-    assert np.isnan(hold.begun)
+
+
+def norms(points):
+    return np.linalg.norm(points, axis=-1)
 
 
 def test_the_judgement_of_a_flight_names_what_was_asked_for_and_no_more():
@@ -144,11 +143,10 @@ def test_the_judgement_of_a_flight_names_what_was_asked_for_and_no_more():
     def judged(case, distance):
         return limits_kept(Scenario.model_validate(case), flight, distance, every=10)
 
-    free = judged({}, lambda points: np.linalg.norm(points, axis=-1))
-    assert free.summary() == {"limits_kept": True}
+    assert judged({}, norms).summary() == {"limits_kept": True}
     hold, part = {"position": FIRST.position, "seconds": 10.0}, {"lower": [-1, -1, -1], "upper": [1, 1, 1]}
     asked = {"inspect": {"hold_points": [hold], "no_thrust_towards": [part], "passive_safety": 60.0}}
-    found = judged(asked, lambda points: np.linalg.norm(points, axis=-1)).summary()
+    found = judged(asked, norms).summary()
     assert (found["limits_kept"], found["holds"], found["holds_kept"], found["plume_steps"]) == (True, 1, 1, 0)
     assert found["passive_safe_share"] == 1.0
     assert found["passive_pushed_spread_m"] > found["passive_spread_m"] == 0.0
@@ -176,11 +174,8 @@ def asked(centre, own=CORNERS, radius=0.3, **inspect):
 
 def pushing(case, force):
     """Judge one step at `APART` in which a force was commanded and given."""
-    columns = {
-        "position": np.tile(APART, (2, 1)),
-        "force": np.tile(force, (2, 1)),
-        "guarded_force": np.tile(force, (2, 1)),
-    }
+    place, given = np.tile(APART, (2, 1)), np.tile(force, (2, 1))
+    columns = {"position": place, "force": given, "guarded_force": given}
     record = Invented(case, {}, time=np.arange(2.0), **columns).record
     return bool(plume_violations(record, Protected.of(case), case)[0])
 

@@ -16,17 +16,9 @@ def legs_between(places, *, turns=None, windows=None, dwell=0.0, speed=0.1, acce
     apart = places[None] - places[:, None]
     lengths = np.linalg.norm(apart, axis=2)
     leave = apart / np.maximum(lengths, 1e-12)[..., None]
-    count = len(places)
-    return Legs(
-        lengths,
-        leave,
-        np.zeros((count, count)) if turns is None else turns,
-        speed,
-        acceleration,
-        dwell,
-        0.0,
-        waits_never(count) if windows is None else windows,
-    )
+    turns = np.zeros_like(lengths) if turns is None else turns
+    windows = waits_never(len(places)) if windows is None else windows
+    return Legs(lengths, leave, turns, speed, acceleration, dwell, 0.0, windows)
 
 
 SQUARE = np.array([[0.0, 0, 0], [10.0, 0, 0], [10.0, 10.0, 0]])
@@ -70,9 +62,16 @@ def test_a_turn_from_rest_to_rest():
     angle = 0.5 * rate**2 / acceleration
     other = np.array([[math.cos(angle), math.sin(angle), 0.0]])
     # Half of the way at full acceleration, half at full deceleration.
-    assert turning_time(axis[:1], other, rate, acceleration)[0, 0] == pytest.approx(
-        2.0 * math.sqrt(angle / acceleration)
-    )
+    short = turning_time(axis[:1], other, rate, acceleration)[0, 0]
+    assert short == pytest.approx(2.0 * math.sqrt(angle / acceleration))
+
+
+def legs_among(seed, count, **numbers):
+    """Give places at random, and boresights; the ways are straight."""
+    generator = np.random.default_rng(seed)
+    places, boresights = generator.uniform(-10.0, 10.0, (count, 3)), generator.normal(size=(count, 3))
+    boresights /= np.linalg.norm(boresights, axis=1, keepdims=True)
+    return legs_between(places, turns=turning_time(boresights, boresights, math.radians(1.0), 0.002), **numbers)
 
 
 @pytest.mark.parametrize("objective", ["time", "delta_v", "both"])
@@ -88,26 +87,10 @@ def test_of_all_orders_the_best_is_found(objective, lit):
         return value(tour) + 1e7 * np.isinf(tour.times).sum()
 
     for seed in range(2):
-        generator = np.random.default_rng(seed)
-        places = generator.uniform(-10.0, 10.0, (7, 3))
-        boresights = generator.normal(size=(7, 3))
-        boresights /= np.linalg.norm(boresights, axis=1, keepdims=True)
-        begins = generator.uniform(0.0, 800.0, (7, 1, 1))
-        legs = legs_between(
-            places,
-            turns=turning_time(boresights, boresights, math.radians(1.0), 0.002),
-            windows=np.concatenate([begins, begins + 500.0], axis=2) if lit else None,
-        )
+        begins = np.random.default_rng(seed).uniform(0.0, 800.0, (7, 1, 1))
+        legs = legs_among(seed, 7, windows=np.concatenate([begins, begins + 500.0], axis=2) if lit else None)
         best = min(cost(flown(legs, np.array(order))) for order in itertools.permutations(range(1, 7)))
         assert cost(best_tour(legs, objective)) == pytest.approx(best)
-
-
-def legs_among(seed, count, dwell=0.0):
-    """Give places at random, and boresights; the ways are straight."""
-    generator = np.random.default_rng(seed)
-    places, boresights = generator.uniform(-10.0, 10.0, (count, 3)), generator.normal(size=(count, 3))
-    boresights /= np.linalg.norm(boresights, axis=1, keepdims=True)
-    return legs_between(places, turns=turning_time(boresights, boresights, math.radians(1.0), 0.002), dwell=dwell)
 
 
 def terms(legs):
