@@ -34,6 +34,13 @@ EVENTS = {
     "/jax/core/compile/backend_compile_duration": "compiling",
 }
 
+_BY_FILE = ("-n", "2", "--dist", "loadfile", "--no-loadscope-reorder")
+MAKE_TEST = (
+    (("-m", "as_used and not slow", *_BY_FILE), {"XLA_FLAGS": ""}),
+    (("-m", "not slow and not as_used", *_BY_FILE), {}),
+)
+"""What `make test` runs: options of pytest, and what is set in its environment."""
+
 
 class Meter:
     """What this process has used so far, in seconds."""
@@ -184,9 +191,9 @@ def main(arguments: list[str]) -> int:
             "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
             "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "0",
         }
-        arguments = arguments or ["-m", "not slow", "-n", "2", "--dist", "loadfile", "--no-loadscope-reorder"]
-        begun = time.perf_counter()
-        code = subprocess.run([sys.executable, "-m", "pytest", *arguments], env=environment).returncode
+        begun, code = time.perf_counter(), 0
+        for given, flags in [(arguments, {})] if arguments else MAKE_TEST:
+            code |= subprocess.run([sys.executable, "-m", "pytest", *given], env=environment | flags).returncode
         clock = time.perf_counter() - begun
         lines = measured(folder)
         distinct = len(list(Path(environment["JAX_COMPILATION_CACHE_DIR"]).glob("*-cache")))
