@@ -21,6 +21,7 @@ from keepout.control.guidance.plan import Geodesic, Straight
 from keepout.control.law import ControlStatus
 from keepout.control.observer import constant_observer
 from keepout.control.tuning import tune
+from keepout.control.velocity import SpeedCone
 from keepout.errors import ControlError
 from keepout.fields.analytic import BoxUnionField
 from keepout.geometry.distance import ExactDistance
@@ -258,3 +259,10 @@ def test_tuning_of_the_papers_case_is_the_prototypes():
     assert found.braking == pytest.approx(0.002, rel=0.01)
     assert (found.tracking_gain, found.class_k_rate) == (1.0, 0.08)
     assert found.honoured_speed == pytest.approx(np.sqrt(2 * 0.004 * 3.0), rel=0.01)
+
+
+@pytest.mark.parametrize("barrier", [-1.0, 0.0, 0.3, 9.0])
+def test_at_the_speed_limit_it_can_stop_within_what_is_left(barrier):
+    limit = SpeedCone(*map(jnp.asarray, (0.1, 0.004, 0.02)))
+    braked = float(limit(jnp.asarray(barrier))) ** 2 / (2.0 * 0.004)
+    assert braked == pytest.approx(min(max(barrier, 0.0) + 0.02, 0.1**2 / (2.0 * 0.004)))
