@@ -14,25 +14,12 @@ from keepout.exploring.cells import CLOSE, EXPLAINED, FREE, NEARBY, SURFACE, UNK
 from keepout.exploring.frontier import frontier
 from keepout.exploring.lattice import FAR, shortest, walk_back
 from keepout.exploring.reachable import distance_at, reachable
-from keepout.exploring.sight import UP, panoramas, sphere
+from keepout.exploring.sight import UP
 from keepout.exploring.tried import PATIENCE, Tried
 from keepout.mapping import KnownFreeMap, Pinhole, SensorBounds, View
 from keepout.sensing.depth import DepthCamera, axes_towards
 
 CAMERA = Pinhole(80, 60, math.radians(60.0))
-FULL = np.ones(256, dtype=np.float32)
-LENGTHS = {"bins": np.array([1.0, 20.0, 30.0]), "farthest": 55.0, "empty": 55.0}
-
-
-def world():
-    """Make cells of which an unknown ball of radius 12 fills the middle, 30 from the corner."""
-    offset = np.indices((60, 60, 60)) + 0.5 - 30.0
-    return ((offset**2).sum(axis=0) <= 144.0).astype(np.uint8) * 3
-
-
-def test_all_rays_together_open_the_volume_of_an_unknown_ball():
-    found = panoramas(world(), FULL, FULL, np.array([[30.0, 30.0, 4.0]]), sphere(20_000), **LENGTHS)
-    assert found.sum() == pytest.approx(4.0 / 3.0 * math.pi * 12.0**3, rel=0.03)
 
 
 def begun(radius=1.5, **bounds):

@@ -65,13 +65,6 @@ def test_no_drift_from_anywhere_on_a_leg_at_its_speed_touches_the_ball(axis):
             assert np.all(ball(path).min(axis=1) > found.scenario.chaser.radius)
 
 
-def test_a_leg_that_goes_nowhere_asks_for_rest_alone():
-    found = judge(300.0)
-    still = [np.tile([8.0, 0.0, 0.0], (2, 1)), np.tile([5.45, 0.0, 0.0], (2, 1))]
-    assert found.speeds(still, np.zeros((2, 2))).tolist() == [found.scenario.chaser.speed_limit, 0.0]
-    assert found.at_rest(np.array([[8.0, 0.0, 0.0], [5.45, 0.0, 0.0]]), 0.0).tolist() == [True, False]
-
-
 PLACES = np.array([[14.0, 9.0, 0.0], [0.0, 9.0, 0.0], [0.0, 5.6, 0.0], [0.0, 7.5, 0.0], [-14.0, 9.0, 0.0]])
 
 

@@ -14,7 +14,6 @@ from keepout.errors import InspectionError
 from keepout.geometry.target import Target
 from keepout.inspecting.frames import Camera
 from keepout.inspecting.inspect import inspect
-from keepout.inspecting.leading import Leading
 from keepout.inspecting.plan import InspectionPlan, PlannedView
 from keepout.mission.light import Light
 from keepout.mission.scenario import Scenario
@@ -175,16 +174,6 @@ def test_by_sensors_the_estimate_strikes_off_on_board_and_the_truth_is_what_coun
     assert f"{reached[-1]:.2%} of what is not proved hidden was taken" in found.why
     assert differing > 0
     assert found.coverage_seeable >= 0.48
-
-
-def test_where_the_law_leads_nowhere_it_says_so_and_leaves_a_flight_to_audit(monkeypatch):
-    mission = scenario()
-    monkeypatch.setattr(Leading, "reachable", lambda *_: None)
-    monkeypatch.setattr("keepout.inspecting.views_ahead.plan", lambda *_, **__: tour(PATCHES))
-    found = inspect(mission, problem=problem_of(mission), first=tour(PATCHES))
-    assert found.outcome == "no way"
-    assert "finds no room" in found.why
-    assert found.audit.contact is Contact.NO
 
 
 def test_a_problem_of_another_target_camera_or_light_is_refused():

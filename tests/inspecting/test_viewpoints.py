@@ -69,15 +69,6 @@ def test_few_directions_show_all_that_is_visible():
     assert len(chosen) <= 8
 
 
-def test_a_unit_as_wide_as_the_cone_is_looked_straight_at():
-    direction = np.array([[0.3, -0.5, 0.8]]) / math.sqrt(0.98)
-    half = math.radians(30.0)
-    seen = Visible(np.array([0]), direction, np.array([half * 0.99999]))
-    chosen, units = boresights_of(seen, np.ones(1), np.zeros(1, dtype=np.int64), half)
-    assert units[0].tolist() == [0]
-    assert np.allclose(chosen, direction)
-
-
 def test_the_planned_direction_stays_while_it_shows_all_and_gives_way_where_another_does():
     place, planned = np.zeros(3), np.array([0.0, 0.0, 1.0])
     within = np.array([[0.5, 0.0, 2.0], [-0.5, 0.0, 2.0]])

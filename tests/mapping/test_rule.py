@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from truths.depth_views import Ball, Box, axes_towards, cube_centres, freed_by_rectangles, true_ranges
+from truths.depth_views import (
+    Ball,
+    Box,
+    axes_towards,
+    cube_centres,
+    freed_by_projections,
+    freed_by_rectangles,
+    true_ranges,
+)
 
 from keepout.mapping import KnownFreeMap, Pinhole, SensorBounds, View, ViewStatus
 from keepout.mapping.pyramid import pyramid
@@ -68,13 +76,16 @@ many_bounds = st.builds(
 )
 @given(data=st.data())
 def test_a_view_frees_the_cubes_of_the_rule_and_no_other(radius, cameras, several, data):
+    """Nor is one freed whose projection, an ellipse, holds a pixel that forbids it."""
     bounds = BOUNDS if several is None else data.draw(several)
     distance = radius + data.draw(st.floats(0.35, 3.0))  # outside every cube that meets the ball
     view = seen_from(data.draw(st.integers(0, 10**6)), distance, data.draw(st.sampled_from(cameras)), bounds)
     known = begin(radius, data.draw(st.sampled_from([0.1, 0.07 * radius, 0.19])), bounds)
     expected = known.free | freed_by_rectangles(known, view)
-    opened_by(known, view)
+    cubes = opened_by(known, view)
     np.testing.assert_array_equal(known.free, expected)
+    some = cubes[np.random.default_rng(0).permutation(len(cubes))[:60]]
+    assert freed_by_projections(known, view, some).all()
 
 
 def test_the_views_of_these_tests_free_cubes_and_leave_others():

@@ -1,7 +1,6 @@
 """Flights of a scenario flown together: where they start, one program for all, how they are judged, what is kept."""
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -10,7 +9,6 @@ import trimesh
 from keepout.audit.audit import Contact
 from keepout.control.guidance.plan import Straight
 from keepout.errors import ScenarioError
-from keepout.flight import loop
 from keepout.flight.batches import states_at
 from keepout.geometry.target import Target
 from keepout.mission import series
@@ -60,26 +58,6 @@ def test_dispersions_are_refused_where_only_starts_vary(shell):
     scenario = Scenario().replace(campaign={"dispersions": {"chaser.mass": {"uniform": (9.0, 11.0)}}})
     with pytest.raises(ScenarioError, match=r"campaign\.dispersions: chaser\.mass; .*keepout campaign"):
         plan_campaign(scenario, target=shell)
-
-
-TREE = {"target": {"source": "box"}, "field": {"source": "grid"}}
-PREPARED = (
-    {"start": {"position": [0.0, 6.0, 3.0]}, "goal": {"position": [0.0, -6.0, 3.0]}},
-    {"start": {"position": [0.5, 6.5, 3.0]}, "goal": {"position": [0.7, -6.2, 2.5]}, "duration": 30.0},
-    {"start": {"position": [0.1, 6.2, 3.0]}, "goal": {"position": [0.0, -6.1, 2.9]}, "chaser": {"mass": 20.5}},
-)
-
-
-@pytest.mark.long
-def test_another_start_goal_guard_or_duration_asks_for_no_other_program():
-    shapes = []
-    for change in PREPARED:
-        mission = prepare(Scenario.parse(TREE | change))
-        numbers, rest = eqx.partition((loop.flown_setup(mission.setup), mission.initial), eqx.is_array)
-        leaves = [(np.shape(leaf), np.result_type(leaf)) for leaf in jax.tree.leaves(numbers)]
-        shapes.append((leaves, jax.tree.structure(numbers), rest))
-    assert eqx.tree_equal(shapes[0][2], shapes[1][2], shapes[2][2])
-    assert shapes[0][:2] == shapes[1][:2] == shapes[2][:2]
 
 
 GOALS = np.array([[0.0, -9.0, -4.0], [0.0, -9.0, 4.0], [3.0, -9.0, -4.0]])

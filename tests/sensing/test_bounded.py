@@ -102,19 +102,15 @@ def test_the_truth_is_inside_in_all_of_forty_thousand_samples(name):
     assert int(np.sum(off > radii)) == 0
     assert not contradicted.any()
     assert (radii <= before).all()
+    assert name != "exact" or radii[:, 10:].max() < 1e-6  # the commands over the latency are accounted for
     assert (radii.max(axis=(0, 1)) <= np.asarray(designed(name)[1])).all()
 
 
 @pytest.mark.long
-def test_the_bounds_are_not_met_by_being_wide():
-    """The adversary gets the truth to the edge: 99 % of the radius."""
+def test_the_truth_gets_to_the_edge_and_with_less_than_the_disturbance_told_outside():
+    """That the truth is inside is no property of the adversary: with nine tenths of D told it is not."""
     off, radii, *_ = flown("close")
     assert (off / radii).max(axis=(0, 1)).min() > 0.99
-
-
-@pytest.mark.long
-def test_with_less_than_the_disturbance_told_the_truth_gets_outside():
-    """That the truth is inside is no property of the adversary: with nine tenths of D told it is not."""
     off, radii, _, contradicted, *_ = flown("close", share=0.9)
     assert np.sum(off > radii) > 0
     assert contradicted.any()
@@ -187,31 +183,6 @@ def _undisturbed(estimate, initial, keys, steps):
     return jax.vmap(one)(keys)
 
 
-@pytest.mark.long
-def test_without_noise_and_push_the_centres_are_the_truth():
-    """The commands are accounted for over the latency, and over the window between two positions.
-
-    What is left is the allowance under the root of a cut.
-    """
-    suite = Suite((RelativePosition((BallNoise(0.0),), latency=2),))
-    estimate = SetMembership(suite, window=7, **{**NUMBERS, "disturbance": 0.0})
-    truth, lines = motion_state(jnp.ones(3), jnp.array([0.3, 0.0, 0.0])), ()
-    lines = suite.initial_state(jax.random.key(0), truth)
-    # Its velocity is not known, its position is not either.
-    known = estimate.initial_state(motion_state(1.1 * jnp.ones(3), jnp.zeros(3)), jnp.array([0.2, 0.4]))
-    forces = 2.0 * np.random.default_rng(0).normal(size=(120, 3))
-    sample = eqx.filter_jit(suite.sample)
-    for force in forces:
-        lines, samples = sample(lines, truth)
-        known, found = told(estimate, known, samples, force)
-        off = truth.position - found.state.position, truth.velocity - found.state.velocity
-        assert (np.linalg.norm(np.stack(off), axis=1) <= np.asarray(found.errors)).all()
-        u = force / 20.0
-        truth = motion_state(truth.position + truth.velocity + 0.5 * u, truth.velocity + u)
-    assert np.abs(np.stack(off)).max() < 2e-6
-    assert np.asarray(found.errors).max() < 2e-6
-
-
 CLOSE = SetMembership(MADE["close"], patience=3, **NUMBERS)
 STILL = motion_state(jnp.zeros(3), jnp.zeros(3))
 
@@ -265,18 +236,16 @@ def test_after_a_replaced_position_the_window_begins_anew():
 
 
 def test_refused():
-    numbers = {**NUMBERS, **LIMITS}
-    with pytest.raises(ScenarioError, match=r"^suite: 0 of its sensors bound the position.*add a RelativePosition"):
-        design(Suite((RelativeVelocity((BallNoise(0.01),)),)), **numbers)
-    with pytest.raises(ScenarioError, match=r"^suite: it has 0 sensors"):
-        Suite(())
     seldom = Suite((RelativePosition((BallNoise(0.05),)),))
-    with pytest.raises(ScenarioError, match=r"with a window of 0 steps the known set grows without end"):
-        caps(SetMembership(seldom, **NUMBERS), **LIMITS)
-    with pytest.raises(ScenarioError, match=r"window is -1 steps; it must be at least 0"):
-        SetMembership(seldom, window=-1, **NUMBERS)
-    with pytest.raises(ScenarioError, match=r"patience is 0 steps; it must be at least 1"):
-        SetMembership(seldom, patience=0, **NUMBERS)
-    for name, value in (("disturbance", np.nan), ("disturbance", -1e-3), ("mass", 0.0), ("period", -1.0)):
-        with pytest.raises(ScenarioError, match=rf"^set membership: {name} is {value} .*it must be finite and "):
-            SetMembership(seldom, **{**NUMBERS, name: value})
+    speeds = Suite((RelativeVelocity((BallNoise(0.01),)),))
+    for refused, said in (
+        (lambda: design(speeds, **NUMBERS, **LIMITS), "^suite: 0 of its sensors bound the position"),
+        (lambda: Suite(()), "^suite: it has 0 sensors"),
+        (lambda: caps(SetMembership(seldom, **NUMBERS), **LIMITS), "a window of 0 steps the known set grows without"),
+        (lambda: SetMembership(seldom, window=-1, **NUMBERS), "window is -1 steps"),
+        (lambda: SetMembership(seldom, patience=0, **NUMBERS), "patience is 0 steps"),
+        (lambda: SetMembership(seldom, **NUMBERS | {"disturbance": np.nan}), "disturbance is nan"),
+        (lambda: SetMembership(seldom, **NUMBERS | {"mass": 0.0}), "mass is 0.0"),
+    ):
+        with pytest.raises(ScenarioError, match=said):
+            refused()

@@ -295,9 +295,7 @@ def test_the_covariance_stays_positive_definite_over_twenty_thousand_steps():
         samples = tuple(Sample(v, c) for v, c in zip(values, came))
         belief, _ = filtering.updated(filtering.predicted(belief, jnp.zeros(3)), samples)
         # held in place, so that the flight can be as long as it likes
-        still = eqx.tree_at(
-            lambda m: (m.position, m.velocity), belief.motion, (jnp.asarray(START[:3]), jnp.asarray(START[3:]))
-        )
+        still = eqx.tree_at(lambda m: (m.position, m.velocity), belief.motion, values[:2])
         return eqx.tree_at(lambda b: b.motion, belief, still), None
 
     def stretch(carry, key):
@@ -305,9 +303,8 @@ def test_the_covariance_stays_positive_definite_over_twenty_thousand_steps():
         P = belief.covariance
         return belief, (jnp.linalg.eigvalsh(P / jnp.sqrt(jnp.outer(jnp.diag(P), jnp.diag(P)))), jnp.abs(P - P.T).max())
 
-    _, (eigenvalues, skew) = jax.jit(lambda b, k: jax.lax.scan(stretch, b, k))(
-        memory.settled, jax.random.split(jax.random.key(1), 20)
-    )
+    keys = jax.random.split(jax.random.key(1), 20)
+    _, (eigenvalues, skew) = jax.jit(lambda b, k: jax.lax.scan(stretch, b, k))(memory.settled, keys)
     assert np.all(np.isfinite(eigenvalues))
     assert np.asarray(eigenvalues).min() > 1e-9  # of the correlations
     assert np.asarray(skew).max() < 1e-15
@@ -342,9 +339,8 @@ def test_range_and_bearings_that_are_correlated_find_the_chaser():
     path, exact = path_of(truth)
     noise = np.random.default_rng(12).normal(size=(STEPS, 3))
     noise = noise @ np.linalg.cholesky(np.asarray(sensor.covariance(np.zeros(3)))).T
-    _, (estimates, left_out, beliefs) = flown(
-        filtering, started(filtering), (line(exact + noise),), np.zeros((STEPS, 3))
-    )
+    samples, none = (line(exact + noise),), np.zeros((STEPS, 3))
+    _, (estimates, left_out, beliefs) = flown(filtering, started(filtering), samples, none)
     error = np.concatenate([path.position - estimates.position, path.velocity - estimates.velocity], axis=1)
     P = np.asarray(beliefs.covariance)[:, :6, :6]
     squares = np.einsum("ki,kij,kj->k", error, np.linalg.inv(P), error)
@@ -372,24 +368,12 @@ def test_an_attitude_is_pulled_by_its_share_and_missing_or_broken_ones_are_not_u
         assert int(left_out) == count
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"period": np.nan}, "period: nan"),
-        ({"disturbance_bound": -1.0}, "disturbance_bound: -1.0"),
-        ({"disturbance_walk": -2.0}, "disturbance_walk: -2.0"),
-        ({"outlier_probability": 0.0}, "outlier_probability: 0.0"),
-        ({"patience": -1}, "patience: -1"),
-        ({"attitude_share": 1.5}, "attitude_share: 1.5"),
-        ({"frequencies": (0.02, 0.02)}, "frequencies"),
-    ],
-)
-def test_numbers_out_of_range_are_refused(changes, words):
-    with pytest.raises(ScenarioError, match=words):
-        build([Place(1e-3)], **changes)
-
-
-@pytest.mark.parametrize("sensors", [[], [Turned(1.0)]])
-def test_sensors_that_say_nothing_of_the_chaser_are_refused(sensors):
-    with pytest.raises(ScenarioError, match="none of the chaser's motion"):
-        build(sensors)
+def test_numbers_out_of_range_and_sensors_that_say_nothing_of_the_chaser_are_refused():
+    numbers = {"period": np.nan, "disturbance_bound": -1.0, "disturbance_walk": -2.0, "outlier_probability": 0.0}
+    others = {"patience": -1, "attitude_share": 1.5, "frequencies": (0.02, 0.02)}
+    for name, wrong in (numbers | others).items():
+        with pytest.raises(ScenarioError, match=name):
+            build([Place(1e-3)], **{name: wrong})
+    for sensors in ([], [Turned(1.0)]):
+        with pytest.raises(ScenarioError, match="none of the chaser's motion"):
+            build(sensors)

@@ -52,10 +52,6 @@ def fly(estimate, disturbance, key, kind, start, errors, steps):
     Returns a row a step: off (2,), how far the truth is from the centre; the radii (2,); the radii before the samples
     were taken in (2,); contradicted; the truth (6,); what came (sensors,).
     """
-    return jax.lax.scan(*_flight(estimate, disturbance, key, kind, start, errors), length=steps)[1]
-
-
-def _flight(estimate, disturbance, key, kind, start, errors):
     keys = jax.random.split(key, 6)
     attitude = rotation.normalise(jax.random.normal(keys[0], (4,)))
     truth = motion_state(start[:3], start[3:], attitude)
@@ -93,7 +89,7 @@ def _flight(estimate, disturbance, key, kind, start, errors):
             r, v = r + h * v + 0.5 * h**2 * total, v + h * total
         return (motion_state(r, v, attitude), lines, estimate.advance(known, force), key), row
 
-    return step, (truth, lines, estimate.initial_state(told, errors), keys[4])
+    return jax.lax.scan(step, (truth, lines, estimate.initial_state(told, errors), keys[4]), length=steps)[1]
 
 
 def against(tree, kind):

@@ -131,3 +131,45 @@ def freed_by_rectangles(known, view):
         alike = (sizes == (rows, columns)).all(axis=1)
         freed[tuple(cubes[alike].T)] = least[top[alike], left[alike]] > limit[alike]
     return freed
+
+
+def freed_by_projections(known, view, cubes):
+    """Which of some cubes may be freed where the window is every pixel whose square meets the ball's projection.
+
+    The projection is {u : |u|² |c|² cos² a <= (c . u)²} on the plane u = (x, y, 1), an ellipse; a convex quadratic is
+    least over a square at its own lowest point or on a side.
+    """
+    camera, empty = view.camera, _empty(view, known.bounds)
+    local, distance, radius, clear, fits = _in_camera(known, view, cube_centres(known))
+    left = (np.arange(camera.width) - 0.5 * camera.width) / camera.focal
+    top = (np.arange(camera.height) - 0.5 * camera.height) / camera.focal
+    step = 1.0 / camera.focal
+    x0, y0 = np.meshgrid(left, top)
+
+    def may_be(cube):
+        c = local[cube]
+        sides = _rectangle(c, radius[cube], camera)
+        if sides[0] < 0.0 or sides[2] < 0.0 or sides[1] > camera.width or sides[3] > camera.height:
+            return False
+        form = (c @ c - radius[cube] ** 2) * np.eye(3) - np.outer(c, c)
+
+        def value(x, y):
+            u = np.stack([x, y, np.ones_like(x)])
+            return np.einsum("i...,ij,j...->...", u, form, u)
+
+        def along(x, y, axis):
+            """Least value on a side that begins at (x, y) and runs along an axis."""
+            u = np.stack([x, y, np.ones_like(x)])
+            slope = 2.0 * np.einsum("j,j...->...", form[axis], u)
+            t = np.clip(-slope / (2.0 * form[axis, axis]), 0.0, step)
+            return value(x + t, y) if axis == 0 else value(x, y + t)
+
+        least = np.minimum.reduce(
+            [along(x0, y0, 0), along(x0, y0 + step, 0), along(x0, y0, 1), along(x0 + step, y0, 1)]
+        )
+        middle = np.linalg.solve(form[:2, :2], -form[:2, 2])
+        holds = (x0 <= middle[0]) & (middle[0] <= x0 + step) & (y0 <= middle[1]) & (middle[1] <= y0 + step)
+        meets = holds | (least <= 0.0)
+        return bool((empty[meets] > distance[cube] + clear).all())
+
+    return np.array([bool(fits[cube]) and may_be(cube) for cube in map(tuple, cubes)], dtype=bool)

@@ -92,14 +92,12 @@ def test_a_pixel_says_its_nearest_ray():
 def test_range_limits():
     sensor = camera(bounds=SensorBounds(0.0, 0.0, 0.0, 0.5, 3, 6.0, 4.9, 6.0))
     assert np.isinf(looking(joined(wall(6.01)), sensor).ranges).all()
-    view = looking(joined(wall(5.2)), sensor)
-    nearest = (5.2 / rays_of(sensor)[..., 0]).min(axis=(1, 3))
-    np.testing.assert_array_equal(np.isinf(view.ranges), nearest > 6.0)
-    assert 0 < np.isinf(view.ranges).sum() < view.ranges.size
-    view = looking(joined(wall(4.8)), sensor)
-    nearest = (4.8 / rays_of(sensor)[..., 0]).min(axis=(1, 3))
-    np.testing.assert_array_equal(np.isnan(view.ranges), nearest < 4.9)
-    assert 0 < np.isnan(view.ranges).sum() < view.ranges.size
+    for distance in (5.2, 4.8):
+        ranges = looking(joined(wall(distance)), sensor).ranges
+        nearest = (distance / rays_of(sensor)[..., 0]).min(axis=(1, 3))
+        np.testing.assert_array_equal(np.isinf(ranges), nearest > 6.0)
+        np.testing.assert_array_equal(np.isnan(ranges), nearest < 4.9)
+        assert 0 < np.isfinite(ranges).sum() < ranges.size
 
 
 def test_a_wall_beyond_its_grazing_angle_says_nothing():
@@ -139,25 +137,6 @@ def test_dropout_is_as_frequent_as_said_and_silences_empty_pixels_too():
         assert abs(share - 0.1) < 5.0 * math.sqrt(0.09 / 19_200)
 
 
-@pytest.mark.parametrize("size", ["random", "adversarial"])
-def test_an_image_keeps_to_its_bounds(size):
-    target = Target.load("intelsat30")
-    first_hit = FirstHit(target.vertices, target.faces)
-    sensor = DepthCamera(camera=SMALL)
-    place = np.array([-6.0, 1.0, 1.0])
-    truth = looking(first_hit, camera(), place=place)
-    reached = 0.0
-    for seed in range(20):
-        view = looking(first_hit, sensor, ErrorDraw(size), place=place, seed=seed)
-        np.testing.assert_array_equal(np.isinf(view.ranges), np.isinf(truth.ranges))
-        met = np.isfinite(truth.ranges)
-        errors = np.abs(view.ranges[met] - truth.ranges[met])
-        assert errors.max() <= sensor.bounds.range_error + 1e-12
-        reached = max(reached, errors.max())
-        assert np.linalg.norm(view.position - place) <= sensor.bounds.position_error + 1e-12
-    assert reached > 0.99 * sensor.bounds.range_error
-
-
 def test_broken_assumptions_break_what_they_name():
     scene = joined(wall(4.0, left=0.048), wall(10.0))
     sensor = DepthCamera(camera=SMALL, dropout=0.1)
@@ -174,26 +153,19 @@ def test_broken_assumptions_break_what_they_name():
     assert bounds.position_error < max(far) <= 2.0 * bounds.position_error
     axes = axes_towards(np.array([1.0, 0.0, 0.0]), UP)
     later = np.array([0.0, 0.4, 0.0]), axes_towards(np.array([1.0, 0.1, 0.0]), UP)
-    late = take(
-        sensor, scene, np.zeros(3), axes, np.random.default_rng(0), ErrorDraw("random", "late"), time=3.0, told=later
-    )
+    drawn = np.random.default_rng(0), ErrorDraw("random", "late")
+    late = take(sensor, scene, np.zeros(3), axes, *drawn, time=3.0, told=later)
     assert np.linalg.norm(late.position - later[0]) <= bounds.position_error
-    assert late.time == 3.0
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"position": np.full(3, np.nan)}, "position"),
-        ({"axes": 2.0 * np.eye(3)}, "rotation matrix"),
-        ({"axes": -np.eye(3)}, "rotation matrix"),
-        ({"draw": ErrorDraw(broken="late")}, "no pose of another time"),
-        ({"told": (np.zeros(3), np.eye(3))}, "a pose of another time"),
-        ({"draw": ErrorDraw(broken="losses")}, "dropout is 0"),
-    ],
-)
-def test_what_cannot_be_taken_is_refused(changes, words):
-    given = {"position": np.zeros(3), "axes": np.eye(3), "generator": np.random.default_rng(0)} | changes
-    with pytest.raises(ScenarioError, match=words) as refusal:
-        take(camera(), joined(wall(5.0)), **given)
-    assert "\n" not in str(refusal.value)
+def test_what_cannot_be_taken_is_refused():
+    for words, changes in {
+        "position": {"position": np.full(3, np.nan)},
+        "rotation matrix": {"axes": -np.eye(3)},
+        "no pose of another time": {"draw": ErrorDraw(broken="late")},
+        "a pose of another time": {"told": (np.zeros(3), np.eye(3))},
+        "dropout is 0": {"draw": ErrorDraw(broken="losses")},
+    }.items():
+        given = {"position": np.zeros(3), "axes": np.eye(3), "generator": np.random.default_rng(0)} | changes
+        with pytest.raises(ScenarioError, match=words):
+            take(camera(), joined(wall(5.0)), **given)

@@ -19,43 +19,29 @@ def at_rest(rate, acceleration):
     return Boresight.at_rest(AHEAD, greatest_rate=rate, greatest_acceleration=acceleration)
 
 
+NARROW = SensorBounds(surely_returned_width=0.01, rays_across=3, least_range=0.3)
+
+
 @pytest.mark.parametrize(
-    ("make", "words"),
+    ("make", "said"),
     [
-        (
-            lambda: DepthCamera(
-                Pinhole(20, 20, 2.0), SensorBounds(surely_returned_width=0.01, rays_across=3, least_range=0.3)
-            ),
-            ("surely_returned_width", "0.01", "0.0963", "0.0311", "0.3"),
-        ),
-        (lambda: DepthCamera(dropout=1.5), ("dropout", "1.5", "0 to 1")),
-        (lambda: DepthCamera(grazing_angle=2.0), ("grazing_angle", "2")),
-        (lambda: DepthCamera(period=0.0), ("period", "0 s")),
-        (lambda: DepthCamera(latency=-1.0), ("latency", "-1 s")),
-        (lambda: DepthCamera(mounting=(math.inf, 0.0, 0.0)), ("mounting", "inf")),
-        (lambda: ErrorDraw("gaussian"), ("size", "gaussian", "adversarial")),
-        (lambda: ErrorDraw("random", "everything"), ("broken", "everything", "mixed")),
-        (lambda: at_rest(0.0, 1.0), ("greatest_rate", "0 rad/s")),
-        (lambda: at_rest(1.0, math.nan), ("greatest_acceleration", "nan")),
-        (lambda: axes_towards(np.zeros(3), AHEAD), ("direction", "not zero")),
-        (lambda: at_rest(1.0, 1.0).step(AHEAD, 0.0), ("period", "0 s")),
+        (lambda: DepthCamera(Pinhole(20, 20, 2.0), NARROW), r"surely_returned_width.* 0\.01.*0\.0963"),
+        (lambda: DepthCamera(dropout=1.5), "dropout.* 1.5"),
+        (lambda: DepthCamera(grazing_angle=2.0), "grazing_angle.* 2"),
+        (lambda: DepthCamera(period=0.0), "period.* 0 s"),
+        (lambda: DepthCamera(latency=-1.0), "latency.* -1 s"),
+        (lambda: DepthCamera(mounting=(math.inf, 0.0, 0.0)), "mounting.*inf"),
+        (lambda: ErrorDraw("gaussian"), "size.* 'gaussian'"),
+        (lambda: ErrorDraw("random", "everything"), "broken.* 'everything'"),
+        (lambda: at_rest(0.0, 1.0), "greatest_rate.* 0 rad/s"),
+        (lambda: at_rest(1.0, math.nan), "greatest_acceleration.* nan"),
+        (lambda: axes_towards(np.zeros(3), AHEAD), "direction.* not zero"),
+        (lambda: at_rest(1.0, 1.0).step(AHEAD, 0.0), "period.* 0 s"),
     ],
 )
-def test_bad_settings_are_refused_in_one_line_with_their_numbers(make, words):
-    with pytest.raises(KeepoutError) as refusal:
+def test_bad_settings_are_refused_in_one_line_with_their_numbers(make, said):
+    with pytest.raises(KeepoutError, match=rf"\A[^\n]*{said}[^\n]*\Z"):
         make()
-    assert "\n" not in str(refusal.value)
-    for word in words:
-        assert word in str(refusal.value)
-
-
-def test_the_pitch_of_rays_is_the_distance_of_neighbours_in_the_middle():
-    sensor = DepthCamera()
-    rays = sensor.camera.directions(sensor.bounds.rays_across)
-    row, column = (size // 2 for size in rays.shape[:2])
-    apart = np.arccos(rays[row, column] @ rays[row, column + 1])
-    assert abs(apart / sensor.ray_pitch - 1.0) < 1e-4
-    assert abs(sensor.bounds.usable_range(sensor.camera) - sensor.bounds.surely_returned_width / (2.0 * apart)) < 1e-2
 
 
 def test_the_sensor_sits_where_it_is_mounted():
@@ -116,16 +102,6 @@ def test_pose_errors_are_within_their_bounds(size):
             assert offset @ AXES[:, 2] > -1e-15
 
 
-def test_random_places_fill_their_ball_evenly():
-    generator, draw = np.random.default_rng(2), ErrorDraw()
-    offsets = np.array([draw.pose_error(generator, AXES, BOUNDS)[0] for _ in range(5000)]) / BOUNDS.position_error
-    lengths = np.linalg.norm(offsets, axis=1)
-    # The share within r is r cubed; five standard deviations.
-    for r in (0.3, 0.5, 0.8, 0.95):
-        assert abs((lengths < r).mean() - r**3) < 5.0 * math.sqrt(r**3 * (1.0 - r**3) / 5000)
-    assert np.abs(offsets.mean(axis=0)).max() < 5.0 / math.sqrt(5.0 * 5000)
-
-
 def test_an_adversarial_turn_moves_what_is_ahead_the_way_the_place_moves():
     """Sideways errors of place and axes add up: what is ahead, told by the wrong pose, is off by their sum."""
     generator, draw = np.random.default_rng(3), ErrorDraw("adversarial")
@@ -145,6 +121,7 @@ directions = st.tuples(*[st.floats(-1.0, 1.0)] * 3).filter(lambda v: math.hypot(
 
 @given(directions, directions)
 @example(np.array([-0.7734375, 1.0, -0.7734375]), np.array([-0.771484375, 1.0, -0.7734375]))  # nearly one line
+@example(np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.0, 2.0]))
 def test_axes_are_a_rotation_with_the_image_upright(direction, up):
     axes = axes_towards(direction, up)
     np.testing.assert_allclose(axes.T @ axes, np.eye(3), atol=1e-14)
@@ -153,13 +130,6 @@ def test_axes_are_a_rotation_with_the_image_upright(direction, up):
     if np.linalg.norm(np.cross(direction, up)) > 1e-6:
         assert abs(axes[:, 0] @ up) < 1e-8  # x is level
         assert axes[:, 1] @ up < 0.0  # y is down
-
-
-def test_axes_exist_where_the_boresight_is_along_up():
-    for sign in (1.0, -1.0):
-        axes = axes_towards(np.array([0.0, 0.0, sign]), np.array([0.0, 0.0, 2.0]))
-        np.testing.assert_allclose(axes.T @ axes, np.eye(3), atol=1e-15)
-        np.testing.assert_array_equal(axes[:, 2], [0.0, 0.0, sign])
 
 
 @pytest.mark.long

@@ -28,16 +28,6 @@ def violations(sensor, first_hit, *, place=(0.0, 0.0, 0.0), at=(1.0, 0.013, 0.00
     return sure_return_violations(sensor, first_hit, np.array(place), axes, generator, samples=samples)
 
 
-def test_a_thin_rod_is_missed_and_a_thick_one_is_not():
-    sensor = DepthCamera(bounds=SensorBounds(surely_returned_width=0.05))
-    distance = 9.0
-    pitch = sensor.ray_pitch * distance
-    thick, thin = violations(sensor, rod(math.sqrt(2.0) * pitch, distance)), violations(sensor, rod(1e-4, distance))
-    assert thick.visible > 1000
-    assert len(thick.violations) == 0
-    assert len(thin.violations) > 0.5 * thin.visible
-
-
 def by_brute_force(sensor, first_hit, axes, points):
     """The assumption's words, point by point, over all rays of the image."""
     across, w = sensor.bounds.rays_across, sensor.bounds.surely_returned_width
