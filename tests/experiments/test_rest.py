@@ -1,6 +1,7 @@
 """When a flight counts as trapped, against motions in closed form."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
