@@ -9,7 +9,7 @@ STAMP := $(VENV)/.tests
 # A file of tests stays with one worker, which builds and compiles once what its tests share; the longest come first.
 BY_FILE := -n 2 --dist loadfile --no-loadscope-reorder
 # The rooms from a mesh to a flight: the paper's system, made safe.
-CORE := $(addprefix tests/,geometry motion fields learning proof measures control guard flight audit mission)
+CORE := tests/core
 
 # What compares bits, or runs more than it compiles, is run as users run it: with XLA's own settings.
 AS_USED = $(shell grep -rlw mark.as_used tests --include='test_*.py')
@@ -100,7 +100,7 @@ docs: install
 	$(BIN)/python docs/site.py
 
 shipped: install
-	$(BIN)/python -m keepout.learning.shipped
+	$(BIN)/python -m keepout.core.learning.shipped
 
 basilisk: .venv-basilisk/.installed
 	.venv-basilisk/bin/python examples/basilisk/fly.py --out out/basilisk

@@ -36,19 +36,19 @@ from act3_task import (
 )
 from kept_rows import Rows, show
 
-from keepout.control.law import Command, Law
-from keepout.fields.analytic import SphereField
-from keepout.flight.batches import fly_batches, states_at
-from keepout.flight.setup import FlightSetup
-from keepout.guard.braking import GuardAssumptions
-from keepout.guard.guard import Guard
-from keepout.inspecting.hill import coast_matrix, push_matrix
-from keepout.motion.actuator import Thrusters
-from keepout.motion.disturbance import NoDisturbance
-from keepout.motion.orbit import Orbit
-from keepout.motion.perturbation import EARTH_GRAVITATIONAL_PARAMETER
-from keepout.motion.relative import RelativeMotion
-from keepout.report import terminal
+from keepout.apps.inspection.hill import coast_matrix, push_matrix
+from keepout.core.control.law import Command, Law
+from keepout.core.fields.analytic import SphereField
+from keepout.core.flight.batches import fly_batches, states_at
+from keepout.core.flight.setup import FlightSetup
+from keepout.core.guard.braking import GuardAssumptions
+from keepout.core.guard.guard import Guard
+from keepout.core.motion.actuator import Thrusters
+from keepout.core.motion.disturbance import NoDisturbance
+from keepout.core.motion.orbit import Orbit
+from keepout.core.motion.perturbation import EARTH_GRAVITATIONAL_PARAMETER
+from keepout.core.motion.relative import RelativeMotion
+from keepout.flights.report import terminal
 
 RECIPE = 1
 """Raised where the search or the flight changes: rows of an older one are flown again."""

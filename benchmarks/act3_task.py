@@ -10,7 +10,7 @@ import math
 import numba
 import numpy as np
 
-from keepout.inspecting.hill import VVLH_FROM_RTN
+from keepout.apps.inspection.hill import VVLH_FROM_RTN
 
 MEAN_MOTION = 0.001027
 """Of the chief's circular orbit and, in Hill's frame, of the sun, rad/s."""

@@ -32,18 +32,18 @@ from adversary_truth import SUBSTEPS, AxisThrusters, Surface, Truth
 from kept_rows import Rows, show
 
 import keepout
-from keepout.control.law import Command, Law
-from keepout.digest import digest
-from keepout.errors import ControlError
-from keepout.flight.batches import states_at
-from keepout.flight.on_board import OnBoard
-from keepout.guard.field import RECIPE
-from keepout.guard.start import starts_certified
-from keepout.guard.status import GuardFlag, GuardStatus, flag_names
-from keepout.mission.build import build_guard, flight_setup
-from keepout.mission.scenario import Scenario
-from keepout.mission.target import load_target
-from keepout.report import terminal
+from keepout.core.control.law import Command, Law
+from keepout.core.digest import digest
+from keepout.core.errors import ControlError
+from keepout.core.flight.batches import states_at
+from keepout.core.flight.on_board import OnBoard
+from keepout.core.guard.field import RECIPE
+from keepout.core.guard.start import starts_certified
+from keepout.core.guard.status import GuardFlag, GuardStatus, flag_names
+from keepout.core.mission.build import build_guard, flight_setup
+from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.target import load_target
+from keepout.flights.report import terminal
 
 VIOLATIONS = int(functools.reduce(operator.or_, (flag for flag in GuardFlag if flag is not GuardFlag.COMMAND)))
 """Flags that say that an assumption did not hold."""

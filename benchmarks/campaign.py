@@ -33,7 +33,7 @@ def main():
     parser.add_argument("--no-usual", action="store_true", help="leave the usual way out")
     parser.add_argument("--json", metavar="OUT", help="write all figures here too")
     arguments = parser.parse_args()
-    from keepout.report.machine import machine
+    from keepout.flights.report.machine import machine
 
     found = {"machine": machine(), "date": datetime.date.today().isoformat(), "steps": arguments.steps}
     found["scaling_steps"] = arguments.scaling_steps
@@ -82,8 +82,8 @@ def keep_to(cores):
 
 def planned(runs, *, law="default"):
     """Plan Case 3's campaign around intelsat30."""
-    from keepout.experiments.case3 import DEFAULTS, PRINTED, case3_scenarios
-    from keepout.mission.campaign import plan_campaign
+    from keepout.apps.reproduction.case3 import DEFAULTS, PRINTED, case3_scenarios
+    from keepout.core.mission.campaign import plan_campaign
 
     scenario = case3_scenarios(0, quick=False)["intelsat30", DEFAULTS if law == "default" else PRINTED]
     return plan_campaign(scenario.replace(campaign={"runs": runs}))
@@ -93,9 +93,9 @@ def flown(plan, runs, steps, *, audit):
     """Fly the first runs of a plan; seconds by the clock and of processor time."""
     import jax
 
-    from keepout.flight.batches import BATCH, fly_batches
-    from keepout.mission import environment
-    from keepout.mission.audited import AUDITED, judge
+    from keepout.core.flight.batches import BATCH, fly_batches
+    from keepout.core.mission import environment
+    from keepout.core.mission.audited import AUDITED, judge
 
     scenario, verdicts = plan.mission.scenario, []
     bounds = environment.flight_bounds(scenario)
@@ -150,7 +150,7 @@ def part_shares():
     """Time each part alone."""
     from campaign_parts import shares
 
-    from keepout.flight.batches import BATCH
+    from keepout.core.flight.batches import BATCH
 
     return shares(planned(BATCH))
 
@@ -159,11 +159,11 @@ def usual():
     """Time the printed law a step in a campaign, and written the usual way; say what is missing if it is."""
     import warnings
 
-    from keepout.control.profiles import ControlWarning
-    from keepout.experiments.case3 import PRINTED, case3_scenarios
-    from keepout.experiments.step_times import Contender, time_here
-    from keepout.experiments.usual_way import missing_extra
-    from keepout.flight.batches import BATCH
+    from keepout.apps.reproduction.case3 import PRINTED, case3_scenarios
+    from keepout.apps.reproduction.step_times import Contender, time_here
+    from keepout.apps.reproduction.usual_way import missing_extra
+    from keepout.core.control.profiles import ControlWarning
+    from keepout.core.flight.batches import BATCH
 
     warnings.simplefilter("ignore", ControlWarning)
     missing = missing_extra()

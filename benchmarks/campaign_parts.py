@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from keepout.fields.neural import NeuralField
-from keepout.flight.batches import BATCH
+from keepout.core.fields.neural import NeuralField
+from keepout.core.flight.batches import BATCH
 
 ROUNDS = 200
 REPEATS = 5

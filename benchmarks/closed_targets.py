@@ -18,14 +18,14 @@ from pathlib import Path
 import numpy as np
 from manifold3d import Error, Manifold, Mesh64, OpType
 
-from keepout.digest import digest
-from keepout.geometry.builtin import BUILTINS
-from keepout.geometry.builtin.solids import mesh
-from keepout.geometry.first_hit import FirstHit
-from keepout.geometry.level_points import surface_points
-from keepout.geometry.mesh_report import Surface, describe, part_labels, weld, zero_area
-from keepout.geometry.target import Target
-from keepout.whole_file import write_whole
+from keepout.core.digest import digest
+from keepout.core.geometry.builtin import BUILTINS
+from keepout.core.geometry.builtin.solids import mesh
+from keepout.core.geometry.first_hit import FirstHit
+from keepout.core.geometry.level_points import surface_points
+from keepout.core.geometry.mesh_report import Surface, describe, part_labels, weld, zero_area
+from keepout.core.geometry.target import Target
+from keepout.core.whole_file import write_whole
 
 ROOT = Path(__file__).parents[1]
 MESHES, CACHE = ROOT.parent / "shared" / "meshes", ROOT / "out" / "closed"

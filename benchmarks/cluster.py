@@ -20,11 +20,11 @@ from pathlib import Path
 
 import psutil
 
-from keepout.campaign.cluster import Cluster
-from keepout.campaign.dataset import Dataset
-from keepout.campaign.plan import Plan
-from keepout.campaign.run import fly_campaign
-from keepout.mission.scenario import Scenario
+from keepout.core.mission.scenario import Scenario
+from keepout.flights.campaign.cluster import Cluster
+from keepout.flights.campaign.dataset import Dataset
+from keepout.flights.campaign.plan import Plan
+from keepout.flights.campaign.run import fly_campaign
 
 HOURS = (1.0, 10.0, 100.0)
 """Lengths of a campaign that the plan gives machines for."""

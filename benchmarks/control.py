@@ -3,7 +3,7 @@
 The usual way is CVXPY + Clarabel with a PyTorch field. Run as `taskset -c 0 python benchmarks/control.py [--json]`. It
 needs the extra `bench` (cvxpy, torch) and is left out, with the reason, where a package is missing.
 
-A step runs as it would on board (`keepout.flight.on_board`): the compiled program on the calling thread
+A step runs as it would on board (`keepout.core.flight.on_board`): the compiled program on the calling thread
 (`jax_cpu_enable_async_dispatch` off, to be set before JAX starts; handing over to another thread is most of the tail),
 and no garbage collection inside the loop.
 """
@@ -20,21 +20,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from keepout.control import profiles
-from keepout.control.guidance.plan import Straight
-from keepout.control.operation import Operation
-from keepout.control.velocity_program.cone import solve
-from keepout.control.velocity_program.program import Circulation, VelocityProgram
-from keepout.fields import mlp
-from keepout.fields.analytic import SphereField
-from keepout.fields.continuation import RadialContinuation
-from keepout.fields.neural import NeuralField
-from keepout.flight import FlightSetup
-from keepout.flight.on_board import OnBoard
-from keepout.motion import Chaser, NoDisturbance
-from keepout.motion.orbit import Orbit
-from keepout.motion.relative import RelativeMotion
-from keepout.report.machine import machine
+from keepout.core.control import profiles
+from keepout.core.control.guidance.plan import Straight
+from keepout.core.control.operation import Operation
+from keepout.core.control.velocity_program.cone import solve
+from keepout.core.control.velocity_program.program import Circulation, VelocityProgram
+from keepout.core.fields import mlp
+from keepout.core.fields.analytic import SphereField
+from keepout.core.fields.continuation import RadialContinuation
+from keepout.core.fields.neural import NeuralField
+from keepout.core.flight import FlightSetup
+from keepout.core.flight.on_board import OnBoard
+from keepout.core.motion import Chaser, NoDisturbance
+from keepout.core.motion.orbit import Orbit
+from keepout.core.motion.relative import RelativeMotion
+from keepout.flights.report.machine import machine
 
 CHASER = Chaser(mass=20.0, radius=0.5, force_limit=0.1, speed_limit=0.1)
 WIDTH, DEPTH, BETA = 96, 4, 100.0

@@ -13,13 +13,13 @@ import numpy as np
 from closed_targets import FILES, MESHES, closed_target
 from explore_counts import bad_cubes, gaps, meeting, over_statements, seen_surface, under_statements
 
-from keepout.fields.map_field import MapField
-from keepout.geometry.builtin import BUILTINS
-from keepout.geometry.first_hit import FirstHit
-from keepout.geometry.level_points import surface_points, towards_level
-from keepout.geometry.target import Target
-from keepout.mapping import KnownFreeMap, SensorBounds, ViewStatus
-from keepout.sensing.depth import DepthCamera, ErrorDraw, axes_towards, take
+from keepout.apps.unknown.depth import DepthCamera, ErrorDraw, axes_towards, take
+from keepout.apps.unknown.mapping import KnownFreeMap, SensorBounds, ViewStatus
+from keepout.core.fields.map_field import MapField
+from keepout.core.geometry.builtin import BUILTINS
+from keepout.core.geometry.first_hit import FirstHit
+from keepout.core.geometry.level_points import surface_points, towards_level
+from keepout.core.geometry.target import Target
 
 ROOM = 0.5
 """Metres by which the declared ball is larger than the target."""

@@ -13,10 +13,10 @@ import jax
 import numba
 import numpy as np
 
-from keepout.fields.field import Field
-from keepout.geometry.first_hit import FirstHit
-from keepout.geometry.level_points import sharp_points, surface_points
-from keepout.geometry.target import Target
+from keepout.core.fields.field import Field
+from keepout.core.geometry.first_hit import FirstHit
+from keepout.core.geometry.level_points import sharp_points, surface_points
+from keepout.core.geometry.target import Target
 
 BAND = 1.2
 """Metres from the surface within which points are drawn."""

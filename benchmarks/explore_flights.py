@@ -19,18 +19,18 @@ from explore_approaches import enclosing
 from explore_counts import bad_cubes
 from truncated_distance import TruncatedDistanceMap
 
-from keepout.audit.audit import Contact
-from keepout.errors import ControlError
-from keepout.exploring import equipment
-from keepout.exploring.explore import explore
-from keepout.fields.map_field import MapField
-from keepout.flight import segment
-from keepout.geometry.first_hit import FirstHit
-from keepout.geometry.level_points import surface_points, towards_level
-from keepout.mission import by_map, environment
-from keepout.mission.flight import recorded
-from keepout.mission.scenario import Scenario
-from keepout.sensing.depth import Boresight, ErrorDraw, axes_towards, take
+from keepout.apps.unknown import equipment
+from keepout.apps.unknown.depth import Boresight, ErrorDraw, axes_towards, take
+from keepout.apps.unknown.explore import explore
+from keepout.core.audit.audit import Contact
+from keepout.core.errors import ControlError
+from keepout.core.fields.map_field import MapField
+from keepout.core.flight import segment
+from keepout.core.geometry.first_hit import FirstHit
+from keepout.core.geometry.level_points import surface_points, towards_level
+from keepout.core.mission import by_map, environment
+from keepout.core.mission.flight import recorded
+from keepout.core.mission.scenario import Scenario
 
 GOAL_AWAY, WAY_CLEAR = 1.5, 1.3
 """Metres from the true surface: of the goal, and of a way that leads to it from outside."""

@@ -3,7 +3,7 @@
 Usage: python benchmarks/explore_views.py [--targets NAME ...] [--views N] [--sure-empty METRES ...] [--goals N]
            [--towards N] [--fly-around] [--keep METRES] [--seed N] [--json FILE]
 
-The camera jumps to each place that `keepout.exploring` chooses in known-free room, takes an image of the exact mesh
+The camera jumps to each place that `keepout.apps.unknown` chooses in known-free room, takes an image of the exact mesh
 with random errors, and the map grows. Goals are drawn evenly over the surface, 1 m from it along its normal and from
 all other parts, outside closed bodies. A goal is connected if a way that keeps the chaser's radius leads to it.
 
@@ -24,15 +24,15 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from keepout.exploring.next_view import Ended, NextView, Pace, choose
-from keepout.exploring.reachable import reachable
-from keepout.exploring.sight import UP, sphere
-from keepout.exploring.tried import Tried
-from keepout.geometry import Target
-from keepout.geometry.distance import ExactDistance
-from keepout.geometry.first_hit import FirstHit
-from keepout.mapping import KnownFreeMap, SensorBounds, ViewStatus
-from keepout.sensing.depth import DepthCamera, axes_towards, take
+from keepout.apps.unknown.depth import DepthCamera, axes_towards, take
+from keepout.apps.unknown.mapping import KnownFreeMap, SensorBounds, ViewStatus
+from keepout.apps.unknown.next_view import Ended, NextView, Pace, choose
+from keepout.apps.unknown.reachable import reachable
+from keepout.apps.unknown.sight import UP, sphere
+from keepout.apps.unknown.tried import Tried
+from keepout.core.geometry import Target
+from keepout.core.geometry.distance import ExactDistance
+from keepout.core.geometry.first_hit import FirstHit
 
 RADIUS, HEIGHT, DECLARED = 0.5, 1.0, 0.5
 """Of the chaser, of goals over the surface, and of the declared ball beyond the target, m."""

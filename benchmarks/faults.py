@@ -30,15 +30,15 @@ import numpy as np
 from faults_world import FORCE, MARGIN, MESHES, World, disturbances, look_up
 from kept_rows import Rows
 
-from keepout.audit.audit import Contact
-from keepout.control.law import Command, Law
-from keepout.flight import faults as broken
-from keepout.flight.batches import fly_batches, states_at
-from keepout.flight.setup import NoFaults
-from keepout.guard.field import RECIPE
-from keepout.guard.status import GuardFlag
-from keepout.mission.audited import AUDITED, fly_audited, judge
-from keepout.report import terminal
+from keepout.core.audit.audit import Contact
+from keepout.core.control.law import Command, Law
+from keepout.core.flight import faults as broken
+from keepout.core.flight.batches import fly_batches, states_at
+from keepout.core.flight.setup import NoFaults
+from keepout.core.guard.field import RECIPE
+from keepout.core.guard.status import GuardFlag
+from keepout.core.mission.audited import AUDITED, fly_audited, judge
+from keepout.flights.report import terminal
 
 TARGETS = ("intelsat30", "iss", "tiangong", "ssl1300.glb")
 VIOLATIONS = int(functools.reduce(operator.or_, (flag for flag in GuardFlag if flag is not GuardFlag.COMMAND)))

@@ -8,17 +8,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from keepout.control.guidance.plan import Geodesic
-from keepout.fields.evaluate import values, values_and_gradients
-from keepout.fields.shipped import load_shipped, shipped_names
-from keepout.flight import faults as broken
-from keepout.geometry.offset_solid import OffsetSolid
-from keepout.geometry.target import Target
-from keepout.guard.field import guard_field
-from keepout.mission.build import build_guard, flight_setup
-from keepout.mission.law import build_law, flown_law, room_for_guard
-from keepout.mission.scenario import Scenario
-from keepout.motion.disturbance import CombinedDisturbance, SinusoidalDisturbance, SquareWaveDisturbance
+from keepout.core.control.guidance.plan import Geodesic
+from keepout.core.fields.evaluate import values, values_and_gradients
+from keepout.core.fields.shipped import load_shipped, shipped_names
+from keepout.core.flight import faults as broken
+from keepout.core.geometry.offset_solid import OffsetSolid
+from keepout.core.geometry.target import Target
+from keepout.core.guard.field import guard_field
+from keepout.core.mission.build import build_guard, flight_setup
+from keepout.core.mission.law import build_law, flown_law, room_for_guard
+from keepout.core.mission.scenario import Scenario
+from keepout.core.motion.disturbance import CombinedDisturbance, SinusoidalDisturbance, SquareWaveDisturbance
 
 MESHES = Path(__file__).resolve().parents[2] / "shared" / "meshes"
 RADIUS, MARGIN, MASS, FORCE, SPEED = 0.5, 0.1, 20.0, 0.1, 0.1

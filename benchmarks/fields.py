@@ -1,6 +1,6 @@
 """Speed of value, gradient and Hessian: against sgemm, `jax.hessian` and `torch.func`, and for a single point.
 
-The field is part of the compiled program, as it is on board, and compiled with `keepout.compiled.xla.WIDE`.
+The field is part of the compiled program, as it is on board, and compiled with `keepout.core.compiled.xla.WIDE`.
 
 Run: python benchmarks/fields.py (pin it to one core, with taskset or the like, for figures per core). The ratio to
 `torch.func` needs PyTorch (extra `bench`) and is left out without it.
@@ -14,10 +14,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from keepout.compiled.xla import WIDE
-from keepout.fields import mlp
-from keepout.fields.continuation import RadialContinuation
-from keepout.fields.neural import NeuralField
+from keepout.core.compiled.xla import WIDE
+from keepout.core.fields import mlp
+from keepout.core.fields.continuation import RadialContinuation
+from keepout.core.fields.neural import NeuralField
 
 BATCH, REPEATS = 1000, 7
 

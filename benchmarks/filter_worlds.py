@@ -19,12 +19,12 @@ import numpy as np
 from kept_rows import show
 from scipy import stats
 
-from keepout.control.observer import PAPER_FREQUENCIES
-from keepout.motion import Orbit, RelativeMotion
-from keepout.motion.disturbance import NoDisturbance, paper_disturbance
-from keepout.sensing.kalman import kalman_filter
-from keepout.sensing.sensor import Sample
-from keepout.sensing.worked_suites import close
+from keepout.core.control.observer import PAPER_FREQUENCIES
+from keepout.core.motion import Orbit, RelativeMotion
+from keepout.core.motion.disturbance import NoDisturbance, paper_disturbance
+from keepout.flights.navigation.kalman import kalman_filter
+from keepout.flights.navigation.sensor import Sample
+from keepout.flights.navigation.worked_suites import close
 
 MASS, PERIOD, BOUND = 20.0, 1.0, 0.0173
 NEAR = RelativeMotion(Orbit(6_778_137.0))

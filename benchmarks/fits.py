@@ -15,16 +15,16 @@ from pathlib import Path
 import numpy as np
 from fields import sgemm_rate
 
-from keepout.fields.grid_build import build_grid
-from keepout.fields.model import FieldModel
-from keepout.fields.neural import NeuralField
-from keepout.geometry.offset_solid import OffsetSolid
-from keepout.geometry.target import Target
-from keepout.learning.training import HARD_SHARE, fit
-from keepout.measures.quality import curvature, margin_cost
-from keepout.proof.certificate import certify
-from keepout.proof.grid import certify_grid
-from keepout.whole_file import write_whole
+from keepout.core.fields.grid_build import build_grid
+from keepout.core.fields.model import FieldModel
+from keepout.core.fields.neural import NeuralField
+from keepout.core.geometry.offset_solid import OffsetSolid
+from keepout.core.geometry.target import Target
+from keepout.core.learning.training import HARD_SHARE, fit
+from keepout.core.measures.quality import curvature, margin_cost
+from keepout.core.proof.certificate import certify
+from keepout.core.proof.grid import certify_grid
+from keepout.core.whole_file import write_whole
 
 RADII = (0.0, 0.5)
 COLUMNS = (

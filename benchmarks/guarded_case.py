@@ -9,13 +9,13 @@ import numpy as np
 from reach import travel_times, with_goals
 from reach_case import Case
 
-from keepout.audit.audit import Contact
-from keepout.control.guidance.plan import Straight
-from keepout.flight.batches import BATCH, states_at
-from keepout.mission.audited import fly_audited
-from keepout.mission.build import build_guard, closing_radius, flight_setup
-from keepout.mission.law import build_law, room_for_guard
-from keepout.report import terminal
+from keepout.core.audit.audit import Contact
+from keepout.core.control.guidance.plan import Straight
+from keepout.core.flight.batches import BATCH, states_at
+from keepout.core.mission.audited import fly_audited
+from keepout.core.mission.build import build_guard, closing_radius, flight_setup
+from keepout.core.mission.law import build_law, room_for_guard
+from keepout.flights.report import terminal
 
 
 @dataclasses.dataclass(frozen=True)

@@ -29,19 +29,19 @@ from pathlib import Path
 import numpy as np
 from kept_rows import Rows, show
 
-from keepout.errors import KeepoutError
-from keepout.fields.shipped import shipped_names
-from keepout.geometry.target import Target
-from keepout.inspecting.equipment import boresight_of, rules_of
-from keepout.inspecting.fate import shares
-from keepout.inspecting.frames import Camera
-from keepout.inspecting.inspect import inspect
-from keepout.inspecting.lit import ever_lit
-from keepout.inspecting.planning import plan
-from keepout.inspecting.problem import Problem
-from keepout.inspecting.wanted import Wanted
-from keepout.mission.light import Light
-from keepout.mission.scenario import Scenario
+from keepout.apps.inspection.equipment import boresight_of, rules_of
+from keepout.apps.inspection.fate import shares
+from keepout.apps.inspection.frames import Camera
+from keepout.apps.inspection.inspect import inspect
+from keepout.apps.inspection.lit import ever_lit
+from keepout.apps.inspection.planning import plan
+from keepout.apps.inspection.problem import Problem
+from keepout.apps.inspection.wanted import Wanted
+from keepout.core.errors import KeepoutError
+from keepout.core.fields.shipped import shipped_names
+from keepout.core.geometry.target import Target
+from keepout.core.mission.light import Light
+from keepout.core.mission.scenario import Scenario
 
 OUT = Path(__file__).with_name("results") / "inspection.json"
 PARTS = ("targets", "baselines", "light", "dispersed")

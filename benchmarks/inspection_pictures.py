@@ -17,11 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from keepout.geometry.first_hit import FirstHit
-from keepout.geometry.target import Target
-from keepout.mapping.view import Pinhole
-from keepout.report.perspective import Studio
-from keepout.sensing.depth.pointing import axes_towards
+from keepout.apps.inspection.perspective import Studio
+from keepout.apps.unknown.depth.pointing import axes_towards
+from keepout.apps.unknown.mapping.view import Pinhole
+from keepout.core.geometry.first_hit import FirstHit
+from keepout.core.geometry.target import Target
 
 SHIPPED = ("intelsat30", "tiangong", "iss")
 SUN = np.array([0.48, -0.6, 0.64])

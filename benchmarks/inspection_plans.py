@@ -26,13 +26,13 @@ from typing import Any
 import numpy as np
 from kept_rows import Rows, show
 
-from keepout.geometry.target import Target
-from keepout.inspecting.cover import fewest_views
-from keepout.inspecting.planning import candidates, plan
-from keepout.inspecting.problem import Problem
-from keepout.inspecting.tour import Objective
-from keepout.mission.scenario import Scenario
-from keepout.seeing.seeable import Verdict
+from keepout.apps.inspection.cover import fewest_views
+from keepout.apps.inspection.planning import candidates, plan
+from keepout.apps.inspection.problem import Problem
+from keepout.apps.inspection.seeing.seeable import Verdict
+from keepout.apps.inspection.tour import Objective
+from keepout.core.geometry.target import Target
+from keepout.core.mission.scenario import Scenario
 
 OUT = Path(__file__).with_name("results") / "inspection_plans.json"
 PARTS = ("plans", "full cover")

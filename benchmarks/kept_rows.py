@@ -4,7 +4,7 @@ import fcntl
 import json
 import sys
 
-from keepout.whole_file import write_whole
+from keepout.core.whole_file import write_whole
 
 
 class Rows:

@@ -18,23 +18,23 @@ from pathlib import Path
 import numpy as np
 import scipy.ndimage
 
-from keepout.fields.evaluate import values
-from keepout.fields.model import FieldModel
-from keepout.fields.shipped import load_shipped, shipped_names
-from keepout.geometry.first_hit import FirstHit
-from keepout.geometry.level_points import level_points
-from keepout.geometry.offset_solid import OffsetSolid
-from keepout.geometry.target import Target
-from keepout.learning.training import fit
-from keepout.mapping.known_free import KnownFreeMap
-from keepout.mapping.map_file import load, save
-from keepout.mapping.skin import skin
-from keepout.proof.certificate import certify
-from keepout.sensing.depth.camera import DepthCamera
-from keepout.sensing.depth.depth import take
-from keepout.sensing.depth.errors import ErrorDraw
-from keepout.sensing.depth.pointing import axes_towards
-from keepout.whole_file import write_whole
+from keepout.apps.unknown.depth.camera import DepthCamera
+from keepout.apps.unknown.depth.depth import take
+from keepout.apps.unknown.depth.errors import ErrorDraw
+from keepout.apps.unknown.depth.pointing import axes_towards
+from keepout.apps.unknown.mapping.known_free import KnownFreeMap
+from keepout.apps.unknown.mapping.map_file import load, save
+from keepout.apps.unknown.mapping.skin import skin
+from keepout.core.fields.evaluate import values
+from keepout.core.fields.model import FieldModel
+from keepout.core.fields.shipped import load_shipped, shipped_names
+from keepout.core.geometry.first_hit import FirstHit
+from keepout.core.geometry.level_points import level_points
+from keepout.core.geometry.offset_solid import OffsetSolid
+from keepout.core.geometry.target import Target
+from keepout.core.learning.training import fit
+from keepout.core.proof.certificate import certify
+from keepout.core.whole_file import write_whole
 
 RADIUS, MARGIN = 0.5, 0.1
 """Metres: of the chaser, and the operator's margin that a goal needs beyond it."""

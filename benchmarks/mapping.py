@@ -16,11 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from keepout.mapping import KnownFreeMap, Pinhole, SensorBounds, View, ViewStatus
-from keepout.mapping.distance_transform import renew
-from keepout.mapping.pyramid import pyramid
-from keepout.mapping.rule import SLACK, empty_ranges, rule_of
-from keepout.mapping.windows import BLOCK, free_cubes
+from keepout.apps.unknown.mapping import KnownFreeMap, Pinhole, SensorBounds, View, ViewStatus
+from keepout.apps.unknown.mapping.distance_transform import renew
+from keepout.apps.unknown.mapping.pyramid import pyramid
+from keepout.apps.unknown.mapping.rule import SLACK, empty_ranges, rule_of
+from keepout.apps.unknown.mapping.windows import BLOCK, free_cubes
 
 CAMERA = Pinhole(160, 120, math.radians(60.0))
 BALLS = (((0.0, 0.0, 0.0), 2.0), ((0.0, 5.0, 1.0), 1.2))

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from keepout.motion import NoDisturbance, Orbit, RelativeMotion, Tumbling, VVLHFixed
+from keepout.core.motion import NoDisturbance, Orbit, RelativeMotion, Tumbling, VVLHFixed
 
 INERTIA = np.array([[120.0, 8.0, -5.0], [8.0, 90.0, 4.0], [-5.0, 4.0, 60.0]])
 STEPS = 3000

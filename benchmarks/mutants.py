@@ -2,7 +2,7 @@
 
     python benchmarks/mutants.py                     # every mutant against the tests of its room
     python benchmarks/mutants.py --only "left out for ever"
-    python benchmarks/mutants.py --then mission flight --all
+    python benchmarks/mutants.py --then core/mission core/flight --all
 
 A mutant is a text that occurs once in a file of src/keepout and what takes its place: a sign, a bound, a dropped term,
 another axis. Each is a real fault, of which some promise of the product no longer holds. The source is copied, the copy
@@ -30,15 +30,19 @@ ROOT = Path(__file__).parents[1]
 KEPT = ROOT / "out" / "mutants.jsonl"
 NOTHING_RAN, OUT_OF_TIME = 5, (124, 137)
 """Exit codes of pytest, and of `timeout`."""
-ALSO = {"audit/passage.py": "exchange", "guard/braking.py": "mission", "control/velocity.py": "flight"}
+ALSO = {
+    "core/audit/passage.py": "flights/exchange",
+    "core/guard/braking.py": "core/mission",
+    "core/control/velocity.py": "core/flight",
+}
 """A second room whose tests are about a file."""
-BUILT = ("fields", "geometry", "proof")
+BUILT = ("core/fields", "core/geometry", "core/proof")
 """Rooms that fields are built by: nothing that an earlier run built is taken for what a mutant of these would build."""
 
 # For each file (name, text, what takes its place, what is tried first: names of files of tests,
 # each with the part of a test's name to look for, where not all of the file is meant).
 MUTANTS = {
-    "guard/guard.py": [
+    "core/guard/guard.py": [
         ("sagitta left out", "(sagitta + moved)", "moved", "mutants_found"),
         ("speed without its radius", "self.braking.velocity_radius + faster", "faster", "invariance:speed"),
         ("segment at half slope", "values[1:] - self.lipschitz", "values[1:] - 0.5 * self.lipschitz", "invariance"),
@@ -48,25 +52,25 @@ MUTANTS = {
         ("safe from one state only", "moved = away + faster", "moved = faster", "mutants_found"),
         ("start by its place alone", "longer * a.velocity_error + joints", "joints", "start"),
     ],
-    "guard/watch.py": [
+    "core/guard/watch.py": [
         ("window a step too wide", "T * (place + 1) + turned", "T * (place + 2) + turned", "watch"),
         ("flies on when expired", "return time >", "return time > 60.0 +", "guard:out_of_date"),
         ("region by range alone", "return far |", "return far &", "guard:flags"),
     ],
-    "guard/nominal.py": [("stop half a step short", "+ 0.5 * rest * T", "", "invariance")],
-    "guard/observer.py": [
+    "core/guard/nominal.py": [("stop half a step short", "+ 0.5 * rest * T", "", "invariance")],
+    "core/guard/observer.py": [
         ("observer begun afar", "most[0] - errors[0],", "most[0],", "guard:begins"),
     ],
-    "guard/braking.py": [
+    "core/guard/braking.py": [
         ("bow without the reserve", "bow = T**2 / 8.0 * (reserve + D", "bow = T**2 / 8.0 * (D", "invariance:worst"),
         ("past pushes forgotten", "= summed.pushed + summed.pushed_before", "= summed.pushed", "observer_radii"),
         ("turning not in D", "(scale + self.turning_error)", "scale", "assumptions:inertial disturbance_bound"),
     ],
-    "proof/relaxation.py": [
+    "core/proof/relaxation.py": [
         ("remainder not carried on", "= s * left + 0.5 * (upper - lower)", "= s * left", "bounds"),
     ],
-    "proof/bounds.py": [("float32 as float64", "unit = UNIT32 if network.single else", "unit =", "bounds")],
-    "proof/slope_bounds.py": [
+    "core/proof/bounds.py": [("float32 as float64", "unit = UNIT32 if network.single else", "unit =", "bounds")],
+    "core/proof/slope_bounds.py": [
         (
             "least for largest slope",
             "above = max(above, 1.0 - small",
@@ -75,66 +79,90 @@ MUTANTS = {
         ),
         ("second order left out", "= size * delta + steepest", "= steepest", "slope_bounds:random"),
     ],
-    "proof/slope.py": [("cubes by their middles", "+ reach >= clearance", ">= clearance", "mutants_found")],
-    "proof/certificate.py": [
+    "core/proof/slope.py": [("cubes by their middles", "+ reach >= clearance", ">= clearance", "mutants_found")],
+    "core/proof/certificate.py": [
         ("cube as wide as its side", "np.linalg.norm(half, axis=1)", "half[:, 0]", "mutants_found"),
     ],
-    "proof/grid.py": [
+    "core/proof/grid.py": [
         ("cell without its spread", "np.hypot(radius, h) - radius + (c", "(c", "grid_field grid:contact")
     ],
-    "proof/grid_slope.py": [("lowering does not change", "* cells.side * change", "* 0.0", "mutants_found")],
-    "audit/tube.py": [("pulses leave no room", "* tau**2 + self.excursion", "* tau**2", "pulsed")],
-    "audit/sample_loops.py": [
+    "core/proof/grid_slope.py": [("lowering does not change", "* cells.side * change", "* 0.0", "mutants_found")],
+    "core/audit/tube.py": [("pulses leave no room", "* tau**2 + self.excursion", "* tau**2", "pulsed")],
+    "core/audit/sample_loops.py": [
         ("half of Coriolis", "unknown + 2.0 * rate", "unknown + rate", "audit:tube"),
         ("blocks without travel", "excess[b] = max(excess[b], ", "excess[b] = min(excess[b], ", "mutants_found"),
         ("range at the sample only", "away + fastest * step[k] >", "away >", "mutants_found"),
         ("better end decides", "max(max(sqrt(forwards)", "max(min(sqrt(forwards)", "mutants_found"),
     ],
-    "audit/audit.py": [("clearance as found", "float(bound.lower[i])", "float(bound.upper[i])", "audit:said")],
-    "audit/outside.py": [("balls that overlap walls", "0.9 * free * _D", "1.5 * free * _D", "audit:said")],
-    "audit/passage.py": [("nearer end for farther", "est = np.maximum(", "est = np.minimum(", "mutants_found")],
-    "motion/thrusters/errors.py": [
+    "core/audit/audit.py": [("clearance as found", "float(bound.lower[i])", "float(bound.upper[i])", "audit:said")],
+    "core/audit/outside.py": [("balls that overlap walls", "0.9 * free * _D", "1.5 * free * _D", "audit:said")],
+    "core/audit/passage.py": [("nearer end for farther", "est = np.maximum(", "est = np.minimum(", "mutants_found")],
+    "core/motion/thrusters/errors.py": [
         ("half an excursion", "period**2 / 32.0", "period**2 / 64.0", "thrusters:nearly_met"),
         ("gains only added", " + gain_error * self.gain_error", "", "disturbance_bound:compound"),
         ("fault a step short", "math.ceil(detection_time", "math.floor(detection_time", "thrusters:stuck"),
     ],
-    "motion/disturbance.py": [("largest for sum", "np.sum(np.abs(a", "np.max(np.abs(a", "disturbance:sum")],
-    "motion/pulses.py": [("thrown aside too little", "3.0 * jnp.cross(turn", "1.0 * jnp.cross(turn", "pulses:switch")],
-    "mission/turning_bounds.py": [("middle inertia for least", "inertia)[0]", "inertia)[1]", "orbit_bounds:torque")],
-    "mission/environment.py": [("gravity too far out", "_radius - max(", "_radius + max(", "assumptions:gravity")],
-    "mission/assumptions.py": [
+    "core/motion/disturbance.py": [("largest for sum", "np.sum(np.abs(a", "np.max(np.abs(a", "disturbance:sum")],
+    "core/motion/pulses.py": [
+        ("thrown aside too little", "3.0 * jnp.cross(turn", "1.0 * jnp.cross(turn", "pulses:switch")
+    ],
+    "core/mission/turning_bounds.py": [
+        ("middle inertia for least", "inertia)[0]", "inertia)[1]", "orbit_bounds:torque")
+    ],
+    "core/mission/environment.py": [("gravity too far out", "_radius - max(", "_radius + max(", "assumptions:gravity")],
+    "core/mission/assumptions.py": [
         ("shorter delay unnoticed", "if faults.delay !=", "if faults.delay >", "assumptions:beyond")
     ],
-    "fields/continuation.py": [
+    "core/fields/continuation.py": [
         ("rises like a distance", "self._rise(r) - self._rise(psi)", "r - psi", "neural_field:continuation"),
         ("allowance added", "added, 0.0) - self._low", "added, 0.0) + self._low", "neural_field:autodiff"),
     ],
-    "fields/grid.py": [("last cell left out", "jnp.int32), 0, BLOCK - 1)", "jnp.int32), 0, BLOCK - 2)", "grid_field")],
-    "fields/map_field.py": [
+    "core/fields/grid.py": [
+        ("last cell left out", "jnp.int32), 0, BLOCK - 1)", "jnp.int32), 0, BLOCK - 2)", "grid_field")
+    ],
+    "core/fields/map_field.py": [
         ("half a cell of error", "hypot(radius, float", "hypot(radius, 0.5 * float", "map_field:bound")
     ],
-    "mapping/rule.py": [("cube as its inner ball", "0.5 * math.sqrt(3.0) * spacing", "0.5 * spacing", "promises:body")],
-    "mapping/windows.py": [
+    "apps/unknown/mapping/rule.py": [
+        ("cube as its inner ball", "0.5 * math.sqrt(3.0) * spacing", "0.5 * spacing", "promises:body")
+    ],
+    "apps/unknown/mapping/windows.py": [
         ("attitude taken as exact", "+ distance * rule.attitude_error", "", "promises:body"),
         ("near side for far", "last_column, far + rule", "last_column, near + rule", "mutants_found"),
     ],
-    "mapping/known_free.py": [("ball by the near face", "- (low + self.spacing)", "- low", "known_free:ball")],
-    "seeing/visible.py": [("steep by its nearest corner", "steepest * far", "steepest * near", "visible:rules")],
-    "seeing/pyramid_kernel.py": [("half under is all under", "high <= bottom", "low <= bottom", "sightlines")],
-    "seeing/beam.py": [("beam by its far edge", "= max(abs(wx) - half", "= max(abs(wx) + half", "mutants_found")],
-    "seeing/shadow.py": [("shadow of a middle", "- half * (abs(edges", "- 0.0 * (abs(edges", "seeable")],
-    "campaign/dataset.py": [
+    "apps/unknown/mapping/known_free.py": [
+        ("ball by the near face", "- (low + self.spacing)", "- low", "known_free:ball")
+    ],
+    "apps/inspection/seeing/visible.py": [
+        ("steep by its nearest corner", "steepest * far", "steepest * near", "visible:rules")
+    ],
+    "apps/inspection/seeing/pyramid_kernel.py": [
+        ("half under is all under", "high <= bottom", "low <= bottom", "sightlines")
+    ],
+    "apps/inspection/seeing/beam.py": [
+        ("beam by its far edge", "= max(abs(wx) - half", "= max(abs(wx) + half", "mutants_found")
+    ],
+    "apps/inspection/seeing/shadow.py": [
+        ("shadow of a middle", "- half * (abs(edges", "- 0.0 * (abs(edges", "seeable")
+    ],
+    "flights/campaign/dataset.py": [
         ("bands of another flight", '"bands": digest(np.frombuffer(sketch, np.uint8))', "", "campaign:torn"),
     ],
-    "campaign/outcomes.py": [
+    "flights/campaign/outcomes.py": [
         ("undecided not counted", "touched | undecided", "touched & undecided", "results:rates"),
     ],
-    "campaign/keep.py": [("best kept for worst", "[runs]))][: keep", "[runs]))][::-1][: keep", "campaign:worst")],
-    "control/velocity_program/cone.py": [("wrong side of the plane", "(along + rate)", "(along - rate)", "cone:half")],
-    "control/velocity.py": [("faster than it can brake", "(2.0 * self.auth", "(4.0 * self.auth", "controller")],
-    "control/tracking.py": [("error adds to the barrier", "barrier - square", "barrier + square", "tracking")],
-    "geometry/bvh.py": [("box by another axis", "y - upper[node, 1]", "y - upper[node, 0]", "exact_distance")],
-    "geometry/octree.py": [("cells of the inner ball", "half_width * SQRT3", "half_width", "exact_distance:level")],
+    "flights/campaign/keep.py": [
+        ("best kept for worst", "[runs]))][: keep", "[runs]))][::-1][: keep", "campaign:worst")
+    ],
+    "core/control/velocity_program/cone.py": [
+        ("wrong side of the plane", "(along + rate)", "(along - rate)", "cone:half")
+    ],
+    "core/control/velocity.py": [("faster than it can brake", "(2.0 * self.auth", "(4.0 * self.auth", "controller")],
+    "core/control/tracking.py": [("error adds to the barrier", "barrier - square", "barrier + square", "tracking")],
+    "core/geometry/bvh.py": [("box by another axis", "y - upper[node, 1]", "y - upper[node, 0]", "exact_distance")],
+    "core/geometry/octree.py": [
+        ("cells of the inner ball", "half_width * SQRT3", "half_width", "exact_distance:level")
+    ],
 }
 
 
@@ -164,9 +192,9 @@ class Mutant(NamedTuple):
 
     def stages(self, tests: Path, then: list[str], everything: bool) -> list[str]:
         """Give what is run after what: files, with ":" and a part of a name perhaps, and folders that are there."""
-        room = self.file.split("/")[0]
+        room = str(Path(*Path(self.file).parts[:2]))
         # A room's own file comes before another's of the same name.
-        paths = sorted(tests.rglob("test_*.py"), key=lambda path: path.parent.name == room)
+        paths = sorted(tests.rglob("test_*.py"), key=lambda path: path.is_relative_to(tests / room))
         named = {path.stem.removeprefix("test_"): str(path.relative_to(tests)) for path in paths}
         first = [hint.partition(":") for hint in self.first.split()]
         rooms = [folder for folder in (room, ALSO.get(self.file), *then) if folder and (tests / folder).exists()]
@@ -218,7 +246,7 @@ class Bench:
     def _environment(self, mutant: Mutant, fresh: Path) -> dict[str, str]:
         file = self.copy / "keepout" / mutant.file
         compiled = fresh if "import numba" in file.read_text(encoding="utf-8") else self.folder
-        built = fresh if mutant.file.split("/")[0] in BUILT else self.folder
+        built = fresh if str(Path(mutant.file).parent) in BUILT else self.folder
         places = {
             "NUMBA_CACHE_DIR": compiled / "numba",
             "KEEPOUT_CACHE": built / "fields",

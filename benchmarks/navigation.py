@@ -25,9 +25,9 @@ from guarded_case import GuardedCase
 from kept_rows import Rows, show
 
 import keepout
-from keepout.mission import environment
-from keepout.mission.law import flown_law
-from keepout.mission.navigation import navigation
+from keepout.core.mission import environment
+from keepout.core.mission.law import flown_law
+from keepout.core.mission.navigation import navigation
 
 SUITES = {
     "close": {},

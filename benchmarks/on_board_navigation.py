@@ -14,11 +14,11 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from keepout.flight import loop
-from keepout.flight.on_board_navigation import OnBoardNavigation
-from keepout.mission.build import prepare
-from keepout.mission.scenario import Scenario
-from keepout.report.machine import machine
+from keepout.core.flight import loop
+from keepout.core.flight.on_board_navigation import OnBoardNavigation
+from keepout.core.mission.build import prepare
+from keepout.core.mission.scenario import Scenario
+from keepout.flights.report.machine import machine
 
 
 def recorded(mission, steps):

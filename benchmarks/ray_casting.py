@@ -18,9 +18,9 @@ from typing import Any
 import igl.embree
 import numpy as np
 
-from keepout.geometry import Target
-from keepout.geometry.first_hit import FirstHit
-from keepout.sensing.depth import DepthCamera, axes_towards, take
+from keepout.apps.unknown.depth import DepthCamera, axes_towards, take
+from keepout.core.geometry import Target
+from keepout.core.geometry.first_hit import FirstHit
 
 # Aura's file has no real unit (deployed length 17.37 m); Itokawa's is normalised, and is shown at 20 m.
 SCALES = {"aura_arbitrary_units": 0.342, "itokawa": 20.0}

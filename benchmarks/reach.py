@@ -29,17 +29,17 @@ from kept_rows import Rows, show
 from reach_case import Case
 
 import keepout
-from keepout.audit.audit import Contact
-from keepout.control.conditions import drift_bound
-from keepout.control.guidance.geodesic import geodesic_guidance
-from keepout.control.guidance.plan import Straight
-from keepout.control.profiles import ControlWarning
-from keepout.control.tuning import tune
-from keepout.flight.batches import BATCH, states_at
-from keepout.mission.audited import fly_audited
-from keepout.mission.build import flight_setup
-from keepout.mission.law import build_law, operation
-from keepout.report import terminal
+from keepout.core.audit.audit import Contact
+from keepout.core.control.conditions import drift_bound
+from keepout.core.control.guidance.geodesic import geodesic_guidance
+from keepout.core.control.guidance.plan import Straight
+from keepout.core.control.profiles import ControlWarning
+from keepout.core.control.tuning import tune
+from keepout.core.flight.batches import BATCH, states_at
+from keepout.core.mission.audited import fly_audited
+from keepout.core.mission.build import flight_setup
+from keepout.core.mission.law import build_law, operation
+from keepout.flights.report import terminal
 
 LAWS = {
     "geodesic": {"profile": "default", "guidance": "geodesic", "circulation": "none"},

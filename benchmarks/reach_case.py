@@ -4,17 +4,17 @@ from pathlib import Path
 
 import numpy as np
 
-from keepout.control.guidance.fast_marching import travel_time
-from keepout.control.guidance.geodesic import BarrierGrid
-from keepout.fields.evaluate import values
-from keepout.fields.model import FieldModel
-from keepout.fields.shipped import load_shipped, shipped_names
-from keepout.geometry.offset_solid import OffsetSolid
-from keepout.geometry.target import Target
-from keepout.learning.training import fit
-from keepout.mission.scenario import Scenario
-from keepout.proof.certificate import certify
-from keepout.report import terminal
+from keepout.core.control.guidance.fast_marching import travel_time
+from keepout.core.control.guidance.geodesic import BarrierGrid
+from keepout.core.fields.evaluate import values
+from keepout.core.fields.model import FieldModel
+from keepout.core.fields.shipped import load_shipped, shipped_names
+from keepout.core.geometry.offset_solid import OffsetSolid
+from keepout.core.geometry.target import Target
+from keepout.core.learning.training import fit
+from keepout.core.mission.scenario import Scenario
+from keepout.core.proof.certificate import certify
+from keepout.flights.report import terminal
 
 FIELDS = Path(__file__).parent / "results" / "fields"
 """Fields that the kept rows were flown by."""

@@ -20,9 +20,9 @@ from typing import Any
 
 from playwright.sync_api import Browser, sync_playwright
 
-from keepout.commands.flight import replay_to_page
-from keepout.mission.flight import fly
-from keepout.mission.scenario import Scenario
+from keepout.cli.commands.flight import replay_to_page
+from keepout.core.mission.flight import fly
+from keepout.core.mission.scenario import Scenario
 
 SOFTWARE = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 ISS = {

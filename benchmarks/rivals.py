@@ -25,8 +25,8 @@ from rivals_laws.registry import RIVALS
 from rivals_laws.rival_case import RivalCase
 from rivals_laws.rows import COLUMNS, Rows, flown_row, planned
 
-from keepout.control.profiles import ControlWarning
-from keepout.report import terminal
+from keepout.core.control.profiles import ControlWarning
+from keepout.flights.report import terminal
 
 TARGETS = ("intelsat30", "iss", "pocket", "../shared/meshes/ssl1300.glb")
 HERE = Path(__file__).resolve().parent

@@ -16,14 +16,14 @@ from typing import Any
 
 import numpy as np
 
-from keepout.geometry import Target
-from keepout.seeing.cut import cut
-from keepout.seeing.judge import SQUARES, seeable
-from keepout.seeing.room import Room
-from keepout.seeing.rules import SeeingRules
-from keepout.seeing.seeable import Hidden, Verdict
-from keepout.seeing.sightlines import Sightlines
-from keepout.seeing.visible import visible
+from keepout.apps.inspection.seeing.cut import cut
+from keepout.apps.inspection.seeing.judge import SQUARES, seeable
+from keepout.apps.inspection.seeing.room import Room
+from keepout.apps.inspection.seeing.rules import SeeingRules
+from keepout.apps.inspection.seeing.seeable import Hidden, Verdict
+from keepout.apps.inspection.seeing.sightlines import Sightlines
+from keepout.apps.inspection.seeing.visible import visible
+from keepout.core.geometry import Target
 
 SHIPPED = ("intelsat30", "tiangong", "iss")
 FILES = ("ssl1300", "hubble")

@@ -24,13 +24,13 @@ from typing import Any
 
 import numpy as np
 
-from keepout.geometry import Target
-from keepout.geometry.first_hit import FirstHit
-from keepout.seeing.cut import cut
-from keepout.seeing.patches import Patches
-from keepout.seeing.rules import SeeingRules
-from keepout.seeing.sightlines import LIFT, Sightlines
-from keepout.seeing.visible import lit_units, within_rules
+from keepout.apps.inspection.seeing.cut import cut
+from keepout.apps.inspection.seeing.patches import Patches
+from keepout.apps.inspection.seeing.rules import SeeingRules
+from keepout.apps.inspection.seeing.sightlines import LIFT, Sightlines
+from keepout.apps.inspection.seeing.visible import lit_units, within_rules
+from keepout.core.geometry import Target
+from keepout.core.geometry.first_hit import FirstHit
 
 Point = list[Fraction]
 SHIPPED = ("intelsat30", "tiangong", "iss")

@@ -35,7 +35,7 @@ def watch():
     monitoring.register_event_listener(lambda name, **_: counts.get(name.rsplit("/")[-1], []).append(name))
 from keepout import cli
 if sys.argv[1] == "campaign":
-    from keepout.campaign import flying
+    from keepout.flights.campaign import flying
     told = flying.fly_batches
     def landed_first(*arguments, **named):
         landed = named["landed"]

@@ -23,9 +23,9 @@ from guarded_case import GuardedCase
 from kept_rows import Rows, show
 
 import keepout
-from keepout.flight.batches import states_at
-from keepout.guard.start import starts_certified
-from keepout.mission.thrusters import thrusters
+from keepout.core.flight.batches import states_at
+from keepout.core.guard.start import starts_certified
+from keepout.core.mission.thrusters import thrusters
 
 STUCK_FROM = 20.0
 """Seconds after the start: on the way, at full speed."""

@@ -30,7 +30,7 @@ def main(grid: keepout.FieldModel, duration: float = 500.0) -> keepout.Flight:
 
 
 if __name__ == "__main__":
-    from keepout.guard.field import guard_field
+    from keepout.core.guard.field import guard_field
 
     flight = main(guard_field(keepout.Target.load("box"), 0.5))
     print(flight.summary()["contact_verdict"], f"clearance {flight.summary()['minimum_clearance_m']:.2f} m")

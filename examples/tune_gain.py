@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 
 import keepout
-from keepout.flight import loop
+from keepout.core.flight import loop
 
 
 def main(steps: int = 120, rounds: int = 12, start: float = 1.0) -> list[tuple[float, float]]:

@@ -13,10 +13,10 @@ import pytest
 from truths.command_line import keepout_command
 
 from keepout import cli
+from keepout.cli.commands import mesh
 from keepout.cli.options import ORDER
-from keepout.commands import mesh
-from keepout.fields.model import FieldModel
-from keepout.fields.shipped import shipped_path
+from keepout.core.fields.model import FieldModel
+from keepout.core.fields.shipped import shipped_path
 
 REPOSITORY = Path(__file__).parents[1]
 EXAMPLES = REPOSITORY / "examples"
@@ -148,22 +148,22 @@ def work_is_watched(monkeypatch, work):
 @pytest.mark.parametrize(
     ("command", "file", "work"),
     [
-        (("targets", "--pictures"), None, "keepout.geometry.shape:enclosed_volume"),
-        (("describe", "box", "-o"), None, "keepout.geometry.survey:survey"),
-        (("measure", "intelsat30", "--shipped", "-o"), None, "keepout.measures.field_measures:measure_model"),
-        (("fly", "mission.toml", "-o"), None, "keepout.mission.flight:fly"),
-        (("explore", "explore.toml", "-o"), None, "keepout.exploring.explore:explore"),
-        (("inspect", "mission.toml", "-o"), None, "keepout.inspecting.inspect:inspect"),
-        (("campaign", "mission.toml", "-o"), None, "keepout.campaign.plan:Workshop"),
-        (("campaign", "compare", "a", "b", "-o"), None, "keepout.report.comparison_page:read_campaign"),
-        (("rare", "mission.toml", "-o"), None, "keepout.rare_events.event:rare"),
-        (("reproduce", "runtime", "-o"), None, "keepout.experiments:side_by_side"),
-        (("fit", "box", "-o"), "box.keepout", "keepout.learning.training:fit"),
-        (("scenario", "new", "--for", "box", "--force", "-o"), "new.toml", "keepout.mission.draft:draft"),
-        (("scenario", "schema", "-o"), "schema.json", "keepout.mission.schema:schema"),
-        (("replay", "a.parquet", "-o"), "page.html", "keepout.replay.flights:of_files"),
-        (("export", "a.parquet", "--to", "oem", "-o"), "a.oem", "keepout.exchange.export:export_flight"),
-        (("certify",), "box.keepout", "keepout.proof.certificate:certify"),
+        (("targets", "--pictures"), None, "keepout.core.geometry.shape:enclosed_volume"),
+        (("describe", "box", "-o"), None, "keepout.core.geometry.survey:survey"),
+        (("measure", "intelsat30", "--shipped", "-o"), None, "keepout.core.measures.field_measures:measure_model"),
+        (("fly", "mission.toml", "-o"), None, "keepout.core.mission.flight:fly"),
+        (("explore", "explore.toml", "-o"), None, "keepout.apps.unknown.explore:explore"),
+        (("inspect", "mission.toml", "-o"), None, "keepout.apps.inspection.inspect:inspect"),
+        (("campaign", "mission.toml", "-o"), None, "keepout.flights.campaign.plan:Workshop"),
+        (("campaign", "compare", "a", "b", "-o"), None, "keepout.flights.report.comparison_page:read_campaign"),
+        (("rare", "mission.toml", "-o"), None, "keepout.flights.rare_events.event:rare"),
+        (("reproduce", "runtime", "-o"), None, "keepout.apps.reproduction:side_by_side"),
+        (("fit", "box", "-o"), "box.keepout", "keepout.core.learning.training:fit"),
+        (("scenario", "new", "--for", "box", "--force", "-o"), "new.toml", "keepout.core.mission.draft:draft"),
+        (("scenario", "schema", "-o"), "schema.json", "keepout.core.mission.schema:schema"),
+        (("replay", "a.parquet", "-o"), "page.html", "keepout.flights.replay.flights:of_files"),
+        (("export", "a.parquet", "--to", "oem", "-o"), "a.oem", "keepout.flights.exchange.export:export_flight"),
+        (("certify",), "box.keepout", "keepout.core.proof.certificate:certify"),
     ],
     ids=lambda part: part[0] if isinstance(part, tuple) else "",
 )
@@ -205,7 +205,7 @@ def test_a_fit_that_is_stopped_says_so_in_a_line(monkeypatch, tmp_path):
     def stopped(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("keepout.learning.training.fit", stopped)
+    monkeypatch.setattr("keepout.core.learning.training.fit", stopped)
     answer = keepout_command("fit", "box", "-o", tmp_path / "box.keepout", "--json")
     assert (answer.code, answer.out) == (130, "")
     assert answer.err.endswith("keepout: stopped\n")

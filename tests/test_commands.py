@@ -24,21 +24,21 @@ from truths.replay_page import ReplayPage
 from truths.results import Page, check_picture
 
 import keepout
-from keepout.audit.audit import Audit, audit
+from keepout.apps.inspection.frames_file import coverage_of_files
+from keepout.apps.unknown import equipment
+from keepout.apps.unknown.depth import ErrorDraw, axes_towards, take
+from keepout.apps.unknown.mapping import map_file
 from keepout.cli.options import ORDER
-from keepout.exploring import equipment
-from keepout.fields.evaluate import values
-from keepout.fields.model import FieldModel
-from keepout.flight.record import FlightRecord
-from keepout.geometry.builtin import BUILTINS
-from keepout.geometry.first_hit import FirstHit
-from keepout.geometry.target import Target
-from keepout.inspecting.frames_file import coverage_of_files
-from keepout.mapping import map_file
-from keepout.mission import environment
-from keepout.mission.scenario import Scenario
-from keepout.report.terminal import FLIGHT_COLUMNS, shown
-from keepout.sensing.depth import ErrorDraw, axes_towards, take
+from keepout.core.audit.audit import Audit, audit
+from keepout.core.fields.evaluate import values
+from keepout.core.fields.model import FieldModel
+from keepout.core.flight.record import FlightRecord
+from keepout.core.geometry.builtin import BUILTINS
+from keepout.core.geometry.first_hit import FirstHit
+from keepout.core.geometry.target import Target
+from keepout.core.mission import environment
+from keepout.core.mission.scenario import Scenario
+from keepout.flights.report.terminal import FLIGHT_COLUMNS, shown
 
 pytestmark = [pytest.mark.as_used, pytest.mark.long]
 
@@ -95,10 +95,10 @@ start.position = [0.0, 5.0, 2.0]
 inspect = {{stand_off = 1.2, patch_size = 1.0, coverage = 0.5, candidates = 100, proof_time = 0.5}}
 """
 FEW = {"width": 16, "depth": 2, "samples": 4000, "batch": 400, "steps": 250, "tuning_steps": 50}
-"""A fit of seconds; tests/proof/test_certificate.py says how good a fit is."""
+"""A fit of seconds; tests/core/proof/test_certificate.py says how good a fit is."""
 ROUGH = f"""
 from dataclasses import replace
-from keepout.learning import profile
+from keepout.core.learning import profile
 profile.PROFILES["quick"] = replace(profile.PROFILES["quick"], **{FEW})
 from keepout.cli import main
 main()

@@ -16,7 +16,7 @@ import typer
 
 import keepout
 from keepout import cli
-from keepout.mission.scenario import Scenario
+from keepout.core.mission.scenario import Scenario
 
 REPOSITORY = Path(__file__).parents[1]
 DOCS = REPOSITORY / "docs"

@@ -14,7 +14,7 @@ from test_docs import PAGES, blocks, named
 pytestmark = pytest.mark.long
 
 ELSEWHERE = {"README.md", "docs/export.md", "docs/clusters.md"}
-"""Run by tests/test_commands.py and tests/exchange/test_pages.py; the last needs what no test has: a SLURM cluster."""
+"""Run by tests/test_commands.py and tests/flights/exchange; the last needs what no test has: a SLURM cluster."""
 QUICK = {"docs/mapping.md", "docs/reading-a-certificate.md", "docs/seeable.md"}
 QUICKER = {
     # Its field, instead of one that is learned as README has it: the grid of exact distances.
@@ -41,11 +41,11 @@ QUICKER = {
 """What is written, and what the test writes instead."""
 BEFORE = {
     "docs/inspection.md": "from pathlib import Path\n"
-    "from keepout.commands.inspect import inspect_to_folder, mission_of\n"
+    "from keepout.cli.commands.inspect import inspect_to_folder, mission_of\n"
     "inspect_to_folder(mission_of(Path('mission.toml')), Path('out/inspect'), figures=False)\n",
-    "docs/tutorial.md": "from keepout.guard.field import guard_field\n",
+    "docs/tutorial.md": "from keepout.core.guard.field import guard_field\n",
     "docs/rare.md": "import keepout, numpy\n"
-    "from keepout.rare_events.tape import Tape\n"
+    "from keepout.flights.rare_events.tape import Tape\n"
     "scenario = keepout.Scenario.load('mission.toml')\n"
     "tape = numpy.zeros(Tape.of(scenario).numbers)\n",
 }

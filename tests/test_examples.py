@@ -11,9 +11,9 @@ import pytest
 from truths.boxes import contact_with_box
 
 import keepout
-from keepout.errors import FieldError
-from keepout.guard.field import guard_field
-from keepout.proof.stated import error_bound
+from keepout.core.errors import FieldError
+from keepout.core.guard.field import guard_field
+from keepout.core.proof.stated import error_bound
 
 FOLDER = Path(__file__).parents[1] / "examples"
 pytestmark = pytest.mark.long

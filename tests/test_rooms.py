@@ -11,12 +11,12 @@ import pytest
 REPOSITORY = Path(__file__).parents[1]
 
 BREAKS = {
-    "The audit never imports what it judges": ("audit/tube.py", "from keepout.control import law"),
-    "The guard never imports the law": ("guard/braking.py", "from keepout.control.law import Law"),
-    "A proof never imports what made the field": ("proof/bounds.py", "from keepout.learning import losses"),
-    "Fields never import control": ("fields/grid.py", "from keepout.control import law"),
-    "A mesh enters at the bottom": ("geometry/bvh.py", "from keepout.mission import scenario"),
-    "No circle of imports": ("motion/orbit.py", "from keepout.motion import relative"),
+    "The audit never imports what it judges": ("core/audit/tube.py", "from keepout.core.control import law"),
+    "The guard never imports the law": ("core/guard/braking.py", "from keepout.core.control.law import Law"),
+    "A proof never imports what made the field": ("core/proof/bounds.py", "from keepout.core.learning import losses"),
+    "Fields never import control": ("core/fields/grid.py", "from keepout.core.control import law"),
+    "A mesh enters at the bottom": ("core/geometry/bvh.py", "from keepout.core.mission import scenario"),
+    "No circle of imports": ("core/motion/orbit.py", "from keepout.core.motion import relative"),
 }
 
 
@@ -50,4 +50,4 @@ def test_each_deliberate_break_is_caught(tmp_path):
         assert verdict is not None
         assert verdict[0] == "BROKEN", contract
         importer = path.removesuffix(".py").replace("/", ".").removeprefix("motion")
-        assert f"{importer} -> {line.split()[1].removeprefix('keepout.motion')}" in found, contract
+        assert f"{importer} -> {line.split()[1].removeprefix('keepout.core.motion')}" in found, contract

@@ -23,9 +23,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
-from keepout.control.guidance.guidance import StraightGuidance
-from keepout.fields.field import Field
-from keepout.motion.relative import MotionState
+from keepout.core.control.guidance.guidance import StraightGuidance
+from keepout.core.fields.field import Field
+from keepout.core.motion.relative import MotionState
 from rivals_laws.envelopes import ellipsoid_field, envelope_law, refuse_inside
 from rivals_laws.observed import ObservedLaw, Plant, tracking
 from rivals_laws.rival import Rival

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import jax
 import numpy as np
 
-from keepout.errors import ControlError
+from keepout.core.errors import ControlError
 from rivals_laws.convexified_plan import Nodes, Plan, Planner, Task, integrated
 from rivals_laws.envelopes import shape_to_keep_out_of
 from rivals_laws.observed import Plant, linearised

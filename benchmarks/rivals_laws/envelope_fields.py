@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from keepout.fields.field import Field
+from keepout.core.fields.field import Field
 
 Point = Float[Array, "3"]
 

@@ -15,13 +15,13 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from keepout.control.controller import Controller
-from keepout.control.guidance.geodesic import require_free
-from keepout.control.operation import Operation
-from keepout.fields.analytic import SphereField
-from keepout.fields.field import Field
-from keepout.geometry.envelopes import small_capsule, smallest_ball
-from keepout.geometry.shape import smallest_ellipsoid
+from keepout.core.control.controller import Controller
+from keepout.core.control.guidance.geodesic import require_free
+from keepout.core.control.operation import Operation
+from keepout.core.fields.analytic import SphereField
+from keepout.core.fields.field import Field
+from keepout.core.geometry.envelopes import small_capsule, smallest_ball
+from keepout.core.geometry.shape import smallest_ellipsoid
 from rivals_laws.envelope_fields import CapsuleField, EllipsoidField
 from rivals_laws.rival import Rival
 from rivals_laws.rival_case import Point, RivalCase

@@ -9,10 +9,10 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-from keepout.digest import digest
-from keepout.errors import KeepoutError
-from keepout.report.style import COLOURS, TARGET_COLOUR, figure
-from keepout.whole_file import write_whole
+from keepout.core.digest import digest
+from keepout.core.errors import KeepoutError
+from keepout.core.whole_file import write_whole
+from keepout.flights.report.style import COLOURS, TARGET_COLOUR, figure
 from rivals_laws.flying import path
 from rivals_laws.rival import Rival
 from rivals_laws.rival_case import RivalCase

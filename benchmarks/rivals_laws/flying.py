@@ -9,14 +9,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from keepout.audit.audit import Contact
-from keepout.errors import KeepoutError
-from keepout.flight.batches import states_at
-from keepout.flight.loop import fly
-from keepout.flight.on_board import OnBoard
-from keepout.flight.setup import FlightSetup
-from keepout.mission.audited import fly_audited
-from keepout.mission.build import flight_setup
+from keepout.core.audit.audit import Contact
+from keepout.core.errors import KeepoutError
+from keepout.core.flight.batches import states_at
+from keepout.core.flight.loop import fly
+from keepout.core.flight.on_board import OnBoard
+from keepout.core.flight.setup import FlightSetup
+from keepout.core.mission.audited import fly_audited
+from keepout.core.mission.build import flight_setup
 from rivals_laws.rival import Rival
 from rivals_laws.rival_case import Point, RivalCase
 

@@ -8,8 +8,8 @@ import dataclasses
 
 from jaxtyping import Array, Float, PyTree
 
-from keepout.control.guidance.guidance import Guidance
-from keepout.motion.relative import MotionState
+from keepout.core.control.guidance.guidance import Guidance
+from keepout.core.motion.relative import MotionState
 from rivals_laws.observed import ObservedLaw, Plant, tracking
 from rivals_laws.rival import Rival
 from rivals_laws.rival_case import Point, RivalCase

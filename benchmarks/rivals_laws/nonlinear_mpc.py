@@ -27,9 +27,9 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Array, Float, Int
 
-from keepout.control.guidance.geodesic import require_free
-from keepout.fields.evaluate import values
-from keepout.motion.relative import MotionState
+from keepout.core.control.guidance.geodesic import require_free
+from keepout.core.fields.evaluate import values
+from keepout.core.motion.relative import MotionState
 from rivals_laws.envelopes import shape_to_keep_out_of
 from rivals_laws.field_spline import FieldSpline
 from rivals_laws.geodesic_way import geodesic_way

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, PyTree
 
-from keepout.control.law import Command, Law
-from keepout.control.observer import Observer
-from keepout.motion.relative import MotionState, RelativeMotion
+from keepout.core.control.law import Command, Law
+from keepout.core.control.observer import Observer
+from keepout.core.motion.relative import MotionState, RelativeMotion
 from rivals_laws.rival_case import RivalCase
 
 Vector = Float[Array, "3"]

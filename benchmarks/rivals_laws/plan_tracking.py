@@ -9,7 +9,7 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Array, Float, Int
 
-from keepout.motion.relative import MotionState
+from keepout.core.motion.relative import MotionState
 from rivals_laws.observed import ObservedLaw, Plant
 
 Vector = Float[Array, "3"]

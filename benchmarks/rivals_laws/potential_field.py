@@ -18,8 +18,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
-from keepout.fields.field import Field
-from keepout.motion.relative import MotionState
+from keepout.core.fields.field import Field
+from keepout.core.motion.relative import MotionState
 from rivals_laws.observed import ObservedLaw, Plant
 from rivals_laws.rival import Rival
 from rivals_laws.rival_case import Point, RivalCase

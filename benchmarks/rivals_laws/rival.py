@@ -5,7 +5,7 @@ import dataclasses
 import importlib.util
 from typing import ClassVar
 
-from keepout.control.law import Law
+from keepout.core.control.law import Law
 from rivals_laws.rival_case import Point, RivalCase
 
 

@@ -8,19 +8,19 @@ import numpy as np
 from jaxtyping import Float
 from reach_case import Case
 
-from keepout.control import profiles
-from keepout.control.controller import Controller
-from keepout.control.guidance.geodesic import geodesic_guidance
-from keepout.control.guidance.guidance import GeodesicGuidance
-from keepout.control.guidance.plan import Straight
-from keepout.control.operation import Operation
-from keepout.digest import digest
-from keepout.errors import ControlError
-from keepout.fields.field import Field
-from keepout.guard.guard import Guard
-from keepout.mission.build import build_guard
-from keepout.mission.law import operation
-from keepout.whole_file import write_whole
+from keepout.core.control import profiles
+from keepout.core.control.controller import Controller
+from keepout.core.control.guidance.geodesic import geodesic_guidance
+from keepout.core.control.guidance.guidance import GeodesicGuidance
+from keepout.core.control.guidance.plan import Straight
+from keepout.core.control.operation import Operation
+from keepout.core.digest import digest
+from keepout.core.errors import ControlError
+from keepout.core.fields.field import Field
+from keepout.core.guard.guard import Guard
+from keepout.core.mission.build import build_guard
+from keepout.core.mission.law import operation
+from keepout.core.whole_file import write_whole
 
 Point = Float[np.ndarray, "3"]
 

@@ -8,8 +8,8 @@ from collections import Counter
 import kept_rows
 
 import keepout
-from keepout.digest import digest
-from keepout.report.machine import machine
+from keepout.core.digest import digest
+from keepout.flights.report.machine import machine
 from rivals_laws.flying import Flown, laws_of, step_ms
 from rivals_laws.rival import Rival
 from rivals_laws.rival_case import RivalCase

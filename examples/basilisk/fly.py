@@ -19,8 +19,8 @@ from basilisk_world import World, vvlh
 from scipy.spatial.transform import Rotation
 
 import keepout
-from keepout.audit.audit import audit
-from keepout.mission.environment import flight_bounds
+from keepout.core.audit.audit import audit
+from keepout.core.mission.environment import flight_bounds
 
 
 class FlightSoftware(sysModel.SysModel):

@@ -8,7 +8,7 @@ import pytest
 from adversary_truth import GRAVITY, SUBSTEPS, AxisThrusters, Surface, Truth
 from scipy.linalg import expm
 
-from keepout.mission.scenario import Scenario
+from keepout.core.mission.scenario import Scenario
 
 PERIODS = 120
 ROWS = 2 * SUBSTEPS * PERIODS

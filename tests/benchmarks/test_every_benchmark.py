@@ -13,8 +13,8 @@ import pytest
 import reach
 from kept_rows import Rows
 
-from keepout.audit.audit import Contact
-from keepout.mission.scenario import Scenario
+from keepout.core.audit.audit import Contact
+from keepout.core.mission.scenario import Scenario
 
 ROOT = Path(__file__).parents[2]
 BENCHMARKS = sorted(path.stem for path in (ROOT / "benchmarks").glob("*.py"))

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from explore_counts import _meets, bad_cubes, over_statements
 
-from keepout.fields.field import Field
-from keepout.fields.map_field import MapField
-from keepout.geometry.cubes_met import cubes_met
-from keepout.geometry.mesh_report import Surface, describe
-from keepout.geometry.target import Target
-from keepout.mapping import KnownFreeMap, SensorBounds
+from keepout.apps.unknown.mapping import KnownFreeMap, SensorBounds
+from keepout.core.fields.field import Field
+from keepout.core.fields.map_field import MapField
+from keepout.core.geometry.cubes_met import cubes_met
+from keepout.core.geometry.mesh_report import Surface, describe
+from keepout.core.geometry.target import Target
 
 HALF = np.array([0.61, 0.42, 0.33])
 """Of the box, m."""
@@ -34,7 +34,7 @@ def known_round(box):
 
 
 def test_triangle_meets_cube_as_the_packages_geometry_says():
-    """Which tests/geometry/test_cubes_met.py holds against a linear programme."""
+    """Which tests/core/geometry/test_cubes_met.py holds against a linear programme."""
     generator = np.random.default_rng(0)
     answers = []
     for _ in range(2000):

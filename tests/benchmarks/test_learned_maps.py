@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from truths.boxes import HALF, box_distance, contact_with_box
 
-from keepout.geometry.offset_solid import OffsetSolid
-from keepout.geometry.target import Target
+from keepout.core.geometry.offset_solid import OffsetSolid
+from keepout.core.geometry.target import Target
 
 RADIUS = learned_maps.RADIUS
 

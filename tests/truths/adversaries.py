@@ -4,9 +4,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from keepout.motion import rotation
-from keepout.motion.relative import MotionState
-from keepout.sensing.error_parts import ErrorPart
+from keepout.core.motion import rotation
+from keepout.core.motion.relative import MotionState
+from keepout.flights.navigation.error_parts import ErrorPart
 
 PIECES = 4
 """Pieces of a period over which the disturbance is constant."""

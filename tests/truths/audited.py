@@ -4,8 +4,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from keepout.audit.audit import audit
-from keepout.audit.tube import FlightBounds
+from keepout.core.audit.audit import audit
+from keepout.core.audit.tube import FlightBounds
 
 MASS = 20.0
 BOUNDS = FlightBounds(

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from keepout.campaign import table
-from keepout.campaign.bands import Bands
-from keepout.campaign.plan import FORMAT
-from keepout.digest import digest
-from keepout.mission.scenario import Scenario
+from keepout.core.digest import digest
+from keepout.core.mission.scenario import Scenario
+from keepout.flights.campaign import table
+from keepout.flights.campaign.bands import Bands
+from keepout.flights.campaign.plan import FORMAT
 
 DISPERSIONS = {
     "chaser.mass": {"uniform": [18.0, 22.0]},

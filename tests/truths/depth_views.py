@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from keepout.mapping import Pinhole, SensorBounds, View
-from keepout.mapping.rule import SLACK
+from keepout.apps.unknown.mapping import Pinhole, SensorBounds, View
+from keepout.apps.unknown.mapping.rule import SLACK
 
 
 @dataclass(frozen=True)

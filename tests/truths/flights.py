@@ -4,10 +4,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from keepout.control.law import Command, Law
-from keepout.flight import Faults, FlightSetup
-from keepout.guard.safety_layer import SafetyLayer
-from keepout.motion import Orbit, RelativeMotion, Thrusters, paper_disturbance
+from keepout.core.control.law import Command, Law
+from keepout.core.flight import Faults, FlightSetup
+from keepout.core.guard.safety_layer import SafetyLayer
+from keepout.core.motion import Orbit, RelativeMotion, Thrusters, paper_disturbance
 
 KEY = jax.random.key(0)
 STEPS = 30

@@ -13,11 +13,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from keepout.fields.field import Field
-from keepout.guard.braking import GuardAssumptions
-from keepout.guard.guard import Guard
-from keepout.motion.arrays import numbers_as_arrays
-from keepout.motion.relative import MotionState
+from keepout.core.fields.field import Field
+from keepout.core.guard.braking import GuardAssumptions
+from keepout.core.guard.guard import Guard
+from keepout.core.motion.arrays import numbers_as_arrays
+from keepout.core.motion.relative import MotionState
 
 PIECES = 8
 """A disturbance is constant over this fraction of a control step."""

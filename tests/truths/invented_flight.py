@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 
-from keepout.flight.loop import FlightLog
-from keepout.flight.record import OPTIONAL_COLUMNS, FlightRecord
-from keepout.mission.flight import Flight
-from keepout.mission.scenario import Scenario
+from keepout.core.flight.loop import FlightLog
+from keepout.core.flight.record import OPTIONAL_COLUMNS, FlightRecord
+from keepout.core.mission.flight import Flight
+from keepout.core.mission.scenario import Scenario
 
 NUMBERS = ("time", "barrier", "backstepping_barrier", "lyapunov", "field_value")
 KINDS = {"control_status": np.int32, "guard_status": np.int32, "saturated": np.bool_}

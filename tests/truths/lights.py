@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from keepout.mission.light import Light
+from keepout.core.mission.light import Light
 
 
 @dataclass(frozen=True, eq=False)

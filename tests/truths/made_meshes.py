@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from keepout.geometry import Target
-from keepout.geometry.mesh_report import Surface, describe
-from keepout.seeing.patches import Patches
+from keepout.apps.inspection.seeing.patches import Patches
+from keepout.core.geometry import Target
+from keepout.core.geometry.mesh_report import Surface, describe
 
 
 def target_of(vertices, faces, name="made"):

@@ -5,17 +5,17 @@ import math
 import jax.numpy as jnp
 import numpy as np
 
-from keepout.audit.audit import audit
-from keepout.exploring.departures import departures
-from keepout.exploring.exploration import Exploration, TakenView
-from keepout.exploring.stages import Stages
-from keepout.flight.outcome import FlightOutcome
-from keepout.flight.record import FlightRecord
-from keepout.geometry.target import Target
-from keepout.mapping.known_free import KnownFreeMap
-from keepout.mapping.view import Pinhole, SensorBounds, View
-from keepout.mission import environment
-from keepout.mission.scenario import Scenario
+from keepout.apps.unknown.departures import departures
+from keepout.apps.unknown.exploration import Exploration, TakenView
+from keepout.apps.unknown.mapping.known_free import KnownFreeMap
+from keepout.apps.unknown.mapping.view import Pinhole, SensorBounds, View
+from keepout.apps.unknown.stages import Stages
+from keepout.core.audit.audit import audit
+from keepout.core.flight.outcome import FlightOutcome
+from keepout.core.flight.record import FlightRecord
+from keepout.core.geometry.target import Target
+from keepout.core.mission import environment
+from keepout.core.mission.scenario import Scenario
 
 CAMERA = Pinhole(80, 60, math.pi / 3.0)
 BOUNDS = SensorBounds(surely_returned_width=0.1)

@@ -8,15 +8,15 @@ import math
 
 import numpy as np
 
-from keepout.audit.audit import audit
-from keepout.geometry.target import Target
-from keepout.inspecting.inspection import Frame, Inspection
-from keepout.inspecting.plan import InspectionPlan, PlannedView
-from keepout.mission import environment
-from keepout.mission.scenario import Scenario
-from keepout.seeing.patches import Patches
-from keepout.seeing.rules import SeeingRules
-from keepout.seeing.seeable import Hidden, Seeable, Verdict
+from keepout.apps.inspection.inspection import Frame, Inspection
+from keepout.apps.inspection.plan import InspectionPlan, PlannedView
+from keepout.apps.inspection.seeing.patches import Patches
+from keepout.apps.inspection.seeing.rules import SeeingRules
+from keepout.apps.inspection.seeing.seeable import Hidden, Seeable, Verdict
+from keepout.core.audit.audit import audit
+from keepout.core.geometry.target import Target
+from keepout.core.mission import environment
+from keepout.core.mission.scenario import Scenario
 from truths.made_up_exploration import HALF, circle, made_up_outcome, made_up_record
 
 PERIOD = 20.0

@@ -5,8 +5,8 @@ import datetime
 import numpy as np
 import trimesh
 
-from keepout.exchange.audited import audit_files
-from keepout.geometry.target import Target
+from keepout.core.geometry.target import Target
+from keepout.flights.exchange.audited import audit_files
 
 START = datetime.datetime(2026, 5, 28, 12, 0, 0)
 TARGET, CHASER = ("SATELLITE", "2026-001A"), ("VISITOR", "2026-002A")

@@ -3,10 +3,10 @@
 import jax
 import numpy as np
 
-from keepout.flight import loop
-from keepout.flight.record import FlightRecord
-from keepout.mission import environment
-from keepout.mission.scenario import Scenario
+from keepout.core.flight import loop
+from keepout.core.flight.record import FlightRecord
+from keepout.core.mission import environment
+from keepout.core.mission.scenario import Scenario
 from truths.flights import KEY, Spring, make_setup
 
 GEOSTATIONARY = {"name": "toy", "target": {"source": "box"}}

@@ -5,9 +5,9 @@ import itertools
 import jax.numpy as jnp
 import numpy as np
 
-from keepout.fields import mlp
-from keepout.fields.continuation import RadialContinuation
-from keepout.fields.neural import NeuralField
+from keepout.core.fields import mlp
+from keepout.core.fields.continuation import RadialContinuation
+from keepout.core.fields.neural import NeuralField
 
 SIZES = (3, 24, 24, 1)
 

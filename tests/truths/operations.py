@@ -2,8 +2,8 @@
 
 import dataclasses
 
-from keepout.control.operation import Operation
-from keepout.motion import Chaser, Orbit, RelativeMotion
+from keepout.core.control.operation import Operation
+from keepout.core.motion import Chaser, Orbit, RelativeMotion
 
 CHASER = Chaser(mass=20.0, radius=0.5, force_limit=0.1, speed_limit=0.1)
 

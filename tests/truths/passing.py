@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from keepout.geometry.target import Target
-from keepout.guard.field import guard_field
-from keepout.mission.scenario import Scenario
+from keepout.core.geometry.target import Target
+from keepout.core.guard.field import guard_field
+from keepout.core.mission.scenario import Scenario
 from truths.invented_flight import record_of
 
 SPEED, STEPS, RADIUS = 0.05, 200, 0.5

@@ -3,7 +3,7 @@
 import equinox as eqx
 import jax.numpy as jnp
 
-from keepout.sensing.sensor import Sensor
+from keepout.flights.navigation.sensor import Sensor
 
 
 class Told(Sensor):

@@ -4,11 +4,11 @@ import functools
 
 import numpy as np
 
-from keepout.fields.grid_build import build_grid
-from keepout.fields.model import FieldModel
-from keepout.geometry.offset_solid import OffsetSolid
-from keepout.geometry.target import Target
-from keepout.proof.grid import certify_grid
+from keepout.core.fields.grid_build import build_grid
+from keepout.core.fields.model import FieldModel
+from keepout.core.geometry.offset_solid import OffsetSolid
+from keepout.core.geometry.target import Target
+from keepout.core.proof.grid import certify_grid
 
 PARAMETERS = {"length": 2.0, "width": 1.0, "height": 1.0}
 RADIUS = 0.3

@@ -2,9 +2,9 @@
 
 from functools import cache
 
-from keepout.campaign.chunk import ChunkResult, fly_chunk
-from keepout.campaign.plan import Plan
-from keepout.mission.scenario import Scenario
+from keepout.core.mission.scenario import Scenario
+from keepout.flights.campaign.chunk import ChunkResult, fly_chunk
+from keepout.flights.campaign.plan import Plan
 
 
 @cache

@@ -8,8 +8,8 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from keepout.errors import MeshError
-from keepout.geometry import Target
+from keepout.core.errors import MeshError
+from keepout.core.geometry import Target
 
 CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
 METRES = 'unit="meter"'

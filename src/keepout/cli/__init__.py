@@ -14,7 +14,7 @@ import keepout
 # Each adds its commands to the application.
 from keepout.cli import campaign, exchange, flight, mesh, scenario, study  # noqa: F401
 from keepout.cli.options import app
-from keepout.errors import KeepoutError, UsageError
+from keepout.core.errors import KeepoutError, UsageError
 
 
 @app.callback(invoke_without_command=True)

@@ -8,7 +8,7 @@ from rich.console import Console
 from typer.core import TyperGroup
 
 from keepout.cli.options import AsJson, ScenarioSeed, answer, app, at_least, example
-from keepout.report import terminal
+from keepout.flights.report import terminal
 
 
 class _FlyUnlessNamed(TyperGroup):
@@ -61,8 +61,8 @@ def campaign(
 
     With --json, a line of JSON a second says on standard error how far it is.
     """
-    from keepout.commands.campaign import campaign_to_folder
-    from keepout.mission.scenario import Scenario
+    from keepout.cli.commands.campaign import campaign_to_folder
+    from keepout.core.mission.scenario import Scenario
 
     mission = Scenario.load(scenario)
     if seed is not None:
@@ -94,7 +94,7 @@ def report(
     as_json: AsJson = False,
 ) -> None:
     """Write a campaign's page, figures and CSV files anew: rates, distributions, what matters, the worst flights."""
-    from keepout.report.campaign_page import report_campaign
+    from keepout.flights.report.campaign_page import report_campaign
 
     with terminal.progress(f"report {folder.name}") as progress:
         summary = report_campaign(folder, progress=progress)
@@ -113,7 +113,7 @@ def compare(
     as_json: AsJson = False,
 ) -> None:
     """Compare two finished campaigns: rates, quantiles, and run by run where both drew the same."""
-    from keepout.report.comparison_page import compare_campaigns
+    from keepout.flights.report.comparison_page import compare_campaigns
 
     with terminal.progress("compare") as progress:
         summary = compare_campaigns(first, second, out, progress=progress)
@@ -138,7 +138,7 @@ def replay_run(
     as_json: AsJson = False,
 ) -> None:
     """Fly one run of a campaign again, to the same bits; write its flight file, figures and page."""
-    from keepout.commands.campaign import replay_to_folder
+    from keepout.cli.commands.campaign import replay_to_folder
 
     with terminal.progress(f"replay {run}") as progress:
         summary = replay_to_folder(folder, run, out, figures=figures, progress=progress)

@@ -7,7 +7,7 @@ import typer
 from rich.console import Console
 
 from keepout.cli.options import AsJson, Seed, Units, answer, app, at_least, example
-from keepout.report import terminal
+from keepout.flights.report import terminal
 
 _NineNumbers = tuple[float, float, float, float, float, float, float, float, float]
 
@@ -35,7 +35,7 @@ def export(
     as_json: AsJson = False,
 ) -> None:
     """Write a flight or a field for other programs, with its epoch, frames and units stated (docs/export.md)."""
-    from keepout.commands.exchange import export_to_file
+    from keepout.cli.commands.exchange import export_to_file
 
     with terminal.progress(f"export {source.name}") as progress:
         summary = export_to_file(
@@ -139,7 +139,7 @@ def audit(
 
     Exit code 0 whatever the verdict is: it is in the answer.
     """
-    from keepout.commands.exchange import audit_of_files
+    from keepout.cli.commands.exchange import audit_of_files
 
     rows = None if target_rotation is None else (target_rotation[:3], target_rotation[3:6], target_rotation[6:])
     placed = {

@@ -7,7 +7,7 @@ import typer
 from rich.console import Console
 
 from keepout.cli.options import AsJson, ScenarioSeed, answer, app, example
-from keepout.report import terminal
+from keepout.flights.report import terminal
 
 
 @app.command(epilog=example("keepout fly examples/case1.toml -o out/case1"))
@@ -19,8 +19,8 @@ def fly(
     as_json: AsJson = False,
 ) -> None:
     """Fly one scenario, audit the clearance on the exact mesh, and draw it."""
-    from keepout.commands.flight import fly_to_folder
-    from keepout.mission.scenario import Scenario
+    from keepout.cli.commands.flight import fly_to_folder
+    from keepout.core.mission.scenario import Scenario
 
     mission = Scenario.load(scenario)
     if seed is not None:
@@ -46,8 +46,8 @@ def explore(
     as_json: AsJson = False,
 ) -> None:
     """Fly round a target that nobody has a model of: map what is seen free, approach in it, audit on the true mesh."""
-    from keepout.commands.explore import explore_to_folder
-    from keepout.mission.scenario import Scenario
+    from keepout.cli.commands.explore import explore_to_folder
+    from keepout.core.mission.scenario import Scenario
 
     mission = Scenario.load(scenario)
     if seed is not None:
@@ -73,7 +73,7 @@ def inspect(
     as_json: AsJson = False,
 ) -> None:
     """See all of a target that can be seen, in light, without touching it; audit the flight on the exact mesh."""
-    from keepout.commands.inspect import inspect_to_folder, mission_of
+    from keepout.cli.commands.inspect import inspect_to_folder, mission_of
 
     mission = mission_of(scenario)
     if seed is not None:
@@ -99,7 +99,7 @@ def replay(
     as_json: AsJson = False,
 ) -> None:
     """Write flights as one page to watch them in any browser, offline: the target, its envelope, paths and plots."""
-    from keepout.commands.flight import replay_to_page
+    from keepout.cli.commands.flight import replay_to_page
 
     with terminal.progress("replay") as progress:
         summary = replay_to_page(flights, out, title=title, progress=progress)

@@ -7,7 +7,7 @@ import typer
 from rich.console import Console
 
 from keepout.cli.options import AsJson, ChaserRadius, DropStray, Scale, Seed, Units, answer, app, example
-from keepout.report import terminal
+from keepout.flights.report import terminal
 
 
 @app.command(epilog=example("keepout targets", "keepout targets --pictures out/targets"))
@@ -17,7 +17,7 @@ def targets(
     as_json: AsJson = False,
 ) -> None:
     """List the built-in targets: extents, volume, triangles, parameters."""
-    from keepout.commands.mesh import describe_targets
+    from keepout.cli.commands.mesh import describe_targets
 
     with terminal.progress("targets") as progress:
         rows = describe_targets(pictures=pictures, progress=progress)
@@ -43,7 +43,7 @@ def describe(
     as_json: AsJson = False,
 ) -> None:
     """Report what a mesh is, what is wrong with it, and what reading it left out."""
-    from keepout.commands.mesh import describe_mesh
+    from keepout.cli.commands.mesh import describe_mesh
 
     if mesh.endswith(".keepout"):
         raise typer.BadParameter(f"{mesh} is a field; `keepout measure {mesh}` measures it against its mesh")
@@ -86,7 +86,7 @@ def fit(
 
     A killed run resumes from its last checkpoint when started again.
     """
-    from keepout.commands.mesh import fit_to_file
+    from keepout.cli.commands.mesh import fit_to_file
 
     source = {"source": mesh, "units": units, "scale": scale, "drop_stray": drop_stray}
     with terminal.progress(f"fit {mesh}") as progress:
@@ -123,7 +123,7 @@ def certify(
     as_json: AsJson = False,
 ) -> None:
     """Bound how far the field can over-state the distance where a chaser of this radius would touch."""
-    from keepout.commands.mesh import certify_file, check_file
+    from keepout.cli.commands.mesh import certify_file, check_file
 
     if check:
         if prove_slope:
@@ -162,9 +162,9 @@ def measure(
     as_json: AsJson = False,
 ) -> None:
     """Measure a field against its mesh, and list its certificates."""
-    from keepout.commands import usage
-    from keepout.commands.mesh import measure_field
-    from keepout.fields.shipped import shipped_path
+    from keepout.cli.commands import usage
+    from keepout.cli.commands.mesh import measure_field
+    from keepout.core.fields.shipped import shipped_path
 
     if not shipped and not field.endswith(".keepout"):
         raise typer.BadParameter(

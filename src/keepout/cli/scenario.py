@@ -8,7 +8,7 @@ import typer
 from rich.console import Console
 
 from keepout.cli.options import AsJson, DropStray, Scale, Units, answer, app, example
-from keepout.report import terminal
+from keepout.flights.report import terminal
 
 scenarios = typer.Typer(
     help="Write, check and explain scenario files.",
@@ -39,7 +39,7 @@ def new_scenario(
 
     With --for it has a start and a goal outside the target, a speed that the thrusters honour, and enough time.
     """
-    from keepout.commands.scenario import new_scenario_file
+    from keepout.cli.commands.scenario import new_scenario_file
 
     source = {"source": target, "units": units, "scale": scale, "drop_stray": drop_stray}
     with terminal.progress("scenario new") as progress:
@@ -62,7 +62,7 @@ def check_scenario(
 
     Where it would be refused, the nearest values that would not are looked for, and the exit code is 1.
     """
-    from keepout.commands.scenario import check_scenario_file
+    from keepout.cli.commands.scenario import check_scenario_file
 
     with terminal.progress(f"check {scenario.name}") as progress:
         summary = check_scenario_file(scenario, progress=progress)
@@ -81,7 +81,7 @@ def schema_of_scenarios(
     ] = None,
 ) -> None:
     """Write the JSON Schema of scenarios, by which editors complete and check them."""
-    from keepout.commands.scenario import schema_file
+    from keepout.cli.commands.scenario import schema_file
 
     text = schema_file(out)
     sys.stdout.write(text if out is None else f"written to {out}\n")

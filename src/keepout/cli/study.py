@@ -8,7 +8,7 @@ import typer
 from rich.console import Console
 
 from keepout.cli.options import AsJson, ScenarioSeed, Seed, answer, app, at_least, example
-from keepout.report import terminal
+from keepout.flights.report import terminal
 
 
 @app.command(epilog=example("keepout rare examples/case1.toml --below 0 -o out/rare"))
@@ -28,8 +28,8 @@ def rare(
 
     A killed run goes on from its last level when started again.
     """
-    from keepout.commands.study import rare_to_folder
-    from keepout.mission.scenario import Scenario
+    from keepout.cli.commands.study import rare_to_folder
+    from keepout.core.mission.scenario import Scenario
 
     mission = Scenario.load(scenario)
     if seed is not None:
@@ -65,7 +65,7 @@ def reproduce(
     The full run takes hours: it fits the paper's network, about an hour for each of three targets, unless --fields
     names a folder with its fields. A run that was stopped goes on where it was.
     """
-    from keepout.experiments import reproduce as repeat
+    from keepout.apps.reproduction import reproduce as repeat
 
     with terminal.progress(f"reproduce {' '.join(experiments)}") as progress:
         parts = repeat(experiments, out, quick=quick, seed=seed, fields=fields, progress=progress)

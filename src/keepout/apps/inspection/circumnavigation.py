@@ -1,0 +1,259 @@
+"""Natural-motion circumnavigation: an ellipse about the target that needs no thrust, checked by the exact motion.
+
+Seen from VVLH, Hill's equations let a chaser circle the target once an orbit on an ellipse twice as long along the
+orbit as it is high, in a plane that may be tilted: with a the height and b the motion across the orbit,
+
+    R = a cos φ,    T = −2a sin φ,    N = b cos(φ + β),    φ = n t + φ₀.
+
+Where β is 90° the ellipse encircles the orbit's direction too, so that a drift along the orbit leads past the target.
+The velocity is corrected until the exact motion comes back to its place after one orbit of the target, which on an
+eccentric orbit Hill's equations do not do. Sizes and tilts are tried side by side, and an ellipse is used only where
+the exact drift is proved to keep the stand-off (`passive`).
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from keepout.apps.inspection.hill import VVLH_FROM_RTN
+from keepout.apps.inspection.passive import drift, passive_safety, states_at_times
+from keepout.core.control.law import Command, Law
+from keepout.core.errors import InspectionError
+from keepout.core.mission.environment import relative_motion
+from keepout.core.mission.scenario import Scenario
+from keepout.core.motion import VVLHFixed
+from keepout.core.motion.relative import MotionState, RelativeMotion
+from keepout.core.motion.rotation import matrix
+
+Distance = Callable[[Float[np.ndarray, "points 3"]], Float[np.ndarray, "points"]]
+
+TILTS = ((0.0, 0.0), *((share, math.radians(beta)) for share in (1.0, math.sqrt(3.0)) for beta in (0, 90, 180, 270)))
+"""Motions across the orbit that are tried: b/a, and β in rad. √3 with 0 or 180° is a circle."""
+_SIZES = 16
+"""Heights tried for each tilt: from one that is surely too low to one that is surely enough, then between two."""
+_AFAR = 1e5
+"""Metres from which the target's reach along an axis is looked at."""
+_CORRECTIONS = 3
+_BAND = 0.5
+"""Metres from the reference at which thrusting begins; an ellipse is sized to keep so much more than the stand-off."""
+_RETURN = 500.0
+"""Seconds in which the chaser is to drift back from the edge of the band; from beyond it faster, by the square."""
+_PERIODS = 5.0
+"""Control periods in which the velocity is brought to that of the way back."""
+_DONE = 0.1
+"""Share of the velocity of the way back within which thrusting ends."""
+
+
+@dataclass(frozen=True, eq=False)
+class Circumnavigation:
+    """A drift about a target, at every control period.
+
+    Attributes:
+        height: a, m.
+        across: b, m.
+        tilt: β, rad.
+        times: (k,) s of the mission, a control period apart.
+        position: (k, 3) body frame, m.
+        velocity: (k, 3) as seen by one who turns with the body, m/s.
+        clearance: a lower bound on the distance of the chaser's centre from the mesh over all of it, m, without push.
+        turns: about the target.
+
+    """
+
+    height: float
+    across: float
+    tilt: float
+    times: Float[np.ndarray, " k"]
+    position: Float[np.ndarray, "k 3"]
+    velocity: Float[np.ndarray, "k 3"]
+    clearance: float
+    turns: float
+
+    def law(self, scenario: Scenario) -> "CoastingLaw":
+        """Make the law that keeps a chaser on it."""
+        return CoastingLaw(
+            jnp.asarray(self.times[0]),
+            jnp.asarray(self.position),
+            jnp.asarray(self.velocity),
+            jnp.asarray(scenario.control.period),
+            jnp.asarray(scenario.chaser.mass),
+            jnp.asarray(scenario.chaser.force_limit),
+        )
+
+
+def hill_states(
+    mean_motion: float, height: float, across: float, tilt: float, phase: Float[np.ndarray, " k"]
+) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3"]]:
+    """Give positions (m) and velocities (m/s) in VVLH on an ellipse of Hill's equations, at phases φ (rad)."""
+    n, a, b = mean_motion, height, across
+    place = np.stack([a * np.cos(phase), -2.0 * a * np.sin(phase), b * np.cos(phase + tilt)], axis=-1)
+    rate = np.stack([-a * np.sin(phase), -2.0 * a * np.cos(phase), -b * np.sin(phase + tilt)], axis=-1)
+    return place @ VVLH_FROM_RTN.T, n * rate @ VVLH_FROM_RTN.T
+
+
+def circumnavigations(
+    scenario: Scenario, distance: Distance, *, time: float = 0.0, seconds: float | None = None
+) -> tuple[Circumnavigation, ...]:
+    """Give the smallest ellipse of each tilt that keeps the stand-off, by the exact motion; the nearest one first.
+
+    Args:
+        scenario: orbit, attitude, `inspect.stand_off` and duration.
+        distance: exact and unsigned, to the target's mesh, m.
+        time: of the mission at which the ellipse is begun, s.
+        seconds: that it is to last; the rest of the mission if absent.
+
+    Raises:
+        InspectionError: no time is left, or no ellipse keeps the stand-off within the range of the bounds.
+
+    """
+    seconds = scenario.steps * scenario.control.period - time if seconds is None else seconds
+    if not seconds >= scenario.control.period:
+        raise InspectionError(
+            f"circumnavigation: {seconds:g} s are left from {time:g} s on; "
+            f"duration {scenario.duration:g} s must be longer"
+        )
+    low, high = _heights(distance, scenario)
+    heights = np.repeat(np.geomspace(low, high, _SIZES)[:, None], len(TILTS), axis=1)
+    _, _, enough = _tried(scenario, distance, time, seconds, heights)
+    first = np.where(enough.any(axis=0), np.argmax(enough, axis=0), _SIZES - 1)
+    below = np.take_along_axis(heights, np.maximum(first - 1, 0)[None], axis=0)[0]
+    heights = np.linspace(below, np.take_along_axis(heights, first[None], axis=0)[0], _SIZES)
+    states, clearance, enough = _tried(scenario, distance, time, seconds, heights)
+    motion, period, found = relative_motion(scenario), scenario.control.period, []
+    for tilt in np.flatnonzero(enough.any(axis=0)):
+        size = int(np.argmax(enough[:, tilt]))
+        index = size * len(TILTS) + tilt
+        one = jax.tree.map(lambda leaf, index=index: leaf[index : index + 1], states)
+        path, rate = drift(motion, one, period, round(seconds / period))
+        height, (share, beta) = float(heights[size, tilt]), TILTS[tilt]
+        found.append(
+            Circumnavigation(
+                height,
+                height * share,
+                beta,
+                time + period * np.arange(path.shape[1]),
+                path[0],
+                rate[0],
+                float(clearance[size, tilt]),
+                seconds * float(motion.orbit.mean_motion) / (2.0 * math.pi),
+            )
+        )
+    if not found:
+        raise InspectionError(
+            f"circumnavigation: no ellipse of height {low:.3g} to {high:.3g} m keeps inspect.stand_off "
+            f"{scenario.inspect.stand_off:g} m and {_BAND:g} m more for {seconds:g} s"
+        )
+    return tuple(sorted(found, key=lambda one: float(np.mean(distance(one.position[:: len(one.times) // 200 + 1])))))
+
+
+def _heights(distance: Distance, scenario: Scenario) -> tuple[float, float]:
+    """Give a height below which an ellipse surely comes too near, and one from which on it surely does not, m."""
+    stand_off, mass = scenario.inspect.stand_off, np.asarray(scenario.target.centre_of_mass, float)
+    at_centre = float(distance(mass[None])[0])
+    # From so far away the distance is that to the box along the axis, but for a part in ten thousand.
+    reach = _AFAR - distance(mass + _AFAR * np.concatenate([np.eye(3), -np.eye(3)]))
+    return max(0.5 * stand_off, 0.5 * at_centre), 1.01 * (float(np.linalg.norm(np.abs(reach))) + stand_off) + 1.0
+
+
+def _tried(
+    scenario: Scenario, distance: Distance, time: float, seconds: float, heights: Float[np.ndarray, "sizes tilts"]
+) -> tuple[MotionState, Float[np.ndarray, "sizes tilts"], Bool[np.ndarray, "sizes tilts"]]:
+    """Give the first states of ellipses (one after the other), bounds on how near they come, and if that is enough."""
+    motion = relative_motion(scenario)
+    n, (share, beta) = float(motion.orbit.mean_motion), np.tile(TILTS, (len(heights), 1)).T
+    begun = [
+        hill_states(n, height, height * of, at, np.zeros(1))
+        for height, of, at in zip(heights.ravel().tolist(), share.tolist(), beta.tolist(), strict=True)
+    ]
+    position, velocity = (np.concatenate(part) for part in zip(*begun, strict=True))
+    states = in_body(scenario, time, position, _closed(motion, time, position, velocity))
+    radius, asked = scenario.chaser.radius, scenario.inspect.stand_off + _BAND
+    least = asked - radius
+    kept = passive_safety(scenario, distance, states, seconds, push=0.0, enough=least, too_little=least)
+    clearance = (kept.clearance + radius).reshape(heights.shape)
+    return states, clearance, clearance >= asked
+
+
+def _closed(
+    motion: RelativeMotion,
+    time: float,
+    position: Float[np.ndarray, "n 3"],
+    velocity: Float[np.ndarray, "n 3"],
+) -> Float[np.ndarray, "n 3"]:
+    """Change velocities along the orbit (VVLH, m/s) until the exact motion comes back along it after one orbit."""
+    turning = replace(motion, attitude_motion=VVLHFixed(), centre_of_mass=np.zeros(3))
+    period = 2.0 * math.pi / float(motion.orbit.mean_motion)
+    count = max(math.ceil(period * float(motion.orbit.mean_motion) / 0.009), 64)
+    for _ in range(_CORRECTIONS):
+        states = jax.vmap(lambda r, v: turning.initial_state(r, v, time))(jnp.asarray(position), jnp.asarray(velocity))
+        path, _ = drift(turning, states, period / count, count)
+        velocity = velocity + np.stack(
+            [(path[:, -1, 0] - path[:, 0, 0]) / (3.0 * period), *np.zeros((2, len(path)))], 1
+        )
+    return velocity
+
+
+def in_body(
+    scenario: Scenario, time: float, position: Float[np.ndarray, "n 3"], velocity: Float[np.ndarray, "n 3"]
+) -> MotionState:
+    """Give states in the body frame at a time (s) from positions (m) and velocities (m/s) in VVLH.
+
+    Positions in VVLH are told from the target's centre of mass.
+    """
+    motion = relative_motion(scenario)
+    target = states_at_times(scenario, np.array([time]), np.zeros((1, 3)), np.zeros((1, 3)))
+    one = jax.tree.map(lambda leaf: leaf[0], target)
+    turn = matrix(one.attitude)
+    turning = one.angular_velocity - turn @ motion.orbital_frame(one).angular_velocity
+    from_mass = position @ np.asarray(turn).T
+    moving = velocity @ np.asarray(turn).T - np.cross(np.asarray(turning), from_mass)
+    places = from_mass + np.asarray(motion.centre_of_mass)
+    return states_at_times(scenario, np.full(len(places), time), places, moving)
+
+
+class CoastingLaw(Law):
+    """Lets the chaser drift, and steers it back where it is more than `_BAND` from a reference.
+
+    Attributes:
+        begun: time of the reference's first sample, s.
+        position: (k, 3) of it, a control period apart, m.
+        velocity: (k, 3) m/s.
+        period: s.
+        mass: kg.
+        force_limit: of an axis, N.
+
+    """
+
+    begun: Float[Array, ""]
+    position: Float[Array, "k 3"]
+    velocity: Float[Array, "k 3"]
+    period: Float[Array, ""]
+    mass: Float[Array, ""]
+    force_limit: Float[Array, ""]
+
+    @property
+    def goal(self) -> Float[Array, "3"]:
+        """Where the reference ends, m."""
+        return self.position[-1]
+
+    def initial_state(self, state: MotionState) -> Bool[Array, ""]:
+        """Remember that it is not thrusting."""
+        return jnp.zeros((), bool)
+
+    def step(self, state: Bool[Array, ""], estimate: MotionState) -> tuple[Bool[Array, ""], Command]:
+        """Give no force within the band, and what leads back from beyond it."""
+        index = jnp.round((estimate.time - self.begun) / self.period).astype(jnp.int32)
+        index = jnp.clip(index, 0, len(self.position) - 1)
+        off, faster = estimate.position - self.position[index], estimate.velocity - self.velocity[index]
+        away = jnp.linalg.norm(off)
+        missing = -off / _RETURN * jnp.maximum(away / _BAND, 1.0) ** 2 - faster
+        # Once it drifts back as it should it is left alone, also while it is still outside the band.
+        steering = ((away > _BAND) | state) & (jnp.linalg.norm(missing) > _DONE * _BAND / _RETURN)
+        back = self.mass * missing / (_PERIODS * self.period)
+        limited = jnp.clip(back, -self.force_limit, self.force_limit)
+        return steering, Command.of_force(jnp.where(steering, limited, 0.0))

@@ -1,0 +1,151 @@
+"""An inspection as a replay shows it: what became of the surface and when, the camera of each frame, and the sun."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float, Int, Int8
+
+from keepout.apps.inspection.fate import WORDS, Fate, fates, first_frames
+from keepout.apps.inspection.patch_mesh import PatchMesh
+from keepout.apps.inspection.seeing.patches import Patches
+from keepout.flights.replay.body import MOST_TRIANGLES, fewer_of
+from keepout.flights.replay.packing import Packing
+
+if TYPE_CHECKING:
+    from keepout.apps.inspection.inspection import Inspection
+
+FATE_COLOURS = {
+    Fate.SEEN: "#2fa77d",
+    Fate.MISSED: "#d9722e",
+    Fate.SHADOWED: "#3f5fa8",
+    Fate.ENCLOSED_BY_RAYS: "#5b616b",
+    Fate.NARROW_BY_RAYS: "#b76aa4",
+    Fate.UNDECIDED: "#e8d44a",
+    Fate.NOT_COUNTED: "#c9ced6",
+}
+"""Told apart by colour-blind readers, on light paper and on a dark ground."""
+
+
+@dataclass(frozen=True, eq=False)
+class Coverage:
+    """What a replay shows of an inspection.
+
+    Attributes:
+        vertices: of the patches' triangles, m.
+        faces: triangles.
+        fates: of each face, seen from where it is counter-clockwise, and from its back: a `Fate`.
+        firsts: the frame that first saw them, -1: none.
+        whole: triangles before some were left out of the drawing.
+        times: of the frames, s, in order.
+        boresights: unit vectors, body frame.
+        suns: unit vectors towards the sun, body frame; nan where it does not light the target, or does not matter.
+        shares: of the area counted that were seen after each frame.
+        possible: share that surely can be seen and lit.
+        half_angle: of the camera's cone, rad.
+        reach: greatest range, m.
+
+    """
+
+    vertices: Float[np.ndarray, "v 3"]
+    faces: Int[np.ndarray, "f 3"]
+    fates: Int8[np.ndarray, "f 2"]
+    firsts: Int[np.ndarray, "f 2"]
+    whole: int
+    times: Float[np.ndarray, "frames"]
+    boresights: Float[np.ndarray, "frames 3"]
+    suns: Float[np.ndarray, "frames 3"]
+    shares: Float[np.ndarray, "frames"]
+    possible: float
+    half_angle: float
+    reach: float
+
+    @classmethod
+    def of(cls, inspection: "Inspection") -> "Coverage":
+        """Gather it from an inspection; a surface of very many triangles is drawn with fewer."""
+        patches, mesh = inspection.patches, PatchMesh.of(inspection.patches)
+        side = float(np.ptp(mesh.vertices, axis=0).max()) / 1000.0
+        vertices, faces, became = fewer_of(mesh.vertices, mesh.faces, MOST_TRIANGLES, side=side)
+        units = _units(mesh, patches, vertices, faces, became)
+        times, shares = inspection.over_time()
+        none = np.full(3, np.nan)
+        return cls(
+            vertices=vertices,
+            faces=faces,
+            fates=fates(inspection)[units],
+            firsts=first_frames(inspection)[units],
+            whole=len(mesh.faces),
+            times=times,
+            boresights=np.array([frame.boresight for frame in inspection.frames]).reshape(-1, 3),
+            suns=np.array([none if one.sun is None else one.sun for one in inspection.frames]).reshape(-1, 3),
+            shares=shares,
+            possible=patches.coverage(inspection.lit),
+            half_angle=inspection.rules.half_angle,
+            reach=inspection.rules.greatest_range,
+        )
+
+    @property
+    def lit(self) -> bool:
+        """Whether the sun matters in any frame."""
+        return bool(np.isfinite(self.suns).any())
+
+    def share_at(self, time: Float[np.ndarray, "rows"]) -> Float[np.ndarray, "rows"]:
+        """Give the share seen up to each time (s)."""
+        place = np.searchsorted(self.times, time + 1e-6, side="right")
+        return np.concatenate([[0.0], self.shares])[place]
+
+    def told(self, packing: Packing, start: float) -> dict[str, Any]:
+        """Give it as JSON holds it, with the arrays packed; times count from `start`, s."""
+        return {
+            "vertices": packing.steps(self.vertices),
+            "faces": packing.indices(self.faces),
+            "fates": packing.exact(self.fates, "uint8"),
+            "firsts": packing.exact(self.firsts, "int32"),
+            "frames": {
+                "time": packing.exact(self.times - start),
+                "boresight": packing.exact(self.boresights),
+                "sun": packing.exact(self.suns),
+                "share": packing.exact(self.shares),
+            },
+            "possible": self.possible,
+            "lit": self.lit,
+            "half_angle": self.half_angle,
+            "reach": self.reach,
+            "legend": [
+                {"words": WORDS[kind], "colour": FATE_COLOURS[kind], "shown": bool((self.fates == kind).any())}
+                for kind in Fate
+            ],
+            "remark": self._remark(),
+        }
+
+    def _remark(self) -> str:
+        """Say, as a sentence, what the drawing leaves out; empty where it is whole."""
+        if len(self.faces) == self.whole:
+            return ""
+        return (
+            f"The coverage is drawn with {len(self.faces):,} of the patches' {self.whole:,} triangles; "
+            "the shares are of all."
+        )
+
+
+def _units(
+    mesh: PatchMesh,
+    patches: Patches,
+    vertices: Float[np.ndarray, "v 3"],
+    faces: Int[np.ndarray, "f 3"],
+    became: Int[np.ndarray, " g"],
+) -> Int[np.ndarray, "f 2"]:
+    """Give the units that are drawn on the front and on the back of each face.
+
+    The two sides of a thin plate may have become one face: each side of it is that of the larger unit that is counted
+    there, and of one that is not where none is.
+    """
+    there = became >= 0
+    patch, drawn = mesh.patch[there], became[there]
+    a, b, c = np.moveaxis(vertices[faces[drawn]], 1, 0)
+    against = np.einsum("fi,fi->f", np.cross(b - a, c - a), patches.normals[patch]) < 0.0
+    place = np.concatenate([2 * drawn, 2 * drawn + 1])  # front, back
+    unit = np.concatenate([2 * patch + against, 2 * patch + ~against])
+    order = np.lexsort((patches.areas[unit // 2], patches.counted[unit], place))
+    last = np.append(place[order][1:] != place[order][:-1], True)
+    return unit[order][last].reshape(-1, 2)

@@ -1,0 +1,179 @@
+"""What an inspection leaves: the flight, every frame, what was seen of the true mesh, and the audit's verdict."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from keepout.apps.inspection.limits import LimitsKept
+from keepout.apps.inspection.plan import InspectionPlan
+from keepout.apps.inspection.safe_speeds import DriftsFlown
+from keepout.apps.inspection.seeing.patches import Patches
+from keepout.apps.inspection.seeing.rules import SeeingRules
+from keepout.apps.inspection.seeing.seeable import Seeable, Verdict
+from keepout.apps.inspection.transfer import Transfer
+from keepout.core.audit.audit import Audit, Contact
+from keepout.core.flight.outcome import FlightOutcome
+from keepout.core.flight.record import FlightRecord
+from keepout.core.geometry.target import Target
+from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.statuses import flag_counts
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One image of a flight, as flown.
+
+    Attributes:
+        time: s.
+        position: (3,) of the camera, m, body frame: the truth of the record.
+        boresight: (3,) unit vector, body frame.
+        sun: (3,) unit vector towards the sun, body frame; None in the Earth's shadow, or where light does not matter.
+        units: (k,) wholly seen in it, by all the rules.
+
+    """
+
+    time: float
+    position: Float[np.ndarray, "3"]
+    boresight: Float[np.ndarray, "3"]
+    sun: Float[np.ndarray, "3"] | None
+    units: Int[np.ndarray, " k"]
+
+
+@dataclass(frozen=True, eq=False)
+class Inspection:
+    """One inspection.
+
+    Attributes:
+        scenario: as it was flown.
+        target: its mesh.
+        patches: of that mesh.
+        rules: when a patch counts as seen.
+        seeable: what can be seen at all.
+        possible: (2 n,) units not proved hidden that are lit at some time of the mission; all of them without light.
+        plan: the first one.
+        plans: how many were made: replans are counted.
+        record: of the whole flight.
+        flown: what became of it.
+        audit: the verdict on the mesh.
+        frames: every image.
+        seen: (2 n,) units seen in some frame.
+        outcome: "all seen", "50 % asked, seen" (or another share), "out of time", "nothing more to see" or "no way".
+        why: in words.
+        seconds: that the computation took.
+        start_certified: whether the guard's theorem holds from the start; None without a guard.
+        assumptions_broken: what is flown beyond what the scenario declares.
+        guard: what the guard assumes and what follows, as numbers; None without a guard.
+        limits: how the operator's limits were kept; None where there are none.
+        transfer: how a circumnavigation comes onto its ellipse before the flight; None of any other.
+        drifts: legs as they were begun, judged by passive safety; None where that is not asked for.
+
+    """
+
+    scenario: Scenario
+    target: Target
+    patches: Patches
+    rules: SeeingRules
+    seeable: Seeable
+    possible: Bool[np.ndarray, " units"]
+    plan: InspectionPlan
+    plans: int
+    record: FlightRecord
+    flown: FlightOutcome
+    audit: Audit
+    frames: tuple[Frame, ...]
+    seen: Bool[np.ndarray, " units"]
+    outcome: str
+    why: str
+    seconds: float
+    start_certified: bool | None
+    assumptions_broken: tuple[str, ...]
+    guard: dict[str, Any] | None
+    limits: LimitsKept | None = None
+    drifts: DriftsFlown | None = None
+    transfer: Transfer | None = None
+
+    @property
+    def coverage(self) -> float:
+        """Share of the area counted that was seen."""
+        return self.patches.coverage(self.seen)
+
+    @property
+    def delta_v(self) -> float:
+        """Of the flight, with the burns that come before it, m/s."""
+        return float(self.flown.delta_v) + (0.0 if self.transfer is None else self.transfer.delta_v)
+
+    @property
+    def lit(self) -> Bool[np.ndarray, " units"]:
+        """The units of which it is known that they can be seen, and be lit in the mission's time."""
+        return self.possible & (self.seeable.verdict == Verdict.SEEABLE)
+
+    @property
+    def coverage_possible(self) -> float:
+        """Share of what is not proved hidden, and can be lit in the mission's time, that was seen."""
+        return self._share_of(self.possible)
+
+    @property
+    def coverage_seeable(self) -> float:
+        """Share of what surely can be seen, and be lit in the mission's time, that was seen; without the undecided."""
+        return self._share_of(self.lit)
+
+    def _share_of(self, units: Bool[np.ndarray, " units"]) -> float:
+        whole = self.patches.coverage(units)
+        return self.patches.coverage(self.seen & units) / whole if whole > 0.0 else 1.0
+
+    def over_time(self) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
+        """Give the time of each frame, s, and the coverage after it."""
+        areas, seen, total = self.patches.unit_areas(), np.zeros(self.patches.units, bool), 0.0
+        shares = []
+        for frame in self.frames:
+            fresh = frame.units[~seen[frame.units]]
+            total += float(areas[fresh].sum())
+            seen[fresh] = True
+            shares.append(total / areas.sum())
+        return np.array([frame.time for frame in self.frames]), np.array(shares)
+
+    def summary(self) -> dict[str, Any]:
+        """Give the figures as plain numbers for JSON.
+
+        `contact` is true unless the audit proves that there was none; `contact_verdict` tells the cases apart.
+        """
+        return {
+            "outcome": self.outcome,
+            "why": self.why,
+            "coverage": self.coverage,
+            "coverage_possible": self.coverage_possible,
+            "coverage_seeable": self.coverage_seeable,
+            "coverage_upper_bound": self.seeable.upper,
+            "coverage_lower_bound": self.seeable.lower,
+            "coverage_lit": self.patches.coverage(self.lit),
+            "coverage_planned": self.patches.coverage(self.plan.covered),
+            "coverage_planned_in_time": self.patches.coverage(self.plan.seen_by(self.scenario.duration)),
+            "plan_duration_s": self.plan.duration,
+            "views": len(self.plan.views),
+            "views_at_least": self.plan.fewest_views,
+            "views_greedy": self.plan.greedy_views,
+            "candidates": self.plan.candidates,
+            "candidates_short_listed": self.plan.short_list,
+            "proof_squares": self.seeable.squares,
+            "proof_ended_by_clock": self.seeable.by_clock,
+            "plans": self.plans,
+            "frames": len(self.frames),
+            "way_m": self.plan.way_length,
+            "contact": self.audit.contact is not Contact.NO,
+            "contact_verdict": str(self.audit.contact),
+            "minimum_clearance_m": self.audit.minimum_clearance,
+            "delta_v_mps": self.delta_v,
+            **({} if self.transfer is None else self.transfer.summary()),
+            "duration_s": float(self.record.time[-1]),
+            "guard_interventions": int(self.flown.guard_interventions),
+            "guard_flags": flag_counts(self.record.guard_status[:-1]),
+            "start_certified": self.start_certified,
+            "assumptions_broken": list(self.assumptions_broken),
+            "guard": self.guard,
+            **({} if self.plan.drifts is None else self.plan.drifts.summary()),
+            **({} if self.drifts is None else self.drifts.summary()),
+            **({} if self.limits is None else self.limits.summary()),
+            "seconds": self.seconds,
+        }

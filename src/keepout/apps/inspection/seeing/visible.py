@@ -1,0 +1,190 @@
+"""What a camera at a place can see whichever way it looks, and what of it is in view once it looks one way."""
+
+import math
+from dataclasses import dataclass
+from typing import no_type_check
+
+import numba
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from keepout.apps.inspection.seeing.patches import Patches
+from keepout.apps.inspection.seeing.rules import SeeingRules
+from keepout.apps.inspection.seeing.sightlines import Sightlines
+
+# `no_type_check` below: run-time shape checks would wrap the functions that numba compiles.
+_ANGLE_ROUNDING = 1e-9
+"""Added to angles, rad: more than rounding takes from them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Visible:
+    """What can be seen from a place.
+
+    Attributes:
+        units: (k,) wholly visible, by all the rules but the field of view and the light.
+        directions: (k, 3) unit vectors from the place.
+        spread: (k,) rad: all of the unit lies within this angle of its direction.
+
+    """
+
+    units: Int[np.ndarray, " k"]
+    directions: Float[np.ndarray, "k 3"]
+    spread: Float[np.ndarray, " k"]
+
+
+def visible(
+    sight: Sightlines,
+    rules: SeeingRules,
+    place: Float[np.ndarray, "3"],
+    *,
+    among: Bool[np.ndarray, " units"] | None = None,
+) -> Visible:
+    """Say which units can be seen from a place.
+
+    Over a plane piece range, incidence and ground sample distance are greatest at its farthest point, a corner.
+
+    Args:
+        sight: the mesh and its units.
+        rules: range, incidence and ground sample distance.
+        place: (3,) of the camera, m, body frame.
+        among: (units,) those that are asked for; those that are counted if absent.
+
+    """
+    place = np.ascontiguousarray(place, dtype=np.float64)
+    units, directions, spread = within_rules(
+        sight.patches, rules, place, sight.patches.counted if among is None else among
+    )
+    clear = sight.clear(place[None], units)
+    return Visible(units[clear], directions[clear], spread[clear])
+
+
+def within_rules(
+    patches: Patches, rules: SeeingRules, place: Float[np.ndarray, "3"], among: Bool[np.ndarray, " units"]
+) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k 3"], Float[np.ndarray, " k"]]:
+    """Say which units keep range, incidence and ground sample distance, whatever stands between.
+
+    Returns:
+        Units (k,), directions (k, 3) and spread (k,) as of `Visible`.
+
+    """
+    units, directions, spread = _within(
+        patches.corners,
+        patches.counts,
+        patches.centres,
+        patches.normals,
+        among,
+        place,
+        rules.least_range,
+        rules.greatest_range,
+        math.cos(rules.greatest_incidence),
+        rules.greatest_sample_distance / rules.pixel_angle,
+    )
+    return units, directions, spread + _ANGLE_ROUNDING
+
+
+def in_view(seen: Visible, boresight: Float[np.ndarray, "3"], half_angle: float) -> Bool[np.ndarray, " k"]:
+    """Say which visible units are wholly in the cone of `half_angle` (rad) about a boresight (3,), a unit vector.
+
+    A cone of less than a right angle is convex: a unit is in it if its corners are.
+    """
+    across = np.linalg.norm(np.cross(seen.directions, boresight), axis=1)
+    return np.arctan2(across, seen.directions @ boresight) + seen.spread <= half_angle
+
+
+def in_frame(
+    sight: Sightlines,
+    rules: SeeingRules,
+    place: Float[np.ndarray, "3"],
+    boresight: Float[np.ndarray, "3"],
+    *,
+    among: Bool[np.ndarray, " units"] | None = None,
+) -> Int[np.ndarray, " k"]:
+    """Give the units seen from a place in one direction, in any light: those of `visible` that are `in_view`.
+
+    What stands between is looked at last, and only for what is in view.
+
+    Args:
+        sight: the mesh and its units.
+        rules: range, incidence, ground sample distance and field of view.
+        place: (3,) of the camera, m, body frame.
+        boresight: (3,) unit vector.
+        among: (units,) those that are asked for; those that are counted if absent.
+
+    """
+    place = np.ascontiguousarray(place, dtype=np.float64)
+    found = Visible(*within_rules(sight.patches, rules, place, sight.patches.counted if among is None else among))
+    units = found.units[in_view(found, boresight, rules.half_angle)]
+    return units[sight.clear(place[None], units)]
+
+
+def lit_units(
+    sight: Sightlines,
+    rules: SeeingRules,
+    sun: Float[np.ndarray, "3"],
+    *,
+    among: Bool[np.ndarray, " units"] | None = None,
+) -> Bool[np.ndarray, " units"]:
+    """Say which units are wholly lit, at an incidence that the rules allow.
+
+    Args:
+        sight: the mesh and its units.
+        rules: greatest sun incidence.
+        sun: (3,) unit vector towards the sun, body frame.
+        among: (units,) those that are asked for; those that are counted if absent.
+
+    """
+    patches = sight.patches
+    steep = np.stack([patches.normals @ sun, -(patches.normals @ sun)], axis=1).reshape(-1)
+    lit = (steep >= math.cos(rules.greatest_sun_incidence)) & (patches.counted if among is None else among)
+    units = np.flatnonzero(lit)
+    lit[units] = sight.lit(sun, units)
+    return lit
+
+
+@numba.njit(cache=True, nogil=True)
+@no_type_check
+def _within(corners, counts, centres, normals, among, place, least, greatest, steepest, finest):
+    """Give units that keep range, incidence and sample distance, with a direction to each and its spread.
+
+    With d the distance of the farthest corner and h the height above the plane, incidence is arccos(h / d) and the
+    ground sample distance is (pixel angle) d² / h: both grow with d.
+    """
+    number = len(counts)
+    units = np.empty(number, dtype=np.int64)
+    directions, spread = np.empty((number, 3)), np.empty(number)
+    found = 0
+    px, py, pz = place[0], place[1], place[2]
+    for i in range(number):
+        if not (among[2 * i] or among[2 * i + 1]):
+            continue
+        gx, gy, gz = px - centres[i, 0], py - centres[i, 1], pz - centres[i, 2]
+        height = normals[i, 0] * gx + normals[i, 1] * gy + normals[i, 2] * gz
+        unit = 2 * i if height > 0.0 else 2 * i + 1
+        height = abs(height)
+        square = gx * gx + gy * gy + gz * gz
+        # The centre is in the patch: where it is too far, a corner is, too.
+        if not among[unit] or square >= greatest * greatest or height * height < steepest * steepest * square:
+            continue
+        far, near = 0.0, np.inf
+        x, y, z = 0.0, 0.0, 0.0
+        for k in range(counts[i]):
+            dx, dy, dz = corners[i, k, 0] - px, corners[i, k, 1] - py, corners[i, k, 2] - pz
+            distance = np.sqrt(dx * dx + dy * dy + dz * dz)
+            far, near = max(far, distance), min(near, distance)
+            if distance > 0.0:
+                x, y, z = x + dx / distance, y + dy / distance, z + dz / distance
+        if near <= least or far >= greatest or height < steepest * far or far * far > finest * height:
+            continue
+        length = np.sqrt(x * x + y * y + z * z)
+        x, y, z = x / length, y / length, z / length
+        widest = 0.0
+        for k in range(counts[i]):
+            dx, dy, dz = corners[i, k, 0] - px, corners[i, k, 1] - py, corners[i, k, 2] - pz
+            cx, cy, cz = dy * z - dz * y, dz * x - dx * z, dx * y - dy * x
+            widest = max(widest, np.arctan2(np.sqrt(cx * cx + cy * cy + cz * cz), dx * x + dy * y + dz * z))
+        units[found] = unit
+        directions[found, 0], directions[found, 1], directions[found, 2] = x, y, z
+        spread[found] = widest
+        found += 1
+    return units[:found].copy(), directions[:found].copy(), spread[:found].copy()

@@ -1,0 +1,224 @@
+"""The views ahead of a flight: which is flown to next, which were lost and to what, and when a plan is made anew."""
+
+from collections import deque
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from keepout.apps.inspection.equipment import boresight_of
+from keepout.apps.inspection.frames import Camera
+from keepout.apps.inspection.leading import Leading
+from keepout.apps.inspection.leg import Leg, Lost
+from keepout.apps.inspection.lit import ever_lit
+from keepout.apps.inspection.plan import InspectionPlan
+from keepout.apps.inspection.planning import plan
+from keepout.apps.inspection.problem import Problem
+from keepout.apps.inspection.safe_speeds import SafeSpeeds
+from keepout.apps.inspection.wanted import Wanted
+from keepout.apps.unknown.depth.pointing import Boresight
+from keepout.core.control.law import Law
+from keepout.core.errors import ControlError
+from keepout.core.mission.scenario import Scenario
+from keepout.core.progress import Progress, silent
+
+Point = Float[np.ndarray, "3"]
+
+_WAITED = 0.1
+"""Share of the time left for which the light is waited for where no view is in light, before a plan is made again."""
+_REPLANS, _REPLANS_IN_SUN = 16, 48
+"""Plans after the first, at most: each costs a tour that is mostly way. The sun asks for more."""
+_LOST = 0.01
+"""Share of what is possible that must be lost to the light before a plan is made again while views are left."""
+_AGAIN = 0.5
+"""Of the usual work for the choice of views, what is spent in the sun when a plan is made again."""
+
+
+@dataclass(eq=False)
+class ViewsAhead:
+    """What is to be flown to, and what is wanted from there; make one with `ViewsAhead.of`.
+
+    Attributes:
+        scenario: as flown.
+        problem: what is to be seen.
+        leading: the law's way to any place.
+        camera: what it sees, and what is lit.
+        wanted: what is still to be seen, as it is known on board.
+        first: the first plan.
+        safe_speeds: of legs, where passive safety is asked for.
+        legs: ahead, in their order.
+        leg: under way, or None.
+        plans: made so far.
+
+    """
+
+    scenario: Scenario
+    problem: Problem
+    leading: Leading
+    camera: Camera
+    wanted: Wanted
+    first: InspectionPlan
+    safe_speeds: SafeSpeeds
+    legs: deque[Leg]
+    leg: Leg | None = None
+    plans: int = 1
+    _replan: bool = False
+    _taken: int = 0
+    _refused: list[str] = field(default_factory=list)
+    _lost: Bool[np.ndarray, " units"] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._lost = np.zeros(self.problem.patches.units, dtype=bool)
+
+    @classmethod
+    def of(
+        cls,
+        scenario: Scenario,
+        problem: Problem,
+        leading: Leading,
+        camera: Camera,
+        wanted: Wanted,
+        *,
+        first: InspectionPlan | None = None,
+        progress: Progress = silent,
+    ) -> "ViewsAhead":
+        """Begin with the hold points and the views of the first plan, which is made here where it is not given."""
+        holds = scenario.inspect.hold_points
+        if first is None:
+            first = plan(
+                problem,
+                position=np.asarray(holds[-1].position if holds else scenario.start.position, dtype=float),
+                time=0.0,
+                wanted=wanted.left,
+                share=wanted.share_of_left,
+                boresight=boresight_of(scenario, problem.target).direction,
+                progress=progress,
+            )
+        legs = deque([*Leg.holds(holds, scenario.goal.tolerance), *Leg.views(first, scenario.inspect.dwell)])
+        return cls(scenario, problem, leading, camera, wanted, first, SafeSpeeds.of(problem, scenario), legs)
+
+    @property
+    def holding(self) -> bool:
+        """Whether hold points, or a wait for the light, are still ahead."""
+        return any(leg.boresight is None for leg in self.legs)
+
+    def is_over(self, now: float) -> bool:
+        """Whether no view is under way, or that is done with; notes why it was lost, if it was."""
+        if self.leg is None:
+            return True
+        ended = self.leg.ended(now, self.wanted)
+        if ended is None:
+            return False
+        left = self.leg.left(self.wanted)
+        if ended is Lost.LIGHT and self._in_sun and (lit := self._lit(now, left)).any():
+            # A view goes on with what of it is still in light.
+            self._lost[left[~lit]] = True
+            self.leg.units = left[lit]
+            return False
+        if ended is Lost.NOT:
+            self._taken += 1
+            if len(left) and not self._lit(now, left).all():
+                ended = Lost.LIGHT
+        if ended is Lost.GUARD or (ended is Lost.LIGHT and not self._in_sun):
+            self._replan = True
+        elif ended is Lost.LIGHT:
+            self._lost[left] = True
+        else:
+            self.wanted.failed(left)
+        return True
+
+    def next(self, now: float, estimate: Point, boresight: Boresight) -> Law | tuple[str, str]:
+        """Go on to the next view that still has something to show, planning anew where that is due.
+
+        Args:
+            now: s.
+            estimate: (3,) m, where the chaser takes itself to be.
+            boresight: of the camera.
+
+        Returns:
+            law: that leads there; or how the inspection ends, and why.
+
+        """
+        while True:
+            if (self._replan or not self.legs or self._lost_much()) and not self.holding:
+                ending = self._replanned(now, estimate, boresight)
+                if ending is not None:
+                    return ending
+            leg = self.legs.popleft()
+            if leg.boresight is not None and not leg.waits and not len(leg.left(self.wanted)):
+                continue
+            if self._in_sun and now > leg.window[1] and not self._lit(now, left := leg.left(self.wanted)).any():
+                self._lost[left] = True
+                continue
+            law = self._law_to(leg, now, estimate, boresight)
+            if law is not None:
+                self.leg = leg
+                return law
+
+    @property
+    def _in_sun(self) -> bool:
+        """Whether the light may change, so that what is lost to it is what every tour loses a little of."""
+        return self.scenario.light.kind == "sun"
+
+    def _lost_much(self) -> bool:
+        """Whether what was lost to the light since the last plan, and is still wanted, asks for another."""
+        areas = self.problem.patches.unit_areas()
+        return float(areas[self._lost & self.wanted.left].sum()) >= _LOST * float(areas[self.wanted.possible].sum())
+
+    def _lit(self, now: float, units: Int[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
+        sun = self.camera.sun(now)
+        if sun is None:
+            return np.full(len(units), not self.camera.light.matters)
+        return self.camera.lit(sun, units)
+
+    def _law_to(self, leg: Leg, now: float, estimate: Point, boresight: Boresight) -> Law | None:
+        """Give the law that leads to a view; None where there is none, and then what it promised is noted as failed."""
+        place = self.leading.reachable(leg.place)
+        try:
+            if place is None:
+                raise ControlError(f"{leg.place.round(3).tolist()} m: the law finds no room beside it")
+            way = float(np.linalg.norm(place - estimate))
+            turn = 0.0 if leg.boresight is None else boresight.off(leg.boresight)
+            slew = turn / boresight.greatest_rate
+            most = self.safe_speeds.of_leg(leg, estimate, place, now)
+            turning = way / slew if slew > 0.0 else None
+            law = self.leading.law(place, estimate, speed=turning, most=most, through=not leg.waits)
+        except ControlError as refusal:
+            self._refused.append(str(refusal))
+            self.wanted.failed(leg.units)
+            return None
+        leg.begun(now, place, way / min(most, self.scenario.chaser.speed_limit) + slew)
+        return law
+
+    def _replanned(self, now: float, estimate: Point, boresight: Boresight) -> tuple[str, str] | None:
+        """Plan anew for what is left; give how it ends where nothing is gained by that."""
+        left = self.wanted.left
+        nothing = ("nothing more to see", f"{self.wanted.reached:.2%} of what is not proved hidden was taken")
+        if not left.any() or self.plans > (_REPLANS_IN_SUN if self._in_sun else _REPLANS):
+            return self._no_way() or nothing
+        self._replan = False
+        self._lost[:] = False
+        again = plan(
+            self.problem,
+            position=estimate,
+            time=now,
+            wanted=left,
+            share=self.wanted.share_of_left,
+            boresight=boresight.direction,
+            effort=_AGAIN if self._in_sun else 1.0,
+        )
+        self.plans += 1
+        self.legs = deque(leg for leg in Leg.views(again, self.scenario.inspect.dwell) if len(leg.left(self.wanted)))
+        if not self.legs and self._in_sun:
+            end = self.scenario.duration
+            if ever_lit(self.camera, self.wanted.left, end, begin=now).any():
+                self.legs.append(Leg.waiting(estimate, max(_WAITED * (end - now), self.scenario.camera.period)))
+        if not self.legs:
+            return self._no_way() or nothing
+        return None
+
+    def _no_way(self) -> tuple[str, str] | None:
+        """Say that the law leads nowhere, where it led to no view."""
+        if self._taken or not self._refused:
+            return None
+        return "no way", f"the law led to none of {len(self._refused)} views: {self._refused[-1]}"

@@ -1,0 +1,101 @@
+"""Experiments: the source paper's Section VI, repeated by one command, part by part."""
+
+import functools
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+
+from keepout.apps.reproduction import case1, case2, case3, runtime, surfaces, table1, volumes
+from keepout.apps.reproduction.part import Part
+from keepout.apps.reproduction.side_by_side import side_by_side
+from keepout.apps.reproduction.work import Work
+from keepout.core.compiled.kept_programs import keep_programs
+from keepout.core.errors import ScenarioError, UsageError
+from keepout.core.progress import Progress, never_back, part_of, silent
+from keepout.flights.report.folder import results_in, write_summary
+from keepout.flights.report.reproduction import write_reproduction
+
+PARTS: dict[str, Callable[[Work], Part]] = {
+    "table1": table1.table1,
+    "surfaces": surfaces.surfaces,
+    "volumes": volumes.volumes,
+    "case1": case1.case1,
+    "case2": case2.case2,
+    "runtime": runtime.runtime,
+    "case3": case3.case3,
+}
+"""In the paper's order."""
+LONG = ("case3", "case1", "case2", "runtime")
+"""Begun first, so that the last ones, side by side, end at about the same time."""
+ALONE: dict[str, Callable[[Work], object]] = {"runtime": runtime.fly_cones}
+"""Parts that measure times, and so run while nothing else does; each with what of it is kept before, beside others."""
+
+INTRODUCTION = (
+    "Zhou et al., Spacecraft Safe Robust Control Using Implicit Neural Representation for Geometrically Complex "
+    "Targets in Proximity Operations (arXiv 2507.13672), Section VI. For each table and figure: what the paper "
+    "states, what its printed constants give here, and what Keepout's defaults give. Clearances are those of the "
+    "chaser's ball to the exact mesh, bounded between samples. Every number stands in a CSV file beside this page."
+)
+
+
+def reproduce(
+    names: Sequence[str],
+    out: Path,
+    *,
+    quick: bool = False,
+    seed: int = 0,
+    fields: Path | None = None,
+    progress: Progress = silent,
+) -> list[Part]:
+    """Repeat parts of the paper's Section VI in a folder; a run that was stopped goes on where it was.
+
+    Args:
+        names: of the parts, or "all".
+        out: folder for the page, `summary.json`, and a folder for each part with its CSV files and figures.
+        quick: fewer flights and shipped fields.
+        seed: of every draw.
+        fields: folder with fields of the paper's network, fitted before.
+        progress: told how far the work is.
+
+    Raises:
+        UsageError: a part of that name does not exist.
+        ScenarioError: the folder cannot be written to.
+
+    """
+    keep_programs()
+    chosen = [name for name in PARTS if name in names or "all" in names]
+    for name in names:
+        if name not in PARTS and name != "all":
+            raise UsageError(f"experiment: {name!r} is not known; valid: all, {', '.join(PARTS)}")
+    if fields is not None and not fields.is_dir():
+        raise ScenarioError(f"--fields: {fields} is not a folder; give the one that an earlier run has written")
+    done: dict[str, Part] = {}
+    progress = never_back(progress)
+    writing = threading.Lock()
+
+    def repeated(name: str, progress: Progress) -> Part:
+        part = PARTS[name](Work(out / name, quick, seed, fields, progress))
+        with writing:
+            done[name] = part
+            # After each part, so that a page stands even if a later part is stopped.
+            finished = [done[name] for name in chosen if name in done]
+            write_reproduction(out, [part.section() for part in finished], introduction=INTRODUCTION, quick=quick)
+            write_summary(out, [row for part in finished for row in part.named_rows])
+        return part
+
+    def ahead(name: str, progress: Progress) -> None:
+        ALONE[name](Work(out / name, quick, seed, fields, progress))
+
+    alone = [name for name in chosen if name in ALONE]
+    share = 1.0 - 0.5 * len(alone) / len(chosen)
+    order = sorted(chosen, key=lambda name: LONG.index(name) if name in LONG else len(LONG))
+    jobs = {name: functools.partial(ahead if name in ALONE else repeated, name) for name in order}
+    with ExitStack() as folders:
+        for name in chosen:
+            folders.enter_context(results_in(out / name))
+        side_by_side(jobs, part_of(progress, 0.0, share))
+        for name in alone:
+            repeated(name, part_of(progress, share, 1.0))
+    progress(1.0, "")
+    return [done[name] for name in chosen]

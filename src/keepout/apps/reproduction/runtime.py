@@ -1,0 +1,224 @@
+"""The paper's computation time (section VI.C.2), and flights of its law with a true cone."""
+
+import platform
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from keepout.apps.reproduction.fitted import PAPER_NETWORK, field_of
+from keepout.apps.reproduction.kept_flight import kept_flight
+from keepout.apps.reproduction.part import Drawing, Part, Table
+from keepout.apps.reproduction.rest import trapped
+from keepout.apps.reproduction.runtime_view import draw_step_times
+from keepout.apps.reproduction.side_by_side import side_by_side
+from keepout.apps.reproduction.step_times import Contender, Timed, time_apart
+from keepout.apps.reproduction.usual_way import missing_extra
+from keepout.apps.reproduction.work import Work
+from keepout.core.fields.model import FieldModel
+from keepout.core.geometry.target import Target
+from keepout.core.mission.build import load_target
+from keepout.core.mission.flight import Flight
+from keepout.core.mission.scenario import Scenario
+from keepout.core.progress import Progress
+
+PAPER = (
+    "A control step, the cone program and the neural field's inference, stays below 10 ms throughout the flight, with "
+    "CVXPY on an Intel Core i7-12700F and an NVIDIA GeForce RTX 2080 SUPER. The cone's e_∇h is not printed."
+)
+LIMIT = 10.0
+"""The paper's, ms."""
+
+TIMED_ERROR = 0.2
+"""e_∇h of the flights whose steps are timed: a true cone program, as the paper solves."""
+NETWORK = (10, 512)
+"""The paper's: hidden layers and their width."""
+
+_NO_FIELD = "no such field: give --fields with one of the paper's network"
+
+
+def runtime(work: Work) -> Part:
+    """Time control steps over a flight, and fly the law with a true cone."""
+    target, network = _flown_around(work)
+    timed = step_rows(work.within(0.1, 0.5), network)
+    cone = cone_rows(work.within(0.5, 0.95), target, network)
+    times = [row for row, _ in timed]
+    drawn = {
+        row["contender"]: (np.arange(float(len(seconds))), 1e3 * seconds)
+        for row, seconds in timed
+        if seconds is not None
+    }
+    draw_step_times(work.folder / "step-times.png", drawn, limit=LIMIT)
+    return Part(
+        name="runtime",
+        title="Computation time, and the law with a true cone",
+        paper=PAPER,
+        ours=found(times, cone),
+        rows=[{"table": "step times", **row} for row in times] + [{"table": "true cone", **row} for row in cone],
+        tables=[
+            Table("step-times", "One control step, one thread, over Case 1's flight at 1 Hz", times),
+            Table(
+                "true-cone",
+                "Case 1, printed constants, 1 Hz, 0.1 N, by e_∇h; trapped: at rest outside the tolerance; clearance by "
+                "the audit on the exact mesh",
+                cone,
+            ),
+        ],
+        drawings=[Drawing("step-times", "Time of each control step over the flight; thick: its median")],
+    )
+
+
+def fly_cones(work: Work) -> None:
+    """Fly the flights with a true cone, which are kept: they may be flown while other parts keep the cores busy."""
+    target, network = _flown_around(work)
+    cone_rows(work.within(0.1, 1.0), target, network)
+
+
+def _flown_around(work: Work) -> tuple[Target, FieldModel | None]:
+    """Give the target and, where there is one, its field of the paper's network."""
+    target = load_target(Scenario().target)
+    target.distance.distance(np.zeros((1, 3)))  # compiled once, before the flights share it
+    return target, None if work.quick else field_of(work.within(0.0, 0.1), PAPER_NETWORK, target, fitting=False)
+
+
+def contenders(work: Work, network: FieldModel | None) -> list[Contender]:
+    """Give what is timed: Keepout's step and the usual way, on the same mission."""
+    flown = Scenario().replace(seed=work.seed, duration=600.0)
+    printed = flown.replace(
+        name="printed", control={"profile": "paper", "paper": {"gradient_error": TIMED_ERROR}}, guard={"enabled": False}
+    )
+    made = [
+        Contender("Keepout: default law and guard, shipped field", flown.replace(name="default")),
+        Contender("Keepout: printed constants, shipped field", printed),
+    ]
+    if not work.quick:
+        made.append(Contender("usual way: printed constants, shipped field", printed, usual=True))
+    if network is not None:
+        # With its certificate, for the process that times; a folder that was named is not written to.
+        file = PAPER_NETWORK.path(work.folder / "fields", network.target_name)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        network.save(file)
+        made.append(Contender("Keepout: printed constants, 10 x 512", printed, field=file))
+        made.append(Contender("usual way: printed constants, 10 x 512", printed, usual=True, field=file))
+    else:
+        made.append(Contender("usual way: printed constants, 10 x 512", printed, usual=True, idle=NETWORK))
+    return made
+
+
+def step_rows(work: Work, network: FieldModel | None) -> list[tuple[dict[str, Any], np.ndarray | None]]:
+    """Time every contender; one that cannot run here has a row whose note says why, and no times."""
+    every, missing = contenders(work, network), missing_extra()
+    run = [contender for contender in every if missing is None or not contender.usual]
+
+    def make() -> dict[str, np.ndarray]:
+        answers = time_apart(run)
+        return {f"{place}-{name}": value for place, timed in enumerate(answers) for name, value in vars(timed).items()}
+
+    made_of = {
+        "contenders": [
+            {
+                **{key: str(value) for key, value in vars(contender).items() if key != "scenario"},
+                "scenario": contender.scenario.model_dump(mode="json"),
+            }
+            for contender in run
+        ],
+        "network": None if network is None else network.sha256,
+        "machine": platform.machine(),
+    }
+    arrays = work.arrays("step-times", made_of, make)
+    work.progress(1.0, "steps timed")
+    answers = {
+        contender.name: Timed(arrays[f"{place}-seconds"], arrays[f"{place}-position"], int(arrays[f"{place}-unsolved"]))
+        for place, contender in enumerate(run)
+    }
+    rows: list[tuple[dict[str, Any], np.ndarray | None]] = []
+    for contender in every:
+        timed = answers.get(contender.name)
+        row = _step_row(contender, timed, missing or "")
+        rows.append((row, None if timed is None else timed.seconds))
+    if network is None and not work.quick:
+        row = _step_row(Contender("Keepout: printed constants, 10 x 512", Scenario()), None, _NO_FIELD)
+        rows.append((row, None))
+    return rows
+
+
+def _step_row(contender: Contender, timed: Timed | None, missing: str) -> dict[str, Any]:
+    figures = ("steps", "median_ms", "p99_ms", "max_ms", "above_10_ms", "final_error_m", "unsolved")
+    if timed is None:
+        return {"contender": contender.name, **dict.fromkeys(figures), "note": missing}
+    taken = 1e3 * timed.seconds
+    error = np.linalg.norm(timed.position[-1] - np.asarray(contender.scenario.goal.position))
+    note = ""
+    if contender.idle is not None:
+        note = "10 x 512 network of random weights evaluated for its cost; values by the shipped field"
+    values = (
+        *(len(taken), float(np.median(taken)), float(np.quantile(taken, 0.99)), float(taken.max())),
+        *(int((taken > LIMIT).sum()), float(error), timed.unsolved),
+    )
+    return {"contender": contender.name, **dict(zip(figures, values)), "note": note}
+
+
+def cone_rows(work: Work, target: Target, network: FieldModel | None) -> list[dict[str, Any]]:
+    """Fly Case 1 with the printed constants for several e_∇h."""
+    errors = (TIMED_ERROR,) if work.quick else (0.0, 0.1, 0.2, 0.3, 0.4)
+    base = Scenario().replace(seed=work.seed, duration=600.0 if work.quick else 1500.0, guard={"enabled": False})
+    jobs: dict[str, Callable[[Progress], Flight]] = {}
+    for kind, model in (("shipped", None), ("network", network)):
+        if kind == "network" and model is None:
+            continue
+        for error in errors:
+            control = {"profile": "paper", "paper": {"gradient_error": error}}
+            scenario = base.replace(name=f"cone-{kind}-{error:g}", control=control)
+            jobs[scenario.name] = _job(work, scenario, target, model)
+    flights = side_by_side(jobs, work.progress)
+    return [_cone_row(flight) for flight in flights.values()]
+
+
+def _job(work: Work, scenario: Scenario, target: Target, model: FieldModel | None) -> Callable[[Progress], Flight]:
+    return lambda progress: kept_flight(work, scenario, target, progress, model=model)
+
+
+def _cone_row(flight: Flight) -> dict[str, Any]:
+    goal, record, summary = flight.scenario.goal, flight.record, flight.summary()
+    return {
+        "field": "10 x 512" if flight.scenario.name.startswith("cone-network") else "shipped",
+        "gradient_error": flight.scenario.control.paper.gradient_error,
+        "reached": bool(summary["reached"]),
+        "trapped": trapped(record.time, record.position, np.asarray(goal.position), goal.tolerance),
+        "time_to_reach_s": summary["time_to_reach_s"],
+        "final_error_m": summary["final_error_m"],
+        "end_m": [round(float(x), 3) for x in record.position[-1]],
+        "minimum_h_m": float(record.barrier.min()),
+        "minimum_clearance_m": summary["minimum_clearance_m"],
+        "contact": summary["contact_verdict"],
+    }
+
+
+def found(times: Sequence[dict[str, Any]], cone: Sequence[dict[str, Any]]) -> list[str]:
+    """Say in plain sentences what the rows show."""
+    said = [
+        f"Timed is the whole step from the estimate to the force, on one thread of this machine's processor, with "
+        f"e_∇h = {TIMED_ERROR:g} so that the printed law solves a true cone program. The usual way is the same law in "
+        "NumPy, with CVXPY and Clarabel for the program and PyTorch's autograd for the field, program and network made "
+        "once."
+    ]
+    for row in times:
+        if row["median_ms"] is None:
+            said.append(f"{row['contender']}: {row['note']}.")
+            continue
+        said.append(
+            f"{row['contender']}: {row['median_ms']:.3g} ms in the median, {row['p99_ms']:.3g} ms at the 99th "
+            f"percentile, {row['max_ms']:.3g} ms at most; {row['above_10_ms']} of {row['steps']} steps above "
+            f"{LIMIT:g} ms; {row['final_error_m']:.2g} m from the goal at the end."
+        )
+    for field in dict.fromkeys(row["field"] for row in cone):
+        own = [row for row in cone if row["field"] == field]
+        arrived = ", ".join(f"{row['gradient_error']:g}" for row in own if row["reached"]) or "none"
+        stuck = ", ".join(f"{row['gradient_error']:g}" for row in own if row["trapped"]) or "none"
+        moving = [f"{row['gradient_error']:g}" for row in own if not row["reached"] and not row["trapped"]]
+        said.append(
+            f"Case 1 with the printed constants at 1 Hz and 0.1 N by the {field} field: it arrives with e_∇h = "
+            f"{arrived}; it is trapped with {stuck}"
+            + (f"; it neither arrives nor rests with {', '.join(moving)}." if moving else ".")
+        )
+    return said

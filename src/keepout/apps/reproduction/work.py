@@ -1,0 +1,95 @@
+"""What every part of a reproduction works with: a folder, a seed, and what was already computed there."""
+
+import dataclasses
+import io
+import json
+import zipfile
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+import keepout
+from keepout.core.digest import digest
+from keepout.core.errors import ScenarioError
+from keepout.core.progress import Progress, part_of, silent
+from keepout.core.whole_file import write_whole
+
+Thing = TypeVar("Thing")
+
+
+@dataclasses.dataclass(frozen=True)
+class Work:
+    """Where a part of a reproduction works, and how much it does.
+
+    What takes long goes through `numbers` or `arrays`: it is written into `folder / "kept"` as soon as it is there,
+    under a digest of all that it was made of, so that a run that was stopped goes on, and a changed one begins anew.
+
+    Attributes:
+        folder: of this part; CSV files and figures go here.
+        quick: fewer flights, shipped fields and short searches.
+        seed: of every draw.
+        fields: folder with fields of the paper's network fitted before, or None to fit them.
+        progress: told how far the part is.
+
+    """
+
+    folder: Path
+    quick: bool = False
+    seed: int = 0
+    fields: Path | None = None
+    progress: Progress = silent
+
+    def numbers(self, name: str, made_of: Any, make: Callable[[], Any]) -> Any:
+        """Return what `make` gives, plain JSON values, from the file that an earlier run left where there is one.
+
+        Args:
+            name: begins the file's name.
+            made_of: all that the values depend on, plain JSON values.
+            make: computes them.
+
+        """
+        path = self._place(name, made_of, ".json")
+        if path.exists():
+            with _readable(path):
+                return json.loads(path.read_text(encoding="utf-8"))
+        made = make()
+        write_whole(path, json.dumps(made, allow_nan=False) + "\n", refusal=ScenarioError)
+        return made
+
+    def arrays(self, name: str, made_of: Any, make: Callable[[], Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
+        """Return what `make` gives, arrays by name, from the file that an earlier run left where there is one."""
+        path = self._place(name, made_of, ".npz")
+        if path.exists():
+            with _readable(path), np.load(path, allow_pickle=False) as stored:
+                return dict(stored)
+        made = {key: np.asarray(array) for key, array in make().items()}
+        stream = io.BytesIO()
+        np.savez_compressed(stream, allow_pickle=False, **made)
+        write_whole(path, stream.getvalue(), refusal=ScenarioError)
+        return made
+
+    def within(self, start: float, end: float) -> "Work":
+        """Give the same work for a stretch of its progress."""
+        return dataclasses.replace(self, progress=part_of(self.progress, start, end))
+
+    def stretches(self, things: Iterable[Thing]) -> Iterator[tuple["Work", Thing]]:
+        """Give each of some things with the same work for its share of the progress, all alike."""
+        every = list(things)
+        for place, thing in enumerate(every):
+            yield self.within(place / len(every), (place + 1) / len(every)), thing
+
+    def _place(self, name: str, made_of: Any, suffix: str) -> Path:
+        key = digest(json.dumps([keepout.__version__, made_of], sort_keys=True))
+        return self.folder / "kept" / f"{name}-{key[:16]}{suffix}"
+
+
+@contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    """Say of a kept file that cannot be read which one it is."""
+    try:
+        yield
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise ScenarioError(f"{path}: cannot be read ({error}); delete it to compute it anew") from None

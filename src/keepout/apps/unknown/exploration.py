@@ -1,0 +1,129 @@
+"""What an exploration leaves: the map, the flight, every view, and the verdict on the true mesh."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from keepout.apps.unknown.departures import Departures
+from keepout.apps.unknown.mapping.known_free import KnownFreeMap
+from keepout.apps.unknown.next_view import Ending
+from keepout.core.audit.audit import Audit, Contact
+from keepout.core.flight.outcome import FlightOutcome
+from keepout.core.flight.record import FlightRecord
+from keepout.core.geometry.target import Target
+from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.statuses import flag_counts
+
+
+@dataclass(frozen=True)
+class TakenView:
+    """One depth image of a flight, and what it opened.
+
+    Attributes:
+        time: of the image, s.
+        position: (3,) of the sensor, m, map frame: the truth.
+        direction: (3,) unit vector of the boresight, map frame.
+        status: "seen", or why the map did not take it.
+        opened: cubes that became free.
+        free_volume: known-free room inside the declared ball after it, m³.
+        why: what the planner wanted when it was taken.
+        contradicting: returns in it that prove that a promise of ball or sensor is broken.
+
+    """
+
+    time: float
+    position: Float[np.ndarray, "3"]
+    direction: Float[np.ndarray, "3"]
+    status: str
+    opened: int
+    free_volume: float
+    why: str
+    contradicting: int = 0
+
+
+@dataclass(frozen=True)
+class Stage:
+    """The skin of the map at some time (s): vertices (v, 3) m and faces (f, 3)."""
+
+    time: float
+    vertices: Float[np.ndarray, "v 3"]
+    faces: Int[np.ndarray, "f 3"]
+
+
+@dataclass(frozen=True)
+class Exploration:
+    """One exploration.
+
+    Attributes:
+        scenario: as it was flown.
+        target: the true mesh, which nothing on board knew.
+        expected: the mesh that the mission believed in, or None.
+        map: at the end.
+        record: of the whole flight.
+        flown: what became of it.
+        audit: the verdict on the true mesh.
+        outcome: how it ended.
+        why: in words.
+        views: every image.
+        stages: the skin of the map at some times.
+        seen_share: of the true surface's reachable part, the share within `explore.explained` of a return.
+        unknown: (m, 3) centres of the cubes that were in the way at the end, m.
+        departures: where the seen surface is not what was expected; None where nothing was.
+        seconds: that the computation took.
+        start_certified: whether the guard's theorem holds from the start.
+        assumptions_broken: what is flown beyond what the scenario declares.
+        guard: what the guard assumes and what follows, as numbers.
+        keep: the distance from all that is not known free that ways of the chaser's centre were looked for with, m.
+
+    """
+
+    scenario: Scenario
+    target: Target
+    expected: Target | None
+    map: KnownFreeMap
+    record: FlightRecord
+    flown: FlightOutcome
+    audit: Audit
+    outcome: Ending
+    why: str
+    views: tuple[TakenView, ...]
+    stages: tuple[Stage, ...]
+    seen_share: float
+    unknown: Float[np.ndarray, "m 3"]
+    departures: Departures | None
+    seconds: float
+    start_certified: bool
+    assumptions_broken: tuple[str, ...]
+    guard: dict[str, Any]
+    keep: float
+
+    def summary(self) -> dict[str, Any]:
+        """Give the figures as plain numbers for JSON.
+
+        `contact` is true unless the audit proves that there was none; `contact_verdict` tells the cases apart.
+        """
+        refused = [view.status for view in self.views if view.status != "seen"]
+        return {
+            "outcome": self.outcome,
+            "why": self.why,
+            "reached": self.outcome == "reached goal",
+            "contact": self.audit.contact is not Contact.NO,
+            "contact_verdict": str(self.audit.contact),
+            "minimum_clearance_m": self.audit.minimum_clearance,
+            "seen_share": self.seen_share,
+            "views": len(self.views),
+            "refused_views": {status: refused.count(status) for status in sorted(set(refused))},
+            "contradicting_returns": sum(view.contradicting for view in self.views),
+            "opened_m3": sum(view.opened for view in self.views) * self.map.spacing**3,
+            "duration_s": float(self.record.time[-1]),
+            "delta_v_mps": float(self.flown.delta_v),
+            "guard_interventions": int(self.flown.guard_interventions),
+            "guard_flags": flag_counts(self.record.guard_status[:-1]),
+            "start_certified": self.start_certified,
+            "assumptions_broken": list(self.assumptions_broken),
+            "departures_largest_m": None if self.departures is None else self.departures.largest,
+            "guard": self.guard,
+            "seconds": self.seconds,
+        }

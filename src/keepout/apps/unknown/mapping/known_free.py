@@ -1,0 +1,331 @@
+"""The map of what has been seen free: cubes become free by the rule of docs/mapping.md, and stay free for ever.
+
+What has not been seen free is an obstacle.
+"""
+
+import enum
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int
+
+from keepout.apps.unknown.mapping.contradiction import in_free_room
+from keepout.apps.unknown.mapping.distance_transform import renew, squares_of
+from keepout.apps.unknown.mapping.pyramid import pyramid
+from keepout.apps.unknown.mapping.returns import Returns
+from keepout.apps.unknown.mapping.rule import SLACK, empty_ranges, rule_of
+from keepout.apps.unknown.mapping.view import SensorBounds, View
+from keepout.apps.unknown.mapping.windows import BLOCK, free_cubes
+from keepout.core.errors import MapError
+
+_MOST_CUBES = 1024
+"""Across the grid: 3 GiB."""
+_MOST_CELLS = 64
+"""In the cap: a tile of distances is made from the cubes that far round it."""
+_ROTATION = 1e-10
+"""Greatest departure of the axes from a rotation: the slack of the rule covers it."""
+
+
+class ViewStatus(enum.Enum):
+    """What became of a view; all but SEEN left the map as it was."""
+
+    SEEN = "seen"
+    FROM_UNKNOWN = "from_unknown"
+    """The sensor's place is not in known-free room: no sensor can be there."""
+    POSE_JUMP = "pose_jump"
+    """Farther from the last view than speed limit and pose error explain."""
+    NOT_FINITE = "not_finite"
+    """A pose or range that no sensor can have: not finite, a range below zero, axes that are no rotation."""
+    EMPTY = "empty"
+    """No pixel says anything."""
+    CONTRADICTED = "contradicted"
+    """A return lies in known-free room: this view, or one before, broke a promise."""
+
+
+@dataclass(frozen=True)
+class ViewReport:
+    """What a view did to the map."""
+
+    status: ViewStatus
+    opened: int
+    """Cubes that became free."""
+    seconds: float
+    """Time that it took."""
+    contradicting: int = 0
+    """Returns farther inside known-free room, or outside the declared ball, than the errors explain: each proves that a
+    promise of ball or sensor is broken. Counted in every view whose pose is finite, taken or not."""
+    outside: int = 0
+    """Those of them that lie outside the ball."""
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """Pose and time of a view that the map took."""
+
+    time: float
+    position: Float[np.ndarray, "3"]
+    axes: Float[np.ndarray, "3 3"]
+
+
+class KnownFreeMap:
+    """Cubes in a box round the declared ball that holds the target; grows in place as views come in.
+
+    Attributes:
+        name: of the target.
+        centre: (3,) of the declared ball, m.
+        radius: of the declared ball, m.
+        spacing: edge of a cube, m.
+        cap: greatest distance that is kept, m; a whole number of spacings.
+        bounds: what is promised of the sensor.
+        speed_limit: of the chaser, m/s; a view farther from the last one is refused.
+        origin: (3,) lower corner of the grid, m.
+        free: (n, n, n) bool, whether each cube is free. To be read only.
+        squares: (n+1, n+1, n+1) uint16, squared distance in cells of each cube corner to the nearest cube that is not
+            free, capped at (cap / spacing)². To be read only.
+        seen: pose and time of each view taken, in order.
+        broken: promises of ball and sensor that were broken when the map was made, each in words, as far as whoever
+            made it knew; to be added to by whoever knows more.
+        contradicting: returns so far that prove that a promise was broken.
+
+    """
+
+    def __init__(
+        self,
+        centre: Float[np.ndarray, "3"],
+        radius: float,
+        spacing: float,
+        cap: float,
+        bounds: SensorBounds,
+        name: str,
+        speed_limit: float,
+    ) -> None:
+        """Lay the grid; `begin` and `map_file.load` fill it."""
+        self.name, self.centre, self.radius = name, np.array(centre, dtype=np.float64), float(radius)
+        self.spacing, self.cap, self.bounds, self.speed_limit = float(spacing), float(cap), bounds, float(speed_limit)
+        self._check()
+        half = (self.radius + self.cap + 3.0 * self.spacing) / self.spacing
+        cubes = BLOCK * math.ceil(2.0 * half / BLOCK - 1e-9)
+        if cubes > _MOST_CUBES:
+            raise MapError(
+                f"map spacing = {self.spacing} m for a ball of radius {self.radius} m gives {cubes} cubes across; at "
+                f"most {_MOST_CUBES} are held: spacing must be at least {2.0 * half * self.spacing / _MOST_CUBES:.3g} m"
+            )
+        self.origin = self.centre - 0.5 * cubes * self.spacing
+        self.seen: list[Seen] = []
+        self.broken: tuple[str, ...] = ()
+        self.contradicting = 0
+        self._flight_began = 0
+        self.free = np.zeros((cubes, cubes, cubes), dtype=np.bool_)
+        self.squares = np.zeros((0, 0, 0), dtype=np.uint16)
+        self._returns = Returns(self.origin, self.spacing, cubes)
+        self._unknown = np.zeros((0, 0, 0), dtype=np.int32)
+
+    def _check(self) -> None:
+        if not (self.centre.shape == (3,) and np.isfinite(self.centre).all()):
+            raise MapError(f"map centre = {self.centre.tolist()}; it must be three finite coordinates in metres")
+        for name in ("radius", "spacing", "cap"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0.0):
+                raise MapError(f"map {name} = {value}; it must be positive and finite, in metres")
+        if not self.speed_limit > 0.0:
+            raise MapError(f"map speed_limit = {self.speed_limit}; it must be positive, in m/s")
+        cells = self.cap / self.spacing
+        if abs(cells - round(cells)) > 1e-6 or not 1 <= round(cells) <= _MOST_CELLS:
+            raise MapError(
+                f"map cap = {self.cap} m; it must be 1 to {_MOST_CELLS} whole spacings of {self.spacing} m, such as "
+                f"{min(max(round(cells), 1), _MOST_CELLS) * self.spacing:.6g} m"
+            )
+
+    @classmethod
+    def begin(
+        cls,
+        centre: Sequence[float] | Float[np.ndarray, "3"],
+        radius: float,
+        *,
+        spacing: float = 0.1,
+        cap: float = 1.2,
+        bounds: SensorBounds,
+        name: str,
+        speed_limit: float = math.inf,
+    ) -> "KnownFreeMap":
+        """Begin a map: all cubes that meet the declared ball are unknown, all others free.
+
+        Args:
+            centre: (3,) of the ball that is declared to hold the whole target, in its body frame, m.
+            radius: of that ball, m.
+            spacing: edge of a cube, m.
+            cap: greatest distance that is kept, m.
+            bounds: what is promised of the sensor.
+            name: of the target, by which a map file is known again.
+            speed_limit: of the chaser, m/s.
+
+        Raises:
+            MapError: a number out of range.
+
+        """
+        made = cls(np.asarray(centre, dtype=np.float64), radius, spacing, cap, bounds, name, speed_limit)
+        made.fill(made.free_outside_the_ball())
+        return made
+
+    def free_outside_the_ball(self) -> Bool[np.ndarray, "n n n"]:
+        """Give the cubes that do not meet the declared ball: free before the first view."""
+        cubes = len(self.free)
+        low = self.origin[:, None] + self.spacing * np.arange(cubes)
+        gap = np.maximum(low - self.centre[:, None], self.centre[:, None] - (low + self.spacing))
+        across, down, ahead = np.maximum(gap, 0.0) ** 2
+        # A cube that touches the ball to rounding counts as meeting it.
+        limit = self.radius**2 * (1.0 + 1e-12)
+        free = np.empty_like(self.free)
+        for i in range(cubes):
+            free[i] = across[i] + down[:, None] + ahead[None, :] > limit
+        return free
+
+    def fill(self, free: Bool[np.ndarray, "n n n"]) -> None:
+        """Take over which cubes are free, and make what follows from it."""
+        self.free = free
+        self.squares = squares_of(free, self.cap_cells)
+        blocks = len(free) // BLOCK
+        known = free.reshape(blocks, BLOCK, blocks, BLOCK, blocks, BLOCK).sum(axis=(1, 3, 5), dtype=np.int32)
+        self._unknown = (BLOCK**3 - known).astype(np.int32)
+
+    @property
+    def cap_cells(self) -> int:
+        """The cap in cells."""
+        return round(self.cap / self.spacing)
+
+    @property
+    def lower(self) -> Float[np.ndarray, "3"]:
+        """Lower corner of the box, m."""
+        return self.origin
+
+    @property
+    def upper(self) -> Float[np.ndarray, "3"]:
+        """Upper corner of the box, m."""
+        return self.origin + len(self.free) * self.spacing
+
+    @property
+    def assumptions_broken(self) -> tuple[str, ...]:
+        """What makes this map one that nothing is promised of, in words; () where nothing is known against it."""
+        told = tuple(f"map: {line}" for line in self.broken)
+        if self.contradicting:
+            told += (f"map: {self.contradicting} returns contradict it (docs/mapping.md#what-contradicts-a-map)",)
+        return told
+
+    @property
+    def views(self) -> int:
+        """How many views the map took."""
+        return len(self.seen)
+
+    @property
+    def returns(self) -> Float32[np.ndarray, "m 3"]:
+        """Point cloud of all returns in the map's frame, by the estimated poses, m; each place once."""
+        return self._returns.points()
+
+    @property
+    def return_keys(self) -> Int[np.ndarray, "m"]:
+        """Sorted whole-number keys of the point cloud, as a file keeps them."""
+        return self._returns.keys
+
+    @return_keys.setter
+    def return_keys(self, keys: Int[np.ndarray, "m"]) -> None:
+        self._returns.keys = keys
+
+    def distance_at_nodes(self) -> Float[np.ndarray, "m m m"]:
+        """Give the distance of each cube corner to the nearest cube that is not free, m; at most `cap`."""
+        return self.spacing * np.sqrt(self.squares, dtype=np.float64)
+
+    def is_free(self, points: Float[np.ndarray, "m 3"]) -> Bool[np.ndarray, "m"]:
+        """Say of points (m) whether they lie in known-free room; outside the box everything is free."""
+        cells = np.floor((points - self.origin) / self.spacing)
+        inside = ((cells >= 0) & (cells < len(self.free))).all(axis=1)
+        answer = np.ones(len(points), dtype=np.bool_)
+        answer[inside] = self.free[tuple(cells[inside].astype(np.int64).T)]
+        return answer
+
+    def begin_flight(self) -> None:
+        """Begin another flight by the same map: its first view may be taken anywhere, at any time."""
+        self._flight_began = len(self.seen)
+
+    def see(self, view: View) -> ViewReport:
+        """Grow the map by a view, in place; a refused view leaves it as it was, but for `contradicting`."""
+        begin = time.perf_counter()
+        status = self._status(view)
+        if status is ViewStatus.NOT_FINITE:
+            return ViewReport(status, 0, time.perf_counter() - begin)
+        points = view.points()
+        contradicting, outside = self._contradicting(view, points)
+        self.contradicting += contradicting
+        if contradicting and status is ViewStatus.SEEN:
+            status = ViewStatus.CONTRADICTED
+        opened = 0
+        if status is ViewStatus.SEEN:
+            opened = self.open(view)
+            self._returns.add(points)
+            self.seen.append(Seen(float(view.time), view.position.copy(), view.axes.copy()))
+        return ViewReport(status, opened, time.perf_counter() - begin, contradicting, outside)
+
+    def open(self, view: View) -> int:
+        """Free the cubes that the rule frees, and bring the distances up to date; gives how many were freed."""
+        rule = rule_of(view, self.bounds, self.spacing)
+        empty = empty_ranges(view, self.bounds)
+        first, last = self._blocks_in_reach(view, rule.farthest)
+        changed = np.zeros(self._unknown.shape, dtype=np.bool_)
+        opened = free_cubes(
+            rule,
+            pyramid(empty),
+            pyramid(empty, greatest=True),
+            self.origin,
+            self.spacing,
+            first,
+            last,
+            self.free,
+            self._unknown,
+            changed,
+        )
+        if opened:
+            renew(self.free, self.squares, self.cap_cells, changed, BLOCK)
+        return opened
+
+    def _blocks_in_reach(self, view: View, farthest: float) -> tuple[Int[np.ndarray, "3"], Int[np.ndarray, "3"]]:
+        """Give the first and the one after the last block of a box that holds all that the camera sees."""
+        camera = view.camera
+        half = np.array([0.5 * camera.width, 0.5 * camera.height]) / camera.focal
+        corners = np.array([[a * half[0], b * half[1], 1.0] for a in (-1, 1) for b in (-1, 1)])
+        # The part of the cone nearer than `farthest` lies within the pyramid cut there across the boresight.
+        reached = np.vstack([view.position, view.position + max(farthest, 0.0) * corners @ view.axes.T])
+        cells = (np.array([reached.min(axis=0), reached.max(axis=0)]) - self.origin) / (BLOCK * self.spacing)
+        blocks = len(self.free) // BLOCK
+        first = np.clip(np.floor(cells[0]) - 1, 0, blocks).astype(np.int64)
+        return first, np.clip(np.ceil(cells[1]) + 1, 0, blocks).astype(np.int64)
+
+    def _status(self, view: View) -> ViewStatus:
+        finite = np.isfinite(view.position).all() and np.isfinite(view.axes).all() and math.isfinite(view.time)
+        if (
+            not finite
+            or np.abs(view.axes.T @ view.axes - np.eye(3)).max() > _ROTATION
+            or np.linalg.det(view.axes) < 0.0
+        ):
+            return ViewStatus.NOT_FINITE
+        if (view.ranges < 0.0).any():
+            return ViewStatus.NOT_FINITE
+        if not (np.isfinite(view.ranges) | (np.isposinf(view.ranges) & (self.bounds.sure_empty_range > 0.0))).any():
+            return ViewStatus.EMPTY
+        if not self.is_free(view.position[None])[0]:
+            return ViewStatus.FROM_UNKNOWN
+        if len(self.seen) > self._flight_began:
+            last = self.seen[-1]
+            explained = self.speed_limit * abs(view.time - last.time) + 2.0 * self.bounds.position_error
+            # An endless speed over no time is no limit.
+            if np.linalg.norm(view.position - last.position) > explained:
+                return ViewStatus.POSE_JUMP
+        return ViewStatus.SEEN
+
+    def _contradicting(self, view: View, points: Float[np.ndarray, "m 3"]) -> tuple[int, int]:
+        """Count the returns that no part of a target in unknown room can have sent, and those outside the ball."""
+        explained = self.bounds.return_error(view.camera, view.ranges[np.isfinite(view.ranges)]) + SLACK
+        outside = np.linalg.norm(points - self.centre, axis=1) > self.radius + explained
+        inside = in_free_room(points, explained, self.origin, self.spacing, self.free, self.cap)
+        return int((outside | inside).sum()), int(outside.sum())

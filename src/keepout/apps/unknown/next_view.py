@@ -1,0 +1,351 @@
+"""Which view to take next: where to fly in known-free room, and where to look from there."""
+
+import functools
+import math
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float, Float32, Int, UInt8
+from scipy.spatial import KDTree
+
+from keepout.apps.unknown.cells import CLOSE, EXPLAINED, FREE, NEARBY, SURFACE, UNKNOWN, Cells
+from keepout.apps.unknown.depth.pointing import axes_towards
+from keepout.apps.unknown.frontier import Frontier, frontier
+from keepout.apps.unknown.mapping.known_free import KnownFreeMap
+from keepout.apps.unknown.mapping.view import Pinhole
+from keepout.apps.unknown.reachable import Reachable, reachable
+from keepout.apps.unknown.sight import UP, inside, panoramas, sphere
+from keepout.apps.unknown.tried import MOST_PATIENCE, PATIENCE, SAME_DIRECTION, SAME_PLACE, Tried
+from keepout.apps.unknown.way import HopedWay, hoped_way
+
+_RAYS, _DIRECTIONS, _DRAWN, _PLACES = 2000, 192, 4000, 256
+_BINS = (0.6, 1.0, 1.6, 2.6, 4.5)
+"""Metres at which bins of range begin: the nearer, the farther from the image's edge a window must be to lie inside."""
+_RANGES = (1.5, 3.0, 5.0, 8.0)
+"""Metres from a frontier along its normal at which a view is considered; and between shells round what is wanted."""
+_REFINED, _AROUND = 6, 10
+_STAGES = 3
+
+
+@dataclass(frozen=True)
+class Pace:
+    """What a view costs in time: the way at a speed, the turn at a rate, and a while to settle."""
+
+    speed: float = 0.2
+    """m/s."""
+    turn_rate: float = 0.05
+    """rad/s."""
+    settling: float = 60.0
+    """s."""
+
+
+@dataclass(frozen=True, eq=False)
+class NextView:
+    """Where to fly and where to look from there."""
+
+    position: Float[np.ndarray, "3"]
+    """m; the goal itself where that is known to be reachable."""
+    direction: Float[np.ndarray, "3"]
+    """Unit vector along the boresight; `sight.axes_towards` gives the camera's axes that were counted on."""
+    why: str
+    gain: float
+    """What the view is expected to open, m³, each part times how much it is wanted (at most 1)."""
+    is_goal: bool = False
+
+
+Ending = Literal[
+    "reached goal", "everything reachable seen", "no way known", "out of time", "out of views", "contradicted"
+]
+
+
+@dataclass(frozen=True, eq=False)
+class Ended:
+    """There is nothing more to fly for; of `choose`: no view worth taking."""
+
+    outcome: Ending
+    why: str
+    unknown: Float[np.ndarray, "n 3"]
+    """Centres (m) of the cells that are in the way, or of all frontier cells left, for a picture."""
+
+
+def choose(
+    known: KnownFreeMap,
+    position: Float[np.ndarray, "3"],
+    goal: Float[np.ndarray, "3"] | None,
+    camera: Pinhole,
+    tried: Tried,
+    *,
+    keep: float,
+    boresight: Float[np.ndarray, "3"] | None = None,
+    pace: Pace | None = None,
+    least_gain: float = 0.005,
+    seed: int = 0,
+) -> NextView | Ended:
+    """Choose the view that opens most of what is wanted per second.
+
+    Args:
+        known: the map.
+        position: of the chaser's centre and camera, m.
+        goal: where the chaser wants to be, m; None to look all round.
+        camera: the camera.
+        tried: the views so far.
+        keep: least distance, m, of the chaser's centre from all that is not known free.
+        boresight: where the camera looks now, a unit vector; None: no turn is counted.
+        pace: speeds of flying and turning.
+        least_gain: a view expected to open less (m³) is not worth taking.
+        seed: of the places drawn.
+
+    """
+    position = np.asarray(position, dtype=float)
+    reach = reachable(known, position, keep)
+    if goal is not None:
+        goal = np.asarray(goal, dtype=float)
+        if reach.leads_to(known, goal):
+            towards = known.origin + 0.5 * known.spacing * np.array(known.free.shape) - goal
+            return NextView(goal, _unit(towards), "goal is reachable", 0.0, is_goal=True)
+    if not reach.reached.any():
+        return Ended(
+            "no way known",
+            f"nowhere within {math.sqrt(3.0) * reach.spacing:.2f} m of the chaser is {keep:.2f} m "
+            "from all that is not known free",
+            np.zeros((0, 3)),
+        )
+    cells = Cells.of(known)
+    edge = frontier(cells)
+    search = _Search(known, reach, cells, edge, camera, tried, position, boresight, pace or Pace(), seed)
+    way = None
+    if goal is not None:
+        surface = _surface_at(known, camera, goal)
+        if surface < keep:
+            why = f"the goal {_said(goal)} is at most {surface:.2f} m from the seen surface, less than {keep:.2f} m"
+            return Ended("no way known", why, cells.place(np.argwhere(cells.kinds == SURFACE)))
+        way = hoped_way(reach, cells, tried, position, goal)
+        wanted = np.argwhere((way.stages > 0) & (tried.failures < tried.patience))
+        if len(wanted):
+            stage = way.stages[tuple(wanted.T)]
+            first = cells.place(wanted[stage == stage.min()])
+            found = search.best(_codes(cells, tried, way.stages), _TOWARDS, first[:: max(1, len(first) // 64)])
+            if found is not None and found.gain >= least_gain:
+                return replace(found, why="opens the way to the goal")
+    codes = _codes(cells, tried, np.zeros_like(cells.kinds))
+    for worths in (_ALL_ROUND, _ANYTHING):
+        found = search.best(codes, worths, edge.centres)
+        if found is not None and found.gain >= least_gain:
+            nothing_else = "nothing on the way to the goal can be seen: " if goal is not None else ""
+            return replace(found, why=nothing_else + "opens most around")
+    if way is None or goal is None:
+        return Ended("everything reachable seen", _left(edge, tried), cells.place(edge.cells))
+    return Ended("no way known", _blocked(way, cells, tried, goal), cells.place(np.argwhere(way.stages > 0)))
+
+
+def _surface_at(known: KnownFreeMap, camera: Pinhole, goal: Float[np.ndarray, "3"]) -> float:
+    """Bound from above the distance from a place to cubes that hold a seen surface, which never become free, m."""
+    if len(known.returns) == 0:
+        return math.inf
+    bounds = known.bounds
+    # A return stands for a pixel, whose corner is this much of the range away from its middle.
+    slant = 1.0 / (math.sqrt(2.0) * camera.focal)
+    error = bounds.range_error + bounds.position_error + (bounds.attitude_error + slant) * bounds.greatest_range
+    # Returns are kept on a lattice finer than a cube, and a distance interpolated between nodes may be too long.
+    return float(np.linalg.norm(known.returns - goal, axis=1).min()) + error + known.spacing
+
+
+class _Search:
+    """Views from places that the chaser can reach, by what they open per second."""
+
+    def __init__(
+        self,
+        known: KnownFreeMap,
+        reach: Reachable,
+        cells: Cells,
+        edge: Frontier,
+        camera: Pinhole,
+        tried: Tried,
+        position: Float[np.ndarray, "3"],
+        boresight: Float[np.ndarray, "3"] | None,
+        pace: Pace,
+        seed: int,
+    ):
+        self.reach, self.cells, self.edge, self.tried = reach, cells, edge, tried
+        self.position, self.boresight, self.pace = position, boresight, pace
+        self.generator = np.random.default_rng(seed)
+        self.rays = sphere(_RAYS)
+        self.directions = sphere(_DIRECTIONS)
+        bounds = known.bounds
+        half = 0.5 * math.sqrt(3.0) * known.spacing + bounds.position_error
+        self.bins = np.maximum(_BINS, bounds.least_range + half)
+        self.nearest, self.farthest = self.bins[0], bounds.usable_range(camera) - half
+        window = half + bounds.surely_returned_width + known.spacing
+        self.images = _images(camera, tuple(window / self.bins + bounds.attitude_error))
+        self.empty = bounds.sure_empty_range - half - bounds.surely_returned_width
+
+    def best(
+        self, codes: UInt8[np.ndarray, "nx ny nz"], worths: Float32[np.ndarray, "256"], wanted: Float[np.ndarray, "w 3"]
+    ) -> NextView | None:
+        """Give the best view towards anything, from places around the `wanted` ones (m); None without any."""
+        nodes = self._places(wanted)
+        if len(nodes) == 0:
+            return None
+        gains = self._gains(codes, worths, nodes)
+        rates = self._rates(nodes, gains)
+        for _ in range(2):
+            top = nodes[np.argsort(-rates.max(axis=1), kind="stable")[:_REFINED]]
+            steps = self.generator.integers(-3, 4, size=(_REFINED * _AROUND, 3))
+            more = self._reached(np.repeat(top, _AROUND, axis=0) + steps[: len(top) * _AROUND])
+            if len(more):
+                more_gains = self._gains(codes, worths, more)
+                nodes, gains = np.concatenate([nodes, more]), np.concatenate([gains, more_gains])
+                rates = np.concatenate([rates, self._rates(more, more_gains)])
+        place, direction = np.unravel_index(np.argmax(rates), rates.shape)
+        if rates[place, direction] <= 0.0:
+            return None
+        gain = float(gains[place, direction])
+        return NextView(self.reach.place(nodes[place][None])[0], self.directions[direction].copy(), "", gain)
+
+    def _places(self, wanted: Float[np.ndarray, "w 3"]) -> Int[np.ndarray, "n 3"]:
+        """Lattice nodes on shells of all ranges round what is wanted, and where normals of the frontier lead."""
+        reached = np.flatnonzero(self.reach.reached)
+        drawn = self.generator.choice(reached, min(_DRAWN, len(reached)), replace=False)
+        nodes = np.stack(np.unravel_index(drawn, self.reach.reached.shape), axis=1)
+        if len(wanted):
+            apart, _ = KDTree(wanted).query(self.reach.place(nodes))
+            inner = np.flatnonzero((apart > self.nearest) & (apart < self.farthest))
+            order = inner[np.argsort(apart[inner], kind="stable")]
+            # As many from every shell: near places open narrow gaps, far ones much room.
+            shells = np.array_split(order, np.searchsorted(apart[order], _RANGES))
+            share = _PLACES // len(shells)
+            nodes = np.concatenate([nodes[self.generator.permutation(shell)[:share]] for shell in shells])
+        else:
+            nodes = nodes[:_PLACES]
+        large = np.argsort(-self.edge.sizes, kind="stable")[:30]
+        out = self.edge.centres[large, None] + np.outer(_RANGES, [1, 1, 1])[None] * self.edge.normals[large, None]
+        at = np.concatenate([out.reshape(-1, 3), self.position[None]])
+        along = self._reached(np.round((at - self.reach.origin) / self.reach.spacing).astype(int))
+        return np.unique(np.concatenate([nodes, along]), axis=0)
+
+    def _reached(self, nodes: Int[np.ndarray, "n 3"]) -> Int[np.ndarray, "m 3"]:
+        nodes = nodes[np.all((nodes >= 0) & (nodes < self.reach.room.shape), axis=1)]
+        return np.unique(nodes[self.reach.reached[tuple(nodes.T)]], axis=0)
+
+    def _gains(self, codes, worths, nodes) -> Float32[np.ndarray, "n d"]:
+        """Volume in m³ times worth that the view in each direction from each node is expected to open."""
+        edge = self.cells.edge
+        rays = panoramas(
+            codes,
+            worths,
+            _PASSES,
+            (self.reach.place(nodes) - self.cells.origin) / edge,
+            self.rays,
+            bins=self.bins / edge,
+            farthest=self.farthest / edge,
+            empty=self.empty / edge,
+        )
+        return np.matmul(rays, self.images).sum(axis=0) * np.float32(edge**3)
+
+    def _rates(self, nodes, gains) -> Float[np.ndarray, "n d"]:
+        """Gain per second of flying, turning and settling; 0 for what was tried."""
+        seconds = self.pace.settling + self.reach.lengths(nodes)[:, None] / self.pace.speed
+        if self.boresight is not None:
+            angle = np.arccos(np.clip(self.directions @ np.asarray(self.boresight, dtype=float), -1.0, 1.0))
+            seconds = seconds + angle[None] / self.pace.turn_rate
+        rates = np.asarray(gains, dtype=float) / seconds
+        places = self.reach.place(nodes)
+        for position, axes in zip(self.tried.positions, self.tried.axes, strict=True):
+            close = np.linalg.norm(places - position, axis=1) < SAME_PLACE
+            if close.any():
+                rates[np.ix_(close, self.directions @ axes[:, 2] > SAME_DIRECTION)] = 0.0
+        return rates
+
+
+@functools.lru_cache(maxsize=4)
+def _images(camera: Pinhole, borders: tuple[float, ...]) -> Float32[np.ndarray, "b m d"]:
+    """Which rays of the sphere lie in the image along each direction, for borders of several widths (rad): 1 or 0."""
+    axes = np.stack([axes_towards(direction, UP) for direction in sphere(_DIRECTIONS)])
+    return np.stack([inside(camera, axes, sphere(_RAYS), border).T.astype(np.float32) for border in borders])
+
+
+_KINDS = 6
+_TRIES = MOST_PATIENCE + 1
+_ENDS = 255
+
+
+def _codes(cells: Cells, tried: Tried, stages: UInt8[np.ndarray, "nx ny nz"]) -> UInt8[np.ndarray, "nx ny nz"]:
+    """Give each cell a number for look-up: kind, stage of the way that it blocks, and how often it was tried."""
+    failures = np.where(tried.failures >= tried.patience, MOST_PATIENCE, tried.failures).astype(np.uint8)
+    codes = 1 + ((cells.kinds + np.uint8(_KINDS) * stages) * np.uint8(_TRIES) + failures)
+    codes[cells.kinds == SURFACE] = _ENDS
+    codes[cells.kinds == FREE] = 0
+    return codes
+
+
+def _table(value) -> Float32[np.ndarray, "256"]:
+    """Look-up table of value(kind, stage, tries) by code."""
+    table = np.zeros(256, dtype=np.float32)
+    for stage in range(_STAGES + 1):
+        for kind in (EXPLAINED, UNKNOWN, NEARBY, CLOSE):
+            for tries in range(_TRIES):
+                table[1 + (kind + _KINDS * stage) * _TRIES + tries] = value(kind, stage, tries)
+    return table
+
+
+def _passing(kind: int, stage: int, tries: int) -> float:
+    if tries == MOST_PATIENCE:
+        return -1.0
+    return (0.3 if kind == EXPLAINED else 0.97) * (1.0, 0.7, 0.4, 0.2)[min(tries, PATIENCE)]
+
+
+_PASSES = _table(_passing)
+"""Confidence left after a cell, by code."""
+
+
+def _still_hoped(tries: int) -> float:
+    return 0.0 if tries == MOST_PATIENCE else 0.4 ** min(tries, PATIENCE)
+
+
+_ALL_ROUND = _table(
+    lambda kind, stage, tries: {EXPLAINED: 0.0, UNKNOWN: 0.01, NEARBY: 0.1, CLOSE: 1.0}[kind] * _still_hoped(tries)
+)
+_ANYTHING = _table(lambda kind, stage, tries: 0.0 if kind == EXPLAINED else _still_hoped(tries))
+_TOWARDS = _table(
+    lambda kind, stage, tries: (
+        (0.002 if stage == 0 else (1.0, 0.4, 0.15)[stage - 1])
+        * (0.3 if kind == EXPLAINED else 1.0)
+        * (0.0 if kind == EXPLAINED and stage == 0 else _still_hoped(tries))
+    )
+)
+"""How much opening a cell is wanted, by code."""
+
+
+def _unit(vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    length = np.linalg.norm(vector)
+    return vector / length if length > 0.0 else np.array([1.0, 0.0, 0.0])
+
+
+def _said(place: Float[np.ndarray, "3"]) -> str:
+    return f"[{', '.join(f'{part:.2f}' for part in place)}] m"
+
+
+def _left(edge: Frontier, tried: Tried) -> str:
+    if len(edge.cells) == 0:
+        return "no frontier is left"
+    given_up = int(np.sum(tried.failures[tuple(edge.cells.T)] >= tried.patience))
+    return (
+        f"{len(edge.cells)} frontier cells are left in {len(edge.sizes)} places: {given_up} stayed closed in "
+        f"{tried.patience} views, and no view from reachable room is expected to open the others"
+    )
+
+
+def _blocked(way: HopedWay, cells: Cells, tried: Tried, goal: Float[np.ndarray, "3"]) -> str:
+    """Name what is unknown between the chaser and the goal."""
+    first = way.places[np.argmax(way.blocked)] if way.blocked.any() else goal
+    index = way.stages > 0
+    count = int(index.sum())
+    surface = int(np.sum(index & (cells.kinds == EXPLAINED)))
+    given_up = int(np.sum(index & (cells.kinds != EXPLAINED) & (tried.failures >= tried.patience)))
+    return (
+        f"the way to {_said(goal)} is blocked from {_said(first)} on by {count} cells "
+        f"({count * cells.edge**3:.2f} m³) that no view opened: {surface} lie within 0.35 m of the seen surface, "
+        f"{given_up} stayed closed in {tried.patience} views, {count - surface - given_up} cannot be looked at from "
+        "reachable room"
+    )

@@ -1,0 +1,29 @@
+"""The command on targets that nobody has a model of, as a function: what `explore` does."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from keepout.core.progress import Progress, part_of, silent
+
+if TYPE_CHECKING:
+    from keepout.core.mission.scenario import Scenario
+
+
+def explore_to_folder(
+    scenario: "Scenario", out: Path, *, figures: bool = True, progress: Progress = silent
+) -> dict[str, Any]:
+    """Explore as a scenario says; write map, flight file, pictures, page and `summary.json` into `out`.
+
+    Nothing is written where the scenario is refused.
+    """
+    from keepout.apps.unknown import equipment
+
+    camera = equipment.depth_camera(scenario)
+    equipment.require_explorable(scenario, camera)
+    from keepout.apps.unknown.exploration_page import write_exploration
+    from keepout.apps.unknown.explore import explore
+    from keepout.flights.report.folder import results_in
+
+    with results_in(out):
+        exploration = explore(scenario, progress=part_of(progress, 0.0, 0.9))
+        return write_exploration(out, exploration, figures=figures, progress=part_of(progress, 0.9, 1.0))

@@ -1,0 +1,56 @@
+"""The command that sees all of a target, as a function: what `inspect` does."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from keepout.core.errors import ScenarioError
+from keepout.core.progress import Progress, part_of, silent
+
+if TYPE_CHECKING:
+    from keepout.core.mission.scenario import Scenario
+
+FRAMES = "frames.parquet"
+
+
+def mission_of(path: Path) -> "Scenario":
+    """Load the mission to inspect by; a mesh or a field is what the commands `describe` and `measure` are for.
+
+    Raises:
+        ScenarioError: the file is no scenario.
+
+    """
+    from keepout.core.geometry.mesh_files import READERS
+    from keepout.core.mission.scenario import Scenario
+
+    ending = path.suffix.lower()
+    if ending == ".keepout":
+        raise ScenarioError(
+            f"{path}: a field, and `keepout inspect` flies a mission in TOML; `keepout measure {path}` measures it"
+        )
+    if ending in READERS or not (ending or path.exists()):
+        raise ScenarioError(
+            f"{path}: no mission in TOML, which `keepout inspect` flies; `keepout describe {path}` says what is wrong "
+            "with a mesh, `keepout measure` measures a field"
+        )
+    return Scenario.load(path)
+
+
+def inspect_to_folder(
+    scenario: "Scenario", out: Path, *, figures: bool = True, progress: Progress = silent
+) -> dict[str, Any]:
+    """Inspect as a scenario says; write flight, frames, the unseen, pictures, page and `summary.json` into `out`.
+
+    Nothing is written, and no folder left, where the scenario is refused.
+    """
+    from keepout.apps.inspection.frames_file import save_frames
+    from keepout.apps.inspection.inspect import inspect
+    from keepout.apps.inspection.inspection_page import write_inspection
+    from keepout.flights.report.folder import results_in, write_summary
+
+    with results_in(out):
+        inspection = inspect(scenario, progress=part_of(progress, 0.0, 0.9))
+        frames = save_frames(out / FRAMES, inspection.frames, target_sha256=inspection.target.sha256)
+        summary = write_inspection(out, inspection, figures=figures, progress=part_of(progress, 0.9, 1.0))
+        summary |= {"frames_file": str(frames)}
+        write_summary(out, summary)
+    return summary

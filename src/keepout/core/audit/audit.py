@@ -1,0 +1,292 @@
+"""The independent verdict on a flight: whether the chaser touched the target at any instant, by the exact mesh.
+
+It asks the exact distance to the mesh; the recorded states, forces and four bounds (`FlightBounds`) tell where the
+chaser can have been between samples (`tube`). It imports neither fields nor control, guard or flight loop. Two things
+it shares with them: the exact distance (`geometry.distance`), which the fields are made from, and the bounds on
+rotation and differential gravity (`mission.environment.flight_bounds`), which the guard assumes too. A mistake in
+either would mislead both sides alike, so both are tested against code that shares nothing with them.
+
+Why no contact is a proof. The chaser is a sphere of radius R about a continuous path r(t). If d(r(t)) > R throughout,
+d being the unsigned distance to the triangles, the sphere meets no triangle at any instant. The path then stays in the
+component of {d > R} it began in; that this is the exterior, not a closed cavity of the mesh, is proved apart, by a
+chain of free balls from a recorded position to beyond the mesh's bounding box (`outside`). A record whose consecutive
+samples no motion within the bounds can join has no path to bound, and its contact is "undecided", never "no".
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from keepout.core.audit.outside import proved_outside
+from keepout.core.audit.tube import FlightBounds, Tube, components, lengths, nearest
+from keepout.core.errors import FlightError
+
+_REPLACED = 0b11
+"""Bits of a recorded guard status that are not all 0 where the guard replaced the command (docs/guard.md)."""
+
+_ROUNDING = 1e-9
+"""Metres taken off every clearance bound: far more than float64 loses at the size of a space station."""
+
+
+class Contact(StrEnum):
+    """Whether the chaser touched the target: proved either way, or not decided."""
+
+    NO = "no"
+    YES = "yes"
+    UNDECIDED = "undecided"
+
+
+@runtime_checkable
+class ExactMesh(Protocol):
+    """What the audit asks of a target's geometry."""
+
+    @property
+    def vertices(self) -> Float[np.ndarray, "vertices 3"]:
+        """Corners of the triangles, body frame, metres."""
+        ...
+
+    @property
+    def distance(self) -> Any:
+        """An exact unsigned distance with a `distance(points)` method."""
+        ...
+
+
+@dataclass(frozen=True)
+class Audit:
+    """What is known about one flight (metres, seconds, newtons, metres per second; body frame).
+
+    `minimum_clearance` is a lower bound on the least distance from the chaser's surface to the mesh, at any instant;
+    `minimum_clearance_found` the least one found, at `minimum_time` and `minimum_position`. `force_excess` and
+    `speed_excess` are the largest amounts by which a limit was passed at a sample (≤ 0: kept). `inconsistent_steps` are
+    the steps whose ends no motion within the bounds joins. `remarks` says, a line each, why a verdict is not a plain
+    "no".
+    """
+
+    contact: Contact
+    minimum_clearance: float
+    minimum_clearance_found: float
+    minimum_time: float
+    minimum_position: tuple[float, float, float]
+    inconsistent_steps: tuple[int, ...]
+    start_outside: bool
+    largest_force: float
+    force_excess: float
+    force_violations: int
+    largest_speed: float
+    speed_excess: float
+    speed_violations: int
+    guard_interventions: int
+    steps: int
+    remarks: tuple[str, ...]
+
+    @property
+    def consistent(self) -> bool:
+        """Whether some motion within the bounds passes through all the recorded states."""
+        return not self.inconsistent_steps
+
+
+def audit(
+    record: Any,
+    target: ExactMesh,
+    *,
+    chaser_radius: float,
+    bounds: FlightBounds,
+    force_limit: float,
+    speed_limit: float,
+    tolerance: float = 1e-3,
+    consistency: float = 1e-6,
+) -> Audit:
+    """Judge one flight against the exact mesh.
+
+    Args:
+        record: holds NumPy arrays `time (N,)` s, `position (N, 3)` m, `velocity (N, 3)` m/s and `force (N, 3)` N: the
+            true states in the body frame and the force truly applied from sample k to k + 1; `guard_status (N,)`, if it
+            is there, counts as an intervention wherever its two lowest bits are not 0.
+        target: the mesh.
+        chaser_radius: of the ball that holds the chaser, m.
+        bounds: on what the record does not hold.
+        force_limit: per axis, N.
+        speed_limit: on the norm, m/s.
+        tolerance: how close to the truth the clearance bound is driven, m.
+        consistency: what the flight's own integrator may err by in a step, m.
+
+    Raises:
+        FlightError: the record cannot be read as a flight.
+
+    """
+    guard = getattr(record, "guard_status", None)
+    return audit_campaign(
+        np.asarray(record.time, float),
+        np.asarray(record.position, float)[None],
+        np.asarray(record.velocity, float)[None],
+        np.asarray(record.force, float)[None],
+        target,
+        guard_status=None if guard is None else np.asarray(guard)[None],
+        chaser_radius=chaser_radius,
+        bounds=bounds,
+        force_limit=force_limit,
+        speed_limit=speed_limit,
+        tolerance=tolerance,
+        consistency=consistency,
+    )[0]
+
+
+def audit_campaign(
+    time: Float[np.ndarray, "samples"],
+    position: Float[np.ndarray, "flights samples 3"],
+    velocity: Float[np.ndarray, "flights samples 3"],
+    force: Float[np.ndarray, "flights samples 3"],
+    target: ExactMesh,
+    *,
+    guard_status: Int[np.ndarray, "flights samples"] | None = None,
+    chaser_radius: float,
+    bounds: FlightBounds,
+    force_limit: float,
+    speed_limit: float,
+    tolerance: float = 1e-3,
+    consistency: float = 1e-6,
+) -> list[Audit]:
+    """Judge flights that share their sample times; the arguments are those of `audit`, with a leading flight axis."""
+    _check(time, position, velocity, force, chaser_radius)
+    for name, value in (("tolerance", tolerance), ("consistency", consistency)):
+        if not (np.isfinite(value) and value > 0.0):
+            raise FlightError(f"audit: {name} is {value} m; it must be finite and greater than 0")
+    finite = _finite(position) & _finite(velocity) & _finite(force)
+    shown, moving, pushed = (_or_zero(array, finite) for array in (position, velocity, force))
+    tube = Tube.of(time, shown, moving, pushed, bounds)
+    distance = target.distance.distance
+    bound = nearest(tube, distance, tolerance=tolerance)
+    excess = tube.inconsistency()
+    vertices = np.asarray(target.vertices)
+    lower, upper = vertices.min(axis=0), vertices.max(axis=0)
+    first_away = distance(shown[:, 0])
+    audits = []
+    for i in range(position.shape[0]):
+        if not finite[i]:
+            audits.append(_unreadable(time, position[i], velocity[i], force[i]))
+            continue
+        clearance = float(bound.lower[i]) - chaser_radius - _ROUNDING
+        found = float(bound.upper[i]) - chaser_radius
+        broken = np.flatnonzero(excess[i] > consistency)
+        # One recorded position proved outside is enough: the path joins all of them.
+        samples = np.linspace(0, len(time) - 1, 5).astype(int) if clearance > 0.0 else [0]
+        outside = any(
+            proved_outside(
+                shown[i, k], distance, lower, upper, radius=chaser_radius, away=None if k else float(first_away[i])
+            )
+            for k in samples
+        )
+        contact, remarks = _verdict(clearance, found, broken, excess[i], outside, time)
+        if tube.beyond[i].any():
+            contact, remarks = _beyond(contact, remarks, time[int(np.argmax(tube.beyond[i]))], bounds)
+        x, y, z = (np.abs(part) for part in components(force[i, :-1]))
+        largest = np.maximum(np.maximum(x, y), z)
+        speed = lengths(velocity[i])
+        x, y, z = bound.position[i]
+        audits.append(
+            Audit(
+                contact=contact,
+                minimum_clearance=clearance,
+                minimum_clearance_found=found,
+                minimum_time=float(bound.time[i]),
+                minimum_position=(float(x), float(y), float(z)),
+                inconsistent_steps=tuple(int(k) for k in broken),
+                start_outside=outside,
+                largest_force=float(largest.max()),
+                force_excess=float(largest.max()) - force_limit,
+                force_violations=int(np.sum(largest > force_limit * (1.0 + 1e-9))),
+                largest_speed=float(speed.max()),
+                speed_excess=float(speed.max()) - speed_limit,
+                speed_violations=int(np.sum(speed > speed_limit * (1.0 + 1e-9))),
+                guard_interventions=0 if guard_status is None else int(np.count_nonzero(guard_status[i] & _REPLACED)),
+                steps=len(time) - 1,
+                remarks=remarks,
+            )
+        )
+    return audits
+
+
+def _finite(array: Float[np.ndarray, "flights samples 3"]) -> Bool[np.ndarray, "flights"]:
+    return np.asarray(np.isfinite(array.reshape(len(array), -1)).all(axis=1))
+
+
+def _or_zero(
+    array: Float[np.ndarray, "flights samples 3"], finite: Bool[np.ndarray, "flights"]
+) -> Float[np.ndarray, "flights samples 3"]:
+    """Give zeros for the flights that are not finite; the array itself where all are."""
+    return array if finite.all() else np.where(finite[:, None, None], array, 0.0)
+
+
+def _verdict(
+    clearance: float, found: float, broken: np.ndarray, excess: np.ndarray, outside: bool, time: np.ndarray
+) -> tuple[Contact, tuple[str, ...]]:
+    remarks: list[str] = []
+    if broken.size:
+        k = int(broken[np.argmax(excess[broken])])
+        remarks.append(
+            f"{broken.size} steps cannot have been flown: the worst, from {time[k]:.6g} s to {time[k + 1]:.6g} s, is "
+            f"{excess[k]:.3g} m beyond what its force and the bounds allow"
+        )
+    if found <= 0.0:
+        remarks.append(f"the chaser's surface reaches the mesh (clearance {found:.4g} m)")
+        return Contact.YES, tuple(remarks)
+    if clearance <= 0.0:
+        remarks.append(f"the clearance lies between {clearance:.4g} m and {found:.4g} m: too close to decide")
+        return Contact.UNDECIDED, tuple(remarks)
+    if not outside:
+        remarks.append("no free way from the flight to the outside was found: it may have flown inside the target")
+    return (Contact.UNDECIDED if remarks else Contact.NO), tuple(remarks)
+
+
+def _beyond(
+    contact: Contact, remarks: tuple[str, ...], since: float, bounds: FlightBounds
+) -> tuple[Contact, tuple[str, ...]]:
+    """Leave a flight undecided that was not seen to touch, but may have been where its drift is not bounded."""
+    limits = ((bounds.range_limit, "m"), (bounds.speed_limit, "m/s"), (bounds.valid_until, "s"))
+    said = " or ".join(f"{limit:.6g} {unit}" for limit, unit in limits if np.isfinite(limit))
+    remark = f"from {since:.6g} s on it may be beyond {said}, where gravity is not bounded"
+    return (Contact.UNDECIDED if contact is Contact.NO else contact), (*remarks, remark)
+
+
+def _unreadable(time: np.ndarray, position: np.ndarray, velocity: np.ndarray, force: np.ndarray) -> Audit:
+    """Audit a flight that holds a number which is not finite: undecided, with the first such sample named."""
+    rows = np.all(np.isfinite(position) & np.isfinite(velocity) & np.isfinite(force), axis=-1)
+    k = int(np.argmin(rows))
+    nan = float("nan")
+    return Audit(
+        contact=Contact.UNDECIDED,
+        minimum_clearance=-np.inf,
+        minimum_clearance_found=np.inf,
+        minimum_time=nan,
+        minimum_position=(nan, nan, nan),
+        inconsistent_steps=tuple(int(j) for j in np.unique(np.maximum(np.flatnonzero(~rows) - 1, 0))),
+        start_outside=False,
+        largest_force=nan,
+        force_excess=nan,
+        force_violations=0,
+        largest_speed=nan,
+        speed_excess=nan,
+        speed_violations=0,
+        guard_interventions=0,
+        steps=len(time) - 1,
+        remarks=(f"the sample at {time[k]:.6g} s holds a number that is not finite",),
+    )
+
+
+def _check(time: np.ndarray, *states_and_radius: Any) -> None:
+    position, velocity, force, radius = states_and_radius
+    if len(time) < 2:
+        raise FlightError(f"audit: the flight has {len(time)} samples; it needs at least 2")
+    if not np.all(np.isfinite(time)) or np.any(np.diff(time) <= 0.0):
+        k = int(np.argmin(np.diff(time) > 0.0))
+        raise FlightError(f"audit: time must rise from sample to sample; it goes {time[k]} s, {time[k + 1]} s")
+    for name, array in (("position", position), ("velocity", velocity), ("force", force)):
+        if array.ndim != 3 or array.shape[1:] != (len(time), 3):
+            raise FlightError(
+                f"audit: {name} has shape {array.shape[1:]}; with {len(time)} times it must be ({len(time)}, 3)"
+            )
+    if not (np.isfinite(radius) and radius >= 0.0):
+        raise FlightError(f"audit: chaser_radius is {radius} m; it must be finite and at least 0")

@@ -1,0 +1,303 @@
+"""The verdict on a flight that is known by positions and attitudes at some epochs only, and a bound on what is not.
+
+Let ρ(t) be the chaser's position from the target's centre of mass in inertial axes and R(t) the rotation from inertial
+to body axes. Over a step of T seconds nothing is assumed but |ρ̈| ≤ a, the turning rate |ω| ≤ Ω and |ω̇| ≤ α. Whatever
+twice differentiable curve has |ü| ≤ b lies within b τ (T − τ)/2 of the chord between its ends. So do
+
+    ρ, with b = a,        and R(t) c for a fixed c, with b = (α + Ω²)|c|, because R̈ c = ω̇ × … + ω × (ω × …),
+
+and with ρ̃ and R̃ the chords, |R ρ − R̃ ρ̃| ≤ |ρ − ρ̃| + |(R − R̃) ρ̃| ≤ (a + (α + Ω²) max|ρ̃|) τ (T − τ)/2. The speed in the
+body frame is at most |ρ̇| + Ω|ρ|, where |ρ̇| ≤ |Δρ|/T + a T/2. A branch and bound as in `tube` then bounds the clearance.
+
+The samples are wrong too: ρ by E metres at most, R by a turn of at most ε. Chords between wrong samples are wrong by E
+and ε|ρ| at most.
+
+Ω follows from α and the samples: a rotation by the angle φ in T seconds with |ω̇| ≤ α turns at (φ + 2ε)/T + α T at
+most, provided that it turns less than half a turn in a step, which samples alone cannot tell.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from keepout.core.audit.audit import Contact, ExactMesh
+from keepout.core.audit.outside import proved_outside
+from keepout.core.audit.tube import components, lengths, nearest
+from keepout.core.errors import FlightError
+
+_ROUNDING = 1e-9
+"""Metres taken off every clearance bound: far more than float64 loses at the size of a space station."""
+
+
+@dataclass(frozen=True)
+class Chords:
+    """A path between samples of one flight: chords, and how far it can be from them; what `tube.nearest` splits.
+
+    `sway` (m/s²) is a + (α + Ω²) max|ρ̃|, `swing` (m) is ε max|ρ̃|, how far a wrong attitude carries a point, and
+    `speed` (m/s) bounds the speed in the body frame, one of each a step; half a step's travel at `speed` holds `swing`.
+    `turn` holds the rotations body ← inertial at the samples, `relative` is ρ, and `origin` (m) the centre of mass in
+    the body frame.
+    """
+
+    time: Float[np.ndarray, "samples"]
+    position: Float[np.ndarray, "1 samples 3"]
+    speed: Float[np.ndarray, "1 steps"]
+    relative: Float[np.ndarray, "samples 3"]
+    turn: Float[np.ndarray, "samples 3 3"]
+    sway: Float[np.ndarray, "steps"]
+    swing: Float[np.ndarray, "steps"]
+    origin: Float[np.ndarray, "3"]
+
+    @classmethod
+    def of(
+        cls,
+        time: Float[np.ndarray, "samples"],
+        relative: Float[np.ndarray, "samples 3"],
+        turn: Float[np.ndarray, "samples 3 3"],
+        *,
+        acceleration: float,
+        sample_error: float,
+        turning_rate: Float[np.ndarray, "steps"],
+        turning_acceleration: float,
+        origin: Float[np.ndarray, "3"],
+        attitude_error: float = 0.0,
+    ) -> "Chords":
+        """Build the chords of samples: ρ, R, a, E, Ω of each step, α, the centre of mass and ε."""
+        step = np.diff(time)
+        away = lengths(relative) + sample_error
+        furthest = np.maximum(away[1:], away[:-1])
+        swing = attitude_error * furthest
+        sway = acceleration + (turning_acceleration + turning_rate**2) * furthest
+        own = (lengths(np.diff(relative, axis=0)) + 2.0 * sample_error) / step + 0.5 * acceleration * step
+        # The path may bulge beyond its ends by a T²/8.
+        speed = own + turning_rate * (furthest + acceleration * step**2 / 8.0) + 2.0 * swing / step
+        position = np.einsum("nij,nj->ni", turn, relative) + origin
+        return cls(time, position[None], speed[None], relative, turn, sway, swing, origin)
+
+    def piece(
+        self,
+        flight: Int[np.ndarray, "pieces"],
+        index: Int[np.ndarray, "pieces"],
+        start: Float[np.ndarray, "pieces"],
+        end: Float[np.ndarray, "pieces"],
+    ) -> tuple[Float[np.ndarray, "pieces 3"], Float[np.ndarray, "pieces"], Float[np.ndarray, "pieces"]]:
+        """Give a point for the part [start, end] (fractions) of step `index`, its error, and the part's radius.
+
+        The path at the middle of the part is within `error` of the point, the whole part within `radius` of it.
+        """
+        step = np.diff(self.time)[index]
+        middle = 0.5 * (start + end)
+        one, other = (1.0 - middle)[:, None], middle[:, None]
+        relative = one * self.relative[index] + other * self.relative[index + 1]
+        turn = one[:, None] * self.turn[index] + other[:, None] * self.turn[index + 1]
+        point = np.einsum("nij,nj->ni", turn, relative) + self.origin
+        error = self.error(index, middle)
+        return point, error, error + 0.5 * (end - start) * step * self.speed[flight, index]
+
+    def error(self, index: Int[np.ndarray, "pieces"], part: Float[np.ndarray, "pieces"]) -> Float[np.ndarray, "pieces"]:
+        """Give how far the path is at most (m) from its chord's point at a part (a fraction) of step `index`."""
+        step = np.diff(self.time)[index]
+        return 0.5 * self.sway[index] * part * (1.0 - part) * step**2 + self.swing[index]
+
+
+@dataclass(frozen=True)
+class Passage:
+    """What is known about a flight from samples of it (metres, seconds).
+
+    Attributes:
+        contact: the verdict.
+        minimum_clearance_bound: no instant has a smaller clearance, given the bounds.
+        minimum_clearance: some instant has a clearance no larger than this, given the bounds.
+        minimum_time: of that instant.
+        minimum_position: there, body frame.
+        start_outside: whether the exterior was reached from one of the samples.
+        least_acceleration: the least bound with which positions and velocities of all steps agree, m/s².
+        turning_rate: the largest Ω, rad/s.
+        largest_turn: of the target between two samples, rad.
+        longest_step: s.
+        uncertainty: the largest distance of the path from chords between exact samples, m.
+        remarks: a line each, why the verdict is not a plain "no".
+
+    """
+
+    contact: Contact
+    minimum_clearance_bound: float
+    minimum_clearance: float
+    minimum_time: float
+    minimum_position: tuple[float, float, float]
+    start_outside: bool
+    least_acceleration: float
+    turning_rate: float
+    largest_turn: float
+    longest_step: float
+    uncertainty: float
+    remarks: tuple[str, ...]
+
+
+def audit_passage(
+    time: Float[np.ndarray, "samples"],
+    relative: Float[np.ndarray, "samples 3"],
+    relative_velocity: Float[np.ndarray, "samples 3"],
+    turn: Float[np.ndarray, "samples 3 3"],
+    target: ExactMesh,
+    *,
+    chaser_radius: float,
+    acceleration_bound: float,
+    turning_acceleration_bound: float,
+    centre_of_mass: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    tolerance: float = 1e-3,
+    sample_error: float = 1e-6,
+    velocity_error: float = 0.0,
+    attitude_error: float = 0.0,
+) -> Passage:
+    """Judge a flight that is known at some epochs against the exact mesh.
+
+    Args:
+        time: of the samples, s.
+        relative: chaser less target's centre of mass, inertial axes, m.
+        relative_velocity: its derivative, m/s; it only tells whether `acceleration_bound` can be true.
+        turn: rotations from inertial to body axes.
+        target: the mesh.
+        chaser_radius: of the ball that holds the chaser, m.
+        acceleration_bound: of `relative` in inertial axes, whatever its cause: thrust, air, differential gravity, m/s².
+        turning_acceleration_bound: of the target, rad/s².
+        centre_of_mass: of the target, in the body frame, m.
+        tolerance: how close to the truth the clearance bound is driven, m.
+        sample_error: how far a sample of `relative` may be from the truth, and how far one of `relative_velocity`
+            leads astray over a step where `velocity_error` does not say more, m.
+        velocity_error: how far a sample of `relative_velocity` may be from the truth, m/s.
+        attitude_error: the angle by which a sample of `turn` may be turned from the truth, rad.
+
+    Raises:
+        FlightError: a bound is no bound.
+
+    """
+    for name, value, unit in (
+        ("chaser_radius", chaser_radius, "m"),
+        ("acceleration_bound", acceleration_bound, "m/s²"),
+        ("turning_acceleration_bound", turning_acceleration_bound, "rad/s²"),
+        ("sample_error", sample_error, "m"),
+        ("velocity_error", velocity_error, "m/s"),
+        ("attitude_error", attitude_error, "rad"),
+    ):
+        if not (np.isfinite(value) and value >= 0.0):
+            raise FlightError(f"audit: {name} is {value} {unit}; it must be finite and at least 0")
+    if not (np.isfinite(tolerance) and tolerance > 0.0):
+        raise FlightError(f"audit: tolerance is {tolerance} m; it must be finite and greater than 0")
+    if not np.all(np.isfinite(centre_of_mass)):
+        raise FlightError(f"audit: centre_of_mass is {list(centre_of_mass)} m; its numbers must be finite")
+    if len(time) < 2 or not np.all(np.diff(time) > 0.0):
+        raise FlightError(f"audit: {len(time)} times are given; there must be at least 2, and each after the last")
+    step = np.diff(time)
+    turned = angles(turn) + 2.0 * attitude_error
+    rate = turned / step + turning_acceleration_bound * step
+    chords = Chords.of(
+        time,
+        relative,
+        turn,
+        acceleration=acceleration_bound,
+        sample_error=sample_error,
+        turning_rate=rate,
+        turning_acceleration=turning_acceleration_bound,
+        origin=np.asarray(centre_of_mass),
+        attitude_error=attitude_error,
+    )
+    distance = target.distance.distance
+    bound = nearest(chords, distance, tolerance=tolerance)
+    clearance = float(bound.lower[0]) - chaser_radius - sample_error - _ROUNDING
+    # The least distance found may be that at a sample, which the search takes to be exact.
+    k = min(int(np.searchsorted(time, bound.time[0], side="right")) - 1, len(step) - 1)
+    astray = chords.error(np.array([k]), (bound.time - time[k]) / step[k])
+    found = float((distance(bound.position) + astray)[0]) - chaser_radius + sample_error
+    vertices = np.asarray(target.vertices)
+    shown = chords.position[0][np.linspace(0, len(time) - 1, 5).astype(int)]
+    outside = any(
+        proved_outside(p, distance, vertices.min(axis=0), vertices.max(axis=0), radius=chaser_radius) for p in shown
+    )
+    needed = least_accelerations(step, relative, relative_velocity, sample_error, velocity_error)
+    k = int(np.argmax(needed))
+    remarks: list[str] = []
+    if needed[k] > acceleration_bound:
+        remarks.append(
+            f"from {time[k]:.6g} s to {time[k + 1]:.6g} s positions and velocities need {needed[k]:.4g} m/s², more "
+            f"than the acceleration bound, {acceleration_bound:.4g} m/s²"
+        )
+    if turned.max() > 0.5 * np.pi:
+        remarks.append(
+            f"the target turns by {np.degrees(turned.max()):.4g} degrees between two epochs: too far to tell its rate"
+        )
+    contact = Contact.NO
+    if found <= 0.0:
+        contact = Contact.YES
+        remarks.append(f"the chaser's surface reaches the mesh (clearance {found:.4g} m)")
+    elif clearance <= 0.0:
+        remarks.append(f"the clearance lies between {clearance:.4g} m and {found:.4g} m: too close to decide")
+    elif not outside:
+        remarks.append("no free way from the flight to the outside was found: it may have flown inside the target")
+    if remarks and contact is Contact.NO:
+        contact = Contact.UNDECIDED
+    x, y, z = components(bound.position[0])
+    return Passage(
+        contact=contact,
+        minimum_clearance_bound=clearance,
+        minimum_clearance=found,
+        minimum_time=float(bound.time[0]),
+        minimum_position=(float(x), float(y), float(z)),
+        start_outside=outside,
+        least_acceleration=float(needed[k]),
+        turning_rate=float(rate.max()),
+        largest_turn=float(turned.max()),
+        longest_step=float(step.max()),
+        uncertainty=float(np.max(chords.sway * step**2 / 8.0)),
+        remarks=tuple(remarks),
+    )
+
+
+def angles(turn: Float[np.ndarray, "samples 3 3"]) -> Float[np.ndarray, "steps"]:
+    """Give the angle, rad, between each rotation and the next, accurate for the smallest: 2 asin(‖ΔR‖_F/√8)."""
+    between = np.linalg.norm(np.diff(turn, axis=0).reshape(len(turn) - 1, 9), axis=1)
+    return 2.0 * np.arcsin(np.minimum(between / np.sqrt(8.0), 1.0))
+
+
+def measured_turning_acceleration(
+    time: Float[np.ndarray, "samples"], turn: Float[np.ndarray, "samples 3 3"], attitude_error: float = 0.0
+) -> float:
+    """Give twice the largest change of the mean angular velocity from step to step, over their middles' distance.
+
+    What the attitudes' error (rad) can hide of such a change is added. A measurement: what happens between the epochs
+    is not in them.
+    """
+    if len(time) < 3:
+        return 0.0
+    step = np.diff(time)
+    between = np.einsum("nij,nkj->nik", turn[1:], turn[:-1])
+    skew = 0.5 * (between - np.swapaxes(between, 1, 2))
+    axis = np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1)
+    angle = angles(turn)
+    # sin φ times the axis becomes φ times the axis.
+    mean = axis * (angle / np.maximum(np.sin(angle), 1e-300))[:, None] / step[:, None]
+    apart = 0.5 * (step[1:] + step[:-1])
+    hidden = 2.0 * attitude_error * (1.0 / step[1:] + 1.0 / step[:-1])
+    return float(np.max((2.0 * lengths(np.diff(mean, axis=0)) + hidden) / apart))
+
+
+def least_accelerations(
+    step: Float[np.ndarray, "steps"],
+    position: Float[np.ndarray, "samples 3"],
+    velocity: Float[np.ndarray, "samples 3"],
+    sample_error: float,
+    velocity_error: float = 0.0,
+) -> Float[np.ndarray, "steps"]:
+    """Give for each step the least a with which its ends agree, m/s².
+
+    With E the sample error, and V T the velocity error times the step, or E if that is more: |Δv| T ≤ a T² + 2 V T; and
+    |Δr − v₀ T|, |Δr − v₁ T| ≤ a T²/2 + 2 E + V T.
+    """
+    astray = np.maximum(sample_error, velocity_error * step)
+    moved = np.diff(position, axis=0)
+    sped = lengths(np.diff(velocity, axis=0)) * step
+    forward = lengths(moved - velocity[:-1] * step[:, None])
+    backward = lengths(moved - velocity[1:] * step[:, None])
+    coasted = 2.0 * (np.maximum(forward, backward) - 2.0 * sample_error - astray)
+    return np.maximum(np.maximum(sped - 2.0 * astray, coasted), 0.0) / step**2

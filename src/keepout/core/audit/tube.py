@@ -1,0 +1,308 @@
+"""Where a recorded flight can have been between its samples, and how near it can have come to a mesh.
+
+Over a control step the applied force F is held, so with a = F/m the recorded start (r₀, v₀) and end (r₁, v₁) give
+
+    r(τ) = r₀ + v₀ τ + a τ²/2 + u(τ),             u(0) = u̇(0) = 0,  |ü| ≤ b,
+    r(τ) = r₁ − v₁ (T−τ) + a (T−τ)²/2 + w(τ),     w(T) = ẇ(T) = 0,  |ẅ| ≤ b,
+
+where b bounds every acceleration that the record does not hold (disturbance and drift). Hence |u| ≤ b τ²/2 and
+|w| ≤ b (T−τ)²/2: the first parabola serves the first half of the step, the second one the second half, and the path is
+never further than b T²/8 from the one in use. Distance to a mesh is 1-Lipschitz, so a distance at the middle of a piece
+of path, less the piece's radius, bounds the whole piece from below; pieces are split, those that can hold the minimum
+first, until the bound is within the tolerance asked.
+
+Where thrusters give pulses, F is their mean, and r is such a path y plus a departure δ, |δ| ≤ e from the path through
+either end of the step and |δ̇| ≤ c. What drifts is y + δ, so that b grows by 2ωc + κe, and every radius grows by e.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from keepout.core.audit import sample_loops
+from keepout.core.errors import FlightError
+
+Distance = Callable[[Float[np.ndarray, "points 3"]], Float[np.ndarray, "points"]]
+
+_BLOCK = 64
+"""Steps in the coarsest piece of path; a power of four, because blocks are split into quarters."""
+
+_HALVINGS = 14
+"""A step is halved at most this often: beyond it the remainder b T²/8, not the piece's length, limits the bound."""
+
+
+@dataclass(frozen=True)
+class FlightBounds:
+    """What a flight's record does not hold, bounded: the audit's only assumptions, all of them scenario numbers.
+
+    `mass` is the true mass in kg; `disturbance_force` the largest norm, in newton, of every force not recorded;
+    `angular_rate` (rad/s) and `angular_acceleration` (rad/s²) bound the rotation of the body frame; `gravity_gradient`
+    (1/s²) bounds the norm of the gradient of differential gravity within `range_limit` (m) of the body frame's origin,
+    2 μ / r³ for a point mass with r the least distance from the Earth's centre; `origin_offset` (m) is the origin's
+    distance from the target's centre of mass. `excursion` (m) and `velocity_excursion` (m/s) bound the departure of
+    pulsed thrusters from the motion under the recorded mean force. All of them hold for relative speeds up to
+    `speed_limit` (m/s), until `valid_until` (s). `force_turning` (rad/s) bounds how fast the axes in which the recorded
+    force is held turn against the body frame.
+    """
+
+    mass: float
+    disturbance_force: float
+    angular_rate: float
+    angular_acceleration: float
+    gravity_gradient: float
+    origin_offset: float = 0.0
+    range_limit: float = np.inf
+    excursion: float = 0.0
+    velocity_excursion: float = 0.0
+    speed_limit: float = np.inf
+    valid_until: float = np.inf
+    force_turning: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse a number that bounds nothing."""
+        if not (np.isfinite(self.mass) and self.mass > 0.0):
+            raise FlightError(f"audit: mass is {self.mass} kg; it must be finite and greater than 0")
+        pushes = ("disturbance_force", "excursion", "velocity_excursion")
+        turns = ("angular_rate", "angular_acceleration", "gravity_gradient", "force_turning")
+        for name in (*pushes, *turns, "origin_offset"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 0.0):
+                raise FlightError(f"audit: {name} is {value}; a bound must be finite and at least 0")
+        for name, unit in (("range_limit", "m"), ("speed_limit", "m/s"), ("valid_until", "s")):
+            if not getattr(self, name) > 0.0:
+                raise FlightError(f"audit: {name} is {getattr(self, name)} {unit}; it must be greater than 0")
+
+
+def components(vectors: Float[np.ndarray, "*batch 3"]) -> list[Float[np.ndarray, "*batch"]]:
+    """Give views of the three components: NumPy is several times as fast along a long axis as along one of three."""
+    return [vectors[..., axis] for axis in range(3)]
+
+
+def lengths(vectors: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch"]:
+    """Euclidean norms, by components."""
+    x, y, z = components(vectors)
+    return np.sqrt(x * x + y * y + z * z)
+
+
+@dataclass(frozen=True)
+class Tube:
+    """Flights of equal length as recorded states and the bounds that hold between them.
+
+    `residual` (m/s²) is b of the module's docstring and `speed` (m/s) bounds |ṙ| over the step, one of each a step.
+    `beyond` says of each step whether it can have left the range, speed or time within which b is a bound. `excursion`
+    (m) is e of the docstring; half a step's travel at `speed` holds it too.
+    """
+
+    time: Float[np.ndarray, "samples"]
+    position: Float[np.ndarray, "flights samples 3"]
+    velocity: Float[np.ndarray, "flights samples 3"]
+    acceleration: Float[np.ndarray, "flights samples 3"]
+    residual: Float[np.ndarray, "flights steps"]
+    speed: Float[np.ndarray, "flights steps"]
+    beyond: Bool[np.ndarray, "flights steps"]
+    excursion: float = 0.0
+
+    @classmethod
+    def of(
+        cls,
+        time: Float[np.ndarray, "samples"],
+        position: Float[np.ndarray, "flights samples 3"],
+        velocity: Float[np.ndarray, "flights samples 3"],
+        force: Float[np.ndarray, "flights samples 3"],
+        bounds: FlightBounds,
+    ) -> "Tube":
+        """Build the tube of recorded states; row k of `force` (newton) is held from sample k to sample k + 1.
+
+        The drift |2ω×v + ω̇×r + ω×(ω×r) + Δg| is at most 2ω|v| + κ|r|, κ = ω̇ + ω² + gravity gradient, r from the centre
+        of mass. With X the largest speed in the step, |r| ≤ |r₀| + X T and X ≤ |v₀| + T (|a| + d/m + 2ωX + κ(|r₀| +
+        X T)), which is solved for X. A path that is still within the range limit after |r₀| + X T never left it, so
+        that κ held all along, and likewise X the speed limit; one that may not be is `beyond`. A force whose axes turn
+        by α in the step is off by at most 2 sin(α/2)|a|, which adds to d/m.
+        """
+        step = np.diff(time)
+        acceleration = force / bounds.mass
+        disturbance = bounds.disturbance_force / bounds.mass
+        kappa = bounds.angular_acceleration + bounds.angular_rate**2 + bounds.gravity_gradient
+        disturbance += 2.0 * bounds.angular_rate * bounds.velocity_excursion + kappa * bounds.excursion
+        slack = 1.0 - 2.0 * bounds.angular_rate * step - kappa * step**2
+        if np.any(slack <= 0.0):
+            raise FlightError(
+                f"audit: samples {step.max():.3g} s apart are too coarse for a frame turning at "
+                f"{bounds.angular_rate:.3g} rad/s; the record needs "
+                f"samples at most {0.4 / max(bounds.angular_rate, kappa**0.5):.3g} s apart"
+            )
+        turned = 2.0 * np.sin(0.5 * np.minimum(bounds.force_turning * step, np.pi))
+        residual, speed, beyond = sample_loops.bound_steps(
+            step,
+            slack,
+            turned,
+            position,
+            velocity,
+            acceleration,
+            disturbance,
+            bounds.angular_rate,
+            kappa,
+            bounds.origin_offset,
+            bounds.range_limit - bounds.excursion,
+        )
+        if bounds.excursion > 0.0:
+            speed = speed + 2.0 * bounds.excursion / step
+        beyond |= (speed + bounds.velocity_excursion > bounds.speed_limit) | (time[1:] > bounds.valid_until)
+        return cls(time, position, velocity, acceleration, residual, speed, beyond, bounds.excursion)
+
+    def inconsistency(self) -> Float[np.ndarray, "flights steps"]:
+        """How far, in metres, the end of each step lies beyond what its start and the bounds allow; ≤ 0 is consistent.
+
+        The velocity's excess is counted over the step's length, so that one number covers both.
+        """
+        return sample_loops.excess_of_steps(
+            np.diff(self.time), self.position, self.velocity, self.acceleration, self.residual, self.excursion
+        )
+
+    def piece(
+        self,
+        flight: Int[np.ndarray, "pieces"],
+        index: Int[np.ndarray, "pieces"],
+        start: Float[np.ndarray, "pieces"],
+        end: Float[np.ndarray, "pieces"],
+    ) -> tuple[Float[np.ndarray, "pieces 3"], Float[np.ndarray, "pieces"], Float[np.ndarray, "pieces"]]:
+        """Give a point for the part [start, end] (fractions) of step `index`, its error, and the part's radius.
+
+        The path at the middle of the part is within `error` of the point, the whole part within `radius` of it.
+        """
+        step = np.diff(self.time)[index]
+        middle = 0.5 * (start + end)
+        forward = middle <= 0.5
+        tau = np.where(forward, middle, middle - 1.0) * step
+        sample = index + np.where(forward, 0, 1)
+        position, velocity = self.position[flight, sample], self.velocity[flight, sample]
+        held = self.acceleration[flight, index]
+        point = position + velocity * tau[:, None] + 0.5 * held * (tau**2)[:, None]
+        error = 0.5 * self.residual[flight, index] * tau**2 + self.excursion
+        radius = error + 0.5 * (end - start) * step * self.speed[flight, index]
+        return point, error, radius
+
+
+@runtime_checkable
+class Path(Protocol):
+    """What `nearest` asks of flights between their samples; `Tube` is one."""
+
+    @property
+    def time(self) -> Float[np.ndarray, "samples"]:
+        """Of the samples, s."""
+        ...
+
+    @property
+    def position(self) -> Float[np.ndarray, "flights samples 3"]:
+        """At the samples, m."""
+        ...
+
+    @property
+    def speed(self) -> Float[np.ndarray, "flights steps"]:
+        """A bound of the speed over each step, m/s."""
+        ...
+
+    def piece(
+        self,
+        flight: Int[np.ndarray, "pieces"],
+        index: Int[np.ndarray, "pieces"],
+        start: Float[np.ndarray, "pieces"],
+        end: Float[np.ndarray, "pieces"],
+    ) -> tuple[Float[np.ndarray, "pieces 3"], Float[np.ndarray, "pieces"], Float[np.ndarray, "pieces"]]:
+        """Give a point for part of a step, its error, and the part's radius; see `Tube.piece`."""
+        ...
+
+
+@dataclass(frozen=True)
+class Nearest:
+    """Bounds on each flight's least distance, in metres, and where the nearest point found lies."""
+
+    lower: Float[np.ndarray, "flights"]
+    upper: Float[np.ndarray, "flights"]
+    time: Float[np.ndarray, "flights"]
+    position: Float[np.ndarray, "flights 3"]
+
+
+def nearest(tube: Path, distance: Distance, *, tolerance: float) -> Nearest:
+    """Bound the least distance of each flight to the mesh, by branch and bound over pieces of its path.
+
+    `lower` never exceeds the true least distance and lies within `tolerance` of `upper` wherever the remainder b T²/8
+    allows it. `distance` is exact and 1-Lipschitz.
+    """
+    flights, samples = tube.position.shape[:2]
+    search = _Search(tube, distance, tolerance)
+    flight = np.repeat(np.arange(flights), -(-(samples - 1) // _BLOCK))
+    first = np.tile(np.arange(0, samples - 1, _BLOCK), flights)
+    length = _BLOCK
+    while length > 1:
+        kept = search.blocks(flight, first, length)
+        length //= 4
+        flight = np.repeat(flight[kept], 4)
+        first = (first[kept][:, None] + length * np.arange(4)).ravel()
+        inside = first < samples - 1
+        flight, first = flight[inside], first[inside]
+    start, end = np.zeros(first.shape), np.ones(first.shape)
+    for halving in range(_HALVINGS + 1):
+        kept = search.parts(flight, first, start, end, last=halving == _HALVINGS)
+        flight, first = np.repeat(flight[kept], 2), np.repeat(first[kept], 2)
+        middle = 0.5 * (start[kept] + end[kept])
+        start, end = (
+            np.stack([start[kept], middle], axis=-1).ravel(),
+            np.stack([middle, end[kept]], axis=-1).ravel(),
+        )
+        if first.size == 0:
+            break
+    return Nearest(search.lower, search.upper, search.time, search.position)
+
+
+class _Search:
+    """The running bounds of `nearest`: least lower bound among pieces settled, least distance found so far."""
+
+    def __init__(self, tube: Path, distance: Distance, tolerance: float) -> None:
+        flights = tube.position.shape[0]
+        self.tube, self.distance, self.tolerance = tube, distance, tolerance
+        self.time = np.full(flights, tube.time[0])
+        self.position = tube.position[:, 0].copy()
+        self.upper = distance(self.position)
+        self.lower = self.upper.copy()
+
+    def blocks(self, flight: np.ndarray, first: np.ndarray, length: int) -> np.ndarray:
+        """Bound blocks of whole steps by balls around their samples; the mask of those to be split."""
+        tube = self.tube
+        centre, sample, least, most, excess = sample_loops.bound_blocks(
+            tube.time, tube.position, tube.speed, flight, first, length
+        )
+        found = self.distance(centre)
+        self._improve(flight, found + least, tube.time[sample], tube.position[flight, sample])
+        return self._settle(flight, found - most - excess)
+
+    def parts(
+        self, flight: np.ndarray, index: np.ndarray, start: np.ndarray, end: np.ndarray, *, last: bool
+    ) -> np.ndarray:
+        """Bound parts of single steps; the mask of those to be split."""
+        if index.size == 0:
+            return np.zeros(0, bool)
+        tube = self.tube
+        point, error, radius = tube.piece(flight, index, start, end)
+        found = self.distance(point)
+        time = tube.time[index] + 0.5 * (start + end) * np.diff(tube.time)[index]
+        self._improve(flight, found + error, time, point)
+        kept = self._settle(flight, found - radius, final=last | (radius - error <= 0.05 * error))
+        return kept
+
+    def _improve(self, flight: np.ndarray, upper: np.ndarray, time: np.ndarray, position: np.ndarray) -> None:
+        order = np.lexsort((upper, flight))
+        flights, best = np.unique(flight[order], return_index=True)
+        best = order[best]
+        better = upper[best] < self.upper[flights]
+        flights, best = flights[better], best[better]
+        self.upper[flights] = upper[best]
+        self.time[flights], self.position[flights] = time[best], position[best]
+
+    def _settle(self, flight: np.ndarray, lower: np.ndarray, final: bool | np.ndarray = False) -> np.ndarray:
+        settled = (lower >= self.upper[flight] - self.tolerance) | final
+        np.minimum.at(self.lower, flight[settled], lower[settled])
+        return ~settled

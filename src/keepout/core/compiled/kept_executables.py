@@ -1,0 +1,348 @@
+"""Programs that a process takes from the disk as they are, without tracing them again.
+
+JAX finds a compiled program again by what it was lowered to, and so traces and lowers the function at every start,
+which takes longer than loading what comes of it. Here a call's program is found by all that tracing depends on: the
+function's name, every source file of Keepout, the versions of Python and of the libraries that trace, JAX's settings,
+the shapes and types of the arguments' arrays, everything in the arguments that is no array, and the numbers at the top
+of Keepout's modules. Two files make a program: a call (`call_...`: which program, and how to put its arrays together),
+and the machine code (`code_...`), found by what it was lowered to, since many calls are lowered to one program.
+
+What cannot be told apart that way is not kept: arguments that hold functions or classes of others, Keepout changed
+while it runs (a function replaced, a source file edited), programs that call out of the compiled code, and anything but
+a CPU. It is then compiled as by `equinox.filter_jit`. Where and for whom programs are kept: see `kept_programs`.
+"""
+
+import collections
+import functools
+import hashlib
+import io
+import pickle
+import platform
+import sys
+import sysconfig
+import threading
+import time
+import types
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, ParamSpec, TypeVar
+
+import equinox as eqx
+import jax
+import numpy as np
+from jax._src import config as jax_config  # JAX tells its settings, of a thread too, nowhere else
+from jax.core import Tracer
+from jax.experimental import serialize_executable
+from jaxtyping import PyTree
+
+from keepout.core.compiled.kept_entries import read_entry, warn_of, write_entry
+from keepout.core.compiled.kept_programs import folder_in_use
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+_PACKAGE = Path(__file__).parents[2]
+_STARTED = time.time() - time.process_time()
+_KNOWN = ("keepout", "jax", "jaxlib", "equinox", "numpy", "builtins")
+"""Packages whose functions and classes are told by a version or by source files."""
+_TRACED = (
+    *(f"keepout.core.{room}" for room in ("compiled", "control", "fields", "flight", "guard", "motion")),
+    "keepout.flights.navigation",
+)
+"""Rooms of Keepout whose functions are traced."""
+_AT_HAND = 16
+"""Programs of a function that a process has at hand; those used longest ago go back to the disk.
+
+One program takes hundreds of pieces of memory, and a process may have 65,530 of them on Linux: without a limit, a
+process that flew fifty different missions would die.
+"""
+_HARMLESS = ("Sharding",)
+"""Calls out of a lowered program that are gone when it is compiled."""
+
+
+_taken_by_jax = [0]
+"""How many programs JAX took from its own folder."""
+
+
+def _count(event: str, **_: Any) -> None:
+    _taken_by_jax[0] += event == "/jax/compilation_cache/cache_hits"
+
+
+jax.monitoring.register_event_listener(_count)
+
+
+class _UnknownError(Exception):
+    """Something is not told by a version or a source file."""
+
+
+def kept_jit(function: Callable[P, T]) -> Callable[P, T]:
+    """Compile a function as `equinox.filter_jit` does, and keep its compiled programs from one process to the next.
+
+    Results are the same bits whether a program was kept or not: it is the same machine code.
+
+    Args:
+        function: pure, at the top level of a module of Keepout; what it gives holds arrays and what pickles.
+
+    """
+    plain = eqx.filter_jit(function)
+    programs: collections.OrderedDict[Any, Callable[[list[Any]], Any] | None] = collections.OrderedDict()
+    lock = threading.Lock()
+
+    @functools.wraps(function)
+    def called(*args: P.args, **kwargs: P.kwargs) -> T:
+        folder = folder_in_use()
+        arrays, still = eqx.partition((args, kwargs), eqx.is_array)
+        leaves, structure = jax.tree.flatten(arrays)
+        if folder is None or _watched() or any(isinstance(x, Tracer) for x in leaves):
+            return plain(*args, **kwargs)
+        shapes = tuple((x.shape, str(x.dtype), getattr(x, "weak_type", False)) for x in leaves)
+        rest, rest_structure = jax.tree.flatten(still)
+        known = structure, shapes, tuple((type(x), x) for x in rest), rest_structure, jax_config.trace_context()
+        with lock:
+            if known not in programs:
+                programs[known] = _program(folder, function, structure, shapes, still, leaves)
+            programs.move_to_end(known)
+            program = programs[known]
+            if len(programs) > _AT_HAND:
+                programs.popitem(last=False)
+        return plain(*args, **kwargs) if program is None else program(leaves)
+
+    return called
+
+
+def told_apart(tree: PyTree) -> bytes | None:
+    """Tell a tree from every other: by its arrays, all else in it, Keepout's source and constants, JAX's settings.
+
+    Returns:
+        A digest; None where the tree holds what cannot be told apart, or Keepout was changed while it runs.
+
+    """
+    arrays, still = eqx.partition(tree, eqx.is_array)
+    leaves, structure = jax.tree.flatten(arrays)
+    try:
+        where = jax.tree.unflatten(structure, [True] * len(leaves))
+        whole = hashlib.sha256(_pickled((where, still)))
+        whole.update(repr((_sources(), _constants(), _settings())).encode())
+    except _UnknownError:
+        return None
+    for leaf in leaves:
+        array = np.asarray(leaf)
+        whole.update(repr((array.shape, str(array.dtype))).encode() + np.ascontiguousarray(array).tobytes())
+    return whole.digest()
+
+
+def _watched() -> bool:
+    """Whether programs are to run as only JAX runs them: elsewhere than on a CPU, or to look for errors."""
+    asked = (getattr(jax.config, f"jax_{name}") for name in ("disable_jit", "debug_nans", "debug_infs"))
+    return jax.default_backend() != "cpu" or any(asked)
+
+
+def _program(
+    folder: Path,
+    function: Callable[..., Any],
+    structure: Any,
+    shapes: tuple[Any, ...],
+    still: PyTree,
+    leaves: list[Any],
+) -> Callable[[list[Any]], Any] | None:
+    """Take a program from the folder, or compile it and keep it; None where it cannot be kept."""
+    try:
+        _require_own(function)
+        where = jax.tree.unflatten(structure, [True] * len(leaves))
+        settings = repr(_settings()).encode()
+        told = _pickled((where, still)) + repr((shapes, _constants())).encode() + settings
+        named = f"{function.__module__}.{function.__qualname__} {_sources()}".encode()
+    except _UnknownError:
+        return None
+    path = folder / f"call_{function.__name__}-{hashlib.sha256(named + told).hexdigest()}-cache"
+    found = _taken(path, len(leaves)) or _compiled(function, structure, still, leaves, path, settings)
+    if found is None:
+        return None
+    run, outline = found
+    answers, places = jax.tree.flatten(outline, is_leaf=_is_place)
+
+    def program(leaves: list[Any]) -> Any:
+        arrays = run(*leaves)
+        return jax.tree.unflatten(places, [arrays[leaf.number] if _is_place(leaf) else leaf for leaf in answers])
+
+    return program
+
+
+class _Place:
+    """Stands for one of a program's arrays in what the function gives."""
+
+    def __init__(self, number: int):
+        self.number = number
+
+
+def _is_place(leaf: Any) -> bool:
+    return isinstance(leaf, _Place)
+
+
+def _taken(path: Path, arguments: int) -> tuple[Callable[..., Any], PyTree] | None:
+    """Load the program of a call and the outline of its answer; None where they are not kept."""
+    content = read_entry(path)
+    if content is None:
+        return None
+    try:
+        code, arrays, outline = pickle.loads(content)
+    except Exception as error:  # pickle has no one kind for what it cannot load
+        warn_of(path, str(error))
+        return None
+    run = _loaded(path.with_name(code), arguments, arrays)
+    return None if run is None else (run, outline)
+
+
+def _loaded(path: Path, arguments: int, arrays: int) -> Callable[..., Any] | None:
+    """Load a program; None where it is not kept."""
+    content = read_entry(path)
+    if content is None:
+        return None
+    places = jax.tree.structure(((0,) * arguments, {})), jax.tree.structure((0,) * arrays)
+    try:
+        run = serialize_executable.deserialize_and_load(content, *places)
+    except Exception as error:  # XLA has no one kind for what it cannot load
+        warn_of(path, str(error).partition("\n")[0])
+        return None
+    jax.monitoring.record_event("/keepout/kept_program_loaded")
+    return run
+
+
+def _compiled(
+    function: Callable[..., Any], structure: Any, still: PyTree, leaves: list[Any], path: Path, settings: bytes
+) -> tuple[Callable[..., Any], PyTree] | None:
+    """Compile a program and keep it, or take what another call was lowered to; None where it calls out of the code."""
+    outlines: list[PyTree] = []
+
+    def flat(*leaves: Any) -> tuple[Any, ...]:
+        args, kwargs = eqx.combine(jax.tree.unflatten(structure, leaves), still)
+        answer, rest = eqx.partition(function(*args, **kwargs), eqx.is_array)
+        arrays, places = jax.tree.flatten(answer)
+        placed = jax.tree.unflatten(places, [_Place(number) for number in range(len(arrays))])
+        outlines.append(eqx.combine(placed, rest, is_leaf=_is_place))
+        return tuple(arrays)
+
+    flat.__name__ = flat.__qualname__ = f"kept_{function.__name__}"
+    # Arguments that are not used stay in the text: without them, calls that use other ones of theirs read the same.
+    lowered = jax.jit(flat, keep_unused=True).lower(*leaves)
+    text = lowered.as_text()
+    if any(called not in _HARMLESS for called in _calls_out(text)):
+        return None
+    outline, arrays = outlines[-1], lowered.out_tree.num_leaves
+    code = path.with_name(f"code_{function.__name__}-{hashlib.sha256(settings + text.encode()).hexdigest()}-cache")
+    run = _loaded(code, len(leaves), arrays)
+    if run is None:
+        # What JAX takes from its folder cannot be kept again: functions get lost. So it is not to keep this one.
+        before = _taken_by_jax[0]
+        with jax_config.persistent_cache_min_compile_time_secs(float("inf")):
+            run = lowered.compile()
+        if _taken_by_jax[0] != before:
+            return run, outline
+        with suppress(NotImplementedError, ValueError):
+            write_entry(code, serialize_executable.serialize(run)[0])
+    with suppress(_UnknownError, TypeError, AttributeError, pickle.PicklingError):
+        content = pickle.dumps((code.name, arrays, outline))
+        if _sources() == _sources.__wrapped__():
+            write_entry(path, content)
+    return run, outline
+
+
+def _calls_out(text: str) -> Iterator[str]:
+    """Names of what a lowered program calls outside of the compiled code."""
+    for piece in text.split("stablehlo.custom_call @")[1:]:
+        yield piece.partition("(")[0].strip('"')
+
+
+class _Pickler(pickle.Pickler):
+    """Refuses functions and classes, and objects of classes, that no version and no source file tells."""
+
+    def reducer_override(self, obj: Any) -> Any:
+        for named in (obj, type(obj)):
+            module = getattr(named, "__module__", None)
+            if isinstance(module, str) and module.partition(".")[0] not in _KNOWN and not _of_python(module):
+                raise _UnknownError(module)
+        return NotImplemented
+
+
+def _pickled(tree: PyTree) -> bytes:
+    stream = io.BytesIO()
+    try:
+        _Pickler(stream, protocol=5).dump(tree)
+    except (pickle.PicklingError, TypeError, AttributeError) as error:
+        raise _UnknownError(str(error)) from error
+    return stream.getvalue()
+
+
+def _of_python(module: str) -> bool:
+    return module.partition(".")[0] in sys.stdlib_module_names and module != "__main__"
+
+
+def _settings() -> list[tuple[str, str]]:
+    """JAX's settings as they hold in this thread."""
+    told = [(name, repr(state.value)) for name, state in sorted(jax_config.config_states.items())]
+    # Beside them: meshes, and what else a thread may trace under. The last is the axes of a surrounding map.
+    context = repr(jax_config.trace_context()[:-1])
+    if " at 0x" in context or any(" at 0x" in value for _, value in told):
+        raise _UnknownError("settings")
+    return [*told, ("context", context)]
+
+
+def _constants() -> list[tuple[str, str]]:
+    """Numbers and words at the top of the traced rooms' modules, as they are now.
+
+    Raises:
+        _UnknownError: a function there is not the source's: it was replaced.
+
+    """
+    found = []
+    for name, module in sorted(sys.modules.items()):
+        if module is None or name == __name__ or not name.startswith(_TRACED):
+            continue
+        for key, value in sorted(vars(module).items()):
+            if key.startswith("__"):
+                continue
+            if isinstance(value, bool | int | float | str | tuple):
+                found.append((f"{name}.{key}", repr(value)))
+            _require_own(value)
+            if isinstance(value, type) and value.__module__ == name:
+                for attribute in vars(value).values():
+                    _require_own(attribute)
+    return found
+
+
+def _require_own(value: Any) -> None:
+    """Refuse a function that was written outside of Keepout and of what is installed."""
+    if isinstance(value, property):
+        value = value.fget
+    value = getattr(value, "__func__", value)
+    value = getattr(value, "__wrapped__", value)
+    if not isinstance(value, types.FunctionType):
+        return
+    file = value.__code__.co_filename
+    if not file.startswith(("<", *_places())):
+        raise _UnknownError(f"{value.__qualname__} of {file}")
+
+
+@functools.cache
+def _places() -> tuple[str, ...]:
+    return (str(_PACKAGE), *(sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")))
+
+
+@functools.cache
+def _sources() -> str:
+    """Tell Keepout's source and the versions of all that traces it.
+
+    Raises:
+        _UnknownError: there are none, or one is younger than this process, which may run what stood there before.
+
+    """
+    whole = hashlib.sha256(repr((platform.python_version(), jax.__version__, eqx.__version__, np.__version__)).encode())
+    paths = sorted(_PACKAGE.rglob("*.py"))
+    if not paths:
+        raise _UnknownError("Keepout has no source files")
+    for path in paths:
+        if path.stat().st_mtime >= _STARTED:
+            raise _UnknownError(f"{path} was written after the start")
+        whole.update(f"{path.relative_to(_PACKAGE)}\n".encode() + path.read_bytes())
+    return whole.hexdigest()

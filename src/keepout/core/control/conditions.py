@@ -1,0 +1,130 @@
+"""The design conditions of the control law, each with its number, its limit and whether it holds."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from keepout.core.compiled.kept_executables import kept_jit
+from keepout.core.control.circulation import ConstantCirculation
+from keepout.core.control.controller import Controller
+from keepout.core.control.law import Condition
+from keepout.core.control.observer import ContinuousObserver, SampledObserver
+from keepout.core.control.operation import Operation
+from keepout.core.control.velocity import SafeVelocity, VelocityPoint
+from keepout.core.motion.arrays import as_float64
+from keepout.core.motion.relative import MotionState, RelativeMotion
+
+
+def drift_bound(motion: RelativeMotion, *, radius: float, speed: float, samples: int = 256) -> float:
+    """Return the largest drift acceleration (m/s²) found within `radius` m at speeds up to `speed` m/s.
+
+    Sampled over directions and over eight moments of one orbit: an estimate for tuning, no bound that a proof may use.
+    """
+    rng = np.random.default_rng(0)
+    directions = rng.normal(size=(2, samples, 3))
+    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    orbit = motion.orbit
+    axis = float(orbit.semi_major_axis)
+    period = 2.0 * np.pi * float(np.sqrt(axis * axis * axis / float(orbit.gravitational_parameter)))
+    positions, velocities = as_float64(radius * directions[0]), as_float64(speed * directions[1])
+
+    times = np.linspace(0.0, period, 8, endpoint=False)
+    return max(float(_largest_drift(motion, as_float64(time), positions, velocities)) for time in times)
+
+
+@kept_jit
+def _largest_drift(
+    motion: RelativeMotion, time: Float[Array, ""], positions: Float[Array, "n 3"], velocities: Float[Array, "n 3"]
+) -> Float[Array, ""]:
+    """Give the largest drift acceleration (m/s²) at a moment (s) over positions (m) and velocities (m/s)."""
+    at = motion.initial_state(jnp.zeros(3), jnp.zeros(3), time)
+
+    def single(r: Float[Array, "3"], v: Float[Array, "3"]) -> Float[Array, ""]:
+        moved = MotionState(at.time, r, v, at.attitude, at.angular_velocity, at.target_orbit)
+        return jnp.linalg.norm(motion.drift_acceleration(moved))
+
+    return jnp.max(jax.vmap(single)(positions, velocities))
+
+
+@kept_jit
+def _at_rest(law: SafeVelocity, position: Float[Array, "3"]) -> VelocityPoint:
+    """Give the velocity layer at a position (m) before anything is remembered; compiled once a kind of law."""
+    return law(position, jnp.zeros(3), jnp.zeros(3))[0]
+
+
+@kept_jit
+def _drift_at_rest(motion: RelativeMotion, position: Float[Array, "3"]) -> Float[Array, ""]:
+    """Give the drift acceleration (m/s²) of a chaser at rest at a position (m) at the epoch."""
+    return jnp.linalg.norm(motion.drift_acceleration(motion.initial_state(position, jnp.zeros(3))))
+
+
+@kept_jit
+def _error_matrix(observer: ContinuousObserver | SampledObserver) -> Float[Array, "q q"]:
+    return observer.error_matrix()
+
+
+def conditions(
+    controller: Controller, operation: Operation, *, start: Float[np.ndarray, "3"] | None = None
+) -> tuple[Condition, ...]:
+    """Check every design condition of a law (docs/control.md) for the operation that it is to fly.
+
+    `start` (3,) m, at rest, adds the condition h₁(0) ≥ 0. The controller's arrays must hold one law, not a batch.
+    """
+    period, disturbance_bound = operation.period, operation.disturbance_bound
+    tracking, law = controller.tracking, controller.velocity
+    beta_c, beta_e = float(tracking.barrier_rate), float(tracking.estimation_rate)
+    alpha = float(law.class_k.rate)
+    mass, force = float(controller.mass), float(np.min(np.asarray(controller.force_limit)))
+    left = (force - disturbance_bound) / mass
+    cap = law.speed.limit if law.speed is not None else law.box
+    assert cap is not None
+    speed = float(cap)
+    found: list[Condition] = []
+
+    def add(name: str, statement: str, value: float, limit: float, ok: bool, *, required: bool = True) -> None:
+        found.append(Condition(name, statement, value, limit, bool(ok), required))
+
+    add("observer outpaces filter", "2 beta_e > beta_c, 1/s", 2.0 * beta_e, beta_c, 2.0 * beta_e > beta_c)
+    add("filter outpaces barrier", "beta_c >= alpha_0, 1/s", beta_c, alpha, beta_c >= alpha)
+    sampling = float(tracking.gain) * period / 2.0
+    add("sampled tracking", "lambda T_s / 2 < 1", sampling, 1.0, sampling < 1.0)
+    smallest = float(np.linalg.eigvalsh(np.asarray(tracking.position_weight)).min())
+    add("position weight", "smallest eigenvalue of H_0 > 0", smallest, 0.0, smallest > 0.0)
+    if isinstance(controller.observer, ContinuousObserver):
+        error = np.asarray(_error_matrix(controller.observer))
+        rate = float(np.linalg.eigvals(error).real.max())
+        add("observer", "largest real part of A - L C/m < 0, 1/s", rate, 0.0, rate < 0.0)
+        factor = float(np.abs(1.0 + period * np.linalg.eigvals(error)).max())
+        add("observer sampled", "Euler step of the observer: largest |eigenvalue| < 1", factor, 1.0, factor < 1.0)
+        model = float(np.linalg.eigvals(np.asarray(controller.observer.generator)).real.max())
+        add("disturbance model", "largest real part of A <= 0, 1/s", model, 0.0, model <= 1e-12, required=False)
+    elif isinstance(controller.observer, SampledObserver):
+        factor = float(np.abs(np.linalg.eigvals(np.asarray(_error_matrix(controller.observer)))).max())
+        add("observer sampled", "largest |eigenvalue| of Phi - K C < 1", factor, 1.0, factor < 1.0)
+    if law.circulation is not None:
+        level = float(law.circulation.level)
+        add("circulation at the surface", "Upsilon(0) > 0, m/s", level, 0.0, level > 0.0)
+        if isinstance(law.circulation, ConstantCirculation):
+            omega = np.asarray(law.circulation.omega)
+            symmetric = float(np.abs(omega + omega.T).max())
+            add("circulation tangent", "Omega + Omega' = 0", symmetric, 0.0, symmetric <= 1e-12, required=False)
+    if law.class_k.braking is None:
+        asked = alpha * speed
+        add("authority", "alpha_0 v_max <= (F_max - d_max)/m, m/s2", asked, left, asked <= left)
+    else:
+        braking = float(law.class_k.braking)
+        add("authority", "a_c <= (F_max - d_max)/m, m/s2", braking, left, braking <= left)
+    hold = mass * float(_drift_at_rest(controller.motion, controller.goal)) + disturbance_bound
+    add("hold at the goal", "m |drift(goal)| + d_max <= F_max, N", hold, force, hold <= force)
+    if start is not None:
+        # Only v_s is needed here, and its Jacobian is most of the time to compile.
+        plain = dataclasses.replace(law, differentiate=False)
+        point = _at_rest(plain, as_float64(start))
+        square = float(np.sum(np.asarray(point.velocity) ** 2))
+        h1 = float(point.barrier) - square / (2.0 * float(tracking.barrier_ratio))
+        h1 -= 0.5 * float(tracking.estimation_weight) * disturbance_bound**2
+        add("start in the safe set", "h_1(0) >= 0 at rest, m", h1, 0.0, h1 >= 0.0, required=False)
+    return tuple(found)

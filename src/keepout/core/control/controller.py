@@ -1,0 +1,140 @@
+"""The control law: observer, safe velocity and tracking composed into one step."""
+
+import dataclasses
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from keepout.core.control.law import Command, Condition, ControlStatus, Law
+from keepout.core.control.observer import Observer
+from keepout.core.control.tracking import Tracking
+from keepout.core.control.velocity import SafeVelocity
+from keepout.core.control.velocity_program.cone import ConeStatus
+from keepout.core.motion.relative import MotionState, RelativeMotion
+
+
+class ControllerState(eqx.Module):
+    """What the law carries from step to step: the previous sample, the force held since, and its layers' memories.
+
+    Attributes:
+        velocity: of the previous sample, m/s.
+        drift: acceleration without force and disturbance at the previous sample, m/s².
+        force: held since then, N.
+        observer: the disturbance observer's memory.
+        circulation: the circulation's memory.
+        started: whether there was a previous sample that was finite.
+
+    """
+
+    velocity: Float[Array, "3"]
+    drift: Float[Array, "3"]
+    force: Float[Array, "3"]
+    observer: Float[Array, " q"]
+    circulation: Float[Array, "3"]
+    started: Bool[Array, ""]
+
+
+class Controller(Law):
+    """The law as one pytree: it can be closed over, passed through `jit`, and batched with `vmap` (say over goals).
+
+    Attributes:
+        velocity: the layer that gives the safe velocity.
+        tracking: the layer that follows it.
+        observer: of the disturbance, for estimates that come without one.
+        motion: the model behind the drift compensation.
+        mass: kg.
+        force_limit: of each body axis, N.
+        nominal_offset: the part of the velocity layer's offset that is the law's own, m.
+        checked: what `conditions.conditions` found at construction.
+
+    """
+
+    velocity: SafeVelocity
+    tracking: Tracking
+    observer: Observer
+    motion: RelativeMotion
+    mass: Float[Array, ""]
+    force_limit: Float[Array, "3"]
+    nominal_offset: Float[Array, ""]
+    checked: tuple[Condition, ...] = eqx.field(static=True, default=())
+
+    @property
+    def conditions(self) -> tuple[Condition, ...]:
+        """The design conditions, checked at construction."""
+        return self.checked
+
+    def flown(self) -> Law:
+        """Give the law without what was found of its conditions."""
+        return dataclasses.replace(self, checked=())
+
+    @property
+    def goal(self) -> Float[Array, "3"]:
+        """Where the law leads, m."""
+        return self.velocity.guidance.goal
+
+    def initial_state(self, state: MotionState) -> ControllerState:
+        """Return the law's state before its first step."""
+        return ControllerState(
+            velocity=state.velocity,
+            drift=self.motion.drift_acceleration(state),
+            force=jnp.zeros(3),
+            observer=self.observer.initial_state(state.velocity),
+            circulation=jnp.zeros(3),
+            started=jnp.asarray(False),
+        )
+
+    def with_applied_force(self, state: ControllerState, force: Float[Array, "3"]) -> ControllerState:
+        """Return the state told that `force` (N) is held from now on instead of the one commanded.
+
+        Without this the observer takes the difference for a disturbance.
+        """
+        return eqx.tree_at(lambda s: s.force, state, force)
+
+    def step(self, state: ControllerState, estimate: MotionState) -> tuple[ControllerState, Command]:
+        """Run one control step on an estimate of the motion; call it once a period.
+
+        Where the estimate comes with a disturbance the law cancels that one, and its observer rests.
+        """
+        drift = self.motion.drift_acceleration(estimate)
+        velocity = estimate.velocity
+        if estimate.disturbance is None:
+            updated = self.observer.update(
+                state.observer, state.velocity, velocity, 0.5 * (state.drift + drift), state.force
+            )
+            memory = jnp.where(state.started, updated, state.observer)
+            push, push_ahead = self.observer.estimate(memory, velocity), self.observer.mean_ahead(memory, velocity)
+        else:  # a filter has estimated it together with the motion
+            memory, push, push_ahead = state.observer, estimate.disturbance, estimate.disturbance
+        point, circulation = self.velocity(estimate.position, velocity, state.circulation)
+        tracked = self.tracking(point, estimate.position - self.goal, velocity, drift, self.mass)
+        wanted = tracked.control - push_ahead
+        finite = jnp.all(jnp.isfinite(wanted)) & (point.status != ConeStatus.NOT_FINITE)
+        force = jnp.where(finite, jnp.clip(wanted, -self.force_limit, self.force_limit), 0.0)
+
+        status = jnp.where(jnp.any(jnp.abs(wanted) > self.force_limit), ControlStatus.SATURATED, ControlStatus.NOMINAL)
+        status = jnp.where(point.status == ConeStatus.INFEASIBLE, ControlStatus.OUTSIDE_SAFE_SET, status)
+        status = jnp.where(point.status == ConeStatus.STALLED, ControlStatus.SOLVER_STALLED, status)
+        status = jnp.where(point.status == ConeStatus.NO_WAY_OUT, ControlStatus.NO_WAY_OUT, status)
+        status = jnp.where(finite, status, ControlStatus.NOT_FINITE).astype(jnp.int32)
+        command = Command(
+            force=force,
+            desired_velocity=point.desired,
+            safe_velocity=point.velocity,
+            disturbance_estimate=push,
+            barrier=point.barrier + self.nominal_offset,
+            backstepping_barrier=tracked.backstepping_barrier,
+            lyapunov=tracked.lyapunov,
+            status=status,
+        )
+        # A sample that is not a number must not stay in the memory.
+        clean = ControllerState(velocity, drift, force, memory, circulation, jnp.asarray(True))
+        whole = finite & jnp.all(jnp.isfinite(velocity)) & jnp.all(jnp.isfinite(drift)) & jnp.all(jnp.isfinite(memory))
+        kept = eqx.tree_at(lambda s: (s.force, s.started), state, (force, jnp.asarray(False)))
+        return _where(whole, clean, kept), command
+
+
+def _where(condition: Bool[Array, ""], yes: ControllerState, no: ControllerState) -> ControllerState:
+    return ControllerState(
+        *(jnp.where(condition, a, b) for a, b in zip(vars(yes).values(), vars(no).values(), strict=True))
+    )

@@ -1,0 +1,183 @@
+"""Solve the velocity program: batched by `vmap`, compiled, differentiable, with a status for every solve."""
+
+import enum
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from keepout.core.control.velocity_program import active_set, interior_point
+from keepout.core.control.velocity_program.active_set import Active, Stationary
+from keepout.core.control.velocity_program.program import (
+    UnitProgram,
+    VelocityProgram,
+    escape_velocity,
+    length,
+    row_length,
+    to_conic,
+    to_unit,
+)
+
+_EDGE = 1e-11  # below this much room (in units of speed) the feasible set is one point: the escape velocity
+_APEX = 1e-13
+
+
+class ConeStatus(enum.IntEnum):
+    """How a solve ended."""
+
+    SOLVED = 0
+    INFEASIBLE = 1  # no velocity satisfies the barrier row: the answer is the fastest way out
+    STALLED = 2  # the interior point's best iterate, whose optimality could not be verified to rounding
+    NOT_FINITE = 3  # the data hold NaN or infinity: the answer is zero
+    NO_WAY_OUT = 4  # infeasible, and with e ≥ ‖n‖ no velocity is known to lead out either: the answer is zero
+
+
+def status_of(
+    *, solved: Bool[Array, ""], room: Float[Array, ""], gain: Float[Array, ""], finite: Bool[Array, ""]
+) -> Int[Array, ""]:
+    """Return the `ConeStatus` of a solve from its room and the largest g = n·v − e‖v‖ that any velocity reaches."""
+    status = jnp.where(solved, ConeStatus.SOLVED, ConeStatus.STALLED)
+    infeasible = jnp.where(gain > 0.0, ConeStatus.INFEASIBLE, ConeStatus.NO_WAY_OUT)
+    status = jnp.where(room < 0.0, infeasible, status)
+    return jnp.where(finite, status, ConeStatus.NOT_FINITE).astype(jnp.int32)
+
+
+class ConeSolution(eqx.Module):
+    """Answer of the velocity program.
+
+    `velocity` (3,) m/s; `status` a `ConeStatus`; `room` in m/s: barrier_rate + g_max, the program is feasible
+    exactly if it is not negative (closed form, `program.py`; above what any row can use it is cut off);
+    `iterations` of the interior point.
+    """
+
+    velocity: Float[Array, "3"]
+    status: Int[Array, ""]
+    room: Float[Array, ""]
+    iterations: Int[Array, ""]
+
+
+class _Outcome(NamedTuple):
+    """A solve in the unit program's scale, with everything its derivative needs."""
+
+    at: Stationary
+    active: Active
+    escaping: Bool[Array, ""]
+    resting: Bool[Array, ""]
+    status: Int[Array, ""]
+    room: Float[Array, ""]
+    iterations: Int[Array, ""]
+
+
+def _rest_is_optimal(unit: UnitProgram) -> Bool[Array, ""]:
+    """Whether v = 0 solves a program whose barrier row has its apex there (barrier_rate = 0).
+
+    The pull at rest q = v_c + 2 p max(Υ, 0) T must lie in the polar of {n·v ≥ e‖v‖}: ‖q + λn‖ ≤ λe for some λ ≥ 0.
+    """
+    pull = unit.desired
+    if unit.circulation is not None:
+        push = 2.0 * unit.circulation.weight * jnp.maximum(unit.circulation.rate, 0.0)
+        pull = pull + push * unit.circulation.tangent
+    along = jnp.sum(pull * unit.normal)
+    spread = jnp.sum(unit.normal**2) - unit.error**2
+    return (spread <= 0.0) | ((along <= 0.0) & (along * along >= jnp.sum(pull**2) * spread))
+
+
+def _iterate(unit: UnitProgram, easy: Bool[Array, ""]) -> tuple[Active, Stationary, Bool[Array, ""], Int[Array, ""]]:
+    """Interior point and polish. Where a closed form answers (`easy`) they work on a program that they can finish."""
+    tame = unit._replace(barrier_rate=jnp.where(easy, 3.0, unit.barrier_rate))
+    iterate = interior_point.solve(to_conic(tame))
+    return *active_set.polish(tame, *active_set.identify(tame, iterate)), iterate.iterations
+
+
+def _project(unit: UnitProgram) -> tuple[Active, Stationary, Bool[Array, ""], Int[Array, ""]]:
+    """Project onto a half-space and a ball, in closed form: onto the ball, else the plane, else their circle."""
+    assert unit.speed is not None
+    n, desired, rate, limit = unit.normal, unit.desired, unit.barrier_rate, unit.speed
+    square = jnp.sum(n * n)
+    square = jnp.where(square > 0.0, square, 1.0)
+    speed = length(desired)
+    in_ball = desired * jnp.minimum(1.0, limit / jnp.where(speed > 0.0, speed, 1.0))
+    along = jnp.sum(n * desired)
+    on_plane = desired - (along + rate) / square * n
+    foot = -rate / square * n
+    tangent = desired - along / square * n
+    spread = length(tangent)
+    radius = jnp.sqrt(jnp.maximum(limit * limit - jnp.sum(foot * foot), 0.0))
+    on_circle = foot + radius * tangent / jnp.where(spread > 0.0, spread, 1.0)
+    ball = jnp.sum(n * in_ball) + rate >= 0.0
+    plane = length(on_plane) <= limit
+    stretch = jnp.where(
+        ball, jnp.maximum(speed / limit, 1.0), jnp.where(plane, 1.0, spread / jnp.maximum(radius, _EDGE))
+    )
+    at = Stationary(
+        jnp.where(ball, in_ball, jnp.where(plane, on_plane, on_circle)),
+        jnp.where(ball, 0.0, -(stretch * rate + along) / square),
+        stretch - 1.0,
+    )
+    limited = jnp.where(ball, speed > limit, ~plane)
+    return Active(~ball, limited, jnp.zeros(3)), at, jnp.asarray(True), jnp.asarray(0, dtype=jnp.int32)
+
+
+def _solve_unit(program: VelocityProgram) -> _Outcome:
+    unit = to_unit(program)
+    finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(program)]))
+    # Non-finite data are replaced by harmless ones here and answered with zero below.
+    unit = jax.tree.map(lambda x: jnp.where(finite, x, 1.0), unit)
+    gain, escape = escape_velocity(unit)
+    room = unit.barrier_rate + gain
+    escaping = room <= _EDGE
+    resting = (jnp.abs(unit.barrier_rate) <= _APEX) & (unit.error > 0.0) & _rest_is_optimal(unit)
+    easy = escaping | resting
+    simple = program.gradient_error is None and program.circulation is None and program.box is None
+    active, at, good, iterations = _project(unit) if simple else _iterate(unit, easy)
+    velocity = jnp.where(escaping, escape, jnp.where(resting, 0.0, at.velocity))
+    status = status_of(solved=good | easy, room=room, gain=gain, finite=finite)
+    at = at._replace(velocity=jnp.where(finite, velocity, 0.0))
+    return _Outcome(at, active, escaping, resting, status, room, iterations)
+
+
+def _answer(program: VelocityProgram, outcome: _Outcome) -> Float[Array, "3"]:
+    """Return the solution in m/s."""
+    return to_unit(program).size * outcome.at.velocity
+
+
+def _change(primals: tuple, tangents: tuple, *, apart: bool) -> Float[Array, "3"]:
+    """Return the derivative of the solution, m/s, from the optimality conditions."""
+    program, outcome = primals
+    unit, change = jax.jvp(to_unit, (program,), (tangents[0],))
+    (_, _), (_, escape_change) = jax.jvp(escape_velocity, (unit,), (change,))
+    inside = active_set.sensitivity(unit, change, outcome.active, outcome.at, apart=apart)
+    derivative = jnp.where(outcome.escaping, escape_change, jnp.where(outcome.resting, 0.0, inside))
+    derivative = unit.size * derivative + change.size * outcome.at.velocity
+    return jnp.where(outcome.status == ConeStatus.NOT_FINITE, 0.0, derivative)
+
+
+# The primal of each rule is the function itself again, so that a derivative taken of a derivative's primal is not lost.
+_velocity = jax.custom_jvp(_answer)
+_velocity.defjvp(lambda primals, tangents: (_velocity(*primals), _change(primals, tangents, apart=True)))
+_velocity_forward = jax.custom_jvp(_answer)
+_velocity_forward.defjvp(
+    lambda primals, tangents: (_velocity_forward(*primals), _change(primals, tangents, apart=False))
+)
+
+
+def solve(program: VelocityProgram, *, forward: bool = False) -> ConeSolution:
+    """Solve one velocity program (paper Eq. cbf_socp_CI); batches through `jax.vmap`.
+
+    The velocity carries its exact first derivative with respect to every entry of the program (optimality conditions
+    on the active set), forwards and backwards; second derivatives are not defined. With `forward` it is taken forwards
+    only, which is cheaper where it is taken in every control step. Away from
+    changes of the active set the solution is differentiable; at one the derivative is that of one side.
+
+    Method: primal-dual interior point (`interior_point`), then Newton on the active set (`active_set`); a half-space
+    with a speed limit alone has a closed form. Feasibility is closed
+    form, and an infeasible program answers with the fastest way out, status `INFEASIBLE`; where there is none
+    (e ≥ ‖n‖), with zero, status `NO_WAY_OUT`.
+    """
+    data = jax.lax.stop_gradient(program)
+    outcome = jax.lax.stop_gradient(_solve_unit(data))
+    room = outcome.room * to_unit(data).size * row_length(data)
+    velocity = (_velocity_forward if forward else _velocity)(program, outcome)
+    return ConeSolution(velocity, outcome.status, room, outcome.iterations)

@@ -1,0 +1,30 @@
+"""One strict reader for each mesh format: what a file declares is there whole, or the file is refused.
+
+Nothing is left out without a line that says so with its number; an index points at a vertex or the file is refused.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from keepout.core.geometry.mesh_files.contents import MeshContents
+from keepout.core.geometry.mesh_files.gltf import read_gltf
+from keepout.core.geometry.mesh_files.keepmap import read_keepmap
+from keepout.core.geometry.mesh_files.obj import read_obj
+from keepout.core.geometry.mesh_files.off import read_off
+from keepout.core.geometry.mesh_files.ply import read_ply
+from keepout.core.geometry.mesh_files.stl import read_stl
+from keepout.core.geometry.mesh_files.three_mf import read_three_mf
+
+READERS: dict[str, Callable[[Path], MeshContents]] = {
+    ".glb": read_gltf,
+    ".gltf": read_gltf,
+    ".obj": read_obj,
+    ".stl": read_stl,
+    ".ply": read_ply,
+    ".off": read_off,
+    ".3mf": read_three_mf,
+    ".keepmap": read_keepmap,
+}
+"""By file suffix. Each raises `MeshError` with the reason alone; the caller names the file."""
+
+__all__ = ["READERS", "MeshContents"]

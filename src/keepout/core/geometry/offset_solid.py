@@ -1,0 +1,188 @@
+"""The offset solid: everything a chaser cannot reach from outside, with a conservative signed distance to it.
+
+The obstacle is the complement of the exterior of {d > offset}, where d is the unsigned distance to the surfaces. It
+needs no orientation and no watertight mesh, and gives a sheet the thickness 2 offset. Gaps narrower than twice the
+closing radius are sealed. Every doubt falls to "occupied".
+"""
+
+import functools
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from keepout.core.errors import MeshError
+from keepout.core.geometry import cell_tree
+from keepout.core.geometry.bvh import share_among_cores
+from keepout.core.geometry.distance import Distance, Points
+from keepout.core.geometry.exterior import flood, hidden_cells
+from keepout.core.geometry.octree import SQRT3, Cells
+from keepout.core.progress import Progress, silent
+
+_SURFACE_CELLS = 7e5
+"""The default leaf grows so that about this many leaves lie on the surfaces: seconds and a few hundred megabytes."""
+_FLOOD_CELLS = 5.0
+"""Flood cells are at most this many to the closing radius, or the leaf if that is larger."""
+
+_ASIDE, _WALK, _STRIDE = 1e-3, 24, 0.95
+"""Metres that a walk from a surface starts aside of it; its steps; and what share of the distance to the nearest
+surface a step may take: less than all, so that no walk passes through one."""
+
+
+class OffsetSolid:
+    """The complement of the exterior of {d > offset}, and a signed distance to it.
+
+    The exterior is found in two octrees. The first floods cells that are wholly farther than the closing radius from
+    every surface, face to face from outside. The second covers what is left with cells that are either *open* (their
+    centre can walk up the distance, staying off every surface, into the flood) or *hidden*. A point is exterior when it
+    is farther than the offset from every surface and not in a hidden cell. The signed distance is
+
+        g(p) = min(d(p) - offset, signed distance from p to the union H of the hidden cells).
+
+    Both terms are 1-Lipschitz, so g is, across sealed mouths too. Nowhere is it more than d - offset. With ρ the leaf's
+    half-diagonal, a hidden cell next to a surface reaches past it by at most ρ where ρ ≤ offset, and 2 ρ - offset
+    otherwise: outside, away from sealed gaps, g ≥ d - `envelope`, with g = d - offset where ρ ≤ offset. Inside, -g
+    never overstates the way out by more than the closing of gaps makes it longer, and understates it by at most offset
+    + ρ.
+
+    "Connected" is tested by walks that may pass closer to a surface than the offset, never through one. So a point
+    behind a pinch narrower than 2 offset counts as exterior only where its own leaf reaches through the pinch.
+    """
+
+    def __init__(
+        self,
+        distance: Distance,
+        offset: float,
+        closing_radius: float,
+        cells: Cells,
+        hidden: Bool[np.ndarray, "n"],
+    ):
+        self.distance = distance
+        self.offset = offset
+        self.closing_radius = closing_radius
+        self._cells = cells
+        self._hidden = hidden
+
+    @classmethod
+    def build(
+        cls,
+        distance: Distance,
+        *,
+        offset: float = 0.03,
+        closing_radius: float = 0.25,
+        leaf: float | None = None,
+        progress: Progress = silent,
+    ) -> "OffsetSolid":
+        """Build the solid from an exact distance.
+
+        Args:
+            distance: exact unsigned distance to the surfaces.
+            offset: metres; every surface gets this thickness on both sides.
+            closing_radius: metres, at least the offset; a gap that a ball of this radius cannot pass is sealed. Choose
+                the chaser's radius, or 0.25 m if that is less.
+            leaf: side of the smallest cells, metres. Default: 2 offset / √3, which makes ρ = offset, but at least 0.03
+                m, and more where the surfaces are large: 0.04 m for a comsat, 0.12 m for the ISS.
+            progress: called as the build advances.
+
+        Raises:
+            MeshError: an offset that is not positive, a closing radius below the offset, or a leaf that is not
+                positive.
+
+        """
+        extent = float((distance.upper - distance.lower).max())
+        if leaf is None:
+            leaf = max(2.0 * offset / SQRT3, 0.03, float(np.sqrt(distance.area / _SURFACE_CELLS)))
+        if not offset > 0.0:
+            raise MeshError(f"offset: {offset} m; it must be positive")
+        if not closing_radius >= offset:
+            raise MeshError(f"closing_radius: {closing_radius} m; it must be at least the offset, {offset} m")
+        if not leaf > 0.0:
+            raise MeshError(f"leaf: {leaf} m; it must be positive")
+
+        depth = max(1, int(np.ceil(np.log2((extent + 2.0 * closing_radius + 8.0 * leaf) / leaf))))
+        side = leaf * 2.0**depth
+        origin = 0.5 * (distance.lower + distance.upper) - 0.5 * side
+        coarser = max(0, int(np.log2(closing_radius / (_FLOOD_CELLS * leaf)) + 1.0)) if closing_radius > leaf else 0
+        first_half, second_half = _halves(progress)
+        lake, free, flooded = flood(distance, origin, side, depth - coarser, closing_radius, first_half)
+        cells, hidden = hidden_cells(distance, lake, free, flooded, depth, offset, second_half)
+        progress(1.0, f"{int(hidden.sum())} hidden cells")
+        return cls(distance, offset, closing_radius, cells, hidden)
+
+    def is_exterior(self, points: Points) -> Bool[np.ndarray, "n"]:
+        """Whether each point can be reached from outside: True where the signed distance is positive."""
+        points = np.ascontiguousarray(points, dtype=np.float64)
+        cell = self._cells.locate(points)
+        unhidden = (cell < 0) | ~self._hidden[cell]
+        exterior = np.zeros(len(points), dtype=bool)
+        exterior[unhidden] = self.distance.distance(points[unhidden]) > self.offset
+        return exterior
+
+    def signed_distance(self, points: Points) -> Float[np.ndarray, "n"]:
+        """Signed distance in metres to the complement of the exterior of {d > offset}; see the class."""
+        points = np.ascontiguousarray(points, dtype=np.float64)
+        signed = self.distance.distance(points) - self.offset
+        cell = self._cells.locate(points)
+        inside = (cell >= 0) & self._hidden[cell]
+        depth = self._nearest(False, points[inside], np.full(int(inside.sum()), np.inf))
+        signed[inside] = np.minimum(signed[inside], -depth)
+        outside = np.flatnonzero(~inside & (signed > 0.0))
+        signed[outside] = self._nearest(True, points[outside], signed[outside])
+        return signed
+
+    def is_reachable(self, points: Points) -> Bool[np.ndarray, "n"]:
+        """Whether a walk up the distance from each point, of `envelope` at most, comes out into the exterior.
+
+        True for the exterior, and for what lies between it and the surface beside it: the skin of thickness `offset`
+        and the cells that cover it. From a point on a surface the walk goes to both sides.
+        """
+        points = np.ascontiguousarray(points, dtype=np.float64)
+        reachable = self.is_exterior(points)
+        undecided = np.flatnonzero(~reachable)
+        d = self.distance.distance(points[undecided])
+        undecided, d = undecided[d < self.envelope], d[d < self.envelope]
+        # Away from the nearest surface; on a surface, to the one side and then to the other.
+        aside = np.random.default_rng(0).normal(size=(len(undecided), 3))
+        aside *= (_ASIDE * (d < _ASIDE) / np.linalg.norm(aside, axis=1))[:, None]
+        for side in (aside, -aside):
+            walkers, going = points[undecided] + side, np.arange(len(undecided))
+            for _ in range(_WALK):
+                here, gradient = self.distance.distance_and_gradient(walkers[going])
+                stride = np.clip(1.1 * self.envelope - here, 0.0, _STRIDE * here)
+                walkers[going] += stride[:, None] * gradient
+                going = going[stride > 0.0]
+            reachable[undecided] |= self.is_exterior(walkers)
+        return reachable
+
+    @property
+    def envelope(self) -> float:
+        """Metres: the most that an exterior point's signed distance lies below d, away from sealed gaps."""
+        reach = SQRT3 * 0.5 * self._cells.side / 2**self._cells.depth
+        return self.offset if reach <= self.offset else 2.0 * reach - self.offset
+
+    @functools.cached_property
+    def sealed_volume(self) -> float:
+        """Cubic metres of the sealed solid: the hidden cells. The skin of thickness `offset` is not counted."""
+        return float(((2.0 * self._cells.half_width[self._hidden]) ** 3).sum())
+
+    @functools.cached_property
+    def _contents(self) -> Int[np.ndarray, "nodes"]:
+        return cell_tree.contents(self._cells.child, self._hidden)
+
+    def _nearest(self, hidden: bool, points: Points, bound: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        """Distance to the hidden, or the open, cells in metres, or the bound if less."""
+        cells = self._cells
+        scaled, limit = cells.scaled(points), bound / cells.unit
+        near, contents = np.empty(len(points)), self._contents
+
+        def work(part: slice) -> None:
+            near[part] = cell_tree.nearest(
+                cells.child, cells.depth, contents, self._hidden, hidden, scaled[part], limit[part]
+            )
+
+        share_among_cores(work, len(points))
+        # Bounds that hold come back untouched by rounding.
+        return np.where(near < limit, near * cells.unit, bound)
+
+
+def _halves(progress: Progress) -> tuple[Progress, Progress]:
+    return (lambda done, line: progress(0.5 * done, line)), (lambda done, line: progress(0.5 + 0.5 * done, line))

@@ -1,0 +1,55 @@
+"""The command that makes the fields of the built-in targets that come with the package.
+
+`python -m keepout.core.learning.shipped` fits and certifies every built-in target; names after it choose some.
+"""
+
+import sys
+from collections.abc import Sequence
+
+from keepout.core.fields.model import FieldModel
+from keepout.core.fields.shipped import shipped_folder
+from keepout.core.geometry.target import Target
+from keepout.core.learning.training import fit
+from keepout.core.proof.certificate import certify
+
+TARGETS = ("intelsat30", "iss", "tiangong")
+CHASER_RADII = (0.0, 0.5)
+"""Metres. Every shipped field is certified for these."""
+SLOPE_PROVED = ("intelsat30",)
+"""Fields whose slope is proved too: minutes for a small network, much longer for those of the stations."""
+
+
+def make(name: str, *, seed: int = 0) -> FieldModel:
+    """Fit and certify the field of a built-in target with the default profile, and put it into the package."""
+
+    def progress(fraction: float, message: str) -> None:
+        print(f"\r{name} {100 * fraction:3.0f} % {message:<90.90}", end="", file=sys.stderr, flush=True)
+
+    target = Target.load(name)
+    path = shipped_folder() / f"{name}.keepout"
+    model = fit(target, seed=seed, checkpoint=path.with_suffix(".checkpoint"), progress=progress)
+    # Saved after every step, so that a run that is stopped loses the certificate it was at, not the fit.
+    model.save(path)
+    for radius in CHASER_RADII:
+        model = certify(
+            model, target, chaser_radius=radius, prove_slope=name in SLOPE_PROVED, seed=seed, progress=progress
+        )
+        model.save(path)
+    print(file=sys.stderr)
+    return model
+
+
+def main(names: Sequence[str]) -> None:
+    """Make the named fields, or all."""
+    for name in names or TARGETS:
+        model = make(name)
+        for c in model.certificates:
+            print(
+                f"{name}: {c.kind} error bound {c.error_bound:+.4f} m at chaser radius {c.chaser_radius:g} m "
+                f"(largest found {c.sampled_maximum:+.4f} m), fitted in {model.training['seconds']:.0f} s, "
+                f"certified in {c.seconds:.0f} s"
+            )
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,294 @@
+"""Learning a field: two phases of gradient descent, the second fed with the worst over-statements found."""
+
+import dataclasses
+import functools
+import json
+import math
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import optax.contrib
+from jaxtyping import Array, Float32, Int
+
+from keepout.core.compiled.kept_programs import keep_programs
+from keepout.core.compiled.xla import NO_LIBRARIES
+from keepout.core.digest import digest
+from keepout.core.errors import FieldError
+from keepout.core.fields import mlp
+from keepout.core.fields.continuation import RadialContinuation
+from keepout.core.fields.domain import Domain
+from keepout.core.fields.model import FieldModel
+from keepout.core.fields.neural import NeuralField
+from keepout.core.geometry.offset_solid import OffsetSolid
+from keepout.core.geometry.target import Target
+from keepout.core.learning import checkpoint as checkpoints
+from keepout.core.learning import losses
+from keepout.core.learning.counter_examples import Hunt
+from keepout.core.learning.learned import Learned
+from keepout.core.learning.profile import TrainingProfile, find_profile
+from keepout.core.learning.sampling import Samples, label, normalised, training_points
+from keepout.core.progress import Progress, silent
+
+BLOCK = 250
+"""Steps between progress reports, checkpoints and counter-example searches; one compiled loop runs them."""
+WATCHED = 4096
+"""Labelled points on which the training curve follows the field's mean error."""
+HARD_SHARE, HARD_WEIGHT = 0.3, 2.0
+TUNING_RATE = 0.4
+SETTLING = 1 / 3
+"""Last share of the counter-example phase, in which under-statement is no longer hunted: it holds what it has gained,
+and the certified side settles last."""
+
+
+CURVE = ("value_term", "gradient_term", "mean_error_m")
+"""Columns of a training curve."""
+
+
+class _State(NamedTuple):
+    """All that a fit needs to go on: the same after a reload, to the bit."""
+
+    layers: mlp.Layers
+    optimizer: optax.OptState
+    hard: losses.Batch
+    block: Int[Array, ""]
+    worst: Float32[Array, ""]
+    """Largest f̃ - R found where a chaser touches, metres."""
+    curve: Float32[Array, "blocks 3"]
+    """After each block: the loss's two terms, and the mean of f̃ - d over `WATCHED` samples, metres."""
+
+
+def fit(
+    target: Target,
+    *,
+    profile: str | TrainingProfile = "default",
+    chaser_radius: float = 0.5,
+    seed: int = 0,
+    checkpoint: Path | None = None,
+    solid: OffsetSolid | None = None,
+    progress: Progress = silent,
+) -> FieldModel:
+    """Learn a neural field of a target.
+
+    Args:
+        target: what to learn.
+        profile: "default", "quick" (rough, for trying out), "paper" or "paper_printed"; or a `TrainingProfile`.
+        chaser_radius: metres; where a chaser of this radius touches, over-statement is hunted as it is on the surface.
+        seed: the same seed, target and profile on the same machine give the same field.
+        checkpoint: a file kept up to date while training and deleted at the end; if it exists, the fit goes on from it.
+        solid: the target's offset solid, if already built.
+        progress: fraction done, and the loss terms, the worst over-statement so far and the time left.
+
+    Raises:
+        FieldError: an unknown profile, a radius that is negative or too large, a checkpoint of another fit, or a loss
+            that is not finite.
+
+    """
+    keep_programs()
+    start = time.perf_counter()
+    distance = target.distance
+    domain = Domain.around(distance)
+    numbers = find_profile(profile).for_size(domain.target_radius).for_chaser(chaser_radius)
+    name = profile if isinstance(profile, str) else "custom"
+    largest = domain.domain_radius - domain.target_radius
+    if not 0.0 <= chaser_radius <= largest:
+        raise FieldError(f"chaser radius {chaser_radius:g} m: for {target.name} it must be 0 to {largest:.3g} m")
+    if solid is None:
+        solid = OffsetSolid.build(distance, progress=lambda part, text: progress(0.08 * part, f"offset solid: {text}"))
+    generator = np.random.default_rng(seed)
+    progress(0.08, "labelling samples")
+    points = training_points(distance, domain, numbers.samples, generator, room_share=numbers.room_share)
+    samples = label(solid, points, whole_depth=numbers.loss != "keepout")
+    watched = _watched(samples)
+    hunt = None
+    if numbers.tuning_steps:
+        hunt = Hunt.prepare(solid, domain, chaser_radius, numbers, generator)
+    data = normalised(samples, domain, numbers.near / (np.abs(samples.distance) + numbers.near))
+    examples = losses.Parted.by(numbers, data)
+
+    fingerprint = _fingerprint(target, solid, numbers, chaser_radius, seed)
+    state = _initial(numbers, data, hunt.kept if hunt else 0, seed)
+    if checkpoint is not None and checkpoint.exists():
+        state = checkpoints.load(checkpoint, state, fingerprint)
+
+    main_blocks, tuning_blocks = numbers.steps // BLOCK, numbers.tuning_steps // BLOCK
+    blocks, first, clock = main_blocks + tuning_blocks, int(state.block), time.perf_counter()
+    for block in range(first, blocks):
+        tuning = block >= main_blocks
+        if hunt is not None and tuning:
+            known = np.asarray(state.hard.x, np.float64) * domain.learned_radius + domain.centre
+            fresh, worst = hunt.worst(
+                Learned(state.layers, numbers.beta, domain),
+                known,
+                np.random.default_rng((seed, block)),
+                settling=blocks - block <= SETTLING * tuning_blocks,
+            )
+            hard = jax.tree.map(lambda new, old: jnp.concatenate([new, old])[: len(old)], fresh, state.hard)
+            state = state._replace(hard=hard, worst=jnp.asarray(worst, jnp.float32))
+        if block == main_blocks:
+            state = state._replace(optimizer=_optimizer(numbers, tuning).init(state.layers))
+        layers, optimizer, value_term, slope_term = _train_block(
+            numbers, domain.learned_radius, tuning, state, examples, jax.random.fold_in(jax.random.key(seed), block)
+        )
+        offset = Learned(layers, numbers.beta, domain).value(watched.points.astype(np.float64)) - watched.distance
+        reached = jnp.stack([value_term, slope_term, jnp.asarray(offset.mean(), jnp.float32)])
+        curve = state.curve.at[block].set(reached)
+        block_done = jnp.asarray(block + 1, state.block.dtype)
+        state = state._replace(layers=layers, optimizer=optimizer, block=block_done, curve=curve)
+        if not math.isfinite(float(value_term)):
+            raise FieldError(f"training of {target.name}: the loss is not finite at step {(block + 1) * BLOCK}")
+        if checkpoint is not None:
+            checkpoints.save(checkpoint, state, fingerprint)
+        if block == first:  # it has compiled too, and tells nothing of the others
+            clock, left = time.perf_counter(), ""
+        else:
+            left = f", {(time.perf_counter() - clock) / (block - first) * (blocks - block - 1):.0f} s left"
+        found = f", worst over-statement {float(state.worst):+.3f} m" if tuning else ""
+        text = f"distance {float(value_term):.4f}, gradient {float(slope_term):.4f}{found}{left}"
+        progress(0.1 + 0.89 * (block + 1) / blocks, text)
+
+    field = _finished(Learned(state.layers, numbers.beta, domain), solid, generator)
+    training = {
+        "profile": name,
+        "numbers": dataclasses.asdict(numbers),
+        "chaser_radius": chaser_radius,
+        "seed": seed,
+        "sloped_share": len(examples.sloped.x) / len(data.x),
+        "seconds": time.perf_counter() - start,
+        "closing_radius": solid.closing_radius,
+        "curve": {
+            "steps": [BLOCK * (block + 1) for block in range(blocks)],
+            **{name: column.tolist() for name, column in zip(CURVE, np.asarray(state.curve, np.float64).T)},
+        },
+        "jax": jax.__version__,
+        "device": jax.devices()[0].platform,
+    }
+    if checkpoint is not None:
+        checkpoint.unlink(missing_ok=True)
+    progress(1.0, "done")
+    return FieldModel(field, target.name, target.sha256, solid.offset, training)
+
+
+def _fingerprint(target: Target, solid: OffsetSolid, profile: TrainingProfile, chaser_radius: float, seed: int) -> str:
+    entries = [target.sha256, solid.offset, solid.closing_radius, dataclasses.asdict(profile), chaser_radius, seed]
+    return digest(json.dumps(entries))
+
+
+def _initial(profile: TrainingProfile, data: losses.Batch, hard_count: int, seed: int) -> _State:
+    """He-scaled weights (He et al. 2015); first-layer kinks spread over the unit ball; the output starts positive."""
+    width, depth = profile.width, profile.depth
+    sizes = [3] + [width] * depth + [1]
+    keys = jax.random.split(jax.random.key(seed), depth + 2)
+    weights = [
+        jax.random.normal(key, (n_out, n_in), jnp.float32) * jnp.float32(math.sqrt(2.0 / n_in))
+        for key, n_in, n_out in zip(keys, sizes[:-1], sizes[1:])
+    ]
+    weights[0] = weights[0] * jnp.float32(math.sqrt(1.5))
+    weights[-1] = weights[-1] * jnp.float32(0.5)
+    biases = [jnp.zeros(n, jnp.float32) for n in sizes[1:]]
+    biases[0] = jax.random.uniform(keys[-1], (width,), jnp.float32, -0.5, 0.5)
+    layers = mlp.Layers(tuple(weights), tuple(biases))
+    hard = jax.tree.map(lambda a: jnp.resize(a, (hard_count, *a.shape[1:])), data)
+    optimizer = _optimizer(profile, tuning=False).init(layers)
+    blocks = profile.steps // BLOCK + profile.tuning_steps // BLOCK
+    curve = jnp.full((blocks, len(CURVE)), jnp.nan, jnp.float32)
+    return _State(layers, optimizer, hard, jnp.asarray(0, jnp.int32), jnp.asarray(jnp.inf, jnp.float32), curve)
+
+
+def _watched(samples: Samples) -> Samples:
+    """Give the samples on which the training curve follows the field: evenly picked, of those with a label."""
+    labelled = np.flatnonzero(~samples.hidden)
+    picked = labelled[np.linspace(0, len(labelled) - 1, min(WATCHED, len(labelled))).astype(int)]
+    return Samples(*(getattr(samples, entry.name)[picked] for entry in dataclasses.fields(Samples)))
+
+
+def _optimizer(profile: TrainingProfile, tuning: bool) -> optax.GradientTransformation:
+    steps = profile.tuning_steps if tuning else profile.steps
+
+    def schedule(start: float) -> optax.Schedule:
+        rate = start * (TUNING_RATE if tuning else 1.0)
+        if profile.halving:
+            return optax.exponential_decay(rate, profile.halving, 0.5, staircase=True)
+        return optax.warmup_cosine_decay_schedule(0.1 * rate, rate, min(100, steps // 10), steps, 0.01 * rate)
+
+    if profile.optimizer == "adam":
+        return optax.adam(schedule(profile.learning_rate), b2=profile.adam_b2)
+    return optax.contrib.muon(
+        schedule(profile.muon_rate),
+        adam_learning_rate=schedule(profile.learning_rate),
+        adam_b2=profile.adam_b2,
+        muon_weight_dimension_numbers=_hidden_matrices,  # pyright: ignore[reportArgumentType]
+    )
+
+
+def _hidden_matrices(layers: Any) -> Any:
+    """Muon is for matrices between hidden layers; the first and the last are coordinates and one output."""
+    last = len(layers.weights) - 1
+    hidden = optax.contrib.MuonDimensionNumbers()
+    weights: Any = tuple(hidden if 0 < i < last else None for i in range(last + 1))
+    biases: Any = tuple(None for _ in layers.biases)
+    return mlp.Layers(weights, biases)
+
+
+@functools.partial(jax.jit, static_argnums=(0, 1, 2), compiler_options=NO_LIBRARIES)
+def _train_block(profile: TrainingProfile, scale: float, tuning: bool, state: _State, data: losses.Parted, key: Array):
+    """`BLOCK` steps in one compiled loop.
+
+    Each step's easy points have the kinds of `losses.Parted` in the shares in which all of them have.
+    """
+    optimizer = _optimizer(profile, tuning)
+    counts = [len(part.x) for part in data]
+    batch = min(profile.batch, sum(counts))
+    hard = round(HARD_SHARE * batch) if tuning else 0
+    plain = round((batch - hard) * counts[1] / sum(counts))
+    sloped = batch - hard - plain
+
+    def loss(layers: mlp.Layers, rows: losses.Batch):
+        value_term, slope_term = losses.terms(layers, profile, scale, rows, hard + sloped)
+        weight = jnp.ones(batch, jnp.float32).at[:hard].set(HARD_WEIGHT)
+        value_mean, slope_mean = jnp.mean(weight * value_term), jnp.sum(weight[: hard + sloped] * slope_term) / batch
+        return value_mean + slope_mean, (value_mean, slope_mean)
+
+    def drawn(key: Array, part: losses.Batch, number: int) -> losses.Batch:
+        row = jax.random.randint(key, (number,), 0, max(len(part.x), 1))
+        return jax.tree.map(lambda column: column[row], part)
+
+    def step(carry, step_key):
+        layers, optimizer_state = carry
+        if batch == sum(counts) and not tuning:
+            parts = list(data)
+        else:
+            draws = zip(jax.random.split(step_key, 3), (state.hard, *data), (hard, sloped, plain))
+            parts = [drawn(*draw) for draw in draws]
+        rows = jax.tree.map(lambda *columns: jnp.concatenate(columns), *parts)
+        (_, means), gradient = jax.value_and_grad(loss, has_aux=True)(layers, rows)
+        updates, optimizer_state = optimizer.update(gradient, optimizer_state, layers)
+        return (optax.apply_updates(layers, updates), optimizer_state), means
+
+    keys = jax.random.split(key, BLOCK)
+    (layers, optimizer_state), (value_term, slope_term) = jax.lax.scan(step, (state.layers, state.optimizer), keys)
+    return layers, optimizer_state, value_term.mean(), slope_term.mean()
+
+
+def _finished(learned: Learned, solid: OffsetSolid, generator: np.random.Generator) -> NeuralField:
+    """Give the field its continuation, lowered by what it over-states on the shell it continues from."""
+    domain = learned.domain
+
+    def build(allowance: float) -> NeuralField:
+        lengths = (domain.target_radius, domain.domain_radius, domain.outer_radius, allowance)
+        continuation = RadialContinuation(
+            jnp.asarray(domain.centre), *(jnp.asarray(length, jnp.float64) for length in lengths)
+        )
+        return NeuralField(learned.layers, jnp.asarray(domain.learned_radius, jnp.float64), continuation, learned.beta)
+
+    direction = generator.normal(size=(40_000, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    radius = generator.uniform(domain.domain_radius, domain.learned_radius, size=(len(direction), 1))
+    shell = domain.centre + radius * direction
+    excess = learned.value(shell) - solid.signed_distance(shell)
+    # A quarter above the largest of 40,000 samples of a smooth far field; `certify` does not rest on it.
+    return build(1.25 * max(float(excess.max()), 0.0) + 0.01)

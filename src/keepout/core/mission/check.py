@@ -1,0 +1,309 @@
+"""What flying a scenario would mean, found out without flying it: in words, in numbers, and what would be refused."""
+
+import math
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from keepout.core.control.law import Condition
+from keepout.core.control.operation import Operation
+from keepout.core.control.profiles import ControlWarning
+from keepout.core.control.tuning import tune
+from keepout.core.errors import KeepoutError, KeepOutZoneError
+from keepout.core.fields.evaluate import values
+from keepout.core.fields.model import FieldModel
+from keepout.core.geometry.target import Target
+from keepout.core.mission import environment
+from keepout.core.mission.assumptions import broken_assumptions, guard_numbers
+from keepout.core.mission.build import Mission, load_model, prepare
+from keepout.core.mission.expected import Expected, expected
+from keepout.core.mission.first_look import require_files
+from keepout.core.mission.law import operation
+from keepout.core.mission.nearest import Nearest, nearest_place, number_refusal, remedies
+from keepout.core.mission.places import has_way_out, room_to_start
+from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.target import load_target, require_apart
+from keepout.core.mission.words import in_words
+from keepout.core.progress import Progress, part_of, silent
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """One reason why a scenario would not be flown, and values with which that reason falls away.
+
+    Attributes:
+        said: the refusal, one line.
+        nearest: values of single entries, each of which would do; none where none was found.
+
+    """
+
+    said: str
+    nearest: tuple[Nearest, ...] = ()
+
+
+@dataclass(frozen=True)
+class Check:
+    """What is known of a scenario before it is flown.
+
+    Attributes:
+        scenario: that was looked at.
+        words: what will be flown, a sentence each.
+        refusals: why it would not be flown; none if it would.
+        conditions: the law's design conditions with their numbers; none where the law cannot be built.
+        guard: what the guard assumes and what follows from it, as numbers; None without one.
+        start_certified: whether the guard's theorem holds from the start; None without a guard.
+        assumptions_broken: what would be flown beyond what the scenario declares.
+        expected: estimates of way, time and Δv; None where nothing would be flown.
+        remarks: what else is worth knowing.
+
+    """
+
+    scenario: Scenario
+    words: tuple[str, ...]
+    refusals: tuple[Refusal, ...] = ()
+    conditions: tuple[Condition, ...] = ()
+    guard: dict[str, Any] | None = None
+    start_certified: bool | None = None
+    assumptions_broken: tuple[str, ...] = ()
+    expected: Expected | None = None
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def flies(self) -> bool:
+        """Whether `keepout fly` would fly it."""
+        return not self.refusals
+
+    def summary(self) -> dict[str, Any]:
+        """Give everything as plain values for JSON."""
+        return {
+            "scenario": self.scenario.name,
+            "flies": self.flies,
+            "words": list(self.words),
+            "refusals": [
+                {"said": refusal.said, "nearest": [vars(nearest) for nearest in refusal.nearest]}
+                for refusal in self.refusals
+            ],
+            "conditions": [
+                {**condition._asdict(), "margin": margin(condition), "required": condition.required}
+                for condition in self.conditions
+            ],
+            "guard": self.guard,
+            "start_certified": self.start_certified,
+            "assumptions_broken": list(self.assumptions_broken),
+            "expected": None if self.expected is None else self.expected.summary(),
+            "remarks": list(self.remarks),
+        }
+
+
+def margin(condition: Condition) -> float:
+    """Give how far a condition's number is from its limit: positive where it holds, negative where it does not."""
+    away = abs(condition.value - condition.limit)
+    return away if condition.satisfied else -away
+
+
+def check(
+    scenario: Scenario | str | Path,
+    *,
+    target: Target | None = None,
+    model: FieldModel | None = None,
+    progress: Progress = silent,
+) -> Check:
+    """Find out what flying a scenario would mean.
+
+    Refusals of the numbers, of the places and of the field are looked for one after the other, so that several are told
+    at once; the law and the guard are built only where none of these is found.
+
+    Args:
+        scenario: what would be flown, or the path of its TOML file.
+        target: already loaded; else the scenario's.
+        model: its field, already loaded; else the scenario's.
+        progress: called as the work goes on.
+
+    Raises:
+        ScenarioError: the file is not a scenario.
+        MeshError: the mesh cannot be used.
+
+    """
+    scenario = Scenario.of(scenario)
+    progress(0.0, "target")
+    target = load_target(scenario.target) if target is None else target
+    words = in_words(scenario, target)
+    broken = broken_assumptions(scenario, target) if _bounded(scenario) else ()
+    found: list[Refusal] = []
+    progress(0.1, "numbers")
+    refused = number_refusal(scenario, target)
+    if refused is not None:
+        found.append(Refusal(str(refused), tuple(remedies(scenario, target))))
+    progress(0.25, "places")
+    touching = _touching(scenario, target)
+    try:
+        if model is None:
+            require_files(scenario)
+            model = load_model(scenario, target)
+        model.require_target(target, where="field")
+        model.certificate(scenario.chaser.radius)
+    except KeepoutError as refusal:
+        found.append(Refusal(str(refusal), _certified_radius(scenario, model)))
+        model = None
+    for name, said in touching.items():
+        near = _beside_mesh(scenario, target, name) if found or model is None else None
+        if near is None and model is not None:
+            near = _free_place(scenario, target, model, name, said, part_of(progress, 0.3, 0.9))
+        found.append(Refusal(said, near or ()))
+    if found or model is None:
+        return Check(scenario, words, tuple(found), assumptions_broken=broken)
+    try:
+        mission = _prepared(scenario, target, model, part_of(progress, 0.3, 0.8))
+    except KeepoutError as refusal:
+        name = _named(refusal)
+        near = () if name is None else _free_place(scenario, target, model, name, str(refusal), progress)
+        return Check(scenario, words, (Refusal(str(refusal), near),), assumptions_broken=broken)
+    progress(0.85, "way")
+    estimate = expected(mission)
+    progress(1.0, "")
+    return Check(
+        scenario,
+        words,
+        conditions=mission.setup.controller.conditions,
+        guard=None if mission.guard is None else guard_numbers(mission.guard, scenario),
+        start_certified=mission.start_certified,
+        assumptions_broken=broken,
+        expected=estimate,
+        remarks=_remarks(mission, estimate),
+    )
+
+
+def _prepared(scenario: Scenario, target: Target, model: FieldModel, progress: Progress = silent) -> Mission:
+    """Build the mission; that the paper's law violates conditions is shown with them, not warned of."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ControlWarning)
+        return prepare(scenario, target=target, model=model, progress=progress)
+
+
+def _bounded(scenario: Scenario) -> bool:
+    try:
+        environment.disturbance_bound(scenario)
+    except KeepoutError:
+        return False
+    return True
+
+
+def _touching(scenario: Scenario, target: Target) -> dict[str, str]:
+    """Give the refusals of a start and a goal that touch the target, by name."""
+    # The other of the two stands where it touches nothing, so that each is told of.
+    away = (float(2.0 * np.abs(target.vertices).max() + 10.0 + 2.0 * scenario.chaser.radius), 0.0, 0.0)
+    found = {}
+    for name, other in (("start", "goal"), ("goal", "start")):
+        try:
+            require_apart(scenario.replace(**{other: {"position": away}}), target)
+        except KeepoutError as refusal:
+            found[name] = str(refusal)
+    return found
+
+
+def _with_way_out(
+    scenario: Scenario, target: Target, points: Float[np.ndarray, "n 3"], roomy: Bool[np.ndarray, " n"]
+) -> Bool[np.ndarray, " n"]:
+    """Keep of the points with room the first one that is proved to have a way out, as one is all that is asked for."""
+    kept = np.zeros(len(points), dtype=bool)
+    for place in np.flatnonzero(roomy):
+        if has_way_out(scenario, target, points[place]):
+            kept[place] = True
+            break
+    return kept
+
+
+def _place(scenario: Scenario, target: Target, name: str, free: Any) -> tuple[Nearest, ...]:
+    place = np.asarray(getattr(scenario, name).position)
+    size = float(np.ptp(target.vertices, axis=0).max())
+    near = nearest_place(free, place, 2.0 * size + 10.0)
+    if near is None:
+        return ()
+    away = math.dist(near, place)
+    words = f"{name}.position = [{', '.join(f'{x:g}' for x in near)}], {away:.3g} m away, is free"
+    return (Nearest(f"{name}.position", near, words),)
+
+
+def _certified_radius(scenario: Scenario, model: FieldModel | None) -> tuple[Nearest, ...]:
+    """Give the chaser radius nearest to the scenario's for which the field is certified."""
+    if model is None:
+        try:
+            model = load_model(scenario, load_target(scenario.target))
+        except KeepoutError:
+            return ()
+    radii = sorted(
+        (certificate.chaser_radius for certificate in model.certificates),
+        key=lambda radius: abs(radius - scenario.chaser.radius),
+    )
+    return tuple(Nearest("chaser.radius", radius, f"chaser.radius = {radius:g} m") for radius in radii[:1])
+
+
+def _named(refusal: KeepoutError) -> str | None:
+    """Say which of start and goal a refusal is about, if it is about one of them."""
+    if isinstance(refusal, KeepOutZoneError):
+        return refusal.place
+    said = str(refusal)
+    if "at the goal" in said or said.removeprefix("guard: ").startswith("goal"):
+        return "goal"
+    return "start" if "at the start" in said or said.removeprefix("guard: ").startswith("start") else None
+
+
+def _beside_mesh(scenario: Scenario, target: Target, name: str) -> tuple[Nearest, ...]:
+    """Give a place near a start or goal with room beside the mesh; what a field says of it is not known."""
+    room = room_to_start(scenario)
+
+    def free(points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+        return _with_way_out(scenario, target, points, target.distance.distance(points) > room)
+
+    return _place(scenario, target, name, free)
+
+
+def _free_place(
+    scenario: Scenario, target: Target, model: FieldModel, name: str, said: str, progress: Progress
+) -> tuple[Nearest, ...]:
+    """Give a place near a start or goal that was refused, with which law and guard can be built."""
+    designed = operation(scenario, model)
+    least = designed.keep_out + _own_offset(scenario, designed)
+    # Beside what the law keeps there is the guard's tube; where that is not enough, more.
+    for extra in (0.01, 0.25, 0.5, 1.0):
+
+        def free(points: Float[np.ndarray, "n 3"], least: float = least + extra) -> Bool[np.ndarray, " n"]:
+            return _with_way_out(scenario, target, points, values(model.field, points) > least)
+
+        near = _place(scenario, target, name, free)
+        if not near:
+            return ()
+        progress(0.9, "nearest place")
+        try:
+            _prepared(scenario.replace(**{name: {"position": near[0].value}}), target, model)
+        except KeepoutError as again:
+            if _named(again) == name or str(again) == said:
+                continue
+        return near
+    return ()
+
+
+def _own_offset(scenario: Scenario, designed: Operation) -> float:
+    return tune(designed).nominal_offset if scenario.control.profile == "default" else 0.0
+
+
+def _remarks(mission: Mission, estimate: Expected) -> tuple[str, ...]:
+    """Say what is not refused and still worth knowing."""
+    found = []
+    duration = mission.scenario.duration
+    if estimate.duration is None:
+        found.append("the safe velocity does not lead to the goal: the law gets stuck, or another guidance is needed")
+    elif estimate.duration > duration:
+        found.append(
+            f"duration {duration:g} s is shorter than the {estimate.duration:.0f} s that the way is expected to take: "
+            f"the goal will not be reached; duration = {math.ceil(1.2 * estimate.duration + 50.0):g} gives it time"
+        )
+    if mission.start_certified is False:
+        found.append("the start is not certified: the guard promises nothing until it has a plan")
+    found += [f"beyond the guard's assumptions: {broken}" for broken in mission.assumptions_broken]
+    found += [str(c) for c in mission.setup.controller.conditions if not c.satisfied]
+    return tuple(found)

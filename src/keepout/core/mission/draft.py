@@ -1,0 +1,238 @@
+"""A scenario drafted for a target: sizes, a free start and goal, a speed that the thrusters honour, enough time."""
+
+import math
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from keepout.core.errors import KeepoutError, ScenarioError
+from keepout.core.mission.commented import commented
+from keepout.core.mission.scenario import Scenario
+from keepout.core.progress import Progress, silent
+
+if TYPE_CHECKING:
+    from keepout.core.geometry.target import Target
+
+_STAND_OFF = 3.0
+"""Metres from the target's bounding box, beside chaser and margin, at which a drafted flight begins and ends."""
+_SLOWEST = 0.005
+"""Metres a second below which no speed limit is drafted."""
+_SHARE = 0.8
+"""Of the largest speed that the thrusters honour, the most that is drafted."""
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A drafted scenario.
+
+    Attributes:
+        scenario: as it would be flown.
+        text: its TOML.
+        values: the entries in force, by dotted name.
+        honoured_speed: the largest speed limit that the thrusters honour, m/s; None where no target was given.
+        extents: of the target's bounding box, m; None likewise.
+        remarks: what is to be done before it can be flown.
+
+    """
+
+    scenario: Scenario
+    text: str
+    values: dict[str, Any]
+    honoured_speed: float | None = None
+    extents: tuple[float, float, float] | None = None
+    remarks: tuple[str, ...] = field(default=())
+
+
+def draft(
+    source: str | None = None,
+    *,
+    name: str = "mission",
+    folder: Path = Path(),
+    profile: str = "default",
+    units: str | None = None,
+    scale: float | None = None,
+    drop_stray: bool = False,
+    progress: Progress = silent,
+) -> Draft:
+    """Draft a scenario for a target, or the built-in one where none is given.
+
+    Args:
+        source: a mesh file, or a built-in target's name.
+        name: of the mission.
+        folder: where the file is going to be; file names in it are relative to that.
+        profile: of the control law, "default" or "paper".
+        units: of the mesh file.
+        scale: of the mesh file, m a unit, instead of `units`.
+        drop_stray: leave out parts of the mesh far from the rest.
+        progress: called as the work goes on.
+
+    Raises:
+        KeepoutError: the mesh cannot be used, or no speed limit can be flown around it.
+
+    """
+    values: dict[str, Any] = {"name": name, "seed": 0, "control.profile": profile}
+    if source is None:
+        defaults = Scenario.parse({"name": name, "control": {"profile": profile}})
+        values |= _numbers(defaults)
+        values |= {"target.source": defaults.target.source, "field.source": defaults.field.source}
+        return Draft(defaults, _written(values, {}, (), source), values)
+    from keepout.core.mission.first_look import shipped_fields
+    from keepout.core.mission.target import load_target
+
+    progress(0.0, "target")
+    mesh = {"source": source, "units": units, "scale": scale, "drop_stray": drop_stray or None}
+    given = {key: value for key, value in mesh.items() if value is not None}
+    target = load_target(Scenario.parse({"target": given}).target)
+    remarks: tuple[str, ...] = ()
+    is_file = Path(source).exists() and target.name != source
+    if is_file:
+        given["source"] = _relative(Path(source), folder)
+    values |= {f"target.{key}": value for key, value in given.items()}
+    if source in shipped_fields():
+        values["field.source"] = "shipped"
+    else:
+        learned = Path(folder) / f"{target.name}.keepout"
+        values["field.source"] = learned.name
+        if not learned.exists():
+            options = "".join(
+                f" --{key.replace('_', '-')}" + ("" if value is True else f" {value}")
+                for key, value in given.items()
+                if key != "source"
+            )
+            radius = Scenario().chaser.radius
+            remarks = (f"keepout fit {source}{options} --chaser-radius {radius:g} --certify -o {learned}",)
+    progress(0.3, "start and goal")
+    start, goal, way = _places(target)
+    values |= {"start.position": start, "goal.position": goal}
+    resolved = {key: value for key, value in values.items() if key != "target.source"} | {"target.source": source}
+    progress(0.5, "speed")
+    scenario, honoured = _honoured(_parsed(resolved), target)
+    speed = scenario.chaser.speed_limit
+    # Half as long again as the way round the bounding box takes, and time to come to rest.
+    duration = 100.0 * math.ceil((1.5 * way / speed + 200.0) / 100.0)
+    scenario = scenario.replace(duration=duration)
+    values = _numbers(scenario) | values
+    width, depth, height = (target.vertices.max(axis=0) - target.vertices.min(axis=0)).tolist()
+    notes = {
+        "target.source": f"its box is {width:.3g} x {depth:.3g} x {height:.3g} m",
+        "chaser.speed_limit": f"the thrusters honour up to {honoured:.3g}",
+        "start.position": "free, with room",
+        "goal.position": "free, with room",
+        "duration": f"a way of {way:.3g} m round the target at the speed limit takes {way / speed:.3g} s",
+    }
+    return Draft(
+        scenario,
+        _written(values, notes, remarks, source),
+        values,
+        honoured,
+        (width, depth, height),
+        remarks,
+    )
+
+
+def _written(values: dict[str, Any], notes: dict[str, str], remarks: tuple[str, ...], source: str | None) -> str:
+    head = [
+        f"A scenario of Keepout{f' around {Path(source).name}' if source else ''}. All entries are in SI units.",
+        "What stands behind `#` is not in force: it shows an entry's default, or an example where there is none.",
+        "`keepout scenario check` says what will be flown; `keepout fly` flies it.",
+    ]
+    if remarks:
+        head += ["Its field is to be learned first:", *(f"  {remark}" for remark in remarks)]
+    return commented(values, notes=notes, head=head)
+
+
+def _numbers(scenario: Scenario) -> dict[str, Any]:
+    """Give the entries that every flight is about."""
+    return {
+        "duration": scenario.duration,
+        **{f"chaser.{key}": value for key, value in scenario.chaser.model_dump().items()},
+        "safety.margin": scenario.safety.margin,
+        "guard.enabled": scenario.guard.enabled,
+        "control.profile": scenario.control.profile,
+        "control.period": scenario.control.period,
+        "orbit.semi_major_axis": scenario.orbit.semi_major_axis,
+        "orbit.eccentricity": scenario.orbit.eccentricity,
+        "attitude.kind": scenario.attitude.kind,
+        "disturbance.kind": scenario.disturbance.kind,
+        "start.position": scenario.start.position,
+        "start.velocity": scenario.start.velocity,
+        "goal.position": scenario.goal.position,
+        "goal.tolerance": scenario.goal.tolerance,
+    }
+
+
+def _parsed(values: dict[str, Any]) -> Scenario:
+    tree: dict[str, Any] = {}
+    for name, value in values.items():
+        table, _, key = name.rpartition(".")
+        (tree.setdefault(table, {}) if table else tree)[key] = value
+    return Scenario.parse(tree)
+
+
+def _relative(source: Path, folder: Path) -> str:
+    """Name a file as seen from a folder, with forward slashes."""
+    try:
+        return Path(os.path.relpath(source.resolve(), Path(folder).resolve())).as_posix()
+    except ValueError:  # on another drive
+        return source.resolve().as_posix()
+
+
+def _places(
+    target: "Target",
+) -> tuple[tuple[float, float, float], tuple[float, float, float], float]:
+    """Give a start and a goal on two sides of the target, m, and the length of a way round it between them, m.
+
+    They lie across the second longest side of its bounding box, and the way leads over the shortest.
+
+    Raises:
+        ScenarioError: one of them is not proved to be outside the target.
+
+    """
+    import numpy as np
+
+    from keepout.core.mission.places import has_way_out, room_to_start
+
+    chaser = Scenario()
+    room = room_to_start(chaser)
+    lower, upper = target.distance.lower, target.distance.upper
+    centre, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
+    over, across, _ = np.argsort(half, kind="stable")
+    away = float(half[across]) + room + _STAND_OFF
+    places: list[tuple[float, float, float]] = []
+    for side, rise in ((1.0, 0.6), (-1.0, -0.4)):
+        place = centre.copy()
+        place[across] += side * away
+        place[over] += rise * (float(half[over]) + room)
+        place = np.round(place, 1)
+        if float(target.distance.distance(place[None])[0]) < room or not has_way_out(chaser, target, place):
+            raise ScenarioError(f"{target.name}: {place.tolist()} m is not free; give start and goal by hand")
+        x, y, z = place.tolist()
+        places.append((x, y, z))
+    rise = 2.0 * (float(half[over]) + room)
+    return places[0], places[1], 2.0 * away + rise
+
+
+def _honoured(scenario: Scenario, target: "Target") -> tuple[Scenario, float]:
+    """Give the scenario with a speed limit that law and guard honour, and the largest one that they do, m/s.
+
+    Raises:
+        KeepoutError: they honour none.
+
+    """
+    from keepout.core.mission.nearest import nearest_number, number_refusal
+
+    def at(speed: float) -> Scenario:
+        return scenario.replace(chaser={"speed_limit": speed})
+
+    def refused(speed: float) -> KeepoutError | None:
+        return number_refusal(at(speed), target)
+
+    fastest = 1.0
+    honoured = fastest if refused(fastest) is None else nearest_number(refused, fastest, _SLOWEST)
+    if honoured is None:
+        refusal = refused(_SLOWEST)
+        assert refusal is not None
+        raise refusal
+    wanted = min(scenario.chaser.speed_limit, math.floor(_SHARE * honoured * 1000.0) / 1000.0)
+    return at(max(wanted, _SLOWEST)), honoured

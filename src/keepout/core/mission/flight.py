@@ -1,0 +1,238 @@
+"""One scenario flown, and its clearance audited on the exact mesh."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from keepout.core.audit.audit import Audit, Contact, audit
+from keepout.core.audit.tube import FlightBounds
+from keepout.core.fields.model import FieldModel
+from keepout.core.flight import loop
+from keepout.core.flight.outcome import FlightOutcome, outcome
+from keepout.core.flight.record import FlightRecord
+from keepout.core.flight.setup import FlightSetup
+from keepout.core.geometry.target import Target
+from keepout.core.mission import environment
+from keepout.core.mission.assumptions import guard_numbers
+from keepout.core.mission.build import Mission, prepare
+from keepout.core.mission.navigation import suite_of
+from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.statuses import flag_counts, legend, status_counts
+from keepout.core.progress import Progress, part_of, silent
+
+
+@dataclass(frozen=True)
+class Flight:
+    """One flown scenario: what was recorded, what became of it, and the audit on the exact mesh.
+
+    Attributes:
+        scenario: as it was flown.
+        target: its mesh.
+        record: the flight's rows.
+        outcome: what became of it.
+        audit: the verdict on the exact mesh.
+        clearance: from the chaser's surface to the mesh at every recorded sample, m.
+        violated_conditions: the design conditions that the law does not meet, each with its numbers.
+        start_certified: whether the guard's theorem holds from the start; None without a guard.
+        assumptions_broken: what is flown beyond what the scenario declares.
+        guard: what the guard assumes and what follows, as numbers; None without a guard.
+        mission: what was flown, with its fields; None where it is not at hand.
+
+    """
+
+    scenario: Scenario
+    target: Target
+    record: FlightRecord
+    outcome: FlightOutcome
+    audit: Audit
+    clearance: Float[np.ndarray, "samples"]
+    violated_conditions: tuple[str, ...] = ()
+    start_certified: bool | None = None
+    assumptions_broken: tuple[str, ...] = ()
+    guard: dict[str, Any] | None = None
+    mission: Mission | None = None
+
+    def summary(self) -> dict[str, Any]:
+        """Give the flight's figures as plain numbers for JSON.
+
+        `contact` is true unless the audit proves that there was none; `contact_verdict` tells the cases apart.
+        """
+        return {
+            "reached": bool(self.outcome.reached),
+            "contact": self.audit.contact is not Contact.NO,
+            "contact_verdict": str(self.audit.contact),
+            "minimum_clearance_m": self.audit.minimum_clearance,
+            "final_error_m": float(self.outcome.final_error),
+            "delta_v_mps": float(self.outcome.delta_v),
+            "propellant_kg": None if self.outcome.propellant is None else float(self.outcome.propellant),
+            "saturated_fraction": float(self.outcome.saturated_fraction),
+            "guard_interventions": int(self.outcome.guard_interventions),
+            "time_to_reach_s": float(self.outcome.time_to_reach) if self.outcome.reached else None,
+            "largest_speed_mps": self.audit.largest_speed,
+            "statuses": status_counts(self.outcome),
+            "start_certified": self.start_certified,
+            "assumptions_broken": list(self.assumptions_broken),
+            "guard": self.guard,
+            "guard_flags": self.guard_flags(),
+            "navigation": self.navigation_figures(),
+            "faults": self.scenario.faults.model_dump(exclude_defaults=True),
+            "violated_conditions": list(self.violated_conditions),
+            "remarks": list(self.audit.remarks),
+        }
+
+    def guard_flags(self) -> dict[str, int]:
+        """Count the steps in which the guard raised each flag; flags never raised are left out."""
+        return flag_counts(self.record.guard_status[:-1])
+
+    def navigation_figures(self) -> dict[str, Any] | None:
+        """Give what the sensors left to know, and what was made of it; None where no sensors fly.
+
+        The errors are those of the law's estimate at the control steps flown. `probability_beyond` bounds the
+        probability per flight that the guard's set misses the truth because noise went beyond its bound.
+        """
+        record, entry = self.record, self.scenario.navigation
+        if entry.suite == "none" or record.outliers is None or record.contradicted is None:
+            return None
+        assumed = environment.guard_assumptions(self.scenario, self.target)
+        figures: dict[str, Any] = {
+            "suite": entry.suite,
+            "estimate": entry.estimate,
+            "position_error_cap_m": float(assumed.position_error),
+            "velocity_error_cap_mps": float(assumed.velocity_error),
+        }
+        for name, unit in (("position", "m"), ("velocity", "mps")):
+            wrong = np.linalg.norm(getattr(record, f"estimated_{name}") - getattr(record, name), axis=1)[:-1]
+            figures[f"{name}_error_rms_{unit}"] = float(np.sqrt(np.mean(wrong**2)))
+            figures[f"{name}_error_largest_{unit}"] = float(wrong.max())
+        return figures | {
+            "outliers": int(record.outliers[:-1].sum()),
+            "contradicted_steps": int(record.contradicted[:-1].sum()),
+            "probability_beyond": suite_of(entry).probability_beyond(record.steps),
+        }
+
+
+def fly(
+    scenario: Scenario | str | Path,
+    *,
+    target: Target | None = None,
+    model: FieldModel | None = None,
+    progress: Progress = silent,
+) -> Flight:
+    """Fly one scenario and audit its clearance on the exact mesh.
+
+    Args:
+        scenario: what to fly, or the path of its TOML file.
+        target: already loaded; else the scenario's.
+        model: its field, already loaded; else the scenario's.
+        progress: called as the work goes on.
+
+    Raises:
+        KeepoutError: something in the scenario cannot be flown; the message names the entry.
+
+    """
+    scenario = Scenario.of(scenario)
+    progress(0.0, "preparing")
+    mission = prepare(
+        scenario,
+        target=target,
+        model=model,
+        progress=part_of(progress, 0.0, 0.4),
+    )
+    return fly_mission(mission, progress=part_of(progress, 0.4, 1.0))
+
+
+def fly_mission(mission: Mission, *, progress: Progress = silent) -> Flight:
+    """Fly what `prepare` built, with the law and guard that its setup has now, and audit it on the exact mesh."""
+    progress(0.0, "flying")
+    log = loop.fly(mission.setup, mission.initial, mission.steps, jax.random.key(mission.scenario.seed))
+    progress(0.7, "audit")
+    flight = judged(mission, log)
+    progress(1.0, "")
+    return flight
+
+
+def judged(
+    mission: Mission,
+    log: loop.FlightLog,
+    *,
+    result: FlightOutcome | None = None,
+    extra: Mapping[str, Any] | None = None,
+) -> Flight:
+    """Give the flight of a mission that was already flown: its record, outcome, and audit on the exact mesh.
+
+    Args:
+        mission: what was flown.
+        log: of that one flight.
+        result: its outcome, where it is known already.
+        extra: further entries of the record's header.
+
+    """
+    scenario = mission.scenario
+    bounds = environment.flight_bounds(scenario)
+    if mission.own_push is not None:
+        pushed = bounds.disturbance_force - environment.disturbance(scenario).bound + mission.own_push
+        bounds = replace(bounds, disturbance_force=pushed)
+    result, record, verdict = recorded(scenario, mission.target, mission.setup, log, bounds, result=result, extra=extra)
+    clearance = mission.target.distance.distance(record.position) - scenario.chaser.radius
+    violated = tuple(str(c) for c in mission.setup.controller.conditions if not c.satisfied)
+    return Flight(
+        scenario,
+        mission.target,
+        record,
+        result,
+        verdict,
+        clearance,
+        violated,
+        start_certified=mission.start_certified,
+        assumptions_broken=mission.assumptions_broken,
+        guard=None if mission.guard is None else guard_numbers(mission.guard, scenario),
+        mission=mission,
+    )
+
+
+def recorded(
+    scenario: Scenario,
+    target: Target,
+    setup: FlightSetup,
+    log: loop.FlightLog,
+    bounds: FlightBounds,
+    *,
+    result: FlightOutcome | None = None,
+    extra: Mapping[str, Any] | None = None,
+) -> tuple[FlightOutcome, FlightRecord, Audit]:
+    """Give the outcome of a flight, its record, and its audit on the exact mesh.
+
+    Args:
+        scenario: as flown.
+        target: its mesh.
+        setup: of the flight.
+        log: of that one flight.
+        bounds: of what the record does not hold.
+        result: the outcome, where it is known already.
+        extra: further entries of the record's header.
+
+    """
+    result = outcome(setup, log) if result is None else result
+    record = FlightRecord.of_log(
+        log,
+        outcome=result,
+        scenario=scenario.model_dump_json(),
+        seed=scenario.seed,
+        target_sha256=target.sha256,
+        statuses=legend(),
+        extra=extra,
+    )
+    verdict = audit(
+        record,
+        target,
+        chaser_radius=scenario.chaser.radius,
+        bounds=bounds,
+        force_limit=scenario.chaser.force_limit,
+        speed_limit=scenario.chaser.speed_limit,
+    )
+    return result, record, verdict

@@ -1,0 +1,238 @@
+"""The control law that a scenario names: what it is designed for, its parts, what it is told, and how it is broken."""
+
+from typing import Any
+
+import numpy as np
+
+from keepout.core.control import profiles
+from keepout.core.control.circulation import (
+    CirculationLaw,
+    NoCirculation,
+    SwitchingCirculation,
+    printed_circulation,
+    skew_circulation,
+)
+from keepout.core.control.controller import Controller
+from keepout.core.control.delay import AheadOfDelay
+from keepout.core.control.guidance.guidance import Guidance
+from keepout.core.control.guidance.plan import Componentwise, Geodesic, GuidancePlan, Straight
+from keepout.core.control.law import Law
+from keepout.core.control.observer import NoObserver, Observer, constant_observer, harmonic_observer, printed_observer
+from keepout.core.control.operation import Operation
+from keepout.core.control.tuning import least_offset
+from keepout.core.errors import ControlError
+from keepout.core.fields.evaluate import values
+from keepout.core.fields.field import Field
+from keepout.core.fields.model import FieldModel
+from keepout.core.flight.faults import BrokenLaw
+from keepout.core.geometry.target import Target
+from keepout.core.guard.braking import design
+from keepout.core.mission import environment
+from keepout.core.mission.scenario import Scenario
+from keepout.core.progress import Progress, silent
+
+_STEEPEST = 1.25
+"""More than the gradient bound of any guard's field so far."""
+_GUARD_FIELD_ERROR = 0.06
+"""What a guard's field says less than the distance near contact, and what the law's own wandering needs, m."""
+
+
+def operation(scenario: Scenario, model: FieldModel) -> Operation:
+    """Gather the numbers that a scenario's law is designed for, with the field's certificate.
+
+    Raises:
+        FieldError: the model has no certificate for the chaser's radius.
+        ScenarioError: the thrusters cannot hold against the disturbance.
+
+    """
+    return _operation(scenario, model.certificate(scenario.chaser.radius).error_bound)
+
+
+def _operation(scenario: Scenario, error_bound: float) -> Operation:
+    return Operation(
+        chaser=environment.chaser(scenario),
+        motion=environment.relative_motion(scenario),
+        error_bound=error_bound,
+        disturbance_bound=environment.disturbance_bound(scenario),
+        margin=scenario.safety.margin,
+        period=scenario.control.period,
+    )
+
+
+def build_law(
+    scenario: Scenario,
+    model: FieldModel,
+    *,
+    guidance: Guidance | GuidancePlan | None = None,
+    from_start: bool = True,
+    progress: Progress = silent,
+    **chosen: Any,
+) -> Controller:
+    """Build a scenario's control law, as its designers meant it: without its faults, and without a delay.
+
+    Args:
+        scenario: its entries `control`, `chaser`, `safety`, `goal`, `start`, `orbit`, `attitude` and `disturbance`.
+        model: the field, certified for the chaser's radius.
+        guidance: instead of the one that the scenario names.
+        from_start: whether the scenario's start must be free and connected to its goal.
+        progress: called while the guidance is made.
+        **chosen: further arguments of the profile (`core/control/profiles.py`), such as `reach`.
+
+    Raises:
+        KeepoutError: the law cannot be built; the message names the entry.
+
+    """
+    bound = model.certificate(scenario.chaser.radius).error_bound
+    return law_on(scenario, model.field, bound, guidance=guidance, from_start=from_start, progress=progress, **chosen)
+
+
+def law_on(
+    scenario: Scenario,
+    field: Field,
+    error_bound: float,
+    *,
+    guidance: Guidance | GuidancePlan | None = None,
+    from_start: bool = True,
+    progress: Progress = silent,
+    **chosen: Any,
+) -> Controller:
+    """Build a scenario's control law on any field; the arguments are those of `build_law`.
+
+    Args:
+        scenario: as of `build_law`.
+        field: what the law knows of the shape.
+        error_bound: e_h, how far the field over-states the distance where the chaser touches, m.
+        guidance: as of `build_law`.
+        from_start: likewise.
+        progress: likewise.
+        **chosen: likewise.
+
+    Raises:
+        KeepoutError: the law cannot be built; the message names the entry.
+
+    """
+    designed = _operation(scenario, error_bound)
+    profile = {"default": profiles.default, "paper": profiles.paper}[scenario.control.profile]
+    if scenario.control.profile == "paper":
+        chosen = scenario.control.paper.model_dump() | chosen
+    return profile(
+        field,
+        designed,
+        np.asarray(scenario.goal.position),
+        guidance=named_guidance(scenario) if guidance is None else guidance,
+        circulation=_named_circulation(scenario),
+        observer=_named_observer(scenario),
+        start=np.asarray(scenario.start.position) if from_start else None,
+        progress=progress,
+        **chosen,
+    )
+
+
+def named_guidance(scenario: Scenario) -> GuidancePlan | None:
+    """Give the guidance that a scenario names; None where the profile's own is to be had."""
+    control = scenario.control
+    if control.guidance == "geodesic" or control.spacing is not None:
+        return Geodesic(spacing=control.spacing)
+    if control.guidance == "straight":
+        return Straight() if control.profile == "default" else Componentwise()
+    return None
+
+
+def _named_circulation(scenario: Scenario) -> CirculationLaw | NoCirculation | None:
+    match scenario.control.circulation:
+        case "none":
+            return NoCirculation()
+        case "printed":
+            return printed_circulation()
+        case "skew":
+            return skew_circulation()
+        case "switching":
+            return SwitchingCirculation()
+        case None:
+            return None
+
+
+def _named_observer(scenario: Scenario) -> Observer | None:
+    if scenario.navigation.suite != "none" and scenario.navigation.estimate == "raw":
+        return NoObserver()
+    mass, period = scenario.chaser.mass, scenario.control.period
+    match scenario.control.observer:
+        case "harmonic":
+            return harmonic_observer(mass=mass, period=period)
+        case "constant":
+            return constant_observer(mass=mass, period=period)
+        case "printed":
+            return printed_observer(mass=mass, period=period)
+        case "off":
+            return NoObserver()
+        case None:
+            return None
+
+
+def flown_law(scenario: Scenario, law: Law, model: FieldModel) -> Law:
+    """Tell a law of the delay that the scenario declares, and break it as the scenario's faults say."""
+    return broken_as(scenario, law, model.field)
+
+
+def broken_as(scenario: Scenario, law: Law, field: Field) -> Law:
+    """Do the same with any field, which says where the body is."""
+    chaser = scenario.chaser
+    if scenario.guard.delay:
+        motion = environment.relative_motion(scenario)
+        law = AheadOfDelay(law, motion, chaser.mass, scenario.control.period, scenario.guard.delay)
+    if scenario.faults.law == "none":
+        return law
+    return BrokenLaw(
+        law,
+        field,
+        scenario.faults.law,
+        chaser.force_limit,
+        chaser.mass,
+        chaser.speed_limit,
+        seed=scenario.seed,
+    )
+
+
+def room_for_guard(scenario: Scenario, target: Target) -> dict[str, float]:
+    """Give the default law's `nominal_offset` (m) where the guard asks for more than the law's margin holds anyway.
+
+    That is where it expects errors or a fault, or keeps the margin itself.
+
+    The guard passes commands on only where its tube around the way to rest is free. The more it allows for, the wider
+    the tube; a law that led into it would be held there for ever. So it keeps the tube's radius and the margin that the
+    guard keeps, times the steepest guard field met, and a little for that field's own error, beyond what its own margin
+    holds already.
+
+    Raises:
+        ControlError: the thrusters cannot meet the guard's assumptions.
+
+    """
+    if not scenario.guard.enabled or scenario.control.profile != "default":
+        return {}
+    assumed, kept = environment.guard_assumptions(scenario, target), environment.kept_margin(scenario)
+    if not (any(assumed.estimate_errors) or assumed.fault_steps or kept):
+        return {}
+    own = least_offset(scenario.chaser.speed_limit, scenario.control.period)
+    asked = _STEEPEST * (float(design(assumed).position_radius) + kept) + _GUARD_FIELD_ERROR
+    return {"nominal_offset": max(own, asked - scenario.safety.margin)}
+
+
+def law_or_way_out(
+    scenario: Scenario,
+    model: FieldModel,
+    guidance: Guidance | GuidancePlan | None,
+    progress: Progress,
+    **chosen: Any,
+) -> Controller:
+    """Build the scenario's law; a start in its keep-out zone is refused, unless a guard leads the way out first."""
+    try:
+        return build_law(scenario, model, guidance=guidance, progress=progress, **chosen)
+    except ControlError:
+        if not scenario.guard.enabled:
+            raise
+        law = build_law(scenario, model, guidance=guidance, from_start=False, progress=progress, **chosen)
+        # Refused for another reason than being too near, or inside the target: then there is no way to lead out.
+        said = float(values(model.field, np.asarray(scenario.start.position)[None])[0])
+        if not 0.0 < said <= float(law.velocity.offset):
+            raise
+        return law

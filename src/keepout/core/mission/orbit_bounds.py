@@ -1,0 +1,253 @@
+"""Bounds on a scenario's orbit: how fast its frame turns, how low it goes, and what perturbations add to the drift.
+
+Without perturbations they are closed forms of the Kepler ellipse. With them the target's orbit is still a known path:
+it is integrated in fine steps over the flight, and what can lie between two of them is added by bounds on its rates.
+Every symbol below is the largest (or least, where said) value over the flight; docs/motion.md derives them.
+"""
+
+import functools
+import math
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from keepout.core.errors import ScenarioError
+from keepout.core.mission.entries import DragEntry, OrbitEntry
+from keepout.core.mission.epoch import parse_instant
+from keepout.core.mission.scenario import Scenario
+from keepout.core.motion import J2, Drag, Orbit, Perturbation, SolarPressure
+from keepout.core.motion.perturbation import (
+    EARTH_EQUATORIAL_RADIUS,
+    EARTH_GRAVITATIONAL_PARAMETER,
+    EARTH_J2,
+    EARTH_ROTATION_RATE,
+    target_acceleration,
+)
+from keepout.core.motion.sun import PENUMBRA, SOLAR_PRESSURE, sun_direction
+
+_OUTWARD = 1.0 + 1e-6
+"""Covers what the Runge–Kutta steps of the target's orbit lose: 1e-8 at most (tests/core/mission)."""
+_MOST_STEPS = 200_000
+_LOWEST = 6.39e6
+"""Metres from the Earth's centre below which a perturbed orbit is refused."""
+_STRONGEST = 12.0
+"""More than gravity and perturbations together give above that, m/s²; checked."""
+
+_OBLATENESS = EARTH_J2 * EARTH_GRAVITATIONAL_PARAMETER * EARTH_EQUATORIAL_RADIUS**2
+
+
+@dataclass(frozen=True)
+class OrbitBounds:
+    """Bounds that hold over a whole flight.
+
+    Attributes:
+        rate: of VVLH against inertial space, rad/s.
+        acceleration: its derivative, rad/s².
+        lowest_radius: least distance of the target from the Earth's centre, m.
+        air_speed: largest speed of the target against the air, m/s; 0 without perturbations.
+        valid_until: time, s since the epoch, until which they hold; infinite without perturbations.
+
+    """
+
+    rate: float
+    acceleration: float
+    lowest_radius: float
+    air_speed: float = 0.0
+    valid_until: float = math.inf
+
+
+@dataclass(frozen=True)
+class DifferentialBounds:
+    """Bound of the perturbations' differential acceleration: `constant` + `gradient` ‖r‖ + `per_speed` ‖v‖.
+
+    Attributes:
+        constant: m/s².
+        gradient: of the chaser's distance from the target, 1/s².
+        per_speed: of its speed relative to the target, 1/s.
+
+    """
+
+    constant: float = 0.0
+    gradient: float = 0.0
+    per_speed: float = 0.0
+
+
+def orbit_of(entry: OrbitEntry) -> Orbit:
+    """Build the Kepler ellipse that the target is on at the epoch."""
+    return Orbit(
+        entry.semi_major_axis,
+        eccentricity=entry.eccentricity,
+        true_anomaly=entry.true_anomaly,
+        inclination=entry.inclination,
+        right_ascension=entry.right_ascension,
+        argument_of_perigee=entry.argument_of_perigee,
+    )
+
+
+def perturbations(scenario: Scenario) -> tuple[Perturbation, ...]:
+    """Build what bends the scenario's orbits away from Kepler's."""
+    return _perturbations(scenario.orbit, scenario.drag, _sunlight(scenario))
+
+
+def sun_of(scenario: Scenario) -> tuple[float, float, float]:
+    """Give the unit vector from the Earth to the scenario's sun, ECI: as told, or as it is at the epoch."""
+    given = scenario.sun.direction
+    direction = sun_direction(parse_instant(scenario.epoch)) if given is None else np.asarray(given)
+    x, y, z = (direction / np.linalg.norm(direction)).tolist()
+    return x, y, z
+
+
+def _sunlight(scenario: Scenario) -> SolarPressure | None:
+    sun = scenario.sun
+    if sun.target_area_to_mass == sun.chaser_area_to_mass == 0.0:
+        return None
+    return SolarPressure(sun_of(scenario), sun.target_area_to_mass, sun.chaser_area_to_mass)
+
+
+def _perturbations(orbit: OrbitEntry, drag: DragEntry, sunlight: SolarPressure | None) -> tuple[Perturbation, ...]:
+    found: tuple[Perturbation, ...] = (J2(),) if orbit.j2 else ()
+    if drag.density > 0.0:
+        found = (*found, Drag(**drag.model_dump()))
+    return found if sunlight is None else (*found, sunlight)
+
+
+def orbit_bounds(scenario: Scenario) -> OrbitBounds:
+    """Bound the target's orbit over the scenario's flight, whose last control period may end after its duration.
+
+    Raises:
+        ScenarioError: perturbations bring the target down to the Earth.
+
+    """
+    if perturbations(scenario):
+        orbit, drag = (tuple(entry.model_dump().items()) for entry in (scenario.orbit, scenario.drag))
+        flown = max(scenario.duration, scenario.steps * scenario.control.period)
+        return _perturbed(orbit, drag, _sunlight(scenario), flown)
+    mu = EARTH_GRAVITATIONAL_PARAMETER
+    a, e = scenario.orbit.semi_major_axis, scenario.orbit.eccentricity
+    # Largest true-anomaly rate, at perigee, and a bound on its derivative 2 μ e (1+e)³ / (a³ (1−e²)³).
+    rate = math.sqrt(mu / (a * (1.0 - e * e)) ** 3) * (1.0 + e) ** 2
+    acceleration = 2.0 * mu * e * (1.0 + e) ** 3 / (a * (1.0 - e * e)) ** 3
+    return OrbitBounds(rate, acceleration, a * (1.0 - e))
+
+
+def differential_bounds(
+    scenario: Scenario, orbit: OrbitBounds, *, nearest: float, angular_rate: float, fastest: float
+) -> DifferentialBounds:
+    """Bound the difference of the perturbations' accelerations of chaser and target.
+
+    J2 is half the second derivative of 1/r along the pole, so its gradient is a fourth derivative of 1/r, at most
+    ½ 4!/r⁵. Drag −½ B ρ w ‖w‖ changes with place by the density's scale height and by the air's turning, and with
+    velocity by B ρ ‖w‖; what remains is the difference of the B at the same place. Sunlight changes with place at the
+    shadow's edge only, by all of itself over the edge's width.
+
+    Args:
+        scenario: its orbit and drag.
+        orbit: its bounds.
+        nearest: least distance from the Earth's centre of any point between target and chaser, m.
+        angular_rate: largest inertial rate of the body frame, rad/s.
+        fastest: largest speed of the chaser relative to the target, m/s.
+
+    """
+    by_place = 12.0 * _OBLATENESS / nearest**5 if scenario.orbit.j2 else 0.0
+    drag, sun = scenario.drag, scenario.sun
+    by_place += SOLAR_PRESSURE * sun.chaser_area_to_mass / PENUMBRA
+    pushed = SOLAR_PRESSURE * abs(sun.chaser_area_to_mass - sun.target_area_to_mass)
+    if drag.density == 0.0:
+        return DifferentialBounds(constant=pushed, gradient=by_place)
+    turning = angular_rate + EARTH_ROTATION_RATE
+    density = _density(drag, nearest)
+    wind = orbit.air_speed + fastest + turning * (orbit.lowest_radius - nearest)
+    per_speed = drag.chaser_area_to_mass * density * wind
+    by_place += 0.5 * drag.chaser_area_to_mass * density * wind**2 / drag.scale_height
+    return DifferentialBounds(
+        constant=pushed + 0.5 * abs(drag.chaser_area_to_mass - drag.target_area_to_mass) * density * wind**2,
+        gradient=by_place + per_speed * turning,
+        per_speed=per_speed,
+    )
+
+
+def _density(drag: DragEntry, radius: float) -> float:
+    """Give the air's density at a distance from the Earth's centre, kg/m³; it falls with the distance."""
+    return drag.density * math.exp(-(radius - EARTH_EQUATORIAL_RADIUS - drag.altitude) / drag.scale_height)
+
+
+_Entries = tuple[tuple[str, float | bool], ...]
+"""An entry's names and numbers, which can be hashed."""
+
+
+@functools.lru_cache(maxsize=8)
+def _perturbed(
+    orbit_entries: _Entries, drag_entries: _Entries, sunlight: SolarPressure | None, duration: float
+) -> OrbitBounds:
+    entry, drag = OrbitEntry.model_validate(dict(orbit_entries)), DragEntry.model_validate(dict(drag_entries))
+    mu, spin = EARTH_GRAVITATIONAL_PARAMETER, EARTH_ROTATION_RATE
+    steps = min(max(math.ceil(duration), 1), _MOST_STEPS)
+    half = 0.5 * duration / steps
+    position, velocity = _path(entry, _perturbations(entry, drag, sunlight), duration / steps, steps)
+    shone = 0.0 if sunlight is None else SOLAR_PRESSURE * sunlight.target_area_to_mass
+    distance, speed = np.linalg.norm(position, axis=1), np.linalg.norm(velocity, axis=1)
+    momentum = np.linalg.norm(np.cross(position, velocity), axis=1)
+    radial = np.abs(np.einsum("ij,ij->i", position, velocity)) / distance
+    lowest = float(distance.min())
+    # Within half a step of a sample, as long as no acceleration is more than `_STRONGEST`.
+    fastest = float(speed.max()) * _OUTWARD + half * _STRONGEST
+    floor = lowest / _OUTWARD - half * fastest
+    ceiling = float(distance.max()) * _OUTWARD + half * fastest
+    if not floor >= _LOWEST:
+        raise ScenarioError(
+            f"orbit: drag or j2 bring the target to {lowest:.4g} m from the Earth's centre within "
+            f"{duration:g} s; it must stay above {_LOWEST:.4g} m"
+        )
+    wind = fastest + spin * ceiling
+    oblate = 3.0 * _OBLATENESS / floor**4 if entry.j2 else 0.0
+    dragged = 0.5 * drag.target_area_to_mass * _density(drag, floor) * wind**2
+    pull = mu / floor**2 + oblate + dragged + shone
+    if pull > _STRONGEST:
+        raise ScenarioError(
+            f"drag: the target would feel {dragged:.3g} m/s2 at {floor:.4g} m from the Earth's centre; give thinner air"
+        )
+    bent = oblate + dragged + shone
+    # r a for the largest push a: J2's falls with r, the others are taken at their largest everywhere.
+    turning = floor * oblate + ceiling * (dragged + shone)
+    least_momentum = float(momentum.min()) / _OUTWARD - half * ceiling * bent
+    most_momentum = float(momentum.max()) * _OUTWARD + half * ceiling * bent
+    climbing = float(radial.max()) * _OUTWARD + half * (pull + most_momentum**2 / floor**3)
+    along, across = most_momentum / floor**2, turning / least_momentum
+    gradient = 12.0 * _OBLATENESS / floor**5 if entry.j2 else 0.0
+    per_speed = drag.target_area_to_mass * _density(drag, floor) * wind
+    gradient += dragged / drag.scale_height + per_speed * spin + shone / PENUMBRA
+    bending = gradient * fastest + per_speed * pull + bent * across
+    along_change = bent / floor + 2.0 * along * climbing / floor
+    across_change = (climbing * bent + ceiling * bending) / least_momentum + (ceiling * bent / least_momentum) ** 2
+    return OrbitBounds(
+        rate=math.hypot(along, across),
+        acceleration=math.hypot(along_change, across_change),
+        lowest_radius=floor,
+        air_speed=wind,
+        valid_until=duration + half,
+    )
+
+
+def _path(entry: OrbitEntry, parts: tuple[Perturbation, ...], step: float, steps: int) -> tuple[np.ndarray, np.ndarray]:
+    """Integrate the target's ECI positions (m) and velocities (m/s), (steps + 1, 3) each, by classical Runge–Kutta."""
+
+    def derivative(state: jax.Array) -> jax.Array:
+        mu = jnp.asarray(EARTH_GRAVITATIONAL_PARAMETER)
+        return jnp.concatenate([state[3:], target_acceleration(state[:3], state[3:], mu, parts)])
+
+    @eqx.filter_jit
+    def path(start: jax.Array) -> jax.Array:
+        def advance(state: jax.Array, _: None) -> tuple[jax.Array, jax.Array]:
+            first = derivative(state)
+            second = derivative(state + 0.5 * step * first)
+            third = derivative(state + 0.5 * step * second)
+            fourth = derivative(state + step * third)
+            return state + step / 6.0 * (first + 2.0 * second + 2.0 * third + fourth), state
+
+        return jax.lax.scan(advance, start, length=steps + 1)[1]
+
+    states = np.asarray(path(jnp.concatenate(orbit_of(entry).inertial_state(jnp.zeros(())))))
+    return states[:, :3], states[:, 3:]

@@ -1,0 +1,48 @@
+"""A scenario's target: loaded, and not touched by the chaser where the flight begins and ends. Needs no JAX."""
+
+import numpy as np
+from jaxtyping import Float
+
+from keepout.core.errors import ScenarioError
+from keepout.core.geometry.target import Target
+from keepout.core.geometry.touch import distance_within
+from keepout.core.mission.entries import TargetEntry
+from keepout.core.mission.scenario import Scenario
+
+
+def load_target(entry: TargetEntry) -> Target:
+    """Load a scenario's target."""
+    return Target.load(
+        entry.source,
+        units=entry.units,
+        scale=entry.scale,
+        drop_stray=entry.drop_stray,
+        thickness=entry.thickness,
+        rotation=None if entry.rotation is None else np.asarray(entry.rotation),
+        origin=None if entry.origin is None else np.asarray(entry.origin),
+        parameters=dict(entry.parameters) or None,
+    )
+
+
+def require_apart(scenario: Scenario, target: Target) -> None:
+    """Refuse a start or goal where the chaser would touch the target.
+
+    Raises:
+        ScenarioError: it would.
+
+    """
+    radius = scenario.chaser.radius
+    for name, position in (("start", scenario.start.position), ("goal", scenario.goal.position)):
+        distance = _distance_within(target, np.asarray(position), radius)
+        if distance <= radius:
+            raise ScenarioError(
+                f"{name}.position: {list(position)} m is {distance:.3f} m from the target, where a chaser of radius "
+                f"{radius} m touches it; it must be further than that radius"
+            )
+
+
+def _distance_within(target: Target, point: Float[np.ndarray, "3"], reach: float) -> float:
+    """Give the distance where it is at most `reach`, without the hierarchy of triangles, which is compiled first."""
+    if target.ball_radius > 0.0:
+        return float(target.distance.distance(point[None])[0])
+    return distance_within(target.vertices, target.faces, point, reach)

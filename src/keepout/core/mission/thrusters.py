@@ -1,0 +1,150 @@
+"""A scenario's thrusters: the layout, whether it gives the force that law and guard use, and what it does wrong."""
+
+from functools import lru_cache
+
+import numpy as np
+
+from keepout.core.errors import ScenarioError
+from keepout.core.mission.scenario import Scenario
+from keepout.core.motion.actuator import ThrusterModel, Thrusters
+from keepout.core.motion.thrusters.capability import Capability, Stuck, force_box
+from keepout.core.motion.thrusters.errors import ThrusterErrors, thruster_errors
+from keepout.core.motion.thrusters.layout import Layout, preset, share
+from keepout.core.motion.thrusters.on_off import OnOffThrusters, require_periods
+
+_ROUNDING = 1.0 - 1e-6
+"""A force box may be short of chaser.force_limit by so much: what a linear program's solver leaves open."""
+
+
+def layout(scenario: Scenario) -> Layout | None:
+    """Give the scenario's layout; None where the thrusters are ideal.
+
+    Raises:
+        ScenarioError: its directions do not span three axes.
+
+    """
+    entry = scenario.thrusters
+    numbers = {
+        name: getattr(entry, name)
+        for name in ("least_on_time", "specific_impulse", "rise_delay", "misalignment", "scale_error")
+    }
+    if entry.layout == "own":
+        force = np.array([entry.force if own.force is None else own.force for own in entry.own], float)
+        positions, directions = (
+            np.array([getattr(own, key) for own in entry.own]) for key in ("position", "direction")
+        )
+        return Layout(positions, directions, force, **numbers)
+    if entry.layout == "ideal":
+        return None
+    force = scenario.chaser.force_limit / share(entry.layout) if entry.force is None else entry.force
+    return preset(entry.layout, force=force, arm=max(scenario.chaser.radius, 0.1), **numbers)
+
+
+def thrusters(scenario: Scenario) -> ThrusterModel:
+    """Build what gives the force in flight, with the thruster that the scenario's faults stick.
+
+    Raises:
+        ScenarioError: a layout that cannot be flown (`require_thrusters`), or a fault of a thruster that is not there.
+
+    """
+    flown, entry, faults = layout(scenario), scenario.thrusters, scenario.faults
+    require_thrusters(scenario)
+    if flown is None:
+        return Thrusters(scenario.chaser.force_limit)
+    return OnOffThrusters.of(
+        flown,
+        force_limit=scenario.chaser.force_limit,
+        period=scenario.control.period,
+        delta_sigma=entry.modulation == "delta-sigma",
+        stuck=None if faults.thruster is None else (faults.thruster, faults.thruster_stuck),
+        stuck_from=faults.stuck_from,
+        detection_time=entry.detection_time,
+    )
+
+
+def require_thrusters(scenario: Scenario) -> None:
+    """Refuse a layout that does not give chaser.force_limit along every axis, whole or with one thruster stuck.
+
+    Raises:
+        ScenarioError: it does not, its thrusters do not span three axes, or its pulses do not fit into a period; or
+            there is none, and entries that are for one.
+
+    """
+    flown = layout(scenario)
+    if flown is None:
+        given = [
+            f"thrusters.{key}" for key in scenario.thrusters.model_dump(exclude_defaults=True, exclude={"held_in"})
+        ]
+        if scenario.faults.thruster is not None:
+            given.append("faults.thruster")
+        if given:
+            raise ScenarioError(
+                f'{", ".join(given)}: only for a layout, and thrusters.layout is "ideal"; give "six", "12", "24" or '
+                '"own"'
+            )
+        return
+    require_periods(flown, scenario.control.period)
+    if scenario.faults.thruster is not None:
+        flown.require(scenario.faults.thruster)
+    asked = scenario.chaser.force_limit
+    whole = _whole(_key(flown))
+    if whole == 0.0:
+        raise ScenarioError(
+            f"thrusters.layout: its {flown.count} thrusters cannot push every way: the largest force that they give "
+            "in all directions is 0 N"
+        )
+    if whole < asked * _ROUNDING:
+        raise ScenarioError(
+            f"chaser.force_limit: {asked:g} N, and the thrusters give {whole:.4g} N along every axis; lower it to "
+            "that, or give stronger thrusters"
+        )
+    if not scenario.thrusters.survive_failure:
+        return
+    able = _able(_key(flown))
+    left = able.after_failure
+    if left < asked * _ROUNDING:
+        how: Stuck = "off" if min(able.stuck_off) <= left else "on"
+        worst = int(np.argmin(able.stuck_off if how == "off" else able.stuck_on))
+        raise ScenarioError(
+            f"thrusters.survive_failure: with thruster {worst} stuck {how} the others give {left:.4g} N along every "
+            f"axis, and chaser.force_limit is {asked:g} N; "
+            + (
+                f"lower it to that, or raise thrusters.force {asked / left:.3g} times"
+                if left > 0.0
+                else "no force limit helps: take a layout with more thrusters"
+            )
+        )
+
+
+def errors(scenario: Scenario) -> ThrusterErrors:
+    """Bound what the thrusters do beyond holding the force asked for: what the guard must assume, and the audit."""
+    flown, entry = layout(scenario), scenario.thrusters
+    if flown is None:
+        return ThrusterErrors()
+    return thruster_errors(
+        flown,
+        force_limit=scenario.chaser.force_limit,
+        mass=scenario.chaser.mass * (1.0 - scenario.guard.mass_error),
+        period=scenario.control.period,
+        delta_sigma=entry.modulation == "delta-sigma",
+        detection_time=entry.detection_time if entry.survive_failure else None,
+    )
+
+
+def _key(flown: Layout) -> tuple[bytes, bytes, bytes]:
+    return flown.position.tobytes(), flown.direction.tobytes(), flown.force.tobytes()
+
+
+def _of_key(key: tuple[bytes, bytes, bytes]) -> Layout:
+    position, direction, force = (np.frombuffer(part) for part in key)
+    return Layout(position.reshape(-1, 3), direction.reshape(-1, 3), force)
+
+
+@lru_cache(maxsize=64)
+def _whole(key: tuple[bytes, bytes, bytes]) -> float:
+    return force_box(_of_key(key))
+
+
+@lru_cache(maxsize=64)
+def _able(key: tuple[bytes, bytes, bytes]) -> Capability:
+    return Capability.of(_of_key(key))

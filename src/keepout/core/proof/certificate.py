@@ -1,0 +1,378 @@
+"""The certificate: how far a field can over-state the distance where a chaser touches, proved.
+
+A continuous path from outside to contact crosses {d = R}, R the chaser's radius and d the exact distance to the
+triangles. So one inequality on one surface, f̃ ≤ R + e_h on {d = R}, makes {f̃ > R + e_h} free of contact. The surface
+is covered with triangles (R = 0) or cubes (R > 0), f̃ is bounded over each, and those that matter are split
+(docs/certificate.md).
+"""
+
+import dataclasses
+import time
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from keepout.core.compiled.kept_programs import keep_programs
+from keepout.core.errors import FieldError
+from keepout.core.fields.evaluate import values, values_and_gradients
+from keepout.core.fields.grid import GridField
+from keepout.core.fields.model import Certificate, FieldModel
+from keepout.core.fields.neural import NeuralField
+from keepout.core.geometry.distance import ExactDistance
+from keepout.core.geometry.level_cut import largest_on_level
+from keepout.core.geometry.level_points import level_points, onto_level, surface_points
+from keepout.core.geometry.octree import CORNERS, straddling_cells
+from keepout.core.geometry.target import Target
+from keepout.core.progress import Progress, part_of, silent
+from keepout.core.proof import bounds
+from keepout.core.proof.grid import certify_grid
+from keepout.core.proof.slope import GAP, Lipschitz, prove_lipschitz
+
+PIECE = 32_768
+"""Elements bounded between two reports of progress."""
+RELATIVE_GAP, SMALLEST_GAP = 0.05, 0.003
+"""Splitting stops when the bound is within this of the largest value found: 5 %, or 3 mm."""
+MOST_ELEMENTS = 3_000_000
+"""Splitting also stops after this many elements; the bound is then the largest of what is left: looser, and still
+proved."""
+ERROR_GAP, POINT_LIKE = 2e-5, 0.005
+"""Share of the domain's radius by which the float32 error may carry the bound further above the largest value found,
+where an element is longer than so many metres: the error does not vanish at a point."""
+GRADIENT_ALLOWANCE = 0.2
+"""Added to the largest gradient found, as a share of it, where the proof of a bound takes too long."""
+FIRST_LEAF, LARGEST_LEAF = 0.02, 0.4
+"""Side of the cubes that first cover {d = R}: this share of the domain's radius, at most so many metres."""
+OTHER_MACHINE = 1e-12
+"""Metres, or slope: what float64 sums in another order change; every bound has more than that added for it."""
+LOOKED_AT = 1024
+"""Elements with the largest bounds, of each size, where a larger value is looked for."""
+
+
+def certify(
+    model: FieldModel,
+    target: Target,
+    *,
+    chaser_radius: float = 0.0,
+    prove_slope: bool = False,
+    seed: int = 0,
+    progress: Progress = silent,
+) -> FieldModel:
+    """Return the same model with a proved certificate for one chaser radius, in place of any it had for that radius.
+
+    Args:
+        model: its field must be a `NeuralField`.
+        target: the mesh it was made for.
+        chaser_radius: R, metres.
+        prove_slope: prove a bound of ‖∇f̃‖ too, which can take minutes; else it is the largest found plus 20 %, and
+            says so.
+        seed: of the search for the largest value; the bound is sound whatever it finds.
+        progress: fraction done (a guess), elements left and the bound so far.
+
+    Raises:
+        FieldError: another target's model, a point cloud, a radius that is negative or too large for the field's
+            domain.
+
+    """
+    keep_programs()
+    start = time.perf_counter()
+    field, distance = _in_reach(model, target, chaser_radius)
+    found = largest_found(field, distance, chaser_radius, np.random.default_rng(seed))
+    progress(0.1, f"largest value found {found - chaser_radius:+.4f} m")
+    upper, evaluation, found = _bound_on_contact(field, distance, chaser_radius, found, progress)
+    slope = _steepest(model, distance, chaser_radius, np.random.default_rng(seed + 1), prove_slope, progress)
+    certificate = Certificate(
+        kind="certified",
+        chaser_radius=float(chaser_radius),
+        error_bound=float(upper - chaser_radius),
+        allowance=0.0,
+        sampled_maximum=float(found - chaser_radius),
+        gradient_bound=(1.0 + GRADIENT_ALLOWANCE) * slope.found if slope.proved is None else slope.proved,
+        gradient_kind="sampled" if slope.proved is None else "certified",
+        evaluation_error=float(evaluation),
+        seconds=time.perf_counter() - start,
+        target_sha256=model.target_sha256,
+        field_sha256=model.sha256,
+        gradient_found=slope.found,
+    )
+    progress(1.0, f"error bound {certificate.error_bound:+.4f} m, largest found {certificate.sampled_maximum:+.4f} m")
+    return model.with_certificate(certificate)
+
+
+class Check(NamedTuple):
+    """What a proof of a certificate's numbers came to."""
+
+    proved: bool
+    """Whether all that the certificate calls certified was proved; of a sampled one nothing is."""
+    error_bound: float
+    """e_h as proved now, metres; of a sampled certificate the largest f̃ - R found now."""
+    evaluation_error: float | None
+    """As proved now, metres; None of a sampled certificate."""
+    gradient_bound: float | None
+    """As proved now; None where the certificate does not call its own certified, or the proof takes too long."""
+
+
+def check_certificate(
+    model: FieldModel, target: Target, stated: Certificate, *, seed: int = 0, progress: Progress = silent
+) -> Check:
+    """Prove again what a certificate says, without believing any of its numbers.
+
+    The field is bounded as in `certify` and `certify_grid`; a network's surface is split until the stated numbers are
+    proved, a point is found that contradicts them, or the limit of elements is reached.
+
+    Args:
+        model: with its field.
+        target: the mesh it was made for.
+        stated: the certificate.
+        seed: of the searches; what is proved is sound whatever they find.
+        progress: as of `certify`.
+
+    Raises:
+        FieldError: as `certify` and `certify_grid`.
+
+    """
+    radius, slope_stated = stated.chaser_radius, stated.gradient_kind == "certified"
+    if isinstance(model.field, GridField):
+        bare = dataclasses.replace(model, certificates=())
+        again = certify_grid(bare, target, chaser_radius=radius, seed=seed).certificate(radius)
+        error, evaluation, slope = again.error_bound, again.evaluation_error, again.gradient_bound
+    else:
+        keep_programs()
+        field, distance = _in_reach(model, target, radius)
+        found = largest_found(field, distance, radius, np.random.default_rng(seed))
+        if stated.kind == "sampled":
+            return Check(False, found - radius, None, None)
+        upper, evaluation, _ = _bound_on_contact(field, distance, radius, found, progress, stated)
+        error, slope = upper - radius, None
+        if slope_stated:
+            # Cubes are then split until the stated bound holds, or a larger slope is found.
+            enough = stated.gradient_bound / (1.0 + GAP) * (1.0 - 1e-12)
+            part = part_of(progress, 0.7, 1.0)
+            slope = prove_lipschitz(field, distance, found=enough, clearance=radius, progress=part).proved
+    holds = error <= stated.error_bound + OTHER_MACHINE and evaluation <= stated.evaluation_error + OTHER_MACHINE
+    if slope_stated:
+        holds = holds and slope is not None and slope <= stated.gradient_bound + OTHER_MACHINE
+    return Check(holds and stated.kind == "certified", error, evaluation, slope if slope_stated else None)
+
+
+def _in_reach(model: FieldModel, target: Target, chaser_radius: float) -> tuple[NeuralField, ExactDistance]:
+    """Give network and distance, and refuse a radius that reaches out of the learned domain."""
+    field, distance = require_network_and_mesh(model, target, where="certify")
+    reach = float(
+        np.linalg.norm(
+            np.maximum(
+                np.abs(distance.lower - field.continuation.centre), np.abs(distance.upper - field.continuation.centre)
+            )
+        )
+    )
+    largest = float(field.continuation.domain_radius) - reach - _first_leaf(field) * np.sqrt(3.0)
+    if not 0.0 <= chaser_radius <= largest:
+        raise FieldError(f"chaser radius {chaser_radius:g} m: for this field it must be 0 to {largest:.3g} m")
+    return field, distance
+
+
+def require_network_and_mesh(model: FieldModel, target: Target, *, where: str) -> tuple[NeuralField, ExactDistance]:
+    """Give the network and the distance to the triangles that a certificate is about; `where` begins a refusal.
+
+    Raises:
+        FieldError: another target's model, a field that is no network, or a point cloud.
+
+    """
+    field, distance = model.field, target.distance
+    model.require_target(target, where=where)
+    if not isinstance(field, NeuralField):
+        raise FieldError(f"{where}: a {type(field).__name__} is no network; `certify_grid` certifies grid fields")
+    if not isinstance(distance, ExactDistance):
+        raise FieldError(f"{where}: {target.name} is a point cloud, which has no triangles; give a mesh")
+    return field, distance
+
+
+def largest_found(field: NeuralField, distance: ExactDistance, radius: float, generator: np.random.Generator) -> float:
+    """Return the largest f̃ found on {d = radius}: samples, then random ascent around the best of them."""
+    start = level_points(distance, radius, 60_000, generator)
+    value = values(field, start)
+    best = float(value.max())
+    points = start[np.argsort(-value)[:400]]
+    for step in (0.2, 0.1, 0.05, 0.03, 0.02, 0.01, 0.005, 0.002):
+        moved = np.repeat(points, 10, axis=0)
+        moved = onto_level(distance, moved + step * generator.normal(size=moved.shape), radius)
+        candidates = np.concatenate([points, moved])
+        value = values(field, candidates)
+        points = candidates[np.argsort(-value)[:400]]
+        best = max(best, float(value.max()))
+    return best
+
+
+def _steepest(
+    model: FieldModel,
+    distance: ExactDistance,
+    radius: float,
+    generator: np.random.Generator,
+    prove: bool,
+    progress: Progress,
+) -> Lipschitz:
+    """Return the largest ‖∇f̃‖ found where d ≥ radius, and a proved bound of it, or None if not asked or too long.
+
+    What another certificate of the model proved for a smaller radius holds for this one.
+    """
+    assert isinstance(model.field, NeuralField)
+    found = steepest_found(model.field, distance, radius, generator)
+    for other in model.certificates:
+        if other.gradient_kind == "certified" and other.chaser_radius <= radius and other.gradient_bound >= found:
+            return Lipschitz(found, other.gradient_bound)
+    if not prove:
+        return Lipschitz(found, None)
+    return prove_lipschitz(
+        model.field,
+        distance,
+        found=found,
+        clearance=radius,
+        progress=part_of(progress, 0.7, 1.0),
+    )
+
+
+def steepest_found(
+    field: NeuralField, distance: ExactDistance, clearance: float, generator: np.random.Generator
+) -> float:
+    """Return the largest ‖∇f̃‖ found where d ≥ clearance: samples near and far, then random ascent."""
+    centre, radius = np.asarray(field.continuation.centre), float(field.continuation.outer_radius)
+    start = surface_points(distance, 60_000, generator, by_area=0.5)
+    direction = generator.normal(size=start.shape)
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    near = start + (clearance + generator.exponential(0.2, size=(len(start), 1))) * direction
+    far = centre + radius * generator.uniform(-1.2, 1.2, size=(20_000, 3))
+    points = np.concatenate([near, far])
+    best = 0.0
+    for step in (0.0, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002):
+        if step:
+            moved = np.repeat(points, 10, axis=0)
+            points = np.concatenate([points, moved + step * generator.normal(size=moved.shape)])
+        points = points[distance.distance(points) >= clearance]
+        slope = np.linalg.norm(values_and_gradients(field, points)[1], axis=1)
+        best = max(best, float(slope.max()))
+        points = points[np.argsort(-slope)[:400]]
+    return best
+
+
+def _bound_on_contact(
+    field: NeuralField,
+    distance: ExactDistance,
+    radius: float,
+    found: float,
+    progress: Progress,
+    stated: Certificate | None = None,
+) -> tuple[float, float, float]:
+    """Return an upper bound of f̃ in float32 on {d = radius}, the float32 error in it, and the largest f̃ found.
+
+    Where a bound is stated, and as long as no point contradicts it, elements are split until it is proved.
+    """
+    network = bounds.Network.of(field.layers, field.beta)
+    centre, scale = np.asarray(field.continuation.centre), float(field.scale)
+    # The normalisation in float64 and its inverse: a few units in the last place of numbers of the domain's size.
+    normalisation = 64.0 * bounds.UNIT64 * (scale + float(np.abs(centre).max()))
+    frontier = _cover(distance, radius, _first_leaf(field))
+    lipschitz = float(np.prod([np.linalg.norm(W) for W in network.weights]))  # σ' ≤ 1; Frobenius exceeds spectral
+    slack = lipschitz * normalisation
+    settled, evaluation, seen = -np.inf, 0.0, 0
+    while len(frontier):
+        gap = max(RELATIVE_GAP * abs(found - radius), SMALLEST_GAP)
+        upper, error = np.empty(len(frontier)), np.empty(len(frontier))
+        for first in range(0, len(frontier), PIECE):
+            piece = frontier[first : first + PIECE]
+            part = slice(first, first + len(piece))
+            upper[part], error[part] = _bounded(network, piece, distance, radius, centre, scale, normalisation)
+        seen += len(frontier)
+        # The elements that matter know where to look for a larger value.
+        worst = frontier[np.argsort(-upper)[:LOOKED_AT]]
+        places = worst.mean(axis=1) if radius == 0.0 else onto_level(distance, worst[:, 0], radius)
+        found = max(found, float(values(field, places).max(initial=-np.inf)))
+        large = _length(frontier, radius) > POINT_LIKE
+        if stated is None or found > radius + stated.error_bound:
+            open_ = (upper - error > found + gap) | ((upper > found + gap + ERROR_GAP * scale) & large)
+        else:
+            open_ = (upper > radius + stated.error_bound - slack) | ((error > stated.evaluation_error) & large)
+        if seen + 8 * int(open_.sum()) > MOST_ELEMENTS:
+            open_[:] = False
+        settled = max(settled, float(upper[~open_].max(initial=-np.inf)))
+        evaluation = max(evaluation, float(error[~open_].max(initial=0.0)))
+        so_far = max(settled, float(upper.max())) - radius
+        progress(
+            0.1 + 0.6 * min(1.0, seen / 400_000), f"{int(open_.sum())} elements open, bound so far {so_far:+.4f} m"
+        )
+        frontier = _split(frontier[open_], distance, radius)
+    return settled + slack, evaluation, found
+
+
+def _bounded(
+    network: bounds.Network,
+    piece: Float[np.ndarray, "m k 3"],
+    distance: ExactDistance,
+    radius: float,
+    centre: Float[np.ndarray, "3"],
+    scale: float,
+    slack: float,
+) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m"]]:
+    """Return for each element an upper bound of f̃ in float32 where d = radius, and the float32 error in it, metres.
+
+    Minus infinity where the element does not meet {d = radius}.
+    """
+    upper, slope, constant, error = bounds.upper_bounds(network, _elements(piece, radius, centre, scale, slack))
+    if radius > 0.0:
+        middle = piece[:, 0]
+        at_middle = ((middle - centre) / scale * slope).sum(axis=1) + constant
+        cut = largest_on_level(distance, radius, middle, piece[:, 1, 0] + slack, slope)
+        upper = np.fmin(upper, at_middle + cut / scale)
+    return scale * (upper + error), scale * error
+
+
+def _first_leaf(field: NeuralField) -> float:
+    return min(LARGEST_LEAF, FIRST_LEAF * float(field.scale))
+
+
+def _cover(distance: ExactDistance, radius: float, leaf: float) -> Float[np.ndarray, "m k 3"]:
+    """Triangles as (m, 3, 3) corners, or cubes as (m, 2, 3): centre and half widths."""
+    if radius == 0.0:
+        return distance.vertices[distance.faces]
+    pad = radius + leaf
+    centres, half = straddling_cells(
+        distance, radius, leaf=leaf, lower=distance.lower - pad, upper=distance.upper + pad
+    )
+    return np.stack([centres, np.repeat(half[:, None], 3, axis=1)], axis=1)
+
+
+def _elements(
+    piece: Float[np.ndarray, "m k 3"], radius: float, centre: Float[np.ndarray, "3"], scale: float, slack: float
+) -> bounds.Elements:
+    if radius == 0.0:
+        return bounds.triangles((piece - centre) / scale)
+    return bounds.boxes((piece[:, 0] - centre) / scale, (piece[:, 1] + slack) / scale)
+
+
+def _edges(triangles: Float[np.ndarray, "m 3 3"]) -> Float[np.ndarray, "m 3"]:
+    """Lengths of the edges across from each corner, metres."""
+    return np.linalg.norm(triangles[:, [1, 2, 0]] - triangles[:, [2, 0, 1]], axis=2)
+
+
+def _length(elements: Float[np.ndarray, "m k 3"], radius: float) -> Float[np.ndarray, "m"]:
+    """Longest edge of each triangle, or side of each cube, metres."""
+    if radius == 0.0:
+        return _edges(elements).max(axis=1)
+    return 2.0 * elements[:, 1, 0]
+
+
+def _split(elements: Float[np.ndarray, "m k 3"], distance: ExactDistance, radius: float) -> Float[np.ndarray, "p k 3"]:
+    """Cut triangles in two across their longest edge, cubes in eight, less those that cannot meet {d = radius}."""
+    if len(elements) == 0:
+        return elements
+    if radius == 0.0:
+        apex = _edges(elements).argmax(axis=1)
+        rows = np.arange(len(elements))
+        a, b, c = (elements[rows, (apex + k) % 3] for k in range(3))
+        middle = 0.5 * (b + c)
+        return np.concatenate([np.stack([a, b, middle], axis=1), np.stack([a, middle, c], axis=1)])
+    half = 0.5 * elements[:, 1]
+    centres = (elements[:, 0][:, None, :] + CORNERS * half[:, None, :]).reshape(-1, 3)
+    half = np.repeat(half, 8, axis=0)
+    reach = np.linalg.norm(half, axis=1) * (1.0 + 1e-9) + 1e-9
+    meets = np.abs(distance.distance(centres) - radius) <= reach
+    return np.stack([centres[meets], half[meets]], axis=1)

@@ -1,7 +1,0 @@
-"""Seeing a target that nobody has a model of: which view comes next, and when there is none worth taking."""
-
-from keepout.exploring.next_view import Ended, NextView, Pace, choose
-from keepout.exploring.reachable import Reachable, reachable
-from keepout.exploring.tried import Tried
-
-__all__ = ["Ended", "NextView", "Pace", "Reachable", "Tried", "choose", "reachable"]

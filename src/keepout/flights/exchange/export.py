@@ -1,0 +1,169 @@
+"""Which formats there are for a flight and for a field, and what each of them writes."""
+
+import json
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from keepout.core.errors import ExchangeError
+from keepout.core.fields.model import Certificate, FieldModel
+from keepout.core.flight.record import FlightRecord
+from keepout.core.geometry.target import Target
+from keepout.core.mission.build import load_model, load_target
+from keepout.core.mission.scenario import Scenario
+from keepout.core.progress import Progress, silent
+from keepout.flights.exchange.inertial import inertial_flight
+from keepout.flights.exchange.messages_of_flight import Craft, export_attitude, export_orbit
+
+FlightFormat = Literal["oem", "aem", "czml", "csv", "parquet", "npz", "glb"]
+FieldFormat = Literal["onnx", "glb"]
+
+
+def check_export(source: Path, to: str, *, craft: str | None, given: dict[str, bool]) -> None:
+    """Refuse what cannot be exported before anything is read.
+
+    Args:
+        source: a flight or a field file.
+        to: the format.
+        craft: of an OEM.
+        given: by option, whether it was given: --of, --xml, --chaser-radius, --mesh.
+
+    Raises:
+        ExchangeError: a file's ending, a format, or an option that does not go with it.
+
+    """
+    field = source.suffix == ".keepout"
+    if not field and source.suffix.lower() not in (".parquet", ".npz"):
+        raise ExchangeError(f"{source}: a flight file ends in .parquet or .npz, a field file in .keepout")
+    valid = get_args(FieldFormat if field else FlightFormat)
+    if to not in valid:
+        raise ExchangeError(f"--to {to}: valid for a {'field' if field else 'flight'}: {', '.join(valid)}")
+    uses = {"--of": ("oem",), "--xml": ("oem", "aem"), "--mesh": ("glb",)}
+    for option, formats in uses.items():
+        if given[option] and to not in formats:
+            raise ExchangeError(f"{option}: only for --to {' and --to '.join(formats)}, not --to {to}")
+    if given["--chaser-radius"] and not field:
+        raise ExchangeError("--chaser-radius: only for a field; a flight's is its scenario's")
+    if craft is not None and craft not in get_args(Craft):
+        raise ExchangeError(f"--of {craft}: valid: {', '.join(get_args(Craft))}")
+
+
+def export_flight(
+    source: Path,
+    to: FlightFormat,
+    out: Path,
+    *,
+    craft: Craft = "chaser",
+    xml: bool = False,
+    mesh: str | None = None,
+    progress: Progress = silent,
+) -> dict[str, Any]:
+    """Write a flight file in another program's format; the answer is plain JSON values.
+
+    Args:
+        source: a flight file of `keepout fly`, whose header holds the scenario.
+        to: the format.
+        out: the file to write.
+        craft: of an OEM: whose orbit.
+        xml: OEM and AEM as XML.
+        mesh: of a GLB: where the target's mesh is, if not where the scenario says.
+        progress: called as the work goes on.
+
+    Raises:
+        KeepoutError: a file cannot be read or written; the message names it.
+
+    """
+    record = FlightRecord.load(source)
+    text = record.header.get("scenario")
+    if not text:
+        raise ExchangeError(f"{source}: its header has no scenario, so no orbit; a flight of `keepout fly` has one")
+    scenario = Scenario.parse(json.loads(text), where=str(source))
+    match to:
+        case "oem":
+            return export_orbit(inertial_flight(record, scenario), scenario.name, out, craft=craft, xml=xml)
+        case "aem":
+            return export_attitude(inertial_flight(record, scenario), scenario.name, scenario.target, out, xml=xml)
+        case "czml":
+            from keepout.flights.exchange.czml import export_czml
+
+            return export_czml(inertial_flight(record, scenario), scenario, out)
+        case "glb":
+            return _flight_scene(source, record, scenario, out, mesh, progress)
+        case _:
+            from keepout.flights.exchange.table import export_table
+
+            return export_table(record, scenario, out, to=to)
+
+
+def _flight_scene(
+    source: Path, record: FlightRecord, scenario: Scenario, out: Path, mesh: str | None, progress: Progress
+) -> dict[str, Any]:
+    from keepout.flights.exchange.scene import export_scene
+
+    entry = scenario.target if mesh is None else scenario.target.model_copy(update={"source": mesh})
+    target = load_target(entry)
+    flown = record.header.get("target_sha256")
+    if flown and flown != target.sha256:
+        raise ExchangeError(
+            f"{source}: was flown around another mesh ({flown[:12]}) than {entry.source} ({target.sha256[:12]}); name "
+            "the one it was flown around with --mesh"
+        )
+    model = load_model(scenario, target)
+    return export_scene(
+        target,
+        out,
+        model=model,
+        certificate=model.certificate(scenario.chaser.radius),
+        way=record.position,
+        told={"scenario": scenario.name, "epoch": scenario.epoch, "path_seconds": float(record.time[-1])},
+        progress=progress,
+    )
+
+
+def export_field(
+    model: FieldModel,
+    to: FieldFormat,
+    out: Path,
+    *,
+    target: Target | None = None,
+    chaser_radius: float | None = None,
+    seed: int = 0,
+    progress: Progress = silent,
+) -> dict[str, Any]:
+    """Write a field in another program's format; the answer is plain JSON values.
+
+    Args:
+        model: the field.
+        to: the format; "glb" needs the target.
+        out: the file to write.
+        target: the mesh the field was made for.
+        chaser_radius: the one whose certificate the file tells, m; needed where there are several.
+        seed: of the points at which an ONNX file is measured.
+        progress: called as the work goes on.
+
+    Raises:
+        KeepoutError: there is no such certificate, or the file cannot be written.
+
+    """
+    certificate = _certificate(model, chaser_radius)
+    if to == "onnx":
+        try:
+            from keepout.flights.exchange.onnx_field import export_onnx
+        except ModuleNotFoundError as error:
+            if error.name != "onnx":
+                raise
+            raise ExchangeError("--to onnx: is written with onnx; pip install 'keepout[export]'") from None
+        return export_onnx(model, out, certificate=certificate, seed=seed, progress=progress)
+    from keepout.flights.exchange.scene import export_scene
+
+    assert target is not None, "a scene has a target"
+    model.require_target(target, where="--mesh")
+    return export_scene(target, out, model=model, certificate=certificate, progress=progress)
+
+
+def _certificate(model: FieldModel, chaser_radius: float | None) -> Certificate | None:
+    if chaser_radius is not None:
+        return model.certificate(chaser_radius)
+    if len(model.certificates) > 1:
+        have = ", ".join(f"{c.chaser_radius:g}" for c in model.certificates)
+        raise ExchangeError(f"--chaser-radius: the field has certificates for {have} m; name one of them")
+    return model.certificates[0] if model.certificates else None

@@ -1,0 +1,210 @@
+"""The whole loop round a box: flown through views, judged by closed forms of what a box shows and how far it is."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from truths.box_problems import patches_and_sight, problem_of
+from truths.boxes import HALF, box_distance
+from truths.made_up_inspection import seen_of_box
+
+from keepout.apps.inspection.frames import Camera
+from keepout.apps.inspection.inspect import inspect
+from keepout.apps.inspection.plan import InspectionPlan, PlannedView
+from keepout.core.audit.audit import Contact
+from keepout.core.errors import InspectionError
+from keepout.core.geometry.target import Target
+from keepout.core.mission.light import Light
+from keepout.core.mission.scenario import Scenario
+
+pytestmark = pytest.mark.long
+
+RADIUS, STAND_OFF = 0.4, 1.2
+"""Of the chaser, and what it keeps from the built-in box, m."""
+SCENARIO = {
+    "name": "look",
+    "duration": 2000.0,
+    "target": {"source": "box"},
+    "field": {"source": "grid"},
+    "chaser": {"radius": RADIUS},
+    "camera": {"greatest_range": 6.0},
+    "start": {"position": [5.0, 0.5, 0.3]},
+    "disturbance": {"kind": "none"},
+    "control": {"spacing": 0.4},
+    "inspect": {"stand_off": STAND_OFF, "patch_size": 0.5, "candidates": 100},
+}
+
+
+PATCHES, _ = patches_and_sight()
+
+
+def scenario(**changes):
+    return Scenario.parse(SCENARIO).replace(**changes)
+
+
+def tour(patches, **windows):
+    """A view of the middle of each side from straight above it, with all the units of that side."""
+    views, covered = [], np.zeros(patches.units, dtype=bool)
+    normals = patches.unit_normals()
+    for name, outwards in zip(("x", "y", "z", "-x", "-y", "-z"), np.vstack([np.eye(3), -np.eye(3)])):
+        units = np.flatnonzero(patches.counted & (normals @ outwards > 0.5))
+        covered[units] = True
+        views.append(PlannedView((HALF + 4.6) * outwards, -outwards, units, windows.get(name, (0.0, math.inf))))
+    return InspectionPlan(tuple(views), covered, 40.0, 500.0, 6, 6, 6)
+
+
+@pytest.fixture(scope="module")
+def flown():
+    mission = scenario()
+    return inspect(mission, problem=problem_of(mission), first=tour(PATCHES))
+
+
+def test_all_of_a_box_is_seen_without_touching_it(flown):
+    assert flown.outcome == "all seen", flown.why
+    assert flown.audit.contact is Contact.NO
+    assert flown.start_certified
+    assert flown.assumptions_broken == ()
+    assert flown.coverage == pytest.approx(1.0)
+    apart, (_, shares) = box_distance(flown.record.position), flown.over_time()
+    assert apart.min() >= STAND_OFF
+    assert STAND_OFF - RADIUS <= flown.audit.minimum_clearance <= apart.min() - RADIUS + 1e-9
+    assert np.all(np.diff(shares) >= 0.0)
+    # It flies through views and does not rest at each.
+    assert np.mean(np.linalg.norm(flown.record.velocity, axis=1)[30:] < 0.005) < 0.2
+
+
+def test_frames_are_taken_each_period_from_the_records_true_places_and_show_what_a_box_shows(flown):
+    record, rules, camera = flown.record, flown.rules, flown.scenario.camera
+    assert [frame.time for frame in flown.frames] == [5.0 * n for n in range(len(flown.frames))]
+    seen = np.zeros(flown.patches.units, dtype=bool)
+    counted = 0
+    for frame in flown.frames:
+        assert np.array_equal(frame.position, record.position[int(np.searchsorted(record.time, frame.time))])
+        expected = seen_of_box(flown.patches, rules, frame.position, frame.boresight)
+        assert np.isin(frame.units, expected).all()
+        counted += len(expected) - len(frame.units)
+        seen[frame.units] = True
+    assert np.array_equal(seen, flown.seen)
+    # Bounding a patch by a cone about its middle leaves out little.
+    assert counted <= 0.1 * sum(len(frame.units) for frame in flown.frames)
+    boresights = np.array([frame.boresight for frame in flown.frames])
+    assert np.linalg.norm(boresights, axis=1) == pytest.approx(1.0)
+    cosines = np.clip(np.sum(boresights[1:] * boresights[:-1], axis=1), -1.0, 1.0)
+    assert np.arccos(cosines).max() <= camera.turn_rate * camera.period + 1e-7
+
+
+def test_the_end_of_time_ends_the_same_flight_and_what_is_undecided_counts_in_the_figure(flown):
+    """The end x = 2 m is undecided, though it can be seen: it is flown to, bit for bit, as if that were known."""
+    end = PATCHES.counted & (PATCHES.unit_normals()[:, 0] > 0.5)
+    mission = scenario(duration=100.0)
+    less = inspect(mission, problem=problem_of(mission, undecided=end), first=tour(PATCHES))
+    assert less.outcome == "out of time"
+    assert less.record.time[-1] == 100.0
+    assert np.array_equal(less.record.position, flown.record.position[: len(less.record.time)])
+    areas = PATCHES.unit_areas()
+    assert 0.0 < areas[less.seen & end].sum() < areas.sum()
+    assert less.summary()["coverage_possible"] == pytest.approx(areas[less.seen].sum() / areas.sum())
+    assert less.coverage_seeable == pytest.approx(areas[less.seen & ~end].sum() / areas[~end].sum())
+
+
+def test_in_the_earths_shadow_nothing_counts_and_what_it_cost_is_seen_in_later_light():
+    mission = scenario(
+        light={"kind": "sun"},
+        orbit={"semi_major_axis": 6878000.0},
+        sun={"direction": (-1, 0, 0)},
+        duration=4000.0,
+        inspect={"coverage": 0.5},
+    )
+    found = inspect(mission, problem=problem_of(mission), first=tour(PATCHES))
+    dark = [frame for frame in found.frames if frame.sun is None]
+    assert len(dark) > 50
+    assert all(len(frame.units) == 0 for frame in dark)
+    assert found.plans >= 2
+    assert found.outcome == "50 % asked, seen", found.why
+    assert found.coverage_seeable >= 0.49
+    assert found.coverage < found.patches.coverage(found.patches.counted)
+    assert found.audit.contact is Contact.NO
+    least = math.cos(found.rules.greatest_sun_incidence) - 1e-9
+    for frame in found.frames:
+        if frame.sun is not None:
+            assert (found.patches.unit_normals()[frame.units] @ frame.sun >= least).all()
+
+
+def test_a_hold_point_is_held_before_any_view_and_a_view_whose_window_is_then_over_is_planned_anew():
+    hold = {"position": [4.0, 3.0, 0.0], "seconds": 60.0}
+    mission = scenario(inspect={"hold_points": [hold], "coverage": 0.7})
+    found = inspect(mission, problem=problem_of(mission), first=tour(PATCHES, **{"-x": (0.0, 10.0)}))
+    near = np.linalg.norm(found.record.position - hold["position"], axis=1) < 0.15
+    edges = np.flatnonzero(np.diff(near.astype(int)))
+    assert edges[1] - edges[0] >= 60
+    assert found.plans >= 2
+    assert found.outcome == "70 % asked, seen", found.why
+    assert 0.7 <= found.coverage < 1.0
+    assert found.audit.contact is Contact.NO
+
+
+def test_by_sensors_the_estimate_strikes_off_on_board_and_the_truth_is_what_counts():
+    mission = scenario(
+        navigation={"suite": "close", "estimate": "filter"},
+        disturbance={"kind": "paper"},
+        inspect={"stand_off": 1.8, "coverage": 0.5},
+    )
+    patches, problem = PATCHES, problem_of(mission)
+    found = inspect(mission, problem=problem, first=tour(patches))
+    assert found.outcome == "50 % asked, seen", found.why
+    assert found.audit.contact is Contact.NO
+    assert found.assumptions_broken == ()
+    assert found.start_certified
+    assert box_distance(found.record.position).min() >= 1.8
+    off = np.linalg.norm(found.record.position - found.record.estimated_position, axis=1)
+    assert np.median(off) > 1e-3
+    assert off.max() < 0.1
+    camera = Camera(patches, problem.sight, problem.rules, problem.light)
+    taken, reached, differing = np.zeros(patches.units, dtype=bool), [], 0
+    for frame in found.frames:
+        row = int(np.searchsorted(found.record.time, frame.time))
+        assert np.array_equal(frame.units, camera.units(frame.time, found.record.position[row], frame.boresight))
+        on_board = camera.units(frame.time, found.record.estimated_position[row], frame.boresight)
+        differing += set(on_board.tolist()) != set(frame.units.tolist())
+        taken[on_board] = True
+        reached.append(patches.coverage(taken & found.lit) / patches.coverage(found.lit))
+    # It ends with the first frame in which what was taken by the estimates is enough, whatever the truth shows.
+    assert reached[-2] < 0.5 <= reached[-1] + 1e-12
+    assert f"{reached[-1]:.2%} of what is not proved hidden was taken" in found.why
+    assert differing > 0
+    assert found.coverage_seeable >= 0.48
+
+
+def test_a_problem_of_another_target_camera_or_light_is_refused():
+    mission = scenario()
+    made = problem_of(mission)
+    other = dataclasses.replace(made, light=Light.of(scenario(light={"kind": "sun"})))
+    for changed, options in (
+        (mission, {"target": Target.load("pocket"), "problem": made}),
+        (scenario(camera={"greatest_range": 5.0}), {"problem": made}),
+        (mission, {"problem": other}),
+    ):
+        with pytest.raises(InspectionError, match="problem"):
+            inspect(changed, **options)
+
+
+def test_towards_the_target_it_flies_as_slowly_as_passive_safety_asks():
+    """From 5 m off the box straight to 1.6 m: at the speed limit a drift of a minute would hit it from half way on."""
+    mission = scenario(
+        start={"position": [7.0, 0.0, 0.0]},
+        duration=450.0,
+        inspect={"hold_points": [{"position": [3.6, 0.0, 0.0], "seconds": 5.0}], "passive_safety": 60.0},
+    )
+    careful = inspect(mission, problem=problem_of(mission), first=tour(PATCHES))
+    # Until the hold point is reached: how far the box is ahead at each sample, and how fast it comes.
+    away = careful.record.position[:, 0] - HALF[0] - RADIUS
+    until = int(np.argmax(away < 1.3))
+    assert until > 0
+    rate = -careful.record.velocity[:until, 0]
+    assert np.all(60.0 * rate < away[:until] + 0.01)
+    assert 60.0 * mission.chaser.speed_limit > away[until]
+    assert rate.max() < 0.25 * mission.chaser.speed_limit
+    figures = careful.summary()
+    assert figures["legs_flown"] >= figures["legs_flown_slowed"] >= 1
+    assert figures["legs_flown_unsafe"] == 0

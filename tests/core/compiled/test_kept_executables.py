@@ -1,0 +1,273 @@
+"""Whole programs on disk: taken without tracing, with the same bits, and only where all they depend on is the same."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+import warnings
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from keepout.core.compiled import kept_executables
+from keepout.core.compiled.kept_executables import (
+    _calls_out,
+    _constants,
+    _pickled,
+    _sources,
+    _UnknownError,
+    kept_jit,
+)
+from keepout.core.compiled.kept_programs import VARIABLE, KeptProgramsWarning, keep_programs
+from keepout.core.control.tuning import Tuning
+from keepout.core.fields import evaluate
+from keepout.core.fields.analytic import SphereField
+
+pytestmark = [
+    pytest.mark.as_used,
+    pytest.mark.skipif(not hasattr(os, "getuid"), reason="no owners and modes of files here"),
+]
+
+POINTS = np.random.default_rng(0).normal(size=(5, 3))
+SPHERE = SphereField(jnp.zeros(3), jnp.asarray(2.0))
+TRUE = np.linalg.norm(POINTS, axis=1) - 2.0
+
+
+def fresh(monkeypatch) -> None:
+    """Forget in this process what was compiled or taken."""
+    monkeypatch.setattr(evaluate, "_value", kept_jit(evaluate._value.__wrapped__))
+
+
+def kept(folder: Path) -> tuple[set[str], set[str]]:
+    """Calls and codes on the disk."""
+    names = [entry.name for entry in folder.iterdir()]
+    return {name for name in names if name.startswith("call_")}, {name for name in names if name.startswith("code_")}
+
+
+def traced(monkeypatch) -> list[str]:
+    """Note every function that JAX traces from now on."""
+    found: list[str] = []
+
+    def heard(name, seconds, **told):
+        if name.endswith("jaxpr_trace_duration"):
+            found.append(told["fun_name"])
+
+    jax.monitoring.register_event_duration_secs_listener(heard)
+    return found
+
+
+def test_a_kept_program_gives_the_same_bits_without_being_traced(folder, monkeypatch):
+    fresh(monkeypatch)
+    first = evaluate.values(SPHERE, POINTS)
+    np.testing.assert_allclose(first, TRUE, rtol=1e-12)
+    assert [len(names) for names in kept(folder)] == [1, 1]
+    fresh(monkeypatch)
+    found = traced(monkeypatch)
+    assert np.array_equal(evaluate.values(SPHERE, POINTS), first)
+    assert "kept__value" not in found
+    keep_programs.cache_clear()
+    fresh(monkeypatch)
+    assert np.array_equal(evaluate.values(SPHERE, POINTS), first), "and those of filter_jit"
+
+
+def test_another_shape_type_or_number_is_another_call(folder, monkeypatch):
+    sizes = set()
+    for points in (jnp.zeros((4, 3)), jnp.zeros((5, 3)), jnp.zeros((5, 3), jnp.float32)):
+        fresh(monkeypatch)
+        evaluate._value(SPHERE, points)
+        sizes.add(tuple(len(names) for names in kept(folder)))
+    assert sizes == {(1, 1), (2, 2), (3, 3)}
+    with jax.default_matmul_precision("float32"):
+        fresh(monkeypatch)
+        evaluate._value(SPHERE, jnp.zeros((4, 3)))
+    assert len(kept(folder)[0]) == 4
+
+
+def test_a_process_has_so_many_programs_at_hand_and_lets_go_of_those_used_longest_ago(folder, monkeypatch):
+    """A program takes hundreds of pieces of memory, of which a process may have 65,530."""
+    monkeypatch.setattr(kept_executables, "_AT_HAND", 2)
+    fresh(monkeypatch)
+    for rows in (3, 4, 3, 5):
+        evaluate._value(SPHERE, jnp.zeros((rows, 3)))
+    for entry in folder.iterdir():
+        entry.unlink()
+    for rows in (3, 5):
+        evaluate._value(SPHERE, jnp.zeros((rows, 3)))
+    assert kept(folder) == (set(), set())
+    assert np.array_equal(evaluate._value(SPHERE, jnp.zeros((4, 3))), np.full(4, -2.0))
+    assert [len(names) for names in kept(folder)] == [1, 1]
+
+
+@pytest.mark.parametrize("used", [0, 1])
+def test_calls_that_use_other_arguments_do_not_share_a_program(folder, used):
+    """Their lowered texts would be the same if the arguments that are not used were left out of them."""
+    leaves = [jnp.asarray(2.0), jnp.asarray(5.0)]
+    structure = jax.tree.structure(((0, 0), {}))
+    for place in (used, 1 - used):
+        made = kept_executables._compiled(
+            lambda *pair, place=place: 3.0 * pair[place],
+            structure,
+            ((None, None), {}),
+            leaves,
+            folder / f"call_picked-{place}-cache",
+            b"",
+        )
+        assert made is not None
+        assert float(made[0](*leaves)[0]) == 3.0 * float(leaves[place])
+
+
+def test_numbers_at_the_top_of_modules_are_part_of_the_key(folder, monkeypatch):
+    fresh(monkeypatch)
+    evaluate.values(SPHERE, POINTS)
+    monkeypatch.setattr(evaluate, "SOMETHING", 5, raising=False)
+    fresh(monkeypatch)
+    evaluate.values(SPHERE, POINTS)
+    calls, codes = kept(folder)
+    assert (len(calls), len(codes)) == (2, 1), "two calls, lowered to one program"
+
+
+def test_nothing_is_kept_or_taken_where_a_function_of_keepout_was_replaced(folder, monkeypatch):
+    points = jnp.zeros((7, 3))  # JAX itself, in one process, would not see it for a shape that it knows
+    fresh(monkeypatch)
+    evaluate._value(SPHERE, points)
+    before = kept(folder)
+    monkeypatch.setattr(SphereField, "value", lambda self, points: jnp.full(points.shape[:-1], 7.0))
+    with pytest.raises(_UnknownError):
+        _constants()
+    fresh(monkeypatch)
+    np.testing.assert_array_equal(evaluate._value(SPHERE, points), 7.0)
+    assert kept(folder) == before
+
+
+class Foreign(SphereField):
+    """A field of somebody else, whose source no key tells."""
+
+
+def test_what_is_not_of_keepout_is_not_kept(folder, monkeypatch):
+    fresh(monkeypatch)
+    foreign = Foreign(jnp.zeros(3), jnp.asarray(2.0))
+    np.testing.assert_allclose(evaluate.values(foreign, POINTS), TRUE, rtol=1e-12)
+    assert kept(folder) == (set(), set())
+    for mine in (Foreign, lambda: 1, traced):
+        with pytest.raises(_UnknownError):
+            _pickled(mine)
+    assert _pickled((Tuning, np.dtype("f4"), "word", 1.5)) == _pickled((Tuning, np.dtype("f4"), "word", 1.5))
+
+    def mine(x):
+        return 2.0 * x
+
+    assert kept_jit(mine)(jnp.ones(3)).tolist() == [2.0, 2.0, 2.0]
+    assert kept(folder) == (set(), set())
+
+
+def test_a_source_file_younger_than_the_process_stops_keeping(monkeypatch, tmp_path):
+    shutil.copytree(kept_executables._PACKAGE, tmp_path / "keepout", ignore=shutil.ignore_patterns("data"))
+    monkeypatch.setattr(kept_executables, "_PACKAGE", tmp_path / "keepout")
+    told = _sources.__wrapped__()
+    path = tmp_path / "keepout" / "flight" / "loop.py"
+    old = path.stat().st_mtime
+    path.write_text(path.read_text() + "\n# another\n")
+    with pytest.raises(_UnknownError, match=r"loop\.py"):
+        _sources.__wrapped__()
+    os.utime(path, (old, old))
+    assert _sources.__wrapped__() != told
+    monkeypatch.setattr(kept_executables, "_PACKAGE", tmp_path / "nothing")
+    with pytest.raises(_UnknownError):
+        _sources.__wrapped__()
+
+
+@pytest.mark.parametrize("kind", ["call", "code"])
+def test_a_damaged_file_is_a_warning_and_compiled_anew(folder, monkeypatch, kind):
+    fresh(monkeypatch)
+    first = evaluate.values(SPHERE, POINTS)
+    [path] = folder.glob(f"{kind}_*")
+    whole = path.read_bytes()
+    for damaged in (b"", whole[:40] + bytes([whole[40] ^ 1]) + whole[41:]):
+        path.write_bytes(damaged)
+        fresh(monkeypatch)
+        with pytest.warns(KeptProgramsWarning, match="damaged"):
+            assert np.array_equal(evaluate.values(SPHERE, POINTS), first)
+        fresh(monkeypatch)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            assert np.array_equal(evaluate.values(SPHERE, POINTS), first), "and is whole again"
+
+
+def test_a_program_that_calls_out_is_told_by_what_it_calls():
+    def out(x):
+        return jax.pure_callback(lambda y: np.asarray(y), jax.ShapeDtypeStruct((), x.dtype), x)
+
+    for calling in (out, lambda x: jnp.linalg.eigh(jnp.eye(3) * x)[0]):
+        assert list(_calls_out(jax.jit(calling).lower(1.0).as_text()))
+    assert not list(_calls_out(jax.jit(jnp.sin).lower(1.0).as_text()))
+
+
+def run(program: str, folder: Path | str) -> tuple[list, str]:
+    """Run a program in a process as a user starts it, and give what it printed."""
+    own = {name: value for name, value in os.environ.items() if not name.startswith("JAX_")}
+    done = subprocess.run(
+        [sys.executable, "-c", program], env=own | {VARIABLE: str(folder)}, capture_output=True, text=True, check=True
+    )
+    return json.loads(done.stdout.splitlines()[-1]), done.stderr
+
+
+VALUE = """
+import json, sys, numpy as np, jax, jax.numpy as jnp
+from jax import monitoring
+traced, hits = [], []
+monitoring.register_event_duration_secs_listener(
+    lambda name, seconds, **told: traced.append(told["fun_name"]) if name.endswith("jaxpr_trace_duration") else None
+)
+monitoring.register_event_listener(lambda name, **_: hits.append(name.endswith("/cache_hits")))
+from keepout.core.compiled.kept_programs import keep_programs
+from keepout.core.fields import evaluate
+from keepout.core.fields.analytic import SphereField
+before = jax.config.jax_compilation_cache_dir
+keep_programs()
+value = evaluate.values(SphereField(jnp.zeros(3), jnp.asarray(2.0)), np.ones((1, 3)))[0]
+other = jax.jit(lambda x: jnp.sin(jnp.cumsum(x)) @ jnp.exp(-x))(jnp.linspace(0.0, 1.0, 1000))
+print(json.dumps([before, [float(value).hex(), float(other).hex()], "kept__value" in traced, any(hits)]))
+"""
+
+
+@pytest.mark.long
+def test_from_one_process_to_the_next_programs_are_taken_and_lost_damaged_or_edited_ones_made_anew(
+    tmp_path, monkeypatch
+):
+    source, kept_in = tmp_path / "source", tmp_path / "kept"
+    shutil.copytree(kept_executables._PACKAGE, source / "keepout", ignore=shutil.ignore_patterns("data", "__pycache__"))
+    past = time.time() - 100.0
+    for path in source.rglob("*.py"):
+        os.utime(path, (past, past))
+    monkeypatch.setenv("PYTHONPATH", str(source))
+    (before, first, _, hits), _ = run(VALUE, "off")
+    assert before is None, "importing Keepout sets nothing"
+    assert not hits
+    assert float.fromhex(first[0]) == pytest.approx(np.sqrt(3.0) - 2.0)
+    # What was loaded is never written again: XLA loses functions of a loaded program when it is.
+    for lost, was_traced in (("", True), ("", False), ("call_*", True), ("", False), ("code_*", True)):
+        for path in kept_in.rglob(lost) if lost else ():
+            path.unlink()
+        (_, values, *told), said = run(VALUE, kept_in)
+        assert values == first
+        assert told == [was_traced, bool(lost or not was_traced)], lost
+        assert said == ""
+    for path in kept_in.rglob("*-cache"):
+        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    (_, values, *_), said = run(VALUE, kept_in)
+    assert values == first
+    assert "damaged" in said
+    assert "Error reading persistent compilation cache entry" in said
+    path = source / "keepout" / "fields" / "analytic.py"
+    text = path.read_text()
+    line = next(line for line in text.splitlines() if "self.radius" in line and "return" in line)
+    path.write_text(text.replace(line, line + " + 1.0"))
+    os.utime(path, (past + 10.0, past + 10.0))
+    (_, values, was_traced, _), _ = run(VALUE, kept_in)
+    assert was_traced
+    assert float.fromhex(values[0]) == pytest.approx(float.fromhex(first[0]) + 1.0)

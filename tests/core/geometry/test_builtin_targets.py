@@ -1,0 +1,76 @@
+"""Built-in targets: closed, in one piece, of their public size, with the source paper's points where they should be."""
+
+import numpy as np
+import pytest
+from truths.solids import solid_angle
+
+from keepout.core.errors import MeshError
+from keepout.core.geometry import OffsetSolid, Target, shape
+from keepout.core.geometry.builtin import BUILTINS
+
+SIZES = {
+    "intelsat30": ((26.8, 8.0, 6.1), 0.15),
+    "iss": ((109.0, 80.0, 37.7), 0.4),
+    "tiangong": ((41.0, 56.0, 5.0), 0.3),
+    "box": ((4.0, 3.0, 2.0), 1e-12),
+    "sphere": ((4.0, 4.0, 4.0), 1e-3),
+    "pocket": ((6.0, 4.0, 6.0), 1e-12),
+}
+VOLUMES = {"box": 24.0, "pocket": 6 * 4 * 6 - 5.4 * 3.7 * 5.4}
+
+
+@pytest.mark.parametrize("name", sorted(BUILTINS))
+def test_closed_single_and_of_public_size(name):
+    target = Target.load(name)
+    report = target.report
+    assert report.watertight
+    assert report.parts == 1
+    size, tolerance = SIZES[name]
+    assert report.extents == pytest.approx(size, abs=tolerance)
+    volume = shape.enclosed_volume(target.vertices, target.faces)
+    assert volume == pytest.approx(VOLUMES[name]) if name in VOLUMES else volume > 0.0
+
+
+@pytest.mark.long
+def test_points_of_the_source_paper_round_intelsat30():
+    target = Target.load("intelsat30")
+    points = np.array([[0.0, 10.0, 6.0], [0.0, -10.0, -4.0], [0.0, -10.0, 6.0]])
+    assert (target.distance.distance(points) > 0.5).all()
+    line = points[0] + np.linspace(0.0, 1.0, 20_001)[:, None] * (points[1] - points[0])
+    assert target.distance.distance(line).min() < 1e-3
+    solid = OffsetSolid.build(target.distance)
+    assert solid.is_exterior(points).all()
+    assert not solid.is_exterior(np.array([[0.0, 0.0, 0.0]]))[0]
+    volume = shape.enclosed_volume(target.vertices, target.faces)
+    assert solid.sealed_volume == pytest.approx(volume, rel=0.25)
+
+
+def test_the_goal_of_the_source_paper_lies_inside_harmony():
+    station, goal = Target.load("iss"), np.array([[0.0, -10.0, 6.0]])
+    assert 0.5 < station.distance.distance(goal)[0] < 2.3
+    assert solid_angle(station, goal)[0] == pytest.approx(4.0 * np.pi, abs=1e-5)
+
+
+@pytest.mark.parametrize("name", ["intelsat30", "iss", "tiangong"])
+def test_wings_turn_and_stretch(name):
+    flat = Target.load(name).report.extents
+    upright = Target.load(name, parameters={"wing_angle": np.pi / 2}).report
+    assert upright.watertight
+    assert upright.extents[2] > flat[2] + 0.3
+    span = BUILTINS[name].parameters["wing_span"]
+    longer = Target.load(name, parameters={"wing_span": span.default + 5.0}).report.extents
+    assert max(np.subtract(longer, flat)) > 1.9
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        ({"parameters": {"wing_angel": 0.1}}, "wing_angel"),
+        ({"parameters": {"wing_span": 1.0}}, "wing_span"),
+        ({"parameters": {"wing_span": float("nan")}}, "wing_span"),
+        ({"units": "mm"}, "metres"),
+    ],
+)
+def test_bad_parameters_are_named(arguments, word):
+    with pytest.raises(MeshError, match=word):
+        Target.load("intelsat30", **arguments)

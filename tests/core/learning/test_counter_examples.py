@@ -1,0 +1,115 @@
+"""Counter-examples: a small over-statement planted where the chaser touches is found and learned from."""
+
+import functools
+
+import numpy as np
+import pytest
+from truths import small_box
+
+from keepout.core.fields.domain import Domain
+from keepout.core.learning import counter_examples
+from keepout.core.learning.counter_examples import HIGHEST, JITTER, ROUNDS_KEPT, Hunt
+from keepout.core.learning.profile import TrainingProfile
+
+pytestmark = pytest.mark.long
+
+HEIGHT, WIDTH, WEBS = 0.2, 0.04, 300
+PROFILE = TrainingProfile(webs=WEBS)
+
+
+@pytest.fixture(scope="module")
+def solid():
+    return small_box.solid()
+
+
+@pytest.fixture(autouse=True)
+def _fewer_candidates(monkeypatch):
+    monkeypatch.setattr(counter_examples, "ON_LEVEL", 60_000)
+    monkeypatch.setattr(counter_examples, "NEAR", 60_000)
+
+
+@functools.cache
+def prepared(solid, chaser_radius):
+    return Hunt.prepare(solid, Domain.around(solid.distance), chaser_radius, PROFILE, np.random.default_rng(0))
+
+
+NOTHING_KNOWN = np.zeros((0, 3))
+
+
+class Wrong:
+    """The distance less `less`, with a bump of a height and width in one place."""
+
+    def __init__(self, distance, less, place, height, width):
+        self.distance, self.less, self.place, self.height, self.width = distance, less, place, height, width
+
+    def _bump(self, points):
+        return self.height * np.exp(-((points - self.place) ** 2).sum(axis=1) / self.width**2)
+
+    def value(self, points):
+        return self.distance.distance(points) - self.less + self._bump(points)
+
+    def gradient(self, points):
+        bump = self._bump(points)[:, None] * -2.0 * (points - self.place) / self.width**2
+        return self.distance.distance_and_gradient(points)[1] + bump
+
+
+@pytest.mark.parametrize(("peak", "level"), [((1.0, 0.12, 0.31), 0.0), ((1.3, -0.22, 0.17), 0.3)])
+@pytest.mark.parametrize("width", [WIDTH, 0.2 * WIDTH])
+def test_a_planted_peak_is_climbed(solid, peak, level, width):
+    hunt = prepared(solid, 0.3)
+    domain = hunt.domain
+    assert hunt.levels == (0.0, 0.3)
+    batch, largest = hunt.worst(
+        Wrong(solid.distance, 0.05, peak, HEIGHT, width), NOTHING_KNOWN, np.random.default_rng(1)
+    )
+    assert largest == pytest.approx(HEIGHT - 0.05, abs=2e-3)
+    assert len(batch.x) * ROUNDS_KEPT == hunt.kept
+    found = np.asarray(batch.x, np.float64) * domain.learned_radius + domain.centre
+    near = np.linalg.norm(found - peak, axis=1) < 2.0 * width + 4.0 * JITTER
+    assert near.sum() > 30
+    # The highest counts most, and what is not over-stated once.
+    weight = np.asarray(batch.weight)
+    assert weight[near].max() == pytest.approx(HIGHEST)
+    assert np.all(weight[:-WEBS][~near[:-WEBS]] == 1.0)
+    # Their labels are the truth, not what the field said.
+    truth = solid.distance.distance(found[near]) - solid.offset
+    inside = np.asarray(batch.hidden)[near]
+    assert np.allclose(np.asarray(batch.distance)[near][~inside], truth[~inside], atol=1e-5)
+
+
+def test_a_web_is_found(solid):
+    """A field that says too little in one place off the surface, where it endangers nothing."""
+    hunt = prepared(solid, 0.0)
+    web = np.array([1.3, 0.8, 0.2])
+
+    wrong = Wrong(solid.distance, solid.offset, web, -0.4, 0.1)
+    batch, _ = hunt.worst(wrong, NOTHING_KNOWN, np.random.default_rng(1))
+    found = np.asarray(batch.x, np.float64)[-WEBS:] * hunt.domain.learned_radius + hunt.domain.centre
+    near = np.linalg.norm(found - web, axis=1) < 0.25
+    assert near.sum() > 10
+    assert near.sum() >= 0.9 * (np.linalg.norm(hunt.near.points - web, axis=1) < 0.15).sum()
+    truth = solid.distance.distance(found[near]) - solid.offset
+    assert np.allclose(np.asarray(batch.distance)[-WEBS:][near], truth, atol=1e-5)
+    # The deepest counts most.
+    weight = np.asarray(batch.weight)[-WEBS:]
+    assert weight.max() == pytest.approx(HIGHEST)
+    assert weight[near].max() == weight.max()
+    assert weight.min() < 2.0
+    # While the certified side settles, webs are left alone.
+    settled, _ = hunt.worst(wrong, NOTHING_KNOWN, np.random.default_rng(1), settling=True)
+    assert len(settled.x) == len(batch.x)
+    found = np.asarray(settled.x, np.float64) * hunt.domain.learned_radius + hunt.domain.centre
+    assert (np.linalg.norm(found - web, axis=1) < 0.15).sum() < 5
+
+
+def test_a_peak_known_before_is_found_again(solid):
+    """One too narrow to be met by chance, but near a counter-example of an earlier round."""
+    hunt = prepared(solid, 0.0)
+    peak = np.array([1.0, 0.12, 0.31])
+    wrong = Wrong(solid.distance, 0.05, peak, HEIGHT, 1e-3)
+    heights = [
+        hunt.worst(wrong, known, np.random.default_rng(1))[1]
+        for known in (NOTHING_KNOWN, peak[None] + [0.0, 5e-4, 0.0])
+    ]
+    assert heights[0] < 0.0
+    assert heights[1] > 0.5 * HEIGHT - 1e-9

@@ -1,0 +1,91 @@
+"""What training minimises, and its derivative, written out, against JAX's own reverse of the reverse."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from truths.networks import random_layers
+
+from keepout.core.fields import mlp
+from keepout.core.learning import losses, second_sweep
+from keepout.core.learning.profile import PROFILES
+
+PROFILE = PROFILES["quick"]
+SCALE, BETA = 12.0, 30.0
+
+
+def labelled(count: int, share: float) -> losses.Batch:
+    """Points of which a share has a gradient, and half of the others are hidden."""
+    rng = np.random.default_rng(count)
+    smooth = rng.random(count) < share
+    hidden = ~smooth & (rng.random(count) < 0.5)
+    gradient = rng.normal(size=(count, 3)) * smooth[:, None]
+    columns = (rng.normal(size=(count, 3)), rng.normal(size=count), gradient, rng.uniform(0.5, 2.0, count))
+    x, distance, gradient, weight = (jnp.asarray(column, jnp.float32) for column in columns)
+    return losses.Batch(x, distance, gradient, jnp.asarray(smooth), jnp.asarray(hidden), weight)
+
+
+@pytest.mark.long
+def test_points_in_two_parts_count_as_if_each_had_its_gradient_evaluated():
+    """Points that have no gradient to learn cost less, and count the same."""
+    layers, whole = random_layers(3, dtype=jnp.float32), labelled(80, 0.6)
+    parts = losses.Parted.by(PROFILE, whole)
+    assert len(parts.sloped.x) == int(whole.smooth.sum())
+    joined = jax.tree.map(lambda *columns: np.concatenate(columns), *parts)
+
+    def total(layers, rows, sloped):
+        value_term, slope_term = losses.terms(layers, PROFILE, SCALE, rows, sloped)
+        return jnp.sum(value_term) + jnp.sum(slope_term)
+
+    derivative = jax.jit(jax.value_and_grad(total), static_argnums=2)
+    ours, ours_slope = derivative(layers, joined, len(parts.sloped.x))
+    truth, truth_slope = derivative(layers, whole, 80)
+    assert float(ours) == pytest.approx(float(truth), rel=1e-5)
+    for a, b in zip(jax.tree.leaves(ours_slope), jax.tree.leaves(truth_slope), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-5 * float(np.abs(b).max()))
+
+
+@pytest.mark.parametrize("name", ["paper", "paper_printed"])
+def test_the_papers_eikonal_term_is_asked_of_every_point(name):
+    parts = losses.Parted.by(PROFILES[name], labelled(50, 0.3))
+    assert (len(parts.sloped.x), len(parts.plain.x)) == (50, 0)
+
+
+@pytest.mark.long
+def test_the_keepout_loss_by_hand():
+    """Weighted pinball, by another share beyond the near field; no under-statement where hidden; a slope's error."""
+    x = np.float32([[0.1, 0.2, 0.3]] * 3)
+    layers = random_layers(1, dtype=jnp.float32)
+    y, gradient = jax.jit(losses.second_sweep.value_and_gradient, static_argnums=1)(layers, PROFILE.beta, x)
+    f = float(y[0]) * SCALE
+    distance = np.float32([f + 1.0, f - 1.0, f + 1.0])
+    profile = dataclasses.replace(PROFILE, over_weight=0.8, far_over_weight=0.6, near_field=f)
+    off = np.asarray(gradient) + np.float32([0.0, 0.0, 1.0])
+    smooth, hidden = np.array([True, False, False]), np.array([False, False, True])
+    batch = losses.Batch(*map(jnp.asarray, (x, distance, off, smooth, hidden, np.float32([2.0, 3.0, 1.0]))))
+    value_term, slope_term = jax.jit(lambda batch: losses.terms(layers, profile, SCALE, batch, 1))(batch)
+    np.testing.assert_allclose(value_term, [2.0 * 0.4, 3.0 * 0.8, 0.0], rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(slope_term, [PROFILE.gradient_weight / (1.0 + abs(distance[0]))], rtol=1e-4)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("shape", [(3, 16, 8, 1), pytest.param((3, 32, 16, 24, 16, 1), marks=pytest.mark.slow)])
+def test_the_second_sweep_is_the_derivative_that_jax_finds(shape):
+    rng = np.random.default_rng(0)
+    x, target = (jnp.asarray(rng.normal(size=(40, 3))) for _ in range(2))
+
+    def loss(layers, function, of_value, of_gradient, of_both):
+        value, gradient = function(layers, BETA, x)
+        apart = jnp.sum((gradient - target) ** 2)
+        return of_value * jnp.sum(jnp.sin(value) ** 2) + of_gradient * apart + of_both * jnp.sum(value * gradient[:, 1])
+
+    derivative = jax.jit(jax.value_and_grad(loss), static_argnums=1)
+    for weights in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (1.0, 1.0, 1.0)):
+        ours, ours_gradient = derivative(random_layers(1, shape), second_sweep.value_and_gradient, *weights)
+        truth, truth_gradient = derivative(random_layers(1, shape), mlp.value_and_gradient, *weights)
+        assert float(ours) == pytest.approx(float(truth), rel=1e-13)
+        for a, b in zip(jax.tree.leaves(ours_gradient), jax.tree.leaves(truth_gradient), strict=True):
+            assert a.shape == b.shape
+            np.testing.assert_allclose(a, b, rtol=1e-10, atol=1e-12 * float(np.abs(b).max()))

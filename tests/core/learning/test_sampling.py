@@ -1,0 +1,57 @@
+"""Labels of points inside a target, against boxes whose depth is a closed form."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from keepout.core.geometry.offset_solid import OffsetSolid
+from keepout.core.geometry.target import Target
+from keepout.core.learning.sampling import HIDDEN_DEPTH, label
+
+HALF = np.array([2.0, 1.5, 1.2])
+OFFSET = 0.001
+
+
+def depth(points, half):
+    """Distance to the faces of a box, of points inside it."""
+    return (half - np.abs(points)).min(axis=1)
+
+
+@pytest.fixture(scope="module")
+def inside():
+    points = np.random.default_rng(0).uniform(-HALF, HALF, (2000, 3))
+    return points[depth(points, HALF) > 0.01]
+
+
+def solid_of(meshes, tmp_path):
+    path = tmp_path / "mesh.ply"
+    trimesh.util.concatenate(meshes).export(path)
+    return OffsetSolid.build(Target.load(path, units="m").distance, offset=OFFSET)
+
+
+@pytest.fixture
+def box(tmp_path):
+    return solid_of([trimesh.creation.box(extents=2 * HALF)], tmp_path)
+
+
+def test_the_whole_depth_of_a_box_is_exact(box, inside):
+    labels = label(box, inside, whole_depth=True)
+    assert labels.hidden.all()
+    np.testing.assert_allclose(labels.distance, -(depth(inside, HALF) + OFFSET), atol=1e-5)
+
+
+def test_without_the_whole_depth_a_label_goes_no_deeper_than_the_loss_asks(box, inside):
+    labels = label(box, inside)
+    np.testing.assert_allclose(labels.distance, -np.minimum(depth(inside, HALF) + OFFSET, HIDDEN_DEPTH), atol=1e-5)
+
+
+def test_a_sheet_within_a_box_is_no_way_out(tmp_path, inside):
+    """Between outer and inner box the nearest surface may be the inner one, which leads nowhere."""
+    nested = solid_of([trimesh.creation.box(extents=2 * HALF), trimesh.creation.box(extents=1.6 * HALF)], tmp_path)
+    labels = label(nested, inside, whole_depth=True)
+    truth = -(depth(inside, HALF) + OFFSET)
+    cell = 2.0 * (nested.envelope + 2 * OFFSET)
+    assert labels.hidden.all()
+    assert np.all(np.abs(labels.distance - truth) <= cell)
+    nearest_is_inner = nested.distance.distance(inside) + cell < depth(inside, HALF)
+    assert nearest_is_inner.sum() > 100

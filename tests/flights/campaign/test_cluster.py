@@ -1,0 +1,283 @@
+"""A campaign flown by a cluster: the bits of one process, whoever dies; and what is refused."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+from truths.small_campaigns import flown_here, small_plan
+
+from keepout.core.errors import ClusterError, KeepOutZoneError
+from keepout.flights.campaign import worker
+from keepout.flights.campaign.dataset import Dataset
+from keepout.flights.campaign.run import fly_campaign
+from keepout.flights.campaign.scheduler import flyer_on
+
+distributed = pytest.importorskip("distributed", reason="needs keepout[cluster]")
+
+from keepout.flights.campaign.cluster import Cluster  # noqa: E402
+
+pytestmark = [pytest.mark.long, pytest.mark.as_used]
+
+
+def silent(*counts):
+    """Hear of flights that landed, and say nothing."""
+
+
+def assert_flown_as_here(folder):
+    """Compare every file of a campaign's folder with what this process flies."""
+    dataset = Dataset.open(folder)
+    assert dataset.missing() == []
+    for number in range(small_plan().chunks):
+        assert (folder / f"flights/part-{number:05d}.parquet").read_bytes() == flown_here(number).table
+        assert (folder / f"bands/part-{number:05d}.npz").read_bytes() == flown_here(number).bands
+
+
+# ---- one process a worker
+
+
+def test_a_killed_worker_loses_only_its_chunks_and_no_bit_differs(tmp_path):
+    plan = small_plan()
+    dataset = Dataset.begin(tmp_path / "out", plan)
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0", memory_limit=0
+        ) as cluster,
+        distributed.Client(cluster, set_as_default=False) as watching,
+    ):
+        pids = watching.run(os.getpid)
+        killed = []
+
+        class Killing(Cluster):
+            """Stops a worker once a chunk has landed, lets chunks be handed to it, and kills it with them in hand."""
+
+            def __call__(self, plan, numbers, told):
+                flying = super().__call__(plan, numbers, told)
+                yield next(flying)
+                victim, pid = next(iter(pids.items()))
+                os.kill(pid, signal.SIGSTOP)
+                yield next(flying)
+                in_hand = watching.processing()[victim]
+                os.kill(pid, signal.SIGKILL)
+                killed.append(in_hand)
+                yield from flying
+
+        flyer = Killing(cluster.scheduler_address)
+        standing = fly_campaign(plan, dataset, flyer=flyer)
+        assert all(not state.refusal for state in flyer.states.values())
+        assert set(pids.values()) - set(watching.run(os.getpid).values()) == {next(iter(pids.values()))}
+        # The plan goes when the campaign is over.
+        assert watching.run(lambda: len(worker._held)) == dict.fromkeys(watching.run(os.getpid), 0)
+    assert killed[0], "the killed worker had nothing in hand: nothing was tried"
+    assert (standing.done, standing.flown) == (24, 24)
+    assert_flown_as_here(tmp_path / "out")
+
+
+INTERRUPTED = """
+import signal, sys, time
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job is started deaf to it
+from pathlib import Path
+from keepout.flights.campaign.dataset import Dataset
+from keepout.flights.campaign.run import fly_campaign
+from keepout.flights.campaign.scheduler import flyer_on
+from truths.small_campaigns import small_plan
+
+if __name__ == "__main__":
+    class Slow(Dataset):
+        def write(self, result):
+            super().write(result)
+            print("written", result.number, flush=True)
+            time.sleep(10.0)  # the interrupt comes in the first of these
+
+    fly_campaign(small_plan(), Slow.begin(Path(sys.argv[1]), small_plan()), flyer=flyer_on("local:1"))
+"""
+
+
+def no_process_left(group):
+    """Whether all processes of a group end within a minute."""
+    for _ in range(600):
+        try:
+            os.killpg(group, 0)
+        except ProcessLookupError:
+            return True
+        time.sleep(0.1)
+    return False
+
+
+def test_an_interrupt_leaves_what_is_finished_and_no_process_and_goes_on_when_started_again(tmp_path):
+    script, out = tmp_path / "fly.py", tmp_path / "out"
+    script.write_text(INTERRUPTED)
+    paths = os.pathsep.join(path for path in sys.path if path)
+    with subprocess.Popen(
+        [sys.executable, script, out],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        env=os.environ | {"PYTHONPATH": paths},
+        start_new_session=True,
+    ) as first:
+        assert first.stdout is not None
+        for line in first.stdout:
+            if line.startswith("written"):
+                break
+        os.killpg(first.pid, signal.SIGINT)  # as a terminal does: every process hears it
+        said, _ = first.communicate(timeout=120)
+    assert first.returncode != 0
+    assert "KeyboardInterrupt" in said
+    assert no_process_left(first.pid)
+    missing = Dataset.open(out).missing()
+    assert 1 <= len(missing) < 6
+    again = []
+
+    def flyer(plan, numbers, told):
+        for number in numbers:
+            again.append(number)
+            yield flown_here(number)
+
+    fly_campaign(small_plan(), Dataset.begin(out, small_plan()), flyer=flyer)
+    assert again == missing
+    assert_flown_as_here(out)
+
+
+def test_a_worker_keeps_to_its_threads_and_cores():
+    said = """
+import os, numpy, numba, pyarrow, jax
+from threadpoolctl import threadpool_info
+from keepout.flights.campaign.worker import keep_to
+core = min(os.sched_getaffinity(0))
+numpy.ones((300, 300)) @ numpy.ones((300, 300))
+keep_to(1, (core,))
+jax.jit(lambda x: x @ x)(jax.numpy.ones((500, 500))).block_until_ready()
+pools = [open(f"/proc/self/task/{task}/comm").read().strip() for task in os.listdir("/proc/self/task")]
+cores = {tuple(os.sched_getaffinity(int(task))) for task in os.listdir("/proc/self/task")}
+assert cores == {(core,)}, cores
+assert pools.count("tf_XLAEigen") <= 1, pools
+assert {pool["num_threads"] for pool in threadpool_info()} == {1}, threadpool_info()
+assert (numba.get_num_threads(), pyarrow.cpu_count()) == (1, 1)
+"""
+    answer = subprocess.run([sys.executable, "-c", said], capture_output=True, text=True, env=os.environ)
+    assert answer.returncode == 0, answer.stderr
+
+
+# ---- workers that are threads of this process
+
+
+@pytest.fixture
+def here(monkeypatch):
+    """A cluster whose one worker is a thread here, left with the threads and cores it has."""
+    monkeypatch.setattr(worker, "keep_to", lambda threads, cores: None)
+    monkeypatch.setattr(worker, "fly_chunk", lambda plan, number, **_: flown_here(number))
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address="127.0.0.1:0"
+    ) as made:
+        yield made
+
+
+def cluster_at(made, **more):
+    return Cluster(made.scheduler_address, **more)
+
+
+def flown(flyer, numbers=range(6)):
+    return sorted(result.number for result in flyer(small_plan(), list(numbers), silent))
+
+
+def test_each_chunk_comes_back_once_and_its_plan_is_taken_back(here):
+    assert flown(cluster_at(here), [5, 1, 2]) == [1, 2, 5]
+    assert flown(cluster_at(here)) == list(range(6))
+    assert worker._held == {}
+
+
+def test_a_refused_chunk_names_itself_and_its_runs_and_a_bug_arrives_as_itself(here, monkeypatch):
+    def refusing(plan, number, **_):
+        if number == 2:
+            raise KeepOutZoneError("start: inside the keep-out zone", "start")
+        return {}[number] if number == 3 else flown_here(number)
+
+    monkeypatch.setattr(worker, "fly_chunk", refusing)
+    with pytest.raises(ClusterError, match=r"^chunk 2 \(runs 8 to 11\), on worker inproc://.*: start: inside the keep"):
+        flown(cluster_at(here), [0, 1, 2])
+    with pytest.raises(KeyError) as raised:
+        flown(cluster_at(here), [3])
+    assert raised.value.__notes__ == ["chunk 3 (runs 12 to 15)"]
+
+
+@pytest.mark.parametrize(
+    ("other", "said"),
+    [
+        ({"jax": "0.0.1"}, r"jax 0\.0\.1 there and [0-9.]+ here; install the same"),
+        ({"code of keepout": "0123"}, "code of keepout 0123 there and .* here"),
+    ],
+)
+def test_a_worker_with_another_version_or_other_code_is_refused(other, said, here, monkeypatch):
+    true, own = worker.software(), threading.get_ident()
+    monkeypatch.setattr(worker, "software", lambda: true if threading.get_ident() == own else true | other)
+    with pytest.raises(ClusterError, match=rf"worker inproc://.*: {said}"):
+        flown(cluster_at(here))
+
+
+def test_a_worker_that_joins_late_with_other_code_flies_nothing(monkeypatch):
+    monkeypatch.setattr(worker, "keep_to", lambda threads, cores: None)
+    expected = worker.software() | {"code of keepout": "0123"}
+    worker.take_plan("late", b"never unpacked", expected, 1, ())
+    try:
+        with pytest.raises(ClusterError, match=r"worker tcp://there:1: code of keepout .* there and 0123 here"):
+            worker.fly("late", 0, lambda: "tcp://there:1")
+    finally:
+        worker.drop_plan("late")
+    with pytest.raises(ClusterError, match="was not given the plan"):
+        worker.fly("late", 0, lambda: "tcp://there:1")
+
+
+def test_several_kinds_of_processor_are_refused_unless_allowed(here, monkeypatch):
+    def kinds():
+        told = iter(["one kind", "one kind", *["another kind"] * 20])
+        monkeypatch.setattr(worker, "processor", lambda: next(told))
+
+    kinds()
+    with pytest.raises(ClusterError, match=r"another kind.* one kind.*--mixed-processors"):
+        flown(cluster_at(here))
+    kinds()
+    assert flown(cluster_at(here, mixed_processors=True)) == list(range(6))
+
+
+def test_a_cluster_without_workers_is_said_so():
+    with distributed.LocalCluster(n_workers=0, processes=False, dashboard_address="127.0.0.1:0") as empty:
+        flyer = cluster_at(empty, workers_seconds=0.5)
+        with pytest.raises(ClusterError, match=r"scheduler: inproc://.* has had no worker for 0\.5 s; start workers"):
+            flown(flyer)
+
+
+@pytest.mark.parametrize("when", ["in flight", "flown but not sent"])
+def test_workers_that_all_go_and_never_come_back_are_said_so(when, here):
+    flying = cluster_at(here, workers_seconds=1.0)(small_plan(), list(range(6)), silent)
+    next(flying)
+    if when == "flown but not sent":  # what a worker had flown and took with it is not waited for
+        until = time.monotonic() + 60.0
+        while not all(task.state == "memory" for task in here.scheduler.tasks.values()) and time.monotonic() < until:
+            time.sleep(0.02)
+        time.sleep(0.5)  # this process hears of it, too
+    here.scale(0)
+    with pytest.raises(ClusterError, match="has had no worker for 1 s"):
+        list(flying)
+
+
+def test_a_scheduler_that_does_not_answer_is_named_and_nothing_to_fly_asks_nobody():
+    said = r"scheduler: tcp://127\.0\.0\.1:1 did not answer in 1 s \(\w+Error"
+    with pytest.raises(ClusterError, match=said) as raised:
+        flown(Cluster("tcp://127.0.0.1:1", connect_seconds=1.0))
+    assert "\n" not in str(raised.value)
+    assert flown(flyer_on("tcp://127.0.0.1:1"), []) == []
+
+
+def test_a_chunk_flown_twice_is_written_as_if_once(tmp_path):
+    def twice(plan, numbers, told):
+        for number in numbers:
+            yield flown_here(number)
+            yield flown_here(number)
+
+    standing = fly_campaign(small_plan(), Dataset.begin(tmp_path / "out", small_plan()), flyer=twice)
+    assert standing.done == 24
+    assert_flown_as_here(tmp_path / "out")

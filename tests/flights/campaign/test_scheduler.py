@@ -1,0 +1,46 @@
+"""Who flies a campaign's chunks, as it is written on the command line; a light import stays light."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from keepout.core.errors import ClusterError
+from keepout.flights.campaign import scheduler
+from keepout.flights.campaign.scheduler import Scheduler, flyer_on
+
+
+@pytest.mark.parametrize(
+    ("text", "meant"),
+    [
+        ("tcp://10.0.0.1:8786", Scheduler(address="tcp://10.0.0.1:8786")),
+        ("tcp://[::1]:65535", Scheduler(address="tcp://[::1]:65535")),
+        ("local", Scheduler(workers=6)),
+        ("local:4", Scheduler(workers=4)),
+        *((text, r"scheduler: .* is not valid; valid are tcp://HOST:PORT.* local:N") for text in ("", "10.0.0.1:8786")),
+        *((f"tcp://{end}", "is not valid; valid are tcp") for end in ("host", "host:0", "host:65536", ":1")),
+        *((f"local:{n}", "may use 6 cores; N must be 1 to 6") for n in ("0", "7", "", "-1", "two", "²")),
+    ],
+)
+def test_an_address_is_taken_as_it_is_and_local_as_so_many_cores_or_refused(text, meant, monkeypatch):
+    monkeypatch.setattr(scheduler, "available_cores", lambda: 6)
+    if isinstance(meant, Scheduler):
+        assert Scheduler.parse(text) == meant
+    else:
+        with pytest.raises(ClusterError, match=meant):
+            Scheduler.parse(text)
+
+
+def test_without_dask_the_line_that_installs_it_is_named(monkeypatch):
+    monkeypatch.setattr(scheduler.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(ClusterError, match=r"distributed is not installed; pip install 'keepout\[cluster\]'"):
+        flyer_on("local:1")
+
+
+@pytest.mark.long
+def test_nothing_imports_dask_unless_a_scheduler_is_given():
+    modules = "keepout.cli, keepout.cli.commands.campaign, keepout.flights.campaign.scheduler"
+    said = f"import sys, {modules}; print('distributed' in sys.modules)"
+    answer = subprocess.run([sys.executable, "-c", said], capture_output=True, text=True, check=True, env=os.environ)
+    assert answer.stdout.strip() == "False"

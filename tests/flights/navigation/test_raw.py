@@ -1,0 +1,67 @@
+"""The estimators that take the last samples for the truth."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from truths.plain_sensors import Height, Pace, Place, Sight, Turned
+
+from keepout.core.motion import Orbit, RelativeMotion, rotation
+from keepout.core.motion.disturbance import NoDisturbance
+from keepout.flights.navigation.raw import CarriedSamples, RawSamples
+from keepout.flights.navigation.sensor import Sample
+
+MOTION = RelativeMotion(Orbit(6_778_137.0))
+START = MOTION.initial_state([8.0, -5.0, 3.0], [0.02, -0.01, 0.03])
+ERRORS = jnp.array([0.1, 0.01])
+
+
+def sample(value, came=True):
+    return Sample(jnp.asarray(value, float), jnp.asarray(came))
+
+
+@pytest.mark.parametrize("kind", [RawSamples, CarriedSamples])
+def test_the_last_samples_are_the_estimate(kind):
+    raw = kind.build(MOTION, [Place(1.0), Pace(1.0), Turned(1.0)], mass=20.0, period=1.0)
+    there, pace = np.array([1.0, 2.0, -3.0]), np.array([0.3, 0.1, -0.2])
+    turn = rotation.normalise(jnp.array([0.9, 0.1, -0.3, 0.2]))
+    memory = raw.initial_state(START, ERRORS)
+    memory, estimate, left_out = raw.correct(memory, (sample(there), sample(pace), sample(-turn)))
+    np.testing.assert_allclose(estimate.position, there, atol=1e-10)
+    np.testing.assert_allclose(estimate.velocity, pace, atol=1e-10)
+    np.testing.assert_allclose(estimate.attitude, turn, atol=1e-14)
+    assert estimate.disturbance is None
+    assert int(left_out) == 0
+    # What did not come, and what is no number, changes nothing; only the latter is counted.
+    nothing = (sample(np.full(3, np.nan)), sample(np.zeros(3), came=False), sample(np.zeros(4)))
+    _, after, left_out = raw.correct(memory, nothing)
+    for a, b in zip(jax.tree.leaves(after), jax.tree.leaves(estimate)):
+        np.testing.assert_array_equal(a, b)
+    assert int(left_out) == 2
+
+
+def test_between_samples_one_is_held_and_the_other_carried():
+    force = jnp.array([0.05, 0.0, -0.02])
+    moved = MOTION.step(START, force, NoDisturbance(), 1.0, 20.0)
+    for kind, position, velocity in (
+        (RawSamples, START.position, START.velocity),
+        (CarriedSamples, moved.position, moved.velocity),
+    ):
+        raw = kind.build(MOTION, [Place(1.0)], mass=20.0, period=1.0)
+        after = raw.advance(raw.initial_state(START, ERRORS), force)
+        np.testing.assert_allclose(after.position, position, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(after.velocity, velocity, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(after.attitude, moved.attitude, rtol=0, atol=1e-12)
+        assert float(after.time) == 1.0
+
+
+def test_a_part_of_the_state_moves_as_little_as_it_must():
+    raw = RawSamples.build(MOTION, [Height(1.0)], mass=20.0, period=1.0)
+    _, estimate, _ = raw.correct(raw.initial_state(START, ERRORS), (sample([9.0]),))
+    np.testing.assert_allclose(estimate.position, [8.0, -5.0, 9.0], atol=1e-9)
+    sight = RawSamples.build(MOTION, [Sight(1.0)], mass=20.0, period=1.0)
+    there = MOTION.initial_state([8.3, -5.2, 3.1], np.zeros(3))
+    memory = sight.initial_state(START, ERRORS)
+    for _ in range(3):  # a direction is not linear in the position
+        memory, estimate, _ = sight.correct(memory, (sample(Sight(1.0).ideal(there)),))
+    np.testing.assert_allclose(estimate.position, there.position, atol=1e-6)
