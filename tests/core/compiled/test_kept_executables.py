@@ -169,7 +169,7 @@ def test_a_source_file_younger_than_the_process_stops_keeping(monkeypatch, tmp_p
     shutil.copytree(kept_executables._PACKAGE, tmp_path / "keepout", ignore=shutil.ignore_patterns("data"))
     monkeypatch.setattr(kept_executables, "_PACKAGE", tmp_path / "keepout")
     told = _sources.__wrapped__()
-    path = tmp_path / "keepout" / "flight" / "loop.py"
+    path = tmp_path / "keepout" / "core" / "flight" / "loop.py"
     old = path.stat().st_mtime
     path.write_text(path.read_text() + "\n# another\n")
     with pytest.raises(_UnknownError, match=r"loop\.py"):
@@ -263,7 +263,7 @@ def test_from_one_process_to_the_next_programs_are_taken_and_lost_damaged_or_edi
     assert values == first
     assert "damaged" in said
     assert "Error reading persistent compilation cache entry" in said
-    path = source / "keepout" / "fields" / "analytic.py"
+    path = source / "keepout" / "core" / "fields" / "analytic.py"
     text = path.read_text()
     line = next(line for line in text.splitlines() if "self.radius" in line and "return" in line)
     path.write_text(text.replace(line, line + " + 1.0"))
