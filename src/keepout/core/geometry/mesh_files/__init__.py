@@ -8,12 +8,17 @@ from pathlib import Path
 
 from keepout.core.geometry.mesh_files.contents import MeshContents
 from keepout.core.geometry.mesh_files.gltf import read_gltf
-from keepout.core.geometry.mesh_files.keepmap import read_keepmap
 from keepout.core.geometry.mesh_files.obj import read_obj
 from keepout.core.geometry.mesh_files.off import read_off
 from keepout.core.geometry.mesh_files.ply import read_ply
 from keepout.core.geometry.mesh_files.stl import read_stl
 from keepout.core.geometry.mesh_files.three_mf import read_three_mf
+from keepout.core.plug_ins import load, names
+
+
+def _added(suffix: str) -> Callable[[Path], MeshContents]:
+    return lambda path: load("mesh_readers", suffix)(path)
+
 
 READERS: dict[str, Callable[[Path], MeshContents]] = {
     ".glb": read_gltf,
@@ -23,7 +28,7 @@ READERS: dict[str, Callable[[Path], MeshContents]] = {
     ".ply": read_ply,
     ".off": read_off,
     ".3mf": read_three_mf,
-    ".keepmap": read_keepmap,
+    **{suffix: _added(suffix) for suffix in names("mesh_readers")},
 }
 """By file suffix. Each raises `MeshError` with the reason alone; the caller names the file."""
 
