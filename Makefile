@@ -100,7 +100,7 @@ docs: install
 	$(BIN)/python docs/site.py
 
 shipped: install
-	$(BIN)/python -m keepout.core.learning.shipped
+	$(BIN)/python benchmarks/shipped.py
 
 basilisk: .venv-basilisk/.installed
 	.venv-basilisk/bin/python examples/basilisk/fly.py --out out/basilisk

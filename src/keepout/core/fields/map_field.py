@@ -23,7 +23,7 @@ from keepout.core.fields.field import Field, of_places
 from keepout.core.fields.spline_weights import contracted, cubic_weights
 
 SLOPE = 1.14
-"""L: no map's field has a gradient of a larger norm; proved by `core/proof/map_slope.py`."""
+"""L: no map's field has a gradient of a larger norm; proved by `benchmarks/map_slope.py`."""
 EDGE = 3
 """Layers of nodes on each side of the box that must be at the cap, so that the field is one constant from there on."""
 

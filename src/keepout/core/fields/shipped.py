@@ -1,4 +1,4 @@
-"""Fields of the built-in targets that come with the package (`core/learning/shipped.py` makes them anew)."""
+"""Fields of the built-in targets that come with the package (`benchmarks/shipped.py` makes them anew)."""
 
 from importlib import resources
 from pathlib import Path

@@ -1,10 +1,10 @@
-"""The command that makes the fields of the built-in targets that come with the package.
+"""Make the fields of the built-in targets that come with the package: fit and certify each, or those that are named.
 
-`python -m keepout.core.learning.shipped` fits and certifies every built-in target; names after it choose some.
+Run: python benchmarks/shipped.py [intelsat30 ...]
 """
 
+import argparse
 import sys
-from collections.abc import Sequence
 
 from keepout.core.fields.model import FieldModel
 from keepout.core.fields.shipped import shipped_folder
@@ -39,9 +39,10 @@ def make(name: str, *, seed: int = 0) -> FieldModel:
     return model
 
 
-def main(names: Sequence[str]) -> None:
-    """Make the named fields, or all."""
-    for name in names or TARGETS:
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*", default=TARGETS, help="built-in targets; default: all that are shipped")
+    for name in parser.parse_args().names:
         model = make(name)
         for c in model.certificates:
             print(
@@ -52,4 +53,4 @@ def main(names: Sequence[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()
