@@ -14,8 +14,8 @@ from closed_targets import FILES, MESHES, closed_target
 from explore_counts import bad_cubes, gaps, meeting, over_statements, seen_surface, under_statements
 
 from keepout.apps.unknown.depth import DepthCamera, ErrorDraw, axes_towards, take
+from keepout.apps.unknown.map_field import MapField
 from keepout.apps.unknown.mapping import KnownFreeMap, SensorBounds, ViewStatus
-from keepout.core.fields.map_field import MapField
 from keepout.core.geometry.builtin import BUILTINS
 from keepout.core.geometry.first_hit import FirstHit
 from keepout.core.geometry.level_points import surface_points, towards_level

@@ -19,16 +19,16 @@ from explore_approaches import enclosing
 from explore_counts import bad_cubes
 from truncated_distance import TruncatedDistanceMap
 
-from keepout.apps.unknown import equipment
+from keepout.apps.unknown import by_map, equipment
 from keepout.apps.unknown.depth import Boresight, ErrorDraw, axes_towards, take
 from keepout.apps.unknown.explore import explore
+from keepout.apps.unknown.map_field import MapField
 from keepout.core.audit.audit import Contact
 from keepout.core.errors import ControlError
-from keepout.core.fields.map_field import MapField
 from keepout.core.flight import segment
 from keepout.core.geometry.first_hit import FirstHit
 from keepout.core.geometry.level_points import surface_points, towards_level
-from keepout.core.mission import by_map, environment
+from keepout.core.mission import environment
 from keepout.core.mission.flight import recorded
 from keepout.core.mission.scenario import Scenario
 

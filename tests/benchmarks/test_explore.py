@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from explore_counts import _meets, bad_cubes, over_statements
 
+from keepout.apps.unknown.map_field import MapField
 from keepout.apps.unknown.mapping import KnownFreeMap, SensorBounds
 from keepout.core.fields.field import Field
-from keepout.core.fields.map_field import MapField
 from keepout.core.geometry.cubes_met import cubes_met
 from keepout.core.geometry.mesh_report import Surface, describe
 from keepout.core.geometry.target import Target

@@ -7,8 +7,8 @@ import pytest
 from map_slope import Transport, control_vectors, prove_slope
 from scipy.optimize import linprog
 
+from keepout.apps.unknown.map_field import SLOPE
 from keepout.core.errors import FieldError
-from keepout.core.fields.map_field import SLOPE
 
 NODES = np.array(list(itertools.product(range(4), repeat=3)), float)
 PAIRS = np.array([(i, j) for i in range(64) for j in range(64) if i != j])

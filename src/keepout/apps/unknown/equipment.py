@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from keepout.apps.unknown.by_map import DeclaredBall
 from keepout.apps.unknown.depth.camera import DepthCamera
 from keepout.apps.unknown.mapping import map_file
 from keepout.apps.unknown.mapping.known_free import KnownFreeMap
@@ -12,7 +13,6 @@ from keepout.apps.unknown.mapping.view import Pinhole, SensorBounds
 from keepout.core.errors import ScenarioError
 from keepout.core.geometry.cubes_met import cubes_met
 from keepout.core.geometry.target import Target
-from keepout.core.mission.by_map import DeclaredBall
 from keepout.core.mission.scenario import Scenario
 
 _CAP = 1.5

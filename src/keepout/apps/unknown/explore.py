@@ -9,12 +9,13 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from keepout.apps.unknown import equipment
+from keepout.apps.unknown import by_map, equipment
 from keepout.apps.unknown.departures import departures
 from keepout.apps.unknown.depth.depth import take
 from keepout.apps.unknown.depth.errors import ErrorDraw
 from keepout.apps.unknown.depth.pointing import Boresight, axes_towards
 from keepout.apps.unknown.exploration import Exploration, TakenView
+from keepout.apps.unknown.map_field import MapField
 from keepout.apps.unknown.mapping.known_free import ViewStatus
 from keepout.apps.unknown.mapping.view import View
 from keepout.apps.unknown.next_view import Ended, NextView, Pace, choose
@@ -24,7 +25,6 @@ from keepout.apps.unknown.tried import Tried
 from keepout.core.compiled.kept_programs import keep_programs
 from keepout.core.control.law import Law
 from keepout.core.errors import ControlError
-from keepout.core.fields.map_field import MapField
 from keepout.core.flight import segment
 from keepout.core.flight.loop import FlightLog, LoopState
 from keepout.core.flight.record import EXPLORED
@@ -34,7 +34,7 @@ from keepout.core.geometry.target import Target
 from keepout.core.guard.guard import GuardState
 from keepout.core.guard.start import starts_certified
 from keepout.core.guard.status import GuardFlag, GuardStatus
-from keepout.core.mission import by_map, environment
+from keepout.core.mission import environment
 from keepout.core.mission.assumptions import broken_assumptions, guard_numbers
 from keepout.core.mission.flight import recorded
 from keepout.core.mission.scenario import Scenario

@@ -16,19 +16,7 @@ from truths.depth_views import Box, axes_towards, cube_centres, view_of
 from truths.growing_maps import Cubes
 from truths.guarded_worlds import motion_state
 
-from keepout.apps.unknown.mapping import KnownFreeMap, Pinhole, SensorBounds, ViewStatus
-from keepout.core.audit.audit import Contact, audit
-from keepout.core.errors import FieldError, KeepoutError
-from keepout.core.fields.evaluate import values
-from keepout.core.fields.map_field import SLOPE, MapField
-from keepout.core.flight.segment import begin, fly_segment, joined
-from keepout.core.geometry.target import Target
-from keepout.core.guard.braking import GuardAssumptions
-from keepout.core.guard.guard import Guard
-from keepout.core.guard.safety_layer import mode
-from keepout.core.guard.status import GuardStatus
-from keepout.core.mission import environment
-from keepout.core.mission.by_map import (
+from keepout.apps.unknown.by_map import (
     DeclaredBall,
     guard_by_map,
     kept_by_law,
@@ -37,6 +25,18 @@ from keepout.core.mission.by_map import (
     require_start,
     setup_by_map,
 )
+from keepout.apps.unknown.map_field import SLOPE, MapField
+from keepout.apps.unknown.mapping import KnownFreeMap, Pinhole, SensorBounds, ViewStatus
+from keepout.core.audit.audit import Contact, audit
+from keepout.core.errors import FieldError, KeepoutError
+from keepout.core.fields.evaluate import values
+from keepout.core.flight.segment import begin, fly_segment, joined
+from keepout.core.geometry.target import Target
+from keepout.core.guard.braking import GuardAssumptions
+from keepout.core.guard.guard import Guard
+from keepout.core.guard.safety_layer import mode
+from keepout.core.guard.status import GuardStatus
+from keepout.core.mission import environment
 from keepout.core.mission.scenario import Scenario
 from keepout.core.motion.arrays import numbers_as_arrays
 

@@ -13,12 +13,12 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from keepout.apps.unknown.map_field import SLOPE, MapField
 from keepout.core.control.guidance.node_grid import grid_of_nodes
 from keepout.core.control.guidance.plan import Geodesic
 from keepout.core.control.law import Law
 from keepout.core.control.tuning import least_offset
 from keepout.core.errors import KeepOutZoneError, ScenarioError
-from keepout.core.fields.map_field import SLOPE, MapField
 from keepout.core.flight.setup import FlightSetup
 from keepout.core.guard.guard import Guard
 from keepout.core.guard.start import starts_certified
