@@ -18,7 +18,7 @@ from keepout.apps.unknown.map_field import MapField
 from keepout.apps.unknown.mapping import KnownFreeMap, SensorBounds, ViewStatus
 from keepout.core.geometry.builtin import BUILTINS
 from keepout.core.geometry.first_hit import FirstHit
-from keepout.core.geometry.level_points import surface_points, towards_level
+from keepout.core.geometry.level_set import surface_points, towards_level
 from keepout.core.geometry.target import Target
 
 ROOM = 0.5

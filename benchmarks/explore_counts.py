@@ -15,7 +15,7 @@ import numpy as np
 
 from keepout.core.fields.field import Field
 from keepout.core.geometry.first_hit import FirstHit
-from keepout.core.geometry.level_points import sharp_points, surface_points
+from keepout.core.geometry.level_set import sharp_points, surface_points
 from keepout.core.geometry.target import Target
 
 BAND = 1.2

@@ -27,7 +27,7 @@ from keepout.core.audit.audit import Contact
 from keepout.core.errors import ControlError
 from keepout.core.flight import segment
 from keepout.core.geometry.first_hit import FirstHit
-from keepout.core.geometry.level_points import surface_points, towards_level
+from keepout.core.geometry.level_set import surface_points, towards_level
 from keepout.core.mission import environment
 from keepout.core.mission.flight import recorded
 from keepout.core.mission.scenario import Scenario

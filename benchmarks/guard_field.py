@@ -12,7 +12,7 @@ import numpy as np
 from keepout.core.fields.evaluate import values, values_and_gradients
 from keepout.core.fields.grid import BLOCK
 from keepout.core.fields.grid_build import build_grid
-from keepout.core.geometry.level_points import surface_points
+from keepout.core.geometry.level_set import surface_points
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target
 from keepout.core.guard.field import grid_numbers

@@ -29,7 +29,7 @@ from keepout.core.fields.evaluate import values
 from keepout.core.fields.model import FieldModel
 from keepout.core.fields.shipped import load_shipped, shipped_names
 from keepout.core.geometry.first_hit import FirstHit
-from keepout.core.geometry.level_points import level_points
+from keepout.core.geometry.level_set import level_points
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target
 from keepout.core.learning.training import fit

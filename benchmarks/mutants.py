@@ -159,7 +159,9 @@ MUTANTS = {
     ],
     "core/control/velocity.py": [("faster than it can brake", "(2.0 * self.auth", "(4.0 * self.auth", "controller")],
     "core/control/tracking.py": [("error adds to the barrier", "barrier - square", "barrier + square", "tracking")],
-    "core/geometry/bvh.py": [("box by another axis", "y - upper[node, 1]", "y - upper[node, 0]", "exact_distance")],
+    "core/geometry/distance.py": [
+        ("box by another axis", "y - upper[node, 1]", "y - upper[node, 0]", "exact_distance")
+    ],
     "core/geometry/octree.py": [
         ("cells of the inner ball", "half_width * SQRT3", "half_width", "exact_distance:level")
     ],

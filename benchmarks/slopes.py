@@ -13,7 +13,7 @@ import numpy as np
 from keepout.core.fields.evaluate import values_and_gradients
 from keepout.core.fields.model import FieldModel
 from keepout.core.fields.shipped import load_shipped
-from keepout.core.geometry.level_points import surface_points
+from keepout.core.geometry.level_set import surface_points
 from keepout.core.geometry.target import Target
 from keepout.core.proof.bounds import Network
 from keepout.core.proof.certificate import GRADIENT_ALLOWANCE, steepest_found

@@ -15,7 +15,7 @@ BREAKS = {
     "The guard never imports the law": ("core/guard/braking.py", "from keepout.core.control.law import Law"),
     "A proof never imports what made the field": ("core/proof/bounds.py", "from keepout.core.learning import losses"),
     "Fields never import control": ("core/fields/grid.py", "from keepout.core.control import law"),
-    "A mesh enters at the bottom": ("core/geometry/bvh.py", "from keepout.core.mission import scenario"),
+    "A mesh enters at the bottom": ("core/geometry/distance.py", "from keepout.core.mission import scenario"),
     "A storey imports nothing from above": ("core/flight/batches.py", "from keepout.flights.campaign import plan"),
     "No circle of imports": ("core/motion/orbit.py", "from keepout.core.motion import relative"),
 }

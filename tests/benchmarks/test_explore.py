@@ -7,8 +7,8 @@ from explore_counts import _meets, bad_cubes, over_statements
 from keepout.apps.unknown.map_field import MapField
 from keepout.apps.unknown.mapping import KnownFreeMap, SensorBounds
 from keepout.core.fields.field import Field
-from keepout.core.geometry.cubes_met import cubes_met
 from keepout.core.geometry.mesh_report import Surface, describe
+from keepout.core.geometry.octree import cubes_met
 from keepout.core.geometry.target import Target
 
 HALF = np.array([0.61, 0.42, 0.33])

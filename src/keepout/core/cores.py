@@ -1,6 +1,8 @@
-"""The processor cores that this process may use."""
+"""The processor cores that this process may use, and work shared among them."""
 
 import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 
 
 def allowed_cores() -> tuple[int, ...]:
@@ -11,3 +13,14 @@ def allowed_cores() -> tuple[int, ...]:
 def available_cores() -> int:
     """Count the cores that this process may use, at least 1."""
     return len(allowed_cores()) or os.cpu_count() or 1
+
+
+def share_among_cores(work: Callable[[slice], None], count: int, *, chunk: int = 8192) -> None:
+    """Call `work` for slices that together cover 0 to `count`, on all cores; it must release the interpreter's lock."""
+    parts = [slice(start, start + chunk) for start in range(0, count, chunk)]
+    if len(parts) <= 1 or available_cores() == 1:
+        for part in parts:
+            work(part)
+    else:
+        with ThreadPoolExecutor(available_cores()) as pool:
+            list(pool.map(work, parts))

@@ -17,7 +17,7 @@ from keepout.apps.unknown.mapping.known_free import KnownFreeMap, ViewStatus
 from keepout.apps.unknown.mapping.view import Pinhole
 from keepout.core.geometry.builtin.solids import box, mesh, unite
 from keepout.core.geometry.first_hit import FirstHit
-from keepout.core.geometry.level_points import surface_points
+from keepout.core.geometry.level_set import surface_points
 from keepout.core.geometry.target import Target
 
 CAMERA = DepthCamera(camera=Pinhole(120, 90, math.radians(60.0)), dropout=0.0005, grazing_angle=1.48)

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from keepout.core.geometry.distance import ExactDistance
-from keepout.core.geometry.level_cut import largest_on_level
+from keepout.core.geometry.level_set import largest_on_level
 
 
 def random_soup(rng, count):

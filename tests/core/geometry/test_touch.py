@@ -5,8 +5,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from keepout.core.geometry.distance import ExactDistance
-from keepout.core.geometry.touch import distance_within
+from keepout.core.geometry.distance import ExactDistance, distance_within
 
 COARSE = st.tuples(*[st.integers(-3, 3).map(float)] * 3)
 """Corners on a coarse grid: many triangles are degenerate, and many points lie on a side, a corner or in a plane."""

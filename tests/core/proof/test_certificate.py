@@ -17,7 +17,7 @@ from keepout.core.fields.analytic import SphereField
 from keepout.core.fields.domain import Domain
 from keepout.core.fields.evaluate import values
 from keepout.core.fields.model import FieldModel
-from keepout.core.geometry.level_points import onto_level
+from keepout.core.geometry.level_set import onto_level
 from keepout.core.geometry.target import Target
 from keepout.core.learning.profile import TrainingProfile
 from keepout.core.learning.training import fit

@@ -16,7 +16,7 @@ from keepout.core.fields.continuation import RadialContinuation
 from keepout.core.fields.evaluate import values
 from keepout.core.fields.grid import BLOCK, STORED, GridField
 from keepout.core.fields.grid_build import build_grid
-from keepout.core.geometry.level_points import level_points, surface_points
+from keepout.core.geometry.level_set import level_points, surface_points
 from keepout.core.geometry.octree import straddling_cells
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target

@@ -8,7 +8,7 @@ from truths.networks import numbers, random_layers
 
 from keepout.core.fields.continuation import RadialContinuation
 from keepout.core.fields.neural import NeuralField
-from keepout.core.geometry.level_points import level_points
+from keepout.core.geometry.level_set import level_points
 from keepout.core.proof import certificate, grid_slope, slope
 
 pytestmark = pytest.mark.long

@@ -16,7 +16,7 @@ from keepout.core.fields.model import FieldModel
 from keepout.core.fields.neural import NeuralField
 from keepout.core.fields.shipped import load_shipped
 from keepout.core.geometry.distance import ExactDistance
-from keepout.core.geometry.level_points import surface_points
+from keepout.core.geometry.level_set import surface_points
 from keepout.core.geometry.target import Target
 from keepout.core.measures.quality import gradient_errors, summarised
 from keepout.core.proof import bounds

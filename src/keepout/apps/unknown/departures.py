@@ -13,7 +13,7 @@ from jaxtyping import Float, Float32
 from keepout.apps.unknown.mapping.known_free import KnownFreeMap
 from keepout.apps.unknown.mapping.returns import LATTICE
 from keepout.apps.unknown.mapping.view import Pinhole
-from keepout.core.geometry.level_points import surface_points
+from keepout.core.geometry.level_set import surface_points
 from keepout.core.geometry.target import Target
 
 SAMPLES_A_SQUARE, FEWEST, MOST = 4, 20_000, 400_000

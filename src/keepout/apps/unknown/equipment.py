@@ -11,7 +11,7 @@ from keepout.apps.unknown.mapping import map_file
 from keepout.apps.unknown.mapping.known_free import KnownFreeMap
 from keepout.apps.unknown.mapping.view import Pinhole, SensorBounds
 from keepout.core.errors import ScenarioError
-from keepout.core.geometry.cubes_met import cubes_met
+from keepout.core.geometry.octree import cubes_met
 from keepout.core.geometry.target import Target
 from keepout.core.mission.scenario import Scenario
 

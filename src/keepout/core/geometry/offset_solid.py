@@ -11,11 +11,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from keepout.core.errors import MeshError
-from keepout.core.geometry import cell_tree
-from keepout.core.geometry.bvh import share_among_cores
 from keepout.core.geometry.distance import Distance, Points
-from keepout.core.geometry.exterior import flood, hidden_cells
-from keepout.core.geometry.octree import SQRT3, Cells
+from keepout.core.geometry.octree import SQRT3, Cells, Hiding, refine
 from keepout.core.progress import Progress, silent
 
 _SURFACE_CELLS = 7e5
@@ -26,6 +23,11 @@ _FLOOD_CELLS = 5.0
 _ASIDE, _WALK, _STRIDE = 1e-3, 24, 0.95
 """Metres that a walk from a surface starts aside of it; its steps; and what share of the distance to the nearest
 surface a step may take: less than all, so that no walk passes through one."""
+
+_UNDECIDED, _FREE, _HIDDEN = 0, 1, 2
+_STEPS = 64
+_JUMPS = (0.95, 1.5, 2.5, 4.0)
+"""Steps of a walk on the octree, in units of the larger of d and the cell's side."""
 
 
 class OffsetSolid:
@@ -103,8 +105,8 @@ class OffsetSolid:
         origin = 0.5 * (distance.lower + distance.upper) - 0.5 * side
         coarser = max(0, int(np.log2(closing_radius / (_FLOOD_CELLS * leaf)) + 1.0)) if closing_radius > leaf else 0
         first_half, second_half = _halves(progress)
-        lake, free, flooded = flood(distance, origin, side, depth - coarser, closing_radius, first_half)
-        cells, hidden = hidden_cells(distance, lake, free, flooded, depth, offset, second_half)
+        lake, free, flooded = _flood(distance, origin, side, depth - coarser, closing_radius, first_half)
+        cells, hidden = _hidden_cells(distance, lake, free, flooded, depth, offset, second_half)
         progress(1.0, f"{int(hidden.sum())} hidden cells")
         return cls(distance, offset, closing_radius, cells, hidden)
 
@@ -123,10 +125,10 @@ class OffsetSolid:
         signed = self.distance.distance(points) - self.offset
         cell = self._cells.locate(points)
         inside = (cell >= 0) & self._hidden[cell]
-        depth = self._nearest(False, points[inside], np.full(int(inside.sum()), np.inf))
+        depth = self._hiding.nearest(False, points[inside], np.full(int(inside.sum()), np.inf))
         signed[inside] = np.minimum(signed[inside], -depth)
         outside = np.flatnonzero(~inside & (signed > 0.0))
-        signed[outside] = self._nearest(True, points[outside], signed[outside])
+        signed[outside] = self._hiding.nearest(True, points[outside], signed[outside])
         return signed
 
     def is_reachable(self, points: Points) -> Bool[np.ndarray, "n"]:
@@ -165,24 +167,116 @@ class OffsetSolid:
         return float(((2.0 * self._cells.half_width[self._hidden]) ** 3).sum())
 
     @functools.cached_property
-    def _contents(self) -> Int[np.ndarray, "nodes"]:
-        return cell_tree.contents(self._cells.child, self._hidden)
-
-    def _nearest(self, hidden: bool, points: Points, bound: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-        """Distance to the hidden, or the open, cells in metres, or the bound if less."""
-        cells = self._cells
-        scaled, limit = cells.scaled(points), bound / cells.unit
-        near, contents = np.empty(len(points)), self._contents
-
-        def work(part: slice) -> None:
-            near[part] = cell_tree.nearest(
-                cells.child, cells.depth, contents, self._hidden, hidden, scaled[part], limit[part]
-            )
-
-        share_among_cores(work, len(points))
-        # Bounds that hold come back untouched by rounding.
-        return np.where(near < limit, near * cells.unit, bound)
+    def _hiding(self) -> Hiding:
+        return Hiding(self._cells, self._hidden)
 
 
 def _halves(progress: Progress) -> tuple[Progress, Progress]:
     return (lambda done, line: progress(0.5 * done, line)), (lambda done, line: progress(0.5 + 0.5 * done, line))
+
+
+def _flood(
+    distance: Distance, origin: Float[np.ndarray, "3"], side: float, depth: int, radius: float, progress: Progress
+) -> tuple[Cells, Bool[np.ndarray, "n"], Bool[np.ndarray, "n"]]:
+    """Fill from outside, face to face, through cells that lie wholly farther than `radius` from every surface.
+
+    Returns:
+        The cells; whether each is free, d > radius throughout; and whether each is flooded: free and connected to the
+        outside.
+
+    """
+
+    def visit(centres: Points, half_width: float, level: int) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
+        progress(level / (depth + 1), f"flood: level {level} of {depth}")
+        d, reach = distance.distance(centres), half_width * SQRT3
+        return (d - reach <= radius) & (d + reach > radius), (d - reach > radius,)
+
+    cells, (free,) = refine(origin, side, depth, visit, 1)
+    last = (1 << cells.level.astype(np.int32)) - 1
+    outer = (cells.index == 0).any(axis=1) | (cells.index == last[:, None]).any(axis=1)
+    return cells, free, cells.connected(free, outer)
+
+
+def _hidden_cells(
+    distance: Distance,
+    lake: Cells,
+    free: Bool[np.ndarray, "n"],
+    flooded: Bool[np.ndarray, "n"],
+    depth: int,
+    offset: float,
+    progress: Progress,
+) -> tuple[Cells, Bool[np.ndarray, "m"]]:
+    """Cover the cube with cells that are each open, reachable from the flood, or hidden.
+
+    A cell whose centre is farther from every surface than its half-diagonal lies in one ball of free space, so its
+    centre speaks for all of it; others are split down to `depth`, and there too the centre speaks for the cell. A
+    centre is open when a walk up the distance, in steps that each stay in one ball without surfaces, ends in the
+    flood.
+    """
+
+    def visit(centres: Points, half_width: float, level: int) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
+        progress(level / (depth + 1), f"cover: level {level} of {depth}")
+        holder = lake.locate(centres)
+        settled = free[holder] & (lake.level[holder] <= level)
+        d, gradient = distance.distance_and_gradient(centres)
+        # A centre in free space speaks for its cell, even where the flood's own cells are finer.
+        fate = np.where(free[holder], np.where(flooded[holder], _FREE, _HIDDEN), _UNDECIDED).astype(np.int8)
+        return ~settled & (d <= half_width * SQRT3), (fate, d, gradient.astype(np.float32))
+
+    cells, (fate, d, gradient) = refine(lake.origin, lake.side, depth, visit, 3)
+    settled_open = fate == _FREE
+    undecided = fate == _UNDECIDED
+    end = cells.ends_of_walks(undecided, d, gradient, _JUMPS)
+    fate = fate[end]
+    ends = np.flatnonzero((fate == _UNDECIDED) & (end == np.arange(len(d), dtype=np.int32)))
+    fate[ends] = _walk(distance, cells, fate, d, end, ends)
+    hidden = fate[end] != _FREE
+    # In a cell of half-diagonal ρ > offset a point p with d(p) > offset could lie past a surface from the centre q, but
+    # only if |p - q| > offset + d(q).
+    hidden |= d < cells.half_diagonal - offset
+    # A walk may jump over hidden cells, so open cells can be scattered through a gap that is all but sealed: seal it.
+    return cells, ~cells.connected(~hidden, settled_open)
+
+
+def _walk(
+    distance: Distance,
+    cells: Cells,
+    fate: Int[np.ndarray, "m"],
+    d: Float[np.ndarray, "m"],
+    end: Int[np.ndarray, "m"],
+    ends: Int[np.ndarray, "k"],
+) -> Int[np.ndarray, "k"]:
+    """Walk up the distance from the centres of some cells, by exact steps, until a cell of known fate; hidden if none.
+
+    Each step stays in the ball of free space round the last point. A walk that comes to a cell whose own walk ends
+    higher than it began joins that one. A walk that climbs less than 2 % in six steps is in a gap to be sealed; single
+    steps may climb less, where they cross from the one wall of a corner to the other.
+    """
+    verdict = np.full(len(ends), _HIDDEN, dtype=np.int8)
+    joined = ends.copy()
+    active = np.flatnonzero(d[ends] > 0.0)
+    p = cells.at(ends[active])
+    here, gradient = distance.distance_and_gradient(p)
+    before = np.zeros(len(active))
+    for step in range(_STEPS):
+        if len(active) == 0:
+            break
+        if step % 6 == 0:
+            climbing = here > 1.02 * before
+            active, p, gradient, here = active[climbing], p[climbing], gradient[climbing], here[climbing]
+            before = here
+        p = p + 0.95 * here[:, None] * gradient
+        holder = cells.locate(p)
+        here, gradient = distance.distance_and_gradient(p)
+        seen = np.linalg.norm(p - cells.at(holder), axis=1) < np.maximum(here, d[holder])
+        found = np.where(holder < 0, _FREE, np.where(seen, fate[holder], _UNDECIDED))
+        verdict[active[found != _UNDECIDED]] = found[found != _UNDECIDED]
+        higher = seen & (found == _UNDECIDED) & (holder >= 0) & (d[end[holder]] > d[ends[active]])
+        joined[active[higher]] = end[holder[higher]]
+        going = (found == _UNDECIDED) & ~higher
+        active, p, before, here, gradient = active[going], p[going], before[going], here[going], gradient[going]
+    # Joined walks begin ever higher, so following them ends.
+    place = np.searchsorted(ends, joined)
+    while (place[place] != place).any():
+        place = place[place]
+    return verdict[place]

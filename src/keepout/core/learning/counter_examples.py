@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from keepout.core.fields.domain import Domain
 from keepout.core.geometry.distance import ExactDistance
-from keepout.core.geometry.level_points import Points, level_points, onto_level, surface_points, towards_level
+from keepout.core.geometry.level_set import Points, level_points, onto_level, surface_points, towards_level
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.learning import losses
 from keepout.core.learning.profile import TrainingProfile

@@ -11,7 +11,7 @@ from keepout.core.compiled.xla import WIDE
 from keepout.core.fields import mlp
 from keepout.core.fields.domain import Domain
 from keepout.core.fields.evaluate import in_pieces
-from keepout.core.geometry.level_points import Points
+from keepout.core.geometry.level_set import Points
 
 ROWS = 2048
 """Points evaluated together, float32."""

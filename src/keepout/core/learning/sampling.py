@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Float32
 
 from keepout.core.fields.domain import Domain
 from keepout.core.geometry.distance import Distance
-from keepout.core.geometry.level_points import Points, surface_points
+from keepout.core.geometry.level_set import Points, surface_points
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.learning.losses import Batch
 

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from keepout.core.fields.evaluate import values, values_and_gradients, values_gradients_hessians
 from keepout.core.fields.field import Field
 from keepout.core.geometry.distance import ExactDistance
-from keepout.core.geometry.level_points import level_points, surface_points
+from keepout.core.geometry.level_set import level_points, surface_points
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target
 

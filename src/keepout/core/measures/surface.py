@@ -15,7 +15,7 @@ from keepout.core.errors import FieldError
 from keepout.core.fields.evaluate import values, values_and_gradients
 from keepout.core.fields.field import Field
 from keepout.core.geometry.distance import Distance, ExactDistance
-from keepout.core.geometry.level_points import surface_points
+from keepout.core.geometry.level_set import surface_points
 from keepout.core.geometry.octree import SQRT3, refine
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.progress import Progress, silent

@@ -4,8 +4,8 @@ import numpy as np
 from jaxtyping import Float
 
 from keepout.core.errors import ScenarioError
+from keepout.core.geometry.distance import distance_within
 from keepout.core.geometry.target import Target
-from keepout.core.geometry.touch import distance_within
 from keepout.core.mission.entries import TargetEntry
 from keepout.core.mission.scenario import Scenario
 

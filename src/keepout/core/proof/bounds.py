@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import Float, Float32
 from threadpoolctl import threadpool_limits
 
+from keepout.core.cores import share_among_cores
 from keepout.core.fields import mlp
-from keepout.core.geometry.bvh import share_among_cores
 from keepout.core.proof import relaxation
 from keepout.core.proof.relaxation import UNIT32, UNIT64
 

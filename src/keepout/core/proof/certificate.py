@@ -20,8 +20,7 @@ from keepout.core.fields.grid import GridField
 from keepout.core.fields.model import Certificate, FieldModel
 from keepout.core.fields.neural import NeuralField
 from keepout.core.geometry.distance import ExactDistance
-from keepout.core.geometry.level_cut import largest_on_level
-from keepout.core.geometry.level_points import level_points, onto_level, surface_points
+from keepout.core.geometry.level_set import largest_on_level, level_points, onto_level, surface_points
 from keepout.core.geometry.octree import CORNERS, straddling_cells
 from keepout.core.geometry.target import Target
 from keepout.core.progress import Progress, part_of, silent

@@ -10,7 +10,7 @@ from keepout.core.fields.evaluate import values
 from keepout.core.fields.grid import BLOCK, STORED, GridField
 from keepout.core.fields.model import Certificate, FieldModel
 from keepout.core.geometry.distance import ExactDistance
-from keepout.core.geometry.level_points import level_points
+from keepout.core.geometry.level_set import level_points
 from keepout.core.geometry.octree import straddling_cells
 from keepout.core.geometry.target import Target
 from keepout.core.proof.grid_slope import grid_slope

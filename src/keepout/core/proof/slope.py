@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Float
 from threadpoolctl import threadpool_limits
 
+from keepout.core.cores import share_among_cores
 from keepout.core.fields.evaluate import values_and_gradients
 from keepout.core.fields.neural import NeuralField
-from keepout.core.geometry.bvh import share_among_cores
 from keepout.core.geometry.distance import Distance
 from keepout.core.geometry.octree import CORNERS, SQRT3
 from keepout.core.progress import Progress, silent

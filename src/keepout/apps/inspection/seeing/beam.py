@@ -6,7 +6,7 @@ import numba
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from keepout.core.geometry.bvh import box_distance_squared, on_triangle
+from keepout.core.geometry.distance import box_distance_squared, on_triangle
 
 # `no_type_check` below: run-time shape checks would wrap the functions that numba compiles.
 _STEPS = 2000
@@ -21,7 +21,7 @@ class Limits(NamedTuple):
     """What bounds the places of a camera, as the compiled loops take it."""
 
     lower: Float[np.ndarray, "nodes 3"]
-    """This and the next five: of a `bvh.Tree`."""
+    """This and the next five: of a `Tree`."""
     upper: Float[np.ndarray, "nodes 3"]
     right: Int[np.ndarray, " nodes"]
     first: Int[np.ndarray, " nodes"]
@@ -29,7 +29,7 @@ class Limits(NamedTuple):
     triangles: Float[np.ndarray, "f 3 3"]
     plane: Float[np.ndarray, "f 9"]
     child: Int[np.ndarray, "nodes 8"]
-    """Of the room's octree; see `cell_tree.build`."""
+    """Of the room's octree; see `Cells.child`."""
     possible: Bool[np.ndarray, " cells"]
     """Cells that may hold a place of the room."""
     origin: Float[np.ndarray, " 3"]

@@ -15,8 +15,8 @@ from keepout.apps.inspection.seeing.search import NONE, OPEN, SEEN, all_blocked,
 from keepout.apps.inspection.seeing.seeable import Hidden, Seeable, Verdict
 from keepout.apps.inspection.seeing.sightlines import Sightlines
 from keepout.core.errors import InspectionError
-from keepout.core.geometry import ray_tree
 from keepout.core.geometry.distance import ExactDistance
+from keepout.core.geometry.first_hit import DEEPEST, RayTree, build_tree
 from keepout.core.geometry.target import Target
 from keepout.core.progress import Progress, part_of, silent
 
@@ -76,7 +76,7 @@ def seeable(
     verdict = np.full(count, Verdict.UNDECIDED, dtype=np.int8)
     witness = np.full((count, 3), np.nan)
     limits = room.limits(rules)
-    tree = ray_tree.build(distance.vertices[distance.faces])
+    tree = build_tree(distance.vertices[distance.faces])
     areas, decided = patches.unit_areas(), 0.0
     units = np.flatnonzero(patches.counted)
     units = units[np.argsort(-areas[units], kind="stable")]
@@ -132,14 +132,14 @@ def witnessed(
     return kept
 
 
-def _enclosed(tree: ray_tree.RayTree, patches: Patches, units: Int[np.ndarray, " m"]) -> Bool[np.ndarray, " m"]:
+def _enclosed(tree: RayTree, patches: Patches, units: Int[np.ndarray, " m"]) -> Bool[np.ndarray, " m"]:
     """Say from the middle of which units every one of many rays meets the mesh: a measurement, no proof."""
     turn = np.arange(_RAYS) * math.pi * (3.0 - math.sqrt(5.0))
     steep = 1.0 - np.arange(_RAYS) / _RAYS
     flat = np.sqrt(1.0 - steep**2)
     enclosed = np.empty(len(units), dtype=bool)
     rays = np.stack([flat * np.cos(turn), flat * np.sin(turn), steep], axis=1)
-    all_blocked(tree, ray_tree.DEEPEST, _frames(patches, units), rays, enclosed)
+    all_blocked(tree, DEEPEST, _frames(patches, units), rays, enclosed)
     return enclosed
 
 
@@ -153,7 +153,7 @@ def _frames(patches: Patches, units: Int[np.ndarray, " m"]) -> Float[np.ndarray,
 
 
 def _searched(
-    tree: ray_tree.RayTree,
+    tree: RayTree,
     limits: Limits,
     patches: Patches,
     units: Int[np.ndarray, " m"],
@@ -174,7 +174,7 @@ def _searched(
     looked = np.zeros(len(units), dtype=np.int64)
     search(
         tree,
-        ray_tree.DEEPEST,
+        DEEPEST,
         limits,
         frames,
         outlines,

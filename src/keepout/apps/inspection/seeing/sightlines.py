@@ -6,8 +6,8 @@ from jaxtyping import Bool, Float, Int
 from keepout.apps.inspection.seeing import pyramid_kernel
 from keepout.apps.inspection.seeing.patches import Patches
 from keepout.core.errors import InspectionError
-from keepout.core.geometry import ray_tree
-from keepout.core.geometry.soup import TriangleSoup
+from keepout.core.geometry.distance import TriangleSoup
+from keepout.core.geometry.first_hit import DEEPEST, build_tree
 
 LIFT = pyramid_kernel.LIFT
 """What lies at most this far above a patch's plane does not block, nor what is as near below the camera's height, m."""
@@ -38,7 +38,7 @@ class Sightlines:
     def __init__(self, vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], patches: Patches):
         soup = TriangleSoup(vertices, faces)
         self.patches = patches
-        self._tree = ray_tree.build(soup.vertices[soup.faces])
+        self._tree = build_tree(soup.vertices[soup.faces])
         self._largest = float(max(np.abs(soup.lower).max(), np.abs(soup.upper).max()))
         self._corners = np.ascontiguousarray(patches.corners, dtype=np.float64)
         self._counts = np.ascontiguousarray(patches.counts, dtype=np.int64)
@@ -95,7 +95,7 @@ class Sightlines:
             tree.children,
             tree.first,
             tree.corners,
-            ray_tree.DEEPEST,
+            DEEPEST,
             self._corners,
             self._counts,
             self.patches.centres,
