@@ -20,11 +20,11 @@ from kept_rows import show
 from scipy import stats
 
 from keepout.core.control.observer import PAPER_FREQUENCIES
+from keepout.core.flight.navigation import Sample
 from keepout.core.motion import Orbit, RelativeMotion
 from keepout.core.motion.disturbance import NoDisturbance, paper_disturbance
-from keepout.flights.navigation.kalman import kalman_filter
-from keepout.flights.navigation.sensor import Sample
-from keepout.flights.navigation.worked_suites import close
+from keepout.flights.navigation.estimators import kalman_filter
+from keepout.flights.navigation.suites import close
 
 MASS, PERIOD, BOUND = 20.0, 1.0, 0.0173
 NEAR = RelativeMotion(Orbit(6_778_137.0))

@@ -3,8 +3,8 @@
     python benchmarks/known_set.py [--flights N] [--steps N] [--suites close near far] [--json]
 
 Flights begin some metres from the target and drift under a sinusoidal push of up to D; the law is a weak brake. The
-caps are those of `keepout.flights.navigation.caps.design`; `inside` counts the steps in which the truth is within both
-radii.
+caps are those of `keepout.flights.navigation.known_set.design`; `inside` counts the steps in which the truth is within
+both radii.
 """
 
 import argparse
@@ -19,9 +19,8 @@ import numpy as np
 
 from keepout.core.motion import rotation
 from keepout.core.motion.relative import MotionState
-from keepout.flights.navigation.bounded import SetMembership
-from keepout.flights.navigation.caps import design
-from keepout.flights.navigation.worked_suites import SUITES
+from keepout.flights.navigation.known_set import SetMembership, design
+from keepout.flights.navigation.suites import SUITES
 
 DISTURBANCE, MASS, PERIOD = 9e-4, 20.0, 1.0
 RANGE, SPEED = 60.0, 0.3

@@ -27,7 +27,7 @@ from kept_rows import Rows, show
 import keepout
 from keepout.core.mission import environment
 from keepout.core.mission.law import flown_law
-from keepout.core.mission.navigation import navigation
+from keepout.flights.navigation.suites import navigation
 
 SUITES = {
     "close": {},

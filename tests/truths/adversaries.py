@@ -6,7 +6,7 @@ import jax.numpy as jnp
 
 from keepout.core.motion import rotation
 from keepout.core.motion.relative import MotionState
-from keepout.flights.navigation.error_parts import ErrorPart
+from keepout.flights.navigation.sensor_errors import ErrorPart
 
 PIECES = 4
 """Pieces of a period over which the disturbance is constant."""

@@ -3,7 +3,7 @@
 import equinox as eqx
 import jax.numpy as jnp
 
-from keepout.flights.navigation.sensor import Sensor
+from keepout.core.flight.navigation import Sensor
 
 
 class Told(Sensor):

@@ -25,6 +25,7 @@ from typing import Any
 GROUPS: Mapping[str, str] = MappingProxyType(
     {
         "mesh_readers": "by suffix: a function of a path that gives its `MeshContents` (core/geometry/mesh_files)",
+        "navigation": "suite, certain, flown: functions that build these of a scenario with a suite (core/mission)",
     }
 )
 """What is added in each group, and where that is used."""

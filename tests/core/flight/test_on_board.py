@@ -28,10 +28,10 @@ from keepout.core.guard.guard import Guard
 from keepout.core.guard.status import GuardFlag
 from keepout.core.mission import environment
 from keepout.core.mission.build import flight_setup, prepare
-from keepout.core.mission.navigation import navigation
 from keepout.core.mission.scenario import Scenario
 from keepout.core.motion import Orbit, RelativeMotion, Thrusters, paper_disturbance
 from keepout.core.motion.disturbance import NoDisturbance
+from keepout.flights.navigation.suites import navigation
 
 pytestmark = pytest.mark.long
 

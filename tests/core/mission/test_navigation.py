@@ -11,7 +11,6 @@ from keepout.core.mission import environment
 from keepout.core.mission.build import prepare
 from keepout.core.mission.check import check
 from keepout.core.mission.flight import fly_mission
-from keepout.core.mission.navigation import require_navigation
 from keepout.core.mission.nearest import number_refusal
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.target import load_target
@@ -19,6 +18,7 @@ from keepout.flights.campaign.dataset import Dataset
 from keepout.flights.campaign.plan import Plan
 from keepout.flights.campaign.replay import differences, replay
 from keepout.flights.campaign.run import fly_campaign
+from keepout.flights.navigation.suites import require_navigation
 
 CLOSE = {
     "duration": 150.0,

@@ -7,8 +7,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy import optimize
 
-from keepout.flights.navigation.ball import cut
-from keepout.flights.navigation.sensor import Ball
+from keepout.core.flight.navigation import Ball
+from keepout.flights.navigation.known_set import cut
 
 CUT = jax.jit(cut)
 RADII = st.floats(1e-6, 1e3)

@@ -11,12 +11,10 @@ import pytest
 from truths.adversaries import NOISES, PUSHES, Adversary, fly_many, motion_state
 
 from keepout.core.errors import ScenarioError
-from keepout.flights.navigation.bounded import SetMembership
-from keepout.flights.navigation.caps import caps, design
-from keepout.flights.navigation.error_parts import BallNoise
-from keepout.flights.navigation.sensor import Sample
+from keepout.core.flight.navigation import Sample, Suite
+from keepout.flights.navigation.known_set import SetMembership, caps, design
+from keepout.flights.navigation.sensor_errors import BallNoise
 from keepout.flights.navigation.sensors import RangeBearing, RelativePosition, RelativeVelocity
-from keepout.flights.navigation.suite import Suite
 
 D = 9e-4
 RANGE, SPEED = 2000.0, 30.0

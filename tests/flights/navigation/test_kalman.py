@@ -12,11 +12,11 @@ from scipy import linalg
 from truths.plain_sensors import Height, Pace, Place, Sight, Turned
 
 from keepout.core.errors import ScenarioError
+from keepout.core.flight.navigation import Sample
 from keepout.core.motion import Orbit, RelativeMotion
 from keepout.core.motion.attitude import Tumbling
 from keepout.core.motion.disturbance import NoDisturbance
-from keepout.flights.navigation.kalman import kalman_filter, transition
-from keepout.flights.navigation.sensor import Sample
+from keepout.flights.navigation.estimators import kalman_filter, transition
 
 FREQUENCIES = (0.02, 0.01)
 RATE = 1.13e-3

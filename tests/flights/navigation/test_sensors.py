@@ -11,10 +11,16 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from keepout.core.errors import ScenarioError
+from keepout.core.flight.navigation import Suite
 from keepout.core.motion.relative import MotionState
-from keepout.flights.navigation.arrival import Arrival
-from keepout.flights.navigation.error_parts import BallNoise, ErrorModel, GaussianNoise, Outliers, WanderingBias
-from keepout.flights.navigation.observability import check_observability
+from keepout.flights.navigation.sensor_errors import (
+    Arrival,
+    BallNoise,
+    ErrorModel,
+    GaussianNoise,
+    Outliers,
+    WanderingBias,
+)
 from keepout.flights.navigation.sensors import (
     RangeBearing,
     RangeRate,
@@ -22,8 +28,7 @@ from keepout.flights.navigation.sensors import (
     RelativeVelocity,
     TargetAttitude,
 )
-from keepout.flights.navigation.suite import Suite
-from keepout.flights.navigation.worked_suites import SUITES, close
+from keepout.flights.navigation.suites import SUITES, check_observability, close
 
 COUNT = 20_000
 TURN = Rotation.from_rotvec([0.4, -1.1, 0.7])  # body <- VVLH

@@ -17,6 +17,7 @@ from keepout.core.control.law import Law
 from keepout.core.errors import InspectionError
 from keepout.core.fields.evaluate import values
 from keepout.core.fields.model import FieldModel
+from keepout.core.flight.navigation import Navigation
 from keepout.core.flight.setup import FlightSetup
 from keepout.core.geometry.target import Target
 from keepout.core.guard.guard import Guard
@@ -24,13 +25,12 @@ from keepout.core.guard.start import require_flyable
 from keepout.core.mission import environment
 from keepout.core.mission.build import build_guard, closing_radius, flight_setup, load_model
 from keepout.core.mission.law import broken_as, law_on
-from keepout.core.mission.navigation import navigation, require_navigation
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.target import require_apart
 from keepout.core.motion import MotionState
 from keepout.core.motion.arrays import as_float64
 from keepout.core.progress import Progress, part_of, silent
-from keepout.flights.navigation.navigation import Navigation
+from keepout.flights.navigation.suites import navigation, require_navigation
 
 Point = Float[np.ndarray, "3"]
 

@@ -25,11 +25,11 @@ from keepout.core.guard.start import starts_certified
 from keepout.core.mission import environment
 from keepout.core.mission.build import flight_setup
 from keepout.core.mission.law import broken_as, law_on
-from keepout.core.mission.navigation import navigation
 from keepout.core.mission.scenario import Scenario
 from keepout.core.motion.arrays import as_float64
 from keepout.core.motion.relative import MotionState
 from keepout.core.progress import Progress, silent
+from keepout.flights.navigation.suites import navigation
 
 _WANDERING = 0.05
 """Room beyond what the guard asks of a chaser at rest, m: for its way to rest, and for the law's own wandering."""

@@ -13,9 +13,9 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree
 
 from keepout.core.compiled.kept_executables import kept_jit
 from keepout.core.control.law import Command
+from keepout.core.flight.navigation import KnownSet
 from keepout.core.flight.setup import FlightSetup, flown_setup
 from keepout.core.motion.relative import MotionState
-from keepout.flights.navigation.estimator import KnownSet
 
 _THRUSTERS = 2**30
 _SENSORS, _FIRST = _THRUSTERS + 1, _THRUSTERS + 2

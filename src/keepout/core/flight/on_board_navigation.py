@@ -17,10 +17,10 @@ from keepout.core.compiled.kept_programs import keep_programs
 from keepout.core.compiled.one_kernel import compiled
 from keepout.core.errors import ControlError
 from keepout.core.flight import loop
+from keepout.core.flight.navigation import Sample
 from keepout.core.flight.on_board import Clock, Forces, as_under_way
 from keepout.core.flight.setup import FlightSetup
 from keepout.core.motion.relative import MotionState
-from keepout.flights.navigation.sensor import Sample
 
 Taken = tuple[float, Float[np.ndarray, "_"] | Array | Sequence[float]]
 """When a sample was taken, s since the orbit's epoch, and what: one number a component, in its sensor's units."""

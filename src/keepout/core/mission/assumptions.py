@@ -7,8 +7,8 @@ from keepout.core.geometry.target import Target
 from keepout.core.guard import watch
 from keepout.core.guard.guard import Guard
 from keepout.core.mission import environment
-from keepout.core.mission.navigation import suite_of
 from keepout.core.mission.scenario import Scenario
+from keepout.core.plug_ins import load
 
 _ROUNDING = 1e-9
 """Relative: a bound declared is not broken by the rounding of the flown one."""
@@ -59,7 +59,7 @@ def broken_assumptions(scenario: Scenario, target: Target | None = None) -> tupl
             "(thrusters.survive_failure is false: no thruster may be stuck)"
         )
     if scenario.navigation.suite != "none":
-        missed = suite_of(scenario.navigation).probability_beyond(scenario.steps)
+        missed = load("navigation", "suite")(scenario.navigation).probability_beyond(scenario.steps)
         if missed:
             found.append(
                 f"navigation.suite {scenario.navigation.suite}: Gaussian noise has no bound (the guard's set "

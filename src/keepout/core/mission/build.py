@@ -10,7 +10,7 @@ from keepout.core.compiled.kept_programs import keep_programs
 from keepout.core.control.guidance.guidance import Guidance
 from keepout.core.control.guidance.plan import GuidancePlan
 from keepout.core.control.law import Law
-from keepout.core.errors import FieldError, KeepOutZoneError
+from keepout.core.errors import FieldError, KeepOutZoneError, ScenarioError
 from keepout.core.fields.evaluate import values
 from keepout.core.fields.model import Certificate, FieldModel
 from keepout.core.fields.shipped import load_shipped, shipped_names
@@ -24,13 +24,13 @@ from keepout.core.guard.start import require_flyable
 from keepout.core.mission import environment
 from keepout.core.mission.assumptions import broken_assumptions
 from keepout.core.mission.law import flown_law, law_or_way_out, room_for_guard
-from keepout.core.mission.navigation import navigation, require_navigation
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.target import load_target, require_apart
 from keepout.core.mission.thrusters import thrusters
 from keepout.core.mission.tried import require_guard, require_law
 from keepout.core.motion import MotionState
 from keepout.core.motion.arrays import as_float64
+from keepout.core.plug_ins import load
 from keepout.core.progress import Progress, part_of, silent
 
 _MISSED_ROOM = 0.2
@@ -152,7 +152,7 @@ def prepare(
     model.require_target(target, where="field")
     certificate = model.certificate(scenario.chaser.radius)
     require_apart(scenario, target)
-    require_navigation(scenario)
+    _require_navigation(scenario)
     try:
         room = room_for_guard(scenario, target)
         law = law_or_way_out(scenario, model, guidance, part_of(progress, 0.0, 0.6), **room)
@@ -162,7 +162,7 @@ def prepare(
     setup = flight_setup(scenario, flown_law(scenario, law, model), field=model.field)
     if scenario.navigation.suite != "none":
         assumed = environment.guard_assumptions(scenario, target)
-        setup = replace(setup, navigation=navigation(scenario, setup.motion, assumed))
+        setup = replace(setup, navigation=load("navigation", "flown")(scenario, setup.motion, assumed))
     initial = setup.motion.initial_state(np.asarray(scenario.start.position), np.asarray(scenario.start.velocity))
     guard, start_certified, broken = None, None, broken_assumptions(scenario, target)
     if scenario.guard.enabled:
@@ -176,6 +176,28 @@ def prepare(
         )
         start_certified = require_flyable(guard, initial, as_float64(scenario.goal.position)) and not broken
     return Mission(scenario, target, model, certificate, replace(setup, guard=guard), initial, start_certified, broken)
+
+
+def _require_navigation(scenario: Scenario) -> None:
+    """Refuse entries of navigation that the suite has no use for.
+
+    Raises:
+        ScenarioError: there are some; the message names them.
+
+    """
+    entry = scenario.navigation
+    if entry.suite == "none":
+        given = [f"navigation.{key}" for key in entry.model_dump(exclude_defaults=True)]
+        if given:
+            raise ScenarioError(
+                f'{", ".join(given)}: only for a suite, and navigation.suite is "none"; give "far", "near" or "close"'
+            )
+        return
+    noises = [f"navigation.{key}" for key in ("position_noise", "velocity_noise") if getattr(entry, key) is not None]
+    if noises and entry.suite != "close":
+        raise ScenarioError(
+            f'{", ".join(noises)}: only for navigation.suite = "close", and it is "{entry.suite}"; leave them out'
+        )
 
 
 def flight_setup(scenario: Scenario, law: Law, **chosen: Any) -> FlightSetup:

@@ -22,7 +22,6 @@ from keepout.core.geometry.target import Target
 from keepout.core.guard.braking import GuardAssumptions
 from keepout.core.mission import turning_bounds
 from keepout.core.mission.first_look import refuse_disturbance
-from keepout.core.mission.navigation import certain
 from keepout.core.mission.orbit_bounds import (
     DifferentialBounds,
     differential_bounds,
@@ -47,6 +46,7 @@ from keepout.core.motion import (
     steady,
 )
 from keepout.core.motion.perturbation import EARTH_GRAVITATIONAL_PARAMETER
+from keepout.core.plug_ins import load
 
 _NEAR = 1000.0
 """Gravity is bounded at least this far from the target, m."""
@@ -369,5 +369,5 @@ def guard_assumptions_within(scenario: Scenario, extent: float) -> GuardAssumpti
     )
     if scenario.navigation.suite == "none":
         return assumed
-    position_error, velocity_error = certain(scenario, assumed).errors
+    position_error, velocity_error = load("navigation", "certain")(scenario, assumed).errors
     return replace(assumed, position_error=position_error, velocity_error=velocity_error)

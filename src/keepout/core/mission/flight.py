@@ -20,9 +20,9 @@ from keepout.core.geometry.target import Target
 from keepout.core.mission import environment
 from keepout.core.mission.assumptions import guard_numbers
 from keepout.core.mission.build import Mission, prepare
-from keepout.core.mission.navigation import suite_of
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.statuses import flag_counts, legend, status_counts
+from keepout.core.plug_ins import load
 from keepout.core.progress import Progress, part_of, silent
 
 
@@ -112,7 +112,7 @@ class Flight:
         return figures | {
             "outliers": int(record.outliers[:-1].sum()),
             "contradicted_steps": int(record.contradicted[:-1].sum()),
-            "probability_beyond": suite_of(entry).probability_beyond(record.steps),
+            "probability_beyond": load("navigation", "suite")(entry).probability_beyond(record.steps),
         }
 
 

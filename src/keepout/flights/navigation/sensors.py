@@ -4,20 +4,23 @@ docs/navigation.md proves each ball. What is measured in axes of the orbital fra
 the attitude of the estimate, whose error is bounded by `attitude_error`.
 """
 
+import abc
+import dataclasses
+
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax.core import Tracer
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
 from keepout.core.errors import ScenarioError
+from keepout.core.flight.navigation import Ball, Sample, Sensor
 from keepout.core.motion import rotation
 from keepout.core.motion.arrays import as_float64
 from keepout.core.motion.relative import MotionState
 from keepout.core.motion.rotation import Quaternion, Vector
 from keepout.core.motion.vectors import norm
-from keepout.flights.navigation.error_parts import ErrorModel, ErrorPart
-from keepout.flights.navigation.sensor import Ball
-from keepout.flights.navigation.simulated import SimulatedSensor
+from keepout.flights.navigation.sensor_errors import Arrival, ErrorModel, ErrorPart
 
 Scalar = Float[Array, ""]
 
@@ -33,6 +36,74 @@ def _of_vector(parts: ErrorModel | tuple[ErrorPart, ...]) -> ErrorModel:
 
 def _of_number(parts: ErrorModel | tuple[ErrorPart, ...]) -> ErrorModel:
     return parts if isinstance(parts, ErrorModel) else ErrorModel(parts, 1)
+
+
+class SimulatedSensor(Sensor):
+    """A sensor whose errors are drawn from error models, and whose samples arrive along a line.
+
+    Attributes:
+        every: control periods between samples, at least 1.
+        latency: control periods from a sample to its arrival.
+        dropout: probability that a sample is lost, 0 to 1.
+        most_missed: samples that can be lost in a row; after so many the next one comes.
+
+    Raises:
+        ScenarioError: what `Arrival` refuses.
+
+    """
+
+    every: int = eqx.field(static=True, default=1, kw_only=True)
+    latency: int = eqx.field(static=True, default=0, kw_only=True)
+    dropout: float = eqx.field(static=True, default=0.0, kw_only=True)
+    most_missed: int = eqx.field(static=True, default=0, kw_only=True)
+
+    def __check_init__(self):
+        _ = self.arrival
+
+    @property
+    def arrival(self) -> Arrival:
+        """The line that its samples arrive along."""
+        return Arrival(self.every, self.latency, self.dropout, self.most_missed)
+
+    @property
+    def error_models(self) -> tuple[ErrorModel, ...]:
+        """The error models that `disturbed` wants a draw of each: the sensor's own, in the order of its fields."""
+        mine = (getattr(self, field.name) for field in dataclasses.fields(self))
+        return tuple(model for model in mine if isinstance(model, ErrorModel))
+
+    @abc.abstractmethod
+    def disturbed(self, truth: MotionState, errors: tuple[Float[Array, " _"], ...]) -> Float[Array, " n"]:
+        """Give what it says of a state with these errors."""
+
+    def beyond(self) -> float:
+        """Give a bound on the probability that one sample's error passes what the sensor's ball allows for."""
+        return min(1.0, sum(model.beyond() for model in self.error_models))
+
+    def initial_state(self, key: PRNGKeyArray, truth: MotionState) -> PyTree:
+        """Draw the biases; no sample is under way."""
+        key, draw = jax.random.split(key)
+        pieces = self._normals(draw)
+        memories = tuple(model.initial_state(some) for model, some in zip(self.error_models, pieces, strict=False))
+        return key, memories, self.arrival.initial_state(self.ideal(truth))
+
+    def sample(self, state: PyTree, truth: MotionState) -> tuple[PyTree, Sample]:
+        """Draw the errors, measure, and give what arrives."""
+        key, memories, line = state
+        key, draw = jax.random.split(key)
+        pieces = self._normals(draw)
+        drawn = [model.draw(memory, some) for model, memory, some in zip(self.error_models, memories, pieces)]
+        value = self.disturbed(truth, tuple(error for _, error in drawn))
+        line, sample = self.arrival.step(line, value, pieces[-1])
+        return (key, tuple(memory for memory, _ in drawn), line), sample
+
+    def _normals(self, key: PRNGKeyArray) -> list[Float[Array, " _"]]:
+        """Draw standard normal numbers once: a piece for each error model, and one for the line."""
+        counts = [*(model.normals() for model in self.error_models), self.arrival.normals]
+        drawn, pieces, first = jax.random.normal(key, (sum(counts),)), [], 0
+        for count in counts:
+            pieces.append(drawn[first : first + count])
+            first += count
+        return pieces
 
 
 class _VectorSensor(SimulatedSensor):
@@ -73,11 +144,6 @@ class _WholeVector(_VectorSensor):
     """A sensor of a vector whose components have one error."""
 
     errors: ErrorModel = eqx.field(converter=_of_vector)
-
-    @property
-    def error_models(self) -> tuple[ErrorModel, ...]:
-        """The vector's."""
-        return (self.errors,)
 
     def disturbed(self, truth: MotionState, errors: tuple[Float[Array, " _"], ...]) -> Float[Array, "3"]:
         """Add the error."""
@@ -159,11 +225,6 @@ class RangeBearing(_VectorSensor):
     range_errors: ErrorModel = eqx.field(converter=_of_number)
     bearing_errors: ErrorModel = eqx.field(converter=_of_vector)
 
-    @property
-    def error_models(self) -> tuple[ErrorModel, ...]:
-        """The range's and the bearing's."""
-        return self.range_errors, self.bearing_errors
-
     def ideal(self, state: MotionState) -> Float[Array, "3"]:
         """Give the position in the sensor's axes, m."""
         return self._measured(state.position, state.attitude)
@@ -201,11 +262,6 @@ class RangeRate(SimulatedSensor):
 
     errors: ErrorModel = eqx.field(converter=_of_number)
 
-    @property
-    def error_models(self) -> tuple[ErrorModel, ...]:
-        """The range rate's."""
-        return (self.errors,)
-
     def ideal(self, state: MotionState) -> Float[Array, "1"]:
         """Give r·v/‖r‖, m/s; 0 at the origin."""
         return (state.position @ state.velocity / jnp.maximum(norm(state.position), 1e-12))[None]
@@ -232,11 +288,6 @@ class TargetAttitude(SimulatedSensor):
     """
 
     errors: ErrorModel = eqx.field(converter=_of_vector)
-
-    @property
-    def error_models(self) -> tuple[ErrorModel, ...]:
-        """The attitude's."""
-        return (self.errors,)
 
     def ideal(self, state: MotionState) -> Float[Array, "4"]:
         """Give the attitude."""

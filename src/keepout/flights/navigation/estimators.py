@@ -1,10 +1,11 @@
-"""The law's filter: position, velocity and disturbance estimated together from whatever samples come.
+"""The law's estimates: a filter of position, velocity and disturbance together, or the last samples as they are.
 
-An extended Kalman filter over x = [r, v, ξ]. The model of r and v is the exact relative motion with the force and the
-disturbance's mean held over each period; its covariance P moves with the linearised motion.
-See docs/navigation-filter.md.
+The filter is an extended Kalman filter over x = [r, v, ξ]. The model of r and v is the exact relative motion with the
+force and the disturbance's mean held over each period; its covariance P moves with the linearised motion. See
+docs/navigation-filter.md.
 """
 
+import dataclasses
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -15,16 +16,12 @@ from jaxtyping import Array, Bool, Float, Int
 from scipy import stats
 
 from keepout.core.errors import ScenarioError
+from keepout.core.flight.navigation import Estimator, Sample, Sensor
 from keepout.core.motion import rotation
 from keepout.core.motion.arrays import as_float64
 from keepout.core.motion.disturbance import NoDisturbance
 from keepout.core.motion.relative import MotionState, RelativeMotion
-from keepout.core.motion.rotation import Vector
-from keepout.flights.navigation.disturbance_model import DisturbanceModel, disturbance_model
-from keepout.flights.navigation.estimator import Estimator
-from keepout.flights.navigation.few_equations import factorised, solved, solved_back
-from keepout.flights.navigation.measurement import attitude_sensors, linearised, probe, turned
-from keepout.flights.navigation.sensor import Sample, Sensor
+from keepout.core.motion.rotation import Quaternion, Vector
 
 _MOST_WIDENING = 100.0
 """Largest factor on the covariance for one sample left out."""
@@ -32,6 +29,45 @@ _WIDEST = np.array([100.0, 1.0])
 """Standard deviations of position (m) and velocity (m/s) beyond which no sample widens them."""
 _WIDEST_DISTURBANCE = 10.0
 """Likewise of the disturbance's components, in those of the start."""
+_ROUNDING = 1e-12
+"""Added to a square matrix that is 0 for a sample that says nothing of the motion: it then moves nothing."""
+Factor = list[list[Float[Array, ""]]]
+"""The rows of a lower triangle."""
+
+
+class DisturbanceModel(eqx.Module):
+    """ξ̇ = A ξ, d = C ξ from one control period to the next, alike in every axis; build with `disturbance_model`.
+
+    ξ is the constant, then for each frequency ω the sinusoid and its quarter period ahead, so that d is the sum of the
+    constant and the sinusoids. All of it is in newtons and none of it grows: A turns each pair by ωT a period.
+
+    Attributes:
+        cosine: cos ωT of each frequency.
+        sine: sin ωT.
+        mean_output: C̄ = (1/T) ∫₀ᵀ C exp(A t) dt, the weights of ξ in the mean over the period that begins.
+
+    """
+
+    cosine: Float[Array, " k"]
+    sine: Float[Array, " k"]
+    mean_output: Float[Array, " q"]
+
+    @property
+    def size(self) -> int:
+        """The number q of states an axis."""
+        return self.mean_output.shape[0]
+
+    def moved(self, state: Float[Array, "q *rest"]) -> Float[Array, "q *rest"]:
+        """Give exp(A T) ξ."""
+        rows = [state[0]]
+        for k in range(self.cosine.shape[0]):
+            a, b = state[1 + 2 * k], state[2 + 2 * k]
+            rows += [self.cosine[k] * a + self.sine[k] * b, self.cosine[k] * b - self.sine[k] * a]
+        return jnp.stack(rows)
+
+    def mean(self, state: Float[Array, "q *rest"]) -> Float[Array, "*rest"]:
+        """Give C̄ ξ, the mean over the period that begins, N."""
+        return sum((self.mean_output[i] * state[i] for i in range(1, self.size)), self.mean_output[0] * state[0])
 
 
 class Belief(eqx.Module):
@@ -351,3 +387,153 @@ def _product(left: Float[Array, "n m"], right: Float[Array, "n m"]) -> Float[Arr
     for i in range(1, left.shape[1]):
         total = total + left[:, i, None] * right[:, i]
     return total
+
+
+def disturbance_model(frequencies: Sequence[float], period: float) -> DisturbanceModel:
+    """Build the model of a constant plus sinusoids of `frequencies` (rad/s; none: the constant alone) each axis.
+
+    Raises:
+        ScenarioError: a frequency that is not in (0, π/period) or that repeats.
+
+    """
+    omegas = np.asarray([float(w) for w in frequencies])
+    if len(set(omegas.tolist())) != len(omegas) or not np.all((omegas > 0.0) & (omegas < np.pi / period)):
+        raise ScenarioError(
+            f"filter frequencies: {omegas.tolist()} rad/s; distinct values in (0, {np.pi / period:.3g}) are needed"
+        )
+    angle = omegas * period
+    # 1 − cos without its cancellation at slow frequencies
+    pairs = np.stack([np.sin(angle), 2.0 * np.sin(angle / 2.0) ** 2], axis=1) / angle[:, None]
+    mean_output = np.concatenate([[1.0], pairs.reshape(-1)])
+    return DisturbanceModel(as_float64(np.cos(angle)), as_float64(np.sin(angle)), as_float64(mean_output))
+
+
+def factorised(matrix: Float[Array, "m m"]) -> Factor:
+    """Give L of a positive definite S = L Lᵀ (Cholesky); only the lower triangle of S is looked at."""
+    lower: Factor = []
+    for i in range(matrix.shape[0]):
+        row: list[Float[Array, ""]] = []
+        for j in range(i + 1):
+            rest = matrix[i, j]
+            for k in range(j):
+                rest = rest - row[k] * (lower[j][k] if j < i else row[k])
+            row.append(jnp.sqrt(rest) if i == j else rest / lower[j][j])
+        lower.append(row)
+    return lower
+
+
+def solved(lower: Factor, right: Float[Array, "m *rest"]) -> Float[Array, "m *rest"]:
+    """Give L⁻¹ b."""
+    rows: list[Array] = []
+    for i, row in enumerate(lower):
+        rest = right[i]
+        for k in range(i):
+            rest = rest - row[k] * rows[k]
+        rows.append(rest / row[i])
+    return jnp.stack(rows)
+
+
+def solved_back(lower: Factor, right: Float[Array, "m *rest"]) -> Float[Array, "m *rest"]:
+    """Give L⁻ᵀ b."""
+    count = len(lower)
+    rows: list[Array] = []
+    for i in reversed(range(count)):
+        rest = right[i]
+        for k in range(i + 1, count):
+            rest = rest - lower[k][i] * rows[count - 1 - k]
+        rows.append(rest / lower[i][i])
+    return jnp.stack(rows[::-1])
+
+
+def linearised(sensor: Sensor, state: MotionState) -> tuple[Float[Array, " m"], Float[Array, "m 6"]]:
+    """Give what a sensor would say of a state, and its Jacobian by position (m) and velocity (m/s)."""
+
+    def said(x: Float[Array, "6"]) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
+        value = sensor.ideal(eqx.tree_at(lambda m: (m.position, m.velocity), state, (x[:3], x[3:])))
+        return value, value
+
+    jacobian, value = jax.jacfwd(said, has_aux=True)(jnp.concatenate([state.position, state.velocity]))
+    return value, jacobian
+
+
+def probe(motion: RelativeMotion) -> MotionState:
+    """Give a state in no special place, to ask sensors what they are."""
+    state = motion.initial_state([20.0, -30.0, 10.0], [0.1, 0.2, -0.3])
+    return eqx.tree_at(lambda m: m.attitude, state, rotation.normalise(jnp.array([0.8, 0.4, -0.2, 0.3])))
+
+
+def attitude_sensors(motion: RelativeMotion, sensors: Sequence[Sensor]) -> tuple[bool, ...]:
+    """Give for each sensor whether it says the target's attitude quaternion and nothing else."""
+    state = probe(motion)
+    said = [np.asarray(sensor.ideal(state)) for sensor in sensors]
+    return tuple(v.shape == (4,) and np.allclose(v, state.attitude, rtol=0.0, atol=1e-12) for v in said)
+
+
+def turned(attitude: Quaternion, sample: Sample, share: float | Float[Array, ""]) -> tuple[Quaternion, Bool[Array, ""]]:
+    """Turn an attitude by a share of the way, the shorter one, to a sampled one; and say whether that was none."""
+    length = jnp.sqrt(jnp.sum(sample.value**2))
+    valid = jnp.isfinite(length) & (length > 0.0)
+    new = jnp.where(valid, sample.value / jnp.where(valid, length, 1.0), attitude)
+    new = jnp.where(jnp.sum(new * attitude) < 0.0, -new, new)
+    pulled = rotation.normalise(attitude + share * (new - attitude))
+    return jnp.where(sample.came & valid, pulled, attitude), sample.came & ~valid
+
+
+class RawSamples(Estimator):
+    """The last samples as they are, held until the next ones; the motion's model carries attitude and rates alone.
+
+    A sample moves the estimate by the smallest change of position and velocity that explains it; one that gives the
+    position takes its place. Samples count as of now, however late they are. No disturbance is estimated: an observer
+    of the law's own does that, or nobody. Build with `RawSamples.build`.
+
+    Attributes:
+        motion: the model of the relative motion.
+        sensors: in the order of the samples.
+        mass: kg.
+        period: between control steps, s.
+        attitudes: which sensors give the attitude.
+
+    """
+
+    motion: RelativeMotion
+    sensors: tuple[Sensor, ...]
+    mass: Float[Array, ""]
+    period: Float[Array, ""]
+    attitudes: tuple[bool, ...] = eqx.field(static=True)
+
+    @classmethod
+    def build(cls, motion: RelativeMotion, sensors: Sequence[Sensor], *, mass: float, period: float) -> "RawSamples":
+        """Build the estimator for sensors in the order of their samples, a mass in kg and a period in s."""
+        attitudes = attitude_sensors(motion, sensors)
+        return cls(motion, tuple(sensors), as_float64(mass), as_float64(period), attitudes)
+
+    def initial_state(self, estimate: MotionState, errors: Float[Array, "2"]) -> MotionState:
+        """Start from an estimate, taken for the truth."""
+        return estimate
+
+    def correct(
+        self, state: MotionState, samples: tuple[Sample, ...]
+    ) -> tuple[MotionState, MotionState, Int[Array, ""]]:
+        """Take the samples that arrived; those that are not numbers are left out."""
+        left_out = jnp.zeros((), jnp.int32)
+        for sensor, sample, of_attitude in zip(self.sensors, samples, self.attitudes, strict=True):
+            if of_attitude:
+                attitude, out = turned(state.attitude, sample, 1.0)
+                state = dataclasses.replace(state, attitude=attitude)
+            else:
+                finite = jnp.all(jnp.isfinite(sample.value))
+                expected, H = linearised(sensor, state)
+                lower = factorised(H @ H.T + _ROUNDING * jnp.eye(H.shape[0]))
+                missing = jnp.where(sample.came & finite, sample.value - expected, 0.0)
+                change = H.T @ solved_back(lower, solved(lower, missing))
+                state = dataclasses.replace(
+                    state, position=state.position + change[:3], velocity=state.velocity + change[3:]
+                )
+                out = sample.came & ~finite
+            left_out = left_out + out
+        return state, state, left_out
+
+    def advance(self, state: MotionState, force: Vector) -> MotionState:
+        """Move time and attitude to the next control step."""
+        moved = self.motion.step(state, force, NoDisturbance(), self.period, self.mass)
+        return dataclasses.replace(moved, position=state.position, velocity=state.velocity)

@@ -1,4 +1,4 @@
-"""What a sample's error is made of: noise within a ball, Gaussian noise, a bias that wanders, outliers.
+"""What a sample's error is made of, and when it arrives: noise, biases and outliers; rate, losses and latency.
 
 An error is a sum of parts. It has a dimension n: 1 for a range (m), 3 for a position (m), a velocity (m/s) or a small
 rotation (rad). A part draws from standard normal numbers that it is handed, as many as it says it takes, so that a
@@ -15,6 +15,7 @@ from jaxtyping import Array, Float, PyTree
 from scipy import special, stats
 
 from keepout.core.errors import ScenarioError
+from keepout.core.flight.navigation import Sample
 from keepout.core.motion.arrays import as_float64
 
 Scalar = Float[Array, ""]
@@ -50,7 +51,25 @@ class ErrorPart(eqx.Module):
         return 0.0
 
 
-class BallNoise(ErrorPart):
+class _InBall(ErrorPart):
+    """An error that is even in a ball of a radius: nothing is ever beyond it."""
+
+    radius: Scalar = eqx.field(converter=as_float64)
+
+    def normals(self, dimension: int) -> int:
+        """Count two more than the error has components."""
+        return dimension + 2
+
+    def variance(self, dimension: int) -> Scalar:
+        """Give ρ²/(n + 2)."""
+        return self.radius**2 / (dimension + 2)
+
+    def bound(self) -> Scalar:
+        """Give the radius."""
+        return self.radius
+
+
+class BallNoise(_InBall):
     """Noise drawn evenly from the ball of a radius, anew in each period: nothing is ever beyond it.
 
     Attributes:
@@ -61,28 +80,14 @@ class BallNoise(ErrorPart):
 
     """
 
-    radius: Scalar = eqx.field(converter=as_float64)
-
     def __check_init__(self):
         _check("noise radius", self.radius)
-
-    def normals(self, dimension: int) -> int:
-        """Count two more than the error has components."""
-        return dimension + 2
 
     def draw(
         self, state: PyTree, normals: Float[Array, " k"], dimension: int
     ) -> tuple[PyTree, Float[Array, " dimension"]]:
         """Draw from the ball."""
         return state, self.radius * _in_unit_ball(normals, dimension)
-
-    def variance(self, dimension: int) -> Scalar:
-        """Give ρ²/(n + 2)."""
-        return self.radius**2 / (dimension + 2)
-
-    def bound(self) -> Scalar:
-        """Give the radius."""
-        return self.radius
 
 
 class GaussianNoise(ErrorPart):
@@ -127,7 +132,7 @@ class GaussianNoise(ErrorPart):
         return float(stats.chi2.sf(self.sigmas**2, dimension))
 
 
-class WanderingBias(ErrorPart):
+class WanderingBias(_InBall):
     """A bias that wanders within a ball: a random walk, reflected at the ball's surface.
 
     It starts anywhere in the ball, drawn evenly. That is what it stays distributed like, for steps small against the
@@ -142,7 +147,6 @@ class WanderingBias(ErrorPart):
 
     """
 
-    radius: Scalar = eqx.field(converter=as_float64)
     step: Scalar = eqx.field(converter=as_float64, default=0.0)
 
     def __check_init__(self):
@@ -151,10 +155,6 @@ class WanderingBias(ErrorPart):
         if _beyond(self.step, self.radius):
             step, radius = np.asarray(self.step).tolist(), np.asarray(self.radius).tolist()
             raise ScenarioError(f"bias step: {step}; it must be at most the radius {radius}")
-
-    def normals(self, dimension: int) -> int:
-        """Count two more than the error has components."""
-        return dimension + 2
 
     def initial_state(self, normals: Float[Array, " k"], dimension: int) -> PyTree:
         """Draw the bias from its ball."""
@@ -170,14 +170,6 @@ class WanderingBias(ErrorPart):
         # At most one radius beyond the surface, so the reflected point is inside.
         shrink = jnp.where(outside, (2.0 * self.radius - length) / jnp.where(outside, length, 1.0), 1.0)
         return shrink * moved, state
-
-    def variance(self, dimension: int) -> Scalar:
-        """Give ρ²/(n + 2): it is even in the ball."""
-        return self.radius**2 / (dimension + 2)
-
-    def bound(self) -> Scalar:
-        """Give the radius."""
-        return self.radius
 
 
 class Outliers(ErrorPart):
@@ -298,3 +290,64 @@ def _beyond(value: Scalar, limit: Scalar) -> bool:
     if isinstance(value, Tracer) or isinstance(limit, Tracer):
         return False
     return bool(jnp.any(value > limit))
+
+
+class Arrival(eqx.Module):
+    """A line of samples: taken every so many control periods from the first step on, lost now and then, and late.
+
+    Nothing is under way when a flight starts: what arrives in its first `latency` steps has not come.
+
+    Attributes:
+        every: control periods between samples, at least 1.
+        latency: whole control periods from a sample to its arrival.
+        dropout: probability that a sample is lost, 0 to 1.
+        most_missed: samples that can be lost in a row; after so many the next one comes.
+
+    Raises:
+        ScenarioError: a number outside its range, or a dropout without a number of samples that it may take.
+
+    """
+
+    every: int = eqx.field(static=True, default=1)
+    latency: int = eqx.field(static=True, default=0)
+    dropout: float = eqx.field(static=True, default=0.0)
+    most_missed: int = eqx.field(static=True, default=0)
+
+    def __check_init__(self):
+        for name, value, least in (("every", self.every, 1), ("latency", self.latency, 0)):
+            if value != int(value) or value < least:
+                raise ScenarioError(f"sensor: {name} is {value} control periods; it must be a whole number >= {least}")
+        if self.most_missed != int(self.most_missed) or self.most_missed < 0:
+            raise ScenarioError(f"sensor: most_missed is {self.most_missed}; it must be a whole number >= 0")
+        if not 0.0 <= self.dropout <= 1.0:
+            raise ScenarioError(f"sensor: dropout is {self.dropout:g}; it must be a probability, 0 to 1")
+        if self.dropout > 0.0 and self.most_missed == 0:
+            raise ScenarioError(f"sensor: dropout is {self.dropout:g} but most_missed is 0; it must be at least 1")
+
+    @property
+    def normals(self) -> int:
+        """How many standard normal numbers a step takes."""
+        return int(self.dropout > 0.0)
+
+    @property
+    def oldest(self) -> int:
+        """Age in control periods that the newest sample known can reach, once one has come."""
+        return self.latency + self.every * (self.most_missed + 1) - 1
+
+    def initial_state(self, value: Float[Array, " n"]) -> PyTree:
+        """Give an empty line for samples that look like `value`."""
+        line = jnp.zeros((self.latency, *value.shape)), jnp.zeros(self.latency, bool)
+        return jnp.zeros((), jnp.int32), jnp.zeros((), jnp.int32), line
+
+    def step(self, state: PyTree, value: Float[Array, " n"], normals: Float[Array, " k"]) -> tuple[PyTree, Sample]:
+        """Put in what would be measured now, and give what arrives now; called once a control period."""
+        count, missed, (values, came) = state
+        taken = count % self.every == 0
+        if self.dropout > 0.0:
+            lost = taken & (normals[0] < special.ndtri(self.dropout)) & (missed < self.most_missed)
+            missed = jnp.where(taken, jnp.where(lost, missed + 1, 0), missed)
+            taken = taken & ~lost
+        # Only the step's place in the rhythm is counted, so that no flight is too long for it.
+        count = (count + 1) % self.every
+        values, came = jnp.concatenate([values, value[None]]), jnp.concatenate([came, taken[None]])
+        return (count, missed, (values[1:], came[1:])), Sample(values[0], came[0])
