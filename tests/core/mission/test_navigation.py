@@ -8,7 +8,7 @@ import pytest
 
 from keepout.core.errors import ScenarioError
 from keepout.core.mission import environment
-from keepout.core.mission.build import prepare
+from keepout.core.mission.build import prepare, require_navigation
 from keepout.core.mission.check import check
 from keepout.core.mission.flight import fly_mission
 from keepout.core.mission.nearest import number_refusal
@@ -18,7 +18,6 @@ from keepout.flights.campaign.dataset import Dataset
 from keepout.flights.campaign.plan import Plan
 from keepout.flights.campaign.replay import differences, replay
 from keepout.flights.campaign.run import fly_campaign
-from keepout.flights.navigation.suites import require_navigation
 
 CLOSE = {
     "duration": 150.0,

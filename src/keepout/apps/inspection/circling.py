@@ -24,10 +24,10 @@ from keepout.apps.inspection.transfer import transfer
 from keepout.core.errors import InspectionError
 from keepout.core.flight.loop import fly
 from keepout.core.mission import environment
-from keepout.core.mission.build import build_guard, flight_setup
+from keepout.core.mission.build import build_guard, flight_setup, require_navigation
 from keepout.core.mission.scenario import Scenario
 from keepout.core.progress import Progress, part_of, silent
-from keepout.flights.navigation.suites import navigation, require_navigation
+from keepout.flights.navigation.suites import navigation
 
 _MOST_FRAMES = 1500
 """Frames of a circumnavigation, at most: those of a day would differ by millimetres."""

@@ -23,14 +23,14 @@ from keepout.core.geometry.target import Target
 from keepout.core.guard.guard import Guard
 from keepout.core.guard.start import require_flyable
 from keepout.core.mission import environment
-from keepout.core.mission.build import build_guard, closing_radius, flight_setup, load_model
+from keepout.core.mission.build import build_guard, closing_radius, flight_setup, load_model, require_navigation
 from keepout.core.mission.law import broken_as, law_on
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.target import require_apart
 from keepout.core.motion import MotionState
 from keepout.core.motion.arrays import as_float64
 from keepout.core.progress import Progress, part_of, silent
-from keepout.flights.navigation.suites import navigation, require_navigation
+from keepout.flights.navigation.suites import navigation
 
 Point = Float[np.ndarray, "3"]
 

@@ -152,7 +152,7 @@ def prepare(
     model.require_target(target, where="field")
     certificate = model.certificate(scenario.chaser.radius)
     require_apart(scenario, target)
-    _require_navigation(scenario)
+    require_navigation(scenario)
     try:
         room = room_for_guard(scenario, target)
         law = law_or_way_out(scenario, model, guidance, part_of(progress, 0.0, 0.6), **room)
@@ -178,7 +178,7 @@ def prepare(
     return Mission(scenario, target, model, certificate, replace(setup, guard=guard), initial, start_certified, broken)
 
 
-def _require_navigation(scenario: Scenario) -> None:
+def require_navigation(scenario: Scenario) -> None:
     """Refuse entries of navigation that the suite has no use for.
 
     Raises:
