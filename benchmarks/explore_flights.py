@@ -19,8 +19,9 @@ from explore_approaches import enclosing
 from explore_counts import bad_cubes
 from truncated_distance import TruncatedDistanceMap
 
+from keepout.apps.led.camera import Boresight, axes_towards
 from keepout.apps.unknown import by_map, equipment
-from keepout.apps.unknown.depth import Boresight, ErrorDraw, axes_towards, take
+from keepout.apps.unknown.depth_sensor import ErrorDraw, take
 from keepout.apps.unknown.explore import explore
 from keepout.apps.unknown.map_field import MapField
 from keepout.core.audit.audit import Contact

@@ -24,12 +24,14 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from keepout.apps.unknown.depth import DepthCamera, axes_towards, take
-from keepout.apps.unknown.mapping import KnownFreeMap, SensorBounds, ViewStatus
+from keepout.apps.led.camera import axes_towards
+from keepout.apps.unknown.depth_sensor import DepthCamera, take
+from keepout.apps.unknown.known_free import KnownFreeMap, ViewStatus
 from keepout.apps.unknown.next_view import Ended, NextView, Pace, choose
 from keepout.apps.unknown.reachable import reachable
 from keepout.apps.unknown.sight import UP, sphere
 from keepout.apps.unknown.tried import Tried
+from keepout.apps.unknown.view import SensorBounds
 from keepout.core.geometry import Target
 from keepout.core.geometry.distance import ExactDistance
 from keepout.core.geometry.first_hit import FirstHit

@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 
 from keepout.apps.inspection.perspective import Studio
-from keepout.apps.unknown.depth.pointing import axes_towards
-from keepout.apps.unknown.mapping.view import Pinhole
+from keepout.apps.led.camera import Pinhole, axes_towards
 from keepout.core.geometry.first_hit import FirstHit
 from keepout.core.geometry.target import Target
 

@@ -18,13 +18,11 @@ from pathlib import Path
 import numpy as np
 import scipy.ndimage
 
-from keepout.apps.unknown.depth.camera import DepthCamera
-from keepout.apps.unknown.depth.depth import take
-from keepout.apps.unknown.depth.errors import ErrorDraw
-from keepout.apps.unknown.depth.pointing import axes_towards
-from keepout.apps.unknown.mapping.known_free import KnownFreeMap
-from keepout.apps.unknown.mapping.map_file import load, save
-from keepout.apps.unknown.mapping.skin import skin
+from keepout.apps.led.camera import axes_towards
+from keepout.apps.unknown.depth_sensor import DepthCamera, ErrorDraw, take
+from keepout.apps.unknown.known_free import KnownFreeMap
+from keepout.apps.unknown.map_file import load, save
+from keepout.apps.unknown.skin import skin
 from keepout.core.fields.evaluate import values
 from keepout.core.fields.model import FieldModel
 from keepout.core.fields.shipped import load_shipped, shipped_names

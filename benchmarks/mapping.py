@@ -16,11 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from keepout.apps.unknown.mapping import KnownFreeMap, Pinhole, SensorBounds, View, ViewStatus
-from keepout.apps.unknown.mapping.distance_transform import renew
-from keepout.apps.unknown.mapping.pyramid import pyramid
-from keepout.apps.unknown.mapping.rule import SLACK, empty_ranges, rule_of
-from keepout.apps.unknown.mapping.windows import BLOCK, free_cubes
+from keepout.apps.led.camera import Pinhole
+from keepout.apps.unknown.distance_transform import renew
+from keepout.apps.unknown.known_free import KnownFreeMap, ViewStatus
+from keepout.apps.unknown.rule import BLOCK, SLACK, empty_ranges, free_cubes, pyramid, rule_of
+from keepout.apps.unknown.view import SensorBounds, View
 
 CAMERA = Pinhole(160, 120, math.radians(60.0))
 BALLS = (((0.0, 0.0, 0.0), 2.0), ((0.0, 5.0, 1.0), 1.2))

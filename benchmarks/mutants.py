@@ -123,16 +123,12 @@ MUTANTS = {
     "apps/unknown/map_field.py": [
         ("half a cell of error", "hypot(radius, float", "hypot(radius, 0.5 * float", "map_field:bound")
     ],
-    "apps/unknown/mapping/rule.py": [
-        ("cube as its inner ball", "0.5 * math.sqrt(3.0) * spacing", "0.5 * spacing", "promises:body")
-    ],
-    "apps/unknown/mapping/windows.py": [
+    "apps/unknown/rule.py": [
+        ("cube as its inner ball", "0.5 * math.sqrt(3.0) * spacing", "0.5 * spacing", "promises:body"),
         ("attitude taken as exact", "+ distance * rule.attitude_error", "", "promises:body"),
-        ("near side for far", "last_column, far + rule", "last_column, near + rule", "mutants_found"),
+        ("near side for far", "last_column, far + rule", "last_column, near + rule", "rule:wall"),
     ],
-    "apps/unknown/mapping/known_free.py": [
-        ("ball by the near face", "- (low + self.spacing)", "- low", "known_free:ball")
-    ],
+    "apps/unknown/known_free.py": [("ball by the near face", "- (low + self.spacing)", "- low", "known_free:ball")],
     "apps/inspection/seeing/visible.py": [
         ("steep by its nearest corner", "steepest * far", "steepest * near", "visible:rules")
     ],

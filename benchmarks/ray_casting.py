@@ -18,7 +18,8 @@ from typing import Any
 import igl.embree
 import numpy as np
 
-from keepout.apps.unknown.depth import DepthCamera, axes_towards, take
+from keepout.apps.led.camera import axes_towards
+from keepout.apps.unknown.depth_sensor import DepthCamera, take
 from keepout.core.geometry import Target
 from keepout.core.geometry.first_hit import FirstHit
 

@@ -11,9 +11,9 @@ import math
 import numba
 import numpy as np
 
-from keepout.apps.unknown.mapping.distance_transform import squares_of
-from keepout.apps.unknown.mapping.known_free import KnownFreeMap
-from keepout.apps.unknown.mapping.view import View
+from keepout.apps.unknown.distance_transform import squares_of
+from keepout.apps.unknown.known_free import KnownFreeMap
+from keepout.apps.unknown.view import View
 
 TRUNCATION = 4.0
 """Largest signed distance that is averaged, in cubes."""

@@ -25,9 +25,9 @@ from truths.results import Page, check_picture
 
 import keepout
 from keepout.apps.inspection.frames_file import coverage_of_files
-from keepout.apps.unknown import equipment
-from keepout.apps.unknown.depth import ErrorDraw, axes_towards, take
-from keepout.apps.unknown.mapping import map_file
+from keepout.apps.led.camera import axes_towards
+from keepout.apps.unknown import equipment, map_file
+from keepout.apps.unknown.depth_sensor import ErrorDraw, take
 from keepout.cli.options import ORDER
 from keepout.core.audit.audit import Audit, audit
 from keepout.core.fields.evaluate import values

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from keepout.apps.unknown.mapping import Pinhole, SensorBounds, View
-from keepout.apps.unknown.mapping.rule import SLACK
+from keepout.apps.led.camera import Pinhole
+from keepout.apps.unknown.rule import SLACK
+from keepout.apps.unknown.view import SensorBounds, View
 
 
 @dataclass(frozen=True)

@@ -5,11 +5,12 @@ import math
 import jax.numpy as jnp
 import numpy as np
 
+from keepout.apps.led.camera import Pinhole
 from keepout.apps.unknown.departures import departures
 from keepout.apps.unknown.exploration import Exploration, TakenView
-from keepout.apps.unknown.mapping.known_free import KnownFreeMap
-from keepout.apps.unknown.mapping.view import Pinhole, SensorBounds, View
-from keepout.apps.unknown.stages import Stages
+from keepout.apps.unknown.known_free import KnownFreeMap
+from keepout.apps.unknown.skin import Stages
+from keepout.apps.unknown.view import SensorBounds, View
 from keepout.core.audit.audit import audit
 from keepout.core.flight.outcome import FlightOutcome
 from keepout.core.flight.record import FlightRecord

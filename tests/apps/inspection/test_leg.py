@@ -6,7 +6,7 @@ import pytest
 from keepout.apps.inspection.leg import Leg, Lost
 from keepout.apps.inspection.seeing.patches import Patches
 from keepout.apps.inspection.wanted import Wanted
-from keepout.apps.unknown.depth.pointing import Boresight
+from keepout.apps.led.camera import Boresight
 
 AHEAD = np.array([1.0, 0.0, 0.0])
 

@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from keepout.apps.inspection.perspective import Studio
-from keepout.apps.unknown.depth.pointing import axes_towards
-from keepout.apps.unknown.mapping.view import Pinhole
+from keepout.apps.led.camera import Pinhole, axes_towards
 from keepout.core.geometry.first_hit import FirstHit
 from keepout.core.geometry.target import Target
 

@@ -16,6 +16,7 @@ from truths.depth_views import Box, axes_towards, cube_centres, view_of
 from truths.growing_maps import Cubes
 from truths.guarded_worlds import motion_state
 
+from keepout.apps.led.camera import Pinhole
 from keepout.apps.unknown.by_map import (
     DeclaredBall,
     guard_by_map,
@@ -25,8 +26,9 @@ from keepout.apps.unknown.by_map import (
     require_start,
     setup_by_map,
 )
+from keepout.apps.unknown.known_free import KnownFreeMap, ViewStatus
 from keepout.apps.unknown.map_field import SLOPE, MapField
-from keepout.apps.unknown.mapping import KnownFreeMap, Pinhole, SensorBounds, ViewStatus
+from keepout.apps.unknown.view import SensorBounds
 from keepout.core.audit.audit import Contact, audit
 from keepout.core.errors import FieldError, KeepoutError
 from keepout.core.fields.evaluate import values

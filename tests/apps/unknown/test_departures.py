@@ -8,13 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from truths.made_meshes import target_of
 
+from keepout.apps.led.camera import Pinhole, axes_towards
 from keepout.apps.unknown.departures import _depth, departures
-from keepout.apps.unknown.depth.camera import DepthCamera
-from keepout.apps.unknown.depth.depth import take
-from keepout.apps.unknown.depth.errors import ErrorDraw
-from keepout.apps.unknown.depth.pointing import axes_towards
-from keepout.apps.unknown.mapping.known_free import KnownFreeMap, ViewStatus
-from keepout.apps.unknown.mapping.view import Pinhole
+from keepout.apps.unknown.depth_sensor import DepthCamera, ErrorDraw, take
+from keepout.apps.unknown.known_free import KnownFreeMap, ViewStatus
 from keepout.core.geometry.builtin.solids import box, mesh, unite
 from keepout.core.geometry.first_hit import FirstHit
 from keepout.core.geometry.level_set import surface_points

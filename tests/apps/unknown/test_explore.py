@@ -5,8 +5,8 @@ import pytest
 import trimesh
 from truths.made_meshes import joined, target_of
 
+from keepout.apps.unknown import map_file
 from keepout.apps.unknown.explore import explore
-from keepout.apps.unknown.mapping import map_file
 from keepout.core.audit.audit import Contact
 from keepout.core.errors import KeepoutError
 from keepout.core.guard.status import GuardFlag, GuardStatus

@@ -7,7 +7,7 @@ from truths.made_up_exploration import BOUNDS, CAMERA, PERIOD, REFUSED, circle, 
 from truths.replay_page import ReplayPage
 
 from keepout.apps.unknown.growth import Growth
-from keepout.apps.unknown.stages import MOST
+from keepout.apps.unknown.skin import MOST
 from keepout.flights.replay.flights import Replayed
 from keepout.flights.replay.scene import scene
 from keepout.flights.report.replay_view import write_replay

@@ -9,15 +9,17 @@ from scipy import ndimage
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from keepout.apps.unknown import Ended, NextView, choose
+from keepout.apps.led.camera import Pinhole, axes_towards
 from keepout.apps.unknown.cells import CLOSE, EXPLAINED, FREE, NEARBY, SURFACE, UNKNOWN, Cells
-from keepout.apps.unknown.depth import DepthCamera, axes_towards
+from keepout.apps.unknown.depth_sensor import DepthCamera
 from keepout.apps.unknown.frontier import frontier
+from keepout.apps.unknown.known_free import KnownFreeMap
 from keepout.apps.unknown.lattice import FAR, shortest, walk_back
-from keepout.apps.unknown.mapping import KnownFreeMap, Pinhole, SensorBounds, View
+from keepout.apps.unknown.next_view import Ended, NextView, choose
 from keepout.apps.unknown.reachable import distance_at, reachable
 from keepout.apps.unknown.sight import UP
 from keepout.apps.unknown.tried import PATIENCE, Tried
+from keepout.apps.unknown.view import SensorBounds, View
 
 CAMERA = Pinhole(80, 60, math.radians(60.0))
 

@@ -17,7 +17,7 @@ from keepout.apps.inspection.seeing.patches import Patches
 from keepout.apps.inspection.seeing.room import Room
 from keepout.apps.inspection.seeing.rules import SeeingRules
 from keepout.apps.inspection.seeing.seeable import Hidden, Seeable
-from keepout.apps.unknown.depth.pointing import Boresight
+from keepout.apps.led.camera import Boresight
 from keepout.core.control.tuning import least_offset
 from keepout.core.errors import InspectionError
 from keepout.core.geometry.target import Target

@@ -14,8 +14,7 @@ from keepout.apps.inspection.fate import WORDS, Fate, fates
 from keepout.apps.inspection.inspection import Inspection
 from keepout.apps.inspection.patch_mesh import PatchMesh
 from keepout.apps.inspection.perspective import Studio
-from keepout.apps.unknown.depth.pointing import axes_towards
-from keepout.apps.unknown.mapping.view import Pinhole
+from keepout.apps.led.camera import Pinhole, axes_towards
 from keepout.flights.report.raster import eye_axes, rasterise
 from keepout.flights.report.style import COLOURS, figure
 

@@ -8,7 +8,7 @@ import numba
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from keepout.apps.unknown.mapping.view import Pinhole
+from keepout.apps.led.camera import Pinhole
 from keepout.core.geometry.first_hit import FirstHit
 
 _NEAR = 0.01

@@ -14,7 +14,7 @@ from keepout.apps.inspection.judging import judged
 from keepout.apps.inspection.leading import Leading
 from keepout.apps.inspection.problem import Problem
 from keepout.apps.inspection.views_ahead import ViewsAhead
-from keepout.apps.unknown.depth.pointing import Boresight
+from keepout.apps.led.camera import Boresight
 from keepout.core.control.law import Law
 from keepout.core.flight import segment
 from keepout.core.flight.loop import FlightLog

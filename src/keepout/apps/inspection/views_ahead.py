@@ -16,7 +16,7 @@ from keepout.apps.inspection.planning import plan
 from keepout.apps.inspection.problem import Problem
 from keepout.apps.inspection.safe_speeds import SafeSpeeds
 from keepout.apps.inspection.wanted import Wanted
-from keepout.apps.unknown.depth.pointing import Boresight
+from keepout.apps.led.camera import Boresight
 from keepout.core.control.law import Law
 from keepout.core.errors import ControlError
 from keepout.core.mission.scenario import Scenario

@@ -7,7 +7,7 @@ import numba
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
-from keepout.apps.unknown.mapping.known_free import KnownFreeMap
+from keepout.apps.unknown.known_free import KnownFreeMap
 
 ACROSS = 2
 """Cubes along the edge of a cell."""

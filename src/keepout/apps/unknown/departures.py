@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Float32
 
-from keepout.apps.unknown.mapping.known_free import KnownFreeMap
-from keepout.apps.unknown.mapping.returns import LATTICE
-from keepout.apps.unknown.mapping.view import Pinhole
+from keepout.apps.led.camera import Pinhole
+from keepout.apps.unknown.known_free import LATTICE, KnownFreeMap
 from keepout.core.geometry.level_set import surface_points
 from keepout.core.geometry.target import Target
 

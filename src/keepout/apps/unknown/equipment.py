@@ -5,11 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
+from keepout.apps.led.camera import Pinhole
+from keepout.apps.unknown import map_file
 from keepout.apps.unknown.by_map import DeclaredBall
-from keepout.apps.unknown.depth.camera import DepthCamera
-from keepout.apps.unknown.mapping import map_file
-from keepout.apps.unknown.mapping.known_free import KnownFreeMap
-from keepout.apps.unknown.mapping.view import Pinhole, SensorBounds
+from keepout.apps.unknown.depth_sensor import DepthCamera
+from keepout.apps.unknown.known_free import KnownFreeMap
+from keepout.apps.unknown.view import SensorBounds
 from keepout.core.errors import ScenarioError
 from keepout.core.geometry.octree import cubes_met
 from keepout.core.geometry.target import Target

@@ -4,11 +4,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from keepout.apps.unknown.departures import Departures
-from keepout.apps.unknown.mapping.known_free import KnownFreeMap
+from keepout.apps.unknown.known_free import KnownFreeMap
 from keepout.apps.unknown.next_view import Ending
+from keepout.apps.unknown.skin import Stage
 from keepout.core.audit.audit import Audit, Contact
 from keepout.core.flight.outcome import FlightOutcome
 from keepout.core.flight.record import FlightRecord
@@ -41,15 +42,6 @@ class TakenView:
     free_volume: float
     why: str
     contradicting: int = 0
-
-
-@dataclass(frozen=True)
-class Stage:
-    """The skin of the map at some time (s): vertices (v, 3) m and faces (f, 3)."""
-
-    time: float
-    vertices: Float[np.ndarray, "v 3"]
-    faces: Int[np.ndarray, "f 3"]
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,9 @@ import html
 from pathlib import Path
 from typing import Any
 
-from keepout.apps.unknown import exploration_view
+from keepout.apps.unknown import exploration_view, map_file
 from keepout.apps.unknown.exploration import Exploration
 from keepout.apps.unknown.growth import Growth
-from keepout.apps.unknown.mapping import map_file
 from keepout.core.mission.flight import Flight
 from keepout.core.progress import Progress, part_of, silent
 from keepout.core.whole_file import write_whole

@@ -12,9 +12,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from keepout.apps.led.camera import Pinhole
 from keepout.apps.unknown.cells import ACROSS
 from keepout.apps.unknown.exploration import Exploration
 from keepout.apps.unknown.first_sight import FirstSight
+from keepout.apps.unknown.known_free import Seen
 from keepout.apps.unknown.map_slices import (
     BLOCKING,
     FREE,
@@ -25,8 +27,6 @@ from keepout.apps.unknown.map_slices import (
     legend_of,
     paint_slice,
 )
-from keepout.apps.unknown.mapping.known_free import Seen
-from keepout.apps.unknown.mapping.view import Pinhole
 from keepout.apps.unknown.reachable import reachable
 from keepout.core.geometry.first_hit import FirstHit
 from keepout.core.geometry.target import Target

@@ -9,19 +9,18 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from keepout.apps.led.camera import Boresight, axes_towards
 from keepout.apps.unknown import by_map, equipment
 from keepout.apps.unknown.departures import departures
-from keepout.apps.unknown.depth.depth import take
-from keepout.apps.unknown.depth.errors import ErrorDraw
-from keepout.apps.unknown.depth.pointing import Boresight, axes_towards
+from keepout.apps.unknown.depth_sensor import ErrorDraw, take
 from keepout.apps.unknown.exploration import Exploration, TakenView
+from keepout.apps.unknown.known_free import ViewStatus
 from keepout.apps.unknown.map_field import MapField
-from keepout.apps.unknown.mapping.known_free import ViewStatus
-from keepout.apps.unknown.mapping.view import View
 from keepout.apps.unknown.next_view import Ended, NextView, Pace, choose
 from keepout.apps.unknown.open_surface import open_surface, seen_share
-from keepout.apps.unknown.stages import Stages
+from keepout.apps.unknown.skin import Stages
 from keepout.apps.unknown.tried import Tried
+from keepout.apps.unknown.view import View
 from keepout.core.compiled.kept_programs import keep_programs
 from keepout.core.control.law import Law
 from keepout.core.errors import ControlError

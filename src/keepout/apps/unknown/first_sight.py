@@ -7,8 +7,8 @@ import trimesh
 from jaxtyping import Float
 from scipy.spatial import KDTree
 
-from keepout.apps.unknown.mapping.known_free import Seen
-from keepout.apps.unknown.mapping.view import Pinhole
+from keepout.apps.led.camera import Pinhole
+from keepout.apps.unknown.known_free import Seen
 from keepout.core.geometry.first_hit import FirstHit
 from keepout.core.geometry.target import Target
 from keepout.flights.report.raster import View, eye_axes

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from keepout.apps.unknown.depth.pointing import axes_towards
-from keepout.apps.unknown.mapping.view import Pinhole
+from keepout.apps.led.camera import Pinhole, axes_towards
 from keepout.flights.replay.body import fewer
 from keepout.flights.replay.packing import Packing
 
@@ -55,7 +54,7 @@ class Growth:
     @classmethod
     def of(cls, exploration: "Exploration") -> "Growth":
         """Gather it from an exploration."""
-        from keepout.apps.unknown.stages import skin_spacing
+        from keepout.apps.unknown.skin import skin_spacing
 
         views, entry = exploration.views, exploration.scenario.depth_sensor
         camera = Pinhole(entry.width, entry.height, entry.field_of_view)

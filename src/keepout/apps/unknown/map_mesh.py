@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from keepout.apps.unknown.mapping.map_file import load
-from keepout.apps.unknown.mapping.skin import skin
+from keepout.apps.unknown.map_file import load
+from keepout.apps.unknown.skin import skin
 from keepout.core.errors import MapError, MeshError
 from keepout.core.geometry.mesh_files.contents import MeshContents
 

@@ -9,7 +9,7 @@ from matplotlib.colors import ListedColormap
 from matplotlib.patches import Circle, Patch
 from scipy.spatial import KDTree
 
-from keepout.apps.unknown.mapping.known_free import KnownFreeMap
+from keepout.apps.unknown.known_free import KnownFreeMap
 from keepout.core.geometry.target import Target
 
 FREE, SURFACE, UNKNOWN, WAY, BLOCKING = range(5)

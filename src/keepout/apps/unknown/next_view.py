@@ -9,11 +9,10 @@ import numpy as np
 from jaxtyping import Float, Float32, Int, UInt8
 from scipy.spatial import KDTree
 
+from keepout.apps.led.camera import Pinhole, axes_towards
 from keepout.apps.unknown.cells import CLOSE, EXPLAINED, FREE, NEARBY, SURFACE, UNKNOWN, Cells
-from keepout.apps.unknown.depth.pointing import axes_towards
 from keepout.apps.unknown.frontier import Frontier, frontier
-from keepout.apps.unknown.mapping.known_free import KnownFreeMap
-from keepout.apps.unknown.mapping.view import Pinhole
+from keepout.apps.unknown.known_free import KnownFreeMap
 from keepout.apps.unknown.reachable import Reachable, reachable
 from keepout.apps.unknown.sight import UP, inside, panoramas, sphere
 from keepout.apps.unknown.tried import MOST_PATIENCE, PATIENCE, SAME_DIRECTION, SAME_PLACE, Tried

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from keepout.apps.unknown.known_free import KnownFreeMap
 from keepout.apps.unknown.lattice import FAR, TENTHS, nodes_near, shortest
-from keepout.apps.unknown.mapping.known_free import KnownFreeMap
 
 _MOST_NODES = 1_500_000
 

@@ -11,7 +11,7 @@ import numba
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 
-from keepout.apps.unknown.mapping.view import Pinhole
+from keepout.apps.led.camera import Pinhole
 
 UP = np.array([0.0, 0.0, 1.0])
 """What the camera holds up in the image, in the map's frame."""

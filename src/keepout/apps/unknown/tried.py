@@ -6,10 +6,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from keepout.apps.led.camera import Pinhole
 from keepout.apps.unknown.cells import ACROSS, closed_cells
-from keepout.apps.unknown.mapping.known_free import KnownFreeMap
-from keepout.apps.unknown.mapping.view import Pinhole, View
+from keepout.apps.unknown.known_free import KnownFreeMap
 from keepout.apps.unknown.sight import first_closed
+from keepout.apps.unknown.view import View
 
 PATIENCE, MOST_PATIENCE = 3, 7
 SAME_PLACE, SAME_DIRECTION = 0.3, math.cos(math.radians(10.0))

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from keepout.apps.unknown.depth import DepthCamera, ErrorDraw, axes_towards, take
-from keepout.apps.unknown.depth.depth import first_returns
-from keepout.apps.unknown.mapping import Pinhole, SensorBounds
+from keepout.apps.led.camera import Pinhole, axes_towards
+from keepout.apps.unknown.depth_sensor import DepthCamera, ErrorDraw, first_returns, take
+from keepout.apps.unknown.view import SensorBounds
 from keepout.core.errors import ScenarioError
 from keepout.core.geometry import Target
 from keepout.core.geometry.first_hit import FirstHit

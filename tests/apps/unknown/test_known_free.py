@@ -14,10 +14,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from truths.depth_views import Ball, Box, axes_towards, cube_centres, view_of
 
-from keepout.apps.unknown.mapping import KnownFreeMap, Pinhole, SensorBounds, View, ViewStatus, map_file
-from keepout.apps.unknown.mapping.distance_transform import squares_of
-from keepout.apps.unknown.mapping.map_file import fingerprint, load, save
-from keepout.apps.unknown.mapping.map_file import settings as file_settings
+from keepout.apps.led.camera import Pinhole
+from keepout.apps.unknown import map_file
+from keepout.apps.unknown.distance_transform import squares_of
+from keepout.apps.unknown.known_free import KnownFreeMap, ViewStatus
+from keepout.apps.unknown.map_file import fingerprint, load, save
+from keepout.apps.unknown.map_file import settings as file_settings
+from keepout.apps.unknown.view import SensorBounds, View
 from keepout.core.errors import KeepoutError, MapError
 from keepout.core.geometry import Target
 from keepout.core.mission.assumptions import broken_assumptions

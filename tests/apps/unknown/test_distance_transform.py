@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from truths.growing_maps import squared_distances
 
-from keepout.apps.unknown.mapping.distance_transform import renew, squares_of
-from keepout.apps.unknown.mapping.windows import BLOCK
+from keepout.apps.unknown.distance_transform import renew, squares_of
+from keepout.apps.unknown.rule import BLOCK
 
 
 def whole(free, cap):

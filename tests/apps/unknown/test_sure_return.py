@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from truths.messy_meshes import box
 
-from keepout.apps.unknown.depth import DepthCamera, axes_towards, sure_return_violations
-from keepout.apps.unknown.depth.depth import first_returns
-from keepout.apps.unknown.depth.sure_return import _on_surface
-from keepout.apps.unknown.mapping import Pinhole, SensorBounds
+from keepout.apps.led.camera import Pinhole, axes_towards
+from keepout.apps.unknown.depth_sensor import DepthCamera, _on_surface, first_returns, sure_return_violations
+from keepout.apps.unknown.view import SensorBounds
 from keepout.core.geometry.first_hit import FirstHit
 
 UP = np.array([0.0, 0.0, 1.0])

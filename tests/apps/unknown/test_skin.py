@@ -10,9 +10,11 @@ from hypothesis import strategies as st
 from scipy.ndimage import label
 from truths.depth_views import Ball, axes_towards, view_of
 
-from keepout.apps.unknown.mapping import KnownFreeMap, Pinhole, SensorBounds
-from keepout.apps.unknown.mapping.map_file import save
-from keepout.apps.unknown.mapping.skin import reachable_cubes, skin
+from keepout.apps.led.camera import Pinhole
+from keepout.apps.unknown.known_free import KnownFreeMap
+from keepout.apps.unknown.map_file import save
+from keepout.apps.unknown.skin import reachable_cubes, skin
+from keepout.apps.unknown.view import SensorBounds
 from keepout.core.errors import MeshError
 from keepout.core.geometry.target import Target
 

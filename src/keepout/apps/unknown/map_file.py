@@ -15,9 +15,8 @@ import numpy as np
 import safetensors
 import safetensors.numpy
 
-from keepout.apps.unknown.mapping.known_free import KnownFreeMap, Seen
-from keepout.apps.unknown.mapping.returns import LATTICE
-from keepout.apps.unknown.mapping.view import SensorBounds
+from keepout.apps.unknown.known_free import LATTICE, KnownFreeMap, Seen
+from keepout.apps.unknown.view import SensorBounds
 from keepout.core.digest import digest
 from keepout.core.errors import MapError
 from keepout.core.whole_file import write_whole

@@ -8,8 +8,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from keepout.apps.unknown.depth import Boresight, DepthCamera, ErrorDraw, axes_towards
-from keepout.apps.unknown.mapping import Pinhole, SensorBounds
+from keepout.apps.led.camera import Boresight, Pinhole, axes_towards
+from keepout.apps.unknown.depth_sensor import DepthCamera, ErrorDraw
+from keepout.apps.unknown.view import SensorBounds
 from keepout.core.errors import KeepoutError
 
 AHEAD = np.array([1.0, 0.0, 0.0])
@@ -52,7 +53,7 @@ def test_the_sensor_sits_where_it_is_mounted():
 
 
 def test_the_page_says_the_pitch_that_the_default_settings_have():
-    page = (Path(__file__).parents[4] / "docs" / "depth-sensor.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[3] / "docs" / "depth-sensor.md").read_text(encoding="utf-8")
     # From the angle of view and the number of rays: the tangent of half the angle is half the rays' pitches.
     pitch = math.tan(math.radians(30.0)) / (160 * 5 / 2)
     assert DepthCamera().ray_pitch == pytest.approx(pitch)

@@ -9,8 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from truths.depth_views import Ball, Box, axes_towards, cube_centres, true_ranges, turned
 
-from keepout.apps.unknown.mapping import KnownFreeMap, Pinhole, SensorBounds, View, ViewStatus
-from keepout.apps.unknown.mapping.contradiction import in_free_room
+from keepout.apps.led.camera import Pinhole
+from keepout.apps.unknown.known_free import KnownFreeMap, ViewStatus, in_free_room
+from keepout.apps.unknown.view import SensorBounds, View
 
 CAMERA = Pinhole(60, 45, math.radians(60.0))
 BOUNDS = SensorBounds()

@@ -1,4 +1,4 @@
-"""Turning the boresight: the camera's axes for a direction, and a turn of bounded rate and acceleration."""
+"""A pinhole camera, its axes along a direction, and a boresight that turns with bounded rate and acceleration."""
 
 import math
 from dataclasses import dataclass
@@ -6,13 +6,68 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from keepout.apps.unknown.depth.errors import rotation_by
-from keepout.core.errors import ScenarioError
+from keepout.core.errors import MapError, ScenarioError
 
 Vector = Float[np.ndarray, "3"]
 
 _PARALLEL = 1e-9
 """Sine of an angle below which two directions count as one line."""
+
+
+@dataclass(frozen=True)
+class Pinhole:
+    """A pinhole camera with square pixels; axes x right, y down, z along the boresight.
+
+    Pixel (row i, column j) is the square [j, j+1] x [i, i+1] of the image, whose point (a, b) looks along
+    ((a - width/2) / focal, (b - height/2) / focal, 1).
+    """
+
+    width: int
+    """Pixels across."""
+    height: int
+    """Pixels down."""
+    horizontal_angle: float
+    """Full angle of view across the width, rad."""
+
+    def __post_init__(self) -> None:
+        for name, value in (("width", self.width), ("height", self.height)):
+            if not 1 <= value <= 8192:
+                raise MapError(f"camera {name} = {value}; it must be 1 to 8192 pixels")
+        if not 0.0 < self.horizontal_angle <= 3.0:
+            raise MapError(f"camera horizontal_angle = {self.horizontal_angle}; it must be positive and at most 3 rad")
+
+    @property
+    def focal(self) -> float:
+        """Focal length in pixels."""
+        return 0.5 * self.width / math.tan(0.5 * self.horizontal_angle)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of an image."""
+        return self.height, self.width
+
+    def directions(self, rays_across: int = 1) -> Float[np.ndarray, "rows columns 3"]:
+        """Give unit vectors (height * rays_across, width * rays_across, 3) in camera axes.
+
+        Args:
+            rays_across: rays across and down a pixel, at the centres of as many equal sub-squares.
+
+        """
+        across = ((np.arange(self.width * rays_across) + 0.5) / rays_across - 0.5 * self.width) / self.focal
+        down = ((np.arange(self.height * rays_across) + 0.5) / rays_across - 0.5 * self.height) / self.focal
+        rays = np.ones((len(down), len(across), 3))
+        rays[..., 0] = across
+        rays[..., 1] = down[:, None]
+        return rays / np.linalg.norm(rays, axis=2, keepdims=True)
+
+
+def rotation_by(vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+    """Give the rotation about a vector by its length (rad): Rodrigues' formula, without loss at small angles."""
+    x, y, z = vector
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    angle = float(np.linalg.norm(vector))
+    first, second = np.sinc(angle / math.pi), 0.5 * np.sinc(0.5 * angle / math.pi) ** 2
+    return np.eye(3) + first * cross + second * cross @ cross
 
 
 def axes_towards(direction: Vector, up: Vector) -> Float[np.ndarray, "3 3"]:

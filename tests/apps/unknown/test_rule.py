@@ -16,9 +16,10 @@ from truths.depth_views import (
     true_ranges,
 )
 
-from keepout.apps.unknown.mapping import KnownFreeMap, Pinhole, SensorBounds, View, ViewStatus
-from keepout.apps.unknown.mapping.pyramid import pyramid
-from keepout.apps.unknown.mapping.windows import all_exceed, none_exceeds
+from keepout.apps.led.camera import Pinhole
+from keepout.apps.unknown.known_free import KnownFreeMap, ViewStatus
+from keepout.apps.unknown.rule import all_exceed, none_exceeds, pyramid
+from keepout.apps.unknown.view import SensorBounds, View
 
 CAMERA = Pinhole(40, 30, math.radians(60.0))
 FINE = Pinhole(80, 60, math.radians(60.0))
@@ -139,3 +140,18 @@ def test_the_least_and_greatest_of_every_rectangle(rows, columns, seed):
         for limit in (inner.min() - 0.5, inner.min(), inner.max(), inner.max() - 0.5):
             assert all_exceed(least, top, bottom, left, right, limit) == (inner > limit).all()
             assert none_exceeds(greatest, top, bottom, left, right, limit) == (inner <= limit).all()
+
+
+@pytest.mark.long
+def test_no_cube_behind_a_wall_is_freed_with_its_block():
+    """The wall passes through blocks: what is decided of all of a block's cubes at once frees none behind it."""
+    freed, camera = 0, Pinhole(120, 90, math.radians(60.0))
+    for height in np.arange(-0.7, 0.7, 0.1):
+        known = KnownFreeMap.begin(np.zeros(3), 1.05, spacing=0.1, cap=0.4, bounds=SensorBounds(), name="wall")
+        wall, unknown, position = Box((-9.0, -9.0, -2.0), (9.0, 9.0, height)), ~known.free, np.array([0.1, 0.05, 4.0])
+        axes = axes_towards(-position)
+        freed += known.open(View(camera, position, axes, true_ranges([wall], camera, known.bounds, position, axes)))
+        behind = wall.meets_cubes(cube_centres(known), known.spacing) & unknown
+        assert behind.any()
+        assert not known.free[behind].any()
+    assert freed > 1000

@@ -8,17 +8,15 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import no_type_check
 
+import numba
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int
+from jaxtyping import Bool, Float, Float32, Int, Int64
 
-from keepout.apps.unknown.mapping.contradiction import in_free_room
-from keepout.apps.unknown.mapping.distance_transform import renew, squares_of
-from keepout.apps.unknown.mapping.pyramid import pyramid
-from keepout.apps.unknown.mapping.returns import Returns
-from keepout.apps.unknown.mapping.rule import SLACK, empty_ranges, rule_of
-from keepout.apps.unknown.mapping.view import SensorBounds, View
-from keepout.apps.unknown.mapping.windows import BLOCK, free_cubes
+from keepout.apps.unknown.distance_transform import renew, squares_of
+from keepout.apps.unknown.rule import BLOCK, SLACK, empty_ranges, free_cubes, pyramid, rule_of
+from keepout.apps.unknown.view import SensorBounds, View
 from keepout.core.errors import MapError
 
 _MOST_CUBES = 1024
@@ -329,3 +327,101 @@ class KnownFreeMap:
         outside = np.linalg.norm(points - self.centre, axis=1) > self.radius + explained
         inside = in_free_room(points, explained, self.origin, self.spacing, self.free, self.cap)
         return int((outside | inside).sum()), int(outside.sum())
+
+
+LATTICE = 4
+"""Lattice steps an edge of a cube: a return moves by less than a quarter of an edge."""
+_MERGE = 2_000_000
+"""Keys that wait before they are merged."""
+
+
+class Returns:
+    """Returns inside the box of a map, as sorted whole-number keys of their lattice places."""
+
+    def __init__(self, origin: Float[np.ndarray, "3"], spacing: float, cubes: int) -> None:
+        self._origin = origin
+        self._step = spacing / LATTICE
+        self._across = cubes * LATTICE
+        self._sorted = np.zeros(0, dtype=np.int64)
+        self._waiting: list[np.ndarray] = []
+
+    def add(self, points: Float[np.ndarray, "m 3"]) -> None:
+        """Take in returns in the map's frame, m; those outside the box are left out."""
+        cells = np.floor((points - self._origin) / self._step)
+        cells = cells[((cells >= 0) & (cells < self._across)).all(axis=1)].astype(np.int64)
+        keys = np.unique((cells[:, 0] * self._across + cells[:, 1]) * self._across + cells[:, 2])
+        self._waiting.append(keys)
+        if sum(map(len, self._waiting)) > _MERGE:
+            self._merge()
+
+    def _merge(self) -> None:
+        if self._waiting:
+            self._sorted = np.unique(np.concatenate([self._sorted, *self._waiting]))
+            self._waiting = []
+
+    @property
+    def keys(self) -> Int64[np.ndarray, "m"]:
+        """Sorted keys: what a file keeps."""
+        self._merge()
+        return self._sorted
+
+    @keys.setter
+    def keys(self, keys: Int64[np.ndarray, "m"]) -> None:
+        self._sorted, self._waiting = keys, []
+
+    def points(self) -> Float32[np.ndarray, "m 3"]:
+        """Give the middle of each lattice place that holds a return, m."""
+        keys = self.keys
+        cells = np.stack([keys // self._across**2, keys // self._across % self._across, keys % self._across], axis=1)
+        return (self._origin + (cells + 0.5) * self._step).astype(np.float32)
+
+
+def in_free_room(
+    points: Float[np.ndarray, "m 3"],
+    reach: Float[np.ndarray, "m"],
+    origin: Float[np.ndarray, "3"],
+    spacing: float,
+    free: Bool[np.ndarray, "n n n"],
+    cap: float,
+) -> Bool[np.ndarray, "m"]:
+    """Say round which points a whole ball lies in free cubes: farther than `reach` from each cube that is not free.
+
+    Args:
+        points: m, in the grid's frame.
+        reach: radius of each point's ball, m. A ball of the cap or more is not judged: the answer is no.
+        origin: (3,) lower corner of the grid, m.
+        spacing: edge of a cube, m.
+        free: whether each cube is. Those within the cap of the border are; so is all beyond it.
+        cap: m.
+
+    """
+    found = np.zeros(len(points), dtype=np.bool_)
+    judged = np.flatnonzero(reach < cap)
+    held = np.empty(len(judged), dtype=np.bool_)
+    _in_free_room((points[judged] - origin) / spacing, reach[judged] / spacing, free, held)
+    found[judged] = held
+    return found
+
+
+@no_type_check
+@numba.njit(cache=True, nogil=True)
+def _in_free_room(places, reach, free, held):
+    """Decide for places and radii in cells: the box of cubes round each ball, less those that it does not meet."""
+    last = free.shape[0] - 1
+    for p in range(len(places)):
+        x, y, z, r = places[p, 0], places[p, 1], places[p, 2], reach[p]
+        held[p] = True
+        for i in range(max(int(np.floor(x - r)), 0), min(int(np.floor(x + r)), last) + 1):
+            across = max(i - x, x - i - 1.0, 0.0) ** 2
+            for j in range(max(int(np.floor(y - r)), 0), min(int(np.floor(y + r)), last) + 1):
+                down = across + max(j - y, y - j - 1.0, 0.0) ** 2
+                if down > r * r:
+                    continue
+                for k in range(max(int(np.floor(z - r)), 0), min(int(np.floor(z + r)), last) + 1):
+                    if not free[i, j, k] and down + max(k - z, z - k - 1.0, 0.0) ** 2 <= r * r:
+                        held[p] = False
+                        break
+                if not held[p]:
+                    break
+            if not held[p]:
+                break

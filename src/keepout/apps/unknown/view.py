@@ -1,4 +1,4 @@
-"""One depth image: the camera that took it, the bounds promised for it, and where it was taken from."""
+"""One depth image: what is promised of the sensor that took it, and where it was taken from."""
 
 import math
 from dataclasses import dataclass
@@ -6,57 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from keepout.apps.led.camera import Pinhole
 from keepout.core.errors import MapError
 
 WIDTH_IN_PITCHES = 2.0
 """Ray pitches that a part must be wide to return surely: at a right-angled corner the reach is 1.71 of them."""
-
-
-@dataclass(frozen=True)
-class Pinhole:
-    """A pinhole camera with square pixels; axes x right, y down, z along the boresight.
-
-    Pixel (row i, column j) is the square [j, j+1] x [i, i+1] of the image, whose point (a, b) looks along
-    ((a - width/2) / focal, (b - height/2) / focal, 1).
-    """
-
-    width: int
-    """Pixels across."""
-    height: int
-    """Pixels down."""
-    horizontal_angle: float
-    """Full angle of view across the width, rad."""
-
-    def __post_init__(self) -> None:
-        for name, value in (("width", self.width), ("height", self.height)):
-            if not 1 <= value <= 8192:
-                raise MapError(f"camera {name} = {value}; it must be 1 to 8192 pixels")
-        if not 0.0 < self.horizontal_angle <= 3.0:
-            raise MapError(f"camera horizontal_angle = {self.horizontal_angle}; it must be positive and at most 3 rad")
-
-    @property
-    def focal(self) -> float:
-        """Focal length in pixels."""
-        return 0.5 * self.width / math.tan(0.5 * self.horizontal_angle)
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns of an image."""
-        return self.height, self.width
-
-    def directions(self, rays_across: int = 1) -> Float[np.ndarray, "rows columns 3"]:
-        """Give unit vectors (height * rays_across, width * rays_across, 3) in camera axes.
-
-        Args:
-            rays_across: rays across and down a pixel, at the centres of as many equal sub-squares.
-
-        """
-        across = ((np.arange(self.width * rays_across) + 0.5) / rays_across - 0.5 * self.width) / self.focal
-        down = ((np.arange(self.height * rays_across) + 0.5) / rays_across - 0.5 * self.height) / self.focal
-        rays = np.ones((len(down), len(across), 3))
-        rays[..., 0] = across
-        rays[..., 1] = down[:, None]
-        return rays / np.linalg.norm(rays, axis=2, keepdims=True)
 
 
 @dataclass(frozen=True)
