@@ -160,7 +160,7 @@ def work_is_watched(monkeypatch, work):
         (("reproduce", "runtime", "-o"), None, "keepout.apps.reproduction:side_by_side"),
         (("fit", "box", "-o"), "box.keepout", "keepout.core.learning.training:fit"),
         (("scenario", "new", "--for", "box", "--force", "-o"), "new.toml", "keepout.core.mission.draft:draft"),
-        (("scenario", "schema", "-o"), "schema.json", "keepout.core.mission.schema:schema"),
+        (("scenario", "schema", "-o"), "schema.json", "keepout.core.mission.scenario:schema"),
         (("replay", "a.parquet", "-o"), "page.html", "keepout.flights.replay.flights:of_files"),
         (("export", "a.parquet", "--to", "oem", "-o"), "a.oem", "keepout.flights.exchange.export:export_flight"),
         (("certify",), "box.keepout", "keepout.core.proof.certificate:certify"),

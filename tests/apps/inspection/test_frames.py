@@ -18,7 +18,7 @@ from keepout.apps.inspection.seeing.rules import SeeingRules
 from keepout.apps.inspection.seeing.sightlines import Sightlines
 from keepout.core.errors import InspectionError
 from keepout.core.geometry.target import Target
-from keepout.core.mission.inspection_entries import CameraEntry
+from keepout.core.mission.task_entries import CameraEntry
 
 RULES = SeeingRules(greatest_range=6.0)
 

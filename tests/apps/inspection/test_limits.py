@@ -20,8 +20,8 @@ from keepout.core.flight.loop import fly
 from keepout.core.flight.record import FlightRecord
 from keepout.core.mission.build import flight_setup
 from keepout.core.mission.environment import faults, relative_motion
-from keepout.core.mission.inspection_entries import HoldPointEntry
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.task_entries import HoldPointEntry
 from keepout.core.mission.thrusters import thrusters
 
 AXES = np.concatenate([-np.eye(3), np.eye(3)])

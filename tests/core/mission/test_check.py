@@ -14,12 +14,10 @@ from keepout.core.fields.shipped import load_shipped
 from keepout.core.geometry.target import Target
 from keepout.core.mission.build import prepare
 from keepout.core.mission.check import check
-from keepout.core.mission.commented import commented
-from keepout.core.mission.draft import draft
+from keepout.core.mission.draft import commented, draft
 from keepout.core.mission.entries import Entry
-from keepout.core.mission.entry_names import with_entries
 from keepout.core.mission.nearest import number_refusal
-from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.scenario import Scenario, with_entries
 
 
 def entries(model=Scenario, before=""):

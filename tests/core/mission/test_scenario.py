@@ -18,9 +18,7 @@ from keepout.apps.inspection.seeing.rules import SeeingRules
 from keepout.core.errors import ScenarioError
 from keepout.core.mission.entries import Entry
 from keepout.core.mission.epoch import parse_instant
-from keepout.core.mission.lines import entry_lines
-from keepout.core.mission.scenario import Scenario, reference
-from keepout.core.mission.schema import schema
+from keepout.core.mission.scenario import Scenario, entry_lines, reference, schema
 
 REPOSITORY = Path(__file__).parents[3]
 SCHEMA = json.loads(json.dumps(schema()))

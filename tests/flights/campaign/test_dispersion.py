@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from keepout.core.errors import ScenarioError
-from keepout.core.mission.entry_names import with_entries
-from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.scenario import Scenario, with_entries
 from keepout.flights.campaign.dispersion import design
 
 SPREAD = {

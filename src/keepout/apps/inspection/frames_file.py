@@ -21,10 +21,10 @@ from keepout.core.digest import digest
 from keepout.core.errors import InspectionError
 from keepout.core.flight.record import FlightRecord
 from keepout.core.geometry.target import Target
-from keepout.core.mission.inspection_entries import CameraEntry
 from keepout.core.mission.light import Light
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.target import load_target
+from keepout.core.mission.task_entries import CameraEntry
 from keepout.core.progress import Progress, silent
 from keepout.core.whole_file import write_whole
 

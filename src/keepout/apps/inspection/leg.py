@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from keepout.apps.inspection.plan import InspectionPlan
 from keepout.apps.inspection.wanted import Wanted
 from keepout.apps.led.camera import Boresight
-from keepout.core.mission.inspection_entries import HoldPointEntry
+from keepout.core.mission.task_entries import HoldPointEntry
 
 Point = Float[np.ndarray, "3"]
 

@@ -11,8 +11,8 @@ from jaxtyping import Float
 from keepout.apps.inspection.passive import PassiveSafety, passive_safety, states_of_record
 from keepout.apps.inspection.plume import Protected, plume_violations
 from keepout.core.flight.record import FlightRecord
-from keepout.core.mission.inspection_entries import HoldPointEntry
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.task_entries import HoldPointEntry
 
 
 @dataclass(frozen=True)

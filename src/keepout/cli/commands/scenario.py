@@ -71,7 +71,7 @@ def check_scenario_file(path: Path, *, progress: Progress = silent) -> dict[str,
 
 def schema_file(out: Path | None) -> str:
     """Give the JSON Schema of scenarios as text, written to `out` where that is given."""
-    from keepout.core.mission.schema import schema
+    from keepout.core.mission.scenario import schema
     from keepout.core.whole_file import require_place, write_whole
 
     if out is not None:

@@ -1,14 +1,22 @@
-"""A scenario drafted for a target: sizes, a free start and goal, a speed that the thrusters honour, enough time."""
+"""A scenario drafted for a target, in TOML that explains itself.
+
+Drafted are sizes, a free start and goal, a speed that the thrusters honour, and enough time. Every table and entry
+stands in the file with its meaning; those that are not in force are comments that show their defaults.
+"""
 
 import math
 import os
+import textwrap
+import types
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, Union, get_args, get_origin
+
+from pydantic.fields import FieldInfo
 
 from keepout.core.errors import KeepoutError, ScenarioError
-from keepout.core.mission.commented import commented
-from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.scenario import Scenario, entries_and_tables, is_number, is_vector, is_whole_number, tree_of
 from keepout.core.progress import Progress, silent
 
 if TYPE_CHECKING:
@@ -20,6 +28,12 @@ _SLOWEST = 0.005
 """Metres a second below which no speed limit is drafted."""
 _SHARE = 0.8
 """Of the largest speed that the thrusters honour, the most that is drafted."""
+_WIDTH = 34
+"""Column at which explanations begin, where the entry is shorter."""
+_LONGEST = 120
+"""Characters in a line; a longer explanation stands above its entry."""
+_DISPERSED = '# dispersions."chaser.mass" = {uniform = [18.0, 22.0]}'
+_PARAMETERS = "# parameters.wing_angle = 0.5"
 
 
 @dataclass(frozen=True)
@@ -107,7 +121,7 @@ def draft(
     values |= {"start.position": start, "goal.position": goal}
     resolved = {key: value for key, value in values.items() if key != "target.source"} | {"target.source": source}
     progress(0.5, "speed")
-    scenario, honoured = _honoured(_parsed(resolved), target)
+    scenario, honoured = _honoured(Scenario.parse(tree_of(resolved)), target)
     speed = scenario.chaser.speed_limit
     # Half as long again as the way round the bounding box takes, and time to come to rest.
     duration = 100.0 * math.ceil((1.5 * way / speed + 200.0) / 100.0)
@@ -160,14 +174,6 @@ def _numbers(scenario: Scenario) -> dict[str, Any]:
         "goal.position": scenario.goal.position,
         "goal.tolerance": scenario.goal.tolerance,
     }
-
-
-def _parsed(values: dict[str, Any]) -> Scenario:
-    tree: dict[str, Any] = {}
-    for name, value in values.items():
-        table, _, key = name.rpartition(".")
-        (tree.setdefault(table, {}) if table else tree)[key] = value
-    return Scenario.parse(tree)
 
 
 def _relative(source: Path, folder: Path) -> str:
@@ -236,3 +242,87 @@ def _honoured(scenario: Scenario, target: "Target") -> tuple[Scenario, float]:
         raise refusal
     wanted = min(scenario.chaser.speed_limit, math.floor(_SHARE * honoured * 1000.0) / 1000.0)
     return at(max(wanted, _SLOWEST)), honoured
+
+
+def commented(values: Mapping[str, Any], *, notes: Mapping[str, str] | None = None, head: Iterable[str] = ()) -> str:
+    """Write a scenario file: the entries given in force, all others as comments that show their defaults.
+
+    Args:
+        values: by dotted name, such as `chaser.mass`.
+        notes: more to say of an entry, by dotted name; said after its meaning.
+        head: lines of comment at the top.
+
+    Raises:
+        ScenarioError: a value is not valid.
+
+    """
+    Scenario.parse(tree_of(values))
+    lines = [f"# {line}".rstrip() for line in head]
+    for name, told in entries_and_tables():
+        if isinstance(told, FieldInfo):
+            lines += _entry(name, told, values, notes or {})
+        else:
+            lines += ["", f"[{name}]", f"# {(told.__doc__ or '').splitlines()[0]}"]
+    return "\n".join(lines) + "\n"
+
+
+def _entry(name: str, field: FieldInfo, values: Mapping[str, Any], notes: Mapping[str, str]) -> Iterable[str]:
+    """Write one entry in force, or as a comment that shows its default, with its meaning beside or above it."""
+    key, said = name.rpartition(".")[2], field.description or ""
+    if name in notes:
+        said = f"{said}; {notes[name]}" if said else notes[name]
+    words = _words(field.annotation)
+    if words and not all(word in said for word in words):
+        said = f"{said}; one of {', '.join(words)}" if said else f"one of {', '.join(words)}"
+    if name in values:
+        text = f"{key} = {_toml(values[name])}"
+    elif name == "campaign.dispersions":
+        text = _DISPERSED
+    elif name == "target.parameters":
+        text = _PARAMETERS
+    else:
+        default = field.get_default(call_default_factory=True)
+        text = f"# {key} = {_toml(_example(field.annotation) if default is None else default)}"
+    line = f"{text:<{_WIDTH}} # {said}" if said else text
+    if len(line) <= _LONGEST:
+        return [line]
+    return [*(f"# {part}" for part in textwrap.wrap(said, _LONGEST - 2)), text]
+
+
+def _words(kind: Any) -> tuple[str, ...]:
+    """Give the words that an entry may be, if it is one of several."""
+    if get_origin(kind) is Literal:
+        return tuple(word for word in get_args(kind) if isinstance(word, str))
+    if get_origin(kind) in (Union, types.UnionType):
+        return tuple(word for part in get_args(kind) for word in _words(part))
+    return ()
+
+
+def _example(kind: Any) -> Any:
+    """Give a valid value of an entry that is unset by default."""
+    words = _words(kind)
+    if words:
+        return words[0]
+    if is_vector(kind):
+        return (1.0, 0.0, 0.0)
+    if is_number(kind):
+        return 1 if is_whole_number(kind) else 0.5
+    if str in get_args(kind):
+        return "FILE"
+    return ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return '"' + "".join(_character(c) for c in value) + '"'
+    if isinstance(value, tuple | list):
+        return f"[{', '.join(_toml(part) for part in value)}]"
+    return repr(value)
+
+
+def _character(c: str) -> str:
+    if c in '"\\':
+        return f"\\{c}"
+    return f"\\u{ord(c):04x}" if ord(c) < 32 or ord(c) == 127 else c

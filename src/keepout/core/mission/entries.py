@@ -1,8 +1,10 @@
 """The tables of a scenario, each an immutable set of entries with ranges; `scenario.py` puts them together.
 
-Every entry is in SI units. What depends on two entries of one table is checked in that table.
+Every entry is in SI units. What depends on two entries of one table is checked in that table. What an entry means is
+said in its table's docstring, of which the first line says what the table is for.
 """
 
+import inspect
 from typing import Annotated, Any, Literal
 
 from pydantic import (
@@ -14,6 +16,7 @@ from pydantic import (
     GetCoreSchemaHandler,
     model_validator,
 )
+from pydantic.fields import FieldInfo
 
 from keepout.core.mission.epoch import checked_epoch
 
@@ -40,7 +43,32 @@ def _strict(part: Any) -> Any:
     return made | {"strict": True} if part.get("type") in ("float", "int", "bool", "str") else made
 
 
-class Entry(BaseModel):
+def _meanings(doc: str) -> dict[str, str]:
+    """Read the section `Attributes` of a docstring: what each entry means, in one line without its full stop."""
+    meanings: dict[str, str] = {}
+    key = ""
+    for line in inspect.cleandoc(doc).partition("\nAttributes:\n")[2].split("\n"):
+        if line.startswith(" " * 8):
+            meanings[key] += f" {line.strip()}"
+        elif line.startswith(" " * 4):
+            key, _, meanings[key] = line.strip().partition(": ")
+    return {key: meaning.removesuffix(".") for key, meaning in meanings.items()}
+
+
+class _Documented(type(BaseModel)):
+    """Gives each entry of a table its meaning from the table's docstring, where references and schema look for it."""
+
+    def __new__(mcs, name: str, bases: tuple[type, ...], namespace: dict[str, Any], **options: Any):
+        doc = namespace.get("__doc__") or ""
+        namespace["__doc__"] = doc.partition("\n\n    Attributes:\n")[0]
+        for key, meaning in _meanings(doc).items():
+            given = namespace.get(key, ...)
+            default = {"default_factory": given.default_factory} if isinstance(given, FieldInfo) else {"default": given}
+            namespace[key] = Field(description=meaning, **default)
+        return super().__new__(mcs, name, bases, namespace, **options)
+
+
+class Entry(BaseModel, metaclass=_Documented):
     """A table of a scenario: immutable, without unknown keys, and with values of the kind that each entry asks for.
 
     `true` and `"5"` are no numbers, and 1 is no flag; a whole number is a number, and a list is a vector.
@@ -55,22 +83,30 @@ class Entry(BaseModel):
 
 
 class TargetEntry(Entry):
-    """What is flown around."""
+    """What is flown around.
 
-    source: str = Field(
-        default="intelsat30", description="a built-in target's name, or a mesh file (relative to the scenario)"
-    )
-    units: Literal["m", "cm", "mm", "in", "ft"] | None = Field(default=None, description="length unit of the mesh file")
-    scale: Positive | None = Field(default=None, description="metres per unit of the mesh file, instead of `units`")
-    drop_stray: bool = Field(default=False, description="leave out parts far from the rest")
-    thickness: Positive | None = Field(default=None, description="of a point cloud: each point is a ball this wide, m")
-    rotation: tuple[Vector, Vector, Vector] | None = Field(default=None, description="from file axes to body axes")
-    origin: Vector | None = Field(default=None, description="of the body frame, in file axes, m")
-    centre_of_mass: Vector = Field(
-        default=(0.0, 0.0, 0.0),
-        description="of the target, about which it turns and which orbits, in the body frame, m",
-    )
-    parameters: dict[str, float] = Field(default_factory=dict, description="of a built-in: wing angle, wing span, …")
+    Attributes:
+        source: a built-in target's name, or a mesh file (relative to the scenario).
+        units: length unit of the mesh file.
+        scale: metres per unit of the mesh file, instead of `units`.
+        drop_stray: leave out parts far from the rest.
+        thickness: of a point cloud: each point is a ball this wide, m.
+        rotation: from file axes to body axes.
+        origin: of the body frame, in file axes, m.
+        centre_of_mass: of the target, about which it turns and which orbits, in the body frame, m.
+        parameters: of a built-in: wing angle, wing span, ….
+
+    """
+
+    source: str = "intelsat30"
+    units: Literal["m", "cm", "mm", "in", "ft"] | None = None
+    scale: Positive | None = None
+    drop_stray: bool = False
+    thickness: Positive | None = None
+    rotation: tuple[Vector, Vector, Vector] | None = None
+    origin: Vector | None = None
+    centre_of_mass: Vector = (0.0, 0.0, 0.0)
+    parameters: dict[str, float] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _one_scale(self) -> "TargetEntry":
@@ -80,85 +116,108 @@ class TargetEntry(Entry):
 
 
 class FieldEntry(Entry):
-    """The field that the control law flies by."""
+    """The field that the control law flies by.
 
-    source: str = Field(
-        default="shipped",
-        description='"shipped" for a built-in target; "grid", made of exact distances when it is needed, for any; or a '
-        ".keepout file",
-    )
+    Attributes:
+        source: "shipped" for a built-in target; "grid", made of exact distances when it is needed, for any; or a
+            .keepout file.
+
+    """
+
+    source: str = "shipped"
 
 
 class ChaserEntry(Entry):
-    """The chaser: a ball of `radius` with one thruster pair an axis."""
+    """The chaser: a ball of `radius` with one thruster pair an axis.
 
-    mass: Positive = Field(default=20.0, description="kg")
-    radius: NonNegative = Field(default=0.5, description="of the ball that holds the chaser, m")
-    force_limit: Positive = Field(default=0.1, description="per body axis, N")
-    speed_limit: Positive = Field(default=0.1, description="m/s")
+    Attributes:
+        mass: kg.
+        radius: of the ball that holds the chaser, m.
+        force_limit: per body axis, N.
+        speed_limit: m/s.
+
+    """
+
+    mass: Positive = 20.0
+    radius: NonNegative = 0.5
+    force_limit: Positive = 0.1
+    speed_limit: Positive = 0.1
 
 
 class SafetyEntry(Entry):
-    """What is kept between chaser and target beyond what is proved."""
+    """What is kept between chaser and target beyond what is proved.
 
-    margin: NonNegative = Field(default=0.1, description="the operator's own, m")
+    Attributes:
+        margin: the operator's own, m.
+
+    """
+
+    margin: NonNegative = 0.1
 
 
 class GuardEntry(Entry):
-    """The hard layer that accepts or replaces every commanded force, and what its theorem may assume."""
+    """The hard layer that accepts or replaces every commanded force, and what its theorem may assume.
 
-    enabled: bool = Field(default=True, description="whether it flies along")
-    position_error: NonNegative = Field(default=0.0, description="largest error of the position estimate, m")
-    velocity_error: NonNegative = Field(default=0.0, description="largest error of the velocity estimate, m/s")
-    mass_error: Annotated[float, Field(ge=0.0, lt=1.0)] = Field(default=0.0, description="largest relative error")
-    gain_error: Annotated[float, Field(ge=0.0, lt=1.0)] = Field(default=0.0, description="of the thrusters, relative")
-    keeps_margin: bool = Field(
-        default=False, description="whether its theorem too keeps `safety.margin`, and not only from contact"
-    )
-    delay: Annotated[int, Field(ge=0, le=8)] = Field(
-        default=0, description="from command to effect, control periods; the control law predicts its state over it too"
-    )
+    Attributes:
+        enabled: whether it flies along.
+        position_error: largest error of the position estimate, m.
+        velocity_error: largest error of the velocity estimate, m/s.
+        mass_error: largest relative error.
+        gain_error: of the thrusters, relative.
+        keeps_margin: whether its theorem too keeps `safety.margin`, and not only from contact.
+        delay: from command to effect, control periods; the control law predicts its state over it too.
+
+    """
+
+    enabled: bool = True
+    position_error: NonNegative = 0.0
+    velocity_error: NonNegative = 0.0
+    mass_error: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
+    gain_error: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
+    keeps_margin: bool = False
+    delay: Annotated[int, Field(ge=0, le=8)] = 0
 
 
 class FaultsEntry(Entry):
-    """What goes wrong in flight, drawn from the scenario's seed; law and guard know only what `guard` says of it."""
+    """What goes wrong in flight, drawn from the scenario's seed; law and guard know only what `guard` says of it.
 
-    law: Literal["none", "into the body", "through", "random", "bang-bang", "not a number"] = Field(
-        default="none",
-        description="what replaces the law's force: full thrust into the body, straight through to the goal at twice "
-        "the speed limit, random forces, full thrust in a random corner for 15 periods each, NaN in every 15th command",
-    )
-    position_bias: NonNegative = Field(default=0.0, description="constant error of the estimate, random direction, m")
-    velocity_bias: NonNegative = Field(default=0.0, description="the same of its velocity, m/s")
-    position_noise: NonNegative = Field(default=0.0, description="largest error drawn anew each period, m")
-    velocity_noise: NonNegative = Field(default=0.0, description="the same of its velocity, m/s")
-    position_noise_std: NonNegative = Field(
-        default=0.0, description="standard deviation of a Gaussian error of each axis, which has no bound, m"
-    )
-    velocity_noise_std: NonNegative = Field(default=0.0, description="the same of its velocity, m/s")
-    noise_correlation_time: NonNegative = Field(
-        default=0.0, description="over which the Gaussian errors fall to a third (1/e); 0: new ones each period, s"
-    )
-    delay: Annotated[int, Field(ge=0, le=100)] = Field(
-        default=0, description="true delay from command to effect, control periods"
-    )
-    dropped: Annotated[float, Field(ge=0.0, lt=1.0)] = Field(
-        default=0.0, description="probability that a command is lost; the last one then goes on"
-    )
-    gain_error: Annotated[float, Field(ge=0.0, lt=1.0)] = Field(
-        default=0.0, description="each axis gives 1 ± this of its command, drawn once a flight"
-    )
-    stuck: Literal["+x", "-x", "+y", "-y", "+z", "-z"] | None = Field(
-        default=None, description="the thruster that is stuck, by the direction it pushes in"
-    )
-    stuck_force: NonNegative = Field(
-        default=0.0, description="what it then gives: 0 stuck off, force_limit stuck on, N"
-    )
-    stuck_from: NonNegative = Field(default=0.0, description="when it sticks, s")
-    thruster: Annotated[int, Field(ge=0)] | None = Field(
-        default=None, description="of a layout, the thruster that is stuck, counted from 0"
-    )
-    thruster_stuck: Literal["on", "off"] = Field(default="off", description="how")
+    Attributes:
+        law: what replaces the law's force: full thrust into the body, straight through to the goal at twice the speed
+            limit, random forces, full thrust in a random corner for 15 periods each, NaN in every 15th command.
+        position_bias: constant error of the estimate, random direction, m.
+        velocity_bias: the same of its velocity, m/s.
+        position_noise: largest error drawn anew each period, m.
+        velocity_noise: the same of its velocity, m/s.
+        position_noise_std: standard deviation of a Gaussian error of each axis, which has no bound, m.
+        velocity_noise_std: the same of its velocity, m/s.
+        noise_correlation_time: over which the Gaussian errors fall to a third (1/e); 0: new ones each period, s.
+        delay: true delay from command to effect, control periods.
+        dropped: probability that a command is lost; the last one then goes on.
+        gain_error: each axis gives 1 ± this of its command, drawn once a flight.
+        stuck: the thruster that is stuck, by the direction it pushes in.
+        stuck_force: what it then gives: 0 stuck off, force_limit stuck on, N.
+        stuck_from: when it sticks, s.
+        thruster: of a layout, the thruster that is stuck, counted from 0.
+        thruster_stuck: how.
+
+    """
+
+    law: Literal["none", "into the body", "through", "random", "bang-bang", "not a number"] = "none"
+    position_bias: NonNegative = 0.0
+    velocity_bias: NonNegative = 0.0
+    position_noise: NonNegative = 0.0
+    velocity_noise: NonNegative = 0.0
+    position_noise_std: NonNegative = 0.0
+    velocity_noise_std: NonNegative = 0.0
+    noise_correlation_time: NonNegative = 0.0
+    delay: Annotated[int, Field(ge=0, le=100)] = 0
+    dropped: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
+    gain_error: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
+    stuck: Literal["+x", "-x", "+y", "-y", "+z", "-z"] | None = None
+    stuck_force: NonNegative = 0.0
+    stuck_from: NonNegative = 0.0
+    thruster: Annotated[int, Field(ge=0)] | None = None
+    thruster_stuck: Literal["on", "off"] = "off"
 
     @model_validator(mode="after")
     def _stuck_is_named(self) -> "FaultsEntry":
@@ -176,33 +235,41 @@ class FaultsEntry(Entry):
 
 
 class PaperEntry(Entry):
-    """What the paper's law needs and the paper does not print; only for `profile = "paper"`."""
+    """What the paper's law needs and the paper does not print; only for `profile = "paper"`.
 
-    slowing_length: Positive = Field(
-        default=1.5, description="k_p of the desired velocity v_max tanh(r_e/k_p), by component, m"
-    )
-    sharpness: Positive = Field(default=1.0, description="ε of the smooth safety filter")
-    position_weight: Positive = Field(default=1.0, description="H₀ of the Lyapunov function is this times the identity")
-    gradient_error: NonNegative = Field(default=0.0, description="e_∇h; above 0 the barrier row becomes a cone")
+    Attributes:
+        slowing_length: k_p of the desired velocity v_max tanh(r_e/k_p), by component, m.
+        sharpness: ε of the smooth safety filter.
+        position_weight: H₀ of the Lyapunov function is this times the identity.
+        gradient_error: e_∇h; above 0 the barrier row becomes a cone.
+
+    """
+
+    slowing_length: Positive = 1.5
+    sharpness: Positive = 1.0
+    position_weight: Positive = 1.0
+    gradient_error: NonNegative = 0.0
 
 
 class ControlEntry(Entry):
-    """The control law."""
+    """The control law.
 
-    profile: Literal["default", "paper"] = Field(
-        default="default", description="the recommended law, or the paper's constants"
-    )
-    period: Positive = Field(default=1.0, description="between control steps, s")
-    guidance: Literal["geodesic", "straight"] | None = Field(default=None, description="unset: the profile's own")
-    spacing: Positive | None = Field(
-        default=None, description="of the geodesic grid, m; unset: from the room and the zone's width"
-    )
-    circulation: Literal["none", "printed", "skew", "switching"] | None = Field(
-        default=None, description="unset: the profile's"
-    )
-    observer: Literal["harmonic", "constant", "printed", "off"] | None = Field(
-        default=None, description="unset: the profile's own"
-    )
+    Attributes:
+        profile: the recommended law, or the paper's constants.
+        period: between control steps, s.
+        guidance: unset: the profile's own.
+        spacing: of the geodesic grid, m; unset: from the room and the zone's width.
+        circulation: unset: the profile's.
+        observer: unset: the profile's own.
+
+    """
+
+    profile: Literal["default", "paper"] = "default"
+    period: Positive = 1.0
+    guidance: Literal["geodesic", "straight"] | None = None
+    spacing: Positive | None = None
+    circulation: Literal["none", "printed", "skew", "switching"] | None = None
+    observer: Literal["harmonic", "constant", "printed", "off"] | None = None
     paper: PaperEntry = PaperEntry()
 
     @model_validator(mode="after")
@@ -221,15 +288,26 @@ class ControlEntry(Entry):
 
 
 class OrbitEntry(Entry):
-    """The target's orbit about the Earth."""
+    """The target's orbit about the Earth.
 
-    semi_major_axis: Annotated[float, Field(gt=6.4e6, lt=1e9)] = Field(default=42_164_000.0, description="m")
-    eccentricity: Annotated[float, Field(ge=0.0, lt=1.0)] = Field(default=0.0, description="0: a circle")
-    true_anomaly: Angle = Field(default=0.0, description="at the start, rad")
-    inclination: Angle = Field(default=0.0, description="rad; this and the next two count only with j2 or drag")
-    right_ascension: Angle = Field(default=0.0, description="of the ascending node, rad")
-    argument_of_perigee: Angle = Field(default=0.0, description="rad")
-    j2: bool = Field(default=False, description="whether the Earth's oblateness bends both orbits")
+    Attributes:
+        semi_major_axis: m.
+        eccentricity: 0: a circle.
+        true_anomaly: at the start, rad.
+        inclination: rad; this and the next two count only with j2 or drag.
+        right_ascension: of the ascending node, rad.
+        argument_of_perigee: rad.
+        j2: whether the Earth's oblateness bends both orbits.
+
+    """
+
+    semi_major_axis: Annotated[float, Field(gt=6.4e6, lt=1e9)] = 42_164_000.0
+    eccentricity: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
+    true_anomaly: Angle = 0.0
+    inclination: Angle = 0.0
+    right_ascension: Angle = 0.0
+    argument_of_perigee: Angle = 0.0
+    j2: bool = False
 
     @model_validator(mode="after")
     def _above_ground(self) -> "OrbitEntry":
@@ -240,29 +318,37 @@ class OrbitEntry(Entry):
 
 
 class DragEntry(Entry):
-    """Drag of both spacecraft in an exponential atmosphere that turns with the Earth."""
+    """Drag of both spacecraft in an exponential atmosphere that turns with the Earth.
 
-    density: NonNegative = Field(default=0.0, description="of the air at `altitude`, kg/m3; 0: no drag")
-    altitude: NonNegative = Field(default=400_000.0, description="above the equatorial radius, m")
-    scale_height: Annotated[float, Field(ge=1e3, le=1e6)] = Field(
-        default=60_000.0, description="over which the density falls to a third (1/e), m"
-    )
-    target_area_to_mass: NonNegative = Field(default=0.02, description="drag coefficient × area / mass, m2/kg")
-    chaser_area_to_mass: NonNegative = Field(default=0.02, description="drag coefficient × area / mass, m2/kg")
+    Attributes:
+        density: of the air at `altitude`, kg/m3; 0: no drag.
+        altitude: above the equatorial radius, m.
+        scale_height: over which the density falls to a third (1/e), m.
+        target_area_to_mass: drag coefficient × area / mass, m2/kg.
+        chaser_area_to_mass: drag coefficient × area / mass, m2/kg.
+
+    """
+
+    density: NonNegative = 0.0
+    altitude: NonNegative = 400_000.0
+    scale_height: Annotated[float, Field(ge=1e3, le=1e6)] = 60_000.0
+    target_area_to_mass: NonNegative = 0.02
+    chaser_area_to_mass: NonNegative = 0.02
 
 
 class SunEntry(Entry):
-    """Sunlight: where it comes from, and how it pushes both spacecraft."""
+    """Sunlight: where it comes from, and how it pushes both spacecraft.
 
-    direction: Vector | None = Field(
-        default=None, description="from the Earth to the sun, ECI, any length; unset: where it is at `epoch`"
-    )
-    target_area_to_mass: NonNegative = Field(
-        default=0.0, description="radiation pressure coefficient × area / mass, m2/kg; 0: no push"
-    )
-    chaser_area_to_mass: NonNegative = Field(
-        default=0.0, description="radiation pressure coefficient × area / mass, m2/kg; 0: no push"
-    )
+    Attributes:
+        direction: from the Earth to the sun, ECI, any length; unset: where it is at `epoch`.
+        target_area_to_mass: radiation pressure coefficient × area / mass, m2/kg; 0: no push.
+        chaser_area_to_mass: radiation pressure coefficient × area / mass, m2/kg; 0: no push.
+
+    """
+
+    direction: Vector | None = None
+    target_area_to_mass: NonNegative = 0.0
+    chaser_area_to_mass: NonNegative = 0.0
 
     @model_validator(mode="after")
     def _points_somewhere(self) -> "SunEntry":
@@ -272,16 +358,20 @@ class SunEntry(Entry):
 
 
 class AttitudeEntry(Entry):
-    """How the target turns."""
+    """How the target turns.
 
-    kind: Literal["vvlh", "inertial", "tumbling"] = Field(
-        default="vvlh", description="fixed to VVLH, fixed to the stars, free"
-    )
-    angular_velocity: Vector = Field(default=(0.0, 0.0, 0.0), description="tumbling: inertial, in body axes, rad/s")
-    inertia: tuple[Vector, Vector, Vector] = Field(
-        default=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), description="tumbling: tensor in body axes, kg m2"
-    )
-    gravity_gradient: bool = Field(default=False, description="tumbling: whether the Earth's gravity turns it")
+    Attributes:
+        kind: fixed to VVLH, fixed to the stars, free.
+        angular_velocity: tumbling: inertial, in body axes, rad/s.
+        inertia: tumbling: tensor in body axes, kg m2.
+        gravity_gradient: tumbling: whether the Earth's gravity turns it.
+
+    """
+
+    kind: Literal["vvlh", "inertial", "tumbling"] = "vvlh"
+    angular_velocity: Vector = (0.0, 0.0, 0.0)
+    inertia: tuple[Vector, Vector, Vector] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    gravity_gradient: bool = False
 
     @model_validator(mode="after")
     def _only_tumbling_turns(self) -> "AttitudeEntry":
@@ -293,23 +383,24 @@ class AttitudeEntry(Entry):
 
 
 class DisturbanceEntry(Entry):
-    """The force that nobody commanded, in body axes."""
+    """The force that nobody commanded, in body axes.
 
-    kind: Literal["none", "paper", "constant", "bang-bang", "resonant", "random"] = Field(
-        default="paper",
-        description="paper: 0.01 [sin 0.02 t, cos 0.02 t, sin 0.01 t] N; bang-bang: changes sign every 50 s; resonant: "
-        "with every control step; random: smooth noise from the seed",
-    )
-    force: Vector | None = Field(default=None, description="constant: N")
-    amplitude: Positive | None = Field(default=None, description="bang-bang, resonant, random: largest norm, N")
-    phase: Angle = Field(
-        default=0.0,
-        description="paper, random: added to that of every sinusoid; bang-bang, resonant: a full turn is a period; "
-        "none and constant have none, rad",
-    )
-    bound: Positive | None = Field(
-        default=None, description="what the control law may assume, N; unset: the true bound"
-    )
+    Attributes:
+        kind: paper: 0.01 [sin 0.02 t, cos 0.02 t, sin 0.01 t] N; bang-bang: changes sign every 50 s; resonant: with
+            every control step; random: smooth noise from the seed.
+        force: constant: N.
+        amplitude: bang-bang, resonant, random: largest norm, N.
+        phase: paper, random: added to that of every sinusoid; bang-bang, resonant: a full turn is a period; none and
+            constant have none, rad.
+        bound: what the control law may assume, N; unset: the true bound.
+
+    """
+
+    kind: Literal["none", "paper", "constant", "bang-bang", "resonant", "random"] = "paper"
+    force: Vector | None = None
+    amplitude: Positive | None = None
+    phase: Angle = 0.0
+    bound: Positive | None = None
 
     @model_validator(mode="after")
     def _complete(self) -> "DisturbanceEntry":
@@ -330,103 +421,123 @@ class DisturbanceEntry(Entry):
 
 
 class StateEntry(Entry):
-    """The chaser's state relative to the target, in body axes."""
+    """The chaser's state relative to the target, in body axes.
 
-    position: Vector = Field(default=(0.0, 10.0, 6.0), description="m")
-    velocity: Vector = Field(default=(0.0, 0.0, 0.0), description="m/s")
+    Attributes:
+        position: m.
+        velocity: m/s.
+
+    """
+
+    position: Vector = (0.0, 10.0, 6.0)
+    velocity: Vector = (0.0, 0.0, 0.0)
 
 
 class GoalEntry(Entry):
-    """Where to go."""
+    """Where to go.
 
-    position: Vector = Field(default=(0.0, -10.0, -4.0), description="m")
-    tolerance: Positive = Field(default=0.1, description="reached when it stays within this, m")
+    Attributes:
+        position: m.
+        tolerance: reached when it stays within this, m.
 
+    """
 
-class RareEntry(Entry):
-    """What `keepout rare` draws beside the scenario's faults."""
-
-    start_position_std: NonNegative = Field(
-        default=0.0, description="standard deviation of each axis of the start about start.position, m"
-    )
-    start_velocity_std: NonNegative = Field(default=0.0, description="the same about start.velocity, m/s")
+    position: Vector = (0.0, -10.0, -4.0)
+    tolerance: Positive = 0.1
 
 
-Amount = float | Vector
-"""A number, or one for each component of a vector."""
+class ThrusterEntry(Entry):
+    """One thruster of a layout of your own.
 
+    Attributes:
+        position: from the chaser's centre of mass, m.
+        direction: of the force on the chaser.
+        force: while it is on, N; unset: `thrusters.force`.
 
-class DispersionEntry(Entry):
-    """How one entry varies from run to run of a campaign: one of `uniform`, `normal`, `choice` and `sphere`."""
+    """
 
-    uniform: tuple[Amount, Amount] | None = Field(
-        default=None, description="[least, largest]; of a vector: two corners of a box"
-    )
-    normal: tuple[Amount, Amount] | None = Field(
-        default=None, description="[mean, standard deviation], cut off at `within`; of a vector: each component"
-    )
-    within: Annotated[float, Field(gt=0.0, le=8.0)] = Field(
-        default=3.0, description="of normal: cut off at so many standard deviations"
-    )
-    choice: tuple[Any, ...] | None = Field(default=None, description="values to choose from")
-    weights: tuple[NonNegative, ...] | None = Field(
-        default=None, description="of choice: how often each, relative to the others; unset: all alike"
-    )
-    sphere: NonNegative | tuple[NonNegative, NonNegative] | None = Field(
-        default=None, description="of a vector: any direction, with this length or one between [least, largest]"
-    )
-    centre: Vector = Field(default=(0.0, 0.0, 0.0), description="of sphere: what the vector is added to")
+    position: Vector
+    direction: Vector
+    force: Positive | None = None
 
     @model_validator(mode="after")
-    def _one_of_its_kinds(self) -> "DispersionEntry":
-        kinds = ("uniform", "normal", "choice", "sphere")
-        given = [kind for kind in kinds if getattr(self, kind) is not None]
-        if len(given) != 1:
-            raise ValueError(f"needs one of {', '.join(kinds)}, and has {' and '.join(given) or 'none'}")
-        for key, of in (("within", "normal"), ("weights", "choice"), ("centre", "sphere")):
-            if getattr(self, key) != type(self).model_fields[key].default and of != given[0]:
-                raise ValueError(f"{key} is for {of}, and this is {given[0]}")
-        return self
-
-    @model_validator(mode="after")
-    def _in_order(self) -> "DispersionEntry":
-        for kind in ("uniform", "sphere"):
-            ends = getattr(self, kind)
-            if isinstance(ends, tuple):
-                pairs = zip(*(end if isinstance(end, tuple) else (end,) for end in ends))
-                if not all(-float("inf") < low <= high < float("inf") for low, high in pairs):
-                    raise ValueError(f"{kind} {list(ends)}: finite, and the first must not exceed the second")
-        if self.normal is not None:
-            spread = self.normal[1] if isinstance(self.normal[1], tuple) else (self.normal[1],)
-            if not all(0.0 <= part < float("inf") for part in spread):
-                raise ValueError(f"normal: a standard deviation of {self.normal[1]}; it must be finite and at least 0")
-        if self.choice is not None and not self.choice:
-            raise ValueError("choice: no values to choose from")
-        if self.weights is not None and (len(self.weights) != len(self.choice or ()) or not sum(self.weights) > 0.0):
-            raise ValueError(f"weights: {list(self.weights)}; one for each value of choice, not all 0")
+    def _has_a_direction(self) -> "ThrusterEntry":
+        if not any(self.direction):
+            raise ValueError("direction [0, 0, 0]; it must point somewhere")
         return self
 
 
-class CampaignEntry(Entry):
-    """Many flights: from random starts at rest in a box, or with whatever `dispersions` names drawn anew for each."""
+class ThrustersEntry(Entry):
+    """What gives the chaser its force: any force at once, or thrusters that are on or off.
 
-    runs: Annotated[int, Field(ge=1, le=1_000_000_000)] = Field(default=100, description="how many flights")
-    lower: Vector = Field(
-        default=(-15.0, -5.0, -4.0), description="lower corner of the box of starts, m; without dispersions"
-    )
-    upper: Vector = Field(
-        default=(15.0, 5.0, -4.0), description="upper corner of the box of starts, m; without dispersions"
-    )
-    sampling: Literal["random", "latin-hypercube", "sobol"] = Field(
-        default="random", description="how the dispersed numbers are drawn, over all of them together"
-    )
-    dispersions: dict[str, DispersionEntry] = Field(
-        default_factory=dict,
-        description='what varies, by dotted name: `"chaser.mass" = {uniform = [18, 22]}`; see docs/campaigns.md',
-    )
+    Attributes:
+        layout: ideal: any force up to chaser.force_limit an axis, at any instant; six, 12, 24: on/off thrusters, one,
+            two or four for each direction; own: those of `own`.
+        held_in: axes in which a force is held over a control period: those of the target, which turn with it, or
+            inertial ones, as of a chaser that does not turn; only of ideal thrusters.
+        own: thrusters of a layout of your own, each with position, direction and force.
+        force: of each thruster, N; unset: chaser.force_limit divided by the thrusters of a direction.
+        least_on_time: the shortest pulse, s; less than half of it is not fired.
+        modulation: delta-sigma: what a pulse gives too much or too little is made up for later.
+        specific_impulse: s; 70 is cold nitrogen's, 220 hydrazine's.
+        rise_delay: by which each pulse begins and ends late, s.
+        misalignment: largest angle of a thruster's force to its direction, drawn once a flight, rad.
+        scale_error: largest relative error of a thruster's force, drawn once a flight.
+        detection_time: from when a thruster sticks until the others are fired accordingly, s.
+        survive_failure: whether the guard covers one thruster that sticks, off or on; chaser.force_limit must then be
+            what the others can give.
+
+    """
+
+    layout: Literal["ideal", "six", "12", "24", "own"] = "ideal"
+    held_in: Literal["target", "inertial"] = "target"
+    own: tuple[ThrusterEntry, ...] = ()
+    force: Positive | None = None
+    least_on_time: NonNegative = 0.02
+    modulation: Literal["pulse-width", "delta-sigma"] = "pulse-width"
+    specific_impulse: Positive = 70.0
+    rise_delay: NonNegative = 0.0
+    misalignment: Annotated[float, Field(ge=0.0, le=0.2)] = 0.0
+    scale_error: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
+    detection_time: NonNegative = 5.0
+    survive_failure: bool = False
 
     @model_validator(mode="after")
-    def _ordered(self) -> "CampaignEntry":
-        if any(low > high for low, high in zip(self.lower, self.upper)):
-            raise ValueError(f"lower {list(self.lower)} must not exceed upper {list(self.upper)}")
+    def _own_thrusters_are_there(self) -> "ThrustersEntry":
+        if (self.layout == "own") != bool(self.own):
+            raise ValueError(f'own: {len(self.own)} thrusters, and layout is "{self.layout}"; they belong to "own"')
+        if self.held_in != "target" and self.layout != "ideal":
+            raise ValueError(
+                f'held_in: "{self.held_in}" is for layout = "ideal"; the thrusters of a layout are taken to be '
+                "parallel to the target's axes"
+            )
+        lacking = [str(number) for number, thruster in enumerate(self.own) if thruster.force is None]
+        if self.force is None and lacking:
+            raise ValueError(f"own: force of thrusters {', '.join(lacking)} not given; give it, or thrusters.force")
         return self
+
+
+class NavigationEntry(Entry):
+    """What is known of the motion: sensors, the law's estimate, and the guard's certain set.
+
+    Attributes:
+        suite: sensors (docs/navigation.md); none: the true state, with the errors of `faults` on it.
+        estimate: what the law flies by; filter: a Kalman filter of motion and disturbance; observer: the last samples
+            and the law's own observer; raw: the last samples alone.
+        position_noise: close: largest error of a position, m; unset: 0.05.
+        velocity_noise: close: largest error of a velocity, m/s; unset: 0.002.
+        dropout: probability that a sample is lost; unset: the suite's own.
+        most_missed: samples that can be lost in a row; unset: the suite's own.
+        initial_position_error: largest error of the first estimate, m; unset: as where no sample is lost.
+        initial_velocity_error: the same of its velocity, m/s; unset: likewise.
+
+    """
+
+    suite: Literal["none", "far", "near", "close"] = "none"
+    estimate: Literal["filter", "observer", "raw"] = "filter"
+    position_noise: NonNegative | None = None
+    velocity_noise: NonNegative | None = None
+    dropout: Annotated[float, Field(ge=0.0, lt=1.0)] | None = None
+    most_missed: Annotated[int, Field(ge=0, le=20)] | None = None
+    initial_position_error: NonNegative | None = None
+    initial_velocity_error: NonNegative | None = None

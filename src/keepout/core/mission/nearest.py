@@ -15,8 +15,7 @@ from keepout.core.errors import KeepoutError
 from keepout.core.geometry.target import Target
 from keepout.core.guard.braking import design
 from keepout.core.mission import environment
-from keepout.core.mission.entry_names import with_entries
-from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.scenario import Scenario, with_entries
 
 _CLOSE = 1e-3
 """Relative: a number nearer than this to one that is refused is not looked for."""

@@ -1,4 +1,4 @@
-"""Scenarios: one typed tree, one TOML file.
+"""Scenarios: one typed tree, one TOML file; and their entries by dotted name, as `chaser.mass`.
 
 Every entry is in SI units. A value outside its range, an unknown key or a missing one is refused with the entry's name,
 the value, and what would be valid; nothing is guessed.
@@ -7,19 +7,18 @@ the value, and what would be valid; nothing is guessed.
 import difflib
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, get_args, get_origin
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel, Field, ValidationError, model_validator
+from pydantic.fields import FieldInfo
 
 from keepout.core.errors import ScenarioError
 from keepout.core.mission.entries import (
     AttitudeEntry,
-    CampaignEntry,
     ChaserEntry,
     ControlEntry,
-    DispersionEntry,
     DisturbanceEntry,
     DragEntry,
     Entry,
@@ -28,19 +27,31 @@ from keepout.core.mission.entries import (
     FieldEntry,
     GoalEntry,
     GuardEntry,
+    NavigationEntry,
     OrbitEntry,
-    RareEntry,
     SafetyEntry,
     StateEntry,
     SunEntry,
     TargetEntry,
+    ThrustersEntry,
+    Vector,
 )
-from keepout.core.mission.exploration_entries import DepthSensorEntry, ExploreEntry, MapEntry
-from keepout.core.mission.inspection_entries import CameraEntry, InspectEntry, LightEntry
-from keepout.core.mission.lines import entry_lines, line_of
-from keepout.core.mission.navigation_entries import NavigationEntry
-from keepout.core.mission.thruster_entries import ThrustersEntry
+from keepout.core.mission.task_entries import (
+    CameraEntry,
+    CampaignEntry,
+    DepthSensorEntry,
+    DispersionEntry,
+    ExploreEntry,
+    InspectEntry,
+    LightEntry,
+    MapEntry,
+    RareEntry,
+)
 
+COMPONENTS = ("x", "y", "z")
+Kind = Literal["number", "vector", "other"]
+Keys = tuple[Any, ...]
+"""Keys from the outermost table to an entry; places in an array are numbers."""
 _SHOWN = 200
 """Characters shown of a value that is refused, and bits of a whole number."""
 
@@ -65,14 +76,20 @@ class _RefusedAsOthers(type(Entry)):
 
 
 class Scenario(Entry, metaclass=_RefusedAsOthers):
-    """One mission: target, chaser, law, environment, start and goal. The defaults are the source paper's Case 1."""
+    """One mission: target, chaser, law, environment, start and goal. The defaults are the source paper's Case 1.
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")] = Field(
-        default="case1", description="of the mission, for titles and files: letters, digits, `_`, `.` and `-`"
-    )
-    seed: Annotated[int, Field(ge=0, lt=2**32)] = Field(default=0, description="of everything that is random")
-    duration: Annotated[float, Field(gt=0.0, le=1e6, allow_inf_nan=False)] = Field(default=1500.0, description="s")
-    epoch: Epoch = Field(default="2026-01-01T00:00:00Z", description="UTC at the start: for exports and the sun")
+    Attributes:
+        name: of the mission, for titles and files: letters, digits, `_`, `.` and `-`.
+        seed: of everything that is random.
+        duration: s.
+        epoch: UTC at the start: for exports and the sun.
+
+    """
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")] = "case1"
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
+    duration: Annotated[float, Field(gt=0.0, le=1e6, allow_inf_nan=False)] = 1500.0
+    epoch: Epoch = "2026-01-01T00:00:00Z"
     target: TargetEntry = TargetEntry()
     field: FieldEntry = FieldEntry()
     chaser: ChaserEntry = ChaserEntry()
@@ -221,10 +238,24 @@ class Scenario(Entry, metaclass=_RefusedAsOthers):
         return self.replace(**changes) if changes else self
 
 
-def _refusal(error: ValidationError, where: str, lines: Mapping[tuple[Any, ...], int] = {}) -> ScenarioError:
+def _refusal(error: ValidationError, where: str, lines: Mapping[Keys, int] = {}) -> ScenarioError:
     """Say all that pydantic found in one line, whatever was given: a key may hold a line break."""
-    reasons = "; ".join(f"{_line(item, lines)}{_reason(item, Scenario)}" for item in error.errors())
+    reasons = "; ".join(f"{_line(item, lines)}{_reason(item)}" for item in error.errors())
     return ScenarioError(" ".join(f"{where}: {reasons}".split()))
+
+
+def _reason(item: Any) -> str:
+    """Turn one pydantic finding into the entry's name, the value and what would be valid."""
+    name = ".".join(str(part) for part in item["loc"])
+    value = item["input"]
+    if item["type"] == "extra_forbidden":
+        valid, key = _valid_keys(item["loc"][:-1]), str(item["loc"][-1])
+        near = difflib.get_close_matches(key, valid, n=1) + _elsewhere(key, item["loc"])
+        hint = f"did you mean {' or '.join(near)}?" if near else f"valid: {', '.join(valid)}"
+        return f"{name}: no such entry; {hint}"
+    message = item["msg"].removeprefix("Value error, ").removeprefix("Input ").replace("should be", "must be")
+    shown = "" if isinstance(value, dict | BaseModel) else f"{_shown(value)} "
+    return f"{name}: {shown}{message}" if name else message
 
 
 def _shown(value: Any) -> str:
@@ -235,93 +266,223 @@ def _shown(value: Any) -> str:
     return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}…"
 
 
-def _reason(item: Any, model: type[BaseModel]) -> str:
-    """Turn one pydantic finding into the entry's name, the value and what would be valid."""
-    name = ".".join(str(part) for part in item["loc"])
-    value = item["input"]
-    if item["type"] == "extra_forbidden":
-        valid = _valid_keys(item["loc"][:-1], model)
-        key = str(item["loc"][-1])
-        near = difflib.get_close_matches(key, valid, n=1) + _elsewhere(key, item["loc"], model)
-        hint = f"did you mean {' or '.join(near)}?" if near else f"valid: {', '.join(valid)}"
-        return f"{name}: no such entry; {hint}"
-    message = item["msg"].removeprefix("Value error, ").removeprefix("Input ").replace("should be", "must be")
-    shown = "" if isinstance(value, dict | BaseModel) else f"{_shown(value)} "
-    return f"{name}: {shown}{message}" if name else message
+def _valid_keys(location: Keys) -> list[str]:
+    """Name the entries of the table at a location in a scenario's tree; none where there is no table."""
+    kind: Any = Scenario
+    for part in location:
+        if get_origin(kind) is tuple:  # a place in a list of tables
+            kind = get_args(kind)[0]
+        elif kind == dict[str, DispersionEntry]:  # the name of what is dispersed
+            kind = DispersionEntry
+        else:
+            kind = kind.model_fields[str(part)].annotation
+    return list(kind.model_fields) if is_table(kind) else []
 
 
-def _line(item: Any, lines: Mapping[tuple[Any, ...], int]) -> str:
-    """Say on which line the entry of a pydantic finding stands, where that is known."""
+def _elsewhere(key: str, location: Keys) -> list[str]:
+    """Give the full names of entries of that very name in other tables, such as `safety.margin` for `chaser.margin`."""
+    named = (name for name, _ in entries_and_tables() if name.count(".") < 2 and name.rpartition(".")[2] == key)
+    return [name for name in named if name != key or len(location) > 1]
+
+
+def _line(item: Any, lines: Mapping[Keys, int]) -> str:
+    """Say on which line the entry of a finding, or the closest table around it, stands, where that is known."""
     path = item["loc"]
     if item["type"] == "value_error":  # of a whole table: its message begins with the entry, unless it is about several
         first = item["msg"].removeprefix("Value error, ").split()[0].rstrip(":,")
         path = (*path, *first.split(".")) if (*path, *first.split(".")) in lines else path
-    found = line_of(lines, path)
+    found = next((lines[path[:length]] for length in range(len(path), 0, -1) if path[:length] in lines), None)
     return "" if found is None else f"line {found}: "
 
 
-def _elsewhere(key: str, location: tuple[Any, ...], model: type[BaseModel]) -> list[str]:
-    """Give the full names of entries of that very name in other tables, such as `safety.margin` for `chaser.margin`."""
-    found = []
-    for name, field in model.model_fields.items():
-        kind = field.annotation
-        if name == key and len(location) > 1:
-            found.append(name)
-        if isinstance(kind, type) and issubclass(kind, Entry) and key in kind.model_fields:
-            found.append(f"{name}.{key}")
-    return found
+def entry_lines(text: str) -> dict[Keys, int]:
+    """Give the line, counted from 1, on which each table and entry of a valid TOML text begins.
+
+    TOML is made of statements of whole lines, a header or a `key = value`, and no part of one is a statement. So lines
+    are gathered until the TOML reader itself takes them; there is no second grammar here.
+    """
+    lines: dict[Keys, int] = {}
+    header: Keys = ()
+    counts: dict[Keys, int] = {}
+    gathered, first = "", 0
+    for number, line in enumerate(text.replace("\r\n", "\n").split("\n"), start=1):
+        if not gathered:
+            first = number
+        gathered = f"{gathered}\n{line}" if gathered else line
+        try:
+            tree = tomllib.loads(gathered)
+        except tomllib.TOMLDecodeError:
+            continue
+        if tree and gathered.lstrip().startswith("["):
+            header = _header(tree, counts)
+            for length in range(1, len(header) + 1):  # a table is there from the first header that names it
+                lines.setdefault(header[:length], first)
+        else:
+            _note_lines(tree, header, first, lines)
+        gathered = ""
+    return lines
 
 
-def _valid_keys(location: tuple[Any, ...], model: type[BaseModel]) -> list[str]:
-    for part in location:
-        if isinstance(part, int):  # a place in a list of tables
+def _header(tree: dict[str, Any], counts: dict[Keys, int]) -> Keys:
+    """Give the path that a header opens; of an array of tables with the place of the table in it."""
+    path: Keys = ()
+    inner: Any = tree
+    while inner:
+        if isinstance(inner, list):
+            counts[path] = counts.get(path, -1) + 1
+            return (*path, counts[path])
+        [(key, inner)] = inner.items()
+        path = (*path, key)
+    return path
+
+
+def _note_lines(tree: Any, path: Keys, number: int, lines: dict[Keys, int]) -> None:
+    for key, value in tree.items() if isinstance(tree, dict) else enumerate(tree):
+        lines.setdefault((*path, key), number)
+        if isinstance(value, dict | list):
+            _note_lines(value, (*path, key), number, lines)
+
+
+def is_table(kind: Any) -> bool:
+    """Whether an entry of this annotation is a table of entries."""
+    return isinstance(kind, type) and issubclass(kind, Entry)
+
+
+def entries_and_tables(kind: type[Entry] = Scenario, within: str = "") -> Iterator[tuple[str, type[Entry] | FieldInfo]]:
+    """Give every entry and every table of a scenario by dotted name, in the order in which a file holds them."""
+    inner = []
+    for key, field in kind.model_fields.items():
+        if is_table(field.annotation):
+            inner.append((f"{within}{key}", field.annotation))
+        else:
+            yield f"{within}{key}", field
+    for name, table in inner:
+        yield name, table
+        yield from entries_and_tables(table, f"{name}.")
+
+
+def tree_of(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Nest values by dotted name, such as `chaser.mass`, as `Scenario.parse` takes them."""
+    tree: dict[str, Any] = {}
+    for name, value in values.items():
+        *tables, last = name.split(".")
+        within = tree
+        for table in tables:
+            within = within.setdefault(table, {})
+        within[last] = value
+    return tree
+
+
+def entry_kind(name: str) -> Kind:
+    """Say what an entry holds: a `number`, a `vector` of three, or something `other`, such as a word.
+
+    Args:
+        name: dotted, as `chaser.mass`, `start.position`, `start.position.x` or `target.parameters.wing_angle`.
+
+    Raises:
+        ScenarioError: there is no such entry, or it is a whole table.
+
+    """
+    model: type[BaseModel] = Scenario
+    parts = name.split(".")
+    for place, part in enumerate(parts):
+        field = model.model_fields.get(part)
+        if field is None:
+            near = difflib.get_close_matches(part, model.model_fields, n=1)
+            hint = f"did you mean {near[0]}?" if near else f"valid: {', '.join(model.model_fields)}"
+            raise ScenarioError(f"{name}: no such entry; {hint}")
+        kind, rest = field.annotation, parts[place + 1 :]
+        if isinstance(kind, type) and issubclass(kind, BaseModel):
+            model = kind
             continue
-        annotation = model.model_fields[str(part)].annotation if str(part) in model.model_fields else None
-        if model is CampaignEntry and str(part) not in model.model_fields:  # the name of what is dispersed
-            annotation = DispersionEntry
-        if annotation == dict[str, DispersionEntry]:
-            continue
-        if get_origin(annotation) is tuple:
-            annotation = get_args(annotation)[0]
-        if not (isinstance(annotation, type) and issubclass(annotation, BaseModel)):
-            return []
-        model = annotation
-    return list(model.model_fields)
+        if kind == dict[str, float] and len(rest) == 1:
+            return "number"
+        if is_vector(kind):
+            if not rest:
+                return "vector"
+            if len(rest) == 1 and rest[0] in COMPONENTS:
+                return "number"
+            raise ScenarioError(f"{name}: no such entry; components of a vector are x, y and z")
+        if rest:
+            raise ScenarioError(f"{name}: no such entry; {'.'.join(parts[: place + 1])} is not a table")
+        return "number" if is_number(kind) else "other"
+    raise ScenarioError(
+        f"{name}: a whole table; name one of {', '.join(f'{name}.{key}' for key in model.model_fields)}"
+    )
+
+
+def with_entries(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
+    """Give a scenario with the values of some entries, by dotted name, replaced.
+
+    Raises:
+        ScenarioError: a value is not valid for its entry; the message names it.
+
+    """
+    tree = scenario.model_dump()
+    for name, value in values.items():
+        *tables, last = name.split(".")
+        within = tree
+        for place, table in enumerate(tables):
+            if isinstance(within[table], tuple | list):  # a component of a vector
+                within[table] = list(within[table])
+            elif within[table] is None:
+                raise ScenarioError(f"{name}: {'.'.join(tables[: place + 1])} is not set, and has no components")
+            within = within[table]
+        if isinstance(within, list):
+            within[COMPONENTS.index(last)] = value
+        else:
+            within[last] = value
+    return Scenario.parse(tree)
+
+
+def is_vector(kind: Any) -> bool:
+    """Whether an entry of this annotation holds three numbers, or may."""
+    vector = Vector.__origin__  # pyright: ignore[reportAttributeAccessIssue]
+    return kind == vector or vector in getattr(kind, "__args__", ()) or Vector in getattr(kind, "__args__", ())
+
+
+def is_number(kind: Any) -> bool:
+    """Whether an entry of this annotation holds a number, or may."""
+    return is_whole_number(kind) or float in _kinds(kind)
+
+
+def is_whole_number(kind: Any) -> bool:
+    """Whether an entry of this annotation holds a whole number, or may."""
+    return int in _kinds(kind)
+
+
+def _kinds(kind: Any) -> list[Any]:
+    return [kind, *(getattr(part, "__origin__", part) for part in getattr(kind, "__args__", ()))]
+
+
+def schema() -> dict[str, Any]:
+    """Give the JSON Schema (draft 2020-12) of scenarios, by which editors complete, explain and check their files.
+
+    It has every entry with its meaning, unit, default and bounds. What depends on several entries at once is not in it:
+    `Scenario.load` says that.
+    """
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "$id": "keepout-scenario",
+        **Scenario.model_json_schema(),
+        "title": "Keepout scenario",
+    }
 
 
 def reference() -> str:
     """Write the table of all entries as Markdown: name, default, what it means."""
     lines = ["# Scenario entries", "", "SI units. Every entry has a default; an empty file is valid.", ""]
-    lines += [
-        "Made by `python -m keepout.core.mission.scenario`.",
-        "",
-        "| entry | default | meaning |",
-        "| --- | --- | --- |",
-    ]
-    for name, field in Scenario.model_fields.items():
-        kind = field.annotation
-        if not (isinstance(kind, type) and issubclass(kind, Entry)):
-            lines.append(_row(name, field.default, field.description))
-            continue
-        lines += _table(name, kind)
-    return "\n".join(lines) + "\n"
-
-
-def _table(name: str, kind: type[Entry]) -> list[str]:
-    """One line for the table itself, one for each entry, and then the tables within it."""
-    lines, within = [_row(f"**[{name}]**", None, (kind.__doc__ or "").splitlines()[0])], []
-    for key, entry in kind.model_fields.items():
-        if isinstance(entry.annotation, type) and issubclass(entry.annotation, Entry):
-            within += _table(f"{name}.{key}", entry.annotation)
+    lines += ["Made by `python -m keepout.core.mission.scenario`.", "", "| entry | default | meaning |"]
+    lines.append("| --- | --- | --- |")
+    for name, told in entries_and_tables():
+        if isinstance(told, FieldInfo):
+            default, meaning = told.get_default(call_default_factory=True), told.description or ""
+            shown = "" if default is None else f"`{default}`"
         else:
-            lines.append(_row(f"{name}.{key}", entry.get_default(call_default_factory=True), entry.description))
-    return lines + within
-
-
-def _row(name: str, default: Any, meaning: str | None) -> str:
-    shown = "" if default is None else f"`{default}`"
-    linked = re.sub(r"docs/([\w-]+)\.md", r"[\1](\1.md)", meaning or "")
-    return f"| {name} | {shown} | {linked} |"
+            name, shown, meaning = f"**[{name}]**", "", (told.__doc__ or "").splitlines()[0]
+        linked = re.sub(r"docs/([\w-]+)\.md", r"[\1](\1.md)", meaning)
+        lines.append(f"| {name} | {shown} | {linked} |")
+    return "\n".join(lines) + "\n"
 
 
 if __name__ == "__main__":

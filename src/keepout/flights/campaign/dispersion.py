@@ -20,9 +20,8 @@ from scipy.special import ndtr, ndtri
 from scipy.stats import qmc
 
 from keepout.core.errors import ScenarioError
-from keepout.core.mission.entries import DispersionEntry
-from keepout.core.mission.entry_names import COMPONENTS, entry_kind
-from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.scenario import COMPONENTS, Scenario, entry_kind
+from keepout.core.mission.task_entries import DispersionEntry
 
 _FIXED = ("name", "seed", "campaign")
 """Entries of the campaign as a whole: no run can have its own."""

@@ -9,9 +9,8 @@ from jaxtyping import Float
 
 from keepout.core.errors import KeepoutError
 from keepout.core.mission.build import Mission
-from keepout.core.mission.entry_names import COMPONENTS, with_entries
 from keepout.core.mission.places import has_way_out, room_to_start
-from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.scenario import COMPONENTS, Scenario, with_entries
 from keepout.flights.campaign.dispersion import Design
 from keepout.flights.campaign.workshop import Workshop
 

@@ -17,8 +17,7 @@ from jaxtyping import Bool, Int
 from keepout.core.cores import available_cores
 from keepout.core.digest import digest
 from keepout.core.errors import FlightError, ScenarioError
-from keepout.core.mission.entry_names import COMPONENTS
-from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.scenario import COMPONENTS, Scenario
 from keepout.core.progress import Progress, silent
 from keepout.flights.campaign.bands import Bands
 from keepout.flights.campaign.dataset import Dataset

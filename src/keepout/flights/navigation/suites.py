@@ -19,7 +19,7 @@ from keepout.core.control.observer import PAPER_FREQUENCIES
 from keepout.core.errors import ScenarioError
 from keepout.core.flight.navigation import Estimator, Navigation, Sensor, Suite
 from keepout.core.guard.braking import GuardAssumptions
-from keepout.core.mission.navigation_entries import NavigationEntry
+from keepout.core.mission.entries import NavigationEntry
 from keepout.core.mission.scenario import Scenario
 from keepout.core.motion import RelativeMotion
 from keepout.core.motion.relative import MotionState
