@@ -43,10 +43,9 @@ from keepout.core.flight.batches import fly_batches, states_at
 from keepout.core.flight.setup import FlightSetup
 from keepout.core.guard.braking import GuardAssumptions
 from keepout.core.guard.guard import Guard
-from keepout.core.motion.actuator import Thrusters
+from keepout.core.motion.chaser import Thrusters
 from keepout.core.motion.disturbance import NoDisturbance
-from keepout.core.motion.orbit import Orbit
-from keepout.core.motion.perturbation import EARTH_GRAVITATIONAL_PARAMETER
+from keepout.core.motion.orbit import EARTH_GRAVITATIONAL_PARAMETER, Orbit
 from keepout.core.motion.relative import RelativeMotion
 from keepout.flights.report import terminal
 

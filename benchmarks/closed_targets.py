@@ -20,10 +20,10 @@ from manifold3d import Error, Manifold, Mesh64, OpType
 
 from keepout.core.digest import digest
 from keepout.core.geometry.builtin import BUILTINS
-from keepout.core.geometry.builtin.solids import mesh
 from keepout.core.geometry.first_hit import FirstHit
 from keepout.core.geometry.level_set import surface_points
 from keepout.core.geometry.mesh_report import Surface, describe, part_labels, weld, zero_area
+from keepout.core.geometry.solids import mesh
 from keepout.core.geometry.target import Target
 from keepout.core.whole_file import write_whole
 

@@ -31,7 +31,8 @@ from keepout.core.fields.continuation import RadialContinuation
 from keepout.core.fields.neural import NeuralField
 from keepout.core.flight import FlightSetup
 from keepout.core.flight.on_board import OnBoard
-from keepout.core.motion import Chaser, NoDisturbance
+from keepout.core.motion.chaser import Chaser
+from keepout.core.motion.disturbance import NoDisturbance
 from keepout.core.motion.orbit import Orbit
 from keepout.core.motion.relative import RelativeMotion
 from keepout.flights.report.machine import machine

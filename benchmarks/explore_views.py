@@ -32,9 +32,9 @@ from keepout.apps.unknown.reachable import reachable
 from keepout.apps.unknown.sight import UP, sphere
 from keepout.apps.unknown.tried import Tried
 from keepout.apps.unknown.view import SensorBounds
-from keepout.core.geometry import Target
 from keepout.core.geometry.distance import ExactDistance
 from keepout.core.geometry.first_hit import FirstHit
+from keepout.core.geometry.target import Target
 
 RADIUS, HEIGHT, DECLARED = 0.5, 1.0, 0.5
 """Of the chaser, of goals over the surface, and of the declared ball beyond the target, m."""

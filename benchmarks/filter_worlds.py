@@ -21,8 +21,9 @@ from scipy import stats
 
 from keepout.core.control.observer import PAPER_FREQUENCIES
 from keepout.core.flight.navigation import Sample
-from keepout.core.motion import Orbit, RelativeMotion
 from keepout.core.motion.disturbance import NoDisturbance, paper_disturbance
+from keepout.core.motion.orbit import Orbit
+from keepout.core.motion.relative import RelativeMotion
 from keepout.flights.navigation.estimators import kalman_filter
 from keepout.flights.navigation.suites import close
 

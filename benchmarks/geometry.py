@@ -17,7 +17,8 @@ from pathlib import Path
 import igl
 import numpy as np
 
-from keepout.core.geometry import LeakCheck, OffsetSolid, Target
+from keepout.core.geometry.offset_solid import OffsetSolid
+from keepout.core.geometry.target import LeakCheck, Target
 
 # Aura's file has no real unit (deployed length 17.37 m); Itokawa's is normalised, and is shown at 20 m.
 SCALES = {"aura_arbitrary_units": 0.342, "itokawa": 20.0}

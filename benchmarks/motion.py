@@ -10,7 +10,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from keepout.core.motion import NoDisturbance, Orbit, RelativeMotion, Tumbling, VVLHFixed
+from keepout.core.motion.attitude import Tumbling, VVLHFixed
+from keepout.core.motion.disturbance import NoDisturbance
+from keepout.core.motion.orbit import Orbit
+from keepout.core.motion.relative import RelativeMotion
 
 INERTIA = np.array([[120.0, 8.0, -5.0], [8.0, 90.0, 4.0], [-5.0, 4.0, 60.0]])
 STEPS = 3000

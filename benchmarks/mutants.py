@@ -103,7 +103,7 @@ MUTANTS = {
         ("fault a step short", "math.ceil(detection_time", "math.floor(detection_time", "thrusters:stuck"),
     ],
     "core/motion/disturbance.py": [("largest for sum", "np.sum(np.abs(a", "np.max(np.abs(a", "disturbance:sum")],
-    "core/motion/pulses.py": [
+    "core/motion/chaser.py": [
         ("thrown aside too little", "3.0 * jnp.cross(turn", "1.0 * jnp.cross(turn", "pulses:switch")
     ],
     "core/mission/turning_bounds.py": [

@@ -20,8 +20,8 @@ import numpy as np
 
 from keepout.apps.led.camera import axes_towards
 from keepout.apps.unknown.depth_sensor import DepthCamera, take
-from keepout.core.geometry import Target
 from keepout.core.geometry.first_hit import FirstHit
+from keepout.core.geometry.target import Target
 
 # Aura's file has no real unit (deployed length 17.37 m); Itokawa's is normalised, and is shown at 20 m.
 SCALES = {"aura_arbitrary_units": 0.342, "itokawa": 20.0}

@@ -23,7 +23,7 @@ from keepout.apps.inspection.seeing.rules import SeeingRules
 from keepout.apps.inspection.seeing.seeable import Hidden, Verdict
 from keepout.apps.inspection.seeing.sightlines import Sightlines
 from keepout.apps.inspection.seeing.visible import visible
-from keepout.core.geometry import Target
+from keepout.core.geometry.target import Target
 
 SHIPPED = ("intelsat30", "tiangong", "iss")
 FILES = ("ssl1300", "hubble")

@@ -29,8 +29,8 @@ from keepout.apps.inspection.seeing.patches import Patches
 from keepout.apps.inspection.seeing.rules import SeeingRules
 from keepout.apps.inspection.seeing.sightlines import LIFT, Sightlines
 from keepout.apps.inspection.seeing.visible import lit_units, within_rules
-from keepout.core.geometry import Target
 from keepout.core.geometry.first_hit import FirstHit
+from keepout.core.geometry.target import Target
 
 Point = list[Fraction]
 SHIPPED = ("intelsat30", "tiangong", "iss")

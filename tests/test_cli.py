@@ -148,8 +148,8 @@ def work_is_watched(monkeypatch, work):
 @pytest.mark.parametrize(
     ("command", "file", "work"),
     [
-        (("targets", "--pictures"), None, "keepout.core.geometry.shape:enclosed_volume"),
-        (("describe", "box", "-o"), None, "keepout.core.geometry.survey:survey"),
+        (("targets", "--pictures"), None, "keepout.core.geometry.mesh_report:enclosed_volume"),
+        (("describe", "box", "-o"), None, "keepout.core.geometry.target:survey"),
         (("measure", "intelsat30", "--shipped", "-o"), None, "keepout.core.measures.field_measures:measure_model"),
         (("fly", "mission.toml", "-o"), None, "keepout.core.mission.flight:fly"),
         (("explore", "explore.toml", "-o"), None, "keepout.apps.unknown.explore:explore"),

@@ -7,7 +7,7 @@ import numpy as np
 import scipy.optimize
 from jaxtyping import Float
 
-from keepout.core.geometry.shape import Cloud, convex_hull
+from keepout.core.measures.volume import Points, convex_hull
 
 Point = Float[np.ndarray, "3"]
 
@@ -38,7 +38,7 @@ class Capsule(NamedTuple):
         return float(np.pi * self.radius**2 * (length + 4.0 / 3.0 * self.radius))
 
 
-def smallest_ball(points: Cloud) -> Ball:
+def smallest_ball(points: Points) -> Ball:
     """Find the ball of least radius round all points.
 
     The farthest point outside the ball of at most four is added, and the smallest ball round these five found among
@@ -78,7 +78,7 @@ def _through(points: Float[np.ndarray, "n 3"]) -> Ball:
     return Ball(centre, float(np.linalg.norm(points[0] - centre)))
 
 
-def small_capsule(points: Cloud) -> Capsule:
+def small_capsule(points: Points) -> Capsule:
     """Find a capsule of small volume round all points: Nelder and Mead over axis, place and radius, from six starts.
 
     A local search: no smaller capsule need be near, but one far from the axes of inertia may be. It encloses all points
@@ -120,7 +120,7 @@ def small_capsule(points: Cloud) -> Capsule:
     return Capsule(start, end, float(to_segment(corners, start, end).max()))
 
 
-def to_segment(points: Cloud, start: Point, end: Point) -> Float[np.ndarray, " n"]:
+def to_segment(points: Points, start: Point, end: Point) -> Float[np.ndarray, " n"]:
     """Distance of each point from a segment, m."""
     edge = end - start
     square = float(edge @ edge)

@@ -7,7 +7,7 @@ from Basilisk.simulation import dragDynamicEffector, exponentialAtmosphere, extF
 from Basilisk.utilities import SimulationBaseClass, macros, simIncludeGravBody
 from scipy.spatial.transform import Rotation
 
-from keepout.core.motion.perturbation import EARTH_EQUATORIAL_RADIUS, EARTH_GRAVITATIONAL_PARAMETER, EARTH_J2
+from keepout.core.motion.orbit import EARTH_EQUATORIAL_RADIUS, EARTH_GRAVITATIONAL_PARAMETER, EARTH_J2
 
 STEP = 0.25
 """Seconds of a Runge-Kutta step of Basilisk."""

@@ -33,8 +33,8 @@ from .core.mission.own import with_disturbance as with_disturbance
 from .core.mission.own import with_field as with_field
 from .core.mission.own import with_thrusters as with_thrusters
 from .core.mission.scenario import Scenario as Scenario
-from .core.motion.actuator import ThrusterModel as ThrusterModel
 from .core.motion.chaser import Chaser as Chaser
+from .core.motion.chaser import ThrusterModel as ThrusterModel
 from .core.motion.disturbance import Disturbance as Disturbance
 from .core.proof.certificate import certify as certify
 from .flights.rare_events.event import RareEvent as RareEvent

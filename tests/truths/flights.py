@@ -7,7 +7,10 @@ import jax.numpy as jnp
 from keepout.core.control.law import Command, Law
 from keepout.core.flight import Faults, FlightSetup
 from keepout.core.guard.safety_layer import SafetyLayer
-from keepout.core.motion import Orbit, RelativeMotion, Thrusters, paper_disturbance
+from keepout.core.motion.chaser import Thrusters
+from keepout.core.motion.disturbance import paper_disturbance
+from keepout.core.motion.orbit import Orbit
+from keepout.core.motion.relative import RelativeMotion
 
 KEY = jax.random.key(0)
 STEPS = 30

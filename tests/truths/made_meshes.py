@@ -3,8 +3,8 @@
 import numpy as np
 
 from keepout.apps.inspection.seeing.patches import Patches
-from keepout.core.geometry import Target
 from keepout.core.geometry.mesh_report import Surface, describe
+from keepout.core.geometry.target import Target
 
 
 def target_of(vertices, faces, name="made"):

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from keepout.core.geometry import Target
+from keepout.core.geometry.target import Target
 from truths.gltf_files import GltfFile
 from truths.real_meshes import RealMesh, present
 

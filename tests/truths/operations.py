@@ -3,7 +3,9 @@
 import dataclasses
 
 from keepout.core.control.operation import Operation
-from keepout.core.motion import Chaser, Orbit, RelativeMotion
+from keepout.core.motion.chaser import Chaser
+from keepout.core.motion.orbit import Orbit
+from keepout.core.motion.relative import RelativeMotion
 
 CHASER = Chaser(mass=20.0, radius=0.5, force_limit=0.1, speed_limit=0.1)
 

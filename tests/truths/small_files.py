@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from keepout.core.errors import MeshError
-from keepout.core.geometry import Target
+from keepout.core.geometry.target import Target
 
 CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
 METRES = 'unit="meter"'

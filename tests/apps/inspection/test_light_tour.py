@@ -14,7 +14,7 @@ from keepout.apps.inspection.lit_times import LitTimes
 from keepout.apps.inspection.seeing.cut import cut
 from keepout.apps.inspection.seeing.sightlines import Sightlines
 from keepout.apps.inspection.viewpoints import Views
-from keepout.core.geometry import Target
+from keepout.core.geometry.target import Target
 from keepout.core.mission.scenario import Scenario
 
 PACE = Pace(speed=0.1, acceleration=1e9, turn_rate=1e3, turn_acceleration=1e9, dwell=0.0)

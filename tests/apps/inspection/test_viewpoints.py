@@ -12,7 +12,7 @@ from keepout.apps.inspection.seeing.rules import SeeingRules
 from keepout.apps.inspection.seeing.sightlines import Sightlines
 from keepout.apps.inspection.seeing.visible import Visible, in_view, visible
 from keepout.apps.inspection.viewpoints import boresights_of, find_views
-from keepout.core.geometry import Target
+from keepout.core.geometry.target import Target
 
 RULES = SeeingRules(greatest_range=6.0)
 STAND_OFF = 1.0

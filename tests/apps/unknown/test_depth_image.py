@@ -9,8 +9,8 @@ from keepout.apps.led.camera import Pinhole, axes_towards
 from keepout.apps.unknown.depth_sensor import DepthCamera, ErrorDraw, first_returns, take
 from keepout.apps.unknown.view import SensorBounds
 from keepout.core.errors import ScenarioError
-from keepout.core.geometry import Target
 from keepout.core.geometry.first_hit import FirstHit
+from keepout.core.geometry.target import Target
 
 UP = np.array([0.0, 0.0, 1.0])
 EXACT = SensorBounds(range_error=0.0, position_error=0.0, attitude_error=0.0)

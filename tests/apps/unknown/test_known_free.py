@@ -22,7 +22,7 @@ from keepout.apps.unknown.map_file import fingerprint, load, save
 from keepout.apps.unknown.map_file import settings as file_settings
 from keepout.apps.unknown.view import SensorBounds, View
 from keepout.core.errors import KeepoutError, MapError
-from keepout.core.geometry import Target
+from keepout.core.geometry.target import Target
 from keepout.core.mission.assumptions import broken_assumptions
 from keepout.core.mission.scenario import Scenario
 

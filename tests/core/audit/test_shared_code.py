@@ -15,7 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from keepout.core.audit.tube import Tube
-from keepout.core.geometry import ExactDistance, Target
+from keepout.core.geometry.distance import ExactDistance
+from keepout.core.geometry.target import Target
 from keepout.core.mission.environment import flight_bounds
 from keepout.core.mission.scenario import Scenario
 

@@ -27,8 +27,8 @@ from keepout.core.fields.analytic import BoxUnionField
 from keepout.core.geometry.distance import ExactDistance
 from keepout.core.mission.build import prepare
 from keepout.core.mission.scenario import Scenario
-from keepout.core.motion.actuator import Thrusters
 from keepout.core.motion.attitude import Tumbling
+from keepout.core.motion.chaser import Thrusters
 from keepout.core.motion.disturbance import paper_disturbance, steady
 from keepout.core.motion.orbit import Orbit
 from keepout.core.motion.relative import RelativeMotion

@@ -13,7 +13,8 @@ from keepout.core.flight.batches import TARGET, alike_among, flight_key, fly_bat
 from keepout.core.flight.faults import WrongEstimate
 from keepout.core.flight.loop import start, step
 from keepout.core.flight.record import FlightRecord
-from keepout.core.motion import ConstantDisturbance, Tumbling
+from keepout.core.motion.attitude import Tumbling
+from keepout.core.motion.disturbance import ConstantDisturbance
 from keepout.core.motion.thrusters.layout import preset
 from keepout.core.motion.thrusters.on_off import OnOffThrusters
 

@@ -17,7 +17,7 @@ from keepout.core.flight import loop
 from keepout.core.flight.setup import FlightSetup
 from keepout.core.guard.braking import GuardAssumptions
 from keepout.core.guard.guard import Guard
-from keepout.core.motion import paper_disturbance
+from keepout.core.motion.disturbance import paper_disturbance
 
 STEPS = 30
 GOAL = np.array([0.0, -4.0, -1.0])

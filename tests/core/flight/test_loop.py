@@ -12,7 +12,8 @@ from truths.flights import GOAL, KEY, STEPS, Delayed, Halving, Spring, make_setu
 from keepout.core.errors import FlightError, ScenarioError
 from keepout.core.flight import fly, loop, outcome
 from keepout.core.flight.segment import begin, fly_segment, joined
-from keepout.core.motion import MotionState, Thrusters
+from keepout.core.motion.chaser import Thrusters
+from keepout.core.motion.relative import MotionState
 
 LIMIT = np.array([0.1, 0.05, 0.1])
 

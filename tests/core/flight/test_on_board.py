@@ -29,8 +29,10 @@ from keepout.core.guard.status import GuardFlag
 from keepout.core.mission import environment
 from keepout.core.mission.build import flight_setup, prepare
 from keepout.core.mission.scenario import Scenario
-from keepout.core.motion import Orbit, RelativeMotion, Thrusters, paper_disturbance
-from keepout.core.motion.disturbance import NoDisturbance
+from keepout.core.motion.chaser import Thrusters
+from keepout.core.motion.disturbance import NoDisturbance, paper_disturbance
+from keepout.core.motion.orbit import Orbit
+from keepout.core.motion.relative import RelativeMotion
 from keepout.flights.navigation.suites import navigation
 
 pytestmark = pytest.mark.long

@@ -5,8 +5,10 @@ import pytest
 from truths.solids import solid_angle
 
 from keepout.core.errors import MeshError
-from keepout.core.geometry import OffsetSolid, Target, shape
 from keepout.core.geometry.builtin import BUILTINS
+from keepout.core.geometry.mesh_report import enclosed_volume
+from keepout.core.geometry.offset_solid import OffsetSolid
+from keepout.core.geometry.target import Target
 
 SIZES = {
     "intelsat30": ((26.8, 8.0, 6.1), 0.15),
@@ -27,7 +29,7 @@ def test_closed_single_and_of_public_size(name):
     assert report.parts == 1
     size, tolerance = SIZES[name]
     assert report.extents == pytest.approx(size, abs=tolerance)
-    volume = shape.enclosed_volume(target.vertices, target.faces)
+    volume = enclosed_volume(target.vertices, target.faces)
     assert volume == pytest.approx(VOLUMES[name]) if name in VOLUMES else volume > 0.0
 
 
@@ -41,7 +43,7 @@ def test_points_of_the_source_paper_round_intelsat30():
     solid = OffsetSolid.build(target.distance)
     assert solid.is_exterior(points).all()
     assert not solid.is_exterior(np.array([[0.0, 0.0, 0.0]]))[0]
-    volume = shape.enclosed_volume(target.vertices, target.faces)
+    volume = enclosed_volume(target.vertices, target.faces)
     assert solid.sealed_volume == pytest.approx(volume, rel=0.25)
 
 

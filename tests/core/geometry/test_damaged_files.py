@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from truths.gltf_files import GltfFile
 
 from keepout.core.errors import MeshError
-from keepout.core.geometry import Target
+from keepout.core.geometry.target import Target
 
 MESH = trimesh.creation.box(extents=(2.0, 3.0, 4.0)).subdivide()
 FACES = len(MESH.faces)

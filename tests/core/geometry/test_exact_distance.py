@@ -6,8 +6,10 @@ import pytest
 from truths.messy_meshes import MESSY_AND_REAL
 
 from keepout.core.errors import MeshError
-from keepout.core.geometry import ExactDistance, Target, straddling_cells
+from keepout.core.geometry.distance import ExactDistance
 from keepout.core.geometry.first_hit import FirstHit
+from keepout.core.geometry.octree import straddling_cells
+from keepout.core.geometry.target import Target
 
 
 def queries(distance, count, seed=0):

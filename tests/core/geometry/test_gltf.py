@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from truths.gltf_files import GltfFile
 from truths.small_files import refused, soup
 
-from keepout.core.geometry import Target
+from keepout.core.geometry.target import Target
 
 CUBE = trimesh.creation.box(extents=(2.0, 2.0, 2.0))
 POINTS, FACES = np.asarray(CUBE.vertices), np.asarray(CUBE.faces)

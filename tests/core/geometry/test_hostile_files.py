@@ -14,7 +14,7 @@ from truths.gltf_files import GltfFile
 from truths.small_files import BODY, FACES, ITEM, SQUARE, refused, three_mf, within, written
 
 from keepout.core.errors import MeshError
-from keepout.core.geometry import Target
+from keepout.core.geometry.target import Target
 
 # 3MF ------------------------------------------------------------------------------------------------------------------
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from truths.small_files import BODY, CORE, ITEM, MESH, METRES, SQUARE, refused, soup, three_mf, written
 
-from keepout.core.geometry import Target
+from keepout.core.geometry.target import Target
 
 OBJ = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
 OFF = "OFF\n4 2 0\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n3 0 1 2\n3 0 2 3\n"

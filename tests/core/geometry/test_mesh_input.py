@@ -6,7 +6,7 @@ import trimesh
 from truths.small_files import refused
 
 from keepout.core.errors import MeshError
-from keepout.core.geometry import Target
+from keepout.core.geometry.target import Target
 
 TRIANGLE = "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
 

@@ -12,8 +12,10 @@ from truths.real_meshes import present
 from truths.solids import boxes_mesh, hollow_box, solid_angle
 
 from keepout.core.errors import MeshError
-from keepout.core.geometry import ExactDistance, OffsetSolid, Target
 from keepout.core.geometry.builtin import BUILTINS
+from keepout.core.geometry.distance import ExactDistance
+from keepout.core.geometry.offset_solid import OffsetSolid
+from keepout.core.geometry.target import Target
 
 BOXES = [
     ((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)),

@@ -6,7 +6,7 @@ import trimesh
 from truths.solids import hollow_box
 
 from keepout.core.errors import MeshError
-from keepout.core.geometry import Target, leak_check, survey
+from keepout.core.geometry.target import Target, leak_check, survey
 
 
 def loaded(tmp_path, half_hole):

@@ -27,7 +27,10 @@ from keepout.core.guard.guard import Guard
 from keepout.core.guard.status import GuardFlag
 from keepout.core.mission.build import prepare
 from keepout.core.mission.flight import fly
-from keepout.core.motion import ConstantDisturbance, Orbit, RelativeMotion, Thrusters
+from keepout.core.motion.chaser import Thrusters
+from keepout.core.motion.disturbance import ConstantDisturbance
+from keepout.core.motion.orbit import Orbit
+from keepout.core.motion.relative import RelativeMotion
 
 pytestmark = pytest.mark.long
 

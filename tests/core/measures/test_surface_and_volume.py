@@ -7,15 +7,21 @@ import scipy.spatial
 import trimesh
 from scipy.integrate import dblquad
 
-from keepout.core.errors import FieldError
+from keepout.core.errors import FieldError, MeshError
 from keepout.core.fields.analytic import SphereField
 from keepout.core.geometry.distance import ExactDistance
+from keepout.core.geometry.mesh_report import enclosed_volume
 from keepout.core.geometry.offset_solid import OffsetSolid
-from keepout.core.geometry.shape import Ellipsoid, enclosed_volume
 from keepout.core.geometry.target import Target
 from keepout.core.measures.quality import gradient_errors, summarised, surface_errors
 from keepout.core.measures.surface import Surface, extract_surface, surface_distance, visible_points
-from keepout.core.measures.volume import grown_ellipsoid_volume, grown_hull_volume, measure_volumes
+from keepout.core.measures.volume import (
+    Ellipsoid,
+    grown_ellipsoid_volume,
+    grown_hull_volume,
+    measure_volumes,
+    smallest_ellipsoid,
+)
 
 pytestmark = pytest.mark.long
 
@@ -175,3 +181,16 @@ def test_refusals(ball, solid):
     ):
         with pytest.raises(FieldError, match=said):
             asked()
+
+
+def test_smallest_ellipsoid_of_an_affine_simplex():
+    # The smallest ellipsoid of an affine image is the affine image of the smallest: a regular simplex gives the sphere.
+    simplex = np.array([(1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)], dtype=float)
+    stretch = np.array([[2.0, 0.3, 0.0], [0.0, 1.0, -0.4], [0.1, 0.0, 0.7]])
+    found = smallest_ellipsoid(simplex @ stretch.T)
+    assert found.volume == pytest.approx(4.0 / 3.0 * np.pi * 3.0**1.5 * np.linalg.det(stretch), rel=1e-6)
+
+
+def test_flat_points_are_refused():
+    with pytest.raises(MeshError, match="span no volume"):
+        smallest_ellipsoid(np.zeros((10, 3)))

@@ -17,7 +17,7 @@ from keepout.core.guard.braking import design
 from keepout.core.mission import environment
 from keepout.core.mission.assumptions import broken_assumptions
 from keepout.core.mission.scenario import Scenario
-from keepout.core.motion import NoDisturbance
+from keepout.core.motion.disturbance import NoDisturbance
 
 LOW = {"semi_major_axis": 6.8e6, "eccentricity": 0.01}
 TUMBLING = {

@@ -15,7 +15,8 @@ from keepout.core.errors import ScenarioError
 from keepout.core.mission import environment, turning_bounds
 from keepout.core.mission.orbit_bounds import differential_bounds, orbit_bounds
 from keepout.core.mission.scenario import Scenario
-from keepout.core.motion import MotionState, NoDisturbance
+from keepout.core.motion.disturbance import NoDisturbance
+from keepout.core.motion.relative import MotionState
 
 pytestmark = pytest.mark.long
 

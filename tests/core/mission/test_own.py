@@ -11,7 +11,7 @@ import pytest
 
 import keepout
 from keepout.core.errors import ControlError, FieldError, KeepoutError, ScenarioError
-from keepout.core.motion.actuator import Firing
+from keepout.core.motion.chaser import Firing
 
 GOAL = (0.0, -10.0, -4.0)
 MISSION = """

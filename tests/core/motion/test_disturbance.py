@@ -7,14 +7,14 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from keepout.core.errors import ScenarioError
-from keepout.core.motion import (
+from keepout.core.motion.chaser import Thrusters
+from keepout.core.motion.disturbance import (
     BandLimitedNoise,
     CombinedDisturbance,
     ConstantDisturbance,
     NoDisturbance,
     SinusoidalDisturbance,
     SquareWaveDisturbance,
-    Thrusters,
     band_limited_noise,
     paper_disturbance,
     resonant,

@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from truths import frames
 
-from keepout.core.motion import Orbit, rotation
-from keepout.core.motion.frames import orbital_rate, vvlh_axes
+from keepout.core.motion import rotation
+from keepout.core.motion.orbit import Orbit
+from keepout.core.motion.rotation import orbital_rate, vvlh_axes
 
 ORBIT = Orbit(9e6, 0.2, true_anomaly=0.7, inclination=0.9, right_ascension=2.0, argument_of_perigee=-1.1)
 TARGET = ORBIT.inertial_state(jnp.float64(400.0))

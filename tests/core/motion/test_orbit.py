@@ -6,8 +6,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from keepout.core.errors import ScenarioError
-from keepout.core.motion import J2, Orbit
-from keepout.core.motion.orbit import eccentric_anomaly, perturbed_frame
+from keepout.core.motion.orbit import J2, Orbit, eccentric_anomaly, perturbed_frame
 
 solve = jax.jit(eccentric_anomaly)
 

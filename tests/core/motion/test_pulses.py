@@ -8,8 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from keepout.core.motion import Orbit, RelativeMotion, Tumbling, paper_disturbance
-from keepout.core.motion.pulses import Pulses
+from keepout.core.motion.attitude import Tumbling
+from keepout.core.motion.chaser import Pulses
+from keepout.core.motion.disturbance import paper_disturbance
+from keepout.core.motion.orbit import Orbit
+from keepout.core.motion.relative import RelativeMotion
 
 MASS = 20.0
 LOW = Orbit(6_778_000.0, 0.01)

@@ -7,20 +7,11 @@ from scipy.integrate import solve_ivp
 from truths import frames
 
 from keepout.core.errors import ScenarioError
-from keepout.core.motion import (
-    J2,
-    Drag,
-    InertiallyFixed,
-    Orbit,
-    RelativeMotion,
-    SolarPressure,
-    Tumbling,
-    VVLHFixed,
-    paper_disturbance,
-    rotation,
-    steady,
-)
-from keepout.core.motion.relative import gravity_difference
+from keepout.core.motion import rotation
+from keepout.core.motion.attitude import InertiallyFixed, Tumbling, VVLHFixed
+from keepout.core.motion.disturbance import paper_disturbance, steady
+from keepout.core.motion.orbit import J2, Drag, Orbit, SolarPressure
+from keepout.core.motion.relative import RelativeMotion, gravity_difference
 
 INERTIA = np.array([[120.0, 8.0, -5.0], [8.0, 90.0, 4.0], [-5.0, 4.0, 60.0]])
 CASES = [(7e6, 0.0), (7.5e6, 0.1), (2.3e7, 0.7)]

@@ -7,8 +7,7 @@ from keepout.core.mission import environment
 from keepout.core.mission.epoch import parse_instant
 from keepout.core.mission.orbit_bounds import sun_of
 from keepout.core.mission.scenario import Scenario
-from keepout.core.motion import SolarPressure
-from keepout.core.motion.sun import lit, sun_direction
+from keepout.core.motion.orbit import SolarPressure, lit, sun_direction
 
 EARTH = 6378137.0
 

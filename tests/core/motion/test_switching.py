@@ -10,17 +10,16 @@ from hypothesis import strategies as st
 from truths.flights import make_setup
 
 from keepout.core.errors import ScenarioError
-from keepout.core.motion import (
+from keepout.core.motion.attitude import InertiallyFixed, Tumbling
+from keepout.core.motion.disturbance import (
     CombinedDisturbance,
     ConstantDisturbance,
-    InertiallyFixed,
-    Orbit,
-    RelativeMotion,
     SinusoidalDisturbance,
     SquareWaveDisturbance,
-    Tumbling,
     resonant,
 )
+from keepout.core.motion.orbit import Orbit
+from keepout.core.motion.relative import RelativeMotion
 
 pytestmark = pytest.mark.long
 

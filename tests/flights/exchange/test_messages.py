@@ -22,8 +22,8 @@ from truths.messages import GEOSTATIONARY, TUMBLING, toy_flight
 
 from keepout.core.errors import ExchangeError
 from keepout.core.mission.scenario import Scenario
-from keepout.core.motion.frames import orbital_rate, vvlh_axes
-from keepout.core.motion.perturbation import J2
+from keepout.core.motion.orbit import J2
+from keepout.core.motion.rotation import orbital_rate, vvlh_axes
 from keepout.flights.exchange.attitude_message import Attitude, read_aem, write_aem
 from keepout.flights.exchange.orbit_message import Orbit, read_oem, write_oem
 

@@ -13,9 +13,10 @@ from truths.plain_sensors import Height, Pace, Place, Sight, Turned
 
 from keepout.core.errors import ScenarioError
 from keepout.core.flight.navigation import Sample
-from keepout.core.motion import Orbit, RelativeMotion
 from keepout.core.motion.attitude import Tumbling
 from keepout.core.motion.disturbance import NoDisturbance
+from keepout.core.motion.orbit import Orbit
+from keepout.core.motion.relative import RelativeMotion
 from keepout.flights.navigation.estimators import kalman_filter, transition
 
 FREQUENCIES = (0.02, 0.01)

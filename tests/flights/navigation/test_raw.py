@@ -6,8 +6,10 @@ import numpy as np
 from truths.plain_sensors import Height, Pace, Place, Sight, Turned
 
 from keepout.core.flight.navigation import Sample
-from keepout.core.motion import Orbit, RelativeMotion, rotation
+from keepout.core.motion import rotation
 from keepout.core.motion.disturbance import NoDisturbance
+from keepout.core.motion.orbit import Orbit
+from keepout.core.motion.relative import RelativeMotion
 from keepout.flights.navigation.estimators import RawSamples
 
 MOTION = RelativeMotion(Orbit(6_778_137.0))

@@ -20,7 +20,7 @@ from keepout.core.fields.evaluate import values
 from keepout.core.geometry.target import Target
 from keepout.core.mission import environment
 from keepout.core.mission.orbit_bounds import orbit_of
-from keepout.core.motion.frames import vvlh_axes
+from keepout.core.motion.rotation import vvlh_axes
 from keepout.flights.replay import body, scene
 from keepout.flights.replay.clearance import proved_clearance
 from keepout.flights.replay.flights import of_records

@@ -26,7 +26,7 @@ from keepout.core.control.law import Command, Law
 from keepout.core.errors import InspectionError
 from keepout.core.mission.environment import relative_motion
 from keepout.core.mission.scenario import Scenario
-from keepout.core.motion import VVLHFixed
+from keepout.core.motion.attitude import VVLHFixed
 from keepout.core.motion.relative import MotionState, RelativeMotion
 from keepout.core.motion.rotation import matrix
 

@@ -27,8 +27,8 @@ from keepout.core.mission.build import build_guard, closing_radius, flight_setup
 from keepout.core.mission.law import broken_as, law_on
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.target import require_apart
-from keepout.core.motion import MotionState
 from keepout.core.motion.arrays import as_float64
+from keepout.core.motion.relative import MotionState
 from keepout.core.progress import Progress, part_of, silent
 from keepout.flights.navigation.suites import navigation
 

@@ -16,7 +16,7 @@ from keepout.core.flight.setup import Faults
 from keepout.core.mission import environment
 from keepout.core.mission import thrusters as mission_thrusters
 from keepout.core.mission.scenario import Scenario
-from keepout.core.motion.actuator import ThrusterModel
+from keepout.core.motion.chaser import ThrusterModel
 from keepout.core.motion.thrusters.allocation import Allocation
 
 _SILENT = 1e-9

@@ -26,7 +26,7 @@ from keepout.core.errors import InspectionError
 from keepout.core.mission.environment import flight_bounds
 from keepout.core.mission.orbit_bounds import perturbations
 from keepout.core.mission.scenario import Scenario
-from keepout.core.motion.perturbation import EARTH_GRAVITATIONAL_PARAMETER
+from keepout.core.motion.orbit import EARTH_GRAVITATIONAL_PARAMETER
 
 _STEEPEST, _TURNING = 7.08, 12.4
 """Bounds of ‖Φ_vv‖ = ‖Φ_rv'‖ and, over n, of ‖Φ_vr‖ = ‖Φ_rr'‖, by the sums of their entries' squares."""

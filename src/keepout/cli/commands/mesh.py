@@ -17,7 +17,7 @@ def describe_targets(*, pictures: Path | None = None, progress: Progress = silen
     """List the built-in targets with size, triangles and parameters; draw them into `pictures` where it is given."""
     from keepout.core.fields.shipped import shipped_names
     from keepout.core.geometry.builtin import BUILTINS
-    from keepout.core.geometry.shape import enclosed_volume
+    from keepout.core.geometry.mesh_report import enclosed_volume
     from keepout.core.geometry.target import Target
     from keepout.flights.report.folder import results_in
 
@@ -224,7 +224,7 @@ def measure_field(
 
 def describe_mesh(source: Mapping[str, Any], out: Path | None = None, *, progress: Progress = silent) -> dict[str, Any]:
     """Report what is known about a mesh before anything is learned from it; draw it into `out` if that is given."""
-    from keepout.core.geometry.survey import survey
+    from keepout.core.geometry.target import survey
     from keepout.core.mission.build import load_target
     from keepout.flights.report.folder import results_in
 

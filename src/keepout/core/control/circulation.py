@@ -15,8 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from keepout.core.control.velocity_program.program import Circulation
-from keepout.core.motion.arrays import as_float64
-from keepout.core.motion.vectors import norm
+from keepout.core.motion.arrays import as_float64, norm
 
 PRINTED = ((0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 """Ω as printed in the paper, section VI."""

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from keepout.core.control.velocity import VelocityPoint
-from keepout.core.motion.vectors import norm
+from keepout.core.motion.arrays import norm
 
 _NO_GRADIENT = 1e-24
 

@@ -14,8 +14,8 @@ from keepout.core.errors import ScenarioError
 from keepout.core.fields.field import Field
 from keepout.core.flight.navigation import Navigation
 from keepout.core.guard.safety_layer import SafetyLayer
-from keepout.core.motion.actuator import ThrusterModel
 from keepout.core.motion.arrays import as_float64, numbers_as_arrays
+from keepout.core.motion.chaser import ThrusterModel
 from keepout.core.motion.disturbance import Disturbance
 from keepout.core.motion.relative import MotionState, RelativeMotion
 from keepout.core.motion.rotation import Vector

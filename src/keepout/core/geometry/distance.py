@@ -286,18 +286,26 @@ def _along_curve(points: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, "n"]:
     low = points.min(axis=0)
     span = np.ptp(points, axis=0).max()
     scaled = ((points - low) * (1023.0 / span if span > 0.0 else 0.0)).astype(np.int64)
-    return np.argsort(_curve_code(scaled), kind="stable")
+    return np.argsort(morton(scaled), kind="stable")
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
-def _curve_code(scaled):
-    code = np.zeros(len(scaled), dtype=np.int64)
-    for i in range(len(scaled)):
-        for bit in range(10):
-            for axis in range(3):
-                code[i] |= ((scaled[i, axis] >> bit) & 1) << (3 * bit + axis)
-    return code
+def morton(index: Int[np.ndarray, "n 3"]) -> Int[np.ndarray, "n"]:
+    """Interleave three coordinates of up to 20 bits into one code (Morton 1966)."""
+    return _spread(index[:, 0]) | (_spread(index[:, 1]) << 1) | (_spread(index[:, 2]) << 2)
+
+
+def _spread(x: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
+    """Move bit i to bit 3 i."""
+    x = x & 0x1FFFFF
+    for shift, mask in (
+        (32, 0x1F00000000FFFF),
+        (16, 0x1F0000FF0000FF),
+        (8, 0x100F00F00F00F00F),
+        (4, 0x10C30C30C30C30C3),
+        (2, 0x1249249249249249),
+    ):
+        x = (x | (x << shift)) & mask
+    return x
 
 
 @numba.njit(cache=True, nogil=True)

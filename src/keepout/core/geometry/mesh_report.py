@@ -10,15 +10,22 @@ from jaxtyping import Bool, Float, Int
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Vertices and triangles in metres as read, with what the reading did to them."""
+    """Vertices and triangles in metres as read, with what the reading did to them.
+
+    Attributes:
+        vertices: metres.
+        faces: vertex indices.
+        ball_radius: metres, positive for a point cloud; the faces are then (i, i, i).
+        actions: what the reading did, one line each.
+        broken: of the skin of a map: what makes it one that nothing is promised of.
+
+    """
 
     vertices: Float[np.ndarray, "v 3"]
     faces: Int[np.ndarray, "f 3"]
     ball_radius: float = 0.0
-    """Positive for a point cloud: metres; the faces are then (i, i, i)."""
     actions: tuple[str, ...] = ()
     broken: tuple[str, ...] = ()
-    """Of the skin of a map: what makes it one that nothing is promised of."""
 
     def moved(self, rotation: Float[np.ndarray, "3 3"], origin: Float[np.ndarray, "3"]) -> "Surface":
         """Express the surface in body axes: rotation @ (vertex - origin)."""
@@ -27,13 +34,15 @@ class Surface:
 
 @dataclass(frozen=True)
 class MeshReport:
-    """What a target's mesh contains. Lengths in metres; counts are of the faces kept."""
+    """What a target's mesh contains. Lengths in metres; counts are of the faces kept.
+
+    `points` are the balls of a point cloud, 0 for a mesh; `parts` are connected through shared vertices; `actions` say
+    what the reading did about duplicates, units, stray parts and the like, one line each.
+    """
 
     triangles: int
     points: int
-    """Balls of a point cloud; 0 for a mesh."""
     parts: int
-    """Components connected through shared vertices."""
     open_edges: int
     non_manifold_edges: int
     degenerate_faces: int
@@ -41,7 +50,6 @@ class MeshReport:
     lower: tuple[float, float, float]
     upper: tuple[float, float, float]
     actions: tuple[str, ...]
-    """What the reading did about duplicates, units, stray parts and the like, one line each."""
 
     @property
     def extents(self) -> tuple[float, float, float]:
@@ -145,6 +153,15 @@ def stray_faces(triangles: Float[np.ndarray, "f 3 3"], part: Int[np.ndarray, "f"
         if not (grown & ~body).any():
             return ~body[part]
         body |= grown
+
+
+def enclosed_volume(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> float:
+    """Volume in cubic metres inside a closed, outward oriented mesh, by the divergence theorem.
+
+    It means nothing for an open or wrongly oriented mesh: use `OffsetSolid.sealed_volume` there.
+    """
+    a, b, c = np.moveaxis(vertices[faces], 1, 0)
+    return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0)
 
 
 def _triple(values: Float[np.ndarray, "3"]) -> tuple[float, float, float]:

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 
 from keepout.core.cores import share_among_cores
 from keepout.core.errors import MeshError
-from keepout.core.geometry.distance import Distance, Points
+from keepout.core.geometry.distance import Distance, Points, morton
 
 SQRT3 = float(np.sqrt(3.0))
 DEEPEST_LEVEL = 20  # three interleaved coordinates of 20 bits fit a signed 64-bit code
@@ -126,25 +126,6 @@ class Hiding:
         share_among_cores(work, len(points))
         # Bounds that hold come back untouched by rounding.
         return np.where(near < limit, near * cells.unit, bound)
-
-
-def morton(index: Int[np.ndarray, "n 3"]) -> Int[np.ndarray, "n"]:
-    """Interleave three coordinates of up to 20 bits into one code (Morton 1966)."""
-    return _spread(index[:, 0]) | (_spread(index[:, 1]) << 1) | (_spread(index[:, 2]) << 2)
-
-
-def _spread(x: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-    """Move bit i to bit 3 i."""
-    x = x & 0x1FFFFF
-    for shift, mask in (
-        (32, 0x1F00000000FFFF),
-        (16, 0x1F0000FF0000FF),
-        (8, 0x100F00F00F00F00F),
-        (4, 0x10C30C30C30C30C3),
-        (2, 0x1249249249249249),
-    ):
-        x = (x | (x << shift)) & mask
-    return x
 
 
 def refine(

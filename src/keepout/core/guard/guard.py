@@ -22,8 +22,8 @@ from keepout.core.guard.braking import BrakingDesign, GuardAssumptions, Number, 
 from keepout.core.guard.nominal import Vector
 from keepout.core.guard.safety_layer import SafetyLayer
 from keepout.core.guard.status import GuardFlag, GuardStatus
+from keepout.core.motion.arrays import norm
 from keepout.core.motion.relative import MotionState
-from keepout.core.motion.vectors import norm
 
 _ROUNDING = 1e-9
 """Metres: far more than float64 loses between two evaluations of the same field value."""

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from keepout.core.guard.braking import BrakingDesign, GuardAssumptions
-from keepout.core.motion.vectors import norm
+from keepout.core.motion.arrays import norm
 
 Vector = Float[Array, "3"]
 

@@ -12,8 +12,8 @@ from jaxtyping import Array, Bool, Float
 
 from keepout.core.guard import watch
 from keepout.core.guard.braking import BrakingDesign, GuardAssumptions, ObserverGain
+from keepout.core.motion.arrays import norm
 from keepout.core.motion.relative import MotionState
-from keepout.core.motion.vectors import norm
 
 Vector = Float[Array, "3"]
 

@@ -8,23 +8,40 @@ the parts are).
 
 import dataclasses
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import scipy.spatial
 from jaxtyping import Bool, Float
 from scipy.special import elliprg
 
-from keepout.core.errors import FieldError
+from keepout.core.errors import FieldError, MeshError
 from keepout.core.fields.evaluate import values
 from keepout.core.fields.field import Field
 from keepout.core.geometry.distance import ExactDistance
 from keepout.core.geometry.octree import SQRT3, refine
 from keepout.core.geometry.offset_solid import OffsetSolid
-from keepout.core.geometry.shape import Ellipsoid, smallest_ellipsoid
 from keepout.core.measures.surface import default_spacing
 from keepout.core.progress import Progress, silent
 
 Points = Float[np.ndarray, "n 3"]
+
+
+class Ellipsoid(NamedTuple):
+    """{x : (x - centre)ᵀ matrix (x - centre) ≤ 1}."""
+
+    centre: Float[np.ndarray, "3"]
+    matrix: Float[np.ndarray, "3 3"]
+
+    @property
+    def semi_axes(self) -> Float[np.ndarray, "3"]:
+        """Semi-axes in falling order, metres."""
+        return np.sort(1.0 / np.sqrt(np.linalg.eigvalsh(self.matrix)))[::-1]
+
+    @property
+    def volume(self) -> float:
+        """Cubic metres."""
+        return float(4.0 / 3.0 * np.pi / np.sqrt(np.linalg.det(self.matrix)))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -158,3 +175,54 @@ def grown_ellipsoid_volume(ellipsoid: Ellipsoid, radius: float) -> float:
     area = 4.0 * np.pi * a * b * c * float(elliprg(a**-2, b**-2, c**-2))
     curved = 4.0 * np.pi * float(elliprg(a**2, b**2, c**2))
     return float(ellipsoid.volume + area * radius + curved * radius**2 + 4.0 / 3.0 * np.pi * radius**3)
+
+
+def convex_hull(points: Points) -> tuple[Float[np.ndarray, "corners 3"], float]:
+    """Corners (n, 3) of the convex hull, and its volume in cubic metres (Qhull).
+
+    Raises:
+        MeshError: fewer than four points, or all in one plane.
+
+    """
+    try:
+        hull = scipy.spatial.ConvexHull(points)
+    except (scipy.spatial.QhullError, ValueError) as cause:
+        raise MeshError(f"convex hull: {len(points)} points span no volume; at least four not in a plane do") from cause
+    return points[hull.vertices], float(hull.volume)
+
+
+def smallest_ellipsoid(points: Points, tolerance: float = 1e-7) -> Ellipsoid:
+    """Find the ellipsoid of least volume round all points: Khachiyan's algorithm with Todd and Yildirim's away steps.
+
+    Its volume is at most (1 + tolerance)^1.5 of the least; it is scaled so that no point lies outside.
+
+    Raises:
+        MeshError: points without volume, or no convergence in 100 000 steps.
+
+    """
+    corners, _ = convex_hull(points)
+    middle = corners.mean(axis=0)
+    scale = float(np.abs(corners - middle).max())
+    lifted = np.column_stack([(corners - middle) / scale, np.ones(len(corners))])
+    weights = np.full(len(corners), 1.0 / len(corners))
+    for _ in range(100_000):
+        moments = lifted.T @ (weights[:, None] * lifted)
+        spread = np.einsum("ij,ij->i", lifted @ np.linalg.inv(moments), lifted)
+        far, near = int(spread.argmax()), int(np.where(weights > 0.0, spread, np.inf).argmin())
+        if spread[far] - 4.0 <= 4.0 * tolerance and 4.0 - spread[near] <= 4.0 * tolerance:
+            break
+        if spread[far] - 4.0 >= 4.0 - spread[near]:
+            chosen, step = far, (spread[far] - 4.0) / (4.0 * (spread[far] - 1.0))
+        else:
+            chosen = near
+            step = max((spread[near] - 4.0) / (4.0 * (spread[near] - 1.0)), -weights[near] / (1.0 - weights[near]))
+        weights *= 1.0 - step
+        weights[chosen] = max(weights[chosen] + step, 0.0)
+    else:
+        raise MeshError(f"ellipsoid: no convergence to {tolerance} in 100000 steps; a tolerance of 1e-6 is easier")
+    flat = lifted[:, :3]
+    centre = weights @ flat
+    covariance = flat.T @ (weights[:, None] * flat) - np.outer(centre, centre)
+    matrix = np.linalg.inv(covariance) / 3.0
+    matrix /= np.einsum("ij,jk,ik->i", flat - centre, matrix, flat - centre).max()
+    return Ellipsoid(centre * scale + middle, matrix / scale**2)

@@ -28,8 +28,8 @@ from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.target import load_target, require_apart
 from keepout.core.mission.thrusters import thrusters
 from keepout.core.mission.tried import require_guard, require_law
-from keepout.core.motion import MotionState
 from keepout.core.motion.arrays import as_float64
+from keepout.core.motion.relative import MotionState
 from keepout.core.plug_ins import load
 from keepout.core.progress import Progress, part_of, silent
 

@@ -31,21 +31,19 @@ from keepout.core.mission.orbit_bounds import (
 )
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.thrusters import errors
-from keepout.core.motion import (
-    Chaser,
+from keepout.core.motion.attitude import InertiallyFixed, Tumbling, VVLHFixed
+from keepout.core.motion.chaser import Chaser
+from keepout.core.motion.disturbance import (
     Disturbance,
-    InertiallyFixed,
     NoDisturbance,
-    RelativeMotion,
     SquareWaveDisturbance,
-    Tumbling,
-    VVLHFixed,
     band_limited_noise,
     paper_disturbance,
     resonant,
     steady,
 )
-from keepout.core.motion.perturbation import EARTH_GRAVITATIONAL_PARAMETER
+from keepout.core.motion.orbit import EARTH_GRAVITATIONAL_PARAMETER
+from keepout.core.motion.relative import RelativeMotion
 from keepout.core.plug_ins import load
 
 _NEAR = 1000.0

@@ -14,8 +14,9 @@ from keepout.core.control.law import Law
 from keepout.core.flight.faults import BrokenLaw
 from keepout.core.flight.setup import FlightSetup
 from keepout.core.mission.build import Mission
-from keepout.core.motion import MotionState, NoDisturbance
 from keepout.core.motion.arrays import as_float64
+from keepout.core.motion.disturbance import NoDisturbance
+from keepout.core.motion.relative import MotionState
 
 _LONGEST = 4
 """Times a scenario's own duration after which a way is given up."""

@@ -19,11 +19,10 @@ from keepout.core.errors import InspectionError
 from keepout.core.mission.environment import relative_motion
 from keepout.core.mission.epoch import parse_instant
 from keepout.core.mission.scenario import Scenario
-from keepout.core.motion import MotionState, NoDisturbance, RelativeMotion
-from keepout.core.motion.frames import vvlh_axes
-from keepout.core.motion.perturbation import EARTH_EQUATORIAL_RADIUS
-from keepout.core.motion.rotation import matrix
-from keepout.core.motion.sun import sun_direction
+from keepout.core.motion.disturbance import NoDisturbance
+from keepout.core.motion.orbit import EARTH_EQUATORIAL_RADIUS, sun_direction
+from keepout.core.motion.relative import MotionState, RelativeMotion
+from keepout.core.motion.rotation import matrix, vvlh_axes
 
 SUN_RADIUS = 0.00474
 """Half the angle across the sun's disc, rad: in January, when it is widest."""

@@ -18,15 +18,21 @@ from keepout.core.errors import ScenarioError
 from keepout.core.mission.entries import DragEntry, OrbitEntry
 from keepout.core.mission.epoch import parse_instant
 from keepout.core.mission.scenario import Scenario
-from keepout.core.motion import J2, Drag, Orbit, Perturbation, SolarPressure
-from keepout.core.motion.perturbation import (
+from keepout.core.motion.orbit import (
     EARTH_EQUATORIAL_RADIUS,
     EARTH_GRAVITATIONAL_PARAMETER,
     EARTH_J2,
     EARTH_ROTATION_RATE,
+    J2,
+    PENUMBRA,
+    SOLAR_PRESSURE,
+    Drag,
+    Orbit,
+    Perturbation,
+    SolarPressure,
+    sun_direction,
     target_acceleration,
 )
-from keepout.core.motion.sun import PENUMBRA, SOLAR_PRESSURE, sun_direction
 
 _OUTWARD = 1.0 + 1e-6
 """Covers what the Runge–Kutta steps of the target's orbit lose: 1e-8 at most (tests/core/mission)."""

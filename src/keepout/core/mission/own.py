@@ -14,8 +14,9 @@ from keepout.core.mission import environment
 from keepout.core.mission.build import Mission
 from keepout.core.mission.law import broken_as, law_on
 from keepout.core.mission.tried import require_disturbance, require_thruster_model
-from keepout.core.motion import Disturbance, ThrusterModel
 from keepout.core.motion.arrays import as_float64
+from keepout.core.motion.chaser import ThrusterModel
+from keepout.core.motion.disturbance import Disturbance
 from keepout.core.progress import Progress, silent
 from keepout.core.proof.stated import error_bound
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from keepout.core.errors import ScenarioError
 from keepout.core.mission.scenario import Scenario
-from keepout.core.motion.actuator import ThrusterModel, Thrusters
+from keepout.core.motion.chaser import ThrusterModel, Thrusters
 from keepout.core.motion.thrusters.capability import Capability, Stuck, force_box
 from keepout.core.motion.thrusters.errors import ThrusterErrors, thruster_errors
 from keepout.core.motion.thrusters.layout import Layout, preset, share

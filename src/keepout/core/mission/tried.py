@@ -12,9 +12,10 @@ from keepout.core.control.controller import Controller
 from keepout.core.control.law import Command, Law
 from keepout.core.errors import ControlError, ScenarioError
 from keepout.core.guard.safety_layer import SafetyLayer
-from keepout.core.motion import Disturbance, MotionState, ThrusterModel
-from keepout.core.motion.actuator import Firing
 from keepout.core.motion.arrays import as_float64
+from keepout.core.motion.chaser import Firing, ThrusterModel
+from keepout.core.motion.disturbance import Disturbance
+from keepout.core.motion.relative import MotionState
 
 _COMMAND = "its memory and a keepout.Command whose force is three finite numbers, N, an array (3,) of floats"
 _FILTERED = "its memory, a force (3,) of floats, N, and a status, one whole number"
@@ -116,7 +117,7 @@ def require_disturbance(disturbance: Any) -> None:
 
 
 def require_thruster_model(thrusters: Any) -> None:
-    """Refuse what are no thrusters, or answer otherwise than `motion.actuator.ThrusterModel` says.
+    """Refuse what are no thrusters, or answer otherwise than `motion.chaser.ThrusterModel` says.
 
     Raises:
         ScenarioError: naming the method, what it gives and what it must give.

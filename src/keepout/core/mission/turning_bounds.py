@@ -9,8 +9,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from keepout.core.motion import MotionState, NoDisturbance, RelativeMotion
-from keepout.core.motion.perturbation import EARTH_GRAVITATIONAL_PARAMETER
+from keepout.core.motion.disturbance import NoDisturbance
+from keepout.core.motion.orbit import EARTH_GRAVITATIONAL_PARAMETER
+from keepout.core.motion.relative import MotionState, RelativeMotion
 
 _OUTWARD = 1.0 + 1e-6
 """Covers what a Runge–Kutta step a control period loses: tests/core/mission/test_orbit_bounds.py."""

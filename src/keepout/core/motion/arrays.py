@@ -1,4 +1,4 @@
-"""Numbers as users give them, turned into float64 arrays."""
+"""Numbers as users give them, turned into float64 arrays; and their length, which can be differentiated everywhere."""
 
 from collections.abc import Sequence
 from typing import Any, TypeVar
@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 T = TypeVar("T")
 NumbersLike = ArrayLike | Sequence[Any]
@@ -25,3 +25,10 @@ def as_float64(value: NumbersLike) -> Array:
 def numbers_as_arrays(tree: T) -> T:
     """Give a tree with arrays for its floating-point numbers, which a compiled program would otherwise be made for."""
     return jax.tree.map(lambda leaf: as_float64(leaf) if isinstance(leaf, float) else leaf, tree)
+
+
+def norm(vector: Float[Array, "n"]) -> Float[Array, ""]:
+    """Give the Euclidean norm, with a derivative of zero at zero, where `jnp.linalg.norm` has none."""
+    square = jnp.sum(vector * vector)
+    still = square == 0.0  # false for what is not a number, which stays one
+    return jnp.where(still, 0.0, jnp.sqrt(jnp.where(still, 1.0, square)))

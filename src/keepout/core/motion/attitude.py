@@ -11,8 +11,7 @@ from jaxtyping import Array, Float
 from keepout.core.errors import ScenarioError
 from keepout.core.motion import rotation
 from keepout.core.motion.arrays import NumbersLike, as_float64
-from keepout.core.motion.orbit import OrbitalFrame
-from keepout.core.motion.perturbation import EARTH_GRAVITATIONAL_PARAMETER
+from keepout.core.motion.orbit import EARTH_GRAVITATIONAL_PARAMETER, OrbitalFrame
 from keepout.core.motion.rotation import Quaternion, Vector
 
 

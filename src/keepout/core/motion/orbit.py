@@ -1,20 +1,175 @@
-"""The target's orbit: a Kepler ellipse, and the rotating orbital frame that it carries along."""
+"""The target's orbit: a Kepler ellipse, the rotating frame that it carries along, and what bends it.
 
+Beyond the Earth's point mass that is its oblateness, differential drag, and the push of sunlight. All in ECI, SI units.
+"""
+
+import abc
 import math
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from keepout.core.errors import ScenarioError
 from keepout.core.motion.arrays import as_float64
-from keepout.core.motion.frames import orbital_rate, vvlh_axes
-from keepout.core.motion.perturbation import EARTH_GRAVITATIONAL_PARAMETER, Perturbation, target_acceleration
-from keepout.core.motion.rotation import Vector
+from keepout.core.motion.rotation import Vector, orbital_rate, vvlh_axes
 
 Scalar = Float[Array, ""]
+
+# EGM-96 / WGS-84 values.
+EARTH_GRAVITATIONAL_PARAMETER = 3.986004418e14  # m^3/s^2
+EARTH_EQUATORIAL_RADIUS = 6378137.0  # m
+EARTH_J2 = 1.08262668e-3
+EARTH_ROTATION_RATE = 7.292115e-5  # rad/s
+SOLAR_PRESSURE = 4.56e-6
+"""Of sunlight at the Earth's distance on a surface that absorbs it, N/m² (Montenbruck and Gill, section 3.4)."""
+PENUMBRA = 20_000.0
+"""Width of the shadow's edge, m: as at an altitude of 400 km. Across it the light rises linearly."""
+
+_DAY = 86_400_000_000_000
+_J2000 = 10_957.5
+"""Days from 1970-01-01 to 2000-01-01 12:00."""
+
+
+class Perturbation(eqx.Module):
+    """An acceleration that depends on where a body is and how fast it moves."""
+
+    @abc.abstractmethod
+    def of_target(self, position: Vector, velocity: Vector) -> Vector:
+        """Acceleration of the target, m/s², at an ECI position and velocity."""
+
+    @abc.abstractmethod
+    def of_chaser(self, position: Vector, velocity: Vector) -> Vector:
+        """Acceleration of the chaser, m/s², at an ECI position and velocity."""
+
+
+class J2(Perturbation):
+    """The Earth's oblateness, the same for both spacecraft (Vallado, Fundamentals of Astrodynamics, section 8.7)."""
+
+    coefficient: float = EARTH_J2
+    equatorial_radius: float = EARTH_EQUATORIAL_RADIUS
+    gravitational_parameter: float = EARTH_GRAVITATIONAL_PARAMETER
+
+    def of_target(self, position: Vector, velocity: Vector) -> Vector:
+        """Acceleration at an ECI position, m/s²."""
+        radius_squared = position @ position
+        radius = jnp.sqrt(radius_squared)
+        strength = 1.5 * self.coefficient * self.gravitational_parameter * self.equatorial_radius**2 / radius**5
+        polar = 5 * position[2] ** 2 / radius_squared
+        return strength * position * (polar - jnp.array([1.0, 1.0, 3.0]))
+
+    def of_chaser(self, position: Vector, velocity: Vector) -> Vector:
+        """Acceleration at an ECI position, m/s²."""
+        return self.of_target(position, velocity)
+
+
+class _ByArea(Perturbation):
+    """An acceleration in proportion to area over mass, which differs between the two spacecraft."""
+
+    target_area_to_mass: eqx.AbstractVar[float]
+    chaser_area_to_mass: eqx.AbstractVar[float]
+
+    def of_target(self, position: Vector, velocity: Vector) -> Vector:
+        """Acceleration of the target, m/s²."""
+        return self.target_area_to_mass * self._per_area_to_mass(position, velocity)
+
+    def of_chaser(self, position: Vector, velocity: Vector) -> Vector:
+        """Acceleration of the chaser, m/s²."""
+        return self.chaser_area_to_mass * self._per_area_to_mass(position, velocity)
+
+    @abc.abstractmethod
+    def _per_area_to_mass(self, position: Vector, velocity: Vector) -> Vector:
+        """Acceleration of a body with 1 m²/kg, m/s²."""
+
+
+class Drag(_ByArea):
+    """Drag in an exponential atmosphere that turns with the Earth.
+
+    target_area_to_mass, chaser_area_to_mass: drag coefficient × area / mass of each, m²/kg. density: kg/m³ at
+    `altitude` (m above the equatorial radius). scale_height: m.
+    """
+
+    target_area_to_mass: float
+    chaser_area_to_mass: float
+    density: float
+    altitude: float
+    scale_height: float
+    equatorial_radius: float = EARTH_EQUATORIAL_RADIUS
+    rotation_rate: float = EARTH_ROTATION_RATE
+
+    def _per_area_to_mass(self, position: Vector, velocity: Vector) -> Vector:
+        air = velocity - self.rotation_rate * jnp.array([-position[1], position[0], 0.0])
+        height = jnp.linalg.norm(position) - self.equatorial_radius - self.altitude
+        return -0.5 * self.density * jnp.exp(-height / self.scale_height) * jnp.linalg.norm(air) * air
+
+
+def sun_direction(instant: int) -> Float[np.ndarray, "3"]:
+    """Give the unit vector from the Earth to the sun in the equator and equinox of date.
+
+    Good to 0.01° from 1950 to 2050 (Vallado, Fundamentals of Astrodynamics, algorithm 29). UTC is taken for UT1, and
+    the axes for those of the orbit: from 2000 to 2050 they differ by up to 0.7°.
+
+    Args:
+        instant: of UTC, nanoseconds since 1970-01-01.
+
+    """
+    centuries = (instant / _DAY - _J2000) / 36_525.0
+    anomaly = math.radians(357.529_109_2 + 35_999.050_34 * centuries)
+    mean_longitude = 280.460 + 36_000.771 * centuries
+    longitude = math.radians(
+        mean_longitude + 1.914_666_471 * math.sin(anomaly) + 0.019_994_643 * math.sin(2.0 * anomaly)
+    )
+    obliquity = math.radians(23.439_291 - 0.013_004_2 * centuries)
+    return np.array(
+        [
+            math.cos(longitude),
+            math.cos(obliquity) * math.sin(longitude),
+            math.sin(obliquity) * math.sin(longitude),
+        ]
+    )
+
+
+def lit(position: Vector, direction: Vector) -> Float[Array, ""]:
+    """Give the share of the sun, 0 to 1, that is seen at an ECI position (m): the shadow is a cylinder with an edge.
+
+    Continuous wherever a spacecraft is more than half of `PENUMBRA` above the equatorial radius.
+    """
+    along = position @ direction
+    beside = jnp.linalg.norm(position - along * direction)
+    share = jnp.clip((beside - EARTH_EQUATORIAL_RADIUS) / PENUMBRA + 0.5, 0.0, 1.0)
+    return jnp.where(along < 0.0, share, 1.0)
+
+
+class SolarPressure(_ByArea):
+    """The push of sunlight on a ball ("cannonball"), away from the sun; the sun stands still.
+
+    direction: unit vector from the Earth to the sun, ECI. target_area_to_mass, chaser_area_to_mass: radiation pressure
+    coefficient × area / mass of each, m²/kg.
+    """
+
+    direction: tuple[float, float, float]
+    target_area_to_mass: float
+    chaser_area_to_mass: float
+
+    def _per_area_to_mass(self, position: Vector, velocity: Vector) -> Vector:
+        direction = jnp.asarray(self.direction)
+        return -SOLAR_PRESSURE * lit(position, direction) * direction
+
+
+def target_acceleration(
+    position: Vector,
+    velocity: Vector,
+    gravitational_parameter: Float[Array, ""],
+    perturbations: tuple[Perturbation, ...],
+) -> Vector:
+    """Acceleration of the target in ECI, m/s²: the point mass and every perturbation."""
+    acceleration = -gravitational_parameter * position / jnp.linalg.norm(position) ** 3
+    for perturbation in perturbations:
+        acceleration = acceleration + perturbation.of_target(position, velocity)
+    return acceleration
 
 
 class OrbitalFrame(eqx.Module):

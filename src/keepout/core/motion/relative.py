@@ -12,12 +12,10 @@ from keepout.core.errors import ScenarioError
 from keepout.core.motion import rotation
 from keepout.core.motion.arrays import NumbersLike, as_float64
 from keepout.core.motion.attitude import AttitudeMotion, VVLHFixed
+from keepout.core.motion.chaser import Departure, Pulses
 from keepout.core.motion.disturbance import Disturbance
-from keepout.core.motion.frames import vvlh_axes
-from keepout.core.motion.orbit import Orbit, OrbitalFrame, perturbed_frame
-from keepout.core.motion.perturbation import Perturbation, target_acceleration
-from keepout.core.motion.pulses import Departure, Pulses
-from keepout.core.motion.rotation import Quaternion, Vector
+from keepout.core.motion.orbit import Orbit, OrbitalFrame, Perturbation, perturbed_frame, target_acceleration
+from keepout.core.motion.rotation import Quaternion, Vector, vvlh_axes
 
 Scalar = Float[Array, ""]
 

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from keepout.core.errors import ExchangeError
 from keepout.core.mission.epoch import format_instant, leap_second_between
-from keepout.core.motion.frames import vvlh_axes
+from keepout.core.motion.rotation import vvlh_axes
 from keepout.flights.exchange.attitude_message import Attitude
 from keepout.flights.exchange.orbit_message import Orbit
 

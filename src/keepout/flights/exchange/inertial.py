@@ -18,8 +18,7 @@ from keepout.core.flight.record import FlightRecord
 from keepout.core.mission.epoch import format_instant, leap_second_between, parse_instant
 from keepout.core.mission.orbit_bounds import orbit_of
 from keepout.core.mission.scenario import Scenario
-from keepout.core.motion.frames import vvlh_axes
-from keepout.core.motion.rotation import matrix
+from keepout.core.motion.rotation import matrix, vvlh_axes
 
 FRAME = "EME2000"
 CENTRE = "EARTH"

@@ -21,8 +21,7 @@ from keepout.core.flight.navigation import Estimator, Navigation, Sensor, Suite
 from keepout.core.guard.braking import GuardAssumptions
 from keepout.core.mission.entries import NavigationEntry
 from keepout.core.mission.scenario import Scenario
-from keepout.core.motion import RelativeMotion
-from keepout.core.motion.relative import MotionState
+from keepout.core.motion.relative import MotionState, RelativeMotion
 from keepout.flights.navigation.estimators import RawSamples, kalman_filter
 from keepout.flights.navigation.known_set import SetMembership, design
 from keepout.flights.navigation.sensor_errors import BallNoise, GaussianNoise, WanderingBias

@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 from keepout.core.flight.record import FlightRecord
 from keepout.core.mission.orbit_bounds import orbit_of, sun_of
 from keepout.core.mission.scenario import Scenario
-from keepout.core.motion.frames import vvlh_axes
 from keepout.core.motion.orbit import Orbit
+from keepout.core.motion.rotation import vvlh_axes
 
 Quaternions = Float[np.ndarray, "rows 4"]
 

@@ -10,7 +10,7 @@ from truths.made_meshes import target_of
 from keepout.apps.inspection.seeing.cut import cut
 from keepout.apps.inspection.seeing.sides import closed_parts
 from keepout.core.errors import InspectionError
-from keepout.core.geometry import Target
+from keepout.core.geometry.target import Target
 
 
 def mesh_area(target):

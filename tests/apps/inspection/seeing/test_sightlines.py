@@ -13,7 +13,7 @@ from truths.made_meshes import joined, patch_of, plate, target_of
 from keepout.apps.inspection.seeing.cut import cut
 from keepout.apps.inspection.seeing.sightlines import LIFT, Sightlines
 from keepout.core.errors import InspectionError
-from keepout.core.geometry import Target
+from keepout.core.geometry.target import Target
 
 
 def sight_of(target, size):

@@ -11,7 +11,7 @@ from keepout.apps.inspection.seeing.cut import cut
 from keepout.apps.inspection.seeing.rules import SeeingRules
 from keepout.apps.inspection.seeing.sightlines import Sightlines
 from keepout.apps.inspection.seeing.visible import in_frame, in_view, lit_units, visible
-from keepout.core.geometry import Target
+from keepout.core.geometry.target import Target
 
 
 @pytest.fixture(scope="module")

@@ -8,10 +8,8 @@ from pathlib import Path
 
 from keepout.core.geometry.mesh_files.contents import MeshContents
 from keepout.core.geometry.mesh_files.gltf import read_gltf
-from keepout.core.geometry.mesh_files.obj import read_obj
-from keepout.core.geometry.mesh_files.off import read_off
+from keepout.core.geometry.mesh_files.obj_off_stl import read_obj, read_off, read_stl
 from keepout.core.geometry.mesh_files.ply import read_ply
-from keepout.core.geometry.mesh_files.stl import read_stl
 from keepout.core.geometry.mesh_files.three_mf import read_three_mf
 from keepout.core.plug_ins import load, names
 

@@ -21,27 +21,37 @@ UNENDED = "the last line has no line end, as in a file that was cut short: its l
 
 @dataclass(frozen=True, eq=False)
 class MeshContents:
-    """A file's triangles, or its points where it has no triangles, in file units and file axes."""
+    """A file's triangles, or its points where it has no triangles, in file units and file axes.
+
+    Attributes:
+        vertices: (v, 3).
+        faces: (f, 3) vertex indices; none where the file holds points only.
+        actions: what was left out or interpreted, one line each.
+        unit: the length unit that the file declares, in the file's own word.
+        broken: of the skin of a map: what makes it one that nothing is promised of.
+
+    """
 
     vertices: Float[np.ndarray, "v 3"]
     faces: Int[np.ndarray, "f 3"]
-    """Empty where the file holds points only."""
     actions: tuple[str, ...] = ()
-    """What was left out or interpreted, one line each."""
     unit: str | None = None
-    """The length unit that the file declares, in the file's own word."""
     broken: tuple[str, ...] = ()
-    """Of the skin of a map: what makes it one that nothing is promised of."""
 
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """Where a node, an instance or a component puts what it holds, in file axes."""
+    """Where a node, an instance or a component puts what it holds, in file axes.
+
+    Attributes:
+        matrix: from its own axes.
+        magnitude: product of the absolute values of the matrices that `matrix` is the product of: how large a number
+            was met, also where large ones cancel.
+
+    """
 
     matrix: Float[np.ndarray, "4 4"]
     magnitude: Float[np.ndarray, "4 4"]
-    """Product of the absolute values of the matrices that `matrix` is the product of: how large a number was met, also
-    where large ones cancel."""
 
     def then(self, own: Float[np.ndarray, "4 4"]) -> "Place":
         """Give the place of a child by the child's own matrix."""
@@ -242,3 +252,28 @@ def _bent(
         along = (normal * whole[owner]).sum(axis=1)
         lengths = np.linalg.norm(normal, axis=1) * np.linalg.norm(whole[owner], axis=1)
         return len(np.unique(owner[along < (1.0 - 1e-3) * lengths]))
+
+
+def strip_triangles(strip: Int[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "f 3"], int]:
+    """Triangles (i, i + 1, i + 2), every other one turned round so that all face the same way.
+
+    Returns:
+        The triangles, without those that repeat a corner: such joints between strips are not drawn; and their number.
+
+    """
+    faces = np.stack([strip[:-2], strip[1:-1], strip[2:]], axis=1) if len(strip) > 2 else np.zeros((0, 3), np.int64)
+    faces[1::2] = faces[1::2, ::-1]
+    return _without_joints(faces)
+
+
+def fan_triangles(fan: Int[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "f 3"], int]:
+    """Triangles (0, i + 1, i + 2) of a fan, without those that repeat a corner; and their number."""
+    faces = np.zeros((max(len(fan) - 2, 0), 3), dtype=np.int64)
+    if len(faces):
+        faces[:, 0], faces[:, 1], faces[:, 2] = fan[0], fan[1:-1], fan[2:]
+    return _without_joints(faces)
+
+
+def _without_joints(faces: Int[np.ndarray, "f 3"]) -> tuple[Int[np.ndarray, "kept 3"], int]:
+    joint = (faces == np.roll(faces, 1, axis=1)).any(axis=1)
+    return np.ascontiguousarray(faces[~joint]), int(joint.sum())

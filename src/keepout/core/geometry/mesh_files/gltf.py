@@ -1,11 +1,18 @@
 """glTF 2, text and binary: the shown scene's triangles, strips and fans, placed by their nodes and instances."""
 
+import base64
+import binascii
+import json
+import struct
 from collections import Counter
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
+import DracoPy
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from keepout.core.errors import MeshError
 from keepout.core.geometry.mesh_files.contents import (
@@ -15,15 +22,16 @@ from keepout.core.geometry.mesh_files.contents import (
     Place,
     Resolution,
     box,
+    check_indices,
     counted,
+    fan_triangles,
     left_out,
     require_countable,
+    strip_triangles,
 )
-from keepout.core.geometry.mesh_files.gltf_data import GltfData, listed, part, parts
-from keepout.core.geometry.mesh_files.gltf_primitives import DRACO, QUANTIZATION, read_primitive
 
-INSTANCING = "EXT_mesh_gpu_instancing"
-_READ = (DRACO, INSTANCING, QUANTIZATION)
+_DRACO, _INSTANCING, _QUANTIZATION = "KHR_draco_mesh_compression", "EXT_mesh_gpu_instancing", "KHR_mesh_quantization"
+_READ = (_DRACO, _INSTANCING, _QUANTIZATION)
 _HARMLESS = (
     "KHR_texture_basisu",
     "KHR_texture_transform",
@@ -37,6 +45,308 @@ _HARMLESS = (
     "KHR_xmp_json_ld",
 )
 """Extensions of look and description, which move no vertex; all of KHR_materials_ too."""
+_POINTS, _LINES, _LOOP, _LINE_STRIP, _TRIANGLES, _STRIP, _FAN = range(7)
+_JSON, _BIN = 0x4E4F534A, 0x004E4942
+_COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_MOST_ZEROS = 10_000_000
+"""Entries of a sparse accessor without a view, which take no room in the file but do in memory."""
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+
+
+class _Data:
+    """A glTF 2 file's JSON tree with access to its numbers. Every look-up is checked; a wrong one is a `MeshError`."""
+
+    def __init__(self, path: Path):
+        data = path.read_bytes()
+        self._folder = path.parent
+        self._chunk: bytes | None = None
+        if data[:4] == b"glTF":
+            data, self._chunk = _chunks(data)
+        try:
+            tree = json.loads(data.decode("utf-8-sig"))
+        except (UnicodeDecodeError, ValueError) as cause:
+            raise MeshError(f"its JSON is damaged: {cause}") from None
+        version = _part(tree, "asset").get("version") if isinstance(tree, dict) else None
+        if not (isinstance(version, str) and version.split(".")[0] == "2"):
+            raise MeshError(f"its asset version is {version!r}; it must be 2.x")
+        self.tree: dict[str, Any] = tree
+        self._buffers: dict[int, bytes] = {}
+        self._rows: dict[str, list[dict[str, Any]]] = {}
+
+    def rows(self, kind: str) -> list[dict[str, Any]]:
+        """All entries of one kind, such as "nodes"; none if the file has no such array."""
+        if kind not in self._rows:
+            self._rows[kind] = _parts(self.tree, kind)
+        return self._rows[kind]
+
+    def entry(self, kind: str, index: Any) -> dict[str, Any]:
+        """One entry by its index, which may neither be negative nor past the end."""
+        entries = self.rows(kind)
+        if type(index) is not int or not 0 <= index < len(entries):
+            raise MeshError(f"{kind} index {index!r}; valid is 0 to {len(entries) - 1}")
+        return entries[index]
+
+    def view(self, index: Any) -> memoryview:
+        """Look up the bytes of a buffer view."""
+        view = self.entry("bufferViews", index)
+        start, length = _whole(view, "byteOffset", 0), _whole(view, "byteLength")
+        buffer = self._buffer(view.get("buffer"))
+        if start + length > len(buffer):
+            raise MeshError(f"bufferViews {index} ends at byte {start + length} of a buffer of {len(buffer)} bytes")
+        return memoryview(buffer)[start : start + length]
+
+    def numbers(self, index: Any, shape: str, *, kinds: str) -> np.ndarray:
+        """Read an accessor.
+
+        Args:
+            index: of the accessor.
+            shape: that it must have: SCALAR, VEC3 or VEC4.
+            kinds: NumPy kinds of component that are valid: "f", "u", "iuf".
+
+        Returns:
+            (count,) or (count, width); float64 where `kinds` has "f", with normalised integers converted as the
+            specification says, else int64.
+
+        """
+        accessor = self.entry("accessors", index)
+        kind = _component(accessor)
+        if accessor.get("type") != shape or kind is None or np.dtype(kind).kind not in kinds:
+            found = f"type {accessor.get('type')!r}, componentType {accessor.get('componentType')!r}"
+            raise MeshError(f"accessors {index} has {found}, which is not valid for what it holds")
+        count, width = _whole(accessor, "count"), _WIDTHS[shape]
+        sparse = _part(accessor, "sparse") if "sparse" in accessor else None
+        if "bufferView" in accessor:
+            table = self._table(accessor, count, width, kind, stride=True)
+        elif sparse is not None and count <= _MOST_ZEROS:
+            table = np.zeros((count, width), dtype=kind)
+        else:
+            raise MeshError(f"accessors {index} of {count} entries has no bufferView, so its numbers are missing")
+        if sparse is not None:
+            table = self._with_sparse(table, sparse, kind)
+        if "f" not in kinds:
+            values = table.astype(np.int64)
+        elif accessor.get("normalized", False) and np.dtype(kind).kind != "f":
+            values = np.maximum(table.astype(np.float64) / np.iinfo(kind).max, -1.0)
+        else:
+            values = table.astype(np.float64)
+        return values[:, 0] if shape == "SCALAR" else values
+
+    def count(self, index: Any) -> int:
+        """How many entries an accessor declares."""
+        return _whole(self.entry("accessors", index), "count")
+
+    def _table(self, accessor: dict[str, Any], count: int, width: int, kind: str, *, stride: bool) -> np.ndarray:
+        data, start = self.view(accessor.get("bufferView")), _whole(accessor, "byteOffset", 0)
+        view = self.entry("bufferViews", accessor.get("bufferView"))
+        if "EXT_meshopt_compression" in _part(view, "extensions"):
+            raise MeshError("its numbers are compressed by EXT_meshopt_compression, which is not read")
+        size = width * np.dtype(kind).itemsize
+        step = _whole(view, "byteStride", size) if stride else size
+        end = start + (count - 1) * step + size if count else start
+        if end > len(data) or step < size:
+            raise MeshError(f"an accessor of {count} entries ends at byte {end} of a view of {len(data)} bytes")
+        if not count:
+            return np.zeros((0, width), dtype=kind)
+        table = np.ndarray(
+            (count, width), dtype=kind, buffer=data, offset=start, strides=(step, np.dtype(kind).itemsize)
+        )
+        return table.copy()
+
+    def _with_sparse(self, table: np.ndarray, sparse: dict[str, Any], kind: str) -> np.ndarray:
+        count, places = _whole(sparse, "count"), _part(sparse, "indices")
+        place_kind = _component(places) or ""
+        if place_kind not in ("<u1", "<u2", "<u4"):
+            raise MeshError(f"sparse indices of componentType {places.get('componentType')!r}")
+        rows = self._table(places, count, 1, place_kind, stride=False)[:, 0].astype(np.int64)
+        if (rows >= len(table)).any():
+            raise MeshError(f"a sparse accessor has the index {rows.max()}; valid is 0 to {len(table) - 1}")
+        table[rows] = self._table(_part(sparse, "values"), count, table.shape[1], kind, stride=False)
+        return table
+
+    def _buffer(self, index: Any) -> bytes:
+        entry = self.entry("buffers", index)
+        if index not in self._buffers:
+            declared = _whole(entry, "byteLength")
+            data = self._fetch(entry.get("uri"), index, declared)
+            if len(data) < declared:
+                raise MeshError(f"buffers {index} declares {declared} bytes and has {len(data)}")
+            self._buffers[index] = data[:declared]
+        return self._buffers[index]
+
+    def _fetch(self, uri: Any, index: int, declared: int) -> bytes:
+        if uri is None:
+            if index != 0 or self._chunk is None:
+                raise MeshError(f"buffers {index} has neither a uri nor a binary chunk")
+            return self._chunk
+        if not isinstance(uri, str):
+            raise MeshError(f"buffers {index} has the uri {str(uri)[:60]}; text is valid")
+        if uri.startswith("data:"):
+            head, _, text = uri.partition(",")
+            try:
+                return base64.b64decode(text, validate=True) if head.endswith(";base64") else unquote(text).encode()
+            except binascii.Error as cause:
+                raise MeshError(f"buffers {index} is no base64: {cause}") from None
+        return self._file(uri, index, declared)
+
+    def _file(self, uri: str, index: int, declared: int) -> bytes:
+        """Read a buffer from a file beside the mesh: a mesh from elsewhere is not to name any other of the machine."""
+        place = f"buffers {index} is in the file {uri[:60]!r}"
+        valid = "valid is the relative path of a regular file in or below the mesh's folder"
+        try:
+            folder = self._folder.resolve(strict=True)
+            path = (folder / unquote(uri)).resolve(strict=True)
+            if Path(unquote(uri)).is_absolute() or not path.is_relative_to(folder):
+                raise MeshError(f"{place}, which is not in the mesh's folder; {valid}")
+            if not path.is_file():
+                raise MeshError(f"{place}, which is no regular file; {valid}")
+            size = path.stat().st_size
+            # As many bytes as declared, or up to three more that fill the last word.
+            if not declared <= size <= declared + 3:
+                raise MeshError(f"{place}; it declares {declared} bytes and has {size}")
+            return path.read_bytes()
+        except MeshError:
+            raise
+        except (OSError, ValueError, RuntimeError):  # RuntimeError: links in a circle
+            raise MeshError(f"{place}, which cannot be read; {valid}") from None
+
+
+def _chunks(data: bytes) -> tuple[bytes, bytes | None]:
+    """Split GLB into its JSON and its binary chunk."""
+    if len(data) < 20:
+        raise MeshError(f"{len(data)} bytes, and a GLB header alone has 20")
+    _, version, length, json_length, json_kind = struct.unpack_from("<5I", data)
+    if version != 2:
+        raise MeshError(f"GLB version {version}; it must be 2")
+    if length != len(data):
+        raise MeshError(f"the header declares {length} bytes and the file has {len(data)}")
+    if json_kind != _JSON:
+        raise MeshError("its first chunk is not JSON")
+    position, found = 20 + json_length, None
+    if position > length:
+        raise MeshError(f"its JSON ends at byte {position} of {length}")
+    while position < length:
+        if position + 8 > length:
+            raise MeshError(f"{length - position} bytes after its last chunk")
+        size, kind = struct.unpack_from("<2I", data, position)
+        if position + 8 + size > length:
+            raise MeshError(f"a chunk ends at byte {position + 8 + size} of {length}")
+        if kind == _BIN and found is None:
+            found = data[position + 8 : position + 8 + size]
+        position += 8 + size
+    return data[20 : 20 + json_length], found
+
+
+def _component(entry: dict[str, Any]) -> str | None:
+    kind = entry.get("componentType")
+    return _COMPONENTS.get(kind) if isinstance(kind, int) else None
+
+
+def _whole(entry: dict[str, Any], key: str, absent: int | None = None) -> int:
+    value = entry.get(key, absent)
+    if type(value) is not int or value < 0:
+        raise MeshError(f"{key} = {value!r}; it must be a whole number, zero or more")
+    return value
+
+
+def _part(entry: dict[str, Any], key: str) -> dict[str, Any]:
+    """Look up an object inside an entry; empty if it is absent."""
+    found = entry.get(key, {})
+    if not isinstance(found, dict):
+        raise MeshError(f"{key} = {str(found)[:40]}; it must be an object")
+    return found
+
+
+def _parts(entry: dict[str, Any], key: str) -> list[dict[str, Any]]:
+    """Look up an array of objects inside an entry; empty if it is absent."""
+    found = _listed(entry, key)
+    if not all(isinstance(item, dict) for item in found):
+        raise MeshError(f"{key} = {str(found)[:40]}; it must be an array of objects")
+    return found
+
+
+def _listed(entry: dict[str, Any], key: str) -> list[Any]:
+    """Look up an array inside an entry; empty if it is absent."""
+    found = entry.get(key, [])
+    if not isinstance(found, list):
+        raise MeshError(f"{key} = {str(found)[:40]}; it must be an array")
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Primitive:
+    """What one primitive draws, in its mesh's own axes."""
+
+    positions: Float[np.ndarray, "v 3"]
+    faces: Int[np.ndarray, "f 3"]
+    points: Int[np.ndarray, "p"]
+    """Indices of the positions that it draws as points."""
+    segments: int = 0
+    """Of lines, which are not kept."""
+    joints: int = 0
+    """Triangles of a strip or fan that repeat a corner, which are not kept."""
+
+
+def _read_primitive(data: _Data, primitive: dict[str, Any]) -> _Primitive:
+    """Read a primitive of any mode.
+
+    Raises:
+        MeshError: if its mode, its numbers or its indices are not valid.
+
+    """
+    mode = primitive.get("mode", _TRIANGLES)
+    if type(mode) is not int or not _POINTS <= mode <= _FAN:
+        raise MeshError(f"a primitive has the mode {mode!r}; valid is 0 to 6")
+    extensions = _part(primitive, "extensions")
+    if _DRACO in extensions:
+        positions, faces = _draco(data, primitive, _part(extensions, _DRACO), mode)
+        check_indices(faces, len(positions), "a primitive")
+        return _Primitive(positions, faces, np.zeros(0, dtype=np.int64))
+    position = _part(primitive, "attributes").get("POSITION")
+    if position is None:
+        raise MeshError("a primitive has no POSITION, so its shape is not in the file")
+    quantized = _QUANTIZATION in [*_listed(data.tree, "extensionsUsed"), *_listed(data.tree, "extensionsRequired")]
+    positions = data.numbers(position, "VEC3", kinds="iuf" if quantized else "f")
+    order = np.arange(len(positions))
+    if "indices" in primitive:
+        order = data.numbers(primitive["indices"], "SCALAR", kinds="u")
+        check_indices(order, len(positions), "a primitive")
+    none = np.zeros((0, 3), dtype=np.int64)
+    if mode == _POINTS:
+        return _Primitive(positions, none, order)
+    points = np.zeros(0, dtype=np.int64)
+    if mode < _TRIANGLES:
+        segments = {_LINES: len(order) // 2, _LOOP: len(order), _LINE_STRIP: max(len(order) - 1, 0)}[mode]
+        return _Primitive(positions, none, points, segments=segments)
+    if mode == _TRIANGLES:
+        if len(order) % 3:
+            raise MeshError(f"a primitive of triangles has {len(order)} corners, which three does not divide")
+        return _Primitive(positions, order.reshape(-1, 3), points)
+    faces, joints = strip_triangles(order) if mode == _STRIP else fan_triangles(order)
+    return _Primitive(positions, faces, points, joints=joints)
+
+
+def _draco(
+    data: _Data, primitive: dict[str, Any], packed: dict[str, Any], mode: int
+) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
+    """Positions and triangles of a compressed primitive; a strip is unpacked into triangles too."""
+    decoded = DracoPy.decode(bytes(data.view(packed.get("bufferView"))))
+    wanted = _part(packed, "attributes").get("POSITION")
+    found = [entry["data"] for entry in decoded.attributes if entry["unique_id"] == wanted]
+    faces = getattr(decoded, "faces", None)
+    if len(found) != 1 or faces is None or mode not in (_TRIANGLES, _STRIP):
+        raise MeshError("a primitive's compressed data have no positions or no triangles")
+    positions = np.asarray(found[0])
+    if positions.dtype.kind != "f" or positions.ndim != 2 or positions.shape[1] != 3:
+        raise MeshError(f"a primitive's compressed positions are {positions.dtype} of shape {positions.shape}")
+    faces = np.asarray(faces).astype(np.int64).reshape(-1, 3)
+    declared = data.count(_part(primitive, "attributes").get("POSITION"))
+    if declared != len(positions):
+        raise MeshError(f"a compressed primitive declares {declared} positions and has {len(positions)}")
+    if mode == _TRIANGLES and "indices" in primitive and data.count(primitive["indices"]) != faces.size:
+        raise MeshError(
+            f"a compressed primitive declares {data.count(primitive['indices'])} corners and has {faces.size}"
+        )
+    return positions.astype(np.float64), faces
 
 
 def read_gltf(path: Path) -> MeshContents:
@@ -47,7 +357,7 @@ def read_gltf(path: Path) -> MeshContents:
             targets, or an index points at nothing.
 
     """
-    data = GltfData(path)
+    data = _Data(path)
     passed_over = _extensions(data)
     scene = _Scene(data)
     with np.errstate(invalid="ignore", over="ignore"):  # what is not finite is refused where a triangle uses it
@@ -55,18 +365,18 @@ def read_gltf(path: Path) -> MeshContents:
     return scene.contents(passed_over)
 
 
-def _extensions(data: GltfData) -> list[str]:
+def _extensions(data: _Data) -> list[str]:
     """Refuse a required extension that is not read, and say which others are passed over."""
-    required, used = listed(data.tree, "extensionsRequired"), listed(data.tree, "extensionsUsed")
+    required, used = _listed(data.tree, "extensionsRequired"), _listed(data.tree, "extensionsUsed")
     for name in required:
         if not _known(str(name)):
             raise MeshError(
                 f"it requires the extension {str(name)[:60]}, which is not read; those that change geometry and are "
                 f"read: {', '.join(_READ)}"
             )
-    primitives = [primitive for mesh in data.rows("meshes") for primitive in parts(mesh, "primitives")]
+    primitives = [primitive for mesh in data.rows("meshes") for primitive in _parts(mesh, "primitives")]
     holders = [*data.rows("nodes"), *data.rows("meshes"), *primitives]
-    found = {*map(str, used), *(name for holder in holders for name in part(holder, "extensions"))}
+    found = {*map(str, used), *(name for holder in holders for name in _part(holder, "extensions"))}
     others = sorted(name for name in found if not _known(name))
     return [f"passed over the extension {name[:60]}, which the file does not require" for name in others]
 
@@ -78,7 +388,7 @@ def _known(name: str) -> bool:
 class _Scene:
     """The walk over the shown scene's nodes; gathers triangles, points and what is left out."""
 
-    def __init__(self, data: GltfData):
+    def __init__(self, data: _Data):
         self._data = data
         self._vertices: list[np.ndarray] = []
         self._faces: list[np.ndarray] = []
@@ -96,7 +406,7 @@ class _Scene:
             raise MeshError("no scene in it, so nothing says where its meshes are")
         scene = self._data.entry("scenes", self._data.tree.get("scene", 0))
         # The last node first: this order of the vertices is part of the target's hash, which learned fields carry.
-        queue = [(index, FILE_AXES) for index in listed(scene, "nodes")]
+        queue = [(index, FILE_AXES) for index in _listed(scene, "nodes")]
         seen = set()
         while queue:
             index, parent = queue.pop()
@@ -105,7 +415,7 @@ class _Scene:
                 raise MeshError(f"node {index} has two parents, or is its own ancestor")
             seen.add(index)
             place = parent.then(_placement(node, index))
-            queue.extend((child, place) for child in listed(node, "children"))
+            queue.extend((child, place) for child in _listed(node, "children"))
             if "mesh" in node:
                 self._node(node, index, place)
         self._count()
@@ -141,20 +451,20 @@ class _Scene:
         if "skin" in node:
             raise MeshError(f"node {index} has a skin, which joints bend; export the mesh in one pose without it")
         mesh = self._data.entry("meshes", node["mesh"])
-        weights = listed(node if "weights" in node else mesh, "weights")
+        weights = _listed(node if "weights" in node else mesh, "weights")
         if any(weights):
             raise MeshError(f"node {index} has morph targets of weights {weights}; export the shape that they make")
         places = [place]
-        if INSTANCING in part(node, "extensions"):
-            places = [place.then(instance) for instance in self._instances(part(node["extensions"], INSTANCING))]
+        if _INSTANCING in _part(node, "extensions"):
+            places = [place.then(instance) for instance in self._instances(_part(node["extensions"], _INSTANCING))]
         self._drawn.append((index, mesh, places))
 
     def _count(self) -> None:
         """Refuse more than can be built, by the numbers that the accessors declare."""
         placements = triangles = corners = 0
         for _, mesh, places in self._drawn:
-            for entry in parts(mesh, "primitives"):
-                declared = [part(entry, "attributes").get("POSITION"), entry.get("indices")]
+            for entry in _parts(mesh, "primitives"):
+                declared = [_part(entry, "attributes").get("POSITION"), entry.get("indices")]
                 counts = [self._data.count(index) for index in declared if index is not None] or [0]
                 # An empty primitive costs its reading too.
                 corners += len(places) * max(1, *counts)
@@ -164,9 +474,9 @@ class _Scene:
         require_countable(placements, triangles, corners)
 
     def _draw(self, index: int, mesh: dict[str, Any], places: list[Place]) -> None:
-        for entry in parts(mesh, "primitives"):
-            primitive = read_primitive(self._data, entry)
-            self._morph_targets += len(parts(entry, "targets"))
+        for entry in _parts(mesh, "primitives"):
+            primitive = _read_primitive(self._data, entry)
+            self._morph_targets += len(_parts(entry, "targets"))
             self._left_out["line segment"] += primitive.segments * len(places)
             self._left_out["line primitive"] += len(places) if primitive.segments else 0
             self._left_out["joint, of strips or fans"] += primitive.joints * len(places)
@@ -187,11 +497,11 @@ class _Scene:
 
     def _instances(self, extension: dict[str, Any]) -> list[Float[np.ndarray, "4 4"]]:
         """One matrix for each instance of a node's mesh."""
-        attributes = part(extension, "attributes")
+        attributes = _part(extension, "attributes")
         for accessor in attributes.values():
             if self._data.count(accessor) > MOST_PLACED:
                 raise MeshError(
-                    f"{INSTANCING} with {self._data.count(accessor)} instances; at most {MOST_PLACED} are read"
+                    f"{_INSTANCING} with {self._data.count(accessor)} instances; at most {MOST_PLACED} are read"
                 )
         tables = {
             key: self._data.numbers(attributes[key], shape, kinds=kinds)
@@ -200,7 +510,7 @@ class _Scene:
         }
         counts = {len(table) for table in tables.values()}
         if len(counts) != 1:
-            raise MeshError(f"{INSTANCING} with {sorted(counts)} instances; its attributes must agree on one number")
+            raise MeshError(f"{_INSTANCING} with {sorted(counts)} instances; its attributes must agree on one number")
         return [
             _matrix(**{key.lower(): table[number] for key, table in tables.items()}) for number in range(counts.pop())
         ]

@@ -14,10 +14,10 @@ from keepout.core.geometry.mesh_files.contents import (
     counted,
     fans,
     left_out,
+    strip_triangles,
     to_numbers,
     with_plain_line_ends,
 )
-from keepout.core.geometry.mesh_files.strips import strip_triangles
 
 _TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),

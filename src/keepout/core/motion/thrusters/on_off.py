@@ -9,9 +9,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from keepout.core.errors import ScenarioError
-from keepout.core.motion.actuator import Firing, ThrusterModel
 from keepout.core.motion.arrays import as_float64
-from keepout.core.motion.pulses import Pulses
+from keepout.core.motion.chaser import Firing, Pulses, ThrusterModel
 from keepout.core.motion.rotation import Vector
 from keepout.core.motion.thrusters.allocation import Allocation
 from keepout.core.motion.thrusters.capability import Stuck

@@ -17,21 +17,16 @@ def box(centre: Vector, size: Vector) -> Manifold:
 
 def rod(start: Vector, end: Vector, radius: float, end_radius: float | None = None, segments: int = 16) -> Manifold:
     """Make a cylinder, or a frustum where `end_radius` differs, between two points."""
-    first, last = np.asarray(start, dtype=float), np.asarray(end, dtype=float)
-    axis = last - first
+    axis = np.asarray(end, dtype=float) - np.asarray(start, dtype=float)
     length = float(np.linalg.norm(axis))
     shape = Manifold.cylinder(length, radius, radius if end_radius is None else end_radius, segments)
-    return shape.transform(np.column_stack([_basis(axis / length), first]))
+    return _placed(shape, start, axis)
 
 
 def turned(origin: Vector, axis: Vector, outline: Sequence[tuple[float, float]], segments: int = 32) -> Manifold:
     """Revolve (distance along the axis, radius) pairs, in rising order, about an axis through the origin given."""
     stations = [(0.0, outline[0][0]), *[(radius, along) for along, radius in outline], (0.0, outline[-1][0])]
-    shape = Manifold.revolve(CrossSection([np.array(stations)]), segments)
-    direction = np.asarray(axis, dtype=float)
-    return shape.transform(
-        np.column_stack([_basis(direction / np.linalg.norm(direction)), np.asarray(origin, dtype=float)])
-    )
+    return _placed(Manifold.revolve(CrossSection([np.array(stations)]), segments), origin, axis)
 
 
 def sphere(centre: Vector, radius: float, segments: int = 24) -> Manifold:
@@ -39,16 +34,12 @@ def sphere(centre: Vector, radius: float, segments: int = 24) -> Manifold:
     return Manifold.sphere(radius, segments).translate(_triple(centre))
 
 
-def dish(
-    vertex: Vector, boresight: Vector, diameter: float, focal_length: float, thickness: float = 0.04, segments: int = 32
-) -> Manifold:
+def dish(vertex: Vector, boresight: Vector, diameter: float, focal_length: float, thickness: float) -> Manifold:
     """Make a paraboloid shell z = r²/(4 f) of constant thickness along its axis, opening towards `boresight`."""
     radii = np.linspace(0.0, 0.5 * diameter, 9)
     depth = radii**2 / (4.0 * focal_length)
     outline = np.concatenate([np.column_stack([radii, depth - thickness]), np.column_stack([radii, depth])[::-1]])
-    shape = Manifold.revolve(CrossSection([outline.tolist()]), segments)
-    axis = np.asarray(boresight, dtype=float)
-    return shape.transform(np.column_stack([_basis(axis / np.linalg.norm(axis)), np.asarray(vertex, dtype=float)]))
+    return _placed(Manifold.revolve(CrossSection([outline.tolist()]), 32), vertex, boresight)
 
 
 def unite(parts: Iterable[Manifold]) -> Manifold:
@@ -67,9 +58,10 @@ def _triple(vector: Vector) -> tuple[float, float, float]:
     return x, y, z
 
 
-def _basis(axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
-    """Make a rotation whose third column is the axis."""
-    helper = np.eye(3)[int(np.argmin(np.abs(axis)))]
-    first = np.cross(helper, axis)
+def _placed(shape: Manifold, origin: Vector, axis: Vector) -> Manifold:
+    """Turn a body's z axis to a direction of any length, and move its origin."""
+    third = np.asarray(axis, dtype=float)
+    third = third / np.linalg.norm(third)
+    first = np.cross(np.eye(3)[int(np.argmin(np.abs(third)))], third)
     first /= np.linalg.norm(first)
-    return np.column_stack([first, np.cross(axis, first), axis])
+    return shape.transform(np.column_stack([first, np.cross(third, first), third, np.asarray(origin, dtype=float)]))
