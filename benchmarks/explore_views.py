@@ -18,20 +18,19 @@ import math
 import sys
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import trimesh
 
 from keepout.apps.led.camera import axes_towards
+from keepout.apps.unknown.cells import Tried
 from keepout.apps.unknown.depth_sensor import DepthCamera, take
 from keepout.apps.unknown.known_free import KnownFreeMap, ViewStatus
-from keepout.apps.unknown.next_view import Ended, NextView, Pace, choose
-from keepout.apps.unknown.reachable import reachable
-from keepout.apps.unknown.sight import UP, sphere
-from keepout.apps.unknown.tried import Tried
+from keepout.apps.unknown.next_view import UP, Ended, NextView, Seeker, choose, sphere
 from keepout.apps.unknown.view import SensorBounds
+from keepout.apps.unknown.ways import reachable
 from keepout.core.geometry.distance import ExactDistance
 from keepout.core.geometry.first_hit import FirstHit
 from keepout.core.geometry.target import Target
@@ -83,7 +82,6 @@ class Jumping:
     camera: DepthCamera
     keep: float
     seed: int
-    pace: Pace = field(default_factory=Pace)
 
     def __post_init__(self) -> None:
         self.generator = np.random.default_rng(self.seed)
@@ -110,17 +108,8 @@ class Jumping:
     def step(self, goal: np.ndarray | None) -> NextView | Ended:
         """Choose the next view and jump there."""
         before = time.process_time()
-        answer = choose(
-            self.known,
-            self.position,
-            goal,
-            self.camera.camera,
-            self.tried,
-            keep=self.keep,
-            boresight=self.direction,
-            pace=self.pace,
-            seed=self.choices,
-        )
+        seeker = Seeker(self.position, self.camera.camera, self.keep, self.direction)
+        answer = choose(self.known, seeker, goal, self.tried, seed=self.choices)
         if self.choices:
             self.seconds = max(self.seconds, time.process_time() - before)
         self.choices += 1

@@ -10,16 +10,23 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from keepout.apps.led.camera import Pinhole, axes_towards
-from keepout.apps.unknown.cells import CLOSE, EXPLAINED, FREE, NEARBY, SURFACE, UNKNOWN, Cells
+from keepout.apps.unknown.cells import (
+    CLOSE,
+    EXPLAINED,
+    FREE,
+    NEARBY,
+    PATIENCE,
+    SURFACE,
+    UNKNOWN,
+    Cells,
+    Frontier,
+    Tried,
+)
 from keepout.apps.unknown.depth_sensor import DepthCamera
-from keepout.apps.unknown.frontier import frontier
 from keepout.apps.unknown.known_free import KnownFreeMap
-from keepout.apps.unknown.lattice import FAR, shortest, walk_back
-from keepout.apps.unknown.next_view import Ended, NextView, choose
-from keepout.apps.unknown.reachable import distance_at, reachable
-from keepout.apps.unknown.sight import UP
-from keepout.apps.unknown.tried import PATIENCE, Tried
+from keepout.apps.unknown.next_view import UP, Ended, NextView, Seeker, choose
 from keepout.apps.unknown.view import SensorBounds, View
+from keepout.apps.unknown.ways import FAR, distance_at, reachable, shorten, walk_back
 
 CAMERA = Pinhole(80, 60, math.radians(60.0))
 
@@ -57,7 +64,7 @@ def test_cells_and_frontier_are_what_brute_force_says():
         assert np.array_equal(cells.kinds == EXPLAINED, explained)
         assert (apart[cells.kinds == CLOSE] < 1.6 + 1.1).all()
         assert (apart[(cells.kinds == UNKNOWN) | (cells.kinds == NEARBY)] > 1.6 - 1.1).all()
-    edge = frontier(cells)
+    edge = Frontier.of(cells)
     beside = ndimage.binary_dilation(cells.kinds == FREE) & (cells.kinds > EXPLAINED)
     beside[[0, -1]] = beside[:, [0, -1]] = beside[:, :, [0, -1]] = False
     assert np.array_equal(edge.cells, np.argwhere(beside))
@@ -136,7 +143,9 @@ def test_lengths_are_those_of_an_independent_solver():
     generator = np.random.default_rng(3)
     price = generator.choice([0, 1, 3, 40], size=(7, 8, 9), p=[0.2, 0.5, 0.2, 0.1]).astype(np.uint8)
     price[0, 0, 0] = 1
-    length = shortest(price, np.array([[0, 0, 0]]), np.array([0]))
+    length = np.full(price.shape, FAR, dtype=np.int32)
+    length[0, 0, 0] = 0
+    shorten(length, price, np.zeros((1, 1, 1), dtype=np.uint16))
     index = np.arange(price.size).reshape(price.shape)
     rows, columns, costs = [], [], []
     for node in np.ndindex(price.shape):
@@ -178,7 +187,7 @@ OUTSIDE = np.array([2.8, 0.0, 0.0])
 
 
 def next_of(known, goal=None, tried=None, position=OUTSIDE, **options):
-    return choose(known, position, goal, CAMERA, tried or Tried.nothing(known), keep=APART, **options)
+    return choose(known, Seeker(position, CAMERA, APART), goal, tried or Tried.nothing(known), **options)
 
 
 def test_a_goal_in_known_free_room_is_flown_to_and_no_way_leads_from_too_near_to_unknown_room():

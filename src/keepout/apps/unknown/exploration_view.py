@@ -27,7 +27,7 @@ from keepout.apps.unknown.map_slices import (
     legend_of,
     paint_slice,
 )
-from keepout.apps.unknown.reachable import reachable
+from keepout.apps.unknown.ways import reachable
 from keepout.core.geometry.first_hit import FirstHit
 from keepout.core.geometry.target import Target
 from keepout.flights.report.raster import eye_axes, rasterise

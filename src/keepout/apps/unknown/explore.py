@@ -11,15 +11,15 @@ from jaxtyping import Float
 
 from keepout.apps.led.camera import Boresight, axes_towards
 from keepout.apps.unknown import by_map, equipment
+from keepout.apps.unknown.cells import Tried
 from keepout.apps.unknown.departures import departures
 from keepout.apps.unknown.depth_sensor import ErrorDraw, take
 from keepout.apps.unknown.exploration import Exploration, TakenView
 from keepout.apps.unknown.known_free import ViewStatus
 from keepout.apps.unknown.map_field import MapField
-from keepout.apps.unknown.next_view import Ended, NextView, Pace, choose
+from keepout.apps.unknown.next_view import UP, Ended, NextView, Seeker, choose
 from keepout.apps.unknown.open_surface import open_surface, seen_share
 from keepout.apps.unknown.skin import Stages
-from keepout.apps.unknown.tried import Tried
 from keepout.apps.unknown.view import View
 from keepout.core.compiled.kept_programs import keep_programs
 from keepout.core.control.law import Law
@@ -42,8 +42,6 @@ from keepout.core.progress import Progress, silent
 
 Point = Float[np.ndarray, "3"]
 Pose = tuple[Point, Float[np.ndarray, "3 3"]]
-_UP = np.array([0.0, 0.0, 1.0])
-"""In the image, as `choose` counts on."""
 
 _NEAR = 0.25
 """Metres from the place of a view at which it is taken."""
@@ -115,7 +113,6 @@ class _Explorer:
         self.generator = np.random.default_rng(scenario.seed)
         broken = scenario.depth_sensor.broken
         self.draw = ErrorDraw(scenario.depth_sensor.errors, None if broken == "none" else broken)
-        self.pace = Pace(scenario.chaser.speed_limit, scenario.depth_sensor.turn_rate)
         self.tried = Tried.of_map(self.known, self.camera.camera)
         self.boresight = Boresight.at_rest(
             np.asarray(self.ball.centre) - np.asarray(scenario.start.position),
@@ -188,7 +185,7 @@ class _Explorer:
 
     def _look(self, now: float, position: Point) -> None:
         """Take an image; it arrives a latency later."""
-        axes = axes_towards(self.boresight.direction, _UP)
+        axes = axes_towards(self.boresight.direction, UP)
         pose = self.camera.sensor_position(position, axes), axes
         # A pose told late is that of the image before.
         told = (self.pose or pose) if self.draw.broken == "late" else None
@@ -215,15 +212,14 @@ class _Explorer:
             self.stages.note(self.known, view.time, self.free_volume)
 
     def _ending(self, flown: int) -> Ended | None:
-        none = np.zeros((0, 3))
         if self.wanted is not None and self.wanted.is_goal and self.resting >= _RESTING:
-            return Ended("reached goal", f"the goal is held within {self.scenario.goal.tolerance:g} m", none)
+            return Ended("reached goal", f"the goal is held within {self.scenario.goal.tolerance:g} m")
         if flown >= self.scenario.steps and self.contradicted_at is not None:
             return self._contradicted(f"duration {self.scenario.duration:g} s was over before the chaser was back")
         if flown >= self.scenario.steps:
-            return Ended("out of time", f"duration {self.scenario.duration:g} s is over", none)
+            return Ended("out of time", f"duration {self.scenario.duration:g} s is over")
         if len(self.views) >= self.scenario.explore.most_views and self.contradicted_at is None:
-            return Ended("out of views", f"explore.most_views {self.scenario.explore.most_views} were taken", none)
+            return Ended("out of views", f"explore.most_views {self.scenario.explore.most_views} were taken")
         return None
 
     def _go_back(
@@ -259,7 +255,6 @@ class _Explorer:
             "contradicted",
             f"{view.contradicting} returns of the image at {view.time:g} s lie in room that was known free, so a "
             f"promise of ball or sensor is broken; {then}",
-            np.zeros((0, 3)),
         )
 
     def _is_over(self, now: float, position: Point) -> bool:
@@ -280,24 +275,18 @@ class _Explorer:
         """Choose the next view, and the law that leads there."""
         refusals = []
         for attempt in range(_ATTEMPTS):
-            choice = choose(
-                self.known,
-                position,
-                self.goal,
-                self.camera.camera,
-                self.tried,
-                keep=self.keep + attempt * 0.5 * self.known.spacing,
-                boresight=self.boresight.direction,
-                pace=self.pace,
-                seed=self.scenario.seed + len(self.views) + 1000 * attempt,
-            )
+            keep = self.keep + attempt * 0.5 * self.known.spacing
+            camera, speed, rate = self.camera.camera, self.scenario.chaser.speed_limit, self.boresight.greatest_rate
+            seeker = Seeker(position, camera, keep, self.boresight.direction, speed, rate)
+            seed = self.scenario.seed + len(self.views) + 1000 * attempt
+            choice = choose(self.known, seeker, self.goal, self.tried, seed=seed)
             if isinstance(choice, Ended):
                 return choice
             try:
                 return choice, self._law(choice.position, position, field)
             except ControlError as refusal:
                 refusals.append(str(refusal))
-        return Ended("no way known", f"the law finds no way to {_ATTEMPTS} views: {refusals[-1]}", np.zeros((0, 3)))
+        return Ended("no way known", f"the law finds no way to {_ATTEMPTS} views: {refusals[-1]}")
 
     def _within_map(self, position: Point) -> Point:
         """Give the position itself, or the way's first point in the map's box towards the middle of the ball."""

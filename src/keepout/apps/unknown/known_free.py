@@ -4,6 +4,7 @@ What has not been seen free is an obstacle.
 """
 
 import enum
+import functools
 import math
 import time
 from collections.abc import Sequence
@@ -425,3 +426,13 @@ def _in_free_room(places, reach, free, held):
                     break
             if not held[p]:
                 break
+
+
+def whole_blocks(free: Bool[np.ndarray, "nx ny nz"], width: int) -> Bool[np.ndarray, "mx my mz"]:
+    """Say of each block, `width` cubes wide, whether every cube of it is free; beyond the map all is free."""
+    for axis in range(3):
+        slabs = np.moveaxis(free, axis, 0)
+        slabs = np.pad(slabs, ((0, -len(slabs) % width), (0, 0), (0, 0)), constant_values=True)
+        whole = functools.reduce(np.logical_and, [slabs[first::width] for first in range(width)])
+        free = np.moveaxis(whole, 0, axis)
+    return free

@@ -1,23 +1,41 @@
-"""Which view to take next: where to fly in known-free room, and where to look from there."""
+"""Which view to take next: where to fly in known-free room, and where to look from there.
+
+What a camera somewhere would open is found by rays over the whole sphere through the cells, and images made of them. A
+ray goes on through unknown cells, with less confidence after each. What it opens is the volume it passes times the
+worth of the cells times that confidence, so views that look through much unknown room are worth what they may show.
+"""
 
 import functools
 import math
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import dataclass, field, replace
+from typing import Literal, no_type_check
 
+import numba
 import numpy as np
-from jaxtyping import Float, Float32, Int, UInt8
+from jaxtyping import Bool, Float, Float32, Int, UInt8
 from scipy.spatial import KDTree
 
 from keepout.apps.led.camera import Pinhole, axes_towards
-from keepout.apps.unknown.cells import CLOSE, EXPLAINED, FREE, NEARBY, SURFACE, UNKNOWN, Cells
-from keepout.apps.unknown.frontier import Frontier, frontier
+from keepout.apps.unknown.cells import (
+    CLOSE,
+    EXPLAINED,
+    FREE,
+    MOST_PATIENCE,
+    NEARBY,
+    PATIENCE,
+    SAME_DIRECTION,
+    SAME_PLACE,
+    SURFACE,
+    UNKNOWN,
+    Cells,
+    Frontier,
+    Tried,
+)
 from keepout.apps.unknown.known_free import KnownFreeMap
-from keepout.apps.unknown.reachable import Reachable, reachable
-from keepout.apps.unknown.sight import UP, inside, panoramas, sphere
-from keepout.apps.unknown.tried import MOST_PATIENCE, PATIENCE, SAME_DIRECTION, SAME_PLACE, Tried
-from keepout.apps.unknown.way import HopedWay, hoped_way
+from keepout.apps.unknown.ways import HopedWay, Reachable, hoped_way, reachable
 
+UP = np.array([0.0, 0.0, 1.0])
+"""What the camera holds up in the image, in the map's frame."""
 _RAYS, _DIRECTIONS, _DRAWN, _PLACES = 2000, 192, 4000, 256
 _BINS = (0.6, 1.0, 1.6, 2.6, 4.5)
 """Metres at which bins of range begin: the nearer, the farther from the image's edge a window must be to lie inside."""
@@ -25,18 +43,32 @@ _RANGES = (1.5, 3.0, 5.0, 8.0)
 """Metres from a frontier along its normal at which a view is considered; and between shells round what is wanted."""
 _REFINED, _AROUND = 6, 10
 _STAGES = 3
+_LEAST_GAIN = 0.005
+"""A view expected to open less (m³) is not worth taking."""
 
 
-@dataclass(frozen=True)
-class Pace:
-    """What a view costs in time: the way at a speed, the turn at a rate, and a while to settle."""
+@dataclass(frozen=True, eq=False)
+class Seeker:
+    """Who looks for a view: where it is, what it sees with, and what a view costs it in time.
 
+    Attributes:
+        position: of the chaser's centre and camera, m.
+        camera: the camera.
+        keep: least distance, m, of the chaser's centre from all that is not known free.
+        boresight: where the camera looks now, a unit vector; None: no turn is counted.
+        speed: of the way, m/s.
+        turn_rate: of the turn, rad/s.
+        settling: a while to settle, s.
+
+    """
+
+    position: Float[np.ndarray, "3"]
+    camera: Pinhole
+    keep: float
+    boresight: Float[np.ndarray, "3"] | None = None
     speed: float = 0.2
-    """m/s."""
     turn_rate: float = 0.05
-    """rad/s."""
     settling: float = 60.0
-    """s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +78,7 @@ class NextView:
     position: Float[np.ndarray, "3"]
     """m; the goal itself where that is known to be reachable."""
     direction: Float[np.ndarray, "3"]
-    """Unit vector along the boresight; `sight.axes_towards` gives the camera's axes that were counted on."""
+    """Unit vector along the boresight; `UP` is up in the image that was counted on."""
     why: str
     gain: float
     """What the view is expected to open, m³, each part times how much it is wanted (at most 1)."""
@@ -64,77 +96,58 @@ class Ended:
 
     outcome: Ending
     why: str
-    unknown: Float[np.ndarray, "n 3"]
+    unknown: Float[np.ndarray, "n 3"] = field(default_factory=lambda: np.zeros((0, 3)))
     """Centres (m) of the cells that are in the way, or of all frontier cells left, for a picture."""
 
 
 def choose(
-    known: KnownFreeMap,
-    position: Float[np.ndarray, "3"],
-    goal: Float[np.ndarray, "3"] | None,
-    camera: Pinhole,
-    tried: Tried,
-    *,
-    keep: float,
-    boresight: Float[np.ndarray, "3"] | None = None,
-    pace: Pace | None = None,
-    least_gain: float = 0.005,
-    seed: int = 0,
+    known: KnownFreeMap, seeker: Seeker, goal: Float[np.ndarray, "3"] | None, tried: Tried, *, seed: int = 0
 ) -> NextView | Ended:
     """Choose the view that opens most of what is wanted per second.
 
     Args:
         known: the map.
-        position: of the chaser's centre and camera, m.
+        seeker: who looks for it.
         goal: where the chaser wants to be, m; None to look all round.
-        camera: the camera.
         tried: the views so far.
-        keep: least distance, m, of the chaser's centre from all that is not known free.
-        boresight: where the camera looks now, a unit vector; None: no turn is counted.
-        pace: speeds of flying and turning.
-        least_gain: a view expected to open less (m³) is not worth taking.
         seed: of the places drawn.
 
     """
-    position = np.asarray(position, dtype=float)
-    reach = reachable(known, position, keep)
-    if goal is not None:
-        goal = np.asarray(goal, dtype=float)
-        if reach.leads_to(known, goal):
-            towards = known.origin + 0.5 * known.spacing * np.array(known.free.shape) - goal
-            return NextView(goal, _unit(towards), "goal is reachable", 0.0, is_goal=True)
+    keep = seeker.keep
+    reach = reachable(known, seeker.position, keep)
+    if goal is not None and reach.leads_to(known, goal):
+        towards = known.origin + 0.5 * known.spacing * np.array(known.free.shape) - goal
+        return NextView(goal, _unit(towards), "goal is reachable", 0.0, is_goal=True)
     if not reach.reached.any():
         return Ended(
             "no way known",
             f"nowhere within {math.sqrt(3.0) * reach.spacing:.2f} m of the chaser is {keep:.2f} m "
             "from all that is not known free",
-            np.zeros((0, 3)),
         )
     cells = Cells.of(known)
-    edge = frontier(cells)
-    search = _Search(known, reach, cells, edge, camera, tried, position, boresight, pace or Pace(), seed)
+    search = _Search(known, reach, cells, seeker, tried, seed)
     way = None
     if goal is not None:
-        surface = _surface_at(known, camera, goal)
+        surface = _surface_at(known, seeker.camera, goal)
         if surface < keep:
             why = f"the goal {_said(goal)} is at most {surface:.2f} m from the seen surface, less than {keep:.2f} m"
             return Ended("no way known", why, cells.place(np.argwhere(cells.kinds == SURFACE)))
-        way = hoped_way(reach, cells, tried, position, goal)
+        way = hoped_way(reach, cells, tried, seeker.position, goal)
         wanted = np.argwhere((way.stages > 0) & (tried.failures < tried.patience))
         if len(wanted):
             stage = way.stages[tuple(wanted.T)]
             first = cells.place(wanted[stage == stage.min()])
             found = search.best(_codes(cells, tried, way.stages), _TOWARDS, first[:: max(1, len(first) // 64)])
-            if found is not None and found.gain >= least_gain:
+            if found is not None:
                 return replace(found, why="opens the way to the goal")
     codes = _codes(cells, tried, np.zeros_like(cells.kinds))
     for worths in (_ALL_ROUND, _ANYTHING):
-        found = search.best(codes, worths, edge.centres)
-        if found is not None and found.gain >= least_gain:
+        found = search.best(codes, worths, search.edge.centres)
+        if found is not None:
             nothing_else = "nothing on the way to the goal can be seen: " if goal is not None else ""
             return replace(found, why=nothing_else + "opens most around")
     if way is None or goal is None:
-        return Ended("everything reachable seen", _left(edge, tried), cells.place(edge.cells))
+        return Ended("everything reachable seen", _left(search.edge, tried), cells.place(search.edge.cells))
     return Ended("no way known", _blocked(way, cells, tried, goal), cells.place(np.argwhere(way.stages > 0)))
 
 
@@ -153,36 +166,24 @@ def _surface_at(known: KnownFreeMap, camera: Pinhole, goal: Float[np.ndarray, "3
 class _Search:
     """Views from places that the chaser can reach, by what they open per second."""
 
-    def __init__(
-        self,
-        known: KnownFreeMap,
-        reach: Reachable,
-        cells: Cells,
-        edge: Frontier,
-        camera: Pinhole,
-        tried: Tried,
-        position: Float[np.ndarray, "3"],
-        boresight: Float[np.ndarray, "3"] | None,
-        pace: Pace,
-        seed: int,
-    ):
-        self.reach, self.cells, self.edge, self.tried = reach, cells, edge, tried
-        self.position, self.boresight, self.pace = position, boresight, pace
+    def __init__(self, known: KnownFreeMap, reach: Reachable, cells: Cells, seeker: Seeker, tried: Tried, seed: int):
+        self.reach, self.cells, self.seeker, self.tried = reach, cells, seeker, tried
+        self.edge = Frontier.of(cells)
         self.generator = np.random.default_rng(seed)
         self.rays = sphere(_RAYS)
         self.directions = sphere(_DIRECTIONS)
         bounds = known.bounds
         half = 0.5 * math.sqrt(3.0) * known.spacing + bounds.position_error
         self.bins = np.maximum(_BINS, bounds.least_range + half)
-        self.nearest, self.farthest = self.bins[0], bounds.usable_range(camera) - half
+        self.nearest, self.farthest = self.bins[0], bounds.usable_range(seeker.camera) - half
         window = half + bounds.surely_returned_width + known.spacing
-        self.images = _images(camera, tuple(window / self.bins + bounds.attitude_error))
+        self.images = _images(seeker.camera, tuple(window / self.bins + bounds.attitude_error))
         self.empty = bounds.sure_empty_range - half - bounds.surely_returned_width
 
     def best(
         self, codes: UInt8[np.ndarray, "nx ny nz"], worths: Float32[np.ndarray, "256"], wanted: Float[np.ndarray, "w 3"]
     ) -> NextView | None:
-        """Give the best view towards anything, from places around the `wanted` ones (m); None without any."""
+        """Give the best view worth taking, from places around the `wanted` ones (m); None without any."""
         nodes = self._places(wanted)
         if len(nodes) == 0:
             return None
@@ -197,9 +198,9 @@ class _Search:
                 nodes, gains = np.concatenate([nodes, more]), np.concatenate([gains, more_gains])
                 rates = np.concatenate([rates, self._rates(more, more_gains)])
         place, direction = np.unravel_index(np.argmax(rates), rates.shape)
-        if rates[place, direction] <= 0.0:
-            return None
         gain = float(gains[place, direction])
+        if rates[place, direction] <= 0.0 or gain < _LEAST_GAIN:
+            return None
         return NextView(self.reach.place(nodes[place][None])[0], self.directions[direction].copy(), "", gain)
 
     def _places(self, wanted: Float[np.ndarray, "w 3"]) -> Int[np.ndarray, "n 3"]:
@@ -219,7 +220,7 @@ class _Search:
             nodes = nodes[:_PLACES]
         large = np.argsort(-self.edge.sizes, kind="stable")[:30]
         out = self.edge.centres[large, None] + np.outer(_RANGES, [1, 1, 1])[None] * self.edge.normals[large, None]
-        at = np.concatenate([out.reshape(-1, 3), self.position[None]])
+        at = np.concatenate([out.reshape(-1, 3), self.seeker.position[None]])
         along = self._reached(np.round((at - self.reach.origin) / self.reach.spacing).astype(int))
         return np.unique(np.concatenate([nodes, along]), axis=0)
 
@@ -244,10 +245,11 @@ class _Search:
 
     def _rates(self, nodes, gains) -> Float[np.ndarray, "n d"]:
         """Gain per second of flying, turning and settling; 0 for what was tried."""
-        seconds = self.pace.settling + self.reach.lengths(nodes)[:, None] / self.pace.speed
-        if self.boresight is not None:
-            angle = np.arccos(np.clip(self.directions @ np.asarray(self.boresight, dtype=float), -1.0, 1.0))
-            seconds = seconds + angle[None] / self.pace.turn_rate
+        seeker = self.seeker
+        seconds = seeker.settling + self.reach.lengths(nodes)[:, None] / seeker.speed
+        if seeker.boresight is not None:
+            angle = np.arccos(np.clip(self.directions @ seeker.boresight, -1.0, 1.0))
+            seconds = seconds + angle[None] / seeker.turn_rate
         rates = np.asarray(gains, dtype=float) / seconds
         places = self.reach.place(nodes)
         for position, axes in zip(self.tried.positions, self.tried.axes, strict=True):
@@ -348,3 +350,96 @@ def _blocked(way: HopedWay, cells: Cells, tried: Tried, goal: Float[np.ndarray, 
         f"{given_up} stayed closed in {tried.patience} views, {count - surface - given_up} cannot be looked at from "
         "reachable room"
     )
+
+
+def sphere(count: int) -> Float[np.ndarray, "count 3"]:
+    """Spread unit vectors evenly over the sphere, on a Fibonacci spiral."""
+    height = 1.0 - (2.0 * np.arange(count) + 1.0) / count
+    angle = math.pi * (3.0 - math.sqrt(5.0)) * np.arange(count)
+    around = np.sqrt(1.0 - height**2)
+    return np.stack([around * np.cos(angle), around * np.sin(angle), height], axis=1)
+
+
+def inside(
+    camera: Pinhole, axes: Float[np.ndarray, "n 3 3"], rays: Float[np.ndarray, "m 3"], border: float
+) -> Bool[np.ndarray, "n m"]:
+    """Whether each ray lies in each image, `border` rad away from its edges."""
+    seen = np.einsum("nij,mi->nmj", axes, rays)
+    ahead = seen[..., 2] > 1e-6
+    forward = np.where(ahead, seen[..., 2], 1.0)
+    across = math.tan(max(math.atan(0.5 * camera.width / camera.focal) - border, 0.02))
+    down = math.tan(max(math.atan(0.5 * camera.height / camera.focal) - border, 0.02))
+    return ahead & (np.abs(seen[..., 0]) <= across * forward) & (np.abs(seen[..., 1]) <= down * forward)
+
+
+def panoramas(
+    codes: UInt8[np.ndarray, "nx ny nz"],
+    worth: Float32[np.ndarray, "256"],
+    passes: Float32[np.ndarray, "256"],
+    places: Float[np.ndarray, "n 3"],
+    rays: Float[np.ndarray, "m 3"],
+    *,
+    bins: Float[np.ndarray, " b"],
+    farthest: float,
+    empty: float,
+) -> Float32[np.ndarray, "b n m"]:
+    """Give the worth, in cells, that each ray from each place is expected to open. All lengths are in cells.
+
+    Args:
+        codes: kinds of cells; 0 is known free.
+        worth: by code, of opening a cell.
+        passes: by code, confidence left after a cell; 0 where a ray ends with a return, negative where nothing is hoped
+            of what lies behind.
+        places: in cells from the corner of the first.
+        rays: unit vectors.
+        bins: ranges at which the bins begin that what is opened is sorted into; cells nearer than the first are not.
+        farthest: cells farther are not opened.
+        empty: how far a ray without a return opens.
+
+    """
+    gains = np.zeros((len(bins), len(places), len(rays)), dtype=np.float32)
+    solid = 4.0 * math.pi / len(rays)
+    _march(codes, worth, passes, np.ascontiguousarray(places), rays, bins, farthest, empty, solid, gains)
+    return gains
+
+
+@numba.njit(cache=True, nogil=True)
+@no_type_check
+def _march(codes, worth, passes, places, rays, bins, farthest, empty, solid, gains):
+    count = bins.shape[0]
+    unsure = np.zeros(count, dtype=np.float32)
+    nx, ny, nz = codes.shape
+    steps = int(farthest)
+    for p in range(places.shape[0]):
+        for r in range(rays.shape[0]):
+            x, y, z = places[p, 0], places[p, 1], places[p, 2]
+            dx, dy, dz = rays[r, 0], rays[r, 1], rays[r, 2]
+            confidence = 1.0
+            unsure[:] = 0.0  # opened only with a return
+            returned = 0.0
+            b = 0
+            for step in range(1, steps + 1):
+                i, j, k = int(x + step * dx), int(y + step * dy), int(z + step * dz)
+                if x + step * dx < 0.0 or y + step * dy < 0.0 or z + step * dz < 0.0 or i >= nx or j >= ny or k >= nz:
+                    break
+                code = codes[i, j, k]
+                if code == 0:
+                    continue
+                if passes[code] <= 0.0:
+                    if passes[code] == 0.0:
+                        returned += confidence
+                    break
+                if step >= bins[0]:
+                    while b + 1 < count and step >= bins[b + 1]:
+                        b += 1
+                    volume = confidence * worth[code] * step * step
+                    if step <= empty:
+                        gains[b, p, r] += solid * volume
+                    else:
+                        unsure[b] += solid * volume
+                returned += confidence * (1.0 - passes[code])
+                confidence *= passes[code]
+                if confidence < 0.02:
+                    break
+            for b in range(count):
+                gains[b, p, r] += unsure[b] * min(returned, 1.0)

@@ -10,7 +10,7 @@ import numba
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int64, UInt8
 
-from keepout.apps.unknown.known_free import KnownFreeMap
+from keepout.apps.unknown.known_free import KnownFreeMap, whole_blocks
 
 
 @no_type_check
@@ -157,15 +157,7 @@ class Stages:
 
 def _stage(time: float, free: Bool[np.ndarray, "n n n"], known: KnownFreeMap) -> Stage:
     width = -(-len(free) // _ACROSS)
-    blocks = _blocks(free, width)
-    return Stage(time, *skin_of(blocks, known.origin, width * known.spacing))
-
-
-def _blocks(free: Bool[np.ndarray, "n n n"], width: int) -> Bool[np.ndarray, "m m m"]:
-    """Give the blocks, `width` cubes wide, of which every cube is free; beyond the map all is free."""
-    across = -(-len(free) // width)
-    padded = np.pad(free, (0, across * width - len(free)), constant_values=True)
-    return np.asarray(padded.reshape(across, width, across, width, across, width).all(axis=(1, 3, 5)))
+    return Stage(time, *skin_of(whole_blocks(free, width), known.origin, width * known.spacing))
 
 
 def skin_spacing(known: KnownFreeMap) -> float:
