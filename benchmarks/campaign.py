@@ -17,6 +17,7 @@ import os
 import statistics
 import time
 from concurrent.futures import ProcessPoolExecutor
+from types import SimpleNamespace
 
 REPEATS = 3
 USUAL_STEPS = 200
@@ -83,10 +84,12 @@ def keep_to(cores):
 def planned(runs, *, law="default"):
     """Plan Case 3's campaign around intelsat30."""
     from keepout.apps.reproduction.case3 import DEFAULTS, PRINTED, case3_scenarios
-    from keepout.core.mission.campaign import plan_campaign
+    from keepout.flights.campaign.campaign import plan_campaign
+    from keepout.flights.campaign.flying import initial_states
 
     scenario = case3_scenarios(0, quick=False)["intelsat30", DEFAULTS if law == "default" else PRINTED]
-    return plan_campaign(scenario.replace(campaign={"runs": runs}))
+    plan = plan_campaign(scenario.replace(campaign={"runs": runs}))
+    return SimpleNamespace(mission=plan.runs[0].flown, initial=initial_states(plan.runs))
 
 
 def flown(plan, runs, steps, *, audit):

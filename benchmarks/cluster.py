@@ -102,6 +102,7 @@ def measure(scenario, workers):
         "workers": [
             {
                 **asdict(state),
+                **dict.fromkeys(("threads", "busy", "cores", "memory"), math.nan),
                 **watch.most.get(state.process, {}),
                 "processor_share": _share(watch.ends.get(state.process)),
             }

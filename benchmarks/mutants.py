@@ -144,10 +144,10 @@ MUTANTS = {
     "flights/campaign/dataset.py": [
         ("bands of another flight", '"bands": digest(np.frombuffer(sketch, np.uint8))', "", "campaign:torn"),
     ],
-    "flights/campaign/outcomes.py": [
+    "flights/campaign/results.py": [
         ("undecided not counted", "touched | undecided", "touched & undecided", "results:rates"),
     ],
-    "flights/campaign/keep.py": [
+    "flights/campaign/run.py": [
         ("best kept for worst", "[runs]))][: keep", "[runs]))][::-1][: keep", "campaign:worst")
     ],
     "core/control/velocity_program/cone.py": [

@@ -22,8 +22,6 @@ from .core.guard.safety_layer import SafetyLayer as SafetyLayer
 from .core.learning.training import fit as fit
 from .core.mission.build import Mission as Mission
 from .core.mission.build import prepare as prepare
-from .core.mission.campaign import Campaign as Campaign
-from .core.mission.campaign import run_campaign as run_campaign
 from .core.mission.check import Check as Check
 from .core.mission.check import check as check
 from .core.mission.flight import Flight as Flight
@@ -37,6 +35,8 @@ from .core.motion.chaser import Chaser as Chaser
 from .core.motion.chaser import ThrusterModel as ThrusterModel
 from .core.motion.disturbance import Disturbance as Disturbance
 from .core.proof.certificate import certify as certify
+from .flights.campaign.campaign import Campaign as Campaign
+from .flights.campaign.campaign import run_campaign as run_campaign
 from .flights.rare_events.event import RareEvent as RareEvent
 from .flights.rare_events.event import rare as rare
 

@@ -6,7 +6,7 @@ import numpy as np
 import trimesh
 
 from keepout.core.geometry.target import Target
-from keepout.flights.exchange.audited import audit_files
+from keepout.flights.exchange.audited import Given, audit_files
 
 START = datetime.datetime(2026, 5, 28, 12, 0, 0)
 TARGET, CHASER = ("SATELLITE", "2026-001A"), ("VISITOR", "2026-002A")
@@ -108,4 +108,4 @@ def meshed(folder, sides):
 def judged(box, files, *, radius=0.5, bound=0.01, **options):
     if "target_attitude" not in options and "target_attitude" not in files:
         options.setdefault("fixed_in", "inertial")
-    return audit_files(box, **files, chaser_radius=radius, acceleration_bound=bound, **options)
+    return audit_files(box, Given(**files, chaser_radius=radius, acceleration_bound=bound, **options))

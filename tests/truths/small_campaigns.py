@@ -3,7 +3,7 @@
 from functools import cache
 
 from keepout.core.mission.scenario import Scenario
-from keepout.flights.campaign.chunk import ChunkResult, fly_chunk
+from keepout.flights.campaign.flying import ChunkResult, fly_chunk
 from keepout.flights.campaign.plan import Plan
 
 

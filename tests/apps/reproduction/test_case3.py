@@ -8,10 +8,9 @@ import pytest
 from keepout.apps.reproduction import case3
 from keepout.apps.reproduction.work import Work
 from keepout.core.geometry.target import Target
-from keepout.core.mission.campaign import CampaignPlan
 from keepout.core.mission.scenario import Scenario
-from keepout.core.mission.series import SERIES, FlightSeries
 from keepout.core.progress import silent
+from keepout.flights.campaign.campaign import SERIES, CampaignPlan, FlightSeries
 
 RUNS = 7
 SAMPLES = 5

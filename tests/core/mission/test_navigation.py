@@ -15,8 +15,8 @@ from keepout.core.mission.nearest import number_refusal
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.target import load_target
 from keepout.flights.campaign.dataset import Dataset
+from keepout.flights.campaign.flying import differences, replay
 from keepout.flights.campaign.plan import Plan
-from keepout.flights.campaign.replay import differences, replay
 from keepout.flights.campaign.run import fly_campaign
 
 CLOSE = {

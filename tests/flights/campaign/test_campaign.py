@@ -15,18 +15,14 @@ import pytest
 from keepout.core.errors import FlightError, ScenarioError
 from keepout.core.flight.record import FlightRecord
 from keepout.core.mission.build import prepare
-from keepout.core.mission.campaign import room_to_start
+from keepout.core.mission.places import room_to_start
 from keepout.core.mission.scenario import Scenario
-from keepout.flights.campaign.chunk import certified, fly_chunk
+from keepout.flights.campaign.campaign import plan_campaign
 from keepout.flights.campaign.dataset import Dataset
-from keepout.flights.campaign.flying import initial_state
-from keepout.flights.campaign.keep import Keep, keep_flights
-from keepout.flights.campaign.plan import Plan
-from keepout.flights.campaign.replay import differences, replay
-from keepout.flights.campaign.run import fly_campaign
-from keepout.flights.campaign.summary import summary
-from keepout.flights.campaign.table import of_bytes
-from keepout.flights.campaign.workshop import Workshop
+from keepout.flights.campaign.flying import certified, differences, fly_chunk, initial_states, replay
+from keepout.flights.campaign.plan import Plan, Workshop
+from keepout.flights.campaign.run import Keep, fly_campaign, keep_flights
+from keepout.flights.campaign.table import of_bytes, summary
 
 pytestmark = [pytest.mark.long, pytest.mark.as_used]
 
@@ -46,6 +42,7 @@ MISSION = {
     },
 }
 BATCH = 4
+GOAL = [0.0, -10.0, -4.0]
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +73,7 @@ def test_every_run_has_a_row_and_a_refused_one_its_reason(plan, flown, scenario)
     assert refused
     assert all("no law can hold the chaser" in row["reason"] and row["contact"] is None for row in refused)
     assert all(row["reason"] == "" and row["contact"] is not None for row in rows if row["status"] == "flown")
-    figures = summary(flown[0], scenario)
+    figures = summary(flown[0].table(), scenario)
     assert (figures["runs"], figures["refused"], figures["flown"]) == (22, len(refused), 22 - len(refused))
     assert figures["refusals"][0] == {"run": refused[0]["run"], "reason": refused[0]["reason"]}
     assert figures["starts_drawn_again"] == sum(row["start_drawn_again"] for row in rows) > 0
@@ -99,6 +96,17 @@ def test_a_run_is_the_same_in_chunks_of_another_size(scenario, flown):
     assert rows.equals(flown[0].table().slice(0, 9))
 
 
+def test_a_campaign_in_memory_has_the_rows_of_one_in_a_folder(scenario, flown):
+    made = plan_campaign(scenario).fly(batch=BATCH)
+    assert made.table.equals(flown[0].table())
+    columns, rows = made.columns(), [row for row in made.table.to_pylist() if row["status"] == "flown"]
+    for name in ("run", "chaser.mass", "start_x", "delta_v", "minimum_clearance", "contact"):
+        assert list(columns[name]) == [row[name] for row in rows]
+    place, run = next((i, run) for i, run in enumerate(made.flights) if run.number > 8)
+    np.testing.assert_allclose(made.series.values["position_error"][place, 0], np.linalg.norm(run.position - GOAL))
+    assert made.summary()["flown"] == len(rows) == len(made.audits) < 22
+
+
 def test_a_replay_is_equal_to_its_row(plan, flown):
     dataset, _ = flown
     number = next(row["run"] for row in dataset.table().to_pylist() if row["run"] > 8 and row["status"] == "flown")
@@ -108,7 +116,7 @@ def test_a_replay_is_equal_to_its_row(plan, flown):
     assert again.apart < 1e-9
     position = again.flight.record.position
     np.testing.assert_array_equal(position[0], [row[f"start_{axis}"][0].as_py() for axis in "xyz"])
-    assert np.linalg.norm(position[-1] - [0.0, -10.0, -4.0]) == pytest.approx(row["final_error"][0].as_py(), abs=1e-9)
+    assert np.linalg.norm(position[-1] - GOAL) == pytest.approx(row["final_error"][0].as_py(), abs=1e-9)
     # The phase that was drawn is what is flown.
     t, phase = again.flight.record.time, row["disturbance.phase"][0].as_py()
     expected = np.stack([np.sin(0.02 * t + phase), np.cos(0.02 * t + phase), np.sin(0.01 * t + phase)], axis=1)
@@ -232,7 +240,7 @@ def test_what_is_looked_at_for_many_runs_is_what_one_run_alone_is_told(scenario)
         np.testing.assert_array_equal(alone.position, run.position)
         mission = run.mission
         truth = mission.setup.motion.initial_state(run.position, run.velocity)
-        assert_same(initial_state(run), truth)
+        assert_same(jax.tree.map(lambda array: array[0], initial_states([run])), truth)
         assert sure[run.number] == bool(mission.guard.certified_start(truth))
         assert mission.target.distance.distance(run.position[None])[0] > room_to_start(mission.scenario)
     assert 0 < sum(sure.values()) < 300
@@ -241,9 +249,10 @@ def test_what_is_looked_at_for_many_runs_is_what_one_run_alone_is_told(scenario)
 PROGRAM = """
 import json, sys
 from pathlib import Path
+from keepout.flights.campaign.campaign import plan_campaign
 from keepout.flights.campaign.dataset import Dataset
-from keepout.flights.campaign.plan import Plan
-from keepout.flights.campaign.run import fly_campaign
+from keepout.flights.campaign.plan import Plan, Workshop
+from keepout.flights.campaign.run import Keep, fly_campaign, keep_flights
 from keepout.core.mission.scenario import Scenario
 plan = Plan.of(Scenario.parse(json.loads(sys.argv[2])), batch=4)
 dataset = Dataset.begin(Path(sys.argv[1]), plan)

@@ -11,10 +11,9 @@ import pytest
 from truths.small_campaigns import flown_here, small_plan
 
 from keepout.core.errors import ClusterError, KeepOutZoneError
-from keepout.flights.campaign import worker
+from keepout.flights.campaign import cluster as worker
 from keepout.flights.campaign.dataset import Dataset
-from keepout.flights.campaign.run import fly_campaign
-from keepout.flights.campaign.scheduler import flyer_on
+from keepout.flights.campaign.run import fly_campaign, flyer_on
 
 distributed = pytest.importorskip("distributed", reason="needs keepout[cluster]")
 
@@ -82,7 +81,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background
 from pathlib import Path
 from keepout.flights.campaign.dataset import Dataset
 from keepout.flights.campaign.run import fly_campaign
-from keepout.flights.campaign.scheduler import flyer_on
+from keepout.flights.campaign.run import flyer_on
 from truths.small_campaigns import small_plan
 
 if __name__ == "__main__":
@@ -146,7 +145,7 @@ def test_a_worker_keeps_to_its_threads_and_cores():
     said = """
 import os, numpy, numba, pyarrow, jax
 from threadpoolctl import threadpool_info
-from keepout.flights.campaign.worker import keep_to
+from keepout.flights.campaign.cluster import keep_to
 core = min(os.sched_getaffinity(0))
 numpy.ones((300, 300)) @ numpy.ones((300, 300))
 keep_to(1, (core,))

@@ -7,10 +7,8 @@ from scipy import stats
 from truths.campaigns import drawn, flown, scenario, write_campaign
 
 from keepout.core.errors import FlightError, ScenarioError
-from keepout.flights.campaign.comparison import compare
-from keepout.flights.campaign.outcomes import FIGURES, QUANTILES
-from keepout.flights.campaign.reading import read_campaign
-from keepout.flights.campaign.results import results
+from keepout.flights.campaign.dataset import read_campaign
+from keepout.flights.campaign.results import FIGURES, QUANTILES, compare, results
 
 
 def world(runs, seed=0, **columns):
@@ -129,7 +127,7 @@ def test_unfinished_torn_and_foreign_parts_are_left_out(tmp_path):
     other = write_campaign(tmp_path / "other", scenario(1000, seed=1), world(1000), chunk=100)
     (other / "flights" / "part-00006.parquet").replace(folder / "flights" / "part-00006.parquet")
     reading = read_campaign(folder)
-    assert [path.stem for path in reading.parts] == [f"part-{k:05d}" for k in (0, 1, 3, 5)]
+    assert reading.parts == (0, 1, 3, 5)
     assert not reading.complete
     assert results(reading).runs == 400
 

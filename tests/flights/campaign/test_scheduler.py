@@ -7,8 +7,8 @@ import sys
 import pytest
 
 from keepout.core.errors import ClusterError
-from keepout.flights.campaign import scheduler
-from keepout.flights.campaign.scheduler import Scheduler, flyer_on
+from keepout.flights.campaign import run
+from keepout.flights.campaign.run import Scheduler, flyer_on
 
 
 @pytest.mark.parametrize(
@@ -24,7 +24,7 @@ from keepout.flights.campaign.scheduler import Scheduler, flyer_on
     ],
 )
 def test_an_address_is_taken_as_it_is_and_local_as_so_many_cores_or_refused(text, meant, monkeypatch):
-    monkeypatch.setattr(scheduler, "available_cores", lambda: 6)
+    monkeypatch.setattr(run, "available_cores", lambda: 6)
     if isinstance(meant, Scheduler):
         assert Scheduler.parse(text) == meant
     else:
@@ -33,14 +33,14 @@ def test_an_address_is_taken_as_it_is_and_local_as_so_many_cores_or_refused(text
 
 
 def test_without_dask_the_line_that_installs_it_is_named(monkeypatch):
-    monkeypatch.setattr(scheduler.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(run.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(ClusterError, match=r"distributed is not installed; pip install 'keepout\[cluster\]'"):
         flyer_on("local:1")
 
 
 @pytest.mark.long
 def test_nothing_imports_dask_unless_a_scheduler_is_given():
-    modules = "keepout.cli, keepout.cli.commands.campaign, keepout.flights.campaign.scheduler"
+    modules = "keepout.cli, keepout.cli.commands.campaign, keepout.flights.campaign.run"
     said = f"import sys, {modules}; print('distributed' in sys.modules)"
     answer = subprocess.run([sys.executable, "-c", said], capture_output=True, text=True, check=True, env=os.environ)
     assert answer.stdout.strip() == "False"

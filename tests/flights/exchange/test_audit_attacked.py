@@ -28,7 +28,7 @@ from truths.message_files import (
 
 from keepout.core.audit.passage import audit_passage
 from keepout.core.errors import KeepoutError
-from keepout.flights.exchange.audited import audit_files
+from keepout.flights.exchange.audited import Given, audit_files
 
 
 @pytest.fixture(scope="module")
@@ -321,7 +321,7 @@ def test_the_answer_names_who_is_who_and_what_it_depends_on(box, tmp_path):
     assert given["remarks"] == []
     assert given["minimum_clearance_bound_m"] > answer["minimum_clearance_bound_m"] + 0.4
     assert "unlike --centre-of-mass" in " ".join(judged(box, files, centre_of_mass=(0.0, 0.1, 0.0))["remarks"])
-    unsaid = audit_files(box, **files, chaser_radius=0.5, acceleration_bound=0.01)["remarks"]
+    unsaid = audit_files(box, Given(**files, chaser_radius=0.5, acceleration_bound=0.01))["remarks"]
     assert any("axes are taken to be those of vvlh" in remark for remark in unsaid)
 
 

@@ -24,8 +24,7 @@ from keepout.core.errors import ExchangeError
 from keepout.core.mission.scenario import Scenario
 from keepout.core.motion.orbit import J2
 from keepout.core.motion.rotation import orbital_rate, vvlh_axes
-from keepout.flights.exchange.attitude_message import Attitude, read_aem, write_aem
-from keepout.flights.exchange.orbit_message import Orbit, read_oem, write_oem
+from keepout.flights.exchange.ephemeris import Orbit, read_aem, read_oem, write_aem, write_oem
 
 
 @pytest.fixture(scope="module", params=[GEOSTATIONARY, TUMBLING], ids=["vvlh", "tumbling"])
@@ -88,7 +87,8 @@ def test_numbers_and_epochs_come_back_as_they_were(tmp_path_factory, numbers, se
     path = tmp_path_factory.mktemp("one") / "orbit"
     rows = np.array([numbers, numbers[::-1]])
     epochs = np.array([0, round(seconds * 1e9)], np.int64) + 1_780_000_000_123_456_789
-    orbit = Orbit(path, "A", "EARTH", "GCRF", "TAI", epochs, rows[:, :3], rows[:, 3:])
+    told = {"name": "A", "centre": "EARTH", "frame": "GCRF", "time_system": "TAI"}
+    orbit = Orbit(path=path, **told, epochs=epochs, position=rows[:, :3], velocity=rows[:, 3:])
     write_oem(orbit, comments=["of a test"], xml=xml)
     back = read_oem(path)
     assert np.array_equal(back.epochs, epochs)
@@ -301,8 +301,8 @@ def test_the_printed_example_is_read_and_written_again(text, tmp_path):
     assert np.abs(attitude.quaternion - PRINTED).max() < 1e-5  # made unit from five digits
     assert np.diff(attitude.epochs)[1] == 1_000_000_000
     for xml in (False, True):
-        again = Attitude(tmp_path / f"b{xml}", *list(attitude.__dict__.values())[1:])
-        write_aem(again, centre="MARS BARYCENTER", comments=[], xml=xml)
+        again = dataclasses.replace(attitude, path=tmp_path / f"b{xml}", centre="MARS BARYCENTER")
+        write_aem(again, comments=[], xml=xml)
         back = read_aem(again.path)
         assert np.array_equal(back.epochs, attitude.epochs)
         for one, other in zip(back.quaternion, attitude.quaternion):

@@ -21,9 +21,8 @@ from keepout.core.flight.loop import FlightLog
 from keepout.core.flight.record import FlightRecord
 from keepout.core.geometry.target import Target
 from keepout.core.mission.epoch import parse_instant
-from keepout.flights.exchange.earth_turn import earth_from_inertial
-from keepout.flights.exchange.inertial import inertial_flight
-from keepout.flights.exchange.table import UNITS
+from keepout.flights.exchange.czml import earth_from_inertial
+from keepout.flights.exchange.flight_files import UNITS, inertial_flight
 
 pytestmark = pytest.mark.as_used
 

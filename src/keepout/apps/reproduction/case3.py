@@ -11,10 +11,9 @@ from keepout.apps.reproduction.side_by_side import side_by_side
 from keepout.apps.reproduction.work import Work
 from keepout.core.geometry.target import Target
 from keepout.core.mission.build import load_model, load_target
-from keepout.core.mission.campaign import CampaignPlan, plan_campaign
 from keepout.core.mission.scenario import Scenario
-from keepout.core.mission.series import SERIES, FlightSeries
 from keepout.core.progress import Progress, part_of
+from keepout.flights.campaign.campaign import SERIES, CampaignPlan, FlightSeries, plan_campaign
 
 PAPER = (
     "1000 flights each around InterSat-30 (x in [-15, 15] m, y in [-5, 5] m, z = -4 m, to [0, -10, 6] m, 3000 s) and "

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from keepout.core.mission.series import FlightSeries
+from keepout.flights.campaign.campaign import FlightSeries
 from keepout.flights.report.style import COLOURS, figure
 
 LABELS = {"barrier": "h, m", "lyapunov": "V₁, m²", "position_error": "‖r − goal‖, m", "axis_speed": "largest |vᵢ|, m/s"}

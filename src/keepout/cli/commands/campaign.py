@@ -32,11 +32,9 @@ def campaign_to_folder(
     """
     from keepout.core.whole_file import write_whole
     from keepout.flights.campaign.dataset import Dataset
-    from keepout.flights.campaign.keep import Keep, keep_flights
     from keepout.flights.campaign.plan import Plan
-    from keepout.flights.campaign.run import fly_campaign, in_threads
-    from keepout.flights.campaign.scheduler import Scheduler, flyer_on
-    from keepout.flights.campaign.summary import band_figures, summary
+    from keepout.flights.campaign.run import Keep, Scheduler, fly_campaign, flyer_on, in_threads, keep_flights
+    from keepout.flights.campaign.table import SUMMARISED, summary
     from keepout.flights.report.campaign_page import report_campaign
     from keepout.flights.report.campaign_view import DRAWN, draw_campaign
     from keepout.flights.report.folder import results_in, write_summary
@@ -60,9 +58,9 @@ def campaign_to_folder(
         standing = fly_campaign(plan, dataset, flyer=flyer, told=tell)
         kept = keep_flights(plan, dataset, chosen, told=lambda done, of: progress(0.95, f"{done} of {of} flights kept"))
         bands = out / "bands.json"
-        write_whole(bands, json.dumps(band_figures(dataset), allow_nan=False) + "\n")
+        write_whole(bands, json.dumps(dataset.bands().figures(), allow_nan=False) + "\n")
         figures = {
-            **summary(dataset, scenario),
+            **summary(dataset.table(list(SUMMARISED)), scenario),
             "guard": plan.guard_numbers(),
             "batch": plan.batch,
             "seconds": time.perf_counter() - began,
@@ -85,8 +83,8 @@ def replay_to_folder(
     """Fly one run of a campaign's folder again; write what `fly_to_folder` writes, and say whether it is the same."""
     from keepout.core.mission.scenario import Scenario
     from keepout.flights.campaign.dataset import Dataset
+    from keepout.flights.campaign.flying import differences, replay
     from keepout.flights.campaign.plan import Plan
-    from keepout.flights.campaign.replay import differences, replay
     from keepout.flights.report.folder import results_in, write_flights, write_summary
 
     dataset = Dataset.open(campaign)

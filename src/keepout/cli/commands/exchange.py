@@ -64,11 +64,11 @@ def audit_of_files(
         placed: of a mesh: entries of `[target]` that say how it lies in the body frame; None where not given.
         centre_of_mass: of the target, in the body frame, m; the scenario's, or the origin, which a remark
             says, where not given.
-        **files: the other arguments of `exchange.audited.audit_files`.
+        **files: the other entries of `exchange.audited.Given`, and `progress`.
 
     """
     from keepout.core.mission.target import load_target
-    from keepout.flights.exchange.audited import audit_files
+    from keepout.flights.exchange.audited import Given, audit_files
 
     fixed_in = files.get("fixed_in")
     if fixed_in not in (None, "vvlh", "inertial"):
@@ -76,7 +76,8 @@ def audit_of_files(
     entry = _audited_target(target, placed)
     told = entry.centre_of_mass if "centre_of_mass" in entry.model_fields_set else None
     centre = told if centre_of_mass is None else centre_of_mass
-    return audit_files(load_target(entry), centre_of_mass=centre, **files)
+    progress = files.pop("progress", silent)
+    return audit_files(load_target(entry), Given(centre_of_mass=centre, **files), progress=progress)
 
 
 def _audited_target(target: str, placed: Mapping[str, Any]) -> "TargetEntry":

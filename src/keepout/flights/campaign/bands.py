@@ -10,6 +10,7 @@ import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int, UInt
@@ -28,6 +29,8 @@ BINS = 2 * _SIDE + 1
 """Bins of each quantity at each time: `_SIDE` of negative numbers, one about zero, `_SIDE` of positive ones."""
 SAMPLES = 121
 """Times at most."""
+SHARES = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0)
+"""Quantiles that files and pages have."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,13 +57,9 @@ class Bands:
         """Begin with no flights: control times spread evenly over `duration` (s), with its end, `SAMPLES` at most."""
         steps = round(duration / period)
         rows = np.unique(np.rint(np.linspace(0, steps, min(steps + 1, SAMPLES))).astype(int))
-        return cls._without_flights(rows * period)
-
-    @classmethod
-    def _without_flights(cls, time: Float[np.ndarray, "samples"]) -> "Bands":
-        shape = (len(QUANTITIES), len(time))
+        shape = (len(QUANTITIES), len(rows))
         return cls(
-            time,
+            rows * period,
             np.zeros((*shape, BINS), np.int64),
             np.zeros(shape, np.int64),
             np.full(shape, np.inf),
@@ -91,22 +90,8 @@ class Bands:
             at = np.broadcast_to(here, of.shape)[known]
             np.add.at(self.counts[quantity], (at, _bin(of[known])), 1)
 
-    def add(self, other: "Bands") -> None:
-        """Add what was counted elsewhere, at the same times.
-
-        Raises:
-            FlightError: other times.
-
-        """
-        if not np.array_equal(self.time, other.time):
-            raise FlightError("bands: counted at other times; they belong to another campaign")
-        self.counts[...] += other.counts
-        self.lost[...] += other.lost
-        np.minimum(self.least, other.least, out=self.least)
-        np.maximum(self.largest, other.largest, out=self.largest)
-
     def add_bytes(self, content: bytes) -> None:
-        """Add what `to_bytes` gave, as `add` does, touching only the bins that are in use there.
+        """Add what was counted elsewhere and `to_bytes` gave, touching only the bins that are in use there.
 
         Raises:
             FlightError: other times.
@@ -145,6 +130,18 @@ class Bands:
         found[:, total == 0] = np.nan
         return found
 
+    def figures(self) -> dict[str, Any]:
+        """Give the quantiles over time of every quantity for JSON; see `quantiles` for what they are within."""
+        over_time = {name: self.quantiles(name, SHARES) for name in QUANTITIES}
+        return {
+            "time_s": self.time.tolist(),
+            "shares": list(SHARES),
+            **{
+                name: [[x if math.isfinite(x) else None for x in row.tolist()] for row in of]
+                for name, of in over_time.items()
+            },
+        }
+
     def to_bytes(self) -> bytes:
         """Give the content of an `.npz` file; of the counts only the bins in use, and how far each is from the last."""
         counts = self.counts.reshape(-1)
@@ -161,14 +158,6 @@ class Bands:
             largest=self.largest,
         )
         return stream.getvalue()
-
-    @classmethod
-    def of_bytes(cls, content: bytes) -> "Bands":
-        """Read what `to_bytes` gave."""
-        with np.load(io.BytesIO(content), allow_pickle=False) as kept:
-            whole = cls._without_flights(kept["time"])
-        whole.add_bytes(content)
-        return whole
 
 
 def _small(numbers: Int[np.ndarray, "n"]) -> UInt[np.ndarray, "n"]:

@@ -1,27 +1,41 @@
 """Chunks flown by `dask.distributed`: handed out a few ahead, taken back one by one, flown again if a worker dies.
 
 Imported only where `--scheduler` is given. The plan travels as a plugin of the workers: the scheduler keeps it, and
-each worker, one that joins later or takes a dead one's place too, gets it once, before its first chunk.
+each worker, one that joins later or takes a dead one's place too, gets it once, before its first chunk, and holds it
+until it is taken back. Before a plan is unpacked, which starts JAX, the threads of the libraries are limited to those
+that the worker has been given.
 """
 
+import functools
 import itertools
 import logging
+import os
 import pickle
 import re
+import sys
 import time
-from collections.abc import Callable, Generator, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Generator
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 from distributed import Client, Future, KilledWorker, LocalCluster, Worker, WorkerPlugin, as_completed, get_worker
 
+import keepout
+from keepout.core.compiled.kept_programs import keep_programs, processor
 from keepout.core.cores import allowed_cores, available_cores
-from keepout.core.errors import ClusterError
-from keepout.flights.campaign import worker
-from keepout.flights.campaign.chunk import ChunkResult, Told
+from keepout.core.digest import digest
+from keepout.core.errors import ClusterError, KeepoutError
+from keepout.flights.campaign.flying import ChunkResult, Told, fly_chunk
 from keepout.flights.campaign.plan import Plan
-from keepout.flights.campaign.worker import Landed, WorkerState, drop_plan, take_plan
 
+PACKAGES = ("keepout", "jax", "jaxlib", "numpy", "scipy", "numba", "equinox", "trimesh", "pyarrow")
+"""What the bits of a campaign's table depend on: workers must have the very versions of who hands out the chunks."""
+
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "NPROC")
+"""Read by libraries when they are loaded; NPROC by XLA, as the number of its threads."""
 CONNECT_SECONDS = 15.0
 """The longest wait for a scheduler to answer."""
 WORKERS_SECONDS = 600.0
@@ -33,6 +47,43 @@ _FETCH_SECONDS = 60.0
 """The longest wait for one result before the workers are looked at again."""
 
 
+@dataclass(frozen=True)
+class Landed:
+    """A chunk as it comes back.
+
+    Attributes:
+        result: to be written.
+        told: what `fly_chunk` told, one entry a batch.
+        processor: that flew them.
+        worker: its address.
+        processor_seconds: that its process used meanwhile; for other chunks too, where it flies several at once.
+
+    """
+
+    result: ChunkResult
+    told: tuple[tuple[int, ...], ...]
+    processor: str
+    worker: str
+    processor_seconds: float
+
+
+@dataclass(frozen=True)
+class WorkerState:
+    """What a worker says of itself.
+
+    Attributes:
+        refusal: why it may not fly this plan; empty if it may.
+        processor: its kind.
+        process: its number.
+
+    """
+
+    refusal: str
+    processor: str
+    process: int
+
+
+@dataclass(eq=False)
 class Cluster:
     """Flies chunks on a cluster: a `Flyer`.
 
@@ -47,22 +98,13 @@ class Cluster:
 
     """
 
-    def __init__(
-        self,
-        address: str = "",
-        *,
-        workers: int = 0,
-        mixed_processors: bool = False,
-        connect_seconds: float = CONNECT_SECONDS,
-        workers_seconds: float = WORKERS_SECONDS,
-    ) -> None:
-        self.address = address
-        self.workers = workers
-        self.mixed_processors = mixed_processors
-        self.connect_seconds = connect_seconds
-        self.workers_seconds = workers_seconds
-        self.states: dict[str, WorkerState] = {}
-        self.costs: dict[str, list[float]] = {}
+    address: str = ""
+    workers: int = 0
+    mixed_processors: bool = False
+    connect_seconds: float = CONNECT_SECONDS
+    workers_seconds: float = WORKERS_SECONDS
+    states: dict[str, WorkerState] = field(default_factory=dict, init=False)
+    costs: dict[str, list[float]] = field(default_factory=dict, init=False)
 
     def __call__(self, plan: Plan, numbers: list[int], told: Told) -> Generator[ChunkResult, None, None]:
         """Fly chunks, in any order, and give each once. Closed early, it cancels what is not finished.
@@ -74,13 +116,21 @@ class Cluster:
         if not numbers:
             return
         with ExitStack() as stack:
-            client = stack.enter_context(self._client())
-            self._wait_for_workers(client)
+            client = stack.enter_context(self._client(stack))
+            try:
+                client.wait_for_workers(1, timeout=self.workers_seconds)
+            except TimeoutError:
+                raise ClusterError(self._without_workers()) from None
             self._check_versions(client)
             name = f"keepout-{plan.sha256[:12]}-{client.id}"
-            stack.enter_context(_handed_out(client, name, plan, self._cores()))
-            self._look(client, name)
-            yield from self._flown(client, name, plan, numbers, told)
+            # All workers have the plan, now or when they join, until the chunks are flown.
+            client.register_plugin(_TakePlan(name, pickle.dumps(plan, protocol=5), self._cores()), name=name)
+            try:
+                self._look(client, name)
+                yield from self._flown(client, name, plan, numbers, told)
+            finally:
+                with suppress(Exception):  # the scheduler may be gone
+                    client.unregister_worker_plugin(name)
 
     def _look(self, client: Client, name: str) -> None:
         """Ask all workers how they are.
@@ -89,7 +139,7 @@ class Cluster:
             ClusterError: one may not fly this plan, or they are of several kinds and must not be.
 
         """
-        told: Any = client.run(worker.state, name)
+        told: Any = client.run(told_state, name)
         self.states = dict(sorted(told.items()))
         for address, state in self.states.items():
             if state.refusal:
@@ -106,23 +156,17 @@ class Cluster:
                 "bits: use one kind, or --mixed-processors"
             )
 
-    @contextmanager
-    def _client(self) -> Iterator[Client]:
-        with ExitStack() as stack:
-            address: Any = self.address
-            if not address:
-                address = stack.enter_context(_processes(self.workers))
-            try:
-                client = Client(address, timeout=self.connect_seconds, set_as_default=False, name="keepout")
-            except (OSError, ValueError) as error:
-                cause = error.__cause__ or error  # a bare time-out has no text of its own
-                said = re.sub(r"^in <[^>]*>: ", "", " ".join(str(cause).split()))[:200] or type(cause).__name__
-                raise ClusterError(
-                    f"scheduler: {address} did not answer in {self.connect_seconds:g} s ({said}); "
-                    "is it running, and can it be reached from here?"
-                ) from None
-            stack.enter_context(client)
-            yield client
+    def _client(self, stack: ExitStack) -> Client:
+        address: Any = self.address or stack.enter_context(_processes(self.workers))
+        try:
+            return Client(address, timeout=self.connect_seconds, set_as_default=False, name="keepout")
+        except (OSError, ValueError) as error:
+            cause = error.__cause__ or error  # a bare time-out has no text of its own
+            said = re.sub(r"^in <[^>]*>: ", "", " ".join(str(cause).split()))[:200] or type(cause).__name__
+            raise ClusterError(
+                f"scheduler: {address} did not answer in {self.connect_seconds:g} s ({said}); "
+                "is it running, and can it be reached from here?"
+            ) from None
 
     def _cores(self) -> dict[Any, tuple[int, ...]]:
         """Give each process started here cores of its own, by its name; none elsewhere, where others may run too."""
@@ -131,12 +175,6 @@ class Cluster:
         cores, count = allowed_cores(), self.workers
         each = len(cores) // count
         return {place: cores[place * each : (place + 1) * each] for place in range(count)} if cores else {}
-
-    def _wait_for_workers(self, client: Client) -> None:
-        with suppress(TimeoutError):
-            client.wait_for_workers(1, timeout=self.workers_seconds)
-            return
-        raise ClusterError(self._without_workers())
 
     def _without_workers(self) -> str:
         return (
@@ -151,13 +189,13 @@ class Cluster:
             ClusterError: another version, or none.
 
         """
-        here, packages = worker.software(), list(worker.PACKAGES)
+        here, packages = software(), list(PACKAGES)
         versions: Any = client.get_versions(check=False, packages=packages)
         for address, told in versions["workers"].items():
             found = told["packages"]
             there = {name: found.get(name) or "" for name in packages}
             there["python"] = ".".join(str(found["python"]).split(".")[:2])
-            refusal = worker.differing({name: here[name] for name in there}, there)
+            refusal = differing({name: here[name] for name in there}, there)
             if refusal:
                 raise ClusterError(f"worker {address}: {refusal}; install the same there as here")
 
@@ -174,7 +212,7 @@ class Cluster:
             window = max(1, AHEAD * sum(threads.values()))
             for number in itertools.islice(waiting, max(0, window - len(under_way))):
                 key = f"{name}-{number}"
-                future = client.submit(worker.fly, name, number, _address, key=key, pure=False)
+                future = client.submit(fly, name, number, _address, key=key, pure=False)
                 under_way[future] = number
                 landing.add(future)
 
@@ -197,7 +235,8 @@ class Cluster:
                 self.costs.setdefault(landed.worker, []).append(landed.processor_seconds)
                 future.release()
                 hand_out()
-                told(landed.flights, landed.reached, landed.contacts)
+                for some in landed.told:
+                    told(*some)
                 yield landed.result
         finally:
             with suppress(Exception):  # the scheduler may be gone
@@ -211,15 +250,15 @@ class Cluster:
             landed = _result(future, require_workers)
         except KilledWorker as error:
             raise ClusterError(
-                f"{worker.chunk_name(plan, number)}: {error.allowed_failures + 1} workers died while flying it, the "
+                f"{chunk_name(plan, number)}: {error.allowed_failures + 1} workers died while flying it, the "
                 f"last {error.last_worker.address}; their memory may be too small: see the workers' logs"
             ) from None
         except ClusterError:
             raise
         except Exception as error:
-            error.add_note(worker.chunk_name(plan, number))
+            error.add_note(chunk_name(plan, number))
             raise
-        self._require_same_kind("that flew " + worker.chunk_name(plan, number), landed.processor)
+        self._require_same_kind("that flew " + chunk_name(plan, number), landed.processor)
         return landed
 
 
@@ -241,7 +280,7 @@ class _TakePlan(WorkerPlugin):
 
     def __init__(self, name: str, packed: bytes, cores: dict[Any, tuple[int, ...]]) -> None:
         self.plan_name, self.packed, self.cores = name, packed, cores
-        self.expected = worker.software()
+        self.expected = software()
 
     def setup(self, worker: Worker) -> None:  # the name is given by dask
         cores = self.cores.get(worker.name, ())
@@ -256,21 +295,9 @@ def _address() -> str:
     return get_worker().address
 
 
-@contextmanager
-def _handed_out(client: Client, name: str, plan: Plan, cores: dict[Any, tuple[int, ...]]) -> Iterator[None]:
-    """Let all workers have the plan, now or when they join, as long as the block runs."""
-    client.register_plugin(_TakePlan(name, pickle.dumps(plan, protocol=5), cores), name=name)
-    try:
-        yield
-    finally:
-        with suppress(Exception):  # the scheduler may be gone
-            client.unregister_worker_plugin(name)
-
-
-@contextmanager
-def _processes(count: int) -> Iterator[LocalCluster]:
+def _processes(count: int) -> LocalCluster:
     """Start workers here, which only this process may talk to; a dead one is started again."""
-    cluster = LocalCluster(
+    return LocalCluster(
         n_workers=count,
         threads_per_worker=available_cores() // count,
         processes=True,
@@ -281,7 +308,117 @@ def _processes(count: int) -> Iterator[LocalCluster]:
         dashboard_address="127.0.0.1:0",
         silence_logs=logging.CRITICAL,
     )
+
+
+# ---- on a worker
+
+
+_held: dict[str, Plan | str] = {}
+"""Plans by the name that they were handed out under; text where this worker is refused, and says why."""
+
+
+@functools.cache
+def software() -> dict[str, str]:
+    """Name what is installed here, as far as the bits of a flight depend on it."""
+    folder = Path(keepout.__file__).parent
+    sources = sorted(folder.rglob("*.py"))
+    code = "".join(f"{path.relative_to(folder)} {digest(path.read_text('utf-8'))}\n" for path in sources)
+    versions = {name: version(name) for name in PACKAGES if name != "keepout"}
+    python = f"{sys.version_info.major}.{sys.version_info.minor}"
+    flags = " ".join(os.environ.get("XLA_FLAGS", "").split())
+    return {
+        "keepout": keepout.__version__,
+        "code of keepout": digest(code)[:12],
+        "python": python,
+        **versions,
+        "XLA_FLAGS": flags,
+    }
+
+
+def differing(here: dict[str, str], there: dict[str, str]) -> str:
+    """Say in a line what differs between what is installed where chunks are handed out and on a worker."""
+    return "; ".join(
+        f"{name} {there.get(name) or 'not there'} there and {here.get(name) or 'not there'} here"
+        for name in here
+        if here.get(name) != there.get(name)
+    )
+
+
+def take_plan(name: str, packed: bytes, expected: dict[str, str], threads: int, cores: tuple[int, ...]) -> None:
+    """Take a plan into this process, having limited its threads; or keep the reason why it cannot fly it.
+
+    Args:
+        name: under which chunks will ask for it.
+        packed: the plan, pickled.
+        expected: `software` where the chunks are handed out.
+        threads: chunks that this worker flies at once.
+        cores: for this process alone; empty where it may run wherever it may now.
+
+    """
+    if name in _held:
+        return
+    keep_to(threads, cores)
+    refusal = differing(expected, software())
+    if refusal:
+        _held[name] = refusal
+        return
+    keep_programs()
+    _held[name] = pickle.loads(packed)
+
+
+def drop_plan(name: str) -> None:
+    """Forget a plan."""
+    _held.pop(name, None)
+
+
+def keep_to(threads: int, cores: tuple[int, ...]) -> None:
+    """Limit the libraries of this process to so many threads, and all its threads to some cores (on Linux)."""
+    for variable in _THREADS:
+        os.environ[variable] = str(threads)
+    if cores and hasattr(os, "sched_setaffinity"):
+        for thread in os.listdir("/proc/self/task"):
+            with suppress(ProcessLookupError):  # it ended meanwhile
+                os.sched_setaffinity(int(thread), cores)
+    import numba
+    import pyarrow
+    from threadpoolctl import threadpool_limits
+
+    numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))  # pyright: ignore
+    threadpool_limits(threads)  # last: numba loads OpenMP
+    pyarrow.set_cpu_count(threads)
+
+
+def fly(name: str, number: int, where: Callable[[], str]) -> Landed:
+    """Fly one chunk of a plan that this worker has taken.
+
+    Args:
+        name: of the plan.
+        number: of the chunk.
+        where: gives this worker's address.
+
+    Raises:
+        ClusterError: this worker may not fly it, or the chunk is refused.
+
+    """
+    plan = _held.get(name, "it was not given the plan")
+    if isinstance(plan, str):
+        raise ClusterError(f"worker {where()}: {plan}")
+    counted: list[tuple[int, ...]] = []
+    began = time.process_time()
     try:
-        yield cluster
-    finally:
-        cluster.close()
+        result = fly_chunk(plan, number, workers=1, told=lambda *some: counted.append(some))
+    except KeepoutError as error:
+        raise ClusterError(f"{chunk_name(plan, number)}, on worker {where()}: {error}") from None
+    return Landed(result, tuple(counted), processor(), where(), time.process_time() - began)
+
+
+def chunk_name(plan: Plan, number: int) -> str:
+    """Name a chunk and its runs."""
+    first, last = plan.chunk_runs(number)
+    return f"chunk {number} (runs {first} to {last - 1})"
+
+
+def told_state(name: str) -> WorkerState:
+    """Say how this worker is."""
+    plan = _held.get(name, "it was not given the plan")
+    return WorkerState(plan if isinstance(plan, str) else "", processor(), os.getpid())

@@ -5,31 +5,45 @@
     flights/part-00000.parquet  its table, written whole or not at all, which says that the chunk is done
     kept/run-0000004711.parquet flights kept in full
 
-A chunk is done where its table can be read, belongs to this campaign and names the digest of its bands. Whatever else
-stands in its place is flown again.
+A chunk is done where its table belongs to this campaign and names the digest of its bands. Who flies on reads the whole
+table, and flies again what is damaged; who reports looks at its marks only, and says of damage where it meets it.
 """
 
 import fcntl
 import json
 import os
+import zipfile
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
+from jaxtyping import Bool, Int
 
+from keepout.core.cores import available_cores
 from keepout.core.digest import digest
 from keepout.core.errors import FlightError, ScenarioError
+from keepout.core.mission.scenario import COMPONENTS, Scenario
+from keepout.core.progress import Progress, silent
 from keepout.core.whole_file import write_whole
 from keepout.flights.campaign import table
 from keepout.flights.campaign.bands import Bands
-from keepout.flights.campaign.chunk import ChunkResult
-from keepout.flights.campaign.plan import Plan
+from keepout.flights.campaign.flying import ChunkResult
+from keepout.flights.campaign.plan import FORMAT, Plan
+from keepout.flights.campaign.statistics import Factor
+
+_THREADS = 4
+"""Parts decoded at once, at most."""
+_AHEAD = 64
+"""Parts decoded together: what is decoded and not yet copied is these and no more."""
 
 
 @dataclass(frozen=True)
@@ -38,14 +52,14 @@ class Dataset:
 
     Attributes:
         folder: where it is.
-        chunks: how many it has when complete.
-        plan_sha256: digest of the plan.
+        identity: what the campaign is (`Plan.identity`).
+        parts: the chunks that are done, of a folder opened by `read_campaign`.
 
     """
 
     folder: Path
-    chunks: int
-    plan_sha256: str
+    identity: dict[str, Any]
+    parts: tuple[int, ...] = ()
 
     @classmethod
     def begin(cls, folder: Path, plan: Plan) -> "Dataset":
@@ -59,36 +73,66 @@ class Dataset:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise ScenarioError(f"{folder}: cannot be made a folder ({error.strerror}); give another folder") from None
-        path = folder / "campaign.json"
         identity = plan.identity()
-        if path.exists():
-            differing = _differing(_read_identity(path), identity)
+        if not (folder / "campaign.json").exists():
+            write_whole(folder / "campaign.json", json.dumps(identity, indent=1) + "\n", refusal=ScenarioError)
+        else:
+            kept = entries(cls.open(folder).identity)
+            differing = [
+                f"{name.removeprefix('scenario.')} is {_short(one)} there and {_short(other)} here"
+                for name, one, other in differences(kept, entries(identity))
+            ]
             if differing:
                 raise ScenarioError(
                     f"{folder}: holds another campaign: {'; '.join(differing[:4])}"
                     + (f"; and {len(differing) - 4} more" if len(differing) > 4 else "")
                     + "; give another folder"
                 )
-        else:
-            write_whole(path, json.dumps(identity, indent=1) + "\n", refusal=ScenarioError)
-        return cls(folder, plan.chunks, plan.sha256)
+        return cls(folder, identity)
 
     @classmethod
     def open(cls, folder: str | Path) -> "Dataset":
-        """Open a folder to read.
+        """Open a folder.
 
         Raises:
             ScenarioError: it holds no campaign.
 
         """
-        identity = _read_identity(Path(folder) / "campaign.json")
-        runs = identity["scenario"]["campaign"]["runs"]
-        return cls(Path(folder), -(-runs // identity["chunk"]), digest(json.dumps(identity, sort_keys=True)))
+        path = Path(folder) / "campaign.json"
+        try:
+            found = json.loads(path.read_text(encoding="utf-8"))
+            if all(isinstance(n, int) for n in (found["scenario"]["campaign"]["runs"], found["chunk"], found["batch"])):
+                return cls(Path(folder), found)
+        except OSError as error:
+            raise ScenarioError(f"{path}: cannot be read ({error.strerror}); no campaign was flown here") from None
+        except (ValueError, KeyError, TypeError):
+            pass  # refused below, as is one with other values
+        raise ScenarioError(f"{path}: not what a campaign writes; give another folder")
+
+    @cached_property
+    def scenario(self) -> Scenario:
+        """Of all runs, with its `campaign` table."""
+        return Scenario.parse(self.identity["scenario"])
 
     @property
-    def identity(self) -> dict[str, Any]:
-        """What the campaign is (`Plan.identity`)."""
-        return _read_identity(self.folder / "campaign.json")
+    def runs(self) -> int:
+        """Runs of the complete campaign."""
+        return self.identity["scenario"]["campaign"]["runs"]
+
+    @property
+    def chunks(self) -> int:
+        """How many chunks it has when complete."""
+        return -(-self.runs // self.identity["chunk"])
+
+    @property
+    def complete(self) -> bool:
+        """Whether every part is done."""
+        return len(self.parts) == self.chunks
+
+    @cached_property
+    def plan_sha256(self) -> str:
+        """Digest of the plan."""
+        return digest(json.dumps(self.identity, sort_keys=True))
 
     @contextmanager
     def lock(self) -> Iterator[None]:
@@ -113,7 +157,7 @@ class Dataset:
 
     def missing(self) -> list[int]:
         """Give the chunks that are not done, in order."""
-        return [number for number in range(self.chunks) if self._done(number) is None]
+        return [number for number in range(self.chunks) if self._whole(number) is None]
 
     def write(self, result: ChunkResult) -> None:
         """Write a chunk, its bands first."""
@@ -127,22 +171,33 @@ class Dataset:
             FlightError: the chunk is not done.
 
         """
-        found = self._done(number, columns)
+        found = self._whole(number, columns)
         if found is None:
             raise FlightError(f"{self._table(number)}: missing or damaged; start the campaign again to fly it")
         return found
 
     def table(self, columns: list[str] | None = None) -> pa.Table:
         """Read the whole table, or some of its columns: one row a run, in order."""
-        return pa.concat_tables(
-            self.part(number, columns).replace_schema_metadata(None) for number in range(self.chunks)
-        )
+        parts = (self.part(number, columns) for number in range(self.chunks))
+        return pa.concat_tables(part.replace_schema_metadata(None) for part in parts)
 
-    def bands(self) -> Bands:
-        """Add up the bands of all chunks."""
-        whole = Bands.of_bytes(self._bands(0).read_bytes())
-        for number in range(1, self.chunks):
-            whole.add_bytes(self._bands(number).read_bytes())
+    def bands(self, progress: Progress = silent) -> Bands:
+        """Add up the bands of the chunks that are done; of all, where nobody looked which are.
+
+        Raises:
+            FlightError: one is damaged.
+
+        """
+        whole = Bands.empty(self.scenario.duration, self.scenario.control.period)
+        numbers = self.parts or range(self.chunks)
+        for place, number in enumerate(numbers):
+            try:
+                whole.add_bytes(self._bands(number).read_bytes())
+            except (OSError, ValueError, KeyError, IndexError, zipfile.BadZipFile) as error:
+                said = f"damaged ({_line(error)}); start the campaign again to mend it"
+                raise FlightError(f"{self._bands(number)}: {said}") from None
+            if place % _AHEAD == 0:
+                progress(place / len(numbers), "bands")
         return whole
 
     def processors(self) -> dict[str, int]:
@@ -160,40 +215,218 @@ class Dataset:
     def _bands(self, number: int) -> Path:
         return self.folder / "bands" / f"part-{number:05d}.npz"
 
-    def _done(self, number: int, columns: list[str] | None = None) -> pa.Table | None:
+    def _whole(self, number: int, columns: list[str] | None = None) -> pa.Table | None:
+        """Read a chunk's table from its first byte to its last; None where it is not done."""
         try:
             found = table.of_bytes(self._table(number).read_bytes(), columns)
-            sketch = self._bands(number).read_bytes()
         except (OSError, FlightError):
             return None
-        marks = {key.decode(): value.decode() for key, value in (found.schema.metadata or {}).items()}
+        return found if self._is_marked(number, found.schema.metadata) else None
+
+    def is_done(self, number: int) -> bool:
+        """Whether a chunk is done, by the marks of its table alone."""
+        try:
+            return self._is_marked(number, pq.read_schema(self._table(number)).metadata)
+        except (OSError, pa.ArrowException):
+            return False
+
+    def _is_marked(self, number: int, marks: Mapping[bytes, bytes] | None) -> bool:
+        """Whether a table's marks are those of a chunk of this campaign, with the digest of its bands."""
+        try:
+            sketch = self._bands(number).read_bytes()
+        except OSError:
+            return False
         known = {"plan": self.plan_sha256, "chunk": str(number), "bands": digest(np.frombuffer(sketch, np.uint8))}
-        return found if all(marks.get(key) == value for key, value in known.items()) else None
+        return all((marks or {}).get(key.encode()) == value.encode() for key, value in known.items())
 
+    # ---- the table by columns, of the parts that are done
 
-def _read_identity(path: Path) -> dict[str, Any]:
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-        if all(isinstance(n, int) for n in (found["scenario"]["campaign"]["runs"], found["chunk"], found["batch"])):
-            return found
-    except OSError as error:
-        raise ScenarioError(f"{path}: cannot be read ({error.strerror}); no campaign was flown here") from None
-    except (ValueError, KeyError, TypeError):
-        pass  # refused below, as is one with other values
-    raise ScenarioError(f"{path}: not what a campaign writes; give another folder")
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the table's columns.
 
+        Raises:
+            FlightError: no part is done.
 
-def _differing(kept: Any, own: Any, name: str = "") -> list[str]:
-    """Name the entries in which two trees differ, with both values."""
-    if isinstance(kept, dict) and isinstance(own, dict):
-        found = []
-        for key in dict.fromkeys((*kept, *own)):
-            within = f"{name}.{key}" if name else str(key)
-            found += _differing(kept.get(key), own.get(key), within)
+        """
+        return tuple(self._schema.names)
+
+    @cached_property
+    def _schema(self) -> pa.Schema:
+        if not self.parts:
+            raise FlightError(f"{self.folder}: none of its {self.chunks} parts is done; start the campaign again")
+        return pq.read_schema(self._table(self.parts[0]))
+
+    def arrays(
+        self, columns: Sequence[str], *, grouped: Mapping[str, Callable[[str], str]] | None = None
+    ) -> dict[str, Any]:
+        """Read columns of all parts that are done, one entry a run in order, without ever holding more than these.
+
+        Args:
+            columns: their names.
+            grouped: of columns of text, what to make of each text before equal ones are counted as one.
+
+        Returns:
+            Numbers and truth values as float64, not a number where a run has no value; text as `Words`.
+
+        Raises:
+            FlightError: there is no such column, or a part is damaged.
+
+        """
+        absent = [name for name in columns if name not in self.names]
+        if absent:
+            raise FlightError(f"{self.folder}: its table has no column {absent[0]}; this version did not fly it")
+        text = [name for name in columns if pa.types.is_string(self._schema.field(name).type)]
+        words = {name: _Coded((grouped or {}).get(name, str)) for name in text}
+        rows = {number: self._rows_of(number) for number in self.parts}
+        total = sum(end - begin for begin, end in rows.values())
+        found = {name: np.empty(total, np.int32 if name in words else float) for name in columns}
+
+        def decoded(number: int) -> pa.Table:
+            path = self._table(number)
+            with pq.ParquetFile(path, read_dictionary=text, page_checksum_verification=True, pre_buffer=False) as file:
+                part = file.read(columns=list(columns), use_threads=False)
+            begin, end = rows[number]
+            if len(part) != end - begin:
+                raise self._damaged(f"{len(part)} rows for the runs {begin} to {end - 1}")
+            return part
+
+        done = 0
+        try:
+            with ThreadPoolExecutor(min(available_cores(), _THREADS)) as pool:
+                for first in range(0, len(self.parts), _AHEAD):
+                    some = pa.concat_tables(pool.map(decoded, self.parts[first : first + _AHEAD])).unify_dictionaries()
+                    here = slice(done, done := done + len(some))
+                    for name, into in found.items():
+                        coded = words.get(name)
+                        own = some[name].cast(pa.float64()).to_numpy() if coded is None else coded.codes(some[name])
+                        into[here] = own
+        except (OSError, pa.ArrowException) as error:
+            raise self._damaged(_line(error)) from None
+        return {name: Words(of, tuple(words[name].known)) if name in words else of for name, of in found.items()}
+
+    def _rows_of(self, number: int) -> tuple[int, int]:
+        """Give the first run of a part and the one after its last."""
+        return number * self.identity["chunk"], min((number + 1) * self.identity["chunk"], self.runs)
+
+    def _damaged(self, said: str) -> FlightError:
+        return FlightError(f"{self.folder}: damaged ({said}); start the campaign again to mend it")
+
+    def rows(self, runs: Sequence[int], columns: Sequence[str]) -> list[dict[str, Any]]:
+        """Read some runs' values of columns, `run` among them, one dictionary a run in the order of the table."""
+        wanted = {run // self.identity["chunk"] for run in runs}
+        found: list[dict[str, Any]] = []
+        for number in self.parts:
+            if number in wanted:
+                part = pq.read_table(self._table(number), columns=list(columns))
+                found += part.filter(pc.field("run").isin(list(runs))).to_pylist()
         return found
-    if kept == own:
-        return []
-    return [f"{name.removeprefix('scenario.')} is {_short(kept)} there and {_short(own)} here"]
+
+    @cached_property
+    def factor_columns(self) -> dict[str, tuple[str, ...]]:
+        """What varies, one entry a factor, and the columns it stands in: a vector's components vary each."""
+        given = self.scenario.campaign.dispersions
+        found: dict[str, tuple[str, ...]] = {}
+        for name in sorted(given) or ["start.position"]:
+            columns = tuple(c for c in (name, *(f"{name}.{axis}" for axis in COMPONENTS)) if c in self.names)
+            chosen = name in given and given[name].choice is not None
+            found |= {name: columns} if chosen and columns else {column: (column,) for column in columns}
+        return found
+
+    def factor(self, name: str, arrays: Mapping[str, Any]) -> Factor:
+        """Give what was drawn for one of `factor_columns`, from `arrays` that have its columns."""
+        columns = [arrays[column] for column in self.factor_columns[name]]
+        given = self.scenario.campaign.dispersions.get(name)
+        if given is None or given.choice is None:
+            return Factor(name, columns[0])
+        places, texts = np.zeros(len(columns[0]), np.int64), [""]
+        for of in columns:  # of a vector, three
+            if isinstance(of, Words):
+                own, codes = np.unique(of.values, return_inverse=True)
+                codes = codes[of.codes]
+            else:
+                levels, codes = np.unique(of, return_inverse=True)
+                own = [f"{level:g}" for level in levels]
+            places = places * len(own) + codes
+            texts = [f"{text}, {value}" if text else str(value) for text in texts for value in own]
+        used, places = np.unique(places, return_inverse=True)
+        return Factor(name, places, tuple(texts[place] for place in used))
+
+
+@dataclass(frozen=True, eq=False)
+class Words:
+    """A column of text: of each run the place of its text in `values`."""
+
+    codes: Int[np.ndarray, "runs"]
+    values: tuple[str, ...]
+
+    def __len__(self) -> int:
+        """How many runs."""
+        return len(self.codes)
+
+    def equal(self, value: str) -> Bool[np.ndarray, "runs"]:
+        """Which runs have a text."""
+        return self.codes == (self.values.index(value) if value in self.values else -1)
+
+
+class _Coded:
+    """Texts of a column that is read in pieces: each as its place among all that are known; of none, that of ""."""
+
+    def __init__(self, group: Callable[[str], str]) -> None:
+        self.known: dict[str, int] = {}
+        self._group = group
+
+    def codes(self, texts: pa.ChunkedArray) -> Int[np.ndarray, "runs"]:
+        column: Any = texts.combine_chunks()
+        own = [self.known.setdefault(self._group(text), len(self.known)) for text in column.dictionary.to_pylist()]
+        if column.null_count:
+            own.append(self.known.setdefault("", len(self.known)))
+        indices = column.indices.fill_null(len(own) - 1).to_numpy(zero_copy_only=False)
+        return np.asarray(own, np.int32)[indices] if own else np.empty(0, np.int32)
+
+
+def read_campaign(folder: str | Path, *, progress: Progress = silent) -> Dataset:
+    """Open a campaign's folder, complete or not: a part that is missing, unfinished or foreign is left out.
+
+    Raises:
+        ScenarioError: it holds no campaign, or one of another version.
+
+    """
+    dataset = Dataset.open(folder)
+    if dataset.identity.get("format") != FORMAT:
+        raise ScenarioError(
+            f"{folder}: campaign.json: format {dataset.identity.get('format')!r}; this version of Keepout reads "
+            f"{FORMAT}"
+        )
+    try:
+        _ = dataset.scenario
+    except ScenarioError as error:
+        raise ScenarioError(f"{folder}: campaign.json is of another version of Keepout ({_line(error)})") from None
+    done = []
+    for number in range(dataset.chunks):
+        if dataset.is_done(number):
+            done.append(number)
+        progress((number + 1) / dataset.chunks, "looking at what is done")
+    return replace(dataset, parts=tuple(done))
+
+
+def entries(tree: dict[str, Any], above: str = "") -> dict[str, Any]:
+    """Give a tree's leaves by dotted name."""
+    found: dict[str, Any] = {}
+    for key, value in tree.items():
+        name = f"{above}.{key}" if above else str(key)
+        found |= entries(value, name) if isinstance(value, dict) else {name: value}
+    return found
+
+
+def differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[tuple[str, Any, Any]]:
+    """Name the entries in which two trees differ, with both values; None where one has none."""
+    names = dict.fromkeys((*one, *other))
+    return [(name, one.get(name), other.get(name)) for name in names if one.get(name) != other.get(name)]
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split())[:120]
 
 
 def _short(value: Any) -> str:

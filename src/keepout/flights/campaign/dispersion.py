@@ -1,16 +1,17 @@
-"""What varies from run to run, and the values of each run: a function of seed, name and run, whoever asks.
+"""What varies from run to run, and each run as drawn: a function of seed, name and run, whoever asks.
 
 Every dispersed entry is a map from a few numbers between 0 and 1 to its value. Those numbers come from one of three
 designs. `random` draws them from a generator of its own for each name, run and attempt (Philox, which counts), so that
 run k is the same in a campaign of any length, and what one entry draws does not depend on which others vary.
 `latin-hypercube` and `sobol` (scipy.stats.qmc, scrambled) lay out all runs together: run k then depends on the number
-of runs too.
+of runs too. A run as drawn is its scenario, where it starts and its mission, or why it cannot be flown.
 """
 
 import hashlib
+import itertools
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -19,9 +20,14 @@ from jaxtyping import Float
 from scipy.special import ndtr, ndtri
 from scipy.stats import qmc
 
-from keepout.core.errors import ScenarioError
-from keepout.core.mission.scenario import COMPONENTS, Scenario, entry_kind
+from keepout.core.errors import KeepoutError, ScenarioError
+from keepout.core.mission.build import Mission
+from keepout.core.mission.places import has_way_out, room_to_start
+from keepout.core.mission.scenario import COMPONENTS, Scenario, entry_kind, with_entries
 from keepout.core.mission.task_entries import DispersionEntry
+
+ATTEMPTS = 100
+"""How often a start is drawn before its run is refused."""
 
 _FIXED = ("name", "seed", "campaign")
 """Entries of the campaign as a whole: no run can have its own."""
@@ -66,12 +72,6 @@ class Design:
     sampling: str
     seed: int
     runs: int
-    _offsets: tuple[int, ...] = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        """Give each entry its place among the numbers of a design."""
-        sizes = [dispersion.dimensions for dispersion in self.dispersions]
-        object.__setattr__(self, "_offsets", tuple(int(n) for n in np.cumsum([0, *sizes])))
 
     @property
     def redraws(self) -> bool:
@@ -105,6 +105,11 @@ class Design:
             source = np.random.Philox(key=key, counter=np.array([0, 0, attempt, run], np.uint64))
             units[run - first] = np.random.Generator(source).random(dispersion.dimensions)
         return units
+
+    @cached_property
+    def _offsets(self) -> list[int]:
+        """The place of each entry among the numbers of a design, and their number."""
+        return list(itertools.accumulate((d.dimensions for d in self.dispersions), initial=0))
 
     @cached_property
     def _laid_out(self) -> Units:
@@ -144,13 +149,17 @@ def _dispersion(name: str, entry: DispersionEntry) -> Dispersion:
     except ScenarioError as error:
         raise ScenarioError(f"campaign.dispersions: {error}") from None
     if entry.choice is not None:
-        return _choice(name, entry.choice, entry.weights)
+        share = np.cumsum(entry.weights or [1.0] * len(entry.choice))
+        # The last one with a weight takes all that rounding leaves.
+        bounds = np.where(share >= share[-1], 1.0, share / share[-1])
+        return Dispersion(name, 1, _Choice(entry.choice, tuple(bounds.tolist())))
     if kind == "other":
         raise ScenarioError(f"campaign.dispersions: {name}: not a number; only choice can vary it")
     if entry.sphere is not None:
         if kind != "vector":
             raise ScenarioError(f"campaign.dispersions: {name}: sphere is for vectors, and this is a number")
-        return _sphere(name, entry.sphere, entry.centre)
+        least, largest = entry.sphere if isinstance(entry.sphere, tuple) else (entry.sphere, entry.sphere)
+        return Dispersion(name, 2 if least == largest else 3, _Sphere(least, largest, entry.centre))
     ends = entry.uniform or entry.normal
     assert ends is not None
     # One standard deviation may be that of all components.
@@ -159,9 +168,8 @@ def _dispersion(name: str, entry: DispersionEntry) -> Dispersion:
         needed = "two vectors of three" if kind == "vector" else "two numbers"
         raise ScenarioError(f"campaign.dispersions: {name}: {list(ends)}; needed are {needed}")
     first, second = np.asarray(ends[0], float), np.asarray(ends[1], float)
-    if entry.normal is not None:
-        return _normal(name, first, second, entry.within)
-    return _uniform(name, first, second)
+    law = _Uniform(first, second) if entry.normal is None else _Normal(first, second, entry.within)
+    return Dispersion(name, max(first.size, 1), law)
 
 
 @dataclass(frozen=True)
@@ -213,26 +221,6 @@ def _shaped(values: np.ndarray, like: np.ndarray) -> np.ndarray:
     return values if like.ndim else values[:, 0]
 
 
-def _uniform(name: str, low: np.ndarray, high: np.ndarray) -> Dispersion:
-    return Dispersion(name, max(low.size, 1), _Uniform(low, high))
-
-
-def _normal(name: str, mean: np.ndarray, deviation: np.ndarray, within: float) -> Dispersion:
-    return Dispersion(name, max(mean.size, 1), _Normal(mean, deviation, within))
-
-
-def _choice(name: str, of: tuple[Any, ...], weights: tuple[float, ...] | None) -> Dispersion:
-    share = np.cumsum(weights or [1.0] * len(of))
-    # The last one with a weight takes all that rounding leaves.
-    bounds = np.where(share >= share[-1], 1.0, share / share[-1])
-    return Dispersion(name, 1, _Choice(of, tuple(bounds.tolist())))
-
-
-def _sphere(name: str, sphere: float | tuple[float, float], centre: tuple[float, float, float]) -> Dispersion:
-    least, largest = sphere if isinstance(sphere, tuple) else (sphere, sphere)
-    return Dispersion(name, 2 if least == largest else 3, _Sphere(least, largest, centre))
-
-
 def columns(dispersion: Dispersion, values: Any) -> dict[str, np.ndarray]:
     """Lay the values of one entry out as table columns: numbers, three columns for vectors, or text for the rest.
 
@@ -246,3 +234,121 @@ def columns(dispersion: Dispersion, values: Any) -> dict[str, np.ndarray]:
     if all(isinstance(value, int | float) and not isinstance(value, bool) for value in all_):
         return {name: np.asarray(values, float)}
     return {name: np.array([str(value) for value in values], object)}
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run as drawn.
+
+    Attributes:
+        number: its place among all runs.
+        values: of what varies, by name.
+        position: where it starts, m, body frame.
+        velocity: likewise, m/s.
+        drawn_again: how often its start was drawn again.
+        mission: to be flown, made for the scenario's own start; None where it is refused.
+        refusal: why it is refused, or empty.
+
+    """
+
+    number: int
+    values: Mapping[str, Any]
+    position: Float[np.ndarray, "3"]
+    velocity: Float[np.ndarray, "3"]
+    drawn_again: int
+    mission: Mission | None
+    refusal: str = ""
+
+    @property
+    def flown(self) -> Mission:
+        """Its mission, of a run that is not refused."""
+        assert self.mission is not None
+        return self.mission
+
+    @property
+    def scenario(self) -> Scenario:
+        """What is flown, the start as the law was made for."""
+        return self.flown.scenario
+
+
+def alike(runs: Sequence[Run], what: Callable[[Run], Hashable]) -> list[list[int]]:
+    """Give the places of the runs that are flown, those that have the same of something together."""
+    places: dict[Hashable, list[int]] = {}
+    for place, run in enumerate(runs):
+        if run.mission is not None:
+            places.setdefault(what(run), []).append(place)
+    return list(places.values())
+
+
+def by_mission(runs: Sequence[Run]) -> list[list[int]]:
+    """Give the places of the runs that are flown, those of one mission together."""
+    return alike(runs, lambda run: id(run.mission))
+
+
+def draw(
+    scenario: Scenario, design: Design, prepared: Callable[[Scenario], Mission], first: int, last: int
+) -> list[Run]:
+    """Draw the runs from `first` up to `last`, each the same whichever others are drawn with it.
+
+    Laws are made for the scenario's start; what is drawn for `start` says where the flight begins, no more. A drawn
+    start that the chaser cannot begin at (too near the mesh, or no way out) is drawn again, or refused where the
+    design is laid out over all runs.
+    """
+    drawn, runs = design.values(first, last), []
+    for number in range(first, last):
+        values = {name: _plain(of[number - first]) for name, of in drawn.items()}
+        elsewhere = {name: value for name, value in values.items() if not name.startswith("start.")}
+        mission, refusal = None, ""
+        try:
+            mission = prepared(with_entries(scenario, elsewhere) if elsewhere else scenario)
+        except KeepoutError as error:
+            refusal = str(error)
+        runs.append(Run(number, values, *_start(scenario, values), 0, mission, refusal))
+    if not any(dispersion.of_start for dispersion in design.dispersions):
+        return runs
+    for places in alike(runs, lambda run: id(run.flown.target)):
+        distance = runs[places[0]].flown.target.distance
+        away = distance.distance(np.stack([runs[place].position for place in places])).tolist()
+        for place, far in zip(places, away):
+            runs[place] = _that_can_start(scenario, design, runs[place], far)
+    return runs
+
+
+def _that_can_start(scenario: Scenario, design: Design, run: Run, away: float) -> Run:
+    """Give a run whose start is so far (m) from the mesh, the start drawn again until it can be; or refused."""
+    again = 0
+    while reason := _unusable(run.flown, run.position, away):
+        if not design.redraws or again >= ATTEMPTS:
+            reason = f"start.position: {reason}" + (f" (draw {again + 1})" if again else "")
+            return replace(run, mission=None, refusal=reason)
+        again += 1
+        fresh = design.start_values(run.number, again)
+        values = {**run.values, **{name: _plain(value) for name, value in fresh.items()}}
+        position, velocity = _start(scenario, values)
+        away = float(run.flown.target.distance.distance(position[None])[0])
+        run = replace(run, values=values, position=position, velocity=velocity, drawn_again=again)
+    return run
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+
+
+def _start(scenario: Scenario, values: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+    made = []
+    for key in ("position", "velocity"):
+        vector = np.array(values.get(f"start.{key}", getattr(scenario.start, key)), float)
+        for axis, component in enumerate(COMPONENTS):
+            vector[axis] = values.get(f"start.{key}.{component}", vector[axis])
+        made.append(vector)
+    return made[0], made[1]
+
+
+def _unusable(mission: Mission, position: Float[np.ndarray, "3"], away: float) -> str:
+    """Say why a chaser cannot start somewhere, `away` (m) from the mesh; or nothing."""
+    room = room_to_start(mission.scenario)
+    if not away > room:
+        return f"{position.round(4).tolist()} m is {away:.3f} m from the mesh, and {room:.2f} m of room is needed"
+    if not has_way_out(mission.scenario, mission.target, position, away):
+        return f"{position.round(4).tolist()} m has no free way out of the target for the chaser"
+    return ""

@@ -1,29 +1,62 @@
-"""Drawn runs flown in batches: grouped by the program that flies them, each group filled up to whole batches."""
+"""Drawn runs flown in batches and judged: a chunk of a campaign, and single runs again in full.
+
+A chunk is a function of the plan and the chunk's number alone: a process, a thread or a worker on another machine may
+fly it, in any order and any number of times. On machines of one kind the answer is the same to the bit. Runs are
+grouped by the program that flies them, each group filled up to whole batches; no file is touched.
+"""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
+import pyarrow as pa
 
+from keepout.core.audit.audit import Audit, Contact
 from keepout.core.audit.tube import FlightBounds
+from keepout.core.compiled.kept_programs import processor
+from keepout.core.digest import digest
+from keepout.core.errors import ScenarioError
 from keepout.core.flight.batches import fly_batches
+from keepout.core.flight.loop import FlightLog
 from keepout.core.flight.outcome import FlightOutcome
-from keepout.core.flight.setup import FlightSetup, flown_setup
+from keepout.core.flight.setup import flown_setup
+from keepout.core.guard.guard import Guard
+from keepout.core.guard.start import starts_certified
 from keepout.core.mission import environment
-from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.audited import AUDITED, judge
+from keepout.core.mission.build import Mission
+from keepout.core.mission.flight import Flight, judged
 from keepout.core.motion.relative import MotionState, RelativeMotion
 from keepout.core.progress import Progress, silent
-from keepout.flights.campaign.drawing import Run
-from keepout.flights.campaign.programs import Program, program_for, stacked_setup
+from keepout.flights.campaign import bands, table
+from keepout.flights.campaign.dispersion import Run, alike, by_mission
+from keepout.flights.campaign.plan import Plan, Programs
 
+COLUMNS = tuple(dict.fromkeys((*AUDITED, *bands.COLUMNS)))
+"""What a campaign takes out of its compiled programs: to take out more is another program, of other last bits."""
 NEAR = 490.0
 """Starts within so many metres are within the range that gravity is bounded in anyway, 1000 m."""
+_EVERYTHING = tuple(FlightLog.__annotations__)
 
 Landed = Callable[[Sequence[Run], dict[str, np.ndarray]], None]
 """Called with runs that landed and their log columns, each (runs, steps + 1, ...)."""
+Told = Callable[[int, int, int], None]
+"""Called as flights of a chunk land, with how many did, how many of them reached the goal, and contacts among them."""
+
+
+class Flown(NamedTuple):
+    """What became of a run: its outcome, its verdict, and whether the guard's theorem holds from its start.
+
+    The last is None without a guard.
+    """
+
+    outcome: FlightOutcome
+    audit: Audit
+    certified: bool | None
 
 
 @eqx.filter_jit
@@ -31,39 +64,22 @@ def _state(motion: RelativeMotion, position: jax.Array, velocity: jax.Array) -> 
     return motion.initial_state(position, velocity)
 
 
-def initial_state(run: Run) -> MotionState:
-    """Give the true state in which a run starts."""
-    return jax.tree.map(lambda array: array[0], initial_states([run]))
-
-
 def initial_states(runs: Sequence[Run]) -> MotionState:
     """Give the true states in which runs start, with a leading axis: of the target, those of each mission."""
     states: dict[int, MotionState] = {}
     for run in runs:
-        assert run.mission is not None
         if id(run.mission) not in states:
             at = jax.device_put(run.position), jax.device_put(run.velocity)
-            states[id(run.mission)] = jax.device_get(_state(run.mission.setup.motion, *at))
+            states[id(run.mission)] = jax.device_get(_state(run.flown.setup.motion, *at))
     stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *(states[id(run.mission)] for run in runs))
     begun = tuple(np.stack([getattr(run, name) for run in runs]) for name in ("position", "velocity"))
     return eqx.tree_at(lambda state: (state.position, state.velocity), stacked, begun)
 
 
-def by_mission(runs: Sequence[Run]) -> list[list[int]]:
-    """Give the places of the runs that are flown, those of one mission together."""
-    places: dict[int, list[int]] = {}
-    for place, run in enumerate(runs):
-        if run.mission is not None:
-            places.setdefault(id(run.mission), []).append(place)
-    return list(places.values())
-
-
 def fly_runs(
     runs: Sequence[Run],
-    programs: Sequence[Program],
+    programs: Programs,
     *,
-    seed: int,
-    batch: int,
     columns: Sequence[str],
     landed: Landed,
     workers: int | None = None,
@@ -74,8 +90,6 @@ def fly_runs(
     Args:
         runs: as drawn.
         programs: of the campaign.
-        seed: of the campaign.
-        batch: flights in a batch; a group's last batch is filled up.
         columns: names of `FlightLog` columns to hand to `landed`.
         landed: gets each batch.
         workers: batches in flight at once; by default one for each core.
@@ -85,43 +99,34 @@ def fly_runs(
         The outcome of each flown run, by number.
 
     """
-    flown: dict[int, tuple[Any, Program, FlightSetup]] = {}  # of each mission
+    setups, found = {}, {}  # of each mission: its setup, and the key and program that fly it
     for place, *_ in by_mission(runs):
-        mission = runs[place].mission
-        assert mission is not None
-        setup = flown_setup(mission.setup)
-        flown[id(mission)] = *program_for(programs, setup), setup
-    groups: dict[Any, tuple[Program, list[Run], list[FlightSetup]]] = {}
-    for run in runs:
-        if run.mission is not None:
-            key, program, setup = flown[id(run.mission)]
-            _, members, setups = groups.setdefault(
-                (key, run.mission.steps, run.scenario.control.period), (program, [], [])
-            )
-            members.append(run)
-            setups.append(setup)
-    total = sum(len(members) for _, members, _ in groups.values())
+        mission = runs[place].flown
+        setups[id(mission)] = flown_setup(mission.setup)
+        found[id(mission)] = programs.find(setups[id(mission)])
+    groups = alike(runs, lambda run: (found[id(run.mission)][0], run.flown.steps, run.scenario.control.period))
+    total, done = sum(map(len, groups)), 0
     outcomes: dict[int, FlightOutcome] = {}
-    done = 0
-    for (_, steps, _), (program, members, setups) in groups.items():
-        initial = initial_states(members)
+    for places in groups:
+        members = [runs[place] for place in places]
+        program = found[id(members[0].mission)][1]
 
         def land(begin: int, log: dict[str, np.ndarray], members: list[Run] = members, before: int = done) -> None:
-            count = len(log["time"])
-            landed(members[begin : begin + count], log)
-            progress((before + begin + count) / total, f"{before + begin + count} of {total} flights")
+            until = begin + len(log["time"])
+            landed(members[begin:until], log)
+            progress((before + until) / total, f"{before + until} of {total} flights")
 
         outcome = fly_batches(
-            stacked_setup(program, setups),
-            initial,
-            steps,
-            seed=seed,
+            program.stack([setups[id(run.mission)] for run in members]),
+            initial_states(members),
+            members[0].flown.steps,
+            seed=programs.seed,
             places=np.array([run.number for run in members]),
             vary=program.vary,
             alike=program.alike,
             columns=tuple(dict.fromkeys(("time", *columns))),
             landed=land,
-            batch=batch,
+            batch=programs.batch or None,
             workers=workers,
         )
         for i, run in enumerate(members):
@@ -130,28 +135,198 @@ def fly_runs(
     return outcomes
 
 
-def bounds_of(runs: Sequence[Run]) -> list[tuple[FlightBounds, list[int]]]:
-    """Bound what the records of runs of one mission do not hold, for the audit; each with the places of its runs.
+def fly_judged(
+    runs: Sequence[Run],
+    programs: Programs,
+    *,
+    columns: Sequence[str] = COLUMNS,
+    landed: Callable[[Sequence[Run], dict[str, np.ndarray], list[Audit]], None] = lambda runs, log, audits: None,
+    bounds: FlightBounds | None = None,
+    workers: int | None = None,
+    progress: Progress = silent,
+) -> dict[int, Flown]:
+    """Fly all runs that are not refused as `fly_runs` does, and audit them; by number.
 
-    A start far away takes gravity's bounds with it.
+    `landed` hears of each batch, with its verdicts. `columns` are at least those that the audit looks at. `bounds` are
+    those that all runs are judged by; by default each has its own.
     """
-    far = [k for k, run in enumerate(runs) if np.linalg.norm(run.position) > NEAR]
-    near = sorted(set(range(len(runs))) - set(far))
-    found = [(environment.flight_bounds(runs[near[0]].scenario), near)] if near else []
-    for k in far:
-        at = tuple(runs[k].position.tolist())
-        scenario = runs[k].scenario.replace(campaign={"lower": at, "upper": at})
-        found.append((environment.flight_bounds(scenario), [k]))
+    verdicts: dict[int, Audit] = {}
+
+    def land(members: Sequence[Run], log: dict[str, np.ndarray]) -> None:
+        found = audits(members, log, bounds)
+        verdicts.update(zip((run.number for run in members), found))
+        landed(members, log, found)
+
+    outcomes = fly_runs(runs, programs, columns=columns, landed=land, workers=workers, progress=progress)
+    sure = certified(runs)
+    return {number: Flown(outcomes[number], verdicts[number], sure[number]) for number in sorted(outcomes)}
+
+
+def audits(runs: Sequence[Run], log: dict[str, np.ndarray], bounds: FlightBounds | None = None) -> list[Audit]:
+    """Judge flights on the exact mesh, together where they share what they are judged by."""
+    known: dict[Any, FlightBounds] = {}
+
+    def bounds_of(run: Run) -> FlightBounds:
+        """Bound what its record does not hold. A start far away takes gravity's bounds with it."""
+        at = tuple(run.position.tolist()) if np.linalg.norm(run.position) > NEAR else ()
+        key = id(run.mission), at
+        if key not in known:
+            scenario = run.scenario.replace(campaign={"lower": at, "upper": at}) if at else run.scenario
+            known[key] = environment.flight_bounds(scenario)
+        return known[key]
+
+    by = {run.number: bounds or bounds_of(run) for run in runs}
+    found: dict[int, Audit] = {}
+    for places in alike(runs, lambda run: (id(run.flown.target), by[run.number], run.scenario.chaser)):
+        first = runs[places[0]]
+        own = {name: log[name][places] for name in AUDITED}
+        found.update(zip(places, judge(first.scenario, first.flown.target, own, bounds=by[first.number])))
+    return [found[place] for place in range(len(runs))]
+
+
+def certified(runs: Sequence[Run]) -> dict[int, bool | None]:
+    """Whether the guard's theorem holds from where each flown run starts, by number; None without a guard."""
+    found: dict[int, bool | None] = {}
+    for places in by_mission(runs):
+        members = [runs[place] for place in places]
+        mission = members[0].flown
+        guard, sure = mission.setup.guard, [None] * len(members)
+        if isinstance(guard, Guard):
+            sure = (starts_certified(guard, initial_states(members)) & (not mission.assumptions_broken)).tolist()
+        found |= zip((run.number for run in members), sure)
     return found
 
 
-def with_start(run: Run) -> Scenario:
-    """Give the scenario of one run alone, its start as drawn."""
-    start = {"position": tuple(run.position.tolist()), "velocity": tuple(run.velocity.tolist())}
-    return run.scenario.replace(start=start)
+@dataclass(frozen=True)
+class ChunkResult:
+    """What became of a chunk's runs; plain bytes, to be sent and written.
+
+    Attributes:
+        number: of the chunk.
+        table: a Parquet file with one row a run (`table.py`). Its metadata names the plan (`plan`), the chunk
+            (`chunk`), the digest of the bands (`bands`) and the kind of processor (`processor`).
+        bands: an `.npz` file with the chunk's `Bands`.
+
+    """
+
+    number: int
+    table: bytes
+    bands: bytes
 
 
-def mission_of(run: Run) -> Any:
+def fly_chunk(plan: Plan, number: int, *, workers: int | None = None, told: Told | None = None) -> ChunkResult:
+    """Fly one chunk.
+
+    Args:
+        plan: of the campaign.
+        number: of the chunk, from 0 on.
+        workers: batches in flight at once; by default one for each core. The result does not depend on it.
+        told: called as flights land.
+
+    """
+    counted = plan.bands()
+
+    def land(members: Sequence[Run], log: dict[str, np.ndarray], found: list[Audit]) -> None:
+        goals = np.array([run.scenario.goal.position for run in members])
+        counted.count(log, goals, members[0].scenario.control.period)
+        if told is not None:
+            near = np.linalg.norm(log["position"][:, -1] - goals, axis=-1)
+            reached = near < [run.scenario.goal.tolerance for run in members]
+            told(len(members), int(np.sum(reached)), sum(verdict.contact is not Contact.NO for verdict in found))
+
+    runs = plan.draw(*plan.chunk_runs(number))
+    flown = fly_judged(runs, plan.programs, landed=land, workers=workers)
+    sketch = counted.to_bytes()
+    marks = {
+        "plan": plan.sha256,
+        "chunk": str(number),
+        "bands": digest(np.frombuffer(sketch, np.uint8)),
+        "scenario": plan.scenario.model_dump_json(),
+        "processor": processor(),
+    }
+    return ChunkResult(number, table.to_bytes(table.table_of(plan.design, runs, flown), marks), sketch)
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """A run flown again.
+
+    Attributes:
+        run: as drawn.
+        row: its row, from the very program that the campaign flies.
+        flight: in full, from a program that also gives out what the campaign does not look at.
+        apart: the largest difference between what the two programs say of time, position, velocity, force, h and V₁, in
+            their units; 0 where they agree to the bit. The second is compiled apart, so that rounding may differ.
+
+    """
+
+    run: Run
+    row: dict[str, Any]
+    flight: Flight
+    apart: float
+
+
+def replay(plan: Plan, numbers: Sequence[int]) -> list[Replayed]:
+    """Fly runs again, in batches of the campaign's size.
+
+    Args:
+        plan: of the campaign.
+        numbers: of the runs; all in memory at once, so at most a batch or so.
+
+    Raises:
+        ScenarioError: there is no such run, or it was refused.
+
+    """
+    runs: list[Run] = []
+    for number in numbers:
+        if not 0 <= number < plan.runs:
+            raise ScenarioError(f"run {number}: the campaign has the runs 0 to {plan.runs - 1}")
+        [run] = plan.draw(number, number + 1)
+        if run.mission is None:
+            raise ScenarioError(f"run {number}: was refused and not flown: {run.refusal}")
+        runs.append(run)
+    exact: dict[int, dict[str, np.ndarray]] = {}
+    full: dict[int, dict[str, np.ndarray]] = {}
+
+    def kept(into: dict[int, dict[str, np.ndarray]]) -> Callable[..., None]:
+        def keep(members: Sequence[Run], log: dict[str, np.ndarray], *_: Any) -> None:
+            for place, run in enumerate(members):
+                into[run.number] = {name: array[place] for name, array in log.items() if array is not None}
+
+        return keep
+
+    flown = fly_judged(runs, plan.programs, landed=kept(exact))
+    rows = table.table_of(plan.design, runs, flown).to_pylist()
+    outcomes = fly_runs(runs, plan.programs, columns=_EVERYTHING, landed=kept(full))
+    made = []
+    for run, row in zip(runs, rows, strict=True):
+        log = FlightLog(**{name: jnp.asarray(array) for name, array in full[run.number].items()})  # pyright: ignore[reportArgumentType]
+        header = {"campaign": plan.sha256, "run": run.number}
+        flight = judged(mission_of(run), log, result=jax.device_get(outcomes[run.number]), extra=header)
+        apart = max(_apart(exact[run.number][name], full[run.number][name]) for name in COLUMNS)
+        made.append(Replayed(run, row, flight, apart))
+    return made
+
+
+def mission_of(run: Run) -> Mission:
     """Give the mission of one run, its scenario saying where it truly starts."""
-    assert run.mission is not None
-    return replace(run.mission, scenario=with_start(run), initial=initial_state(run))
+    start = {"position": tuple(run.position.tolist()), "velocity": tuple(run.velocity.tolist())}
+    initial = jax.tree.map(lambda array: array[0], initial_states([run]))
+    return replace(run.flown, scenario=run.scenario.replace(start=start), initial=initial)
+
+
+def differences(kept: pa.Table, row: dict[str, Any]) -> dict[str, tuple[Any, Any]]:
+    """Compare a run's row in a campaign's table with another: the columns in which they differ, with both values."""
+    [found] = kept.to_pylist()
+    return {name: (found[name], row[name]) for name in found if not _equal(found[name], row[name])}
+
+
+def _equal(one: Any, other: Any) -> bool:
+    return one == other or (one != one and other != other)
+
+
+def _apart(one: np.ndarray, other: np.ndarray) -> float:
+    if np.array_equal(one, other, equal_nan=True):
+        return 0.0
+    difference = np.abs(np.asarray(one, float) - np.asarray(other, float))
+    return float(np.max(np.where(np.isnan(difference), np.inf, difference)))

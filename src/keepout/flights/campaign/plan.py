@@ -1,29 +1,43 @@
-"""A campaign made flyable: everything that a chunk of it depends on, and that makes it the same campaign again."""
+"""A campaign made flyable: everything that a chunk of it depends on, and that makes it the same campaign again.
+
+Missions of its runs share what is costly (`Workshop`), and so do their compiled programs (`Program`). The setups of two
+runs are flown by one program where they have the same structure and differ in small arrays only: these are then
+stacked, one entry a flight. Which arrays are stacked is settled once for the whole campaign, from its first few runs,
+and not for each batch, since a compiled program's last bits depend on it. A run that differs elsewhere is flown by a
+program of its structure in which all small arrays are stacked: again whatever is flown beside it.
+"""
 
 import json
-from dataclasses import dataclass
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
 import numpy as np
 
 import keepout
+from keepout.core.control.guidance.guidance import GeodesicGuidance, Guidance
+from keepout.core.control.guidance.plan import Geodesic, GuidancePlan, Point
 from keepout.core.digest import digest
 from keepout.core.errors import ScenarioError
+from keepout.core.fields.field import Field
 from keepout.core.fields.model import FieldModel
-from keepout.core.flight.batches import BATCH
-from keepout.core.flight.setup import flown_setup
+from keepout.core.flight.batches import BATCH, TARGET
+from keepout.core.flight.setup import FlightSetup, flown_setup
 from keepout.core.geometry.target import Target
+from keepout.core.guard.field import guard_field
 from keepout.core.guard.guard import Guard
+from keepout.core.mission import environment
 from keepout.core.mission.assumptions import guard_numbers
-from keepout.core.mission.build import load_model, load_target
+from keepout.core.mission.build import Mission, closing_radius, load_model, load_target, prepare
+from keepout.core.mission.law import named_guidance
 from keepout.core.mission.scenario import Scenario
+from keepout.core.motion.arrays import as_float64
 from keepout.core.progress import Progress, silent
 from keepout.flights.campaign.bands import Bands
-from keepout.flights.campaign.dispersion import Design, design
-from keepout.flights.campaign.drawing import Run, draw
-from keepout.flights.campaign.programs import Program, programs_of
-from keepout.flights.campaign.workshop import Workshop
+from keepout.flights.campaign.dispersion import Design, Run, design, draw
 
 FORMAT = 2
 """To be raised when the same campaign would give other files."""
@@ -32,6 +46,240 @@ _PROBED = 16
 """Runs, from the first on, that settle which numbers vary within a compiled program."""
 _MOST_BATCHES = 4
 """In a chunk; fewer where there are few batches, so that a kill loses little and every core has a chunk to fly."""
+_KEPT = 8
+"""Of each kind: meshes, fields and grids take tens of megabytes."""
+LARGE = 4096
+"""Arrays of more numbers are shared, never stacked: networks and grids. Runs that differ in them fly apart."""
+
+
+class _Shelf:
+    """The last few things made, by what they were made of."""
+
+    def __init__(self) -> None:
+        self._kept: OrderedDict[Hashable, Any] = OrderedDict()
+
+    def get(self, key: Hashable, make: Callable[[], Any]) -> Any:
+        if key not in self._kept:
+            self._kept[key] = make()
+            if len(self._kept) > _KEPT:
+                self._kept.popitem(last=False)
+        self._kept.move_to_end(key)
+        return self._kept[key]
+
+
+class Workshop:
+    """Builds missions as `prepare` does, to the same bits, and makes nothing costly twice that it still has.
+
+    May be asked from several threads, and pickled with all that it has made.
+    """
+
+    def __init__(self) -> None:
+        self._targets, self._models, self._guards, self._guidances, self._missions = (_Shelf() for _ in range(5))
+        self._lock = threading.Lock()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Give all but the lock, which belongs to a process."""
+        return {name: value for name, value in vars(self).items() if name != "_lock"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take what another process has made."""
+        vars(self).update(state, _lock=threading.Lock())
+
+    def mission(self, scenario: Scenario, *, progress: Progress = silent) -> Mission:
+        """Build a scenario.
+
+        Raises:
+            KeepoutError: it cannot be flown; the message names the entry.
+
+        """
+        with self._lock:
+            if not scenario.disturbance.phase:
+                return self._at_phase_zero(scenario, progress)
+            # No phase enters law, guard or bounds (`environment.largest_disturbance`): they are made once for all.
+            still = scenario.disturbance.model_copy(update={"phase": 0.0})
+            mission = self._at_phase_zero(scenario.model_copy(update={"disturbance": still}), progress)
+            return replace(
+                mission, scenario=scenario, setup=replace(mission.setup, disturbance=environment.disturbance(scenario))
+            )
+
+    def _at_phase_zero(self, scenario: Scenario, progress: Progress) -> Mission:
+        return self._missions.get(scenario.model_dump_json(), lambda: self._made(scenario, progress))
+
+    def keep(self, target: Target, model: FieldModel, scenario: Scenario) -> None:
+        """Take a mesh and a field that are already loaded for a scenario's own."""
+        self._targets.get(scenario.target.model_dump_json(), lambda: target)
+        self._models.get((scenario.field.source, scenario.target.model_dump_json()), lambda: model)
+
+    def target(self, scenario: Scenario) -> Target:
+        """Give a scenario's mesh."""
+        return self._targets.get(scenario.target.model_dump_json(), lambda: load_target(scenario.target))
+
+    def model(self, scenario: Scenario) -> FieldModel:
+        """Give the field that a scenario flies by."""
+        key = scenario.field.source, scenario.target.model_dump_json()
+        return self._models.get(key, lambda: load_model(scenario, self.target(scenario)))
+
+    def guard_field(self, scenario: Scenario, *, progress: Progress = silent) -> FieldModel:
+        """Give the field of the guard of a scenario that has one."""
+        target, model, radius = self.target(scenario), self.model(scenario), scenario.chaser.radius
+        closing = closing_radius(model)
+        return self._guards.get(
+            (target.sha256, radius, model.offset, closing),
+            lambda: guard_field(target, radius, offset=model.offset, closing_radius=closing, progress=progress),
+        )
+
+    def _made(self, scenario: Scenario, progress: Progress) -> Mission:
+        target, model = self.target(scenario), self.model(scenario)
+        plan = named_guidance(scenario)
+        if plan is None and scenario.control.profile == "default":
+            plan = Geodesic()
+        return prepare(
+            scenario,
+            target=target,
+            model=model,
+            guidance=_Remembered(plan, self._guidances, model.sha256) if isinstance(plan, Geodesic) else plan,
+            guard_grid=self.guard_field(scenario, progress=progress) if scenario.guard.enabled else None,
+            progress=progress,
+        )
+
+
+@dataclass(frozen=True)
+class _Remembered(GuidancePlan):
+    """A geodesic guidance whose travel times are marched once for each field, keep-out zone, goal and start."""
+
+    plan: Geodesic
+    shelf: _Shelf
+    field_sha256: str
+
+    def guidance(
+        self,
+        field: Field,
+        offset: float,
+        goal: Point,
+        *,
+        speed: float,
+        slowing_length: float,
+        start: Point | None = None,
+        progress: Progress = silent,
+    ) -> Guidance:
+        """Make the guidance, or give the one made before its speed and slowing length: no other part has them."""
+        key = (
+            self.field_sha256,
+            float(offset),
+            tuple(np.asarray(goal).tolist()),
+            None if start is None else tuple(np.asarray(start).tolist()),
+            self.plan.spacing,
+        )
+        made: GeodesicGuidance = self.shelf.get(
+            key,
+            lambda: self.plan.guidance(
+                field, offset, goal, speed=speed, slowing_length=slowing_length, start=start, progress=progress
+            ),
+        )
+        return replace(made, speed=as_float64(float(speed)), slowing_length=as_float64(float(slowing_length)))
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """A structure of setups, and which of its leaves are stacked.
+
+    Attributes:
+        setup: one that has the structure; its shared small leaves are those of all setups of the program.
+        stacked: for each leaf, whether each flight has its own.
+
+    """
+
+    setup: FlightSetup
+    stacked: tuple[bool, ...]
+
+    def takes(self, setup: FlightSetup) -> bool:
+        """Whether a setup (`flown_setup`) may be flown by this program."""
+        if _structure(setup) != _structure(self.setup):
+            return False
+        return self.widened(setup).stacked == self.stacked
+
+    @property
+    def vary(self) -> FlightSetup | None:
+        """A tree of truth values for the `vary` of `fly_batches`; None where nothing is stacked."""
+        return jax.tree.unflatten(jax.tree.structure(self.setup), self.stacked) if any(self.stacked) else None
+
+    @property
+    def alike(self) -> tuple[str, ...]:
+        """What of the target's motion flights have in common (`flight.batches.TARGET`): all where none varies it."""
+        vary = self.vary
+        turned = vary is not None and any(jax.tree.leaves(vary.motion))
+        return ("time",) if turned else TARGET
+
+    def widened(self, setup: FlightSetup) -> "Program":
+        """Give the program that takes a setup of its structure too: what differs in small arrays is stacked."""
+        pairs = zip(jax.tree.leaves(self.setup), jax.tree.leaves(setup), self.stacked, strict=True)
+        return Program(self.setup, tuple(own or not (_is_large(a) or _same(a, b)) for a, b, own in pairs))
+
+    def stack(self, setups: Sequence[FlightSetup]) -> FlightSetup:
+        """Give the setup of flights that fly together: one entry a flight in the stacked leaves, else the first's."""
+        if not any(self.stacked):
+            return setups[0]
+        columns = zip(*(jax.tree.leaves(setup) for setup in setups), strict=True)
+        leaves = [
+            np.stack([np.asarray(leaf) for leaf in column]) if own else column[0]
+            for column, own in zip(columns, self.stacked, strict=True)
+        ]
+        return jax.tree.unflatten(jax.tree.structure(setups[0]), leaves)
+
+
+@dataclass(frozen=True, eq=False)
+class Programs:
+    """What flies the runs of a campaign.
+
+    Attributes:
+        known: settled for the campaign as a whole.
+        seed: of the campaign.
+        batch: flights flown at once by one program, a last batch filled up; 0: as many as `fly_batches` takes.
+
+    """
+
+    known: tuple[Program, ...]
+    seed: int
+    batch: int
+
+    @classmethod
+    def of(cls, missions: Sequence[Mission], batch: int) -> "Programs":
+        """Settle the programs of a campaign from the missions of some of its runs."""
+        made: list[Program] = []
+        for setup in (flown_setup(mission.setup) for mission in missions):
+            place = next((i for i, program in enumerate(made) if _structure(program.setup) == _structure(setup)), None)
+            if place is None:
+                made.append(Program(setup, tuple(False for _ in jax.tree.leaves(setup))))
+            else:
+                made[place] = made[place].widened(setup)
+        return cls(tuple(made), missions[0].scenario.seed, batch)
+
+    def find(self, setup: FlightSetup) -> tuple[Any, Program]:
+        """Find the program of a setup (`flown_setup`), and a key that setups flown together have in common."""
+        large = tuple(id(leaf) for leaf in jax.tree.leaves(setup) if _is_large(leaf))
+        for i, program in enumerate(self.known):
+            if program.takes(setup):
+                return (i, large), program
+        wide = Program(setup, tuple(_is_number(leaf) and not _is_large(leaf) for leaf in jax.tree.leaves(setup)))
+        return ("wide", *_structure(setup), large), wide
+
+
+def _structure(setup: FlightSetup) -> tuple[Any, ...]:
+    """Give a setup's structure and the shapes of its leaves."""
+    leaves, structure = jax.tree.flatten(setup)
+    return structure, tuple(np.shape(leaf) for leaf in leaves)
+
+
+def _is_number(leaf: Any) -> bool:
+    return isinstance(leaf, float | int | np.ndarray | np.generic | jax.Array)
+
+
+def _is_large(leaf: Any) -> bool:
+    return np.size(leaf) > LARGE if _is_number(leaf) else True
+
+
+def _same(one: Any, other: Any) -> bool:
+    return one is other or np.array_equal(np.asarray(one), np.asarray(other), equal_nan=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,10 +291,9 @@ class Plan:
     Attributes:
         scenario: of all runs, with its `campaign` table.
         design: what varies.
-        batch: flights flown at once by one compiled program. Results depend on it in their last bits, which a flight
-            amplifies, so that it is part of what a campaign is.
         chunk: runs in a chunk, whole batches.
-        programs: which numbers vary within one compiled program.
+        programs: which numbers vary within one compiled program, and how many flights it flies at once. Results depend
+            on both in their last bits, which a flight amplifies, so that they are part of what a campaign is.
         workshop: what the missions share.
         target_sha256: digest of the scenario's own mesh.
         field_sha256: digest of its field.
@@ -55,9 +302,8 @@ class Plan:
 
     scenario: Scenario
     design: Design
-    batch: int
     chunk: int
-    programs: tuple[Program, ...]
+    programs: Programs
     workshop: Workshop
     target_sha256: str
     field_sha256: str
@@ -66,6 +312,11 @@ class Plan:
     def runs(self) -> int:
         """How many runs there are."""
         return self.scenario.campaign.runs
+
+    @property
+    def batch(self) -> int:
+        """Flights flown at once."""
+        return self.programs.batch
 
     @property
     def chunks(self) -> int:
@@ -78,7 +329,7 @@ class Plan:
 
     def draw(self, first: int, last: int) -> list[Run]:
         """Draw the runs from `first` up to `last`."""
-        return draw(_of_a_run(self.scenario), self.design, self.workshop, first, last)
+        return draw(_of_a_run(self.scenario), self.design, self.workshop.mission, first, last)
 
     def bands(self) -> Bands:
         """Begin the campaign's bands, with no flights."""
@@ -86,7 +337,7 @@ class Plan:
 
     def guard_numbers(self) -> dict[str, Any] | None:
         """Give what the guard of the first run that can be flown assumes, and what follows; None without a guard."""
-        guard = self.programs[0].setup.guard
+        guard = self.programs.known[0].setup.guard
         return guard_numbers(guard, self.scenario) if isinstance(guard, Guard) else None
 
     def identity(self) -> dict[str, Any]:
@@ -140,7 +391,7 @@ class Plan:
         model.require_target(target, where="field")
         workshop.keep(target, model, scenario)
         progress(0.1, "preparing")
-        probed = draw(_of_a_run(scenario), varied, workshop, 0, min(runs, _PROBED))
+        probed = draw(_of_a_run(scenario), varied, workshop.mission, 0, min(runs, _PROBED))
         flyable = [run.mission for run in probed if run.mission is not None]
         if not flyable:
             raise ScenarioError(f"campaign: none of the first {len(probed)} runs can be flown; {probed[0].refusal}")
@@ -148,9 +399,8 @@ class Plan:
         return cls(
             scenario,
             varied,
-            batch,
             batch * int(np.clip(batches // 64, 1 if batches < 8 else 2, _MOST_BATCHES)),
-            programs_of([flown_setup(mission.setup) for mission in flyable]),
+            Programs.of(flyable, batch),
             workshop,
             target.sha256,
             model.sha256,

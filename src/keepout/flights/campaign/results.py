@@ -1,6 +1,8 @@
-"""What a campaign's report says, as numbers: rates, distributions, influences, worst flights, refusals."""
+"""What campaigns say, as numbers: rates, distributions, influences, worst flights, refusals, and two side by side."""
 
-from collections.abc import Sequence
+import math
+import re
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -9,21 +11,31 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import stats
 
+from keepout.core.audit.audit import Contact
 from keepout.core.cores import available_cores
+from keepout.core.errors import ScenarioError
 from keepout.core.progress import Progress, part_of, silent
-from keepout.flights.campaign.influence import Factor, Influence, Ranked, holm, influence, ranked
-from keepout.flights.campaign.outcomes import (
-    FIGURES,
-    Distribution,
-    Figure,
-    Outcomes,
-    Rate,
-    distribution,
-    rates,
-    read_outcomes,
+from keepout.flights.campaign.dataset import Dataset, Words, differences, entries
+from keepout.flights.campaign.statistics import (
+    Factor,
+    Influence,
+    clopper_pearson,
+    difference_of_quantiles,
+    fisher,
+    holm,
+    influence,
+    mcnemar,
+    newcombe,
+    newcombe_paired,
+    quantile_interval,
 )
-from keepout.flights.campaign.reading import Reading
+from keepout.flights.campaign.table import FLOWN
 
+QUANTILES = (0.0, 0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99, 1.0)
+CURVE = 401
+"""Points of a kept distribution."""
+_NUMBER = re.compile(r"[-+]?\b\d+(\.\d+)?([eE][-+]?\d+)?\b")
+"""A number in a reason, and no digits in a name."""
 WORST = 10
 SIGNIFICANT = 0.05
 SCATTERED = 4
@@ -36,6 +48,204 @@ _THREADS = 2
 """Columns ranked at once, at most: each takes some 60 MB at a million runs."""
 _SEED = 20261
 """Of the choice of runs that are drawn as points."""
+COMPARED = (0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99)
+_DRAWS = ("seed", "campaign.sampling", "campaign.dispersions", "campaign.lower", "campaign.upper")
+"""Entries that draws depend on; with a design over all runs, their number too."""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A number that every flight has.
+
+    Attributes:
+        column: of the campaign's table.
+        label: for people, with its unit.
+        name: in tables and file names.
+        flights: which flights it is of, in words.
+
+    """
+
+    column: str
+    label: str
+    name: str
+    flights: str
+
+
+FIGURES = (
+    Figure("minimum_clearance", "least clearance, m", "clearance", "flown"),
+    Figure("delta_v", "Δv, m/s", "delta_v", "flown"),
+    Figure("time_to_reach", "time to reach, s", "time_to_reach", "reached"),
+    Figure("final_error", "final error, m", "final_error", "flown"),
+)
+
+
+@dataclass(frozen=True)
+class Rate:
+    """How often something happened.
+
+    Attributes:
+        name: what, one or few words.
+        count: of `total` runs.
+        total: runs or flights it is counted among.
+        among: which, in a word.
+        low: end of the 95 % interval (Clopper and Pearson).
+        high: the other end.
+
+    """
+
+    name: str
+    count: int
+    total: int
+    among: str
+    low: float
+    high: float
+
+    @property
+    def rate(self) -> float | None:
+        """Share; None of nothing."""
+        return self.count / self.total if self.total else None
+
+
+@dataclass(frozen=True, eq=False)
+class Distribution:
+    """How a figure is distributed over the flights that have it.
+
+    Attributes:
+        figure: which.
+        flights: that have it as a finite number.
+        not_finite: flights of the same kind in which it is no finite number.
+        mean: of the finite ones; None of none.
+        quantiles: at `QUANTILES` (of n values that of rank ⌈q n⌉); None of none.
+        curve: values at `shares`, ascending.
+        shares: of flights at or below each value of the curve.
+
+    """
+
+    figure: Figure
+    flights: int
+    not_finite: int
+    mean: float | None
+    quantiles: tuple[float, ...] | None
+    curve: Float[np.ndarray, "points"]
+    shares: Float[np.ndarray, "points"]
+
+
+@dataclass(frozen=True, eq=False)
+class Outcomes:
+    """Columns of all runs that are done, one entry a run.
+
+    Attributes:
+        run: numbers.
+        flown: whether it was flown, and not refused.
+        reached: whether it reached the goal.
+        touched: whether the audit proved a contact.
+        cleared: whether the audit proved that there was none.
+        figures: by column of `FIGURES`; not a number where refused.
+        reason: why it was refused, `without_numbers`.
+
+    """
+
+    run: np.ndarray
+    flown: Bool[np.ndarray, "runs"]
+    reached: Bool[np.ndarray, "runs"]
+    touched: Bool[np.ndarray, "runs"]
+    cleared: Bool[np.ndarray, "runs"]
+    figures: dict[str, Float[np.ndarray, "runs"]]
+    reason: Words
+
+    @property
+    def runs(self) -> int:
+        """How many."""
+        return len(self.run)
+
+    def has(self, figure: Figure) -> Bool[np.ndarray, "runs"]:
+        """Which runs are of the kind that has a figure."""
+        return self.reached if figure.flights == "reached" else self.flown
+
+    def known(self, figure: Figure) -> Bool[np.ndarray, "runs"]:
+        """Which runs have a figure as a finite number."""
+        return self.has(figure) & np.isfinite(self.figures[figure.column])
+
+    def ordered(self, figure: Figure) -> Float[np.ndarray, "flights"]:
+        """Give a figure's finite values, ascending."""
+        return np.sort(self.figures[figure.column][self.known(figure)])
+
+    def events(self) -> tuple[tuple[str, Bool[np.ndarray, "runs"], Bool[np.ndarray, "runs"], str], ...]:
+        """Give what is counted: its name, the runs in which it happened, those that it is counted among, their name."""
+        undecided = self.flown & ~self.touched & ~self.cleared
+        happened = {
+            "success: reached, no contact": self.reached & self.cleared,
+            "reached": self.reached,
+            "contact": self.touched,
+            "undecided": undecided,
+            "contact or undecided": self.touched | undecided,
+        }
+        return (
+            *((name, event, self.flown, "flown") for name, event in happened.items()),
+            ("refused", ~self.flown, np.ones(self.runs, bool), "drawn"),
+        )
+
+
+def read_outcomes(reading: Dataset) -> Outcomes:
+    """Read what became of all runs that are done.
+
+    Raises:
+        FlightError: none is, or a part is damaged.
+
+    """
+    columns = ["run", "status", "reason", "contact", "reached", *(figure.column for figure in FIGURES)]
+    found = reading.arrays(columns, grouped={"reason": without_numbers})
+    flown = found["status"].equal(FLOWN)
+    return Outcomes(
+        found["run"].astype(np.int64),
+        flown,
+        flown & (found["reached"] == 1.0),
+        flown & found["contact"].equal(str(Contact.YES)),
+        flown & found["contact"].equal(str(Contact.NO)),
+        {figure.column: found[figure.column] for figure in FIGURES},
+        found["reason"],
+    )
+
+
+def without_numbers(reason: str) -> str:
+    """Give a reason with # for each number, so that runs refused for the same reason have the same text."""
+    return _NUMBER.sub("#", reason)
+
+
+def rates(outcomes: Outcomes) -> tuple[Rate, ...]:
+    """Count success, contact and the rest, with their intervals."""
+    found = []
+    for name, happened, among, which in outcomes.events():
+        count, total = int(np.sum(happened & among)), int(np.sum(among))
+        found.append(Rate(name, count, total, which, *clopper_pearson(count, total)))
+    return tuple(found)
+
+
+def distribution(outcomes: Outcomes, figure: Figure) -> Distribution:
+    """Measure how a figure is distributed."""
+    ordered = outcomes.ordered(figure)
+    n = len(ordered)
+    lost = int(np.sum(outcomes.has(figure))) - n
+    if n == 0:
+        return Distribution(figure, 0, lost, None, None, np.empty(0), np.empty(0))
+    if n <= CURVE:
+        places = np.arange(n)
+    else:  # the lowest and highest twenty as they are, the rest evenly
+        places = np.unique(np.r_[0:20, np.linspace(0, n - 1, CURVE - 40).astype(int), n - 20 : n])
+    return Distribution(
+        figure,
+        n,
+        lost,
+        float(ordered.mean()),
+        tuple(float(ordered[rank(n, share)]) for share in QUANTILES),
+        ordered[places],
+        (places + 1.0) / n,
+    )
+
+
+def rank(n: int, share: float) -> int:
+    """Give the place, from 0 on, of a quantile among n ordered values: of rank ⌈q n⌉."""
+    return min(max(math.ceil(share * n - 1e-9 * n * share), 1), n) - 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +303,7 @@ class Results:
 
     """
 
-    reading: Reading
+    reading: Dataset
     runs: int
     flown: int
     rates: tuple[Rate, ...]
@@ -105,7 +315,7 @@ class Results:
     refusals: tuple[Refusal, ...]
 
 
-def results(reading: Reading, *, progress: Progress = silent) -> Results:
+def results(reading: Dataset, *, progress: Progress = silent) -> Results:
     """Work out what a campaign's report says, from the parts that are done.
 
     Args:
@@ -124,7 +334,8 @@ def results(reading: Reading, *, progress: Progress = silent) -> Results:
         found = _influences(reading, outcomes, pool, part_of(progress, 0.3, 0.9))
     influences = tuple(one for one, _ in found)
     # What goes up and down again has no ρ: the groups are tested beside it, the smaller p-value counting as one of two.
-    corrected = tuple(holm([_least_of(one.p_value, one.p_groups) for one in influences]))
+    known = ([p for p in (one.p_value, one.p_groups) if p is not None] for one in influences)
+    corrected = tuple(holm([min(2.0 * min(some), 1.0) if some else None for some in known]))
     telling = [i for i, p in enumerate(corrected) if p is not None and p < SIGNIFICANT]
     strongest = sorted(telling, key=lambda i: -influences[i].strength)[:SCATTERED]
     progress(0.9, "worst flights")
@@ -143,31 +354,24 @@ def results(reading: Reading, *, progress: Progress = silent) -> Results:
 
 
 def _influences(
-    reading: Reading, outcomes: Outcomes, pool: ThreadPoolExecutor, progress: Progress
+    reading: Dataset, outcomes: Outcomes, pool: ThreadPoolExecutor, progress: Progress
 ) -> list[tuple[Influence, Scatter]]:
     """Measure every factor against every figure, a few columns in memory at once."""
-    known = {f.column: outcomes.has(f) & np.isfinite(outcomes.figures[f.column]) for f in FIGURES}
-    ranks = dict(zip(known, pool.map(lambda c: stats.rankdata(outcomes.figures[c][known[c]]), known), strict=True))
-    points = {column: _points(has) for column, has in known.items()}
-    columns = reading.factor_columns()
-    names, found = list(columns), []
+    known = {figure: outcomes.known(figure) for figure in FIGURES}
+    points = {figure: _points(has) for figure, has in known.items()}
+    names, found = list(reading.factor_columns), []
     for first in range(0, len(names), _ROOM):
         some = names[first : first + _ROOM]
-        arrays = reading.arrays([column for name in some for column in columns[name]])
+        arrays = reading.arrays([column for name in some for column in reading.factor_columns[name]])
 
         def measure(name: str, arrays: dict[str, Any] = arrays) -> list[tuple[Influence, Scatter]]:
-            factor = reading.factor(name, arrays)
-            made = {}
-            of: tuple[np.ndarray, Ranked] | None = None
-            for figure in sorted(FIGURES, key=lambda figure: figure.flights):
-                has, rows = known[figure.column], points[figure.column]
-                if of is None or not np.array_equal(of[0], has):  # figures of the same runs follow one another
-                    of = has, ranked(Factor(name, factor.values[has], factor.levels))
-                one = influence(of[1], figure.name, ranks[figure.column])
+            factor, made = reading.factor(name, arrays), []
+            for figure, has in known.items():
+                values, rows = outcomes.figures[figure.column], points[figure]
+                one = influence(Factor(name, factor.values[has], factor.levels), figure.name, values[has])
                 drawn = Factor(name, factor.values[rows], factor.levels)
-                values = outcomes.figures[figure.column][rows]
-                made[figure] = one, Scatter(one, figure, drawn, values, ~outcomes.cleared[rows])
-            return [made[figure] for figure in FIGURES]
+                made.append((one, Scatter(one, figure, drawn, values[rows], ~outcomes.cleared[rows])))
+            return made
 
         for place, some_found in enumerate(pool.map(measure, some)):
             found += some_found
@@ -182,18 +386,18 @@ def _points(has: Bool[np.ndarray, "runs"]) -> np.ndarray:
     return np.sort(np.random.default_rng(_SEED).choice(rows, POINTS, replace=False, shuffle=False))
 
 
-def _worst(reading: Reading, outcomes: Outcomes) -> tuple[dict[str, Any], ...]:
+def _worst(reading: Dataset, outcomes: Outcomes) -> tuple[dict[str, Any], ...]:
     flown = np.flatnonzero(outcomes.flown)
     clearance = outcomes.figures["minimum_clearance"][flown]
     chosen = outcomes.run[flown[np.argsort(clearance, kind="stable")[:WORST]]].tolist()
     columns = ["run", "contact", "reached", *(figure.column for figure in FIGURES)]
     columns += [name for name in ("guard_interventions", "remarks") if name in reading.names]
-    factors = [column for group in reading.factor_columns().values() for column in group]
+    factors = [column for group in reading.factor_columns.values() for column in group]
     rows = {row["run"]: row for row in reading.rows(chosen, [*columns, *factors])}
     return tuple(rows[run] for run in chosen)
 
 
-def _refusals(reading: Reading, outcomes: Outcomes) -> tuple[Refusal, ...]:
+def _refusals(reading: Dataset, outcomes: Outcomes) -> tuple[Refusal, ...]:
     refused = np.flatnonzero(~outcomes.flown)
     groups = []
     for place in np.unique(outcomes.reason.codes[refused]):
@@ -203,6 +407,238 @@ def _refusals(reading: Reading, outcomes: Outcomes) -> tuple[Refusal, ...]:
     return tuple(sorted(groups, key=lambda group: (-len(group.runs), group.runs[0])))
 
 
-def _least_of(first: float | None, second: float | None) -> float | None:
-    known: Sequence[float] = [p for p in (first, second) if p is not None]
-    return min(2.0 * min(known), 1.0) if known else None
+@dataclass(frozen=True)
+class RateDifference:
+    """One rate of two campaigns.
+
+    Attributes:
+        first: of the first campaign.
+        second: of the second.
+        low: end of the 95 % interval of first less second: Newcombe's, for pairs where they are pairs.
+        high: the other end.
+        p_value: exact, two-sided: McNemar's for pairs, else Fisher's.
+        pairs: in both, in the first alone, in the second alone, in neither; None where runs are no pairs.
+
+    """
+
+    first: Rate
+    second: Rate
+    low: float
+    high: float
+    p_value: float
+    pairs: tuple[int, int, int, int] | None
+
+    @property
+    def difference(self) -> float | None:
+        """First less second: of the pairs where there are any."""
+        if self.pairs is not None:
+            return (self.pairs[1] - self.pairs[2]) / sum(self.pairs) if sum(self.pairs) else None
+        if self.first.rate is None or self.second.rate is None:
+            return None
+        return self.first.rate - self.second.rate
+
+
+@dataclass(frozen=True)
+class QuantileDifference:
+    """One quantile of a figure in two campaigns, each of all its flights that have a finite value.
+
+    Attributes:
+        figure: which.
+        share: of the quantile.
+        first: in the first campaign.
+        second: in the second.
+        low: end of the interval of first less second (`intervals.difference_of_quantiles`), about 95 %.
+        high: the other end; infinite where the flights are too few.
+
+    """
+
+    figure: Figure
+    share: float
+    first: float
+    second: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, eq=False)
+class PairedDifference:
+    """A figure of the first campaign less that of the second, run by run.
+
+    Attributes:
+        figure: which.
+        pairs: runs that have a finite value in both.
+        mean: of the differences.
+        mean_low: end of its 95 % interval (Student's t).
+        mean_high: the other end.
+        median: of the differences.
+        median_low: end of its 95 % interval (order statistics).
+        median_high: the other end.
+        lower: pairs in which the first is lower.
+        higher: pairs in which it is higher.
+        p_value: that both are as likely: the sign test, exact, two-sided.
+        curve: differences at `shares`, ascending, a few hundred.
+        shares: of pairs at or below.
+
+    """
+
+    figure: Figure
+    pairs: int
+    mean: float
+    mean_low: float
+    mean_high: float
+    median: float
+    median_low: float
+    median_high: float
+    lower: int
+    higher: int
+    p_value: float
+    curve: Float[np.ndarray, "points"]
+    shares: Float[np.ndarray, "points"]
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Two campaigns compared. Make with `compare`.
+
+    Attributes:
+        first: one campaign.
+        second: the other.
+        differing: entries of what they are in which they differ, with both values.
+        paired: runs that drew the same in both, bit for bit; None where the two are no pairs.
+        unlike: runs of both numbers that did not, and are left out of the pairs.
+        rates: differences of the rates.
+        quantiles: differences of quantiles.
+        differences: by run; empty without pairs.
+
+    """
+
+    first: Dataset
+    second: Dataset
+    differing: tuple[tuple[str, Any, Any], ...]
+    paired: int | None
+    unlike: int
+    rates: tuple[RateDifference, ...]
+    quantiles: tuple[QuantileDifference, ...]
+    differences: tuple[PairedDifference, ...]
+
+
+def compare(first: Dataset, second: Dataset, *, progress: Progress = silent) -> Comparison:
+    """Compare two finished campaigns.
+
+    Runs are pairs where seed, dispersions and sampling are the same, so that run k draws the same in both; of these,
+    only runs whose draws are equal bit for bit count (a start is drawn again where the chaser has no room).
+
+    Raises:
+        ScenarioError: one is not finished, or the tables have no common columns.
+        FlightError: a file is damaged.
+
+    """
+    for reading in (first, second):
+        if not reading.complete:
+            raise ScenarioError(
+                f"{reading.folder}: {len(reading.parts)} of {reading.chunks} parts are done; only finished campaigns "
+                "can be compared: start it again to finish it"
+            )
+    needed = ("run", "status", "reason", "contact", "reached", *(figure.column for figure in FIGURES))
+    for reading in (first, second):
+        if not set(reading.names) & set(needed):
+            raise ScenarioError(f"{reading.folder}: its table has none of the columns {', '.join(needed)}")
+    one, other = read_outcomes(first), read_outcomes(second)
+    progress(0.4, "pairs")
+    same = _same_draws(first, second, min(one.runs, other.runs)) if _are_pairs(first, second) else None
+    progress(0.6, "rates")
+    compared = _rates(one, other, same)
+    quantiles = tuple(found for figure in FIGURES for found in _quantiles(figure, one, other))
+    progress(0.8, "differences")
+    pairs = () if same is None else (_by_run(figure, one, other, same) for figure in FIGURES)
+    return Comparison(
+        first,
+        second,
+        tuple(
+            (name.removeprefix("scenario."), *values)
+            for name, *values in differences(entries(first.identity), entries(second.identity))
+        ),
+        None if same is None else int(same.sum()),
+        0 if same is None else int(np.sum(~same)),
+        compared,
+        quantiles,
+        tuple(found for found in pairs if found is not None),
+    )
+
+
+def _are_pairs(first: Dataset, second: Dataset) -> bool:
+    names = _DRAWS if first.scenario.campaign.sampling == "random" else (*_DRAWS, "campaign.runs")
+    differing = differences(*(entries(reading.identity["scenario"]) for reading in (first, second)))
+    return not any(name == draw or name.startswith(f"{draw}.") for name, *_ in differing for draw in names)
+
+
+def _same_draws(first: Dataset, second: Dataset, runs: int) -> Bool[np.ndarray, "runs"]:
+    columns = [column for group in first.factor_columns.values() for column in group if column in second.names]
+    same = np.ones(runs, bool)
+    for column in columns:  # one at a time, as a million runs take 8 MB
+        a, b = first.arrays([column])[column], second.arrays([column])[column]
+        if isinstance(a, Words) and isinstance(b, Words):
+            places = np.array([b.values.index(text) if text in b.values else -1 for text in a.values])
+            same &= places[a.codes[:runs]] == b.codes[:runs]
+        elif isinstance(a, Words) or isinstance(b, Words):
+            same[:] = False
+        else:
+            same &= (a[:runs] == b[:runs]) | (np.isnan(a[:runs]) & np.isnan(b[:runs]))
+    return same
+
+
+def _rates(one: Outcomes, other: Outcomes, same: Bool[np.ndarray, "runs"] | None) -> tuple[RateDifference, ...]:
+    found = []
+    for first, second, a, b in zip(rates(one), rates(other), one.events(), other.events(), strict=True):
+        if same is None:
+            counts = (first.count, first.total), (second.count, second.total)
+            found.append(RateDifference(first, second, *newcombe(*counts), fisher(*counts), None))
+            continue
+        n = len(same)
+        # Both must have been flown for a pair of flights, and be drawn for a pair of runs.
+        (x, among), (y, among_other) = (event[1:3] for event in (a, b))
+        known = same & among[:n] & among_other[:n]
+        x, y = x[:n][known], y[:n][known]
+        pairs = tuple(int(np.sum(both)) for both in (x & y, x & ~y, ~x & y, ~x & ~y))
+        found.append(
+            RateDifference(first, second, *newcombe_paired(*pairs), mcnemar(pairs[1], pairs[2]), pairs)  # pyright: ignore
+        )
+    return tuple(found)
+
+
+def _quantiles(figure: Figure, one: Outcomes, other: Outcomes) -> Iterator[QuantileDifference]:
+    a, b = one.ordered(figure), other.ordered(figure)
+    if not (len(a) and len(b)):
+        return
+    for share in COMPARED:
+        first, second = float(a[rank(len(a), share)]), float(b[rank(len(b), share)])
+        interval = difference_of_quantiles((first, quantile_interval(a, share)), (second, quantile_interval(b, share)))
+        yield QuantileDifference(figure, share, first, second, *interval)
+
+
+def _by_run(figure: Figure, one: Outcomes, other: Outcomes, same: Bool[np.ndarray, "runs"]) -> PairedDifference | None:
+    n = len(same)
+    a, b = one.figures[figure.column][:n], other.figures[figure.column][:n]
+    known = same & one.known(figure)[:n] & other.known(figure)[:n]
+    ordered = np.sort(a[known] - b[known])
+    count = len(ordered)
+    if count == 0:
+        return None
+    mean = float(ordered.mean())
+    wide = float(stats.t.ppf(0.975, count - 1) * ordered.std(ddof=1) / np.sqrt(count)) if count > 1 else np.inf
+    lower, higher = int(np.sum(ordered < 0.0)), int(np.sum(ordered > 0.0))
+    places = np.unique(np.linspace(0, count - 1, min(count, 401)).astype(int))
+    return PairedDifference(
+        figure,
+        count,
+        mean,
+        mean - wide,
+        mean + wide,
+        float(ordered[rank(count, 0.5)]),
+        *quantile_interval(ordered, 0.5),
+        lower,
+        higher,
+        mcnemar(lower, higher),
+        ordered[places],
+        (places + 1.0) / count,
+    )

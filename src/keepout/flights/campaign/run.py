@@ -1,5 +1,10 @@
-"""A campaign flown into a folder: what is missing there is flown, and nothing else."""
+"""A campaign flown into a folder: what is missing there is flown and nothing else, by whom, and which flights are kept.
 
+What needs no cluster never imports one.
+"""
+
+import importlib.util
+import re
 import time
 from collections.abc import Callable, Generator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
@@ -7,11 +12,20 @@ from contextlib import closing
 from dataclasses import dataclass
 from threading import Lock
 
+import numpy as np
+import pyarrow as pa
+
 from keepout.core.audit.audit import Contact
 from keepout.core.cores import available_cores
-from keepout.flights.campaign.chunk import ChunkResult, Told, fly_chunk
+from keepout.core.errors import ClusterError, FlightError, ScenarioError
+from keepout.core.flight.record import FlightRecord
 from keepout.flights.campaign.dataset import Dataset
+from keepout.flights.campaign.flying import ChunkResult, Told, fly_chunk, replay
 from keepout.flights.campaign.plan import Plan
+from keepout.flights.campaign.table import FLOWN
+
+VALID = "valid are tcp://HOST:PORT, tls://HOST:PORT, local and local:N"
+_ADDRESS = re.compile(r"(?:tcp|tls)://(?:\[[0-9a-fA-F:.]+\]|[^\s/:\[\]]+):(\d{1,5})")
 
 Flyer = Callable[[Plan, list[int], Told], Generator[ChunkResult, None, None]]
 """Flies chunks of a plan by their numbers, in any order, and gives each when it is there; tells of landed flights."""
@@ -133,3 +147,122 @@ def _found(dataset: Dataset, missing: list[int]) -> tuple[int, int]:
         reached += part["reached"].to_pylist().count(True)
         contacts += sum(verdict not in (None, Contact.NO) for verdict in part["contact"].to_pylist())
     return reached, contacts
+
+
+@dataclass(frozen=True)
+class Keep:
+    """How many flights to keep, those of least clearance first; None: all."""
+
+    worst: int | None
+
+    @classmethod
+    def parse(cls, text: str) -> "Keep":
+        """Read `none`, `all` or `worst:20`.
+
+        Raises:
+            ScenarioError: anything else.
+
+        """
+        if text in ("none", "all"):
+            return cls(0 if text == "none" else None)
+        kind, _, count = text.partition(":")
+        if kind == "worst" and count.isdecimal() and int(count) > 0:
+            return cls(int(count))
+        raise ScenarioError(f"keep: {text!r}; valid are none, all and worst:N with N from 1 on, as worst:20")
+
+
+def keep_flights(
+    plan: Plan, dataset: Dataset, keep: Keep, *, told: Callable[[int, int], None] = lambda done, total: None
+) -> list[int]:
+    """Write the flight files of a complete campaign that are not there yet: each run is flown again, to the same bits.
+
+    Args:
+        plan: of the campaign.
+        dataset: its folder, complete.
+        keep: which flights.
+        told: called with how many are there, and of how many.
+
+    Returns:
+        The runs kept, of least clearance first.
+
+    Raises:
+        FlightError: a file cannot be written.
+
+    """
+    if keep.worst == 0:
+        return []
+    whole = dataset.table(["run", "status", "minimum_clearance"])
+    flown = np.asarray(whole["status"].to_numpy(zero_copy_only=False) == FLOWN)
+    clearance = np.asarray(whole["minimum_clearance"].cast(pa.float64()).to_numpy(zero_copy_only=False), float)
+    runs = np.flatnonzero(flown)
+    chosen = [int(run) for run in runs[np.lexsort((runs, clearance[runs]))][: keep.worst]]
+    wanted = [run for run in chosen if not _is_kept(dataset, run)]
+    for first in range(0, len(wanted), plan.batch):
+        for made in replay(plan, wanted[first : first + plan.batch]):
+            path = dataset.kept(made.run.number)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            made.flight.record.save(path)
+        told(len(chosen) - max(len(wanted) - first - plan.batch, 0), len(chosen))
+    return chosen
+
+
+def _is_kept(dataset: Dataset, run: int) -> bool:
+    try:
+        header = FlightRecord.load(dataset.kept(run)).header
+    except FlightError:
+        return False
+    return header.get("campaign") == dataset.plan_sha256 and header.get("run") == run
+
+
+@dataclass(frozen=True)
+class Scheduler:
+    """Where chunks are handed to.
+
+    Attributes:
+        address: of a running `dask.distributed` scheduler; empty where workers are started here.
+        workers: processes to start here.
+
+    """
+
+    address: str = ""
+    workers: int = 0
+
+    @classmethod
+    def parse(cls, text: str) -> "Scheduler":
+        """Read an address, or `local` (a process for each core that this one may use) or `local:N`.
+
+        Raises:
+            ClusterError: neither, or more processes than cores.
+
+        """
+        kind, colon, count = text.partition(":")
+        if kind == "local":
+            cores = available_cores()
+            if colon and not (count.isascii() and count.isdigit() and 1 <= int(count) <= cores):
+                raise ClusterError(f"scheduler: {text}: this process may use {cores} cores; N must be 1 to {cores}")
+            return cls(workers=int(count) if colon else cores)
+        found = _ADDRESS.fullmatch(text)
+        if found is None or not 1 <= int(found[1]) <= 65535:
+            raise ClusterError(f"scheduler: {text!r} is not valid; {VALID}")
+        return cls(address=text)
+
+
+def flyer_on(scheduler: str, *, mixed_processors: bool = False) -> Flyer:
+    """Give who flies chunks on a cluster, or on processes started here.
+
+    Args:
+        scheduler: as for `Scheduler.parse`.
+        mixed_processors: whether workers with processors of several kinds may fly one campaign. The same chunk then
+            has other last bits on another kind; each part of the table names its own (`Dataset.processors`).
+
+    Raises:
+        ClusterError: not valid, or `dask.distributed` is not installed.
+
+    """
+    parsed = Scheduler.parse(scheduler)
+    missing = [name for name in ("distributed", "cryptography") if importlib.util.find_spec(name) is None]
+    if missing:
+        raise ClusterError(f"scheduler: {missing[0]} is not installed; pip install 'keepout[cluster]'")
+    from keepout.flights.campaign.cluster import Cluster
+
+    return Cluster(parsed.address, workers=parsed.workers, mixed_processors=mixed_processors)

@@ -1,29 +1,57 @@
-"""One row a run: the columns of a campaign's table, the same in every part of it."""
+"""One row a run: the columns of a campaign's table, the same in every part of it, and the figures of a whole one."""
 
 import io
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from keepout.core.audit.audit import Audit
+from keepout.core.audit.audit import Audit, Contact
 from keepout.core.errors import FlightError
 from keepout.core.flight.outcome import FlightOutcome
-from keepout.core.guard.status import flag_names
+from keepout.core.guard.status import GuardFlag, flag_names
+from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.statuses import LAYERS
-from keepout.flights.campaign.dispersion import Design, columns
-from keepout.flights.campaign.drawing import Run
+from keepout.flights.campaign.dispersion import Design, Run, columns
 
 _PARQUET = {"compression": "zstd", "write_page_checksum": True, "write_statistics": False}
 FLOWN, REFUSED = "flown", "refused"
+_STEPS = {f"{layer}_steps.{status.name.lower()}": (layer, status) for layer, kind in LAYERS.items() for status in kind}
+_KINDS = {
+    "contact": pa.string(),
+    "reached": pa.bool_(),
+    **dict.fromkeys(
+        (
+            *("minimum_clearance", "minimum_clearance_found", "minimum_clearance_time", "minimum_barrier"),
+            *("final_error", "time_to_reach", "delta_v", "propellant", "saturated_fraction"),
+            *("largest_speed", "largest_force"),
+        ),
+        pa.float64(),
+    ),
+    **dict.fromkeys(("speed_violations", "force_violations", "inconsistent_steps"), pa.int32()),
+    "finite": pa.bool_(),
+    "guard_interventions": pa.int32(),
+    "guard_flags": pa.string(),
+    "start_certified": pa.bool_(),
+    **dict.fromkeys(("assumptions_broken", "violated_conditions", "remarks"), pa.string()),
+    **dict.fromkeys(_STEPS, pa.int32()),
+}
+"""Names and types of the columns that a flown run has values for."""
+SUMMARISED = (
+    *("run", "status", "reason", "start_drawn_again", "reached", "contact", "minimum_clearance", "minimum_barrier"),
+    *("delta_v", "time_to_reach", "final_error", "saturated_fraction", "guard_interventions", "guard_flags"),
+    *("start_certified", "assumptions_broken", *_STEPS),
+)
+"""Columns that `summary` looks at."""
 
 
 def table_of(
     design: Design,
     runs: Sequence[Run],
-    flown: dict[int, tuple[FlightOutcome, Audit, bool | None]],
+    flown: Mapping[int, tuple[FlightOutcome, Audit, bool | None]],
 ) -> pa.Table:
     """Lay runs out as a table; what a refused run has no value for is null.
 
@@ -48,46 +76,15 @@ def table_of(
         for name, values in columns(dispersion, [run.values[dispersion.name] for run in runs]).items():
             made[name] = pa.array(values, pa.string() if values.dtype == object else pa.float64())
     figures = {run.number: _figures(run, *flown[run.number]) for run in runs if run.number in flown}
-    for name, kind in _kinds().items():
+    for name, kind in _KINDS.items():
         made[name] = pa.array([figures[n.number][name] if n.number in figures else None for n in runs], kind)
     return pa.table(made)
 
 
-def _kinds() -> dict[str, pa.DataType]:
-    """Names and types of the columns that a flown run has values for."""
-    counted = {f"{layer}_steps.{status.name.lower()}": pa.int32() for layer, kind in LAYERS.items() for status in kind}
-    return {
-        "contact": pa.string(),
-        "reached": pa.bool_(),
-        "minimum_clearance": pa.float64(),
-        "minimum_clearance_found": pa.float64(),
-        "minimum_clearance_time": pa.float64(),
-        "minimum_barrier": pa.float64(),
-        "final_error": pa.float64(),
-        "time_to_reach": pa.float64(),
-        "delta_v": pa.float64(),
-        "propellant": pa.float64(),
-        "saturated_fraction": pa.float64(),
-        "largest_speed": pa.float64(),
-        "largest_force": pa.float64(),
-        "speed_violations": pa.int32(),
-        "force_violations": pa.int32(),
-        "inconsistent_steps": pa.int32(),
-        "finite": pa.bool_(),
-        "guard_interventions": pa.int32(),
-        "guard_flags": pa.string(),
-        "start_certified": pa.bool_(),
-        "assumptions_broken": pa.string(),
-        "violated_conditions": pa.string(),
-        "remarks": pa.string(),
-        **counted,
-    }
-
-
 def _figures(run: Run, outcome: FlightOutcome, audit: Audit, certified: bool | None) -> dict[str, Any]:
-    mission = run.mission
-    assert mission is not None
-    figures: dict[str, Any] = {
+    """Give what a flown run has values for, by the names of `_KINDS`."""
+    mission = run.flown
+    return {
         "contact": str(audit.contact),
         "reached": bool(outcome.reached),
         "minimum_clearance": audit.minimum_clearance,
@@ -111,11 +108,8 @@ def _figures(run: Run, outcome: FlightOutcome, audit: Audit, certified: bool | N
         "assumptions_broken": "; ".join(mission.assumptions_broken),
         "violated_conditions": "; ".join(str(c) for c in mission.setup.controller.conditions if not c.satisfied),
         "remarks": "; ".join(audit.remarks),
+        **{name: int(getattr(outcome, f"{layer}_status_counts")[status]) for name, (layer, status) in _STEPS.items()},
     }
-    for layer, kind in LAYERS.items():
-        counts = np.asarray(getattr(outcome, f"{layer}_status_counts"))
-        figures |= {f"{layer}_steps.{status.name.lower()}": int(counts[status]) for status in kind}
-    return figures
 
 
 def to_bytes(table: pa.Table, marks: dict[str, str]) -> bytes:
@@ -137,3 +131,58 @@ def of_bytes(content: bytes, columns: list[str] | None = None) -> pa.Table:
         return pq.read_table(pa.BufferReader(content), columns=columns, page_checksum_verification=True)
     except Exception as error:  # damaged bytes surface as almost anything a reading library can raise
         raise FlightError(f"damaged, truncated or foreign ({' '.join(str(error).split())[:120]})") from error
+
+
+def summary(whole: pa.Table, scenario: Scenario) -> dict[str, Any]:
+    """Give the figures of a complete campaign for JSON; a contact is whatever the audit does not exclude.
+
+    Args:
+        whole: its table, of which `SUMMARISED` is read.
+        scenario: of all runs.
+
+    """
+    was_flown = pc.equal(whole["status"], FLOWN)  # pyright: ignore[reportAttributeAccessIssue]
+    flown, refused = whole.filter(was_flown), whole.filter(pc.invert(was_flown))  # pyright: ignore[reportAttributeAccessIssue]
+    names = [name for name in SUMMARISED if not pa.types.is_string(whole[name].type)]
+    of = {name: np.asarray(flown[name].cast(pa.float64()).to_numpy(zero_copy_only=False), float) for name in names}
+    contact, certified = flown["contact"].to_numpy(zero_copy_only=False), of["start_certified"]
+    statuses: dict[str, dict[str, int]] = {layer: {} for layer in LAYERS}
+    for name, (layer, status) in _STEPS.items():
+        if total := int(np.sum(of[name])):
+            statuses[layer][status.name.lower()] = total
+    flags = {entry["values"]: entry["counts"] for entry in flown["guard_flags"].value_counts().to_pylist()}
+    flagged = {
+        name: sum(count for words, count in flags.items() if name in (words or "").split())
+        for flag in GuardFlag
+        for name in flag_names(flag)
+    }
+    return {
+        "runs": len(whole),
+        "flown": len(flown),
+        "refused": len(refused),
+        # The first ones; the table has all.
+        "refusals": [{"run": row["run"], "reason": row["reason"]} for row in refused.slice(0, 10).to_pylist()],
+        "reached": int(np.sum(of["reached"])),
+        "contacts": int(np.sum(contact != str(Contact.NO))),
+        "undecided": int(np.sum(contact == str(Contact.UNDECIDED))),
+        "minimum_clearance_m": finite(np.min, of["minimum_clearance"]),
+        "minimum_barrier_m": finite(np.min, of["minimum_barrier"]),
+        "below_barrier": int(np.sum(of["minimum_barrier"] < 0.0)),
+        "starts_drawn_again": int(np.sum(whole["start_drawn_again"].to_numpy())),
+        "median_delta_v_mps": finite(np.median, of["delta_v"]),
+        "saturated_fraction": float(np.mean(of["saturated_fraction"])) if len(flown) else None,
+        "guard_interventions": int(np.sum(of["guard_interventions"])),
+        "statuses": statuses,
+        "starts_certified": None if np.isnan(certified).all() else int(np.nansum(certified)),
+        "assumptions_broken": sorted(text for text in flown["assumptions_broken"].unique().to_pylist()[:10] if text),
+        "flagged": {name: count for name, count in flagged.items() if count},
+        "faults": scenario.faults.model_dump(exclude_defaults=True),
+        "worst_runs": of["run"][np.lexsort((of["run"], of["minimum_clearance"]))[:10]].astype(int).tolist(),
+        "seed": scenario.seed,
+    }
+
+
+def finite(figure: Callable[[np.ndarray], Any], values: np.ndarray) -> float | None:
+    """Give a figure of numbers, or None where there are none or it is not finite."""
+    found = float(figure(values)) if values.size else np.nan
+    return found if np.isfinite(found) else None

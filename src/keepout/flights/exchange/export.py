@@ -11,8 +11,7 @@ from keepout.core.geometry.target import Target
 from keepout.core.mission.build import load_model, load_target
 from keepout.core.mission.scenario import Scenario
 from keepout.core.progress import Progress, silent
-from keepout.flights.exchange.inertial import inertial_flight
-from keepout.flights.exchange.messages_of_flight import Craft, export_attitude, export_orbit
+from keepout.flights.exchange.flight_files import Craft, export_attitude, export_orbit, export_table, inertial_flight
 
 FlightFormat = Literal["oem", "aem", "czml", "csv", "parquet", "npz", "glb"]
 FieldFormat = Literal["onnx", "glb"]
@@ -89,8 +88,6 @@ def export_flight(
         case "glb":
             return _flight_scene(source, record, scenario, out, mesh, progress)
         case _:
-            from keepout.flights.exchange.table import export_table
-
             return export_table(record, scenario, out, to=to)
 
 

@@ -1,9 +1,9 @@
 """CCSDS navigation messages as metadata and rows, in both of their forms: keywords and values (KVN), and XML.
 
 What is common to orbit ephemeris messages (OEM, CCSDS 502.0-B-3) and attitude ephemeris messages (AEM, 504.0-B-2): a
-header, and segments of metadata and rows. The meaning of metadata and rows is `orbit_message`'s and
-`attitude_message`'s. A row is an epoch and numbers, all of them still text. A file of keywords and values holds one
-message; an XML file holds one, or an `ndm` (505.0-B) of several, of which all of the wanted kind are read.
+header, and segments of metadata and rows. The meaning of metadata and rows is `ephemeris`'s. A row is an epoch and
+numbers, all of them still text. A file of keywords and values holds one message; an XML file holds one, or an `ndm`
+(505.0-B) of several, of which all of the wanted kind are read.
 """
 
 import datetime

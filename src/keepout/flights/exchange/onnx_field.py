@@ -5,6 +5,7 @@ reverse sweep, continuation. Every runtime rounds in its own way, so the differe
 the file is written, and the measured difference stands in the file beside the certificate; it proves nothing.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,9 @@ from typing import Any
 import equinox as eqx
 import jax
 import numpy as np
+import onnx
 from jaxtyping import Float
+from onnx import TensorProto, helper, numpy_helper
 
 from keepout.core.errors import ExchangeError
 from keepout.core.fields.evaluate import values_and_gradients
@@ -21,13 +24,112 @@ from keepout.core.fields.model import Certificate, FieldModel
 from keepout.core.fields.neural import NeuralField
 from keepout.core.progress import Progress, silent
 from keepout.core.whole_file import write_whole
-from keepout.flights.exchange.onnx_graph import Graph
 
+OPSET = 18
+IR_VERSION = 9
+"""Of ONNX 1.14 (2023): what reads that or later reads these files."""
+
+_TYPES = {np.dtype(np.float32): TensorProto.FLOAT, np.dtype(np.float64): TensorProto.DOUBLE}
 POINTS = 120_000
 """At which the file is measured; a third each within the domain, on the bend beyond it, and far outside."""
 _FARTHEST = 4.0
 """Points lie within so many outer radii of the field's centre."""
 _PIECE = 4096
+
+
+class Graph:
+    """Nodes and constants of an ONNX graph in the order in which they were asked for."""
+
+    def __init__(self) -> None:
+        self._nodes: list[Any] = []
+        self._constants: dict[tuple[str, bytes, tuple[int, ...]], Any] = {}
+
+    def constant(self, value: Any, dtype: Any) -> str:
+        """Give the name of a constant; equal ones are kept once."""
+        array = np.ascontiguousarray(value, dtype)
+        key = (array.dtype.str, array.tobytes(), array.shape)
+        if key not in self._constants:
+            self._constants[key] = numpy_helper.from_array(array, f"constant_{len(self._constants)}")
+        return self._constants[key].name
+
+    def node(self, operator: str, inputs: list[str], **attributes: Any) -> str:
+        """Append an operator with one output and give the output's name."""
+        name = f"{operator}_{len(self._nodes)}"
+        self._nodes.append(helper.make_node(operator, inputs, [name], name=name, **attributes))
+        return name
+
+    def named(self, value: str, name: str) -> None:
+        """Give a value a second name, as an output has one."""
+        self._nodes.append(helper.make_node("Identity", [value], [name], name=name))
+
+    def model(self, inputs: dict[str, list[Any]], outputs: dict[str, list[Any]], said: str) -> Any:
+        """Give the model with float64 inputs and outputs of these shapes.
+
+        Raises:
+            onnx.checker.ValidationError: the graph is no graph.
+
+        """
+        described = [
+            [helper.make_tensor_value_info(name, TensorProto.DOUBLE, shape) for name, shape in values.items()]
+            for values in (inputs, outputs)
+        ]
+        graph = helper.make_graph(self._nodes, "keepout_field", *described, initializer=list(self._constants.values()))
+        model = helper.make_model(
+            graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION, producer_name="keepout"
+        )
+        model.doc_string = said
+        onnx.checker.check_model(model, full_check=True)
+        return model
+
+
+def _appending(operator: str, *, swapped: bool = False) -> Callable[[Any, Any], Any]:
+    """Give a method of `Value` that appends an operator with two inputs."""
+
+    def method(self: Any, other: Any) -> Any:
+        return self.constant(other).apply(operator, self) if swapped else self.apply(operator, other)
+
+    return method
+
+
+class Value:
+    """A value of a graph: arithmetic with it appends nodes; numbers and arrays are constants of its type."""
+
+    def __init__(self, graph: Graph, name: str, dtype: np.dtype) -> None:
+        self.graph, self.name, self.dtype = graph, name, dtype
+
+    def constant(self, value: Any) -> "Value":
+        """Give a constant of its type."""
+        return Value(self.graph, self.graph.constant(value, self.dtype), self.dtype)
+
+    def apply(self, operator: str, *others: Any, **attributes: Any) -> "Value":
+        """Append an operator with this and others as its inputs; a name stands for itself."""
+        # The type of a condition is that of what it was made from, and so of what it chooses between.
+        names = [one if isinstance(one, str) else self._of(one).name for one in (self, *others)]
+        return Value(self.graph, self.graph.node(operator, names, **attributes), self.dtype)
+
+    def cast(self, dtype: Any) -> "Value":
+        """Change the float type."""
+        dtype = np.dtype(dtype)
+        return Value(self.graph, self.graph.node("Cast", [self.name], to=_TYPES[dtype]), dtype)
+
+    def dot(self, other: "Value") -> "Value":
+        """Sum the products along the second axis, which stays with length 1."""
+        return (self * other).apply("ReduceSum", self.graph.constant([1], np.int64), keepdims=1)
+
+    def _of(self, value: Any) -> "Value":
+        return value if isinstance(value, Value) else self.constant(value)
+
+    __add__, __radd__ = _appending("Add"), _appending("Add", swapped=True)
+    __sub__, __rsub__ = _appending("Sub"), _appending("Sub", swapped=True)
+    __mul__, __rmul__ = _appending("Mul"), _appending("Mul", swapped=True)
+    __truediv__, __rtruediv__ = _appending("Div"), _appending("Div", swapped=True)
+    __matmul__, __gt__ = _appending("MatMul"), _appending("Greater")
+
+    def __neg__(self) -> "Value":
+        return self.apply("Neg")
+
+    def __abs__(self) -> "Value":
+        return self.apply("Abs")
 
 
 def export_onnx(
@@ -61,6 +163,8 @@ def export_onnx(
     progress(0.1, "measuring")
     where = sample_points(field, points, seed)
     measured = measure(content, field, where, progress=progress)
+    import onnxruntime  # is there, as `measure` does not refuse
+
     rounding = own_rounding(field, where)
     told = {
         "format": "keepout-field-onnx 1",
@@ -74,7 +178,7 @@ def export_onnx(
         "package_rounding_of_gradient": rounding.gradient,
         "measured_points": points,
         "measured_seed": seed,
-        "measured_runtime": _runtime_version(),
+        "measured_runtime": f"onnxruntime {onnxruntime.__version__}, CPUExecutionProvider",
     }
     if certificate is not None:
         told |= {
@@ -96,139 +200,91 @@ def export_onnx(
 def field_graph(field: NeuralField) -> Any:
     """Give a field's ONNX model: input `points` (n, 3) in metres, outputs `value` (n,) and `gradient` (n, 3)."""
     g = Graph()
-    rings = _Rings(g, field)
-    inside = g.apply("Where", rings.outside, rings.carried, "points")
-    dtype = np.dtype(field.layers.weights[0].dtype)
-    centred = g.apply("Sub", inside, g.constant(np.asarray(field.continuation.centre)[None]))
-    x = g.cast(g.apply("Div", centred, g.constant(float(field.scale))), dtype)
-    value, gradient = (g.cast(name, np.dtype(np.float64)) for name in _sweeps(g, field, x, dtype))
-    scaled = g.apply("Mul", value, g.constant(float(field.scale)))
-    g.named(g.apply("Squeeze", rings.value(scaled), g.constant([1], np.int64)), "value")
-    g.named(rings.gradient(gradient), "gradient")
+    value, gradient = _continued(Value(g, "points", np.dtype(np.float64)), field)
+    g.named(value.apply("Squeeze", g.constant([1], np.int64)).name, "value")
+    g.named(gradient.name, "gradient")
     said = "Signed distance (m) and its gradient at points (m) in the target's body frame; positive outside."
     return g.model({"points": ["n", 3]}, {"value": ["n"], "gradient": ["n", 3]}, said)
 
 
-def _sweeps(g: Graph, field: NeuralField, x: str, dtype: np.dtype) -> tuple[str, str]:
+def _sweeps(x: Value, field: NeuralField) -> tuple[Any, Any]:
     """Append the network's forward and reverse sweep (`fields.mlp.sweeps`); give its value (n, 1) and gradient."""
     weights = [np.asarray(W) for W in field.layers.weights]
     biases = [np.asarray(b) for b in field.layers.biases]
-    one, beta = g.constant(1.0, dtype), g.constant(field.beta, dtype)
     a, slopes = x, []
     for W, b in zip(weights[:-1], biases[:-1]):
-        z = g.apply("Add", g.apply("MatMul", a, g.constant(W.T, dtype)), g.constant(b, dtype))
-        t = g.apply("Mul", z, beta)
-        e = g.apply("Exp", g.apply("Neg", g.apply("Abs", t)))
-        both = g.apply("Add", one, e)
-        risen = g.apply("Max", t, g.constant(0.0, dtype))
-        a = g.apply("Div", g.apply("Add", risen, g.apply("Log", both)), beta)
-        reciprocal = g.apply("Div", one, both)
-        rising = g.apply("Greater", t, g.constant(0.0, dtype))
-        slopes.append(g.apply("Where", rising, reciprocal, g.apply("Mul", e, reciprocal)))
-    last = g.apply("MatMul", a, g.constant(weights[-1].T, dtype))
-    value = g.apply("Add", last, g.constant(biases[-1], dtype))
-    a_bar = g.constant(weights[-1], dtype)
+        t = (a @ W.T + b) * field.beta
+        e = (-abs(t)).apply("Exp")
+        both = 1.0 + e
+        a = (t.apply("Max", 0.0) + both.apply("Log")) / field.beta
+        reciprocal = 1.0 / both
+        slopes.append((t > 0.0).apply("Where", reciprocal, e * reciprocal))
+    value = a @ weights[-1].T + biases[-1]
+    a_bar = x.constant(weights[-1])
     for W, slope in zip(weights[-2::-1], reversed(slopes)):
-        a_bar = g.apply("MatMul", g.apply("Mul", a_bar, slope), g.constant(W, dtype))
+        a_bar = (a_bar * slope) @ W
     return value, a_bar
 
 
-class _Rings:
-    """The nodes of `fields.continuation`: which points lie outside, where they are asked, and what is added there."""
+def _continued(points: Value, field: NeuralField) -> tuple[Any, Any]:
+    """Append the network within its domain and its continuation beyond (`fields.continuation`): value and gradient."""
+    ring, scale = field.continuation, float(field.scale)
+    numbers = (ring.target_radius, ring.domain_radius, ring.outer_radius, ring.allowance)
+    target_radius, domain_radius, outer_radius, allowance = (float(n) for n in numbers)
+    centre = np.asarray(ring.centre)[None]
+    from_centre = points - centre
 
-    def __init__(self, g: Graph, field: NeuralField) -> None:
-        self.g, ring = g, field.continuation
-        numbers = (ring.target_radius, ring.domain_radius, ring.outer_radius, ring.allowance)
-        self.target_radius, self.domain_radius, self.outer_radius, self.allowance = (float(n) for n in numbers)
-        centre = g.constant(np.asarray(ring.centre)[None])
-        self._from_centre = g.apply("Sub", "points", centre)
-        self.outside, self._away, self._r = self._beyond(self.domain_radius)
-        width = self.outer_radius - self.domain_radius
-        t = self._share(self._r, self.domain_radius, width)
-        t2 = g.apply("Mul", t, t)
-        t3 = g.apply("Mul", t2, t)
-        bent = self._sum(t, self._times(t3, -1.0), self._times(g.apply("Mul", t2, t2), 0.5))
-        self._psi = self._plus(self._times(bent, width), self.domain_radius)
-        self._psi1 = self._plus(self._sum(self._times(t2, -3.0), self._times(t3, 2.0)), 1.0)
-        ratio = g.apply("Div", self._psi, self._r)
-        self._ratio = ratio
-        self._lowered, self._lowered_slope = self._lowering()
-        self.carried = g.apply("Add", g.apply("Mul", self._away, ratio), centre)
-
-    def value(self, value: str) -> str:
-        """Continue values (n, 1)."""
-        g = self.g
-        added = g.apply("Sub", self._rise(self._r), self._rise(self._psi))
-        beyond = g.apply("Where", self.outside, added, g.constant(0.0))
-        return g.apply("Sub", g.apply("Add", value, beyond), self._lowered)
-
-    def gradient(self, gradient: str) -> str:
-        """Continue gradients (n, 3)."""
-        g = self.g
-        u = g.apply("Div", self._away, self._r)
-        radial = g.dot(gradient, u)
-        falling = g.apply("Mul", self._rise_slope(self._psi), self._psi1)
-        added = g.apply("Sub", self._rise_slope(self._r), falling)
-        across = g.apply("Mul", self._ratio, g.apply("Sub", gradient, g.apply("Mul", radial, u)))
-        along = g.apply("Mul", g.apply("Add", g.apply("Mul", self._psi1, radial), added), u)
-        continued = g.apply("Where", self.outside, g.apply("Add", across, along), gradient)
-        return g.apply("Sub", continued, self._lowered_slope)
-
-    def _lowering(self) -> tuple[str, str]:
-        """Append the allowance times a smoothstep from the target's radius to the domain's, and its gradient."""
-        g = self.g
-        _, away, r = self._beyond(self.target_radius)
-        width = self.domain_radius - self.target_radius
-        t = self._share(r, self.target_radius, width)
-        t2 = g.apply("Mul", t, t)
-        bracket = self._plus(self._sum(self._times(t, -15.0), self._times(t2, 6.0)), 10.0)
-        value = self._times(g.apply("Mul", g.apply("Mul", t2, t), bracket), self.allowance)
-        bell = g.apply("Mul", t, self._plus(self._times(t, -1.0), 1.0))
-        first = self._times(g.apply("Mul", bell, bell), self.allowance * 30.0 / width)
-        return value, g.apply("Mul", first, g.apply("Div", away, r))
-
-    def _beyond(self, radius: float) -> tuple[str, str, str]:
+    def beyond(radius: float) -> tuple[Any, ...]:
         """Whether a point lies beyond a radius; its place from the centre, or a stand-in if not; and that one's r."""
-        g = self.g
-        beyond = g.apply("Greater", g.dot(self._from_centre, self._from_centre), g.constant(radius**2))
-        away = g.apply("Where", beyond, self._from_centre, g.constant([[radius, 0.0, 0.0]]))
-        return beyond, away, g.apply("Sqrt", g.dot(away, away))
+        outside = from_centre.dot(from_centre) > radius**2
+        away = outside.apply("Where", from_centre, from_centre.constant([[radius, 0.0, 0.0]]))
+        return outside, away, away.dot(away).apply("Sqrt")
 
-    def _share(self, r: str, start: float, width: float) -> str:
-        g = self.g
-        share = g.apply("Div", g.apply("Sub", r, g.constant(start)), g.constant(width))
-        return g.apply("Min", g.apply("Max", share, g.constant(0.0)), g.constant(1.0))
+    def share(r: Value, start: float, width: float) -> Value:
+        return ((r - start) / width).apply("Max", 0.0).apply("Min", 1.0)
 
-    def _rise(self, s: str) -> str:
+    def rise(s: Value) -> Value:
         """F(s) = √(s² − ρ²) − ρ arccos(ρ/s).
 
         Runtimes have the arc cosine in float32 only; one Newton step on cos θ = ρ/s makes it one of float64.
         """
-        g = self.g
-        rho = g.constant(self.target_radius)
-        ratio = g.apply("Div", rho, s)
-        rough = g.cast(g.apply("Acos", g.cast(ratio, np.dtype(np.float32))), np.dtype(np.float64))
-        missing = g.apply("Sub", g.apply("Cos", rough), ratio)
-        angle = g.apply("Add", rough, g.apply("Div", missing, g.apply("Sin", rough)))
-        root = g.apply("Sqrt", g.apply("Sub", g.apply("Mul", s, s), g.constant(self.target_radius**2)))
-        return g.apply("Sub", root, g.apply("Mul", rho, angle))
+        ratio = target_radius / s
+        rough = ratio.cast(np.float32).apply("Acos").cast(np.float64)
+        angle = rough + (rough.apply("Cos") - ratio) / rough.apply("Sin")
+        return (s * s - target_radius**2).apply("Sqrt") - target_radius * angle
 
-    def _rise_slope(self, s: str) -> str:
+    def rise_slope(s: Value) -> Value:
         """F'(s) = √(1 − (ρ/s)²)."""
-        g = self.g
-        ratio = g.apply("Div", g.constant(self.target_radius), s)
-        return g.apply("Sqrt", g.apply("Sub", g.constant(1.0), g.apply("Mul", ratio, ratio)))
+        ratio = target_radius / s
+        return (1.0 - ratio * ratio).apply("Sqrt")
 
-    def _times(self, value: str, factor: float) -> str:
-        return self.g.apply("Mul", value, self.g.constant(factor))
+    outside, away, r = beyond(domain_radius)
+    width = outer_radius - domain_radius
+    t = share(r, domain_radius, width)
+    t2 = t * t
+    t3 = t2 * t
+    psi = (t + t3 * -1.0 + (t2 * t2) * 0.5) * width + domain_radius
+    psi1 = t2 * -3.0 + t3 * 2.0 + 1.0
+    ratio = psi / r
+    # The allowance times a smoothstep from the target's radius to the domain's, and its gradient.
+    _, near, distance = beyond(target_radius)
+    breadth = domain_radius - target_radius
+    s = share(distance, target_radius, breadth)
+    s2 = s * s
+    lowered = (s2 * s) * (s * -15.0 + s2 * 6.0 + 10.0) * allowance
+    bell = s * (s * -1.0 + 1.0)
+    lowered_slope = (bell * bell) * (allowance * 30.0 / breadth) * (near / distance)
 
-    def _plus(self, value: str, number: float) -> str:
-        return self.g.apply("Add", value, self.g.constant(number))
-
-    def _sum(self, first: str, *rest: str) -> str:
-        for value in rest:
-            first = self.g.apply("Add", first, value)
-        return first
+    inside = outside.apply("Where", away * ratio + centre, points)
+    sweeps = _sweeps(((inside - centre) / scale).cast(field.layers.weights[0].dtype), field)
+    value, gradient = (of.cast(np.float64) for of in sweeps)
+    added = outside.apply("Where", rise(r) - rise(psi), 0.0)
+    u = away / r
+    radial = gradient.dot(u)
+    across = ratio * (gradient - radial * u)
+    along = (psi1 * radial + (rise_slope(r) - rise_slope(psi) * psi1)) * u
+    continued = outside.apply("Where", across + along, gradient)
+    return value * scale + added - lowered, continued - lowered_slope
 
 
 @dataclass(frozen=True)
@@ -288,9 +344,3 @@ def own_rounding(field: NeuralField, points: Float[np.ndarray, "n 3"]) -> Differ
     true_value, true_gradient = values_and_gradients(exact, points)
     steepest = np.linalg.norm(gradient - true_gradient, axis=1)
     return Difference(float(np.abs(value - true_value).max()), float(steepest.max()))
-
-
-def _runtime_version() -> str:
-    import onnxruntime
-
-    return f"onnxruntime {onnxruntime.__version__}, CPUExecutionProvider"

@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle
 
 from keepout.flights.campaign.bands import QUANTITIES, Bands
-from keepout.flights.campaign.influence import Influence
 from keepout.flights.campaign.results import SIGNIFICANT, Results, Scatter
+from keepout.flights.campaign.statistics import Influence
 from keepout.flights.report.style import COLOURS, figure
 
 WIDTH = 3.5

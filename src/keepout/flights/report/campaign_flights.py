@@ -11,7 +11,6 @@ from jaxtyping import Float
 from keepout.core.errors import FlightError, KeepoutError
 from keepout.core.flight.record import FlightRecord
 from keepout.core.progress import Progress, part_of, silent
-from keepout.flights.campaign.dataset import Dataset
 from keepout.flights.campaign.results import Results
 from keepout.flights.replay.flights import Replayed, Surroundings
 from keepout.flights.report.replay_view import write_replay
@@ -41,7 +40,7 @@ def write_replays(folder: Path, found: Results, *, progress: Progress = silent) 
         By run number, for the flights that were kept; without flight files nothing is written.
 
     """
-    dataset = Dataset.open(found.reading.folder)
+    dataset = found.reading
     surroundings = Surroundings()
     groups: dict[str, list[Replayed]] = {}
     shown: dict[int, Shown] = {}

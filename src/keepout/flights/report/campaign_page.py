@@ -11,13 +11,10 @@ import numpy as np
 
 from keepout.core.progress import Progress, part_of, silent
 from keepout.core.whole_file import write_whole
-from keepout.flights.campaign.bands import LEAST, QUANTITIES, RELATIVE, Bands
-from keepout.flights.campaign.influence import GROUPS
-from keepout.flights.campaign.intervals import none_seen_bound
-from keepout.flights.campaign.outcomes import QUANTILES
-from keepout.flights.campaign.reading import read_campaign
-from keepout.flights.campaign.results import SIGNIFICANT, Results, results
-from keepout.flights.campaign.summary import SHARES
+from keepout.flights.campaign.bands import LEAST, QUANTITIES, RELATIVE, SHARES, Bands
+from keepout.flights.campaign.dataset import read_campaign
+from keepout.flights.campaign.results import QUANTILES, SIGNIFICANT, Results, results
+from keepout.flights.campaign.statistics import GROUPS, none_seen_bound
 from keepout.flights.report import campaign_figures
 from keepout.flights.report.campaign_flights import Shown, write_replays
 from keepout.flights.report.page import STYLE

@@ -11,8 +11,8 @@ from typing import Any
 from keepout.core.errors import ScenarioError
 from keepout.core.progress import Progress, part_of, silent
 from keepout.core.whole_file import write_whole
-from keepout.flights.campaign.comparison import Comparison, compare
-from keepout.flights.campaign.reading import read_campaign
+from keepout.flights.campaign.dataset import read_campaign
+from keepout.flights.campaign.results import Comparison, compare
 from keepout.flights.report.campaign_page import SAMPLING, html_table, percent
 from keepout.flights.report.folder import results_in
 from keepout.flights.report.page import STYLE

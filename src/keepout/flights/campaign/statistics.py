@@ -1,18 +1,22 @@
-"""Intervals and exact tests for what a campaign counts: rates, differences of rates, quantiles.
+"""Statistics of what a campaign counts: intervals and exact tests of rates and quantiles, and which draws matter.
 
 All are for independent runs. The rates' intervals are Clopper and Pearson's, which cover their probability at least as
 often as they say; those of differences are Newcombe's, which do so closely but not always.
 """
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
-from scipy import stats
+from jaxtyping import Float, Int
+from scipy import special, stats
 
 Interval = tuple[float, float]
 
 CONFIDENCE = 0.95
+GROUPS = 10
+"""Groups of equal size that a number's draws are put into, to find what goes up and down again."""
 
 
 def clopper_pearson(count: int, total: int, confidence: float = CONFIDENCE) -> Interval:
@@ -142,3 +146,104 @@ def _square_and_add(values: tuple[float, float], sides: tuple[Interval, Interval
 
 def _length(way: tuple[float, float], correlation: float) -> float:
     return math.sqrt(max(way[0] ** 2 - 2.0 * correlation * way[0] * way[1] + way[1] ** 2, 0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Factor:
+    """What was drawn for one dispersed number, one entry a run.
+
+    Attributes:
+        name: of its column; of a choice, of its entry.
+        values: the numbers; of a choice, the place of the chosen value in `levels`.
+        levels: of a choice, its values as text; None of a number.
+
+    """
+
+    name: str
+    values: Float[np.ndarray, "runs"] | Int[np.ndarray, "runs"]
+    levels: tuple[str, ...] | None = None
+
+
+@dataclass(frozen=True)
+class Influence:
+    """How a factor and a figure of the flights go together.
+
+    Attributes:
+        factor: its name.
+        figure: the figure's name.
+        runs: that have the figure.
+        correlation: Spearman's ρ, from -1 to 1; None of a choice, and where either never changes.
+        low: end of its 95 % interval (Bonett and Wright, Psychometrika 65, 2000), approximate; None with fewer than 4.
+        high: the other end.
+        ratio: η, from 0 to 1, of the figure's ranks between groups: a choice's values, or `GROUPS` of a number's draws.
+            The part of the variance that so many groups show by chance is taken off (ε², Kelley 1935).
+        p_value: that what was drawn does not matter: of ρ for a number (two-sided, Student's t), of Kruskal and
+            Wallis's test for a choice.
+        p_groups: of Kruskal and Wallis's test between the groups.
+
+    """
+
+    factor: str
+    figure: str
+    runs: int
+    correlation: float | None
+    low: float | None
+    high: float | None
+    ratio: float | None
+    p_value: float | None
+    p_groups: float | None
+
+    @property
+    def strength(self) -> float:
+        """The larger of |ρ| and η."""
+        return max(abs(self.correlation or 0.0), self.ratio or 0.0)
+
+
+def influence(factor: Factor, figure: str, values: Float[np.ndarray, "runs"]) -> Influence:
+    """Measure how a factor goes together with a figure.
+
+    Args:
+        factor: with the draws of those runs that have the figure.
+        figure: its name.
+        values: of the figure, all finite.
+
+    """
+    n, varies = len(values), bool(np.ptp(values)) if len(values) else False
+    correlation = p_value = ratio = p_groups = None
+    groups = factor.values
+    if factor.levels is None:
+        if n >= 3 and varies and np.ptp(factor.values):
+            correlation, p_value = map(float, stats.spearmanr(factor.values, values))
+        places = (stats.rankdata(factor.values) - 0.5) * GROUPS / max(n, 1)
+        groups = np.minimum(places.astype(np.int64), GROUPS - 1)
+    parts = [values[groups == group] for group in np.unique(groups)]
+    k = len(parts)
+    if n > k > 1 and varies:
+        statistic, p_groups = map(float, stats.kruskal(*parts))
+        ratio = min(math.sqrt(max((statistic - k + 1) / (n - k), 0.0)), 1.0)
+    if factor.levels is not None:
+        p_value = p_groups
+    low, high = (None, None) if correlation is None else correlation_interval(correlation, n)
+    return Influence(factor.name, figure, n, correlation, low, high, ratio, p_value, p_groups)
+
+
+def correlation_interval(rho: float, n: int) -> tuple[float, float] | tuple[None, None]:
+    """Give the approximate interval of Spearman's ρ: Fisher's z with Bonett and Wright's standard error."""
+    if n < 4:
+        return None, None
+    if abs(rho) == 1.0:
+        return rho, rho
+    middle, error = math.atanh(rho), math.sqrt((1.0 + rho**2 / 2.0) / (n - 3))
+    wide = float(special.ndtri(0.5 + CONFIDENCE / 2.0)) * error
+    return math.tanh(middle - wide), math.tanh(middle + wide)
+
+
+def holm(p_values: Sequence[float | None]) -> list[float | None]:
+    """Correct p-values for being many (Holm 1979): at 0.05, the chance of even one false alarm is at most 5 %."""
+    known = sorted((p, place) for place, p in enumerate(p_values) if p is not None)
+    found: list[float | None] = [None] * len(p_values)
+    largest = 0.0
+    for rank, (p, place) in enumerate(known):
+        largest = max(largest, min((len(known) - rank) * p, 1.0))
+        found[place] = largest
+    return found
