@@ -3,7 +3,7 @@
 import numpy as np
 
 from keepout.apps.reproduction import surface_view
-from keepout.core.measures.volume import Ellipsoid
+from keepout.core.measures.surface import Ellipsoid
 from keepout.flights.report.raster import eye_axes
 
 

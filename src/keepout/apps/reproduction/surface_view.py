@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse
 
-from keepout.core.measures.volume import Ellipsoid
+from keepout.core.measures.surface import Ellipsoid
 from keepout.flights.report.raster import View, eye_axes, rasterise
 from keepout.flights.report.style import COLOURS, figure
 
