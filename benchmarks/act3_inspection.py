@@ -38,7 +38,7 @@ from kept_rows import Rows, show
 
 from keepout.apps.inspection.hill import coast_matrix, push_matrix
 from keepout.core.control.law import Command, Law
-from keepout.core.fields.own import SphereField
+from keepout.core.fields.analytic import SphereField
 from keepout.core.flight.batches import fly_batches, states_at
 from keepout.core.flight.setup import FlightSetup
 from keepout.core.guard.braking import GuardAssumptions
@@ -47,7 +47,7 @@ from keepout.core.motion.chaser import Thrusters
 from keepout.core.motion.disturbance import NoDisturbance
 from keepout.core.motion.orbit import EARTH_GRAVITATIONAL_PARAMETER, Orbit
 from keepout.core.motion.relative import RelativeMotion
-from keepout.flights.report import terminal
+from keepout.flights.pages import terminal
 
 RECIPE = 1
 """Raised where the search or the flight changes: rows of an older one are flown again."""

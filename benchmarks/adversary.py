@@ -43,7 +43,7 @@ from keepout.core.guard.status import GuardFlag, GuardStatus, flag_names
 from keepout.core.mission.build import build_guard, flight_setup
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.target import load_target
-from keepout.flights.report import terminal
+from keepout.flights.pages import terminal
 
 VIOLATIONS = int(functools.reduce(operator.or_, (flag for flag in GuardFlag if flag is not GuardFlag.COMMAND)))
 """Flags that say that an assumption did not hold."""

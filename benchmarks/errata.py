@@ -18,14 +18,14 @@ from scipy.integrate import solve_ivp
 
 from keepout.core.control.observer import continuous, printed_observer
 from keepout.core.control.profiles import ControlWarning
-from keepout.core.fields import load_shipped
-from keepout.core.fields.field import values
+from keepout.core.fields.evaluate import values
+from keepout.core.fields.shipped import load_shipped
 from keepout.core.geometry.target import Target
 from keepout.core.mission.flight import fly
 from keepout.core.mission.scenario import Scenario
 from keepout.core.motion.disturbance import paper_disturbance
 from keepout.core.whole_file import write_whole
-from keepout.flights.report import terminal
+from keepout.flights.pages import terminal
 
 EARTH = 3.986004418e14
 """μ, m³/s²."""

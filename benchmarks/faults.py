@@ -38,7 +38,7 @@ from keepout.core.flight.setup import NoFaults
 from keepout.core.guard.field import RECIPE
 from keepout.core.guard.status import GuardFlag
 from keepout.core.mission.audited import AUDITED, fly_audited, judge
-from keepout.flights.report import terminal
+from keepout.flights.pages import terminal
 
 TARGETS = ("intelsat30", "iss", "tiangong", "ssl1300.glb")
 VIOLATIONS = int(functools.reduce(operator.or_, (flag for flag in GuardFlag if flag is not GuardFlag.COMMAND)))

@@ -15,7 +15,7 @@ from keepout.core.flight.batches import BATCH, states_at
 from keepout.core.mission.audited import fly_audited
 from keepout.core.mission.build import build_guard, closing_radius, flight_setup
 from keepout.core.mission.law import build_law, room_for_guard
-from keepout.flights.report import terminal
+from keepout.flights.pages import terminal
 
 
 @dataclasses.dataclass(frozen=True)

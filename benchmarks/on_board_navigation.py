@@ -18,7 +18,7 @@ from keepout.core.flight import loop
 from keepout.core.flight.on_board_navigation import OnBoardNavigation
 from keepout.core.mission.build import prepare
 from keepout.core.mission.scenario import Scenario
-from keepout.flights.report.machine import machine
+from keepout.flights.pages.folder import machine
 
 
 def recorded(mission, steps):

@@ -39,7 +39,7 @@ from keepout.core.flight.batches import BATCH, states_at
 from keepout.core.mission.audited import fly_audited
 from keepout.core.mission.build import flight_setup
 from keepout.core.mission.law import build_law, operation
-from keepout.flights.report import terminal
+from keepout.flights.pages import terminal
 
 LAWS = {
     "geodesic": {"profile": "default", "guidance": "geodesic", "circulation": "none"},

@@ -6,15 +6,15 @@ import numpy as np
 
 from keepout.core.control.guidance.fast_marching import travel_time
 from keepout.core.control.guidance.geodesic import BarrierGrid
-from keepout.core.fields import load_shipped, shipped_names
-from keepout.core.fields.field import values
+from keepout.core.fields.evaluate import values
 from keepout.core.fields.model import FieldModel
+from keepout.core.fields.shipped import load_shipped, shipped_names
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target
 from keepout.core.learning.training import fit
 from keepout.core.mission.scenario import Scenario
 from keepout.core.proof.certificate import certify
-from keepout.flights.report import terminal
+from keepout.flights.pages import terminal
 
 FIELDS = Path(__file__).parent / "results" / "fields"
 """Fields that the kept rows were flown by."""

@@ -26,7 +26,7 @@ from rivals_laws.rival_case import RivalCase
 from rivals_laws.rows import COLUMNS, Rows, flown_row, planned
 
 from keepout.core.control.profiles import ControlWarning
-from keepout.flights.report import terminal
+from keepout.flights.pages import terminal
 
 TARGETS = ("intelsat30", "iss", "pocket", "../shared/meshes/ssl1300.glb")
 HERE = Path(__file__).resolve().parent

@@ -22,12 +22,12 @@ import numpy as np
 from keepout.core.control import profiles
 from keepout.core.control.guidance.plan import Straight
 from keepout.core.control.operation import Operation
-from keepout.core.fields.own import SphereField
+from keepout.core.fields.analytic import SphereField
 from keepout.core.motion.chaser import Chaser
 from keepout.core.motion.disturbance import paper_disturbance
 from keepout.core.motion.orbit import Orbit
 from keepout.core.motion.relative import RelativeMotion
-from keepout.flights.report import style
+from keepout.flights.pages import style
 
 RADIUS, MASS, FORCE, PERIOD = 4.0, 20.0, 0.1, 1.0
 SUBSTEPS = 50

@@ -15,8 +15,8 @@ from truths.command_line import keepout_command
 from keepout import cli
 from keepout.cli.commands import mesh
 from keepout.cli.options import ORDER
-from keepout.core.fields import shipped_path
 from keepout.core.fields.model import FieldModel
+from keepout.core.fields.shipped import shipped_path
 
 REPOSITORY = Path(__file__).parents[1]
 EXAMPLES = REPOSITORY / "examples"
@@ -150,18 +150,18 @@ def work_is_watched(monkeypatch, work):
     [
         (("targets", "--pictures"), None, "keepout.core.geometry.mesh_report:enclosed_volume"),
         (("describe", "box", "-o"), None, "keepout.core.geometry.target:survey"),
-        (("measure", "intelsat30", "--shipped", "-o"), None, "keepout.core.measures.quality:measure_model"),
+        (("measure", "intelsat30", "--shipped", "-o"), None, "keepout.core.measures.field_measures:measure_model"),
         (("fly", "mission.toml", "-o"), None, "keepout.core.mission.flight:fly"),
         (("explore", "explore.toml", "-o"), None, "keepout.apps.unknown.explore:explore"),
         (("inspect", "mission.toml", "-o"), None, "keepout.apps.inspection.inspect:inspect"),
         (("campaign", "mission.toml", "-o"), None, "keepout.flights.campaign.plan:Workshop"),
-        (("campaign", "compare", "a", "b", "-o"), None, "keepout.flights.report.comparison_page:read_campaign"),
+        (("campaign", "compare", "a", "b", "-o"), None, "keepout.flights.pages.comparison_page:read_campaign"),
         (("rare", "mission.toml", "-o"), None, "keepout.flights.rare_events.event:rare"),
         (("reproduce", "runtime", "-o"), None, "keepout.apps.reproduction:side_by_side"),
         (("fit", "box", "-o"), "box.keepout", "keepout.core.learning.training:fit"),
         (("scenario", "new", "--for", "box", "--force", "-o"), "new.toml", "keepout.core.mission.draft:draft"),
         (("scenario", "schema", "-o"), "schema.json", "keepout.core.mission.scenario:schema"),
-        (("replay", "a.parquet", "-o"), "page.html", "keepout.flights.replay.flights:of_files"),
+        (("replay", "a.parquet", "-o"), "page.html", "keepout.flights.pages.replayed:of_files"),
         (("export", "a.parquet", "--to", "oem", "-o"), "a.oem", "keepout.flights.exchange.export:export_flight"),
         (("certify",), "box.keepout", "keepout.core.proof.certificate:certify"),
     ],

@@ -30,7 +30,7 @@ from keepout.apps.unknown import equipment, map_file
 from keepout.apps.unknown.depth_sensor import ErrorDraw, take
 from keepout.cli.options import ORDER
 from keepout.core.audit.audit import Audit, audit
-from keepout.core.fields.field import values
+from keepout.core.fields.evaluate import values
 from keepout.core.fields.model import FieldModel
 from keepout.core.flight.record import FlightRecord
 from keepout.core.geometry.builtin import BUILTINS
@@ -38,7 +38,7 @@ from keepout.core.geometry.first_hit import FirstHit
 from keepout.core.geometry.target import Target
 from keepout.core.mission import environment
 from keepout.core.mission.scenario import Scenario
-from keepout.flights.report.terminal import FLIGHT_COLUMNS, shown
+from keepout.flights.pages.terminal import FLIGHT_COLUMNS, shown
 
 pytestmark = [pytest.mark.as_used, pytest.mark.long]
 

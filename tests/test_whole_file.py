@@ -7,7 +7,7 @@ import pytest
 from keepout.core.errors import FlightError, KeepoutError
 from keepout.core.progress import never_back
 from keepout.core.whole_file import write_whole
-from keepout.flights.report.folder import write_summary
+from keepout.flights.pages.folder import write_summary
 
 
 def test_a_file_is_written_into_a_new_folder_with_the_permissions_of_any_new_file(tmp_path):

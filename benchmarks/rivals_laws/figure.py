@@ -12,7 +12,7 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from keepout.core.digest import digest
 from keepout.core.errors import KeepoutError
 from keepout.core.whole_file import write_whole
-from keepout.flights.report.style import COLOURS, TARGET_COLOUR, figure
+from keepout.flights.pages.figures import COLOURS, TARGET_COLOUR, figure
 from rivals_laws.flying import path
 from rivals_laws.rival import Rival
 from rivals_laws.rival_case import RivalCase

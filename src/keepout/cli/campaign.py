@@ -8,7 +8,7 @@ from rich.console import Console
 from typer.core import TyperGroup
 
 from keepout.cli.options import AsJson, ScenarioSeed, answer, app, at_least, example
-from keepout.flights.report import terminal
+from keepout.flights.pages import terminal
 
 
 class _FlyUnlessNamed(TyperGroup):
@@ -94,7 +94,7 @@ def report(
     as_json: AsJson = False,
 ) -> None:
     """Write a campaign's page, figures and CSV files anew: rates, distributions, what matters, the worst flights."""
-    from keepout.flights.report.campaign_page import report_campaign
+    from keepout.flights.pages.campaign_page import report_campaign
 
     with terminal.progress(f"report {folder.name}") as progress:
         summary = report_campaign(folder, progress=progress)
@@ -113,7 +113,7 @@ def compare(
     as_json: AsJson = False,
 ) -> None:
     """Compare two finished campaigns: rates, quantiles, and run by run where both drew the same."""
-    from keepout.flights.report.comparison_page import compare_campaigns
+    from keepout.flights.pages.comparison_page import compare_campaigns
 
     with terminal.progress("compare") as progress:
         summary = compare_campaigns(first, second, out, progress=progress)

@@ -7,7 +7,7 @@ import typer
 from rich.console import Console
 
 from keepout.cli.options import AsJson, Seed, Units, answer, app, at_least, example
-from keepout.flights.report import terminal
+from keepout.flights.pages import terminal
 
 _NineNumbers = tuple[float, float, float, float, float, float, float, float, float]
 

@@ -7,7 +7,7 @@ import typer
 from rich.console import Console
 
 from keepout.cli.options import AsJson, ScenarioSeed, answer, app, example
-from keepout.flights.report import terminal
+from keepout.flights.pages import terminal
 
 
 @app.command(epilog=example("keepout fly examples/case1.toml -o out/case1"))
@@ -46,6 +46,7 @@ def explore(
     as_json: AsJson = False,
 ) -> None:
     """Fly round a target that nobody has a model of: map what is seen free, approach in it, audit on the true mesh."""
+    from keepout.apps.unknown.exploration_page import ROWS
     from keepout.cli.commands.explore import explore_to_folder
     from keepout.core.mission.scenario import Scenario
 
@@ -56,7 +57,7 @@ def explore(
         summary = explore_to_folder(mission, out, figures=figures, progress=progress)
     answer(summary, as_json)
     if not as_json:
-        Console().print(terminal.exploration_table(summary))
+        Console().print(terminal.result_table(f"Exploration {summary['name']}", summary, ROWS))
         Console().print(f"written to [bold]{out}[/bold]")
 
 
@@ -73,6 +74,7 @@ def inspect(
     as_json: AsJson = False,
 ) -> None:
     """See all of a target that can be seen, in light, without touching it; audit the flight on the exact mesh."""
+    from keepout.apps.inspection.inspection_page import ROWS
     from keepout.cli.commands.inspect import inspect_to_folder, mission_of
 
     mission = mission_of(scenario)
@@ -82,7 +84,7 @@ def inspect(
         summary = inspect_to_folder(mission, out, figures=figures, progress=progress)
     answer(summary, as_json)
     if not as_json:
-        Console().print(terminal.inspection_table(summary))
+        Console().print(terminal.result_table(f"Inspection {summary['name']}", summary, ROWS))
         Console().print(f"written to [bold]{out}[/bold]")
 
 

@@ -8,7 +8,7 @@ import typer
 from rich.console import Console
 
 from keepout.cli.options import AsJson, DropStray, Scale, Units, answer, app, example
-from keepout.flights.report import terminal
+from keepout.flights.pages import terminal
 
 scenarios = typer.Typer(
     help="Write, check and explain scenario files.",

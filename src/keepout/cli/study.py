@@ -8,7 +8,7 @@ import typer
 from rich.console import Console
 
 from keepout.cli.options import AsJson, ScenarioSeed, Seed, answer, app, at_least, example
-from keepout.flights.report import terminal
+from keepout.flights.pages import terminal
 
 
 @app.command(epilog=example("keepout rare examples/case1.toml --below 0 -o out/rare"))

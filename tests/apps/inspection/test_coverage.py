@@ -10,13 +10,12 @@ from truths.made_up_inspection import DARK, PERIOD, RULES, SUN, box_patches, mad
 from truths.replay_page import ReplayPage
 
 from keepout.apps.inspection import coverage
-from keepout.apps.inspection.coverage import Coverage, _units
+from keepout.apps.inspection.coverage import Coverage, PatchMesh, _units
 from keepout.apps.inspection.fate import Fate, fates, first_frames
-from keepout.apps.inspection.patch_mesh import PatchMesh
-from keepout.flights.replay.body import fewer_of
-from keepout.flights.replay.flights import Replayed
-from keepout.flights.replay.scene import scene
-from keepout.flights.report.replay_view import write_replay
+from keepout.flights.pages.drawn import fewer
+from keepout.flights.pages.replay_page import write_replay
+from keepout.flights.pages.replayed import Replayed
+from keepout.flights.pages.scene import scene
 
 pytestmark = pytest.mark.long
 VIEWS = 8
@@ -28,7 +27,7 @@ def inspection():
 
 
 def replayed(of):
-    return Replayed(of.scenario.name, of.record, of.scenario, of.target, of.audit, coverage=Coverage.of(of))
+    return Replayed(of.scenario.name, of.record, of.scenario, of.target, of.audit, layer=Coverage.of(of))
 
 
 def page_of(of):
@@ -96,7 +95,7 @@ def test_a_thin_plate_that_is_drawn_as_one_sheet_has_both_its_outer_sides():
     kept["corners"] = kept["corners"] + [0.0, 0.0, 0.013]  # within one of the cells that are drawn as one point
     plate = dataclasses.replace(plate, **kept, counted=np.arange(2 * broad.sum()) % 2 == 0)
     mesh = PatchMesh.of(plate)
-    vertices, faces, became = fewer_of(mesh.vertices, mesh.faces, 300, side=0.02)
+    vertices, faces, became = fewer(mesh.vertices, mesh.faces, 300, side=0.02)
     assert len(faces) == 2 * across**2  # of twice as many
     units = _units(mesh, plate, vertices, faces, became)
     assert plate.counted[units].all()

@@ -9,11 +9,11 @@ import pytest
 from truths.made_up_inspection import made_up
 from truths.results import check_folder
 
-from keepout.apps.inspection import inspection_view
-from keepout.apps.inspection.best_views import best_views
+from keepout.apps.inspection import inspection_pictures
 from keepout.apps.inspection.coverage import FATE_COLOURS
 from keepout.apps.inspection.fate import Fate
 from keepout.apps.inspection.inspection_page import write_inspection
+from keepout.apps.inspection.inspection_pictures import best_views
 
 pytestmark = pytest.mark.long
 
@@ -49,7 +49,7 @@ def test_the_list_of_what_was_not_seen_is_whole_and_adds_up(written, inspection)
 
 def test_the_surface_has_the_colour_of_what_became_of_it(inspection, tmp_path):
     """What is seen of the box from above, back: +z, +y and +x, but for a row of +z not seen at all or seen."""
-    inspection_view.draw_fates(tmp_path / "surface.png", inspection)
+    inspection_pictures.draw_fates(tmp_path / "surface.png", inspection)
     picture = matplotlib.image.imread(tmp_path / "surface.png")[..., :3]
     found = {}
     for kind in Fate:

@@ -7,9 +7,9 @@ import pytest
 from truths.made_up_exploration import CAMERA, HALF, PERIOD, REFUSED, circle, look_at, made_up
 from truths.results import check_folder
 
-from keepout.apps.unknown import exploration_view
+from keepout.apps.unknown import exploration_pictures
 from keepout.apps.unknown.exploration_page import write_exploration
-from keepout.apps.unknown.first_sight import FirstSight
+from keepout.apps.unknown.exploration_pictures import FirstSight
 from keepout.core.geometry.target import Target
 
 pytestmark = pytest.mark.long
@@ -42,8 +42,8 @@ def first_times(points):
 def sight_of(exploration):
     return FirstSight(
         exploration.target,
-        exploration_view.taken(exploration),
-        exploration_view.camera_of(exploration),
+        exploration_pictures.taken(exploration),
+        exploration_pictures.camera_of(exploration),
         greatest_range=15.0,
         grazing_angle=1.48,
     )

@@ -8,9 +8,9 @@ from truths.replay_page import ReplayPage
 
 from keepout.apps.unknown.growth import Growth
 from keepout.apps.unknown.skin import MOST
-from keepout.flights.replay.flights import Replayed
-from keepout.flights.replay.scene import scene
-from keepout.flights.report.replay_view import write_replay
+from keepout.flights.pages.replay_page import write_replay
+from keepout.flights.pages.replayed import Replayed
+from keepout.flights.pages.scene import scene
 
 pytestmark = pytest.mark.long
 VIEWS = 8
@@ -22,7 +22,7 @@ def exploration():
 
 
 def replayed(of):
-    return Replayed(of.scenario.name, of.record, of.scenario, of.target, of.audit, growth=Growth.of(of))
+    return Replayed(of.scenario.name, of.record, of.scenario, of.target, of.audit, layer=Growth.of(of))
 
 
 def page_of(of):

@@ -1,4 +1,7 @@
-"""An inspection as a replay shows it: what became of the surface and when, the camera of each frame, and the sun."""
+"""An inspection as a replay shows it: what became of the surface and when, the camera of each frame, and the sun.
+
+And the patches as triangles, for this and all pictures.
+"""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -7,10 +10,10 @@ import numpy as np
 from jaxtyping import Float, Int, Int8
 
 from keepout.apps.inspection.fate import WORDS, Fate, fates, first_frames
-from keepout.apps.inspection.patch_mesh import PatchMesh
 from keepout.apps.inspection.seeing.patches import Patches
-from keepout.flights.replay.body import MOST_TRIANGLES, fewer_of
-from keepout.flights.replay.packing import Packing
+from keepout.flights.pages.drawn import MOST_TRIANGLES, fewer
+from keepout.flights.pages.replayed import Layer
+from keepout.flights.pages.scene import Packing
 
 if TYPE_CHECKING:
     from keepout.apps.inspection.inspection import Inspection
@@ -25,10 +28,48 @@ FATE_COLOURS = {
     Fate.NOT_COUNTED: "#c9ced6",
 }
 """Told apart by colour-blind readers, on light paper and on a dark ground."""
+_WELD = 1e-6
+"""Metres within which corners are one."""
 
 
 @dataclass(frozen=True, eq=False)
-class Coverage:
+class PatchMesh:
+    """Triangles that together are the patches.
+
+    Attributes:
+        vertices: m.
+        faces: counter-clockwise about the normal of their patch.
+        patch: of each face.
+
+    """
+
+    vertices: Float[np.ndarray, "v 3"]
+    faces: Int[np.ndarray, "f 3"]
+    patch: Int[np.ndarray, " f"]
+
+    @classmethod
+    def of(cls, patches: Patches) -> "PatchMesh":
+        """Divide each patch into triangles that share its first corner."""
+        most = patches.corners.shape[1]
+        second = np.arange(1, most - 1)
+        patch, place = np.nonzero(second[None] + 1 < patches.counts[:, None])
+        first = most * patch
+        faces = np.column_stack([first, first + second[place], first + second[place] + 1])
+        _, kept, joined = np.unique(
+            np.rint(patches.corners.reshape(-1, 3) / _WELD).astype(np.int64),
+            axis=0,
+            return_index=True,
+            return_inverse=True,
+        )
+        return cls(patches.corners.reshape(-1, 3)[kept], joined.reshape(-1)[faces], patch)
+
+    def triangles(self) -> Float[np.ndarray, "f 3 3"]:
+        """Give the corners of each face, m."""
+        return self.vertices[self.faces]
+
+
+@dataclass(frozen=True, eq=False)
+class Coverage(Layer):
     """What a replay shows of an inspection.
 
     Attributes:
@@ -59,13 +100,14 @@ class Coverage:
     possible: float
     half_angle: float
     reach: float
+    name = "coverage"
 
     @classmethod
     def of(cls, inspection: "Inspection") -> "Coverage":
         """Gather it from an inspection; a surface of very many triangles is drawn with fewer."""
         patches, mesh = inspection.patches, PatchMesh.of(inspection.patches)
         side = float(np.ptp(mesh.vertices, axis=0).max()) / 1000.0
-        vertices, faces, became = fewer_of(mesh.vertices, mesh.faces, MOST_TRIANGLES, side=side)
+        vertices, faces, became = fewer(mesh.vertices, mesh.faces, MOST_TRIANGLES, side=side)
         units = _units(mesh, patches, vertices, faces, became)
         times, shares = inspection.over_time()
         none = np.full(3, np.nan)

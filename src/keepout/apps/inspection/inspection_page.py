@@ -1,24 +1,20 @@
 """The folder of an inspection: flight file, what was not seen, summary, pictures, replay and a page that shows them."""
 
-import base64
-import html
+import functools
 import json
 from pathlib import Path
 from typing import Any
 
-from keepout.apps.inspection import inspection_view
+from keepout.apps.inspection import inspection_pictures as pictures
 from keepout.apps.inspection.coverage import FATE_COLOURS, Coverage
 from keepout.apps.inspection.fate import WORDS, Fate, shares, unseen
 from keepout.apps.inspection.inspection import Inspection
 from keepout.core.mission.flight import Flight
-from keepout.core.progress import Progress, part_of, silent
+from keepout.core.progress import Progress, silent
 from keepout.core.whole_file import write_whole
-from keepout.flights.replay.flights import Replayed
-from keepout.flights.report import flight_view
-from keepout.flights.report.folder import make_folder, write_summary
-from keepout.flights.report.page import STYLE, embedded
-from keepout.flights.report.replay_view import write_replay
-from keepout.flights.report.terminal import INSPECTION_ROWS, broken_assumptions, shown
+from keepout.flights.pages.flight_page import Pictures, draw_motion, draw_page, tell_result
+from keepout.flights.pages.folder import make_folder, write_summary
+from keepout.flights.pages.page import Markup, Page, bad, text
 
 UNSEEN = "unseen.json"
 _SHARES = {
@@ -28,6 +24,33 @@ _SHARES = {
     **{kind.name.lower(): WORDS[kind] for kind in Fate if kind is not Fate.NOT_COUNTED},
     "seen_beyond_proof": "seen, though proved hidden from the room allowed",
 }
+ROWS = {
+    "outcome": "outcome",
+    "why": "because",
+    "contact_verdict": "contact, on the mesh",
+    "minimum_clearance_m": "min clearance m",
+    "coverage": "share of the area seen",
+    "coverage_possible": "of what is not proved hidden, and can be lit",
+    "coverage_seeable": "of what surely can be seen, and be lit",
+    "coverage_upper_bound": "share that no chaser exceeds (proved)",
+    "proof_ended_by_clock": "proof ended by a clock",
+    "coverage_planned": "share of the area in the first plan",
+    "coverage_planned_in_time": "of that, by the mission's end",
+    "plan_duration_s": "first plan takes s",
+    "views": "views planned, with frames on the way",
+    "views_at_least": "least of the short list without them (proved)",
+    "candidates_short_listed": "views on the short list",
+    "candidates": "of so many candidates",
+    "plans": "plans made",
+    "frames": "frames",
+    "way_m": "planned way m",
+    "duration_s": "flown s",
+    "delta_v_mps": "Δv m/s",
+    "guard_interventions": "guard steps",
+    "start_certified": "start certified",
+    "seconds": "computed in s",
+}
+"""Words for the entries of an inspection's summary that a person is shown first."""
 
 
 def write_inspection(
@@ -47,31 +70,20 @@ def write_inspection(
     flight, left = out / f"{name}.parquet", out / UNSEEN
     inspection.record.save(flight)
     write_unseen(left, inspection)
-    summary = {
-        "name": name,
-        **inspection.summary(),
-        "shares": shares(inspection),
-        "flight": str(flight),
-        "unseen": str(left),
-    }
+    files = {"flight": str(flight), "unseen": str(left)}
+    summary = {"name": name, **inspection.summary(), "shares": shares(inspection), **files}
     if figures:
-        images = _draw(out, inspection, part_of(progress, 0.0, 0.6))
-        replayed = Replayed(
+        summary["pictures"] = draw_page(
+            out,
             name,
-            inspection.record,
-            inspection.scenario,
-            inspection.target,
-            inspection.audit,
-            coverage=Coverage.of(inspection),
+            _flight(inspection),
+            _pictures(inspection),
+            lambda page: _tell(page, inspection, summary),
+            title=f"Inspection {name}",
+            replay=f"{name}: {inspection.outcome}",
+            layer=Coverage.of(inspection),
+            progress=progress,
         )
-        write_replay(
-            out / "replay.html",
-            [replayed],
-            title=f"{name}: {inspection.outcome}",
-            progress=part_of(progress, 0.6, 1.0),
-        )
-        summary["pictures"] = [str(image) for image in images]
-        write_page(out / "index.html", inspection, summary, images)
     write_summary(out, summary)
     return summary
 
@@ -89,30 +101,22 @@ def write_unseen(path: Path, inspection: Inspection) -> None:
     write_whole(path, f'{head[:-1]}, "patches": [\n{lines}\n]}}\n')
 
 
-def _draw(out: Path, inspection: Inspection, progress: Progress) -> dict[Path, str]:
-    """Draw the pictures; give each with its caption."""
+def _pictures(inspection: Inspection) -> Pictures:
     drawn = {
         "coverage": (
-            inspection_view.draw_coverage,
+            pictures.draw_coverage,
             "What was seen when, as flown: every frame is judged at the record's true position.",
         ),
-        "surface": (inspection_view.draw_fates, "What became of the surface, and why the rest was not seen."),
+        "surface": (pictures.draw_fates, "What became of the surface, and why the rest was not seen."),
     }
     if inspection.seen.any():
         drawn["contact-sheet"] = (
-            inspection_view.draw_contact_sheet,
+            pictures.draw_contact_sheet,
             "The best view of each part. Drawn from the mesh, as the camera had it before it.",
         )
-    images = {}
-    for place, (stem, (draw, caption)) in enumerate(drawn.items()):
-        progress(place / (len(drawn) + 1), f"picture {stem}")
-        draw(out / f"{stem}.png", inspection)
-        images[out / f"{stem}.png"] = caption
-    motion = out / "motion.png"
-    flight_view.draw_motion(motion, _flight(inspection), name=inspection.scenario.name)
-    images[motion] = "Velocity, force and disturbance over time."
-    progress(1.0, "")
-    return images
+    made = {stem: (functools.partial(draw, inspection=inspection), words) for stem, (draw, words) in drawn.items()}
+    motion = functools.partial(draw_motion, flight=_flight(inspection), name=inspection.scenario.name)
+    return {**made, "motion": (motion, "Velocity, force and disturbance over time.")}
 
 
 def _flight(inspection: Inspection) -> Flight:
@@ -131,53 +135,27 @@ def _flight(inspection: Inspection) -> Flight:
     )
 
 
-def write_page(path: Path, inspection: Inspection, summary: dict[str, Any], images: dict[Path, str]) -> None:
-    """Write the page: how it ended, its figures, the shares of the surface, the replay, and pictures with captions."""
-    title = f"Inspection {inspection.scenario.name}"
-    bad = {"contact_verdict"} if summary["contact"] else set()
-    rows = "".join(
-        f"<tr><td>{html.escape(words)}</td><td{' class=bad' if key in bad else ''}>"
-        f"{html.escape(_said(key, summary[key]))}</td></tr>"
-        for key, words in INSPECTION_ROWS.items()
-        if summary[key] is not None
-    )
-    pictures = "".join(
-        f'<h3>{html.escape(caption)}</h3><p><img alt="{html.escape(image.stem)}" '
-        f'src="data:image/png;base64,{base64.b64encode(image.read_bytes()).decode("ascii")}"></p>'
-        for image, caption in images.items()
-    )
-    broken = "".join(f"<p class=bad>{html.escape(line)}</p>" for line in broken_assumptions([summary]))
-    write_whole(
-        path,
-        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{html.escape(title)}</title>'
-        f"<style>{STYLE}</style><h1>{html.escape(title)}</h1><p><b>{html.escape(said(inspection))}</b></p>{broken}"
-        f"<table>{rows}</table><h2>The surface</h2>{_shares_table(inspection)}"
-        f'<p><a href="{UNSEEN}">Every patch that was not seen, and why</a></p>'
-        f"<h2>Replay</h2>{embedded('replay.html')}<h2>Pictures</h2>{pictures}</html>",
-    )
-
-
-def _shares_table(inspection: Inspection) -> str:
-    """Give the shares of the area counted, and the areas; what the pictures colour has its colour."""
+def _tell(page: Page, inspection: Inspection, summary: dict[str, Any]) -> None:
+    """Say how it ended, its figures, and the shares of the area counted; what the pictures colour has its colour."""
+    told = {}
+    for key, words in ROWS.items():
+        if summary[key] is not None:
+            told[words] = f"{100.0 * summary[key]:.3f} %" if key.startswith("coverage") else summary[key]
+    if summary["contact"]:
+        told[ROWS["contact_verdict"]] = bad(summary["contact_verdict"])
+    tell_result(page, said(inspection), summary, told)
+    page.heading("The surface")
     area = float(inspection.patches.unit_areas().sum())
     colours = {kind.name.lower(): FATE_COLOURS[kind] for kind in Fate}
     rows = []
-    for key, share in shares(inspection).items():
+    for key, share in summary["shares"].items():
         if key == "seen_beyond_proof" and share == 0.0:
             continue
         square = f'<span style="color:{colours[key]}">■</span> ' if key in colours else ""
-        rows.append(
-            f"<tr><td>{square}{html.escape(_SHARES[key])}</td><td>{100.0 * share:.3f} %</td>"
-            f"<td>{share * area:.4g} m²</td></tr>"
-        )
-    return (
-        "<table><thead><tr><th></th><th>share of the area counted</th><th>area</th></tr></thead>"
-        f"<tbody>{''.join(rows)}</tbody></table>"
-    )
-
-
-def _said(key: str, value: Any) -> str:
-    return f"{100.0 * value:.3f} %" if key.startswith("coverage") else shown(value)
+        row = {"": Markup(f"{square}{text(_SHARES[key])}"), "share of the area counted": f"{100.0 * share:.3f} %"}
+        rows.append(row | {"area": f"{share * area:.4g} m²"})
+    page.table(rows)
+    page.words(page.link(page.path.parent / UNSEEN, "Every patch that was not seen, and why"))
 
 
 def said(inspection: Inspection) -> str:

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 
 from keepout.apps.led.camera import Pinhole
 from keepout.core.geometry.first_hit import FirstHit
+from keepout.flights.pages.mesh_pictures import fill_triangle
 
 _NEAR = 0.01
 """Metres before the camera within which nothing is drawn."""
@@ -183,32 +184,4 @@ def _paint(triangles, position, axes, focal, face, inverse):
             cut[k, 1] = focal * cut[k, 1] / z + 0.5 * rows - 0.5
             cut[k, 2] = 1.0 / z
         for k in range(1, count - 1):
-            _fill(cut[0], cut[k], cut[k + 1], f, face, inverse)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
-def _fill(a, b, c, f, face, inverse):
-    """Fill one triangle of the image: columns, rows, and the inverse of the depth at its corners."""
-    rows, columns = face.shape
-    area = (b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1])
-    if area == 0.0:
-        return
-    first_row = max(0, int(np.ceil(max(min(a[1], b[1], c[1]), -1.0))))
-    last_row = min(rows - 1, int(np.floor(min(max(a[1], b[1], c[1]), rows + 1.0))))
-    first_column = max(0, int(np.ceil(max(min(a[0], b[0], c[0]), -1.0))))
-    last_column = min(columns - 1, int(np.floor(min(max(a[0], b[0], c[0]), columns + 1.0))))
-    along_u, down_u = (c[1] - a[1]) / area, -(c[0] - a[0]) / area
-    along_v, down_v = -(b[1] - a[1]) / area, (b[0] - a[0]) / area
-    slack = -1e-9
-    for y in range(first_row, last_row + 1):
-        start_u = (y - a[1]) * down_u - a[0] * along_u
-        start_v = (y - a[1]) * down_v - a[0] * along_v
-        for x in range(first_column, last_column + 1):
-            u, v = start_u + x * along_u, start_v + x * along_v
-            if u < slack or v < slack or u + v > 1.0 - slack:
-                continue
-            w = a[2] + u * (b[2] - a[2]) + v * (c[2] - a[2])
-            if w > inverse[y, x]:
-                inverse[y, x] = w
-                face[y, x] = f
+            fill_triangle(cut[0], cut[k], cut[k + 1], f, face, inverse)

@@ -7,14 +7,14 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from keepout.apps.reproduction import case1, case2, case3, runtime, surfaces, table1, volumes
+from keepout.apps.reproduction.page import write_reproduction
 from keepout.apps.reproduction.part import Part
 from keepout.apps.reproduction.side_by_side import side_by_side
 from keepout.apps.reproduction.work import Work
 from keepout.core.compiled.kept_programs import keep_programs
 from keepout.core.errors import ScenarioError, UsageError
 from keepout.core.progress import Progress, never_back, part_of, silent
-from keepout.flights.report.folder import results_in, write_summary
-from keepout.flights.report.reproduction import write_reproduction
+from keepout.flights.pages.folder import results_in, write_summary
 
 PARTS: dict[str, Callable[[Work], Part]] = {
     "table1": table1.table1,
@@ -80,7 +80,7 @@ def reproduce(
             done[name] = part
             # After each part, so that a page stands even if a later part is stopped.
             finished = [done[name] for name in chosen if name in done]
-            write_reproduction(out, [part.section() for part in finished], introduction=INTRODUCTION, quick=quick)
+            write_reproduction(out, finished, introduction=INTRODUCTION, quick=quick)
             write_summary(out, [row for part in finished for row in part.named_rows])
         return part
 

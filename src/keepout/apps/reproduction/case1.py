@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from keepout.apps.reproduction import case1_view
+from keepout.apps.reproduction import figures
 from keepout.apps.reproduction.case1_map import draw_pairs, geodesic_passages, map_rows, only
 from keepout.apps.reproduction.case1_words import PAPER, findings
 from keepout.apps.reproduction.fitted import PAPER_NETWORK, field_of
@@ -278,8 +278,8 @@ def _drawings(work: Work, flights: Mapping[str, Flight], counts: Sequence[Mappin
         shown = {name: flights[f"{what}{name}{ending}"] for name in CIRCULATIONS.values()}
         if not ending:
             shown["default law"] = flights["default law"]
-        drawings += case1_view.draw_case(work.folder, shown, suffix=suffix, remark=ending)
+        drawings += figures.draw_case(work.folder, shown, suffix=suffix, remark=ending)
     wing = {name: flights[f"wing, {name}"] for name in CIRCULATIONS.values()}
-    drawings.append(case1_view.draw_wing(work.folder, wing))
-    drawings.append(case1_view.draw_map(work.folder, counts))
+    drawings.append(figures.draw_wing(work.folder, wing))
+    drawings.append(figures.draw_map(work.folder, counts))
     return [Drawing(name, caption) for name, caption in drawings]

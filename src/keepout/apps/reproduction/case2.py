@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from keepout.apps.reproduction.case2_view import draw_comparisons
+from keepout.apps.reproduction.figures import draw_comparisons
 from keepout.apps.reproduction.fitted import PAPER_NETWORK, field_of
 from keepout.apps.reproduction.kept_flight import kept_flight
 from keepout.apps.reproduction.part import Drawing, Part, Table

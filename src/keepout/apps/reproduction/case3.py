@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from keepout.apps.reproduction.figures import draw_series
 from keepout.apps.reproduction.part import Drawing, Part, Table
-from keepout.apps.reproduction.series_view import draw_series
 from keepout.apps.reproduction.side_by_side import side_by_side
 from keepout.apps.reproduction.work import Work
 from keepout.core.geometry.target import Target
@@ -82,7 +82,6 @@ def case3(work: Work) -> Part:
             {f"{name}, {law}": series(kept[name, law]) for law in LAWS},
             tolerance=scenario.goal.tolerance,
             speed_limit=scenario.chaser.speed_limit,
-            vector=True,
         )
         drawings.append(Drawing(name, _caption(name, scenario)))
     return Part(

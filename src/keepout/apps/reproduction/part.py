@@ -5,9 +5,23 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from keepout.core.mission.flight import Flight
-from keepout.flights.report.reproduction import Drawing, Section, Table
+from keepout.flights.pages.page import Table
 
 __all__ = ["Drawing", "Part", "Table"]
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A figure of a reproduction: `<name>.png` and `<name>.svg` in the part's folder.
+
+    Attributes:
+        name: of its files, without ending.
+        caption: what it shows, plain text.
+
+    """
+
+    name: str
+    caption: str
 
 
 @dataclass(frozen=True)
@@ -39,7 +53,3 @@ class Part:
     def named_rows(self) -> list[dict[str, Any]]:
         """Its rows as `--json` and `summary.json` list them among those of other parts: each with its name first."""
         return [{"experiment": self.name, **row} for row in self.rows]
-
-    def section(self) -> Section:
-        """Give what the page shows of it."""
-        return Section(self.name, self.title, self.paper, self.ours, self.tables, self.drawings, self.flights)

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from keepout.apps.reproduction.figures import draw_step_times
 from keepout.apps.reproduction.fitted import PAPER_NETWORK, field_of
 from keepout.apps.reproduction.kept_flight import kept_flight
 from keepout.apps.reproduction.part import Drawing, Part, Table
 from keepout.apps.reproduction.rest import trapped
-from keepout.apps.reproduction.runtime_view import draw_step_times
 from keepout.apps.reproduction.side_by_side import side_by_side
 from keepout.apps.reproduction.step_times import Contender, Timed, time_apart
 from keepout.apps.reproduction.usual_way import missing_extra

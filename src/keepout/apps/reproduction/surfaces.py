@@ -5,21 +5,15 @@ from typing import Any
 
 import numpy as np
 
-from keepout.apps.reproduction import fitted, surface_view
+from keepout.apps.reproduction import figures, fitted
+from keepout.apps.reproduction.figures import Triangles
 from keepout.apps.reproduction.fitted import OFFSET, SHIPPED, TARGETS
 from keepout.apps.reproduction.part import Drawing, Part, Table
-from keepout.apps.reproduction.surface_view import Triangles
 from keepout.apps.reproduction.work import Work
 from keepout.core.fields.model import FieldModel
 from keepout.core.geometry.target import Target
-from keepout.core.measures.surface import (
-    Surface,
-    default_spacing,
-    extract_surface,
-    smallest_ellipsoid,
-    steepest_slope,
-    surface_distance,
-)
+from keepout.core.measures.surface import Surface, default_spacing, extract_surface, steepest_slope, surface_distance
+from keepout.core.measures.volume import smallest_ellipsoid
 
 SAMPLES, QUICK_SAMPLES = 200_000, 10_000
 """On either surface, for the distances between them."""
@@ -42,12 +36,12 @@ def surfaces(work: Work) -> Part:
             surface = _surface(own.within(0.0, 0.8), target, model)
             rows.append({"target": name, "field": label, **_distances(own, target, model, surface)})
             best = shown[f"f̃ = 0, {label}"] = Triangles(surface.vertices, surface.faces)
-        surface_view.draw_surfaces(work.folder / f"surfaces-{name}.png", shown)
+        figures.draw_surfaces(work.folder / f"surfaces-{name}.png", shown)
         drawings.append(
             Drawing(f"surfaces-{name}", f"{name}: the mesh, and the zero level of the fields by marching cubes")
         )
         enclosed[name] = (best, smallest_ellipsoid(target.vertices, 1e-5))
-    surface_view.draw_ellipsoids(work.folder / "ellipsoids.png", enclosed)
+    figures.draw_ellipsoids(work.folder / "ellipsoids.png", enclosed)
     drawings.append(Drawing("ellipsoids", "The zero level of the last of the fields in the smallest ellipsoid"))
     return Part(
         name="surfaces",

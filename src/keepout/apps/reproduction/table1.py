@@ -7,14 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from keepout.apps.reproduction import fitted, training_view
+from keepout.apps.reproduction import fitted
+from keepout.apps.reproduction.figures import draw_sinking, draw_training
 from keepout.apps.reproduction.fitted import DEFAULT, DEVIATIONS, OFFSET, PAPER_NETWORK, PRINTED, SHIPPED, TARGETS
 from keepout.apps.reproduction.part import Drawing, Part, Table
 from keepout.apps.reproduction.work import Work
-from keepout.core.fields import load_shipped
-from keepout.core.fields.field import values
+from keepout.core.fields.evaluate import values
 from keepout.core.fields.model import FieldModel
 from keepout.core.fields.neural import NeuralField
+from keepout.core.fields.shipped import load_shipped
 from keepout.core.geometry.distance import ExactDistance
 from keepout.core.geometry.level_set import surface_points
 from keepout.core.geometry.target import Target
@@ -249,7 +250,7 @@ def _drawings(work: Work, networks: dict[str, FieldModel]) -> list[Drawing]:
     drawings = []
     curves = {name: model.training["curve"] for name, model in networks.items() if "curve" in model.training}
     if curves:
-        training_view.draw_training(work.folder / "training.png", curves)
+        draw_training(work.folder / "training.png", curves)
         drawings.append(
             Drawing("training", "Training of the paper's network: both terms of the loss, and the mean of f̃ − d")
         )
@@ -257,7 +258,7 @@ def _drawings(work: Work, networks: dict[str, FieldModel]) -> list[Drawing]:
     printed = fitted.field_of(work, PRINTED, target, fitting=not work.quick and work.fields is None)
     if printed is not None and TARGET_OF_PRINTED in curves:
         readings = {"L_P as printed": printed.training["curve"], "pinball reading": curves[TARGET_OF_PRINTED]}
-        training_view.draw_sinking(work.folder / "sinking.png", readings)
+        draw_sinking(work.folder / "sinking.png", readings)
         drawings.append(
             Drawing(
                 "sinking", f"{TARGET_OF_PRINTED}: the mean of f̃ − d under the printed L_P and under its pinball reading"

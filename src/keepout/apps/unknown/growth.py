@@ -8,8 +8,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from keepout.apps.led.camera import Pinhole, axes_towards
-from keepout.flights.replay.body import fewer
-from keepout.flights.replay.packing import Packing
+from keepout.flights.pages.drawn import fewer
+from keepout.flights.pages.replayed import Layer
+from keepout.flights.pages.scene import Packing
 
 if TYPE_CHECKING:
     from keepout.apps.unknown.exploration import Exploration
@@ -21,7 +22,7 @@ MOST_TRIANGLES = 16_000
 
 
 @dataclass(frozen=True, eq=False)
-class Growth:
+class Growth(Layer):
     """What a replay shows of a map that grew.
 
     Attributes:
@@ -50,6 +51,7 @@ class Growth:
     free_volume: Float[np.ndarray, "views"]
     slopes: tuple[float, float]
     reach: float
+    name = "growth"
 
     @classmethod
     def of(cls, exploration: "Exploration") -> "Growth":
@@ -74,7 +76,7 @@ class Growth:
 
     def told(self, packing: Packing, start: float) -> dict[str, Any]:
         """Give it as JSON holds it, with the arrays packed; times count from `start`, s."""
-        drawn = [fewer(*skin, MOST_TRIANGLES, side=_side(self.edge, skin)) for skin in self.skins]
+        drawn = [fewer(*skin, MOST_TRIANGLES, side=_side(self.edge, skin))[:2] for skin in self.skins]
         most = max((len(faces) for _, faces in self.skins), default=0)
         shown = max((len(faces) for _, faces in drawn), default=0)
         return {

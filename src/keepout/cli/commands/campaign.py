@@ -35,9 +35,9 @@ def campaign_to_folder(
     from keepout.flights.campaign.plan import Plan
     from keepout.flights.campaign.run import Keep, Scheduler, fly_campaign, flyer_on, in_threads, keep_flights
     from keepout.flights.campaign.table import SUMMARISED, summary
-    from keepout.flights.report.campaign_page import report_campaign
-    from keepout.flights.report.campaign_view import DRAWN, draw_campaign
-    from keepout.flights.report.folder import results_in, write_summary
+    from keepout.flights.pages.campaign_figures import DRAWN, draw_campaign
+    from keepout.flights.pages.campaign_page import report_campaign
+    from keepout.flights.pages.folder import results_in, write_summary
 
     with usage():
         chosen = Keep.parse(keep)
@@ -85,7 +85,7 @@ def replay_to_folder(
     from keepout.flights.campaign.dataset import Dataset
     from keepout.flights.campaign.flying import differences, replay
     from keepout.flights.campaign.plan import Plan
-    from keepout.flights.report.folder import results_in, write_flights, write_summary
+    from keepout.flights.pages.folder import results_in, write_flight, write_summary
 
     dataset = Dataset.open(campaign)
     identity = dataset.identity
@@ -101,13 +101,8 @@ def replay_to_folder(
         differing = differences(kept, again.row)
         progress(0.8, "writing")
         introduction = f"Run {run} of the campaign {scenario.name}, flown again."
-        [summary] = write_flights(
-            out,
-            {f"run {run}": again.flight},
-            title=f"Run {run} of {scenario.name}",
-            introduction=introduction,
-            figures=figures,
-        )
+        title = f"Run {run} of {scenario.name}"
+        summary = write_flight(out, f"run {run}", again.flight, title=title, introduction=introduction, figures=figures)
         summary |= {
             "run": run,
             "equal": not differing,

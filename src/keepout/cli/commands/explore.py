@@ -22,7 +22,7 @@ def explore_to_folder(
     equipment.require_explorable(scenario, camera)
     from keepout.apps.unknown.exploration_page import write_exploration
     from keepout.apps.unknown.explore import explore
-    from keepout.flights.report.folder import results_in
+    from keepout.flights.pages.folder import results_in
 
     with results_in(out):
         exploration = explore(scenario, progress=part_of(progress, 0.0, 0.9))

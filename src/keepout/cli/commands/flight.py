@@ -20,15 +20,14 @@ def fly_to_folder(
 
     target = look(scenario)
     from keepout.core.mission.flight import fly
-    from keepout.flights.report.folder import results_in, write_flights, write_summary
+    from keepout.flights.pages.folder import results_in, write_flight, write_summary
 
     with results_in(out):
         flight = fly(scenario, target=target, progress=part_of(progress, 0.0, 0.9))
         places = f"start {list(scenario.start.position)} m, goal {list(scenario.goal.position)} m"
         introduction = f"Target {flight.target.name}, {places}."
-        [summary] = write_flights(
-            out, {scenario.name: flight}, title=f"Flight {scenario.name}", introduction=introduction, figures=figures
-        )
+        title = f"Flight {scenario.name}"
+        summary = write_flight(out, scenario.name, flight, title=title, introduction=introduction, figures=figures)
         write_summary(out, summary)
         return summary
 
@@ -37,8 +36,8 @@ def replay_to_page(
     flights: Sequence[Path], out: Path, *, title: str | None = None, progress: Progress = silent
 ) -> dict[str, Any]:
     """Write a replay of flight files, all around one target, as one self-contained page."""
-    from keepout.flights.replay.flights import of_files
-    from keepout.flights.report.replay_view import write_replay
+    from keepout.flights.pages.replay_page import write_replay
+    from keepout.flights.pages.replayed import of_files
 
     if out.suffix.lower() not in (".html", ".htm"):
         raise UsageError(f"{out}: a replay is a page; its name ends in .html")

@@ -45,7 +45,7 @@ def inspect_to_folder(
     from keepout.apps.inspection.frames_file import save_frames
     from keepout.apps.inspection.inspect import inspect
     from keepout.apps.inspection.inspection_page import write_inspection
-    from keepout.flights.report.folder import results_in, write_summary
+    from keepout.flights.pages.folder import results_in, write_summary
 
     with results_in(out):
         inspection = inspect(scenario, progress=part_of(progress, 0.0, 0.9))

@@ -15,11 +15,11 @@ from keepout.core.whole_file import require_place
 
 def describe_targets(*, pictures: Path | None = None, progress: Progress = silent) -> list[dict[str, Any]]:
     """List the built-in targets with size, triangles and parameters; draw them into `pictures` where it is given."""
-    from keepout.core.fields import shipped_names
+    from keepout.core.fields.shipped import shipped_names
     from keepout.core.geometry.builtin import BUILTINS
     from keepout.core.geometry.mesh_report import enclosed_volume
     from keepout.core.geometry.target import Target
-    from keepout.flights.report.folder import results_in
+    from keepout.flights.pages.folder import results_in
 
     rows = []
     with results_in(pictures):
@@ -35,10 +35,10 @@ def describe_targets(*, pictures: Path | None = None, progress: Progress = silen
                 "parameters": {key: parameter.default for key, parameter in builtin.parameters.items()},
             }
             if pictures is not None:
-                from keepout.flights.report import target_view
+                from keepout.flights.pages.mesh_pictures import draw_target
 
                 picture = pictures / f"{name}.png"
-                target_view.draw_target(picture, name, target.vertices, target.faces)
+                draw_target(picture, target)
                 row["picture"] = str(picture)
             rows.append(row)
     return rows
@@ -68,7 +68,7 @@ def fit_to_file(
     While it runs, a checkpoint stands beside `out`; a run that was killed goes on from there. The field is written
     before it is certified, so that a proof that is stopped loses nothing.
     """
-    from keepout.core.learning.losses import find_profile
+    from keepout.core.learning.profile import find_profile
     from keepout.core.learning.training import fit
     from keepout.core.measures.quality import surface_errors
     from keepout.core.mission.build import load_target
@@ -201,9 +201,9 @@ def measure_field(
 ) -> dict[str, Any]:
     """Measure a field against its mesh and list its certificates; draw slices and surface into `out` if given."""
     from keepout.core.fields.model import FieldModel
-    from keepout.core.measures.quality import measure_model
+    from keepout.core.measures.field_measures import measure_model
     from keepout.core.mission.build import load_target
-    from keepout.flights.report.folder import results_in
+    from keepout.flights.pages.folder import results_in
 
     model = FieldModel.load(path)
     target = load_target(recorded_target(path, model, mesh))
@@ -212,7 +212,7 @@ def measure_field(
         measures, surface = measure_model(model, target, seed=seed, progress=part_of(progress, 0.0, 0.9))
         summary: dict[str, Any] = {"field": str(path), **measures}
         if out is not None:
-            from keepout.flights.report.field_view import draw_slices, draw_surface
+            from keepout.flights.pages.mesh_pictures import draw_slices, draw_surface
 
             progress(0.9, "pictures")
             draw_slices(out / "slices.png", model, target)
@@ -226,17 +226,17 @@ def describe_mesh(source: Mapping[str, Any], out: Path | None = None, *, progres
     """Report what is known about a mesh before anything is learned from it; draw it into `out` if that is given."""
     from keepout.core.geometry.target import survey
     from keepout.core.mission.build import load_target
-    from keepout.flights.report.folder import results_in
+    from keepout.flights.pages.folder import results_in
 
     target = load_target(target_entry(source))
     summary: dict[str, Any] = {"lengths": _lengths(source)}
     with results_in(out):
         summary |= asdict(survey(target, progress=part_of(progress, 0.0, 0.95)))
         if out is not None:
-            from keepout.flights.report import target_view
+            from keepout.flights.pages.mesh_pictures import draw_target
 
             picture = out / f"{target.name}.png"
-            target_view.draw_target(picture, target.name, target.vertices, target.faces)
+            draw_target(picture, target)
             summary["picture"] = str(picture)
     progress(1.0, "")
     return summary

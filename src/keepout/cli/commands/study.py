@@ -22,9 +22,9 @@ def rare_to_folder(
 
     Stopped, it goes on from its last level when it is started again. No folder is left where the scenario is refused.
     """
+    from keepout.flights.pages.folder import results_in, write_summary
+    from keepout.flights.pages.rare_page import write_rare
     from keepout.flights.rare_events.event import FLIGHTS, RUNS, rare
-    from keepout.flights.report.folder import results_in, write_summary
-    from keepout.flights.report.rare_view import write_rare
 
     runs, flights = RUNS if runs is None else runs, FLIGHTS if flights is None else flights
     with results_in(out):

@@ -1,0 +1,189 @@
+"""Counter-examples: where a field is most wrong, on the dangerous side and on the other, found anew as it learns."""
+
+import dataclasses
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float
+
+from keepout.core.fields.domain import Domain
+from keepout.core.geometry.distance import ExactDistance
+from keepout.core.geometry.level_set import Points, level_points, onto_level, surface_points, towards_level
+from keepout.core.geometry.offset_solid import OffsetSolid
+from keepout.core.learning import losses
+from keepout.core.learning.profile import TrainingProfile
+from keepout.core.learning.sampling import Samples, label, normalised, training_points
+
+ON_LEVEL, NEAR = 100_000, 200_000
+"""Candidates on the surface, as on the chaser's contact surface, new ones every round; and those in the room next to
+the surface (`Domain.room`), which stay."""
+WORST, ROUNDS_KEPT = 1500, 3
+"""Over-statements of each kind that a round keeps, and the rounds that are learned from."""
+CLIMBERS = 4096
+"""Worst candidates that climb."""
+ASCENT = (0.08, 0.05, 0.03, 0.02, 0.01, 0.005)
+"""Metres. Steps by which they climb."""
+PEAKS, COPIES, PEAK_SIZE = 100, 5, 0.1
+"""Of the over-statements a round keeps, this many peaks, so many metres apart, are kept so many times: the error bound
+is that of the highest, however narrow."""
+HIGHEST = 4.0
+"""Weight of the highest peak, and of the deepest web; it falls to 1 for what is not over- or under-stated."""
+JITTERED, JITTER = 0.6, 0.03
+"""The share of them that is moved off its surface, and by how much, metres."""
+
+
+@runtime_checkable
+class Learner(Protocol):
+    """The network as it is learned, metres."""
+
+    def value(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
+        """Return f̃."""
+        ...
+
+    def gradient(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+        """Return ∇f̃."""
+        ...
+
+
+@dataclasses.dataclass(frozen=True)
+class Hunt:
+    """Where over-statement is hunted: on the surface, where the chaser touches, and in all the near field.
+
+    Under-statement, which costs room but no safety, is hunted in the near field only.
+
+    Attributes:
+        solid: the target's offset solid.
+        domain: of the field.
+        chaser_radius: metres.
+        near: labelled points near the surface.
+        profile: the numbers of the fit.
+
+    """
+
+    solid: OffsetSolid
+    domain: Domain
+    chaser_radius: float
+    near: Samples
+    profile: TrainingProfile
+
+    @classmethod
+    def prepare(
+        cls,
+        solid: OffsetSolid,
+        domain: Domain,
+        chaser_radius: float,
+        profile: TrainingProfile,
+        generator: np.random.Generator,
+    ) -> "Hunt":
+        """Sample the candidates that stay."""
+        distance = solid.distance
+        near = training_points(distance, domain, 3 * NEAR, generator, room_share=profile.room_share)
+        near = label(solid, near[distance.distance(near) < domain.room][:NEAR])
+        return cls(solid, domain, chaser_radius, near, profile)
+
+    @property
+    def levels(self) -> tuple[float, ...]:
+        """Distances at which a chaser touches: of a point, and of the chaser if that is another."""
+        if isinstance(self.solid.distance, ExactDistance) and self.chaser_radius > 0.0:
+            return (0.0, self.chaser_radius)
+        return (0.0,)
+
+    @property
+    def kept(self) -> int:
+        """Number of counter-examples that are learned from at a time."""
+        return ROUNDS_KEPT * (WORST * (len(self.levels) + 1) + self.profile.webs)
+
+    def worst(
+        self, learner: Learner, known: Points, generator: np.random.Generator, *, settling: bool = False
+    ) -> tuple[losses.Batch, float]:
+        """Return labelled counter-examples, and the largest f̃ - R found where a chaser touches, metres.
+
+        Args:
+            learner: the network.
+            known: (n, 3) points near which it was wrong before, metres: candidates again.
+            generator: of the new candidates.
+            settling: leave webs alone, and keep more over-statements of the near field in their place.
+
+        """
+        chosen, weights, largest = [], [], -np.inf
+        for level in self.levels:
+            points, value = self._climbed(learner, self._candidates(level, known, generator), level, generator)
+            peaks = _peaks(points, value)
+            best = np.concatenate([_largest(value, WORST - COPIES * len(peaks)), np.repeat(peaks, COPIES)])
+            chosen.append(points[best])
+            weights.append(_weights(value[best] - level))
+            largest = max(largest, float(value.max()) - level)
+        excess = learner.value(self.near.points.astype(np.float64)) - self.near.distance
+        lack = np.where(self.near.hidden, -np.inf, -excess)
+        excess = np.where(self.near.distance < self.profile.near_field, excess, -np.inf)
+        webs = 0 if settling else self.profile.webs
+        over, under = _largest(excess, WORST + self.profile.webs - webs), _largest(lack, webs)
+        chosen += [self.near.points[best].astype(np.float64) for best in (over, under)]
+        # A web is deep and rare: a loss that grows with the error alone would rather keep it.
+        weights += [np.ones(len(over)), _weights(lack[under])]
+        points = np.concatenate(chosen)
+        points += JITTER * generator.normal(size=points.shape) * (generator.random((len(points), 1)) < JITTERED)
+        return normalised(label(self.solid, points), self.domain, np.concatenate(weights)), largest
+
+    def _candidates(self, level: float, known: Points, generator: np.random.Generator) -> Float[np.ndarray, "k 3"]:
+        """Return new points of a level set, and what is nearest on it to those known."""
+        distance = self.solid.distance
+        if not isinstance(distance, ExactDistance):
+            return surface_points(distance, ON_LEVEL, generator)
+        new = level_points(distance, level, ON_LEVEL, generator)
+        return np.concatenate([new, onto_level(distance, known, level)])
+
+    def _climbed(
+        self, learner: Learner, points: Points, level: float, generator: np.random.Generator
+    ) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k"]]:
+        """Return the worst candidates of one level set, each after an ascent on it, and f̃ there."""
+        value = learner.value(points)
+        best = _largest(value, CLIMBERS)
+        points, value = points[best], value[best]
+        distance = self.solid.distance
+        if not isinstance(distance, ExactDistance):
+            return points, value
+        for step in ASCENT:
+            # Along the slope, which narrow spikes need, and at random, which leads over the edges of the surface.
+            uphill = _tangential(distance, points, level, learner.gradient(points))
+            for move in (uphill, generator.normal(size=points.shape)):
+                moved, arrived = towards_level(distance, points + step * move, level)
+                moved_value = np.where(arrived, learner.value(moved), -np.inf)
+                higher = moved_value > value
+                points, value = np.where(higher[:, None], moved, points), np.where(higher, moved_value, value)
+        return points, value
+
+
+def _tangential(
+    distance: ExactDistance, points: Points, level: float, gradient: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "n 3"]:
+    """Return the directions in which the field rises fastest along the level set: unit vectors."""
+    if level > 0.0:
+        normal = distance.distance_and_gradient(points)[1]
+    else:
+        a, b, c = np.moveaxis(distance.vertices[distance.faces[distance.closest(points)[2]]], 1, 0)
+        normal = np.cross(b - a, c - a)
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+    along = gradient - (gradient * normal).sum(axis=1, keepdims=True) * normal
+    return along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-30)
+
+
+def _peaks(points: Points, value: Float[np.ndarray, "n"]) -> np.ndarray:
+    """Return the indices of the highest points of the cells that have the highest ones."""
+    order = np.argsort(-value)
+    cells = np.floor(points[order] / PEAK_SIZE).astype(np.int64)
+    first = np.sort(np.unique(cells, axis=0, return_index=True)[1])
+    return order[first[:PEAKS]]
+
+
+def _weights(error: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+    """Return `HIGHEST` for the largest error, falling to 1 at none."""
+    error = np.maximum(error, 0.0)
+    return 1.0 + (HIGHEST - 1.0) * error / max(error.max(initial=0.0), 1e-9)
+
+
+def _largest(value: Float[np.ndarray, "_"], count: int) -> np.ndarray:
+    """Return the indices of the `count` largest values, or of all if there are fewer."""
+    if len(value) <= count:
+        return np.arange(len(value))
+    return np.argpartition(-value, count)[:count]

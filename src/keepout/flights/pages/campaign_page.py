@@ -1,0 +1,318 @@
+"""The page of a campaign, its figures and replays, and every number as CSV: `index.html` and `report` beside it."""
+
+import shlex
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+from jaxtyping import Float
+
+from keepout.core.errors import FlightError, KeepoutError
+from keepout.core.flight.record import FlightRecord
+from keepout.core.progress import Progress, part_of, silent
+from keepout.flights.campaign.bands import LEAST, QUANTITIES, RELATIVE, SHARES, Bands
+from keepout.flights.campaign.dataset import read_campaign
+from keepout.flights.campaign.results import QUANTILES, SIGNIFICANT, Results, Scatter, results
+from keepout.flights.campaign.statistics import GROUPS, none_seen_bound
+from keepout.flights.pages import campaign_figures
+from keepout.flights.pages.figures import COLOURS, column
+from keepout.flights.pages.page import Markup, Page, Table, bad, rows_of, text
+from keepout.flights.pages.replay_page import write_replay
+from keepout.flights.pages.replayed import Replayed, Surroundings
+
+PLACE = "report"
+"""Folder of figures and tables within the campaign's."""
+
+_INDEPENDENT = "Intervals hold 95 % of the time or more (Clopper and Pearson): the runs are independent."
+_LATIN = (
+    "The runs are a Latin hypercube, so they are not independent. The variance of a rate is at most n/(n − 1) times "
+    "that of independent runs (Owen 1997) and often smaller: the intervals (Clopper and Pearson) are approximate, and "
+    "as a rule too wide. That they hold 95 % of the time is not proved. Nor are the p-values below exact."
+)
+_SOBOL = (
+    "The runs are a scrambled Sobol sequence, so they are not independent. It spreads what is drawn evenly, which as a "
+    "rule makes rates vary less than with independent runs: the intervals (Clopper and Pearson) are approximate, and "
+    "as a rule too wide. That they hold 95 % of the time is not proved. Nor are the p-values below exact."
+)
+SAMPLING = {"random": _INDEPENDENT, "latin-hypercube": _LATIN, "sobol": _SOBOL}
+"""What the intervals are worth, by how the runs are drawn."""
+_DISTRIBUTIONS = (
+    "Share of flights at or below each value. The band holds the whole true curve in 95 % of campaigns of independent "
+    "runs (Dvoretzky, Kiefer and Wolfowitz)."
+)
+_BANDS = (
+    "Quantiles over the flights under way. They are read off counts in bins: each is within "
+    f"{RELATIVE:.0%} of the true one, or within {LEAST:g} where that is more; least and largest are exact."
+)
+_INFLUENCES = (
+    "Spearman's ρ, with its sign, for numbers; η (0 to 1, less what chance gives) for choices and where a figure goes "
+    f"up and down again over {GROUPS} groups of a number's draws. Coloured where the corrected p-value (Holm, over all "
+    f"pairs) is below {SIGNIFICANT}: orange for ρ above 0, purple below 0, green for η. The others may be chance."
+)
+
+Clearance = tuple[Float[np.ndarray, "samples"], Float[np.ndarray, "samples"]]
+"""Times, s, and clearances on the exact mesh, m."""
+
+
+def report_campaign(folder: Path, *, progress: Progress = silent) -> dict[str, Any]:
+    """Write the page of a campaign's folder, complete or not, with figures and CSV files in `report`.
+
+    Args:
+        folder: of the campaign.
+        progress: told how far it is.
+
+    Returns:
+        The rates and the page's path, as plain values.
+
+    Raises:
+        KeepoutError: it is no campaign's folder, nothing of it is done, or a file is damaged.
+
+    """
+    reading = read_campaign(folder, progress=part_of(progress, 0.0, 0.1))
+    found = results(reading, progress=part_of(progress, 0.1, 0.6))
+    bands = reading.bands(part_of(progress, 0.6, 0.8))
+    progress(0.8, "figures")
+    place = folder / PLACE
+    for table in _tables(found, bands):
+        table.write(place)
+    campaign_figures.draw_distributions(place / "distributions.png", found)
+    campaign_figures.draw_over_time(place / "bands.png", bands)
+    if found.influences:
+        campaign_figures.draw_influences(place / "influences.png", found)
+    if found.scatters:
+        campaign_figures.draw_scatters(place / "scatter.png", found)
+    replays = _write_replays(place, found, progress=part_of(progress, 0.85, 1.0))
+    page = Page(folder / "index.html", f"Campaign {reading.scenario.name}")
+    _tell(page, found, replays)
+    page.write()
+    progress(1.0, "")
+    return {
+        "page": str(page.path),
+        "runs": reading.runs,
+        "done": found.runs,
+        "complete": reading.complete,
+        "sampling": reading.scenario.campaign.sampling,
+        "rates": rows_of(found.rates, {"name": "name", "count": "count", "of": "total"} | _INTERVAL),
+        "worst_runs": [row["run"] for row in found.worst],
+    }
+
+
+def replay_command(folder: Path, run: int) -> str:
+    """Give the command line that flies a run again, from any folder."""
+    return shlex.join(["keepout", "campaign", "replay", str(folder.absolute()), "--run", str(run)])
+
+
+def percent(share: float) -> str:
+    """Give a share for people: per cent with four digits."""
+    return f"{100.0 * share:.4g} %"
+
+
+_INTERVAL = {"rate": "rate", "low": "low", "high": "high"}
+_INFLUENCE = {
+    **{"dispersed": "factor", "figure": "figure", "flights": "runs", "rho": "correlation", "low": "low"},
+    **{"high": "high", "p of rho": "p_value", "eta": "ratio", "p of eta": "p_groups"},
+}
+
+
+def _tables(found: Results, bands: Bands) -> list[Table]:
+    counted = {"what": "name", "count": "count", "of": "total", "among": "among"}
+    curves = [
+        {"figure": of.figure.name, "value": value, "share at or below": share}
+        for of in found.distributions
+        for value, share in zip(of.curve.tolist(), of.shares.tolist())
+    ]
+    influences = [
+        row | {"p of rho": None if row["rho"] is None else row["p of rho"], "p corrected": p}
+        for row, p in zip(rows_of(found.influences, _INFLUENCE), found.corrected)
+    ]
+    points = [
+        {"dispersed": of.factor.name, "drawn": _drawn(of, k), "figure": of.figure.name, "value": value}
+        for of in found.scatters
+        for k, value in enumerate(of.values.tolist())
+    ]
+    over_time = {name: bands.quantiles(name, SHARES) for name in QUANTITIES}
+    rows = [
+        {"quantity": name, "time s": time, **{f"{100.0 * q:g} %": float(of[k, i]) for k, q in enumerate(SHARES)}}
+        for name, of in over_time.items()
+        for i, time in enumerate(bands.time.tolist())
+        if np.isfinite(of[0, i])
+    ]
+    refused = [{"run": run, "reason": group.reason} for group in found.refusals for run in group.runs]
+    return [
+        Table("rates", "How often, with 95 % intervals.", rows_of(found.rates, counted | _INTERVAL)),
+        Table("quantiles", "Quantiles over the flights that have a finite value.", _quantiles(found)),
+        Table("distributions", "Shares of flights at or below a value.", curves),
+        Table("bands", "Quantiles over the flights, over time: m, m², m, m/s.", rows),
+        Table("influences", "How what was drawn and what became of the flights go together.", influences),
+        Table("scatter", "The points that are drawn.", points),
+        Table("worst", "The flights with the least clearance.", found.worst),
+        Table("refused", "Refused runs, # in the place of each number.", refused),
+    ]
+
+
+def _quantiles(found: Results) -> list[dict[str, Any]]:
+    columns = {"figure": "figure.label", "flights": "flights", "not finite": "not_finite", "mean": "mean"}
+    return [
+        row | {f"{100.0 * q:g} %": None if of.quantiles is None else of.quantiles[k] for k, q in enumerate(QUANTILES)}
+        for row, of in zip(rows_of(found.distributions, columns), found.distributions)
+    ]
+
+
+def _drawn(of: Scatter, place: int) -> Any:
+    value, levels = of.factor.values[place], of.factor.levels
+    return float(value) if levels is None else levels[int(value)]
+
+
+def _tell(page: Page, found: Results, replays: Mapping[int, Markup]) -> None:
+    """Fill the page of a campaign."""
+    reading, place = found.reading, page.path.parent / PLACE
+    sampling = reading.scenario.campaign.sampling
+    if reading.complete:
+        page.words(f"{found.runs} runs.")
+    else:
+        part = "." if sampling == "random" else ", which are a part of the design only."
+        said = f"{found.runs} of {reading.runs} runs are done. The campaign is not finished: all numbers are of the"
+        page.words(bad(f"{said} runs that are done{part}"))
+    page.heading("How often")
+    _tell_rates(page, found)
+    page.file(place / "rates.csv")
+    page.words(SAMPLING[sampling])
+    [contact] = [r for r in found.rates if r.name == "contact or undecided"]
+    if not contact.count and contact.total and sampling == "random":
+        page.words(
+            f"No contact in {contact.total} flights: its probability is below {percent(contact.high)} by the interval, "
+            f"and below {percent(none_seen_bound(contact.total))} (about 3/n) by a bound of 95 % from one side."
+        )
+    page.heading("Distributions")
+    page.picture(place / "distributions.png", _DISTRIBUTIONS, vector=True)
+    page.table(_quantiles(found))
+    page.file(place / "quantiles.csv")
+    page.file(place / "distributions.csv")
+    page.heading("Over time")
+    page.picture(place / "bands.png", _BANDS, vector=True)
+    page.file(place / "bands.csv")
+    page.heading("Which dispersed number matters")
+    if not found.influences:
+        page.words("Nothing was dispersed.")
+    else:
+        page.picture(place / "influences.png", _INFLUENCES, vector=True)
+        page.file(place / "influences.csv")
+    if found.scatters:
+        words = "The strongest pairs, some runs of each, in SI units; contacts and undecided flights are crosses."
+        page.picture(place / "scatter.png", words, vector=True)
+        page.file(place / "scatter.csv")
+    page.heading("Worst flights")
+    _tell_worst(page, found, replays)
+    page.heading("Refused runs")
+    _tell_refused(page, found)
+    page.words("Every run's row is in flights/*.parquet.")
+
+
+def _tell_rates(page: Page, found: Results) -> None:
+    rows = []
+    for r in found.rates:
+        mark = bad if r.count and r.name in ("contact", "undecided", "contact or undecided") else text
+        row = {
+            "": r.name,
+            "runs": f"{r.count} of {r.total} {r.among}",
+            "rate": None if r.rate is None else percent(r.rate),
+            "95 % interval": f"{percent(r.low)} to {percent(r.high)}",
+        }
+        rows.append({key: mark(value) for key, value in row.items()})
+    page.table(rows)
+
+
+def _tell_worst(page: Page, found: Results, replays: Mapping[int, Markup]) -> None:
+    if not found.worst:
+        page.words("No flights.")
+        return
+    folder, rows, commands = page.path.parent, [], []
+    for row in found.worst:
+        run = row["run"]
+        link, again = replays.get(run, text("not kept")), folder / f"run-{run}" / "index.html"
+        if again.exists():
+            link = Markup(f"{link}, {page.link(again, 'flown again')}")
+        rows.append({"run": run, "flight": link, **{key: value for key, value in row.items() if key != "run"}})
+        commands.append(f'<code class="line">{text(replay_command(folder, run))}</code>')
+    page.table(rows, wide=True)
+    page.file(folder / PLACE / "worst.csv")
+    page.markup(f"<details open><summary>Commands that fly them again</summary>{''.join(commands)}</details>")
+    if (folder / PLACE / "worst.png").exists():
+        words = "Clearance on the exact mesh at the recorded samples of the kept flights."
+        page.picture(folder / PLACE / "worst.png", words, vector=True)
+
+
+def _tell_refused(page: Page, found: Results) -> None:
+    if not found.refusals:
+        page.words("None.")
+        return
+    rows = []
+    for group in found.refusals:
+        some = ", ".join(str(run) for run in group.runs[:20]) + (", …" if len(group.runs) > 20 else "")
+        row = {"reason": group.reason, "runs": len(group.runs), "run numbers": some}
+        rows.append(row | {"the first, in full": group.example})
+    page.table(rows)
+    page.file(page.path.parent / PLACE / "refused.csv")
+
+
+def _write_replays(place: Path, found: Results, *, progress: Progress) -> dict[int, Markup]:
+    """Write replays of the worst flights that have a flight file, one page a target, and a figure of their clearances.
+
+    Args:
+        place: folder for the pages `worst.html`, `worst-2.html`, … and the figure `worst.png` and `.svg`.
+        found: the campaign's results.
+        progress: told after each flight.
+
+    Returns:
+        By run number, for the flights that were kept: a link to the replay, or why it has none. Without flight files
+        nothing is written.
+
+    """
+    dataset, surroundings = found.reading, Surroundings()
+    groups: dict[str, list[Replayed]] = {}
+    links: dict[int, Markup] = {}
+    curves: dict[int, Clearance] = {}
+    for number, row in enumerate(found.worst):
+        run = row["run"]
+        try:
+            record = FlightRecord.load(dataset.kept(run))
+        except FlightError:  # not kept, or being written: the page says so
+            continue
+        if record.header.get("campaign") != dataset.plan_sha256 or record.header.get("run") != run:
+            continue
+        try:
+            flight = surroundings.of(f"run {run}", record)
+        except KeepoutError as refusal:
+            links[run] = text(str(refusal))
+            continue
+        groups.setdefault(flight.target.sha256, []).append(flight)
+        address = f"{PLACE}/{_replay(list(groups).index(flight.target.sha256))}#{quote(flight.name)}"
+        links[run] = Markup(f'<a href="{address}">replay</a>')
+        curves[run] = flight.shown.time, flight.clearance
+        progress(0.3 * (number + 1) / len(found.worst), f"flight of run {run}")
+    for stale in (*place.glob("worst*.html"), *place.glob("worst.png"), *place.glob("worst.svg")):
+        stale.unlink()
+    title = f"Campaign {found.reading.scenario.name}: worst flights"
+    for number, group in enumerate(groups.values()):
+        part = part_of(progress, 0.3 + 0.7 * number / len(groups), 0.3 + 0.7 * (number + 1) / len(groups))
+        write_replay(place / _replay(number), group, title=title, progress=part)
+    if curves:
+        _draw_worst(place / "worst.png", curves)
+    return links
+
+
+def _replay(number: int) -> str:
+    return "worst.html" if number == 0 else f"worst-{number + 1}.html"
+
+
+def _draw_worst(path: Path, curves: Mapping[int, Clearance]) -> None:
+    looks = [(colour, line) for line in ("-", "--") for colour in COLOURS]
+    with column(path, 2.8) as drawing:
+        axes = drawing.add_subplot()
+        for (colour, line), (run, (time, clearance)) in zip(looks, curves.items()):
+            axes.plot(time, clearance, color=colour, linestyle=line, linewidth=0.9, label=f"run {run}")
+        axes.axhline(0.0, color="black", linewidth=0.8)
+        axes.set(xlabel="time, s", ylabel="clearance, m")
+        drawing.legend(loc="outside lower center", ncols=3)

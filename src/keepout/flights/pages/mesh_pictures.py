@@ -1,0 +1,291 @@
+"""Shaded pictures of triangle meshes with a depth buffer: targets, paths around them, and fields beside them.
+
+Matplotlib sorts triangles by their middles, which fails on large ones.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, no_type_check
+
+import numba
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from matplotlib import pyplot as plt
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.lines import Line2D
+
+from keepout.core.fields.evaluate import values
+from keepout.core.fields.model import FieldModel
+from keepout.core.geometry.target import Target
+from keepout.flights.pages.figures import COLOURS, TARGET_COLOUR, figure, palette
+
+if TYPE_CHECKING:  # which takes long to import
+    from keepout.core.measures.surface import Surface
+
+GREY = np.array([0.82, 0.85, 0.9])
+"""Of a mesh without colours of its own."""
+READABLE = 0.6
+"""Share of the light that every place gets where colours are read: they must not turn dark."""
+_LIGHT = np.array([-0.35, 0.45, 0.82])
+"""Direction to the light in the eye's axes: right, up, towards the eye."""
+_FOUR_SIDES = {"front": (0.0, 0.0), "side": (0.0, -90.0), "top": (90.0, -90.0), "oblique": (25.0, -55.0)}
+"""Elevation and azimuth of the eye, degrees."""
+_PATHS_FROM = ((22.0, -60.0), (12.0, 8.0))
+_SURFACE_FROM = {"above": (28.0, -55.0), "below": (-28.0, 125.0)}
+_PLANES = ((0, 1, 2), (0, 2, 1), (1, 2, 0))
+"""Horizontal axis, vertical axis, and the axis that the slice is across."""
+
+
+class View(NamedTuple):
+    """What an eye at infinity sees of a mesh, row 0 at the bottom.
+
+    Attributes:
+        axes: of the eye as rows: right, up, towards the eye.
+        face: the triangle that is seen; 0 where none is.
+        depth: how near to the eye it is, m in the eye's axes; -inf: nothing is there.
+        light: 0 to 1.
+        extent: left, right, bottom, top of the picture in the eye's axes, m from the body's origin.
+
+    """
+
+    axes: Float[np.ndarray, "3 3"]
+    face: Int[np.ndarray, "rows columns"]
+    depth: Float[np.ndarray, "rows columns"]
+    light: Float[np.ndarray, "rows columns"]
+    extent: tuple[float, float, float, float]
+
+    @property
+    def hit(self) -> Bool[np.ndarray, "rows columns"]:
+        """Whether a triangle is seen there."""
+        return np.isfinite(self.depth)
+
+    @property
+    def shape(self) -> float:
+        """Height over width."""
+        return self.depth.shape[0] / self.depth.shape[1]
+
+    def places(self) -> Float[np.ndarray, "hits 3"]:
+        """Give the places on the mesh that the pixels with something in them show, body frame, m."""
+        rows, columns = np.nonzero(self.hit)
+        left, right, bottom, top = self.extent
+        x = left + (columns + 0.5) * (right - left) / self.depth.shape[1]
+        y = bottom + (rows + 0.5) * (top - bottom) / self.depth.shape[0]
+        return np.column_stack([x, y, self.depth[rows, columns]]) @ self.axes
+
+    def hides(self, points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+        """Say of points in the body frame (m) whether the mesh is between them and the eye."""
+        left, right, bottom, top = self.extent
+        x, y, depth = self.axes @ points.T
+        rows, columns = self.depth.shape
+        column = np.floor((x - left) / (right - left) * columns)
+        row = np.floor((y - bottom) / (top - bottom) * rows)
+        within = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+        row, column = (np.where(within, place, 0).astype(int) for place in (row, column))
+        return within & (self.depth[row, column] > depth)
+
+    def paint(self, axes: Axes, colours: Any = GREY, *, least: float = 0.0, **look: Any) -> None:
+        """Show it in a panel, with what is not hit left clear.
+
+        Args:
+            axes: the panel.
+            colours: 0 to 1, one for all or one a pixel.
+            least: share of the light that every place gets.
+            **look: passed on to Matplotlib.
+
+        """
+        shaded = colours * (least + (1.0 - least) * self.light[..., None])
+        axes.imshow(np.dstack([shaded, self.hit]), origin="lower", extent=self.extent, **look)
+        axes.set(xlabel="m", ylabel="m", aspect="equal")
+        axes.grid(visible=False)
+
+
+def eye_axes(elevation: float, azimuth: float) -> Float[np.ndarray, "3 3"]:
+    """Rows to the right, up, and towards an eye that looks from this elevation and azimuth, degrees."""
+    e, a = np.radians([elevation, azimuth])
+    eye = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+    right = np.array([-np.sin(a), np.cos(a), 0.0])
+    return np.stack([right, np.cross(eye, right), eye])
+
+
+def rasterise(
+    vertices: Float[np.ndarray, "v 3"],
+    faces: Int[np.ndarray, "f 3"],
+    axes: Float[np.ndarray, "3 3"],
+    *,
+    columns: int = 1200,
+) -> View:
+    """Draw a mesh (body frame, m) orthographically; the eye's axes are rows, as `eye_axes` gives them."""
+    seen = vertices @ axes.T
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    room = 0.03 * float((high - low)[:2].max())
+    step = (float(high[0] - low[0]) + 2.0 * room) / columns
+    rows = int(np.ceil((float(high[1] - low[1]) + 2.0 * room) / step))
+    corners = seen[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    normals *= np.where(normals[:, 2:] < 0.0, -1.0, 1.0)  # real meshes have flipped faces; both sides catch the light
+    light = np.clip(0.4 + 0.6 * normals @ (_LIGHT / np.linalg.norm(_LIGHT)), 0.3, 1.0)
+    pixels = corners.copy()
+    pixels[..., :2] = (corners[..., :2] - low[:2] + room) / step - 0.5
+    face, depth = np.zeros((rows, columns), np.int64), np.full((rows, columns), -np.inf)
+    _paint_all(pixels, face, depth)
+    extent = (float(low[0] - room), float(high[0] + room), float(low[1] - room), float(low[1] - room + rows * step))
+    return View(axes, face, depth, np.where(np.isfinite(depth), light[face], 1.0), extent)
+
+
+@no_type_check  # run-time shape checks would wrap what numba compiles
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def fill_triangle(a, b, c, f, face, nearness):
+    """Write `f` into `face` where a triangle is the nearest at a pixel's middle, and how near into `nearness`.
+
+    Corners are column, row, and a number that is linear in the picture and larger where it is nearer.
+    """
+    rows, columns = face.shape
+    area = (b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1])
+    if area == 0.0:
+        return
+    first_row = max(0, int(np.ceil(max(min(a[1], b[1], c[1]), -1.0))))
+    last_row = min(rows - 1, int(np.floor(min(max(a[1], b[1], c[1]), rows + 1.0))))
+    first_column = max(0, int(np.ceil(max(min(a[0], b[0], c[0]), -1.0))))
+    last_column = min(columns - 1, int(np.floor(min(max(a[0], b[0], c[0]), columns + 1.0))))
+    along_u, down_u = (c[1] - a[1]) / area, -(c[0] - a[0]) / area
+    along_v, down_v = -(b[1] - a[1]) / area, (b[0] - a[0]) / area
+    slack = -1e-9
+    for y in range(first_row, last_row + 1):
+        start_u = (y - a[1]) * down_u - a[0] * along_u
+        start_v = (y - a[1]) * down_v - a[0] * along_v
+        for x in range(first_column, last_column + 1):
+            u, v = start_u + x * along_u, start_v + x * along_v
+            if u < slack or v < slack or u + v > 1.0 - slack:
+                continue
+            near = a[2] + u * (b[2] - a[2]) + v * (c[2] - a[2])
+            if near > nearness[y, x]:
+                nearness[y, x] = near
+                face[y, x] = f
+
+
+@no_type_check
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _paint_all(pixels, face, depth):
+    for f in range(len(pixels)):
+        fill_triangle(pixels[f, 0], pixels[f, 1], pixels[f, 2], f, face, depth)
+
+
+def paint_target(axes: Axes, target: Target, eye: Float[np.ndarray, "3 3"]) -> View | None:
+    """Show a target in a panel, by the eye's axes; a cloud of points is drawn as such, and hides nothing."""
+    if target.ball_radius == 0.0:
+        view = rasterise(target.vertices, target.faces, eye, columns=800)
+        view.paint(axes)
+        return view
+    axes.scatter(*(target.vertices @ eye.T)[:, :2].T, s=1.0, color=TARGET_COLOUR)
+    axes.set(xlabel="m", ylabel="m", aspect="equal")
+    return None
+
+
+def paint_paths(
+    axes: Axes,
+    target: Target,
+    paths: Mapping[str, Float[np.ndarray, "samples 3"]],
+    goals: Iterable[Sequence[float]],
+    eye: Float[np.ndarray, "3 3"],
+    colours: Mapping[str, str] | None = None,
+) -> None:
+    """Show flown paths (body frame, m) around a target in a panel; what it hides of them is dotted.
+
+    Args:
+        axes: the panel.
+        target: to draw.
+        paths: by name; a square at their start, a disc at their end.
+        goals: stars, m.
+        eye: its axes as rows.
+        colours: by name; if not given, in the order of the palette.
+
+    """
+    view, colours = paint_target(axes, target, eye), colours or dict(zip(paths, palette(len(paths))))
+    for name, path in paths.items():
+        flat, colour = (path @ eye.T)[:, :2], colours[name]
+        axes.plot(*flat.T, color=colour, linewidth=0.8, linestyle=":")
+        hidden = np.zeros(len(path), bool) if view is None else view.hides(path)
+        axes.plot(*np.where(hidden[:, None], np.nan, flat).T, color=colour, linewidth=1.5, label=name)
+        for end, mark in ((flat[0], "s"), (flat[-1], "o")):
+            axes.plot(*end, color=colour, marker=mark, markersize=4)
+    for goal in goals:
+        axes.plot(*(eye @ np.asarray(goal))[:2], color="black", marker="*", markersize=9)
+    axes.autoscale()
+    axes.margins(0.03)
+
+
+def draw_target(path: Path, target: Target) -> None:
+    """Draw four shaded views of a target into one PNG."""
+    with figure(path, width=11.0, height=8.0) as drawing:
+        for axes, (name, side) in zip(drawing.subplots(2, 2).flat, _FOUR_SIDES.items()):
+            paint_target(axes, target, eye_axes(*side))
+            axes.set_title(f"{target.name}, {name}")
+
+
+def draw_paths(
+    path: Path, target: Target, paths: Mapping[str, Float[np.ndarray, "samples 3"]], goal: Sequence[float]
+) -> None:
+    """Draw flown paths (body frame, m) around the target from two sides into one PNG."""
+    with figure(path, width=11.0, height=5.2) as drawing:
+        panels = drawing.subplots(1, 2)
+        for axes, side in zip(panels, _PATHS_FROM):
+            paint_paths(axes, target, paths, [goal], eye_axes(*side))
+        panels[0].legend(loc="upper left")
+
+
+def draw_slices(path: Path, model: FieldModel, target: Target, *, nodes: int = 400) -> None:
+    """Draw three slices through the target's middle into one PNG.
+
+    Colours are f̃ (m); black is where the exact distance to the mesh equals the offset δ, orange the field's zero level,
+    and green each certified level R + e_h.
+    """
+    lower, upper = target.vertices.min(axis=0), target.vertices.max(axis=0)
+    middle = 0.5 * (lower + upper)
+    room = 1.5
+    with figure(path, width=9.0, height=13.0) as drawing:
+        for axes, (across, up, through) in zip(drawing.subplots(3, 1), _PLANES):
+            extent = upper[[across, up]] - lower[[across, up]] + 2.0 * room
+            step = float(extent.max()) / nodes
+            u = np.arange(lower[across] - room, upper[across] + room, step)
+            v = np.arange(lower[up] - room, upper[up] + room, step)
+            grid = np.empty((len(v), len(u), 3))
+            grid[..., across], grid[..., up], grid[..., through] = u, v[:, None], middle[through]
+            points = grid.reshape(-1, 3)
+            field = values(model.field, points).reshape(len(v), len(u))
+            exact = target.distance.distance(points).reshape(len(v), len(u))
+            shade = axes.pcolormesh(u, v, field, cmap="RdBu", vmin=-2.0, vmax=2.0, shading="auto")
+            levels = [(exact, model.offset, "black"), (field, 0.0, COLOURS[1])]
+            levels += [(field, proof.chaser_radius + proof.error_bound, COLOURS[2]) for proof in model.certificates]
+            for number, level, colour in levels:
+                axes.contour(u, v, number, levels=[level], colors=colour, linewidths=0.8)
+            axes.set(xlabel=f"{'xyz'[across]} m", ylabel=f"{'xyz'[up]} m", aspect="equal")
+            axes.set_title(f"{'xyz'[through]} = {middle[through]:.2f} m")
+            drawing.colorbar(shade, ax=axes, label="f̃ m", shrink=0.8)
+        lines = {f"d = {model.offset:g} m": "black", "f̃ = 0": COLOURS[1]}
+        if model.certificates:
+            lines["f̃ = R + e_h"] = COLOURS[2]
+        handles = [Line2D([], [], color=colour, label=label) for label, colour in lines.items()]
+        drawing.legend(handles=handles, loc="upper left")
+
+
+def draw_surface(path: Path, target: Target, surface: "Surface", *, level: float) -> None:
+    """Draw the mesh and, beside it, the surface {f̃ = level}, coloured by its distance from the mesh, from two sides."""
+    distance = target.distance.distance(surface.vertices)[surface.faces].mean(axis=1)
+    ceiling = max(float(np.quantile(distance, 0.99)), 1e-3)
+    shade = ScalarMappable(Normalize(0.0, ceiling, clip=True), plt.get_cmap("YlOrRd"))
+    rows = {
+        name: [rasterise(of.vertices, of.faces, eye_axes(*side)) for of in (target, surface)]
+        for name, side in _SURFACE_FROM.items()
+    }
+    height = sum(6.0 * max(view.shape for view in pair) + 0.5 for pair in rows.values())
+    with figure(path, width=13.0, height=height) as drawing:
+        panels = drawing.subplots(len(rows), 2)
+        for (left, right), (name, (mesh, learned)) in zip(panels, rows.items()):
+            mesh.paint(left)
+            left.set_title(f"{target.name}, mesh, from {name}")
+            learned.paint(right, shade.to_rgba(distance[learned.face])[..., :3])
+            right.set_title(f"learned, f̃ = {level:+.3f} m, from {name}")
+        drawing.colorbar(shade, ax=panels, label="distance from the mesh m", shrink=0.8)

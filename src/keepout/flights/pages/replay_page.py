@@ -1,0 +1,173 @@
+"""The replay of flights as a page: the scene, the viewer that comes with the package, and figures for print."""
+
+import hashlib
+import html
+import io
+import json
+from collections.abc import Callable, Mapping, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+
+from keepout.core.progress import Progress, part_of, silent
+from keepout.core.whole_file import write_whole
+from keepout.flights.pages.figures import palette, style
+from keepout.flights.pages.mesh_pictures import eye_axes, paint_paths
+from keepout.flights.pages.page import Markup, embedded
+from keepout.flights.pages.replayed import Replayed
+from keepout.flights.pages.scene import Scene, rows_shown, scene
+
+_POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
+"""What the page may fetch: nothing."""
+_SIDE = 22.0, -60.0
+"""Elevation and azimuth of the eye, degrees."""
+
+
+def write_replay(
+    path: Path, flights: Sequence[Replayed], *, title: str, progress: Progress = silent
+) -> dict[str, str | int | list[str]]:
+    """Write a replay of flights around one target as one self-contained page.
+
+    Args:
+        path: the HTML file.
+        flights: at least one.
+        title: of the page.
+        progress: told how far it is.
+
+    Returns:
+        The page's path, its bytes, and the flights' names.
+
+    Raises:
+        KeepoutError: flights around different targets, a field without the level to be drawn, or a place that cannot
+            be written to.
+
+    """
+    shown = scene(flights, progress=part_of(progress, 0.0, 0.85))
+    progress(0.85, "figures")
+    last = "distance to the goal" if _have_goals(flights) else "share of the surface that was seen"
+    figures = {
+        "The target and the flights, seen from one side; a path behind the target is dotted.": _shown(
+            "target and paths", flights, _picture, 5.0
+        ),
+        "Clearance on the exact mesh and, dashed, its proved lower bound over each step.": _shown(
+            "clearance", flights, _clearance, 2.6
+        ),
+        f"Speed, applied force and {last}.": _shown("motion", flights, _motion, 4.6, rows=3),
+    }
+    told = [shown.told["target"]["remark"], *(_said(*pair) for pair in zip(flights, shown.told["flights"]))]
+    words = [words for words in told if words]
+    _write(path, shown, title=title, words=words, figures=figures)
+    progress(1.0, "")
+    return {"replay": str(path), "bytes": path.stat().st_size, "flights": [flight.name for flight in flights]}
+
+
+def _said(flight: Replayed, told: Mapping[str, Any]) -> str:
+    verdict, scenario = flight.verdict, flight.scenario
+    start, goal = (", ".join(f"{x:g}" for x in at) for at in (flight.shown.position[0], scenario.goal.position))
+    way = f"from [{start}] m to [{goal}] m" if flight.share is None else f"from [{start}] m, to look at all of it,"
+    words = f"{flight.name}: {way} around {flight.target.name}. Contact: {verdict.contact}"
+    if np.isfinite(verdict.minimum_clearance):
+        words += f"; the clearance is at least {verdict.minimum_clearance:.4g} m at every instant"
+    return " ".join([". ".join([words, *verdict.remarks]) + ".", told["remark"]]).strip()
+
+
+def _picture(panel: Axes, flights: Sequence[Replayed]) -> None:
+    """Draw the mesh with the paths around it; what lies behind the mesh is dotted."""
+    # Nadir is down where the target is fixed to VVLH, as in the replay.
+    upright = np.diag([1.0, -1.0, -1.0]) if flights[0].scenario.attitude.kind == "vvlh" else np.eye(3)
+    paths = {flight.name: flight.shown.position[rows_shown(len(flight.shown.time))] for flight in flights}
+    goals = {flight.scenario.goal.position for flight in flights if flight.share is None}
+    paint_paths(panel, flights[0].target, paths, goals, eye_axes(*_SIDE) @ upright)
+
+
+def _clearance(panel: Axes, flights: Sequence[Replayed]) -> None:
+    for colour, flight in zip(palette(len(flights)), flights):
+        time = flight.shown.time - flight.shown.time[0]
+        panel.plot(time, flight.clearance, color=colour, linewidth=0.9, label=flight.name)
+        bound = {"where": "post", "linewidth": 0.7, "linestyle": "--", "alpha": 0.7}
+        panel.step(time[:-1], flight.proved, color=colour, **bound)
+    panel.axhline(0.0, color="black", linewidth=0.8)
+    panel.set(xlabel="time, s", ylabel="clearance, m")
+
+
+def _motion(panels: np.ndarray, flights: Sequence[Replayed]) -> None:
+    speed, force, last = panels
+    for colour, flight in zip(palette(len(flights)), flights):
+        record, thin = flight.shown, {"color": colour, "linewidth": 0.9, "label": flight.name}
+        time = record.time - record.time[0]
+        speed.plot(time, np.linalg.norm(record.velocity, axis=1), **thin)
+        force.plot(time, np.linalg.norm(record.force, axis=1), **thin)
+        if flight.share is None:
+            last.semilogy(time, flight.error, **thin)
+        else:
+            last.step(time, 100.0 * flight.share, where="post", **thin)
+    speed.set_ylabel("speed, m/s")
+    force.set_ylabel("force, N")
+    last.set(xlabel="time, s", ylabel="to the goal, m" if _have_goals(flights) else "seen, %")
+
+
+def _have_goals(flights: Sequence[Replayed]) -> bool:
+    return any(flight.share is None for flight in flights)
+
+
+def _shown(words: str, flights: Sequence[Replayed], draw: Callable[..., None], height: float, rows: int = 1) -> Markup:
+    """Draw flights into panels below each other, with their names, and give the picture as an element."""
+    with style():
+        drawing = plt.figure(figsize=(8.0, height), layout="constrained")
+        panels = drawing.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
+        draw(panels if rows > 1 else panels[0], flights)
+        if len(flights) <= 12:
+            panels[0].legend(fontsize=8)
+        image = io.BytesIO()
+        drawing.savefig(image, format="png", dpi=100)
+        plt.close(drawing)
+    return embedded(image.getvalue(), words)
+
+
+def viewer(name: str) -> str:
+    """Give a file of the bundled viewer: `replay.js`, `replay.css`, `manifest.json` or `LICENCES.txt`."""
+    return (resources.files("keepout") / "data" / "replay" / name).read_text(encoding="utf-8")
+
+
+def sha256(text: str) -> str:
+    """Give the digest by which the viewer's manifest names a file."""
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _write(path: Path, scene: Scene, *, title: str, words: Sequence[str], figures: Mapping[str, str]) -> None:
+    """Write a replay as one file that opens from a disk without a network.
+
+    Args:
+        path: the HTML file.
+        scene: what it shows.
+        title: of the page, plain text.
+        words: a paragraph each, plain text, shown with the figures.
+        figures: what is shown where no script runs, and in print: by caption (plain text), an `img` or `svg` element.
+
+    """
+    told = json.dumps(scene.told | {"title": title}, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    paragraphs = "".join(f"<p>{html.escape(paragraph)}</p>" for paragraph in words)
+    drawn = "".join(
+        f"<figure>{element}<figcaption>{html.escape(caption)}</figcaption></figure>"
+        for caption, element in figures.items()
+    )
+    libraries = json.loads(viewer("manifest.json"))["libraries"]
+    licences = ", ".join(f"{entry['name']} {entry['version']} ({entry['licence']})" for entry in libraries)
+    write_whole(
+        path,
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">'
+        '<meta name="viewport" content="width=device-width,initial-scale=1">'
+        f"<title>{html.escape(title)}</title><style>{viewer('replay.css')}</style>"
+        "<noscript><style>#replay{display:none}#figures{display:block!important}</style></noscript></head><body>"
+        '<main id="replay"></main>'
+        f'<section id="figures"><h1>{html.escape(title)}</h1>{paragraphs}{drawn}'
+        f"<p>Made by Keepout; the viewer holds {html.escape(licences)}.</p></section>"
+        f'<script type="application/json" id="scene">{told}</script>'
+        f'<script type="text/plain" id="content">{scene.content}</script>'
+        f"<script>{viewer('replay.js')}</script></body></html>\n",
+    )

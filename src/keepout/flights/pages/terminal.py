@@ -1,0 +1,343 @@
+"""What a person sees in the terminal: progress bars, and tables of flights, fits and targets."""
+
+import json
+import math
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from rich.cells import cell_len
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from keepout.core import progress as keepout_progress
+
+if TYPE_CHECKING:  # which compiles, and a terminal must be there at once
+    from keepout.flights.campaign.run import Standing
+
+
+@contextmanager
+def progress(title: str) -> Iterator[keepout_progress.Progress]:
+    """Show a progress bar on standard error while the block runs.
+
+    On a terminal the bar is live; otherwise a plain line appears at most every ten seconds, so that logs stay short.
+    """
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield _plain(console, title)
+        return
+    columns = (
+        SpinnerColumn(),
+        TextColumn("[bold]{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f}%"),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[message]}"),
+    )
+    with Progress(*columns, console=console, transient=True) as bars:
+        task = bars.add_task(title, total=1.0, message="")
+
+        def report(fraction: float, message: str) -> None:
+            bars.update(task, completed=fraction, message=message)
+
+        yield report
+
+
+def _plain(console: Console, title: str) -> keepout_progress.Progress:
+    last = time.monotonic()
+
+    def report(fraction: float, message: str) -> None:
+        nonlocal last
+        if time.monotonic() - last > 10.0:
+            last = time.monotonic()
+            console.print(f"{title}: {fraction:.0%} {message}", highlight=False, markup=False, soft_wrap=True)
+
+    return report
+
+
+def standing_lines() -> "Callable[[Standing], None]":
+    """Give what writes how far a campaign is on standard error: a line of JSON a second, and one at its end."""
+    last = -math.inf
+
+    def tell(standing: "Standing") -> None:
+        nonlocal last
+        if time.monotonic() - last >= 1.0 or standing.done == standing.runs:
+            last = time.monotonic()
+            line = {**asdict(standing), "flights_per_second": standing.rate, "seconds_left": standing.seconds_left}
+            sys.stderr.write(json.dumps(line, allow_nan=False) + "\n")
+            sys.stderr.flush()
+
+    return tell
+
+
+WIDTH = 80
+"""Columns of the narrowest terminal that the tables are laid out for; in a wider one they look the same."""
+
+
+def facts_table(title: str, summary: Mapping[str, Any]) -> Table:
+    """One row a figure, in the order of the summary."""
+    return _laid_out(title, None, [[key, shown(value)] for key, value in summary.items()], named=True)
+
+
+def entries_table(title: str, rows: Sequence[Mapping[str, Any]]) -> Table:
+    """One row an entry, one column a key; what an entry has no value for is a dash."""
+    headings = list(rows[0]) if rows else []
+    cells = [["–" if value is None else shown(value) for value in row.values()] for row in rows]
+    return _laid_out(title, headings, cells)
+
+
+def rates_table(rates: Sequence[Mapping[str, Any]]) -> Table:
+    """One row a rate of a campaign, with its interval."""
+    rows = [
+        [
+            rate["name"],
+            f"{rate['count']} of {rate['of']}",
+            "–" if rate["rate"] is None else _percent(rate["rate"]),
+            _percent(rate["low"]),
+            _percent(rate["high"]),
+        ]
+        for rate in rates
+    ]
+    return _laid_out("Rates", ["", "runs", "rate %", "95 % from", "to"], rows, named=True)
+
+
+def comparison_tables(summary: Mapping[str, Any]) -> list[Table]:
+    """Rates of two campaigns and their differences, and medians and their differences."""
+    rates = [
+        [
+            row["what"],
+            *("–" if row[key] is None else _percent(row[key]) for key in ("A", "B", "A - B", "low", "high")),
+            shown(row["p"]),
+        ]
+        for row in summary["rates"]
+    ]
+    tables = [_laid_out("Rates", ["", "A %", "B %", "A − B", "95 % from", "to", "p"], rates, named=True)]
+    medians = [row for row in summary["quantiles"] if row["quantile"] == "50 %"]
+    if medians:
+        tables.append(entries_table("Medians", [{k: v for k, v in row.items() if k != "quantile"} for row in medians]))
+    if summary["by_run"]:
+        tables.append(entries_table("A less B, run by run", summary["by_run"]))
+    return tables
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.4g}"
+
+
+def measures_tables(summary: Mapping[str, Any]) -> list[Table]:
+    """Give the single figures of a field, then one table for each kind of measure; lengths in metres."""
+    single = {key: value for key, value in summary.items() if not isinstance(value, list | dict)}
+    tables = [facts_table("Field", single)]
+    errors = {
+        "d from, to": ("from_m", "to_m"),
+        "mean |f̃ - g|": "mean_absolute",
+        "RMS": "root_mean_square",
+        "p99.9 |f̃ - g|": "absolute_999",
+        "p99.9 f̃ - g": "over_999",
+        "mean |‖∇f̃‖ - 1|": "eikonal",
+    }
+    tables.append(
+        _rows("Off the surface, against the exact signed distance g", errors, (summary["near"], summary["far"]))
+    )
+    bends = {"d": "level", "median": "median", "p99": "percentile_99", "largest": "maximum"}
+    tables.append(_rows("‖∇²f̃‖, 1/m", bends, summary["curvature"]))
+    apart = {
+        "f̃": "level",
+        "Chamfer": "chamfer",
+        "Hausdorff": "hausdorff",
+        "learned to target mean, p95, max": (
+            "learned_to_target",
+            "learned_to_target_95",
+            "learned_to_target_maximum",
+        ),
+        "target to learned mean, max": ("target_to_learned", "target_to_learned_maximum"),
+    }
+    tables.append(_rows("Marching-cubes surface against the target's visible surface", apart, [summary["surface"]]))
+    volumes = {
+        "R": "chaser_radius",
+        "f̃ ≤": "level",
+        "learned": "learned",
+        "exact contact": "contact",
+        "IoU": "iou",
+        "hull + R": "hull",
+        "ellipsoid + R": "ellipsoid",
+    }
+    tables.append(_rows("Volume kept out of, m³", volumes, summary["volumes"]))
+    proofs = {
+        "R": "chaser_radius",
+        "e_h": ("error_bound", "kind"),
+        "found": "sampled_maximum",
+        "‖∇f̃‖ ≤": ("gradient_bound", "gradient_kind"),
+        "‖∇f̃‖ found": "gradient_found",
+        "stands off mean, p95": ("stand_off_mean", "stand_off_95"),
+    }
+    certificates = [
+        {**entry, "stand_off_mean": entry["margin"]["mean"], "stand_off_95": entry["margin"]["percentile_95"]}
+        for entry in summary["certificates"]
+    ]
+    tables.append(_rows("Certificates", proofs, certificates))
+    pictures = [facts_table("Pictures", {"written": summary["pictures"]})] if "pictures" in summary else []
+    return tables + pictures
+
+
+def _rows(title: str, columns: Mapping[str, str | tuple[str, ...]], entries: Sequence[Mapping[str, Any]]) -> Table:
+    """One row an entry; a column shows one of its figures, or several."""
+    rows = []
+    for entry in entries:
+        picked = ([entry[key]] if isinstance(key, str) else [entry[one] for one in key] for key in columns.values())
+        rows.append([", ".join(shown(value) for value in values) for values in picked])
+    return _laid_out(title, list(columns), rows)
+
+
+def _laid_out(title: str, headings: list[str] | None, rows: list[list[str]], *, named: bool = False) -> Table:
+    """Lay a table out in `WIDTH` columns so that text breaks at spaces only, and nothing is left out.
+
+    Where the longest words do not fit side by side, rows and columns change places. What is still too long, as a path
+    can be, is folded. `named` says that the first column names the rows.
+    """
+    if headings is not None and sum(_longest_words([headings, *rows])) + _frame(len(headings)) > WIDTH:
+        turned = [list(line) for line in zip(headings, *rows)]
+        headings, rows, named = turned[0], turned[1:], True
+    widths = _widths(rows if headings is None else [headings, *rows])
+    table = Table(title=title, show_header=headings is not None, title_justify="left")
+    for place, width in enumerate(widths):
+        first = named and place == 0
+        table.add_column(
+            "" if headings is None else headings[place],
+            style="bold" if first else None,
+            justify="left" if first else "right",
+            overflow="fold",
+            max_width=width,
+        )
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+def _frame(columns: int) -> int:
+    """Characters of the lines between and around columns, with a space on either side of each text."""
+    return 3 * columns + 1
+
+
+def _longest_words(lines: Sequence[Sequence[str]]) -> list[int]:
+    return [max(cell_len(word) for text in column for word in (text.split() or [""])) for column in zip(*lines)]
+
+
+def _widths(lines: Sequence[Sequence[str]]) -> list[int]:
+    """Width of each column: its longest word's, then as far as there is room its longest line's."""
+    widths = _longest_words(lines)
+    spare = WIDTH - _frame(len(widths)) - sum(widths)
+    while spare < 0 and max(widths) > 1:  # from the widest, and so never from a figure before a name
+        widths[widths.index(max(widths))] -= 1
+        spare += 1
+    for place, column in enumerate(zip(*lines)):
+        wanted = max(cell_len(line) for text in column for line in (text.splitlines() or [""])) - widths[place]
+        grown = max(min(wanted, spare), 0)
+        widths[place] += grown
+        spare -= grown
+    return [max(width, 1) for width in widths]
+
+
+FLIGHT_COLUMNS = {
+    "reached": "reached",
+    "contact": "contact",
+    "minimum_clearance_m": "min clearance m",
+    "final_error_m": "final error m",
+    "delta_v_mps": "Δv m/s",
+    "saturated_fraction": "saturated",
+    "guard_interventions": "guard steps",
+}
+"""Headings of a table of flights after the first, "flight", by entry of a flight's summary."""
+
+
+def flights_table(summaries: Sequence[Mapping[str, Any]]) -> Table:
+    """One row a flight, or one column where that is too wide: whether it was safe, and what it cost."""
+    rows = [[str(summary["name"]), *(shown(summary[key]) for key in FLIGHT_COLUMNS)] for summary in summaries]
+    table = _laid_out("Flights", ["flight", *FLIGHT_COLUMNS.values()], rows, named=True)
+    table.caption, table.caption_justify = "\n".join(broken_assumptions(summaries)) or None, "left"
+    return table
+
+
+def result_table(title: str, summary: Mapping[str, Any], rows: Mapping[str, str]) -> Table:
+    """One row a figure: how a flight of several legs ended, whether it was safe, and what it cost.
+
+    Args:
+        title: of the table.
+        summary: of the flight.
+        rows: words for the entries that are shown, in order; one that is None is left out.
+
+    """
+    told = {words: summary[key] for key, words in rows.items() if summary[key] is not None}
+    table = facts_table(title, told)
+    table.caption, table.caption_justify = "\n".join(broken_assumptions([summary])) or None, "left"
+    return table
+
+
+def check_parts(summary: Mapping[str, Any]) -> list[Table | str]:
+    """Say what a scenario would fly, in words and tables, and what would be refused, with values that would not be."""
+    parts: list[Table | str] = list(summary["words"])
+    if summary["conditions"]:
+        rows = [
+            [row["name"], row["statement"], shown(row["value"]), shown(row["limit"]), shown(row["margin"])]
+            for row in summary["conditions"]
+        ]
+        parts.append(_laid_out("Conditions", ["", "asked", "found", "limit", "margin"], rows, named=True))
+    if summary["guard"] is not None:
+        promised = {"start certified": summary["start_certified"], **summary["guard"]}
+        parts.append(facts_table("Guard: what it assumes, and what follows", promised))
+    if summary["expected"] is not None:
+        parts.append(facts_table("Expected (estimates)", summary["expected"]))
+    parts += [f"note: {remark}" for remark in summary["remarks"]]
+    for refusal in summary["refusals"]:
+        parts.append(f"refused: {refusal['said']}")
+        parts += [f"  would do: {nearest['words']}" for nearest in refusal["nearest"]]
+    parts.append("It flies." if summary["flies"] else "It would not be flown.")
+    return parts
+
+
+def broken_assumptions(summaries: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Give a line for each flight that goes beyond what its guard's theorem assumes."""
+    return [
+        f"{summary['name']}: beyond the guard's assumptions, nothing is promised: {'; '.join(broken)}"
+        for summary in summaries
+        if (broken := summary["assumptions_broken"])
+    ]
+
+
+def targets_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """One row a built-in target."""
+    return _laid_out(
+        "Built-in targets",
+        ["name", "extents m", "volume m³", "triangles", "field", "parameters"],
+        [
+            [
+                row["name"],
+                "×".join(f"{extent:.1f}" for extent in row["extents_m"]),
+                f"{row['volume_m3']:.1f}",
+                str(row["triangles"]),
+                "shipped" if row["shipped_field"] else "to fit",
+                "\n".join(f"{key}={value:g}" for key, value in row["parameters"].items()),
+            ]
+            for row in rows
+        ],
+        named=True,
+    )
+
+
+def shown(value: Any) -> str:
+    """Format a value for a person: four digits, yes or no, counts by name."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {shown(entry)}" for key, entry in value.items()) or "none"
+    if isinstance(value, list | tuple):
+        numbers = all(isinstance(entry, int | float) for entry in value)
+        return (", " if numbers else "\n").join(shown(entry) for entry in value) or "none"
+    return str(value)

@@ -1,0 +1,245 @@
+"""The replay as a user has it: opened from the disk in a browser, without a graphics card and without a network."""
+
+import io
+import re
+
+import matplotlib.image
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from truths.browser import SOFTWARE, browsers, slide
+from truths.passing import STEPS, box_scenario, pass_position, pass_record
+
+from keepout.flights.pages.replay_page import write_replay
+from keepout.flights.pages.replayed import of_records
+
+pytestmark = pytest.mark.long
+
+TURNING = 0.02
+EVIL = "</script><script>globalThis.evil = 1</script> & <b>high</b>"
+
+
+@pytest.fixture(scope="module")
+def page_path(tmp_path_factory):
+    """Two passes: of the first the guard spoke from 40 s to 60 s, with a flag from 50 s to 55 s."""
+    folder = tmp_path_factory.mktemp("replay in a browser")
+    guard = np.zeros(STEPS + 1, np.int32)
+    guard[40:60] = 1
+    guard[50:55] |= 8
+    attitude = {"kind": "tumbling", "angular_velocity": (0.0, 0.0, TURNING)}
+    records = {
+        EVIL: pass_record(
+            box_scenario(folder, 3.0, "high", attitude=attitude), 3.0, turning=TURNING, guard_status=guard
+        ),
+        "low": pass_record(
+            box_scenario(folder, 2.0, "low", attitude=attitude, sun={"direction": (0.0, 0.0, 1.0)}),
+            2.0,
+            turning=TURNING,
+        ),
+    }
+    path = folder / "replay.html"
+    write_replay(path, of_records(records), title=EVIL)
+    return path
+
+
+@pytest.fixture(scope="module")
+def start():
+    with browsers() as launch:
+        yield launch
+
+
+@pytest.fixture(scope="module")
+def started(start):
+    browser = start(*SOFTWARE)
+    yield browser
+    browser.close()
+
+
+@pytest.fixture
+def opened(started, page_path):
+    """The page at 1280 × 720, with what it said and asked for; nothing may be an error or leave the disk."""
+    context = started.new_context(viewport={"width": 1280, "height": 720})
+    page = context.new_page()
+    said, asked = [], []
+    page.on("console", lambda message: said.append(f"{message.type}: {message.text}"))
+    page.on("pageerror", lambda error: said.append(f"error: {error}"))
+    page.on("request", lambda request: asked.append(request.url))
+    page.goto(page_path.as_uri())
+    page.wait_for_selector("#replay[data-ready]", timeout=60_000)
+    yield page
+    assert said == []
+    assert all(re.match("file:|data:|blob:", url) for url in asked)
+    assert [url for url in asked if url.startswith("file:")] == [page_path.as_uri()]
+    context.close()
+
+
+def state(page):
+    """What is shown, after the next picture."""
+    page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    return page.evaluate("keepoutReplay.state()")
+
+
+def picture(page):
+    """The drawing's pixels; its labels and controls are left out."""
+    page.evaluate(
+        "document.querySelectorAll('.stage > :not(canvas)').forEach((of) => { of.style.visibility = 'hidden' })"
+    )
+    page.wait_for_timeout(1000)  # at rest it is drawn finer
+    return matplotlib.image.imread(io.BytesIO(page.locator(".stage").screenshot()))
+
+
+def test_the_page_says_what_was_flown_and_runs_nothing_that_a_name_holds(opened):
+    assert opened.title() == EVIL
+    assert opened.locator("header h1").inner_text() == EVIL
+    assert "No contact, proved" in opened.locator(".verdict").inner_text()
+    assert opened.evaluate("globalThis.evil") is None
+    assert state(opened)["flights"] == [EVIL, "low"]
+
+
+def test_the_slider_moves_the_chaser(opened):
+    before = picture(opened)
+    for time in (0.0, 50.0, 123.5, 200.0):
+        slide(opened, time)
+        shown = state(opened)
+        assert shown["time"] == time
+        np.testing.assert_allclose(shown["chaser"], pass_position(time, 3.0), atol=1e-5)
+    after = picture(opened)
+    assert (np.abs(after - before).max(axis=2) > 0.2).sum() > 100
+    slide(opened, 100.0)
+    state(opened)
+    said = opened.locator("output[data-quantity=clearance]").inner_text()
+    found, proved = (float(number) for number in re.findall(r"[\d.]+(?= m)", said))
+    assert found == pytest.approx(1.5, abs=1e-3)
+    assert 1.4 < proved < 1.5
+
+
+def test_play_pause_step_and_keys(opened):
+    opened.locator("button[name=play]").click()
+    opened.wait_for_timeout(1500)
+    opened.keyboard.press("Space")
+    played = state(opened)
+    assert not played["playing"]
+    assert played["time"] > 1.0
+    slide(opened, 10.5)
+    opened.locator("button[name=forward]").click()
+    assert state(opened)["time"] == 11.0
+    opened.locator("button[name=back]").click()
+    assert state(opened)["time"] == 10.0
+    opened.keyboard.press("Shift+ArrowRight")
+    assert state(opened)["time"] == 20.0
+    opened.keyboard.press("End")
+    assert state(opened)["time"] == STEPS
+    opened.keyboard.press("Home")
+    assert state(opened)["time"] == 0.0
+    opened.locator("select[name=speed]").select_option("60")
+    opened.keyboard.press("+")
+    assert opened.locator("select[name=speed]").input_value() == "120"
+
+
+def test_marks_jump(opened):
+    words = [mark["words"] for mark in state(opened)["marks"]]
+    assert words == ["guard: braking", "flag: disturbance", "least clearance", "goal reached, to stay"]
+    opened.locator(".mark.guard").click(position={"x": 2, "y": 2})
+    assert state(opened)["time"] == 40.0
+    assert "guard: braking" in opened.locator(".status").inner_text()
+    assert "guard: braking: 40.0 s to 60.0 s" in opened.locator(".words").inner_text()
+    opened.locator("button[name=next]").click()
+    assert state(opened)["time"] == 50.0
+    assert "flag: disturbance" in opened.locator(".status").inner_text()
+    opened.keyboard.press("[")
+    assert state(opened)["time"] == 40.0
+    slide(opened, 70.0)
+    state(opened)
+    assert opened.locator(".status").inner_text() == "guard: command passed on"
+
+
+@pytest.mark.parametrize(
+    "name", ["target", "envelope", "guard", "path", "chaser", "thrust", "velocity", "closest", "ends"]
+)
+def test_a_toggle_takes_away_what_it_names(opened, name):
+    slide(opened, 100.0)
+    shown, before = state(opened), picture(opened)
+    opened.evaluate("(name) => document.querySelector(`input[name=${name}]`).click()", name)
+    toggled = state(opened)
+    assert toggled["shown"][name] is not shown["shown"][name]
+    changed = (np.abs(picture(opened) - before).max(axis=2) > 0.02).sum()
+    # The thrust of this flight is nothing, so there is no arrow to take away.
+    assert changed > 30 if name != "thrust" else changed == 0
+    if name in ("envelope", "guard"):
+        assert toggled["surfaces"] != shown["surfaces"]
+        opened.keyboard.press(name[0])
+        assert state(opened)["surfaces"] == shown["surfaces"]
+
+
+def test_frames_turn_path_and_target(opened):
+    slide(opened, 100.0)
+    body = pass_position(100.0, 3.0)
+    vvlh_from_body = Rotation.from_euler("z", -TURNING * 100.0)
+    opened.get_by_role("button", name="VVLH").click()
+    shown = state(opened)
+    assert shown["frame"] == "vvlh"
+    np.testing.assert_allclose(shown["chaser"], vvlh_from_body.apply(body), atol=1e-3)
+    turned = Rotation.from_quat(shown["attitude"])
+    assert (turned * vvlh_from_body.inv()).magnitude() < 1e-3
+    opened.keyboard.press("i")
+    inertial = state(opened)
+    assert inertial["frame"] == "inertial"
+    assert np.linalg.norm(inertial["chaser"]) == pytest.approx(np.linalg.norm(body), abs=1e-4)
+    assert np.linalg.norm(np.subtract(inertial["chaser"], shown["chaser"])) > 0.1
+    opened.keyboard.press("b")
+    np.testing.assert_allclose(state(opened)["chaser"], body, atol=1e-5)
+
+
+@pytest.mark.parametrize(("width", "height"), [(1280, 720), (900, 700)])
+def test_nothing_lies_over_anything_else(started, page_path, width, height):
+    page = started.new_page(viewport={"width": width, "height": height})
+    page.goto(page_path.as_uri())
+    page.wait_for_selector("#replay[data-ready]", timeout=60_000)
+    state(page)
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    assert page.evaluate("document.documentElement.scrollHeight") <= height
+    places = ["header", ".controls", ".status", ".triad", ".bar", ".plots", ".transport"]
+    boxes = {name: page.locator(name).bounding_box() for name in places}
+    boxes = {name: box for name, box in boxes.items() if box is not None}
+    for name, one in boxes.items():
+        assert one["x"] >= 0
+        assert one["x"] + one["width"] <= width + 0.5
+        for other_name, other in boxes.items():
+            if name < other_name:
+                across = min(one["x"] + one["width"], other["x"] + other["width"]) - max(one["x"], other["x"])
+                down = min(one["y"] + one["height"], other["y"] + other["height"]) - max(one["y"], other["y"])
+                assert min(across, down) <= 0.5, (name, other_name)
+    page.close()
+
+
+def test_without_scripts_and_in_print_there_are_figures(started, page_path):
+    context = started.new_context(java_script_enabled=False)
+    page = context.new_page()
+    page.goto(page_path.as_uri())
+    assert page.locator("#figures").is_visible()
+    assert not page.locator("#replay").is_visible()
+    assert page.locator("#figures img").count() == 3
+    assert "Contact: no" in page.locator("#figures").inner_text()
+    context.close()
+    page = started.new_page()
+    page.goto(page_path.as_uri())
+    page.wait_for_selector("#replay[data-ready]", timeout=60_000)
+    assert not page.locator("#figures").is_visible()
+    page.emulate_media(media="print")
+    page.evaluate("dispatchEvent(new Event('beforeprint'))")
+    assert page.locator("#figures").is_visible()
+    assert page.locator(".still").is_visible()
+    assert not page.locator(".transport").is_visible()
+    assert page.locator(".still").get_attribute("src").startswith("data:image/png")
+    assert len(page.pdf()) > 10_000
+    page.close()
+
+
+def test_a_browser_without_webgl_shows_the_figures(start, page_path):
+    bare = start("--disable-gpu", "--disable-3d-apis")
+    page = bare.new_page()
+    page.goto(page_path.as_uri())
+    page.wait_for_selector(".failed", timeout=60_000)
+    assert "WebGL" in page.locator(".failed").inner_text()
+    assert page.locator("#figures").is_visible()
+    bare.close()
