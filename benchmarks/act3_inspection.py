@@ -38,7 +38,7 @@ from kept_rows import Rows, show
 
 from keepout.apps.inspection.hill import coast_matrix, push_matrix
 from keepout.core.control.law import Command, Law
-from keepout.core.fields.analytic import SphereField
+from keepout.core.fields.own import SphereField
 from keepout.core.flight.batches import fly_batches, states_at
 from keepout.core.flight.setup import FlightSetup
 from keepout.core.guard.braking import GuardAssumptions

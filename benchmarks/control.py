@@ -25,10 +25,10 @@ from keepout.core.control.guidance.plan import Straight
 from keepout.core.control.operation import Operation
 from keepout.core.control.velocity_program.cone import solve
 from keepout.core.control.velocity_program.program import Circulation, VelocityProgram
-from keepout.core.fields import mlp
-from keepout.core.fields.analytic import SphereField
+from keepout.core.fields import neural
 from keepout.core.fields.continuation import RadialContinuation
 from keepout.core.fields.neural import NeuralField
+from keepout.core.fields.own import SphereField
 from keepout.core.flight import FlightSetup
 from keepout.core.flight.on_board import OnBoard
 from keepout.core.motion.chaser import Chaser
@@ -58,7 +58,7 @@ def neural_field():
     )
     biases = tuple(jnp.zeros(m, jnp.float32) for m in sizes[1:])
     numbers = (jnp.zeros(3), *(jnp.asarray(x) for x in (5.0, 12.0, 14.0, 0.1)))
-    return NeuralField(mlp.Layers(weights, biases), jnp.asarray(12.0), RadialContinuation(*numbers), BETA)
+    return NeuralField(neural.Layers(weights, biases), jnp.asarray(12.0), RadialContinuation(*numbers), BETA)
 
 
 def default_law(field):

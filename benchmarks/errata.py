@@ -18,8 +18,8 @@ from scipy.integrate import solve_ivp
 
 from keepout.core.control.observer import continuous, printed_observer
 from keepout.core.control.profiles import ControlWarning
-from keepout.core.fields.evaluate import values
-from keepout.core.fields.shipped import load_shipped
+from keepout.core.fields import load_shipped
+from keepout.core.fields.field import values
 from keepout.core.geometry.target import Target
 from keepout.core.mission.flight import fly
 from keepout.core.mission.scenario import Scenario

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from keepout.core.control.guidance.plan import Geodesic
-from keepout.core.fields.evaluate import values, values_and_gradients
-from keepout.core.fields.shipped import load_shipped, shipped_names
+from keepout.core.fields import load_shipped, shipped_names
+from keepout.core.fields.field import values, values_and_gradients
 from keepout.core.flight import faults as broken
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target

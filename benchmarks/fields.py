@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from keepout.core.compiled.xla import WIDE
-from keepout.core.fields import mlp
+from keepout.core.fields import neural
 from keepout.core.fields.continuation import RadialContinuation
 from keepout.core.fields.neural import NeuralField
 
@@ -41,7 +41,7 @@ def make(width, depth):
     biases = tuple(jnp.zeros(o, jnp.float32) for o in sizes[1:])
     lengths = (jnp.asarray(length) for length in (10.0, 12.5, 15.0, 0.0))
     continuation = RadialContinuation(jnp.zeros(3), *lengths)
-    return NeuralField(mlp.Layers(weights, biases), jnp.asarray(14.0), continuation, 100.0)
+    return NeuralField(neural.Layers(weights, biases), jnp.asarray(14.0), continuation, 100.0)
 
 
 def sgemm_rate() -> float:

@@ -9,16 +9,14 @@ import time
 
 import numpy as np
 
-from keepout.core.fields.evaluate import values, values_and_gradients
+from keepout.core.fields.field import values, values_and_gradients
 from keepout.core.fields.grid import BLOCK
 from keepout.core.fields.grid_build import build_grid
 from keepout.core.geometry.level_set import surface_points
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target
 from keepout.core.guard.field import grid_numbers
-from keepout.core.proof.grid import certify_grid
-from keepout.core.proof.grid_slope import spline_slope
-from keepout.core.proof.grid_spline import joined_spline
+from keepout.core.proof.grid import certify_grid, joined_spline, spline_slope
 
 RADIUS, POINTS, ROUNDS = 0.5, 1_000_000, (0.3, 0.1, 0.03, 0.01, 0.003, 0.001)
 

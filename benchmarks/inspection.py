@@ -38,7 +38,7 @@ from keepout.apps.inspection.planning import plan
 from keepout.apps.inspection.problem import Problem
 from keepout.apps.inspection.wanted import Wanted
 from keepout.core.errors import KeepoutError
-from keepout.core.fields.shipped import shipped_names
+from keepout.core.fields import shipped_names
 from keepout.core.geometry.target import Target
 from keepout.core.mission.light import Light
 from keepout.core.mission.scenario import Scenario

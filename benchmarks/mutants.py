@@ -66,11 +66,11 @@ MUTANTS = {
         ("past pushes forgotten", "= summed.pushed + summed.pushed_before", "= summed.pushed", "observer_radii"),
         ("turning not in D", "(scale + self.turning_error)", "scale", "assumptions:inertial disturbance_bound"),
     ],
-    "core/proof/relaxation.py": [
+    "core/proof/bounds.py": [
         ("remainder not carried on", "= s * left + 0.5 * (upper - lower)", "= s * left", "bounds"),
+        ("float32 as float64", "unit = UNIT32 if network.single else", "unit =", "bounds"),
     ],
-    "core/proof/bounds.py": [("float32 as float64", "unit = UNIT32 if network.single else", "unit =", "bounds")],
-    "core/proof/slope_bounds.py": [
+    "core/proof/slope.py": [
         (
             "least for largest slope",
             "above = max(above, 1.0 - small",
@@ -78,15 +78,15 @@ MUTANTS = {
             "slope_bounds:random",
         ),
         ("second order left out", "= size * delta + steepest", "= steepest", "slope_bounds:random"),
+        ("cubes by their middles", "+ reach >= clearance", ">= clearance", "mutants_found"),
     ],
-    "core/proof/slope.py": [("cubes by their middles", "+ reach >= clearance", ">= clearance", "mutants_found")],
     "core/proof/certificate.py": [
         ("cube as wide as its side", "np.linalg.norm(half, axis=1)", "half[:, 0]", "mutants_found"),
     ],
     "core/proof/grid.py": [
-        ("cell without its spread", "np.hypot(radius, h) - radius + (c", "(c", "grid_field grid:contact")
+        ("cell without its spread", "np.hypot(radius, h) - radius + (c", "(c", "grid_field grid:contact"),
+        ("lowering does not change", "* cells.side * change", "* 0.0", "mutants_found"),
     ],
-    "core/proof/grid_slope.py": [("lowering does not change", "* cells.side * change", "* 0.0", "mutants_found")],
     "core/audit/tube.py": [("pulses leave no room", "* tau**2 + self.excursion", "* tau**2", "pulsed")],
     "core/audit/sample_loops.py": [
         ("half of Coriolis", "unknown + 2.0 * rate", "unknown + rate", "audit:tube"),

@@ -6,9 +6,9 @@ import numpy as np
 
 from keepout.core.control.guidance.fast_marching import travel_time
 from keepout.core.control.guidance.geodesic import BarrierGrid
-from keepout.core.fields.evaluate import values
+from keepout.core.fields import load_shipped, shipped_names
+from keepout.core.fields.field import values
 from keepout.core.fields.model import FieldModel
-from keepout.core.fields.shipped import load_shipped, shipped_names
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target
 from keepout.core.learning.training import fit

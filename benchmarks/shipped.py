@@ -6,8 +6,8 @@ Run: python benchmarks/shipped.py [intelsat30 ...]
 import argparse
 import sys
 
+from keepout.core.fields import shipped_folder
 from keepout.core.fields.model import FieldModel
-from keepout.core.fields.shipped import shipped_folder
 from keepout.core.geometry.target import Target
 from keepout.core.learning.training import fit
 from keepout.core.proof.certificate import certify

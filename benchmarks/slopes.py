@@ -10,15 +10,14 @@ import time
 
 import numpy as np
 
-from keepout.core.fields.evaluate import values_and_gradients
+from keepout.core.fields import load_shipped
+from keepout.core.fields.field import values_and_gradients
 from keepout.core.fields.model import FieldModel
-from keepout.core.fields.shipped import load_shipped
 from keepout.core.geometry.level_set import surface_points
 from keepout.core.geometry.target import Target
 from keepout.core.proof.bounds import Network
 from keepout.core.proof.certificate import GRADIENT_ALLOWANCE, steepest_found
-from keepout.core.proof.slope import prove_lipschitz
-from keepout.core.proof.slope_bounds import Prepared, slope_bounds
+from keepout.core.proof.slope import Prepared, prove_lipschitz, slope_bounds
 
 SIDES = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
 STAND_OFFS = (0.0, 0.5, 2.0, 5.0)

@@ -22,7 +22,7 @@ import numpy as np
 from keepout.core.control import profiles
 from keepout.core.control.guidance.plan import Straight
 from keepout.core.control.operation import Operation
-from keepout.core.fields.analytic import SphereField
+from keepout.core.fields.own import SphereField
 from keepout.core.motion.chaser import Chaser
 from keepout.core.motion.disturbance import paper_disturbance
 from keepout.core.motion.orbit import Orbit

@@ -15,8 +15,8 @@ from truths.command_line import keepout_command
 from keepout import cli
 from keepout.cli.commands import mesh
 from keepout.cli.options import ORDER
+from keepout.core.fields import shipped_path
 from keepout.core.fields.model import FieldModel
-from keepout.core.fields.shipped import shipped_path
 
 REPOSITORY = Path(__file__).parents[1]
 EXAMPLES = REPOSITORY / "examples"
@@ -150,7 +150,7 @@ def work_is_watched(monkeypatch, work):
     [
         (("targets", "--pictures"), None, "keepout.core.geometry.mesh_report:enclosed_volume"),
         (("describe", "box", "-o"), None, "keepout.core.geometry.target:survey"),
-        (("measure", "intelsat30", "--shipped", "-o"), None, "keepout.core.measures.field_measures:measure_model"),
+        (("measure", "intelsat30", "--shipped", "-o"), None, "keepout.core.measures.quality:measure_model"),
         (("fly", "mission.toml", "-o"), None, "keepout.core.mission.flight:fly"),
         (("explore", "explore.toml", "-o"), None, "keepout.apps.unknown.explore:explore"),
         (("inspect", "mission.toml", "-o"), None, "keepout.apps.inspection.inspect:inspect"),

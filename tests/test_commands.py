@@ -30,7 +30,7 @@ from keepout.apps.unknown import equipment, map_file
 from keepout.apps.unknown.depth_sensor import ErrorDraw, take
 from keepout.cli.options import ORDER
 from keepout.core.audit.audit import Audit, audit
-from keepout.core.fields.evaluate import values
+from keepout.core.fields.field import values
 from keepout.core.fields.model import FieldModel
 from keepout.core.flight.record import FlightRecord
 from keepout.core.geometry.builtin import BUILTINS

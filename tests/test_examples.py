@@ -13,7 +13,6 @@ from truths.boxes import contact_with_box
 import keepout
 from keepout.core.errors import FieldError
 from keepout.core.guard.field import guard_field
-from keepout.core.proof.stated import error_bound
 
 FOLDER = Path(__file__).parents[1] / "examples"
 pytestmark = pytest.mark.long
@@ -110,7 +109,7 @@ def test_the_error_bound_of_a_stated_field_is_one():
     """Against points at distance R of the box by closed form."""
     field = keepout.stated_field(example("own_field").ellipsoid, 1.0, lower=[-8.0] * 3, upper=[8.0] * 3)
     radius, leaf = 0.5, 0.1
-    bound = error_bound(field, keepout.Target.load("box"), radius, leaf=leaf)
+    bound = stated_error_bound(field, keepout.Target.load("box"), radius, leaf=leaf)
     points = contact_with_box(20_000, radius)
     worst = float(np.max(np.asarray(field.value(jnp.asarray(points))))) - radius
     assert worst <= bound <= worst + 2.0 * np.sqrt(3.0) * 0.5 * leaf + 0.02

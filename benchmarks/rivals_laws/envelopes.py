@@ -18,9 +18,9 @@ import numpy as np
 from keepout.core.control.controller import Controller
 from keepout.core.control.guidance.geodesic import require_free
 from keepout.core.control.operation import Operation
-from keepout.core.fields.analytic import SphereField
 from keepout.core.fields.field import Field
-from keepout.core.measures.volume import smallest_ellipsoid
+from keepout.core.fields.own import SphereField
+from keepout.core.measures.surface import smallest_ellipsoid
 from rivals_laws.envelope_fields import CapsuleField, EllipsoidField
 from rivals_laws.rival import Rival
 from rivals_laws.rival_case import Point, RivalCase

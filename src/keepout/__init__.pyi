@@ -8,12 +8,12 @@ from .core.control.law import Command as Command
 from .core.control.law import Law as Law
 from .core.control.policy import PolicyLaw as PolicyLaw
 from .core.errors import KeepoutError as KeepoutError
+from .core.fields import load_shipped as load_shipped
 from .core.fields.field import Field as Field
 from .core.fields.model import FieldModel as FieldModel
 from .core.fields.own import FunctionField as FunctionField
 from .core.fields.own import sampled_field as sampled_field
 from .core.fields.own import stated_field as stated_field
-from .core.fields.shipped import load_shipped as load_shipped
 from .core.flight.on_board import OnBoard as OnBoard
 from .core.flight.record import FlightRecord as FlightRecord
 from .core.flight.setup import Faults as Faults

@@ -5,7 +5,7 @@ import itertools
 import jax.numpy as jnp
 import numpy as np
 
-from keepout.core.fields import mlp
+from keepout.core.fields import neural
 from keepout.core.fields.continuation import RadialContinuation
 from keepout.core.fields.neural import NeuralField
 
@@ -16,7 +16,7 @@ def random_layers(seed, sizes=SIZES, dtype=jnp.float64):
     rng = np.random.default_rng(seed)
     weights = [rng.normal(size=(n_out, n_in)) * np.sqrt(2.0 / n_in) for n_in, n_out in itertools.pairwise(sizes)]
     biases = [0.3 * rng.normal(size=n) for n in sizes[1:]]
-    return mlp.Layers(*(tuple(jnp.asarray(a.astype(dtype)) for a in arrays) for arrays in (weights, biases)))
+    return neural.Layers(*(tuple(jnp.asarray(a.astype(dtype)) for a in arrays) for arrays in (weights, biases)))
 
 
 def numbers(*values):

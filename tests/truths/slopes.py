@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from keepout.core.fields.evaluate import values, values_and_gradients
+from keepout.core.fields.field import values, values_and_gradients
 
 
 def steepest(field, points, *, kept=300, rounds=(0.3, 0.1, 0.03, 0.01, 0.003, 0.001), seed=0):

@@ -164,7 +164,7 @@ def measure(
     """Measure a field against its mesh, and list its certificates."""
     from keepout.cli.commands import usage
     from keepout.cli.commands.mesh import measure_field
-    from keepout.core.fields.shipped import shipped_path
+    from keepout.core.fields import shipped_path
 
     if not shipped and not field.endswith(".keepout"):
         raise typer.BadParameter(

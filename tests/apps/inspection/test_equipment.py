@@ -13,7 +13,7 @@ from keepout.apps.inspection.seeing.room import Room
 from keepout.apps.inspection.seeing.seeable import Hidden, Seeable, Verdict
 from keepout.core.control.guidance.plan import Straight
 from keepout.core.errors import InspectionError
-from keepout.core.fields.analytic import SphereField
+from keepout.core.fields.own import SphereField
 from keepout.core.geometry.target import Target
 from keepout.core.mission.law import law_on, room_for_guard
 from keepout.core.mission.light import Light

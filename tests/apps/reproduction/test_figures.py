@@ -3,7 +3,7 @@
 import numpy as np
 
 from keepout.apps.reproduction import figures
-from keepout.core.measures.volume import Ellipsoid
+from keepout.core.measures.surface import Ellipsoid
 from keepout.flights.pages.mesh_pictures import eye_axes
 
 

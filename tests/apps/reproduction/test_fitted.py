@@ -10,7 +10,7 @@ from keepout.apps.reproduction import fitted
 from keepout.apps.reproduction.fitted import Recipe, field_of
 from keepout.apps.reproduction.work import Work
 from keepout.core.geometry.target import Target
-from keepout.core.learning.profile import PROFILES
+from keepout.core.learning.losses import PROFILES
 
 pytestmark = pytest.mark.long
 

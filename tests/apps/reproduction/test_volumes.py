@@ -7,8 +7,8 @@ import trimesh
 
 from keepout.apps.reproduction import fitted, volumes
 from keepout.apps.reproduction.work import Work
-from keepout.core.fields.analytic import SphereField
 from keepout.core.fields.model import Certificate, FieldModel
+from keepout.core.fields.own import SphereField
 from keepout.core.geometry.target import Target
 
 

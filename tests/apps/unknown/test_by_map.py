@@ -31,7 +31,7 @@ from keepout.apps.unknown.map_field import SLOPE, MapField
 from keepout.apps.unknown.view import SensorBounds
 from keepout.core.audit.audit import Contact, audit
 from keepout.core.errors import FieldError, KeepoutError
-from keepout.core.fields.evaluate import values
+from keepout.core.fields.field import values
 from keepout.core.flight.segment import begin, fly_segment, joined
 from keepout.core.geometry.target import Target
 from keepout.core.guard.braking import GuardAssumptions

@@ -9,7 +9,7 @@ from truths.growing_maps import Cubes
 
 from keepout.apps.unknown.map_field import SLOPE, MapField
 from keepout.core.errors import FieldError
-from keepout.core.fields.evaluate import values, values_and_gradients, values_gradients_hessians
+from keepout.core.fields.field import values, values_and_gradients, values_gradients_hessians
 
 EMPTY = Cubes((0.1, -0.2, 0.3), 0.8)
 

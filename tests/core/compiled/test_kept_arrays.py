@@ -8,8 +8,7 @@ import pytest
 
 from keepout.core.compiled.kept_arrays import kept_arrays
 from keepout.core.compiled.kept_programs import KeptProgramsWarning
-from keepout.core.fields.analytic import SphereField
-from keepout.core.fields.own import stated_field
+from keepout.core.fields.own import SphereField, stated_field
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "getuid"), reason="no owners and modes of files here")
 

@@ -25,8 +25,8 @@ from keepout.core.compiled.kept_executables import (
 )
 from keepout.core.compiled.kept_programs import VARIABLE, KeptProgramsWarning, keep_programs
 from keepout.core.control.tuning import Tuning
-from keepout.core.fields import evaluate
-from keepout.core.fields.analytic import SphereField
+from keepout.core.fields import field
+from keepout.core.fields.own import SphereField
 
 pytestmark = [
     pytest.mark.as_used,
@@ -40,7 +40,7 @@ TRUE = np.linalg.norm(POINTS, axis=1) - 2.0
 
 def fresh(monkeypatch) -> None:
     """Forget in this process what was compiled or taken."""
-    monkeypatch.setattr(evaluate, "_value", kept_jit(evaluate._value.__wrapped__))
+    monkeypatch.setattr(field, "_value", kept_jit(field._value.__wrapped__))
 
 
 def kept(folder: Path) -> tuple[set[str], set[str]]:
@@ -63,28 +63,28 @@ def traced(monkeypatch) -> list[str]:
 
 def test_a_kept_program_gives_the_same_bits_without_being_traced(folder, monkeypatch):
     fresh(monkeypatch)
-    first = evaluate.values(SPHERE, POINTS)
+    first = field.values(SPHERE, POINTS)
     np.testing.assert_allclose(first, TRUE, rtol=1e-12)
     assert [len(names) for names in kept(folder)] == [1, 1]
     fresh(monkeypatch)
     found = traced(monkeypatch)
-    assert np.array_equal(evaluate.values(SPHERE, POINTS), first)
+    assert np.array_equal(field.values(SPHERE, POINTS), first)
     assert "kept__value" not in found
     keep_programs.cache_clear()
     fresh(monkeypatch)
-    assert np.array_equal(evaluate.values(SPHERE, POINTS), first), "and those of filter_jit"
+    assert np.array_equal(field.values(SPHERE, POINTS), first), "and those of filter_jit"
 
 
 def test_another_shape_type_or_number_is_another_call(folder, monkeypatch):
     sizes = set()
     for points in (jnp.zeros((4, 3)), jnp.zeros((5, 3)), jnp.zeros((5, 3), jnp.float32)):
         fresh(monkeypatch)
-        evaluate._value(SPHERE, points)
+        field._value(SPHERE, points)
         sizes.add(tuple(len(names) for names in kept(folder)))
     assert sizes == {(1, 1), (2, 2), (3, 3)}
     with jax.default_matmul_precision("float32"):
         fresh(monkeypatch)
-        evaluate._value(SPHERE, jnp.zeros((4, 3)))
+        field._value(SPHERE, jnp.zeros((4, 3)))
     assert len(kept(folder)[0]) == 4
 
 
@@ -93,13 +93,13 @@ def test_a_process_has_so_many_programs_at_hand_and_lets_go_of_those_used_longes
     monkeypatch.setattr(kept_executables, "_AT_HAND", 2)
     fresh(monkeypatch)
     for rows in (3, 4, 3, 5):
-        evaluate._value(SPHERE, jnp.zeros((rows, 3)))
+        field._value(SPHERE, jnp.zeros((rows, 3)))
     for entry in folder.iterdir():
         entry.unlink()
     for rows in (3, 5):
-        evaluate._value(SPHERE, jnp.zeros((rows, 3)))
+        field._value(SPHERE, jnp.zeros((rows, 3)))
     assert kept(folder) == (set(), set())
-    assert np.array_equal(evaluate._value(SPHERE, jnp.zeros((4, 3))), np.full(4, -2.0))
+    assert np.array_equal(field._value(SPHERE, jnp.zeros((4, 3))), np.full(4, -2.0))
     assert [len(names) for names in kept(folder)] == [1, 1]
 
 
@@ -123,10 +123,10 @@ def test_calls_that_use_other_arguments_do_not_share_a_program(folder, used):
 
 def test_numbers_at_the_top_of_modules_are_part_of_the_key(folder, monkeypatch):
     fresh(monkeypatch)
-    evaluate.values(SPHERE, POINTS)
-    monkeypatch.setattr(evaluate, "SOMETHING", 5, raising=False)
+    field.values(SPHERE, POINTS)
+    monkeypatch.setattr(field, "SOMETHING", 5, raising=False)
     fresh(monkeypatch)
-    evaluate.values(SPHERE, POINTS)
+    field.values(SPHERE, POINTS)
     calls, codes = kept(folder)
     assert (len(calls), len(codes)) == (2, 1), "two calls, lowered to one program"
 
@@ -134,13 +134,13 @@ def test_numbers_at_the_top_of_modules_are_part_of_the_key(folder, monkeypatch):
 def test_nothing_is_kept_or_taken_where_a_function_of_keepout_was_replaced(folder, monkeypatch):
     points = jnp.zeros((7, 3))  # JAX itself, in one process, would not see it for a shape that it knows
     fresh(monkeypatch)
-    evaluate._value(SPHERE, points)
+    field._value(SPHERE, points)
     before = kept(folder)
     monkeypatch.setattr(SphereField, "value", lambda self, points: jnp.full(points.shape[:-1], 7.0))
     with pytest.raises(_UnknownError):
         _constants()
     fresh(monkeypatch)
-    np.testing.assert_array_equal(evaluate._value(SPHERE, points), 7.0)
+    np.testing.assert_array_equal(field._value(SPHERE, points), 7.0)
     assert kept(folder) == before
 
 
@@ -151,7 +151,7 @@ class Foreign(SphereField):
 def test_what_is_not_of_keepout_is_not_kept(folder, monkeypatch):
     fresh(monkeypatch)
     foreign = Foreign(jnp.zeros(3), jnp.asarray(2.0))
-    np.testing.assert_allclose(evaluate.values(foreign, POINTS), TRUE, rtol=1e-12)
+    np.testing.assert_allclose(field.values(foreign, POINTS), TRUE, rtol=1e-12)
     assert kept(folder) == (set(), set())
     for mine in (Foreign, lambda: 1, traced):
         with pytest.raises(_UnknownError):
@@ -184,18 +184,18 @@ def test_a_source_file_younger_than_the_process_stops_keeping(monkeypatch, tmp_p
 @pytest.mark.parametrize("kind", ["call", "code"])
 def test_a_damaged_file_is_a_warning_and_compiled_anew(folder, monkeypatch, kind):
     fresh(monkeypatch)
-    first = evaluate.values(SPHERE, POINTS)
+    first = field.values(SPHERE, POINTS)
     [path] = folder.glob(f"{kind}_*")
     whole = path.read_bytes()
     for damaged in (b"", whole[:40] + bytes([whole[40] ^ 1]) + whole[41:]):
         path.write_bytes(damaged)
         fresh(monkeypatch)
         with pytest.warns(KeptProgramsWarning, match="damaged"):
-            assert np.array_equal(evaluate.values(SPHERE, POINTS), first)
+            assert np.array_equal(field.values(SPHERE, POINTS), first)
         fresh(monkeypatch)
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            assert np.array_equal(evaluate.values(SPHERE, POINTS), first), "and is whole again"
+            assert np.array_equal(field.values(SPHERE, POINTS), first), "and is whole again"
 
 
 def test_a_program_that_calls_out_is_told_by_what_it_calls():
@@ -229,7 +229,7 @@ from keepout.core.fields import evaluate
 from keepout.core.fields.analytic import SphereField
 before = jax.config.jax_compilation_cache_dir
 keep_programs()
-value = evaluate.values(SphereField(jnp.zeros(3), jnp.asarray(2.0)), np.ones((1, 3)))[0]
+value = field.values(SphereField(jnp.zeros(3), jnp.asarray(2.0)), np.ones((1, 3)))[0]
 other = jax.jit(lambda x: jnp.sin(jnp.cumsum(x)) @ jnp.exp(-x))(jnp.linspace(0.0, 1.0, 1000))
 print(json.dumps([before, [float(value).hex(), float(other).hex()], "kept__value" in traced, any(hits)]))
 """

@@ -23,7 +23,7 @@ from keepout.core.control.observer import constant_observer
 from keepout.core.control.tuning import tune
 from keepout.core.control.velocity import SpeedCone
 from keepout.core.errors import ControlError
-from keepout.core.fields.analytic import BoxUnionField
+from keepout.core.fields.own import BoxUnionField
 from keepout.core.geometry.distance import ExactDistance
 from keepout.core.mission.build import prepare
 from keepout.core.mission.scenario import Scenario

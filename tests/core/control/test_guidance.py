@@ -13,7 +13,7 @@ from keepout.core.control.guidance.fast_marching import downhill, travel_time, w
 from keepout.core.control.guidance.geodesic import BarrierGrid, _refined, geodesic_guidance
 from keepout.core.control.guidance.guidance import ComponentwiseGuidance, GeodesicGuidance, StraightGuidance, packed
 from keepout.core.errors import ControlError
-from keepout.core.fields.analytic import BoxUnionField, SphereField
+from keepout.core.fields.own import BoxUnionField, SphereField
 
 SPHERE = SphereField(jnp.zeros(3), jnp.asarray(2.0))
 

@@ -8,7 +8,7 @@ from truths.growing_maps import Cubes
 from keepout.core.control.guidance.geodesic import geodesic_guidance
 from keepout.core.control.guidance.node_grid import grid_of_nodes
 from keepout.core.errors import ControlError
-from keepout.core.fields.evaluate import values
+from keepout.core.fields.field import values
 
 CUBES = Cubes((0.5, 0.0, 0.0), 2.0)
 OFFSET = 0.45

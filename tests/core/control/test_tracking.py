@@ -12,7 +12,7 @@ import pytest
 from keepout.core.control.guidance.guidance import StraightGuidance
 from keepout.core.control.tracking import Tracking, safety_gain
 from keepout.core.control.velocity import ClassK, SafeVelocity, SpeedCone
-from keepout.core.fields.analytic import SphereField
+from keepout.core.fields.own import SphereField
 
 MASS = jnp.asarray(20.0)
 

@@ -7,9 +7,8 @@ from truths import small_box
 from truths.growing_maps import Cubes
 from truths.networks import random_field
 
-from keepout.core.fields.analytic import BoxUnionField, SphereField
-from keepout.core.fields.evaluate import values, values_and_gradients, values_gradients_hessians
-from keepout.core.fields.own import FunctionField
+from keepout.core.fields.field import values, values_and_gradients, values_gradients_hessians
+from keepout.core.fields.own import BoxUnionField, FunctionField, SphereField
 
 DIRECTIONS = np.random.default_rng(0).normal(size=(40, 3))
 DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)

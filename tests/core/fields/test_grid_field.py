@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from truths import small_box
 
-from keepout.core.fields.evaluate import values, values_gradients_hessians
+from keepout.core.fields.field import values, values_gradients_hessians
 from keepout.core.fields.grid import BLOCK
 from keepout.core.fields.grid_build import build_grid
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from truths.networks import numbers, random_field
 
-from keepout.core.fields.analytic import BoxUnionField, SphereField
 from keepout.core.fields.continuation import RadialContinuation
-from keepout.core.fields.evaluate import values, values_and_gradients, values_gradients_hessians
+from keepout.core.fields.field import values, values_and_gradients, values_gradients_hessians
+from keepout.core.fields.own import BoxUnionField, SphereField
 
 
 @pytest.mark.long

@@ -12,7 +12,7 @@ from keepout.core.control.circulation import SwitchingCirculation
 from keepout.core.control.guidance.plan import Geodesic, Straight
 from keepout.core.control.observer import NoObserver
 from keepout.core.errors import ControlError
-from keepout.core.fields.analytic import SphereField
+from keepout.core.fields.own import SphereField
 from keepout.core.flight import loop
 from keepout.core.flight.setup import FlightSetup
 from keepout.core.guard.braking import GuardAssumptions

@@ -17,9 +17,9 @@ from keepout.core.control.guidance.plan import Straight
 from keepout.core.control.law import ControlStatus, Law
 from keepout.core.control.policy import PolicyLaw
 from keepout.core.errors import ControlError
-from keepout.core.fields.analytic import SphereField
 from keepout.core.fields.grid import GridField
 from keepout.core.fields.neural import NeuralField
+from keepout.core.fields.own import SphereField
 from keepout.core.flight import FlightSetup, loop
 from keepout.core.flight.on_board import Clock, OnBoard
 from keepout.core.flight.on_board_navigation import OnBoardNavigation

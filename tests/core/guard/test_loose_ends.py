@@ -17,7 +17,7 @@ from keepout.core.control import profiles
 from keepout.core.control.delay import AheadOfDelay
 from keepout.core.control.guidance.plan import Straight
 from keepout.core.errors import ControlError, KeepoutError
-from keepout.core.fields.analytic import SphereField
+from keepout.core.fields.own import SphereField
 from keepout.core.flight import FlightSetup
 from keepout.core.flight import fly as fly_setup
 from keepout.core.flight.faults import DelayedCommands

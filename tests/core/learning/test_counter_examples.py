@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from truths import small_box
 
-from keepout.core.fields.domain import Domain
-from keepout.core.learning import counter_examples
-from keepout.core.learning.counter_examples import HIGHEST, JITTER, ROUNDS_KEPT, Hunt
-from keepout.core.learning.profile import TrainingProfile
+from keepout.core.fields.continuation import Domain
+from keepout.core.learning.losses import TrainingProfile
+from keepout.core.learning.samples import HIGHEST, JITTER, ROUNDS_KEPT, Hunt
 
 pytestmark = pytest.mark.long
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from truths.networks import random_layers
 
-from keepout.core.fields import mlp
-from keepout.core.learning import losses, second_sweep
-from keepout.core.learning.profile import PROFILES
+from keepout.core.fields import neural
+from keepout.core.learning import losses
+from keepout.core.learning.losses import PROFILES
 
 PROFILE = PROFILES["quick"]
 SCALE, BETA = 12.0, 30.0
@@ -58,7 +58,7 @@ def test_the_keepout_loss_by_hand():
     """Weighted pinball, by another share beyond the near field; no under-statement where hidden; a slope's error."""
     x = np.float32([[0.1, 0.2, 0.3]] * 3)
     layers = random_layers(1, dtype=jnp.float32)
-    y, gradient = jax.jit(losses.second_sweep.value_and_gradient, static_argnums=1)(layers, PROFILE.beta, x)
+    y, gradient = jax.jit(losses.value_and_gradient, static_argnums=1)(layers, PROFILE.beta, x)
     f = float(y[0]) * SCALE
     distance = np.float32([f + 1.0, f - 1.0, f + 1.0])
     profile = dataclasses.replace(PROFILE, over_weight=0.8, far_over_weight=0.6, near_field=f)
@@ -83,8 +83,8 @@ def test_the_second_sweep_is_the_derivative_that_jax_finds(shape):
 
     derivative = jax.jit(jax.value_and_grad(loss), static_argnums=1)
     for weights in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (1.0, 1.0, 1.0)):
-        ours, ours_gradient = derivative(random_layers(1, shape), second_sweep.value_and_gradient, *weights)
-        truth, truth_gradient = derivative(random_layers(1, shape), mlp.value_and_gradient, *weights)
+        ours, ours_gradient = derivative(random_layers(1, shape), losses.value_and_gradient, *weights)
+        truth, truth_gradient = derivative(random_layers(1, shape), neural.value_and_gradient, *weights)
         assert float(ours) == pytest.approx(float(truth), rel=1e-13)
         for a, b in zip(jax.tree.leaves(ours_gradient), jax.tree.leaves(truth_gradient), strict=True):
             assert a.shape == b.shape

@@ -9,7 +9,7 @@ from truths import small_box
 from keepout.core.fields.model import FieldModel
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target
-from keepout.core.learning.profile import PROFILES
+from keepout.core.learning.losses import PROFILES
 from keepout.core.learning.training import fit
 from keepout.core.measures.quality import distance_errors, surface_errors
 from keepout.core.proof.certificate import certify

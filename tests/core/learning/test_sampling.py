@@ -6,7 +6,7 @@ import trimesh
 
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target
-from keepout.core.learning.sampling import HIDDEN_DEPTH, label
+from keepout.core.learning.samples import HIDDEN_DEPTH, label
 
 HALF = np.array([2.0, 1.5, 1.2])
 OFFSET = 0.001

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 from truths import small_box
 
-from keepout.core.measures.field_measures import measure_model
+from keepout.core.measures.quality import measure_model
 from keepout.flights.pages.mesh_pictures import eye_axes, rasterise
 
 

@@ -8,19 +8,22 @@ import trimesh
 from scipy.integrate import dblquad
 
 from keepout.core.errors import FieldError, MeshError
-from keepout.core.fields.analytic import SphereField
+from keepout.core.fields.own import SphereField
 from keepout.core.geometry.distance import ExactDistance
 from keepout.core.geometry.mesh_report import enclosed_volume
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target
 from keepout.core.measures.quality import gradient_errors, summarised, surface_errors
-from keepout.core.measures.surface import Surface, extract_surface, surface_distance, visible_points
-from keepout.core.measures.volume import (
+from keepout.core.measures.surface import (
     Ellipsoid,
+    Surface,
+    extract_surface,
     grown_ellipsoid_volume,
     grown_hull_volume,
     measure_volumes,
     smallest_ellipsoid,
+    surface_distance,
+    visible_points,
 )
 
 pytestmark = pytest.mark.long

@@ -10,7 +10,7 @@ import trimesh
 from truths.command_line import keepout_command
 
 from keepout.core.errors import ScenarioError
-from keepout.core.fields.shipped import load_shipped
+from keepout.core.fields import load_shipped
 from keepout.core.geometry.target import Target
 from keepout.core.mission.build import prepare
 from keepout.core.mission.check import check

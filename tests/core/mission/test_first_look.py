@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from keepout.core.errors import FieldError, KeepoutError, ScenarioError
-from keepout.core.fields.shipped import shipped_names
+from keepout.core.fields import shipped_names
 from keepout.core.geometry.target import Target
 from keepout.core.mission import environment
 from keepout.core.mission.build import load_model, prepare

@@ -7,8 +7,8 @@ import trimesh
 from keepout.core.control.profiles import ControlWarning
 from keepout.core.control.tuning import least_offset
 from keepout.core.errors import ControlError, FieldError
-from keepout.core.fields.evaluate import values
-from keepout.core.fields.shipped import load_shipped
+from keepout.core.fields import load_shipped
+from keepout.core.fields.field import values
 from keepout.core.geometry.target import Target
 from keepout.core.mission.assumptions import guard_numbers
 from keepout.core.mission.build import build_guard, load_model, prepare

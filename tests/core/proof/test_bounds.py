@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from truths.networks import in_numpy, random_layers
 
-from keepout.core.fields import mlp
-from keepout.core.proof import bounds, relaxation
+from keepout.core.fields import neural
+from keepout.core.proof import bounds
 
 BETA = 100.0
 KINDS = pytest.mark.parametrize("kind", ["triangle", "box"])
@@ -20,14 +20,14 @@ ELEMENTS, EACH = 64, 64
 @functools.partial(jax.jit, static_argnames="beta")
 def evaluated(layers, beta, x):
     """The network as it is flown: in its own float type."""
-    return mlp.value(layers, beta, x.astype(layers.weights[0].dtype))
+    return neural.value(layers, beta, x.astype(layers.weights[0].dtype))
 
 
 def random_network(seed):
     """Sharpness 5 to 400, and weights 0.3 to 2 times the usual size."""
     layers, size = random_layers(seed, SIZES, jnp.float32), np.random.default_rng(seed).uniform(0.3, 2.0)
     weights = tuple(jnp.asarray(np.asarray(W) * np.float32(size)) for W in layers.weights)
-    return mlp.Layers(weights, layers.biases), SHARPNESS[seed % len(SHARPNESS)]
+    return neural.Layers(weights, layers.biases), SHARPNESS[seed % len(SHARPNESS)]
 
 
 def random_elements(kind, rng, count, size):
@@ -123,37 +123,37 @@ def test_float32_exponential_and_logarithm_are_as_exact_as_assumed():
     e = np.exp(-t.astype(np.float64))
     normal = e > 2.0**-125
     got = np.asarray(jax.jit(lambda x: jnp.exp(-x))(t), np.float64)
-    assert (np.abs(got - e)[normal] / e[normal]).max() < 0.5 * relaxation.ELEMENTARY * 2.0**-23
+    assert (np.abs(got - e)[normal] / e[normal]).max() < 0.5 * bounds.ELEMENTARY * 2.0**-23
     every = np.arange(2**23 + 1, dtype=np.uint32) + np.float32(1.0).view(np.uint32)  # all numbers from 1 to 2
     argument = every.view(np.float32)
     log = np.log(argument.astype(np.float64))
     got = np.asarray(jax.jit(jnp.log)(argument), np.float64)
-    assert (np.abs(got - log) <= 0.5 * relaxation.ELEMENTARY * 2.0**-23 * log).all()
+    assert (np.abs(got - log) <= 0.5 * bounds.ELEMENTARY * 2.0**-23 * log).all()
 
 
-@pytest.mark.parametrize("function", [mlp.softplus, lambda z, beta: mlp.softplus_and_slope(z, beta)[0]])
+@pytest.mark.parametrize("function", [neural.softplus, lambda z, beta: neural.softplus_and_slope(z, beta)[0]])
 def test_float32_softplus_keeps_its_allowance(function):
     z = np.concatenate([np.linspace(-1.5, 1.5, 500_001), np.geomspace(1e-30, 1.0, 100_001)]).astype(np.float32)
     got = np.asarray(jax.jit(lambda z: function(z, BETA))(z), np.float64)
     exact = np.logaddexp(0.0, BETA * z.astype(np.float64)) / BETA
-    allowed = relaxation.ELEMENTARY * relaxation.UNIT32 * (exact + 2.0 / BETA)
-    off = BETA * z < -relaxation.SATURATED
-    allowed[off] = np.minimum(allowed[off], relaxation.TAIL / BETA)
+    allowed = bounds.ELEMENTARY * bounds.UNIT32 * (exact + 2.0 / BETA)
+    off = BETA * z < -bounds.SATURATED
+    allowed[off] = np.minimum(allowed[off], bounds.TAIL / BETA)
     assert (np.abs(got - exact) <= allowed).all()
 
 
 def test_float64_softplus_of_the_bounds_is_as_exact_as_assumed():
     t = np.concatenate([np.linspace(-700.0, 700.0, 40_001), np.geomspace(1e-30, 1.0, 10_001)])
-    value, slope = (np.array(column) for column in zip(*(relaxation.softplus(one) for one in t)))
+    value, slope = (np.array(column) for column in zip(*(bounds.softplus(one) for one in t)))
     wide = t.astype(np.longdouble)
     e = np.exp(-np.abs(wide))
-    units = relaxation.ELEMENTARY * 2.0**-53
+    units = bounds.ELEMENTARY * 2.0**-53
     assert (np.abs(value - (np.maximum(wide, 0.0) + np.log1p(e))) <= units * (np.abs(wide) + np.log1p(e))).all()
     assert (np.abs(slope - np.where(wide > 0.0, 1.0, e) / (1.0 + e)) <= units * slope).all()
     # Beyond saturation it is its limit to the tail.
-    beyond = np.abs(t) >= relaxation.SATURATED
-    assert np.abs(value - np.maximum(t, 0.0))[beyond].max() < relaxation.TAIL
-    assert np.abs(slope - (t > 0.0))[beyond].max() < relaxation.TAIL
+    beyond = np.abs(t) >= bounds.SATURATED
+    assert np.abs(value - np.maximum(t, 0.0))[beyond].max() < bounds.TAIL
+    assert np.abs(slope - (t > 0.0))[beyond].max() < bounds.TAIL
 
 
 @KINDS

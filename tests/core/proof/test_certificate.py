@@ -13,19 +13,18 @@ from truths.command_line import keepout_command
 from truths.networks import random_field
 
 from keepout.core.errors import FieldError
-from keepout.core.fields.analytic import SphereField
-from keepout.core.fields.domain import Domain
-from keepout.core.fields.evaluate import values
+from keepout.core.fields.continuation import Domain
+from keepout.core.fields.field import values
 from keepout.core.fields.model import FieldModel
+from keepout.core.fields.own import SphereField
 from keepout.core.geometry.level_set import onto_level
 from keepout.core.geometry.target import Target
-from keepout.core.learning.profile import TrainingProfile
+from keepout.core.learning.losses import TrainingProfile
 from keepout.core.learning.training import fit
 from keepout.core.measures.quality import curvature, distance_errors, margin_cost, surface_errors
 from keepout.core.proof import certificate
 from keepout.core.proof.bounds import Network
-from keepout.core.proof.certificate import certify
-from keepout.core.proof.sampled import sample_certificate
+from keepout.core.proof.certificate import certify, sample_certificate
 
 pytestmark = pytest.mark.long
 

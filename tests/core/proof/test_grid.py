@@ -11,10 +11,9 @@ from truths.networks import numbers
 from truths.slopes import places, steepest, steepest_chord
 
 from keepout.core.errors import FieldError
-from keepout.core.fields.blocks import NODES
 from keepout.core.fields.continuation import RadialContinuation
-from keepout.core.fields.evaluate import values
-from keepout.core.fields.grid import BLOCK, STORED, GridField
+from keepout.core.fields.field import values
+from keepout.core.fields.grid import BLOCK, NODES, STORED, GridField
 from keepout.core.fields.grid_build import build_grid
 from keepout.core.geometry.level_set import level_points, surface_points
 from keepout.core.geometry.octree import straddling_cells
@@ -22,11 +21,8 @@ from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target
 from keepout.core.guard.field import guard_field
 from keepout.core.proof import grid
-from keepout.core.proof import grid_slope as slopes
 from keepout.core.proof.certificate import onto_level
-from keepout.core.proof.grid import ROUNDING, certify_grid
-from keepout.core.proof.grid_slope import grid_slope, spline_slope
-from keepout.core.proof.grid_spline import joined_spline
+from keepout.core.proof.grid import ROUNDING, certify_grid, grid_slope, joined_spline, spline_slope
 
 pytestmark = pytest.mark.long
 
@@ -176,7 +172,7 @@ def attack(field, target, proof, count):
 def test_no_search_beats_the_bound_around_the_box(model, target):
     proof = model.certificate(small_box.RADIUS)
     found = attack(model.field, target, proof, 40_000)
-    assert proof.gradient_bound <= max(slopes.LEAST, (1.0 + slopes.GAP) * proof.gradient_found) + 1e-8
+    assert proof.gradient_bound <= max(grid.LEAST, (1.0 + grid.GAP) * proof.gradient_found) + 1e-8
     assert found > 0.98
 
 
@@ -204,7 +200,7 @@ def test_a_steep_lowering_counts_and_running_out_of_cells_stays_a_bound(model, t
     assert found > 1.3 * spline_bound(field)
     proved = []
     for most in (0, 20_000, 200_000):
-        monkeypatch.setattr(slopes, "MOST_CELLS", most)
+        monkeypatch.setattr(grid, "MOST_CELLS", most)
         proved.append(grid_slope(field, joined_spline(field)).proved)
     assert found <= proved[2] <= proved[1] <= proved[0] < 3.0 * found
     assert proved[2] <= 1.2 * found
@@ -224,7 +220,7 @@ def linear_field(radii, allowance=0.0, blocks=5, spacing=0.5):
 
 def test_the_continuation_of_a_linear_field_counts(monkeypatch):
     """Against the closed form of the continuation of f = x, by brute force over radius and angle."""
-    monkeypatch.setattr(slopes, "MOST_CELLS", 200_000)
+    monkeypatch.setattr(grid, "MOST_CELLS", 200_000)
     target, domain, outer = 4.0, 5.0, 6.0
     field = linear_field((target, domain, outer))
     r = np.concatenate([np.linspace(domain, outer, 2001), outer * np.geomspace(1.0, 100.0, 2001)])

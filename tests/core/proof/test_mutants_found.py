@@ -9,7 +9,7 @@ from truths.networks import numbers, random_layers
 from keepout.core.fields.continuation import RadialContinuation
 from keepout.core.fields.neural import NeuralField
 from keepout.core.geometry.level_set import level_points
-from keepout.core.proof import certificate, grid_slope, slope
+from keepout.core.proof import certificate, grid, slope
 
 pytestmark = pytest.mark.long
 
@@ -53,11 +53,11 @@ def test_a_steep_spot_beyond_the_clearance_counts_in_a_cube_whose_middle_is_near
 def test_a_lowering_counts_where_it_is_steepest_in_a_cell():
     """The slope of a plane less a steep lowering, in cells as wide as a third of the way that the lowering takes."""
     continuation = RadialContinuation(jnp.zeros(3), *numbers(1.0, 2.0, 3.0, 0.5))
-    zones, rng, side = grid_slope._Zones.of(continuation), np.random.default_rng(0), 0.3
+    zones, rng, side = grid._Zones.of(continuation), np.random.default_rng(0), 0.3
     direction, gradient = rng.normal(size=(2, 200, 3))
     middle = rng.uniform(1.3, 1.7, (200, 1)) * direction / np.linalg.norm(direction, axis=1, keepdims=True)
     nodes = side * (np.stack(np.meshgrid(*[np.arange(4) - 1.5] * 3, indexing="ij"), axis=-1).reshape(-1, 3))
-    bound, found = zones.slopes(grid_slope._Cells(gradient @ nodes.T, middle, np.full(200, side)))
+    bound, found = zones.slopes(grid._Cells(gradient @ nodes.T, middle, np.full(200, side)))
     places = middle[:, None] + side * (rng.uniform(-0.5, 0.5, (1, 2000, 3)))
     lowering = continuation._lowering(jnp.asarray(places.reshape(-1, 3)))[1].reshape(places.shape)
     within = np.linalg.norm(places, axis=2) < 2.0

@@ -5,8 +5,8 @@ import pytest
 from shipped import CHASER_RADII
 
 from keepout.core.errors import FieldError
-from keepout.core.fields.evaluate import values, values_and_gradients
-from keepout.core.fields.shipped import load_shipped, shipped_folder, shipped_names
+from keepout.core.fields import load_shipped, shipped_folder, shipped_names
+from keepout.core.fields.field import values, values_and_gradients
 from keepout.core.geometry.level_set import surface_points
 from keepout.core.geometry.target import Target
 from keepout.core.proof.certificate import certify

@@ -11,8 +11,7 @@ from keepout.core.fields.continuation import RadialContinuation
 from keepout.core.fields.neural import NeuralField
 from keepout.core.proof import slope as lipschitz
 from keepout.core.proof.bounds import Network
-from keepout.core.proof.slope import prove_lipschitz
-from keepout.core.proof.slope_bounds import Prepared, slope_bounds
+from keepout.core.proof.slope import Prepared, prove_lipschitz, slope_bounds
 
 pytestmark = pytest.mark.long
 

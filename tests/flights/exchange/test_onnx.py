@@ -11,10 +11,9 @@ import pytest
 from truths.command_line import keepout_command
 from truths.networks import random_field
 
-from keepout.core.fields import mlp
-from keepout.core.fields.evaluate import values_and_gradients
+from keepout.core.fields import load_shipped, neural, shipped_path
+from keepout.core.fields.field import values_and_gradients
 from keepout.core.fields.model import FieldModel
-from keepout.core.fields.shipped import load_shipped, shipped_path
 from keepout.flights.exchange.onnx_field import export_onnx, field_graph, measure, sample_points
 
 MANY = 60_000
@@ -23,7 +22,7 @@ MANY = 60_000
 def in_double(field):
     """The same network with its weights in float64: nothing but rounding at 1e-16 is left."""
     wide = [tuple(jnp.asarray(np.asarray(part), jnp.float64) for part in parts) for parts in field.layers]
-    return eqx.tree_at(lambda f: f.layers, field, mlp.Layers(*wide))
+    return eqx.tree_at(lambda f: f.layers, field, neural.Layers(*wide))
 
 
 def run(field, points):

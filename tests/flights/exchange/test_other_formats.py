@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from truths.command_line import keepout_command
 from truths.messages import GEOSTATIONARY, TUMBLING, toy_flight
 
-from keepout.core.fields.shipped import load_shipped, shipped_path
+from keepout.core.fields import load_shipped, shipped_path
 from keepout.core.flight.loop import FlightLog
 from keepout.core.flight.record import FlightRecord
 from keepout.core.geometry.target import Target

@@ -10,7 +10,7 @@ import trimesh
 from truths.command_line import keepout_command
 from truths.messages import GEOSTATIONARY, toy_flight
 
-from keepout.core.fields.shipped import shipped_path
+from keepout.core.fields import shipped_path
 
 DOCS = Path(__file__).parents[3] / "docs"
 

@@ -16,7 +16,7 @@ from truths.replay_page import ReplayPage
 from keepout.cli.commands.flight import replay_to_page
 from keepout.core.audit.tube import FlightBounds
 from keepout.core.errors import FieldError, FlightError, KeepoutError, MeshError
-from keepout.core.fields.evaluate import values
+from keepout.core.fields.field import values
 from keepout.core.geometry.target import Target
 from keepout.core.mission import environment
 from keepout.core.mission.orbit_bounds import orbit_of

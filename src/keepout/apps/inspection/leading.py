@@ -15,7 +15,7 @@ from keepout.core.control.guidance.guidance import GeodesicGuidance
 from keepout.core.control.guidance.plan import Geodesic
 from keepout.core.control.law import Law
 from keepout.core.errors import InspectionError
-from keepout.core.fields.evaluate import values
+from keepout.core.fields.field import values
 from keepout.core.fields.model import FieldModel
 from keepout.core.flight.navigation import Navigation
 from keepout.core.flight.setup import FlightSetup

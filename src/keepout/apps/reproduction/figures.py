@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse
 from matplotlib.ticker import NullFormatter
 
-from keepout.core.measures.volume import Ellipsoid
+from keepout.core.measures.surface import Ellipsoid
 from keepout.core.mission.flight import Flight
 from keepout.flights.campaign.campaign import FlightSeries
 from keepout.flights.pages.figures import BANDS, COLOURS, COLUMN, LINES, column, draw_bands

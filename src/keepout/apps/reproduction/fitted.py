@@ -6,15 +6,14 @@ from pathlib import Path
 from typing import Any, Literal
 
 from keepout.apps.reproduction.work import Work
+from keepout.core.fields import load_shipped
 from keepout.core.fields.model import Certificate, FieldModel
-from keepout.core.fields.shipped import load_shipped
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target
-from keepout.core.learning.profile import PROFILES, TrainingProfile
+from keepout.core.learning.losses import PROFILES, TrainingProfile
 from keepout.core.learning.training import fit
 from keepout.core.measures.surface import default_spacing
-from keepout.core.proof.certificate import certify
-from keepout.core.proof.sampled import sample_certificate
+from keepout.core.proof.certificate import certify, sample_certificate
 
 TARGETS = {"iss": "ISS", "tiangong": "CSS", "intelsat30": "Intersat-30"}
 """Built-in targets, and what the paper calls them, in its order."""

@@ -12,8 +12,14 @@ from keepout.apps.reproduction.part import Drawing, Part, Table
 from keepout.apps.reproduction.work import Work
 from keepout.core.fields.model import FieldModel
 from keepout.core.geometry.target import Target
-from keepout.core.measures.surface import Surface, default_spacing, extract_surface, steepest_slope, surface_distance
-from keepout.core.measures.volume import smallest_ellipsoid
+from keepout.core.measures.surface import (
+    Surface,
+    default_spacing,
+    extract_surface,
+    smallest_ellipsoid,
+    steepest_slope,
+    surface_distance,
+)
 
 SAMPLES, QUICK_SAMPLES = 200_000, 10_000
 """On either surface, for the distances between them."""

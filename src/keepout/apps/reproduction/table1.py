@@ -12,10 +12,10 @@ from keepout.apps.reproduction.figures import draw_sinking, draw_training
 from keepout.apps.reproduction.fitted import DEFAULT, DEVIATIONS, OFFSET, PAPER_NETWORK, PRINTED, SHIPPED, TARGETS
 from keepout.apps.reproduction.part import Drawing, Part, Table
 from keepout.apps.reproduction.work import Work
-from keepout.core.fields.evaluate import values
+from keepout.core.fields import load_shipped
+from keepout.core.fields.field import values
 from keepout.core.fields.model import FieldModel
 from keepout.core.fields.neural import NeuralField
-from keepout.core.fields.shipped import load_shipped
 from keepout.core.geometry.distance import ExactDistance
 from keepout.core.geometry.level_set import surface_points
 from keepout.core.geometry.target import Target

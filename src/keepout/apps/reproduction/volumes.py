@@ -10,8 +10,13 @@ from keepout.apps.reproduction.work import Work
 from keepout.core.fields.model import FieldModel
 from keepout.core.geometry.mesh_report import enclosed_volume
 from keepout.core.geometry.target import Target
-from keepout.core.measures.surface import default_spacing, steepest_slope
-from keepout.core.measures.volume import convex_hull, measure_volumes, smallest_ellipsoid
+from keepout.core.measures.surface import (
+    convex_hull,
+    default_spacing,
+    measure_volumes,
+    smallest_ellipsoid,
+    steepest_slope,
+)
 
 PRINTED_LEARNED, PRINTED_ELLIPSOID = 91.4, 270.6
 """m³, of Intersat-30 and of its ellipsoid."""

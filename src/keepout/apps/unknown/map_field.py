@@ -9,6 +9,7 @@ Its bounds hold for any map, whatever was seen and in whatever order (docs/mappi
 There is one level of one spacing: a block that changed its spacing would lower the field.
 """
 
+import functools
 import math
 from collections.abc import Sequence
 
@@ -20,7 +21,6 @@ from jaxtyping import Array, Float, Int32, Shaped, UInt16
 from keepout.core.compiled.joined_rows import joined_rows, rows_last
 from keepout.core.errors import FieldError
 from keepout.core.fields.field import Field, of_places
-from keepout.core.fields.spline_weights import contracted, cubic_weights
 
 SLOPE = 1.14
 """L: no map's field has a gradient of a larger norm; proved by `benchmarks/map_slope.py`."""
@@ -153,6 +153,8 @@ class MapField(Field):
         )
 
 
+_Weights = tuple[Float[Array, "n"], ...]
+"""Of the four coefficients along one axis."""
 _At = tuple[Int32[Array, "n 3"], Float[Array, "n 3"]]
 
 
@@ -160,33 +162,59 @@ def _taken(squares: UInt16[Array, "nx ny nz"], at: _At) -> tuple[Float[Array, "4
     """Look up the coefficients of each place, in cells, places last; and the weights along each axis, by derivative."""
     start, place = at
     blocks = jax.vmap(lambda node: jax.lax.dynamic_slice(squares, node, (4, 4, 4)))(start)
-    return jnp.sqrt(rows_last(blocks).astype(jnp.float64)), [cubic_weights(place[:, axis]) for axis in range(3)]
+    return jnp.sqrt(rows_last(blocks).astype(jnp.float64)), [_cubic_weights(place[:, axis]) for axis in range(3)]
 
 
 def _value(squares: UInt16[Array, "nx ny nz"], at: _At) -> Float[Array, "n"]:
     found, ((x, *_), (y, *_), (z, *_)) = _taken(squares, at)
-    return contracted(contracted(contracted(found, x), y), z)
+    return _contracted(_contracted(_contracted(found, x), y), z)
 
 
 def _first(squares: UInt16[Array, "nx ny nz"], at: _At) -> tuple[Float[Array, "n"], Float[Array, "n 3"]]:
     found, ((x, dx, _), (y, dy, _), (z, dz, _)) = _taken(squares, at)
-    along, across = contracted(found, x), contracted(found, dx)
-    both = contracted(along, y)
-    gradient = contracted(contracted(across, y), z), contracted(contracted(along, dy), z), contracted(both, dz)
-    return contracted(both, z), jnp.stack(gradient, axis=-1)
+    along, across = _contracted(found, x), _contracted(found, dx)
+    both = _contracted(along, y)
+    gradient = _contracted(_contracted(across, y), z), _contracted(_contracted(along, dy), z), _contracted(both, dz)
+    return _contracted(both, z), jnp.stack(gradient, axis=-1)
 
 
 def _second(
     squares: UInt16[Array, "nx ny nz"], at: _At
 ) -> tuple[Float[Array, "n"], Float[Array, "n 3"], Float[Array, "n 3 3"]]:
     found, (x, y, z) = _taken(squares, at)
-    planes = [contracted(found, weights) for weights in x]
+    planes = [_contracted(found, weights) for weights in x]
 
     def derivative(i: int, j: int, k: int) -> Float[Array, "n"]:
-        return contracted(contracted(planes[i], y[j]), z[k])
+        return _contracted(_contracted(planes[i], y[j]), z[k])
 
     gradient = [derivative(1, 0, 0), derivative(0, 1, 0), derivative(0, 0, 1)]
     xy, xz, yz = derivative(1, 1, 0), derivative(1, 0, 1), derivative(0, 1, 1)
     rows = [[derivative(2, 0, 0), xy, xz], [xy, derivative(0, 2, 0), yz], [xz, yz, derivative(0, 0, 2)]]
     hessian = jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
     return derivative(0, 0, 0), jnp.stack(gradient, axis=-1), hessian
+
+
+def _cubic_weights(t: Float[Array, "n"]) -> tuple[_Weights, _Weights, _Weights]:
+    """Give the four weights at places t in [0, 1] of the middle cell, and their first and second derivatives.
+
+    No weight is below 0, in floating point neither: 4 − 6t² + 3t³ is at least 1.
+    """
+    s = 1.0 - t
+    value = (
+        s**3 / 6.0,
+        (4.0 - 6.0 * t**2 + 3.0 * t**3) / 6.0,
+        (4.0 - 6.0 * s**2 + 3.0 * s**3) / 6.0,
+        t**3 / 6.0,
+    )
+    slope = (-0.5 * s**2, 1.5 * t**2 - 2.0 * t, 2.0 * s - 1.5 * s**2, 0.5 * t**2)
+    return value, slope, (s, 3.0 * t - 2.0, 3.0 * s - 2.0, t)
+
+
+def _contracted(blocks: Float[Array, "4 *rest n"], weights: Sequence[Float[Array, "n"]]) -> Float[Array, "*rest n"]:
+    """Sum over the first axis with one weight a cell, cells last.
+
+    The barrier keeps XLA from writing the sums of several axes into one expression of 64 terms, which takes minutes to
+    compile.
+    """
+    terms = [weight * block for weight, block in zip(weights, blocks, strict=True)]
+    return jax.lax.optimization_barrier(functools.reduce(jnp.add, terms))

@@ -15,7 +15,7 @@ from keepout.core.whole_file import require_place
 
 def describe_targets(*, pictures: Path | None = None, progress: Progress = silent) -> list[dict[str, Any]]:
     """List the built-in targets with size, triangles and parameters; draw them into `pictures` where it is given."""
-    from keepout.core.fields.shipped import shipped_names
+    from keepout.core.fields import shipped_names
     from keepout.core.geometry.builtin import BUILTINS
     from keepout.core.geometry.mesh_report import enclosed_volume
     from keepout.core.geometry.target import Target
@@ -68,7 +68,7 @@ def fit_to_file(
     While it runs, a checkpoint stands beside `out`; a run that was killed goes on from there. The field is written
     before it is certified, so that a proof that is stopped loses nothing.
     """
-    from keepout.core.learning.profile import find_profile
+    from keepout.core.learning.losses import find_profile
     from keepout.core.learning.training import fit
     from keepout.core.measures.quality import surface_errors
     from keepout.core.mission.build import load_target
@@ -201,7 +201,7 @@ def measure_field(
 ) -> dict[str, Any]:
     """Measure a field against its mesh and list its certificates; draw slices and surface into `out` if given."""
     from keepout.core.fields.model import FieldModel
-    from keepout.core.measures.field_measures import measure_model
+    from keepout.core.measures.quality import measure_model
     from keepout.core.mission.build import load_target
     from keepout.flights.pages.folder import results_in
 

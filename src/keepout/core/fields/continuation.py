@@ -1,4 +1,4 @@
-"""A safe continuation of a field beyond the ball on which it was learned.
+"""Where a field is learned or sampled, and its safe continuation beyond that ball.
 
 Let the target lie in the ball of radius ρ_T about a centre, and let r be the distance of a point from that centre.
 Moving outward along a ray, the distance to the target grows at least at the rate √(1 - (ρ_T/r)²), the cosine of half
@@ -9,11 +9,15 @@ the angle under which the ball is seen. With F(r) = ∫ √(1 - (ρ_T/s)²) ds =
 The field is asked only at q, with ψ(r) = r up to the domain's radius ρ_0, and bending smoothly (C²) to a constant.
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from keepout.core.fields.field import of_places, within_numbers
+from keepout.core.geometry.distance import Distance
 
 Batch = Float[Array, "n"]
 Points = Float[Array, "n 3"]
@@ -128,3 +132,35 @@ class RadialContinuation(eqx.Module):
         added = second[:, None, None] * uu + (first / r)[:, None, None] * across
         continued = scaled + mixed + mixed.swapaxes(-1, -2) + turned + added
         return jnp.where(outside[:, None, None], continued, hessian) - self._lowering(points)[2]
+
+
+@dataclasses.dataclass(frozen=True)
+class Domain:
+    """Balls about one centre, metres: of the target, of the learned field, and of its continuation."""
+
+    centre: Float[np.ndarray, "3"]
+    target_radius: float
+    domain_radius: float
+    outer_radius: float
+
+    @classmethod
+    def around(cls, distance: Distance) -> "Domain":
+        """Return the domain around a target: ρ_0 = 1.25 ρ_T, ρ_1 = 1.5 ρ_T, at least 2 m and 4 m beyond it."""
+        centre = 0.5 * (distance.lower + distance.upper)
+        radius = 0.5 * float(np.linalg.norm(distance.upper - distance.lower))
+        return cls(centre, radius, max(1.25 * radius, radius + 2.0), max(1.5 * radius, radius + 4.0))
+
+    @property
+    def learned_radius(self) -> float:
+        """The largest radius at which the continuation asks the field."""
+        return 0.5 * (self.domain_radius + self.outer_radius)
+
+    @property
+    def room(self) -> float:
+        """How far from the surface gaps between parts are sampled as densely as the rest of the room, metres."""
+        return max(1.2, 0.05 * self.target_radius)
+
+    def continuation(self, allowance: float) -> RadialContinuation:
+        """Give the continuation of a field on this domain, lowered by an allowance (m)."""
+        lengths = (self.target_radius, self.domain_radius, self.outer_radius, allowance)
+        return RadialContinuation(jnp.asarray(self.centre), *(jnp.asarray(x, jnp.float64) for x in lengths))

@@ -7,10 +7,8 @@ import numpy as np
 from jaxtyping import Float, Float32, Int
 
 from keepout.core.errors import FieldError
-from keepout.core.fields.blocks import NODES, inherited_coefficients, own_nodes
-from keepout.core.fields.continuation import RadialContinuation
-from keepout.core.fields.domain import Domain
-from keepout.core.fields.grid import BLOCK, STORED, GridField
+from keepout.core.fields.continuation import Domain
+from keepout.core.fields.grid import BLOCK, NODES, STORED, GridField, inherited_coefficients, own_nodes
 from keepout.core.fields.model import FieldModel
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target
@@ -73,14 +71,12 @@ def build_grid(
     # The spline of spacing h over-states d by at most √(d² + h²) - d (docs/certificate.md), and from ρ_0 on d is at
     # least `away`.
     away, coarsest = domain.domain_radius - domain.target_radius, spacing * 2 ** (levels - 1)
-    lengths = (domain.target_radius, domain.domain_radius, domain.outer_radius, np.hypot(away, coarsest) - away)
-    continuation = RadialContinuation(jnp.asarray(domain.centre), *(jnp.asarray(x, jnp.float64) for x in lengths))
     field = GridField(
         jnp.asarray(np.concatenate(coefficients).reshape(-1)),
         tuple(jnp.asarray(t) for t in reversed(tables)),
         jnp.asarray(origin),
         jnp.asarray(spacing, jnp.float64),
-        continuation,
+        domain.continuation(np.hypot(away, coarsest) - away),
     )
     training = {"profile": "grid", "spacing": spacing, "band": band, "seconds": time.perf_counter() - start}
     return FieldModel(field, target.name, target.sha256, solid.offset, training)

@@ -1,5 +1,9 @@
-"""A field of your own: any JAX function of a point, with a bound of its gradient that you state or that was sampled."""
+"""A field of your own: any JAX function of a point, with a bound of its gradient that you state or that was sampled.
 
+And two in closed form, a ball and a union of boxes: truths for tests, and baselines that need no learning.
+"""
+
+import abc
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, Literal
@@ -12,8 +16,7 @@ from jaxtyping import Array, Float
 
 from keepout.core.compiled.tried import require_numbers, tried
 from keepout.core.errors import FieldError
-from keepout.core.fields.evaluate import values_and_gradients
-from keepout.core.fields.field import Field, of_places, within_numbers
+from keepout.core.fields.field import Field, of_places, values_and_gradients, within_numbers
 
 Corner = Sequence[float] | Float[np.ndarray, "3"]
 """Of a box, m."""
@@ -21,26 +24,12 @@ _LOOSE = 1.0 + 1e-9
 """Relative: a stated bound is not broken by the rounding of a gradient."""
 
 
-class FunctionField(Field):
-    """A signed distance f̃(p) in metres, of a JAX function of one point (3,) m; derivatives are JAX's.
+class _OfOnePoint(Field):
+    """A field told for one point; derivatives are JAX's."""
 
-    Build it with `stated_field` or `sampled_field`, which look at it first.
-
-    Attributes:
-        function: from a point (3,) m, body frame, float64, to a number in metres; twice differentiable. A pytree, such
-            as an equinox module, keeps its own arrays.
-        lipschitz: bound of ‖∇f̃‖.
-        kind: "stated" where whoever made it vouches for that bound; "sampled" where it is the largest that was found
-            and an allowance, which proves nothing.
-
-    """
-
-    function: Callable[[Float[Array, "3"]], Float[Array, ""]]
-    lipschitz: float = eqx.field(static=True)
-    kind: Literal["stated", "sampled"] = eqx.field(static=True)
-
+    @abc.abstractmethod
     def _at(self, point: Float[Array, "3"]) -> Float[Array, ""]:
-        return of_places(point, self.function(within_numbers(point)))
+        """Signed distance in metres."""
 
     def value(self, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
         """Signed distance in metres."""
@@ -60,6 +49,28 @@ class FunctionField(Field):
         value, gradient = self.value_and_gradient(points)
         hessian = jax.vmap(jax.hessian(self._at))(points.reshape(-1, 3))
         return value, gradient, hessian.reshape(*points.shape, 3)
+
+
+class FunctionField(_OfOnePoint):
+    """A signed distance f̃(p) in metres, of a JAX function of one point (3,) m; derivatives are JAX's.
+
+    Build it with `stated_field` or `sampled_field`, which look at it first.
+
+    Attributes:
+        function: from a point (3,) m, body frame, float64, to a number in metres; twice differentiable. A pytree, such
+            as an equinox module, keeps its own arrays.
+        lipschitz: bound of ‖∇f̃‖.
+        kind: "stated" where whoever made it vouches for that bound; "sampled" where it is the largest that was found
+            and an allowance, which proves nothing.
+
+    """
+
+    function: Callable[[Float[Array, "3"]], Float[Array, ""]]
+    lipschitz: float = eqx.field(static=True)
+    kind: Literal["stated", "sampled"] = eqx.field(static=True)
+
+    def _at(self, point: Float[Array, "3"]) -> Float[Array, ""]:
+        return of_places(point, self.function(within_numbers(point)))
 
 
 def stated_field(
@@ -154,3 +165,66 @@ def _steepest(
         raise FieldError(f"field: value or gradient at {points[wrong][0].round(3).tolist()} m is not a finite number")
     size = np.linalg.norm(gradients, axis=1)
     return float(size.max()), points[size.argmax()]
+
+
+class SphereField(Field):
+    """‖p - c‖ - ρ, exact and smooth everywhere but at the centre, where the gradient is taken as zero.
+
+    Attributes:
+        centre: (3,) metres.
+        radius: ρ, metres.
+
+    """
+
+    centre: Float[Array, "3"]
+    radius: Float[Array, ""]
+
+    def value(self, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
+        """Signed distance in metres."""
+        y = within_numbers(points) - self.centre
+        return of_places(points, jnp.sqrt(jnp.sum(y**2, axis=-1)) - self.radius)
+
+    def value_and_gradient(
+        self, points: Float[Array, "*batch 3"]
+    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch 3"]]:
+        """Signed distance in metres and the unit vector away from the centre."""
+        value, gradient, _ = self.value_gradient_hessian(points)
+        return value, gradient
+
+    def value_gradient_hessian(
+        self, points: Float[Array, "*batch 3"]
+    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch 3"], Float[Array, "*batch 3 3"]]:
+        """Signed distance in metres, u = y/‖y‖, and (I - u uᵀ)/‖y‖ in 1/m."""
+        y = within_numbers(points) - self.centre
+        r = jnp.sqrt(jnp.sum(y * y, axis=-1))
+        inverse = jnp.where(r > 0.0, 1.0 / jnp.where(r > 0.0, r, 1.0), 0.0)
+        u = y * inverse[..., None]
+        across = jnp.eye(3) - u[..., :, None] * u[..., None, :]
+        return of_places(points, r - self.radius), u, across * inverse[..., None, None]
+
+
+class BoxUnionField(_OfOnePoint):
+    """A C^∞ lower bound of the signed distance to a union of axis-aligned boxes.
+
+    The exact distance is not C² (edges, corners, medial axis). Each box's distance is the largest of its six face
+    distances, which never exceeds the exact one outside, and maxima and minima are replaced by log-sum-exp with
+    temperature τ: within a box the soft maximum lowered by τ log 6, over the boxes the soft minimum, which is low by
+    at most τ log(number of boxes). So the value never over-states the distance, and is exact to those two terms beside
+    a face.
+
+    Attributes:
+        lower: (boxes, 3) corners, metres.
+        upper: (boxes, 3) opposite corners, metres.
+        smoothing: τ, metres, positive.
+
+    """
+
+    lower: Float[Array, "boxes 3"]
+    upper: Float[Array, "boxes 3"]
+    smoothing: Float[Array, ""]
+
+    def _at(self, point: Float[Array, "3"]) -> Float[Array, ""]:
+        tau, near = self.smoothing, within_numbers(point)
+        faces = jnp.concatenate([self.lower - near, near - self.upper], axis=-1)
+        boxes = tau * (jax.nn.logsumexp(faces / tau, axis=-1) - jnp.log(6.0))
+        return of_places(point, -tau * jax.nn.logsumexp(-boxes / tau))

@@ -1,18 +1,151 @@
-"""What training minimises: Keepout's loss, and the paper's in both readings."""
+"""Training profiles, the numbers of a fit by name; and what a fit minimises: Keepout's loss, and the paper's twice.
 
-from typing import NamedTuple
+A loss that depends on a network's value f and gradient ∇f has its reverse derivative written out. With s_l = σ'(z_l),
+z̄_l = ∂f/∂z_l and ẋ = ∂loss/∂(∇f), the loss's derivative with respect to the weights is that of (∂loss/∂f) f + ẋ·∇f
+with ẋ held, and ẋ·∇f is the derivative of f along ẋ: one sweep of tangents forward, and one back. JAX's own reverse of
+the reverse does as many products of matrices, and goes over the activations more often.
+"""
 
+import dataclasses
+import functools
+from typing import Any, Literal, NamedTuple
+
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float32
+from jaxtyping import Array, Bool, Float, Float32
 
-from keepout.core.fields import mlp
-from keepout.core.learning import second_sweep
-from keepout.core.learning.profile import TrainingProfile
+from keepout.core.errors import FieldError
+from keepout.core.fields import neural
+from keepout.core.fields.neural import Kept, Layers, sweeps, times
+
+LARGE_TARGET = 20.0
+"""Metres. A target whose bounding ball is larger gets the profile's numbers for large targets, where it has any."""
+BEYOND_CONTACT = 0.7
+"""Metres that the near field reaches beyond where a chaser touches."""
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainingProfile:
+    """The numbers of a fit.
+
+    Attributes:
+        loss: "keepout": pinball on the distance, weighted towards the surface, and exact gradients where one surface
+            decides.
+            "paper_pinball": the paper's loss with L_P read as κ max(e, 0) + max(-e, 0), e = f̃ - d. "paper_printed":
+            L_P = (κ-1) max(e, 0) as printed, whose minimum is f̃ → -∞.
+        width, depth: hidden layers.
+        beta: sharpness of the softplus, in normalised units.
+        samples: labelled points.
+        batch: points a step.
+        steps: of the main phase.
+        tuning_steps: of the counter-example phase.
+        webs: worst under-statements of the near field that a round of the counter-example phase keeps. Without them
+            webs grow in the corners between panels; with as many as of the over-statements the surface suffers.
+        near: metres; errors count in proportion to near/(|g| + near), g the signed distance, so that the surface
+            matters most and the far field is not lost (keepout loss).
+        room_share: share of the samples that are spread over the room next to the surface (`sampling.room_points`);
+            the rest has few in gaps that are wide, and small beside the target.
+        optimizer: "adam" (Kingma, Ba 2015), or "muon" (Jordan et al. 2024): momentum made orthogonal for the hidden
+            matrices, Adam for the rest.
+        learning_rate: of Adam, at the start.
+        adam_b2: Adam's decay of the second moment.
+        muon_rate: of the hidden matrices under Muon, at the start.
+        halving: steps after which the learning rate halves; 0: cosine decay over the phase.
+        over_weight: weight of over-statement against under-statement, 0.5 to 1, in the near field (keepout loss).
+        far_over_weight: the same beyond the near field, where over-statement costs no safety.
+        near_field: metres from the surface up to which over-statement is held and hunted; `for_chaser` extends it.
+        gradient_weight: of the gradient term (keepout), or η of the eikonal term (paper).
+        kappa: κ of the paper's loss.
+        large: the numbers for a target larger than `LARGE_TARGET`; None: the same.
+
+    """
+
+    loss: Literal["keepout", "paper_pinball", "paper_printed"] = "keepout"
+    width: int = 96
+    depth: int = 4
+    beta: float = 100.0
+    samples: int = 600_000
+    batch: int = 2048
+    steps: int = 8_000
+    tuning_steps: int = 4_000
+    webs: int = 500
+    near: float = 0.15
+    room_share: float = 0.0
+    optimizer: Literal["adam", "muon"] = "muon"
+    learning_rate: float = 5e-3
+    adam_b2: float = 0.99
+    muon_rate: float = 0.01
+    halving: int = 0
+    over_weight: float = 0.8
+    far_over_weight: float = 0.8
+    near_field: float = 1.2
+    gradient_weight: float = 0.02
+    kappa: float = 2.0
+    large: "TrainingProfile | None" = None
+
+    def for_size(self, radius: float) -> "TrainingProfile":
+        """Return the numbers for a target whose bounding ball has this radius, metres."""
+        return self if self.large is None or radius <= LARGE_TARGET else self.large
+
+    def for_chaser(self, radius: float) -> "TrainingProfile":
+        """Return the numbers for a chaser of this radius, metres: the near field reaches beyond where it touches."""
+        return dataclasses.replace(self, near_field=max(self.near_field, radius + BEYOND_CONTACT))
+
+
+_STATION = TrainingProfile(
+    width=160,
+    depth=5,
+    steps=10_000,
+    tuning_steps=7_000,
+    webs=300,
+    near=0.4,
+    room_share=0.25,
+    over_weight=0.65,
+    far_over_weight=0.5,
+)
+_PAPER = TrainingProfile(
+    loss="paper_pinball",
+    width=512,
+    depth=10,
+    samples=50_000,
+    batch=50_000,
+    steps=10_000,
+    tuning_steps=0,
+    optimizer="adam",
+    learning_rate=5e-3,
+    adam_b2=0.999,
+    halving=2000,
+    gradient_weight=0.1,
+)
+
+PROFILES: dict[str, TrainingProfile] = {
+    "default": TrainingProfile(large=_STATION),
+    "quick": TrainingProfile(width=48, depth=3, samples=60_000, steps=1500, tuning_steps=500),
+    "paper": _PAPER,
+    "paper_printed": dataclasses.replace(_PAPER, loss="paper_printed"),
+}
+
+
+def find_profile(profile: str | TrainingProfile) -> TrainingProfile:
+    """Return a profile by name; a `TrainingProfile` is returned as it is.
+
+    Raises:
+        FieldError: no profile of that name.
+
+    """
+    if isinstance(profile, TrainingProfile):
+        return profile
+    if profile not in PROFILES:
+        raise FieldError(f"profile {profile!r}: there is none of that name; choose from {', '.join(PROFILES)}")
+    return PROFILES[profile]
 
 
 class Batch(NamedTuple):
-    """Labelled points in normalised coordinates; see `sampling.Samples` for the labels."""
+    """Labelled points in normalised coordinates; see `Samples` for the labels.
+
+    `weight` says how much the distance error of the point counts (Keepout's loss).
+    """
 
     x: Float32[Array, "n 3"]
     distance: Float32[Array, "n"]
@@ -20,7 +153,6 @@ class Batch(NamedTuple):
     smooth: Bool[Array, "n"]
     hidden: Bool[Array, "n"]
     weight: Float32[Array, "n"]
-    """How much the distance error of the point counts (Keepout's loss)."""
 
 
 class Parted(NamedTuple):
@@ -37,14 +169,14 @@ class Parted(NamedTuple):
 
 
 def keepout_terms(
-    layers: mlp.Layers, profile: TrainingProfile, scale: float, batch: Batch, sloped: int
+    layers: Layers, profile: TrainingProfile, scale: float, batch: Batch, sloped: int
 ) -> tuple[Float32[Array, "n"], Float32[Array, "{sloped}"]]:
     """For each point: the weighted pinball of the distance error; for the first ones, the squared gradient error.
 
     Where the point is hidden, only over-statement counts.
     """
-    y, gradient = second_sweep.value_and_gradient(layers, profile.beta, batch.x[:sloped])
-    y = jnp.concatenate([y, mlp.value(layers, profile.beta, batch.x[sloped:])])
+    y, gradient = value_and_gradient(layers, profile.beta, batch.x[:sloped])
+    y = jnp.concatenate([y, neural.value(layers, profile.beta, batch.x[sloped:])])
     e = y * jnp.float32(scale) - batch.distance
     over, under = jnp.maximum(e, 0.0), jnp.where(batch.hidden, 0.0, jnp.maximum(-e, 0.0))
     near = batch.distance < profile.near_field
@@ -57,14 +189,14 @@ def keepout_terms(
 
 
 def paper_terms(
-    layers: mlp.Layers, profile: TrainingProfile, scale: float, batch: Batch
+    layers: Layers, profile: TrainingProfile, scale: float, batch: Batch
 ) -> tuple[Float32[Array, "n"], Float32[Array, "n"]]:
     """For each point: L_P and η L_E, after Zhou et al. Section IV, in normalised units.
 
     L_E = (‖∇f̃‖ - 1)². The printed L_P = (κ-1) max(e, 0) leaves f̃ → -∞ free; the pinball reading is
     ((κ-1)/2) e + ((κ+1)/2)|e| = κ max(e, 0) + max(-e, 0).
     """
-    y, gradient = second_sweep.value_and_gradient(layers, profile.beta, batch.x)
+    y, gradient = value_and_gradient(layers, profile.beta, batch.x)
     e = y - batch.distance / jnp.float32(scale)
     kappa = jnp.float32(profile.kappa)
     if profile.loss == "paper_printed":
@@ -76,9 +208,49 @@ def paper_terms(
 
 
 def terms(
-    layers: mlp.Layers, profile: TrainingProfile, scale: float, batch: Batch, sloped: int
+    layers: Layers, profile: TrainingProfile, scale: float, batch: Batch, sloped: int
 ) -> tuple[Float32[Array, "n"], Float32[Array, "{sloped}"]]:
     """Return the two terms of the profile's loss: at each point, and at the first ones, which have a gradient term."""
     if profile.loss == "keepout":
         return keepout_terms(layers, profile, scale, batch, sloped)
     return paper_terms(layers, profile, scale, batch)
+
+
+def value_and_gradient(
+    layers: Layers, beta: float, x: Float[Array, "n 3"]
+) -> tuple[Float[Array, "n"], Float[Array, "n 3"]]:
+    """`neural.value_and_gradient`, whose own derivative is with respect to the layers, not to x."""
+    return _value_and_gradient(layers, beta, x)
+
+
+@functools.partial(jax.custom_vjp, nondiff_argnums=(1,))
+def _value_and_gradient(layers: Layers, beta: float, x: Float[Array, "n 3"]) -> Any:
+    return sweeps(layers, beta, x)[0]
+
+
+def _forward(layers: Layers, beta: float, x: Float[Array, "n 3"]) -> tuple[tuple[Array, Array], tuple[Layers, Kept]]:
+    answer, kept = sweeps(layers, beta, x)
+    return answer, (layers, kept)
+
+
+def _reverse(beta: float, forward: tuple[Layers, Kept], seeds: tuple[Array, Array]) -> tuple[Layers, None]:
+    layers, (activations, slopes, z_bars) = forward
+    seed, along = seeds
+    tangents, moved = [along], []
+    for W, slope in zip(layers.weights[:-1], slopes):
+        moved.append(times(tangents[-1], W.T))
+        tangents.append(slope * moved[-1])
+    weights = [(times(seed[None], activations[-1]) + jnp.sum(tangents[-1], axis=0))]
+    biases = [jnp.sum(seed)[None]]
+    a_bar = seed[:, None] * layers.weights[-1]
+    for depth in range(len(slopes) - 1, -1, -1):
+        slope, z_bar = slopes[depth], z_bars[depth]
+        # σ'' = β s (1 - s).
+        whole = a_bar * slope + beta * (1.0 - slope) * z_bar * moved[depth]
+        weights.append(times(whole.T, activations[depth]) + times(z_bar.T, tangents[depth]))
+        biases.append(jnp.sum(whole, axis=0))
+        a_bar = times(whole, layers.weights[depth])
+    return Layers(tuple(reversed(weights)), tuple(reversed(biases))), None
+
+
+_value_and_gradient.defvjp(_forward, _reverse)

@@ -13,27 +13,30 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 import optax.contrib
-from jaxtyping import Array, Float32, Int
+import safetensors
+import safetensors.numpy
+from jaxtyping import Array, Float, Float32, Int
 
 from keepout.core.compiled.kept_programs import keep_programs
-from keepout.core.compiled.xla import NO_LIBRARIES
+from keepout.core.compiled.xla import NO_LIBRARIES, WIDE
 from keepout.core.digest import digest
 from keepout.core.errors import FieldError
-from keepout.core.fields import mlp
-from keepout.core.fields.continuation import RadialContinuation
-from keepout.core.fields.domain import Domain
+from keepout.core.fields import neural
+from keepout.core.fields.continuation import Domain
+from keepout.core.fields.field import in_pieces
 from keepout.core.fields.model import FieldModel
 from keepout.core.fields.neural import NeuralField
+from keepout.core.geometry.distance import Points
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target
-from keepout.core.learning import checkpoint as checkpoints
 from keepout.core.learning import losses
-from keepout.core.learning.counter_examples import Hunt
-from keepout.core.learning.learned import Learned
-from keepout.core.learning.profile import TrainingProfile, find_profile
-from keepout.core.learning.sampling import Samples, label, normalised, training_points
+from keepout.core.learning.losses import TrainingProfile, find_profile
+from keepout.core.learning.samples import Hunt, Samples, label, normalised, training_points
 from keepout.core.progress import Progress, silent
+from keepout.core.whole_file import write_whole
 
+ROWS = 2048
+"""Points that the network in mid-training is asked at together, float32."""
 BLOCK = 250
 """Steps between progress reports, checkpoints and counter-example searches; one compiled loop runs them."""
 WATCHED = 4096
@@ -52,7 +55,7 @@ CURVE = ("value_term", "gradient_term", "mean_error_m")
 class _State(NamedTuple):
     """All that a fit needs to go on: the same after a reload, to the bit."""
 
-    layers: mlp.Layers
+    layers: neural.Layers
     optimizer: optax.OptState
     hard: losses.Batch
     block: Int[Array, ""]
@@ -113,7 +116,7 @@ def fit(
     fingerprint = _fingerprint(target, solid, numbers, chaser_radius, seed)
     state = _initial(numbers, data, hunt.kept if hunt else 0, seed)
     if checkpoint is not None and checkpoint.exists():
-        state = checkpoints.load(checkpoint, state, fingerprint)
+        state = _load_checkpoint(checkpoint, state, fingerprint)
 
     main_blocks, tuning_blocks = numbers.steps // BLOCK, numbers.tuning_steps // BLOCK
     blocks, first, clock = main_blocks + tuning_blocks, int(state.block), time.perf_counter()
@@ -142,7 +145,7 @@ def fit(
         if not math.isfinite(float(value_term)):
             raise FieldError(f"training of {target.name}: the loss is not finite at step {(block + 1) * BLOCK}")
         if checkpoint is not None:
-            checkpoints.save(checkpoint, state, fingerprint)
+            _save_checkpoint(checkpoint, state, fingerprint)
         if block == first:  # it has compiled too, and tells nothing of the others
             clock, left = time.perf_counter(), ""
         else:
@@ -191,7 +194,7 @@ def _initial(profile: TrainingProfile, data: losses.Batch, hard_count: int, seed
     weights[-1] = weights[-1] * jnp.float32(0.5)
     biases = [jnp.zeros(n, jnp.float32) for n in sizes[1:]]
     biases[0] = jax.random.uniform(keys[-1], (width,), jnp.float32, -0.5, 0.5)
-    layers = mlp.Layers(tuple(weights), tuple(biases))
+    layers = neural.Layers(tuple(weights), tuple(biases))
     hard = jax.tree.map(lambda a: jnp.resize(a, (hard_count, *a.shape[1:])), data)
     optimizer = _optimizer(profile, tuning=False).init(layers)
     blocks = profile.steps // BLOCK + profile.tuning_steps // BLOCK
@@ -231,7 +234,7 @@ def _hidden_matrices(layers: Any) -> Any:
     hidden = optax.contrib.MuonDimensionNumbers()
     weights: Any = tuple(hidden if 0 < i < last else None for i in range(last + 1))
     biases: Any = tuple(None for _ in layers.biases)
-    return mlp.Layers(weights, biases)
+    return neural.Layers(weights, biases)
 
 
 @functools.partial(jax.jit, static_argnums=(0, 1, 2), compiler_options=NO_LIBRARIES)
@@ -247,7 +250,7 @@ def _train_block(profile: TrainingProfile, scale: float, tuning: bool, state: _S
     plain = round((batch - hard) * counts[1] / sum(counts))
     sloped = batch - hard - plain
 
-    def loss(layers: mlp.Layers, rows: losses.Batch):
+    def loss(layers: neural.Layers, rows: losses.Batch):
         value_term, slope_term = losses.terms(layers, profile, scale, rows, hard + sloped)
         weight = jnp.ones(batch, jnp.float32).at[:hard].set(HARD_WEIGHT)
         value_mean, slope_mean = jnp.mean(weight * value_term), jnp.sum(weight[: hard + sloped] * slope_term) / batch
@@ -274,21 +277,83 @@ def _train_block(profile: TrainingProfile, scale: float, tuning: bool, state: _S
     return layers, optimizer_state, value_term.mean(), slope_term.mean()
 
 
-def _finished(learned: Learned, solid: OffsetSolid, generator: np.random.Generator) -> NeuralField:
+def _finished(learned: "Learned", solid: OffsetSolid, generator: np.random.Generator) -> NeuralField:
     """Give the field its continuation, lowered by what it over-states on the shell it continues from."""
     domain = learned.domain
-
-    def build(allowance: float) -> NeuralField:
-        lengths = (domain.target_radius, domain.domain_radius, domain.outer_radius, allowance)
-        continuation = RadialContinuation(
-            jnp.asarray(domain.centre), *(jnp.asarray(length, jnp.float64) for length in lengths)
-        )
-        return NeuralField(learned.layers, jnp.asarray(domain.learned_radius, jnp.float64), continuation, learned.beta)
-
     direction = generator.normal(size=(40_000, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     radius = generator.uniform(domain.domain_radius, domain.learned_radius, size=(len(direction), 1))
     shell = domain.centre + radius * direction
     excess = learned.value(shell) - solid.signed_distance(shell)
     # A quarter above the largest of 40,000 samples of a smooth far field; `certify` does not rest on it.
-    return build(1.25 * max(float(excess.max()), 0.0) + 0.01)
+    continuation = domain.continuation(1.25 * max(float(excess.max()), 0.0) + 0.01)
+    return NeuralField(learned.layers, jnp.asarray(domain.learned_radius, jnp.float64), continuation, learned.beta)
+
+
+@dataclasses.dataclass(frozen=True)
+class Learned:
+    """A network in normalised coordinates, asked in metres, without continuation.
+
+    Attributes:
+        layers: its weights.
+        beta: sharpness of the softplus.
+        domain: of the field.
+
+    """
+
+    layers: neural.Layers
+    beta: float
+    domain: Domain
+
+    def value(self, points: Points) -> Float[np.ndarray, "n"]:
+        """Return f̃ in metres at (n, 3) points in metres."""
+        y = in_pieces(lambda x: _value(self.layers, self.beta, x), self._normalised(points))
+        return y.astype(np.float64) * self.domain.learned_radius
+
+    def gradient(self, points: Points) -> Float[np.ndarray, "n 3"]:
+        """Return ∇f̃, (n, 3), at points in metres."""
+        return in_pieces(lambda x: _gradient(self.layers, self.beta, x), self._normalised(points)).astype(np.float64)
+
+    def _normalised(self, points: Points) -> Float32[np.ndarray, "n 3"]:
+        return ((points - self.domain.centre) / self.domain.learned_radius).astype(np.float32)
+
+
+@functools.partial(jax.jit, static_argnums=(1,), compiler_options=WIDE)
+def _value(layers: neural.Layers, beta: float, x: Float32[Array, "n 3"]) -> Float32[Array, "n"]:
+    return neural.in_chunks(lambda rows: neural.value(layers, beta, rows), x, ROWS)
+
+
+@functools.partial(jax.jit, static_argnums=(1,), compiler_options=WIDE)
+def _gradient(layers: neural.Layers, beta: float, x: Float32[Array, "n 3"]) -> Float32[Array, "n 3"]:
+    return neural.in_chunks(lambda rows: neural.value_and_gradient(layers, beta, rows)[1], x, ROWS)
+
+
+def _save_checkpoint(path: Path, state: Any, fingerprint: str) -> None:
+    """Write a pytree of arrays, whole or not at all.
+
+    Raises:
+        FieldError: the place cannot be written to.
+
+    """
+    leaves = {f"{i:04d}": np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(state))}
+    write_whole(path, safetensors.numpy.save(leaves, {"fingerprint": fingerprint}), refusal=FieldError)
+
+
+def _load_checkpoint(path: Path, like: Any, fingerprint: str) -> Any:
+    """Read a pytree shaped as `like`.
+
+    Raises:
+        FieldError: the file is damaged, or belongs to a fit with other settings.
+
+    """
+    try:
+        with safetensors.safe_open(path, framework="numpy") as file:
+            if (file.metadata() or {}).get("fingerprint") != fingerprint:
+                raise FieldError(
+                    f"{path}: a checkpoint of another fit (target, profile or seed); delete it to start anew"
+                )
+            leaves, structure = jax.tree.flatten(like)
+            restored = [jnp.asarray(file.get_tensor(f"{i:04d}")) for i in range(len(leaves))]
+    except (OSError, safetensors.SafetensorError) as error:
+        raise FieldError(f"{path}: a damaged checkpoint ({error}); delete it to start anew") from None
+    return jax.tree.unflatten(structure, restored)

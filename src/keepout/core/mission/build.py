@@ -11,9 +11,9 @@ from keepout.core.control.guidance.guidance import Guidance
 from keepout.core.control.guidance.plan import GuidancePlan
 from keepout.core.control.law import Law
 from keepout.core.errors import FieldError, KeepOutZoneError, ScenarioError
-from keepout.core.fields.evaluate import values
+from keepout.core.fields import load_shipped, shipped_names
+from keepout.core.fields.field import values
 from keepout.core.fields.model import Certificate, FieldModel
-from keepout.core.fields.shipped import load_shipped, shipped_names
 from keepout.core.flight.setup import FlightSetup
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target

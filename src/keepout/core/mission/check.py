@@ -14,7 +14,7 @@ from keepout.core.control.operation import Operation
 from keepout.core.control.profiles import ControlWarning
 from keepout.core.control.tuning import tune
 from keepout.core.errors import KeepoutError, KeepOutZoneError
-from keepout.core.fields.evaluate import values
+from keepout.core.fields.field import values
 from keepout.core.fields.model import FieldModel
 from keepout.core.geometry.target import Target
 from keepout.core.mission import environment

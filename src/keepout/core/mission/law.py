@@ -21,8 +21,7 @@ from keepout.core.control.observer import NoObserver, Observer, constant_observe
 from keepout.core.control.operation import Operation
 from keepout.core.control.tuning import least_offset
 from keepout.core.errors import ControlError
-from keepout.core.fields.evaluate import values
-from keepout.core.fields.field import Field
+from keepout.core.fields.field import Field, values
 from keepout.core.fields.model import FieldModel
 from keepout.core.flight.faults import BrokenLaw
 from keepout.core.geometry.target import Target

@@ -18,7 +18,6 @@ from keepout.core.motion.arrays import as_float64
 from keepout.core.motion.chaser import ThrusterModel
 from keepout.core.motion.disturbance import Disturbance
 from keepout.core.progress import Progress, silent
-from keepout.core.proof.stated import error_bound
 
 _ROUNDING = 1.0 + 1e-9
 _TRIED = 2001
@@ -81,7 +80,7 @@ def with_thrusters(mission: Mission, thrusters: ThrusterModel) -> Mission:
 def with_field(mission: Mission, field: FunctionField, *, leaf: float = 0.1, progress: Progress = silent) -> Mission:
     """Give the same mission with the scenario's law built on another field; the guard keeps its own.
 
-    The law's error bound is that of `proof.stated.error_bound`: proved if the field's Lipschitz bound is true.
+    The law's error bound is `certificate.stated_error_bound`: proved if the field's Lipschitz bound is true.
 
     Args:
         mission: as `prepare` built it.
@@ -96,6 +95,6 @@ def with_field(mission: Mission, field: FunctionField, *, leaf: float = 0.1, pro
     if not isinstance(field, FunctionField):
         raise FieldError(f"field: {described(field)}; it must be one of keepout.stated_field or keepout.sampled_field")
     scenario = mission.scenario
-    bound = error_bound(field, mission.target, scenario.chaser.radius, leaf=leaf)
+    bound = stated_error_bound(field, mission.target, scenario.chaser.radius, leaf=leaf)
     law = law_on(scenario, field, bound, progress=progress)
     return replace(mission, setup=replace(mission.setup, controller=broken_as(scenario, law, field), field=field))

@@ -3,7 +3,8 @@
 A continuous path from outside to contact crosses {d = R}, R the chaser's radius and d the exact distance to the
 triangles. So one inequality on one surface, f̃ ≤ R + e_h on {d = R}, makes {f̃ > R + e_h} free of contact. The surface
 is covered with triangles (R = 0) or cubes (R > 0), f̃ is bounded over each, and those that matter are split
-(docs/certificate.md).
+(docs/certificate.md). Where a proof takes too long, a search says what it found, and proves nothing; of a field of your
+own the bound follows from the Lipschitz bound that is stated.
 """
 
 import dataclasses
@@ -15,10 +16,11 @@ from jaxtyping import Float
 
 from keepout.core.compiled.kept_programs import keep_programs
 from keepout.core.errors import FieldError
-from keepout.core.fields.evaluate import values, values_and_gradients
+from keepout.core.fields.field import values, values_and_gradients
 from keepout.core.fields.grid import GridField
 from keepout.core.fields.model import Certificate, FieldModel
 from keepout.core.fields.neural import NeuralField
+from keepout.core.fields.own import FunctionField
 from keepout.core.geometry.distance import ExactDistance
 from keepout.core.geometry.level_set import largest_on_level, level_points, onto_level, surface_points
 from keepout.core.geometry.octree import CORNERS, straddling_cells
@@ -99,16 +101,21 @@ def certify(
 
 
 class Check(NamedTuple):
-    """What a proof of a certificate's numbers came to."""
+    """What a proof of a certificate's numbers came to.
+
+    Attributes:
+        proved: whether all that the certificate calls certified was proved; of a sampled one nothing is.
+        error_bound: e_h as proved now, metres; of a sampled certificate the largest f̃ - R found now.
+        evaluation_error: as proved now, metres; None of a sampled certificate.
+        gradient_bound: as proved now; None where the certificate does not call its own certified, or the proof takes
+            too long.
+
+    """
 
     proved: bool
-    """Whether all that the certificate calls certified was proved; of a sampled one nothing is."""
     error_bound: float
-    """e_h as proved now, metres; of a sampled certificate the largest f̃ - R found now."""
     evaluation_error: float | None
-    """As proved now, metres; None of a sampled certificate."""
     gradient_bound: float | None
-    """As proved now; None where the certificate does not call its own certified, or the proof takes too long."""
 
 
 def check_certificate(
@@ -375,3 +382,83 @@ def _split(elements: Float[np.ndarray, "m k 3"], distance: ExactDistance, radius
     reach = np.linalg.norm(half, axis=1) * (1.0 + 1e-9) + 1e-9
     meets = np.abs(distance.distance(centres) - radius) <= reach
     return np.stack([centres[meets], half[meets]], axis=1)
+
+
+def sample_certificate(
+    model: FieldModel,
+    target: Target,
+    *,
+    chaser_radius: float = 0.0,
+    allowance: float = 0.0,
+    seed: int = 0,
+    progress: Progress = silent,
+) -> FieldModel:
+    """Return the same model with a sampled certificate for one chaser radius, in place of any it had for that radius.
+
+    It proves nothing: f̃ may exceed R + e_h where nobody looked. The search is the one that `certify` begins with:
+    samples of {d = R}, denser along edges and at corners, then random ascent around the best. For networks whose
+    bounds are too loose or take too long to prove, such as the source paper's 10 x 512.
+
+    Args:
+        model: its field must be a `NeuralField`.
+        target: the mesh it was made for.
+        chaser_radius: R, metres.
+        allowance: metres added to the largest value found; 0 is what the source paper does.
+        seed: of the search.
+        progress: fraction done, and the largest value found.
+
+    Raises:
+        FieldError: another target's model, a field that is no network, a point cloud, a negative or infinite radius or
+            allowance.
+
+    """
+    start = time.perf_counter()
+    field, distance = require_network_and_mesh(model, target, where="sampled certificate")
+    for name, value in (("chaser radius", chaser_radius), ("allowance", allowance)):
+        if not 0.0 <= value < np.inf:
+            raise FieldError(f"sampled certificate: {name} {value:g} m; it must be 0 or more, and finite")
+    found = largest_found(field, distance, chaser_radius, np.random.default_rng(seed)) - chaser_radius
+    progress(0.4, f"largest value found {found:+.4f} m")
+    steepest = steepest_found(field, distance, chaser_radius, np.random.default_rng(seed + 1))
+    certificate = Certificate(
+        kind="sampled",
+        chaser_radius=float(chaser_radius),
+        error_bound=float(found + allowance),
+        allowance=float(allowance),
+        sampled_maximum=float(found),
+        gradient_bound=(1.0 + GRADIENT_ALLOWANCE) * steepest,
+        gradient_kind="sampled",
+        evaluation_error=0.0,
+        seconds=time.perf_counter() - start,
+        target_sha256=model.target_sha256,
+        field_sha256=model.sha256,
+        gradient_found=steepest,
+    )
+    progress(1.0, f"largest value found {found:+.4f} m: nothing is proved")
+    return model.with_certificate(certificate)
+
+
+def stated_error_bound(field: FunctionField, target: Target, chaser_radius: float, *, leaf: float = 0.1) -> float:
+    """Give e_h in metres with f̃ ≤ R + e_h wherever the exact distance to the target is R.
+
+    {d = R} is covered by cubes; in a cube of centre c and half diagonal ρ the field is at most f̃(c) + L ρ. So the bound
+    is proved where the field's Lipschitz bound L is true. It is loose by up to 2 L ρ; smaller cubes take longer.
+
+    Args:
+        field: with its Lipschitz bound, stated or sampled; the answer is of the same kind.
+        target: the mesh.
+        chaser_radius: R, m.
+        leaf: side of the cubes, m.
+
+    Raises:
+        FieldError: a radius that is negative or not finite.
+
+    """
+    if not 0.0 <= chaser_radius < np.inf:
+        raise FieldError(f"error bound: chaser radius {chaser_radius} m; it must be 0 or more, and finite")
+    distance, room = target.distance, chaser_radius + leaf
+    centres, half = straddling_cells(
+        distance, chaser_radius, leaf=leaf, lower=distance.lower - room, upper=distance.upper + room
+    )
+    most = values(field, centres) + field.lipschitz * np.sqrt(3.0) * half
+    return float(most.max()) - chaser_radius

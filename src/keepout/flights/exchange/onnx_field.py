@@ -1,6 +1,6 @@
 """A learned field as an ONNX model: points in float64 to values and gradients in float64, the network in its own type.
 
-The nodes follow `fields.neural`, `fields.mlp` and `fields.continuation` step by step: into the domain, forward sweep,
+The nodes follow `fields.neural` and `fields.continuation` step by step: into the domain, forward sweep,
 reverse sweep, continuation. Every runtime rounds in its own way, so the difference from the package is measured where
 the file is written, and the measured difference stands in the file beside the certificate; it proves nothing.
 """
@@ -18,10 +18,9 @@ from jaxtyping import Float
 from onnx import TensorProto, helper, numpy_helper
 
 from keepout.core.errors import ExchangeError
-from keepout.core.fields.evaluate import values_and_gradients
-from keepout.core.fields.mlp import Layers
+from keepout.core.fields.field import values_and_gradients
 from keepout.core.fields.model import Certificate, FieldModel
-from keepout.core.fields.neural import NeuralField
+from keepout.core.fields.neural import Layers, NeuralField
 from keepout.core.progress import Progress, silent
 from keepout.core.whole_file import write_whole
 
@@ -208,7 +207,7 @@ def field_graph(field: NeuralField) -> Any:
 
 
 def _sweeps(x: Value, field: NeuralField) -> tuple[Any, Any]:
-    """Append the network's forward and reverse sweep (`fields.mlp.sweeps`); give its value (n, 1) and gradient."""
+    """Append the network's forward and reverse sweep (`fields.neural.sweeps`); give its value (n, 1) and gradient."""
     weights = [np.asarray(W) for W in field.layers.weights]
     biases = [np.asarray(b) for b in field.layers.biases]
     a, slopes = x, []

@@ -6,8 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from keepout.core.compiled.kept_arrays import Arrays, kept_arrays
-from keepout.core.fields.evaluate import values_and_gradients
-from keepout.core.fields.field import Field
+from keepout.core.fields.field import Field, values_and_gradients
 from keepout.core.geometry.distance import Distance
 from keepout.core.geometry.target import Target
 from keepout.core.progress import Progress, silent

@@ -16,7 +16,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.lines import Line2D
 
-from keepout.core.fields.evaluate import values
+from keepout.core.fields.field import values
 from keepout.core.fields.model import FieldModel
 from keepout.core.geometry.target import Target
 from keepout.flights.pages.figures import COLOURS, TARGET_COLOUR, figure, palette

@@ -12,8 +12,8 @@ from keepout.core.compiled.kept_executables import kept_jit
 from keepout.core.control.guidance.fast_marching import UNIT, downhill, travel_time, widest_way
 from keepout.core.control.guidance.guidance import GeodesicGuidance, packed
 from keepout.core.errors import ControlError, KeepOutZoneError
-from keepout.core.fields.evaluate import values as field_values
 from keepout.core.fields.field import Field
+from keepout.core.fields.field import values as field_values
 from keepout.core.motion.arrays import as_float64
 from keepout.core.progress import Progress, silent
 

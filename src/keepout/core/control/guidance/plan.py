@@ -12,8 +12,7 @@ from jaxtyping import Float
 from keepout.core.control.guidance.geodesic import BarrierGrid, geodesic_guidance
 from keepout.core.control.guidance.guidance import ComponentwiseGuidance, Guidance, StraightGuidance
 from keepout.core.errors import ControlError
-from keepout.core.fields.evaluate import values
-from keepout.core.fields.field import Field
+from keepout.core.fields.field import Field, values
 from keepout.core.motion.arrays import as_float64
 from keepout.core.progress import Progress, silent
 
