@@ -20,7 +20,7 @@ from typing import Any
 
 from playwright.sync_api import Browser, sync_playwright
 
-from keepout.cli.commands.flight import replay_to_page
+from keepout.cli.flight import replay_to_page
 from keepout.core.mission.flight import fly
 from keepout.core.mission.scenario import Scenario
 

@@ -13,7 +13,7 @@ import pytest
 from truths.command_line import keepout_command
 
 from keepout import cli
-from keepout.cli.commands import mesh
+from keepout.cli import mesh
 from keepout.cli.options import ORDER
 from keepout.core.fields import shipped_path
 from keepout.core.fields.model import FieldModel

@@ -41,8 +41,9 @@ QUICKER = {
 """What is written, and what the test writes instead."""
 BEFORE = {
     "docs/inspection.md": "from pathlib import Path\n"
-    "from keepout.cli.commands.inspect import inspect_to_folder, mission_of\n"
-    "inspect_to_folder(mission_of(Path('mission.toml')), Path('out/inspect'), figures=False)\n",
+    "from keepout import Scenario\n"
+    "from keepout.apps.inspection.command import inspect_to_folder\n"
+    "inspect_to_folder(Scenario.load('mission.toml'), Path('out/inspect'), figures=False)\n",
     "docs/tutorial.md": "from keepout.core.guard.field import guard_field\n",
     "docs/rare.md": "import keepout, numpy\n"
     "from keepout.flights.rare_events.tape import Tape\n"

@@ -1,14 +1,21 @@
 """Commands on many flights: campaign fly, report, compare, replay."""
 
+import json
+import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
 from typer.core import TyperGroup
 
-from keepout.cli.options import AsJson, ScenarioSeed, answer, app, at_least, example
+from keepout.cli.options import AsJson, ScenarioSeed, answer, app, at_least, example, mission_of, usage
+from keepout.core.progress import Progress, part_of, silent
 from keepout.flights.pages import terminal
+
+if TYPE_CHECKING:
+    from keepout.core.mission.scenario import Scenario
+    from keepout.flights.campaign.run import Standing
 
 
 class _FlyUnlessNamed(TyperGroup):
@@ -61,31 +68,85 @@ def campaign(
 
     With --json, a line of JSON a second says on standard error how far it is.
     """
-    from keepout.cli.commands.campaign import campaign_to_folder
-    from keepout.core.mission.scenario import Scenario
-
-    mission = Scenario.load(scenario)
-    if seed is not None:
-        mission = mission.replace(seed=seed)
+    mission = mission_of(scenario, seed)
     if runs is not None:
         mission = mission.replace(campaign={"runs": runs})
     chosen = {"batch": batch, "keep": keep, "scheduler": scheduler, "mixed_processors": mixed_processors}
     if as_json:
-        summary = campaign_to_folder(mission, out, **chosen, told=terminal.standing_lines())
+        summary = _flown(mission, out, **chosen, told=terminal.standing_lines())
     else:
         with terminal.progress(f"campaign {mission.name}") as progress:
-            summary = campaign_to_folder(mission, out, **chosen, progress=progress)
-    answer(summary, as_json)
-    if not as_json:
-        # What the guard assumes is for the file: two dozen numbers.
-        left_out = ("guard", "kept", "refusals", "rates", "page")
-        Console().print(terminal.facts_table("Campaign", {k: v for k, v in summary.items() if k not in left_out}))
-        _print_rates(summary)
+            summary = _flown(mission, out, **chosen, progress=progress)
+    # What the guard assumes is for the file: two dozen numbers.
+    left_out = ("guard", "kept", "refusals", "rates", "page")
+    facts = terminal.facts_table("Campaign", {k: v for k, v in summary.items() if k not in left_out})
+    answer(summary, as_json, facts, *_rates(summary))
 
 
-def _print_rates(report: dict[str, Any]) -> None:
-    Console().print(terminal.rates_table(report["rates"]))
-    Console().print(f"open {report['page']}", highlight=False, markup=False, soft_wrap=True)
+def _flown(
+    scenario: "Scenario",
+    out: Path,
+    *,
+    batch: int | None,
+    keep: str,
+    scheduler: str | None,
+    mixed_processors: bool,
+    told: "Callable[[Standing], None]" = lambda standing: None,
+    progress: Progress = silent,
+) -> dict[str, Any]:
+    """Fly a campaign into `out`, or what is missing of it there; then its bands, page and `summary.json`.
+
+    `told` hears how far it is as flights land; `progress` too, in words.
+    """
+    from keepout.core.whole_file import write_whole
+    from keepout.flights.campaign.dataset import Dataset
+    from keepout.flights.campaign.plan import Plan
+    from keepout.flights.campaign.run import Keep, Scheduler, fly_campaign, flyer_on, in_threads, keep_flights
+    from keepout.flights.campaign.table import SUMMARISED, summary
+    from keepout.flights.pages.campaign_figures import DRAWN, draw_campaign
+    from keepout.flights.pages.campaign_page import report_campaign
+    from keepout.flights.pages.folder import results_in, write_summary
+
+    with usage():
+        chosen = Keep.parse(keep)
+        if scheduler is not None:
+            Scheduler.parse(scheduler)
+    flyer = in_threads if scheduler is None else flyer_on(scheduler, mixed_processors=mixed_processors)
+    began = time.perf_counter()
+    progress(0.0, "preparing")
+    with results_in(out):
+        plan = Plan.of(scenario, batch=batch)
+        dataset = Dataset.begin(out, plan)
+
+    def tell(standing: "Standing") -> None:
+        told(standing)
+        progress(0.05 + 0.9 * standing.done / standing.runs, standing.line())
+
+    with dataset.lock():
+        standing = fly_campaign(plan, dataset, flyer=flyer, told=tell)
+        kept = keep_flights(plan, dataset, chosen, told=lambda done, of: progress(0.95, f"{done} of {of} flights kept"))
+        bands = out / "bands.json"
+        write_whole(bands, json.dumps(dataset.bands().figures(), allow_nan=False) + "\n")
+        figures = {
+            **summary(dataset.table(list(SUMMARISED)), scenario),
+            "guard": plan.guard_numbers(),
+            "batch": plan.batch,
+            "seconds": time.perf_counter() - began,
+            "flown_now": standing.flown,
+            "processors": dataset.processors(),
+            "flights": str(out / "flights"),
+            "bands": str(bands),
+            "kept": [str(dataset.kept(run)) for run in kept],
+        }
+        draw_campaign(out / "campaign.png", dataset.table(list(DRAWN)))
+        page = report_campaign(out, progress=part_of(progress, 0.97, 1.0))
+        figures |= {"page": page["page"], "rates": page["rates"]}
+        write_summary(out, figures)
+    return figures
+
+
+def _rates(report: dict[str, Any]) -> tuple[Any, ...]:
+    return terminal.rates_table(report["rates"]), terminal.Line(f"open {report['page']}")
 
 
 @campaigns.command("report", epilog=example("keepout campaign report out/campaign"))
@@ -98,9 +159,7 @@ def report(
 
     with terminal.progress(f"report {folder.name}") as progress:
         summary = report_campaign(folder, progress=progress)
-    answer(summary, as_json)
-    if not as_json:
-        _print_rates(summary)
+    answer(summary, as_json, *_rates(summary))
 
 
 @campaigns.command("compare", epilog=example("keepout campaign compare out/guarded out/unguarded -o out/compared"))
@@ -117,14 +176,8 @@ def compare(
 
     with terminal.progress("compare") as progress:
         summary = compare_campaigns(first, second, out, progress=progress)
-    answer(summary, as_json)
-    if not as_json:
-        for table in terminal.comparison_tables(summary):
-            Console().print(table)
-        for words in summary["words"]:
-            Console().print(words, highlight=False, markup=False)
-        if "page" in summary:
-            Console().print(f"open {summary['page']}", highlight=False, markup=False, soft_wrap=True)
+    page = [terminal.Line(f"open {summary['page']}")] if "page" in summary else []
+    answer(summary, as_json, *terminal.comparison_tables(summary), *summary["words"], *page)
 
 
 @campaigns.command("replay", epilog=example("keepout campaign replay out/campaign --run 47"))
@@ -138,12 +191,36 @@ def replay_run(
     as_json: AsJson = False,
 ) -> None:
     """Fly one run of a campaign again, to the same bits; write its flight file, figures and page."""
-    from keepout.cli.commands.campaign import replay_to_folder
+    from keepout.core.mission.scenario import Scenario
+    from keepout.flights.campaign.dataset import Dataset
+    from keepout.flights.campaign.flying import differences, replay
+    from keepout.flights.campaign.plan import Plan
+    from keepout.flights.pages.folder import results_in, write_flight, write_summary
 
-    with terminal.progress(f"replay {run}") as progress:
-        summary = replay_to_folder(folder, run, out, figures=figures, progress=progress)
-    answer(summary, as_json)
-    if not as_json:
-        Console().print(terminal.flights_table([summary]))
-        same = "equal to its row in the campaign" if summary["equal"] else f"differs: {summary['differences']}"
-        Console().print(f"run {run}: {same}", highlight=False, markup=False)
+    dataset = Dataset.open(folder)
+    identity = dataset.identity
+    scenario = Scenario.parse(identity["scenario"], where=str(folder / "campaign.json"))
+    out = folder / f"run-{run}" if out is None else out
+    with terminal.progress(f"replay {run}") as progress, results_in(out):
+        progress(0.0, "preparing")
+        plan = Plan.of(scenario, batch=identity["batch"])
+        dataset = Dataset.begin(folder, plan)  # refused where mesh, field or version are others now
+        progress(0.4, "flying")
+        [again] = replay(plan, [run])
+        kept = dataset.part(run // plan.chunk).slice(run % plan.chunk, 1)
+        differing = differences(kept, again.row)
+        progress(0.8, "writing")
+        introduction = f"Run {run} of the campaign {scenario.name}, flown again."
+        title = f"Run {run} of {scenario.name}"
+        summary = write_flight(out, f"run {run}", again.flight, title=title, introduction=introduction, figures=figures)
+        summary |= {
+            "run": run,
+            "equal": not differing,
+            "differences": {name: {"campaign": a, "replay": b} for name, (a, b) in differing.items()},
+            "record_apart": again.apart,
+            "drawn": dict(again.run.values),
+            "seed": scenario.seed,
+        }
+        write_summary(out, summary)
+    same = "equal to its row in the campaign" if summary["equal"] else f"differs: {summary['differences']}"
+    answer(summary, as_json, terminal.flights_table([summary]), f"run {run}: {same}")

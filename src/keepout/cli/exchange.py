@@ -1,13 +1,30 @@
 """Commands on files of others: export, audit."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
 
-from keepout.cli.options import AsJson, Seed, Units, answer, app, at_least, example
+from keepout.cli.options import (
+    AsJson,
+    Seed,
+    Units,
+    answer,
+    app,
+    example,
+    from_zero,
+    mission_of,
+    recorded_target,
+    target_entry,
+    usage,
+)
+from keepout.core.errors import ExchangeError, UsageError
+from keepout.core.whole_file import require_place
 from keepout.flights.pages import terminal
+
+if TYPE_CHECKING:
+    from keepout.core.mission.entries import TargetEntry
 
 _NineNumbers = tuple[float, float, float, float, float, float, float, float, float]
 
@@ -27,31 +44,36 @@ def export(
     craft: Annotated[str | None, typer.Option("--of", help="oem: chaser (if not given) or target.")] = None,
     xml: Annotated[bool, typer.Option("--xml", help="oem, aem: as XML; a file that ends in .xml is anyway.")] = False,
     chaser_radius: Annotated[
-        float | None,
-        typer.Option(callback=at_least(0.0), help="Of a field with several certificates: the one that is meant, m."),
+        float | None, from_zero("Of a field with several certificates: the one that is meant, m.")
     ] = None,
     mesh: Annotated[str | None, typer.Option(help="glb: the mesh, where it is not where flight or field say.")] = None,
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
     """Write a flight or a field for other programs, with its epoch, frames and units stated (docs/export.md)."""
-    from keepout.cli.commands.exchange import export_to_file
+    from keepout.flights.exchange.export import check_export, export_field, export_flight
 
+    given = {"--of": craft is not None, "--xml": xml, "--mesh": mesh is not None}
+    with usage():
+        check_export(source, to, craft=craft, given=given | {"--chaser-radius": chaser_radius is not None})
+    if not out.absolute().parent.is_dir():
+        raise ExchangeError(f"{out}: the folder {out.parent} does not exist")
+    require_place(out, refusal=ExchangeError)
     with terminal.progress(f"export {source.name}") as progress:
-        summary = export_to_file(
-            source,
-            to,
-            out,
-            craft=craft,
-            xml=xml,
-            chaser_radius=chaser_radius,
-            mesh=mesh,
-            seed=seed,
-            progress=progress,
-        )
-    answer(summary, as_json)
-    if not as_json:
-        Console().print(terminal.facts_table("Export", summary))
+        chosen: dict[str, Any] = {"progress": progress}
+        if source.suffix == ".keepout":
+            from keepout.core.fields.model import FieldModel
+            from keepout.core.mission.target import load_target
+
+            model = FieldModel.load(source)
+            target = load_target(recorded_target(source, model, mesh)) if to == "glb" else None
+            written = export_field(model, to, out, target=target, chaser_radius=chaser_radius, seed=seed, **chosen)  # pyright: ignore[reportArgumentType]
+        else:
+            xml = xml or out.suffix.lower() == ".xml"
+            written = export_flight(source, to, out, craft=craft or "chaser", xml=xml, mesh=mesh, **chosen)  # pyright: ignore[reportArgumentType]
+        progress(1.0, "")
+    summary = {"source": str(source), "to": to, "file": str(out), **written}
+    answer(summary, as_json, terminal.facts_table("Export", summary))
 
 
 @app.command(
@@ -69,23 +91,16 @@ def audit(
     ],
     chaser: Annotated[Path, typer.Option(help="OEM of the chaser's centre.")],
     target_orbit: Annotated[Path, typer.Option(help="OEM of the target's centre of mass.")],
-    chaser_radius: Annotated[
-        float, typer.Option(callback=at_least(0.0), help="Radius of the ball that holds the chaser, m.")
-    ],
+    chaser_radius: Annotated[float, from_zero("Radius of the ball that holds the chaser, m.")],
     acceleration_bound: Annotated[
-        float,
-        typer.Option(
-            callback=at_least(0.0),
-            help="Of the chaser relative to the target in inertial axes, thrust and all else together, m/s².",
-        ),
+        float, from_zero("Of the chaser relative to the target in inertial axes, thrust and all else together, m/s².")
     ],
     target_attitude: Annotated[Path | None, typer.Option(help="AEM of the target.")] = None,
     target_fixed_in: Annotated[
         str | None, typer.Option(help="Without an AEM: the axes that the body's are, vvlh (if not given) or inertial.")
     ] = None,
     turning_acceleration_bound: Annotated[
-        float | None,
-        typer.Option(callback=at_least(0.0), help="Of the target, rad/s²; if not given, measured from the attitudes."),
+        float | None, from_zero("Of the target, rad/s²; if not given, measured from the attitudes.")
     ] = None,
     centre_of_mass: Annotated[
         tuple[float, float, float] | None,
@@ -104,17 +119,10 @@ def audit(
         str | None, typer.Option(help="What the AEM calls the body's frame, if not SC_BODY or SC_BODY_1.")
     ] = None,
     sample_error: Annotated[
-        float,
-        typer.Option(
-            callback=at_least(0.0),
-            help="How far a relative position in the files can be wrong, m, if more than by its digits.",
-        ),
+        float, from_zero("How far a relative position in the files can be wrong, m, if more than by its digits.")
     ] = 1e-6,
     attitude_error: Annotated[
-        float,
-        typer.Option(
-            callback=at_least(0.0), help="By what angle an attitude can be wrong, rad, if more than by its digits."
-        ),
+        float, from_zero("By what angle an attitude can be wrong, rad, if more than by its digits.")
     ] = 0.0,
     target_units: Units = None,
     target_scale: Annotated[
@@ -139,7 +147,8 @@ def audit(
 
     Exit code 0 whatever the verdict is: it is in the answer.
     """
-    from keepout.cli.commands.exchange import audit_of_files
+    from keepout.core.mission.target import load_target
+    from keepout.flights.exchange.audited import Given, audit_files
 
     rows = None if target_rotation is None else (target_rotation[:3], target_rotation[3:6], target_rotation[6:])
     placed = {
@@ -151,9 +160,12 @@ def audit(
         "origin": target_origin,
     }
     with terminal.progress("audit") as progress:
-        summary = audit_of_files(
-            target,
-            placed=placed,
+        if target_fixed_in not in (None, "vvlh", "inertial"):
+            raise UsageError(f"--target-fixed-in {target_fixed_in}: valid: vvlh, inertial")
+        entry = _audited_target(target, placed)
+        if centre_of_mass is None and "centre_of_mass" in entry.model_fields_set:
+            centre_of_mass = entry.centre_of_mass
+        given = Given(
             chaser=chaser,
             target_orbit=target_orbit,
             chaser_radius=chaser_radius,
@@ -168,10 +180,18 @@ def audit(
             attitude_frame=attitude_frame,
             sample_error=sample_error,
             attitude_error=attitude_error,
-            progress=progress,
         )
-    answer(summary, as_json)
-    if not as_json:
-        told = {key: value for key, value in summary.items() if key != "assumptions"}
-        Console().print(terminal.facts_table("Audit", told))
-        Console().print(terminal.facts_table("It assumes", summary["assumptions"]))
+        summary = audit_files(load_target(entry), given, progress=progress)
+    told = {key: value for key, value in summary.items() if key != "assumptions"}
+    assumed = terminal.facts_table("It assumes", summary["assumptions"])
+    answer(summary, as_json, terminal.facts_table("Audit", told), assumed)
+
+
+def _audited_target(target: str, placed: Mapping[str, Any]) -> "TargetEntry":
+    if not target.lower().endswith(".toml"):
+        return target_entry({"source": target, **placed}, options="--target-")
+    given = next((name for name, value in placed.items() if value is not None), None)
+    if given is not None:
+        name = f"--target-{given.replace('_', '-')}"
+        raise UsageError(f"{name}: not with the scenario {target}, whose [target] says how its mesh lies")
+    return mission_of(Path(target), None).target

@@ -1,91 +1,75 @@
-"""Commands on single flights: fly, explore, inspect, replay."""
+"""Commands on single flights: fly, those that applications add, as explore and inspect, and replay."""
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
 
-from keepout.cli.options import AsJson, ScenarioSeed, answer, app, example
+from keepout.cli.options import AsJson, ScenarioSeed, answer, app, example, mission_of
+from keepout.core import plug_ins
+from keepout.core.errors import FlightError, UsageError
+from keepout.core.progress import Progress, part_of, silent
+from keepout.core.whole_file import require_place
 from keepout.flights.pages import terminal
 
-
-@app.command(epilog=example("keepout fly examples/case1.toml -o out/case1"))
-def fly(
-    scenario: Annotated[Path, typer.Argument(help="A scenario file (TOML).")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for flight file, figures and page.")] = Path("out"),
-    figures: Annotated[bool, typer.Option(help="Draw figures and the page.")] = True,
-    seed: ScenarioSeed = None,
-    as_json: AsJson = False,
-) -> None:
-    """Fly one scenario, audit the clearance on the exact mesh, and draw it."""
-    from keepout.cli.commands.flight import fly_to_folder
+if TYPE_CHECKING:
     from keepout.core.mission.scenario import Scenario
 
-    mission = Scenario.load(scenario)
-    if seed is not None:
-        mission = mission.replace(seed=seed)
-    with terminal.progress(f"fly {mission.name}") as progress:
-        summary = fly_to_folder(mission, out, figures=figures, progress=progress)
-    answer(summary, as_json)
-    if not as_json:
-        Console().print(terminal.flights_table([summary]))
-        Console().print(f"written to [bold]{out}[/bold]")
+
+def add_mission_command(name: str, of: terminal.MissionCommand) -> None:
+    """Add a command that flies a scenario into a folder."""
+
+    def command(
+        scenario: Annotated[Path, typer.Argument(help=of.scenario)],
+        out: Annotated[Path, typer.Option("--out", "-o", help=of.out)] = Path("out"),
+        figures: Annotated[bool, typer.Option(help=f"Draw {of.figures} and the page.")] = True,
+        seed: ScenarioSeed = None,
+        as_json: AsJson = False,
+    ) -> None:
+        of.check(scenario)
+        mission = mission_of(scenario, seed)
+        with terminal.progress(f"{name} {mission.name}") as progress:
+            summary = of.fly(mission, out, figures=figures, progress=progress)
+        answer(summary, as_json, of.table(summary), terminal.Line(f"written to {out}"))
+
+    command.__doc__ = of.help
+    app.command(name, epilog=example(of.example))(command)
 
 
-@app.command(epilog=example("keepout explore examples/explore.toml -o out/explore"))
-def explore(
-    scenario: Annotated[
-        Path, typer.Argument(help="A scenario file (TOML) with [map], and [depth_sensor] and [explore] as needed.")
-    ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for map, flight file, pictures and page.")] = Path(
-        "out"
+def fly_to_folder(
+    scenario: "Scenario", out: Path, *, figures: bool = True, progress: Progress = silent
+) -> dict[str, Any]:
+    """Fly a scenario; write flight file, figures, page and `summary.json` into `out`."""
+    from keepout.core.mission.first_look import look
+
+    target = look(scenario)
+    from keepout.core.mission.flight import fly
+    from keepout.flights.pages.folder import results_in, write_flight, write_summary
+
+    with results_in(out):
+        flight = fly(scenario, target=target, progress=part_of(progress, 0.0, 0.9))
+        places = f"start {list(scenario.start.position)} m, goal {list(scenario.goal.position)} m"
+        introduction, title = f"Target {flight.target.name}, {places}.", f"Flight {scenario.name}"
+        summary = write_flight(out, scenario.name, flight, title=title, introduction=introduction, figures=figures)
+        write_summary(out, summary)
+        return summary
+
+
+add_mission_command(
+    "fly",
+    terminal.MissionCommand(
+        help="Fly one scenario, audit the clearance on the exact mesh, and draw it.",
+        example="keepout fly examples/case1.toml -o out/case1",
+        scenario="A scenario file (TOML).",
+        out="Folder for flight file, figures and page.",
+        figures="figures",
+        fly=fly_to_folder,
+        table=lambda summary: terminal.flights_table([summary]),
     ),
-    figures: Annotated[bool, typer.Option(help="Draw pictures and the page.")] = True,
-    seed: ScenarioSeed = None,
-    as_json: AsJson = False,
-) -> None:
-    """Fly round a target that nobody has a model of: map what is seen free, approach in it, audit on the true mesh."""
-    from keepout.apps.unknown.exploration_page import ROWS
-    from keepout.cli.commands.explore import explore_to_folder
-    from keepout.core.mission.scenario import Scenario
-
-    mission = Scenario.load(scenario)
-    if seed is not None:
-        mission = mission.replace(seed=seed)
-    with terminal.progress(f"explore {mission.name}") as progress:
-        summary = explore_to_folder(mission, out, figures=figures, progress=progress)
-    answer(summary, as_json)
-    if not as_json:
-        Console().print(terminal.result_table(f"Exploration {summary['name']}", summary, ROWS))
-        Console().print(f"written to [bold]{out}[/bold]")
-
-
-@app.command(epilog=example("keepout inspect examples/inspect.toml -o out/inspect"))
-def inspect(
-    scenario: Annotated[
-        Path, typer.Argument(help="A scenario file (TOML), with [camera], [light] and [inspect] as needed.")
-    ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for flight file, frames, pictures and page.")] = Path(
-        "out"
-    ),
-    figures: Annotated[bool, typer.Option(help="Draw pictures and the page.")] = True,
-    seed: ScenarioSeed = None,
-    as_json: AsJson = False,
-) -> None:
-    """See all of a target that can be seen, in light, without touching it; audit the flight on the exact mesh."""
-    from keepout.apps.inspection.inspection_page import ROWS
-    from keepout.cli.commands.inspect import inspect_to_folder, mission_of
-
-    mission = mission_of(scenario)
-    if seed is not None:
-        mission = mission.replace(seed=seed)
-    with terminal.progress(f"inspect {mission.name}") as progress:
-        summary = inspect_to_folder(mission, out, figures=figures, progress=progress)
-    answer(summary, as_json)
-    if not as_json:
-        Console().print(terminal.result_table(f"Inspection {summary['name']}", summary, ROWS))
-        Console().print(f"written to [bold]{out}[/bold]")
+)
+for _name in plug_ins.names("mission_commands"):
+    add_mission_command(_name, plug_ins.load("mission_commands", _name))
 
 
 @app.command(
@@ -101,10 +85,22 @@ def replay(
     as_json: AsJson = False,
 ) -> None:
     """Write flights as one page to watch them in any browser, offline: the target, its envelope, paths and plots."""
-    from keepout.cli.commands.flight import replay_to_page
-
     with terminal.progress("replay") as progress:
         summary = replay_to_page(flights, out, title=title, progress=progress)
-    answer(summary, as_json)
-    if not as_json:
-        Console().print(f"open {summary['replay']}", highlight=False, markup=False, soft_wrap=True)
+    answer(summary, as_json, terminal.Line(f"open {summary['replay']}"))
+
+
+def replay_to_page(
+    flights: Sequence[Path], out: Path, *, title: str | None = None, progress: Progress = silent
+) -> dict[str, Any]:
+    """Write a replay of flight files, all around one target, as one self-contained page."""
+    from keepout.flights.pages.replay_page import write_replay
+    from keepout.flights.pages.replayed import of_files
+
+    if out.suffix.lower() not in (".html", ".htm"):
+        raise UsageError(f"{out}: a replay is a page; its name ends in .html")
+    require_place(out, refusal=FlightError)
+    gathered = of_files(flights, progress=part_of(progress, 0.0, 0.4))
+    first = gathered[0]
+    title = title or f"{first.scenario.name} · {first.target.name}"
+    return write_replay(out, gathered, title=title, progress=part_of(progress, 0.4, 1.0))

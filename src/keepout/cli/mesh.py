@@ -1,13 +1,34 @@
 """Commands on meshes and fields: targets, describe, fit, certify, measure."""
 
+import time
+from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 
-from keepout.cli.options import AsJson, ChaserRadius, DropStray, Scale, Seed, Units, answer, app, example
+from keepout.cli.options import (
+    AsJson,
+    ChaserRadius,
+    DropStray,
+    Scale,
+    Seed,
+    Units,
+    answer,
+    app,
+    example,
+    recorded_target,
+    target_entry,
+    usage,
+)
+from keepout.core.errors import FieldError, UsageError
+from keepout.core.progress import Progress, part_of
+from keepout.core.whole_file import require_place
 from keepout.flights.pages import terminal
+
+Mesh = Annotated[str, typer.Argument(help="A mesh file, a map file (.keepmap), or a built-in target's name.")]
+WhereMesh = Annotated[str | None, typer.Option(help="The mesh, where it is not where `fit` found it.")]
+DrawnInto = Annotated[Path | None, typer.Option("--out", "-o", help="Also draw it into this folder.")]
 
 
 @app.command(epilog=example("keepout targets", "keepout targets --pictures out/targets"))
@@ -17,13 +38,40 @@ def targets(
     as_json: AsJson = False,
 ) -> None:
     """List the built-in targets: extents, volume, triangles, parameters."""
-    from keepout.cli.commands.mesh import describe_targets
-
     with terminal.progress("targets") as progress:
-        rows = describe_targets(pictures=pictures, progress=progress)
-    answer({"targets": rows, "seed": seed}, as_json)
-    if not as_json:
-        Console().print(terminal.targets_table(rows))
+        rows = describe_targets(pictures, progress)
+    answer({"targets": rows, "seed": seed}, as_json, terminal.targets_table(rows))
+
+
+def describe_targets(pictures: Path | None, progress: Progress) -> list[dict[str, Any]]:
+    """List the built-in targets with size, triangles and parameters; draw them into `pictures` where it is given."""
+    from keepout.core.fields import shipped_names
+    from keepout.core.geometry.builtin import BUILTINS
+    from keepout.core.geometry.mesh_report import enclosed_volume
+    from keepout.core.geometry.target import Target
+    from keepout.flights.pages.folder import results_in
+
+    rows = []
+    with results_in(pictures):
+        for place, (name, builtin) in enumerate(BUILTINS.items()):
+            progress(place / len(BUILTINS), name)
+            target = Target.load(name)
+            row: dict[str, Any] = {
+                "name": name,
+                "extents_m": [float(extent) for extent in target.vertices.max(axis=0) - target.vertices.min(axis=0)],
+                "volume_m3": enclosed_volume(target.vertices, target.faces),
+                "triangles": len(target.faces),
+                "shipped_field": name in shipped_names(),
+                "parameters": {key: parameter.default for key, parameter in builtin.parameters.items()},
+            }
+            if pictures is not None:
+                from keepout.flights.pages.mesh_pictures import draw_target
+
+                picture = pictures / f"{name}.png"
+                draw_target(picture, target)
+                row["picture"] = str(picture)
+            rows.append(row)
+    return rows
 
 
 @app.command(
@@ -34,8 +82,8 @@ def targets(
     )
 )
 def describe(
-    mesh: Annotated[str, typer.Argument(help="A mesh file, a map file (.keepmap), or a built-in target's name.")],
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="Also draw it into this folder.")] = None,
+    mesh: Mesh,
+    out: DrawnInto = None,
     units: Units = None,
     scale: Scale = None,
     drop_stray: DropStray = False,
@@ -43,16 +91,35 @@ def describe(
     as_json: AsJson = False,
 ) -> None:
     """Report what a mesh is, what is wrong with it, and what reading it left out."""
-    from keepout.cli.commands.mesh import describe_mesh
-
     if mesh.endswith(".keepout"):
         raise typer.BadParameter(f"{mesh} is a field; `keepout measure {mesh}` measures it against its mesh")
-    given = {"source": mesh, "units": units, "scale": scale, "drop_stray": drop_stray}
     with terminal.progress(f"describe {mesh}") as progress:
-        summary = describe_mesh(given, out, progress=progress)
-    answer({**summary, "seed": seed}, as_json)
-    if not as_json:
-        Console().print(terminal.facts_table("Mesh", summary))
+        from keepout.core.geometry.target import survey
+        from keepout.core.mission.target import load_target
+        from keepout.flights.pages.folder import results_in
+
+        target = load_target(target_entry({"source": mesh, "units": units, "scale": scale, "drop_stray": drop_stray}))
+        summary: dict[str, Any] = {"lengths": _lengths(mesh, units, scale)}
+        with results_in(out):
+            summary |= asdict(survey(target, progress=part_of(progress, 0.0, 0.95)))
+            if out is not None:
+                from keepout.flights.pages.mesh_pictures import draw_target
+
+                picture = out / f"{target.name}.png"
+                draw_target(picture, target)
+                summary["picture"] = str(picture)
+    answer({**summary, "seed": seed}, as_json, terminal.facts_table("Mesh", summary))
+
+
+def _lengths(mesh: str, units: str | None, scale: float | None) -> str:
+    """Say in which unit a mesh's report is, and what the file's numbers were taken for."""
+    if scale is not None:
+        return f"m; one unit of the file is {scale:g} m, as given"
+    if units is not None:
+        return f"m; the file's numbers are in {units}, as given"
+    if not Path(mesh).exists():
+        return "m"  # a built-in target
+    return "m; no --units or --scale was given, so the file's own unit holds, or metres where it names none"
 
 
 @app.command(
@@ -63,7 +130,7 @@ def describe(
     )
 )
 def fit(
-    mesh: Annotated[str, typer.Argument(help="A mesh file, a map file (.keepmap), or a built-in target's name.")],
+    mesh: Mesh,
     out: Annotated[Path, typer.Option("--out", "-o", help="The field file to write (.keepout).")],
     profile: Annotated[
         str,
@@ -86,19 +153,60 @@ def fit(
 
     A killed run resumes from its last checkpoint when started again.
     """
-    from keepout.cli.commands.mesh import fit_to_file
-
-    source = {"source": mesh, "units": units, "scale": scale, "drop_stray": drop_stray}
     with terminal.progress(f"fit {mesh}") as progress:
-        summary = fit_to_file(
-            source, out, profile=profile, chaser_radius=chaser_radius, certified=certify, seed=seed, progress=progress
+        from keepout.core.learning.losses import find_profile
+        from keepout.core.learning.training import fit
+        from keepout.core.measures.quality import surface_errors
+        from keepout.core.mission.target import load_target
+
+        with usage():
+            find_profile(profile)
+        out = _field_path(out)
+        entry = target_entry({"source": mesh, "units": units, "scale": scale, "drop_stray": drop_stray})
+        target = load_target(entry)
+        start = time.perf_counter()
+        model = fit(
+            target,
+            profile=profile,
+            chaser_radius=chaser_radius,
+            seed=seed,
+            checkpoint=out.with_name(out.name + ".checkpoint"),  # from which a run that was killed goes on
+            progress=part_of(progress, 0.0, 0.9) if certify else progress,
         )
-    answer(summary, as_json)
-    if not as_json:
-        certificate = summary.pop("certificate", None)
-        Console().print(terminal.facts_table("Fit", summary))
-        if certificate is not None:
-            Console().print(terminal.facts_table("Certificate", certificate))
+        seconds = time.perf_counter() - start
+        located = entry.model_dump()
+        if Path(entry.source).exists():
+            located["source"] = str(Path(entry.source).resolve())
+        model = model.with_training(target=located)
+        model.save(out)  # before it is certified, so that a proof that is stopped loses nothing
+        errors = surface_errors(model.field, target, seed=seed)
+        proof: dict[str, Any] = {}
+        if certify:
+            part = part_of(progress, 0.9, 1.0)
+            proof["certificate"] = _certified(out, chaser_radius, seed=seed, progress=part)
+    summary = {
+        "field": str(out),
+        "seconds": seconds,
+        "epsilon_m": errors.epsilon,
+        "epsilon_plus_m": errors.epsilon_plus,
+        "sampled_maximum_m": errors.maximum,
+        "profile": profile,
+        "seed": seed,
+        "target": target.name,
+        "target_sha256": target.sha256,
+        "warnings": list(target.report.warnings),
+    }
+    tables = [terminal.facts_table(title.capitalize(), of) for title, of in {"fit": summary, **proof}.items()]
+    answer(summary | proof, as_json, *tables)
+
+
+def _field_path(path: Path) -> Path:
+    if path.suffix != ".keepout":
+        raise UsageError(f"{path}: a field file ends in .keepout")
+    if not path.absolute().parent.is_dir():
+        raise FieldError(f"{path}: the folder {path.parent} does not exist")
+    require_place(path, refusal=FieldError)
+    return path
 
 
 @app.command(
@@ -118,31 +226,102 @@ def certify(
             help="Add nothing: prove every certificate of the file again, for all its radii. Exit code 1: not proved.",
         ),
     ] = False,
-    mesh: Annotated[str | None, typer.Option(help="The mesh, where it is not where `fit` found it.")] = None,
+    mesh: WhereMesh = None,
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
     """Bound how far the field can over-state the distance where a chaser of this radius would touch."""
-    from keepout.cli.commands.mesh import certify_file, check_file
+    if check and prove_slope:
+        raise typer.BadParameter("--prove-slope adds a proof; --check proves what the file says and adds none")
+    if not check:
+        with terminal.progress(f"certify {field.name}") as progress:
+            summary = _certified(field, chaser_radius, prove_slope=prove_slope, mesh=mesh, seed=seed, progress=progress)
+        answer(summary, as_json, terminal.facts_table("Certificate", summary))
+        return
+    with terminal.progress(f"check {field.name}") as progress:
+        summary = _checked(field, mesh, seed, progress)
+    said = {True: "proved", False: "not proved"}
+    rows = summary["certificates"]
+    titles = [f"Certificate for {row['chaser_radius_m']:g} m: {said[row['proved']]}" for row in rows]
+    answer(summary, as_json, *map(terminal.facts_table, titles, rows))
+    raise typer.Exit(0 if summary["proved"] else 1)
 
-    if check:
-        if prove_slope:
-            raise typer.BadParameter("--prove-slope adds a proof; --check proves what the file says and adds none")
-        with terminal.progress(f"check {field.name}") as progress:
-            summary = check_file(field, mesh=mesh, seed=seed, progress=progress)
-        answer(summary, as_json)
-        if not as_json:
-            for row in summary["certificates"]:
-                said = "proved" if row["proved"] else "not proved"
-                Console().print(terminal.facts_table(f"Certificate for {row['chaser_radius_m']:g} m: {said}", row))
-        raise typer.Exit(0 if summary["proved"] else 1)
-    with terminal.progress(f"certify {field.name}") as progress:
-        summary = certify_file(
-            field, chaser_radius=chaser_radius, prove_slope=prove_slope, mesh=mesh, seed=seed, progress=progress
+
+def _certified(
+    path: Path,
+    chaser_radius: float,
+    *,
+    prove_slope: bool = False,
+    mesh: str | None = None,
+    seed: int,
+    progress: Progress,
+) -> dict[str, Any]:
+    """Add a certificate for a chaser radius to a field file; the mesh is found where `fit` found it unless given."""
+    from keepout.core.fields.model import FieldModel
+    from keepout.core.mission.target import load_target
+    from keepout.core.proof.certificate import certify
+
+    model = FieldModel.load(path)
+    require_place(path, refusal=FieldError)
+    target = load_target(recorded_target(path, model, mesh))
+    proof = {"chaser_radius": chaser_radius, "prove_slope": prove_slope}
+    model = certify(model, target, **proof, seed=seed, progress=progress)
+    model.save(path)
+    certificate = model.certificate(chaser_radius)
+    return {
+        "field": str(path),
+        "kind": certificate.kind,
+        "error_bound_m": certificate.error_bound,
+        "chaser_radius_m": certificate.chaser_radius,
+        "sampled_maximum_m": certificate.sampled_maximum,
+        "gradient_bound": certificate.gradient_bound,
+        "gradient_kind": certificate.gradient_kind,
+        "gradient_found": certificate.gradient_found,
+        "seconds": certificate.seconds,
+        "target_sha256": certificate.target_sha256,
+    }
+
+
+def _checked(path: Path, mesh: str | None, seed: int, progress: Progress) -> dict[str, Any]:
+    """Prove all certificates of a field file again, from its field and its mesh alone; the file stays as it is.
+
+    Raises:
+        FieldError: no certificate in it, or a mesh that the field was not made for.
+
+    """
+    from keepout.core.fields.model import FieldModel
+    from keepout.core.mission.target import load_target
+    from keepout.core.proof.certificate import check_certificate
+
+    model = FieldModel.load(path)
+    if not model.certificates:
+        raise FieldError(f"{path}: has no certificate to check; `keepout certify {path}` adds one")
+    target = load_target(recorded_target(path, model, mesh))
+    model.require_target(target, where=str(path))
+    rows = []
+    for place, stated in enumerate(model.certificates):
+        part = part_of(progress, place / len(model.certificates), (place + 1) / len(model.certificates))
+        check = check_certificate(model, target, stated, seed=seed, progress=part)
+        rows.append(
+            {
+                "chaser_radius_m": stated.chaser_radius,
+                "kind": stated.kind,
+                "proved": check.proved,
+                "error_bound_m": stated.error_bound,
+                "error_bound_now_m": check.error_bound,
+                "evaluation_error_m": stated.evaluation_error,
+                "evaluation_error_now_m": check.evaluation_error,
+                "gradient_kind": stated.gradient_kind,
+                "gradient_bound": stated.gradient_bound,
+                "gradient_bound_now": check.gradient_bound,
+            }
         )
-    answer(summary, as_json)
-    if not as_json:
-        Console().print(terminal.facts_table("Certificate", summary))
+    return {
+        "field": str(path),
+        "target_sha256": target.sha256,
+        "proved": all(row["proved"] for row in rows),
+        "certificates": rows,
+    }
 
 
 @app.command(
@@ -153,8 +332,8 @@ def certify(
 )
 def measure(
     field: Annotated[str, typer.Argument(help="A field file (.keepout); with --shipped, a built-in target's name.")],
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="Also draw it into this folder.")] = None,
-    mesh: Annotated[str | None, typer.Option(help="The mesh, where it is not where `fit` found it.")] = None,
+    out: DrawnInto = None,
+    mesh: WhereMesh = None,
     shipped: Annotated[
         bool, typer.Option("--shipped", help="Measure the field that comes with the package for a built-in target.")
     ] = False,
@@ -162,20 +341,30 @@ def measure(
     as_json: AsJson = False,
 ) -> None:
     """Measure a field against its mesh, and list its certificates."""
-    from keepout.cli.commands import usage
-    from keepout.cli.commands.mesh import measure_field
-    from keepout.core.fields import shipped_path
-
     if not shipped and not field.endswith(".keepout"):
         raise typer.BadParameter(
             f"{field} is not a .keepout file; `keepout describe {field}` says what is wrong with a mesh"
         )
     with terminal.progress(f"measure {field}") as progress:
+        from keepout.core.fields import shipped_path
+        from keepout.core.fields.model import FieldModel
+        from keepout.core.measures.quality import measure_model
+        from keepout.core.mission.target import load_target
+        from keepout.flights.pages.folder import results_in
+
         with usage():
             path = shipped_path(field) if shipped else Path(field)
-        summary = measure_field(path, out, mesh=mesh, seed=seed, progress=progress)
-        tables = terminal.measures_tables(summary)
-    answer(summary, as_json)
-    if not as_json:
-        for table in tables:
-            Console().print(table)
+        target = load_target(recorded_target(path, FieldModel.load(path), mesh))
+        model = FieldModel.load(path, target=target)
+        with results_in(out):
+            measures, surface = measure_model(model, target, seed=seed, progress=part_of(progress, 0.0, 0.9))
+            summary: dict[str, Any] = {"field": str(path), **measures}
+            if out is not None:
+                from keepout.flights.pages.mesh_pictures import draw_slices, draw_surface
+
+                progress(0.9, "pictures")
+                draw_slices(out / "slices.png", model, target)
+                draw_surface(out / "surface.png", target, surface, level=measures["surface"]["level"])
+                summary["pictures"] = [str(out / "slices.png"), str(out / "surface.png")]
+        progress(1.0, "")
+    answer(summary, as_json, *terminal.measures_tables(summary))

@@ -1,13 +1,28 @@
-"""The application that commands are added to, the options that they share, and how they answer."""
+"""The application that commands are added to, and what they share: options, missions, targets, answers.
+
+Each command imports what it needs when it is called: who lists targets does not wait for what flies and draws. Each
+tries where its results are to go before it works, and leaves nothing behind where it refuses.
+"""
 
 import json
 import math
 import sys
-from collections.abc import Callable
-from typing import Annotated, Any
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.console import Console
 from typer.core import TyperGroup
+
+from keepout.core.errors import FieldError, KeepoutError, ScenarioError, UsageError
+from keepout.flights.pages import terminal
+
+if TYPE_CHECKING:
+    from keepout.core.fields.model import FieldModel
+    from keepout.core.mission.entries import TargetEntry
+    from keepout.core.mission.scenario import Scenario
 
 ORDER = (
     *("targets", "describe", "fit", "certify", "measure", "fly", "explore", "inspect", "replay"),
@@ -49,6 +64,11 @@ def at_least(
     return check
 
 
+def from_zero(help: str) -> Any:
+    """Give an option for a number that is not negative."""
+    return typer.Option(callback=at_least(0.0), help=help)
+
+
 _SEED = at_least(0, 2**32 - 1)
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on standard output; all else on standard error.")]
 Seed = Annotated[int, typer.Option(callback=_SEED, help="Of every random choice; the same seed gives the same answer.")]
@@ -56,9 +76,7 @@ ScenarioSeed = Annotated[int | None, typer.Option(callback=_SEED, help="Replaces
 Units = Annotated[str | None, typer.Option(help="Length unit of a mesh file: m, cm, mm, in or ft.")]
 Scale = Annotated[float | None, typer.Option(help="Metres per unit of a mesh file, instead of --units.")]
 DropStray = Annotated[bool, typer.Option("--drop-stray", help="Leave out parts far from the rest.")]
-ChaserRadius = Annotated[
-    float, typer.Option(callback=at_least(0.0), help="Radius of the ball that holds the chaser, m.")
-]
+ChaserRadius = Annotated[float, from_zero("Radius of the ball that holds the chaser, m.")]
 
 
 def example(*lines: str) -> str:
@@ -66,7 +84,67 @@ def example(*lines: str) -> str:
     return "**Example**\n\n" + "\n\n".join(f"`{line}`" for line in lines)
 
 
-def answer(summary: Any, as_json: bool) -> None:
-    """Print the machine's answer on standard output, or the person's tables."""
+def answer(summary: Any, as_json: bool, *told: Any) -> None:
+    """Print the machine's answer on standard output, or the person's tables and words."""
     if as_json:
         sys.stdout.write(json.dumps(summary, indent=2, allow_nan=False) + "\n")
+        return
+    for part in told:
+        words = isinstance(part, str)
+        Console().print(part, highlight=not words, markup=not words, soft_wrap=isinstance(part, terminal.Line))
+
+
+def mission_of(path: Path, seed: int | None) -> "Scenario":
+    """Load a scenario, with another seed where one is given."""
+    from keepout.core.mission.scenario import Scenario
+
+    mission = Scenario.load(path)
+    return mission if seed is None else mission.replace(seed=seed)
+
+
+@contextmanager
+def usage() -> Iterator[None]:
+    """Turn the refusals of what reads an option's value into those of a command that cannot be meant.
+
+    Raises:
+        UsageError: for any `KeepoutError`.
+
+    """
+    try:
+        yield
+    except KeepoutError as error:
+        raise UsageError(str(error)) from None
+
+
+def target_entry(source: Mapping[str, Any], *, options: str = "--") -> "TargetEntry":
+    """Make an entry of options named like the entries of `[target]`; one that is None is left out.
+
+    Args:
+        source: the options.
+        options: what each one's name begins with on the command line, for a refusal.
+
+    Raises:
+        UsageError: an option is not valid.
+
+    """
+    from keepout.core.mission.scenario import Scenario
+
+    given = {key: value for key, value in source.items() if value is not None}
+    try:
+        return Scenario.parse({"target": given}).target
+    except ScenarioError as error:  # the user gave options, not a scenario
+        raise UsageError(str(error).replace("scenario: target.", options)) from None
+
+
+def recorded_target(path: Path, model: "FieldModel", mesh: str | None) -> "TargetEntry":
+    """Say where a field's mesh is: as given, or as `fit` recorded it, or the built-in of its name."""
+    from keepout.core.geometry.builtin import BUILTINS
+
+    recorded = model.training.get("target")
+    if mesh is not None:
+        return target_entry({**(recorded or {}), "source": mesh})
+    if recorded is not None:
+        return target_entry(recorded)
+    if model.target_name in BUILTINS:
+        return target_entry({"source": model.target_name})
+    raise FieldError(f"{path}: does not say where its mesh is; name it with --mesh")

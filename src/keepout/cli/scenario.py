@@ -1,13 +1,16 @@
 """Commands on scenario files: scenario new, check, schema."""
 
+import json
 import sys
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 
-from keepout.cli.options import AsJson, DropStray, Scale, Units, answer, app, example
+from keepout.cli.options import AsJson, DropStray, Scale, Units, answer, app, example, mission_of
+from keepout.core.errors import ScenarioError, UsageError
+from keepout.core.progress import Progress
 from keepout.flights.pages import terminal
 
 scenarios = typer.Typer(
@@ -39,18 +42,59 @@ def new_scenario(
 
     With --for it has a start and a goal outside the target, a speed that the thrusters honour, and enough time.
     """
-    from keepout.cli.commands.scenario import new_scenario_file
-
     source = {"source": target, "units": units, "scale": scale, "drop_stray": drop_stray}
+    given = {key: value for key, value in source.items() if value}
     with terminal.progress("scenario new") as progress:
-        summary = new_scenario_file(source, out, profile=profile, force=force, progress=progress)
+        summary = _drafted(given, out, profile, force, progress)
     if out is None and not as_json:
         sys.stdout.write(summary["text"])
         return
-    answer(summary, as_json)
-    if not as_json:
-        for line in [f"written to {out}", *(f"next: {step}" for step in summary["next"])]:
-            Console().print(line, highlight=False, markup=False, soft_wrap=True)
+    told = [f"written to {out}", *(f"next: {step}" for step in summary["next"])]
+    answer(summary, as_json, *map(terminal.Line, told))
+
+
+def _drafted(
+    given: Mapping[str, Any], out: Path | None, profile: str, force: bool, progress: Progress
+) -> dict[str, Any]:
+    """Draft a scenario, for a target where `given` names one, and write it to `out` where that is given."""
+    from keepout.core.mission.draft import draft
+    from keepout.core.whole_file import require_place, write_whole
+
+    if out is not None and out.suffix != ".toml":
+        raise UsageError(f"{out}: a scenario file ends in .toml")
+    if out is not None and out.exists() and not force:
+        raise ScenarioError(f"{out}: is there already; --force replaces it")
+    if out is not None and not out.absolute().parent.is_dir():
+        raise ScenarioError(f"{out}: the folder {out.parent} does not exist")
+    if out is not None:
+        require_place(out, refusal=ScenarioError)
+    if profile not in ("default", "paper"):
+        raise UsageError(f"--profile: {profile!r}; it must be 'default' or 'paper'")
+    if "source" not in given and given:
+        raise UsageError(f"--{next(iter(given)).replace('_', '-')}: only with --for, which names the mesh")
+    name = "mission" if out is None else "".join(c if c.isalnum() and c.isascii() else "-" for c in out.stem).strip("-")
+    made = draft(
+        **given,
+        name=name or "mission",
+        folder=Path() if out is None else out.parent,
+        profile=profile,
+        progress=progress,
+    )
+    if out is not None:
+        write_whole(out, made.text, refusal=ScenarioError)
+    chaser = made.scenario.chaser
+    return {
+        "scenario": None if out is None else str(out),
+        "text": made.text,
+        "extents_m": made.extents,
+        "start_m": list(made.scenario.start.position),
+        "goal_m": list(made.scenario.goal.position),
+        "speed_limit_mps": chaser.speed_limit,
+        "honoured_speed_mps": made.honoured_speed,
+        "margin_m": made.scenario.safety.margin,
+        "duration_s": made.scenario.duration,
+        "next": [*made.remarks, *([] if out is None else [f"keepout scenario check {out}", f"keepout fly {out}"])],
+    }
 
 
 @scenarios.command("check", epilog=example("keepout scenario check mission.toml"))
@@ -62,14 +106,12 @@ def check_scenario(
 
     Where it would be refused, the nearest values that would not are looked for, and the exit code is 1.
     """
-    from keepout.cli.commands.scenario import check_scenario_file
-
     with terminal.progress(f"check {scenario.name}") as progress:
-        summary = check_scenario_file(scenario, progress=progress)
-    answer(summary, as_json)
-    if not as_json:
-        for part in terminal.check_parts(summary):
-            Console().print(part, highlight=False, markup=False)
+        mission = mission_of(scenario, None)  # before what checks it is imported, which takes seconds
+        from keepout.core.mission.check import check
+
+        summary = check(mission, progress=progress).summary()
+    answer(summary, as_json, *terminal.check_parts(summary))
     if not summary["flies"]:
         raise typer.Exit(1)
 
@@ -81,7 +123,12 @@ def schema_of_scenarios(
     ] = None,
 ) -> None:
     """Write the JSON Schema of scenarios, by which editors complete and check them."""
-    from keepout.cli.commands.scenario import schema_file
+    from keepout.core.mission.scenario import schema
+    from keepout.core.whole_file import require_place, write_whole
 
-    text = schema_file(out)
+    if out is not None:
+        require_place(out, refusal=ScenarioError)
+    text = json.dumps(schema(), indent=2, ensure_ascii=False) + "\n"
+    if out is not None:
+        write_whole(out, text, refusal=ScenarioError)
     sys.stdout.write(text if out is None else f"written to {out}\n")

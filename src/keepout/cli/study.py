@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
-from keepout.cli.options import AsJson, ScenarioSeed, Seed, answer, app, at_least, example
+from keepout.cli.options import AsJson, ScenarioSeed, Seed, answer, app, at_least, example, mission_of
+from keepout.core.progress import part_of
 from keepout.flights.pages import terminal
 
 
@@ -28,20 +28,18 @@ def rare(
 
     A killed run goes on from its last level when started again.
     """
-    from keepout.cli.commands.study import rare_to_folder
-    from keepout.core.mission.scenario import Scenario
-
-    mission = Scenario.load(scenario)
-    if seed is not None:
-        mission = mission.replace(seed=seed)
+    mission = mission_of(scenario, seed)
     with terminal.progress(f"rare {mission.name}") as progress:
-        summary = rare_to_folder(
-            mission, out, below=below, runs=runs, flights=256 if quick else flights, progress=progress
-        )
-    answer(summary, as_json)
-    if not as_json:
-        Console().print(summary["said"])
-        Console().print(f"written to [bold]{out}[/bold]")
+        from keepout.flights.pages.folder import results_in, write_summary
+        from keepout.flights.pages.rare_page import write_rare
+        from keepout.flights.rare_events.event import rare
+
+        each = {"runs": runs, "flights": 256 if quick else flights}
+        with results_in(out):
+            event = rare(mission, below=below, **each, state=out, progress=part_of(progress, 0.0, 0.97))
+            summary = write_rare(out, event)
+            write_summary(out, summary)
+    answer(summary, as_json, summary["said"], terminal.Line(f"written to {out}"))
 
 
 @app.command(epilog=example("keepout reproduce all --quick -o out/paper"))
@@ -69,9 +67,8 @@ def reproduce(
 
     with terminal.progress(f"reproduce {' '.join(experiments)}") as progress:
         parts = repeat(experiments, out, quick=quick, seed=seed, fields=fields, progress=progress)
-    answer([row for part in parts for row in part.named_rows], as_json)
-    if not as_json:
-        for part in parts:
-            for table in part.tables:
-                Console().print(terminal.entries_table(f"{part.title}: {table.caption}", table.rows))
-        Console().print(f"open [bold]{out / 'index.html'}[/bold]; tables (CSV) and figures stand beside it")
+    tables = [
+        terminal.entries_table(f"{part.title}: {table.caption}", table.rows) for part in parts for table in part.tables
+    ]
+    last = terminal.Line(f"open {out / 'index.html'}; tables (CSV) and figures stand beside it")
+    answer([row for part in parts for row in part.named_rows], as_json, *tables, last)

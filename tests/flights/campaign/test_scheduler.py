@@ -40,7 +40,7 @@ def test_without_dask_the_line_that_installs_it_is_named(monkeypatch):
 
 @pytest.mark.long
 def test_nothing_imports_dask_unless_a_scheduler_is_given():
-    modules = "keepout.cli, keepout.cli.commands.campaign, keepout.flights.campaign.run"
+    modules = "keepout.cli, keepout.cli.campaign, keepout.flights.campaign.run"
     said = f"import sys, {modules}; print('distributed' in sys.modules)"
     answer = subprocess.run([sys.executable, "-c", said], capture_output=True, text=True, check=True, env=os.environ)
     assert answer.stdout.strip() == "False"

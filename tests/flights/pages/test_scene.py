@@ -13,7 +13,7 @@ from truths.invented_flight import record_of
 from truths.passing import RADIUS, SPEED, START, STEPS, box_scenario, pass_position, pass_record
 from truths.replay_page import ReplayPage
 
-from keepout.cli.commands.flight import replay_to_page
+from keepout.cli.flight import replay_to_page
 from keepout.core.audit.tube import FlightBounds
 from keepout.core.errors import FieldError, FlightError, KeepoutError, MeshError
 from keepout.core.fields.field import values

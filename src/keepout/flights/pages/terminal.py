@@ -6,7 +6,8 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.cells import cell_len
@@ -73,6 +74,36 @@ def standing_lines() -> "Callable[[Standing], None]":
             sys.stderr.flush()
 
     return tell
+
+
+class Line(str):
+    """Words that are printed as one line, however long: they end in a path."""
+
+
+@dataclass(frozen=True)
+class MissionCommand:
+    """A command that flies a scenario into a folder, as an application adds it (`core/plug_ins.py`).
+
+    Attributes:
+        help: what it does.
+        example: a command line.
+        scenario: what its scenario is.
+        out: what its folder is for.
+        figures: what it draws beside the page.
+        fly: flies a scenario into a folder, with `figures` and `progress`; gives the summary.
+        table: gives the summary for a person.
+        check: refuses a file by its name.
+
+    """
+
+    help: str
+    example: str
+    scenario: str
+    out: str
+    figures: str
+    fly: Callable[..., dict[str, Any]]
+    table: Callable[[dict[str, Any]], Table]
+    check: Callable[[Path], None] = lambda path: None
 
 
 WIDTH = 80

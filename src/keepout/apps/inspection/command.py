@@ -1,10 +1,13 @@
-"""The command that sees all of a target, as a function: what `inspect` does."""
+"""The command `inspect`; it imports what flies and draws when it is called."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rich.table import Table
+
 from keepout.core.errors import ScenarioError
 from keepout.core.progress import Progress, part_of, silent
+from keepout.flights.pages.terminal import MissionCommand, result_table
 
 if TYPE_CHECKING:
     from keepout.core.mission.scenario import Scenario
@@ -12,15 +15,14 @@ if TYPE_CHECKING:
 FRAMES = "frames.parquet"
 
 
-def mission_of(path: Path) -> "Scenario":
-    """Load the mission to inspect by; a mesh or a field is what the commands `describe` and `measure` are for.
+def require_mission(path: Path) -> None:
+    """Refuse a mesh or a field, which the commands `describe` and `measure` are for.
 
     Raises:
-        ScenarioError: the file is no scenario.
+        ScenarioError: the file is no scenario by its name.
 
     """
     from keepout.core.geometry.mesh_files import READERS
-    from keepout.core.mission.scenario import Scenario
 
     ending = path.suffix.lower()
     if ending == ".keepout":
@@ -32,7 +34,6 @@ def mission_of(path: Path) -> "Scenario":
             f"{path}: no mission in TOML, which `keepout inspect` flies; `keepout describe {path}` says what is wrong "
             "with a mesh, `keepout measure` measures a field"
         )
-    return Scenario.load(path)
 
 
 def inspect_to_folder(
@@ -54,3 +55,21 @@ def inspect_to_folder(
         summary |= {"frames_file": str(frames)}
         write_summary(out, summary)
     return summary
+
+
+def _table(summary: dict[str, Any]) -> Table:
+    from keepout.apps.inspection.inspection_page import ROWS
+
+    return result_table(f"Inspection {summary['name']}", summary, ROWS)
+
+
+INSPECT = MissionCommand(
+    help="See all of a target that can be seen, in light, without touching it; audit the flight on the exact mesh.",
+    example="keepout inspect examples/inspect.toml -o out/inspect",
+    scenario="A scenario file (TOML), with [camera], [light] and [inspect] as needed.",
+    out="Folder for flight file, frames, pictures and page.",
+    figures="pictures",
+    fly=inspect_to_folder,
+    table=_table,
+    check=require_mission,
+)
