@@ -226,7 +226,7 @@ monitoring.register_event_duration_secs_listener(
 monitoring.register_event_listener(lambda name, **_: hits.append(name.endswith("/cache_hits")))
 from keepout.core.compiled.kept_programs import keep_programs
 from keepout.core.fields import evaluate
-from keepout.core.fields.analytic import SphereField
+from keepout.core.fields.own import SphereField
 before = jax.config.jax_compilation_cache_dir
 keep_programs()
 value = field.values(SphereField(jnp.zeros(3), jnp.asarray(2.0)), np.ones((1, 3)))[0]

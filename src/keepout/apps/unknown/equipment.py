@@ -2,8 +2,11 @@
 
 import math
 from pathlib import Path
+from typing import no_type_check
 
+import numba
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
 from keepout.apps.led.camera import Pinhole
 from keepout.apps.unknown import map_file
@@ -12,7 +15,6 @@ from keepout.apps.unknown.depth_sensor import DepthCamera
 from keepout.apps.unknown.known_free import KnownFreeMap
 from keepout.apps.unknown.view import SensorBounds
 from keepout.core.errors import ScenarioError
-from keepout.core.geometry.octree import cubes_met
 from keepout.core.geometry.target import Target
 from keepout.core.mission.scenario import Scenario
 
@@ -20,6 +22,8 @@ _CAP = 1.5
 """Metres from unknown room beyond which the default law flies at its full speed, about."""
 _SHALLOWEST = 1.0
 """Metres between the least and the greatest range used, below which nothing could be seen from where one may be."""
+_TOUCHED = 1e-9
+"""Metres by which each side of a cube is moved inwards, so that a triangle that only touches it does not count."""
 
 
 def depth_camera(scenario: Scenario) -> DepthCamera:
@@ -212,3 +216,54 @@ def broken_promises(scenario: Scenario, target: Target, ball: DeclaredBall) -> t
     if scenario.depth_sensor.broken != "none":
         found.append(f"depth_sensor.broken {scenario.depth_sensor.broken} (docs/depth-sensor.md)")
     return tuple(found)
+
+
+def cubes_met(
+    vertices: Float[np.ndarray, "v 3"],
+    faces: Int[np.ndarray, "f 3"],
+    origin: Float[np.ndarray, "3"],
+    spacing: float,
+    count: int,
+) -> Bool[np.ndarray, "n n n"]:
+    """Say of count³ cubes of edge `spacing` (m) from the corner `origin` (m) on which of them a mesh (m) meets.
+
+    Exact but for rounding: what reaches less than a billionth of a metre into a cube may not count.
+    """
+    met = np.zeros((count, count, count), dtype=np.bool_)
+    _meet((vertices[faces] - origin) / spacing, 0.5 - _TOUCHED / spacing, met)
+    return met
+
+
+@no_type_check
+@numba.njit(cache=True, nogil=True)
+def _meet(triangles, half, met):
+    """Mark the unit cubes, cut to the half side `half`, that triangles in units of the edge meet.
+
+    Two convex bodies are apart just where a plane parts them. Of a triangle and a cube it is enough to look along the
+    cube's sides, along the triangle's normal, and along the products of their edges.
+    """
+    last = len(met) - 1
+    axes = np.empty((13, 3))
+    axes[:3] = np.eye(3)
+    for t in range(len(triangles)):
+        corners = triangles[t]
+        for e in range(3):
+            x, y, z = corners[(e + 1) % 3] - corners[e]
+            axes[3 + 3 * e], axes[4 + 3 * e], axes[5 + 3 * e] = (0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)
+        axes[12] = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+        low, high = np.empty(13), np.empty(13)
+        for a in range(13):
+            along = corners @ axes[a]
+            reach = half * np.abs(axes[a]).sum()
+            low[a], high[a] = along.min() - reach, along.max() + reach
+        for i in range(max(int(np.floor(low[0])), 0), min(int(np.floor(high[0])), last) + 1):
+            for j in range(max(int(np.floor(low[1])), 0), min(int(np.floor(high[1])), last) + 1):
+                for k in range(max(int(np.floor(low[2])), 0), min(int(np.floor(high[2])), last) + 1):
+                    apart = met[i, j, k]
+                    for a in range(13):
+                        middle = (i + 0.5) * axes[a, 0] + (j + 0.5) * axes[a, 1] + (k + 0.5) * axes[a, 2]
+                        if apart or middle < low[a] or middle > high[a]:
+                            apart = True
+                            break
+                    if not apart:
+                        met[i, j, k] = True

@@ -19,8 +19,8 @@ from jaxtyping import Array, Float
 from keepout.core.fields.field import of_places, within_numbers
 from keepout.core.geometry.distance import Distance
 
-Batch = Float[Array, "n"]
-Points = Float[Array, "n 3"]
+Rows = Float[Array, "n"]
+Vectors = Float[Array, "n 3"]
 Matrices = Float[Array, "n 3 3"]
 
 
@@ -43,7 +43,7 @@ class RadialContinuation(eqx.Module):
     outer_radius: Float[Array, ""]
     allowance: Float[Array, ""]
 
-    def _radial(self, points: Points):
+    def _radial(self, points: Vectors):
         y = within_numbers(points) - self.centre
         outside = jnp.sum(y * y, axis=-1) > self.domain_radius**2
         # Inside, a harmless stand-in keeps every derivative finite; its results are not used.
@@ -57,7 +57,7 @@ class RadialContinuation(eqx.Module):
         psi2 = -6.0 * t * (1.0 - t) / width
         return outside, away, r, psi, psi1, psi2
 
-    def _lowering(self, points: Points) -> tuple[Batch, Points, Matrices]:
+    def _lowering(self, points: Vectors) -> tuple[Rows, Vectors, Matrices]:
         """Return the allowance times a smoothstep from ρ_T to ρ_0, with its gradient and Hessian."""
         y = within_numbers(points) - self.centre
         beyond = jnp.sum(y * y, axis=-1) > self.target_radius**2
@@ -73,28 +73,28 @@ class RadialContinuation(eqx.Module):
         hessian = second[:, None, None] * uu + (first / r)[:, None, None] * (jnp.eye(3) - uu)
         return value, first[:, None] * u, hessian
 
-    def _rise(self, s: Batch) -> Batch:
+    def _rise(self, s: Rows) -> Rows:
         """F(s)."""
         return jnp.sqrt(s * s - self.target_radius**2) - self.target_radius * jnp.arccos(self.target_radius / s)
 
-    def _rise_derivatives(self, s: Batch) -> tuple[Batch, Batch]:
+    def _rise_derivatives(self, s: Rows) -> tuple[Rows, Rows]:
         """F'(s) and F''(s)."""
         ratio = self.target_radius / s
         slope = jnp.sqrt(1.0 - ratio * ratio)
         return slope, ratio * ratio / (s * slope)
 
-    def into_domain(self, points: Points) -> Points:
+    def into_domain(self, points: Vectors) -> Vectors:
         """Return the points at which the field is asked: unchanged inside the domain."""
         outside, away, r, psi, *_ = self._radial(points)
         return jnp.where(outside[:, None], self.centre + away * (psi / r)[:, None], points)
 
-    def value(self, points: Points, value: Batch) -> Batch:
+    def value(self, points: Vectors, value: Rows) -> Rows:
         """Return the continued value, from the field's value at `into_domain(points)`."""
         outside, _, r, psi, _, _ = self._radial(points)
         added = self._rise(r) - self._rise(psi)
         return of_places(points, value + jnp.where(outside, added, 0.0) - self._lowering(points)[0])
 
-    def gradient(self, points: Points, gradient: Points) -> Points:
+    def gradient(self, points: Vectors, gradient: Vectors) -> Vectors:
         """Return the continued gradient, from the field's gradient at `into_domain(points)`."""
         outside, away, r, psi, psi1, _ = self._radial(points)
         u = away / r[:, None]
@@ -106,7 +106,7 @@ class RadialContinuation(eqx.Module):
         continued = jnp.where(outside[:, None], tangential + (psi1 * radial + added)[:, None] * u, gradient)
         return continued - self._lowering(points)[1]
 
-    def hessian(self, points: Points, gradient: Points, hessian: Matrices) -> Matrices:
+    def hessian(self, points: Vectors, gradient: Vectors, hessian: Matrices) -> Matrices:
         """Return the continued Hessian, from the field's gradient and Hessian at `into_domain(points)`.
 
         With q = φ(r) y, φ = ψ/r: Dqᵀ H Dq + φ' (u gᵀ + g uᵀ) + (g·y)(φ'' u uᵀ + (φ'/r)(I - u uᵀ)), and radial terms.

@@ -13,6 +13,9 @@ from jaxtyping import Array, Float
 
 from keepout.core.compiled.kept_executables import kept_jit
 
+Points = Float[Array, "*batch 3"]
+Values = Float[Array, "*batch"]
+Hessians = Float[Array, "*batch 3 3"]
 PIECE = 4096
 """Rows that a field is evaluated on at once from NumPy: pieces of one size, so that it is compiled once."""
 
@@ -20,12 +23,12 @@ _FARTHEST = 1e150
 """Beyond this along an axis (m) a point counts as if it were here: its square is still a number."""
 
 
-def within_numbers(points: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
+def within_numbers(points: Points) -> Points:
     """Give the nearest points (m) whose distances float64 can hold: nearer to all of a target, or the points."""
     return jnp.clip(points, -_FARTHEST, _FARTHEST)
 
 
-def of_places(points: Float[Array, "*batch 3"], value: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+def of_places(points: Points, value: Values) -> Values:
     """Give the value (m), and −∞ where the point is none: a component that is infinite or not a number."""
     return jnp.where(jnp.all(jnp.isfinite(points), axis=-1), value, -jnp.inf)
 
@@ -40,19 +43,16 @@ class Field(eqx.Module):
     """
 
     @abc.abstractmethod
-    def value(self, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
+    def value(self, points: Points) -> Values:
         """Signed distance in metres."""
 
-    @abc.abstractmethod
-    def value_and_gradient(
-        self, points: Float[Array, "*batch 3"]
-    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch 3"]]:
+    def value_and_gradient(self, points: Points) -> tuple[Values, Points]:
         """Signed distance in metres and its gradient (dimensionless, not normalised)."""
+        value, gradient, _ = self.value_gradient_hessian(points)
+        return value, gradient
 
     @abc.abstractmethod
-    def value_gradient_hessian(
-        self, points: Float[Array, "*batch 3"]
-    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch 3"], Float[Array, "*batch 3 3"]]:
+    def value_gradient_hessian(self, points: Points) -> tuple[Values, Points, Hessians]:
         """Signed distance in metres, gradient, and Hessian in 1/m."""
 
 

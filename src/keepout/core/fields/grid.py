@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Float32, Int, Int32
 
 from keepout.core.fields.continuation import RadialContinuation
-from keepout.core.fields.field import Field
+from keepout.core.fields.field import Field, Hessians, Points, Values
 
 BLOCK = 8
 """Cells along a block's edge."""
@@ -68,7 +68,7 @@ class GridField(Field):
         c = jax.vmap(lambda n, i: jax.lax.dynamic_slice(blocks, (n, i[0], i[1], i[2]), (1, 4, 4, 4))[0])(number, cell)
         return c.astype(jnp.float64), place - cell, step
 
-    def value(self, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
+    def value(self, points: Points) -> Values:
         """Signed distance in metres."""
         flat = points.reshape(-1, 3)
         c, t, _ = self._cells(self.continuation.into_domain(flat))
@@ -78,16 +78,7 @@ class GridField(Field):
         value = jnp.einsum("nk,nk->n", jnp.einsum("njk,nj->nk", along, y), z)
         return self.continuation.value(flat, value).reshape(points.shape[:-1])
 
-    def value_and_gradient(
-        self, points: Float[Array, "*batch 3"]
-    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch 3"]]:
-        """Signed distance in metres and its gradient."""
-        value, gradient, _ = self.value_gradient_hessian(points)
-        return value, gradient
-
-    def value_gradient_hessian(
-        self, points: Float[Array, "*batch 3"]
-    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch 3"], Float[Array, "*batch 3 3"]]:
+    def value_gradient_hessian(self, points: Points) -> tuple[Values, Points, Hessians]:
         """Signed distance in metres, gradient, and Hessian in 1/m."""
         batch = points.shape[:-1]
         flat = points.reshape(-1, 3)

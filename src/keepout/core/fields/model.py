@@ -4,6 +4,7 @@ import dataclasses
 import itertools
 import json
 import sys
+import time
 from pathlib import Path
 from typing import Any, Literal
 
@@ -32,6 +33,9 @@ _RADIUS_TOLERANCE = 1e-9
 _MOST = sys.float_info.max
 
 
+CertificateKind = Literal["certified", "sampled"]
+
+
 @dataclasses.dataclass(frozen=True)
 class Certificate:
     """An upper bound of f̃ where the chaser touches, for one target, one field and one chaser radius.
@@ -54,13 +58,13 @@ class Certificate:
 
     """
 
-    kind: Literal["certified", "sampled"]
+    kind: CertificateKind
     chaser_radius: float
     error_bound: float
     allowance: float
     sampled_maximum: float
     gradient_bound: float
-    gradient_kind: Literal["certified", "sampled"]
+    gradient_kind: CertificateKind
     evaluation_error: float
     seconds: float
     target_sha256: str
@@ -151,6 +155,29 @@ class FieldModel:
         others = [c for c in self.certificates if abs(c.chaser_radius - certificate.chaser_radius) > _RADIUS_TOLERANCE]
         ordered = sorted([*others, certificate], key=lambda c: c.chaser_radius)
         return dataclasses.replace(self, certificates=tuple(ordered))
+
+    def certified(
+        self, kind: Literal["certified", "sampled"], chaser_radius: float, start: float, **numbers: Any
+    ) -> "FieldModel":
+        """Return the same model with one more certificate of its field and target.
+
+        Args:
+            kind: of the certificate.
+            chaser_radius: metres.
+            start: when the proof or the search began, by `time.perf_counter`.
+            numbers: the certificate's others.
+
+        """
+        return self.with_certificate(
+            Certificate(
+                kind=kind,
+                chaser_radius=float(chaser_radius),
+                seconds=time.perf_counter() - start,
+                target_sha256=self.target_sha256,
+                field_sha256=self.sha256,
+                **numbers,
+            )
+        )
 
     def require_target(self, target: Target, *, where: str) -> None:
         """Refuse a target that is not the one that the field was made for; `where` begins the message.

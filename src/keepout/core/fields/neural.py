@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from keepout.core.fields.continuation import RadialContinuation
-from keepout.core.fields.field import Field
+from keepout.core.fields.continuation import Matrices, RadialContinuation, Rows, Vectors
+from keepout.core.fields.field import Field, Hessians, Points, Values
 
 CHUNK = 128
 """Points evaluated together: their activations stay in cache on a CPU."""
@@ -52,7 +52,7 @@ def softplus_and_slope(z: Float[Array, "*n"], beta: float) -> tuple[Float[Array,
     return value, jnp.where(t > 0.0, reciprocal, e * reciprocal)
 
 
-def value(layers: Layers, beta: float, x: Float[Array, "n 3"]) -> Float[Array, "n"]:
+def value(layers: Layers, beta: float, x: Vectors) -> Rows:
     """Return the network's value at each row of x."""
     a = x
     for W, b in zip(layers.weights[:-1], layers.biases[:-1]):
@@ -60,9 +60,7 @@ def value(layers: Layers, beta: float, x: Float[Array, "n 3"]) -> Float[Array, "
     return times(a, layers.weights[-1].T)[:, 0] + layers.biases[-1][0]
 
 
-def value_and_gradient(
-    layers: Layers, beta: float, x: Float[Array, "n 3"]
-) -> tuple[Float[Array, "n"], Float[Array, "n 3"]]:
+def value_and_gradient(layers: Layers, beta: float, x: Vectors) -> tuple[Rows, Vectors]:
     """Value and gradient at each row of x: one forward and one reverse sweep."""
     return sweeps(layers, beta, x)[0]
 
@@ -75,9 +73,7 @@ class Kept(NamedTuple):
     z_bars: list[Float[Array, "n _"]]
 
 
-def sweeps(
-    layers: Layers, beta: float, x: Float[Array, "n 3"]
-) -> tuple[tuple[Float[Array, "n"], Float[Array, "n 3"]], Kept]:
+def sweeps(layers: Layers, beta: float, x: Vectors) -> tuple[tuple[Rows, Vectors], Kept]:
     """Value and gradient at each row of x, and what a further derivative needs of their sweeps."""
     activations, slopes = [x], []
     for W, b in zip(layers.weights[:-1], layers.biases[:-1]):
@@ -92,9 +88,7 @@ def sweeps(
     return (out, a_bar), Kept(activations, slopes, z_bars[::-1])
 
 
-def value_gradient_hessian(
-    layers: Layers, beta: float, x: Float[Array, "n 3"]
-) -> tuple[Float[Array, "n"], Float[Array, "n 3"], Float[Array, "n 3 3"]]:
+def value_gradient_hessian(layers: Layers, beta: float, x: Vectors) -> tuple[Rows, Vectors, Matrices]:
     """Value, gradient and Hessian at each row of x.
 
     One forward sweep carries the value and three tangents J_l = ∂z_l/∂x; one reverse sweep carries ā_l = ∂f/∂a_l and
@@ -124,7 +118,7 @@ def value_gradient_hessian(
 
 def _sum_of_curvatures(
     curvatures: list[tuple[Float[Array, "n _"], Float[Array, "3 n _"]]],
-) -> Float[Array, "n 3 3"]:
+) -> Matrices:
     """Return Σ_l J_lᵀ diag(c_l) J_l of each point.
 
     Layers of one width are added up before the neurons are: few large sums are faster than many small ones.
@@ -144,7 +138,7 @@ def _sum_of_curvatures(
     return jnp.stack(rows, axis=-2)
 
 
-def in_chunks(function, x: Float[Array, "n 3"], chunk: int = CHUNK):
+def in_chunks(function, x: Vectors, chunk: int = CHUNK):
     """Apply a function of rows chunk by chunk; every answer keeps the rows first."""
     n = x.shape[0]
     if n <= 2 * chunk:
@@ -174,7 +168,7 @@ class NeuralField(Field):
     continuation: RadialContinuation
     beta: float = eqx.field(static=True)
 
-    def _evaluate(self, function, points: Float[Array, "*batch 3"]) -> tuple[Any, Any, tuple[int, ...]]:
+    def _evaluate(self, function, points: Points) -> tuple[Any, Any, tuple[int, ...]]:
         batch = points.shape[:-1]
         flat = jnp.asarray(points, jnp.float64).reshape(-1, 3)
 
@@ -185,23 +179,19 @@ class NeuralField(Field):
 
         return flat, in_chunks(rows, flat), batch
 
-    def value(self, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
+    def value(self, points: Points) -> Values:
         """Signed distance in metres."""
         flat, y, batch = self._evaluate(value, points)
         return self.continuation.value(flat, y.astype(jnp.float64) * self.scale).reshape(batch)
 
-    def value_and_gradient(
-        self, points: Float[Array, "*batch 3"]
-    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch 3"]]:
+    def value_and_gradient(self, points: Points) -> tuple[Values, Points]:
         """Signed distance in metres and its gradient, by one forward and one reverse sweep."""
         flat, (y, g), batch = self._evaluate(value_and_gradient, points)
         value = self.continuation.value(flat, y.astype(jnp.float64) * self.scale)
         gradient = self.continuation.gradient(flat, g.astype(jnp.float64))
         return value.reshape(batch), gradient.reshape(*batch, 3)
 
-    def value_gradient_hessian(
-        self, points: Float[Array, "*batch 3"]
-    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch 3"], Float[Array, "*batch 3 3"]]:
+    def value_gradient_hessian(self, points: Points) -> tuple[Values, Points, Hessians]:
         """Signed distance in metres, gradient, and Hessian in 1/m, by one forward and one reverse sweep."""
         flat, (y, g, H), batch = self._evaluate(value_gradient_hessian, points)
         g = g.astype(jnp.float64)

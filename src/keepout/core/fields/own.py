@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from keepout.core.compiled.tried import require_numbers, tried
 from keepout.core.errors import FieldError
-from keepout.core.fields.field import Field, of_places, values_and_gradients, within_numbers
+from keepout.core.fields.field import Field, Hessians, Points, Values, of_places, values_and_gradients, within_numbers
 
 Corner = Sequence[float] | Float[np.ndarray, "3"]
 """Of a box, m."""
@@ -31,20 +31,16 @@ class _OfOnePoint(Field):
     def _at(self, point: Float[Array, "3"]) -> Float[Array, ""]:
         """Signed distance in metres."""
 
-    def value(self, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
+    def value(self, points: Points) -> Values:
         """Signed distance in metres."""
         return jax.vmap(self._at)(points.reshape(-1, 3)).reshape(points.shape[:-1])
 
-    def value_and_gradient(
-        self, points: Float[Array, "*batch 3"]
-    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch 3"]]:
+    def value_and_gradient(self, points: Points) -> tuple[Values, Points]:
         """Signed distance in metres and its gradient."""
         value, gradient = jax.vmap(jax.value_and_grad(self._at))(points.reshape(-1, 3))
         return value.reshape(points.shape[:-1]), gradient.reshape(points.shape)
 
-    def value_gradient_hessian(
-        self, points: Float[Array, "*batch 3"]
-    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch 3"], Float[Array, "*batch 3 3"]]:
+    def value_gradient_hessian(self, points: Points) -> tuple[Values, Points, Hessians]:
         """Signed distance in metres, gradient, and Hessian in 1/m."""
         value, gradient = self.value_and_gradient(points)
         hessian = jax.vmap(jax.hessian(self._at))(points.reshape(-1, 3))
@@ -179,21 +175,12 @@ class SphereField(Field):
     centre: Float[Array, "3"]
     radius: Float[Array, ""]
 
-    def value(self, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
+    def value(self, points: Points) -> Values:
         """Signed distance in metres."""
         y = within_numbers(points) - self.centre
         return of_places(points, jnp.sqrt(jnp.sum(y**2, axis=-1)) - self.radius)
 
-    def value_and_gradient(
-        self, points: Float[Array, "*batch 3"]
-    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch 3"]]:
-        """Signed distance in metres and the unit vector away from the centre."""
-        value, gradient, _ = self.value_gradient_hessian(points)
-        return value, gradient
-
-    def value_gradient_hessian(
-        self, points: Float[Array, "*batch 3"]
-    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch 3"], Float[Array, "*batch 3 3"]]:
+    def value_gradient_hessian(self, points: Points) -> tuple[Values, Points, Hessians]:
         """Signed distance in metres, u = y/‖y‖, and (I - u uᵀ)/‖y‖ in 1/m."""
         y = within_numbers(points) - self.centre
         r = jnp.sqrt(jnp.sum(y * y, axis=-1))

@@ -26,8 +26,7 @@ def surface_points(distance: Distance, count: int, generator: np.random.Generato
     The second kind gives small parts their share of attention. Of a ball cloud: points on the balls.
     """
     if isinstance(distance, BallCloudDistance):
-        direction = generator.normal(size=(count, 3))
-        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+        direction = random_directions(generator, count)
         return distance.centres[generator.integers(len(distance.centres), size=count)] + distance.radius * direction
     corners = distance.vertices[distance.faces]
     areas = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
@@ -39,6 +38,12 @@ def surface_points(distance: Distance, count: int, generator: np.random.Generato
     u, v = np.where(flip, 1.0 - u, u), np.where(flip, 1.0 - v, v)
     a, b, c = corners[face].transpose(1, 0, 2)
     return a + u[:, None] * (b - a) + v[:, None] * (c - a)
+
+
+def random_directions(generator: np.random.Generator, count: int) -> Points:
+    """Draw unit vectors, uniform over the sphere."""
+    direction = generator.normal(size=(count, 3))
+    return direction / np.linalg.norm(direction, axis=1, keepdims=True)
 
 
 def towards_level(

@@ -6,6 +6,7 @@ closing radius are sealed. Every doubt falls to "occupied".
 """
 
 import functools
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -30,6 +31,7 @@ _JUMPS = (0.95, 1.5, 2.5, 4.0)
 """Steps of a walk on the octree, in units of the larger of d and the cell's side."""
 
 
+@dataclass(frozen=True, eq=False)
 class OffsetSolid:
     """The complement of the exterior of {d > offset}, and a signed distance to it.
 
@@ -50,19 +52,11 @@ class OffsetSolid:
     behind a pinch narrower than 2 offset counts as exterior only where its own leaf reaches through the pinch.
     """
 
-    def __init__(
-        self,
-        distance: Distance,
-        offset: float,
-        closing_radius: float,
-        cells: Cells,
-        hidden: Bool[np.ndarray, "n"],
-    ):
-        self.distance = distance
-        self.offset = offset
-        self.closing_radius = closing_radius
-        self._cells = cells
-        self._hidden = hidden
+    distance: Distance
+    offset: float
+    closing_radius: float
+    _cells: Cells
+    _hidden: Bool[np.ndarray, "n"]
 
     @classmethod
     def build(

@@ -224,29 +224,22 @@ class MeshSurvey:
     seconds: float
 
 
-def survey(
-    target: Target, *, offset: float = 0.03, closing_radius: float = 0.25, progress: Progress = silent
-) -> MeshSurvey:
+def survey(target: Target, *, progress: Progress = silent) -> MeshSurvey:
     """Survey a target: its mesh report, and the volumes that its offset solid seals at two closing radii.
 
     Args:
         target: as loaded.
-        offset: metres; see `OffsetSolid.build`.
-        closing_radius: metres, at least the offset: the chaser's radius, or 0.25 m if that is less.
         progress: called as the two solids are built.
-
-    Raises:
-        MeshError: see `OffsetSolid.build`.
 
     """
     start = time.perf_counter()
-    leak = leak_check(target.distance, offset=offset, closing_radius=closing_radius, progress=progress)
+    leak = leak_check(target.distance, progress=progress)
     reported: dict[str, Any] = {entry.name: getattr(target.report, entry.name, None) for entry in fields(MeshSurvey)}
     own = {
         "name": target.name,
         "sha256": target.sha256,
-        "offset": offset,
-        "closing_radius": closing_radius,
+        "offset": leak.offset,
+        "closing_radius": leak.closing_radius,
         "sealed_volume_at_offset": leak.volume_at_offset,
         "sealed_volume": leak.volume_at_closing_radius,
         "envelope": leak.envelope,

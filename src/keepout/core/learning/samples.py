@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Float32
 
 from keepout.core.fields.continuation import Domain
 from keepout.core.geometry.distance import Distance, ExactDistance, Points
-from keepout.core.geometry.level_set import level_points, onto_level, surface_points, towards_level
+from keepout.core.geometry.level_set import level_points, onto_level, random_directions, surface_points, towards_level
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.learning.losses import Batch, TrainingProfile
 
@@ -106,8 +106,7 @@ def normalised(samples: Samples, domain: Domain, weight: Float[np.ndarray, "n"])
 def room_points(distance: Distance, domain: Domain, count: int, generator: np.random.Generator) -> Points:
     """Points around the target: each anywhere in a ball of radius `Domain.room` about a point of the surface."""
     start = surface_points(distance, count, generator, by_area=0.5)
-    direction = generator.normal(size=start.shape)
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    direction = random_directions(generator, len(start))
     return start + domain.room * generator.random((count, 1)) ** (1 / 3) * direction
 
 
@@ -121,8 +120,7 @@ def training_points(
     on, volume, room = count // 10, count // 6, round(room_share * count)
     near = count - on - volume - room
     start = surface_points(distance, on + near, generator, by_area=0.5)
-    direction = generator.normal(size=(on + near, 3))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    direction = random_directions(generator, on + near)
     length = np.exp(generator.uniform(np.log(5e-3), np.log(0.6 * domain.target_radius), size=on + near))
     length[:on] = 0.0
     ball = generator.normal(size=(volume, 3))

@@ -27,6 +27,7 @@ from keepout.core.fields.field import in_pieces
 from keepout.core.fields.model import FieldModel
 from keepout.core.fields.neural import NeuralField
 from keepout.core.geometry.distance import Points
+from keepout.core.geometry.level_set import random_directions
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target
 from keepout.core.learning import losses
@@ -53,16 +54,18 @@ CURVE = ("value_term", "gradient_term", "mean_error_m")
 
 
 class _State(NamedTuple):
-    """All that a fit needs to go on: the same after a reload, to the bit."""
+    """All that a fit needs to go on: the same after a reload, to the bit.
+
+    `worst` is the largest f̃ - R found where a chaser touches, metres; `curve` has after each block the loss's two
+    terms, and the mean of f̃ - d over `WATCHED` samples, metres.
+    """
 
     layers: neural.Layers
     optimizer: optax.OptState
     hard: losses.Batch
     block: Int[Array, ""]
     worst: Float32[Array, ""]
-    """Largest f̃ - R found where a chaser touches, metres."""
     curve: Float32[Array, "blocks 3"]
-    """After each block: the loss's two terms, and the mean of f̃ - d over `WATCHED` samples, metres."""
 
 
 def fit(
@@ -106,53 +109,32 @@ def fit(
     progress(0.08, "labelling samples")
     points = training_points(distance, domain, numbers.samples, generator, room_share=numbers.room_share)
     samples = label(solid, points, whole_depth=numbers.loss != "keepout")
-    watched = _watched(samples)
     hunt = None
     if numbers.tuning_steps:
         hunt = Hunt.prepare(solid, domain, chaser_radius, numbers, generator)
     data = normalised(samples, domain, numbers.near / (np.abs(samples.distance) + numbers.near))
-    examples = losses.Parted.by(numbers, data)
+    course = _Course(numbers, domain, hunt, losses.Parted.by(numbers, data), _watched(samples), seed)
 
     fingerprint = _fingerprint(target, solid, numbers, chaser_radius, seed)
     state = _initial(numbers, data, hunt.kept if hunt else 0, seed)
     if checkpoint is not None and checkpoint.exists():
         state = _load_checkpoint(checkpoint, state, fingerprint)
-
-    main_blocks, tuning_blocks = numbers.steps // BLOCK, numbers.tuning_steps // BLOCK
-    blocks, first, clock = main_blocks + tuning_blocks, int(state.block), time.perf_counter()
-    for block in range(first, blocks):
-        tuning = block >= main_blocks
-        if hunt is not None and tuning:
-            known = np.asarray(state.hard.x, np.float64) * domain.learned_radius + domain.centre
-            fresh, worst = hunt.worst(
-                Learned(state.layers, numbers.beta, domain),
-                known,
-                np.random.default_rng((seed, block)),
-                settling=blocks - block <= SETTLING * tuning_blocks,
-            )
-            hard = jax.tree.map(lambda new, old: jnp.concatenate([new, old])[: len(old)], fresh, state.hard)
-            state = state._replace(hard=hard, worst=jnp.asarray(worst, jnp.float32))
-        if block == main_blocks:
-            state = state._replace(optimizer=_optimizer(numbers, tuning).init(state.layers))
-        layers, optimizer, value_term, slope_term = _train_block(
-            numbers, domain.learned_radius, tuning, state, examples, jax.random.fold_in(jax.random.key(seed), block)
-        )
-        offset = Learned(layers, numbers.beta, domain).value(watched.points.astype(np.float64)) - watched.distance
-        reached = jnp.stack([value_term, slope_term, jnp.asarray(offset.mean(), jnp.float32)])
-        curve = state.curve.at[block].set(reached)
-        block_done = jnp.asarray(block + 1, state.block.dtype)
-        state = state._replace(layers=layers, optimizer=optimizer, block=block_done, curve=curve)
-        if not math.isfinite(float(value_term)):
+    first, clock = int(state.block), time.perf_counter()
+    for block in range(first, course.blocks):
+        state = course.advanced(state, block)
+        value_term, slope_term, _ = (float(number) for number in state.curve[block])
+        if not math.isfinite(value_term):
             raise FieldError(f"training of {target.name}: the loss is not finite at step {(block + 1) * BLOCK}")
         if checkpoint is not None:
             _save_checkpoint(checkpoint, state, fingerprint)
         if block == first:  # it has compiled too, and tells nothing of the others
             clock, left = time.perf_counter(), ""
         else:
-            left = f", {(time.perf_counter() - clock) / (block - first) * (blocks - block - 1):.0f} s left"
-        found = f", worst over-statement {float(state.worst):+.3f} m" if tuning else ""
-        text = f"distance {float(value_term):.4f}, gradient {float(slope_term):.4f}{found}{left}"
-        progress(0.1 + 0.89 * (block + 1) / blocks, text)
+            each = (time.perf_counter() - clock) / (block - first)
+            left = f", {each * (course.blocks - block - 1):.0f} s left"
+        found = f", worst over-statement {float(state.worst):+.3f} m" if course.is_tuning(block) else ""
+        text = f"distance {value_term:.4f}, gradient {slope_term:.4f}{found}{left}"
+        progress(0.1 + 0.89 * (block + 1) / course.blocks, text)
 
     field = _finished(Learned(state.layers, numbers.beta, domain), solid, generator)
     training = {
@@ -160,11 +142,11 @@ def fit(
         "numbers": dataclasses.asdict(numbers),
         "chaser_radius": chaser_radius,
         "seed": seed,
-        "sloped_share": len(examples.sloped.x) / len(data.x),
+        "sloped_share": len(course.examples.sloped.x) / len(data.x),
         "seconds": time.perf_counter() - start,
         "closing_radius": solid.closing_radius,
         "curve": {
-            "steps": [BLOCK * (block + 1) for block in range(blocks)],
+            "steps": [BLOCK * (block + 1) for block in range(course.blocks)],
             **{name: column.tolist() for name, column in zip(CURVE, np.asarray(state.curve, np.float64).T)},
         },
         "jax": jax.__version__,
@@ -174,6 +156,51 @@ def fit(
         checkpoint.unlink(missing_ok=True)
     progress(1.0, "done")
     return FieldModel(field, target.name, target.sha256, solid.offset, training)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Course:
+    """What the blocks of a fit have in common."""
+
+    numbers: TrainingProfile
+    domain: Domain
+    hunt: Hunt | None
+    examples: losses.Parted
+    watched: Samples
+    seed: int
+
+    @property
+    def blocks(self) -> int:
+        return self.numbers.steps // BLOCK + self.numbers.tuning_steps // BLOCK
+
+    def is_tuning(self, block: int) -> bool:
+        return block >= self.numbers.steps // BLOCK
+
+    def advanced(self, state: _State, block: int) -> _State:
+        """Take the steps of one block; in the counter-example phase, with what the network is most wrong at now."""
+        numbers, domain, tuning = self.numbers, self.domain, self.is_tuning(block)
+        if self.hunt is not None and tuning:
+            known = np.asarray(state.hard.x, np.float64) * domain.learned_radius + domain.centre
+            fresh, worst = self.hunt.worst(
+                Learned(state.layers, numbers.beta, domain),
+                known,
+                np.random.default_rng((self.seed, block)),
+                settling=self.blocks - block <= SETTLING * (numbers.tuning_steps // BLOCK),
+            )
+            hard = jax.tree.map(lambda new, old: jnp.concatenate([new, old])[: len(old)], fresh, state.hard)
+            state = state._replace(hard=hard, worst=jnp.asarray(worst, jnp.float32))
+        if block == numbers.steps // BLOCK:
+            state = state._replace(optimizer=_optimizer(numbers, tuning).init(state.layers))
+        key = jax.random.fold_in(jax.random.key(self.seed), block)
+        layers, optimizer, value_term, slope_term = _train_block(
+            numbers, domain.learned_radius, tuning, state, self.examples, key
+        )
+        points, distance = self.watched.points.astype(np.float64), self.watched.distance
+        offset = Learned(layers, numbers.beta, domain).value(points) - distance
+        reached = jnp.stack([value_term, slope_term, jnp.asarray(offset.mean(), jnp.float32)])
+        curve = state.curve.at[block].set(reached)
+        done = jnp.asarray(block + 1, state.block.dtype)
+        return state._replace(layers=layers, optimizer=optimizer, block=done, curve=curve)
 
 
 def _fingerprint(target: Target, solid: OffsetSolid, profile: TrainingProfile, chaser_radius: float, seed: int) -> str:
@@ -280,8 +307,7 @@ def _train_block(profile: TrainingProfile, scale: float, tuning: bool, state: _S
 def _finished(learned: "Learned", solid: OffsetSolid, generator: np.random.Generator) -> NeuralField:
     """Give the field its continuation, lowered by what it over-states on the shell it continues from."""
     domain = learned.domain
-    direction = generator.normal(size=(40_000, 3))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    direction = random_directions(generator, 40_000)
     radius = generator.uniform(domain.domain_radius, domain.learned_radius, size=(len(direction), 1))
     shell = domain.centre + radius * direction
     excess = learned.value(shell) - solid.signed_distance(shell)

@@ -13,7 +13,7 @@ from keepout.core.compiled.kept_programs import keep_programs
 from keepout.core.fields.field import Field, values, values_and_gradients, values_gradients_hessians
 from keepout.core.fields.model import FieldModel
 from keepout.core.geometry.distance import ExactDistance, Points
-from keepout.core.geometry.level_set import level_points, surface_points
+from keepout.core.geometry.level_set import level_points, random_directions, surface_points
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target
 from keepout.core.measures.surface import (
@@ -144,8 +144,7 @@ def _exterior_band(
 ) -> tuple[Points, Float[np.ndarray, "n"], Points]:
     """Return exterior points with d between the limits, at most `count`; their d; and its gradient."""
     start = surface_points(solid.distance, count, generator)
-    direction = generator.normal(size=start.shape)
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    direction = random_directions(generator, count)
     points = start + generator.uniform(nearest, farthest, size=(count, 1)) * direction
     d, gradient = solid.distance.distance_and_gradient(points)
     chosen = (d >= nearest) & (d <= farthest) & solid.is_exterior(points)

@@ -22,7 +22,13 @@ from keepout.core.fields.model import Certificate, FieldModel
 from keepout.core.fields.neural import NeuralField
 from keepout.core.fields.own import FunctionField
 from keepout.core.geometry.distance import ExactDistance
-from keepout.core.geometry.level_set import largest_on_level, level_points, onto_level, surface_points
+from keepout.core.geometry.level_set import (
+    largest_on_level,
+    level_points,
+    onto_level,
+    random_directions,
+    surface_points,
+)
 from keepout.core.geometry.octree import CORNERS, straddling_cells
 from keepout.core.geometry.target import Target
 from keepout.core.progress import Progress, part_of, silent
@@ -82,22 +88,19 @@ def certify(
     progress(0.1, f"largest value found {found - chaser_radius:+.4f} m")
     upper, evaluation, found = _bound_on_contact(field, distance, chaser_radius, found, progress)
     slope = _steepest(model, distance, chaser_radius, np.random.default_rng(seed + 1), prove_slope, progress)
-    certificate = Certificate(
-        kind="certified",
-        chaser_radius=float(chaser_radius),
+    progress(1.0, f"error bound {upper - chaser_radius:+.4f} m, largest found {found - chaser_radius:+.4f} m")
+    return model.certified(
+        "certified",
+        chaser_radius,
+        start,
         error_bound=float(upper - chaser_radius),
         allowance=0.0,
         sampled_maximum=float(found - chaser_radius),
         gradient_bound=(1.0 + GRADIENT_ALLOWANCE) * slope.found if slope.proved is None else slope.proved,
         gradient_kind="sampled" if slope.proved is None else "certified",
         evaluation_error=float(evaluation),
-        seconds=time.perf_counter() - start,
-        target_sha256=model.target_sha256,
-        field_sha256=model.sha256,
         gradient_found=slope.found,
     )
-    progress(1.0, f"error bound {certificate.error_bound:+.4f} m, largest found {certificate.sampled_maximum:+.4f} m")
-    return model.with_certificate(certificate)
 
 
 class Check(NamedTuple):
@@ -243,8 +246,7 @@ def steepest_found(
     """Return the largest ‖∇f̃‖ found where d ≥ clearance: samples near and far, then random ascent."""
     centre, radius = np.asarray(field.continuation.centre), float(field.continuation.outer_radius)
     start = surface_points(distance, 60_000, generator, by_area=0.5)
-    direction = generator.normal(size=start.shape)
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    direction = random_directions(generator, len(start))
     near = start + (clearance + generator.exponential(0.2, size=(len(start), 1))) * direction
     far = centre + radius * generator.uniform(-1.2, 1.2, size=(20_000, 3))
     points = np.concatenate([near, far])
@@ -420,22 +422,19 @@ def sample_certificate(
     found = largest_found(field, distance, chaser_radius, np.random.default_rng(seed)) - chaser_radius
     progress(0.4, f"largest value found {found:+.4f} m")
     steepest = steepest_found(field, distance, chaser_radius, np.random.default_rng(seed + 1))
-    certificate = Certificate(
-        kind="sampled",
-        chaser_radius=float(chaser_radius),
+    progress(1.0, f"largest value found {found:+.4f} m: nothing is proved")
+    return model.certified(
+        "sampled",
+        chaser_radius,
+        start,
         error_bound=float(found + allowance),
         allowance=float(allowance),
         sampled_maximum=float(found),
         gradient_bound=(1.0 + GRADIENT_ALLOWANCE) * steepest,
         gradient_kind="sampled",
         evaluation_error=0.0,
-        seconds=time.perf_counter() - start,
-        target_sha256=model.target_sha256,
-        field_sha256=model.sha256,
         gradient_found=steepest,
     )
-    progress(1.0, f"largest value found {found:+.4f} m: nothing is proved")
-    return model.with_certificate(certificate)
 
 
 def stated_error_bound(field: FunctionField, target: Target, chaser_radius: float, *, leaf: float = 0.1) -> float:

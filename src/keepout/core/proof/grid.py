@@ -34,7 +34,7 @@ from keepout.core.errors import FieldError
 from keepout.core.fields.continuation import RadialContinuation
 from keepout.core.fields.field import values
 from keepout.core.fields.grid import BLOCK, NODES, STORED, GridField, inherited_coefficients, own_nodes
-from keepout.core.fields.model import Certificate, FieldModel
+from keepout.core.fields.model import FieldModel
 from keepout.core.geometry.distance import ExactDistance
 from keepout.core.geometry.level_set import level_points
 from keepout.core.geometry.octree import CORNERS, straddling_cells
@@ -109,21 +109,18 @@ def certify_grid(model: FieldModel, target: Target, *, chaser_radius: float = 0.
     generator = np.random.default_rng(seed)
     points = level_points(distance, chaser_radius, 100_000, generator)
     sampled = float(values(field, points).max()) - chaser_radius
-    certificate = Certificate(
-        kind="certified",
-        chaser_radius=float(chaser_radius),
+    return model.certified(
+        "certified",
+        chaser_radius,
+        start,
         error_bound=bound + ROUNDING,
         allowance=0.0,
         sampled_maximum=sampled,
         gradient_bound=slope.proved,
         gradient_kind="certified",
         evaluation_error=spline.difference + ROUNDING,
-        seconds=time.perf_counter() - start,
-        target_sha256=model.target_sha256,
-        field_sha256=model.sha256,
         gradient_found=slope.found,
     )
-    return model.with_certificate(certificate)
 
 
 def _require_cover(field: GridField) -> None:
