@@ -147,9 +147,7 @@ MUTANTS = {
     "flights/campaign/results.py": [
         ("undecided not counted", "touched | undecided", "touched & undecided", "results:rates"),
     ],
-    "flights/campaign/run.py": [
-        ("best kept for worst", "[runs]))][: keep", "[runs]))][::-1][: keep", "campaign:worst")
-    ],
+    "flights/campaign/run.py": [("best kept for worst", "[runs]))][:keep", "[runs]))][::-1][:keep", "campaign:worst")],
     "core/control/velocity_program/cone.py": [
         ("wrong side of the plane", "(along + rate)", "(along - rate)", "cone:half")
     ],

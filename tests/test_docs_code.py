@@ -46,7 +46,7 @@ BEFORE = {
     "inspect_to_folder(Scenario.load('mission.toml'), Path('out/inspect'), figures=False)\n",
     "docs/tutorial.md": "from keepout.core.guard.field import guard_field\n",
     "docs/rare.md": "import keepout, numpy\n"
-    "from keepout.flights.rare_events.tape import Tape\n"
+    "from keepout.flights.rare_events.flights import Tape\n"
     "scenario = keepout.Scenario.load('mission.toml')\n"
     "tape = numpy.zeros(Tape.of(scenario).numbers)\n",
 }

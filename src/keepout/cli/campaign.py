@@ -101,14 +101,14 @@ def _flown(
     from keepout.core.whole_file import write_whole
     from keepout.flights.campaign.dataset import Dataset
     from keepout.flights.campaign.plan import Plan
-    from keepout.flights.campaign.run import Keep, Scheduler, fly_campaign, flyer_on, in_threads, keep_flights
+    from keepout.flights.campaign.run import Scheduler, fly_campaign, flyer_on, in_threads, keep_flights, keep_of
     from keepout.flights.campaign.table import SUMMARISED, summary
     from keepout.flights.pages.campaign_figures import DRAWN, draw_campaign
     from keepout.flights.pages.campaign_page import report_campaign
     from keepout.flights.pages.folder import results_in, write_summary
 
     with usage():
-        chosen = Keep.parse(keep)
+        chosen = keep_of(keep)
         if scheduler is not None:
             Scheduler.parse(scheduler)
     flyer = in_threads if scheduler is None else flyer_on(scheduler, mixed_processors=mixed_processors)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from keepout.apps.reproduction import passages as flying
-from keepout.apps.reproduction.passages import Passage, fly_passages
+from keepout.apps.reproduction import flown as flying
+from keepout.apps.reproduction.flown import Passage, fly_passages
 from keepout.apps.reproduction.work import Work
 from keepout.core.mission.scenario import Scenario
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from keepout.apps.reproduction.rest import first_within, trapped
+from keepout.apps.reproduction.flown import first_within, trapped
 
 TIME = np.arange(0.0, 1201.0)
 GOAL = np.array([1.0, -2.0, 3.0])

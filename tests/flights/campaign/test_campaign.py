@@ -21,7 +21,7 @@ from keepout.flights.campaign.campaign import plan_campaign
 from keepout.flights.campaign.dataset import Dataset
 from keepout.flights.campaign.flying import certified, differences, fly_chunk, initial_states, replay
 from keepout.flights.campaign.plan import Plan, Workshop
-from keepout.flights.campaign.run import Keep, fly_campaign, keep_flights
+from keepout.flights.campaign.run import fly_campaign, keep_flights, keep_of
 from keepout.flights.campaign.table import of_bytes, summary
 
 pytestmark = [pytest.mark.long, pytest.mark.as_used]
@@ -129,16 +129,16 @@ def test_a_replay_is_equal_to_its_row(plan, flown):
 
 def test_the_worst_flights_are_kept_and_no_others(plan, flown):
     dataset, _ = flown
-    kept = keep_flights(plan, dataset, Keep.parse("worst:3"))
+    kept = keep_flights(plan, dataset, keep_of("worst:3"))
     rows = [row for row in dataset.table().to_pylist() if row["status"] == "flown"]
     assert kept == [row["run"] for row in sorted(rows, key=lambda row: row["minimum_clearance"])[:3]]
     assert {path.name for path in (dataset.folder / "kept").iterdir()} == {dataset.kept(run).name for run in kept}
     header = FlightRecord.load(dataset.kept(kept[0])).header
     assert (header["campaign"], header["run"]) == (plan.sha256, kept[0])
-    assert Keep.parse("all").worst is None
-    assert Keep.parse("none").worst == 0
+    assert keep_of("all") is None
+    assert keep_of("none") == 0
     with pytest.raises(ScenarioError, match="worst:N"):
-        Keep.parse("worst:0")
+        keep_of("worst:0")
 
 
 def test_a_torn_or_foreign_part_is_flown_again(plan, flown, tmp_path):
@@ -252,7 +252,7 @@ from pathlib import Path
 from keepout.flights.campaign.campaign import plan_campaign
 from keepout.flights.campaign.dataset import Dataset
 from keepout.flights.campaign.plan import Plan, Workshop
-from keepout.flights.campaign.run import Keep, fly_campaign, keep_flights
+from keepout.flights.campaign.run import fly_campaign, keep_flights, keep_of
 from keepout.core.mission.scenario import Scenario
 plan = Plan.of(Scenario.parse(json.loads(sys.argv[2])), batch=4)
 dataset = Dataset.begin(Path(sys.argv[1]), plan)

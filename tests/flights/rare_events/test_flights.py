@@ -15,8 +15,7 @@ from keepout.core.mission.assumptions import broken_assumptions
 from keepout.core.mission.build import prepare
 from keepout.core.mission.scenario import Scenario
 from keepout.flights.rare_events.event import rare
-from keepout.flights.rare_events.flights import TapedFlights
-from keepout.flights.rare_events.tape import Tape
+from keepout.flights.rare_events.flights import Tape, TapedFlights
 
 NEAR = Scenario().replace(
     name="near",

@@ -10,9 +10,7 @@ from hypothesis.extra.numpy import arrays
 from scipy import stats
 
 from keepout.core.errors import ScenarioError
-from keepout.flights.rare_events import kept
-from keepout.flights.rare_events.estimate import band, curve, estimate, interval
-from keepout.flights.rare_events.subset import simulate
+from keepout.flights.rare_events.subset import Simulation, band, curve, estimate, interval, simulate
 
 
 def linear(tapes):
@@ -136,10 +134,10 @@ def test_a_simulation_stopped_in_the_middle_goes_on_bit_for_bit(tmp_path):
         return linear(tapes)
 
     with pytest.raises(KeyboardInterrupt):
-        simulate(stopped, 12, below=RARE, tapes=256, seed=4, kept=lambda levels: kept.save(state, levels))
-    half = kept.load(state)
+        simulate(stopped, 12, below=RARE, tapes=256, seed=4, state=state)
+    half = Simulation.load(state)
     assert 1 < len(half.levels) < len(whole.levels)
-    resumed = simulate(linear, 12, below=RARE, tapes=256, seed=4, resumed=half)
+    resumed = simulate(linear, 12, below=RARE, tapes=256, seed=4, state=state)
     assert len(resumed.levels) == len(whole.levels)
     for one, other in zip(resumed.levels, whole.levels):
         assert np.array_equal(one.values, other.values)
@@ -147,18 +145,17 @@ def test_a_simulation_stopped_in_the_middle_goes_on_bit_for_bit(tmp_path):
         assert (one.threshold, one.acceptance, one.step) == (other.threshold, other.acceptance, other.step)
     assert np.array_equal(resumed.lowest, whole.lowest)
     assert np.array_equal(resumed.below(RARE), whole.below(RARE))
-    kept.save(state, whole)
-    assert kept.load(state).below(RARE).tolist() == whole.below(RARE).tolist()
+    assert Simulation.load(state).below(RARE).tolist() == whole.below(RARE).tolist()
 
 
 @pytest.mark.parametrize("content", [b"PK\x03\x04 no archive", None])
 def test_a_damaged_state_is_refused_in_one_line(tmp_path, content):
     state = tmp_path / "state.npz"
-    kept.save(state, simulate(linear, 3, below=-1.0, tapes=64))
+    simulate(linear, 3, below=-1.0, tapes=64).save(state)
     whole = state.read_bytes()
     state.write_bytes(whole[: len(whole) // 2] if content is None else content)
     with pytest.raises(ScenarioError, match=r"state\.npz: .*remove it") as refusal:
-        kept.load(state)
+        Simulation.load(state)
     assert "\n" not in str(refusal.value)
 
 

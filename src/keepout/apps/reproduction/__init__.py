@@ -8,9 +8,7 @@ from pathlib import Path
 
 from keepout.apps.reproduction import case1, case2, case3, runtime, surfaces, table1, volumes
 from keepout.apps.reproduction.page import write_reproduction
-from keepout.apps.reproduction.part import Part
-from keepout.apps.reproduction.side_by_side import side_by_side
-from keepout.apps.reproduction.work import Work
+from keepout.apps.reproduction.work import Part, Work, side_by_side
 from keepout.core.compiled.kept_programs import keep_programs
 from keepout.core.errors import ScenarioError, UsageError
 from keepout.core.progress import Progress, never_back, part_of, silent

@@ -1,37 +1,60 @@
-"""The paper's Case 1 (section VI.C.1): a trap, the way out of it by circulation, and how often either happens."""
+"""The paper's Case 1 (section VI.C.1): a trap, the way out of it by circulation, and how often either happens.
+
+The map says it over many start and goal pairs and k_p, for each choice of circulation.
+"""
 
 import dataclasses
 import functools
-import threading
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from keepout.apps.reproduction import figures
-from keepout.apps.reproduction.case1_map import draw_pairs, geodesic_passages, map_rows, only
-from keepout.apps.reproduction.case1_words import PAPER, findings
 from keepout.apps.reproduction.fitted import PAPER_NETWORK, field_of
-from keepout.apps.reproduction.kept_flight import kept_flight
-from keepout.apps.reproduction.part import Drawing, Part, Table
-from keepout.apps.reproduction.passages import Landed, Passage, Triple, fly_passages, log_of
-from keepout.apps.reproduction.rest import first_within, trapped
-from keepout.apps.reproduction.side_by_side import side_by_side
-from keepout.apps.reproduction.work import Work
+from keepout.apps.reproduction.flown import (
+    Landed,
+    Passage,
+    Triple,
+    first_within,
+    fly_passages,
+    kept_flight,
+    log_of,
+    trapped,
+)
+from keepout.apps.reproduction.work import Drawing, Part, Table, Work, side_by_side
+from keepout.core.control.guidance.geodesic import BarrierGrid, geodesic_guidance
+from keepout.core.control.guidance.guidance import Guidance, StraightGuidance
+from keepout.core.control.guidance.plan import Straight
 from keepout.core.fields.model import FieldModel
-from keepout.core.flight.loop import FlightLog
 from keepout.core.geometry.target import Target
-from keepout.core.mission.build import Mission, load_model, load_target, prepare
+from keepout.core.mission.build import Mission, load_model, load_target
 from keepout.core.mission.flight import Flight, judged
+from keepout.core.mission.law import build_law
 from keepout.core.mission.scenario import Scenario
 from keepout.core.progress import Progress, part_of
+from keepout.flights.campaign.plan import Workshop
 
+PAPER = (
+    "Without the circulation inequality the chaser is trapped in a local minimum; with it, it arrives, and the "
+    "position error converges to zero. In both flights the barrier h stays positive; without circulation it falls to "
+    "zero. Safe velocity and velocity keep within ±v_max. Start (0, 10, 6) m, goal (0, -10, -4) m, 1 Hz, 0.1 N, "
+    "0.1 m/s. The slowing length k_p is not printed."
+)
 CASE: tuple[Triple, Triple] = ((0.0, 10.0, 6.0), (0.0, -10.0, -4.0))
 WING: tuple[Triple, Triple] = ((7.0, 0.0, 6.0), (7.0, 0.0, -6.0))
 """A start and a goal on either side of a wing."""
 CIRCULATIONS = {"none": "paper without circulation", "printed": "paper with circulation"}
 MAIN_LENGTH = 20.0
 """k_p of the flights that are drawn, m."""
+NEAR, FAR = 5.0, 12.0
+"""Starts lie between these y (m), goals between their negatives."""
+ASIDE, UP = 4.0, 3.0
+"""Starts and goals lie within ± these x and z (m)."""
+_ROOM = 3.0
+"""Between the pairs and the sides of the grid of travel times, m."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,80 +108,104 @@ class _Flown:
     """What the laws of Case 1 share: target and field, and missions that are prepared once, and only where needed."""
 
     def __init__(self, work: Work, target: Target, model: FieldModel):
-        self.work, self.target, self.model = work, target, model
-        self.made_with = (target.sha256, model.sha256)
+        self.work, self.target, self.model, self.workshop = work, target, model, Workshop()
+        self.workshop.keep(target, model, Scenario())
         target.distance.distance(np.zeros((1, 3)))  # built and compiled once, before the laws share it
 
-    def mission(self, scenario: Scenario) -> Callable[[], Mission]:
-        """Give what prepares a scenario's mission at the first call."""
-        lock = threading.Lock()
-        prepared = functools.lru_cache(maxsize=1)(lambda: prepare(scenario, target=self.target, model=self.model))
+    def passages(
+        self, scenario: Scenario, passages: Sequence[Passage], logs: int = 0, *, geodesic: bool = False
+    ) -> Callable[[Progress], Landed]:
+        """Give what flies passages by a scenario's law; led by the default law's geodesics, one for each, if asked."""
+        own = passages[0].scenario(scenario)
+        mission = functools.partial(self.workshop.mission, own)
+        guided: dict[str, Any] = {}
+        if geodesic:
+            made = functools.cache(lambda: geodesic_passages(self.workshop.mission(own), passages))
+            mission, guided = (lambda: made()[0]), {"guidances": lambda some: made()[1](some)}
+        made_with = self.target.sha256, self.model.sha256
 
-        def once() -> Mission:
-            with lock:
-                return prepared()
+        def fly(progress: Progress) -> Landed:
+            work = dataclasses.replace(self.work, progress=progress)
+            return fly_passages(work, own, passages, mission, made_with=made_with, logs=logs, **guided)
 
-        return once
+        return fly
 
-    def flight(self, scenario: Scenario, log: FlightLog) -> Flight:
-        """Give the flight of a scenario from its log."""
-        return judged(prepare(scenario, target=self.target, model=self.model), log)
+    def default(self, pair: tuple[Triple, Triple], name: str) -> Callable[[Progress], Flight]:
+        """Give what flies a passage by the default law."""
+        scenario = _default_scenario(self.work.seed, pair, name)
+        return lambda progress: kept_flight(self.work, scenario, self.target, progress, model=self.model)
+
+    def told(self, choice: str, group: Group, landed: Landed) -> dict[str, Flight]:
+        """Give the flights of a group by one circulation."""
+        flights = {}
+        for place, (what, passage) in enumerate(group.passages.items()):
+            name = f"{what}{CIRCULATIONS[choice]}{group.name}"
+            words = name.replace(",", "").replace(" ", "-").replace("k_p", "kp").replace("'", "").lower()
+            scenario = passage.scenario(_scenario(self.work.seed, choice, group)).replace(name=words)
+            flights[name] = judged(self.workshop.mission(scenario), log_of(landed, place))
+        return flights
+
+
+def _default_scenario(seed: int, pair: tuple[Triple, Triple], name: str) -> Scenario:
+    return Passage(*pair).scenario(Scenario().replace(name=name, seed=seed, duration=3000.0))
 
 
 def case1(work: Work) -> Part:
     """Fly the trap, the escape and the default law; then, over k_p and random pairs, count the trapped."""
     entry = Scenario()
     target = load_target(entry.target)
-    flown, network = _Flown(work, target, load_model(entry, target)), _paper_network(work, target)
+    # Where there is a field of the paper's network, and time for it.
+    model = None if work.quick else field_of(work.within(0.0, 0.1), PAPER_NETWORK, target, fitting=False)
+    flown = _Flown(work, target, load_model(entry, target))
     pairs = draw_pairs(8 if work.quick else 300, seed=work.seed)
     lengths = (1.5, MAIN_LENGTH) if work.quick else (1.5, 5.0, 10.0, 15.0, 20.0, 30.0)
-    slow, fast = _groups(quick=work.quick)
-    crossings = [Passage(*pair, length) for length in lengths for pair in pairs]
     choices = ["none", "printed"] if work.quick else ["none", "printed", "skew", "switching"]
+    crossings = [Passage(*pair, length) for length in lengths for pair in pairs]
+    slow, fast = _groups(quick=work.quick)
+    told = {"slow": (flown, slow)}
+    if fast is not None:
+        told["fast"] = (flown, fast)
+    if model is not None:
+        alone = dataclasses.replace(slow, name=", paper's network", passages={"": slow.passages[""]})
+        told["network"] = (_Flown(work, target, model), alone)
 
     tasks: dict[str, Callable[[Progress], Any]] = {}
-    for choice in choices:
-        told = list(slow.passages.values()) if choice in CIRCULATIONS else []
-        scenario = _scenario(work.seed, choice, slow)
-        tasks[f"slow {choice}"] = _laws_passages(flown, scenario, [*told, *crossings], len(told))
-    tasks["default"] = _default_flight(flown, CASE, "default-law")
+    for name, (by, group) in told.items():
+        for choice in choices if name == "slow" else CIRCULATIONS:
+            own = list(group.passages.values()) if choice in CIRCULATIONS else []
+            every = [*own, *(crossings if name == "slow" else ())]
+            tasks[f"{name} {choice}"] = by.passages(_scenario(work.seed, choice, group), every, len(own))
+    tasks["default"] = flown.default(CASE, "default-law")
     if fast is not None:
-        tasks["default wing"] = _default_flight(flown, WING, "wing-default-law")
-        tasks["default map"] = functools.partial(_default_map, flown, pairs)
-        for choice in CIRCULATIONS:
-            told = list(fast.passages.values())
-            tasks[f"fast {choice}"] = _laws_passages(flown, _scenario(work.seed, choice, fast), told, len(told))
-    alone = dataclasses.replace(slow, name=", paper's network", passages={"": slow.passages[""]})
-    if network is not None:
-        for choice in CIRCULATIONS:
-            told = list(alone.passages.values())
-            tasks[f"network {choice}"] = _laws_passages(network, _scenario(work.seed, choice, alone), told, len(told))
+        tasks["default wing"] = flown.default(WING, "wing-default-law")
+        unguarded = _default_scenario(work.seed, pairs[0], "default-map").replace(guard={"enabled": False})
+        tasks["default map"] = flown.passages(unguarded, [Passage(*pair) for pair in pairs], geodesic=True)
     done = side_by_side(tasks, part_of(work.progress, 0.1, 0.9))
 
-    flights: dict[str, Flight] = {}
-    for group, speed in ((slow, "slow"), (fast, "fast")):
-        if group is not None:
-            for choice in CIRCULATIONS:
-                flights |= _told(flown, work.seed, choice, group, done[f"{speed} {choice}"])
-    flights["default law"] = done["default"]
-    if "default wing" in done:
-        flights["wing, default law"] = done["default wing"]
-    if network is not None:
+    named: dict[str, dict[str, Flight]] = {name: {} for name in told}
+    for name, (by, group) in told.items():
         for choice in CIRCULATIONS:
-            flights |= _told(network, work.seed, choice, alone, done[f"network {choice}"])
-
+            named[name] |= by.told(choice, group, done[f"{name} {choice}"])
+    default = {"default law": done["default"]}
+    if fast is not None:
+        default["wing, default law"] = done["default wing"]
+    flights = {**named["slow"], **named.get("fast", {}), **default, **named.get("network", {})}
     counts = []
     for choice in choices:
         first = len(slow.passages) if choice in CIRCULATIONS else 0
         counts += map_rows(choice, lengths, len(pairs), only(done[f"slow {choice}"], first))
     if "default map" in done:
         counts += map_rows("default law", [None], len(pairs), done["default map"])
+    return _part(work, flights, counts, has_network=model is not None)
+
+
+def _part(work: Work, flights: Mapping[str, Flight], counts: list[dict[str, Any]], *, has_network: bool) -> Part:
     rows = [_row(work, name, flight) for name, flight in flights.items()]
     return Part(
         name="case1",
         title="Case 1: local minimum",
         paper=PAPER,
-        ours=findings(rows, counts, has_network=network is not None),
+        ours=findings(rows, counts, has_network=has_network),
         rows=rows,
         tables=[
             Table(
@@ -178,58 +225,6 @@ def case1(work: Work) -> Part:
         drawings=_drawings(work, flights, counts),
         flights={name: flights[name] for name in (*CIRCULATIONS.values(), "default law")},
     )
-
-
-def _laws_passages(
-    flown: _Flown, scenario: Scenario, passages: Sequence[Passage], logs: int
-) -> Callable[[Progress], Landed]:
-    def run(progress: Progress) -> Landed:
-        work = dataclasses.replace(flown.work, progress=progress)
-        own = passages[0].scenario(scenario)
-        return fly_passages(work, own, passages, flown.mission(own), made_with=flown.made_with, logs=logs)
-
-    return run
-
-
-def _default_scenario(seed: int, pair: tuple[Triple, Triple], name: str) -> Scenario:
-    return Passage(*pair).scenario(Scenario().replace(name=name, seed=seed, duration=3000.0))
-
-
-def _default_flight(flown: _Flown, pair: tuple[Triple, Triple], name: str) -> Callable[[Progress], Flight]:
-    scenario = _default_scenario(flown.work.seed, pair, name)
-    return lambda progress: kept_flight(flown.work, scenario, flown.target, progress, model=flown.model)
-
-
-def _default_map(flown: _Flown, pairs: Sequence[tuple[Triple, Triple]], progress: Progress) -> Landed:
-    """Fly the pairs by the default law, without its guard."""
-    work, passages = dataclasses.replace(flown.work, progress=progress), [Passage(*pair) for pair in pairs]
-    scenario = _default_scenario(work.seed, pairs[0], "default-map").replace(guard={"enabled": False})
-    made = functools.cache(lambda: geodesic_passages(flown.mission(scenario)(), pairs))
-    return fly_passages(
-        work,
-        scenario,
-        passages,
-        lambda: made()[0],
-        made_with=flown.made_with,
-        guidances=lambda some: made()[1](some),
-    )
-
-
-def _told(flown: _Flown, seed: int, choice: str, group: Group, landed: Landed) -> dict[str, Flight]:
-    """Give the flights of a group by one circulation."""
-    flights = {}
-    for place, (what, passage) in enumerate(group.passages.items()):
-        name = f"{what}{CIRCULATIONS[choice]}{group.name}"
-        words = name.replace(",", "").replace(" ", "-").replace("k_p", "kp").replace("'", "").lower()
-        scenario = passage.scenario(_scenario(seed, choice, group)).replace(name=words)
-        flights[name] = flown.flight(scenario, log_of(landed, place))
-    return flights
-
-
-def _paper_network(work: Work, target: Target) -> _Flown | None:
-    """Give what flies by the paper's network, where there is a field of it and time for it."""
-    model = None if work.quick else field_of(work.within(0.0, 0.1), PAPER_NETWORK, target, fitting=False)
-    return None if model is None else _Flown(work, target, model)
 
 
 def _row(work: Work, name: str, flight: Flight) -> dict[str, Any]:
@@ -283,3 +278,126 @@ def _drawings(work: Work, flights: Mapping[str, Flight], counts: Sequence[Mappin
     drawings.append(figures.draw_wing(work.folder, wing))
     drawings.append(figures.draw_map(work.folder, counts))
     return [Drawing(name, caption) for name, caption in drawings]
+
+
+def draw_pairs(count: int, *, seed: int) -> list[tuple[Triple, Triple]]:
+    """Draw starts and goals on either side of the target: "±y pairs".
+
+    Uniform and independent: x in [-4, 4] m and z in [-3, 3] m, where bus and dishes are, for both; y in [5, 12] m for
+    the start and in [-12, -5] m for the goal.
+    That is 1 m and more beside `intelsat30`, whose y ends at ±3.93 m.
+
+    """
+    corner = np.array([ASIDE, NEAR, UP])
+    points = np.random.default_rng(seed).uniform(corner * (-1.0, 1.0, -1.0), (ASIDE, FAR, UP), (count, 2, 3))
+    points[:, 1, 1] *= -1.0
+    return [((a[0], a[1], a[2]), (b[0], b[1], b[2])) for a, b in points.tolist()]
+
+
+def map_rows(
+    choice: str, lengths: Sequence[float | None], pairs: int, landed: Mapping[str, np.ndarray]
+) -> list[dict[str, Any]]:
+    """Count what became of the passages of one choice: a row for each k_p, `pairs` passages each, in that order."""
+    rows = []
+    for place, length in enumerate(lengths):
+        own = {name: column[place * pairs : (place + 1) * pairs] for name, column in landed.items()}
+        arrived, touched = np.isfinite(own["first_within_s"]), own["contact"] != "no"
+        rows.append(
+            {
+                "circulation": choice,
+                "k_p m": length,
+                "pairs": pairs,
+                "trapped": int(own["trapped"].sum()),
+                "arrived": int(arrived.sum()),
+                "clean": int(np.sum(arrived & ~touched)),
+                "touched": int(touched.sum()),
+                "least gap m": round(float(own["minimum_clearance_m"].min()), 4),
+            }
+        )
+    return rows
+
+
+def only(landed: Landed, first: int) -> Landed:
+    """Leave out the first passages, and the logs."""
+    return {name: column[first:] for name, column in landed.items() if not name.startswith("log_")}
+
+
+def geodesic_passages(
+    mission: Mission, passages: Sequence[Passage]
+) -> tuple[Mission, Callable[[Sequence[Passage]], Guidance]]:
+    """Give the default law for all passages, without a guard, and what makes their geodesic guidances, stacked.
+
+    One barrier grid serves them all; a way is marched for each goal, from it to its start.
+    """
+    points = np.array([point for passage in passages for point in (passage.start, passage.goal)])
+    reach = float(np.linalg.norm(points, axis=1).max())
+    law = build_law(mission.scenario, mission.model, guidance=Straight(), reach=reach)
+    leader, offset = law.velocity.guidance, float(law.velocity.offset)
+    assert isinstance(leader, StraightGuidance)
+    lower = np.minimum(points.min(axis=0), mission.target.vertices.min(axis=0)) - _ROOM
+    upper = np.maximum(points.max(axis=0), mission.target.vertices.max(axis=0)) + _ROOM
+    grid = BarrierGrid.build(mission.model.field, offset, lower, upper)
+    speed, length = float(leader.speed), float(leader.slowing_length)
+
+    def stacked(passages: Sequence[Passage]) -> Guidance:
+        made = {
+            passage: geodesic_guidance(
+                grid,
+                mission.model.field,
+                offset,
+                np.asarray(passage.goal),
+                speed=speed,
+                slowing_length=length,
+                start=np.asarray(passage.start),
+            )
+            for passage in set(passages)
+        }
+        return jax.tree.map(lambda *leaves: jnp.stack(leaves), *(made[passage] for passage in passages))
+
+    return mission.with_law(law), stacked
+
+
+def findings(rows: Sequence[Mapping[str, Any]], counts: Sequence[Mapping[str, Any]], *, has_network: bool) -> list[str]:
+    """Say what was found, a paragraph each.
+
+    Args:
+        rows: of the flights, as in `summary.json`.
+        counts: of the map.
+        has_network: whether the paper's own network was flown too.
+
+    """
+    said = [
+        "tanh acts on each component apart, so k_p decides what the paper's law does here. With k_p much smaller than "
+        "the way, v_c saturates in every component: the chaser leaves along the diagonal of the axes and slips past "
+        "the bus. With large k_p it follows the straight line to the goal, into the corner of dish and bus.",
+    ]
+    said += [_sentence(row) for row in rows]
+    lowest = min((row for row in rows if row["slowing_length_m"] is not None), key=lambda row: row["minimum_barrier_m"])
+    said.append(
+        f"h is not positive throughout: its least is {lowest['minimum_barrier_m']:.3g} m ({lowest['name']})."
+        if lowest["minimum_barrier_m"] < 0.0
+        else "h is never negative in these flights."
+    )
+    if not has_network:
+        said.append("All these flights are by Keepout's own learned field: none of the paper's network was given.")
+    by_length: dict[Any, list[str]] = {}
+    for count in counts:
+        words = f"{count['circulation']} {count['trapped']}, {count['clean']}, {count['touched']}"
+        by_length.setdefault(count["k_p m"], []).append(words)
+    for length, words in by_length.items():
+        at = "By the default law without its guard" if length is None else f"At k_p = {length:g} m"
+        of = f"of {counts[0]['pairs']} random pairs were trapped, arrived without a touch, touched"
+        said.append(f"{at}, {of}: {'; '.join(words)}.")
+    return said
+
+
+def _sentence(row: Mapping[str, Any]) -> str:
+    if row["trapped"]:
+        end = f"comes to rest {row['final_error_m']:.3g} m from the goal"
+    elif row["first_within_s"] is not None:
+        end = f"is within the goal's tolerance after {row['first_within_s']:.0f} s"
+    else:
+        end = f"is still under way at the end, {row['final_error_m']:.3g} m from the goal"
+    touch = {"no": "without contact", "yes": "and touches the target"}.get(row["contact_verdict"], "contact undecided")
+    gap = row["minimum_clearance_m"]
+    return f"{row['name'][0].upper()}{row['name'][1:]}: {end}, {touch} (least gap {gap:.3g} m)."

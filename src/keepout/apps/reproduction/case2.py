@@ -8,10 +8,8 @@ from jaxtyping import Float
 
 from keepout.apps.reproduction.figures import draw_comparisons
 from keepout.apps.reproduction.fitted import PAPER_NETWORK, field_of
-from keepout.apps.reproduction.kept_flight import kept_flight
-from keepout.apps.reproduction.part import Drawing, Part, Table
-from keepout.apps.reproduction.side_by_side import side_by_side
-from keepout.apps.reproduction.work import Work
+from keepout.apps.reproduction.flown import kept_flight
+from keepout.apps.reproduction.work import Drawing, Part, Table, Work, side_by_side
 from keepout.core.mission.build import load_target
 from keepout.core.mission.flight import Flight
 from keepout.core.mission.scenario import Scenario

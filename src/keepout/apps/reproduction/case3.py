@@ -6,9 +6,7 @@ from typing import Any
 import numpy as np
 
 from keepout.apps.reproduction.figures import draw_series
-from keepout.apps.reproduction.part import Drawing, Part, Table
-from keepout.apps.reproduction.side_by_side import side_by_side
-from keepout.apps.reproduction.work import Work
+from keepout.apps.reproduction.work import Drawing, Part, Table, Work, side_by_side
 from keepout.core.geometry.target import Target
 from keepout.core.mission.build import load_model, load_target
 from keepout.core.mission.scenario import Scenario

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import keepout
-from keepout.apps.reproduction.part import Part
+from keepout.apps.reproduction.work import Part
 from keepout.core.whole_file import write_whole
 from keepout.flights.pages.folder import machine
 from keepout.flights.pages.page import Markup, Page, text

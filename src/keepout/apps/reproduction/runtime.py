@@ -1,26 +1,44 @@
-"""The paper's computation time (section VI.C.2), and flights of its law with a true cone."""
+"""The paper's computation time (section VI.C.2), and flights of its law with a true cone.
 
+How long each control step takes is measured in a process of its own. There JAX runs the compiled step on the calling
+thread (`flight.on_board`), which has to be said before JAX starts, and nothing else of a reproduction takes the
+processor.
+"""
+
+import gc
+import multiprocessing
 import platform
+import time
+import warnings
 from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from keepout.apps.reproduction.figures import draw_step_times
 from keepout.apps.reproduction.fitted import PAPER_NETWORK, field_of
-from keepout.apps.reproduction.kept_flight import kept_flight
-from keepout.apps.reproduction.part import Drawing, Part, Table
-from keepout.apps.reproduction.rest import trapped
-from keepout.apps.reproduction.side_by_side import side_by_side
-from keepout.apps.reproduction.step_times import Contender, Timed, time_apart
-from keepout.apps.reproduction.usual_way import missing_extra
-from keepout.apps.reproduction.work import Work
+from keepout.apps.reproduction.flown import kept_flight, trapped
+from keepout.apps.reproduction.usual_way import TorchField, UsualWay, missing_extra
+from keepout.apps.reproduction.work import Drawing, Part, Table, Work, side_by_side
+from keepout.core.control.controller import Controller
+from keepout.core.control.profiles import ControlWarning
+from keepout.core.errors import ControlError
 from keepout.core.fields.model import FieldModel
+from keepout.core.fields.neural import NeuralField
+from keepout.core.flight.on_board import OnBoard
 from keepout.core.geometry.target import Target
-from keepout.core.mission.build import load_target
+from keepout.core.mission.build import Mission, load_target, prepare
 from keepout.core.mission.flight import Flight
 from keepout.core.mission.scenario import Scenario
-from keepout.core.progress import Progress
+from keepout.core.motion.relative import MotionState
+from keepout.core.progress import Progress, silent
 
 PAPER = (
     "A control step, the cone program and the neural field's inference, stays below 10 ms throughout the flight, with "
@@ -35,6 +53,37 @@ NETWORK = (10, 512)
 """The paper's: hidden layers and their width."""
 
 _NO_FIELD = "no such field: give --fields with one of the paper's network"
+
+Step = Callable[[float, Float[np.ndarray, "3"], Float[np.ndarray, "3"]], Float[np.ndarray, "3"]]
+
+
+@dataclass(frozen=True)
+class Contender:
+    """A way to run a law: what flies, and by what.
+
+    Attributes:
+        name: of its row.
+        scenario: what it flies.
+        usual: whether it runs the usual way (`usual_way`), else on board as Keepout does.
+        field: a field file instead of the scenario's.
+        idle: a further network that is evaluated for its cost only; see `TorchField`.
+
+    """
+
+    name: str
+    scenario: Scenario
+    usual: bool = False
+    field: Path | None = None
+    idle: tuple[int, int] | None = None
+
+
+@dataclass(frozen=True)
+class Timed:
+    """What a contender's flight gave: seconds of each control step, the positions, and steps without a solution."""
+
+    seconds: Float[np.ndarray, "steps"]
+    position: Float[np.ndarray, "rows 3"]
+    unsolved: int
 
 
 def runtime(work: Work) -> Part:
@@ -222,3 +271,83 @@ def found(times: Sequence[dict[str, Any]], cone: Sequence[dict[str, Any]]) -> li
             + (f"; it neither arrives nor rests with {', '.join(moving)}." if moving else ".")
         )
     return said
+
+
+def time_apart(contenders: Sequence[Contender]) -> list[Timed]:
+    """Fly contenders one after another in a new process, and time their steps."""
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        return pool.submit(time_here, list(contenders)).result()
+
+
+def time_here(contenders: Sequence[Contender]) -> list[Timed]:
+    """Make contenders ready side by side, then fly one after another; to be called before JAX has started."""
+    jax.config.update("jax_cpu_enable_async_dispatch", False)
+    # The same law is flown in the process that asked, which says what its constants violate.
+    warnings.simplefilter("ignore", ControlWarning)
+
+    def job(contender: Contender) -> Callable[[Progress], Callable[[], Timed]]:
+        return lambda _: ready(contender)
+
+    flights = side_by_side({contender.name: job(contender) for contender in contenders}, silent)
+    return [fly() for fly in flights.values()]
+
+
+def ready(contender: Contender) -> Callable[[], Timed]:
+    """Build and compile what a contender needs; the answer flies it in a closed loop and times its steps."""
+    target = load_target(contender.scenario.target)
+    model = None if contender.field is None else FieldModel.load(contender.field, target=target)
+    mission = prepare(contender.scenario, target=target, model=model)
+    start, setup = mission.initial, mission.setup
+    advance = eqx.filter_jit(
+        lambda state, force: setup.motion.step(
+            state, setup.thrusters.apply(force), setup.disturbance, setup.period, setup.mass
+        )
+    )
+    jax.block_until_ready(advance(start, jnp.zeros(3)))
+    if contender.usual:
+        usual = usual_way(mission, idle=contender.idle)
+        usual.safe_velocity(np.asarray(start.position))  # CVXPY compiles its problem
+        usual.unsolved = 0
+        return lambda: _flown(usual.step, mission, advance, lambda: usual.unsolved)
+    on_board = OnBoard(setup, start)
+    on_board.step(0.0, np.asarray(start.position), np.asarray(start.velocity))
+
+    def flown() -> Timed:
+        on_board.restart(start)
+        return _flown(on_board.step, mission, advance, lambda: 0)
+
+    return flown
+
+
+def usual_way(mission: Mission, *, idle: tuple[int, int] | None = None) -> UsualWay:
+    """Write a mission's law the usual way.
+
+    Raises:
+        ControlError: not the paper's profile by a neural field.
+
+    """
+    law, field = mission.setup.controller, mission.model.field
+    if not isinstance(law, Controller) or not isinstance(field, NeuralField):
+        raise ControlError("usual way: only the paper's profile, by a neural field")
+    orbit = mission.setup.motion.orbit
+    rate = float(np.sqrt(orbit.gravitational_parameter / orbit.semi_major_axis**3))
+    return UsualWay(law, TorchField(field, idle=idle), period=mission.scenario.control.period, orbital_rate=rate)
+
+
+def _flown(
+    step: Step, mission: Mission, advance: Callable[[MotionState, Array], MotionState], unsolved: Callable[[], int]
+) -> Timed:
+    state, seconds, positions = mission.initial, np.empty(mission.steps), []
+    gc.collect()
+    gc.disable()
+    try:
+        for k in range(mission.steps):
+            now, position, velocity = float(state.time), np.asarray(state.position), np.asarray(state.velocity)
+            positions.append(position)
+            begin = time.perf_counter()
+            force = step(now, position, velocity)
+            seconds[k] = time.perf_counter() - begin
+            state = advance(state, jnp.asarray(force))
+    finally:
+        gc.enable()
+    return Timed(seconds, np.stack([*positions, np.asarray(state.position)]), unsolved())

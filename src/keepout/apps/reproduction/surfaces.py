@@ -8,8 +8,7 @@ import numpy as np
 from keepout.apps.reproduction import figures, fitted
 from keepout.apps.reproduction.figures import Triangles
 from keepout.apps.reproduction.fitted import OFFSET, SHIPPED, TARGETS
-from keepout.apps.reproduction.part import Drawing, Part, Table
-from keepout.apps.reproduction.work import Work
+from keepout.apps.reproduction.work import Drawing, Part, Table, Work
 from keepout.core.fields.model import FieldModel
 from keepout.core.geometry.target import Target
 from keepout.core.measures.surface import (

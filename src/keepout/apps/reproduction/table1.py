@@ -10,8 +10,7 @@ import numpy as np
 from keepout.apps.reproduction import fitted
 from keepout.apps.reproduction.figures import draw_sinking, draw_training
 from keepout.apps.reproduction.fitted import DEFAULT, DEVIATIONS, OFFSET, PAPER_NETWORK, PRINTED, SHIPPED, TARGETS
-from keepout.apps.reproduction.part import Drawing, Part, Table
-from keepout.apps.reproduction.work import Work
+from keepout.apps.reproduction.work import Drawing, Part, Table, Work
 from keepout.core.fields import load_shipped
 from keepout.core.fields.field import values
 from keepout.core.fields.model import FieldModel

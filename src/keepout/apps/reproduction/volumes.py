@@ -5,8 +5,7 @@ from typing import Any
 
 from keepout.apps.reproduction import fitted
 from keepout.apps.reproduction.fitted import CHASER_RADII, OFFSET, TARGETS
-from keepout.apps.reproduction.part import Part, Table
-from keepout.apps.reproduction.work import Work
+from keepout.apps.reproduction.work import Part, Table, Work
 from keepout.core.fields.model import FieldModel
 from keepout.core.geometry.mesh_report import enclosed_volume
 from keepout.core.geometry.target import Target

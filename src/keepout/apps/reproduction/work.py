@@ -1,10 +1,14 @@
-"""What every part of a reproduction works with: a folder, a seed, and what was already computed there."""
+"""What every part of a reproduction works with and hands over: a folder, a seed, cores, and what was computed before.
+
+What it hands over are tables, figures and words, each beside what the paper states.
+"""
 
 import dataclasses
 import io
 import json
 import zipfile
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
@@ -12,12 +16,64 @@ from typing import Any, TypeVar
 import numpy as np
 
 import keepout
+from keepout.core.cores import available_cores
 from keepout.core.digest import digest
 from keepout.core.errors import ScenarioError
-from keepout.core.progress import Progress, part_of, silent
+from keepout.core.mission.flight import Flight
+from keepout.core.progress import Progress, never_back, part_of, silent
 from keepout.core.whole_file import write_whole
+from keepout.flights.pages.page import Table
+
+__all__ = ["Drawing", "Part", "Table", "Work", "side_by_side"]
 
 Thing = TypeVar("Thing")
+MOST = 2
+"""Computations at once, so that memory stays small."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Drawing:
+    """A figure of a reproduction: `<name>.png` and `<name>.svg` in the part's folder.
+
+    Attributes:
+        name: of its files, without ending.
+        caption: what it shows, plain text.
+
+    """
+
+    name: str
+    caption: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Part:
+    """One part of the paper's Section VI, repeated.
+
+    Attributes:
+        name: as on the command line.
+        title: heading on the page.
+        paper: what the paper states of it, plain text.
+        ours: what was found, plain text, a paragraph each.
+        rows: one row a flight, field or campaign; see `named_rows`.
+        tables: each becomes a CSV file and a table of the page.
+        drawings: each is a PNG and an SVG file that stand in the part's folder.
+        flights: to be replayed on the page, all around one target.
+
+    """
+
+    name: str
+    title: str
+    paper: str
+    ours: Sequence[str]
+    rows: Sequence[dict[str, Any]]
+    tables: Sequence[Table] = ()
+    drawings: Sequence[Drawing] = ()
+    flights: Mapping[str, Flight] = dataclasses.field(default_factory=dict)
+
+    @property
+    def named_rows(self) -> list[dict[str, Any]]:
+        """Its rows as `--json` and `summary.json` list them among those of other parts: each with its name first."""
+        return [{"experiment": self.name, **row} for row in self.rows]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,3 +149,35 @@ def _readable(path: Path) -> Iterator[None]:
         yield
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise ScenarioError(f"{path}: cannot be read ({error}); delete it to compute it anew") from None
+
+
+def side_by_side(jobs: Mapping[str, Callable[[Progress], Thing]], progress: Progress) -> dict[str, Thing]:
+    """Run jobs at once, as many as there are cores and at most `MOST`; the first failure stops those not begun.
+
+    Args:
+        jobs: by name; each is given its own progress.
+        progress: told the mean over all jobs, with the name of the one that reports.
+
+    """
+    done = dict.fromkeys(jobs, 0.0)
+    whole = never_back(progress)
+
+    def reporter(name: str) -> Progress:
+        def report(fraction: float, message: str) -> None:
+            done[name] = fraction
+            whole(sum(done.values()) / len(done), f"{name} {message}".rstrip())
+
+        return never_back(report)
+
+    def run(name: str) -> Thing:
+        own = reporter(name)
+        answer = jobs[name](own)
+        own(1.0, "")
+        return answer
+
+    pool = ThreadPoolExecutor(min(MOST, available_cores()))
+    try:
+        futures = {name: pool.submit(run, name) for name in jobs}
+        return {name: future.result() for name, future in futures.items()}
+    finally:
+        pool.shutdown(cancel_futures=True)

@@ -15,7 +15,6 @@ import os
 import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -28,7 +27,6 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from jaxtyping import Bool, Int
 
-from keepout.core.cores import available_cores
 from keepout.core.digest import digest
 from keepout.core.errors import FlightError, ScenarioError
 from keepout.core.mission.scenario import COMPONENTS, Scenario
@@ -39,11 +37,6 @@ from keepout.flights.campaign.bands import Bands
 from keepout.flights.campaign.flying import ChunkResult
 from keepout.flights.campaign.plan import FORMAT, Plan
 from keepout.flights.campaign.statistics import Factor
-
-_THREADS = 4
-"""Parts decoded at once, at most."""
-_AHEAD = 64
-"""Parts decoded together: what is decoded and not yet copied is these and no more."""
 
 
 @dataclass(frozen=True)
@@ -196,8 +189,7 @@ class Dataset:
             except (OSError, ValueError, KeyError, IndexError, zipfile.BadZipFile) as error:
                 said = f"damaged ({_line(error)}); start the campaign again to mend it"
                 raise FlightError(f"{self._bands(number)}: {said}") from None
-            if place % _AHEAD == 0:
-                progress(place / len(numbers), "bands")
+            progress(place / len(numbers), "bands")
         return whole
 
     def processors(self) -> dict[str, int]:
@@ -260,7 +252,7 @@ class Dataset:
     def arrays(
         self, columns: Sequence[str], *, grouped: Mapping[str, Callable[[str], str]] | None = None
     ) -> dict[str, Any]:
-        """Read columns of all parts that are done, one entry a run in order, without ever holding more than these.
+        """Read columns of all parts that are done, one entry a run in order.
 
         Args:
             columns: their names.
@@ -276,38 +268,25 @@ class Dataset:
         absent = [name for name in columns if name not in self.names]
         if absent:
             raise FlightError(f"{self.folder}: its table has no column {absent[0]}; this version did not fly it")
-        text = [name for name in columns if pa.types.is_string(self._schema.field(name).type)]
-        words = {name: _Coded((grouped or {}).get(name, str)) for name in text}
-        rows = {number: self._rows_of(number) for number in self.parts}
-        total = sum(end - begin for begin, end in rows.values())
-        found = {name: np.empty(total, np.int32 if name in words else float) for name in columns}
-
-        def decoded(number: int) -> pa.Table:
-            path = self._table(number)
-            with pq.ParquetFile(path, read_dictionary=text, page_checksum_verification=True, pre_buffer=False) as file:
-                part = file.read(columns=list(columns), use_threads=False)
-            begin, end = rows[number]
-            if len(part) != end - begin:
-                raise self._damaged(f"{len(part)} rows for the runs {begin} to {end - 1}")
-            return part
-
-        done = 0
+        paths = [self._table(number) for number in self.parts]
+        text = {name for name in columns if pa.types.is_string(self._schema.field(name).type)}
         try:
-            with ThreadPoolExecutor(min(available_cores(), _THREADS)) as pool:
-                for first in range(0, len(self.parts), _AHEAD):
-                    some = pa.concat_tables(pool.map(decoded, self.parts[first : first + _AHEAD])).unify_dictionaries()
-                    here = slice(done, done := done + len(some))
-                    for name, into in found.items():
-                        coded = words.get(name)
-                        own = some[name].cast(pa.float64()).to_numpy() if coded is None else coded.codes(some[name])
-                        into[here] = own
+            for number, path in zip(self.parts, paths):
+                begin, count = number * self.identity["chunk"], pq.read_metadata(path).num_rows
+                end = min(begin + self.identity["chunk"], self.runs)
+                if count != end - begin:
+                    raise self._damaged(f"{count} rows for the runs {begin} to {end - 1}")
+            whole = pq.read_table(
+                paths, columns=list(columns), read_dictionary=list(text), page_checksum_verification=True
+            )
         except (OSError, pa.ArrowException) as error:
             raise self._damaged(_line(error)) from None
-        return {name: Words(of, tuple(words[name].known)) if name in words else of for name, of in found.items()}
-
-    def _rows_of(self, number: int) -> tuple[int, int]:
-        """Give the first run of a part and the one after its last."""
-        return number * self.identity["chunk"], min((number + 1) * self.identity["chunk"], self.runs)
+        return {
+            name: Words.of(whole[name], (grouped or {}).get(name, str))
+            if name in text
+            else whole[name].cast(pa.float64()).to_numpy()
+            for name in columns
+        }
 
     def _damaged(self, said: str) -> FlightError:
         return FlightError(f"{self.folder}: damaged ({said}); start the campaign again to mend it")
@@ -355,10 +334,18 @@ class Dataset:
 
 @dataclass(frozen=True, eq=False)
 class Words:
-    """A column of text: of each run the place of its text in `values`."""
+    """A column of text: of each run the place of its text in `values`; of a run without one, that of ""."""
 
     codes: Int[np.ndarray, "runs"]
     values: tuple[str, ...]
+
+    @classmethod
+    def of(cls, texts: pa.ChunkedArray, group: Callable[[str], str]) -> "Words":
+        """Read a column, equal ones of what `group` makes of its texts as one."""
+        column: Any = texts.unify_dictionaries().combine_chunks()
+        known: dict[str, int] = {}
+        own = [known.setdefault(text, len(known)) for text in (*map(group, column.dictionary.to_pylist()), "")]
+        return cls(np.asarray(own, np.int32)[column.indices.fill_null(len(own) - 1).to_numpy()], tuple(known))
 
     def __len__(self) -> int:
         """How many runs."""
@@ -367,22 +354,6 @@ class Words:
     def equal(self, value: str) -> Bool[np.ndarray, "runs"]:
         """Which runs have a text."""
         return self.codes == (self.values.index(value) if value in self.values else -1)
-
-
-class _Coded:
-    """Texts of a column that is read in pieces: each as its place among all that are known; of none, that of ""."""
-
-    def __init__(self, group: Callable[[str], str]) -> None:
-        self.known: dict[str, int] = {}
-        self._group = group
-
-    def codes(self, texts: pa.ChunkedArray) -> Int[np.ndarray, "runs"]:
-        column: Any = texts.combine_chunks()
-        own = [self.known.setdefault(self._group(text), len(self.known)) for text in column.dictionary.to_pylist()]
-        if column.null_count:
-            own.append(self.known.setdefault("", len(self.known)))
-        indices = column.indices.fill_null(len(own) - 1).to_numpy(zero_copy_only=False)
-        return np.asarray(own, np.int32)[indices] if own else np.empty(0, np.int32)
 
 
 def read_campaign(folder: str | Path, *, progress: Progress = silent) -> Dataset:

@@ -149,37 +149,30 @@ def _found(dataset: Dataset, missing: list[int]) -> tuple[int, int]:
     return reached, contacts
 
 
-@dataclass(frozen=True)
-class Keep:
-    """How many flights to keep, those of least clearance first; None: all."""
+def keep_of(text: str) -> int | None:
+    """Read how many flights to keep, those of least clearance first: `none`, `all` (None) or `worst:20`.
 
-    worst: int | None
+    Raises:
+        ScenarioError: anything else.
 
-    @classmethod
-    def parse(cls, text: str) -> "Keep":
-        """Read `none`, `all` or `worst:20`.
-
-        Raises:
-            ScenarioError: anything else.
-
-        """
-        if text in ("none", "all"):
-            return cls(0 if text == "none" else None)
-        kind, _, count = text.partition(":")
-        if kind == "worst" and count.isdecimal() and int(count) > 0:
-            return cls(int(count))
-        raise ScenarioError(f"keep: {text!r}; valid are none, all and worst:N with N from 1 on, as worst:20")
+    """
+    if text in ("none", "all"):
+        return 0 if text == "none" else None
+    kind, _, count = text.partition(":")
+    if kind == "worst" and count.isdecimal() and int(count) > 0:
+        return int(count)
+    raise ScenarioError(f"keep: {text!r}; valid are none, all and worst:N with N from 1 on, as worst:20")
 
 
 def keep_flights(
-    plan: Plan, dataset: Dataset, keep: Keep, *, told: Callable[[int, int], None] = lambda done, total: None
+    plan: Plan, dataset: Dataset, keep: int | None, *, told: Callable[[int, int], None] = lambda done, total: None
 ) -> list[int]:
     """Write the flight files of a complete campaign that are not there yet: each run is flown again, to the same bits.
 
     Args:
         plan: of the campaign.
         dataset: its folder, complete.
-        keep: which flights.
+        keep: how many, as `keep_of` gives it.
         told: called with how many are there, and of how many.
 
     Returns:
@@ -189,13 +182,13 @@ def keep_flights(
         FlightError: a file cannot be written.
 
     """
-    if keep.worst == 0:
+    if keep == 0:
         return []
     whole = dataset.table(["run", "status", "minimum_clearance"])
     flown = np.asarray(whole["status"].to_numpy(zero_copy_only=False) == FLOWN)
     clearance = np.asarray(whole["minimum_clearance"].cast(pa.float64()).to_numpy(zero_copy_only=False), float)
     runs = np.flatnonzero(flown)
-    chosen = [int(run) for run in runs[np.lexsort((runs, clearance[runs]))][: keep.worst]]
+    chosen = [int(run) for run in runs[np.lexsort((runs, clearance[runs]))][:keep]]
     wanted = [run for run in chosen if not _is_kept(dataset, run)]
     for first in range(0, len(wanted), plan.batch):
         for made in replay(plan, wanted[first : first + plan.batch]):

@@ -11,8 +11,8 @@ from keepout.flights.pages.figures import COLOURS, figure
 from keepout.flights.pages.page import Markup, Page, Table, finite, text
 from keepout.flights.pages.replay_page import write_replay
 from keepout.flights.pages.replayed import of_flights
-from keepout.flights.rare_events.estimate import band, curve
 from keepout.flights.rare_events.event import RareEvent
+from keepout.flights.rare_events.subset import band, curve
 
 
 def write_rare(out: Path, event: RareEvent) -> dict[str, Any]:

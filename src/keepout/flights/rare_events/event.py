@@ -1,5 +1,6 @@
 """How probable it is that a scenario's flight comes nearer to the target than a number: measured, never proved."""
 
+import json
 import math
 import time
 from dataclasses import dataclass
@@ -9,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from keepout.core.digest import digest
 from keepout.core.errors import ScenarioError
 from keepout.core.fields.model import FieldModel
 from keepout.core.flight.batches import BATCH
@@ -18,10 +20,8 @@ from keepout.core.mission.build import Mission, prepare
 from keepout.core.mission.flight import Flight
 from keepout.core.mission.scenario import Scenario
 from keepout.core.progress import Progress, part_of, silent
-from keepout.flights.rare_events import kept
-from keepout.flights.rare_events.estimate import Estimate, estimate
 from keepout.flights.rare_events.flights import TapedFlights
-from keepout.flights.rare_events.subset import Simulation, simulate
+from keepout.flights.rare_events.subset import CONFIDENCE, Estimate, Simulation, estimate, simulate
 
 FLIGHTS = 1024
 """Flights of a level and run."""
@@ -78,7 +78,7 @@ class RareEvent:
             "grade": "measured",
             "clearance_below_m": self.below,
             **{f"probability_{k}" if k == "below" else k: v for k, v in self.estimate.summary().items()},
-            "confidence": 0.95,
+            "confidence": CONFIDENCE,
             "runs": [float(run) for run in self.estimate.runs],
             "ended": self.simulation.ended,
             "levels": len(levels),
@@ -103,7 +103,6 @@ def rare(
     below: float = 0.0,
     runs: int = RUNS,
     flights: int = FLIGHTS,
-    most_levels: int = MOST_LEVELS,
     state: Path | None = None,
     target: Target | None = None,
     model: FieldModel | None = None,
@@ -119,7 +118,6 @@ def rare(
         below: the clearance, m; 0 is contact.
         runs: side by side, at least 2; the interval comes from their spread, and 8 or more make it hold.
         flights: of a level and run; a multiple of 8.
-        most_levels: the search is given up after so many.
         state: folder in which the simulation is kept after each level, and gone on with if it is there.
         target: already loaded; else the scenario's.
         model: its field, already loaded; else the scenario's.
@@ -141,14 +139,13 @@ def rare(
         "below": below,
         "runs": runs,
         "flights": flights,
-        "most_levels": most_levels,
+        "most_levels": MOST_LEVELS,
         "target": mission.target.sha256,
         "field": mission.model.sha256,
         "guard": RECIPE if mission.guard is not None else "",
         "batch": BATCH,
         "versions": {name: metadata.version(name) for name in ("jax", "jaxlib", "numpy")},
     }
-    file = None if state is None else state / f"state-{kept.digest(identity)}.npz"
     found = simulate(
         flown.clearance,
         flown.tape.numbers,
@@ -156,9 +153,8 @@ def rare(
         runs=runs,
         tapes=flights,
         seed=scenario.seed,
-        most_levels=most_levels,
-        resumed=kept.load(file) if file is not None and file.exists() else None,
-        kept=None if file is None else lambda simulation: kept.save(file, simulation),
+        most_levels=MOST_LEVELS,
+        state=None if state is None else state / f"state-{digest(json.dumps(identity, sort_keys=True))[:16]}.npz",
         progress=part_of(progress, 0.1, 0.95),
     )
     progress(0.95, "the worst flight")

@@ -13,21 +13,30 @@ them, and nothing else: no tape of one run descends from a tape of another. For 
 each run's product is free of bias, whatever its chains mix like: the tapes at most a threshold are counted one by one,
 and each has the same expected number of chains. What is left is that the thresholds depend a little on the run itself:
 the bias of choosing them from one run alone is so many times smaller as there are runs. The runs' spread, and nothing
-within a run, is the error of their mean (`estimate.py`): many tapes of one level descend from few of the level before.
+within a run, is the error of their mean (`estimate`): many tapes of one level descend from few of the level before.
 
 Every random number is a function of seed, run, level and sweep, so that a simulation that was stopped goes on, bit for
-bit, from the level it was in.
+bit, from the level it was in: as a file it is kept after each level.
+
+Of what the runs say together, an interval answers one question that was asked beforehand; a band answers several at
+once.
 """
 
+import io
 import math
-from collections.abc import Callable
+import zipfile
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from scipy import stats
 
 from keepout.core.errors import ScenarioError
 from keepout.core.progress import Progress, silent
+from keepout.core.whole_file import write_whole
 
 Performance = Callable[[Float[np.ndarray, "tapes numbers"]], Float[np.ndarray, "tapes"]]
 """The performance of tapes of standard normals, one number a tape: pure, and the same for a tape in any company."""
@@ -41,6 +50,9 @@ _ACCEPTANCE = 0.3
 _FIRST_STEP = 0.6
 _STEPS = (1e-3, 1.0)
 """Least and largest β."""
+CONFIDENCE = 0.95
+_PARTS = ("seeds", "seed_values", "next_threshold", "next_probability", "lowest", "lowest_value")
+_OF_LEVEL = ("values", "threshold", "probability", "acceptance", "step")
 
 
 @dataclass(frozen=True)
@@ -100,6 +112,36 @@ class Simulation:
         first = self.levels[0].values.size
         return first + (len(self.levels) - 1) * (first - first // SHARE)
 
+    def save(self, path: Path) -> None:
+        """Write it to a file, whole or not at all."""
+        arrays = {name: np.asarray(getattr(self, name)) for name in _PARTS}
+        for name in _OF_LEVEL:
+            arrays[f"level_{name}"] = np.stack([np.asarray(getattr(level, name)) for level in self.levels])
+        stream = io.BytesIO()
+        np.savez(stream, ended=np.asarray(self.ended), **arrays)  # pyright: ignore[reportArgumentType]
+        write_whole(path, stream.getvalue(), refusal=ScenarioError)
+
+    @classmethod
+    def load(cls, path: Path) -> "Simulation":
+        """Read one.
+
+        Raises:
+            ScenarioError: the file cannot be read, or is not one of `save`.
+
+        """
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                parts = {name: file[name] for name in _PARTS}
+                levels = [file[f"level_{name}"] for name in _OF_LEVEL]
+                ended = str(file["ended"])
+        except (OSError, ValueError, KeyError, zipfile.BadZipFile, EOFError) as error:
+            raise ScenarioError(
+                f"{path}: not a simulation that can go on ({type(error).__name__}); remove it to begin anew"
+            ) from None
+        parts |= {name: float(parts[name]) for name in ("next_threshold", "lowest_value")}
+        plain = (each if each.ndim > 1 else each.tolist() for each in levels)
+        return cls(tuple(Level(*level) for level in zip(*plain, strict=True)), **parts, ended=ended)
+
 
 def simulate(
     performance: Performance,
@@ -110,8 +152,7 @@ def simulate(
     tapes: int = 1024,
     seed: int = 0,
     most_levels: int = 16,
-    resumed: Simulation | None = None,
-    kept: Callable[[Simulation], None] | None = None,
+    state: Path | None = None,
     progress: Progress = silent,
 ) -> Simulation:
     """Run subset simulation to its end.
@@ -124,103 +165,105 @@ def simulate(
         tapes: a level and run; a multiple of 8.
         seed: of everything drawn.
         most_levels: it ends with so many, below the number or not: 16 reach down to 8⁻¹⁵, 3e-14.
-        resumed: what `kept` was given, to go on from; of the same arguments.
-        kept: given the simulation after each level, to be written down.
+        state: file in which it is kept after each level, and gone on with if it is there; of the same arguments.
         progress: told after each sweep.
 
     Raises:
-        ScenarioError: numbers out of range, or a performance that is not a number.
+        ScenarioError: numbers out of range, a performance that is not a number, or a file that cannot be read.
 
     """
     _check(numbers, below, runs, tapes, seed, most_levels)
-    if resumed is None:
-        progress(0.0, "level 1")
-        drawn = np.empty((runs, tapes, numbers))
-        for run in range(runs):
-            _generator(seed, run, 0, 0).standard_normal(out=drawn[run])
-        first = Level(_evaluated(performance, drawn), math.inf, np.ones(runs), 1.0, _FIRST_STEP)
-        found = _after_level(drawn, first, None, below, seed, most_levels)
-    else:
-        found = resumed
+    search = _Search(performance, below, seed, most_levels, progress)
+    found = search.begun(runs, tapes, numbers) if state is None or not state.exists() else Simulation.load(state)
     while True:
-        if kept is not None:
-            kept(found)
+        if state is not None:
+            found.save(state)
         if found.ended:
             progress(1.0, "")
             return found
-        found = _advance(performance, found, below, seed, most_levels, progress)
+        found = search.advanced(found)
 
 
-def _advance(
-    performance: Performance, found: Simulation, below: float, seed: int, most_levels: int, progress: Progress
-) -> Simulation:
-    """Fly one more level of every run."""
-    number = len(found.levels)
-    tapes, values, step = found.seeds, found.seed_values, found.levels[-1].step
-    chains = tapes.shape[1]
-    # Filled sweep by sweep: the tapes of a level are most of the memory that this takes.
-    all_tapes = np.empty((len(tapes), SHARE * chains, tapes.shape[2]))
-    all_values, shares = np.empty(all_tapes.shape[:2]), []
-    all_tapes[:, :chains], all_values[:, :chains] = tapes, values
-    for sweep in range(1, SHARE):
-        # Nobody knows how many levels there will be: as far as the last ones went, and as far again to go, at least.
-        done = (number + sweep / SHARE) / max(_levels_needed(found, below), number + 1)
-        progress(min(done, 0.99), f"level {number + 1}: P(≤ {found.next_threshold:.3g})")
-        drawn = [_generator(seed, run, number, sweep).standard_normal(tapes.shape[1:]) for run in range(len(tapes))]
-        proposed = math.sqrt(1.0 - step**2) * tapes + step * np.stack(drawn)
-        reached = _evaluated(performance, proposed)
-        taken = reached <= found.next_threshold
-        tapes = np.where(taken[:, :, None], proposed, tapes)
-        values = np.where(taken, reached, values)
-        now = slice(sweep * chains, (sweep + 1) * chains)
-        all_tapes[:, now], all_values[:, now] = tapes, values
-        shares.append(float(taken.mean()))
-        step = float(np.clip(step * math.exp(shares[-1] - _ACCEPTANCE), *_STEPS))
-    level = Level(all_values, found.next_threshold, found.next_probability, float(np.mean(shares)), step)
-    return _after_level(all_tapes, level, found, below, seed, most_levels)
+@dataclass(frozen=True)
+class _Search:
+    """What a simulation goes on by."""
 
+    performance: Performance
+    below: float
+    seed: int
+    most_levels: int
+    progress: Progress
 
-def _after_level(
-    tapes: Float[np.ndarray, "runs tapes numbers"],
-    level: Level,
-    before: Simulation | None,
-    below: float,
-    seed: int,
-    most_levels: int,
-) -> Simulation:
-    """Choose the next threshold and the seeds of its chains, or end the simulation."""
-    values = level.values
-    runs, count = values.shape
-    chains = count // SHARE
-    least = np.unravel_index(np.argmin(values), values.shape)
-    lowest, lowest_value = tapes[least].copy(), float(values[least])
-    if before is not None and before.lowest_value <= lowest_value:
-        lowest, lowest_value = before.lowest, before.lowest_value
-    levels = (*(before.levels if before else ()), level)
-    threshold, ended = float(np.partition(values.ravel(), runs * chains - 1)[runs * chains - 1]), ""
-    if threshold >= level.threshold:
-        # Many tapes share one value, such as the clearance of the start: the threshold goes below all of these.
-        threshold = float(values[values < level.threshold].max(initial=-math.inf))
-    if np.mean(values < below) >= 1.0 / SHARE:
-        ended = "reached"
-    elif threshold == -math.inf:
-        ended = "stuck"
-    elif len(levels) >= most_levels:
-        ended = "levels"
-    if ended:
-        none = tapes[:, :0]
-        return Simulation(levels, none, values[:, :0], level.threshold, level.probability, lowest, lowest_value, ended)
-    inside = values <= threshold
-    chosen = np.stack([_chosen(inside, run, chains, _generator(seed, run, len(levels), 0)) for run in range(runs)])
-    return Simulation(
-        levels,
-        seeds=tapes[chosen[..., 0], chosen[..., 1]],
-        seed_values=values[chosen[..., 0], chosen[..., 1]],
-        next_threshold=threshold,
-        next_probability=level.probability * inside.mean(axis=1),
-        lowest=lowest,
-        lowest_value=lowest_value,
-    )
+    def begun(self, runs: int, tapes: int, numbers: int) -> Simulation:
+        """Fly the first level of every run."""
+        self.progress(0.0, "level 1")
+        drawn = self._drawn((runs, tapes, numbers), 0, 0)
+        first = Level(_evaluated(self.performance, drawn), math.inf, np.ones(runs), 1.0, _FIRST_STEP)
+        return self._after(drawn, first, None)
+
+    def advanced(self, found: Simulation) -> Simulation:
+        """Fly one more level of every run."""
+        number = len(found.levels)
+        tapes, values, step = found.seeds, found.seed_values, found.levels[-1].step
+        chains = tapes.shape[1]
+        # Filled sweep by sweep: the tapes of a level are most of the memory that this takes.
+        all_tapes = np.empty((len(tapes), SHARE * chains, tapes.shape[2]))
+        all_values, shares = np.empty(all_tapes.shape[:2]), []
+        all_tapes[:, :chains], all_values[:, :chains] = tapes, values
+        for sweep in range(1, SHARE):
+            # Nobody knows how many levels there will be: as far as the last ones went, and as far again at least.
+            done = (number + sweep / SHARE) / max(_levels_needed(found, self.below), number + 1)
+            self.progress(min(done, 0.99), f"level {number + 1}: P(≤ {found.next_threshold:.3g})")
+            proposed = math.sqrt(1.0 - step**2) * tapes + step * self._drawn(tapes.shape, number, sweep)
+            reached = _evaluated(self.performance, proposed)
+            taken = reached <= found.next_threshold
+            tapes = np.where(taken[:, :, None], proposed, tapes)
+            values = np.where(taken, reached, values)
+            now = slice(sweep * chains, (sweep + 1) * chains)
+            all_tapes[:, now], all_values[:, now] = tapes, values
+            shares.append(float(taken.mean()))
+            step = float(np.clip(step * math.exp(shares[-1] - _ACCEPTANCE), *_STEPS))
+        level = Level(all_values, found.next_threshold, found.next_probability, float(np.mean(shares)), step)
+        return self._after(all_tapes, level, found)
+
+    def _drawn(self, shape: tuple[int, ...], level: int, sweep: int) -> Float[np.ndarray, "runs tapes numbers"]:
+        drawn = np.empty(shape)
+        for run, own in enumerate(drawn):
+            _generator(self.seed, run, level, sweep).standard_normal(out=own)
+        return drawn
+
+    def _after(
+        self, tapes: Float[np.ndarray, "runs tapes numbers"], level: Level, before: Simulation | None
+    ) -> Simulation:
+        """Choose the next threshold and the seeds of its chains, or end the simulation."""
+        values = level.values
+        runs, count = values.shape
+        chains = count // SHARE
+        least = np.unravel_index(np.argmin(values), values.shape)
+        lowest, lowest_value = tapes[least].copy(), float(values[least])
+        if before is not None and before.lowest_value <= lowest_value:
+            lowest, lowest_value = before.lowest, before.lowest_value
+        levels = (*(before.levels if before else ()), level)
+        threshold, ended = float(np.partition(values.ravel(), runs * chains - 1)[runs * chains - 1]), ""
+        if threshold >= level.threshold:
+            # Many tapes share one value, such as the clearance of the start: the threshold goes below all of these.
+            threshold = float(values[values < level.threshold].max(initial=-math.inf))
+        if np.mean(values < self.below) >= 1.0 / SHARE:
+            ended = "reached"
+        elif threshold == -math.inf:
+            ended = "stuck"
+        elif len(levels) >= self.most_levels:
+            ended = "levels"
+        if ended:
+            seeds, seed_values, threshold, below = tapes[:, :0], values[:, :0], level.threshold, level.probability
+        else:
+            inside = values <= threshold
+            generators = [_generator(self.seed, run, len(levels), 0) for run in range(runs)]
+            places = [_chosen(inside, run, chains, generator) for run, generator in enumerate(generators)]
+            rows, columns = np.moveaxis(np.stack(places), -1, 0)
+            seeds, seed_values = tapes[rows, columns], values[rows, columns]
+            below = level.probability * inside.mean(axis=1)
+        return Simulation(levels, seeds, seed_values, threshold, below, lowest, lowest_value, ended)
 
 
 def _chosen(inside: np.ndarray, run: int, chains: int, generator: np.random.Generator) -> np.ndarray:
@@ -270,3 +313,113 @@ def _check(numbers: int, below: float, runs: int, tapes: int, seed: int, most_le
         raise ScenarioError(f"flights: {tapes} a level and run; it must be a multiple of {SHARE}, at least {8 * SHARE}")
     if not math.isfinite(below):
         raise ScenarioError(f"below: {below}; it must be finite")
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A probability as measured.
+
+    Attributes:
+        mean: of the runs; 0 where none of them found any.
+        lower: lower end of the 95 % interval.
+        upper: upper end of it, or, where no interval can be given, what the probability is below with 95 %.
+        runs: each run's own.
+        bounded_only: whether `upper` is all that is known: some run found none at all.
+
+    """
+
+    mean: float
+    lower: float
+    upper: float
+    runs: Float[np.ndarray, "runs"]
+    bounded_only: bool = False
+
+    @property
+    def relative_error(self) -> float:
+        """Standard error of the mean, relative to it; infinite where the mean is 0."""
+        if self.mean == 0.0:
+            return math.inf
+        return float(np.std(self.runs, ddof=1) / math.sqrt(len(self.runs)) / self.mean)
+
+    def summary(self) -> dict[str, Any]:
+        """Give plain numbers for JSON: None for what is not known."""
+        if self.bounded_only:
+            return {"probability": None, "interval": None, "below": self.upper}
+        return {
+            "probability": self.mean,
+            "interval": [self.lower, self.upper],
+            "relative_error": self.relative_error,
+        }
+
+
+def interval(runs: Float[np.ndarray, "runs"], confidence: float = CONFIDENCE) -> tuple[float, float, float]:
+    """Give mean and interval, of 95 % if nothing else is said, of the probability that runs estimate without bias.
+
+    Student's t with the runs' spread, laid on the logarithm of the mean: m exp(± t s / (m √n)). The runs' products are
+    skewed to the right, as products are; on the mean itself the interval would end too low, and on the mean of the
+    logarithms it would be of their median (docs/rare.md has what each of them covers).
+    """
+    mean = float(np.mean(runs))
+    if mean == 0.0:
+        return 0.0, 0.0, math.nan
+    count = len(runs)
+    half = float(stats.t.ppf(0.5 + confidence / 2, count - 1) * np.std(runs, ddof=1) / math.sqrt(count) / mean)
+    return mean, mean * math.exp(-half), min(mean * math.exp(min(half, 700.0)), 1.0)
+
+
+def estimate(simulation: Simulation, below: float) -> Estimate:
+    """Estimate the probability that the performance is below a number.
+
+    Where a run found no tape below it, the spread of the runs is no error of their mean. Then only an upper bound is
+    given: the lesser of the upper end at the last threshold passed, below which the number lies, and of what none in
+    so many independent tapes of the first level allows. Each of the two is wrong with half of 5 %, so that the lesser
+    is wrong with 5 % at most.
+    """
+    runs = simulation.below(below)
+    mean, lower, upper = interval(runs)
+    if np.all(runs > 0.0):
+        return Estimate(mean, lower, upper, runs)
+    passed = [level for level in simulation.levels[1:] if level.threshold >= below][-1:]
+    wrong = (1.0 - CONFIDENCE) / (len(passed) + 1)
+    ends = [interval(level.probability, 1.0 - 2.0 * wrong)[2] for level in passed]
+    first = simulation.levels[0].values
+    found = int(np.sum(first < below))
+    ends.append(float(stats.beta.ppf(1.0 - wrong, found + 1, first.size - found)))
+    return Estimate(mean, 0.0, float(np.nanmin(ends)), runs, bounded_only=True)
+
+
+def band(numbers: Sequence[float], runs: Sequence[Float[np.ndarray, "runs"]]) -> Float[np.ndarray, "numbers 4"]:
+    """Give a band that holds the probabilities to be below several numbers, all at once, with 95 %.
+
+    Of K numbers each has an interval that is wrong with 5 %/K, so that with 95 % none is. The probability rises with
+    the number: where all intervals hold, so does the largest of the lower ends up to a number, and the least of the
+    upper ends from it on. The band so drawn in rises too, and costs no confidence. With intervals of 95 % each the same
+    would cost some: of many lower ends the largest is more often wrong than each is.
+
+    Args:
+        numbers: rising.
+        runs: of each number, the probability that each run found; none of which falls from number to number.
+
+    Returns:
+        A row for each number: the number, the mean, and the lower and upper end; an end is NaN where no run found any.
+
+    """
+    confidence = 1.0 - (1.0 - CONFIDENCE) / max(len(numbers), 1)
+    rows = np.array([(number, *interval(of, confidence)) for number, of in zip(numbers, runs, strict=True)])
+    rows = rows.reshape(-1, 4)
+    rows[:, 2] = np.maximum.accumulate(rows[:, 2])
+    rows[:, 3] = np.fmin.accumulate(rows[::-1, 3])[::-1]
+    return rows
+
+
+def curve(simulation: Simulation, points: int = 60) -> Float[np.ndarray, "points 4"]:
+    """Give performance, probability to be below it, and the `band` of that, from the middle of the first level down.
+
+    Only numbers that every run came below.
+    """
+    high = float(np.median(simulation.levels[0].values))
+    last = simulation.levels[-1].values
+    low = float(last[np.isfinite(last)].min(initial=high))
+    found = [(number, simulation.below(number)) for number in np.linspace(low, high, points).tolist()]
+    found = [(number, runs) for number, runs in found if runs.all()]
+    return band([number for number, _ in found], [runs for _, runs in found])
