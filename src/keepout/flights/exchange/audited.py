@@ -173,27 +173,33 @@ def audit_files(target: Target, given: Given, *, progress: Progress = silent) ->
         "rows_outside_useable_times": sum(file.unuseable for file in files),
         "target": target.name,
         "target_sha256": target.sha256,
-        "assumptions": {
-            "chaser_radius_m": given.chaser_radius,
-            "acceleration_bound_mps2": given.acceleration_bound,
-            "least_acceleration_of_samples_mps2": verdict.least_acceleration,
-            "target_attitude": "file" if attitude is not None else given.axes,
-            "turning_acceleration_bound_radps2": turning,
-            "turning_acceleration_kind": "measured" if given.turning_acceleration_bound is None else "stated",
-            "turning_rate_bound_radps": verdict.turning_rate,
-            "largest_turn_between_epochs_deg": math.degrees(verdict.largest_turn),
-            "longest_step_s": verdict.longest_step,
-            "path_uncertainty_m": verdict.uncertainty,
-            "unambiguous_turning_rate_radps": math.pi / verdict.longest_step,
-            "sample_error_m": sampled,
-            "sample_error_of_digits_m": motion.position_error,
-            "velocity_error_of_digits_mps": motion.velocity_error,
-            "attitude_error_rad": turned,
-            "attitude_error_of_digits_rad": motion.attitude_error,
-            "centre_of_mass_m": list(given.centre),
-            "tolerance_m": given.tolerance,
-        },
+        "assumptions": _assumptions(given, motion, verdict, sampled, turned, turning),
         "remarks": [*verdict.remarks, *_not_told(given, files, verdict), *_few_digits(given, motion)],
+    }
+
+
+def _assumptions(
+    given: Given, motion: "Encounter", verdict: Passage, sampled: float, turned: float, turning: float
+) -> dict[str, Any]:
+    return {
+        "chaser_radius_m": given.chaser_radius,
+        "acceleration_bound_mps2": given.acceleration_bound,
+        "least_acceleration_of_samples_mps2": verdict.least_acceleration,
+        "target_attitude": given.axes if given.target_attitude is None else "file",
+        "turning_acceleration_bound_radps2": turning,
+        "turning_acceleration_kind": "measured" if given.turning_acceleration_bound is None else "stated",
+        "turning_rate_bound_radps": verdict.turning_rate,
+        "largest_turn_between_epochs_deg": math.degrees(verdict.largest_turn),
+        "longest_step_s": verdict.longest_step,
+        "path_uncertainty_m": verdict.uncertainty,
+        "unambiguous_turning_rate_radps": math.pi / verdict.longest_step,
+        "sample_error_m": sampled,
+        "sample_error_of_digits_m": motion.position_error,
+        "velocity_error_of_digits_mps": motion.velocity_error,
+        "attitude_error_rad": turned,
+        "attitude_error_of_digits_rad": motion.attitude_error,
+        "centre_of_mass_m": list(given.centre),
+        "tolerance_m": given.tolerance,
     }
 
 

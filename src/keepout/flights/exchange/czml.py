@@ -41,72 +41,66 @@ def export_czml(flight: InertialFlight, scenario: Scenario, path: Path) -> dict[
         raise ExchangeError("--to czml: is written with czml3; pip install 'keepout[export]'") from None
     times = [format_instant(int(epoch)) + "Z" for epoch in flight.epochs]
     span = TimeInterval(start=times[0], end=times[-1])
-    seconds = (flight.epochs - flight.epochs[0]) / 1e9
-
-    def packet(name: str, position: np.ndarray, velocity: np.ndarray, **more: Any) -> Packet:
-        colour = properties.Color(rgba=COLOURS[name])
-        return Packet(
-            id=name,
-            name=f"{scenario.name}: {name}",
-            availability=span,
-            position=properties.Position(
-                epoch=times[0],
-                referenceFrame=enums.ReferenceFrames.INERTIAL,
-                cartesianVelocity=_sampled(seconds, np.concatenate([position, velocity], axis=1)),
-                interpolationAlgorithm=enums.InterpolationAlgorithms.HERMITE,
-                interpolationDegree=3,
-            ),
-            path=properties.Path(
-                width=1.5,
-                resolution=max(float(seconds[-1]) / 500.0, 1.0),
-                material=properties.PolylineMaterial(solidColor=properties.SolidColorMaterial(color=colour)),
-            ),
-            point=properties.Point(pixelSize=6.0, color=colour),
-            label=properties.Label(text=name, show=True, fillColor=colour),
-            **more,
-        )
-
-    # CZML's quaternion takes body components to Earth-fixed ones.
-    turn = earth_from_inertial(flight.epochs) @ np.swapaxes(flight.turn, 1, 2)
-    quaternion = without_jumps(Rotation.from_matrix(turn).as_quat())
-    orientation = properties.Orientation(
-        epoch=times[0],
-        unitQuaternion=_sampled(seconds, quaternion),
-        interpolationAlgorithm=enums.InterpolationAlgorithms.LINEAR,
-        interpolationDegree=1,
-    )
-    radius = scenario.chaser.radius
-    ball = properties.Ellipsoid(
-        radii=properties.EllipsoidRadii(cartesian=[radius] * 3),
-        material=properties.Material(
-            solidColor=properties.SolidColorMaterial(color=properties.Color(rgba=[*COLOURS["chaser"][:3], 160]))
-        ),
-    )
     said = (
         f"A flight of Keepout: scenario {scenario.name}, epoch {scenario.epoch}. Positions in metres, {FRAME} axes, of "
         "the target's centre of mass and the chaser's centre; orientation of the target's body axes."
     )
-    document = Document(
-        packets=[
-            Packet(
-                id="document",
-                name=scenario.name,
-                version=CZML_VERSION,
-                description=said,
-                clock=properties.Clock(
-                    interval=span,
-                    currentTime=times[0],
-                    multiplier=10.0,
-                    range=enums.ClockRanges.LOOP_STOP,
-                    step=enums.ClockSteps.SYSTEM_CLOCK_MULTIPLIER,
-                ),
-            ),
-            packet("target", flight.target_position, flight.target_velocity, orientation=orientation),
-            packet("chaser", flight.chaser_position, flight.chaser_velocity, ellipsoid=ball),
-        ]
+    clock = properties.Clock(
+        interval=span,
+        currentTime=times[0],
+        multiplier=10.0,
+        range=enums.ClockRanges.LOOP_STOP,
+        step=enums.ClockSteps.SYSTEM_CLOCK_MULTIPLIER,
     )
-    write_whole(path, document.dumps() + "\n", refusal=ExchangeError)
+    packets = [Packet(id="document", name=scenario.name, version=CZML_VERSION, description=said, clock=clock)]
+    for name in COLOURS:
+        shown = _shown(flight, scenario, name, times[0])
+        packets.append(Packet(id=name, name=f"{scenario.name}: {name}", availability=span, **shown))
+    write_whole(path, Document(packets=packets).dumps() + "\n", refusal=ExchangeError)
     return {"frame": FRAME, "start_time": times[0], "stop_time": times[-1], "rows": len(times)}
+
+
+def _shown(flight: InertialFlight, scenario: Scenario, name: str, epoch: str) -> dict[str, Any]:
+    """Give what is shown of target or chaser: its way, a point and a name, and how it is turned or how large it is."""
+    from czml3 import enums, properties
+
+    seconds = (flight.epochs - flight.epochs[0]) / 1e9
+    states = np.concatenate([getattr(flight, f"{name}_position"), getattr(flight, f"{name}_velocity")], axis=1)
+    colour = properties.Color(rgba=COLOURS[name])
+    shown: dict[str, Any] = {
+        "position": properties.Position(
+            epoch=epoch,
+            referenceFrame=enums.ReferenceFrames.INERTIAL,
+            cartesianVelocity=_sampled(seconds, states),
+            interpolationAlgorithm=enums.InterpolationAlgorithms.HERMITE,
+            interpolationDegree=3,
+        ),
+        "path": properties.Path(
+            width=1.5,
+            resolution=max(float(seconds[-1]) / 500.0, 1.0),
+            material=properties.PolylineMaterial(solidColor=properties.SolidColorMaterial(color=colour)),
+        ),
+        "point": properties.Point(pixelSize=6.0, color=colour),
+        "label": properties.Label(text=name, show=True, fillColor=colour),
+    }
+    if name == "chaser":
+        glass = properties.SolidColorMaterial(color=properties.Color(rgba=[*COLOURS[name][:3], 160]))
+        return shown | {
+            "ellipsoid": properties.Ellipsoid(
+                radii=properties.EllipsoidRadii(cartesian=[scenario.chaser.radius] * 3),
+                material=properties.Material(solidColor=glass),
+            )
+        }
+    # CZML's quaternion takes body components to Earth-fixed ones.
+    turn = earth_from_inertial(flight.epochs) @ np.swapaxes(flight.turn, 1, 2)
+    return shown | {
+        "orientation": properties.Orientation(
+            epoch=epoch,
+            unitQuaternion=_sampled(seconds, without_jumps(Rotation.from_matrix(turn).as_quat())),
+            interpolationAlgorithm=enums.InterpolationAlgorithms.LINEAR,
+            interpolationDegree=1,
+        )
+    }
 
 
 def _sampled(seconds: Float[np.ndarray, "n"], values: Float[np.ndarray, "n columns"]) -> list[float]:

@@ -334,11 +334,11 @@ def _read(
             segments, or segments contradict each other.
 
     """
-    message = read_message(path, kind)
-    for segment in message.segments:
+    told, comments = read_message(path, kind)
+    for segment in told:
         if segment.version not in VERSIONS[kind]:
             raise ExchangeError(f"{path}: CCSDS_{kind}_VERS is {segment.version}; valid: {', '.join(VERSIONS[kind])}")
-    subject, segments = _of_one_object(path, message.segments, wanted)
+    subject, segments = _of_one_object(path, told, wanted)
     first = segments[0]
     for keyword in (*FRAMES[kind], "TIME_SYSTEM"):
         for segment in segments:
@@ -364,7 +364,7 @@ def _read(
         "centre": first.metadata.get("CENTER_NAME", "").upper(),
         "time_system": system,
         "epochs": np.array(list(rows), np.int64),
-        "comments": message.comments,
+        "comments": comments,
         "unuseable": sum(len(segment.rows) for segment in segments) - sum(map(len, useable)),
     }
     numbers, units = (np.array(part) for part in zip(*rows.values()))

@@ -77,7 +77,6 @@ class InertialFlight:
         chaser_position: of the chaser's centre.
         chaser_velocity: of the same.
         turn: rotations body ← EME2000.
-        vvlh: rotations VVLH ← EME2000.
         centre_of_mass: of the target, in the body frame, m.
 
     """
@@ -88,7 +87,6 @@ class InertialFlight:
     chaser_position: Float[np.ndarray, "n 3"]
     chaser_velocity: Float[np.ndarray, "n 3"]
     turn: Float[np.ndarray, "n 3 3"]
-    vvlh: Float[np.ndarray, "n 3 3"]
     centre_of_mass: Float[np.ndarray, "3"]
 
     def about(self, path: Path, craft: str) -> dict[str, Any]:
@@ -139,7 +137,6 @@ def inertial_flight(record: FlightRecord, scenario: Scenario) -> InertialFlight:
         position + np.einsum("nji,nj->ni", turn, away),
         velocity + np.einsum("nji,nj->ni", turn, drift),
         turn,
-        vvlh,
         centre,
     )
 

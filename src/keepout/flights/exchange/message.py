@@ -50,14 +50,6 @@ class Segment:
         return self.metadata[keyword]
 
 
-@dataclass(frozen=True)
-class Message:
-    """What stands in a file: the segments of all its messages of one kind, and its comments."""
-
-    segments: tuple[Segment, ...]
-    comments: tuple[str, ...]
-
-
 def write_message(
     path: Path,
     kind: Kind,
@@ -132,33 +124,27 @@ def _xml(
         return child
 
     head = add(root, "header")
-    for comment in comments:
-        add(head, "COMMENT", comment)
-    for key, value in header.items():
-        add(head, key, value)
     segment = add(add(root, "body"), "segment")
-    described = add(segment, "metadata")
+    described, data = add(segment, "metadata"), add(segment, "data")
+    for key, value in (*(("COMMENT", comment) for comment in comments), *header.items()):
+        add(head, key, value)
     for key, value in metadata.items():
         add(described, key, value)
-    data = add(segment, "data")
+    names = _STATE if kind == "OEM" else dict.fromkeys(_QUATERNION, "")
     for epoch, *numbers in rows:
-        if kind == "OEM":
-            state = add(data, "stateVector")
-            add(state, "EPOCH", epoch)
-            for (name, unit), number in zip(_STATE.items(), numbers, strict=True):
-                add(state, name, number, units=unit)
-        else:
-            state = add(add(data, "attitudeState"), "quaternionEphemeris")
-            add(state, "EPOCH", epoch)
-            quaternion = add(state, "quaternion")
-            for name, number in zip(_QUATERNION, numbers, strict=True):
-                add(quaternion, name, number)
+        state = add(data, "stateVector") if kind == "OEM" else add(add(data, "attitudeState"), "quaternionEphemeris")
+        add(state, "EPOCH", epoch)
+        inside = state if kind == "OEM" else add(state, "quaternion")
+        for (name, unit), number in zip(names.items(), numbers, strict=True):
+            add(inside, name, number, **({"units": unit} if unit else {}))
     ElementTree.indent(root)
     return ElementTree.tostring(root, xml_declaration=True, encoding="UTF-8") + b"\n"
 
 
-def read_message(path: Path, kind: Kind) -> Message:
-    """Read a message of either form; which one, its first character tells.
+def read_message(path: Path, kind: Kind) -> tuple[tuple[Segment, ...], tuple[str, ...]]:
+    """Read the segments of all messages of a kind in a file of either form, and its comments.
+
+    Which form, its first character tells.
 
     An attitude quaternion of an XML message comes as the row Q1, Q2, Q3, QC, and its metadata say so.
 
@@ -179,7 +165,7 @@ def read_message(path: Path, kind: Kind) -> Message:
     return _read_kvn(path, kind, text)
 
 
-def _read_kvn(path: Path, kind: Kind, text: str) -> Message:
+def _read_kvn(path: Path, kind: Kind, text: str) -> tuple[tuple[Segment, ...], tuple[str, ...]]:
     version, segments = "", []
     metadata: dict[str, str] = {}
     rows: list[Row] = []
@@ -233,10 +219,10 @@ def _read_kvn(path: Path, kind: Kind, text: str) -> Message:
     if place != "data":
         raise ExchangeError(f"{path}: ends in its {place}; it is cut off or no {kind}")
     segments.append(Segment(version, metadata, tuple(rows)))
-    return Message(tuple(segments), tuple(comments))
+    return tuple(segments), tuple(comments)
 
 
-def _read_xml(path: Path, kind: Kind, content: bytes) -> Message:
+def _read_xml(path: Path, kind: Kind, content: bytes) -> tuple[tuple[Segment, ...], tuple[str, ...]]:
     if b"<!DOCTYPE" in content:
         raise ExchangeError(f"{path}: has a DOCTYPE, whose entities may stand for anything; an {kind} has none")
     try:
@@ -252,7 +238,7 @@ def _read_xml(path: Path, kind: Kind, content: bytes) -> Message:
     if not segments:
         raise ExchangeError(f"{path}: has no segment of an {kind}; at least one must be there")
     comments = tuple((element.text or "").strip() for element in root.iter() if _name(element) == "COMMENT")
-    return Message(tuple(segments), comments)
+    return tuple(segments), comments
 
 
 def _segment(path: Path, kind: Kind, version: str, segment) -> Segment:
