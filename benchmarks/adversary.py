@@ -40,8 +40,9 @@ from keepout.core.flight.on_board import OnBoard
 from keepout.core.guard.field import RECIPE
 from keepout.core.guard.start import starts_certified
 from keepout.core.guard.status import GuardFlag, GuardStatus, flag_names
-from keepout.core.mission.build import build_guard, flight_setup
+from keepout.core.mission.build import build_guard
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
 from keepout.core.mission.target import load_target
 from keepout.flights.pages import terminal
 
@@ -124,8 +125,8 @@ class Case:
     def __init__(self, name, steps):
         self.scenario = Scenario().replace(**MISSIONS[name])
         target = load_target(self.scenario.target)
-        self.guard = build_guard(self.scenario, target)
-        self.setup = flight_setup(self.scenario, Told(), guard=self.guard)
+        self.guard = build_guard(Surroundings(self.scenario, target))
+        self.setup = Surroundings(self.scenario).setup(Told(), guard=self.guard)
         self.surface, self.truth = Surface(target.vertices, target.faces), Truth(self.scenario, steps + LONGEST_WAIT)
         self.radius, self.period = self.scenario.chaser.radius, self.scenario.control.period
         self.reach = float(np.linalg.norm(target.vertices, axis=1).max()) + 8.0

@@ -97,11 +97,11 @@ def flown(plan, runs, steps, *, audit):
     import jax
 
     from keepout.core.flight.batches import BATCH, fly_batches
-    from keepout.core.mission import environment
     from keepout.core.mission.audited import AUDITED, judge
+    from keepout.core.mission.surroundings import Surroundings
 
     scenario, verdicts = plan.mission.scenario, []
-    bounds = environment.flight_bounds(scenario)
+    bounds = Surroundings(scenario).flight_bounds
 
     def landed(_, log):
         verdicts.extend(judge(scenario, plan.mission.target, log, bounds=bounds))

@@ -29,9 +29,9 @@ from keepout.core.errors import ControlError
 from keepout.core.flight import segment
 from keepout.core.geometry.first_hit import FirstHit
 from keepout.core.geometry.level_set import surface_points, towards_level
-from keepout.core.mission import environment
 from keepout.core.mission.flight import recorded
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
 
 GOAL_AWAY, WAY_CLEAR = 1.5, 1.3
 """Metres from the true surface: of the goal, and of a way that leads to it from outside."""
@@ -132,7 +132,7 @@ def by_truncated_distance(flown: Flight):
 
     first = field()
     guard = by_map.guard_by_map(scenario, first, ball)
-    motion = environment.relative_motion(scenario)
+    motion = Surroundings(scenario).motion
     initial = motion.initial_state(np.asarray(scenario.start.position), np.asarray(scenario.start.velocity))
     start = np.asarray(scenario.start.position)
     setup = by_map.setup_by_map(
@@ -167,7 +167,7 @@ def by_truncated_distance(flown: Flight):
         resting = 0 if away[-1] else resting + ticks
     _, last = segment.fly_segment(setup, state, 1)
     log = segment.joined([*logs, last])
-    flown, record, verdict = recorded(scenario, target, setup, log, environment.flight_bounds(scenario))
+    flown, record, verdict = recorded(scenario, target, setup, log, Surroundings(scenario).flight_bounds)
     return {
         "bad_cubes": None,
         "outcome": "reached goal" if resting >= 10 else "out of time",

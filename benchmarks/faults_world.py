@@ -15,9 +15,10 @@ from keepout.core.flight import faults as broken
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target
 from keepout.core.guard.field import guard_field
-from keepout.core.mission.build import build_guard, flight_setup
-from keepout.core.mission.law import build_law, flown_law, room_for_guard
+from keepout.core.mission.build import build_guard
+from keepout.core.mission.law import broken_as, build_law, room_for_guard
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
 from keepout.core.motion.disturbance import CombinedDisturbance, SinusoidalDisturbance, SquareWaveDisturbance
 
 MESHES = Path(__file__).resolve().parents[2] / "shared" / "meshes"
@@ -79,7 +80,8 @@ class World:
         self.model, self.law_field = (shipped, "shipped") if shipped else (self.grid, "grid")
         room = (np.minimum(self.lower, self.goal) - 3.0, np.maximum(self.upper, self.goal) + 3.0)
         scenario = self.scenario("", 600)
-        chosen = {"guidance": Geodesic(bounds=room), "from_start": False} | room_for_guard(scenario, self.target)
+        kept = room_for_guard(Surroundings(scenario, self.target))
+        chosen = {"guidance": Geodesic(bounds=room), "from_start": False} | kept
         self.law = build_law(scenario, self.model, **chosen)
 
     def scenario(self, told, duration):
@@ -100,15 +102,14 @@ class World:
     def setup(self, told, duration):
         """Give the setup of a group of rows: what differs within it are arrays (`varied`), so it compiles once."""
         scenario = self.scenario(told, duration)
-        law = flown_law(scenario, self.law, self.model)
+        law = broken_as(scenario, self.law, self.model.field)
         stuck = broken.StuckThruster(1, 1, 0.0, start=jnp.inf)
         parts = (broken.WrongEstimate(), broken.DroppedCommands(0.0), broken.ThrusterGain(0.0), stuck)
         late = (broken.DelayedCommands(1),) if told == "late" else ()
-        return flight_setup(
-            scenario,
+        return Surroundings(scenario).setup(
             broken.BrokenLaw(law, self.grid.field, "none", FORCE, MASS, SPEED),
             disturbance=jax.tree.map(lambda leaf: leaf[0], disturbances("paper", 1, np.random.default_rng(0))),
-            guard=build_guard(scenario, self.target),
+            guard=build_guard(Surroundings(scenario, self.target)),
             faults=broken.CombinedFaults((*parts, *late)),
         )
 

@@ -13,8 +13,9 @@ from keepout.core.audit.audit import Contact
 from keepout.core.control.guidance.plan import Straight
 from keepout.core.flight.batches import BATCH, states_at
 from keepout.core.mission.audited import fly_audited
-from keepout.core.mission.build import build_guard, closing_radius, flight_setup
+from keepout.core.mission.build import build_guard, closing_radius
 from keepout.core.mission.law import build_law, room_for_guard
+from keepout.core.mission.surroundings import Surroundings
 from keepout.flights.pages import terminal
 
 
@@ -56,12 +57,13 @@ class GuardedCase(Case):
 
     def setup(self, scenario):
         """Give the flight of a row, law and guard included, but without goals; the grid is then that of its law."""
-        room = room_for_guard(scenario, self.target)
+        around = Surroundings(scenario, self.target)
+        room = room_for_guard(around)
         reach = float(np.linalg.norm(self.pairs, axis=-1).max())
         law = build_law(scenario, self.model, guidance=Straight(), from_start=False, reach=reach, **room)
-        guard = build_guard(scenario, self.target, offset=self.model.offset, closing_radius=closing_radius(self.model))
+        guard = build_guard(around, offset=self.model.offset, closing_radius=closing_radius(self.model))
         self._use(self.offset + float(law.nominal_offset))
-        return flight_setup(scenario, law, guard=guard)
+        return around.setup(law, guard=guard)
 
     def _use(self, offset):
         """Forget the grid and the guidances of another offset."""

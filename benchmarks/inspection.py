@@ -33,6 +33,7 @@ from keepout.apps.inspection.equipment import boresight_of, rules_of
 from keepout.apps.inspection.fate import shares
 from keepout.apps.inspection.frames import Camera
 from keepout.apps.inspection.inspect import inspect
+from keepout.apps.inspection.light import Light
 from keepout.apps.inspection.lit import ever_lit
 from keepout.apps.inspection.planning import plan
 from keepout.apps.inspection.problem import Problem
@@ -40,7 +41,6 @@ from keepout.apps.inspection.wanted import Wanted
 from keepout.core.errors import KeepoutError
 from keepout.core.fields import shipped_names
 from keepout.core.geometry.target import Target
-from keepout.core.mission.light import Light
 from keepout.core.mission.scenario import Scenario
 
 OUT = Path(__file__).with_name("results") / "inspection.json"

@@ -106,12 +106,10 @@ MUTANTS = {
     "core/motion/chaser.py": [
         ("thrown aside too little", "3.0 * jnp.cross(turn", "1.0 * jnp.cross(turn", "pulses:switch")
     ],
-    "core/mission/turning_bounds.py": [
-        ("middle inertia for least", "inertia)[0]", "inertia)[1]", "orbit_bounds:torque")
-    ],
-    "core/mission/environment.py": [("gravity too far out", "_radius - max(", "_radius + max(", "assumptions:gravity")],
-    "core/mission/assumptions.py": [
-        ("shorter delay unnoticed", "if faults.delay !=", "if faults.delay >", "assumptions:beyond")
+    "core/mission/bounds.py": [("middle inertia for least", "inertia)[0]", "inertia)[1]", "orbit_bounds:torque")],
+    "core/mission/surroundings.py": [
+        ("gravity too far out", "_radius - max(", "_radius + max(", "assumptions:gravity"),
+        ("shorter delay unnoticed", "if faults.delay !=", "if faults.delay >", "assumptions:beyond"),
     ],
     "core/fields/continuation.py": [
         ("rises like a distance", "self._rise(r) - self._rise(psi)", "r - psi", "neural_field:continuation"),

@@ -25,8 +25,8 @@ from guarded_case import GuardedCase
 from kept_rows import Rows, show
 
 import keepout
-from keepout.core.mission import environment
-from keepout.core.mission.law import flown_law
+from keepout.core.mission.law import broken_as
+from keepout.core.mission.surroundings import Surroundings
 from keepout.flights.navigation.suites import navigation
 
 SUITES = {
@@ -61,7 +61,7 @@ def fly_row(case, suite, estimate, layout):
     scenario = scenario_of(case, suite, estimate, layout)
     setup = case.setup(scenario)
     if estimate != "none":
-        assumed = environment.guard_assumptions(scenario, case.target)
+        assumed = Surroundings(scenario, case.target).guard_assumptions
         setup = dataclasses.replace(setup, navigation=navigation(scenario, setup.motion, assumed))
 
     def of_each(s):
@@ -70,7 +70,7 @@ def fly_row(case, suite, estimate, layout):
 
     def delayed(flown, _):
         """Tell the law of the delay, now that it has its goals."""
-        return dataclasses.replace(flown, controller=flown_law(scenario, flown.controller, case.model))
+        return dataclasses.replace(flown, controller=broken_as(scenario, flown.controller, case.model.field))
 
     flown = case.fly(scenario, setup, f"{case.name}, {suite}, {estimate}", of_each, delayed)
     return figures(case, flown) | {"seconds": time.perf_counter() - began}

@@ -37,8 +37,8 @@ from keepout.core.control.profiles import ControlWarning
 from keepout.core.control.tuning import tune
 from keepout.core.flight.batches import BATCH, states_at
 from keepout.core.mission.audited import fly_audited
-from keepout.core.mission.build import flight_setup
 from keepout.core.mission.law import build_law, operation
+from keepout.core.mission.surroundings import Surroundings
 from keepout.flights.pages import terminal
 
 LAWS = {
@@ -131,7 +131,7 @@ def fly_pairs(case, scenario, law, chosen, index, refused, rate):
     offset = case.offset + float(prototype.nominal_offset)
     grid = case.grid(offset)
     ways = case.ways(offset)
-    setup = flight_setup(first, prototype)
+    setup = Surroundings(first).setup(prototype)
     axes = np.random.default_rng(case.seed + 1).normal(size=(len(pairs), 3))
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     flown = []

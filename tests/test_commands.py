@@ -36,8 +36,8 @@ from keepout.core.flight.record import FlightRecord
 from keepout.core.geometry.builtin import BUILTINS
 from keepout.core.geometry.first_hit import FirstHit
 from keepout.core.geometry.target import Target
-from keepout.core.mission import environment
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
 from keepout.flights.pages.terminal import FLIGHT_COLUMNS, shown
 
 pytestmark = [pytest.mark.as_used, pytest.mark.long]
@@ -140,7 +140,7 @@ def written(folder: Path) -> Any:
 
 def judged(record: Any, scenario: Scenario) -> Audit:
     """Audit one flight around the box by the numbers of its scenario."""
-    bounds, limits = environment.flight_bounds(scenario), scenario.chaser
+    bounds, limits = Surroundings(scenario).flight_bounds, scenario.chaser
     limits = {"force_limit": limits.force_limit, "speed_limit": limits.speed_limit}
     return audit(record, Target.load("box"), chaser_radius=RADIUS, bounds=bounds, **limits)
 

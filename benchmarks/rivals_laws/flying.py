@@ -16,7 +16,7 @@ from keepout.core.flight.loop import fly
 from keepout.core.flight.on_board import OnBoard
 from keepout.core.flight.setup import FlightSetup
 from keepout.core.mission.audited import fly_audited
-from keepout.core.mission.build import flight_setup
+from keepout.core.mission.surroundings import Surroundings
 from rivals_laws.rival import Rival
 from rivals_laws.rival_case import Point, RivalCase
 
@@ -26,7 +26,7 @@ TIMED = 200
 
 def setup_of(case: RivalCase, law, goal: Point, guarded: bool) -> FlightSetup:
     """Put a law on the loop that all rivals fly: motion, disturbance and thrusters of the scenario."""
-    return flight_setup(case.scenario, law, goal=goal, guard=case.guard if guarded else None)
+    return Surroundings(case.scenario).setup(law, goal=goal, guard=case.guard if guarded else None)
 
 
 def laws_of(case: RivalCase, rival: Rival, index) -> tuple[list, list, list, list]:

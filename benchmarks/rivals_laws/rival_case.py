@@ -20,6 +20,7 @@ from keepout.core.fields.field import Field
 from keepout.core.guard.guard import Guard
 from keepout.core.mission.build import build_guard
 from keepout.core.mission.law import operation
+from keepout.core.mission.surroundings import Surroundings
 from keepout.core.whole_file import write_whole
 
 Point = Float[np.ndarray, "3"]
@@ -114,4 +115,4 @@ class RivalCase(Case):
         """The guard of the scenario, for starts and goals as far away as any pair's."""
         furthest = self.pairs.reshape(-1, 3)[np.argmax(np.linalg.norm(self.pairs.reshape(-1, 3), axis=1))]
         scenario = self.scenario.replace(start={"position": tuple(furthest)}, goal={"position": tuple(furthest)})
-        return build_guard(scenario, self.target, offset=self.model.offset, closing_radius=0.25)
+        return build_guard(Surroundings(scenario, self.target), offset=self.model.offset, closing_radius=0.25)

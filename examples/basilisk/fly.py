@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 import keepout
 from keepout.core.audit.audit import audit
-from keepout.core.mission.environment import flight_bounds
+from keepout.core.mission.surroundings import Surroundings
 
 
 class FlightSoftware(sysModel.SysModel):
@@ -70,7 +70,7 @@ def main():
         flown,
         mission.target,
         chaser_radius=scenario.chaser.radius,
-        bounds=flight_bounds(scenario),
+        bounds=Surroundings(scenario).flight_bounds,
         force_limit=scenario.chaser.force_limit,
         speed_limit=scenario.chaser.speed_limit,
         consistency=1e-5,

@@ -22,14 +22,14 @@ from .core.guard.safety_layer import SafetyLayer as SafetyLayer
 from .core.learning.training import fit as fit
 from .core.mission.build import Mission as Mission
 from .core.mission.build import prepare as prepare
+from .core.mission.build import with_disturbance as with_disturbance
+from .core.mission.build import with_field as with_field
+from .core.mission.build import with_thrusters as with_thrusters
 from .core.mission.check import Check as Check
 from .core.mission.check import check as check
 from .core.mission.flight import Flight as Flight
 from .core.mission.flight import fly as fly
 from .core.mission.flight import fly_mission as fly_mission
-from .core.mission.own import with_disturbance as with_disturbance
-from .core.mission.own import with_field as with_field
-from .core.mission.own import with_thrusters as with_thrusters
 from .core.mission.scenario import Scenario as Scenario
 from .core.motion.chaser import Chaser as Chaser
 from .core.motion.chaser import ThrusterModel as ThrusterModel

@@ -5,13 +5,13 @@ from functools import cache
 import numpy as np
 
 from keepout.apps.inspection.equipment import rules_of
+from keepout.apps.inspection.light import Light
 from keepout.apps.inspection.problem import Problem
 from keepout.apps.inspection.seeing.cut import cut
 from keepout.apps.inspection.seeing.room import Room
 from keepout.apps.inspection.seeing.seeable import Hidden, Seeable, Verdict
 from keepout.apps.inspection.seeing.sightlines import Sightlines
 from keepout.core.geometry.target import Target
-from keepout.core.mission.light import Light
 
 BOX = Target.load("box")
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from keepout.core.mission.light import Light
+from keepout.apps.inspection.light import Light
 
 
 @dataclass(frozen=True, eq=False)

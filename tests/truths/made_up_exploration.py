@@ -15,8 +15,8 @@ from keepout.core.audit.audit import audit
 from keepout.core.flight.outcome import FlightOutcome
 from keepout.core.flight.record import FlightRecord
 from keepout.core.geometry.target import Target
-from keepout.core.mission import environment
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
 
 CAMERA = Pinhole(80, 60, math.pi / 3.0)
 BOUNDS = SensorBounds(surely_returned_width=0.1)
@@ -84,7 +84,7 @@ def made_up(*, views=8, spacing=0.2, outcome="no way known", expected=None, name
         record,
         target,
         chaser_radius=told.chaser.radius,
-        bounds=environment.flight_bounds(told),
+        bounds=Surroundings(told).flight_bounds,
         force_limit=told.chaser.force_limit,
         speed_limit=1.0,
     )

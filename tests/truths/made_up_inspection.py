@@ -15,8 +15,8 @@ from keepout.apps.inspection.seeing.rules import SeeingRules
 from keepout.apps.inspection.seeing.seeable import Hidden, Seeable, Verdict
 from keepout.core.audit.audit import audit
 from keepout.core.geometry.target import Target
-from keepout.core.mission import environment
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
 from truths.made_up_exploration import HALF, circle, made_up_outcome, made_up_record
 
 PERIOD = 20.0
@@ -119,7 +119,7 @@ def made_up(*, views=8, light=False, across=4, name="made-up", outcome="all seen
             record,
             target,
             chaser_radius=told.chaser.radius,
-            bounds=environment.flight_bounds(told),
+            bounds=Surroundings(told).flight_bounds,
             force_limit=told.chaser.force_limit,
             speed_limit=1.0,
         ),

@@ -5,8 +5,8 @@ import numpy as np
 
 from keepout.core.flight import loop
 from keepout.core.flight.record import FlightRecord
-from keepout.core.mission import environment
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
 from truths.flights import KEY, Spring, make_setup
 
 GEOSTATIONARY = {"name": "toy", "target": {"source": "box"}}
@@ -31,10 +31,10 @@ def toy_flight(tree, *, start=(0.0, 6.0, 4.0), goal=(3.0, -6.0, 4.0), steps=LONG
     scenario = Scenario.parse(
         tree | {"duration": float(steps), "start": {"position": start}, "goal": {"position": goal}}
     )
-    motion = environment.relative_motion(scenario)
+    motion = Surroundings(scenario).motion
     law = Spring(motion, np.asarray(goal))
     setup = make_setup(
-        motion=motion, controller=law, goal=np.asarray(goal), disturbance=environment.disturbance(scenario)
+        motion=motion, controller=law, goal=np.asarray(goal), disturbance=Surroundings(scenario).disturbance
     )
     initial = motion.initial_state(np.asarray(start), np.zeros(3))
     assert steps <= LONGEST

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from keepout.core.mission.orbit_bounds import orbit_of
+from keepout.core.mission.bounds import orbit_of
 
 MU, EARTH, OBLATE = 3.986004418e14, 6378137.0, 1.08262668e-3
 EARTH_SPIN = np.array([0.0, 0.0, 7.292115e-5])

@@ -7,8 +7,8 @@ from keepout.apps.inspection.drifting import Drifting
 from keepout.apps.inspection.passive import drift, states_at_times
 from keepout.apps.inspection.safe_tour import kept_safe
 from keepout.apps.inspection.tour import Tour
-from keepout.core.mission.environment import relative_motion
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
 
 pytestmark = pytest.mark.as_used
 
@@ -60,7 +60,7 @@ def test_no_drift_from_anywhere_on_a_leg_at_its_speed_touches_the_ball(axis):
         begin, ahead = course[piece], np.diff(course, axis=0)[piece]
         velocity = speed * ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
         begun = states_at_times(found.scenario, np.zeros(40), begin + share * ahead, velocity)
-        path, _ = drift(relative_motion(found.scenario), begun, 2.0, 300)
+        path, _ = drift(Surroundings(found.scenario).motion, begun, 2.0, 300)
         if speed > 0.0:
             assert np.all(ball(path).min(axis=1) > found.scenario.chaser.radius)
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from keepout.apps.inspection import equipment
+from keepout.apps.inspection.light import Light
 from keepout.apps.inspection.seeing.patches import Patches
 from keepout.apps.inspection.seeing.room import Room
 from keepout.apps.inspection.seeing.seeable import Hidden, Seeable, Verdict
@@ -16,8 +17,8 @@ from keepout.core.errors import InspectionError
 from keepout.core.fields.own import SphereField
 from keepout.core.geometry.target import Target
 from keepout.core.mission.law import law_on, room_for_guard
-from keepout.core.mission.light import Light
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
 
 TARGET = Target.load("box")
 """4 x 3 x 2 m, about the origin."""
@@ -95,7 +96,7 @@ def test_a_start_in_a_hollow_is_no_start_however_wide():
 @pytest.mark.parametrize("errors", [{}, {"position_error": 0.1, "velocity_error": 0.01}])
 def test_what_the_law_keeps_is_what_the_law_is_built_with(errors):
     flown, bound = scenario(guard=errors), 0.07
-    ball, room = SphereField(jnp.zeros(3), jnp.asarray(2.0)), room_for_guard(flown, TARGET)
+    ball, room = SphereField(jnp.zeros(3), jnp.asarray(2.0)), room_for_guard(Surroundings(flown, TARGET))
     law = law_on(flown, ball, bound, guidance=Straight(), from_start=False, **room)
     kept = equipment.law_keeps(flown, TARGET, bound)
     assert kept == pytest.approx(float(law.velocity.offset))

@@ -11,11 +11,11 @@ from truths.made_up_inspection import seen_of_box
 
 from keepout.apps.inspection.frames import Camera
 from keepout.apps.inspection.inspect import inspect
+from keepout.apps.inspection.light import Light
 from keepout.apps.inspection.plan import InspectionPlan, PlannedView
 from keepout.core.audit.audit import Contact
 from keepout.core.errors import InspectionError
 from keepout.core.geometry.target import Target
-from keepout.core.mission.light import Light
 from keepout.core.mission.scenario import Scenario
 
 pytestmark = pytest.mark.long

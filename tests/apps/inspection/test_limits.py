@@ -18,9 +18,8 @@ from keepout.apps.inspection.plume import Protected, SparingLaw, plume_violation
 from keepout.core.control.policy import PolicyLaw
 from keepout.core.flight.loop import fly
 from keepout.core.flight.record import FlightRecord
-from keepout.core.mission.build import flight_setup
-from keepout.core.mission.environment import faults, relative_motion
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
 from keepout.core.mission.task_entries import HoldPointEntry
 from keepout.core.mission.thrusters import thrusters
 
@@ -104,7 +103,7 @@ def test_a_law_that_spares_a_part_leaves_out_that_component_alone():
 
 
 def state(position):
-    return relative_motion(Scenario()).initial_state(np.array(position), np.zeros(3))
+    return Surroundings(Scenario()).motion.initial_state(np.array(position), np.zeros(3))
 
 
 def stays(*spells):
@@ -236,7 +235,7 @@ def test_what_a_sparing_law_asks_for_fires_no_thruster_that_is_barred(seed):
 def test_a_law_keeps_what_no_barred_thruster_gives():
     case = asked(ASIDE)
     law = sparing(PolicyLaw(jnp.zeros(3), lambda off, velocity, time: jnp.array([0.05, 0.03, 0.03])), case)
-    at = relative_motion(case).initial_state(APART, np.zeros(3))
+    at = Surroundings(case).motion.initial_state(APART, np.zeros(3))
     _, command = law.step(law.initial_state(at), at)
     assert 0.0 < float(np.linalg.norm(command.force)) < 0.06
     assert not pushing(case, np.asarray(command.force))
@@ -247,10 +246,11 @@ def test_thrusters_that_fired_are_those_of_the_flight_with_its_delay_and_lost_co
     """Their pushes times their on-times are the mean forces that the flight recorded."""
     case = fired_by(faults={"delay": 2, "dropped": 0.2}, guard={"enabled": False}, seed=5)
     law = PolicyLaw(jnp.zeros(3), lambda off, velocity, time: 0.04 * jnp.sin(jnp.array([0.3, 0.7, 1.1]) * time))
-    log = fly(flight_setup(case, law), relative_motion(case).initial_state(APART, np.zeros(3)), 60, jax.random.key(5))
+    around = Surroundings(case)
+    log = fly(around.setup(law), around.motion.initial_state(APART, np.zeros(3)), 60, jax.random.key(5))
     record = FlightRecord.of_log(log, scenario=case.model_dump_json(), seed=5)
     flown = jnp.asarray(record.guarded_force), jnp.asarray(record.time)
-    on_time = np.asarray(_on_times(faults(case), thrusters(case), *flown, jax.random.key(5)))
+    on_time = np.asarray(_on_times(Surroundings(case).faults, thrusters(case), *flown, jax.random.key(5)))
     assert np.allclose(on_time @ PUSHES / case.control.period, record.force, atol=1e-12)
     fired = Nozzles.of(case).fired(record, case)
     assert np.array_equal(fired, on_time[:-1] > 0.0)

@@ -18,9 +18,8 @@ from keepout.apps.inspection.transfer import transfer
 from keepout.core.errors import InspectionError
 from keepout.core.flight.loop import fly
 from keepout.core.geometry.target import Target
-from keepout.core.mission.build import flight_setup
-from keepout.core.mission.environment import relative_motion
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
 
 pytestmark = pytest.mark.as_used
 
@@ -85,7 +84,7 @@ def test_the_exact_motion_comes_back_after_an_orbit_whatever_orbit_and_body_do(e
     assert one.clearance >= 3.5
     mass = np.asarray(case.target.centre_of_mass)
     away = np.linalg.norm(one.position - mass, axis=1)
-    period = 2 * np.pi / float(relative_motion(case).orbit.mean_motion)
+    period = 2 * np.pi / float(Surroundings(case).motion.orbit.mean_motion)
     after = min(round(period / case.control.period), len(away) - 1)
     assert away[after] == pytest.approx(away[0], abs=0.05)
 
@@ -95,7 +94,7 @@ def test_states_in_the_body_frame_drift_as_those_of_vvlh_do():
     position, velocity = np.array([[20.0, 5.0, -9.0]]), np.array([[0.01, -0.02, 0.005]])
     fixed = Scenario.model_validate(LOW)
     paths = [
-        np.linalg.norm(drift(relative_motion(case), in_body(case, 0.0, position, velocity), 2.0, 500)[0][0], axis=1)
+        np.linalg.norm(drift(Surroundings(case).motion, in_body(case, 0.0, position, velocity), 2.0, 500)[0][0], axis=1)
         for case in (turning, fixed)
     ]
     assert np.allclose(*paths, atol=1e-6)
@@ -106,10 +105,10 @@ def test_states_in_the_body_frame_drift_as_those_of_vvlh_do():
 def test_the_law_coasts_and_steers_back_only_beyond_its_band():
     calm = Scenario.model_validate(LOW | {"duration": 3000.0, "disturbance": {"kind": "constant", "force": [0, 0, 0]}})
     one = circumnavigations(calm, ball)[0]
-    initial = relative_motion(calm).initial_state(one.position[0], one.velocity[0])
+    initial = Surroundings(calm).motion.initial_state(one.position[0], one.velocity[0])
 
     def flown(case):
-        return fly(flight_setup(case, one.law(case)), initial, case.steps, jax.random.key(0))
+        return fly(Surroundings(case).setup(one.law(case)), initial, case.steps, jax.random.key(0))
 
     log = flown(calm)
     assert np.array_equal(log.force, np.zeros_like(log.force))

@@ -11,8 +11,8 @@ from keepout.apps.inspection.hill import coast_matrix
 from keepout.apps.inspection.passive import drift, passive_safety, states_at_times, states_of_record
 from keepout.apps.inspection.spread import Spread
 from keepout.core.errors import InspectionError
-from keepout.core.mission.environment import flight_bounds, relative_motion
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
 from keepout.core.motion.disturbance import NoDisturbance
 
 LOW = {"orbit": {"semi_major_axis": 7.0e6}, "attitude": {"kind": "vvlh"}}
@@ -54,7 +54,7 @@ def test_the_bound_lies_below_what_a_fine_drift_finds_and_not_far():
     case = scenario(**CALM)
     begun = states(CALM, place, velocity)
     found = passive_safety(case, ball, begun, 1500.0)
-    path, _ = drift(relative_motion(case), begun, 0.5, 3000)
+    path, _ = drift(Surroundings(case).motion, begun, 0.5, 3000)
     truth = ball(path).min(axis=1) - case.chaser.radius
     assert np.all(found.clearance <= truth + 1e-9)
     assert np.all((truth - found.clearance)[truth > 0.0] < 0.08)
@@ -69,8 +69,8 @@ def test_the_bound_lies_below_what_a_fine_drift_finds_and_not_far():
 )
 def test_a_push_at_its_bound_stays_within_the_tube(entries):
     case = scenario(**entries)
-    spread, motion = Spread.of(case), relative_motion(case)
-    bounds = flight_bounds(case)
+    spread, motion = Spread.of(case), Surroundings(case).motion
+    bounds = Surroundings(case).flight_bounds
     place, velocity = np.array([[25.0, 3.0, -10.0]]), np.array([[0.0, 0.01, 0.02]])
     begun = states_at_times(case, np.zeros(1), place, velocity)
     count = 1160
@@ -110,7 +110,7 @@ def test_a_drift_out_of_the_range_of_the_bounds_is_not_called_safe():
 def test_states_of_a_record_are_those_flown_and_those_of_a_plan_have_the_target_as_it_turns():
     """A record as the flight loop makes it: one whole state after the other, a second apart."""
     tumbling = CALM | {"attitude": {"kind": "tumbling", "angular_velocity": [0.002, 0.003, -0.001]}}
-    motion = relative_motion(scenario(**tumbling))
+    motion = Surroundings(scenario(**tumbling)).motion
     at, rows = motion.initial_state(np.array([9.0, 0.0, 1.0]), np.array([0.0, 0.02, 0.0])), []
     for _ in range(41):
         rows.append(at)

@@ -17,8 +17,8 @@ from keepout.apps.inspection.planning import plan
 from keepout.apps.inspection.seeing.room import Room
 from keepout.apps.inspection.seeing.sightlines import Sightlines
 from keepout.apps.inspection.seeing.visible import in_view, lit_units, visible
-from keepout.core.mission.environment import relative_motion
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
 
 pytestmark = pytest.mark.long
 
@@ -196,7 +196,7 @@ def test_a_plan_counts_its_legs_and_keeps_to_places_where_rest_is_safe():
     assert drifts.candidates_left_out > 0
     places = np.array([view.position for view in result.views])
     begun = states_at_times(low, np.zeros(len(places)), places, np.zeros_like(places))
-    path, _ = drift(relative_motion(low), begun, 2.0, 750)
+    path, _ = drift(Surroundings(low).motion, begun, 2.0, 750)
     apart = problem.target.distance.distance(path.reshape(-1, 3)).reshape(path.shape[:2])
     assert np.all(apart.min(axis=1) > low.chaser.radius)
     assert all(0.0 < view.speed <= low.chaser.speed_limit for view in result.views)

@@ -38,8 +38,8 @@ from keepout.core.guard.braking import GuardAssumptions
 from keepout.core.guard.guard import Guard
 from keepout.core.guard.safety_layer import mode
 from keepout.core.guard.status import GuardStatus
-from keepout.core.mission import environment
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
 from keepout.core.motion.arrays import numbers_as_arrays
 
 pytestmark = pytest.mark.long
@@ -249,7 +249,7 @@ def test_a_chaser_sees_its_way_to_a_goal_within_the_ball_and_never_touches(fligh
         record,
         Target.load("box"),
         chaser_radius=SCENARIO.chaser.radius,
-        bounds=environment.flight_bounds(SCENARIO),
+        bounds=Surroundings(SCENARIO).flight_bounds,
         force_limit=SCENARIO.chaser.force_limit,
         speed_limit=2.0 * SCENARIO.chaser.speed_limit,
     )
@@ -328,7 +328,7 @@ def test_the_guard_passes_on_what_the_law_does_at_its_own_edge(position, velocit
 
 
 def started(height, speed, guard):
-    initial = environment.relative_motion(SCENARIO).initial_state(np.array([0, height, 0]), np.array([0, speed, 0]))
+    initial = Surroundings(SCENARIO).motion.initial_state(np.array([0, height, 0]), np.array([0, speed, 0]))
     require_start(SCENARIO, BALL, initial, guard)
 
 

@@ -23,8 +23,8 @@ from keepout.apps.unknown.map_file import settings as file_settings
 from keepout.apps.unknown.view import SensorBounds, View
 from keepout.core.errors import KeepoutError, MapError
 from keepout.core.geometry.target import Target
-from keepout.core.mission.assumptions import broken_assumptions
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import broken_assumptions
 
 CAMERA = Pinhole(40, 30, math.radians(60.0))
 BOUNDS = SensorBounds(surely_returned_width=0.12)

@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from keepout.core.audit.tube import Tube
 from keepout.core.geometry.distance import ExactDistance
 from keepout.core.geometry.target import Target
-from keepout.core.mission.environment import flight_bounds
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
 
 MU = 3.986004418e14
 
@@ -275,7 +275,7 @@ WORLDS = {
 def test_no_sampled_drift_passes_the_bound_and_the_largest_comes_near_it(world):
     entries, least, count = WORLDS[world]
     scenario = Scenario.parse({**entries, "disturbance": {"kind": "none"}})
-    bounds = flight_bounds(scenario)
+    bounds = Surroundings(scenario).flight_bounds
     kappa = bounds.angular_acceleration + bounds.angular_rate**2 + bounds.gravity_gradient
     position, velocity, acceleration = drifts(scenario, count, seed=3)
     found = np.linalg.norm(acceleration, axis=1)

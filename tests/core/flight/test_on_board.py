@@ -26,9 +26,9 @@ from keepout.core.flight.on_board_navigation import OnBoardNavigation
 from keepout.core.geometry.target import Target
 from keepout.core.guard.guard import Guard
 from keepout.core.guard.status import GuardFlag
-from keepout.core.mission import environment
-from keepout.core.mission.build import flight_setup, prepare
+from keepout.core.mission.build import prepare
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
 from keepout.core.motion.chaser import Thrusters
 from keepout.core.motion.disturbance import NoDisturbance, paper_disturbance
 from keepout.core.motion.orbit import Orbit
@@ -248,9 +248,9 @@ KEY = jax.random.key(4)
 def navigated():
     """A setup with sensors and thrusters that are on or off, a law that is cheap to compile, and a start."""
     scenario, field = Scenario.parse(ENTRIES), SphereField(jnp.zeros(3), jnp.asarray(2.0))
-    law = Spring(environment.relative_motion(scenario), jnp.asarray(scenario.goal.position))
-    assumed = environment.guard_assumptions(scenario, Target.load("box"))
-    setup = flight_setup(scenario, law, field=field, guard=Guard(field, 0.5, 1.0, assumed))
+    law = Spring(Surroundings(scenario).motion, jnp.asarray(scenario.goal.position))
+    assumed = Surroundings(scenario, Target.load("box")).guard_assumptions
+    setup = Surroundings(scenario).setup(law, field=field, guard=Guard(field, 0.5, 1.0, assumed))
     setup = dataclasses.replace(setup, navigation=navigation(scenario, setup.motion, assumed))
     return setup, setup.motion.initial_state(np.asarray(scenario.start.position), np.zeros(3))
 

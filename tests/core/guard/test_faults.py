@@ -21,8 +21,8 @@ from keepout.core.flight.faults import (
     WrongEstimate,
 )
 from keepout.core.flight.setup import NoFaults
-from keepout.core.mission import environment
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
 
 KEY = jax.random.key(4)
 COMMANDS = np.random.default_rng(0).uniform(-0.1, 0.1, (200, 3))
@@ -157,14 +157,14 @@ def test_broken_laws(kind):
 
 
 def test_a_scenarios_entries_become_faults():
-    assert isinstance(environment.faults(Scenario()), NoFaults)
+    assert isinstance(Surroundings(Scenario()).faults, NoFaults)
     entries = {"stuck": "-y", "stuck_force": 0.05, "stuck_from": 9.0, "delay": 2, "dropped": 0.1, "gain_error": 0.02}
-    made = environment.faults(Scenario().replace(faults=entries | {"velocity_bias": 1e-4, "position_noise": 0.01}))
+    made = Surroundings(Scenario().replace(faults=entries | {"velocity_bias": 1e-4, "position_noise": 0.01})).faults
     estimate, dropped, delayed, gain, stuck = made.parts
     assert (float(estimate.velocity_bias), float(estimate.position_noise)) == (1e-4, 0.01)
     assert (float(dropped.probability), delayed.steps, float(gain.error)) == (0.1, 2, 0.02)
     assert (stuck.axis, stuck.sign, float(stuck.force), float(stuck.start)) == (1, -1, 0.05, 9.0)
     entry = {"position_noise_std": 0.03, "velocity_noise_std": 0.002, "noise_correlation_time": 4.0}
-    [part] = environment.faults(Scenario().replace(faults=entry)).parts
+    [part] = Surroundings(Scenario().replace(faults=entry)).faults.parts
     assert isinstance(part, GaussianEstimate)
     assert float(part.memory) == pytest.approx(np.exp(-0.25))

@@ -7,8 +7,8 @@ import pytest
 
 from keepout.core.geometry.target import Target
 from keepout.core.guard.braking import design
-from keepout.core.mission.environment import guard_assumptions
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
 
 PAGE = (Path(__file__).parents[3] / "docs" / "guard.md").read_text(encoding="utf-8")
 TABLE = re.search(r"^\| ε_r, ε_v \| delay \| ρ \| σ \| a_b \| U \|\n\|[ |-]+\|\n((?:\|.*\|\n)+)", PAGE, re.MULTILINE)
@@ -31,7 +31,7 @@ def printed(value, text):
 def made(**guard):
     """What the guard assumes of the default scenario with these entries, and its braking law."""
     scenario = Scenario().replace(guard=guard)
-    assumed = guard_assumptions(scenario, Target.load(scenario.target.source))
+    assumed = Surroundings(scenario, Target.load(scenario.target.source)).guard_assumptions
     return assumed, design(assumed)
 
 

@@ -14,9 +14,8 @@ from keepout.core.audit.tube import Tube
 from keepout.core.errors import ControlError, ScenarioError
 from keepout.core.geometry.target import Target
 from keepout.core.guard.braking import design
-from keepout.core.mission import environment
-from keepout.core.mission.assumptions import broken_assumptions
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings, broken_assumptions
 from keepout.core.motion.disturbance import NoDisturbance
 
 LOW = {"semi_major_axis": 6.8e6, "eccentricity": 0.01}
@@ -64,22 +63,22 @@ def test_what_is_flown_beyond_what_is_declared_is_named(entries, said):
 def test_a_phase_moves_the_force_and_no_bound(kind, box):
     still = Scenario().replace(disturbance={"kind": kind} | ({} if kind == "paper" else {"amplitude": 0.03}))
     moved = still.replace(disturbance={"phase": 2.5})
-    pushes = [environment.disturbance(one) for one in (moved, still)]
+    pushes = [Surroundings(one).disturbance for one in (moved, still)]
     force = jax.jit(jax.vmap(lambda t: jnp.stack([push.force(t) for push in pushes])))(np.linspace(0.3, 400.3, 401))
     assert np.abs(force[:, 0] - force[:, 1]).max() > 0.01
     # Equal to the last bit, for laws, guards and audits of flights that differ in the phase to be equal.
-    assert environment.largest_disturbance(moved) == environment.largest_disturbance(still)
-    assert environment.disturbance_bound(moved) == environment.disturbance_bound(still)
-    assert environment.flight_bounds(moved) == environment.flight_bounds(still)
-    assert environment.guard_assumptions(moved, box) == environment.guard_assumptions(still, box)
-    assert np.linalg.norm(force[:, 0], axis=1).max() <= environment.largest_disturbance(moved)
-    assert environment.disturbance(moved).bound == pytest.approx(environment.largest_disturbance(still), rel=1e-13)
+    assert Surroundings(moved).largest_disturbance == Surroundings(still).largest_disturbance
+    assert Surroundings(moved).disturbance_bound == Surroundings(still).disturbance_bound
+    assert Surroundings(moved).flight_bounds == Surroundings(still).flight_bounds
+    assert Surroundings(moved, box).guard_assumptions == Surroundings(still, box).guard_assumptions
+    assert np.linalg.norm(force[:, 0], axis=1).max() <= Surroundings(moved).largest_disturbance
+    assert Surroundings(moved).disturbance.bound == pytest.approx(Surroundings(still).largest_disturbance, rel=1e-13)
     assert not broken_assumptions(moved)
 
 
 def states(scenario, radius, speed, count, seed=0):
     """States at random moments, with positions and velocities of given norms."""
-    motion, rng = environment.relative_motion(scenario), np.random.default_rng(seed)
+    motion, rng = Surroundings(scenario).motion, np.random.default_rng(seed)
     directions = rng.normal(size=(2, count, 3))
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
     first = motion.initial_state(np.zeros(3), np.zeros(3))
@@ -97,18 +96,18 @@ def test_the_guards_drift_holds_with_an_offset_and_not_without(box):
     scenario = Scenario().replace(
         orbit=LOW, attitude=TUMBLING, target={"source": "box", "centre_of_mass": (0.0, 120.0, 0.0)}
     )
-    assumed = environment.guard_assumptions(scenario, box)
+    assumed = Surroundings(scenario, box).guard_assumptions
     assert assumed.origin_offset == 120.0
     motion, at = states(scenario, assumed.range_limit, assumed.speed_limit, 4000)
     drift = np.linalg.norm(np.asarray(jax.jit(jax.vmap(motion.drift_acceleration))(at)), axis=-1)
     assert drift.max() <= assumed.drift
     without = scenario.replace(target={"centre_of_mass": (0.0, 0.0, 0.0)})
-    assert drift.max() > environment.guard_assumptions(without, box).drift
+    assert drift.max() > Surroundings(without, box).guard_assumptions.drift
 
 
 def flown(scenario, position, velocity, forces):
     """Time, position, velocity and force at each step, (steps, ...), and the states after them."""
-    motion, period = environment.relative_motion(scenario), scenario.control.period
+    motion, period = Surroundings(scenario).motion, scenario.control.period
     step = jax.jit(lambda state, force: motion.step(state, force, NoDisturbance(), period, scenario.chaser.mass))
     states = [motion.initial_state(np.asarray(position), np.asarray(velocity))]
     for force in forces:
@@ -130,7 +129,7 @@ def test_the_audit_joins_the_steps_of_a_flight_about_a_centre_of_mass_off_the_or
         orbit=LOW, attitude=TUMBLING, target={"centre_of_mass": (0.0, 20.0, 0.0)}, disturbance={"kind": "none"}
     )
     rows, _ = flown(scenario, (0.0, -3.0, 0.0), np.zeros(3), np.zeros((60, 3)))
-    bounds = environment.flight_bounds(scenario.replace(disturbance={"bound": 0.01}))
+    bounds = Surroundings(scenario.replace(disturbance={"bound": 0.01})).flight_bounds
     assert excess(rows, bounds) < 1e-9
     assert excess(rows, bounds, origin_offset=0.0) > 1e-6
 
@@ -158,16 +157,16 @@ def test_a_force_held_in_inertial_axes_is_flown_so_and_bounded_by_guard_and_audi
     np.testing.assert_allclose(after, ahead, atol=1e-8)  # one Runge-Kutta step
     np.testing.assert_allclose(faster, (drifting + force / mass * T) @ turned - np.cross(omega, ahead), atol=1e-8)
 
-    assumed = environment.guard_assumptions_within(scenario, 5.0)
+    assumed = Surroundings(scenario, extent=5.0).guard_assumptions
     corner = np.array([0.1, 0.1, 0.0]) / mass
     most = max(np.linalg.norm(about_z(-rate * t) @ corner - corner) for t in np.linspace(0.0, T, 11))
     share = assumed.turning_error * np.linalg.norm(corner)
     assert 0.999 * share < most <= share * (1.0 + 1e-9)
-    held = environment.guard_assumptions_within(scenario.replace(thrusters={"held_in": "target"}), 5.0)
+    held = Surroundings(scenario.replace(thrusters={"held_in": "target"}), extent=5.0).guard_assumptions
     assert held.turning_error == 0.0
     assert assumed.disturbance - held.disturbance == pytest.approx(assumed.turning_error * np.sqrt(3.0) * 0.1 / mass)
 
-    bounds = environment.flight_bounds(scenario)
+    bounds = Surroundings(scenario).flight_bounds
     assert excess(rows, bounds) < 1e-8
     # With the target's own part of the bounds small: what is left is the force's.
     near = {"angular_rate": 0.0, "angular_acceleration": 0.0, "gravity_gradient": 0.0}
@@ -178,39 +177,39 @@ def test_a_force_held_in_inertial_axes_is_flown_so_and_bounded_by_guard_and_audi
 def test_gravity_is_bounded_over_the_whole_region(box):
     near = Scenario().replace(orbit=LOW, attitude={"kind": "inertial"}, target={"source": "box"})
     far = near.replace(start={"position": (0.0, 0.0, 20_000.0)})
-    assumed = environment.guard_assumptions(far, box)
+    assumed = Surroundings(far, box).guard_assumptions
     assert assumed.range_limit == 40_020.0
     motion, at = states(far, assumed.range_limit, 0.0, 4000)
     pull = np.linalg.norm(np.asarray(jax.jit(jax.vmap(motion.drift_acceleration))(at)), axis=-1)
     assert pull.max() <= assumed.gravity_gradient * assumed.range_limit
     # A bound made for 1000 m does not hold there.
-    assert pull.max() > environment.guard_assumptions(near, box).gravity_gradient * assumed.range_limit
-    bounds = environment.flight_bounds(far)
+    assert pull.max() > Surroundings(near, box).guard_assumptions.gravity_gradient * assumed.range_limit
+    bounds = Surroundings(far).flight_bounds
     assert (bounds.range_limit, bounds.gravity_gradient) == (assumed.range_limit, assumed.gravity_gradient)
-    assert environment.flight_bounds(near).range_limit == 1000.0
+    assert Surroundings(near).flight_bounds.range_limit == 1000.0
 
 
 @pytest.mark.parametrize("said", ["start.position: 200000 m", "target.centre_of_mass: 200000 m"])
 def test_what_lies_where_gravity_is_not_bounded_is_refused(box, said):
     table, entry = said.split(":")[0].split(".")
     far = Scenario().replace(**{table: {entry: (0.0, 2e5, 0.0)}})
-    for refused in (environment.flight_bounds, lambda s: environment.guard_assumptions(s, box)):
+    for refused in (lambda s: Surroundings(s).flight_bounds, lambda s: Surroundings(s, box).guard_assumptions):
         with pytest.raises(ScenarioError, match=re.escape(said)):
             refused(far)
 
 
 def test_a_delay_that_the_thrusters_cannot_hold_is_refused_by_its_number(box):
     weak = Scenario().replace(chaser={"force_limit": 0.02})
-    assert design(environment.guard_assumptions(weak, box)).deceleration > 0.0
+    assert design(Surroundings(weak, box).guard_assumptions).deceleration > 0.0
     with pytest.raises(ControlError, match=r"force_limit is 0\.02 N; .* the delay \(8 steps\)"):
-        design(environment.guard_assumptions(weak.replace(guard={"delay": 8}), box))
+        design(Surroundings(weak.replace(guard={"delay": 8}), box).guard_assumptions)
 
 
 def test_the_figures_of_the_guards_document_are_the_default_scenarios():
     text = " ".join((Path(__file__).parents[3] / "docs" / "guard.md").read_text(encoding="utf-8").split())
     found = re.search(r"D = ([\d.]+) mm/s², a_b = ([\d.]+) mm/s², ρ = ([\d.]+) mm and σ = ([\d.]+) mm/s", text)
     assert found is not None
-    assumed = environment.guard_assumptions(Scenario(), Target.load(Scenario().target.source))
+    assumed = Surroundings(Scenario(), Target.load(Scenario().target.source)).guard_assumptions
     made = design(assumed)
     figures = (assumed.disturbance, made.deceleration, made.position_radius, made.velocity_radius)
     assert [f"{1e3 * figure:.3g}" for figure in figures] == list(found.groups())

@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from keepout.core.mission import environment
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
 
 CORNERS = np.array(list(itertools.product([1.0, -1.0], repeat=3)))
 MU = 3.986004418e14
@@ -118,7 +118,7 @@ def drifts(scenario, assumed, rng, count=20):
 
 def shares_used(scenario, rng, commands):
     """Give of each number that the guard assumes the largest share that a vertex of the errors uses."""
-    assumed, truth, T = environment.guard_assumptions_within(scenario, 5.0), Truth(scenario), scenario.control.period
+    assumed, truth, T = Surroundings(scenario, extent=5.0).guard_assumptions, Truth(scenario), scenario.control.period
     drifting, disturbance = list(drifts(scenario, assumed, rng)), scenario.disturbance.bound
     times, used = np.linspace(0.0, T, 21), {}
 

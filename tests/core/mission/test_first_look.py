@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from keepout.core.errors import FieldError, KeepoutError, ScenarioError
 from keepout.core.fields import shipped_names
 from keepout.core.geometry.target import Target
-from keepout.core.mission import environment
 from keepout.core.mission.build import load_model, prepare
 from keepout.core.mission.first_look import (
     flown_disturbance,
@@ -21,6 +20,7 @@ from keepout.core.mission.first_look import (
     shipped_fields,
 )
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
 
 force = st.floats(1e-4, 1.0)
 
@@ -41,13 +41,13 @@ def disturbances(draw):
 @given(disturbances(), st.floats(1e-3, 1.0))
 def test_disturbances_are_judged_as_their_models_judge_them(entry, limit):
     scenario = Scenario.parse({"disturbance": entry, "chaser": {"force_limit": limit}})
-    bound = environment.disturbance(scenario).bound
+    bound = Surroundings(scenario).disturbance.bound
     assert flown_disturbance(scenario) == pytest.approx(bound, rel=1e-9, abs=0.0)
     try:
         require_authority(scenario)
     except ScenarioError:
         with pytest.raises(ScenarioError, match="no law can hold"):
-            environment.disturbance_bound(scenario)
+            _ = Surroundings(scenario).disturbance_bound
 
 
 def test_shipped_fields_are_the_packages():

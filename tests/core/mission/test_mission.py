@@ -10,12 +10,12 @@ from keepout.core.errors import ControlError, FieldError
 from keepout.core.fields import load_shipped
 from keepout.core.fields.field import values
 from keepout.core.geometry.target import Target
-from keepout.core.mission.assumptions import guard_numbers
 from keepout.core.mission.build import build_guard, load_model, prepare
 from keepout.core.mission.first_look import require_certified, require_files
 from keepout.core.mission.flight import fly
 from keepout.core.mission.law import build_law, room_for_guard
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings, guard_numbers
 from keepout.core.mission.target import load_target
 
 pytestmark = pytest.mark.long
@@ -83,7 +83,7 @@ HOSTILE = Scenario().replace(
 def test_nothing_within_the_margin_is_above_a_threshold_that_keeps_it():
     target, radius = Target.load("box"), HOSTILE.chaser.radius
     kept = HOSTILE.replace(guard={"keeps_margin": True}, safety={"margin": 0.3})
-    plain, guard = build_guard(HOSTILE, target), build_guard(kept, target)
+    plain, guard = build_guard(Surroundings(HOSTILE, target)), build_guard(Surroundings(kept, target))
     lower, upper = target.vertices.min(axis=0) - 1.5, target.vertices.max(axis=0) + 1.5
     points = np.random.default_rng(0).uniform(lower, upper, (40_000, 3))
     away = target.distance.distance(points)
@@ -102,10 +102,11 @@ def test_the_law_leads_to_no_goal_that_the_guard_does_not_let_it_rest_at():
     for keeps, margin in ((False, 0.1), (True, 0.1), (True, 0.4)):
         scenario = HOSTILE.replace(guard={"keeps_margin": keeps}, safety={"margin": margin})
         target = Target.load("box")
-        room, bound = room_for_guard(scenario, target), load_model(scenario, target).certificate(0.5).error_bound
+        around = Surroundings(scenario, target)
+        room, bound = room_for_guard(around), load_model(scenario, target).certificate(0.5).error_bound
         own = least_offset(scenario.chaser.speed_limit, scenario.control.period)
         law_keeps = bound + 0.5 + margin + room.get("nominal_offset", own)
-        assert law_keeps > build_guard(scenario, target).least_value
+        assert law_keeps > build_guard(around).least_value
 
 
 @pytest.mark.slow  # that nothing within the margin is above the threshold is held above

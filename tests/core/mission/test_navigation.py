@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from keepout.core.errors import ScenarioError
-from keepout.core.mission import environment
 from keepout.core.mission.build import prepare, require_navigation
 from keepout.core.mission.check import check
 from keepout.core.mission.flight import fly_mission
 from keepout.core.mission.nearest import number_refusal
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
 from keepout.core.mission.target import load_target
 from keepout.flights.campaign.dataset import Dataset
 from keepout.flights.campaign.flying import differences, replay
@@ -74,8 +74,8 @@ def test_the_truth_is_in_the_known_set_and_the_set_within_its_caps(flight):
 @pytest.mark.long
 def test_a_seed_says_everything(mission, flight):
     again, other = (
-        fly_mission(dataclasses.replace(mission, scenario=mission.scenario.replace(seed=seed))).record
-        for seed in (mission.scenario.seed, mission.scenario.seed + 1)
+        fly_mission(dataclasses.replace(mission, surroundings=Surroundings(seeded, mission.target))).record
+        for seeded in (mission.scenario, mission.scenario.replace(seed=mission.scenario.seed + 1))
     )
     for name, column in flight.record.columns.items():
         np.testing.assert_array_equal(getattr(again, name), column, err_msg=name)
@@ -108,7 +108,7 @@ def test_the_summary_tells_of_the_navigation(flight):
 def test_the_guard_assumes_more_the_more_samples_can_be_lost(target):
     def caps(**entries):
         given = scenario(navigation={"suite": "close"} | entries)
-        assumed = environment.guard_assumptions(given, target)
+        assumed = Surroundings(given, target).guard_assumptions
         return float(assumed.position_error), float(assumed.velocity_error), float(assumed.disturbance)
 
     none = caps()

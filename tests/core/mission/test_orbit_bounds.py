@@ -12,9 +12,9 @@ from scipy.integrate import solve_ivp
 from truths.orbits import EARTH_SPIN, MU, true_path
 
 from keepout.core.errors import ScenarioError
-from keepout.core.mission import environment, turning_bounds
-from keepout.core.mission.orbit_bounds import differential_bounds, orbit_bounds
+from keepout.core.mission.bounds import differential_bounds, orbit_bounds, turned_by_gravity, turning_freely
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
 from keepout.core.motion.disturbance import NoDisturbance
 from keepout.core.motion.relative import MotionState
 
@@ -86,7 +86,7 @@ def test_no_sampled_drift_exceeds_the_bound(case, attitude):
     scenario = scenario_of(case)
     turned = {"angular_velocity": (0.01, -0.02, 0.005), "inertia": ((120.0, 8, -5), (8, 90, 4), (-5, 4, 60))}
     scenario = scenario.replace(attitude={"kind": attitude} | (turned if attitude == "tumbling" else {}))
-    bounds, motion = environment.flight_bounds(scenario), environment.relative_motion(scenario)
+    bounds, motion = Surroundings(scenario).flight_bounds, Surroundings(scenario).motion
     path = path_of(case)
     random = np.random.default_rng(0)
     count = 10_000
@@ -106,7 +106,7 @@ def test_no_sampled_drift_exceeds_the_bound(case, attitude):
     found = np.asarray(drift(r, v, at))
     away, speed = np.linalg.norm(r, axis=1), np.linalg.norm(v, axis=1)
     kappa = bounds.angular_acceleration + bounds.angular_rate**2 + bounds.gravity_gradient
-    unknown = bounds.disturbance_force - environment.disturbance(scenario).bound
+    unknown = bounds.disturbance_force - Surroundings(scenario).disturbance.bound
     allowed = 2.0 * bounds.angular_rate * speed + kappa * away + unknown / scenario.chaser.mass
     # Rounding: 1e-16 of gravity, 10 m/s².
     assert np.all(found <= allowed + 1e-14)
@@ -115,16 +115,16 @@ def test_no_sampled_drift_exceeds_the_bound(case, attitude):
 def test_each_part_of_the_differential_bound_is_needed():
     """At rest beside the target only the difference of the drag remains; J2's gradient is met above a pole."""
     scenario = scenario_of("polar with drag")
-    orbit, motion = orbit_bounds(scenario), environment.relative_motion(scenario)
+    orbit, motion = orbit_bounds(scenario), Surroundings(scenario).motion
     bent = differential_bounds(scenario, orbit, nearest=orbit.lowest_radius, angular_rate=orbit.rate, fastest=100.0)
     path = path_of("polar with drag")
     lowest = path[np.argmin(np.linalg.norm(path[:, :3], axis=1))]
     beside = dataclasses.replace(motion.initial_state(np.zeros(3), np.zeros(3)), target_orbit=jnp.asarray(lowest))
     drift = eqx.filter_jit(motion.drift_acceleration)(beside)
     assert bent.constant >= float(jnp.linalg.norm(drift)) > 0.5 * bent.constant
-    assert environment.flight_bounds(scenario).disturbance_force > environment.disturbance(scenario).bound
+    assert Surroundings(scenario).flight_bounds.disturbance_force > Surroundings(scenario).disturbance.bound
     radius = 7e6
-    (oblate,) = environment.relative_motion(scenario_of("low and round")).perturbations
+    (oblate,) = Surroundings(scenario_of("low and round")).motion.perturbations
     pole = jnp.array([0.0, 0.0, radius])
     steepest = jnp.linalg.norm(jax.jit(jax.jacfwd(oblate.of_target))(pole, jnp.zeros(3)), ord=2)
     scenario = scenario_of("low and round")
@@ -149,7 +149,7 @@ def test_without_perturbations_the_bounds_are_keplers():
 )
 def test_orbits_without_a_bound_are_refused(changes, reason):
     with pytest.raises(ScenarioError, match=reason):
-        environment.flight_bounds(Scenario().replace(**changes))
+        _ = Surroundings(Scenario().replace(**changes)).flight_bounds
 
 
 def test_drag_is_bounded_up_to_the_speed_that_the_guard_allows():
@@ -162,7 +162,7 @@ def test_drag_is_bounded_up_to_the_speed_that_the_guard_allows():
         duration=2.0,
         chaser={"speed_limit": 600.0, "force_limit": 1e6},
     )
-    assumed, motion = environment.guard_assumptions_within(scenario, 5.0), environment.relative_motion(scenario)
+    assumed, motion = Surroundings(scenario, extent=5.0).guard_assumptions, Surroundings(scenario).motion
     assert assumed.speed_limit == 900.0
     start = motion.initial_state(np.zeros(3), np.zeros(3))
     forward = jnp.array([900.0, 0.0, 0.0])  # against the air, as the body begins parallel to VVLH
@@ -173,7 +173,7 @@ def test_drag_is_bounded_up_to_the_speed_that_the_guard_allows():
     assert pushed <= 2.0 * assumed.angular_rate * assumed.speed_limit + constant + 1e-9
     assert rest < 0.05 * pushed  # so that the speed's part is what is tested
     # The audit holds no step for bounded that is faster than this.
-    assert environment.flight_bounds(scenario).speed_limit == 900.0
+    assert Surroundings(scenario).flight_bounds.speed_limit == 900.0
 
 
 @pytest.mark.parametrize(
@@ -190,13 +190,13 @@ def test_drag_is_bounded_up_to_the_speed_that_the_guard_allows():
 def test_the_guard_is_told_until_when_its_numbers_hold(entries, until):
     """They hold a little beyond the last row, whose time has been added up period by period."""
     scenario = Scenario().replace(**({"duration": 15.0} | entries))
-    told = environment.guard_assumptions_within(scenario, 5.0).valid_until
+    told = Surroundings(scenario, extent=5.0).guard_assumptions.valid_until
     assert told == pytest.approx(until, abs=1e-6) if np.isfinite(until) else told == until
     last = 0.0
     for _ in range(scenario.steps):
         last += scenario.control.period
     assert last <= told
-    assert environment.flight_bounds(scenario).valid_until == told
+    assert Surroundings(scenario).flight_bounds.valid_until == told
 
 
 def test_bounds_hold_to_the_end_of_the_last_control_period():
@@ -220,7 +220,7 @@ INERTIA = np.array([[120.0, 8, -5], [8, 90, 4], [-5, 4, 60]])
 RADIUS = 6.9e6
 
 
-def turned_by_gravity(rates, duration=3000.0, period=1.0):
+def tumbling(rates, duration=3000.0, period=1.0):
     attitude = {
         "kind": "tumbling",
         "angular_velocity": tuple(rates),
@@ -250,10 +250,10 @@ def truth(rates, duration):
 
 @pytest.mark.parametrize("rates", [(0.0, 0.0, 0.0), (0.002, -0.001, 0.0005), (0.01, -0.02, 0.005)])
 def test_no_rate_of_a_body_that_gravity_turns_is_beyond_the_bound(rates):
-    scenario = turned_by_gravity(rates)
-    motion = environment.relative_motion(scenario)
+    scenario = tumbling(rates)
+    motion = Surroundings(scenario).motion
     omega = truth(np.array(rates), scenario.duration)
-    rate, acceleration = turning_bounds.pulled(
+    rate, acceleration = turned_by_gravity(
         motion, period=1.0, steps=scenario.steps, lowest_radius=orbit_bounds(scenario).lowest_radius
     )
     largest = np.linalg.norm(omega, axis=1).max()
@@ -266,11 +266,11 @@ def test_no_rate_of_a_body_that_gravity_turns_is_beyond_the_bound(rates):
 
 
 def test_motions_of_the_same_numbers_that_are_stepped_otherwise_have_bounds_of_their_own():
-    scenario = turned_by_gravity((0.0, 0.0, 0.0), duration=200.0, period=10.0)  # gravity alone turns it, ever faster
-    motion = environment.relative_motion(scenario)
+    scenario = tumbling((0.0, 0.0, 0.0), duration=200.0, period=10.0)  # gravity alone turns it, ever faster
+    motion = Surroundings(scenario).motion
     numbers = {"period": 10.0, "steps": scenario.steps, "lowest_radius": RADIUS}
     coarse, fine = (
-        turning_bounds.pulled(dataclasses.replace(motion, substeps=substeps), **numbers) for substeps in (1, 20)
+        turned_by_gravity(dataclasses.replace(motion, substeps=substeps), **numbers) for substeps in (1, 20)
     )
     assert coarse != fine
     assert coarse == pytest.approx(fine, rel=1e-4)
@@ -278,7 +278,7 @@ def test_motions_of_the_same_numbers_that_are_stepped_otherwise_have_bounds_of_t
 
 def test_the_bounds_without_torque_are_those_of_energy_and_momentum():
     rates = np.array([0.01, -0.02, 0.005])
-    rate, acceleration = turning_bounds.free(rates, INERTIA)
+    rate, acceleration = turning_freely(rates, INERTIA)
     least = np.linalg.eigvalsh(INERTIA)[0]
     assert rate == pytest.approx(np.sqrt(rates @ INERTIA @ rates / least))
     assert acceleration == pytest.approx(np.linalg.norm(INERTIA @ rates) * rate / least)
@@ -286,4 +286,4 @@ def test_the_bounds_without_torque_are_those_of_energy_and_momentum():
 
 def test_a_body_that_turns_too_fast_for_its_steps_is_refused():
     with pytest.raises(ScenarioError, match=r"attitude\.angular_velocity"):
-        environment.flight_bounds(turned_by_gravity((1.0, 0.5, 0.0), duration=100.0, period=10.0))
+        _ = Surroundings(tumbling((1.0, 0.5, 0.0), duration=100.0, period=10.0)).flight_bounds

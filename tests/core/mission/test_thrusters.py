@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from keepout.core.errors import ScenarioError
-from keepout.core.mission import environment
 from keepout.core.mission.first_look import look
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
 from keepout.core.mission.thrusters import errors, layout, require_thrusters, thrusters
 from keepout.core.motion.thrusters.on_off import OnOffThrusters
 
@@ -61,7 +61,7 @@ def test_layouts_are_refused_with_numbers(entries, said):
 def test_the_guard_assumes_a_fault_to_its_detection_and_the_audit_the_guards_excursion():
     covered = errors(scenario(layout="12", force=0.1, survive_failure=True, detection_time=4.2))
     assert (covered.fault_force, covered.fault_steps) == (pytest.approx(0.1), 5)
-    width, told = errors(scenario(layout="six")), environment.flight_bounds(scenario(layout="six"))
+    width, told = errors(scenario(layout="six")), Surroundings(scenario(layout="six")).flight_bounds
     assert (told.excursion, told.velocity_excursion) == (width.excursion, width.velocity_excursion)
     # The figures of docs/my-thrusters.md: 0.1 N an axis, 20 kg, 1 s, 20 ms.
     assert (width.force_error, width.excursion) == pytest.approx((np.sqrt(3.0) * 1e-3, np.sqrt(3.0) * 0.1 / 640.0))

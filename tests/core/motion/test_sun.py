@@ -3,10 +3,10 @@ import numpy as np
 import pytest
 
 from keepout.core.errors import ScenarioError
-from keepout.core.mission import environment
+from keepout.core.mission.bounds import sun_of
 from keepout.core.mission.epoch import parse_instant
-from keepout.core.mission.orbit_bounds import sun_of
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
 from keepout.core.motion.orbit import SolarPressure, lit, sun_direction
 
 EARTH = 6378137.0
@@ -40,12 +40,12 @@ def test_the_push_points_away_from_the_sun_and_is_that_of_the_area():
 
 def test_a_scenario_carries_the_push_and_its_bound_and_an_empty_one_does_not():
     plain = Scenario()
-    assert environment.relative_motion(plain).perturbations == ()
+    assert Surroundings(plain).motion.perturbations == ()
     pushed = plain.replace(sun={"chaser_area_to_mass": 0.05, "target_area_to_mass": 0.02})
-    (push,) = environment.relative_motion(pushed).perturbations
+    (push,) = Surroundings(pushed).motion.perturbations
     assert isinstance(push, SolarPressure)
     np.testing.assert_allclose(push.direction, sun_direction(parse_instant(plain.epoch)))
-    more = environment.flight_bounds(pushed).disturbance_force - environment.flight_bounds(plain).disturbance_force
+    more = Surroundings(pushed).flight_bounds.disturbance_force - Surroundings(plain).flight_bounds.disturbance_force
     assert more == pytest.approx(20.0 * 4.56e-6 * 0.03, rel=1e-6)
 
 

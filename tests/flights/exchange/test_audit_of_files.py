@@ -14,7 +14,7 @@ from keepout.core.audit.audit import Contact, audit
 from keepout.core.audit.passage import angles, audit_passage, measured_turning_acceleration
 from keepout.core.errors import ExchangeError
 from keepout.core.geometry.target import Target
-from keepout.core.mission import environment
+from keepout.core.mission.surroundings import Surroundings
 
 PLATE = (4.0, 4.0, 0.01)
 
@@ -37,7 +37,7 @@ def test_a_flight_of_keepout_is_bounded_as_by_its_own_audit(tree, every, tmp_pat
         lines = (tmp_path / "turning").read_text().splitlines()
         start = lines.index("DATA_START") + 1
         (tmp_path / "turning").write_text("\n".join([*lines[:start], *lines[start:-1:every], lines[-1]]))
-    bounds = environment.flight_bounds(scenario)
+    bounds = Surroundings(scenario).flight_bounds
     acceleration = np.sqrt(3) * 0.1 / 20.0 + bounds.disturbance_force / 20.0 + 20.0 * bounds.gravity_gradient
     answer = keepout_command(
         *("audit", "--target", "box", "--chaser", tmp_path / "chaser", "--target-orbit", tmp_path / "target"),

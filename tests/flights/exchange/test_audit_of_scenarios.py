@@ -8,8 +8,8 @@ from truths.command_line import keepout_command
 from truths.messages import toy_flight
 
 from keepout.core.audit.audit import audit
-from keepout.core.mission import environment
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
 from keepout.core.mission.target import load_target
 
 ROTATION = Rotation.from_euler("zyx", [0.4, -0.3, 0.7]).as_matrix()
@@ -35,7 +35,7 @@ def flown(tmp_path_factory):
     flight = record.save(folder / "placed.parquet")
     for name, options in (("c.oem", ("oem",)), ("t.oem", ("oem", "--of", "target")), ("t.aem", ("aem",))):
         assert keepout_command("export", flight, "--to", *options, "-o", folder / name).code == 0
-    bounds = environment.flight_bounds(scenario)
+    bounds = Surroundings(scenario).flight_bounds
     own = audit(
         record, load_target(scenario.target), chaser_radius=0.5, bounds=bounds, force_limit=0.1, speed_limit=10.0
     )
@@ -44,7 +44,7 @@ def flown(tmp_path_factory):
 
 def audited(flown, *target):
     folder, scenario, _ = flown
-    bounds = environment.flight_bounds(scenario)
+    bounds = Surroundings(scenario).flight_bounds
     acceleration = np.sqrt(3) * 0.1 / 20.0 + bounds.disturbance_force / 20.0 + 20.0 * bounds.gravity_gradient
     return keepout_command(
         *("audit", *target, "--chaser", folder / "c.oem", "--target-orbit", folder / "t.oem"),

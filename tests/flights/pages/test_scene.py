@@ -18,8 +18,8 @@ from keepout.core.audit.tube import FlightBounds
 from keepout.core.errors import FieldError, FlightError, KeepoutError, MeshError
 from keepout.core.fields.field import values
 from keepout.core.geometry.target import Target
-from keepout.core.mission import environment
-from keepout.core.mission.orbit_bounds import orbit_of
+from keepout.core.mission.bounds import orbit_of
+from keepout.core.mission.surroundings import Surroundings
 from keepout.core.motion.rotation import vvlh_axes
 from keepout.flights.pages import drawn, scene
 from keepout.flights.pages.drawn import drawn_surface
@@ -96,7 +96,7 @@ def test_nothing_is_proved_of_a_step_that_cannot_have_been_flown(box, folder):
     position = record.position.copy()
     position[51:] += [0.0, 0.0, 1.0]
     record = dataclasses.replace(record, position=position)
-    proved = proved_clearance(record, box.distance, chaser_radius=RADIUS, bounds=environment.flight_bounds(scenario))
+    proved = proved_clearance(record, box.distance, chaser_radius=RADIUS, bounds=Surroundings(scenario).flight_bounds)
     assert np.isnan(proved[50])
     assert np.isfinite(np.delete(proved, 50)).all()
 

@@ -11,9 +11,9 @@ from scipy import stats
 
 from keepout.core.errors import ScenarioError
 from keepout.core.flight import loop
-from keepout.core.mission.assumptions import broken_assumptions
 from keepout.core.mission.build import prepare
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import broken_assumptions
 from keepout.flights.rare_events.event import rare
 from keepout.flights.rare_events.flights import Tape, TapedFlights
 

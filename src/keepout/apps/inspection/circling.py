@@ -23,9 +23,9 @@ from keepout.apps.inspection.seeing.visible import visible
 from keepout.apps.inspection.transfer import transfer
 from keepout.core.errors import InspectionError
 from keepout.core.flight.loop import fly
-from keepout.core.mission import environment
-from keepout.core.mission.build import build_guard, flight_setup, require_navigation
+from keepout.core.mission.build import build_guard, require_navigation
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
 from keepout.core.progress import Progress, part_of, silent
 from keepout.flights.navigation.suites import navigation
 
@@ -72,12 +72,12 @@ def circle(problem: Problem, *, progress: Progress = silent) -> Inspection:
         )
     onto = transfer(scenario, target.distance.distance, ellipse)
     scenario = _begun_on(scenario, ellipse)
-    motion = environment.relative_motion(scenario)
+    motion = Surroundings(scenario).motion
     require_navigation(scenario)
-    guard = build_guard(scenario, target) if scenario.guard.enabled else None
-    assumed = environment.guard_assumptions(scenario, target)
+    guard = build_guard(Surroundings(scenario, target)) if scenario.guard.enabled else None
+    assumed = Surroundings(scenario, target).guard_assumptions
     sensed = None if scenario.navigation.suite == "none" else navigation(scenario, motion, assumed)
-    setup = flight_setup(scenario, ellipse.law(scenario), guard=guard, navigation=sensed)
+    setup = Surroundings(scenario).setup(ellipse.law(scenario), guard=guard, navigation=sensed)
     initial = motion.initial_state(ellipse.position[0], ellipse.velocity[0])
     log = fly(setup, initial, scenario.steps, jax.random.key(scenario.seed))
     progress(0.6, "flown")

@@ -24,8 +24,8 @@ from keepout.apps.inspection.hill import VVLH_FROM_RTN
 from keepout.apps.inspection.passive import drift, passive_safety, states_at_times
 from keepout.core.control.law import Command, Law
 from keepout.core.errors import InspectionError
-from keepout.core.mission.environment import relative_motion
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
 from keepout.core.motion.attitude import VVLHFixed
 from keepout.core.motion.relative import MotionState, RelativeMotion
 from keepout.core.motion.rotation import matrix
@@ -124,7 +124,7 @@ def circumnavigations(
     below = np.take_along_axis(heights, np.maximum(first - 1, 0)[None], axis=0)[0]
     heights = np.linspace(below, np.take_along_axis(heights, first[None], axis=0)[0], _SIZES)
     states, clearance, enough = _tried(scenario, distance, time, seconds, heights)
-    motion, period, found = relative_motion(scenario), scenario.control.period, []
+    motion, period, found = Surroundings(scenario).motion, scenario.control.period, []
     for tilt in np.flatnonzero(enough.any(axis=0)):
         size = int(np.argmax(enough[:, tilt]))
         index = size * len(TILTS) + tilt
@@ -164,7 +164,7 @@ def _tried(
     scenario: Scenario, distance: Distance, time: float, seconds: float, heights: Float[np.ndarray, "sizes tilts"]
 ) -> tuple[MotionState, Float[np.ndarray, "sizes tilts"], Bool[np.ndarray, "sizes tilts"]]:
     """Give the first states of ellipses (one after the other), bounds on how near they come, and if that is enough."""
-    motion = relative_motion(scenario)
+    motion = Surroundings(scenario).motion
     n, (share, beta) = float(motion.orbit.mean_motion), np.tile(TILTS, (len(heights), 1)).T
     begun = [
         hill_states(n, height, height * of, at, np.zeros(1))
@@ -205,7 +205,7 @@ def in_body(
 
     Positions in VVLH are told from the target's centre of mass.
     """
-    motion = relative_motion(scenario)
+    motion = Surroundings(scenario).motion
     target = states_at_times(scenario, np.array([time]), np.zeros((1, 3)), np.zeros((1, 3)))
     one = jax.tree.map(lambda leaf: leaf[0], target)
     turn = matrix(one.attitude)

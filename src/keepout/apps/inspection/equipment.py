@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from keepout.apps.inspection.light import Light
 from keepout.apps.inspection.plume import Protected
 from keepout.apps.inspection.seeing.cut import MOST_PATCHES
 from keepout.apps.inspection.seeing.patches import Patches
@@ -22,8 +23,8 @@ from keepout.core.control.tuning import least_offset
 from keepout.core.errors import InspectionError
 from keepout.core.geometry.target import Target
 from keepout.core.mission.law import room_for_guard
-from keepout.core.mission.light import Light
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
 
 _PATCH, _LARGE_PATCH = 0.25, 1.0
 """Edge of the patches, m, where the scenario leaves it open."""
@@ -128,7 +129,7 @@ def law_keeps(scenario: Scenario, target: Target, error_bound: float) -> float:
     """
     by_default = scenario.control.profile == "default"
     own = least_offset(scenario.chaser.speed_limit, scenario.control.period) if by_default else 0.0
-    room = room_for_guard(scenario, target).get("nominal_offset", own)
+    room = room_for_guard(Surroundings(scenario, target)).get("nominal_offset", own)
     return error_bound + scenario.chaser.radius + scenario.safety.margin + room
 
 

@@ -14,6 +14,7 @@ from jaxtyping import Bool
 from keepout.apps.inspection.equipment import patch_size, rules_of
 from keepout.apps.inspection.frames import Camera, Shot, as_flown
 from keepout.apps.inspection.inspection import Frame
+from keepout.apps.inspection.light import Light
 from keepout.apps.inspection.seeing.cut import cut
 from keepout.apps.inspection.seeing.patches import Patches
 from keepout.apps.inspection.seeing.sightlines import Sightlines
@@ -21,7 +22,6 @@ from keepout.core.digest import digest
 from keepout.core.errors import InspectionError
 from keepout.core.flight.record import FlightRecord
 from keepout.core.geometry.target import Target
-from keepout.core.mission.light import Light
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.target import load_target
 from keepout.core.mission.task_entries import CameraEntry

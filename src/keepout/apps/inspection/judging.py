@@ -17,10 +17,9 @@ from keepout.core.flight.loop import FlightLog
 from keepout.core.flight.record import FlightRecord
 from keepout.core.flight.setup import FlightSetup
 from keepout.core.guard.guard import Guard
-from keepout.core.mission import environment
-from keepout.core.mission.assumptions import broken_assumptions, guard_numbers
 from keepout.core.mission.flight import recorded
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings, broken_assumptions, guard_numbers
 from keepout.core.progress import Progress, part_of, silent
 
 
@@ -65,7 +64,7 @@ def judged(
 
     """
     progress(0.0, "audit")
-    bounds = environment.flight_bounds(scenario)
+    bounds = Surroundings(scenario).flight_bounds
     flown, record, verdict = recorded(scenario, problem.target, setup, log, bounds)
     frames, seen = as_flown(record, shots, camera, progress=part_of(progress, 0.3, 1.0))
     broken = broken_assumptions(scenario, problem.target)

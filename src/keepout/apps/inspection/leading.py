@@ -22,10 +22,10 @@ from keepout.core.flight.setup import FlightSetup
 from keepout.core.geometry.target import Target
 from keepout.core.guard.guard import Guard
 from keepout.core.guard.start import require_flyable
-from keepout.core.mission import environment
-from keepout.core.mission.build import build_guard, closing_radius, flight_setup, load_model, require_navigation
+from keepout.core.mission.build import build_guard, closing_radius, load_model, require_navigation
 from keepout.core.mission.law import broken_as, law_on
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
 from keepout.core.mission.target import require_apart
 from keepout.core.motion.arrays import as_float64
 from keepout.core.motion.relative import MotionState
@@ -108,7 +108,7 @@ class Leading:
         }
         for number, hold in enumerate(scenario.inspect.hold_points):
             away[f"inspect.hold_points.{number}.position"] = float(np.linalg.norm(hold.position))
-        environment.require_bounded(scenario, away)
+        Surroundings(scenario).require_bounded(away)
         reach = max(away.values())
         ahead = start / max(float(np.linalg.norm(start)), 1e-9)
         far = tuple((reach * ahead if ahead.any() else np.array([reach, 0.0, 0.0])).tolist())
@@ -119,7 +119,7 @@ class Leading:
         require_stand_off(scenario, target, bound)
         least = bound + scenario.chaser.radius + scenario.safety.margin
         nominal = law_keeps(scenario, target, bound) - least
-        assumed = environment.guard_assumptions(scenario, target)
+        assumed = Surroundings(scenario, target).guard_assumptions
         kept = scenario.inspect.stand_off + float(assumed.position_error) + _WANDERING
         margin, stated = max(scenario.safety.margin, kept - scenario.chaser.radius - bound - nominal), scenario
         scenario = scenario.model_copy(update={"safety": scenario.safety.model_copy(update={"margin": margin})})
@@ -134,15 +134,14 @@ class Leading:
             spacing=scenario.control.spacing,
             progress=part_of(progress, 0.4, 0.8),
         )
-        motion = environment.relative_motion(scenario)
+        motion = Surroundings(scenario).motion
         initial = motion.initial_state(start, np.asarray(scenario.start.velocity))
         sensed = None if scenario.navigation.suite == "none" else navigation(scenario, motion, assumed)
         guard, certified = None, None
         if scenario.guard.enabled:
             # By the operator's own margin: what the stand-off asks for beyond it is the law's to keep.
             guard = build_guard(
-                stated,
-                target,
+                Surroundings(stated, target),
                 offset=model.offset,
                 closing_radius=closing_radius(model),
                 progress=part_of(progress, 0.8, 1.0),
@@ -224,7 +223,7 @@ class Leading:
     def setup(self, law: Law) -> FlightSetup:
         """Give the setup of the flight's first segment."""
         chosen = {"field": self.model.field, "guard": self.guard, "navigation": self.navigation, "goal": law.goal}
-        return flight_setup(self.scenario, law, **chosen)
+        return Surroundings(self.scenario).setup(law, **chosen)
 
     def led_on(self, setup: FlightSetup, law: Law) -> FlightSetup:
         """Give the setup of a segment that another law leads."""

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from keepout.apps.inspection.light import Light
 from keepout.apps.inspection.seeing.rules import SeeingRules
 from keepout.apps.inspection.seeing.sightlines import Sightlines
 from keepout.apps.inspection.seeing.visible import lit_units
-from keepout.core.mission.light import Light
 
 _STEPS, _MOST_STEPS = 120, 1200
 """Of the time looked at: so many where the light turns slowly, and at most."""

@@ -13,9 +13,9 @@ from jaxtyping import Array, Bool, Float
 from keepout.core.compiled.kept_executables import kept_jit
 from keepout.core.flight.record import FlightRecord
 from keepout.core.flight.setup import Faults
-from keepout.core.mission import environment
 from keepout.core.mission import thrusters as mission_thrusters
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
 from keepout.core.motion.chaser import ThrusterModel
 from keepout.core.motion.thrusters.allocation import Allocation
 
@@ -101,7 +101,7 @@ class Nozzles(eqx.Module):
         if self.allocation is None:
             return (record.force[:-1] @ np.asarray(self.direction).T) > _SILENT
         on_time = _on_times(
-            environment.faults(scenario),
+            Surroundings(scenario).faults,
             mission_thrusters.thrusters(scenario),
             jnp.asarray(record.guarded_force),
             jnp.asarray(record.time),

@@ -21,8 +21,8 @@ from keepout.core.audit.tube import Tube, lengths
 from keepout.core.compiled.kept_executables import kept_jit
 from keepout.core.errors import InspectionError
 from keepout.core.flight.record import FlightRecord
-from keepout.core.mission.environment import flight_bounds, relative_motion
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
 from keepout.core.motion.disturbance import NoDisturbance
 from keepout.core.motion.relative import MotionState, RelativeMotion
 
@@ -99,7 +99,11 @@ def passive_safety(
         raise InspectionError(f"passive safety: {seconds} s; it must be positive and finite")
     # A drift may begin at the end of the mission, and goes on after it.
     lasting = scenario.model_copy(update={"duration": scenario.duration + seconds})
-    motion, bounds, spread = relative_motion(scenario), flight_bounds(lasting), Spread.of(lasting, push)
+    motion, bounds, spread = (
+        Surroundings(scenario).motion,
+        Surroundings(lasting).flight_bounds,
+        Spread.of(lasting, push),
+    )
     step = min(_LONGEST_STEP, _TURN / max(bounds.angular_rate, 1e-12))
     count = math.ceil(seconds / step - 1e-9)
     if count > _MOST_STEPS:
@@ -187,7 +191,7 @@ def states_at_times(
     """
     period = scenario.control.period
     index = np.rint(np.asarray(times) / period).astype(int)
-    motion = relative_motion(scenario)
+    motion = Surroundings(scenario).motion
     at, parts = motion.initial_state(motion.centre_of_mass, jnp.zeros(3)), []
     for _ in range(int(index.max(initial=0)) // _RUN + 1):
         at, run = _target(motion, at, jnp.asarray(period, jnp.float64))

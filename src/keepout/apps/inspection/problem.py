@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from keepout.apps.inspection.equipment import patch_size, require_inspectable, rules_of
+from keepout.apps.inspection.light import Light
 from keepout.apps.inspection.seeing.cut import cut
 from keepout.apps.inspection.seeing.judge import seeable
 from keepout.apps.inspection.seeing.patches import Patches
@@ -15,7 +16,6 @@ from keepout.apps.inspection.seeing.seeable import Seeable
 from keepout.apps.inspection.seeing.sightlines import Sightlines
 from keepout.apps.inspection.ways import MOST_NODES, Ways
 from keepout.core.geometry.target import Target
-from keepout.core.mission.light import Light
 from keepout.core.mission.scenario import Scenario
 from keepout.core.progress import Progress, part_of, silent
 

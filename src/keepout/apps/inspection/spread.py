@@ -23,9 +23,9 @@ from jaxtyping import Float
 
 from keepout.apps.inspection.hill import coast_matrix
 from keepout.core.errors import InspectionError
-from keepout.core.mission.environment import flight_bounds
-from keepout.core.mission.orbit_bounds import perturbations
+from keepout.core.mission.bounds import perturbations
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
 from keepout.core.motion.orbit import EARTH_GRAVITATIONAL_PARAMETER
 
 _STEEPEST, _TURNING = 7.08, 12.4
@@ -65,7 +65,7 @@ class Spread:
         """
         if push is not None and not (math.isfinite(push) and push >= 0.0):
             raise InspectionError(f"passive safety: push is {push} N; it must be finite and at least 0")
-        bounds, orbit = flight_bounds(scenario), scenario.orbit
+        bounds, orbit = Surroundings(scenario).flight_bounds, scenario.orbit
         circular = orbit.eccentricity == 0.0 and not perturbations(scenario)
         return cls(
             push=(bounds.disturbance_force if push is None else push) / bounds.mass,

@@ -16,8 +16,8 @@ from jaxtyping import Bool, Float
 from keepout.apps.inspection.circumnavigation import Circumnavigation, hill_states, in_body
 from keepout.apps.inspection.hill import coast_matrix
 from keepout.apps.inspection.passive import passive_safety, states_at_times
-from keepout.core.mission.environment import relative_motion
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
 from keepout.core.motion.rotation import matrix
 
 Distance = Callable[[Float[np.ndarray, "points 3"]], Float[np.ndarray, "points"]]
@@ -75,7 +75,7 @@ def transfer(scenario: Scenario, distance: Distance, ellipse: Circumnavigation) 
 
     """
     limit = scenario.chaser.speed_limit
-    n = float(relative_motion(scenario).orbit.mean_motion)
+    n = float(Surroundings(scenario).motion.orbit.mean_motion)
     start, moving = _in_vvlh(
         scenario, np.asarray(scenario.start.position, float), np.asarray(scenario.start.velocity, float)
     )
@@ -107,7 +107,7 @@ def _keeps(
 
 def _in_vvlh(scenario: Scenario, position: Point, velocity: Point) -> tuple[Point, Point]:
     """Give a state of the body frame at the mission's start as seen from VVLH, from the target's centre of mass."""
-    motion = relative_motion(scenario)
+    motion = Surroundings(scenario).motion
     target = states_at_times(scenario, np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3)))
     one = jax.tree.map(lambda leaf: leaf[0], target)
     turn = np.asarray(matrix(one.attitude))

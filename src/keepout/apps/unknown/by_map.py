@@ -22,10 +22,9 @@ from keepout.core.errors import KeepOutZoneError, ScenarioError
 from keepout.core.flight.setup import FlightSetup
 from keepout.core.guard.guard import Guard
 from keepout.core.guard.start import starts_certified
-from keepout.core.mission import environment
-from keepout.core.mission.build import flight_setup
 from keepout.core.mission.law import broken_as, law_on
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
 from keepout.core.motion.arrays import as_float64
 from keepout.core.motion.relative import MotionState
 from keepout.core.progress import Progress, silent
@@ -58,13 +57,13 @@ def guard_by_map(scenario: Scenario, field: MapField, ball: DeclaredBall) -> Gua
             certified; the message names the entry.
 
     """
-    kept = scenario.chaser.radius + environment.kept_margin(scenario)
+    kept = scenario.chaser.radius + Surroundings(scenario).kept_margin
     guard = Guard(
         field=field,
         threshold=kept + field.error_bound(kept),
         lipschitz=SLOPE,
         evaluation_error=field.evaluation_error,
-        assumptions=environment.guard_assumptions_within(scenario, ball.extent),
+        assumptions=Surroundings(scenario, extent=ball.extent).guard_assumptions,
     )
     _require_cap(field, float(guard.least_value), "the guard certifies plans")
     return guard
@@ -164,10 +163,10 @@ def law_by_map(
 
 def setup_by_map(scenario: Scenario, field: MapField, ball: DeclaredBall, law: Law, guard: Guard | None) -> FlightSetup:
     """Put a law and a guard of `law_by_map` and `guard_by_map` where a scenario flies, the map's field logged."""
-    setup = flight_setup(scenario, law, field=field, guard=guard, goal=law.goal)
+    setup = Surroundings(scenario).setup(law, field=field, guard=guard, goal=law.goal)
     if scenario.navigation.suite == "none":
         return setup
-    assumed = environment.guard_assumptions_within(scenario, ball.extent)
+    assumed = Surroundings(scenario, extent=ball.extent).guard_assumptions
     return dataclasses.replace(setup, navigation=navigation(scenario, setup.motion, assumed))
 
 

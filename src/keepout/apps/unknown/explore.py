@@ -33,10 +33,9 @@ from keepout.core.geometry.target import Target
 from keepout.core.guard.guard import GuardState
 from keepout.core.guard.start import starts_certified
 from keepout.core.guard.status import GuardFlag, GuardStatus
-from keepout.core.mission import environment
-from keepout.core.mission.assumptions import broken_assumptions, guard_numbers
 from keepout.core.mission.flight import recorded
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings, broken_assumptions, guard_numbers
 from keepout.core.mission.target import load_target
 from keepout.core.progress import Progress, silent
 
@@ -101,7 +100,7 @@ class _Explorer:
         self.goal = np.asarray(scenario.goal.position) if entry.towards == "goal" else None
         self.field = self._field()
         self.guard = by_map.guard_by_map(scenario, self.field, self.ball) if scenario.guard.enabled else None
-        motion = environment.relative_motion(scenario)
+        motion = Surroundings(scenario).motion
         self.initial = motion.initial_state(np.asarray(scenario.start.position), np.asarray(scenario.start.velocity))
         by_map.require_start(scenario, self.ball, self.initial, self.guard)
         self.target = load_target(scenario.target) if target is None else target
@@ -309,7 +308,7 @@ class _Explorer:
     def _judged(self, log: FlightLog, setup: FlightSetup, ending: Ended) -> Exploration:
         """Put together what was flown, and audit it on the true mesh."""
         scenario = self.scenario
-        bounds = environment.flight_bounds(scenario)
+        bounds = Surroundings(scenario).flight_bounds
         contradicting = sum(view.contradicting for view in self.views)
         extra = {EXPLORED: True, "contradicting_returns": contradicting}
         flown, record, verdict = recorded(scenario, self.target, setup, log, bounds, extra=extra)

@@ -3,8 +3,8 @@
 It asks the exact distance to the mesh; the recorded states, forces and four bounds (`FlightBounds`) tell where the
 chaser can have been between samples (`tube`). It imports neither fields nor control, guard or flight loop. Two things
 it shares with them: the exact distance (`geometry.distance`), which the fields are made from, and the bounds on
-rotation and differential gravity (`mission.environment.flight_bounds`), which the guard assumes too. A mistake in
-either would mislead both sides alike, so both are tested against code that shares nothing with them.
+rotation and differential gravity (`mission.surroundings`), which the guard assumes too. A mistake in either would
+mislead both sides alike, so both are tested against code that shares nothing with them.
 
 Why no contact is a proof. The chaser is a sphere of radius R about a continuous path r(t). If d(r(t)) > R throughout,
 d being the unsigned distance to the triangles, the sphere meets no triangle at any instant. The path then stays in the

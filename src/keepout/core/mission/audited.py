@@ -10,8 +10,8 @@ from keepout.core.audit.tube import FlightBounds
 from keepout.core.flight.batches import Landed, fly_batches
 from keepout.core.flight.outcome import FlightOutcome
 from keepout.core.flight.setup import FlightSetup
-from keepout.core.mission import environment
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
 from keepout.core.motion.relative import MotionState
 
 AUDITED = ("time", "position", "velocity", "force", "guard_status")
@@ -45,7 +45,7 @@ def fly_audited(
         The outcomes with a leading axis of flights, and the verdicts in the same order.
 
     """
-    bounds, audits = environment.flight_bounds(scenario), []
+    bounds, audits = Surroundings(scenario).flight_bounds, []
 
     def land(first: int, log: dict[str, np.ndarray]) -> None:
         audits.extend(judge(scenario, target, log, bounds=bounds, tolerance=tolerance))
@@ -84,7 +84,7 @@ def judge(
         target,
         guard_status=log["guard_status"],
         chaser_radius=chaser.radius,
-        bounds=environment.flight_bounds(scenario) if bounds is None else bounds,
+        bounds=Surroundings(scenario).flight_bounds if bounds is None else bounds,
         force_limit=chaser.force_limit,
         speed_limit=chaser.speed_limit,
         tolerance=tolerance,

@@ -1,19 +1,31 @@
-"""A scenario made flyable: load its target and field, put its law and its guard where they fly."""
+"""A scenario made flyable: load its target and field, put its law and its guard where they fly; or parts of your own.
 
+Each part of a user's own is tried at the mission's start before anything is flown; a refusal says what it must answer.
+"""
+
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
+from keepout.core.audit.tube import FlightBounds
 from keepout.core.compiled.kept_programs import keep_programs
+from keepout.core.compiled.tried import THREE_NUMBERS, computed, described, require_numbers, require_same, tried
+from keepout.core.control.controller import Controller
 from keepout.core.control.guidance.guidance import Guidance
 from keepout.core.control.guidance.plan import GuidancePlan
-from keepout.core.control.law import Law
-from keepout.core.errors import FieldError, KeepOutZoneError, ScenarioError
+from keepout.core.control.law import Command, Law
+from keepout.core.errors import ControlError, FieldError, KeepOutZoneError, ScenarioError
 from keepout.core.fields import load_shipped, shipped_names
 from keepout.core.fields.field import values
 from keepout.core.fields.model import Certificate, FieldModel
+from keepout.core.fields.own import FunctionField
 from keepout.core.flight.setup import FlightSetup
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target
@@ -21,20 +33,30 @@ from keepout.core.guard.field import guard_field
 from keepout.core.guard.guard import Guard
 from keepout.core.guard.safety_layer import SafetyLayer
 from keepout.core.guard.start import require_flyable
-from keepout.core.mission import environment
-from keepout.core.mission.assumptions import broken_assumptions
-from keepout.core.mission.law import flown_law, law_or_way_out, room_for_guard
+from keepout.core.mission.law import broken_as, law_on, law_or_way_out, room_for_guard
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings, broken_assumptions
 from keepout.core.mission.target import load_target, require_apart
-from keepout.core.mission.thrusters import thrusters
-from keepout.core.mission.tried import require_guard, require_law
 from keepout.core.motion.arrays import as_float64
+from keepout.core.motion.chaser import Firing, ThrusterModel
+from keepout.core.motion.disturbance import Disturbance
 from keepout.core.motion.relative import MotionState
 from keepout.core.plug_ins import load
 from keepout.core.progress import Progress, part_of, silent
+from keepout.core.proof.certificate import stated_error_bound
 
 _MISSED_ROOM = 0.2
 """By so much (m) the field may say less than the mesh before a refusal mentions it: more than margins explain."""
+_OUTWARD = 1.0 + 1e-9
+_TRIED = 2001
+"""Moments of a flight at which a disturbance is held against its bound."""
+_COMMAND = "its memory and a keepout.Command whose force is three finite numbers, N, an array (3,) of floats"
+_FILTERED = "its memory, a force (3,) of floats, N, and a status, one whole number"
+_FIRED = "its memory and a Firing whose force is three finite numbers, N, an array (3,) of floats"
+_NUMBERS_OF_COMMAND = {
+    **dict.fromkeys(("desired_velocity", "safe_velocity", "disturbance_estimate"), (3,)),
+    **dict.fromkeys(("barrier", "backstepping_barrier", "lyapunov"), ()),
+}
 
 
 @dataclass(frozen=True)
@@ -42,8 +64,7 @@ class Mission:
     """Everything a scenario needs to be flown: target, field with its certificate, setup and initial state.
 
     Attributes:
-        scenario: what to fly.
-        target: its mesh.
+        surroundings: of the scenario, with its target and all its numbers.
         model: the field that the law flies by.
         certificate: of that field for the chaser's radius.
         setup: what the flight loop flies.
@@ -55,8 +76,7 @@ class Mission:
 
     """
 
-    scenario: Scenario
-    target: Target
+    surroundings: Surroundings
     model: FieldModel
     certificate: Certificate
     setup: FlightSetup
@@ -64,6 +84,26 @@ class Mission:
     start_certified: bool | None
     assumptions_broken: tuple[str, ...] = ()
     own_push: float | None = None
+
+    @property
+    def scenario(self) -> Scenario:
+        """What to fly."""
+        return self.surroundings.scenario
+
+    @property
+    def target(self) -> Target:
+        """Its mesh."""
+        assert self.surroundings.target is not None
+        return self.surroundings.target
+
+    @property
+    def bounds(self) -> FlightBounds:
+        """Bounds on what a record of the flight does not hold, for the audit."""
+        bounds = self.surroundings.flight_bounds
+        if self.own_push is None:
+            return bounds
+        pushed = bounds.disturbance_force - self.surroundings.disturbance.bound + self.own_push
+        return replace(bounds, disturbance_force=pushed)
 
     @property
     def guard(self) -> Guard | None:
@@ -86,7 +126,7 @@ class Mission:
 
         """
         require_law(law, self.initial)
-        flown = flown_law(self.scenario, law, self.model)
+        flown = broken_as(self.scenario, law, self.model.field)
         return replace(self, setup=replace(self.setup, controller=flown))
 
     def with_guard(self, guard: SafetyLayer | None) -> "Mission":
@@ -150,32 +190,31 @@ def prepare(
     target = load_target(scenario.target) if target is None else target
     model = load_model(scenario, target) if model is None else model
     model.require_target(target, where="field")
-    certificate = model.certificate(scenario.chaser.radius)
+    certificate, around = model.certificate(scenario.chaser.radius), Surroundings(scenario, target)
     require_apart(scenario, target)
     require_navigation(scenario)
     try:
-        room = room_for_guard(scenario, target)
+        room = room_for_guard(around)
         law = law_or_way_out(scenario, model, guidance, part_of(progress, 0.0, 0.6), **room)
     except KeepOutZoneError as refusal:
         why = _missed_room(refusal.place, scenario, target, model, progress)
         raise KeepOutZoneError(f"{refusal}{why}", refusal.place) from None
-    setup = flight_setup(scenario, flown_law(scenario, law, model), field=model.field)
+    setup = around.setup(broken_as(scenario, law, model.field), field=model.field)
     if scenario.navigation.suite != "none":
-        assumed = environment.guard_assumptions(scenario, target)
-        setup = replace(setup, navigation=load("navigation", "flown")(scenario, setup.motion, assumed))
+        flown = load("navigation", "flown")(scenario, setup.motion, around.guard_assumptions)
+        setup = replace(setup, navigation=flown)
     initial = setup.motion.initial_state(np.asarray(scenario.start.position), np.asarray(scenario.start.velocity))
     guard, start_certified, broken = None, None, broken_assumptions(scenario, target)
     if scenario.guard.enabled:
         guard = build_guard(
-            scenario,
-            target,
+            around,
             offset=model.offset,
             closing_radius=closing_radius(model),
             grid=guard_grid,
             progress=part_of(progress, 0.6, 1.0),
         )
         start_certified = require_flyable(guard, initial, as_float64(scenario.goal.position)) and not broken
-    return Mission(scenario, target, model, certificate, replace(setup, guard=guard), initial, start_certified, broken)
+    return Mission(around, model, certificate, replace(setup, guard=guard), initial, start_certified, broken)
 
 
 def require_navigation(scenario: Scenario) -> None:
@@ -200,29 +239,6 @@ def require_navigation(scenario: Scenario) -> None:
         )
 
 
-def flight_setup(scenario: Scenario, law: Law, **chosen: Any) -> FlightSetup:
-    """Put a law where a scenario flies: its motion, disturbance, faults and numbers, without guard or logged field.
-
-    Args:
-        scenario: its entries `attitude`, `chaser`, `control.period`, `disturbance`, `faults`, `goal`, `orbit` and
-            `thrusters`.
-        law: as it is flown, its faults and what it is told of a delay included (`flown_law`).
-        **chosen: entries of `FlightSetup`, instead of the scenario's or beside them.
-
-    """
-    entries = {
-        "motion": environment.relative_motion(scenario),
-        "disturbance": environment.disturbance(scenario),
-        "thrusters": thrusters(scenario),
-        "goal": scenario.goal.position,
-        "mass": scenario.chaser.mass,
-        "period": scenario.control.period,
-        "faults": environment.faults(scenario),
-        "tolerance": scenario.goal.tolerance,
-    }
-    return FlightSetup(controller=law, **(entries | chosen))
-
-
 def _missed_room(name: str, scenario: Scenario, target: Target, model: FieldModel, progress: Progress) -> str:
     """Say of a start or goal in the keep-out zone why, where the mesh is much farther away than the field says."""
     position = np.asarray(getattr(scenario, name).position)[None]
@@ -245,8 +261,7 @@ def closing_radius(model: FieldModel) -> float:
 
 
 def build_guard(
-    scenario: Scenario,
-    target: Target,
+    around: Surroundings,
     *,
     offset: float = 0.03,
     closing_radius: float = 0.25,
@@ -260,8 +275,7 @@ def build_guard(
     nearer: from there to contact the field falls by no more than the gradient bound allows (docs/guard.md, section 7).
 
     Args:
-        scenario: its entries `guard`, `safety`, `chaser`, `disturbance`, `orbit`, `attitude`, `start` and `goal`.
-        target: the mesh.
+        around: the surroundings of the scenario, with its target.
         offset: of the solid behind the field, m.
         closing_radius: of the gaps that this solid seals, m.
         grid: that field, where it is there already.
@@ -271,10 +285,10 @@ def build_guard(
         KeepoutError: the thrusters cannot meet the assumptions; the message names the entry.
 
     """
-    radius = scenario.chaser.radius
+    radius, margin = around.scenario.chaser.radius, around.kept_margin
     if grid is None:
-        grid = guard_field(target, radius, offset=offset, closing_radius=closing_radius, progress=progress)
-    certificate, margin = grid.certificate(radius), environment.kept_margin(scenario)
+        grid = guard_field(around.target, radius, offset=offset, closing_radius=closing_radius, progress=progress)
+    certificate = grid.certificate(radius)
     threshold = certificate.error_bound + radius
     if margin:
         threshold += certificate.gradient_bound * margin + 2.0 * certificate.evaluation_error
@@ -283,5 +297,199 @@ def build_guard(
         threshold=threshold,
         lipschitz=certificate.gradient_bound,
         evaluation_error=certificate.evaluation_error,
-        assumptions=environment.guard_assumptions(scenario, target),
+        assumptions=around.guard_assumptions,
     )
+
+
+def with_disturbance(mission: Mission, disturbance: Disturbance) -> Mission:
+    """Give the same mission with another disturbance; law and guard assume what they assumed, the audit is told of it.
+
+    Where its bound is above what they assume, that is an assumption broken, and nothing is promised.
+
+    Raises:
+        ScenarioError: it does not answer as a disturbance, or its force is found above the bound that it states.
+
+    """
+    require_disturbance(disturbance)
+    bound, times = disturbance.bound, np.linspace(0.0, mission.scenario.duration, _TRIED)
+    found = float(np.linalg.norm(np.asarray(_forces(disturbance, as_float64(times))), axis=1).max())
+    if not found <= bound * _OUTWARD:
+        raise ScenarioError(f"disturbance: it states a bound of {bound:.6g} N, and its force is found at {found:.6g} N")
+    assumed = mission.surroundings.disturbance_bound
+    broken = mission.assumptions_broken
+    if bound > assumed * _OUTWARD:
+        broken = (*broken, f"disturbance: flown up to {bound:.6g} N > disturbance.bound {assumed:.6g} N")
+    certified = mission.start_certified
+    return replace(
+        mission,
+        setup=replace(mission.setup, disturbance=disturbance),
+        own_push=bound,
+        start_certified=None if certified is None else certified and not broken,
+        assumptions_broken=broken,
+    )
+
+
+@eqx.filter_jit
+def _forces(disturbance: Disturbance, times: Float[Array, " n"]) -> Float[Array, "n 3"]:
+    return jax.vmap(disturbance.force)(times)
+
+
+def with_thrusters(mission: Mission, thrusters: ThrusterModel) -> Mission:
+    """Give the same mission with other thrusters; law and guard assume the scenario's.
+
+    The guard's theorem asks for thrusters that give what is commanded within `guard.gain_error`. Whether these do is
+    not known, so nothing is certified of the start.
+
+    Raises:
+        ScenarioError: tried on an example, they do not answer as thrusters.
+
+    """
+    require_thruster_model(thrusters)
+    said = "thrusters: others than the scenario's (what they give of a command is not known)"
+    return replace(
+        mission,
+        setup=replace(mission.setup, thrusters=thrusters),
+        start_certified=None if mission.start_certified is None else False,
+        assumptions_broken=(*mission.assumptions_broken, said),
+    )
+
+
+def with_field(mission: Mission, field: FunctionField, *, leaf: float = 0.1, progress: Progress = silent) -> Mission:
+    """Give the same mission with the scenario's law built on another field; the guard keeps its own.
+
+    The law's error bound is `certificate.stated_error_bound`: proved if the field's Lipschitz bound is true.
+
+    Args:
+        mission: as `prepare` built it.
+        field: of `stated_field` or `sampled_field`.
+        leaf: side of the cubes that the bound is proved with, m.
+        progress: called while the guidance is made.
+
+    Raises:
+        KeepoutError: the law cannot be built on it; the message names the entry.
+
+    """
+    if not isinstance(field, FunctionField):
+        raise FieldError(f"field: {described(field)}; it must be one of keepout.stated_field or keepout.sampled_field")
+    scenario = mission.scenario
+    bound = stated_error_bound(field, mission.target, scenario.chaser.radius, leaf=leaf)
+    law = law_on(scenario, field, bound, progress=progress)
+    return replace(mission, setup=replace(mission.setup, controller=broken_as(scenario, law, field), field=field))
+
+
+def require_law(law: Any, start: MotionState) -> None:
+    """Refuse what is no control law, or answers otherwise than `control.law.Law` says.
+
+    It is traced at the start; one that is not the package's own is also computed there, and its force must be finite.
+
+    Raises:
+        ControlError: naming the method, what it gives and what it must give.
+
+    """
+    if not isinstance(law, Law):
+        raise ControlError(
+            f"law: {described(law)}; it must be a keepout.Law; of a callable, keepout.PolicyLaw(goal, callable) is one"
+        )
+    name = f"law: {type(law).__name__}"
+    asked: dict[str, Any] = {"part": f"{name}.goal", "wanted": f"{THREE_NUMBERS}, m", "refusal": ControlError}
+    require_numbers(tried(lambda: law.goal, **asked), (3,), **asked)
+    asked |= {"part": f"{name}.initial_state", "wanted": "a memory, a pytree of arrays"}
+    memory = tried(law.initial_state, start, **asked)
+    asked |= {"part": f"{name}.step", "wanted": _COMMAND}
+    after, command = _pair(tried(law.step, memory, start, **asked), Command, asked)
+    require_same(after, memory, part=f"{name}.step", refusal=ControlError)
+    require_numbers(command.force, (3,), **asked)
+    for key, shape in _NUMBERS_OF_COMMAND.items():
+        wanted = f"{key} as an array {shape} of floats"
+        require_numbers(getattr(command, key), shape, part=f"{name}.step", wanted=wanted, refusal=ControlError)
+    of_status: dict[str, Any] = asked | {"wanted": "a status, one whole number"}
+    require_numbers(command.status, (), kind=np.integer, **of_status)
+    told: dict[str, Any] = {"part": f"{name}.with_applied_force", "wanted": "its memory", "refusal": ControlError}
+    require_same(
+        tried(law.with_applied_force, after, command.force, **told), memory, part=told["part"], refusal=ControlError
+    )
+    if not isinstance(law, Controller):
+        force = computed(lambda law, start: law.step(law.initial_state(start), start)[1].force, law, start, **asked)
+        require_numbers(force, (3,), **asked)
+
+
+def require_guard(guard: Any, start: MotionState) -> None:
+    """Refuse what is no safety layer, or answers otherwise than `guard.safety_layer.SafetyLayer` says.
+
+    Raises:
+        ControlError: naming the method, what it gives and what it must give.
+
+    """
+    if guard is None:
+        return
+    if not isinstance(guard, SafetyLayer):
+        raise ControlError(f"guard: {described(guard)}; it must be a keepout.SafetyLayer, or None")
+    name = f"guard: {type(guard).__name__}"
+    asked: dict[str, Any] = {"part": f"{name}.initial_state", "wanted": "a memory", "refusal": ControlError}
+    memory = tried(guard.initial_state, start, **asked)
+    asked |= {"part": f"{name}.filter", "wanted": _FILTERED}
+    # With sensors it is told the errors of what it is told, and whether that contradicts itself.
+    known = jnp.zeros(2), jnp.zeros((), bool)
+    answer = tried(guard.filter, memory, start, jnp.zeros(3), jnp.zeros(3), *known, **asked)
+    if not (isinstance(answer, tuple) and len(answer) == 3):
+        raise ControlError(f"{name}.filter: gives {described(answer)}; it must give {_FILTERED}")
+    require_same(answer[0], memory, part=f"{name}.filter", refusal=ControlError)
+    require_numbers(answer[1], (3,), **asked)
+    require_numbers(answer[2], (), kind=np.integer, **asked)
+
+
+def require_disturbance(disturbance: Any) -> None:
+    """Refuse what is no disturbance, or answers otherwise than `motion.disturbance.Disturbance` says.
+
+    Raises:
+        ScenarioError: naming the method, what it gives and what it must give.
+
+    """
+    if not isinstance(disturbance, Disturbance):
+        raise ScenarioError(f"disturbance: {described(disturbance)}; it must be a keepout.Disturbance")
+    name = f"disturbance: {type(disturbance).__name__}"
+    asked: dict[str, Any] = {"part": f"{name}.force", "wanted": f"{THREE_NUMBERS}, N", "refusal": ScenarioError}
+    now = as_float64(0.0)
+    require_numbers(tried(disturbance.force, now, **asked), (3,), **asked)
+    require_numbers(computed(lambda part, time: part.force(time), disturbance, now, **asked), (3,), **asked)
+    for key in ("bound", "longest_stretch"):
+        number = getattr(disturbance, key)
+        right = not isinstance(number, bool) and isinstance(number, int | float | np.number)
+        if not (right and number >= 0.0 and (key != "bound" or math.isfinite(number))):
+            shown = described(number) if not right else f"{number}"
+            raise ScenarioError(f"{name}.{key}: gives {shown}; it must be a finite number of at least 0")
+    asked |= {"part": f"{name}.switches", "wanted": "times, an array (switches,) of floats, s"}
+    switches = tried(disturbance.switches, now, now, **asked)
+    require_numbers(switches, np.shape(switches)[:1] if np.shape(switches) else (0,), **asked)
+    asked |= {"part": f"{name}.between_switches", "wanted": "a keepout.Disturbance"}
+    between = tried(disturbance.between_switches, now, **asked)
+    if not isinstance(between, Disturbance):
+        raise ScenarioError(f"{name}.between_switches: gives {described(between)}; it must give a keepout.Disturbance")
+
+
+def require_thruster_model(thrusters: Any) -> None:
+    """Refuse what are no thrusters, or answer otherwise than `motion.chaser.ThrusterModel` says.
+
+    Raises:
+        ScenarioError: naming the method, what it gives and what it must give.
+
+    """
+    if not isinstance(thrusters, ThrusterModel):
+        raise ScenarioError(f"thrusters: {described(thrusters)}; they must be a keepout.ThrusterModel")
+    name, key, command = f"thrusters: {type(thrusters).__name__}", jax.random.key(0), jnp.zeros(3)
+    asked: dict[str, Any] = {"part": f"{name}.initial_state", "wanted": "a memory", "refusal": ScenarioError}
+    memory = tried(thrusters.initial_state, key, **asked)
+    asked |= {"part": f"{name}.fire", "wanted": _FIRED}
+    after, firing = _pair(tried(thrusters.fire, memory, command, **asked), Firing, asked)
+    require_same(after, memory, part=f"{name}.fire", refusal=ScenarioError)
+    require_numbers(firing.force, (3,), **asked)
+    force = computed(lambda part, key: part.fire(part.initial_state(key), command)[1].force, thrusters, key, **asked)
+    require_numbers(force, (3,), **asked)
+    asked |= {"part": f"{name}.saturated", "wanted": "one truth value, an array () of bool"}
+    require_numbers(tried(thrusters.saturated, command, **asked), (), kind=np.bool_, **asked)
+
+
+def _pair(answer: Any, second: type, asked: dict[str, Any]) -> tuple[Any, Any]:
+    if not (isinstance(answer, tuple) and len(answer) == 2 and isinstance(answer[1], second)):
+        raise asked["refusal"](f"{asked['part']}: gives {described(answer)}; it must give {asked['wanted']}")
+    return answer

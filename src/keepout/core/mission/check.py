@@ -17,8 +17,6 @@ from keepout.core.errors import KeepoutError, KeepOutZoneError
 from keepout.core.fields.field import values
 from keepout.core.fields.model import FieldModel
 from keepout.core.geometry.target import Target
-from keepout.core.mission import environment
-from keepout.core.mission.assumptions import broken_assumptions, guard_numbers
 from keepout.core.mission.build import Mission, load_model, prepare
 from keepout.core.mission.expected import Expected, expected
 from keepout.core.mission.first_look import require_files
@@ -26,6 +24,7 @@ from keepout.core.mission.law import operation
 from keepout.core.mission.nearest import Nearest, nearest_place, number_refusal, remedies
 from keepout.core.mission.places import has_way_out, room_to_start
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings, broken_assumptions, guard_numbers
 from keepout.core.mission.target import load_target, require_apart
 from keepout.core.mission.words import in_words
 from keepout.core.progress import Progress, part_of, silent
@@ -186,7 +185,7 @@ def _prepared(scenario: Scenario, target: Target, model: FieldModel, progress: P
 
 def _bounded(scenario: Scenario) -> bool:
     try:
-        environment.disturbance_bound(scenario)
+        _ = Surroundings(scenario).disturbance_bound
     except KeepoutError:
         return False
     return True

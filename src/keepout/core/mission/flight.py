@@ -1,7 +1,7 @@
 """One scenario flown, and its clearance audited on the exact mesh."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +17,10 @@ from keepout.core.flight.outcome import FlightOutcome, outcome
 from keepout.core.flight.record import FlightRecord
 from keepout.core.flight.setup import FlightSetup
 from keepout.core.geometry.target import Target
-from keepout.core.mission import environment
-from keepout.core.mission.assumptions import guard_numbers
 from keepout.core.mission.build import Mission, prepare
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.statuses import flag_counts, legend, status_counts
+from keepout.core.mission.surroundings import Surroundings, guard_numbers
 from keepout.core.plug_ins import load
 from keepout.core.progress import Progress, part_of, silent
 
@@ -98,7 +97,7 @@ class Flight:
         record, entry = self.record, self.scenario.navigation
         if entry.suite == "none" or record.outliers is None or record.contradicted is None:
             return None
-        assumed = environment.guard_assumptions(self.scenario, self.target)
+        assumed = Surroundings(self.scenario, self.target).guard_assumptions
         figures: dict[str, Any] = {
             "suite": entry.suite,
             "estimate": entry.estimate,
@@ -173,11 +172,9 @@ def judged(
 
     """
     scenario = mission.scenario
-    bounds = environment.flight_bounds(scenario)
-    if mission.own_push is not None:
-        pushed = bounds.disturbance_force - environment.disturbance(scenario).bound + mission.own_push
-        bounds = replace(bounds, disturbance_force=pushed)
-    result, record, verdict = recorded(scenario, mission.target, mission.setup, log, bounds, result=result, extra=extra)
+    result, record, verdict = recorded(
+        scenario, mission.target, mission.setup, log, mission.bounds, result=result, extra=extra
+    )
     clearance = mission.target.distance.distance(record.position) - scenario.chaser.radius
     violated = tuple(str(c) for c in mission.setup.controller.conditions if not c.satisfied)
     return Flight(

@@ -6,7 +6,6 @@ import numpy as np
 
 from keepout.core.control import profiles
 from keepout.core.control.circulation import (
-    CirculationLaw,
     NoCirculation,
     SwitchingCirculation,
     printed_circulation,
@@ -24,12 +23,18 @@ from keepout.core.errors import ControlError
 from keepout.core.fields.field import Field, values
 from keepout.core.fields.model import FieldModel
 from keepout.core.flight.faults import BrokenLaw
-from keepout.core.geometry.target import Target
 from keepout.core.guard.braking import design
-from keepout.core.mission import environment
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
 from keepout.core.progress import Progress, silent
 
+_CIRCULATIONS = {
+    "none": NoCirculation,
+    "printed": printed_circulation,
+    "skew": skew_circulation,
+    "switching": SwitchingCirculation,
+}
+_OBSERVERS = {"harmonic": harmonic_observer, "constant": constant_observer, "printed": printed_observer}
 _STEEPEST = 1.25
 """More than the gradient bound of any guard's field so far."""
 _GUARD_FIELD_ERROR = 0.06
@@ -48,11 +53,12 @@ def operation(scenario: Scenario, model: FieldModel) -> Operation:
 
 
 def _operation(scenario: Scenario, error_bound: float) -> Operation:
+    around = Surroundings(scenario)
     return Operation(
-        chaser=environment.chaser(scenario),
-        motion=environment.relative_motion(scenario),
+        chaser=around.chaser,
+        motion=around.motion,
         error_bound=error_bound,
-        disturbance_bound=environment.disturbance_bound(scenario),
+        disturbance_bound=around.disturbance_bound,
         margin=scenario.safety.margin,
         period=scenario.control.period,
     )
@@ -110,7 +116,7 @@ def law_on(
         KeepoutError: the law cannot be built; the message names the entry.
 
     """
-    designed = _operation(scenario, error_bound)
+    designed, circulation = _operation(scenario, error_bound), scenario.control.circulation
     profile = {"default": profiles.default, "paper": profiles.paper}[scenario.control.profile]
     if scenario.control.profile == "paper":
         chosen = scenario.control.paper.model_dump() | chosen
@@ -119,7 +125,7 @@ def law_on(
         designed,
         np.asarray(scenario.goal.position),
         guidance=named_guidance(scenario) if guidance is None else guidance,
-        circulation=_named_circulation(scenario),
+        circulation=None if circulation is None else _CIRCULATIONS[circulation](),
         observer=_named_observer(scenario),
         start=np.asarray(scenario.start.position) if from_start else None,
         progress=progress,
@@ -137,47 +143,21 @@ def named_guidance(scenario: Scenario) -> GuidancePlan | None:
     return None
 
 
-def _named_circulation(scenario: Scenario) -> CirculationLaw | NoCirculation | None:
-    match scenario.control.circulation:
-        case "none":
-            return NoCirculation()
-        case "printed":
-            return printed_circulation()
-        case "skew":
-            return skew_circulation()
-        case "switching":
-            return SwitchingCirculation()
-        case None:
-            return None
-
-
 def _named_observer(scenario: Scenario) -> Observer | None:
-    if scenario.navigation.suite != "none" and scenario.navigation.estimate == "raw":
+    named = scenario.control.observer
+    if named == "off" or (scenario.navigation.suite != "none" and scenario.navigation.estimate == "raw"):
         return NoObserver()
-    mass, period = scenario.chaser.mass, scenario.control.period
-    match scenario.control.observer:
-        case "harmonic":
-            return harmonic_observer(mass=mass, period=period)
-        case "constant":
-            return constant_observer(mass=mass, period=period)
-        case "printed":
-            return printed_observer(mass=mass, period=period)
-        case "off":
-            return NoObserver()
-        case None:
-            return None
-
-
-def flown_law(scenario: Scenario, law: Law, model: FieldModel) -> Law:
-    """Tell a law of the delay that the scenario declares, and break it as the scenario's faults say."""
-    return broken_as(scenario, law, model.field)
+    return None if named is None else _OBSERVERS[named](mass=scenario.chaser.mass, period=scenario.control.period)
 
 
 def broken_as(scenario: Scenario, law: Law, field: Field) -> Law:
-    """Do the same with any field, which says where the body is."""
+    """Tell a law of the delay that the scenario declares, and break it as the scenario's faults say.
+
+    The field says where the body is.
+    """
     chaser = scenario.chaser
     if scenario.guard.delay:
-        motion = environment.relative_motion(scenario)
+        motion = Surroundings(scenario).motion
         law = AheadOfDelay(law, motion, chaser.mass, scenario.control.period, scenario.guard.delay)
     if scenario.faults.law == "none":
         return law
@@ -192,7 +172,7 @@ def broken_as(scenario: Scenario, law: Law, field: Field) -> Law:
     )
 
 
-def room_for_guard(scenario: Scenario, target: Target) -> dict[str, float]:
+def room_for_guard(around: Surroundings) -> dict[str, float]:
     """Give the default law's `nominal_offset` (m) where the guard asks for more than the law's margin holds anyway.
 
     That is where it expects errors or a fault, or keeps the margin itself.
@@ -206,9 +186,10 @@ def room_for_guard(scenario: Scenario, target: Target) -> dict[str, float]:
         ControlError: the thrusters cannot meet the guard's assumptions.
 
     """
+    scenario = around.scenario
     if not scenario.guard.enabled or scenario.control.profile != "default":
         return {}
-    assumed, kept = environment.guard_assumptions(scenario, target), environment.kept_margin(scenario)
+    assumed, kept = around.guard_assumptions, around.kept_margin
     if not (any(assumed.estimate_errors) or assumed.fault_steps or kept):
         return {}
     own = least_offset(scenario.chaser.speed_limit, scenario.control.period)

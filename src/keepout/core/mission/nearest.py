@@ -14,8 +14,8 @@ from keepout.core.control.tuning import tune
 from keepout.core.errors import KeepoutError
 from keepout.core.geometry.target import Target
 from keepout.core.guard.braking import design
-from keepout.core.mission import environment
 from keepout.core.mission.scenario import Scenario, with_entries
+from keepout.core.mission.surroundings import Surroundings
 
 _CLOSE = 1e-3
 """Relative: a number nearer than this to one that is refused is not looked for."""
@@ -41,15 +41,15 @@ class Nearest:
 def number_refusal(scenario: Scenario, target: Target) -> KeepoutError | None:
     """Give what a scenario's numbers are refused for, whatever its field says: by the law, then by the guard."""
     try:
-        bound = environment.disturbance_bound(scenario)
-        motion = environment.relative_motion(scenario)
+        bound = Surroundings(scenario).disturbance_bound
+        motion = Surroundings(scenario).motion
         if scenario.control.profile == "default":
             reach = max(np.linalg.norm(scenario.goal.position), np.linalg.norm(scenario.start.position))
-            chaser = environment.chaser(scenario)
+            chaser = Surroundings(scenario).chaser
             designed = Operation(chaser, motion, 0.0, bound, scenario.safety.margin, scenario.control.period)
             tune(designed, drift_bound=drift_bound(motion, radius=float(reach), speed=chaser.speed_limit))
         if scenario.guard.enabled:
-            design(environment.guard_assumptions(scenario, target))
+            design(Surroundings(scenario, target).guard_assumptions)
     except KeepoutError as refusal:
         return refusal
     return None

@@ -20,12 +20,11 @@ from keepout.core.fields.model import FieldModel
 from keepout.core.flight.outcome import FlightOutcome
 from keepout.core.geometry.target import Target
 from keepout.core.guard.status import flag_names
-from keepout.core.mission import environment
-from keepout.core.mission.assumptions import guard_numbers
 from keepout.core.mission.audited import AUDITED
 from keepout.core.mission.build import prepare
 from keepout.core.mission.places import has_way_out, room_to_start
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings, guard_numbers
 from keepout.core.progress import Progress, part_of, silent
 from keepout.core.whole_file import write_whole
 from keepout.flights.campaign.dispersion import Run, columns, design
@@ -282,7 +281,7 @@ class CampaignPlan:
             columns=(*AUDITED, *kept.columns),
             landed=land,
             # The bounds of the box hold for each start in it.
-            bounds=None if scenario.campaign.dispersions else environment.flight_bounds(scenario),
+            bounds=None if scenario.campaign.dispersions else Surroundings(scenario).flight_bounds,
             progress=progress,
         )
         seconds = time.perf_counter() - began

@@ -26,10 +26,10 @@ from keepout.core.flight.outcome import FlightOutcome
 from keepout.core.flight.setup import flown_setup
 from keepout.core.guard.guard import Guard
 from keepout.core.guard.start import starts_certified
-from keepout.core.mission import environment
 from keepout.core.mission.audited import AUDITED, judge
 from keepout.core.mission.build import Mission
 from keepout.core.mission.flight import Flight, judged
+from keepout.core.mission.surroundings import Surroundings
 from keepout.core.motion.relative import MotionState, RelativeMotion
 from keepout.core.progress import Progress, silent
 from keepout.flights.campaign import bands, table
@@ -172,7 +172,7 @@ def audits(runs: Sequence[Run], log: dict[str, np.ndarray], bounds: FlightBounds
         key = id(run.mission), at
         if key not in known:
             scenario = run.scenario.replace(campaign={"lower": at, "upper": at}) if at else run.scenario
-            known[key] = environment.flight_bounds(scenario)
+            known[key] = Surroundings(scenario).flight_bounds
         return known[key]
 
     by = {run.number: bounds or bounds_of(run) for run in runs}

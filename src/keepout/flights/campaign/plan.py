@@ -29,11 +29,10 @@ from keepout.core.flight.setup import FlightSetup, flown_setup
 from keepout.core.geometry.target import Target
 from keepout.core.guard.field import guard_field
 from keepout.core.guard.guard import Guard
-from keepout.core.mission import environment
-from keepout.core.mission.assumptions import guard_numbers
 from keepout.core.mission.build import Mission, closing_radius, load_model, load_target, prepare
 from keepout.core.mission.law import named_guidance
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import guard_numbers
 from keepout.core.motion.arrays import as_float64
 from keepout.core.progress import Progress, silent
 from keepout.flights.campaign.bands import Bands
@@ -95,12 +94,11 @@ class Workshop:
         with self._lock:
             if not scenario.disturbance.phase:
                 return self._at_phase_zero(scenario, progress)
-            # No phase enters law, guard or bounds (`environment.largest_disturbance`): they are made once for all.
+            # No phase enters law, guard or bounds (`Surroundings.largest_disturbance`): they are made once for all.
             still = scenario.disturbance.model_copy(update={"phase": 0.0})
             mission = self._at_phase_zero(scenario.model_copy(update={"disturbance": still}), progress)
-            return replace(
-                mission, scenario=scenario, setup=replace(mission.setup, disturbance=environment.disturbance(scenario))
-            )
+            around = replace(mission.surroundings, scenario=scenario)
+            return replace(mission, surroundings=around, setup=replace(mission.setup, disturbance=around.disturbance))
 
     def _at_phase_zero(self, scenario: Scenario, progress: Progress) -> Mission:
         return self._missions.get(scenario.model_dump_json(), lambda: self._made(scenario, progress))

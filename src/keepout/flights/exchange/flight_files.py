@@ -26,9 +26,9 @@ from scipy.spatial.transform import Rotation
 
 from keepout.core.errors import ExchangeError
 from keepout.core.flight.record import FlightRecord
+from keepout.core.mission.bounds import orbit_of
 from keepout.core.mission.entries import TargetEntry
 from keepout.core.mission.epoch import format_instant, leap_second_between, parse_instant
-from keepout.core.mission.orbit_bounds import orbit_of
 from keepout.core.mission.scenario import Scenario
 from keepout.core.motion.rotation import matrix, vvlh_axes
 from keepout.core.whole_file import write_whole

@@ -20,7 +20,7 @@ from keepout.core.flight.record import EXPLORED, FlightRecord
 from keepout.core.geometry.distance import Distance
 from keepout.core.geometry.target import Target
 from keepout.core.guard.field import guard_field
-from keepout.core.mission import environment
+from keepout.core.mission import surroundings as around
 from keepout.core.mission.build import closing_radius, load_model, load_target
 from keepout.core.mission.flight import Flight
 from keepout.core.mission.scenario import Scenario
@@ -104,7 +104,7 @@ class Replayed:
     @functools.cached_property
     def proved(self) -> Float[np.ndarray, "steps"]:
         """A proved lower bound of the clearance over each step that is shown, m; see `proved_clearance`."""
-        radius, bounds = self.scenario.chaser.radius, environment.flight_bounds(self.scenario)
+        radius, bounds = self.scenario.chaser.radius, around.Surroundings(self.scenario).flight_bounds
         return proved_clearance(self.shown, self.target.distance, chaser_radius=radius, bounds=bounds)
 
     @functools.cached_property
@@ -203,7 +203,7 @@ class Surroundings:
             record,
             target,
             chaser_radius=chaser.radius,
-            bounds=environment.flight_bounds(scenario),
+            bounds=around.Surroundings(scenario).flight_bounds,
             force_limit=chaser.force_limit,
             speed_limit=chaser.speed_limit,
         )

@@ -18,8 +18,8 @@ from keepout.core.control.law import ControlStatus
 from keepout.core.errors import FlightError
 from keepout.core.flight.record import FlightRecord
 from keepout.core.guard.status import GuardFlag, GuardStatus, flag_names
+from keepout.core.mission.bounds import orbit_of, sun_of
 from keepout.core.mission.entries import SunEntry
-from keepout.core.mission.orbit_bounds import orbit_of, sun_of
 from keepout.core.mission.scenario import Scenario
 from keepout.core.motion.orbit import Orbit
 from keepout.core.motion.rotation import vvlh_axes

@@ -29,10 +29,10 @@ from keepout.core.flight.faults import CombinedFaults, DelayedCommands, StuckThr
 from keepout.core.flight.known_faults import KnownErrors, KnownGain, KnownLosses
 from keepout.core.flight.loop import FlightLog, trace
 from keepout.core.flight.setup import Faults, FlightSetup
-from keepout.core.mission import environment
 from keepout.core.mission.build import Mission
 from keepout.core.mission.flight import Flight, judged
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import RANDOM_BAND, Surroundings
 from keepout.core.motion.disturbance import BandLimitedNoise
 from keepout.core.motion.relative import MotionState
 
@@ -90,7 +90,7 @@ class Tape:
             shapes["losses"] = (steps,)
         if faults.gain_error:
             shapes["gain"] = (3,)
-        disturbance = environment.disturbance(scenario)
+        disturbance = Surroundings(scenario).disturbance
         if isinstance(disturbance, BandLimitedNoise):
             shapes["disturbance"] = (2, *disturbance.sinusoids.phase.shape)
         if not shapes:
@@ -118,7 +118,7 @@ class Tape:
         setup = eqx.tree_at(lambda s: s.faults, setup, self._faults(drawn), is_leaf=lambda x: x is setup.faults)
         if "disturbance" in drawn:
             share = ndtr(drawn["disturbance"])
-            low, high = environment.RANDOM_BAND
+            low, high = RANDOM_BAND
             wave = low + (high - low) * share[0], 2.0 * jnp.pi * share[1]
             setup = eqx.tree_at(
                 lambda s: (s.disturbance.sinusoids.frequency, s.disturbance.sinusoids.phase), setup, wave
@@ -135,7 +135,7 @@ class Tape:
         return setup.motion.initial_state(position, velocity)
 
     def _faults(self, drawn: dict[str, Float[Array, "..."]]) -> Faults:
-        """Build the faults in the order of `environment.faults`."""
+        """Build the faults in the order of `Surroundings.faults`."""
         entry = self.scenario.faults
         parts: list[Faults] = [KnownErrors(self._errors(drawn, "position"), self._errors(drawn, "velocity"))]
         if "losses" in drawn:
@@ -160,7 +160,7 @@ class Tape:
             radius = getattr(entry, f"{kind}_noise") * jnp.cbrt(ndtr(noise[:, 3:]))
             total = total + radius * _direction(noise[:, :3])
         if f"gaussian {kind} noise" in drawn:
-            memory = environment.noise_memory(self.scenario)
+            memory = Surroundings(self.scenario).noise_memory
             noise = getattr(entry, f"{kind}_noise_std") * drawn[f"gaussian {kind} noise"]
             fresh = noise.at[1:].multiply(np.sqrt(1.0 - memory**2))
             total = total + (_fading(fresh, memory) if memory else fresh)
@@ -196,7 +196,7 @@ class TapedFlights:
     def __init__(self, mission: Mission, *, workers: int | None = None) -> None:
         self.mission = mission
         self.tape = Tape.of(mission.scenario)
-        self._bounds = environment.flight_bounds(mission.scenario)
+        self._bounds = Surroundings(mission.scenario).flight_bounds
         self._workers = workers or available_cores()
 
     def clearance(self, tapes: Float[np.ndarray, "flights numbers"]) -> Float[np.ndarray, "flights"]:

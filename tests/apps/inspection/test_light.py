@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from truths.orbits import EARTH, MU, true_path
 
+from keepout.apps.inspection.light import SUN_RADIUS, Light, shines
 from keepout.core.errors import InspectionError
-from keepout.core.mission.light import SUN_RADIUS, Light, shines
 from keepout.core.mission.scenario import Scenario
 
 

@@ -1,13 +1,15 @@
-"""Bounds on a scenario's orbit: how fast its frame turns, how low it goes, and what perturbations add to the drift.
+"""Bounds on how a target moves over a flight: its orbit, how fast its frame or body turns, what perturbations add.
 
 Without perturbations they are closed forms of the Kepler ellipse. With them the target's orbit is still a known path:
-it is integrated in fine steps over the flight, and what can lie between two of them is added by bounds on its rates.
-Every symbol below is the largest (or least, where said) value over the flight; docs/motion.md derives them.
+it is integrated in fine steps over the flight, and what can lie between two of them is added by bounds on its rates. A
+body that gravity turns is integrated likewise. Every symbol below is the largest (or least, where said) value over the
+flight; docs/motion.md derives them.
 """
 
 import functools
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -18,6 +20,7 @@ from keepout.core.errors import ScenarioError
 from keepout.core.mission.entries import DragEntry, OrbitEntry
 from keepout.core.mission.epoch import parse_instant
 from keepout.core.mission.scenario import Scenario
+from keepout.core.motion.disturbance import NoDisturbance
 from keepout.core.motion.orbit import (
     EARTH_EQUATORIAL_RADIUS,
     EARTH_GRAVITATIONAL_PARAMETER,
@@ -33,9 +36,10 @@ from keepout.core.motion.orbit import (
     sun_direction,
     target_acceleration,
 )
+from keepout.core.motion.relative import MotionState, RelativeMotion
 
 _OUTWARD = 1.0 + 1e-6
-"""Covers what the Runge–Kutta steps of the target's orbit lose: 1e-8 at most (tests/core/mission)."""
+"""Covers what Runge–Kutta steps lose of a target's orbit, 1e-8 at most, and of its turning: tests/core/mission."""
 _MOST_STEPS = 200_000
 _LOWEST = 6.39e6
 """Metres from the Earth's centre below which a perturbed orbit is refused."""
@@ -83,14 +87,7 @@ class DifferentialBounds:
 
 def orbit_of(entry: OrbitEntry) -> Orbit:
     """Build the Kepler ellipse that the target is on at the epoch."""
-    return Orbit(
-        entry.semi_major_axis,
-        eccentricity=entry.eccentricity,
-        true_anomaly=entry.true_anomaly,
-        inclination=entry.inclination,
-        right_ascension=entry.right_ascension,
-        argument_of_perigee=entry.argument_of_perigee,
-    )
+    return Orbit(**entry.model_dump(exclude={"j2"}))
 
 
 def perturbations(scenario: Scenario) -> tuple[Perturbation, ...]:
@@ -128,9 +125,8 @@ def orbit_bounds(scenario: Scenario) -> OrbitBounds:
 
     """
     if perturbations(scenario):
-        orbit, drag = (tuple(entry.model_dump().items()) for entry in (scenario.orbit, scenario.drag))
         flown = max(scenario.duration, scenario.steps * scenario.control.period)
-        return _perturbed(orbit, drag, _sunlight(scenario), flown)
+        return _perturbed(scenario.orbit, scenario.drag, _sunlight(scenario), flown)
     mu = EARTH_GRAVITATIONAL_PARAMETER
     a, e = scenario.orbit.semi_major_axis, scenario.orbit.eccentricity
     # Largest true-anomaly rate, at perigee, and a bound on its derivative 2 μ e (1+e)³ / (a³ (1−e²)³).
@@ -180,15 +176,8 @@ def _density(drag: DragEntry, radius: float) -> float:
     return drag.density * math.exp(-(radius - EARTH_EQUATORIAL_RADIUS - drag.altitude) / drag.scale_height)
 
 
-_Entries = tuple[tuple[str, float | bool], ...]
-"""An entry's names and numbers, which can be hashed."""
-
-
 @functools.lru_cache(maxsize=8)
-def _perturbed(
-    orbit_entries: _Entries, drag_entries: _Entries, sunlight: SolarPressure | None, duration: float
-) -> OrbitBounds:
-    entry, drag = OrbitEntry.model_validate(dict(orbit_entries)), DragEntry.model_validate(dict(drag_entries))
+def _perturbed(entry: OrbitEntry, drag: DragEntry, sunlight: SolarPressure | None, duration: float) -> OrbitBounds:
     mu, spin = EARTH_GRAVITATIONAL_PARAMETER, EARTH_ROTATION_RATE
     steps = min(max(math.ceil(duration), 1), _MOST_STEPS)
     half = 0.5 * duration / steps
@@ -257,3 +246,75 @@ def _path(entry: OrbitEntry, parts: tuple[Perturbation, ...], step: float, steps
 
     states = np.asarray(path(jnp.concatenate(orbit_of(entry).inertial_state(jnp.zeros(())))))
     return states[:, :3], states[:, 3:]
+
+
+def turning_freely(angular_velocity: np.ndarray, inertia: np.ndarray) -> tuple[float, float]:
+    """Bound ‖ω‖ (rad/s) and ‖ω̇‖ (rad/s²) of a body without torque.
+
+    Energy and momentum are kept, so ‖ω‖² ≤ 2E/I_min and ‖ω̇‖ ≤ ‖L‖‖ω‖/I_min.
+    """
+    least = float(np.linalg.eigvalsh(inertia)[0])
+    rate = math.sqrt(max(angular_velocity @ inertia @ angular_velocity, 0.0) / least)
+    return rate, float(np.linalg.norm(inertia @ angular_velocity)) * rate / least
+
+
+def turned_by_gravity(
+    motion: RelativeMotion, *, period: float, steps: int, lowest_radius: float
+) -> tuple[float, float]:
+    """Bound ‖ω‖ (rad/s) and ‖ω̇‖ (rad/s²) of a body that gravity turns, over a flight.
+
+    The target's motion is known: it is integrated once, with the flight's own steps. Between two of them ω changes by
+    at most half a period of the largest ω̇, and ‖ω̇‖ ≤ (τ + I_max ‖ω‖²)/I_min with τ = 3 μ (I_max − I_min)/(2 R³), the
+    largest gravity-gradient torque.
+
+    Args:
+        motion: whose `attitude_motion` is a `Tumbling` with `gravity_gradient`.
+        period: between steps, s.
+        steps: of the flight.
+        lowest_radius: of the target's orbit, m.
+
+    """
+    leaves, structure = jax.tree.flatten(motion)
+    numbers = tuple((np.shape(leaf), *np.ravel(leaf).tolist()) for leaf in leaves)
+    return _turned(structure, numbers, period, steps, lowest_radius)
+
+
+@functools.lru_cache(maxsize=64)
+def _turned(
+    structure: Any, numbers: tuple[tuple, ...], period: float, steps: int, lowest_radius: float
+) -> tuple[float, float]:
+    """Bound how a motion turns that is given by what can be looked up: its structure, each leaf's shape and numbers.
+
+    One flight asks several times, and an integration takes some 10 µs a step.
+    """
+    leaves = [jnp.reshape(jnp.asarray(values), shape) for shape, *values in numbers]
+    motion: RelativeMotion = jax.tree.unflatten(structure, leaves)
+    inertia = np.asarray(motion.attitude_motion.inertia)  # pyright: ignore[reportAttributeAccessIssue]
+    least, _, most = np.linalg.eigvalsh(inertia)
+    torque = 1.5 * EARTH_GRAVITATIONAL_PARAMETER / lowest_radius**3 * (most - least)
+    beside = motion.initial_state(np.zeros(3), np.zeros(3))
+    sampled = float(np.max(np.asarray(_rates(motion, beside, jnp.asarray(period), steps)))) * _OUTWARD
+
+    def change(rate: float) -> float:
+        return (torque + most * rate**2) / least
+
+    # The largest rate x between two samples obeys x ≤ sampled + ½ T ω̇(x); the least x that allows no more is the bound.
+    rate = sampled
+    for _ in range(100):
+        rate = sampled + 0.5 * period * change(rate) * _OUTWARD
+        if not math.isfinite(rate):
+            break
+    if not sampled + 0.5 * period * change(rate) <= rate * _OUTWARD:
+        return math.inf, math.inf
+    return rate * _OUTWARD, change(rate * _OUTWARD)
+
+
+@eqx.filter_jit
+def _rates(motion: RelativeMotion, start: MotionState, period: jax.Array, steps: int) -> jax.Array:
+    def advance(state: MotionState, _: None) -> tuple[MotionState, jax.Array]:
+        # The chaser is put back beside the target: its own way is nobody's concern here.
+        after = motion.step(state, jnp.zeros(3), NoDisturbance(), period, 1.0)
+        after = eqx.tree_at(lambda s: (s.position, s.velocity), after, (start.position, start.velocity))
+        return after, jnp.linalg.norm(state.angular_velocity)
+
+    return jax.lax.scan(advance, start, length=steps + 1)[1]

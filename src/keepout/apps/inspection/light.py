@@ -16,9 +16,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from keepout.core.errors import InspectionError
-from keepout.core.mission.environment import relative_motion
 from keepout.core.mission.epoch import parse_instant
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
 from keepout.core.motion.disturbance import NoDisturbance
 from keepout.core.motion.orbit import EARTH_EQUATORIAL_RADIUS, sun_direction
 from keepout.core.motion.relative import MotionState, RelativeMotion
@@ -108,7 +108,7 @@ class Light:
 
     @functools.cached_property
     def _motion(self) -> RelativeMotion:
-        return relative_motion(self.scenario)
+        return Surroundings(self.scenario).motion
 
     @functools.cached_property
     def _blocks(self) -> list[MotionState]:

@@ -1,0 +1,507 @@
+"""What a scenario flies in, each part and number worked out once, and what the guard's theorem assumes of it."""
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import jax
+import numpy as np
+
+from keepout.core.audit.tube import FlightBounds
+from keepout.core.control.law import Law
+from keepout.core.errors import ScenarioError
+from keepout.core.flight.faults import (
+    CombinedFaults,
+    DelayedCommands,
+    DroppedCommands,
+    GaussianEstimate,
+    StuckThruster,
+    ThrusterGain,
+    WrongEstimate,
+)
+from keepout.core.flight.setup import Faults, FlightSetup, NoFaults
+from keepout.core.geometry.target import Target
+from keepout.core.guard import watch
+from keepout.core.guard.braking import GuardAssumptions
+from keepout.core.guard.guard import Guard
+from keepout.core.mission.bounds import (
+    DifferentialBounds,
+    OrbitBounds,
+    differential_bounds,
+    orbit_bounds,
+    orbit_of,
+    perturbations,
+    turned_by_gravity,
+    turning_freely,
+)
+from keepout.core.mission.first_look import refuse_disturbance
+from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.thrusters import errors, thrusters
+from keepout.core.motion.attitude import InertiallyFixed, Tumbling, VVLHFixed
+from keepout.core.motion.chaser import Chaser
+from keepout.core.motion.disturbance import (
+    Disturbance,
+    NoDisturbance,
+    SquareWaveDisturbance,
+    band_limited_noise,
+    paper_disturbance,
+    resonant,
+    steady,
+)
+from keepout.core.motion.orbit import EARTH_GRAVITATIONAL_PARAMETER
+from keepout.core.motion.relative import RelativeMotion
+from keepout.core.motion.thrusters.errors import ThrusterErrors
+from keepout.core.plug_ins import load
+
+_NEAR = 1000.0
+"""Gravity is bounded at least this far from the target, m."""
+_FARTHEST = 100_000.0
+"""Gravity is bounded at most this far from the target's centre of mass, m."""
+_FAST = 100.0
+"""Differential drag is bounded at least up to this relative speed, m/s."""
+_OUTWARD = 1.0 + 1e-9
+_DIAGONAL = np.full(3, 1.0 / math.sqrt(3.0))
+_BANG_BANG_PERIOD = 100.0
+"""Of the bang-bang disturbance, s."""
+RANDOM_BAND = (0.001, 0.3)
+"""Frequencies of the random disturbance, rad/s."""
+_ROUNDING = 1e-9
+"""Relative: a bound declared is not broken by the rounding of the flown one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """What a scenario flies in, and its numbers for law, guard and audit; each is worked out when first asked for.
+
+    Attributes:
+        scenario: whose surroundings these are.
+        target: its mesh; of all numbers only the guard's assumptions need it.
+        extent: how far the target reaches from the body frame's origin, m, where no mesh is known.
+
+    """
+
+    scenario: Scenario
+    target: Target | None = None
+    extent: float | None = None
+
+    def setup(self, law: Law, **chosen: Any) -> FlightSetup:
+        """Put a law where the scenario flies: motion, disturbance, faults and numbers, without guard or logged field.
+
+        Args:
+            law: as it is flown, its faults and what it is told of a delay included (`broken_as`).
+            **chosen: entries of `FlightSetup`, instead of the scenario's or beside them.
+
+        """
+        scenario = self.scenario
+        entries = {
+            "motion": self.motion,
+            "disturbance": self.disturbance,
+            "thrusters": thrusters(scenario),
+            "goal": scenario.goal.position,
+            "mass": scenario.chaser.mass,
+            "period": scenario.control.period,
+            "faults": self.faults,
+            "tolerance": scenario.goal.tolerance,
+        }
+        return FlightSetup(controller=law, **(entries | chosen))
+
+    @cached_property
+    def motion(self) -> RelativeMotion:
+        """The relative dynamics of the scenario's orbit and attitude."""
+        scenario, attitude = self.scenario, self.scenario.attitude
+        if attitude.kind == "tumbling":
+            turning = Tumbling(
+                angular_velocity=np.asarray(attitude.angular_velocity),
+                inertia=np.asarray(attitude.inertia),
+                gravity_gradient=attitude.gravity_gradient,
+            )
+        else:
+            turning = InertiallyFixed() if attitude.kind == "inertial" else VVLHFixed()
+        return RelativeMotion(
+            orbit_of(scenario.orbit),
+            turning,
+            perturbations(scenario),
+            centre_of_mass=np.asarray(scenario.target.centre_of_mass),
+            held_inertially=scenario.thrusters.held_in == "inertial",
+        )
+
+    @cached_property
+    def disturbance(self) -> Disturbance:
+        """The force that nobody commanded (body axes, N)."""
+        return self._disturbance(self.scenario.disturbance.phase)
+
+    def _disturbance(self, phase: float) -> Disturbance:
+        scenario, entry = self.scenario, self.scenario.disturbance
+        amplitude = 0.0 if entry.amplitude is None else entry.amplitude
+        match entry.kind:
+            case "none":
+                return NoDisturbance()
+            case "paper":
+                return paper_disturbance().shifted(phase)
+            case "constant":
+                return steady(np.asarray(entry.force))
+            case "bang-bang":
+                most_switches = math.ceil(scenario.control.period / (0.5 * _BANG_BANG_PERIOD))
+                wave = SquareWaveDisturbance(amplitude * _DIAGONAL, _BANG_BANG_PERIOD, most_switches=most_switches)
+                return wave.shifted(phase)
+            case "resonant":
+                return resonant(amplitude * _DIAGONAL, scenario.control.period).shifted(phase)
+            case "random":
+                key = jax.random.fold_in(jax.random.key(scenario.seed), 1)
+                return band_limited_noise(key, 0.5 * amplitude, amplitude, RANDOM_BAND).shifted(phase)
+
+    @cached_property
+    def largest_disturbance(self) -> float:
+        """A bound on the norm of the true disturbance, N, whatever its phase.
+
+        No phase changes a bound but by rounding (`SinusoidalDisturbance.bound`); that of phase 0 stands for all, so
+        that laws and guards of flights that differ in the phase alone are equal to the last bit.
+        """
+        return self._disturbance(0.0).bound
+
+    @property
+    def disturbance_bound(self) -> float:
+        """The largest disturbance norm (N) that law and guard assume.
+
+        Raises:
+            ScenarioError: the thrusters cannot hold against it.
+
+        """
+        declared = self.scenario.disturbance.bound
+        bound = self.largest_disturbance if declared is None else declared
+        refuse_disturbance(bound, self.scenario.chaser.force_limit)
+        return bound
+
+    @property
+    def chaser(self) -> Chaser:
+        """The chaser's body: mass, radius, thrusters and speed limit."""
+        return Chaser(**self.scenario.chaser.model_dump())
+
+    @cached_property
+    def faults(self) -> Faults:
+        """What stands between truth and law, in the order in which a command passes it."""
+        entry = self.scenario.faults
+        bounded = entry.position_bias, entry.velocity_bias, entry.position_noise, entry.velocity_noise
+        parts: list[Faults] = []
+        if any(bounded):
+            parts.append(WrongEstimate(*bounded))
+        if entry.position_noise_std or entry.velocity_noise_std:
+            parts.append(GaussianEstimate(entry.position_noise_std, entry.velocity_noise_std, self.noise_memory))
+        if entry.dropped:
+            parts.append(DroppedCommands(entry.dropped))
+        if entry.delay:
+            parts.append(DelayedCommands(entry.delay))
+        if entry.gain_error:
+            parts.append(ThrusterGain(entry.gain_error))
+        if entry.stuck is not None:
+            sign, axis = (1 if entry.stuck[0] == "+" else -1), "xyz".index(entry.stuck[1])
+            parts.append(StuckThruster(axis, sign, entry.stuck_force, start=entry.stuck_from))
+        return CombinedFaults(tuple(parts)) if parts else NoFaults()
+
+    @property
+    def noise_memory(self) -> float:
+        """The share of a Gaussian error of the estimate that is left a period later."""
+        lasting = self.scenario.faults.noise_correlation_time
+        return math.exp(-self.scenario.control.period / lasting) if lasting else 0.0
+
+    @property
+    def kept_margin(self) -> float:
+        """What the guard keeps beyond contact, m: the operator's margin, or nothing."""
+        return self.scenario.safety.margin if self.scenario.guard.keeps_margin else 0.0
+
+    @cached_property
+    def flight_bounds(self) -> FlightBounds:
+        """What the audit takes for bounds on what no record holds: true disturbance, rotation, differential gravity.
+
+        Differential gravity is bounded within a range that holds every start and the goal twice over, and 1000 m at
+        least. Of what perturbations add, the constant is part of the force, and half of what grows with speed of the
+        rate. Drag is bounded up to the speed that the guard allows, and 100 m/s at least.
+
+        Raises:
+            ScenarioError: start, goal or campaign are too far away for any bound, or the orbit has none.
+
+        """
+        scenario = self.scenario
+        region = self._region(self._furthest)
+        rate, acceleration = self._rotation
+        differential = self._differential(region)
+        return FlightBounds(
+            mass=scenario.chaser.mass,
+            disturbance_force=self.largest_disturbance + scenario.chaser.mass * differential.constant,
+            angular_rate=rate + 0.5 * differential.per_speed,
+            angular_acceleration=acceleration,
+            gravity_gradient=differential.gradient,
+            origin_offset=self._origin_offset,
+            range_limit=region,
+            excursion=self._thruster_errors.excursion,
+            velocity_excursion=self._thruster_errors.velocity_excursion,
+            speed_limit=self._fastest if scenario.drag.density > 0.0 else math.inf,
+            valid_until=self._valid_until,
+            force_turning=self._force_turning,
+        )
+
+    @cached_property
+    def guard_assumptions(self) -> GuardAssumptions:
+        """What the guard's theorem assumes of the scenario; every number is the scenario's or derived from it.
+
+        The drift is bounded inside a range of twice the furthest of start, goal and target plus 20 m, and up to one and
+        a half times the speed limit; the guard flags a flight that leaves that region.
+
+        Raises:
+            ScenarioError: start, goal or target reach too far for gravity to be bounded.
+
+        """
+        extent = self.extent if self.target is None else float(np.linalg.norm(self.target.vertices, axis=1).max())
+        assert extent is not None, "how far the target reaches is not known"
+        scenario, entry = self.scenario, self.scenario.guard
+        away = {name: value for name, value in self._furthest.items() if name != "campaign"}
+        away["target"] = extent
+        region = self._region(away)
+        rate, acceleration = self._rotation
+        differential = self._differential(region)
+        thrust = self._thruster_errors.times_gain(entry.gain_error)
+        assumed = GuardAssumptions(
+            mass=scenario.chaser.mass,
+            force_limit=scenario.chaser.force_limit,
+            period=scenario.control.period,
+            disturbance_force=self.disturbance_bound + scenario.chaser.mass * differential.constant,
+            angular_rate=rate + 0.5 * differential.per_speed,
+            angular_acceleration=acceleration,
+            gravity_gradient=differential.gradient,
+            range_limit=2.0 * max(away.values()) + 20.0,
+            speed_limit=self._allowed_speed,
+            position_error=entry.position_error,
+            velocity_error=entry.velocity_error,
+            mass_error=entry.mass_error,
+            gain_error=thrust.gain_error,
+            delay=entry.delay,
+            origin_offset=self._origin_offset,
+            force_error=thrust.force_error,
+            excursion=thrust.excursion,
+            velocity_excursion=thrust.velocity_excursion,
+            fault_force=thrust.fault_force,
+            fault_steps=thrust.fault_steps,
+            turning_error=2.0 * math.sin(0.5 * min(self._force_turning * scenario.control.period, math.pi)),
+            valid_until=self._valid_until,
+        )
+        if scenario.navigation.suite == "none":
+            return assumed
+        position_error, velocity_error = load("navigation", "certain")(scenario, assumed).errors
+        return replace(assumed, position_error=position_error, velocity_error=velocity_error)
+
+    def require_bounded(self, away: dict[str, float]) -> None:
+        """Refuse entries that say that the chaser flies farther from the origin than gravity is bounded.
+
+        Args:
+            away: of each entry, by its name, the distance from the body frame's origin, m.
+
+        Raises:
+            ScenarioError: the message names the entry that is farthest.
+
+        """
+        self._region(away)
+
+    @cached_property
+    def _orbit(self) -> OrbitBounds:
+        return orbit_bounds(self.scenario)
+
+    @cached_property
+    def _thruster_errors(self) -> ThrusterErrors:
+        return errors(self.scenario)
+
+    @cached_property
+    def _rotation(self) -> tuple[float, float]:
+        """Bounds on the body frame's inertial rate, rad/s, and its derivative, rad/s².
+
+        Raises:
+            ScenarioError: a body that turns too fast for a bound between two control periods.
+
+        """
+        scenario, attitude = self.scenario, self.scenario.attitude
+        if attitude.kind == "inertial":
+            return 0.0, 0.0
+        if attitude.gravity_gradient:
+            period, lowest = scenario.control.period, self._orbit.lowest_radius
+            rate, acceleration = turned_by_gravity(
+                self.motion, period=period, steps=scenario.steps, lowest_radius=lowest
+            )
+            if not math.isfinite(rate):
+                raise ScenarioError(
+                    f"attitude.angular_velocity: {list(attitude.angular_velocity)} rad/s; with "
+                    f"gravity_gradient the body must turn less within a control period of {period:g} s"
+                )
+            return rate, acceleration
+        if attitude.kind == "tumbling":
+            rate, acceleration = turning_freely(np.asarray(attitude.angular_velocity), np.asarray(attitude.inertia))
+        else:
+            rate, acceleration = self._orbit.rate, self._orbit.acceleration
+        return rate * _OUTWARD, acceleration * _OUTWARD
+
+    @property
+    def _force_turning(self) -> float:
+        """A bound on how fast the axes in which a force is held turn against the body frame, rad/s."""
+        return self._rotation[0] if self.scenario.thrusters.held_in == "inertial" else 0.0
+
+    @property
+    def _valid_until(self) -> float:
+        """The time, s since the epoch, until which orbit and rotation are bounded; infinite where they always are.
+
+        A body that gravity turns is followed until half a period after the last of the flight's states.
+        """
+        until = self._orbit.valid_until
+        if self.scenario.attitude.gravity_gradient:
+            until = min(until, (self.scenario.steps + 0.5) * self.scenario.control.period)
+        return until
+
+    @property
+    def _origin_offset(self) -> float:
+        """Distance of the body frame's origin from the target's centre of mass, m."""
+        return float(np.linalg.norm(self.scenario.target.centre_of_mass))
+
+    @property
+    def _furthest(self) -> dict[str, float]:
+        """The distance from the origin, m, of each entry that says where the chaser flies."""
+        scenario = self.scenario
+        corner = np.maximum(np.abs(scenario.campaign.lower), np.abs(scenario.campaign.upper))
+        return {
+            "start.position": float(np.linalg.norm(scenario.start.position)),
+            "goal.position": float(np.linalg.norm(scenario.goal.position)),
+            "campaign": float(np.linalg.norm(corner)),
+        }
+
+    def _region(self, away: dict[str, float]) -> float:
+        """Give the range, m, within which gravity is bounded: twice the furthest of `away` plus 20 m, at least 1000 m.
+
+        Raises:
+            ScenarioError: that and the centre of mass's offset go beyond `_FARTHEST`.
+
+        """
+        entry = max(away, key=lambda name: away[name])
+        offset = self._origin_offset
+        region = max(_NEAR, 2.0 * away[entry] + 20.0)
+        if region + offset > _FARTHEST:
+            name, value = ("target.centre_of_mass", offset) if offset > away[entry] else (entry, away[entry])
+            raise ScenarioError(
+                f"{name}: {value:.6g} m from the body frame's origin; gravity is bounded within {_FARTHEST:g} m of the "
+                f"target's centre of mass, and twice the distance flown plus 20 m must lie within that"
+            )
+        return region
+
+    def _differential(self, region: float) -> DifferentialBounds:
+        """Bound what gravity and perturbations do to chaser and target differently, for a chaser within `region` m.
+
+        The least r from the Earth's centre to any point between target and chaser is the lowest radius less their
+        distance; the gradient of a point mass's gravity is at most 2 μ / r³.
+        """
+        nearest = self._orbit.lowest_radius - max(_NEAR, region + self._origin_offset)
+        rate, fastest = self._rotation[0], self._fastest
+        bent = differential_bounds(self.scenario, self._orbit, nearest=nearest, angular_rate=rate, fastest=fastest)
+        return replace(bent, gradient=2.0 * EARTH_GRAVITATIONAL_PARAMETER / nearest**3 + bent.gradient)
+
+    @property
+    def _allowed_speed(self) -> float:
+        """V̄: the speed, m/s, up to which the guard lets the chaser fly."""
+        return 1.5 * self.scenario.chaser.speed_limit
+
+    @property
+    def _fastest(self) -> float:
+        """The relative speed, m/s, up to which drag is bounded."""
+        return max(_FAST, self._allowed_speed)
+
+
+def broken_assumptions(scenario: Scenario, target: Target | None = None) -> tuple[str, ...]:
+    """Name what the scenario flies beyond what it declares to the guard, each with its numbers; () where nothing is.
+
+    A target that is the skin of a map brings along what was broken when that map was made.
+
+    A broken control law is none of it: the theorem holds whatever is commanded. Sufficient for the theorem, not
+    necessary: that needs the sum D only, and one part may use what another leaves.
+    """
+    guard, faults, around = scenario.guard, scenario.faults, Surroundings(scenario)
+    found: list[str] = []
+
+    def compare(flown_name: str, flown: float, declared_name: str, declared: float, unit: str) -> None:
+        if flown > declared * (1.0 + _ROUNDING):
+            found.append(f"{flown_name} {flown:.6g}{unit} > {declared_name} {declared:.6g}{unit}")
+
+    compare(
+        "disturbance: flown up to",
+        around.largest_disturbance,
+        "disturbance.bound",
+        around.disturbance_bound,
+        " N",
+    )
+    for kind, unit in (("position", " m"), ("velocity", " m/s")):
+        flown = getattr(faults, f"{kind}_bias") + getattr(faults, f"{kind}_noise")
+        declared = getattr(guard, f"{kind}_error")
+        compare(f"faults.{kind}_bias + faults.{kind}_noise", flown, f"guard.{kind}_error", declared, unit)
+        spread = getattr(faults, f"{kind}_noise_std")
+        if spread:
+            found.append(f"faults.{kind}_noise_std {spread:.6g}{unit} > 0 (Gaussian noise has no bound)")
+    compare("faults.gain_error", faults.gain_error, "guard.gain_error", guard.gain_error, "")
+    if faults.delay != guard.delay:
+        found.append(f"faults.delay {faults.delay} != guard.delay {guard.delay} (the delay assumed is exact)")
+    if faults.dropped:
+        found.append(f"faults.dropped {faults.dropped:.6g} > 0 (no command may be lost)")
+    if faults.stuck is not None and faults.stuck_from < scenario.duration:
+        found.append(
+            f"faults.stuck {faults.stuck} at {faults.stuck_force:.6g} N from {faults.stuck_from:.6g} s "
+            "(no thruster may be stuck)"
+        )
+    if faults.thruster is not None and faults.stuck_from < scenario.duration and not scenario.thrusters.survive_failure:
+        found.append(
+            f"faults.thruster {faults.thruster} stuck {faults.thruster_stuck} from {faults.stuck_from:.6g} s "
+            "(thrusters.survive_failure is false: no thruster may be stuck)"
+        )
+    if scenario.navigation.suite != "none":
+        missed = load("navigation", "suite")(scenario.navigation).probability_beyond(scenario.steps)
+        if missed:
+            found.append(
+                f"navigation.suite {scenario.navigation.suite}: Gaussian noise has no bound (the guard's set "
+                f"misses the truth with a probability per flight of at most {missed:.3g})"
+            )
+    return (*found, *(() if target is None else target.broken))
+
+
+def guard_numbers(guard: Guard, scenario: Scenario) -> dict[str, Any]:
+    """Give what a scenario's guard assumes and what follows (docs/guard.md) as plain numbers for JSON, SI units."""
+    a, b = guard.assumptions, guard.braking
+    longest = watch.windows(a)[-1]
+    least = watch.SHARE * float(a.disturbance)
+    numbers = {
+        "disturbance_force_N": a.disturbance_force,
+        "angular_rate_radps": a.angular_rate,
+        "angular_acceleration_radps2": a.angular_acceleration,
+        "gravity_gradient_per_s2": a.gravity_gradient,
+        "origin_offset_m": a.origin_offset,
+        "range_limit_m": a.range_limit,
+        "speed_limit_mps": a.speed_limit,
+        "position_error_m": a.position_error,
+        "velocity_error_mps": a.velocity_error,
+        "mass_error": a.mass_error,
+        "gain_error": a.gain_error,
+        "delay": a.delay,
+        "force_error_N": a.force_error,
+        "excursion_m": a.excursion,
+        "velocity_excursion_mps": a.velocity_excursion,
+        "fault_force_N": a.fault_force,
+        "fault_steps": a.fault_steps,
+        "turning_error": a.turning_error,
+        "valid_until_s": a.valid_until if math.isfinite(a.valid_until) else None,
+        "disturbance_D_mps2": a.disturbance,
+        "deceleration_a_b_mps2": b.deceleration,
+        "reserve_U_mps2": b.reserve,
+        "position_radius_rho_m": b.position_radius,
+        "velocity_radius_sigma_mps": b.velocity_radius,
+        "margin_kept_m": Surroundings(scenario).kept_margin,
+        "threshold_theta_m": guard.threshold,
+        "lipschitz_L": guard.lipschitz,
+        "evaluation_error_j_m": guard.evaluation_error,
+        "watched_steps": longest,
+        "lasting_excess_mps2": least,
+        "lasting_excess_seen_steps": watch.seen_within(a, least),
+    }
+    return {
+        name: number if number is None or isinstance(number, int) else float(number) for name, number in numbers.items()
+    }
