@@ -230,16 +230,10 @@ class Tree(NamedTuple):
 
 def _build(triangles: Float[np.ndarray, "f 3 3"]) -> Tree:
     """Build a tree by halving the triangles' centres along the longest side of their box."""
-    count = len(triangles)
-    nodes = 2 * count
-    lower, upper = np.empty((nodes, 3)), np.empty((nodes, 3))
-    right, first = np.full(nodes, -1, dtype=np.int64), np.zeros(nodes, dtype=np.int64)
-    amount = np.zeros(nodes, dtype=np.int64)
-    order = np.arange(count, dtype=np.int64)
-    used = _split(triangles, triangles.mean(axis=1), order, lower, upper, right, first, amount)
-    kept = slice(0, used)
+    order = np.arange(len(triangles), dtype=np.int64)
+    lower, upper, right, first, amount = _split(triangles, triangles.mean(axis=1), order)
     corners = _longest_edge_first(triangles[order])
-    return Tree(lower[kept], upper[kept], right[kept], first[kept], amount[kept], corners, _planes(corners), order)
+    return Tree(lower, upper, right, first, amount, corners, _planes(corners), order)
 
 
 def _longest_edge_first(triangles: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, "f 3 3"]:
@@ -310,8 +304,11 @@ def _spread(x: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
 
 @numba.njit(cache=True, nogil=True)
 @no_type_check
-def _split(triangles, centres, order, lower, upper, right, first, amount):
-    """Fill the node arrays depth first; returns the number of nodes."""
+def _split(triangles, centres, order):
+    """Make a `Tree`'s arrays of nodes, depth first: lower, upper, right, first and amount; `order` becomes the tree's."""
+    nodes = 2 * len(order)
+    lower, upper = np.empty((nodes, 3)), np.empty((nodes, 3))
+    right, first, amount = np.full(nodes, -1), np.zeros(nodes, dtype=np.int64), np.zeros(nodes, dtype=np.int64)
     waiting = np.empty((128, 3), dtype=np.int64)  # start, end, parent whose second child this is (or -1)
     depth, used = 1, 0
     waiting[0] = (0, len(order), -1)
@@ -342,7 +339,7 @@ def _split(triangles, centres, order, lower, upper, right, first, amount):
         waiting[depth] = (middle, end, node)
         waiting[depth + 1] = (start, middle, -1)
         depth += 2
-    return used
+    return lower[:used], upper[:used], right[:used], first[:used], amount[:used]
 
 
 @numba.njit(cache=True, nogil=True, inline="always")

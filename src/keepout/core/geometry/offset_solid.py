@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 from keepout.core.errors import MeshError
 from keepout.core.geometry.distance import Distance, Points
 from keepout.core.geometry.octree import SQRT3, Cells, Hiding, refine
-from keepout.core.progress import Progress, silent
+from keepout.core.progress import Progress, part_of, silent
 
 _SURFACE_CELLS = 7e5
 """The default leaf grows so that about this many leaves lie on the surfaces: seconds and a few hundred megabytes."""
@@ -98,9 +98,10 @@ class OffsetSolid:
         side = leaf * 2.0**depth
         origin = 0.5 * (distance.lower + distance.upper) - 0.5 * side
         coarser = max(0, int(np.log2(closing_radius / (_FLOOD_CELLS * leaf)) + 1.0)) if closing_radius > leaf else 0
-        first_half, second_half = _halves(progress)
-        lake, free, flooded = _flood(distance, origin, side, depth - coarser, closing_radius, first_half)
-        cells, hidden = _hidden_cells(distance, lake, free, flooded, depth, offset, second_half)
+        lake, free, flooded = _flood(
+            distance, origin, side, depth - coarser, closing_radius, part_of(progress, 0.0, 0.5)
+        )
+        cells, hidden = _hidden_cells(distance, lake, free, flooded, depth, offset, part_of(progress, 0.5, 1.0))
         progress(1.0, f"{int(hidden.sum())} hidden cells")
         return cls(distance, offset, closing_radius, cells, hidden)
 
@@ -163,10 +164,6 @@ class OffsetSolid:
     @functools.cached_property
     def _hiding(self) -> Hiding:
         return Hiding(self._cells, self._hidden)
-
-
-def _halves(progress: Progress) -> tuple[Progress, Progress]:
-    return (lambda done, line: progress(0.5 * done, line)), (lambda done, line: progress(0.5 + 0.5 * done, line))
 
 
 def _flood(

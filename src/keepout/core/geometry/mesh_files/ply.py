@@ -1,5 +1,6 @@
 """PLY, in text and binary: every element that the header declares is there, and nothing after it."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -187,11 +188,15 @@ def _columns(element: _Element, rows: list[list[str]]) -> _Values:
                 f"element {element.name[:40]!r} number {number}: {counted(len(row), 'value')}, which is not what its "
                 "properties need"
             )
-    found: _Values = {}
-    for cell, length, entry in zip(cells, lengths, element.properties):
-        column = _cast(element, entry, cell)
-        found[entry.name] = column if entry.count_kind is None else (np.array(length, dtype=np.int64), column)
-    return found
+    return _gathered(element, [_cast(element, *pair) for pair in zip(element.properties, cells)], lengths)
+
+
+def _gathered(element: _Element, columns: Iterable[np.ndarray], lengths: list[list[int]]) -> _Values:
+    """Give an element's values by property; a list's with the lengths of all rows."""
+    return {
+        entry.name: column if entry.count_kind is None else (np.array(length, dtype=np.int64), column)
+        for entry, column, length in zip(element.properties, columns, lengths)
+    }
 
 
 def _cast(element: _Element, entry: _Property, words: list[str]) -> np.ndarray:
@@ -209,57 +214,43 @@ def _cast(element: _Element, entry: _Property, words: list[str]) -> np.ndarray:
 def _read_binary(data: bytes, start: int, order: str, elements: list[_Element]) -> dict[str, _Values]:
     values = {}
     for element in elements:
-        if not element.count or not element.properties:
-            values[element.name] = {
-                entry.name: np.zeros(0) if entry.count_kind is None else (np.zeros(0, dtype=np.int64), np.zeros(0))
-                for entry in element.properties
-            }
-            continue
-        values[element.name], start = _uniform(data, start, order, element) or _ragged(data, start, order, element)
+        if element.count and element.properties:
+            values[element.name], start = _binary(data, start, order, element)
+        else:
+            nothing = [np.zeros(0) for _ in element.properties]
+            values[element.name] = _gathered(element, nothing, [[] for _ in element.properties])
     if start != len(data):
         raise MeshError(f"the header declares {start} bytes in all and the file has {len(data)}")
     return values
 
 
-def _uniform(data: bytes, start: int, order: str, element: _Element) -> tuple[_Values, int] | None:
-    """Read an element whose lists all have the lengths of its first row, in one go; None where they have not."""
+def _binary(data: bytes, start: int, order: str, element: _Element) -> tuple[_Values, int]:
+    """Read an element: in one go where its lists all have the lengths of its first row, else row by row."""
+    first, _ = _ragged(data, start, order, element, 1)
     fields: list[tuple[str, str] | tuple[str, str, int]] = []
-    place = start
     for number, entry in enumerate(element.properties):
-        size = 1
-        if entry.count_kind is not None:
-            count = np.dtype(order + entry.count_kind)
-            if place + count.itemsize > len(data):
-                return None
-            size = int(np.frombuffer(data, count, 1, place)[0])
-            if not 0 <= size <= len(data):
-                return None
-            fields.append((f"count{number}", order + entry.count_kind))
-            place += count.itemsize
-        fields.append(
-            (f"value{number}", order + entry.kind, size) if entry.count_kind else (f"value{number}", order + entry.kind)
-        )
-        place += size * np.dtype(entry.kind).itemsize
+        found = first[entry.name]
+        if isinstance(found, tuple):
+            fields.append((f"count{number}", order + str(entry.count_kind)))
+            fields.append((f"value{number}", order + entry.kind, int(found[0][0])))
+        else:
+            fields.append((f"value{number}", order + entry.kind))
     row = np.dtype(fields)
     end = start + element.count * row.itemsize
-    if end > len(data):
-        return None
-    table = np.frombuffer(data, row, element.count, start)
-    found: _Values = {}
-    for number, entry in enumerate(element.properties):
-        column = table[f"value{number}"]
-        if entry.count_kind is None:
-            found[entry.name] = column
-            continue
-        counts = table[f"count{number}"].astype(np.int64)
-        if (counts != counts[0]).any():
-            return None
-        found[entry.name] = (counts, column.reshape(-1))
-    return found, end
+    if end <= len(data):
+        table = np.frombuffer(data, row, element.count, start)
+        counts = [table[name].astype(np.int64) for name in row.names or () if name.startswith("count")]
+        if all((count == count[0]).all() for count in counts):
+            values: _Values = {}
+            for number, entry in enumerate(element.properties):
+                column = table[f"value{number}"]
+                values[entry.name] = column if entry.count_kind is None else (counts.pop(0), column.reshape(-1))
+            return values, end
+    return _ragged(data, start, order, element, element.count)
 
 
-def _ragged(data: bytes, start: int, order: str, element: _Element) -> tuple[_Values, int]:
-    """Read an element row by row."""
+def _ragged(data: bytes, start: int, order: str, element: _Element, rows: int) -> tuple[_Values, int]:
+    """Read the first rows of an element one by one."""
     kinds = [
         (np.dtype(order + entry.kind), np.dtype(order + entry.count_kind) if entry.count_kind else None)
         for entry in element.properties
@@ -267,7 +258,7 @@ def _ragged(data: bytes, start: int, order: str, element: _Element) -> tuple[_Va
     cells: list[list[np.ndarray]] = [[] for _ in kinds]
     lengths: list[list[int]] = [[] for _ in kinds]
     place = start
-    for row in range(element.count):
+    for row in range(rows):
         for cell, length, (kind, count_kind) in zip(cells, lengths, kinds):
             size = 1
             if count_kind is not None:
@@ -282,11 +273,7 @@ def _ragged(data: bytes, start: int, order: str, element: _Element) -> tuple[_Va
                 raise _short(element, row)
             cell.append(np.frombuffer(data, kind, size, place))
             place += size * kind.itemsize
-    found: _Values = {}
-    for entry, cell, length in zip(element.properties, cells, lengths):
-        column = np.concatenate(cell)
-        found[entry.name] = column if entry.count_kind is None else (np.array(length, dtype=np.int64), column)
-    return found, place
+    return _gathered(element, map(np.concatenate, cells), lengths), place
 
 
 def _corners(element: _Element, values: _Values) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "corners"]]:
