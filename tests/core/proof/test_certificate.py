@@ -23,7 +23,6 @@ from keepout.core.learning.losses import TrainingProfile
 from keepout.core.learning.training import fit
 from keepout.core.measures.quality import curvature, distance_errors, margin_cost, surface_errors
 from keepout.core.proof import certificate
-from keepout.core.proof.bounds import Network
 from keepout.core.proof.certificate import certify, sample_certificate
 
 pytestmark = pytest.mark.long
@@ -214,8 +213,8 @@ def test_no_sample_beats_the_bound_of_its_own_element(radius):
     elements = certificate._cover(distance, radius, 0.25)
     for _ in range(4 if radius == 0.0 else 0):
         elements = certificate._split(elements, distance, radius)
-    network, centre = Network.of(field.layers, field.beta), np.asarray(field.continuation.centre)
-    upper, _ = certificate._bounded(network, elements, distance, radius, centre, float(field.scale), 1e-12)
+    contact = certificate._Contact.of(field, distance, radius)
+    upper, _ = contact.bounded(elements)
     if radius == 0.0:
         weights = np.random.default_rng(0).dirichlet([0.5, 0.5, 0.5], (100, len(elements)))
         value = values(field, np.einsum("emk,mkc->emc", weights, elements).reshape(-1, 3)).reshape(100, -1)
@@ -233,6 +232,6 @@ def test_no_sample_beats_the_bound_of_its_own_element(radius):
     # The bound of a point leaves room for float32's rounding of the value there, and for little more.
     points = contact_with_box(4096, radius)
     alone = np.stack([points, 0.0 * points], axis=1) if radius else np.repeat(points[:, None], 3, axis=1)
-    upper, error = certificate._bounded(network, alone, distance, radius, centre, float(field.scale), 1e-12)
+    upper, error = contact.bounded(alone)
     over = upper - values(field, points)
     assert 0.0 <= over.min() <= over.max() <= 3.0 * error.max()

@@ -74,9 +74,7 @@ def plates(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def cubes(plates):
-    distance, h = plates[0].distance, float(plates[1].field.spacing)
-    lower, upper = distance.lower - AT - h, distance.upper + AT + h
-    return straddling_cells(distance, AT, leaf=h, lower=lower, upper=upper)
+    return straddling_cells(plates[0].distance, AT, leaf=float(plates[1].field.spacing))
 
 
 def used_cells(field):

@@ -116,9 +116,7 @@ def value_gradient_hessian(layers: Layers, beta: float, x: Vectors) -> tuple[Row
     return out, a_bar, beta * _sum_of_curvatures(curvatures)
 
 
-def _sum_of_curvatures(
-    curvatures: list[tuple[Float[Array, "n _"], Float[Array, "3 n _"]]],
-) -> Matrices:
+def _sum_of_curvatures(curvatures: list[tuple[Float[Array, "n _"], Float[Array, "3 n _"]]]) -> Matrices:
     """Return Σ_l J_lᵀ diag(c_l) J_l of each point.
 
     Layers of one width are added up before the neurons are: few large sums are faster than many small ones.

@@ -102,12 +102,7 @@ def _tower() -> list[Manifold]:
 def _reflectors() -> list[Manifold]:
     """Four paraboloid shells, two a side at different heights, each on an arm from the bus edge, facing the feeds."""
     parts = []
-    places = (
-        (-0.95, 2.9, -0.95, 2.3),
-        (1.0, 2.6, 0.30, 2.0),
-        (-1.0, -2.6, 0.30, 2.0),
-        (0.95, -2.9, -0.95, 2.3),
-    )
+    places = ((-0.95, 2.9, -0.95, 2.3), (1.0, 2.6, 0.30, 2.0), (-1.0, -2.6, 0.30, 2.0), (0.95, -2.9, -0.95, 2.3))
     for x, y, z, diameter in places:
         side = np.sign(y)
         vertex = np.array([x, y, z])

@@ -305,7 +305,7 @@ def _spread(x: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
 @numba.njit(cache=True, nogil=True)
 @no_type_check
 def _split(triangles, centres, order):
-    """Make a `Tree`'s arrays of nodes, depth first: lower, upper, right, first and amount; `order` becomes the tree's."""
+    """Make a `Tree`'s nodes, depth first: lower, upper, right, first and amount. Puts `order` in the tree's order."""
     nodes = 2 * len(order)
     lower, upper = np.empty((nodes, 3)), np.empty((nodes, 3))
     right, first, amount = np.full(nodes, -1), np.zeros(nodes, dtype=np.int64), np.zeros(nodes, dtype=np.int64)

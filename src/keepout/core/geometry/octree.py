@@ -185,15 +185,8 @@ def _joined(blocks: list[np.ndarray]) -> np.ndarray:
     return whole
 
 
-def straddling_cells(
-    distance: Distance,
-    level: float,
-    *,
-    leaf: float,
-    lower: Float[np.ndarray, "3"],
-    upper: Float[np.ndarray, "3"],
-) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n"]]:
-    """Cubes that together cover {d = level} inside a box, each possibly meeting it.
+def straddling_cells(distance: Distance, level: float, *, leaf: float) -> tuple[Points, Float[np.ndarray, "n"]]:
+    """Cubes that together cover {d = level}, each possibly meeting it.
 
     A cube of centre c and half-diagonal ρ is dropped only when |d(c) - level| > ρ, which a 1-Lipschitz distance makes
     a proof that it does not meet the level set.
@@ -202,21 +195,18 @@ def straddling_cells(
         distance: exact unsigned distance.
         level: the distance whose level set is covered, metres, zero or more.
         leaf: sides are at most this, metres.
-        lower: corner of the box, metres.
-        upper: opposite corner of the box, metres.
 
     Returns:
         Centres (N, 3) and half widths (N,), metres.
 
     Raises:
-        MeshError: a leaf that is not positive, or a box without volume.
+        MeshError: a leaf that is not positive.
 
     """
-    lower, upper = np.asarray(lower, dtype=np.float64), np.asarray(upper, dtype=np.float64)
     if not leaf > 0.0:
         raise MeshError(f"leaf: {leaf} m; it must be positive")
-    if not (upper > lower).all():
-        raise MeshError(f"box: lower {lower} and upper {upper}; every upper coordinate must exceed the lower one")
+    pad = level + leaf
+    lower, upper = distance.lower - pad, distance.upper + pad
     half_width = 0.5 * float((upper - lower).min())
     counts = np.ceil((upper - lower) / (2.0 * half_width) - 1e-9).astype(int)
     steps = [np.arange(n) for n in counts]

@@ -16,13 +16,7 @@ from keepout.core.geometry.distance import ExactDistance, Points
 from keepout.core.geometry.level_set import level_points, random_directions, surface_points
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target
-from keepout.core.measures.surface import (
-    Surface,
-    extract_surface,
-    measure_volumes,
-    steepest_slope,
-    surface_distance,
-)
+from keepout.core.measures.surface import Surface, extract_surface, measure_volumes, steepest_slope, surface_distance
 from keepout.core.progress import Progress, part_of, silent
 
 BANDS = ((0.05, 1.0), (1.0, 5.0))

@@ -124,11 +124,7 @@ def sun_direction(instant: int) -> Float[np.ndarray, "3"]:
     )
     obliquity = math.radians(23.439_291 - 0.013_004_2 * centuries)
     return np.array(
-        [
-            math.cos(longitude),
-            math.cos(obliquity) * math.sin(longitude),
-            math.sin(obliquity) * math.sin(longitude),
-        ]
+        [math.cos(longitude), math.cos(obliquity) * math.sin(longitude), math.sin(obliquity) * math.sin(longitude)]
     )
 
 

@@ -167,13 +167,8 @@ def check_certificate(
 def _in_reach(model: FieldModel, target: Target, chaser_radius: float) -> tuple[NeuralField, ExactDistance]:
     """Give network and distance, and refuse a radius that reaches out of the learned domain."""
     field, distance = require_network_and_mesh(model, target, where="certify")
-    reach = float(
-        np.linalg.norm(
-            np.maximum(
-                np.abs(distance.lower - field.continuation.centre), np.abs(distance.upper - field.continuation.centre)
-            )
-        )
-    )
+    centre = np.asarray(field.continuation.centre)
+    reach = float(np.linalg.norm(np.maximum(np.abs(distance.lower - centre), np.abs(distance.upper - centre))))
     largest = float(field.continuation.domain_radius) - reach - _first_leaf(field) * np.sqrt(3.0)
     if not 0.0 <= chaser_radius <= largest:
         raise FieldError(f"chaser radius {chaser_radius:g} m: for this field it must be 0 to {largest:.3g} m")
@@ -231,13 +226,8 @@ def _steepest(
             return Lipschitz(found, other.gradient_bound)
     if not prove:
         return Lipschitz(found, None)
-    return prove_lipschitz(
-        model.field,
-        distance,
-        found=found,
-        clearance=radius,
-        progress=part_of(progress, 0.7, 1.0),
-    )
+    part = part_of(progress, 0.7, 1.0)
+    return prove_lipschitz(model.field, distance, found=found, clearance=radius, progress=part)
 
 
 def steepest_found(
@@ -274,13 +264,10 @@ def _bound_on_contact(
 
     Where a bound is stated, and as long as no point contradicts it, elements are split until it is proved.
     """
-    network = bounds.Network.of(field.layers, field.beta)
-    centre, scale = np.asarray(field.continuation.centre), float(field.scale)
-    # The normalisation in float64 and its inverse: a few units in the last place of numbers of the domain's size.
-    normalisation = 64.0 * bounds.UNIT64 * (scale + float(np.abs(centre).max()))
+    contact = _Contact.of(field, distance, radius)
     frontier = _cover(distance, radius, _first_leaf(field))
-    lipschitz = float(np.prod([np.linalg.norm(W) for W in network.weights]))  # σ' ≤ 1; Frobenius exceeds spectral
-    slack = lipschitz * normalisation
+    # σ' ≤ 1; Frobenius exceeds spectral.
+    slack = float(np.prod([np.linalg.norm(W) for W in contact.network.weights])) * contact.slack
     settled, evaluation, seen = -np.inf, 0.0, 0
     while len(frontier):
         gap = max(RELATIVE_GAP * abs(found - radius), SMALLEST_GAP)
@@ -288,7 +275,7 @@ def _bound_on_contact(
         for first in range(0, len(frontier), PIECE):
             piece = frontier[first : first + PIECE]
             part = slice(first, first + len(piece))
-            upper[part], error[part] = _bounded(network, piece, distance, radius, centre, scale, normalisation)
+            upper[part], error[part] = contact.bounded(piece)
         seen += len(frontier)
         # The elements that matter know where to look for a larger value.
         worst = frontier[np.argsort(-upper)[:LOOKED_AT]]
@@ -296,7 +283,7 @@ def _bound_on_contact(
         found = max(found, float(values(field, places).max(initial=-np.inf)))
         large = _length(frontier, radius) > POINT_LIKE
         if stated is None or found > radius + stated.error_bound:
-            open_ = (upper - error > found + gap) | ((upper > found + gap + ERROR_GAP * scale) & large)
+            open_ = (upper - error > found + gap) | ((upper > found + gap + ERROR_GAP * contact.scale) & large)
         else:
             open_ = (upper > radius + stated.error_bound - slack) | ((error > stated.evaluation_error) & large)
         if seen + 8 * int(open_.sum()) > MOST_ELEMENTS:
@@ -311,26 +298,51 @@ def _bound_on_contact(
     return settled + slack, evaluation, found
 
 
-def _bounded(
-    network: bounds.Network,
-    piece: Float[np.ndarray, "m k 3"],
-    distance: ExactDistance,
-    radius: float,
-    centre: Float[np.ndarray, "3"],
-    scale: float,
-    slack: float,
-) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m"]]:
-    """Return for each element an upper bound of f̃ in float32 where d = radius, and the float32 error in it, metres.
+@dataclasses.dataclass(frozen=True)
+class _Contact:
+    """{d = radius} and a network over it.
 
-    Minus infinity where the element does not meet {d = radius}.
+    Attributes:
+        network: in float64.
+        distance: exact.
+        radius: metres.
+        centre, scale: of the network's own coordinates, metres.
+        slack: by which their rounding may move a point, metres.
+
     """
-    upper, slope, constant, error = bounds.upper_bounds(network, _elements(piece, radius, centre, scale, slack))
-    if radius > 0.0:
-        middle = piece[:, 0]
-        at_middle = ((middle - centre) / scale * slope).sum(axis=1) + constant
-        cut = largest_on_level(distance, radius, middle, piece[:, 1, 0] + slack, slope)
-        upper = np.fmin(upper, at_middle + cut / scale)
-    return scale * (upper + error), scale * error
+
+    network: bounds.Network
+    distance: ExactDistance
+    radius: float
+    centre: Float[np.ndarray, "3"]
+    scale: float
+    slack: float
+
+    @classmethod
+    def of(cls, field: NeuralField, distance: ExactDistance, radius: float) -> "_Contact":
+        network, centre = bounds.Network.of(field.layers, field.beta), np.asarray(field.continuation.centre)
+        scale = float(field.scale)
+        # The normalisation in float64 and its inverse: a few units in the last place of numbers of the domain's size.
+        return cls(
+            network, distance, radius, centre, scale, 64.0 * bounds.UNIT64 * (scale + float(np.abs(centre).max()))
+        )
+
+    def bounded(self, piece: Float[np.ndarray, "m k 3"]) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m"]]:
+        """Return for each element an upper bound of f̃ in float32 where d = radius, and the float32 error in it, metres.
+
+        Minus infinity where the element does not meet {d = radius}.
+        """
+        centre, scale = self.centre, self.scale
+        if self.radius == 0.0:
+            upper, _, _, error = bounds.upper_bounds(self.network, bounds.triangles((piece - centre) / scale))
+        else:
+            middle = (piece[:, 0] - centre) / scale
+            boxes = bounds.boxes(middle, (piece[:, 1] + self.slack) / scale)
+            upper, slope, constant, error = bounds.upper_bounds(self.network, boxes)
+            half = piece[:, 1, 0] + self.slack
+            cut = largest_on_level(self.distance, self.radius, piece[:, 0], half, slope)
+            upper = np.fmin(upper, (middle * slope).sum(axis=1) + constant + cut / scale)
+        return scale * (upper + error), scale * error
 
 
 def _first_leaf(field: NeuralField) -> float:
@@ -341,19 +353,8 @@ def _cover(distance: ExactDistance, radius: float, leaf: float) -> Float[np.ndar
     """Triangles as (m, 3, 3) corners, or cubes as (m, 2, 3): centre and half widths."""
     if radius == 0.0:
         return distance.vertices[distance.faces]
-    pad = radius + leaf
-    centres, half = straddling_cells(
-        distance, radius, leaf=leaf, lower=distance.lower - pad, upper=distance.upper + pad
-    )
+    centres, half = straddling_cells(distance, radius, leaf=leaf)
     return np.stack([centres, np.repeat(half[:, None], 3, axis=1)], axis=1)
-
-
-def _elements(
-    piece: Float[np.ndarray, "m k 3"], radius: float, centre: Float[np.ndarray, "3"], scale: float, slack: float
-) -> bounds.Elements:
-    if radius == 0.0:
-        return bounds.triangles((piece - centre) / scale)
-    return bounds.boxes((piece[:, 0] - centre) / scale, (piece[:, 1] + slack) / scale)
 
 
 def _edges(triangles: Float[np.ndarray, "m 3 3"]) -> Float[np.ndarray, "m 3"]:
@@ -455,9 +456,6 @@ def stated_error_bound(field: FunctionField, target: Target, chaser_radius: floa
     """
     if not 0.0 <= chaser_radius < np.inf:
         raise FieldError(f"error bound: chaser radius {chaser_radius} m; it must be 0 or more, and finite")
-    distance, room = target.distance, chaser_radius + leaf
-    centres, half = straddling_cells(
-        distance, chaser_radius, leaf=leaf, lower=distance.lower - room, upper=distance.upper + room
-    )
+    centres, half = straddling_cells(target.distance, chaser_radius, leaf=leaf)
     most = values(field, centres) + field.lipschitz * np.sqrt(3.0) * half
     return float(most.max()) - chaser_radius

@@ -99,10 +99,7 @@ def certify_grid(model: FieldModel, target: Target, *, chaser_radius: float = 0.
         raise FieldError(f"chaser radius {chaser_radius:g} m: for this field it must be 0 to {room:.3g} m")
     _require_cover(field)
     h = float(field.spacing)
-    pad = chaser_radius + h
-    centres, half = straddling_cells(
-        distance, chaser_radius, leaf=h, lower=distance.lower - pad, upper=distance.upper + pad
-    )
+    centres, half = straddling_cells(distance, chaser_radius, leaf=h)
     bound = _largest_excess(field, distance, float(chaser_radius), centres, half)
     spline = joined_spline(field)
     slope = grid_slope(field, spline)

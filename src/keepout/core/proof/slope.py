@@ -45,12 +45,7 @@ class Lipschitz(NamedTuple):
 
 
 def prove_lipschitz(
-    field: NeuralField,
-    distance: Distance,
-    *,
-    found: float,
-    clearance: float = 0.0,
-    progress: Progress = silent,
+    field: NeuralField, distance: Distance, *, found: float, clearance: float = 0.0, progress: Progress = silent
 ) -> Lipschitz:
     """Prove a bound of ‖∇f̃‖ at every point whose distance d from the target is at least `clearance`.
 
