@@ -97,7 +97,7 @@ def flown(plan, runs, steps, *, audit):
     import jax
 
     from keepout.core.flight.batches import BATCH, fly_batches
-    from keepout.core.mission.audited import AUDITED, judge
+    from keepout.core.mission.flight import AUDITED, judge
     from keepout.core.mission.surroundings import Surroundings
 
     scenario, verdicts = plan.mission.scenario, []

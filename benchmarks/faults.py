@@ -37,7 +37,7 @@ from keepout.core.flight.batches import fly_batches, states_at
 from keepout.core.flight.setup import NoFaults
 from keepout.core.guard.field import RECIPE
 from keepout.core.guard.status import GuardFlag
-from keepout.core.mission.audited import AUDITED, fly_audited, judge
+from keepout.core.mission.flight import AUDITED, fly_audited, judge
 from keepout.flights.pages import terminal
 
 TARGETS = ("intelsat30", "iss", "tiangong", "ssl1300.glb")

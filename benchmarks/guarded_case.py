@@ -12,8 +12,8 @@ from reach_case import Case
 from keepout.core.audit.audit import Contact
 from keepout.core.control.guidance.plan import Straight
 from keepout.core.flight.batches import BATCH, states_at
-from keepout.core.mission.audited import fly_audited
 from keepout.core.mission.build import build_guard, closing_radius
+from keepout.core.mission.flight import fly_audited
 from keepout.core.mission.law import build_law, room_for_guard
 from keepout.core.mission.surroundings import Surroundings
 from keepout.flights.pages import terminal

@@ -97,10 +97,15 @@ MUTANTS = {
     "core/audit/audit.py": [("clearance as found", "float(bound.lower[i])", "float(bound.upper[i])", "audit:said")],
     "core/audit/outside.py": [("balls that overlap walls", "0.9 * free * _D", "1.5 * free * _D", "audit:said")],
     "core/audit/passage.py": [("nearer end for farther", "est = np.maximum(", "est = np.minimum(", "mutants_found")],
-    "core/motion/thrusters/errors.py": [
+    "core/motion/thrusters/on_off.py": [
         ("half an excursion", "period**2 / 32.0", "period**2 / 64.0", "thrusters:nearly_met"),
         ("gains only added", " + gain_error * self.gain_error", "", "disturbance_bound:compound"),
-        ("fault a step short", "math.ceil(detection_time", "math.floor(detection_time", "thrusters:stuck"),
+        (
+            "fault a step short",
+            "None else math.ceil(detection_time",
+            "None else math.floor(detection_time",
+            "thrusters:stuck",
+        ),
     ],
     "core/motion/disturbance.py": [("largest for sum", "np.sum(np.abs(a", "np.max(np.abs(a", "disturbance:sum")],
     "core/motion/chaser.py": [

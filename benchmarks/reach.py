@@ -36,7 +36,7 @@ from keepout.core.control.guidance.plan import Straight
 from keepout.core.control.profiles import ControlWarning
 from keepout.core.control.tuning import tune
 from keepout.core.flight.batches import BATCH, states_at
-from keepout.core.mission.audited import fly_audited
+from keepout.core.mission.flight import fly_audited
 from keepout.core.mission.law import build_law, operation
 from keepout.core.mission.surroundings import Surroundings
 from keepout.flights.pages import terminal

@@ -13,10 +13,9 @@ from keepout.core.errors import ScenarioError
 from keepout.core.fields import load_shipped
 from keepout.core.geometry.target import Target
 from keepout.core.mission.build import prepare
-from keepout.core.mission.check import check
+from keepout.core.mission.check import check, number_refusal
 from keepout.core.mission.draft import commented, draft
 from keepout.core.mission.entries import Entry
-from keepout.core.mission.nearest import number_refusal
 from keepout.core.mission.scenario import Scenario, with_entries
 
 

@@ -8,8 +8,8 @@ import pytest
 from keepout.core.audit.audit import Contact
 from keepout.core.control.guidance.plan import Straight
 from keepout.core.flight.batches import states_at
-from keepout.core.mission.audited import AUDITED, fly_audited, judge
 from keepout.core.mission.build import prepare
+from keepout.core.mission.flight import AUDITED, fly_audited, judge
 from keepout.core.mission.scenario import Scenario
 
 GOALS = np.array([[0.0, -9.0, -4.0], [0.0, -9.0, 4.0], [3.0, -9.0, -4.0]])

@@ -8,9 +8,8 @@ import pytest
 
 from keepout.core.errors import ScenarioError
 from keepout.core.mission.build import prepare, require_navigation
-from keepout.core.mission.check import check
+from keepout.core.mission.check import check, number_refusal
 from keepout.core.mission.flight import fly_mission
-from keepout.core.mission.nearest import number_refusal
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 from keepout.core.mission.target import load_target

@@ -10,11 +10,8 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from keepout.core.errors import ScenarioError
-from keepout.core.motion.thrusters.allocation import Allocation
-from keepout.core.motion.thrusters.capability import Capability, force_box
-from keepout.core.motion.thrusters.errors import thruster_errors, vector_error
-from keepout.core.motion.thrusters.layout import PRESETS, Layout, preset, share
-from keepout.core.motion.thrusters.on_off import OnOffThrusters
+from keepout.core.motion.thrusters.layout import PRESETS, Capability, Layout, force_box, preset, share
+from keepout.core.motion.thrusters.on_off import Allocation, OnOffThrusters, thruster_errors, vector_error
 
 KEY = jax.random.key(3)
 LIMIT = 0.1

@@ -15,8 +15,8 @@ import pytest
 from keepout.core.errors import FlightError, ScenarioError
 from keepout.core.flight.record import FlightRecord
 from keepout.core.mission.build import prepare
-from keepout.core.mission.places import room_to_start
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.target import room_to_start
 from keepout.flights.campaign.campaign import plan_campaign
 from keepout.flights.campaign.dataset import Dataset
 from keepout.flights.campaign.flying import certified, differences, fly_chunk, initial_states, replay

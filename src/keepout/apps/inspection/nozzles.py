@@ -17,7 +17,7 @@ from keepout.core.mission import thrusters as mission_thrusters
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 from keepout.core.motion.chaser import ThrusterModel
-from keepout.core.motion.thrusters.allocation import Allocation
+from keepout.core.motion.thrusters.on_off import Allocation
 
 _SILENT = 1e-9
 """Newtons: a thruster that gives less has no plume."""

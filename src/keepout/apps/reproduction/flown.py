@@ -22,9 +22,8 @@ from keepout.core.flight.loop import FlightLog, fly
 from keepout.core.flight.record import OPTIONAL_COLUMNS
 from keepout.core.flight.setup import FlightSetup
 from keepout.core.geometry.target import Target
-from keepout.core.mission.audited import fly_audited
 from keepout.core.mission.build import Mission, load_model, prepare
-from keepout.core.mission.flight import Flight, judged
+from keepout.core.mission.flight import Flight, fly_audited, judged
 from keepout.core.mission.scenario import Scenario
 from keepout.core.progress import Progress, part_of
 

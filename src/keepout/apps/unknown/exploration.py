@@ -14,8 +14,8 @@ from keepout.core.audit.audit import Audit, Contact
 from keepout.core.flight.outcome import FlightOutcome
 from keepout.core.flight.record import FlightRecord
 from keepout.core.geometry.target import Target
+from keepout.core.mission.flight import flag_counts
 from keepout.core.mission.scenario import Scenario
-from keepout.core.mission.statuses import flag_counts
 
 
 @dataclass(frozen=True)

@@ -197,7 +197,7 @@ def _places(
     """
     import numpy as np
 
-    from keepout.core.mission.places import has_way_out, room_to_start
+    from keepout.core.mission.target import has_way_out, room_to_start
 
     chaser = Scenario()
     room = room_to_start(chaser)
@@ -226,7 +226,7 @@ def _honoured(scenario: Scenario, target: "Target") -> tuple[Scenario, float]:
         KeepoutError: they honour none.
 
     """
-    from keepout.core.mission.nearest import nearest_number, number_refusal
+    from keepout.core.mission.check import nearest_number, number_refusal
 
     def at(speed: float) -> Scenario:
         return scenario.replace(chaser={"speed_limit": speed})

@@ -1,26 +1,30 @@
-"""One scenario flown, and its clearance audited on the exact mesh."""
+"""Scenarios flown, one flight or many together, and judged on the exact mesh: what became of them, in numbers and words."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from keepout.core.audit.audit import Audit, Contact, audit
+from keepout.core.audit.audit import Audit, Contact, ExactMesh, audit, audit_campaign
 from keepout.core.audit.tube import FlightBounds
+from keepout.core.control.law import ControlStatus
 from keepout.core.fields.model import FieldModel
 from keepout.core.flight import loop
+from keepout.core.flight.batches import Landed, fly_batches
 from keepout.core.flight.outcome import FlightOutcome, outcome
 from keepout.core.flight.record import FlightRecord
 from keepout.core.flight.setup import FlightSetup
 from keepout.core.geometry.target import Target
+from keepout.core.guard.status import GuardFlag, GuardStatus, flag_names
 from keepout.core.mission.build import Mission, prepare
 from keepout.core.mission.scenario import Scenario
-from keepout.core.mission.statuses import flag_counts, legend, status_counts
 from keepout.core.mission.surroundings import Surroundings, guard_numbers
+from keepout.core.motion.relative import MotionState
 from keepout.core.plug_ins import load
 from keepout.core.progress import Progress, part_of, silent
 
@@ -233,3 +237,112 @@ def recorded(
         speed_limit=scenario.chaser.speed_limit,
     )
     return result, record, verdict
+
+
+AUDITED = ("time", "position", "velocity", "force", "guard_status")
+"""Columns of a log that the audit looks at."""
+
+
+def fly_audited(
+    scenario: Scenario,
+    target: ExactMesh,
+    setup: FlightSetup,
+    initial: MotionState,
+    *,
+    columns: Sequence[str] = (),
+    landed: Landed | None = None,
+    tolerance: float = 1e-3,
+    **batches: Any,
+) -> tuple[FlightOutcome, tuple[Audit, ...]]:
+    """Fly a setup from many initial states, and audit each flight.
+
+    Args:
+        scenario: how long the flights are, and what they are judged by: chaser, and all that bounds their motion.
+        target: the mesh.
+        setup: of every flight; what differs between flights is named by `vary`.
+        initial: states with a leading axis of flights.
+        columns: of the log, for `landed` beside `AUDITED`.
+        landed: gets each batch's columns once it is judged.
+        tolerance: how close to the truth the clearance bounds are driven, m.
+        **batches: further arguments of `fly_batches`, such as `vary`, `seed` or `batch`.
+
+    Returns:
+        The outcomes with a leading axis of flights, and the verdicts in the same order.
+
+    """
+    bounds, audits = Surroundings(scenario).flight_bounds, []
+
+    def land(first: int, log: dict[str, np.ndarray]) -> None:
+        audits.extend(judge(scenario, target, log, bounds=bounds, tolerance=tolerance))
+        if landed is not None:
+            landed(first, log)
+
+    wanted = tuple(dict.fromkeys((*AUDITED, *columns)))
+    outcome = fly_batches(setup, initial, scenario.steps, columns=wanted, landed=land, **batches)
+    return outcome, tuple(audits)
+
+
+def judge(
+    scenario: Scenario,
+    target: ExactMesh,
+    log: Mapping[str, np.ndarray],
+    *,
+    bounds: FlightBounds | None = None,
+    tolerance: float = 1e-3,
+) -> list[Audit]:
+    """Audit flights that were flown together, by the columns `AUDITED` of their log, each (flights, steps + 1, ...).
+
+    Args:
+        scenario: gives the chaser's radius and limits.
+        target: the mesh.
+        log: more columns do not matter.
+        bounds: on what the log does not hold; by default the scenario's.
+        tolerance: how close to the truth the clearance bounds are driven, m.
+
+    """
+    chaser = scenario.chaser
+    return audit_campaign(
+        log["time"][0],
+        log["position"],
+        log["velocity"],
+        log["force"],
+        target,
+        guard_status=log["guard_status"],
+        chaser_radius=chaser.radius,
+        bounds=Surroundings(scenario).flight_bounds if bounds is None else bounds,
+        force_limit=chaser.force_limit,
+        speed_limit=chaser.speed_limit,
+        tolerance=tolerance,
+    )
+
+
+LAYERS: Mapping[str, type[IntEnum]] = {"control": ControlStatus, "guard": GuardStatus}
+"""The enumeration of each layer's statuses."""
+
+
+def legend() -> dict[str, dict[int, str]]:
+    """Name every number that a flight file's columns `control_status` and `guard_status` are made of."""
+    names = {f"{layer}_status": {int(s): s.name.lower() for s in kind} for layer, kind in LAYERS.items()}
+    names["guard_status"] |= {int(flag): name for flag in GuardFlag for name in flag_names(flag)}
+    return names
+
+
+def status_counts(outcome: FlightOutcome) -> dict[str, dict[str, int]]:
+    """Count the steps of one flight, or of all flights of a batch, by layer and status; those never met are left out.
+
+    Args:
+        outcome: of one flight, or with leading axes of many.
+
+    """
+    counted = {}
+    for layer, kind in LAYERS.items():
+        count = np.asarray(getattr(outcome, f"{layer}_status_counts"))
+        count = count.reshape(-1, count.shape[-1]).sum(axis=0)
+        counted[layer] = {status.name.lower(): int(count[status]) for status in kind if count[status]}
+    return counted
+
+
+def flag_counts(statuses: Int[np.ndarray, "n"]) -> dict[str, int]:
+    """Count among guard statuses, of steps or of whole flights, those with each flag; flags never met are left out."""
+    counts = {name: int(np.count_nonzero(statuses & flag)) for flag in GuardFlag for name in flag_names(flag)}
+    return {name: count for name, count in counts.items() if count}

@@ -51,7 +51,7 @@ from keepout.core.motion.disturbance import (
 )
 from keepout.core.motion.orbit import EARTH_GRAVITATIONAL_PARAMETER
 from keepout.core.motion.relative import RelativeMotion
-from keepout.core.motion.thrusters.errors import ThrusterErrors
+from keepout.core.motion.thrusters.on_off import ThrusterErrors
 from keepout.core.plug_ins import load
 
 _NEAR = 1000.0

@@ -5,12 +5,11 @@ from functools import lru_cache
 import numpy as np
 
 from keepout.core.errors import ScenarioError
+from keepout.core.mission.entries import ThrustersEntry
 from keepout.core.mission.scenario import Scenario
 from keepout.core.motion.chaser import ThrusterModel, Thrusters
-from keepout.core.motion.thrusters.capability import Capability, Stuck, force_box
-from keepout.core.motion.thrusters.errors import ThrusterErrors, thruster_errors
-from keepout.core.motion.thrusters.layout import Layout, preset, share
-from keepout.core.motion.thrusters.on_off import OnOffThrusters, require_periods
+from keepout.core.motion.thrusters.layout import Capability, Layout, Stuck, force_box, preset, share
+from keepout.core.motion.thrusters.on_off import OnOffThrusters, ThrusterErrors, require_periods, thruster_errors
 
 _ROUNDING = 1.0 - 1e-6
 """A force box may be short of chaser.force_limit by so much: what a linear program's solver leaves open."""
@@ -23,21 +22,27 @@ def layout(scenario: Scenario) -> Layout | None:
         ScenarioError: its directions do not span three axes.
 
     """
-    entry = scenario.thrusters
-    numbers = {
-        name: getattr(entry, name)
-        for name in ("least_on_time", "specific_impulse", "rise_delay", "misalignment", "scale_error")
-    }
+    return _layout(scenario.thrusters, scenario.chaser.force_limit, scenario.chaser.radius)
+
+
+@lru_cache(maxsize=64)
+def _layout(entry: ThrustersEntry, force_limit: float, radius: float) -> Layout | None:
+    """Give one layout for all scenarios of the same thrusters, so that what it can give is worked out once."""
+    names = ("least_on_time", "specific_impulse", "rise_delay", "misalignment", "scale_error")
+    numbers = {name: getattr(entry, name) for name in names}
+    if entry.layout == "ideal":
+        return None
     if entry.layout == "own":
         force = np.array([entry.force if own.force is None else own.force for own in entry.own], float)
         positions, directions = (
             np.array([getattr(own, key) for own in entry.own]) for key in ("position", "direction")
         )
         return Layout(positions, directions, force, **numbers)
-    if entry.layout == "ideal":
-        return None
-    force = scenario.chaser.force_limit / share(entry.layout) if entry.force is None else entry.force
-    return preset(entry.layout, force=force, arm=max(scenario.chaser.radius, 0.1), **numbers)
+    force = force_limit / share(entry.layout) if entry.force is None else entry.force
+    return preset(entry.layout, force=force, arm=max(radius, 0.1), **numbers)
+
+
+_whole, _able = lru_cache(maxsize=64)(force_box), lru_cache(maxsize=64)(Capability.of)
 
 
 def thrusters(scenario: Scenario) -> ThrusterModel:
@@ -87,7 +92,7 @@ def require_thrusters(scenario: Scenario) -> None:
     if scenario.faults.thruster is not None:
         flown.require(scenario.faults.thruster)
     asked = scenario.chaser.force_limit
-    whole = _whole(_key(flown))
+    whole = _whole(flown)
     if whole == 0.0:
         raise ScenarioError(
             f"thrusters.layout: its {flown.count} thrusters cannot push every way: the largest force that they give "
@@ -100,7 +105,7 @@ def require_thrusters(scenario: Scenario) -> None:
         )
     if not scenario.thrusters.survive_failure:
         return
-    able = _able(_key(flown))
+    able = _able(flown)
     left = able.after_failure
     if left < asked * _ROUNDING:
         how: Stuck = "off" if min(able.stuck_off) <= left else "on"
@@ -129,22 +134,3 @@ def errors(scenario: Scenario) -> ThrusterErrors:
         delta_sigma=entry.modulation == "delta-sigma",
         detection_time=entry.detection_time if entry.survive_failure else None,
     )
-
-
-def _key(flown: Layout) -> tuple[bytes, bytes, bytes]:
-    return flown.position.tobytes(), flown.direction.tobytes(), flown.force.tobytes()
-
-
-def _of_key(key: tuple[bytes, bytes, bytes]) -> Layout:
-    position, direction, force = (np.frombuffer(part) for part in key)
-    return Layout(position.reshape(-1, 3), direction.reshape(-1, 3), force)
-
-
-@lru_cache(maxsize=64)
-def _whole(key: tuple[bytes, bytes, bytes]) -> float:
-    return force_box(_of_key(key))
-
-
-@lru_cache(maxsize=64)
-def _able(key: tuple[bytes, bytes, bytes]) -> Capability:
-    return Capability.of(_of_key(key))

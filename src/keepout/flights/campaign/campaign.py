@@ -20,11 +20,11 @@ from keepout.core.fields.model import FieldModel
 from keepout.core.flight.outcome import FlightOutcome
 from keepout.core.geometry.target import Target
 from keepout.core.guard.status import flag_names
-from keepout.core.mission.audited import AUDITED
 from keepout.core.mission.build import prepare
-from keepout.core.mission.places import has_way_out, room_to_start
+from keepout.core.mission.flight import AUDITED
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings, guard_numbers
+from keepout.core.mission.target import has_way_out, room_to_start
 from keepout.core.progress import Progress, part_of, silent
 from keepout.core.whole_file import write_whole
 from keepout.flights.campaign.dispersion import Run, columns, design

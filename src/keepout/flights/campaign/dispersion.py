@@ -22,8 +22,8 @@ from scipy.stats import qmc
 
 from keepout.core.errors import KeepoutError, ScenarioError
 from keepout.core.mission.build import Mission
-from keepout.core.mission.places import has_way_out, room_to_start
 from keepout.core.mission.scenario import COMPONENTS, Scenario, entry_kind, with_entries
+from keepout.core.mission.target import has_way_out, room_to_start
 from keepout.core.mission.task_entries import DispersionEntry
 
 ATTEMPTS = 100

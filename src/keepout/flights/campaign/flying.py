@@ -26,9 +26,8 @@ from keepout.core.flight.outcome import FlightOutcome
 from keepout.core.flight.setup import flown_setup
 from keepout.core.guard.guard import Guard
 from keepout.core.guard.start import starts_certified
-from keepout.core.mission.audited import AUDITED, judge
 from keepout.core.mission.build import Mission
-from keepout.core.mission.flight import Flight, judged
+from keepout.core.mission.flight import AUDITED, Flight, judge, judged
 from keepout.core.mission.surroundings import Surroundings
 from keepout.core.motion.relative import MotionState, RelativeMotion
 from keepout.core.progress import Progress, silent

@@ -13,8 +13,8 @@ from keepout.core.audit.audit import Audit, Contact
 from keepout.core.errors import FlightError
 from keepout.core.flight.outcome import FlightOutcome
 from keepout.core.guard.status import GuardFlag, flag_names
+from keepout.core.mission.flight import LAYERS
 from keepout.core.mission.scenario import Scenario
-from keepout.core.mission.statuses import LAYERS
 from keepout.flights.campaign.dispersion import Design, Run, columns
 
 _PARQUET = {"compression": "zstd", "write_page_checksum": True, "write_statistics": False}

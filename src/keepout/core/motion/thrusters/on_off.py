@@ -1,22 +1,165 @@
-"""Thrusters that are on or off: a commanded force becomes pulses, one a thruster and control period."""
+"""Thrusters that are on or off: a commanded force becomes pulses, one a thruster and control period.
+
+Which thrusters fire for a force, and how long, is the linear program of least propellant, solved beforehand. Thrusters
+of one direction form a group. The groups' forces a solve
+
+    minimise Σ a_g   subject to   Σ a_g d_g = u,   0 ≤ a_g ≤ F_g,
+
+whose dual is to maximise λ·u − Σ F_g max(0, λ·d_g − 1) over λ in three dimensions: a concave function, linear between
+the planes λ·d_g = 1, so that its largest value is at a point where three of them meet. Those points do not depend on u.
+They are listed when a flight is built, each with the three groups that are neither off nor full there and with a as an
+affine function of u; in flight the best point is looked up. With one thruster pair an axis that is the closed form of
+each axis. Within a group thrusters fire alike as far as their torques cancel, and only then those whose torque is left
+over.
+
+How far pulses can be from the force asked for, and from the motion under it, is bounded (`thruster_errors`):
+docs/my-thrusters.md. A layout's forces are bounded by N = max ‖Σ F_g |d_g|‖ over the groups that fire together
+(`Allocation.active`): whatever signs and sizes e_g ≤ e their errors have, ‖Σ e_g F_g d_g‖ ≤ e N.
+"""
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+from scipy.optimize import linprog
 
 from keepout.core.errors import ScenarioError
 from keepout.core.motion.arrays import as_float64
 from keepout.core.motion.chaser import Firing, Pulses, ThrusterModel
 from keepout.core.motion.rotation import Vector
-from keepout.core.motion.thrusters.allocation import Allocation
-from keepout.core.motion.thrusters.capability import Stuck
-from keepout.core.motion.thrusters.layout import STANDARD_GRAVITY, Layout
+from keepout.core.motion.thrusters.layout import STANDARD_GRAVITY, Layout, Stuck
 
 Scalar = Float[Array, ""]
+
+_FLAT = 1e-9
+"""Below this determinant three unit directions lie in a plane."""
+_LANES = 64
+"""Values that are compared at once."""
+_APART = 1e-7
+"""Relative differences of the groups' costs, so that no four planes meet in a point."""
+
+
+class Allocation(eqx.Module):
+    """The list of points and what fires at each; build with `Allocation.of`.
+
+    Attributes:
+        price: λ of each point, one row a component.
+        fee: Σ F_g max(0, λ·d_g − 1) of each point, N.
+        slope: of the groups' forces by u.
+        offset: the groups' forces at u = 0, N.
+        largest: F_g, N.
+        group: of each thruster.
+        paired: share of its on-time that a thruster gets for each newton of its group up to `balanced`, 1/N.
+        alone: the same beyond it.
+        balanced: force of each group that comes without torque, N.
+
+    """
+
+    price: Float[Array, "3 points"]
+    fee: Float[Array, " points"]
+    slope: Float[Array, "points groups 3"]
+    offset: Float[Array, "points groups"]
+    largest: Float[Array, " groups"]
+    group: Int[Array, " thrusters"]
+    paired: Float[Array, " thrusters"]
+    alone: Float[Array, " thrusters"]
+    balanced: Float[Array, " groups"]
+
+    @classmethod
+    def of(cls, layout: Layout) -> "Allocation":
+        """List the points of a layout.
+
+        Raises:
+            ScenarioError: the thrusters that work do not span three axes.
+
+        """
+        group, directions = layout.groups()
+        largest = np.array([layout.force[group == g].sum() for g in range(len(directions))])
+        points = [_point(directions, largest, chosen) for chosen in _triples(directions, largest)]
+        if not points:
+            raise ScenarioError("thrusters: those that work do not span three axes")
+        weight = np.concatenate([_balanced(layout, np.flatnonzero(group == g)) for g in range(len(directions))])
+        free = np.zeros(layout.count)
+        free[np.argsort(group, kind="stable")] = weight
+        balanced = np.array([(free * layout.force)[group == g].sum() for g in range(len(directions))])
+        rest = largest - balanced
+        on = layout.force > 0.0
+        paired = np.where(on & (balanced[group] > 0.0), free / np.maximum(balanced[group], 1e-300), 0.0)
+        alone = np.where(on & (rest[group] > 0.0), (1.0 - free) / np.maximum(rest[group], 1e-300), 0.0)
+        price, fee, slope, offset = (np.stack(part) for part in zip(*points, strict=True))
+        return cls(
+            price=as_float64(price.T.copy()),
+            fee=as_float64(fee),
+            slope=as_float64(slope),
+            offset=as_float64(offset),
+            largest=as_float64(largest),
+            group=jnp.asarray(group),
+            paired=as_float64(paired),
+            alone=as_float64(alone),
+            balanced=as_float64(balanced),
+        )
+
+    def shares(self, force: Vector) -> Float[Array, " thrusters"]:
+        """Give the share of the period, 0 to 1, for which each thruster is to be on for a mean force (N, body axes).
+
+        Of a force out of reach as much is given as the groups chosen for it can.
+        """
+        best = _largest(self.price[0] * force[0] + self.price[1] * force[1] + self.price[2] * force[2] - self.fee)
+        wanted = jnp.clip(self.slope[best] @ force + self.offset[best], 0.0, self.largest)
+        balanced = jnp.minimum(wanted, self.balanced)
+        rest = wanted - balanced
+        return jnp.minimum(self.paired * balanced[self.group] + self.alone * rest[self.group], 1.0)
+
+    def active(self) -> Bool[np.ndarray, "points groups"]:
+        """Say of each point which groups can be on there, partly or fully."""
+        return np.any(np.asarray(self.slope) != 0.0, axis=2) | (np.asarray(self.offset) > 0.0)
+
+
+def _largest(values: Float[Array, " n"]) -> Int[Array, ""]:
+    """Give the first place of the largest value, in lanes: several times as fast as `argmax` in XLA on a CPU."""
+    count = values.shape[0]
+    lanes = jnp.pad(values, (0, -count % _LANES), constant_values=-jnp.inf).reshape(-1, _LANES)
+    best = jnp.max(jnp.max(lanes, axis=0))
+    places = jnp.arange(lanes.size).reshape(lanes.shape)
+    return jnp.min(jnp.min(jnp.where(lanes >= best, places, count - 1), axis=0))
+
+
+def _triples(directions: Float[np.ndarray, "groups 3"], largest: Float[np.ndarray, " groups"]):
+    """Yield the triples of groups that work and do not lie in a plane."""
+    for chosen in combinations(np.flatnonzero(largest > 0.0), 3):
+        if abs(np.linalg.det(directions[list(chosen)])) > _FLAT:
+            yield [int(g) for g in chosen]
+
+
+def _point(directions: np.ndarray, largest: np.ndarray, chosen: list[int]) -> tuple[np.ndarray, ...]:
+    """Give λ, the fee, and slope and offset of the groups' forces, where the planes of three groups meet."""
+    cost = 1.0 + _APART * np.modf(np.sqrt(2.0) * np.arange(1, len(directions) + 1))[0]
+    price = np.linalg.solve(directions[chosen], cost[chosen])
+    excess = directions @ price - cost
+    excess[chosen] = 0.0
+    full = np.where(excess > 0.0, largest, 0.0)
+    inverse = np.linalg.inv(directions[chosen].T)
+    slope = np.zeros((len(directions), 3))
+    slope[chosen] = inverse
+    offset = full.copy()
+    offset[chosen] = -inverse @ (directions.T @ full)
+    return price, np.asarray(full @ np.maximum(excess, 0.0)), slope, offset
+
+
+def _balanced(layout: Layout, members: np.ndarray) -> np.ndarray:
+    """Give the largest shares, 0 to 1, with which thrusters of one direction fire without torque together."""
+    force, torque = layout.force[members], layout.torques()[members]
+    scale = float(np.abs(torque).max(initial=0.0))
+    if scale <= 1e-12 * max(float(force.max()), 1e-300):
+        return np.ones(len(members))
+    found = linprog(-force, A_eq=torque.T / scale, b_eq=np.zeros(3), bounds=(0.0, 1.0), method="highs")
+    return np.where(found.x > 1e-9, np.minimum(found.x, 1.0), 0.0)
 
 
 class Failure(eqx.Module):
@@ -220,3 +363,123 @@ def _failure(
         push=as_float64(layout.pushes()[thruster] * (how == "on")),
         others=Allocation.of(others),
     )
+
+
+@dataclass(frozen=True)
+class ThrusterErrors:
+    """What thrusters add to what a guard and an audit must assume; all zero for thrusters that hold any force.
+
+    Attributes:
+        force_error: bound on the norm of a constant force that, added to the force asked for, has the same effect on
+            position and velocity at the end of a control period as the pulses' quantisation and delay have, N.
+        running_error: bound on the norm of the impulse given less the one asked for, added up over all periods so far,
+            beside what misalignment and scale add up to, N s; infinite where nothing is made up for.
+        excursion: bound on the distance within a period between the path and that of the held mean force through either
+            end of the period, m.
+        velocity_excursion: the same of the velocities, m/s.
+        gain_error: relative error of each axis' force that covers misalignment and scale, as the guard's `gain_error`
+            counts it.
+        fault_force: bound on the norm of the force that a stuck thruster adds or leaves out until it is known, N.
+        fault_steps: control periods until it is known.
+
+    """
+
+    force_error: float = 0.0
+    running_error: float = 0.0
+    excursion: float = 0.0
+    velocity_excursion: float = 0.0
+    gain_error: float = 0.0
+    fault_force: float = 0.0
+    fault_steps: int = 0
+
+    def times_gain(self, gain_error: float) -> "ThrusterErrors":
+        """Give the errors of thrusters whose every force is wrong by a further factor of 1 ± `gain_error`.
+
+        Whatever they give is scaled, what they give wrongly too: relative errors compound, all else grows.
+        """
+        most = 1.0 + gain_error
+        return replace(
+            self,
+            force_error=most * self.force_error,
+            running_error=most * self.running_error,
+            excursion=most * self.excursion,
+            velocity_excursion=most * self.velocity_excursion,
+            gain_error=gain_error + self.gain_error + gain_error * self.gain_error,
+            fault_force=most * self.fault_force,
+        )
+
+
+def thruster_errors(
+    layout: Layout,
+    *,
+    force_limit: float,
+    mass: float,
+    period: float,
+    delta_sigma: bool,
+    detection_time: float | None = None,
+) -> ThrusterErrors:
+    """Bound the errors of a layout's pulses.
+
+    With T the period, τ the least on-time, ρ the rise delay and e = (1 + ε) N, where ε bounds the relative error of a
+    thruster's force as a vector: a pulse is wrong by at most τ/2, or τ where it makes up for earlier ones. A centred
+    pulse that is on for the share p leaves the mean's motion by p(1−p) T/2 ≤ T/8 times its force over the mass in
+    velocity, and by p(1−p) T²/8 ≤ T²/32 in position. A delay moves what is on by up to ρ at either end of the period:
+    2ρ and 2ρT more, a mean wrong by 2ρ/T, and an end that is off by up to 1.5ρT in position, which is what a force of
+    4 · 1.5ρ/T that changes its sign in the middle of the period does.
+
+    Args:
+        layout: the thrusters.
+        force_limit: per body axis, N.
+        mass: least mass of the chaser, kg.
+        period: between control steps, s.
+        delta_sigma: whether what a pulse gives too much or too little is made up for later.
+        detection_time: after which a stuck thruster is known, s, where the guard is to cover one; else None.
+
+    """
+    allocations = [Allocation.of(layout)]
+    if detection_time is not None:
+        allocations += [Allocation.of(layout.without(i)) for i in range(layout.count)]
+    directions = layout.groups()[1]
+    strongest = max(_together(allocation, directions) for allocation in allocations)
+    tilt = vector_error(layout)
+    size = (1.0 + tilt) * strongest
+    late = layout.rise_delay
+    quantum = layout.least_on_time * (1.0 if delta_sigma else 0.5) / period
+    all_on = np.linalg.norm(np.abs(directions).T @ np.asarray(allocations[0].largest))
+    owed = (1.0 + tilt) * float(all_on) * 0.5 * layout.least_on_time
+    return ThrusterErrors(
+        force_error=size * (quantum + 8.0 * late / period),
+        running_error=owed + 2.0 * size * late if delta_sigma else math.inf,
+        excursion=size / mass * (period**2 / 32.0 + 3.5 * late * period),
+        velocity_excursion=size / mass * (period / 8.0 + 2.0 * late),
+        gain_error=tilt * _spent(allocations, force_limit, layout) / (math.sqrt(3.0) * force_limit),
+        fault_force=0.0 if detection_time is None else (1.0 + layout.scale_error) * float(layout.force.max()),
+        fault_steps=0 if detection_time is None else math.ceil(detection_time / period - 1e-9),
+    )
+
+
+def vector_error(layout: Layout) -> float:
+    """Bound ‖g − f d‖/f: how far a thruster's force is from what it should be, as a vector, relative to its size."""
+    scale = layout.scale_error
+    return math.sqrt(scale**2 + 2.0 * (1.0 + scale) * (1.0 - math.cos(layout.misalignment)))
+
+
+def _together(allocation: Allocation, directions: np.ndarray) -> float:
+    """N of one allocation."""
+    forces = np.abs(directions) * np.asarray(allocation.largest)[:, None]
+    return float(np.linalg.norm(allocation.active().astype(float) @ forces, axis=1).max())
+
+
+def _spent(allocations: Sequence[Allocation], force_limit: float, layout: Layout) -> float:
+    """Bound Σ a_g, the thrust that is on for a force of the box, with a thruster stuck on and held against.
+
+    It is convex in the force (the dual's largest value), so that it is largest at a corner of the box.
+    """
+    corners = force_limit * np.array(np.meshgrid(*[[1.0, -1.0]] * 3)).reshape(3, -1).T
+    most = 0.0
+    for number, allocation in enumerate(allocations):
+        stuck = np.zeros((1, 3)) if number == 0 else np.stack([np.zeros(3), layout.pushes()[number - 1]])
+        asked = (corners[:, None] - stuck[None]).reshape(-1, 3)
+        value = np.max(asked @ np.asarray(allocation.price) - np.asarray(allocation.fee), axis=1)
+        most = max(most, float(value.max()) + (0.0 if number == 0 else float(layout.force[number - 1])))
+    return most
