@@ -1,4 +1,4 @@
-"""Scenarios flown, one flight or many together, and judged on the exact mesh: what became of them, in numbers and words."""
+"""Scenarios flown, one flight or many together, and judged on the exact mesh: what became of them, in numbers."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
