@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from keepout.apps.reproduction import fitted, volumes
+from keepout.apps.reproduction import fitted, shapes
 from keepout.apps.reproduction.work import Work
 from keepout.core.fields.model import Certificate, FieldModel
 from keepout.core.fields.own import SphereField
@@ -31,7 +31,7 @@ def test_a_ball_learned_of_a_cube(tmp_path, monkeypatch):
     monkeypatch.setattr(fitted, "target_of", lambda _: cube)
     certificate = Certificate("sampled", 0.5, 0.1, 0.0, 0.1, 1.0, "sampled", 0.0, 0.0, cube.sha256, "ball")
     model = Ball(SphereField(jnp.zeros(3), jnp.asarray(1.0)), cube.name, cube.sha256, 0.001, {}, (certificate,))
-    point, ball = volumes._measured(Work(tmp_path / "volumes", quick=True), cube, model)
+    point, ball = shapes._measured(Work(tmp_path / "volumes", quick=True), cube, model)
     assert point["field_m3"] == pytest.approx(4.0 / 3.0 * np.pi, abs=4.0 * point["standard_error_m3"])
     assert point["exact_m3"] == pytest.approx(1.0, rel=1e-9)
     assert point["hull_m3"] == pytest.approx(1.0, rel=1e-9)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
-from keepout.apps.reproduction import case1, case2, case3, runtime, surfaces, table1, volumes
+from keepout.apps.reproduction import case1, case2, case3, runtime, shapes, table1
 from keepout.apps.reproduction.page import write_reproduction
 from keepout.apps.reproduction.work import Part, Work, side_by_side
 from keepout.core.compiled.kept_programs import keep_programs
@@ -16,8 +16,8 @@ from keepout.flights.pages.folder import results_in, write_summary
 
 PARTS: dict[str, Callable[[Work], Part]] = {
     "table1": table1.table1,
-    "surfaces": surfaces.surfaces,
-    "volumes": volumes.volumes,
+    "surfaces": shapes.surfaces,
+    "volumes": shapes.volumes,
     "case1": case1.case1,
     "case2": case2.case2,
     "runtime": runtime.runtime,

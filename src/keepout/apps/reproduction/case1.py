@@ -133,7 +133,7 @@ class _Flown:
     def default(self, pair: tuple[Triple, Triple], name: str) -> Callable[[Progress], Flight]:
         """Give what flies a passage by the default law."""
         scenario = _default_scenario(self.work.seed, pair, name)
-        return lambda progress: kept_flight(self.work, scenario, self.target, progress, model=self.model)
+        return functools.partial(kept_flight, self.work, scenario, self.target, model=self.model)
 
     def told(self, choice: str, group: Group, landed: Landed) -> dict[str, Flight]:
         """Give the flights of a group by one circulation."""

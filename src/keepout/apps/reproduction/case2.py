@@ -1,5 +1,6 @@
 """The paper's Case 2 (section VI.C.2): the same flight with and without the disturbance observer."""
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -13,7 +14,7 @@ from keepout.apps.reproduction.work import Drawing, Part, Table, Work, side_by_s
 from keepout.core.mission.build import load_target
 from keepout.core.mission.flight import Flight
 from keepout.core.mission.scenario import Scenario
-from keepout.core.progress import Progress, part_of
+from keepout.core.progress import part_of
 
 PAPER = (
     "With the disturbance observer the position error converges to zero and h is always positive; figures of position "
@@ -68,11 +69,12 @@ def case2(work: Work) -> Part:
     network = None if work.quick else field_of(work.within(0.0, 0.1), PAPER_NETWORK, target, fitting=False)
     scenarios = case2_scenarios(work.seed, quick=work.quick, network=network is not None)
 
-    def job(comparison: str, scenario: Scenario) -> Callable[[Progress], Flight]:
-        model = network if comparison == NETWORK else None
-        return lambda progress: kept_flight(work, scenario, target, progress, model=model)
-
-    jobs = {scenario.name: job(key[0], scenario) for key, scenario in scenarios.items()}
+    jobs = {
+        scenario.name: functools.partial(
+            kept_flight, work, scenario, target, model=network if comparison == NETWORK else None
+        )
+        for (comparison, _), scenario in scenarios.items()
+    }
     flown = side_by_side(jobs, part_of(work.progress, 0.1, 0.95))
     flights = {key: flown[scenario.name] for key, scenario in scenarios.items()}
     rows = [row(*key, flight) for key, flight in flights.items()]

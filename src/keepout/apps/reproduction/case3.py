@@ -1,6 +1,6 @@
 """The paper's Case 3 (section VI.C.3): a thousand flights around InterSat-30 and around the ISS from random starts."""
 
-from collections.abc import Callable
+import functools
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from keepout.core.geometry.target import Target
 from keepout.core.mission.build import load_model, load_target
 from keepout.core.mission.scenario import Scenario
 from keepout.core.progress import Progress, part_of
-from keepout.flights.campaign.campaign import SERIES, CampaignPlan, FlightSeries, plan_campaign
+from keepout.flights.campaign.campaign import SERIES, FlightSeries, plan_campaign
 
 PAPER = (
     "1000 flights each around InterSat-30 (x in [-15, 15] m, y in [-5, 5] m, z = -4 m, to [0, -10, 6] m, 3000 s) and "
@@ -65,10 +65,7 @@ def case3(work: Work) -> Part:
         targets[name] = load_target(scenarios[name, PRINTED].target)
         targets[name].distance.distance(np.zeros((1, 3)))  # compiled once, before the campaigns share it
 
-    def job(key: tuple[str, str]) -> Callable[[Progress], dict[str, np.ndarray]]:
-        return lambda progress: flown(work, scenarios[key], targets[key[0]], progress)
-
-    jobs = {scenario.name: job(key) for key, scenario in scenarios.items()}
+    jobs = {of.name: functools.partial(flown, work, of, targets[name]) for (name, _), of in scenarios.items()}
     answers = side_by_side(jobs, part_of(work.progress, 0.0, 0.95))
     kept = {key: answers[scenario.name] for key, scenario in scenarios.items()}
     rows = [row(target, law, scenarios[target, law], kept[target, law]) for target, law in scenarios]
@@ -104,13 +101,7 @@ def flown(work: Work, scenario: Scenario, target: Target, progress: Progress) ->
 
     Returns the columns of `Campaign.columns`, the series of `SERIES` with their `time`, and `starts_drawn_again`.
     """
-    plan: list[CampaignPlan] = []
-
-    def planned() -> CampaignPlan:
-        if not plan:
-            plan.append(plan_campaign(scenario, target=target))
-        return plan[0]
-
+    planned = functools.cache(lambda: plan_campaign(scenario, target=target))
     made_of = {
         "scenario": scenario.model_dump(mode="json"),
         "target": target.sha256,
@@ -125,7 +116,6 @@ def flown(work: Work, scenario: Scenario, target: Target, progress: Progress) ->
         def fly(first: int = first, last: int = last) -> dict[str, np.ndarray]:
             # One size for all, so that the last chunk is not compiled anew.
             done = planned().fly(first, last, batch=min(CHUNK, runs))
-            assert done.series is not None
             again = {"starts_drawn_again": np.asarray(done.starts_drawn_again)}
             return {**done.columns(), "time": done.series.time, **done.series.values, **again}
 

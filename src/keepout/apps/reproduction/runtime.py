@@ -5,6 +5,7 @@ thread (`flight.on_board`), which has to be said before JAX starts, and nothing 
 processor.
 """
 
+import functools
 import gc
 import multiprocessing
 import platform
@@ -218,13 +219,9 @@ def cone_rows(work: Work, target: Target, network: FieldModel | None) -> list[di
         for error in errors:
             control = {"profile": "paper", "paper": {"gradient_error": error}}
             scenario = base.replace(name=f"cone-{kind}-{error:g}", control=control)
-            jobs[scenario.name] = _job(work, scenario, target, model)
+            jobs[scenario.name] = functools.partial(kept_flight, work, scenario, target, model=model)
     flights = side_by_side(jobs, work.progress)
     return [_cone_row(flight) for flight in flights.values()]
-
-
-def _job(work: Work, scenario: Scenario, target: Target, model: FieldModel | None) -> Callable[[Progress], Flight]:
-    return lambda progress: kept_flight(work, scenario, target, progress, model=model)
 
 
 def _cone_row(flight: Flight) -> dict[str, Any]:
@@ -285,10 +282,8 @@ def time_here(contenders: Sequence[Contender]) -> list[Timed]:
     # The same law is flown in the process that asked, which says what its constants violate.
     warnings.simplefilter("ignore", ControlWarning)
 
-    def job(contender: Contender) -> Callable[[Progress], Callable[[], Timed]]:
-        return lambda _: ready(contender)
-
-    flights = side_by_side({contender.name: job(contender) for contender in contenders}, silent)
+    jobs = {contender.name: lambda _, contender=contender: ready(contender) for contender in contenders}
+    flights = side_by_side(jobs, silent)
     return [fly() for fly in flights.values()]
 
 

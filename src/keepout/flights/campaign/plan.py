@@ -106,7 +106,7 @@ class Workshop:
     def keep(self, target: Target, model: FieldModel, scenario: Scenario) -> None:
         """Take a mesh and a field that are already loaded for a scenario's own."""
         self._targets.get(scenario.target.model_dump_json(), lambda: target)
-        self._models.get((scenario.field.source, scenario.target.model_dump_json()), lambda: model)
+        self._models.get(_field_of(scenario), lambda: model)
 
     def target(self, scenario: Scenario) -> Target:
         """Give a scenario's mesh."""
@@ -114,8 +114,7 @@ class Workshop:
 
     def model(self, scenario: Scenario) -> FieldModel:
         """Give the field that a scenario flies by."""
-        key = scenario.field.source, scenario.target.model_dump_json()
-        return self._models.get(key, lambda: load_model(scenario, self.target(scenario)))
+        return self._models.get(_field_of(scenario), lambda: load_model(scenario, self.target(scenario)))
 
     def guard_field(self, scenario: Scenario, *, progress: Progress = silent) -> FieldModel:
         """Give the field of the guard of a scenario that has one."""
@@ -139,6 +138,10 @@ class Workshop:
             guard_grid=self.guard_field(scenario, progress=progress) if scenario.guard.enabled else None,
             progress=progress,
         )
+
+
+def _field_of(scenario: Scenario) -> Hashable:
+    return scenario.field.model_dump_json(), scenario.target.model_dump_json()
 
 
 @dataclass(frozen=True)

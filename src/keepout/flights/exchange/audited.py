@@ -6,6 +6,7 @@ out and counted, and the audit's bound then spans the longer step.
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
 from pathlib import Path
@@ -218,7 +219,7 @@ def _verdict(verdict: Passage, motion: "Encounter") -> dict[str, Any]:
     }
 
 
-def _not_told(given: Given, files: list[Ephemeris], verdict: Passage) -> list[str]:
+def _not_told(given: Given, files: Sequence[Ephemeris], verdict: Passage) -> list[str]:
     """Say a line each on what the answer depends on and neither options nor files told."""
     said = [
         f"{file.path} is taken to be of the {role}, and is of {file.subject}: --{role}-object was not given"

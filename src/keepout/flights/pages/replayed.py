@@ -19,12 +19,11 @@ from keepout.core.fields.model import FieldModel
 from keepout.core.flight.record import EXPLORED, FlightRecord
 from keepout.core.geometry.distance import Distance
 from keepout.core.geometry.target import Target
-from keepout.core.guard.field import guard_field
 from keepout.core.mission import surroundings as around
-from keepout.core.mission.build import closing_radius, load_model, load_target
 from keepout.core.mission.flight import Flight
 from keepout.core.mission.scenario import Scenario
 from keepout.core.progress import Progress, part_of, silent
+from keepout.flights.campaign.plan import Workshop
 
 if TYPE_CHECKING:
     from keepout.flights.pages.scene import Packing
@@ -170,9 +169,7 @@ class Surroundings:
     """Targets, fields and guards' fields, loaded once for all recorded flights that share them."""
 
     def __init__(self) -> None:
-        self.targets: dict[str, Target] = {}
-        self.models: dict[tuple[str, str], FieldModel] = {}
-        self.guards: dict[tuple[str, float, float, float], FieldModel] = {}
+        self._workshop = Workshop()
 
     def of(self, name: str, record: FlightRecord, *, progress: Progress = silent) -> Replayed:
         """Gather one recorded flight.
@@ -188,17 +185,14 @@ class Surroundings:
 
     def _gathered(self, name: str, record: FlightRecord, progress: Progress) -> Replayed:
         scenario = _scenario(record)
-        entry, chaser = scenario.target.model_dump_json(), scenario.chaser
-        if entry not in self.targets:
-            self.targets[entry] = load_target(scenario.target)
-        target = self.targets[entry]
+        target, chaser = self._workshop.target(scenario), scenario.chaser
         flown = record.header.get("target_sha256")
         if flown and flown != target.sha256:
             raise FlightError(
                 f"the mesh {scenario.target.source} is not the one it was flown around (digest {target.sha256[:12]}…, "
                 f"flown {flown[:12]}…); put that mesh back"
             )
-        levels = () if record.header.get(EXPLORED) else self._levels(scenario, target, entry, progress)
+        levels = () if record.header.get(EXPLORED) else self._levels(scenario, target, progress)
         verdict = audit(
             record,
             target,
@@ -209,22 +203,12 @@ class Surroundings:
         )
         return Replayed(name, record, scenario, target, verdict, levels)
 
-    def _levels(self, scenario: Scenario, target: Target, entry: str, progress: Progress) -> tuple[Level, ...]:
-        """Give the surfaces that law and guard flew by, of a scenario whose target's entry is `entry`."""
-        key = entry, scenario.field.model_dump_json()
-        if key not in self.models:
-            self.models[key] = load_model(scenario, target)
-        model, radius = self.models[key], scenario.chaser.radius
-        envelope = _envelope(model, scenario)
+    def _levels(self, scenario: Scenario, target: Target, progress: Progress) -> tuple[Level, ...]:
+        """Give the surfaces that law and guard flew by."""
+        envelope, radius = _envelope(self._workshop.model(scenario), scenario), scenario.chaser.radius
         if not scenario.guard.enabled:
             return (envelope,)
-        closing = closing_radius(model)
-        made_from = target.sha256, radius, model.offset, closing
-        if made_from not in self.guards:
-            self.guards[made_from] = guard_field(
-                target, radius, offset=model.offset, closing_radius=closing, progress=progress
-            )
-        kept = self.guards[made_from]
+        kept = self._workshop.guard_field(scenario, progress=progress)
         proof = kept.certificate(radius)
         level = proof.error_bound + radius
         return envelope, _guards(target, kept.field, level, proof.gradient_bound, proof.error_bound)
