@@ -249,10 +249,9 @@ def test_what_is_looked_at_for_many_runs_is_what_one_run_alone_is_told(scenario)
 PROGRAM = """
 import json, sys
 from pathlib import Path
-from keepout.flights.campaign.campaign import plan_campaign
 from keepout.flights.campaign.dataset import Dataset
-from keepout.flights.campaign.plan import Plan, Workshop
-from keepout.flights.campaign.run import fly_campaign, keep_flights, keep_of
+from keepout.flights.campaign.plan import Plan
+from keepout.flights.campaign.run import fly_campaign
 from keepout.core.mission.scenario import Scenario
 plan = Plan.of(Scenario.parse(json.loads(sys.argv[2])), batch=4)
 dataset = Dataset.begin(Path(sys.argv[1]), plan)

@@ -8,7 +8,7 @@ largest value are kept as they are.
 
 import io
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,10 +17,23 @@ from jaxtyping import Float, Int, UInt
 
 from keepout.core.errors import FlightError
 
+Columns = Mapping[str, np.ndarray]
+"""Columns of the log of some flights, each (flights, steps + 1, ...)."""
+
+SERIES: dict[str, tuple[str, Callable[[np.ndarray, Float[np.ndarray, "flights 3"]], np.ndarray]]] = {
+    "barrier": ("barrier", lambda barrier, _: barrier),
+    "lyapunov": ("lyapunov", lambda lyapunov, _: lyapunov),
+    "position_error": ("position", lambda position, goals: np.linalg.norm(position - goals[:, None], axis=-1)),
+    "speed": ("velocity", lambda velocity, _: np.linalg.norm(velocity, axis=-1)),
+    "axis_speed": ("velocity", lambda velocity, _: np.abs(velocity).max(axis=-1)),
+}
+"""The log column of each quantity over time, and how it is made of it and of the flights' goals.
+
+h (m) and V₁ (m²) as the law gave them, ‖r − goal‖ (m), ‖v‖ and the largest |v_i| over the axes (m/s).
+"""
 QUANTITIES = ("barrier", "lyapunov", "position_error", "speed")
-"""h (m), V₁ (m²), ‖r − goal‖ (m) and ‖v‖ (m/s)."""
-COLUMNS = ("barrier", "lyapunov", "position", "velocity")
-"""The log columns that they are made of."""
+"""Those of `SERIES` that have bands."""
+COLUMNS = tuple(SERIES[name][0] for name in QUANTITIES)
 
 RELATIVE, LEAST, LARGEST = 0.01, 1e-6, 1e9
 _GROWTH = math.log((1.0 + RELATIVE) / (1.0 - RELATIVE))
@@ -66,7 +79,7 @@ class Bands:
             np.full(shape, -np.inf),
         )
 
-    def count(self, columns: Mapping[str, np.ndarray], goals: Float[np.ndarray, "flights 3"], period: float) -> None:
+    def count(self, columns: Columns, goals: Float[np.ndarray, "flights 3"], period: float) -> None:
         """Count flights in, by their log columns (flights, steps + 1, ...) and goals (m).
 
         Each time takes the row nearest to it; a flight that has ended by then is not counted there.
@@ -74,21 +87,14 @@ class Bands:
         rows = np.rint(self.time / period).astype(int)
         here = np.flatnonzero(rows < columns["position"].shape[1])
         rows = rows[here]
-        values = (
-            columns["barrier"][:, rows],
-            columns["lyapunov"][:, rows],
-            np.linalg.norm(columns["position"][:, rows] - goals[:, None], axis=-1),
-            np.linalg.norm(columns["velocity"][:, rows], axis=-1),
-        )
-        for quantity, of in enumerate(values):
+        for k, name in enumerate(QUANTITIES):
+            of = quantity(name, columns, rows, goals)
             known = ~np.isnan(of)
-            self.lost[quantity, here] += np.sum(~known, axis=0)
-            self.least[quantity, here] = np.minimum(self.least[quantity, here], np.where(known, of, np.inf).min(axis=0))
-            self.largest[quantity, here] = np.maximum(
-                self.largest[quantity, here], np.where(known, of, -np.inf).max(axis=0)
-            )
+            self.lost[k, here] += np.sum(~known, axis=0)
+            self.least[k, here] = np.minimum(self.least[k, here], np.where(known, of, np.inf).min(axis=0))
+            self.largest[k, here] = np.maximum(self.largest[k, here], np.where(known, of, -np.inf).max(axis=0))
             at = np.broadcast_to(here, of.shape)[known]
-            np.add.at(self.counts[quantity], (at, _bin(of[known])), 1)
+            np.add.at(self.counts[k], (at, _bin(of[known])), 1)
 
     def add_bytes(self, content: bytes) -> None:
         """Add what was counted elsewhere and `to_bytes` gave, touching only the bins that are in use there.
@@ -106,18 +112,18 @@ class Bands:
             np.minimum(self.least, kept["least"], out=self.least)
             np.maximum(self.largest, kept["largest"], out=self.largest)
 
-    def quantiles(self, quantity: str, shares: Sequence[float]) -> Float[np.ndarray, "shares samples"]:
+    def quantiles(self, name: str, shares: Sequence[float]) -> Float[np.ndarray, "shares samples"]:
         """Give quantiles over time: of n values that of rank ⌈q n⌉, within the bounds that the module states.
 
         Args:
-            quantity: one of `QUANTITIES`.
+            name: one of `QUANTITIES`.
             shares: q, each from 0 (the least value) to 1 (the largest).
 
         Returns:
             Not a number at times without flights.
 
         """
-        k = QUANTITIES.index(quantity)
+        k = QUANTITIES.index(name)
         summed = np.cumsum(self.counts[k], axis=1)
         total = summed[:, -1]
         found = np.full((len(shares), len(self.time)), np.nan)
@@ -158,6 +164,14 @@ class Bands:
             largest=self.largest,
         )
         return stream.getvalue()
+
+
+def quantity(
+    name: str, columns: Columns, rows: Int[np.ndarray, "samples"], goals: Float[np.ndarray, "flights 3"]
+) -> Float[np.ndarray, "flights samples"]:
+    """Give one of `SERIES` of flights in some rows of their log, by their goals (m)."""
+    column, make = SERIES[name]
+    return make(columns[column][:, rows], goals)
 
 
 def _small(numbers: Int[np.ndarray, "n"]) -> UInt[np.ndarray, "n"]:

@@ -2,7 +2,7 @@
 
 import io
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -27,29 +27,11 @@ from keepout.core.mission.surroundings import Surroundings, guard_numbers
 from keepout.core.mission.target import has_way_out, room_to_start
 from keepout.core.progress import Progress, part_of, silent
 from keepout.core.whole_file import write_whole
+from keepout.flights.campaign.bands import SERIES, Columns, quantity
 from keepout.flights.campaign.dispersion import Run, columns, design
 from keepout.flights.campaign.flying import Flown, fly_judged
 from keepout.flights.campaign.plan import Plan, Programs
 from keepout.flights.campaign.table import finite, summary, table_of
-
-Columns = Mapping[str, np.ndarray]
-
-
-def _distance_to(log: Columns, goals: Float[np.ndarray, "flights 3"]) -> np.ndarray:
-    return np.linalg.norm(log["position"] - goals[:, None], axis=-1)
-
-
-SERIES: dict[str, tuple[str, Callable[[Columns, Float[np.ndarray, "flights 3"]], np.ndarray]]] = {
-    "barrier": ("barrier", lambda log, _: log["barrier"]),
-    "lyapunov": ("lyapunov", lambda log, _: log["lyapunov"]),
-    "position_error": ("position", _distance_to),
-    "speed": ("velocity", lambda log, _: np.linalg.norm(log["velocity"], axis=-1)),
-    "axis_speed": ("velocity", lambda log, _: np.abs(log["velocity"]).max(axis=-1)),
-}
-"""The log column of each quantity, and how it is made of it.
-
-h (m) and V₁ (m²) as the law gave them, ‖r − goal‖ (m), ‖v‖ and the largest |v_i| over the axes (m/s).
-"""
 
 MOST_NUMBERS = 32_000_000
 """A campaign's series hold at most about so many (128 MB as float32), unless a stride is given."""
@@ -102,9 +84,8 @@ class FlightSeries:
         """
         rows = np.rint(self.time / period).astype(int)
         for name, kept in self.values.items():
-            column, make = SERIES[name]
-            here = rows < log[column].shape[1]
-            kept[np.ix_(places, here)] = make({column: log[column][:, rows[here]]}, goals)
+            here = rows < log[SERIES[name][0]].shape[1]
+            kept[np.ix_(places, here)] = quantity(name, log, rows[here], goals)
 
     def save(self, path: Path) -> None:
         """Write `time` and each quantity as an array of its name into an `.npz` file."""
