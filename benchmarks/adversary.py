@@ -38,8 +38,8 @@ from keepout.core.errors import ControlError
 from keepout.core.flight.batches import states_at
 from keepout.core.flight.on_board import OnBoard
 from keepout.core.guard.field import RECIPE
-from keepout.core.guard.start import starts_certified
-from keepout.core.guard.status import GuardFlag, GuardStatus, flag_names
+from keepout.core.guard.guard import starts_certified
+from keepout.core.guard.safety_layer import GuardFlag, GuardStatus, flag_names
 from keepout.core.mission.build import build_guard
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings

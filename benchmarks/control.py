@@ -21,10 +21,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from keepout.core.control import profiles
-from keepout.core.control.guidance.plan import Straight
-from keepout.core.control.operation import Operation
-from keepout.core.control.velocity_program.cone import solve
-from keepout.core.control.velocity_program.program import Circulation, VelocityProgram
+from keepout.core.control.design import Operation
+from keepout.core.control.guidance import Straight
+from keepout.core.control.velocity_program import Circulation, VelocityProgram
+from keepout.core.control.velocity_solver import solve
 from keepout.core.fields import neural
 from keepout.core.fields.continuation import RadialContinuation
 from keepout.core.fields.neural import NeuralField

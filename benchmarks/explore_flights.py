@@ -26,7 +26,7 @@ from keepout.apps.unknown.explore import explore
 from keepout.apps.unknown.map_field import MapField
 from keepout.core.audit.audit import Contact
 from keepout.core.errors import ControlError
-from keepout.core.flight import segment
+from keepout.core.flight.loop import begin, fly_segment, joined
 from keepout.core.geometry.first_hit import FirstHit
 from keepout.core.geometry.level_set import surface_points, towards_level
 from keepout.core.mission.flight import recorded
@@ -138,7 +138,7 @@ def by_truncated_distance(flown: Flight):
     setup = by_map.setup_by_map(
         scenario, first, ball, by_map.law_by_map(scenario, first, start, start, ball=ball, guard=guard), guard
     )
-    state = segment.begin(setup, initial, jax.random.key(scenario.seed))
+    state = begin(setup, initial, jax.random.key(scenario.seed))
     first_hit, generator = FirstHit(target.vertices, target.faces), np.random.default_rng(scenario.seed)
     boresight = Boresight.at_rest(
         goal - start,
@@ -158,15 +158,15 @@ def by_truncated_distance(flown: Flight):
         except ControlError:
             no_way += 1  # the law made before goes on, watched by the guard on the map as it is now
         setup = _led_on(setup, now, law, goal)
-        state, log = segment.fly_segment(setup, state, ticks)
+        state, log = fly_segment(setup, state, ticks)
         logs.append(log)
         ahead = velocity if np.linalg.norm(velocity) > _MOVING else goal - position
         for _ in range(ticks):
             boresight = boresight.step(ahead, scenario.control.period)
         away = np.linalg.norm(np.asarray(log.position) - goal, axis=1) >= scenario.goal.tolerance
         resting = 0 if away[-1] else resting + ticks
-    _, last = segment.fly_segment(setup, state, 1)
-    log = segment.joined([*logs, last])
+    _, last = fly_segment(setup, state, 1)
+    log = joined([*logs, last])
     flown, record, verdict = recorded(scenario, target, setup, log, Surroundings(scenario).flight_bounds)
     return {
         "bad_cubes": None,

@@ -36,7 +36,7 @@ from keepout.core.flight import faults as broken
 from keepout.core.flight.batches import fly_batches, states_at
 from keepout.core.flight.setup import NoFaults
 from keepout.core.guard.field import RECIPE
-from keepout.core.guard.status import GuardFlag
+from keepout.core.guard.safety_layer import GuardFlag
 from keepout.core.mission.flight import AUDITED, fly_audited, judge
 from keepout.flights.pages import terminal
 

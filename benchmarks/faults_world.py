@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from keepout.core.control.guidance.plan import Geodesic
+from keepout.core.control.geodesic import Geodesic
 from keepout.core.fields import load_shipped, shipped_names
 from keepout.core.fields.field import values, values_and_gradients
 from keepout.core.flight import faults as broken

@@ -10,7 +10,7 @@ from reach import travel_times, with_goals
 from reach_case import Case
 
 from keepout.core.audit.audit import Contact
-from keepout.core.control.guidance.plan import Straight
+from keepout.core.control.guidance import Straight
 from keepout.core.flight.batches import BATCH, states_at
 from keepout.core.mission.build import build_guard, closing_radius
 from keepout.core.mission.flight import fly_audited

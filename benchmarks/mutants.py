@@ -57,11 +57,11 @@ MUTANTS = {
         ("flies on when expired", "return time >", "return time > 60.0 +", "guard:out_of_date"),
         ("region by range alone", "return far |", "return far &", "guard:flags"),
     ],
-    "core/guard/nominal.py": [("stop half a step short", "+ 0.5 * rest * T", "", "invariance")],
     "core/guard/observer.py": [
         ("observer begun afar", "most[0] - errors[0],", "most[0],", "guard:begins"),
     ],
     "core/guard/braking.py": [
+        ("stop half a step short", "+ 0.5 * rest * T", "", "invariance"),
         ("bow without the reserve", "bow = T**2 / 8.0 * (reserve + D", "bow = T**2 / 8.0 * (D", "invariance:worst"),
         ("past pushes forgotten", "= summed.pushed + summed.pushed_before", "= summed.pushed", "observer_radii"),
         ("turning not in D", "(scale + self.turning_error)", "scale", "assumptions:inertial disturbance_bound"),
@@ -94,8 +94,10 @@ MUTANTS = {
         ("range at the sample only", "away + fastest * step[k] >", "away >", "mutants_found"),
         ("better end decides", "max(max(sqrt(forwards)", "max(min(sqrt(forwards)", "mutants_found"),
     ],
-    "core/audit/audit.py": [("clearance as found", "float(bound.lower[i])", "float(bound.upper[i])", "audit:said")],
-    "core/audit/outside.py": [("balls that overlap walls", "0.9 * free * _D", "1.5 * free * _D", "audit:said")],
+    "core/audit/audit.py": [
+        ("clearance as found", "float(bound.lower[i])", "float(bound.upper[i])", "audit:said"),
+        ("balls that overlap walls", "0.9 * free * _D", "1.5 * free * _D", "audit:said"),
+    ],
     "core/audit/passage.py": [("nearer end for farther", "est = np.maximum(", "est = np.minimum(", "mutants_found")],
     "core/motion/thrusters/on_off.py": [
         ("half an excursion", "period**2 / 32.0", "period**2 / 64.0", "thrusters:nearly_met"),
@@ -151,11 +153,9 @@ MUTANTS = {
         ("undecided not counted", "touched | undecided", "touched & undecided", "results:rates"),
     ],
     "flights/campaign/run.py": [("best kept for worst", "[runs]))][:keep", "[runs]))][::-1][:keep", "campaign:worst")],
-    "core/control/velocity_program/cone.py": [
-        ("wrong side of the plane", "(along + rate)", "(along - rate)", "cone:half")
-    ],
+    "core/control/velocity_solver.py": [("wrong side of the plane", "(along + rate)", "(along - rate)", "cone:half")],
     "core/control/velocity.py": [("faster than it can brake", "(2.0 * self.auth", "(4.0 * self.auth", "controller")],
-    "core/control/tracking.py": [("error adds to the barrier", "barrier - square", "barrier + square", "tracking")],
+    "core/control/controller.py": [("error adds to the barrier", "barrier - square", "barrier + square", "tracking")],
     "core/geometry/distance.py": [
         ("box by another axis", "y - upper[node, 1]", "y - upper[node, 0]", "exact_distance")
     ],

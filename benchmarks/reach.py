@@ -30,11 +30,10 @@ from reach_case import Case
 
 import keepout
 from keepout.core.audit.audit import Contact
-from keepout.core.control.conditions import drift_bound
-from keepout.core.control.guidance.geodesic import geodesic_guidance
-from keepout.core.control.guidance.plan import Straight
+from keepout.core.control.design import drift_bound, tune
+from keepout.core.control.geodesic import geodesic_guidance
+from keepout.core.control.guidance import Straight
 from keepout.core.control.profiles import ControlWarning
-from keepout.core.control.tuning import tune
 from keepout.core.flight.batches import BATCH, states_at
 from keepout.core.mission.flight import fly_audited
 from keepout.core.mission.law import build_law, operation

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from keepout.core.control.guidance.fast_marching import travel_time
-from keepout.core.control.guidance.geodesic import BarrierGrid
+from keepout.core.control.barrier_grid import BarrierGrid
+from keepout.core.control.fast_marching import travel_time
 from keepout.core.fields import load_shipped, shipped_names
 from keepout.core.fields.field import values
 from keepout.core.fields.model import FieldModel

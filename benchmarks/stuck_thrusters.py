@@ -24,7 +24,7 @@ from kept_rows import Rows, show
 
 import keepout
 from keepout.core.flight.batches import states_at
-from keepout.core.guard.start import starts_certified
+from keepout.core.guard.guard import starts_certified
 from keepout.core.mission.thrusters import thrusters
 
 STUCK_FROM = 20.0

@@ -20,8 +20,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from keepout.core.control import profiles
-from keepout.core.control.guidance.plan import Straight
-from keepout.core.control.operation import Operation
+from keepout.core.control.design import Operation
+from keepout.core.control.guidance import Straight
 from keepout.core.fields.own import SphereField
 from keepout.core.motion.chaser import Chaser
 from keepout.core.motion.disturbance import paper_disturbance

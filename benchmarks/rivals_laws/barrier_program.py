@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
-from keepout.core.control.guidance.guidance import StraightGuidance
+from keepout.core.control.guidance import StraightGuidance
 from keepout.core.fields.field import Field
 from keepout.core.motion.relative import MotionState
 from rivals_laws.envelopes import ellipsoid_field, envelope_law, refuse_inside

@@ -28,7 +28,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 import numpy as np
 
-from keepout.core.control.guidance.geodesic import require_free
+from keepout.core.control.barrier_grid import require_free
 from keepout.core.errors import ControlError
 from rivals_laws.checked_planning import Book, Planning, Replanning
 from rivals_laws.convexified_plan import Nodes, guess_along, straight_guess

@@ -8,7 +8,7 @@ import dataclasses
 
 from jaxtyping import Array, Float, PyTree
 
-from keepout.core.control.guidance.guidance import Guidance
+from keepout.core.control.guidance import Guidance
 from keepout.core.motion.relative import MotionState
 from rivals_laws.observed import ObservedLaw, Plant, tracking
 from rivals_laws.rival import Rival

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from keepout.core.control.guidance.guidance import GeodesicGuidance
+from keepout.core.control.geodesic import GeodesicGuidance
 from rivals_laws.rival_case import Point, RivalCase
 
 

@@ -6,8 +6,8 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from keepout.core.control.barrier_grid import require_free
 from keepout.core.control.controller import Controller
-from keepout.core.control.guidance.geodesic import require_free
 from keepout.core.mission.law import build_law
 from rivals_laws.rival import Rival
 from rivals_laws.rival_case import Point, RivalCase
@@ -15,7 +15,7 @@ from rivals_laws.rival_case import Point, RivalCase
 
 @dataclasses.dataclass(frozen=True)
 class KeepoutDefault(Rival):
-    """The default law, all its gains from `core/control/tuning.py`."""
+    """The default law, all its gains from `core/control/design.py`."""
 
     name = "keepout default"
 

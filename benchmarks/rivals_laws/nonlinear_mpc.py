@@ -27,7 +27,7 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Array, Float, Int
 
-from keepout.core.control.guidance.geodesic import require_free
+from keepout.core.control.barrier_grid import require_free
 from keepout.core.fields.field import values
 from keepout.core.motion.relative import MotionState
 from rivals_laws.envelopes import shape_to_keep_out_of

@@ -2,11 +2,11 @@ from .apps.inspection.inspect import inspect as inspect
 from .apps.inspection.inspection import Inspection as Inspection
 from .apps.unknown.exploration import Exploration as Exploration
 from .apps.unknown.explore import explore as explore
-from .core.control.guidance.guidance import Guidance as Guidance
-from .core.control.guidance.plan import GuidancePlan as GuidancePlan
+from .core.control.guidance import Guidance as Guidance
+from .core.control.guidance import GuidancePlan as GuidancePlan
 from .core.control.law import Command as Command
 from .core.control.law import Law as Law
-from .core.control.policy import PolicyLaw as PolicyLaw
+from .core.control.law import PolicyLaw as PolicyLaw
 from .core.errors import KeepoutError as KeepoutError
 from .core.fields import load_shipped as load_shipped
 from .core.fields.field import Field as Field

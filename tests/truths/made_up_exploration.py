@@ -12,7 +12,7 @@ from keepout.apps.unknown.known_free import KnownFreeMap
 from keepout.apps.unknown.skin import Stages
 from keepout.apps.unknown.view import SensorBounds, View
 from keepout.core.audit.audit import audit
-from keepout.core.flight.outcome import FlightOutcome
+from keepout.core.flight.loop import FlightOutcome
 from keepout.core.flight.record import FlightRecord
 from keepout.core.geometry.target import Target
 from keepout.core.mission.scenario import Scenario

@@ -12,7 +12,7 @@ from keepout.apps.inspection.light import Light
 from keepout.apps.inspection.seeing.patches import Patches
 from keepout.apps.inspection.seeing.room import Room
 from keepout.apps.inspection.seeing.seeable import Hidden, Seeable, Verdict
-from keepout.core.control.guidance.plan import Straight
+from keepout.core.control.guidance import Straight
 from keepout.core.errors import InspectionError
 from keepout.core.fields.own import SphereField
 from keepout.core.geometry.target import Target

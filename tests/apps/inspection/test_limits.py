@@ -15,7 +15,7 @@ from truths.invented_flight import Invented
 from keepout.apps.inspection.limits import holds, limits_kept
 from keepout.apps.inspection.nozzles import Nozzles, _on_times
 from keepout.apps.inspection.plume import Protected, SparingLaw, plume_violations, sparing
-from keepout.core.control.policy import PolicyLaw
+from keepout.core.control.law import PolicyLaw
 from keepout.core.flight.loop import fly
 from keepout.core.flight.record import FlightRecord
 from keepout.core.mission.scenario import Scenario

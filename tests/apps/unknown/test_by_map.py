@@ -32,12 +32,11 @@ from keepout.apps.unknown.view import SensorBounds
 from keepout.core.audit.audit import Contact, audit
 from keepout.core.errors import FieldError, KeepoutError
 from keepout.core.fields.field import values
-from keepout.core.flight.segment import begin, fly_segment, joined
+from keepout.core.flight.loop import begin, fly_segment, joined
 from keepout.core.geometry.target import Target
 from keepout.core.guard.braking import GuardAssumptions
 from keepout.core.guard.guard import Guard
-from keepout.core.guard.safety_layer import mode
-from keepout.core.guard.status import GuardStatus
+from keepout.core.guard.safety_layer import GuardStatus, mode
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 from keepout.core.motion.arrays import numbers_as_arrays

@@ -9,7 +9,7 @@ from keepout.apps.unknown import map_file
 from keepout.apps.unknown.explore import explore
 from keepout.core.audit.audit import Contact
 from keepout.core.errors import KeepoutError
-from keepout.core.guard.status import GuardFlag, GuardStatus
+from keepout.core.guard.safety_layer import GuardFlag, GuardStatus
 from keepout.core.mission.scenario import Scenario
 
 SCENARIO = {

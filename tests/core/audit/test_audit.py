@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from truths.audited import BOUNDS, MASS, Mesh, judged, straight
 
-from keepout.core.audit.audit import Contact, audit_campaign
-from keepout.core.audit.outside import proved_outside
+from keepout.core.audit.audit import Contact, audit_campaign, proved_outside
 from keepout.core.audit.tube import FlightBounds, Tube, nearest
 from keepout.core.errors import FlightError
 

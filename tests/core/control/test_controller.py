@@ -14,13 +14,12 @@ from truths.operations import operation
 from keepout.core.audit.audit import Contact, audit_campaign
 from keepout.core.audit.tube import FlightBounds
 from keepout.core.control import profiles
-from keepout.core.control.delay import AheadOfDelay
-from keepout.core.control.guidance.geodesic import BarrierGrid
-from keepout.core.control.guidance.guidance import StraightGuidance
-from keepout.core.control.guidance.plan import Geodesic, Straight
-from keepout.core.control.law import ControlStatus
+from keepout.core.control.barrier_grid import BarrierGrid
+from keepout.core.control.design import tune
+from keepout.core.control.geodesic import Geodesic
+from keepout.core.control.guidance import Straight, StraightGuidance
+from keepout.core.control.law import AheadOfDelay, ControlStatus
 from keepout.core.control.observer import constant_observer
-from keepout.core.control.tuning import tune
 from keepout.core.control.velocity import SpeedCone
 from keepout.core.errors import ControlError
 from keepout.core.fields.own import BoxUnionField

@@ -8,10 +8,11 @@ import pytest
 from scipy import ndimage
 from scipy.interpolate import BSpline
 
+from keepout.core.control.barrier_grid import BarrierGrid, _refined
 from keepout.core.control.circulation import SwitchingCirculation, skew
-from keepout.core.control.guidance.fast_marching import downhill, travel_time, widest_way
-from keepout.core.control.guidance.geodesic import BarrierGrid, _refined, geodesic_guidance
-from keepout.core.control.guidance.guidance import ComponentwiseGuidance, GeodesicGuidance, StraightGuidance, packed
+from keepout.core.control.fast_marching import downhill, travel_time, widest_way
+from keepout.core.control.geodesic import GeodesicGuidance, geodesic_guidance, packed
+from keepout.core.control.guidance import ComponentwiseGuidance, StraightGuidance
 from keepout.core.errors import ControlError
 from keepout.core.fields.own import BoxUnionField, SphereField
 

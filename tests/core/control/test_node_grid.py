@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from truths.growing_maps import Cubes
 
-from keepout.core.control.guidance.geodesic import geodesic_guidance
-from keepout.core.control.guidance.node_grid import grid_of_nodes
+from keepout.core.control.barrier_grid import grid_of_nodes
+from keepout.core.control.geodesic import geodesic_guidance
 from keepout.core.errors import ControlError
 from keepout.core.fields.field import values
 

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from keepout.core.control.guidance.guidance import StraightGuidance
-from keepout.core.control.tracking import Tracking, safety_gain
+from keepout.core.control.controller import Tracking, safety_gain
+from keepout.core.control.guidance import StraightGuidance
 from keepout.core.control.velocity import ClassK, SafeVelocity, SpeedCone
 from keepout.core.fields.own import SphereField
 

@@ -9,7 +9,8 @@ from truths import operations
 
 from keepout.core.control import profiles
 from keepout.core.control.circulation import SwitchingCirculation
-from keepout.core.control.guidance.plan import Geodesic, Straight
+from keepout.core.control.geodesic import Geodesic
+from keepout.core.control.guidance import Straight
 from keepout.core.control.observer import NoObserver
 from keepout.core.errors import ControlError
 from keepout.core.fields.own import SphereField

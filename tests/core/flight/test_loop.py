@@ -11,7 +11,7 @@ from truths.flights import GOAL, KEY, STEPS, Delayed, Halving, Spring, make_setu
 
 from keepout.core.errors import FlightError, ScenarioError
 from keepout.core.flight import fly, loop, outcome
-from keepout.core.flight.segment import begin, fly_segment, joined
+from keepout.core.flight.loop import begin, fly_segment, joined
 from keepout.core.motion.chaser import Thrusters
 from keepout.core.motion.relative import MotionState
 

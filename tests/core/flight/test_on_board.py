@@ -12,10 +12,9 @@ from truths.guarded_worlds import ASSUMED
 from truths.operations import operation
 
 from keepout.core.control import profiles
-from keepout.core.control.guidance.guidance import GeodesicGuidance
-from keepout.core.control.guidance.plan import Straight
-from keepout.core.control.law import ControlStatus, Law
-from keepout.core.control.policy import PolicyLaw
+from keepout.core.control.geodesic import GeodesicGuidance
+from keepout.core.control.guidance import Straight
+from keepout.core.control.law import ControlStatus, Law, PolicyLaw
 from keepout.core.errors import ControlError
 from keepout.core.fields.grid import GridField
 from keepout.core.fields.neural import NeuralField
@@ -25,7 +24,7 @@ from keepout.core.flight.on_board import Clock, OnBoard
 from keepout.core.flight.on_board_navigation import OnBoardNavigation
 from keepout.core.geometry.target import Target
 from keepout.core.guard.guard import Guard
-from keepout.core.guard.status import GuardFlag
+from keepout.core.guard.safety_layer import GuardFlag
 from keepout.core.mission.build import prepare
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings

@@ -11,7 +11,7 @@ from hypothesis.extra import numpy as npst
 from truths.flights import KEY, STEPS, make_setup, start_state
 
 from keepout.core.errors import FlightError
-from keepout.core.flight import fly, outcome, record_file
+from keepout.core.flight import fly, outcome, record
 from keepout.core.flight.loop import FlightLog
 from keepout.core.flight.record import _KINDS, _SHAPES, FlightRecord
 
@@ -130,12 +130,12 @@ def test_missing_files_and_other_endings_are_refused(tmp_path):
 def test_edited_and_later_files_are_refused(tmp_path, ending, monkeypatch):
     record = make_record()
     path = tmp_path / f"flight.{ending}"
-    monkeypatch.setattr("keepout.core.flight.record_file.VERSION", 2)
+    monkeypatch.setattr("keepout.core.flight.record.VERSION", 2)
     record.save(path)
     monkeypatch.undo()
     with pytest.raises(FlightError, match="format 2; this version of keepout reads format 1"):
         FlightRecord.load(path)
-    monkeypatch.setattr("keepout.core.flight.record_file._digest", lambda *_: "0" * 64)
+    monkeypatch.setattr("keepout.core.flight.record._digest", lambda *_: "0" * 64)
     record.save(path)
     monkeypatch.undo()
     with pytest.raises(FlightError, match="checksum"):
@@ -150,7 +150,7 @@ def test_files_whose_columns_are_not_a_flight_are_refused(tmp_path):
         (columns | {"force": columns["force"][:3]}, "force: float64 of shape"),
         (columns | {"time": columns["time"].astype(np.float32)}, "time: float32"),
     ]:
-        path = record_file.write(tmp_path / "flight.npz", {}, broken)
+        path = record.write(tmp_path / "flight.npz", {}, broken)
         with pytest.raises(FlightError, match=match):
             FlightRecord.load(path)
 
@@ -179,7 +179,7 @@ def test_a_flown_log_becomes_a_record(tmp_path):
 
 
 def test_a_small_file_that_holds_much_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(record_file, "_MOST_BYTES", 2**20)
+    monkeypatch.setattr(record, "_MOST_BYTES", 2**20)
     np.savez_compressed(tmp_path / "bomb.npz", force=np.zeros(2**18))
     once = pa.DictionaryArray.from_arrays(pa.array(np.zeros(2**18, np.int8)), pa.array([0.0]))
     pq.write_table(pa.table({"time": once}), tmp_path / "bomb.parquet")

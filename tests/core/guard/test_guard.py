@@ -23,9 +23,9 @@ from truths.guarded_worlds import (
 from keepout.core.errors import ControlError
 from keepout.core.fields.field import Field
 from keepout.core.guard import observer
+from keepout.core.guard.braking import stop
 from keepout.core.guard.guard import Guard
-from keepout.core.guard.nominal import stop
-from keepout.core.guard.status import GuardFlag, GuardStatus
+from keepout.core.guard.safety_layer import GuardFlag, GuardStatus
 from keepout.core.motion.arrays import numbers_as_arrays
 
 GUARD = numbers_as_arrays(guard_in("ball"))

@@ -13,7 +13,7 @@ import pytest
 from truths.guarded_worlds import ASSUMED, CAPS, NOISY, THRESHOLD, WORLDS, calm, deceived, fly, guard_in, hostile, units
 
 from keepout.core.guard.braking import radii
-from keepout.core.guard.status import GuardFlag, GuardStatus
+from keepout.core.guard.safety_layer import GuardFlag, GuardStatus
 from keepout.core.motion.arrays import numbers_as_arrays
 
 pytestmark = pytest.mark.long

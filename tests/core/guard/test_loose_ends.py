@@ -14,8 +14,8 @@ from truths.passing import box_scenario
 
 from keepout.core.audit.audit import Contact
 from keepout.core.control import profiles
-from keepout.core.control.delay import AheadOfDelay
-from keepout.core.control.guidance.plan import Straight
+from keepout.core.control.guidance import Straight
+from keepout.core.control.law import AheadOfDelay
 from keepout.core.errors import ControlError, KeepoutError
 from keepout.core.fields.own import SphereField
 from keepout.core.flight import FlightSetup
@@ -24,7 +24,7 @@ from keepout.core.flight.faults import DelayedCommands
 from keepout.core.geometry.target import Target
 from keepout.core.guard.field import cache_folder, guard_field
 from keepout.core.guard.guard import Guard
-from keepout.core.guard.status import GuardFlag
+from keepout.core.guard.safety_layer import GuardFlag
 from keepout.core.mission.build import prepare
 from keepout.core.mission.flight import fly
 from keepout.core.motion.chaser import Thrusters

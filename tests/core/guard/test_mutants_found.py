@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from truths.guarded_worlds import begun, filtered, guard_in, motion_state
 
-from keepout.core.guard.status import GuardFlag, GuardStatus
+from keepout.core.guard.safety_layer import GuardFlag, GuardStatus
 from keepout.core.motion.arrays import numbers_as_arrays
 
 GUARD = numbers_as_arrays(guard_in("ball"))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from keepout.core.audit.audit import Contact
-from keepout.core.control.guidance.plan import Straight
+from keepout.core.control.guidance import Straight
 from keepout.core.flight.batches import states_at
 from keepout.core.mission.build import prepare
 from keepout.core.mission.flight import AUDITED, fly_audited, judge

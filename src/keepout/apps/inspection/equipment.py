@@ -19,7 +19,7 @@ from keepout.apps.inspection.seeing.room import Room
 from keepout.apps.inspection.seeing.rules import SeeingRules
 from keepout.apps.inspection.seeing.seeable import Hidden, Seeable
 from keepout.apps.led.camera import Boresight
-from keepout.core.control.tuning import least_offset
+from keepout.core.control.design import least_offset
 from keepout.core.errors import InspectionError
 from keepout.core.geometry.target import Target
 from keepout.core.mission.law import room_for_guard

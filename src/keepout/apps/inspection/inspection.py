@@ -14,7 +14,7 @@ from keepout.apps.inspection.seeing.rules import SeeingRules
 from keepout.apps.inspection.seeing.seeable import Seeable, Verdict
 from keepout.apps.inspection.transfer import Transfer
 from keepout.core.audit.audit import Audit, Contact
-from keepout.core.flight.outcome import FlightOutcome
+from keepout.core.flight.loop import FlightOutcome
 from keepout.core.flight.record import FlightRecord
 from keepout.core.geometry.target import Target
 from keepout.core.mission.flight import flag_counts

@@ -10,9 +10,8 @@ from jaxtyping import Float
 
 from keepout.apps.inspection.equipment import law_keeps, require_stand_off
 from keepout.apps.inspection.plume import sparing
-from keepout.core.control.guidance.geodesic import BarrierGrid
-from keepout.core.control.guidance.guidance import GeodesicGuidance
-from keepout.core.control.guidance.plan import Geodesic
+from keepout.core.control.barrier_grid import BarrierGrid
+from keepout.core.control.geodesic import Geodesic, GeodesicGuidance
 from keepout.core.control.law import Law
 from keepout.core.errors import InspectionError
 from keepout.core.fields.field import values
@@ -20,8 +19,7 @@ from keepout.core.fields.model import FieldModel
 from keepout.core.flight.navigation import Navigation
 from keepout.core.flight.setup import FlightSetup
 from keepout.core.geometry.target import Target
-from keepout.core.guard.guard import Guard
-from keepout.core.guard.start import require_flyable
+from keepout.core.guard.guard import Guard, require_flyable
 from keepout.core.mission.build import build_guard, closing_radius, load_model, require_navigation
 from keepout.core.mission.law import broken_as, law_on
 from keepout.core.mission.scenario import Scenario

@@ -16,8 +16,7 @@ from keepout.apps.inspection.problem import Problem
 from keepout.apps.inspection.views_ahead import ViewsAhead
 from keepout.apps.led.camera import Boresight
 from keepout.core.control.law import Law
-from keepout.core.flight import segment
-from keepout.core.flight.loop import FlightLog
+from keepout.core.flight.loop import FlightLog, begin, fly_segment, joined
 from keepout.core.guard.safety_layer import mode
 from keepout.core.mission.scenario import Scenario
 from keepout.core.progress import Progress, part_of, silent
@@ -74,10 +73,10 @@ class UnderWay:
             if setup is None:
                 setup = self.leading.setup(self._resting())
             if state is None:
-                state = segment.begin(setup, self.leading.initial, jax.random.key(scenario.seed))
+                state = begin(setup, self.leading.initial, jax.random.key(scenario.seed))
             # A frame is taken at a segment's last row; the first, at the start, is a segment of its own.
             count = ticks if self._logs else 1
-            state, log = segment.fly_segment(setup, state, count, longest=ticks)
+            state, log = fly_segment(setup, state, count, longest=ticks)
             self._look(log, count)
             said = f"{self.ahead.wanted.reached:.1%} seen on board, {len(self.ahead.legs)} views ahead"
             progress(min(0.9 * self._rows / scenario.steps, 0.9), said)
@@ -87,7 +86,7 @@ class UnderWay:
             scenario,
             self.problem,
             setup,
-            segment.joined(self._logs),
+            joined(self._logs),
             self._shots,
             self.camera,
             guard=self.leading.guard,

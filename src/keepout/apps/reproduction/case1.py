@@ -25,9 +25,9 @@ from keepout.apps.reproduction.flown import (
     trapped,
 )
 from keepout.apps.reproduction.work import Drawing, Part, Table, Work, side_by_side
-from keepout.core.control.guidance.geodesic import BarrierGrid, geodesic_guidance
-from keepout.core.control.guidance.guidance import Guidance, StraightGuidance
-from keepout.core.control.guidance.plan import Straight
+from keepout.core.control.barrier_grid import BarrierGrid
+from keepout.core.control.geodesic import geodesic_guidance
+from keepout.core.control.guidance import Guidance, Straight, StraightGuidance
 from keepout.core.fields.model import FieldModel
 from keepout.core.geometry.target import Target
 from keepout.core.mission.build import Mission, load_model, load_target

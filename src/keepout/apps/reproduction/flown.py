@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from keepout.apps.reproduction.work import Work
 from keepout.core.control.controller import Controller
-from keepout.core.control.guidance.guidance import Guidance
+from keepout.core.control.guidance import Guidance
 from keepout.core.fields.model import FieldModel
 from keepout.core.flight.batches import states_at
 from keepout.core.flight.loop import FlightLog, fly

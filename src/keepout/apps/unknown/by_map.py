@@ -14,14 +14,13 @@ import numpy as np
 from jaxtyping import Float
 
 from keepout.apps.unknown.map_field import SLOPE, MapField
-from keepout.core.control.guidance.node_grid import grid_of_nodes
-from keepout.core.control.guidance.plan import Geodesic
+from keepout.core.control.barrier_grid import grid_of_nodes
+from keepout.core.control.design import least_offset
+from keepout.core.control.geodesic import Geodesic
 from keepout.core.control.law import Law
-from keepout.core.control.tuning import least_offset
 from keepout.core.errors import KeepOutZoneError, ScenarioError
 from keepout.core.flight.setup import FlightSetup
-from keepout.core.guard.guard import Guard
-from keepout.core.guard.start import starts_certified
+from keepout.core.guard.guard import Guard, starts_certified
 from keepout.core.mission.law import broken_as, law_on
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings

@@ -11,7 +11,7 @@ from keepout.apps.unknown.known_free import KnownFreeMap
 from keepout.apps.unknown.next_view import Ending
 from keepout.apps.unknown.skin import Stage
 from keepout.core.audit.audit import Audit, Contact
-from keepout.core.flight.outcome import FlightOutcome
+from keepout.core.flight.loop import FlightOutcome
 from keepout.core.flight.record import FlightRecord
 from keepout.core.geometry.target import Target
 from keepout.core.mission.flight import flag_counts

@@ -24,15 +24,13 @@ from keepout.apps.unknown.view import View
 from keepout.core.compiled.kept_programs import keep_programs
 from keepout.core.control.law import Law
 from keepout.core.errors import ControlError
-from keepout.core.flight import segment
-from keepout.core.flight.loop import FlightLog, LoopState
+from keepout.core.flight.loop import FlightLog, LoopState, begin, fly_segment, joined
 from keepout.core.flight.record import EXPLORED
 from keepout.core.flight.setup import FlightSetup
 from keepout.core.geometry.first_hit import FirstHit
 from keepout.core.geometry.target import Target
-from keepout.core.guard.guard import GuardState
-from keepout.core.guard.start import starts_certified
-from keepout.core.guard.status import GuardFlag, GuardStatus
+from keepout.core.guard.guard import GuardState, starts_certified
+from keepout.core.guard.safety_layer import GuardFlag, GuardStatus
 from keepout.core.mission.flight import recorded
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings, broken_assumptions, guard_numbers
@@ -139,7 +137,7 @@ class _Explorer:
             scenario, self.field, self.ball, self._law(self._within_map(start), start), self.guard
         )
         self.keep = by_map.kept_by_law(scenario, self.field, self.guard) + _OF_LATTICE * self.known.spacing
-        state = segment.begin(setup, self.initial, jax.random.key(scenario.seed))
+        state = begin(setup, self.initial, jax.random.key(scenario.seed))
         flown = 0
         while True:
             now, position = float(state.motion.time), np.asarray(state.motion.position)
@@ -165,15 +163,15 @@ class _Explorer:
                 break
             # Not beyond the duration, over which orbit and rotation are bounded.
             count = min(ticks, scenario.steps - flown)
-            state, log = segment.fly_segment(setup, state, count, longest=ticks)
+            state, log = fly_segment(setup, state, count, longest=ticks)
             self.logs.append(log)
             flown += count
             self._turn(count)
             self._count_rest(log)
             share = max(flown / scenario.steps, len(self.views) / scenario.explore.most_views)
             progress(min(share, 0.98), f"{len(self.views)} views, {self.free_volume:.0f} m³ known free")
-        _, last = segment.fly_segment(setup, state, 1, longest=ticks)
-        return self._judged(segment.joined([*self.logs, last]), setup, ending)
+        _, last = fly_segment(setup, state, 1, longest=ticks)
+        return self._judged(joined([*self.logs, last]), setup, ending)
 
     def _field(self) -> MapField:
         return MapField.of(self.known.squares, self.known.origin, self.known.spacing)

@@ -9,10 +9,15 @@ mislead both sides alike, so both are tested against code that shares nothing wi
 Why no contact is a proof. The chaser is a sphere of radius R about a continuous path r(t). If d(r(t)) > R throughout,
 d being the unsigned distance to the triangles, the sphere meets no triangle at any instant. The path then stays in the
 component of {d > R} it began in; that this is the exterior, not a closed cavity of the mesh, is proved apart, by a
-chain of free balls from a recorded position to beyond the mesh's bounding box (`outside`). A record whose consecutive
+chain of free balls from a recorded position to beyond the mesh's bounding box. A record whose consecutive
 samples no motion within the bounds can join has no path to bound, and its contact is "undecided", never "no".
+
+The chain (`proved_outside`): the ball of radius d(p) − R about p is free. So points, each in the ball of the one
+before, that leave the bounding box by more than R settle it. No orientation, sign or watertightness is needed.
 """
 
+import heapq
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, Protocol, runtime_checkable
@@ -20,9 +25,58 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from keepout.core.audit.outside import proved_outside
 from keepout.core.audit.tube import FlightBounds, Tube, components, lengths, nearest
 from keepout.core.errors import FlightError
+
+_DIRECTIONS = np.array([[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if x or y or z], float)
+_DIRECTIONS /= np.linalg.norm(_DIRECTIONS, axis=1, keepdims=True)
+
+
+def proved_outside(
+    point: Float[np.ndarray, "3"],
+    distance: Callable[[Float[np.ndarray, "points 3"]], Float[np.ndarray, "points"]],
+    lower: Float[np.ndarray, "3"],
+    upper: Float[np.ndarray, "3"],
+    *,
+    radius: float,
+    expansions: int = 2000,
+    away: float | None = None,
+) -> bool:
+    """Whether a free way for a sphere of `radius` metres leads from `point` out of the box [lower, upper] (metres).
+
+    `away` is the point's distance, where that is known. Best-first search over ball chains, balls nearer the box's
+    faces first. False means "not proved", never "inside".
+    """
+    least = 0.02
+
+    def depth(at: np.ndarray) -> np.ndarray:
+        """How far points are from being outside the box grown by the radius; negative outside."""
+        return np.min(np.minimum(at - lower, upper - at), axis=-1) + radius
+
+    free = (float(distance(point[None])[0]) if away is None else away) - radius
+    if free <= 0.0:
+        return False
+    if depth(point[None])[0] < 0.0:
+        return True
+    queue: list[tuple[float, int, np.ndarray, float]] = [(0.0, 0, point, free)]
+    seen: set[tuple[int, ...]] = set()
+    count = 0
+    while queue and count < expansions:
+        _, _, at, free = heapq.heappop(queue)
+        count += 1
+        nexts = at + 0.9 * free * _DIRECTIONS
+        # A ball that already reaches beyond the box settles it.
+        depths = depth(nexts)
+        if np.any(depths < 0.0):
+            return True
+        found = distance(nexts) - radius
+        for i in np.flatnonzero(found > least):
+            cell = tuple(np.floor(nexts[i] / max(0.25 * float(found[i]), least)).astype(int))
+            if cell not in seen:
+                seen.add(cell)
+                heapq.heappush(queue, (float(depths[i] - found[i]), count * 32 + int(i), nexts[i], float(found[i])))
+    return False
+
 
 _REPLACED = 0b11
 """Bits of a recorded guard status that are not all 0 where the guard replaced the command (docs/guard.md)."""

@@ -21,8 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from keepout.core.audit.audit import Contact, ExactMesh
-from keepout.core.audit.outside import proved_outside
+from keepout.core.audit.audit import Contact, ExactMesh, proved_outside
 from keepout.core.audit.tube import components, lengths, nearest
 from keepout.core.errors import FlightError
 

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from keepout.core.control.velocity_program.program import Circulation
+from keepout.core.control.velocity_program import Circulation
 from keepout.core.motion.arrays import as_float64, norm
 
 PRINTED = ((0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 0.0))

@@ -1,14 +1,25 @@
-"""What a control law is to the rest of Keepout: the interface that flight, faults and real-time use know it by."""
+"""What a control law is to the rest of Keepout: the interface that flight, faults and real-time use know it by.
+
+Two laws are made of others: `PolicyLaw` of a plain callable (a policy that was learned elsewhere, a few lines of your
+own), `AheadOfDelay` of any law, for thrusters that answer late.
+"""
 
 import abc
+import dataclasses
 import enum
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int, PyTree
 
-from keepout.core.motion.relative import MotionState
+from keepout.core.errors import ControlError
+from keepout.core.motion.arrays import as_float64
+from keepout.core.motion.disturbance import NoDisturbance
+from keepout.core.motion.relative import MotionState, RelativeMotion
 
 
 class ControlStatus(enum.IntEnum):
@@ -125,3 +136,122 @@ class Law(eqx.Module):
         A law that models the force it commanded must override this, or it takes the difference for a disturbance.
         """
         return state
+
+
+class PolicyLaw(Law):
+    """A law that asks a callable: force (3,) N = policy(position − goal (3,) m, velocity (3,) m/s, time s).
+
+    Attributes:
+        destination: the goal, (3,) m, body frame.
+        policy: a function of JAX arrays, or with `on_host` of NumPy arrays.
+        on_host: whether the callable is plain Python (NumPy, PyTorch, a table) and not JAX's. It is then called once a
+            step from the compiled flight: slower, and such a flight has no derivatives.
+
+    """
+
+    destination: Float[Array, "3"] = eqx.field(converter=as_float64)
+    policy: Callable[[Any, Any, Any], Any]
+    on_host: bool = eqx.field(static=True, default=False)
+
+    @property
+    def goal(self) -> Float[Array, "3"]:
+        """Where the policy leads, m."""
+        return self.destination
+
+    def initial_state(self, state: MotionState) -> PyTree:
+        """Nothing to remember."""
+        return ()
+
+    def step(self, state: PyTree, estimate: MotionState) -> tuple[PyTree, Command]:
+        """Ask the policy."""
+        seen = (estimate.position - self.goal, estimate.velocity, estimate.time)
+        if self.on_host:
+            told = jax.ShapeDtypeStruct((3,), jnp.float64)
+            force = jax.pure_callback(_on_host(self.policy), told, *seen, vmap_method="sequential")
+        else:
+            force = jnp.asarray(self.policy(*seen), jnp.float64)
+        return state, Command.of_force(force)
+
+
+def _on_host(policy: Callable[[Any, Any, Any], Any]) -> Callable[[Any, Any, Any], Float[np.ndarray, "3"]]:
+    """Give what JAX calls back: it sees arrays of NumPy, and whatever the policy answers becomes three numbers."""
+
+    def asked(away: Any, velocity: Any, time: Any) -> Float[np.ndarray, "3"]:
+        answer = policy(np.asarray(away), np.asarray(velocity), float(time))
+        return np.asarray(answer, dtype=np.float64).reshape(3)
+
+    return asked
+
+
+class AheadOfDelay(Law):
+    """A law whose commands take effect some periods after they are given.
+
+    Each estimate is moved ahead by the commands under way before the law sees it, without a disturbance unless the
+    estimate comes with one. So the velocities that the law sees differ, from sample to sample, by the force it gave at
+    the first of them, the drift and the disturbance that acted: its observer needs no change. A disturbance that comes
+    with the estimate acts on the way, held, and is passed on as it is. What the law reports (barrier, safe velocity)
+    is about the state ahead.
+
+    Attributes:
+        law: any control law.
+        motion: the model of the drift.
+        mass: kg.
+        period: between control steps, s.
+        delay: whole periods from command to effect, at least 1.
+
+    Raises:
+        ControlError: a delay below 1.
+
+    """
+
+    law: Law
+    motion: RelativeMotion
+    mass: Float[Array, ""] = eqx.field(converter=as_float64)
+    period: Float[Array, ""] = eqx.field(converter=as_float64)
+    delay: int = eqx.field(static=True)
+
+    def __check_init__(self):
+        if self.delay < 1:
+            raise ControlError(f"delay: {self.delay} periods; it must be at least 1")
+
+    @property
+    def goal(self) -> Float[Array, "3"]:
+        """Where the law leads, m."""
+        return self.law.goal
+
+    def flown(self) -> Law:
+        """Give the same about its law without what flying does not need."""
+        return dataclasses.replace(self, law=self.law.flown())
+
+    @property
+    def conditions(self) -> tuple[Condition, ...]:
+        """The law's design conditions."""
+        return self.law.conditions
+
+    def ahead(self, estimate: MotionState, pending: Float[Array, "delay 3"]) -> MotionState:
+        """Give the state after the commands under way (N, the oldest first)."""
+        push, state = estimate.disturbance, dataclasses.replace(estimate, disturbance=None)
+        for i in range(self.delay):
+            force = pending[i] if push is None else pending[i] + push
+            state = self.motion.step(state, force, NoDisturbance(), self.period, self.mass)
+        return dataclasses.replace(state, disturbance=push)
+
+    def initial_state(self, state: MotionState) -> PyTree:
+        """Start the law where it will be first obeyed; nothing is under way."""
+        return self.begun_with(state, jnp.zeros((self.delay, 3)))
+
+    def begun_with(self, state: MotionState, under_way: Float[Array, "steps 3"]) -> PyTree:
+        """Start the law where it will be first obeyed."""
+        pending = under_way[-self.delay :]
+        return self.law.begun_with(self.ahead(state, pending), under_way), pending
+
+    def with_applied_force(self, state: PyTree, force: Float[Array, "3"]) -> PyTree:
+        """Return the state told that `force` (N) was commanded instead of the law's own."""
+        memory, pending = state
+        return self.law.with_applied_force(memory, force), pending.at[-1].set(force)
+
+    def step(self, state: PyTree, estimate: MotionState) -> tuple[PyTree, Command]:
+        """Run the law on the state ahead."""
+        memory, pending = state
+        memory, order = self.law.step(memory, self.ahead(estimate, pending))
+        return (memory, jnp.concatenate([pending[1:], order.force[None]])), order

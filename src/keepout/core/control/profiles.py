@@ -8,16 +8,13 @@ import numpy as np
 from jaxtyping import Float
 
 from keepout.core.compiled.tried import THREE_NUMBERS, computed, described, is_own, require_numbers
+from keepout.core.control.barrier_grid import require_free
 from keepout.core.control.circulation import CirculationLaw, NoCirculation, printed_circulation
-from keepout.core.control.conditions import conditions, drift_bound
-from keepout.core.control.controller import Controller
-from keepout.core.control.guidance.geodesic import require_free
-from keepout.core.control.guidance.guidance import Guidance
-from keepout.core.control.guidance.plan import Componentwise, Geodesic, GuidancePlan
+from keepout.core.control.controller import Controller, Tracking
+from keepout.core.control.design import Operation, Tuning, conditions, drift_bound, tune
+from keepout.core.control.geodesic import Geodesic
+from keepout.core.control.guidance import Componentwise, Guidance, GuidancePlan
 from keepout.core.control.observer import Observer, harmonic_observer, printed_observer
-from keepout.core.control.operation import Operation
-from keepout.core.control.tracking import Tracking
-from keepout.core.control.tuning import Tuning, tune
 from keepout.core.control.velocity import ClassK, SafeVelocity, SpeedCone
 from keepout.core.errors import ControlError
 from keepout.core.fields.field import Field

@@ -6,9 +6,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from keepout.core.control.circulation import CirculationLaw
-from keepout.core.control.guidance.guidance import Guidance
-from keepout.core.control.velocity_program.cone import solve
-from keepout.core.control.velocity_program.program import VelocityProgram
+from keepout.core.control.guidance import Guidance
+from keepout.core.control.velocity_program import VelocityProgram
+from keepout.core.control.velocity_solver import solve
 from keepout.core.errors import ControlError
 from keepout.core.fields.field import Field
 

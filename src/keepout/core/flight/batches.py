@@ -28,8 +28,7 @@ from numpy.typing import ArrayLike
 from keepout.core.compiled.kept_executables import kept_jit
 from keepout.core.cores import available_cores
 from keepout.core.errors import ScenarioError
-from keepout.core.flight.loop import FlightLog, trace
-from keepout.core.flight.outcome import FlightOutcome, outcome
+from keepout.core.flight.loop import FlightLog, FlightOutcome, outcome, trace
 from keepout.core.flight.setup import FlightSetup
 from keepout.core.motion.relative import MotionState, RelativeMotion
 from keepout.core.progress import Progress, silent

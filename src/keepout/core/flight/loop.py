@@ -1,8 +1,14 @@
-"""The flight loop: one step, shared by single flights, batches and real-time use.
+"""The flight loop: one step, shared by single flights, batches and real-time use; and what became of a flight.
 
 The order within a step is fixed: estimate, control law, guard, what of the command arrives, thrusters, what they give,
 motion.
+
+A flight may be flown in segments: what leads it, its field and its goal may be others in each, and its memories go on.
+A flight's setup is data to the compiled program. So one program flies every segment of one room, whatever map, goal and
+guidance it has, as long as their arrays keep their shapes and everything that is no array stays equal.
 """
+
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
@@ -13,9 +19,12 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree
 
 from keepout.core.compiled.kept_executables import kept_jit
 from keepout.core.control.law import Command
+from keepout.core.errors import FlightError
 from keepout.core.flight.navigation import KnownSet
-from keepout.core.flight.setup import FlightSetup, flown_setup
+from keepout.core.flight.setup import FlightSetup, Scalar, flown_setup
+from keepout.core.guard.safety_layer import mode
 from keepout.core.motion.relative import MotionState
+from keepout.core.motion.rotation import Vector
 
 _THRUSTERS = 2**30
 _SENSORS, _FIRST = _THRUSTERS + 1, _THRUSTERS + 2
@@ -253,3 +262,125 @@ def rows_of(log: FlightLog, rows: int) -> FlightLog:
 @kept_jit
 def _flown(setup: FlightSetup, initial: MotionState, rows: Int[Array, ""], key: PRNGKeyArray, room: int) -> FlightLog:
     return advanced(setup, start(setup, initial, key), rows, room)[1]
+
+
+begin = kept_jit(start)
+"""`start`, compiled: `begin(setup, initial, key) -> LoopState`, the state before the first segment."""
+
+
+@kept_jit
+def _fly(setup: FlightSetup, state: LoopState, rows: Int[Array, ""], room: int) -> tuple[LoopState, FlightLog]:
+    return advanced(setup, state, rows, room)
+
+
+def fly_segment(
+    setup: FlightSetup, state: LoopState, steps: int, *, longest: int | None = None
+) -> tuple[LoopState, FlightLog]:
+    """Fly `steps` control periods from a state: the state after them, and a row for the start of each.
+
+    Law and guard go on with what they remember: the law's observer, the force held, the commands under way, the guard's
+    plan. That is right as long as what is new in `setup` leaves the meaning of these: another goal, guidance or tuning,
+    and a field that says nowhere less than the one before (docs/mapping-field.md). One program serves all numbers of
+    steps up to its room.
+
+    A whole flight's record has one more row, of its end: fly a last segment of one step and keep its row only.
+
+    Args:
+        setup: of the segment.
+        state: after the one before.
+        steps: of the segment.
+        longest: of a flight's segments, in steps: the room that its one program is made for. By default the steps.
+
+    Raises:
+        FlightError: fewer than one step, or more than the longest.
+
+    """
+    if steps < 1:
+        raise FlightError(f"segment: steps is {steps}; at least 1 is needed")
+    if longest is not None and steps > longest:
+        raise FlightError(f"segment: steps is {steps}; longest is {longest}")
+    room = room_for(steps if longest is None else longest)
+    state, log = _fly(setup, state, as_count(steps), room)
+    return state, rows_of(log, steps)
+
+
+def joined(logs: Sequence[FlightLog]) -> FlightLog:
+    """Put the rows of segments flown one after another into one log."""
+    # Not by a compiled program: of thousands of segments that takes minutes to compile.
+    return jax.tree.map(lambda *rows: jax.device_put(np.concatenate([np.asarray(row) for row in rows])), *logs)
+
+
+STATUSES = 16
+"""Status values 0 to 15 are counted apart; a status beyond counts as the last."""
+
+
+class FlightOutcome(eqx.Module):
+    """Summary of one flight (leading axes: of many).
+
+    Attributes:
+        minimum_barrier: the least h, m.
+        final_error: ‖r − goal‖ at the end, m.
+        reached: whether the chaser was closer to the goal than the tolerance from some time until the end, and the
+            flight is finite.
+        time_to_reach: that time, s after the start; infinite if not reached.
+        delta_v: Σ ‖F‖ T/m over the steps flown, m/s.
+        saturated_fraction: of the steps flown, those in which a thruster reached its limit.
+        guard_interventions: steps in which the guard replaced the command.
+        control_status_counts: steps by status value.
+        guard_status_counts: likewise, without the guard's flags.
+        guard_flags: every flag that the guard raised, as bits.
+        finite: whether every position, velocity and force is a number.
+        propellant: burnt over the steps flown, kg; None where the thrusters do not tell it.
+
+    """
+
+    minimum_barrier: Float[Array, "*flights"]
+    final_error: Float[Array, "*flights"]
+    reached: Bool[Array, "*flights"]
+    time_to_reach: Float[Array, "*flights"]
+    delta_v: Float[Array, "*flights"]
+    saturated_fraction: Float[Array, "*flights"]
+    guard_interventions: Int[Array, "*flights"]
+    control_status_counts: Int[Array, "*flights 16"]
+    guard_status_counts: Int[Array, "*flights 16"]
+    guard_flags: Int[Array, "*flights"]
+    finite: Bool[Array, "*flights"]
+    propellant: Float[Array, "*flights"] | None = None
+
+
+def outcome(setup: FlightSetup, log: FlightLog) -> FlightOutcome:
+    """Summarise one flight's log (`steps` + 1 rows; what was done in the last row was not flown)."""
+    return _summary(log, setup.goal, setup.tolerance, setup.period, setup.mass)
+
+
+@jax.jit  # of the numbers alone, so that flights of one length share a program whatever steers them
+def _summary(log: FlightLog, goal: Vector, tolerance: Scalar, period: Scalar, mass: Scalar) -> FlightOutcome:
+    error = jnp.linalg.norm(log.position - goal, axis=-1)
+    near = error < tolerance  # false where the error is not a number
+    away = jnp.where(near, -1, jnp.arange(near.shape[0]))
+    arrival = jnp.max(away) + 1
+    finite = jnp.all(jnp.isfinite(log.position)) & jnp.all(jnp.isfinite(log.velocity))
+    finite = finite & jnp.all(jnp.isfinite(log.force[:-1]))
+    reached = near[-1] & finite
+    guard_status = log.guard_status[:-1]
+    guard_mode = mode(guard_status)
+    arrival_time = log.time[jnp.minimum(arrival, near.shape[0] - 1)] - log.time[0]
+    return FlightOutcome(
+        minimum_barrier=jnp.min(log.barrier),
+        final_error=error[-1],
+        reached=reached,
+        time_to_reach=jnp.where(reached, arrival_time, jnp.inf),
+        delta_v=jnp.sum(jnp.linalg.norm(log.force[:-1], axis=-1)) * period / mass,
+        saturated_fraction=jnp.mean(log.saturated[:-1].astype(jnp.float64)),
+        guard_interventions=jnp.sum(guard_mode != 0),
+        control_status_counts=_count(log.control_status[:-1]),
+        guard_status_counts=_count(guard_mode),
+        guard_flags=jnp.bitwise_or.reduce(guard_status - guard_mode),
+        finite=finite,
+        propellant=None if log.propellant is None else jnp.sum(log.propellant[:-1]),
+    )
+
+
+def _count(status: Int[Array, "steps"]) -> Int[Array, "16"]:
+    known = jnp.clip(status, 0, STATUSES - 1)
+    return jnp.sum(known[:, None] == jnp.arange(STATUSES), axis=0)

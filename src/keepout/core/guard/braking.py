@@ -14,12 +14,14 @@ from collections.abc import Iterator
 from functools import lru_cache
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from keepout.core.errors import ControlError
 from keepout.core.guard import responses
-from keepout.core.guard.observer_gain import Task, least_room
+from keepout.core.guard.responses import Task, least_room
+from keepout.core.motion.arrays import norm
 
 Number = float | Float[Array, "*flights"]
 """Python's number; in a compiled program that takes the guard's numbers as arguments an array."""
@@ -231,7 +233,7 @@ def design(assumptions: GuardAssumptions) -> BrakingDesign:
     """Choose the gains that need least room, and derive the radii that go with them.
 
     Least room, without errors of the estimate: the stop length from the speed limit and four times ρ, which is kept at
-    rest too, and on every side. The poles are searched on a grid of real pairs. With errors: `observer_gain`. Whatever
+    rest too, and on every side. The poles are searched on a grid of real pairs. With errors: `least_room`. Whatever
     is chosen, the radii belong to it.
 
     Raises:
@@ -386,3 +388,53 @@ def _powers(closed: Float[np.ndarray, "2 2"]) -> Float[np.ndarray, "steps 2 2"]:
             np.matmul(closed, last, out=next_)
             last = next_
         powers = np.concatenate([powers, more])
+
+
+Vector = Float[Array, "3"]
+
+
+def predict(
+    assumptions: GuardAssumptions, position: Vector, velocity: Vector, pending: Float[Array, "delay 3"]
+) -> tuple[Float[Array, "points 3"], Float[Array, "points 3"]]:
+    """Positions and velocities now and after each pending command; the next command takes effect at the last."""
+    T = assumptions.period
+    points, velocities = [position], [velocity]
+    for i in range(assumptions.delay):
+        position = position + T * velocity + 0.5 * T**2 * pending[i]
+        velocity = velocity + T * pending[i]
+        points.append(position)
+        velocities.append(velocity)
+    return jnp.stack(points), jnp.stack(velocities)
+
+
+def stop(assumptions: GuardAssumptions, braking: BrakingDesign, velocity: Vector) -> Vector:
+    """From where the nominal braking motion begins to where it ends, m."""
+    T, a_b = assumptions.period, braking.deceleration
+    speed = jnp.linalg.norm(velocity)
+    rest = jnp.fmod(speed, a_b * T)
+    length = (speed**2 - rest**2) / (2.0 * a_b) + 0.5 * rest * T
+    return velocity * (length / jnp.maximum(speed, 1e-12))
+
+
+def brake(assumptions: GuardAssumptions, braking: BrakingDesign, velocity: Vector) -> tuple[Vector, Bool[Array, ""]]:
+    """Give the nominal braking acceleration, m/s², and whether the nominal motion is at rest."""
+    speed = norm(velocity)
+    size = jnp.minimum(braking.deceleration, speed / assumptions.period)
+    return -velocity * (size / jnp.maximum(speed, 1e-12)), speed < 1e-9
+
+
+def escape(
+    assumptions: GuardAssumptions,
+    braking: BrakingDesign,
+    escape_speed: float,
+    position: Vector,
+    velocity: Vector,
+    outward: Vector,
+) -> Vector:
+    """Acceleration (m/s²) along the field's growth, or back into range, at `escape_speed`, within the authority."""
+    a = assumptions
+    afar = norm(position) + braking.position_radius > 0.99 * a.range_limit
+    away = jnp.where(afar, -position, outward)
+    direction = away / jnp.maximum(norm(away), 1e-9)
+    wanted = (jnp.where(jnp.isfinite(direction), direction, 0.0) * escape_speed - velocity) / a.period
+    return wanted * jnp.minimum(1.0, a.authority / jnp.maximum(norm(wanted), 1e-12))

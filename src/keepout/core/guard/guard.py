@@ -12,17 +12,17 @@ import math
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from keepout.core.compiled.kept_executables import kept_jit
 from keepout.core.compiled.on_demand import where_needed
 from keepout.core.errors import ControlError
 from keepout.core.fields.field import Field
-from keepout.core.guard import nominal, observer, watch
-from keepout.core.guard.braking import BrakingDesign, GuardAssumptions, Number, design
-from keepout.core.guard.nominal import Vector
-from keepout.core.guard.safety_layer import SafetyLayer
-from keepout.core.guard.status import GuardFlag, GuardStatus
-from keepout.core.motion.arrays import norm
+from keepout.core.guard import braking, observer, watch
+from keepout.core.guard.braking import BrakingDesign, GuardAssumptions, Number, Vector, design
+from keepout.core.guard.safety_layer import GuardFlag, GuardStatus, SafetyLayer
+from keepout.core.motion.arrays import norm, numbers_as_arrays
 from keepout.core.motion.relative import MotionState
 
 _ROUNDING = 1e-9
@@ -213,7 +213,7 @@ class Guard(SafetyLayer):
 
         """
         pending = self._accelerations(under_way)
-        path, velocities = nominal.predict(self.assumptions, estimate.position, estimate.velocity, pending)
+        path, velocities = braking.predict(self.assumptions, estimate.position, estimate.velocity, pending)
         unexplained, counted = watch.begin(self.windows)
         no = jnp.asarray(False)
         return GuardState(
@@ -351,13 +351,13 @@ class Guard(SafetyLayer):
 
     def _predict(self, state: GuardState, seen: Seen) -> Course:
         """Follow the commands under way from x̂, and say whether the plan can still be followed from there."""
-        path, velocities = nominal.predict(self.assumptions, seen.position, seen.velocity, state.pending)
+        path, velocities = braking.predict(self.assumptions, seen.position, seen.velocity, state.pending)
         drifted = path[-1] - state.plan_position
         off_plan = jnp.linalg.norm(drifted) > self._plan_radius
         return Course(path, velocities, drifted, off_plan, state.certified & ~off_plan & seen.told)
 
     def _off_plan(self, state: GuardState, position: Vector, velocity: Vector) -> Bool[Array, ""]:
-        path, _ = nominal.predict(self.assumptions, position, velocity, state.pending)
+        path, _ = braking.predict(self.assumptions, position, velocity, state.pending)
         return jnp.linalg.norm(path[-1] - state.plan_position) > self._plan_radius
 
     def _candidate(self, force: Vector, finite: Bool[Array, ""], seen: Seen, course: Course) -> Motion:
@@ -366,7 +366,7 @@ class Guard(SafetyLayer):
         ahead, moving = course.path[-1], course.velocities[-1]
         asked = jnp.clip(jnp.where(finite, force, 0.0), -a.force_limit, a.force_limit) / a.mass
         outward = self._outward(seen.position, ~course.planned)
-        way_out = nominal.escape(a, self.braking, self.escape_speed, seen.position, moving, outward)
+        way_out = braking.escape(a, self.braking, self.escape_speed, seen.position, moving, outward)
         candidate = jnp.where(course.planned, asked, way_out)
         return Motion(candidate, ahead + T * moving + 0.5 * T**2 * candidate, moving + T * candidate)
 
@@ -383,7 +383,7 @@ class Guard(SafetyLayer):
     def _follow(self, state: GuardState, seen: Seen, course: Course) -> tuple[Motion, Vector, Bool[Array, ""]]:
         """Give the plan's next state, the acceleration that follows it, m/s², and whether it is at rest."""
         a, T = self.assumptions, self.assumptions.period
-        brake, rest = nominal.brake(a, self.braking, state.plan_velocity)
+        brake, rest = braking.brake(a, self.braking, state.plan_velocity)
         feedback = self.braking.position_gain * course.drifted + self.braking.velocity_gain * (
             course.velocities[-1] - state.plan_velocity
         )
@@ -459,7 +459,7 @@ class Guard(SafetyLayer):
     def _braking_free(
         self, state: MotionState, pending: Float[Array, "delay 3"], moved: Float[Array, ""], faster: Number
     ) -> Bool[Array, ""]:
-        path, velocities = nominal.predict(self.assumptions, state.position, state.velocity, pending)
+        path, velocities = braking.predict(self.assumptions, state.position, state.velocity, pending)
         value = self.field.value(state.position)
         points = path[1:] if self.assumptions.delay else path
         return self._free(state.position, value, points, velocities, jnp.asarray(True), moved, faster)
@@ -503,7 +503,7 @@ class Guard(SafetyLayer):
             (self, position, value, points, velocities, moved, faster)
         )
         a = self.assumptions
-        rest = points[-1] + nominal.stop(a, self.braking, velocities[-1])
+        rest = points[-1] + braking.stop(a, self.braking, velocities[-1])
         corners = jnp.concatenate([points, rest[None]])
         sagitta = 3.0**0.5 * a.authority * a.period**2 / 8.0
         least = jnp.asarray(self.least_value + self.lipschitz * (sagitta + moved))
@@ -598,3 +598,70 @@ class Guard(SafetyLayer):
             return eqx.combine(arrays, still).value_and_gradient(position)[1]
 
         return where_needed(gradient, wanted, jnp.zeros(3), arrays, position)
+
+
+_ROOM = 256
+"""States handed to a compiled program at once where many starts are looked at; fewer cost no more than they are."""
+
+
+def require_flyable(guard: Guard, start: MotionState, goal: Vector) -> bool:
+    """Refuse what cannot be flown; return `Guard.certified_start` of the true start. Needs concrete values.
+
+    A start that is not certified is flown; where its estimate is not either, in mode `ESCAPING` until a plan is.
+
+    Raises:
+        ControlError: a start that is not finite, beyond the range limit or at or below the field's zero, or a goal that
+            the guard would never let the chaser rest at; the message names value and distance.
+
+    """
+    for name, vector in (("start.position", start.position), ("start.velocity", start.velocity), ("goal", goal)):
+        if not np.all(np.isfinite(np.asarray(vector))):
+            raise ControlError(f"guard: {name} is {vector.tolist()}; it must be finite")
+    for name, point in (("start", start.position), ("goal", goal)):
+        away = float(np.linalg.norm(np.asarray(point))) + guard.braking.position_radius
+        if away > guard.assumptions.range_limit:
+            limit = guard.assumptions.range_limit
+            raise ControlError(f"guard: {name} needs a range of {away:.3f} m; range_limit is {limit} m")
+    here, there, certified = _looked_at(numbers_as_arrays(guard), start, goal)
+    value = float(here)
+    if not value > 0.0:
+        raise ControlError(f"guard: the field is {value:.3f} m at the start: inside the target; it must be above 0")
+    value = float(there)
+    if not value > guard.least_value:
+        raise ControlError(
+            f"guard: the field is {value:.3f} m at the goal; the guard lets the chaser rest only above "
+            f"{guard.least_value:.3f} m (threshold {guard.threshold:.3f} m and tube)"
+        )
+    return bool(certified)
+
+
+@kept_jit
+def _looked_at(
+    guard: Guard, start: MotionState, goal: Vector
+) -> tuple[Float[Array, ""], Float[Array, ""], Bool[Array, ""]]:
+    """Give the field (m) at start and goal, and `certified_start`: one program instead of one each."""
+    here, there = guard.field.value(jnp.stack([start.position, goal]))
+    return here, there, guard.certified_start(start)
+
+
+def starts_certified(guard: Guard, truths: MotionState) -> Bool[np.ndarray, "states"]:
+    """Whether true states, with a leading axis, are those of `Guard.certified_start`; needs concrete values.
+
+    Guards of other numbers share what is compiled, as their numbers are handed over as arrays. One state is looked at
+    after another, so that what is said of one does not depend on how many there are.
+    """
+    numbers, found = numbers_as_arrays(guard), []
+    for first in range(0, len(truths.position), _ROOM):
+        count = min(len(truths.position) - first, _ROOM)
+        places = np.minimum(np.arange(first, first + _ROOM), first + count - 1)
+        some = jax.tree.map(lambda array, places=places: np.asarray(array)[places], truths)
+        found.append(np.asarray(_certified_starts(numbers, some, jnp.asarray(count)))[:count])
+    return np.concatenate(found)
+
+
+@kept_jit
+def _certified_starts(guard: Guard, truths: MotionState, count: Int[Array, ""]) -> Bool[Array, "room"]:
+    def look(place: Int[Array, ""], found: Bool[Array, "room"]) -> Bool[Array, "room"]:
+        return found.at[place].set(guard.certified_start(jax.tree.map(lambda array: array[place], truths)))
+
+    return jax.lax.fori_loop(0, count, look, jnp.zeros(_ROOM, bool))

@@ -18,8 +18,7 @@ from keepout.core.audit.tube import FlightBounds
 from keepout.core.compiled.kept_programs import keep_programs
 from keepout.core.compiled.tried import THREE_NUMBERS, computed, described, require_numbers, require_same, tried
 from keepout.core.control.controller import Controller
-from keepout.core.control.guidance.guidance import Guidance
-from keepout.core.control.guidance.plan import GuidancePlan
+from keepout.core.control.guidance import Guidance, GuidancePlan
 from keepout.core.control.law import Command, Law
 from keepout.core.errors import ControlError, FieldError, KeepOutZoneError, ScenarioError
 from keepout.core.fields import load_shipped, shipped_names
@@ -30,9 +29,8 @@ from keepout.core.flight.setup import FlightSetup
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target
 from keepout.core.guard.field import guard_field
-from keepout.core.guard.guard import Guard
+from keepout.core.guard.guard import Guard, require_flyable
 from keepout.core.guard.safety_layer import SafetyLayer
-from keepout.core.guard.start import require_flyable
 from keepout.core.mission.law import broken_as, law_on, law_or_way_out, room_for_guard
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings, broken_assumptions

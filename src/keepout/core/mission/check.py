@@ -10,11 +10,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from keepout.core.control.conditions import drift_bound
+from keepout.core.control.design import Operation, drift_bound, tune
 from keepout.core.control.law import Condition
-from keepout.core.control.operation import Operation
 from keepout.core.control.profiles import ControlWarning
-from keepout.core.control.tuning import tune
 from keepout.core.errors import KeepoutError, KeepOutZoneError
 from keepout.core.fields.field import values
 from keepout.core.fields.model import FieldModel

@@ -9,8 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from keepout.core.control.controller import Controller
-from keepout.core.control.delay import AheadOfDelay
-from keepout.core.control.law import Law
+from keepout.core.control.law import AheadOfDelay, Law
 from keepout.core.flight.faults import BrokenLaw
 from keepout.core.flight.setup import FlightSetup
 from keepout.core.mission.build import Mission

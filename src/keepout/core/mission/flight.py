@@ -16,11 +16,11 @@ from keepout.core.control.law import ControlStatus
 from keepout.core.fields.model import FieldModel
 from keepout.core.flight import loop
 from keepout.core.flight.batches import Landed, fly_batches
-from keepout.core.flight.outcome import FlightOutcome, outcome
+from keepout.core.flight.loop import FlightOutcome, outcome
 from keepout.core.flight.record import FlightRecord
 from keepout.core.flight.setup import FlightSetup
 from keepout.core.geometry.target import Target
-from keepout.core.guard.status import GuardFlag, GuardStatus, flag_names
+from keepout.core.guard.safety_layer import GuardFlag, GuardStatus, flag_names
 from keepout.core.mission.build import Mission, prepare
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings, guard_numbers

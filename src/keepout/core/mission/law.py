@@ -12,13 +12,11 @@ from keepout.core.control.circulation import (
     skew_circulation,
 )
 from keepout.core.control.controller import Controller
-from keepout.core.control.delay import AheadOfDelay
-from keepout.core.control.guidance.guidance import Guidance
-from keepout.core.control.guidance.plan import Componentwise, Geodesic, GuidancePlan, Straight
-from keepout.core.control.law import Law
+from keepout.core.control.design import Operation, least_offset
+from keepout.core.control.geodesic import Geodesic
+from keepout.core.control.guidance import Componentwise, Guidance, GuidancePlan, Straight
+from keepout.core.control.law import AheadOfDelay, Law
 from keepout.core.control.observer import NoObserver, Observer, constant_observer, harmonic_observer, printed_observer
-from keepout.core.control.operation import Operation
-from keepout.core.control.tuning import least_offset
 from keepout.core.errors import ControlError
 from keepout.core.fields.field import Field, values
 from keepout.core.fields.model import FieldModel

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from keepout.core.audit.outside import proved_outside
+from keepout.core.audit.audit import proved_outside
 from keepout.core.errors import ScenarioError
 from keepout.core.geometry.distance import distance_within
 from keepout.core.geometry.target import Target

@@ -17,9 +17,9 @@ from jaxtyping import Bool, Float
 from keepout.core.audit.audit import Audit
 from keepout.core.errors import ScenarioError
 from keepout.core.fields.model import FieldModel
-from keepout.core.flight.outcome import FlightOutcome
+from keepout.core.flight.loop import FlightOutcome
 from keepout.core.geometry.target import Target
-from keepout.core.guard.status import flag_names
+from keepout.core.guard.safety_layer import flag_names
 from keepout.core.mission.build import prepare
 from keepout.core.mission.flight import AUDITED
 from keepout.core.mission.scenario import Scenario

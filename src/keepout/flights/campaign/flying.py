@@ -21,11 +21,9 @@ from keepout.core.compiled.kept_programs import processor
 from keepout.core.digest import digest
 from keepout.core.errors import ScenarioError
 from keepout.core.flight.batches import fly_batches
-from keepout.core.flight.loop import FlightLog
-from keepout.core.flight.outcome import FlightOutcome
+from keepout.core.flight.loop import FlightLog, FlightOutcome
 from keepout.core.flight.setup import flown_setup
-from keepout.core.guard.guard import Guard
-from keepout.core.guard.start import starts_certified
+from keepout.core.guard.guard import Guard, starts_certified
 from keepout.core.mission.build import Mission
 from keepout.core.mission.flight import AUDITED, Flight, judge, judged
 from keepout.core.mission.surroundings import Surroundings

@@ -18,8 +18,8 @@ import jax
 import numpy as np
 
 import keepout
-from keepout.core.control.guidance.guidance import GeodesicGuidance, Guidance
-from keepout.core.control.guidance.plan import Geodesic, GuidancePlan, Point
+from keepout.core.control.geodesic import Geodesic, GeodesicGuidance
+from keepout.core.control.guidance import Guidance, GuidancePlan, Point
 from keepout.core.digest import digest
 from keepout.core.errors import ScenarioError
 from keepout.core.fields.field import Field

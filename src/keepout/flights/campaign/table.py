@@ -11,8 +11,8 @@ import pyarrow.parquet as pq
 
 from keepout.core.audit.audit import Audit, Contact
 from keepout.core.errors import FlightError
-from keepout.core.flight.outcome import FlightOutcome
-from keepout.core.guard.status import GuardFlag, flag_names
+from keepout.core.flight.loop import FlightOutcome
+from keepout.core.guard.safety_layer import GuardFlag, flag_names
 from keepout.core.mission.flight import LAYERS
 from keepout.core.mission.scenario import Scenario
 from keepout.flights.campaign.dispersion import Design, Run, columns

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from keepout.core.control.law import ControlStatus
 from keepout.core.errors import FlightError
 from keepout.core.flight.record import FlightRecord
-from keepout.core.guard.status import GuardFlag, GuardStatus, flag_names
+from keepout.core.guard.safety_layer import GuardFlag, GuardStatus, flag_names
 from keepout.core.mission.bounds import orbit_of, sun_of
 from keepout.core.mission.entries import SunEntry
 from keepout.core.mission.scenario import Scenario

@@ -25,8 +25,14 @@ from keepout.core.audit.tube import Tube, nearest
 from keepout.core.cores import available_cores
 from keepout.core.errors import ScenarioError
 from keepout.core.flight.batches import BATCH
-from keepout.core.flight.faults import CombinedFaults, DelayedCommands, StuckThruster
-from keepout.core.flight.known_faults import KnownErrors, KnownGain, KnownLosses
+from keepout.core.flight.faults import (
+    CombinedFaults,
+    DelayedCommands,
+    KnownErrors,
+    KnownGain,
+    KnownLosses,
+    StuckThruster,
+)
 from keepout.core.flight.loop import FlightLog, trace
 from keepout.core.flight.setup import Faults, FlightSetup
 from keepout.core.mission.build import Mission

@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from keepout.core.control.velocity_program.interior_point import ConicProgram
 from keepout.core.errors import ControlError
 
 _FAR = 3.0  # more than √3, the largest speed inside the unit box: a row beyond it never acts
@@ -132,41 +131,6 @@ def objective_slope(unit: UnitProgram) -> Float[Array, ""]:
     if unit.circulation is not None:
         slope = jnp.maximum(slope, 2.0 * unit.circulation.weight * jnp.maximum(unit.circulation.rate, 0.0))
     return slope
-
-
-def to_conic(unit: UnitProgram) -> ConicProgram:
-    """Rows and cones for the interior point; the circulation slack w = −σ is a fourth unknown with its own row.
-
-    Rows: circulation, then the barrier where it is a half-space. Cones: else the barrier, then the speed limit.
-    """
-    slope = objective_slope(unit)
-    n = 3 if unit.circulation is None else 4
-    quadratic, linear = jnp.ones(3), -unit.desired
-    normal = jnp.pad(unit.normal, (0, n - 3))
-    rows, offsets, cones, heads = [jnp.zeros((0, n))], [], [jnp.zeros((0, 4, n))], []
-    if unit.circulation is not None:
-        quadratic = jnp.append(quadratic, 2.0 * unit.circulation.weight)
-        linear = jnp.append(linear, 0.0)
-        rows.append(jnp.append(unit.circulation.tangent, 1.0)[None])
-        offsets.append(-unit.circulation.rate)
-    if unit.gradient_error is None:
-        rows.append(normal[None])
-        offsets.append(unit.barrier_rate)
-    else:
-        cones.append(jnp.concatenate([normal[None], unit.gradient_error * jnp.eye(3, n)])[None])
-        heads.append(unit.barrier_rate)
-    if unit.speed is not None:
-        cones.append(jnp.eye(4, n, k=-1)[None])
-        heads.append(unit.speed)
-    return ConicProgram(
-        quadratic=quadratic / slope,
-        linear=linear / slope,
-        rows=jnp.concatenate(rows),
-        row_offsets=jnp.asarray(offsets, dtype=float),
-        bounds=jnp.zeros(0) if unit.box is None else jnp.full(3, unit.box),
-        cones=jnp.concatenate(cones),
-        cone_offsets=jnp.asarray(heads, dtype=float).reshape(-1, 1) * jnp.asarray([1.0, 0.0, 0.0, 0.0]),
-    )
 
 
 def escape_velocity(unit: UnitProgram) -> tuple[Float[Array, ""], Float[Array, "3"]]:

@@ -1,25 +1,31 @@
-"""Build geodesic guidance: the barrier on a grid once a field, the travel time to the goal once a goal."""
+"""The grid that geodesic guidance marches over: the barrier at its nodes, and the walls between them.
+
+`BarrierGrid.build` samples a field point by point, for seconds. A map knows its distance at every node already, so that
+`grid_of_nodes`, a grid over every few of them with exact values, is there in a fraction of a second, anew for every
+later map.
+"""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import no_type_check
 
 import jax
+import numba
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, Int8
+from jaxtyping import Array, Bool, Float, Int8, UInt16
 
 from keepout.core.compiled.kept_executables import kept_jit
-from keepout.core.control.guidance.fast_marching import UNIT, downhill, travel_time, widest_way
-from keepout.core.control.guidance.guidance import GeodesicGuidance, packed
+from keepout.core.control.fast_marching import UNIT
 from keepout.core.errors import ControlError, KeepOutZoneError
 from keepout.core.fields.field import Field
 from keepout.core.fields.field import values as field_values
-from keepout.core.motion.arrays import as_float64
 from keepout.core.progress import Progress, silent
 
 FULL_SPEED_BARRIER = 0.6
 """Barrier value (m) from which on the travel speed is full; towards the surface it falls in proportion."""
-SLOWEST = 0.03
+MOST_NODES = 1_600_000
+"""By default a grid takes every few nodes of the map, so that it has no more than these: a second's march at most."""
 _CHUNK = 65536
 _FEW = 1024  # more than the 8 samples on the way to each of 125 nodes around a goal
 _MOST_NODES = 4_000_000
@@ -178,80 +184,6 @@ def _walls(sample: _Sampler, values: np.ndarray, axes: list[np.ndarray], spacing
     return walls
 
 
-def geodesic_guidance(
-    grid: BarrierGrid,
-    field: Field,
-    offset: float,
-    goal: Float[np.ndarray, "3"],
-    *,
-    speed: float,
-    slowing_length: float,
-    start: Float[np.ndarray, "3"] | None = None,
-    beyond: float = math.inf,
-) -> GeodesicGuidance:
-    """March the travel time from the goal through the free nodes of the grid, and keep the directions down it.
-
-    The travel speed is clip(h/0.6 m, 0.03, 1) m/s. Directions in the obstacle lead out of it, and weigh little: in a
-    gap between two walls they must not stop the way that leads through.
-
-    Args:
-        grid: of the barrier.
-        field: likewise.
-        offset: of the barrier, m.
-        goal: (3,) m.
-        speed: of the guidance, m/s.
-        slowing_length: within which it slows down, m.
-        start: (3,) m, which must be joined to the goal.
-        beyond: travel seconds more than twice those from `start`, from where on no way is looked for.
-
-    Raises:
-        ControlError: goal or start lies outside the grid or in the obstacle, or no way as wide as the chaser joins
-        them; the
-            message says by how much.
-
-    """
-    goal = np.asarray(goal, dtype=float)
-    require_free(field, offset, goal, "goal")
-    grid.require_inside(goal, "goal")
-    speeds = np.where(grid.values > 0.0, np.clip(grid.values / FULL_SPEED_BARRIER, SLOWEST, 1.0), 0.0)
-    sources, times = _around_goal(grid, field, offset, goal)
-    if len(sources) == 0:
-        raise ControlError(
-            f"goal: {goal.tolist()} m has no free grid node beside it at a spacing of {grid.spacing:.3g} m; "
-            "move it out of the gap or give a smaller spacing"
-        )
-    towards = None
-    if start is not None and beyond < math.inf:
-        grid.require_inside(start, "start")
-        towards = grid.node(start)
-    time = travel_time(speeds, grid.walls, sources, times, grid.spacing, towards=towards, beyond=beyond)
-    guidance = GeodesicGuidance(
-        goal=as_float64(goal),
-        speed=as_float64(speed),
-        slowing_length=as_float64(slowing_length),
-        directions=jax.device_put(packed(_directions(grid, time, sources, goal))),
-        nodes=as_float64(time.shape),
-        origin=as_float64(grid.origin),
-        spacing=as_float64(grid.spacing),
-        inner=as_float64(max(0.6, grid.spacing)),
-        outer=as_float64(max(1.2, 2.0 * grid.spacing)),
-    )
-    if start is not None:
-        start = np.asarray(start, dtype=float)
-        require_free(field, offset, start, "start")
-        grid.require_inside(start, "start")
-        node = grid.node(start)
-        if not np.isfinite(time[tuple(node)]):
-            missing = max(-widest_way(grid.values, node, sources[0]), 0.0)
-            # A way between nodes may be wider than over them, by no more than half the diagonal of a cell's face.
-            hint = "; a smaller spacing may find a wider one" if missing < np.sqrt(0.5) * grid.spacing else ""
-            raise ControlError(
-                f"start: {start.tolist()} m is not connected to the goal {goal.tolist()} m for this chaser; the "
-                f"widest way between them misses {missing:.3g} m of clearance (grid {grid.spacing:.3g} m){hint}"
-            )
-    return guidance
-
-
 @kept_jit
 def _value(field: Field, points: Float[Array, "n 3"]) -> Float[Array, " n"]:
     return field.value(points)
@@ -280,35 +212,90 @@ def require_free(field: Field, offset: float, position: Float[np.ndarray, "3"], 
         )
 
 
-def _around_goal(grid: BarrierGrid, field: Field, offset: float, goal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Free nodes within two cells of the goal that see it, with the straight time to it."""
-    centre = np.clip(np.rint((goal - grid.origin) / grid.spacing).astype(int), 0, np.array(grid.values.shape) - 1)
-    span = np.arange(-2, 3)
-    nodes = centre + np.stack(np.meshgrid(span, span, span, indexing="ij"), axis=-1).reshape(-1, 3)
-    nodes = nodes[np.all((nodes >= 0) & (nodes < grid.values.shape), axis=1)]
-    nodes = nodes[grid.values[tuple(nodes.T)] > 0.0]
-    if len(nodes) == 0:
-        return nodes, np.zeros(0)
-    points = grid.origin + grid.spacing * nodes
-    fractions = np.linspace(0.0, 1.0, 9)[1:]
-    between = goal + fractions[:, None, None] * (points - goal)
-    barrier = _few_values(field, between.reshape(-1, 3)).reshape(len(fractions), -1) - offset
-    seen = np.all(barrier > 0.0, axis=0)
-    speed = np.clip(barrier / FULL_SPEED_BARRIER, SLOWEST, 1.0)
-    times = np.linalg.norm(points - goal, axis=1) * np.mean(1.0 / speed, axis=0)
-    return nodes[seen], times[seen]
+def grid_of_nodes(
+    squares: UInt16[np.ndarray, "nx ny nz"],
+    origin: Sequence[float] | Float[np.ndarray, "3"],
+    spacing: float,
+    offset: float,
+    *,
+    room: float = 3.0,
+    every: int | None = None,
+) -> BarrierGrid:
+    """Give h = f − offset, f the cubic spline of a map's node distances, at every few nodes of the map.
+
+    An edge is a wall where h is not positive at a node of the map on it. The grid's shape depends on no distance, so
+    guidances by one map at several times have one shape.
+
+    Args:
+        squares: at the map's nodes, the squared distance in cells to what is not known free; at the cap near the faces.
+        origin: of node (0, 0, 0), m.
+        spacing: between the map's nodes, m.
+        offset: of the barrier, m.
+        room: by how much the grid reaches beyond the map's box on every side, m; the distance is at the cap there.
+        every: how many of the map's nodes lie from one of the grid to the next; by default the fewest that
+            `MOST_NODES` allow.
+
+    """
+    beyond = math.ceil(max(room, 0.0) / spacing)
+    extent = np.array(squares.shape) - 1 + 2 * beyond
+    if every is None:
+        every = 1
+        while np.prod(-(-extent // every) + 1) > MOST_NODES:
+            every += 1
+    shape = np.maximum(-(-extent // every) + 1, 5)
+    # What is too much is shared between both sides.
+    first = -beyond - (every * (shape - 1) - extent) // 2
+    values = np.empty(tuple(shape))
+    walls = np.zeros((3, *shape), dtype=bool)
+    _sample(squares, first, every, float(spacing), float(offset), values, walls)
+    return BarrierGrid(values, walls, outwards(values), np.asarray(origin) + spacing * first, every * spacing)
 
 
-def _directions(
-    grid: BarrierGrid,
-    time: Float[np.ndarray, "nx ny nz"],
-    sources: Int[np.ndarray, "n 3"],
-    goal: Float[np.ndarray, "3"],
-) -> Int8[np.ndarray, "nx ny nz 3"]:
-    """Return unit vectors in 127ths: down the time, straight at the sources, and `grid.outwards` where no way leads."""
-    directions = grid.outwards.copy()
-    downhill(time, grid.walls, directions)
-    straight = goal - (grid.origin + grid.spacing * sources)
-    length = np.linalg.norm(straight, axis=1, keepdims=True)
-    directions[tuple(sources.T)] = np.rint(UNIT * straight / np.maximum(length, 1e-12))
-    return directions
+@numba.njit(cache=True)
+@no_type_check
+def _spline(squares, roots, x, y, z):
+    """Evaluate the spline at a node, in cells: means with weights 1/6, 4/6, 1/6 along each axis."""
+    nx, ny, nz = squares.shape
+    if x < 1 or y < 1 or z < 1 or x >= nx - 1 or y >= ny - 1 or z >= nz - 1:
+        return roots[squares[0, 0, 0]]
+    total = 0.0
+    for i in range(-1, 2):
+        for j in range(-1, 2):
+            line = roots[squares[x + i, y + j, z - 1]] + roots[squares[x + i, y + j, z + 1]]
+            line += 4.0 * roots[squares[x + i, y + j, z]]
+            total += line * ((4.0 if i == 0 else 1.0) * (4.0 if j == 0 else 1.0))
+    return total / 216.0
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _sample(squares, first, every, spacing, offset, values, walls):
+    most = squares[0, 0, 0]
+    roots = np.sqrt(np.arange(most + 1))
+    nx, ny, nz = values.shape
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                x, y, z = first[0] + every * i, first[1] + every * j, first[2] + every * k
+                here = spacing * _spline(squares, roots, x, y, z) - offset
+                values[i, j, k] = here
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                here = values[i, j, k]
+                if here <= 0.0:
+                    continue
+                for axis in range(3):
+                    a, b, c = i + (axis == 0), j + (axis == 1), k + (axis == 2)
+                    # The spline's slope is below 1.2 (`SLOPE`): from there on no node between can be in the obstacle.
+                    if a >= nx or b >= ny or c >= nz or values[a, b, c] <= 0.0:
+                        continue
+                    if here + values[a, b, c] >= 1.2 * every * spacing:
+                        continue
+                    for step in range(1, every):
+                        x = first[0] + every * i + step * (axis == 0)
+                        y = first[1] + every * j + step * (axis == 1)
+                        z = first[2] + every * k + step * (axis == 2)
+                        if spacing * _spline(squares, roots, x, y, z) <= offset:
+                            walls[axis, i, j, k] = True
+                            break

@@ -1,0 +1,136 @@
+"""Guidance: the desired velocity v_c before safety, as a function of position; and plans, which make it for a law."""
+
+import abc
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from keepout.core.fields.field import Field
+from keepout.core.motion.arrays import as_float64
+from keepout.core.progress import Progress, silent
+
+Point = Float[np.ndarray, "3"]
+
+
+class Guidance(eqx.Module):
+    """A desired velocity for each position; `goal` (3,) m is where it leads."""
+
+    goal: eqx.AbstractVar[Float[Array, "3"]]
+
+    @abc.abstractmethod
+    def desired_velocity(self, position: Float[Array, "3"]) -> Float[Array, "3"]:
+        """Return v_c in m/s at a position in m, both in the body frame."""
+
+
+class ComponentwiseGuidance(Guidance):
+    """The paper's v_c = −v_max tanh(r_e / k_p), component by component; up to √3 v_max in norm.
+
+    `speed` v_max in m/s, `slowing_length` k_p in m.
+    """
+
+    goal: Float[Array, "3"]
+    speed: Float[Array, ""]
+    slowing_length: Float[Array, ""]
+
+    def desired_velocity(self, position: Float[Array, "3"]) -> Float[Array, "3"]:
+        """Return −v_max tanh(r_e / k_p)."""
+        return -self.speed * jnp.tanh((position - self.goal) / self.slowing_length)
+
+
+def towards(goal: Float[Array, "3"], position: Float[Array, "3"], length: Float[Array, ""]) -> tuple[Array, Array]:
+    """Return tanh(‖r_e‖/k_p) times the direction to the goal (smooth at the goal), and ‖r_e‖."""
+    error = goal - position
+    square = jnp.sum(error * error)
+    away = square > 1e-24
+    distance = jnp.sqrt(jnp.where(away, square, 1.0))
+    factor = jnp.where(away, jnp.tanh(distance / length) / distance, 1.0 / length)
+    return factor * error, jnp.where(away, distance, 0.0)
+
+
+class StraightGuidance(Guidance):
+    """Straight to the goal with speed v_max tanh(‖r_e‖ / k_p); never above v_max in norm."""
+
+    goal: Float[Array, "3"]
+    speed: Float[Array, ""]
+    slowing_length: Float[Array, ""]
+
+    def desired_velocity(self, position: Float[Array, "3"]) -> Float[Array, "3"]:
+        """Return v_max tanh(‖r_e‖/k_p) times the direction to the goal."""
+        return self.speed * towards(self.goal, position, self.slowing_length)[0]
+
+
+class GuidancePlan(abc.ABC):
+    """Makes a `Guidance` for a law's keep-out zone {field ≤ offset}, its speed and its slowing length."""
+
+    @abc.abstractmethod
+    def guidance(
+        self,
+        field: Field,
+        offset: float,
+        goal: Point,
+        *,
+        speed: float,
+        slowing_length: float,
+        start: Point | None = None,
+        progress: Progress = silent,
+    ) -> Guidance:
+        """Make the guidance.
+
+        Args:
+            field: the law's.
+            offset: of the law's barrier h = field − offset, m.
+            goal: (3,) m, body frame, outside the keep-out zone.
+            speed: v_max, m/s.
+            slowing_length: k_p, m.
+            start: (3,) m, where given, must be connected to the goal.
+            progress: called while it is made.
+
+        Raises:
+            ControlError: the goal cannot be led to.
+
+        """
+
+
+@dataclass(frozen=True)
+class Straight(GuidancePlan):
+    """Straight to the goal, whatever is between (`StraightGuidance`)."""
+
+    def guidance(
+        self,
+        field: Field,
+        offset: float,
+        goal: Point,
+        *,
+        speed: float,
+        slowing_length: float,
+        start: Point | None = None,
+        progress: Progress = silent,
+    ) -> Guidance:
+        """Make the guidance; the field is not asked."""
+        return StraightGuidance(*_leading(goal, speed, slowing_length))
+
+
+@dataclass(frozen=True)
+class Componentwise(GuidancePlan):
+    """The paper's: straight to the goal, component by component (`ComponentwiseGuidance`)."""
+
+    def guidance(
+        self,
+        field: Field,
+        offset: float,
+        goal: Point,
+        *,
+        speed: float,
+        slowing_length: float,
+        start: Point | None = None,
+        progress: Progress = silent,
+    ) -> Guidance:
+        """Make the guidance; the field is not asked."""
+        return ComponentwiseGuidance(*_leading(goal, speed, slowing_length))
+
+
+def _leading(goal: Point, speed: float, slowing_length: float):
+    return jnp.asarray(goal), as_float64(speed), as_float64(slowing_length)

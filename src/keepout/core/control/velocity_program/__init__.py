@@ -1,1 +1,0 @@
-"""The cone program behind the safe velocity, and its solvers."""
