@@ -25,12 +25,19 @@ if "KEEPOUT_CACHE" not in os.environ:
     atexit.register(shutil.rmtree, os.environ["KEEPOUT_CACHE"], ignore_errors=True)
 # XLA takes long over programs that then run faster than most tests need. A run that sets XLA_FLAGS, be it to nothing,
 # keeps its own: so `make test` runs what is marked `as_used`, and `make test-all` everything.
-os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0")
+_QUICKLY_COMPILED = "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0"
+os.environ.setdefault("XLA_FLAGS", _QUICKLY_COMPILED)
 
 import equinox as eqx
 import jax
+import jaxtyping
 import pytest
 from hypothesis import HealthCheck, settings
+
+# All arguments are compared with their annotations: shapes, types. Not where they are as users have them.
+if os.environ["XLA_FLAGS"] == _QUICKLY_COMPILED:
+    jaxtyping.install_import_hook("keepout", "beartype.beartype")
+
 from truths import real_meshes
 
 # A shared or slow machine must not fail a property: only its truth may.
@@ -65,6 +72,13 @@ def _forgetful(_left=[0.0]):  # noqa: B006
         with contextlib.suppress(OSError, AttributeError):
             ctypes.CDLL("libc.so.6").malloc_trim(0)
         _left[0] = held_memory()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Compare arrays with their annotated shapes in short tests, and in all where time is no matter: it costs a tenth."""
+    unhurried = item.config.getoption("--hypothesis-profile") == "random"
+    jaxtyping.config.update("jaxtyping_disable", not unhurried and item.get_closest_marker("long") is not None)
 
 
 FIRST = (

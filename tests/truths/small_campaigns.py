@@ -10,8 +10,8 @@ from keepout.flights.campaign.plan import Plan
 @cache
 def small_plan() -> Plan:
     """Make the plan: 6 chunks of 4 flights."""
-    scenario = Scenario().replace(duration=20.0, guard={"enabled": False}, campaign={"runs": 24})
-    plan = Plan.of(scenario, batch=2)
+    around = {"target": {"source": "box"}, "field": {"source": "grid"}, "guard": {"enabled": False}}
+    plan = Plan.of(Scenario().replace(duration=20.0, campaign={"runs": 24}, **around), batch=2)
     assert (plan.chunks, plan.chunk) == (6, 4)
     return plan
 

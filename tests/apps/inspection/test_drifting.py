@@ -10,7 +10,7 @@ from keepout.apps.inspection.tour import Tour
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 
-pytestmark = pytest.mark.as_used
+pytestmark = [pytest.mark.long, pytest.mark.as_used]
 
 RADIUS = 5.0
 FAR, LOW = 42_164_000.0, 6_878_000.0
@@ -45,7 +45,7 @@ def test_a_leg_towards_a_ball_is_as_slow_as_the_room_before_it_asks(seconds):
     assert none == 0.0
 
 
-@pytest.mark.parametrize("axis", [FAR, LOW])
+@pytest.mark.parametrize("axis", [pytest.param(FAR, marks=pytest.mark.slow), LOW])
 def test_no_drift_from_anywhere_on_a_leg_at_its_speed_touches_the_ball(axis):
     generator, seconds = np.random.default_rng(3), 600.0
     found = judge(seconds, axis)

@@ -28,6 +28,8 @@ pytestmark = [pytest.mark.long, pytest.mark.as_used]
 
 MISSION = {
     "duration": 30.0,
+    "target": {"source": "box"},
+    "field": {"source": "grid"},
     "guard": {"enabled": False},
     "control": {"guidance": "straight"},
     "campaign": {
@@ -36,7 +38,7 @@ MISSION = {
             "chaser.mass": {"uniform": [18.0, 22.0]},
             # 1 mN cannot hold against the disturbance: such a run is refused.
             "chaser.force_limit": {"choice": [0.1, 0.001], "weights": [4, 1]},
-            "start.position": {"sphere": [2.0, 12.0]},
+            "start.position": {"sphere": [1.0, 12.0]},
             "disturbance.phase": {"uniform": [0.0, 6.283]},
         },
     },
