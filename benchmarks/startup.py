@@ -3,8 +3,8 @@
 Each row is a process of its own, with a fresh folder for compiled programs (cold), the same folder again (warm), or
 none (off); the median of several. Seconds depend on the machine and on what else it does, so that a reference stands in
 every round: a Python that imports what any such program must. `cpu` is what the process and its threads used. Of the
-programs that JAX was asked for it `compiled` some and had `taken` others from its folder; those taken `whole` it was
-not asked for.
+programs that JAX was asked for it `compiled` some and had `taken` others from its folder; those kept `whole` were not
+traced.
 A campaign's `first flight s` goes to the first batch that lands, from where Python has started.
 
     python benchmarks/startup.py --repeats 3 --json startup.json

@@ -25,8 +25,7 @@ if "KEEPOUT_CACHE" not in os.environ:
     atexit.register(shutil.rmtree, os.environ["KEEPOUT_CACHE"], ignore_errors=True)
 # XLA takes long over programs that then run faster than most tests need. A run that sets XLA_FLAGS, be it to nothing,
 # keeps its own: so `make test` runs what is marked `as_used`, and `make test-all` everything.
-_QUICKLY_COMPILED = "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0"
-os.environ.setdefault("XLA_FLAGS", _QUICKLY_COMPILED)
+os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0")
 
 import equinox as eqx
 import jax
@@ -34,8 +33,8 @@ import jaxtyping
 import pytest
 from hypothesis import HealthCheck, settings
 
-# All arguments are compared with their annotations: shapes, types. Not where they are as users have them.
-if os.environ["XLA_FLAGS"] == _QUICKLY_COMPILED:
+# Arguments are compared with their annotations, shapes and types, but not where all is as users have it.
+if os.environ["XLA_FLAGS"]:
     jaxtyping.install_import_hook("keepout", "beartype.beartype")
 
 from truths import real_meshes
@@ -76,7 +75,7 @@ def _forgetful(_left=[0.0]):  # noqa: B006
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Compare arrays with their annotated shapes in short tests, and in all where time is no matter: it costs a tenth."""
+    """Compare arrays with their annotations in short tests, and in all where time is no matter: it costs a tenth."""
     unhurried = item.config.getoption("--hypothesis-profile") == "random"
     jaxtyping.config.update("jaxtyping_disable", not unhurried and item.get_closest_marker("long") is not None)
 

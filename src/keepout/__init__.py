@@ -2,7 +2,7 @@
 
 import lazy_loader
 
-from keepout.core.compiled.double_precision import require_double_precision
+from keepout.core.compiled.xla import require_double_precision
 
 # Dynamics, cone program and observer need float64; switching it on here makes forgetting it impossible.
 require_double_precision()

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from keepout.core.compiled.joined_rows import joined_rows, rows_last
+from keepout.core.compiled.in_batches import joined_rows, rows_last
 
 TABLE = jnp.asarray(np.random.default_rng(0).normal(size=(9, 4)))
 

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from keepout.core.compiled.kept_arrays import kept_arrays
+from keepout.core.compiled.kept_executables import kept_arrays
 from keepout.core.compiled.kept_programs import KeptProgramsWarning
 from keepout.core.fields.own import SphereField, stated_field
 

@@ -16,7 +16,6 @@ import pytest
 
 from keepout.core.compiled import kept_executables
 from keepout.core.compiled.kept_executables import (
-    _calls_out,
     _constants,
     _pickled,
     _sources,
@@ -43,10 +42,9 @@ def fresh(monkeypatch) -> None:
     monkeypatch.setattr(field, "_value", kept_jit(field._value.__wrapped__))
 
 
-def kept(folder: Path) -> tuple[set[str], set[str]]:
-    """Calls and codes on the disk."""
-    names = [entry.name for entry in folder.iterdir()]
-    return {name for name in names if name.startswith("call_")}, {name for name in names if name.startswith("code_")}
+def kept(folder: Path) -> set[str]:
+    """Calls on the disk."""
+    return {entry.name for entry in folder.glob("call_*")}
 
 
 def traced(monkeypatch) -> list[str]:
@@ -65,7 +63,7 @@ def test_a_kept_program_gives_the_same_bits_without_being_traced(folder, monkeyp
     fresh(monkeypatch)
     first = field.values(SPHERE, POINTS)
     np.testing.assert_allclose(first, TRUE, rtol=1e-12)
-    assert [len(names) for names in kept(folder)] == [1, 1]
+    assert len(kept(folder)) == 1
     fresh(monkeypatch)
     found = traced(monkeypatch)
     assert np.array_equal(field.values(SPHERE, POINTS), first)
@@ -80,12 +78,12 @@ def test_another_shape_type_or_number_is_another_call(folder, monkeypatch):
     for points in (jnp.zeros((4, 3)), jnp.zeros((5, 3)), jnp.zeros((5, 3), jnp.float32)):
         fresh(monkeypatch)
         field._value(SPHERE, points)
-        sizes.add(tuple(len(names) for names in kept(folder)))
-    assert sizes == {(1, 1), (2, 2), (3, 3)}
+        sizes.add(len(kept(folder)))
+    assert sizes == {1, 2, 3}
     with jax.default_matmul_precision("float32"):
         fresh(monkeypatch)
         field._value(SPHERE, jnp.zeros((4, 3)))
-    assert len(kept(folder)[0]) == 4
+    assert len(kept(folder)) == 4
 
 
 def test_a_process_has_so_many_programs_at_hand_and_lets_go_of_those_used_longest_ago(folder, monkeypatch):
@@ -98,27 +96,9 @@ def test_a_process_has_so_many_programs_at_hand_and_lets_go_of_those_used_longes
         entry.unlink()
     for rows in (3, 5):
         field._value(SPHERE, jnp.zeros((rows, 3)))
-    assert kept(folder) == (set(), set())
+    assert kept(folder) == set()
     assert np.array_equal(field._value(SPHERE, jnp.zeros((4, 3))), np.full(4, -2.0))
-    assert [len(names) for names in kept(folder)] == [1, 1]
-
-
-@pytest.mark.parametrize("used", [0, 1])
-def test_calls_that_use_other_arguments_do_not_share_a_program(folder, used):
-    """Their lowered texts would be the same if the arguments that are not used were left out of them."""
-    leaves = [jnp.asarray(2.0), jnp.asarray(5.0)]
-    structure = jax.tree.structure(((0, 0), {}))
-    for place in (used, 1 - used):
-        made = kept_executables._compiled(
-            lambda *pair, place=place: 3.0 * pair[place],
-            structure,
-            ((None, None), {}),
-            leaves,
-            folder / f"call_picked-{place}-cache",
-            b"",
-        )
-        assert made is not None
-        assert float(made[0](*leaves)[0]) == 3.0 * float(leaves[place])
+    assert len(kept(folder)) == 1
 
 
 def test_numbers_at_the_top_of_modules_are_part_of_the_key(folder, monkeypatch):
@@ -127,8 +107,7 @@ def test_numbers_at_the_top_of_modules_are_part_of_the_key(folder, monkeypatch):
     monkeypatch.setattr(field, "SOMETHING", 5, raising=False)
     fresh(monkeypatch)
     field.values(SPHERE, POINTS)
-    calls, codes = kept(folder)
-    assert (len(calls), len(codes)) == (2, 1), "two calls, lowered to one program"
+    assert len(kept(folder)) == 2
 
 
 def test_nothing_is_kept_or_taken_where_a_function_of_keepout_was_replaced(folder, monkeypatch):
@@ -152,7 +131,7 @@ def test_what_is_not_of_keepout_is_not_kept(folder, monkeypatch):
     fresh(monkeypatch)
     foreign = Foreign(jnp.zeros(3), jnp.asarray(2.0))
     np.testing.assert_allclose(field.values(foreign, POINTS), TRUE, rtol=1e-12)
-    assert kept(folder) == (set(), set())
+    assert kept(folder) == set()
     for mine in (Foreign, lambda: 1, traced):
         with pytest.raises(_UnknownError):
             _pickled(mine)
@@ -162,7 +141,7 @@ def test_what_is_not_of_keepout_is_not_kept(folder, monkeypatch):
         return 2.0 * x
 
     assert kept_jit(mine)(jnp.ones(3)).tolist() == [2.0, 2.0, 2.0]
-    assert kept(folder) == (set(), set())
+    assert kept(folder) == set()
 
 
 def test_a_source_file_younger_than_the_process_stops_keeping(monkeypatch, tmp_path):
@@ -181,11 +160,10 @@ def test_a_source_file_younger_than_the_process_stops_keeping(monkeypatch, tmp_p
         _sources.__wrapped__()
 
 
-@pytest.mark.parametrize("kind", ["call", "code"])
-def test_a_damaged_file_is_a_warning_and_compiled_anew(folder, monkeypatch, kind):
+def test_a_damaged_file_is_a_warning_and_compiled_anew(folder, monkeypatch):
     fresh(monkeypatch)
     first = field.values(SPHERE, POINTS)
-    [path] = folder.glob(f"{kind}_*")
+    [path] = folder.glob("call_*")
     whole = path.read_bytes()
     for damaged in (b"", whole[:40] + bytes([whole[40] ^ 1]) + whole[41:]):
         path.write_bytes(damaged)
@@ -198,13 +176,15 @@ def test_a_damaged_file_is_a_warning_and_compiled_anew(folder, monkeypatch, kind
             assert np.array_equal(field.values(SPHERE, POINTS), first), "and is whole again"
 
 
-def test_a_program_that_calls_out_is_told_by_what_it_calls():
-    def out(x):
-        return jax.pure_callback(lambda y: np.asarray(y), jax.ShapeDtypeStruct((), x.dtype), x)
+def out(x):
+    """Call back into Python."""
+    return jax.pure_callback(lambda y: 2.0 * np.asarray(y), jax.ShapeDtypeStruct((), x.dtype), x)
 
-    for calling in (out, lambda x: jnp.linalg.eigh(jnp.eye(3) * x)[0]):
-        assert list(_calls_out(jax.jit(calling).lower(1.0).as_text()))
-    assert not list(_calls_out(jax.jit(jnp.sin).lower(1.0).as_text()))
+
+def test_a_program_that_calls_back_into_python_is_not_kept(folder, monkeypatch):
+    monkeypatch.setattr(kept_executables, "_require_own", lambda value: None)
+    assert float(kept_jit(out)(jnp.asarray(3.0))) == 6.0
+    assert kept(folder) == set()
 
 
 def run(program: str, folder: Path | str) -> tuple[list, str]:
@@ -225,7 +205,7 @@ monitoring.register_event_duration_secs_listener(
 )
 monitoring.register_event_listener(lambda name, **_: hits.append(name.endswith("/cache_hits")))
 from keepout.core.compiled.kept_programs import keep_programs
-from keepout.core.fields import evaluate
+from keepout.core.fields import field
 from keepout.core.fields.own import SphereField
 before = jax.config.jax_compilation_cache_dir
 keep_programs()
@@ -249,13 +229,13 @@ def test_from_one_process_to_the_next_programs_are_taken_and_lost_damaged_or_edi
     assert before is None, "importing Keepout sets nothing"
     assert not hits
     assert float.fromhex(first[0]) == pytest.approx(np.sqrt(3.0) - 2.0)
-    # What was loaded is never written again: XLA loses functions of a loaded program when it is.
-    for lost, was_traced in (("", True), ("", False), ("call_*", True), ("", False), ("code_*", True)):
+    traced_and_taken = {"": (False, True), "call_*": (True, True), "jit*": (False, False), "*-cache": (True, False)}
+    for lost in ("*-cache", "", "call_*", "", "jit*"):
         for path in kept_in.rglob(lost) if lost else ():
             path.unlink()
         (_, values, *told), said = run(VALUE, kept_in)
         assert values == first
-        assert told == [was_traced, bool(lost or not was_traced)], lost
+        assert tuple(told) == traced_and_taken[lost], lost
         assert said == ""
     for path in kept_in.rglob("*-cache"):
         path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
@@ -263,7 +243,7 @@ def test_from_one_process_to_the_next_programs_are_taken_and_lost_damaged_or_edi
     assert values == first
     assert "damaged" in said
     assert "Error reading persistent compilation cache entry" in said
-    path = source / "keepout" / "core" / "fields" / "analytic.py"
+    path = source / "keepout" / "core" / "fields" / "own.py"
     text = path.read_text()
     line = next(line for line in text.splitlines() if "self.radius" in line and "return" in line)
     path.write_text(text.replace(line, line + " + 1.0"))

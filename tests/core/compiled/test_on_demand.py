@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from keepout.core.compiled.on_demand import GROUP, where_needed
+from keepout.core.compiled.in_batches import GROUP, where_needed
 
 pytestmark = pytest.mark.as_used
 

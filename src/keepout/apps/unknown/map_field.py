@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int32, Shaped, UInt16
 
-from keepout.core.compiled.joined_rows import joined_rows, rows_last
+from keepout.core.compiled.in_batches import joined_rows, rows_last
 from keepout.core.errors import FieldError
 from keepout.core.fields.field import Field, of_places
 

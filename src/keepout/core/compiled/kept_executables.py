@@ -1,20 +1,21 @@
-"""Programs that a process takes from the disk as they are, without tracing them again.
+"""What a process takes from the disk instead of making it again: programs, without tracing them, and arrays.
 
-JAX finds a compiled program again by what it was lowered to, and so traces and lowers the function at every start,
-which takes longer than loading what comes of it. Here a call's program is found by all that tracing depends on: the
-function's name, every source file of Keepout, the versions of Python and of the libraries that trace, JAX's settings,
-the shapes and types of the arguments' arrays, everything in the arguments that is no array, and the numbers at the top
-of Keepout's modules. Two files make a program: a call (`call_...`: which program, and how to put its arrays together),
-and the machine code (`code_...`), found by what it was lowered to, since many calls are lowered to one program.
+JAX keeps compiled programs itself and finds one by what it was lowered to, and so traces and lowers the function at
+every start, which takes longer than loading what comes of it. Here a call's lowered program is kept too, as written by
+`jax.export`. It is found by all that tracing depends on: the function's name, every source file of Keepout, the
+versions of Python and of the libraries that trace, JAX's settings, the shapes and types of the arguments' arrays,
+everything in the arguments that is no array, and the numbers at the top of Keepout's modules.
 
 What cannot be told apart that way is not kept: arguments that hold functions or classes of others, Keepout changed
-while it runs (a function replaced, a source file edited), programs that call out of the compiled code, and anything but
-a CPU. It is then compiled as by `equinox.filter_jit`. Where and for whom programs are kept: see `kept_programs`.
+while it runs (a function replaced, a source file edited), programs that `jax.export` refuses since they call back into
+Python, and anything but a CPU. It is then compiled as by `equinox.filter_jit`. Where and for whom all this is kept: see
+`kept_programs`. How an answer's arrays are put together is kept as a pickle, which only such a folder may hold.
 """
 
 import collections
 import functools
 import hashlib
+import importlib.metadata
 import io
 import pickle
 import platform
@@ -23,7 +24,8 @@ import sysconfig
 import threading
 import time
 import types
-from collections.abc import Callable, Iterator
+import zipfile
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
@@ -31,16 +33,15 @@ from typing import Any, ParamSpec, TypeVar
 import equinox as eqx
 import jax
 import numpy as np
-from jax._src import config as jax_config  # JAX tells its settings, of a thread too, nowhere else
+from jax import export
 from jax.core import Tracer
-from jax.experimental import serialize_executable
 from jaxtyping import PyTree
 
-from keepout.core.compiled.kept_entries import read_entry, warn_of, write_entry
-from keepout.core.compiled.kept_programs import folder_in_use
+from keepout.core.compiled.kept_programs import folder_in_use, read_entry, warn_of, write_entry
 
 P = ParamSpec("P")
 T = TypeVar("T")
+Arrays = dict[str, np.ndarray]
 
 _PACKAGE = Path(__file__).parents[2]
 _STARTED = time.time() - time.process_time()
@@ -57,29 +58,30 @@ _AT_HAND = 16
 One program takes hundreds of pieces of memory, and a process may have 65,530 of them on Linux: without a limit, a
 process that flew fifty different missions would die.
 """
-_HARMLESS = ("Sharding",)
-"""Calls out of a lowered program that are gone when it is compiled."""
-
-
-_taken_by_jax = [0]
-"""How many programs JAX took from its own folder."""
-
-
-def _count(event: str, **_: Any) -> None:
-    _taken_by_jax[0] += event == "/jax/compilation_cache/cache_hits"
-
-
-jax.monitoring.register_event_listener(_count)
 
 
 class _UnknownError(Exception):
     """Something is not told by a version or a source file."""
 
 
-def kept_jit(function: Callable[P, T]) -> Callable[P, T]:
-    """Compile a function as `equinox.filter_jit` does, and keep its compiled programs from one process to the next.
+class _Place:
+    """Stands for one of a program's arrays in what the function gives."""
 
-    Results are the same bits whether a program was kept or not: it is the same machine code.
+    def __init__(self, number: int):
+        self.number = number
+
+
+def _is_place(leaf: Any) -> bool:
+    return isinstance(leaf, _Place)
+
+
+# ---- programs
+
+
+def kept_jit(function: Callable[P, T]) -> Callable[P, T]:
+    """Compile a function as `equinox.filter_jit` does, and keep its programs from one process to the next.
+
+    Results are the same bits whether a program was kept or not.
 
     Args:
         function: pure, at the top level of a module of Keepout; what it gives holds arrays and what pickles.
@@ -98,7 +100,7 @@ def kept_jit(function: Callable[P, T]) -> Callable[P, T]:
             return plain(*args, **kwargs)
         shapes = tuple((x.shape, str(x.dtype), getattr(x, "weak_type", False)) for x in leaves)
         rest, rest_structure = jax.tree.flatten(still)
-        known = structure, shapes, tuple((type(x), x) for x in rest), rest_structure, jax_config.trace_context()
+        known = structure, shapes, tuple((type(x), x) for x in rest), rest_structure, _settings()
         with lock:
             if known not in programs:
                 programs[known] = _program(folder, function, structure, shapes, still, leaves)
@@ -111,7 +113,131 @@ def kept_jit(function: Callable[P, T]) -> Callable[P, T]:
     return called
 
 
-def told_apart(tree: PyTree) -> bytes | None:
+def _watched() -> bool:
+    """Whether programs are to run as only JAX runs them: elsewhere than on a CPU, or to look for errors."""
+    asked = (getattr(jax.config, f"jax_{name}") for name in ("disable_jit", "debug_nans", "debug_infs"))
+    return jax.default_backend() != "cpu" or any(asked)
+
+
+def _program(
+    folder: Path,
+    function: Callable[..., Any],
+    structure: Any,
+    shapes: tuple[Any, ...],
+    still: PyTree,
+    leaves: list[Any],
+) -> Callable[[list[Any]], Any] | None:
+    """Take a call's program from the folder, or export it and keep it; None where it cannot be kept."""
+    try:
+        _require_own(function)
+        where = jax.tree.unflatten(structure, [True] * len(leaves))
+        told = _pickled((where, still)) + repr((shapes, _constants(), _settings())).encode()
+        named = f"{function.__module__}.{function.__qualname__} {_sources()}".encode()
+    except _UnknownError:
+        return None
+    path = folder / f"call_{function.__name__}-{hashlib.sha256(named + told).hexdigest()}-cache"
+    found = _taken(path) or _exported(function, structure, still, leaves, path)
+    if found is None:
+        return None
+    exported, outline = found
+    # The same text whether it was kept or not, so that JAX finds in its folder what XLA made of it.
+    run = jax.jit(exported.call).lower(*leaves).compile()
+    answers, places = jax.tree.flatten(outline, is_leaf=_is_place)
+
+    def program(leaves: list[Any]) -> Any:
+        arrays = run(*leaves)
+        return jax.tree.unflatten(places, [arrays[leaf.number] if _is_place(leaf) else leaf for leaf in answers])
+
+    return program
+
+
+def _taken(path: Path) -> tuple[export.Exported, PyTree] | None:
+    """Load the program of a call and the outline of its answer; None where they are not kept."""
+    content = read_entry(path)
+    if content is None:
+        return None
+    try:
+        exported, outline = pickle.loads(content)
+        found = export.deserialize(exported), outline
+    except Exception as error:  # neither has one kind for what it cannot load
+        warn_of(path, str(error).partition("\n")[0])
+        return None
+    jax.monitoring.record_event("/keepout/kept_program_loaded")
+    return found
+
+
+def _exported(
+    function: Callable[..., Any], structure: Any, still: PyTree, leaves: list[Any], path: Path
+) -> tuple[export.Exported, PyTree] | None:
+    """Trace and lower a program, and keep it; None where it cannot be."""
+    outlines: list[PyTree] = []
+
+    def flat(*leaves: Any) -> tuple[Any, ...]:
+        args, kwargs = eqx.combine(jax.tree.unflatten(structure, leaves), still)
+        answer, rest = eqx.partition(function(*args, **kwargs), eqx.is_array)
+        arrays, places = jax.tree.flatten(answer)
+        placed = jax.tree.unflatten(places, [_Place(number) for number in range(len(arrays))])
+        outlines.append(eqx.combine(placed, rest, is_leaf=_is_place))
+        return tuple(arrays)
+
+    flat.__name__ = flat.__qualname__ = f"kept_{function.__name__}"
+    try:
+        exported = export.export(jax.jit(flat))(*leaves)
+        content = pickle.dumps((bytes(exported.serialize()), outlines[-1]))
+    # What calls back into Python, or gives what does not pickle; what the function itself refuses, it refuses again.
+    except (ValueError, NotImplementedError, TypeError, AttributeError, pickle.PicklingError):
+        return None
+    with suppress(_UnknownError):
+        if _sources() == _sources.__wrapped__():
+            write_entry(path, content)
+    return exported, outlines[-1]
+
+
+# ---- arrays
+
+
+def kept_arrays(name: str, made_from: Any, make: Callable[[], Arrays], *, libraries: Sequence[str] = ()) -> Arrays:
+    """Take arrays from the folder of kept programs, or make them and keep them there.
+
+    They are found by everything that they were computed from: all that `made_from` holds, arrays and the rest, and what
+    a program is found by. Where something cannot be told apart that way, such as a field that is a function of the
+    user's, nothing is kept. Last bits depend on the processor, and so does the folder.
+
+    Args:
+        name: of what the arrays are, a word for the file's name.
+        made_from: a tree of all that `make` depends on.
+        make: gives the arrays, by name.
+        libraries: distributions, by name, whose version matters beside those that Keepout's programs depend on.
+
+    Returns:
+        The arrays, the same bits whether they were kept or not.
+
+    """
+    folder = folder_in_use()
+    told = _told_apart(made_from) if folder is not None else None
+    if folder is None or told is None:
+        return make()
+    versions = [(library, importlib.metadata.version(library)) for library in libraries]
+    path = folder / f"{name}-{hashlib.sha256(told + repr(versions).encode()).hexdigest()}-cache"
+    content = read_entry(path)
+    if content is not None:
+        try:
+            with np.load(io.BytesIO(content), allow_pickle=False) as kept:
+                return dict(kept)
+        except (ValueError, OSError, KeyError, zipfile.BadZipFile) as error:
+            warn_of(path, str(error))
+    made = make()
+    named: dict[str, Any] = dict(made)
+    stream = io.BytesIO()
+    np.savez(stream, **named)
+    write_entry(path, stream.getvalue())
+    return made
+
+
+# ---- what programs and arrays depend on
+
+
+def _told_apart(tree: PyTree) -> bytes | None:
     """Tell a tree from every other: by its arrays, all else in it, Keepout's source and constants, JAX's settings.
 
     Returns:
@@ -130,128 +256,6 @@ def told_apart(tree: PyTree) -> bytes | None:
         array = np.asarray(leaf)
         whole.update(repr((array.shape, str(array.dtype))).encode() + np.ascontiguousarray(array).tobytes())
     return whole.digest()
-
-
-def _watched() -> bool:
-    """Whether programs are to run as only JAX runs them: elsewhere than on a CPU, or to look for errors."""
-    asked = (getattr(jax.config, f"jax_{name}") for name in ("disable_jit", "debug_nans", "debug_infs"))
-    return jax.default_backend() != "cpu" or any(asked)
-
-
-def _program(
-    folder: Path,
-    function: Callable[..., Any],
-    structure: Any,
-    shapes: tuple[Any, ...],
-    still: PyTree,
-    leaves: list[Any],
-) -> Callable[[list[Any]], Any] | None:
-    """Take a program from the folder, or compile it and keep it; None where it cannot be kept."""
-    try:
-        _require_own(function)
-        where = jax.tree.unflatten(structure, [True] * len(leaves))
-        settings = repr(_settings()).encode()
-        told = _pickled((where, still)) + repr((shapes, _constants())).encode() + settings
-        named = f"{function.__module__}.{function.__qualname__} {_sources()}".encode()
-    except _UnknownError:
-        return None
-    path = folder / f"call_{function.__name__}-{hashlib.sha256(named + told).hexdigest()}-cache"
-    found = _taken(path, len(leaves)) or _compiled(function, structure, still, leaves, path, settings)
-    if found is None:
-        return None
-    run, outline = found
-    answers, places = jax.tree.flatten(outline, is_leaf=_is_place)
-
-    def program(leaves: list[Any]) -> Any:
-        arrays = run(*leaves)
-        return jax.tree.unflatten(places, [arrays[leaf.number] if _is_place(leaf) else leaf for leaf in answers])
-
-    return program
-
-
-class _Place:
-    """Stands for one of a program's arrays in what the function gives."""
-
-    def __init__(self, number: int):
-        self.number = number
-
-
-def _is_place(leaf: Any) -> bool:
-    return isinstance(leaf, _Place)
-
-
-def _taken(path: Path, arguments: int) -> tuple[Callable[..., Any], PyTree] | None:
-    """Load the program of a call and the outline of its answer; None where they are not kept."""
-    content = read_entry(path)
-    if content is None:
-        return None
-    try:
-        code, arrays, outline = pickle.loads(content)
-    except Exception as error:  # pickle has no one kind for what it cannot load
-        warn_of(path, str(error))
-        return None
-    run = _loaded(path.with_name(code), arguments, arrays)
-    return None if run is None else (run, outline)
-
-
-def _loaded(path: Path, arguments: int, arrays: int) -> Callable[..., Any] | None:
-    """Load a program; None where it is not kept."""
-    content = read_entry(path)
-    if content is None:
-        return None
-    places = jax.tree.structure(((0,) * arguments, {})), jax.tree.structure((0,) * arrays)
-    try:
-        run = serialize_executable.deserialize_and_load(content, *places)
-    except Exception as error:  # XLA has no one kind for what it cannot load
-        warn_of(path, str(error).partition("\n")[0])
-        return None
-    jax.monitoring.record_event("/keepout/kept_program_loaded")
-    return run
-
-
-def _compiled(
-    function: Callable[..., Any], structure: Any, still: PyTree, leaves: list[Any], path: Path, settings: bytes
-) -> tuple[Callable[..., Any], PyTree] | None:
-    """Compile a program and keep it, or take what another call was lowered to; None where it calls out of the code."""
-    outlines: list[PyTree] = []
-
-    def flat(*leaves: Any) -> tuple[Any, ...]:
-        args, kwargs = eqx.combine(jax.tree.unflatten(structure, leaves), still)
-        answer, rest = eqx.partition(function(*args, **kwargs), eqx.is_array)
-        arrays, places = jax.tree.flatten(answer)
-        placed = jax.tree.unflatten(places, [_Place(number) for number in range(len(arrays))])
-        outlines.append(eqx.combine(placed, rest, is_leaf=_is_place))
-        return tuple(arrays)
-
-    flat.__name__ = flat.__qualname__ = f"kept_{function.__name__}"
-    # Arguments that are not used stay in the text: without them, calls that use other ones of theirs read the same.
-    lowered = jax.jit(flat, keep_unused=True).lower(*leaves)
-    text = lowered.as_text()
-    if any(called not in _HARMLESS for called in _calls_out(text)):
-        return None
-    outline, arrays = outlines[-1], lowered.out_tree.num_leaves
-    code = path.with_name(f"code_{function.__name__}-{hashlib.sha256(settings + text.encode()).hexdigest()}-cache")
-    run = _loaded(code, len(leaves), arrays)
-    if run is None:
-        # What JAX takes from its folder cannot be kept again: functions get lost. So it is not to keep this one.
-        before = _taken_by_jax[0]
-        with jax_config.persistent_cache_min_compile_time_secs(float("inf")):
-            run = lowered.compile()
-        if _taken_by_jax[0] != before:
-            return run, outline
-        with suppress(NotImplementedError, ValueError):
-            write_entry(code, serialize_executable.serialize(run)[0])
-    with suppress(_UnknownError, TypeError, AttributeError, pickle.PicklingError):
-        content = pickle.dumps((code.name, arrays, outline))
-        if _sources() == _sources.__wrapped__():
-            write_entry(path, content)
-    return run, outline
-
-
-def _calls_out(text: str) -> Iterator[str]:
-    """Names of what a lowered program calls outside of the compiled code."""
-    for piece in text.split("stablehlo.custom_call @")[1:]:
-        yield piece.partition("(")[0].strip('"')
 
 
 class _Pickler(pickle.Pickler):
@@ -278,14 +282,14 @@ def _of_python(module: str) -> bool:
     return module.partition(".")[0] in sys.stdlib_module_names and module != "__main__"
 
 
-def _settings() -> list[tuple[str, str]]:
-    """JAX's settings as they hold in this thread."""
-    told = [(name, repr(state.value)) for name, state in sorted(jax_config.config_states.items())]
-    # Beside them: meshes, and what else a thread may trace under. The last is the axes of a surrounding map.
-    context = repr(jax_config.trace_context()[:-1])
-    if " at 0x" in context or any(" at 0x" in value for _, value in told):
-        raise _UnknownError("settings")
-    return [*told, ("context", context)]
+def _settings() -> tuple[Any, ...]:
+    """JAX's settings as they hold in this thread, and the mesh of devices that it traces under."""
+    return *(getattr(jax.config, name) for name in _names_of_settings()), str(jax.sharding.get_abstract_mesh())
+
+
+@functools.cache
+def _names_of_settings() -> list[str]:
+    return [name for name in sorted(jax.config.values) if hasattr(jax.config, name)]
 
 
 def _constants() -> list[tuple[str, str]]:

@@ -7,6 +7,7 @@ own. A folder that is not private is refused with one warning, and programs are 
 """
 
 import functools
+import hashlib
 import os
 import platform
 import re
@@ -22,6 +23,8 @@ import jaxlib.version
 
 from keepout.core.cores import available_cores
 from keepout.core.digest import digest
+from keepout.core.errors import KeepoutError
+from keepout.core.whole_file import write_whole
 
 VARIABLE = "KEEPOUT_COMPILE_CACHE"
 """Environment variable: "off", or a private folder of one's own instead of the one in the user's folder for caches."""
@@ -179,3 +182,38 @@ def _forget_oldest(base: Path) -> None:
             return
         entry.unlink(missing_ok=True)
         total -= size
+
+
+# ---- files of the folder
+
+
+def read_entry(path: Path) -> bytes | None:
+    """Read what `write_entry` wrote; None where it is not there, with a warning where it is damaged."""
+    try:
+        whole = path.read_bytes()
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        warn_of(path, str(error.strerror))
+        return None
+    check, content = whole[:32], whole[32:]
+    if hashlib.sha256(content).digest() != check:
+        warn_of(path, "it is damaged")
+        return None
+    with suppress(OSError):
+        path.touch()  # what is used stays when the folder is full
+    return content
+
+
+def write_entry(path: Path, content: bytes) -> None:
+    """Write a file of the folder, whole and with its own checksum, or warn that it cannot be kept."""
+    try:
+        write_whole(path, hashlib.sha256(content).digest() + content)
+    except KeepoutError as error:
+        warn_of(path, str(error))
+
+
+def warn_of(path: Path, why: str) -> None:
+    """Warn that an entry cannot be used or kept."""
+    said = f"compiled programs are not all kept: {path}: {why}"
+    warnings.warn(said, KeptProgramsWarning, stacklevel=2)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Int8, Int32
 
-from keepout.core.compiled.joined_rows import joined_rows, rows_last
+from keepout.core.compiled.in_batches import joined_rows, rows_last
 from keepout.core.control.barrier_grid import FULL_SPEED_BARRIER, BarrierGrid, _few_values, require_free
 from keepout.core.control.fast_marching import UNIT, downhill, travel_time, widest_way
 from keepout.core.control.guidance import Guidance, GuidancePlan, Point, towards

@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from keepout.core.compiled.in_batches import where_needed
 from keepout.core.compiled.kept_executables import kept_jit
-from keepout.core.compiled.on_demand import where_needed
 from keepout.core.errors import ControlError
 from keepout.core.fields.field import Field
 from keepout.core.guard import braking, observer, watch

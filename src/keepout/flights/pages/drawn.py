@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from keepout.core.compiled.kept_arrays import Arrays, kept_arrays
+from keepout.core.compiled.kept_executables import Arrays, kept_arrays
 from keepout.core.fields.field import Field, values_and_gradients
 from keepout.core.geometry.distance import Distance
 from keepout.core.geometry.target import Target
