@@ -1,11 +1,13 @@
 """The command line, run in this process or in one of its own, and what it left behind."""
 
 import contextlib
+import functools
 import io
 import json
 import os
 import subprocess
 import sys
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -39,18 +41,54 @@ def keepout_command(*arguments: object) -> Answer:
     return Answer(int(stop.value.code or 0), out.getvalue(), err.getvalue())
 
 
+FORKING = """
+import json, os, sys
+import equinox, jax, matplotlib.pyplot, numba, pyarrow.parquet, pydantic, scipy.optimize, scipy.stats, trimesh, typer
+for line in sys.stdin:
+    arguments, folder, environment, program, streams = json.loads(line)
+    child = os.fork()
+    if not child:
+        os.chdir(folder)
+        os.environ.clear()
+        os.environ.update(environment)
+        for number, name in enumerate([os.devnull, *streams]):
+            os.dup2(os.open(name, os.O_RDWR), number)
+        sys.argv = ["keepout", *arguments]
+        exec(program)
+        sys.exit()
+    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
+"""
+"""Has imported the libraries, 2 s of every command, but nothing of Keepout; each line is a process forked from it."""
+
+
+def environment() -> dict[str, str]:
+    paths = os.pathsep.join(path for path in sys.path if path)
+    kept = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    return kept | {"PYTHONPATH": paths}
+
+
+@functools.cache
+def forking() -> subprocess.Popen:
+    pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    return subprocess.Popen([sys.executable, "-c", FORKING], env=environment(), text=True, **pipes)
+
+
 def told_by_process(folder: Path, *arguments: object, program: str = "from keepout.cli import main; main()") -> str:
-    """Run a command in a process of its own, as a user does, and give what it wrote to standard output.
+    """Run a command in a process of its own, and give what it wrote to standard output.
 
     What a library writes past Python to the file descriptor is seen so, and not by a command run in this process.
     """
-    environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
-    environment["PYTHONPATH"] = os.pathsep.join(path for path in sys.path if path)
-    command = [sys.executable, "-c", program, *(str(argument) for argument in arguments)]
-    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert "Traceback" not in done.stderr
-    return done.stdout
+    server = forking()
+    assert server.stdin is not None
+    assert server.stdout is not None
+    with tempfile.NamedTemporaryFile("r") as out, tempfile.NamedTemporaryFile("r") as err:
+        told = [str(each) for each in arguments], str(folder), environment(), program, (out.name, err.name)
+        server.stdin.write(json.dumps(told) + "\n")
+        server.stdin.flush()
+        code, said = int(server.stdout.readline()), err.read()
+        assert code == 0, said
+        assert "Traceback" not in said
+        return out.read()
 
 
 def never(word: str) -> Any:
