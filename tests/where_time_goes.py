@@ -93,6 +93,7 @@ class Meter:
     def read(self) -> dict[str, float]:
         """Return all that was used so far (s)."""
         children = resource.getrusage(resource.RUSAGE_CHILDREN)
+        forked = getattr(sys.modules.get("truths.command_line"), "FORKED", {"seconds": 0.0})
         traced, compiled, python = (self.spent[kind] for kind in ("tracing", "compiling", "python in events"))
         main = time.thread_time() - python
         return {
@@ -101,7 +102,7 @@ class Meter:
             "numba": self.spent["numba"],
             "running": time.process_time() - traced - compiled - main,
             "python": main - self.spent["numba"],
-            "commands": children.ru_utime + children.ru_stime,
+            "commands": children.ru_utime + children.ru_stime + forked["seconds"],
             "programs": self.programs,
         }
 

@@ -42,7 +42,7 @@ def keepout_command(*arguments: object) -> Answer:
 
 
 FORKING = """
-import json, os, sys
+import json, os, resource, sys
 import equinox, jax, matplotlib.pyplot, numba, pyarrow.parquet, pydantic, scipy.optimize, scipy.stats, trimesh, typer
 for line in sys.stdin:
     arguments, folder, environment, program, streams = json.loads(line)
@@ -56,9 +56,15 @@ for line in sys.stdin:
         sys.argv = ["keepout", *arguments]
         exec(program)
         sys.exit()
-    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    print(code, used.ru_utime + used.ru_stime, flush=True)
 """
 """Has imported the libraries, 2 s of every command, but nothing of Keepout; each line is a process forked from it."""
+
+
+FORKED = {"seconds": 0.0}
+"""Of processor, that the forked processes have used."""
 
 
 def environment() -> dict[str, str]:
@@ -85,8 +91,9 @@ def told_by_process(folder: Path, *arguments: object, program: str = "from keepo
         told = [str(each) for each in arguments], str(folder), environment(), program, (out.name, err.name)
         server.stdin.write(json.dumps(told) + "\n")
         server.stdin.flush()
-        code, said = int(server.stdout.readline()), err.read()
-        assert code == 0, said
+        code, used = server.stdout.readline().split()
+        FORKED["seconds"], said = float(used), err.read()
+        assert code == "0", said
         assert "Traceback" not in said
         return out.read()
 

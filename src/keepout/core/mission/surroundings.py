@@ -466,7 +466,9 @@ def broken_assumptions(scenario: Scenario, target: Target | None = None) -> tupl
 
 def guard_numbers(guard: Guard, scenario: Scenario) -> dict[str, Any]:
     """Give what a scenario's guard assumes and what follows (docs/guard.md) as plain numbers for JSON, SI units."""
-    a, b = guard.assumptions, guard.braking
+    # As Python's numbers: of arrays JAX would compile every sum and product below.
+    a = jax.tree.map(lambda leaf: float(leaf) if isinstance(leaf, jax.Array) else leaf, guard.assumptions)
+    b = guard.braking
     longest = watch.windows(a)[-1]
     least = watch.SHARE * float(a.disturbance)
     numbers = {
