@@ -35,7 +35,7 @@ def known_round(box):
 
 
 def test_triangle_meets_cube_as_the_packages_geometry_says():
-    """Which tests/core/geometry/test_cubes_met.py holds against a linear programme."""
+    """Which tests/apps/unknown/test_cubes_met.py holds against a linear programme."""
     generator = np.random.default_rng(0)
     answers = []
     for _ in range(2000):

@@ -8,15 +8,16 @@ the reverse does as many products of matrices, and goes over the activations mor
 
 import dataclasses
 import functools
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Float32
+from jaxtyping import Array, Bool, Float32
 
 from keepout.core.errors import FieldError
 from keepout.core.fields import neural
+from keepout.core.fields.continuation import Rows, Vectors
 from keepout.core.fields.neural import Kept, Layers, sweeps, times
 
 LARGE_TARGET = 20.0
@@ -44,7 +45,7 @@ class TrainingProfile:
             webs grow in the corners between panels; with as many as of the over-statements the surface suffers.
         near: metres; errors count in proportion to near/(|g| + near), g the signed distance, so that the surface
             matters most and the far field is not lost (keepout loss).
-        room_share: share of the samples that are spread over the room next to the surface (`sampling.room_points`);
+        room_share: share of the samples that are spread over the room next to the surface (`samples.room_points`);
             the rest has few in gaps that are wide, and small beside the target.
         optimizer: "adam" (Kingma, Ba 2015), or "muon" (Jordan et al. 2024): momentum made orthogonal for the hidden
             matrices, Adam for the rest.
@@ -216,19 +217,13 @@ def terms(
     return paper_terms(layers, profile, scale, batch)
 
 
-def value_and_gradient(
-    layers: Layers, beta: float, x: Float[Array, "n 3"]
-) -> tuple[Float[Array, "n"], Float[Array, "n 3"]]:
-    """`neural.value_and_gradient`, whose own derivative is with respect to the layers, not to x."""
-    return _value_and_gradient(layers, beta, x)
-
-
 @functools.partial(jax.custom_vjp, nondiff_argnums=(1,))
-def _value_and_gradient(layers: Layers, beta: float, x: Float[Array, "n 3"]) -> Any:
+def value_and_gradient(layers: Layers, beta: float, x: Vectors) -> tuple[Rows, Vectors]:
+    """`neural.value_and_gradient`, whose own derivative is with respect to the layers, not to x."""
     return sweeps(layers, beta, x)[0]
 
 
-def _forward(layers: Layers, beta: float, x: Float[Array, "n 3"]) -> tuple[tuple[Array, Array], tuple[Layers, Kept]]:
+def _forward(layers: Layers, beta: float, x: Vectors) -> tuple[tuple[Array, Array], tuple[Layers, Kept]]:
     answer, kept = sweeps(layers, beta, x)
     return answer, (layers, kept)
 
@@ -253,4 +248,4 @@ def _reverse(beta: float, forward: tuple[Layers, Kept], seeds: tuple[Array, Arra
     return Layers(tuple(reversed(weights)), tuple(reversed(biases))), None
 
 
-_value_and_gradient.defvjp(_forward, _reverse)
+value_and_gradient.defvjp(_forward, _reverse)

@@ -315,11 +315,6 @@ def grid_slope(field: GridField, spline: JoinedSpline) -> Slope:
     return Slope(found, largest * (1.0 + _OUTWARD) + _OUTWARD)
 
 
-def spline_slope(spline: JoinedSpline) -> float:
-    """Bound the spline's own slope by coefficient differences: quick, looser, and without lowering and continuation."""
-    return float(_by_differences(spline.coefficients, spline.spacing).max())
-
-
 def _rough_bounds(
     field: GridField, spline: JoinedSpline, zones: "_Zones"
 ) -> tuple[Float[np.ndarray, "m"], Int[np.ndarray, "m"], Int[np.ndarray, "m 3"]]:
@@ -332,7 +327,7 @@ def _rough_bounds(
     for first in range(0, len(spline.spacing), 512):
         part = slice(first, first + 512)
         h = spline.spacing[part]
-        bound = _by_differences(spline.coefficients[part], h).reshape(len(h), -1)
+        bound = slopes_by_differences(spline.coefficients[part], h).reshape(len(h), -1)
         used = spline.used[part].repeat(BLOCK // 2, 1).repeat(BLOCK // 2, 2).repeat(BLOCK // 2, 3).reshape(len(h), -1)
         block, cell = np.nonzero(used)
         nearest, farthest = _radii(_middles(field, spline, first + block, steps[cell]), h[block])
@@ -344,10 +339,13 @@ def _rough_bounds(
     return np.concatenate(rough), np.concatenate(number), np.concatenate(place)
 
 
-def _by_differences(
+def slopes_by_differences(
     c: Float[np.ndarray, "m 11 11 11"], spacing: Float[np.ndarray, "m"]
 ) -> Float[np.ndarray, "m 8 8 8"]:
-    """Bound the spline's slope in each cell: a derivative is a mean of the coefficient differences about the cell."""
+    """Bound the spline's own slope in each cell: a derivative is a mean of the coefficient differences about the cell.
+
+    Quick, looser, and without lowering and continuation. The coefficients are a `JoinedSpline`'s, m; so is the spacing.
+    """
     total = np.zeros(1)
     for axis in (1, 2, 3):
         difference = np.abs(np.diff(c, axis=axis))
