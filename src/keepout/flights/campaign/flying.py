@@ -309,7 +309,8 @@ def mission_of(run: Run) -> Mission:
     """Give the mission of one run, its scenario saying where it truly starts."""
     start = {"position": tuple(run.position.tolist()), "velocity": tuple(run.velocity.tolist())}
     initial = jax.tree.map(lambda array: array[0], initial_states([run]))
-    return replace(run.flown, scenario=run.scenario.replace(start=start), initial=initial)
+    around = replace(run.flown.surroundings, scenario=run.scenario.replace(start=start))
+    return replace(run.flown, surroundings=around, initial=initial)
 
 
 def differences(kept: pa.Table, row: dict[str, Any]) -> dict[str, tuple[Any, Any]]:
