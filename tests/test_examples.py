@@ -13,6 +13,7 @@ from truths.boxes import contact_with_box
 import keepout
 from keepout.core.errors import FieldError
 from keepout.core.guard.field import guard_field
+from keepout.core.proof.certificate import stated_error_bound
 
 FOLDER = Path(__file__).parents[1] / "examples"
 pytestmark = pytest.mark.long

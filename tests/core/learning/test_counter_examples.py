@@ -7,6 +7,7 @@ import pytest
 from truths import small_box
 
 from keepout.core.fields.continuation import Domain
+from keepout.core.learning import samples
 from keepout.core.learning.losses import TrainingProfile
 from keepout.core.learning.samples import HIGHEST, JITTER, ROUNDS_KEPT, Hunt
 
@@ -23,8 +24,8 @@ def solid():
 
 @pytest.fixture(autouse=True)
 def _fewer_candidates(monkeypatch):
-    monkeypatch.setattr(counter_examples, "ON_LEVEL", 60_000)
-    monkeypatch.setattr(counter_examples, "NEAR", 60_000)
+    monkeypatch.setattr(samples, "ON_LEVEL", 60_000)
+    monkeypatch.setattr(samples, "NEAR", 60_000)
 
 
 @functools.cache
