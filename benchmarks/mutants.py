@@ -99,9 +99,8 @@ MUTANTS = {
         ("balls that overlap walls", "0.9 * free * _D", "1.5 * free * _D", "audit:said"),
     ],
     "core/audit/passage.py": [("nearer end for farther", "est = np.maximum(", "est = np.minimum(", "mutants_found")],
-    "core/motion/thrusters/on_off.py": [
+    "flights/thrusters/on_off.py": [
         ("half an excursion", "period**2 / 32.0", "period**2 / 64.0", "thrusters:nearly_met"),
-        ("gains only added", " + gain_error * self.gain_error", "", "disturbance_bound:compound"),
         (
             "fault a step short",
             "None else math.ceil(detection_time",
@@ -115,6 +114,7 @@ MUTANTS = {
     ],
     "core/mission/bounds.py": [("middle inertia for least", "inertia)[0]", "inertia)[1]", "orbit_bounds:torque")],
     "core/mission/surroundings.py": [
+        ("gains only added", " + gain_error * self.gain_error", "", "disturbance_bound:compound"),
         ("gravity too far out", "_radius - max(", "_radius + max(", "assumptions:gravity"),
         ("shorter delay unnoticed", "if faults.delay !=", "if faults.delay >", "assumptions:beyond"),
     ],

@@ -25,7 +25,7 @@ from kept_rows import Rows, show
 import keepout
 from keepout.core.flight.batches import states_at
 from keepout.core.guard.guard import starts_certified
-from keepout.core.mission.thrusters import thrusters
+from keepout.core.mission.surroundings import Surroundings
 
 STUCK_FROM = 20.0
 """Seconds after the start: on the way, at full speed."""
@@ -43,10 +43,8 @@ def fly_row(case, layout, stuck, detection):
     chosen = {"layout": layout, "force": FORCE[layout], "survive_failure": True, "detection_time": detection}
     scenario = case.furthest(thrusters=chosen)
     setup = case.setup(scenario)
-    faulty = [
-        thrusters(scenario.replace(faults={"thruster": i, "thruster_stuck": stuck, "stuck_from": STUCK_FROM}))
-        for i in range(COUNT[layout])
-    ]
+    told = {"thruster_stuck": stuck, "stuck_from": STUCK_FROM}
+    faulty = [Surroundings(scenario.replace(faults=told | {"thruster": i})).thrusters for i in range(COUNT[layout])]
 
     def of_each(s):
         return s.goal, s.controller.velocity.guidance, s.thrusters

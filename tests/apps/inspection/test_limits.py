@@ -21,7 +21,6 @@ from keepout.core.flight.record import FlightRecord
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 from keepout.core.mission.task_entries import HoldPointEntry
-from keepout.core.mission.thrusters import thrusters
 
 AXES = np.concatenate([-np.eye(3), np.eye(3)])
 """Of the plumes of a push along +x, +y, +z, −x, −y, −z."""
@@ -250,7 +249,7 @@ def test_thrusters_that_fired_are_those_of_the_flight_with_its_delay_and_lost_co
     log = fly(around.setup(law), around.motion.initial_state(APART, np.zeros(3)), 60, jax.random.key(5))
     record = FlightRecord.of_log(log, scenario=case.model_dump_json(), seed=5)
     flown = jnp.asarray(record.guarded_force), jnp.asarray(record.time)
-    on_time = np.asarray(_on_times(Surroundings(case).faults, thrusters(case), *flown, jax.random.key(5)))
+    on_time = np.asarray(_on_times(Surroundings(case).faults, Surroundings(case).thrusters, *flown, jax.random.key(5)))
     assert np.allclose(on_time @ PUSHES / case.control.period, record.force, atol=1e-12)
     fired = Nozzles.of(case).fired(record, case)
     assert np.array_equal(fired, on_time[:-1] > 0.0)

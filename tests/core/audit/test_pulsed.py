@@ -10,8 +10,8 @@ from keepout.core.audit.tube import FlightBounds, Tube
 from keepout.core.motion.disturbance import NoDisturbance
 from keepout.core.motion.orbit import Orbit
 from keepout.core.motion.relative import RelativeMotion
-from keepout.core.motion.thrusters.layout import preset
-from keepout.core.motion.thrusters.on_off import OnOffThrusters, thruster_errors
+from keepout.flights.thrusters.layout import preset
+from keepout.flights.thrusters.on_off import OnOffThrusters, thruster_errors
 
 pytestmark = pytest.mark.long
 

@@ -15,8 +15,8 @@ from keepout.core.flight.loop import start, step
 from keepout.core.flight.record import FlightRecord
 from keepout.core.motion.attitude import Tumbling
 from keepout.core.motion.disturbance import ConstantDisturbance
-from keepout.core.motion.thrusters.layout import preset
-from keepout.core.motion.thrusters.on_off import OnOffThrusters
+from keepout.flights.thrusters.layout import preset
+from keepout.flights.thrusters.on_off import OnOffThrusters
 
 COLUMNS = "position", "guard_status"
 

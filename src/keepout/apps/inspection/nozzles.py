@@ -1,7 +1,7 @@
 """Where plumes leave the chaser and which way: its thrusters, which of them a force fires, and which fired in a flight.
 
 Ideal thrusters are a pair an axis at the chaser's centre. Those of a layout sit where it says and push as it says; its
-chaser's axes are parallel to the body's (`core/motion/thrusters/layout.py`).
+chaser's axes are parallel to the body's (`flights/thrusters/layout.py`).
 """
 
 import equinox as eqx
@@ -13,11 +13,11 @@ from jaxtyping import Array, Bool, Float
 from keepout.core.compiled.kept_executables import kept_jit
 from keepout.core.flight.record import FlightRecord
 from keepout.core.flight.setup import Faults
-from keepout.core.mission import thrusters as mission_thrusters
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 from keepout.core.motion.chaser import ThrusterModel
-from keepout.core.motion.thrusters.on_off import Allocation
+from keepout.flights.thrusters.of_scenario import errors, layout
+from keepout.flights.thrusters.on_off import Allocation
 
 _SILENT = 1e-9
 """Newtons: a thruster that gives less has no plume."""
@@ -54,17 +54,17 @@ class Nozzles(eqx.Module):
     @classmethod
     def of(cls, scenario: Scenario) -> "Nozzles":
         """Take them from a scenario."""
-        layout = mission_thrusters.layout(scenario)
-        if layout is None:
+        whole = layout(scenario)
+        if whole is None:
             return cls()
         return cls(
-            jnp.asarray(layout.position),
-            jnp.asarray(layout.direction),
-            jnp.asarray(layout.force),
-            layout.misalignment,
-            mission_thrusters.errors(scenario).excursion,
+            jnp.asarray(whole.position),
+            jnp.asarray(whole.direction),
+            jnp.asarray(whole.force),
+            whole.misalignment,
+            errors(scenario).excursion,
             scenario.chaser.force_limit,
-            Allocation.of(layout),
+            Allocation.of(whole),
         )
 
     def gives(self, force: Float[Array, "3"]) -> Float[Array, " n"]:
@@ -102,7 +102,7 @@ class Nozzles(eqx.Module):
             return (record.force[:-1] @ np.asarray(self.direction).T) > _SILENT
         on_time = _on_times(
             Surroundings(scenario).faults,
-            mission_thrusters.thrusters(scenario),
+            Surroundings(scenario).thrusters,
             jnp.asarray(record.guarded_force),
             jnp.asarray(record.time),
             jax.random.key(scenario.seed),

@@ -50,6 +50,7 @@ _KNOWN = ("keepout", "jax", "jaxlib", "equinox", "numpy", "builtins")
 _TRACED = (
     *(f"keepout.core.{room}" for room in ("compiled", "control", "fields", "flight", "guard", "motion")),
     "keepout.flights.navigation",
+    "keepout.flights.thrusters",
 )
 """Rooms of Keepout whose functions are traced."""
 _AT_HAND = 16

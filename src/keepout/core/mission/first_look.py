@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from keepout.core.errors import ControlError, FieldError, MeshError, ScenarioError
 from keepout.core.mission.scenario import Scenario
+from keepout.core.plug_ins import load
 
 if TYPE_CHECKING:
     from keepout.core.geometry.target import Target
@@ -38,10 +39,7 @@ def look(scenario: Scenario) -> "Target":
     """
     require_authority(scenario)
     require_stopping(scenario)
-    if scenario.thrusters.model_dump(exclude_defaults=True) or scenario.faults.thruster is not None:
-        from keepout.core.mission.thrusters import require_thrusters
-
-        require_thrusters(scenario)
+    require_thrusters(scenario)
     require_files(scenario)
     require_certified(scenario)
     from keepout.core.mission.target import load_target, require_apart
@@ -101,6 +99,20 @@ def require_stopping(scenario: Scenario) -> None:
         raise ControlError(
             f"chaser.speed_limit: {chaser.speed_limit:.3g} m/s cannot be stopped within {STOPPING_DISTANCE:.3g} m with "
             f"{authority:.3g} m/s2; at most {honoured:.3g} m/s, and less where the frame turns fast"
+        )
+
+
+def require_thrusters(scenario: Scenario) -> None:
+    """Refuse a layout that cannot be flown, and entries that are for a layout where there is none."""
+    if scenario.thrusters.layout != "ideal":
+        load("thrusters", "require")(scenario)
+        return
+    given = [f"thrusters.{key}" for key in scenario.thrusters.model_dump(exclude_defaults=True, exclude={"held_in"})]
+    if scenario.faults.thruster is not None:
+        given.append("faults.thruster")
+    if given:
+        raise ScenarioError(
+            f'{", ".join(given)}: only for a layout, and thrusters.layout is "ideal"; give "six", "12", "24" or "own"'
         )
 
 

@@ -35,11 +35,10 @@ from keepout.core.mission.bounds import (
     turned_by_gravity,
     turning_freely,
 )
-from keepout.core.mission.first_look import refuse_disturbance
+from keepout.core.mission.first_look import refuse_disturbance, require_thrusters
 from keepout.core.mission.scenario import Scenario
-from keepout.core.mission.thrusters import errors, thrusters
 from keepout.core.motion.attitude import InertiallyFixed, Tumbling, VVLHFixed
-from keepout.core.motion.chaser import Chaser
+from keepout.core.motion.chaser import Chaser, ThrusterModel, Thrusters
 from keepout.core.motion.disturbance import (
     Disturbance,
     NoDisturbance,
@@ -51,7 +50,6 @@ from keepout.core.motion.disturbance import (
 )
 from keepout.core.motion.orbit import EARTH_GRAVITATIONAL_PARAMETER
 from keepout.core.motion.relative import RelativeMotion
-from keepout.core.motion.thrusters.on_off import ThrusterErrors
 from keepout.core.plug_ins import load
 
 _NEAR = 1000.0
@@ -68,6 +66,50 @@ RANDOM_BAND = (0.001, 0.3)
 """Frequencies of the random disturbance, rad/s."""
 _ROUNDING = 1e-9
 """Relative: a bound declared is not broken by the rounding of the flown one."""
+
+
+@dataclass(frozen=True)
+class ThrusterErrors:
+    """What thrusters add to what a guard and an audit must assume; all zero for thrusters that hold any force.
+
+    Attributes:
+        force_error: bound on the norm of a constant force that, added to the force asked for, has the same effect on
+            position and velocity at the end of a control period as the pulses' quantisation and delay have, N.
+        running_error: bound on the norm of the impulse given less the one asked for, added up over all periods so far,
+            beside what misalignment and scale add up to, N s; infinite where nothing is made up for.
+        excursion: bound on the distance within a period between the path and that of the held mean force through either
+            end of the period, m.
+        velocity_excursion: the same of the velocities, m/s.
+        gain_error: relative error of each axis' force that covers misalignment and scale, as the guard's `gain_error`
+            counts it.
+        fault_force: bound on the norm of the force that a stuck thruster adds or leaves out until it is known, N.
+        fault_steps: control periods until it is known.
+
+    """
+
+    force_error: float = 0.0
+    running_error: float = 0.0
+    excursion: float = 0.0
+    velocity_excursion: float = 0.0
+    gain_error: float = 0.0
+    fault_force: float = 0.0
+    fault_steps: int = 0
+
+    def times_gain(self, gain_error: float) -> "ThrusterErrors":
+        """Give the errors of thrusters whose every force is wrong by a further factor of 1 ± `gain_error`.
+
+        Whatever they give is scaled, what they give wrongly too: relative errors compound, all else grows.
+        """
+        most = 1.0 + gain_error
+        return replace(
+            self,
+            force_error=most * self.force_error,
+            running_error=most * self.running_error,
+            excursion=most * self.excursion,
+            velocity_excursion=most * self.velocity_excursion,
+            gain_error=gain_error + self.gain_error + gain_error * self.gain_error,
+            fault_force=most * self.fault_force,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +139,7 @@ class Surroundings:
         entries = {
             "motion": self.motion,
             "disturbance": self.disturbance,
-            "thrusters": thrusters(scenario),
+            "thrusters": self.thrusters,
             "goal": scenario.goal.position,
             "mass": scenario.chaser.mass,
             "period": scenario.control.period,
@@ -306,9 +348,23 @@ class Surroundings:
     def _orbit(self) -> OrbitBounds:
         return orbit_bounds(self.scenario)
 
+    @property
+    def thrusters(self) -> ThrusterModel:
+        """What gives the force in flight, with the thruster that the scenario's faults stick.
+
+        Raises:
+            ScenarioError: a layout that cannot be flown, or a fault of a thruster that is not there.
+
+        """
+        require_thrusters(self.scenario)
+        if self.scenario.thrusters.layout == "ideal":
+            return Thrusters(self.scenario.chaser.force_limit)
+        return load("thrusters", "flown")(self.scenario)
+
     @cached_property
     def _thruster_errors(self) -> ThrusterErrors:
-        return errors(self.scenario)
+        ideal = self.scenario.thrusters.layout == "ideal"
+        return ThrusterErrors() if ideal else load("thrusters", "errors")(self.scenario)
 
     @cached_property
     def _rotation(self) -> tuple[float, float]:

@@ -7,9 +7,8 @@ import numpy as np
 from keepout.core.errors import ScenarioError
 from keepout.core.mission.entries import ThrustersEntry
 from keepout.core.mission.scenario import Scenario
-from keepout.core.motion.chaser import ThrusterModel, Thrusters
-from keepout.core.motion.thrusters.layout import Capability, Layout, Stuck, force_box, preset, share
-from keepout.core.motion.thrusters.on_off import OnOffThrusters, ThrusterErrors, require_periods, thruster_errors
+from keepout.flights.thrusters.layout import Capability, Layout, Stuck, force_box, preset, share
+from keepout.flights.thrusters.on_off import OnOffThrusters, ThrusterErrors, require_periods, thruster_errors
 
 _ROUNDING = 1.0 - 1e-6
 """A force box may be short of chaser.force_limit by so much: what a linear program's solver leaves open."""
@@ -45,17 +44,16 @@ def _layout(entry: ThrustersEntry, force_limit: float, radius: float) -> Layout 
 _whole, _able = lru_cache(maxsize=64)(force_box), lru_cache(maxsize=64)(Capability.of)
 
 
-def thrusters(scenario: Scenario) -> ThrusterModel:
-    """Build what gives the force in flight, with the thruster that the scenario's faults stick.
+def thrusters(scenario: Scenario) -> OnOffThrusters:
+    """Build the thrusters of a scenario's layout, with the one that its faults stick.
 
     Raises:
-        ScenarioError: a layout that cannot be flown (`require_thrusters`), or a fault of a thruster that is not there.
+        ScenarioError: a layout that cannot be flown (`require_layout`), or a fault of a thruster that is not there.
 
     """
     flown, entry, faults = layout(scenario), scenario.thrusters, scenario.faults
-    require_thrusters(scenario)
-    if flown is None:
-        return Thrusters(scenario.chaser.force_limit)
+    require_layout(scenario)
+    assert flown is not None
     return OnOffThrusters.of(
         flown,
         force_limit=scenario.chaser.force_limit,
@@ -67,26 +65,15 @@ def thrusters(scenario: Scenario) -> ThrusterModel:
     )
 
 
-def require_thrusters(scenario: Scenario) -> None:
+def require_layout(scenario: Scenario) -> None:
     """Refuse a layout that does not give chaser.force_limit along every axis, whole or with one thruster stuck.
 
     Raises:
-        ScenarioError: it does not, its thrusters do not span three axes, or its pulses do not fit into a period; or
-            there is none, and entries that are for one.
+        ScenarioError: it does not, its thrusters do not span three axes, or its pulses do not fit into a period.
 
     """
     flown = layout(scenario)
     if flown is None:
-        given = [
-            f"thrusters.{key}" for key in scenario.thrusters.model_dump(exclude_defaults=True, exclude={"held_in"})
-        ]
-        if scenario.faults.thruster is not None:
-            given.append("faults.thruster")
-        if given:
-            raise ScenarioError(
-                f'{", ".join(given)}: only for a layout, and thrusters.layout is "ideal"; give "six", "12", "24" or '
-                '"own"'
-            )
         return
     require_periods(flown, scenario.control.period)
     if scenario.faults.thruster is not None:
@@ -122,10 +109,9 @@ def require_thrusters(scenario: Scenario) -> None:
 
 
 def errors(scenario: Scenario) -> ThrusterErrors:
-    """Bound what the thrusters do beyond holding the force asked for: what the guard must assume, and the audit."""
+    """Bound what a layout's thrusters do beyond holding the force asked for: what guard and audit must assume."""
     flown, entry = layout(scenario), scenario.thrusters
-    if flown is None:
-        return ThrusterErrors()
+    assert flown is not None
     return thruster_errors(
         flown,
         force_limit=scenario.chaser.force_limit,

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from keepout.core.errors import ScenarioError
-from keepout.core.mission.first_look import look
+from keepout.core.mission.first_look import look, require_thrusters
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
-from keepout.core.mission.thrusters import errors, layout, require_thrusters, thrusters
-from keepout.core.motion.thrusters.on_off import OnOffThrusters
+from keepout.flights.thrusters.of_scenario import errors, layout
+from keepout.flights.thrusters.on_off import OnOffThrusters
 
 FLAT = [
     {"position": [0, 0, 0], "direction": direction, "force": 0.2}
@@ -27,7 +27,7 @@ def test_presets_share_the_force_limit_among_the_thrusters_of_a_direction(name, 
     made = layout(scenario(layout=name))
     assert made.count == count
     np.testing.assert_allclose(np.maximum(made.pushes(), 0.0).sum(axis=0), 0.1)
-    assert isinstance(thrusters(scenario(layout=name)), OnOffThrusters)
+    assert isinstance(Surroundings(scenario(layout=name)).thrusters, OnOffThrusters)
 
 
 def test_a_layout_of_your_own():

@@ -19,7 +19,6 @@ docs/my-thrusters.md. A layout's forces are bounded by N = max ‖Σ F_g |d_g|�
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from itertools import combinations
 
 import equinox as eqx
@@ -30,10 +29,11 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from scipy.optimize import linprog
 
 from keepout.core.errors import ScenarioError
+from keepout.core.mission.surroundings import ThrusterErrors
 from keepout.core.motion.arrays import as_float64
 from keepout.core.motion.chaser import Firing, Pulses, ThrusterModel
 from keepout.core.motion.rotation import Vector
-from keepout.core.motion.thrusters.layout import STANDARD_GRAVITY, Layout, Stuck
+from keepout.flights.thrusters.layout import STANDARD_GRAVITY, Layout, Stuck
 
 Scalar = Float[Array, ""]
 
@@ -363,50 +363,6 @@ def _failure(
         push=as_float64(layout.pushes()[thruster] * (how == "on")),
         others=Allocation.of(others),
     )
-
-
-@dataclass(frozen=True)
-class ThrusterErrors:
-    """What thrusters add to what a guard and an audit must assume; all zero for thrusters that hold any force.
-
-    Attributes:
-        force_error: bound on the norm of a constant force that, added to the force asked for, has the same effect on
-            position and velocity at the end of a control period as the pulses' quantisation and delay have, N.
-        running_error: bound on the norm of the impulse given less the one asked for, added up over all periods so far,
-            beside what misalignment and scale add up to, N s; infinite where nothing is made up for.
-        excursion: bound on the distance within a period between the path and that of the held mean force through either
-            end of the period, m.
-        velocity_excursion: the same of the velocities, m/s.
-        gain_error: relative error of each axis' force that covers misalignment and scale, as the guard's `gain_error`
-            counts it.
-        fault_force: bound on the norm of the force that a stuck thruster adds or leaves out until it is known, N.
-        fault_steps: control periods until it is known.
-
-    """
-
-    force_error: float = 0.0
-    running_error: float = 0.0
-    excursion: float = 0.0
-    velocity_excursion: float = 0.0
-    gain_error: float = 0.0
-    fault_force: float = 0.0
-    fault_steps: int = 0
-
-    def times_gain(self, gain_error: float) -> "ThrusterErrors":
-        """Give the errors of thrusters whose every force is wrong by a further factor of 1 ± `gain_error`.
-
-        Whatever they give is scaled, what they give wrongly too: relative errors compound, all else grows.
-        """
-        most = 1.0 + gain_error
-        return replace(
-            self,
-            force_error=most * self.force_error,
-            running_error=most * self.running_error,
-            excursion=most * self.excursion,
-            velocity_excursion=most * self.velocity_excursion,
-            gain_error=gain_error + self.gain_error + gain_error * self.gain_error,
-            fault_force=most * self.fault_force,
-        )
 
 
 def thruster_errors(

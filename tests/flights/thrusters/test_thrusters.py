@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from keepout.core.errors import ScenarioError
-from keepout.core.motion.thrusters.layout import PRESETS, Capability, Layout, force_box, preset, share
-from keepout.core.motion.thrusters.on_off import Allocation, OnOffThrusters, thruster_errors, vector_error
+from keepout.flights.thrusters.layout import PRESETS, Capability, Layout, force_box, preset, share
+from keepout.flights.thrusters.on_off import Allocation, OnOffThrusters, thruster_errors, vector_error
 
 KEY = jax.random.key(3)
 LIMIT = 0.1
