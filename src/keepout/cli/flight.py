@@ -1,4 +1,4 @@
-"""Commands on single flights: fly, those that applications add, as explore and inspect, and replay."""
+"""Commands on single flights: fly and replay; what applications add, as explore and inspect, is like `fly`."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from keepout.cli.options import AsJson, ScenarioSeed, answer, app, example, mission_of
-from keepout.core import plug_ins
+from keepout.cli.options import AsJson, add_mission_command, answer, app, example
 from keepout.core.errors import FlightError, UsageError
 from keepout.core.progress import Progress, part_of, silent
 from keepout.core.whole_file import require_place
@@ -15,26 +14,6 @@ from keepout.flights.pages import terminal
 
 if TYPE_CHECKING:
     from keepout.core.mission.scenario import Scenario
-
-
-def add_mission_command(name: str, of: terminal.MissionCommand) -> None:
-    """Add a command that flies a scenario into a folder."""
-
-    def command(
-        scenario: Annotated[Path, typer.Argument(help=of.scenario)],
-        out: Annotated[Path, typer.Option("--out", "-o", help=of.out)] = Path("out"),
-        figures: Annotated[bool, typer.Option(help=f"Draw {of.figures} and the page.")] = True,
-        seed: ScenarioSeed = None,
-        as_json: AsJson = False,
-    ) -> None:
-        of.check(scenario)
-        mission = mission_of(scenario, seed)
-        with terminal.progress(f"{name} {mission.name}") as progress:
-            summary = of.fly(mission, out, figures=figures, progress=progress)
-        answer(summary, as_json, of.table(summary), terminal.Line(f"written to {out}"))
-
-    command.__doc__ = of.help
-    app.command(name, epilog=example(of.example))(command)
 
 
 def fly_to_folder(
@@ -57,6 +36,7 @@ def fly_to_folder(
 
 
 add_mission_command(
+    app,
     "fly",
     terminal.MissionCommand(
         help="Fly one scenario, audit the clearance on the exact mesh, and draw it.",
@@ -68,8 +48,6 @@ add_mission_command(
         table=lambda summary: terminal.flights_table([summary]),
     ),
 )
-for _name in plug_ins.names("mission_commands"):
-    add_mission_command(_name, plug_ins.load("mission_commands", _name))
 
 
 @app.command(

@@ -16,6 +16,7 @@ import typer
 from rich.console import Console
 from typer.core import TyperGroup
 
+from keepout.core import plug_ins
 from keepout.core.errors import FieldError, KeepoutError, ScenarioError, UsageError
 from keepout.flights.pages import terminal
 
@@ -30,20 +31,26 @@ ORDER = (
 )
 
 
-class _InOrderOfWork(TyperGroup):
-    """The help lists the commands in the order of a user's work, whatever the order of the modules."""
+class _WithPlugIns(TyperGroup):
+    """The commands in the order of a user's work; one that an application adds is loaded when it is asked for."""
 
     def list_commands(self, ctx: Any) -> list[str]:
-        return sorted(super().list_commands(ctx), key=ORDER.index)
+        return sorted({*super().list_commands(ctx), *plug_ins.names("mission_commands")}, key=ORDER.index)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        if cmd_name in plug_ins.names("mission_commands") and cmd_name not in self.commands:
+            added = typer.Typer(**_SETTINGS)
+            add_mission_command(added, cmd_name, plug_ins.load("mission_commands", cmd_name))
+            self.commands[cmd_name] = typer.main.get_command(added)
+        return super().get_command(ctx, cmd_name)
 
 
+_SETTINGS: Any = {"add_completion": False, "pretty_exceptions_enable": False, "rich_markup_mode": "markdown"}
 app = typer.Typer(
-    cls=_InOrderOfWork,
+    cls=_WithPlugIns,
     help="Learn a spacecraft's shape, prove how wrong it can be, and fly around it without touching it.",
     no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode="markdown",
+    **_SETTINGS,
 )
 
 
@@ -100,6 +107,26 @@ def mission_of(path: Path, seed: int | None) -> "Scenario":
 
     mission = Scenario.load(path)
     return mission if seed is None else mission.replace(seed=seed)
+
+
+def add_mission_command(to: typer.Typer, name: str, of: terminal.MissionCommand) -> None:
+    """Add a command that flies a scenario into a folder."""
+
+    def command(
+        scenario: Annotated[Path, typer.Argument(help=of.scenario)],
+        out: Annotated[Path, typer.Option("--out", "-o", help=of.out)] = Path("out"),
+        figures: Annotated[bool, typer.Option(help=f"Draw {of.figures} and the page.")] = True,
+        seed: ScenarioSeed = None,
+        as_json: AsJson = False,
+    ) -> None:
+        of.check(scenario)
+        mission = mission_of(scenario, seed)
+        with terminal.progress(f"{name} {mission.name}") as progress:
+            summary = of.fly(mission, out, figures=figures, progress=progress)
+        answer(summary, as_json, of.table(summary), terminal.Line(f"written to {out}"))
+
+    command.__doc__ = of.help
+    to.command(name, epilog=example(of.example))(command)
 
 
 @contextmanager

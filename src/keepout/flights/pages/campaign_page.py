@@ -14,13 +14,14 @@ from keepout.core.flight.record import FlightRecord
 from keepout.core.progress import Progress, part_of, silent
 from keepout.flights.campaign.bands import LEAST, QUANTITIES, RELATIVE, SHARES, Bands
 from keepout.flights.campaign.dataset import read_campaign
+from keepout.flights.campaign.plan import Workshop
 from keepout.flights.campaign.results import QUANTILES, SIGNIFICANT, Results, Scatter, results
 from keepout.flights.campaign.statistics import GROUPS, none_seen_bound
 from keepout.flights.pages import campaign_figures
 from keepout.flights.pages.figures import COLOURS, column
 from keepout.flights.pages.page import Markup, Page, Table, bad, rows_of, text
 from keepout.flights.pages.replay_page import write_replay
-from keepout.flights.pages.replayed import Replayed, Surroundings
+from keepout.flights.pages.replayed import Replayed, of_record
 
 PLACE = "report"
 """Folder of figures and tables within the campaign's."""
@@ -270,7 +271,7 @@ def _write_replays(place: Path, found: Results, *, progress: Progress) -> dict[i
         nothing is written.
 
     """
-    dataset, surroundings = found.reading, Surroundings()
+    dataset, workshop = found.reading, Workshop()
     groups: dict[str, list[Replayed]] = {}
     links: dict[int, Markup] = {}
     curves: dict[int, Clearance] = {}
@@ -283,7 +284,7 @@ def _write_replays(place: Path, found: Results, *, progress: Progress) -> dict[i
         if record.header.get("campaign") != dataset.plan_sha256 or record.header.get("run") != run:
             continue
         try:
-            flight = surroundings.of(f"run {run}", record)
+            flight = of_record(f"run {run}", record, workshop)
         except KeepoutError as refusal:
             links[run] = text(str(refusal))
             continue

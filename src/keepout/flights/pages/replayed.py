@@ -19,13 +19,13 @@ from keepout.core.fields.model import FieldModel
 from keepout.core.flight.record import EXPLORED, FlightRecord
 from keepout.core.geometry.distance import Distance
 from keepout.core.geometry.target import Target
-from keepout.core.mission import surroundings as around
 from keepout.core.mission.flight import Flight
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
 from keepout.core.progress import Progress, part_of, silent
-from keepout.flights.campaign.plan import Workshop
 
 if TYPE_CHECKING:
+    from keepout.flights.campaign.plan import Workshop
     from keepout.flights.pages.scene import Packing
 
 _PIECES = 4
@@ -103,7 +103,7 @@ class Replayed:
     @functools.cached_property
     def proved(self) -> Float[np.ndarray, "steps"]:
         """A proved lower bound of the clearance over each step that is shown, m; see `proved_clearance`."""
-        radius, bounds = self.scenario.chaser.radius, around.Surroundings(self.scenario).flight_bounds
+        radius, bounds = self.scenario.chaser.radius, Surroundings(self.scenario).flight_bounds
         return proved_clearance(self.shown, self.target.distance, chaser_radius=radius, bounds=bounds)
 
     @functools.cached_property
@@ -137,18 +137,33 @@ def of_flights(flights: Mapping[str, Flight], layer: Layer | None = None) -> lis
 
 
 def of_records(records: Mapping[str, FlightRecord], *, progress: Progress = silent) -> list[Replayed]:
-    """Gather recorded flights, by name; what they flew around is loaded as their scenarios say.
+    """Gather recorded flights, by name; what they flew around is loaded as their scenarios say, once for all of them.
 
     Raises:
         KeepoutError: a record without a scenario, or whose mesh or field cannot be read or is another one now; the
             message begins with the flight's name.
 
     """
-    surroundings = Surroundings()
+    from keepout.flights.campaign.plan import Workshop  # for which nobody waits who replays what is in memory
+
+    workshop = Workshop()
     return [
-        surroundings.of(name, record, progress=part_of(progress, place / len(records), (place + 1) / len(records)))
+        of_record(name, record, workshop, progress=part_of(progress, place / len(records), (place + 1) / len(records)))
         for place, (name, record) in enumerate(records.items())
     ]
+
+
+def of_record(name: str, record: FlightRecord, workshop: "Workshop", *, progress: Progress = silent) -> Replayed:
+    """Gather one recorded flight; what it shares with others is loaded once in the workshop.
+
+    Raises:
+        KeepoutError: as `of_records` says.
+
+    """
+    try:
+        return _gathered(name, record, workshop, progress)
+    except KeepoutError as error:
+        raise type(error)(f"{name}: {error}") from error
 
 
 def of_files(paths: Sequence[Path], *, progress: Progress = silent) -> list[Replayed]:
@@ -165,53 +180,31 @@ def of_files(paths: Sequence[Path], *, progress: Progress = silent) -> list[Repl
     return [replace(flight, name=flight.scenario.name) for flight in gathered]
 
 
-class Surroundings:
-    """Targets, fields and guards' fields, loaded once for all recorded flights that share them."""
-
-    def __init__(self) -> None:
-        self._workshop = Workshop()
-
-    def of(self, name: str, record: FlightRecord, *, progress: Progress = silent) -> Replayed:
-        """Gather one recorded flight.
-
-        Raises:
-            KeepoutError: as `of_records` says.
-
-        """
-        try:
-            return self._gathered(name, record, progress)
-        except KeepoutError as error:
-            raise type(error)(f"{name}: {error}") from error
-
-    def _gathered(self, name: str, record: FlightRecord, progress: Progress) -> Replayed:
-        scenario = _scenario(record)
-        target, chaser = self._workshop.target(scenario), scenario.chaser
-        flown = record.header.get("target_sha256")
-        if flown and flown != target.sha256:
-            raise FlightError(
-                f"the mesh {scenario.target.source} is not the one it was flown around (digest {target.sha256[:12]}…, "
-                f"flown {flown[:12]}…); put that mesh back"
-            )
-        levels = () if record.header.get(EXPLORED) else self._levels(scenario, target, progress)
-        verdict = audit(
-            record,
-            target,
-            chaser_radius=chaser.radius,
-            bounds=around.Surroundings(scenario).flight_bounds,
-            force_limit=chaser.force_limit,
-            speed_limit=chaser.speed_limit,
+def _gathered(name: str, record: FlightRecord, workshop: "Workshop", progress: Progress) -> Replayed:
+    scenario = _scenario(record)
+    chaser, target, flown = scenario.chaser, workshop.target(scenario), record.header.get("target_sha256")
+    if flown and flown != target.sha256:
+        raise FlightError(
+            f"the mesh {scenario.target.source} is not the one it was flown around (digest {target.sha256[:12]}…, "
+            f"flown {flown[:12]}…); put that mesh back"
         )
-        return Replayed(name, record, scenario, target, verdict, levels)
-
-    def _levels(self, scenario: Scenario, target: Target, progress: Progress) -> tuple[Level, ...]:
-        """Give the surfaces that law and guard flew by."""
-        envelope, radius = _envelope(self._workshop.model(scenario), scenario), scenario.chaser.radius
-        if not scenario.guard.enabled:
-            return (envelope,)
-        kept = self._workshop.guard_field(scenario, progress=progress)
-        proof = kept.certificate(radius)
-        level = proof.error_bound + radius
-        return envelope, _guards(target, kept.field, level, proof.gradient_bound, proof.error_bound)
+    levels: list[Level] = []
+    if not record.header.get(EXPLORED):
+        levels.append(_envelope(workshop.model(scenario), scenario))
+        if scenario.guard.enabled:
+            kept = workshop.guard_field(scenario, progress=progress)
+            proof = kept.certificate(chaser.radius)
+            level = proof.error_bound + chaser.radius
+            levels.append(_guards(target, kept.field, level, proof.gradient_bound, proof.error_bound))
+    verdict = audit(
+        record,
+        target,
+        chaser_radius=chaser.radius,
+        bounds=Surroundings(scenario).flight_bounds,
+        force_limit=chaser.force_limit,
+        speed_limit=chaser.speed_limit,
+    )
+    return Replayed(name, record, scenario, target, verdict, tuple(levels))
 
 
 def _scenario(record: FlightRecord) -> Scenario:
