@@ -9,12 +9,11 @@ from keepout.apps.inspection import inspection_pictures as pictures
 from keepout.apps.inspection.coverage import FATE_COLOURS, Coverage
 from keepout.apps.inspection.fate import WORDS, Fate, shares, unseen
 from keepout.apps.inspection.inspection import Inspection
-from keepout.core.mission.flight import Flight
 from keepout.core.progress import Progress, silent
 from keepout.core.whole_file import write_whole
-from keepout.flights.pages.flight_page import Pictures, draw_motion, draw_page, tell_result
+from keepout.flights.pages.flight_page import draw_result
 from keepout.flights.pages.folder import make_folder, write_summary
-from keepout.flights.pages.page import Markup, Page, bad, text
+from keepout.flights.pages.page import Markup, Page, text
 
 UNSEEN = "unseen.json"
 _SHARES = {
@@ -73,16 +72,10 @@ def write_inspection(
     files = {"flight": str(flight), "unseen": str(left)}
     summary = {"name": name, **inspection.summary(), "shares": shares(inspection), **files}
     if figures:
-        summary["pictures"] = draw_page(
-            out,
-            name,
-            _flight(inspection),
-            _pictures(inspection),
-            lambda page: _tell(page, inspection, summary),
-            title=f"Inspection {name}",
-            replay=f"{name}: {inspection.outcome}",
-            layer=Coverage.of(inspection),
-            progress=progress,
+        told, layer, drawn = said(inspection), Coverage.of(inspection), _drawn(inspection)
+        tell = functools.partial(_tell_surface, inspection=inspection, shares=summary["shares"])
+        summary["pictures"] = draw_result(
+            out, inspection, summary, ROWS, drawn, said=told, layer=layer, tell=tell, progress=progress
         )
     write_summary(out, summary)
     return summary
@@ -101,7 +94,8 @@ def write_unseen(path: Path, inspection: Inspection) -> None:
     write_whole(path, f'{head[:-1]}, "patches": [\n{lines}\n]}}\n')
 
 
-def _pictures(inspection: Inspection) -> Pictures:
+def _drawn(inspection: Inspection) -> dict[str, Any]:
+    """Give what draws the pictures that there are, with captions."""
     drawn = {
         "coverage": (
             pictures.draw_coverage,
@@ -114,41 +108,16 @@ def _pictures(inspection: Inspection) -> Pictures:
             pictures.draw_contact_sheet,
             "The best view of each part. Drawn from the mesh, as the camera had it before it.",
         )
-    made = {stem: (functools.partial(draw, inspection=inspection), words) for stem, (draw, words) in drawn.items()}
-    motion = functools.partial(draw_motion, flight=_flight(inspection), name=inspection.scenario.name)
-    return {**made, "motion": (motion, "Velocity, force and disturbance over time.")}
+    return drawn
 
 
-def _flight(inspection: Inspection) -> Flight:
-    """Give the inspection's flight as any other is told of."""
-    record, scenario = inspection.record, inspection.scenario
-    return Flight(
-        scenario,
-        inspection.target,
-        record,
-        inspection.flown,
-        inspection.audit,
-        inspection.target.distance.distance(record.position) - scenario.chaser.radius,
-        start_certified=inspection.start_certified,
-        assumptions_broken=inspection.assumptions_broken,
-        guard=inspection.guard,
-    )
-
-
-def _tell(page: Page, inspection: Inspection, summary: dict[str, Any]) -> None:
-    """Say how it ended, its figures, and the shares of the area counted; what the pictures colour has its colour."""
-    told = {}
-    for key, words in ROWS.items():
-        if summary[key] is not None:
-            told[words] = f"{100.0 * summary[key]:.3f} %" if key.startswith("coverage") else summary[key]
-    if summary["contact"]:
-        told[ROWS["contact_verdict"]] = bad(summary["contact_verdict"])
-    tell_result(page, said(inspection), summary, told)
+def _tell_surface(page: Page, inspection: Inspection, shares: dict[str, float]) -> None:
+    """Say the shares of the area counted; what the pictures colour has its colour."""
     page.heading("The surface")
     area = float(inspection.patches.unit_areas().sum())
     colours = {kind.name.lower(): FATE_COLOURS[kind] for kind in Fate}
     rows = []
-    for key, share in summary["shares"].items():
+    for key, share in shares.items():
         if key == "seen_beyond_proof" and share == 0.0:
             continue
         square = f'<span style="color:{colours[key]}">■</span> ' if key in colours else ""

@@ -266,7 +266,7 @@ def _aspect(
     """Give the cosine of the angle at which a camera looks at the middle of each unit, and how far off that is, m."""
     away = position - patches.centres[units // 2]
     distance = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
-    normals = patches.normals[units // 2] * np.where(units % 2 == 0, 1.0, -1.0)[:, None]
+    normals = patches.unit_normals()[units]
     return np.maximum(np.einsum("ni,ni->n", away, normals) / distance, 1e-3), distance
 
 
@@ -274,7 +274,7 @@ def _parts(patches: Patches, units: Int[np.ndarray, " k"], areas: Float[np.ndarr
     """Give each unit a part: first ones as far apart as can be, then each unit to the nearest, weighed by area."""
     centres = patches.centres[units // 2]
     size = max(float(np.linalg.norm(np.ptp(patches.corners.reshape(-1, 3), axis=0))), 1e-9)
-    normals = patches.normals[units // 2] * np.where(units % 2 == 0, 1.0, -1.0)[:, None]
+    normals = patches.unit_normals()[units]
     places = np.concatenate([centres / size, _TURNED * normals], axis=1)
     _, cell = np.unique(np.floor(places / _TOGETHER).astype(int), axis=0, return_inverse=True)
     beside = np.bincount(cell.reshape(-1), areas)[cell.reshape(-1)]

@@ -1,6 +1,5 @@
 """The folder of an exploration: map, flight file, summary, pictures, replay and a page that shows them."""
 
-import functools
 from pathlib import Path
 from typing import Any
 
@@ -8,11 +7,9 @@ from keepout.apps.unknown import exploration_pictures as pictures
 from keepout.apps.unknown import map_file
 from keepout.apps.unknown.exploration import Exploration
 from keepout.apps.unknown.growth import Growth
-from keepout.core.mission.flight import Flight
 from keepout.core.progress import Progress, silent
-from keepout.flights.pages.flight_page import Pictures, draw_motion, draw_page, tell_result
+from keepout.flights.pages.flight_page import draw_result
 from keepout.flights.pages.folder import make_folder, write_summary
-from keepout.flights.pages.page import bad
 
 MAP = "map.keepmap"
 ROWS = {
@@ -54,25 +51,17 @@ def write_exploration(
     exploration.record.save(flight)
     summary = {"name": name, **exploration.summary(), "map": str(kept), "flight": str(flight)}
     if figures:
-        told = {words: summary[key] for key, words in ROWS.items() if summary[key] is not None}
-        if summary["contact"]:
-            told[ROWS["contact_verdict"]] = bad(summary["contact_verdict"])
-        summary["pictures"] = draw_page(
-            out,
-            name,
-            _flight(exploration),
-            _pictures(exploration),
-            lambda page: tell_result(page, said(exploration), summary, told),
-            title=f"Exploration {name}",
-            replay=f"{name}: {exploration.outcome}",
-            layer=Growth.of(exploration),
-            progress=progress,
+        told = said(exploration)
+        layer, drawn = Growth.of(exploration), _drawn(exploration)
+        summary["pictures"] = draw_result(
+            out, exploration, summary, ROWS, drawn, said=told, layer=layer, progress=progress
         )
     write_summary(out, summary)
     return summary
 
 
-def _pictures(exploration: Exploration) -> Pictures:
+def _drawn(exploration: Exploration) -> dict[str, Any]:
+    """Give what draws the pictures that there are, with captions."""
     drawn = {
         "seen": (pictures.draw_seen, "What was seen when, on the true surface, which nothing on board knew."),
         "map": (
@@ -88,25 +77,7 @@ def _pictures(exploration: Exploration) -> Pictures:
             pictures.draw_departures,
             "Where the seen surface is not where the expected mesh says, beyond what the sensor's errors explain.",
         )
-    made = {stem: (functools.partial(draw, exploration=exploration), words) for stem, (draw, words) in drawn.items()}
-    motion = functools.partial(draw_motion, flight=_flight(exploration), name=exploration.scenario.name)
-    return {**made, "motion": (motion, "Velocity, force and disturbance over time.")}
-
-
-def _flight(exploration: Exploration) -> Flight:
-    """Give the exploration's flight as any other is told of."""
-    record, scenario = exploration.record, exploration.scenario
-    return Flight(
-        scenario,
-        exploration.target,
-        record,
-        exploration.flown,
-        exploration.audit,
-        exploration.target.distance.distance(record.position) - scenario.chaser.radius,
-        start_certified=exploration.start_certified,
-        assumptions_broken=exploration.assumptions_broken,
-        guard=exploration.guard,
-    )
+    return drawn
 
 
 def said(exploration: Exploration) -> str:

@@ -1,6 +1,7 @@
 """One flight drawn: its page, with the replay beside it, and figures over time."""
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -99,18 +100,62 @@ def draw_page(
     return [str(out / f"{stem}.png") for stem in pictures]
 
 
-def tell_result(page: Page, said: str, summary: Mapping[str, Any], rows: Mapping[str, Any]) -> None:
-    """Say on a page how a flight of several legs ended: in a sentence, and in the rows of its table.
+def draw_result(
+    out: Path,
+    result: Any,
+    summary: Mapping[str, Any],
+    rows: Mapping[str, str],
+    pictures: Mapping[str, tuple[Callable[[Path, Any], None], str]],
+    *,
+    said: str,
+    layer: Layer,
+    tell: Callable[[Page], None] = lambda page: None,
+    progress: Progress = silent,
+) -> list[str]:
+    """Draw what an application's flight of several legs has come to: pictures, `replay.html` and `index.html`.
 
     Args:
-        page: to add to.
-        said: the sentence, plain text.
-        summary: of the flight.
-        rows: values by what they are, plain text.
+        out: folder.
+        result: of the flight, an `Exploration` or an `Inspection`.
+        summary: of it.
+        rows: words for the entries of the summary that are told, in order; one that is None is left out.
+        pictures: as `Pictures`, but what draws is given the result too; how the chaser moved is added.
+        said: how it ended, in a sentence.
+        layer: of the replay.
+        tell: adds what stands between that table and the replay to the page.
+        progress: told how far it is.
+
+    Returns:
+        The paths of the pictures.
 
     """
-    page.words(Markup(f"<b>{text(said)}</b>"), *map(bad, broken_assumptions([summary])))
-    page.table([{"": words, "value": value} for words, value in rows.items()], headings=False)
+    scenario, target, record, name = result.scenario, result.target, result.record, result.scenario.name
+    clearance = target.distance.distance(record.position) - scenario.chaser.radius
+    promised = {key: getattr(result, key) for key in ("start_certified", "assumptions_broken", "guard")}
+    flight = Flight(scenario, target, record, result.flown, result.audit, clearance, **promised)
+    drawn: dict[str, Any] = {stem: (partial(_draw, draw, result), words) for stem, (draw, words) in pictures.items()}
+    drawn["motion"] = (lambda path: draw_motion(path, flight, name), "Velocity, force and disturbance over time.")
+
+    def tell_all(page: Page) -> None:
+        page.words(Markup(f"<b>{text(said)}</b>"), *map(bad, broken_assumptions([summary])))
+        told = {words: _cell(key, summary) for key, words in rows.items() if summary[key] is not None}
+        page.table([{"": words, "value": value} for words, value in told.items()], headings=False)
+        tell(page)
+
+    title, replay = f"{type(result).__name__} {name}", f"{name}: {result.outcome}"
+    return draw_page(out, name, flight, drawn, tell_all, title=title, replay=replay, layer=layer, progress=progress)
+
+
+def _draw(draw: Callable[[Path, Any], None], result: Any, path: Path) -> None:
+    draw(path, result)
+
+
+def _cell(key: str, summary: Mapping[str, Any]) -> Any:
+    """Give an entry of a summary for a page: a coverage in per cent; a contact stands out."""
+    value = summary[key]
+    if key == "contact_verdict" and summary["contact"]:
+        return bad(value)
+    return f"{100.0 * value:.3f} %" if key.startswith("coverage") else value
 
 
 def draw_clearance(path: Path, flight: Flight, name: str) -> None:

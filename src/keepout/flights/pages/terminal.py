@@ -163,57 +163,45 @@ def _percent(share: float) -> str:
 def measures_tables(summary: Mapping[str, Any]) -> list[Table]:
     """Give the single figures of a field, then one table for each kind of measure; lengths in metres."""
     single = {key: value for key, value in summary.items() if not isinstance(value, list | dict)}
+    certificates = [
+        {**entry, "stand_off_mean": entry["margin"]["mean"], "stand_off_95": entry["margin"]["percentile_95"]}
+        for entry in summary["certificates"]
+    ]
+    entries = ([summary["near"], summary["far"]], summary["curvature"], [summary["surface"]], summary["volumes"])
     tables = [facts_table("Field", single)]
-    errors = {
+    tables += [_rows(title, columns, of) for (title, columns), of in zip(_MEASURES.items(), (*entries, certificates))]
+    pictures = [facts_table("Pictures", {"written": summary["pictures"]})] if "pictures" in summary else []
+    return tables + pictures
+
+
+_MEASURES: Mapping[str, Mapping[str, str | tuple[str, ...]]] = {
+    "Off the surface, against the exact signed distance g": {
         "d from, to": ("from_m", "to_m"),
         "mean |f̃ - g|": "mean_absolute",
         "RMS": "root_mean_square",
         "p99.9 |f̃ - g|": "absolute_999",
         "p99.9 f̃ - g": "over_999",
         "mean |‖∇f̃‖ - 1|": "eikonal",
-    }
-    tables.append(
-        _rows("Off the surface, against the exact signed distance g", errors, (summary["near"], summary["far"]))
-    )
-    bends = {"d": "level", "median": "median", "p99": "percentile_99", "largest": "maximum"}
-    tables.append(_rows("‖∇²f̃‖, 1/m", bends, summary["curvature"]))
-    apart = {
+    },
+    "‖∇²f̃‖, 1/m": {"d": "level", "median": "median", "p99": "percentile_99", "largest": "maximum"},
+    "Marching-cubes surface against the target's visible surface": {
         "f̃": "level",
         "Chamfer": "chamfer",
         "Hausdorff": "hausdorff",
-        "learned to target mean, p95, max": (
-            "learned_to_target",
-            "learned_to_target_95",
-            "learned_to_target_maximum",
-        ),
+        "learned to target mean, p95, max": ("learned_to_target", "learned_to_target_95", "learned_to_target_maximum"),
         "target to learned mean, max": ("target_to_learned", "target_to_learned_maximum"),
-    }
-    tables.append(_rows("Marching-cubes surface against the target's visible surface", apart, [summary["surface"]]))
-    volumes = {
-        "R": "chaser_radius",
-        "f̃ ≤": "level",
-        "learned": "learned",
-        "exact contact": "contact",
-        "IoU": "iou",
-        "hull + R": "hull",
-        "ellipsoid + R": "ellipsoid",
-    }
-    tables.append(_rows("Volume kept out of, m³", volumes, summary["volumes"]))
-    proofs = {
-        "R": "chaser_radius",
-        "e_h": ("error_bound", "kind"),
-        "found": "sampled_maximum",
-        "‖∇f̃‖ ≤": ("gradient_bound", "gradient_kind"),
-        "‖∇f̃‖ found": "gradient_found",
+    },
+    "Volume kept out of, m³": {
+        **{"R": "chaser_radius", "f̃ ≤": "level", "learned": "learned", "exact contact": "contact"},
+        **{"IoU": "iou", "hull + R": "hull", "ellipsoid + R": "ellipsoid"},
+    },
+    "Certificates": {
+        **{"R": "chaser_radius", "e_h": ("error_bound", "kind"), "found": "sampled_maximum"},
+        **{"‖∇f̃‖ ≤": ("gradient_bound", "gradient_kind"), "‖∇f̃‖ found": "gradient_found"},
         "stands off mean, p95": ("stand_off_mean", "stand_off_95"),
-    }
-    certificates = [
-        {**entry, "stand_off_mean": entry["margin"]["mean"], "stand_off_95": entry["margin"]["percentile_95"]}
-        for entry in summary["certificates"]
-    ]
-    tables.append(_rows("Certificates", proofs, certificates))
-    pictures = [facts_table("Pictures", {"written": summary["pictures"]})] if "pictures" in summary else []
-    return tables + pictures
+    },
+}
+"""By title of a table: the entries of a measure that each column shows."""
 
 
 def _rows(title: str, columns: Mapping[str, str | tuple[str, ...]], entries: Sequence[Mapping[str, Any]]) -> Table:
