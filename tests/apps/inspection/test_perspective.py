@@ -71,8 +71,8 @@ def test_a_plate_shades_what_lies_along_the_sun_behind_it(height):
     camera, position = Pinhole(200, 200, 1.2), np.array([0.0, 0.3, 6.0])
     axes = axes_towards(-position, np.array([0.0, 1.0, 0.0]))
     picture = studio.take(camera, position, axes)
-    bright = studio.light(picture, camera, position, axes, sun)
-    there, _ = studio.places(picture, camera, position, axes)
+    bright = studio.light(picture, sun)
+    there, _ = picture.places()
     floor = picture.face[picture.hit] < 2
     shift = -height * sun[0] / sun[2]
     across, along = np.abs(there[:, 0] - shift), np.abs(there[:, 1])

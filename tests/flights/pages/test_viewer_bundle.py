@@ -1,14 +1,19 @@
 """The viewer that comes with the package: what its manifest says of it, and that it is made from its source."""
 
+import hashlib
 import json
 from pathlib import Path
 
 import pytest
 
-from keepout.flights.pages.replay_page import sha256, viewer
+from keepout.flights.pages.replay_page import viewer
 
 SOURCE = Path(__file__).parents[3] / "viewer"
 MANIFEST = json.loads(viewer("manifest.json"))
+
+
+def sha256(text):
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 @pytest.mark.parametrize("name", ["replay.js", "replay.css", "LICENCES.txt"])

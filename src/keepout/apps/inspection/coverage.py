@@ -126,11 +126,6 @@ class Coverage(Layer):
             reach=inspection.rules.greatest_range,
         )
 
-    @property
-    def lit(self) -> bool:
-        """Whether the sun matters in any frame."""
-        return bool(np.isfinite(self.suns).any())
-
     def share_at(self, time: Float[np.ndarray, "rows"]) -> Float[np.ndarray, "rows"]:
         """Give the share seen up to each time (s)."""
         place = np.searchsorted(self.times, time + 1e-6, side="right")
@@ -150,7 +145,7 @@ class Coverage(Layer):
                 "share": packing.exact(self.shares),
             },
             "possible": self.possible,
-            "lit": self.lit,
+            "lit": bool(np.isfinite(self.suns).any()),  # whether the sun matters in any frame
             "half_angle": self.half_angle,
             "reach": self.reach,
             "legend": [

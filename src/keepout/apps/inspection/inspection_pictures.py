@@ -186,7 +186,7 @@ def best_picture(
     camera = Pinhole(_FINER * _PIXELS, _FINER * _PIXELS, inspection.rules.field_of_view)
     axes = axes_towards(frame.boresight, np.array([0.0, 0.0, 1.0]))
     picture = studio.take(camera, frame.position, axes)
-    bright = studio.light(picture, camera, frame.position, axes, frame.sun)
+    bright = studio.light(picture, frame.sun)
     drawn = np.where(picture.hit[..., None], _BODY * bright[..., None], _SPACE)
     drawn[studio.outlines(picture)] *= 0.55
     drawn[_edge(_shown(inspection, view, mesh, picture.face, frame.position))] = _MARK

@@ -20,6 +20,10 @@ _SHADOW = 0.13
 """Share of the light that a place without sun still gets, so that it is seen that something is there."""
 _AMBIENT = 0.25
 """The same of the light at the camera."""
+_BEND = 0.45
+"""Angle between normals from which on there is an outline, rad."""
+_STEP = 0.02
+"""Step of the depth across a pixel beyond what the slope explains that makes an outline, as a share of the depth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,11 +31,17 @@ class Picture:
     """What a camera has in its pixels, row 0 at the top.
 
     Attributes:
+        camera: its image.
+        position: of the camera, m.
+        axes: of the camera as columns: x right, y down, z along the boresight.
         face: the nearest triangle at the pixel's middle; -1: none.
         depth: its distance along the boresight, m; inf: none.
 
     """
 
+    camera: Pinhole
+    position: Float[np.ndarray, "3"]
+    axes: Float[np.ndarray, "3 3"]
     face: Int[np.ndarray, "rows columns"]
     depth: Float[np.ndarray, "rows columns"]
 
@@ -39,6 +49,15 @@ class Picture:
     def hit(self) -> Bool[np.ndarray, "rows columns"]:
         """Whether anything is there."""
         return self.face >= 0
+
+    def places(self) -> tuple[Float[np.ndarray, "hits 3"], Float[np.ndarray, "hits 3"]]:
+        """Give the places that the pixels with something in them show, m, and unit vectors from there to the camera."""
+        rows, columns = np.nonzero(self.hit)
+        across = (columns + 0.5 - 0.5 * self.camera.width) / self.camera.focal
+        down = (rows + 0.5 - 0.5 * self.camera.height) / self.camera.focal
+        rays = np.column_stack([across, down, np.ones(len(rows))]) @ self.axes.T
+        there = self.position + rays * self.depth[rows, columns, None]
+        return there, -rays / np.linalg.norm(rays, axis=1, keepdims=True)
 
 
 class Studio:
@@ -71,38 +90,17 @@ class Studio:
         inverse = np.zeros(camera.shape)  # of the depth, which is linear in the image
         _paint(self.triangles, np.asarray(position, float), np.ascontiguousarray(axes), camera.focal, face, inverse)
         with np.errstate(divide="ignore"):
-            return Picture(face, 1.0 / inverse)
+            return Picture(camera, position, axes, face, 1.0 / inverse)
 
-    def places(
-        self, picture: Picture, camera: Pinhole, position: Float[np.ndarray, "3"], axes: Float[np.ndarray, "3 3"]
-    ) -> tuple[Float[np.ndarray, "hits 3"], Float[np.ndarray, "hits 3"]]:
-        """Give the places that the pixels with something in them show, m, and unit vectors from there to the camera."""
-        rows, columns = np.nonzero(picture.hit)
-        across = (columns + 0.5 - 0.5 * camera.width) / camera.focal
-        down = (rows + 0.5 - 0.5 * camera.height) / camera.focal
-        rays = np.column_stack([across, down, np.ones(len(rows))]) @ axes.T
-        there = position + rays * picture.depth[rows, columns, None]
-        return there, -rays / np.linalg.norm(rays, axis=1, keepdims=True)
-
-    def light(
-        self,
-        picture: Picture,
-        camera: Pinhole,
-        position: Float[np.ndarray, "3"],
-        axes: Float[np.ndarray, "3 3"],
-        sun: Float[np.ndarray, "3"] | None = None,
-    ) -> Float[np.ndarray, "rows columns"]:
+    def light(self, picture: Picture, sun: Float[np.ndarray, "3"] | None = None) -> Float[np.ndarray, "rows columns"]:
         """Say how bright each pixel is, 0 to 1: by the sun, with the shadows of all triangles, or by a headlight.
 
         Args:
-            picture: that this camera took.
-            camera: its image.
-            position: of the camera, m.
-            axes: of the camera as columns.
+            picture: of these triangles.
             sun: (3,) unit vector towards it; None: the light is at the camera.
 
         """
-        there, back = self.places(picture, camera, position, axes)
+        there, back = picture.places()
         normals = self.normals[picture.face[picture.hit]]
         normals = normals * np.where(np.einsum("ni,ni->n", normals, back) < 0.0, -1.0, 1.0)[:, None]
         if sun is None:
@@ -119,15 +117,8 @@ class Studio:
         bright[picture.hit] = shade
         return bright
 
-    def outlines(self, picture: Picture, *, bend: float = 0.45, step: float = 0.02) -> Bool[np.ndarray, "rows columns"]:
-        """Mark pixels at whose right or lower side the surface bends or breaks off.
-
-        Args:
-            picture: of these triangles.
-            bend: angle between normals, rad.
-            step: of the depth across a pixel beyond what the slope explains, as a share of the depth.
-
-        """
+    def outlines(self, picture: Picture) -> Bool[np.ndarray, "rows columns"]:
+        """Mark pixels of a picture of these triangles at whose right or lower side the surface bends or breaks off."""
         normals = np.zeros((*picture.face.shape, 3))
         normals[picture.hit] = self.normals[picture.face[picture.hit]]
         depth = np.where(picture.hit, picture.depth, 1e9)
@@ -135,8 +126,8 @@ class Studio:
         for axis in (0, 1):
             near, far = (np.take(normals, np.arange(k, normals.shape[axis] - 1 + k), axis) for k in (0, 1))
             here, there = (np.take(depth, np.arange(k, depth.shape[axis] - 1 + k), axis) for k in (0, 1))
-            bends = np.abs(np.einsum("abi,abi->ab", near, far)) < np.cos(bend)
-            breaks = np.abs(here - there) > step * np.minimum(here, there)
+            bends = np.abs(np.einsum("abi,abi->ab", near, far)) < np.cos(_BEND)
+            breaks = np.abs(here - there) > _STEP * np.minimum(here, there)
             slanted = np.abs(np.einsum("abi,abi->ab", near, far)) > 1.0 - 1e-9  # one plane: steep, not broken
             found = bends | (breaks & ~slanted)
             marked[: found.shape[0], : found.shape[1]] |= found & (picture.hit[: found.shape[0], : found.shape[1]])

@@ -76,7 +76,9 @@ class Growth(Layer):
 
     def told(self, packing: Packing, start: float) -> dict[str, Any]:
         """Give it as JSON holds it, with the arrays packed; times count from `start`, s."""
-        drawn = [fewer(*skin, MOST_TRIANGLES, side=_side(self.edge, skin))[:2] for skin in self.skins]
+        # A skin's squares are one edge wide: such a cell leaves about so many triangles as are drawn.
+        sides = [self.edge * max(1.0, math.sqrt(len(faces) / MOST_TRIANGLES)) for _, faces in self.skins]
+        drawn = [fewer(*skin, MOST_TRIANGLES, side=side)[:2] for skin, side in zip(self.skins, sides)]
         most = max((len(faces) for _, faces in self.skins), default=0)
         shown = max((len(faces) for _, faces in drawn), default=0)
         return {
@@ -104,11 +106,6 @@ class Growth(Layer):
             f"The map is drawn at {len(self.skins)} times{blocks}{thinned}; law and guard flew by all of it, as it was "
             "at every instant."
         )
-
-
-def _side(edge: float, skin: tuple[np.ndarray, np.ndarray]) -> float:
-    """Give the cell that leaves about so many triangles as are drawn, m: a skin's squares are one `edge` wide."""
-    return edge * max(1.0, math.sqrt(len(skin[1]) / MOST_TRIANGLES))
 
 
 def _axes(directions: Float[np.ndarray, "views 3"]) -> Float[np.ndarray, "views 3 3"]:

@@ -34,6 +34,8 @@ _FOUR_SIDES = {"front": (0.0, 0.0), "side": (0.0, -90.0), "top": (90.0, -90.0), 
 """Elevation and azimuth of the eye, degrees."""
 _PATHS_FROM = ((22.0, -60.0), (12.0, 8.0))
 _SURFACE_FROM = {"above": (28.0, -55.0), "below": (-28.0, 125.0)}
+_NODES = 400
+"""Along a slice's longer side."""
 _PLANES = ((0, 1, 2), (0, 2, 1), (1, 2, 0))
 """Horizontal axis, vertical axis, and the axis that the slice is across."""
 
@@ -236,7 +238,7 @@ def draw_paths(
         panels[0].legend(loc="upper left")
 
 
-def draw_slices(path: Path, model: FieldModel, target: Target, *, nodes: int = 400) -> None:
+def draw_slices(path: Path, model: FieldModel, target: Target) -> None:
     """Draw three slices through the target's middle into one PNG.
 
     Colours are f̃ (m); black is where the exact distance to the mesh equals the offset δ, orange the field's zero level,
@@ -248,7 +250,7 @@ def draw_slices(path: Path, model: FieldModel, target: Target, *, nodes: int = 4
     with figure(path, width=9.0, height=13.0) as drawing:
         for axes, (across, up, through) in zip(drawing.subplots(3, 1), _PLANES):
             extent = upper[[across, up]] - lower[[across, up]] + 2.0 * room
-            step = float(extent.max()) / nodes
+            step = float(extent.max()) / _NODES
             u = np.arange(lower[across] - room, upper[across] + room, step)
             v = np.arange(lower[up] - room, upper[up] + room, step)
             grid = np.empty((len(v), len(u), 3))

@@ -1,6 +1,5 @@
 """The replay of flights as a page: the scene, the viewer that comes with the package, and figures for print."""
 
-import hashlib
 import html
 import io
 import json
@@ -131,11 +130,6 @@ def _shown(words: str, flights: Sequence[Replayed], draw: Callable[..., None], h
 def viewer(name: str) -> str:
     """Give a file of the bundled viewer: `replay.js`, `replay.css`, `manifest.json` or `LICENCES.txt`."""
     return (resources.files("keepout") / "data" / "replay" / name).read_text(encoding="utf-8")
-
-
-def sha256(text: str) -> str:
-    """Give the digest by which the viewer's manifest names a file."""
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _write(path: Path, scene: Scene, *, title: str, words: Sequence[str], figures: Mapping[str, str]) -> None:
