@@ -34,9 +34,11 @@ def rare(
         from keepout.flights.pages.rare_page import write_rare
         from keepout.flights.rare_events.event import rare
 
-        each = {"runs": runs, "flights": 256 if quick else flights}
+        flights = 256 if quick else flights
         with results_in(out):
-            event = rare(mission, below=below, **each, state=out, progress=part_of(progress, 0.0, 0.97))
+            event = rare(
+                mission, below=below, runs=runs, flights=flights, state=out, progress=part_of(progress, 0.0, 0.97)
+            )
             summary = write_rare(out, event)
             write_summary(out, summary)
     answer(summary, as_json, summary["said"], terminal.Line(f"written to {out}"))
