@@ -50,7 +50,7 @@ def write_page(
         "error": (lambda path: draw_error(path, flight, name), ""),
         flight.scenario.name: (lambda path: draw_motion(path, flight, name), ""),
     }
-    draw_page(out, name, flight, pictures, tell, title=title, replay=title)
+    draw_page(out, name, flight, pictures, tell, title=title, replay=title, heading="Figures")
 
 
 def draw_page(
@@ -62,6 +62,7 @@ def draw_page(
     *,
     title: str,
     replay: str,
+    heading: str = "Pictures",
     layer: Layer | None = None,
     progress: Progress = silent,
 ) -> list[str]:
@@ -75,6 +76,7 @@ def draw_page(
         tell: adds what stands before replay and pictures to the page.
         title: of the page.
         replay: title of the replay.
+        heading: over the pictures.
         layer: what an application adds to the replay.
         progress: told how far it is.
 
@@ -91,7 +93,7 @@ def draw_page(
     tell(page)
     page.heading("Replay")
     page.replay(out / "replay.html")
-    page.heading("Pictures")
+    page.heading(heading)
     for stem, (_, caption) in pictures.items():
         if caption:
             page.heading(caption, 3)

@@ -213,8 +213,9 @@ def paint_paths(
         axes.plot(*np.where(hidden[:, None], np.nan, flat).T, color=colour, linewidth=1.5, label=name)
         for end, mark in ((flat[0], "s"), (flat[-1], "o")):
             axes.plot(*end, color=colour, marker=mark, markersize=4)
-    for goal in goals:
-        axes.plot(*(eye @ np.asarray(goal))[:2], color="black", marker="*", markersize=9)
+    stars = np.array([eye @ np.asarray(goal) for goal in goals]).reshape(-1, 3)
+    if len(stars):
+        axes.plot(*stars[:, :2].T, color="black", marker="*", markersize=9, linestyle="", label="goal")
     axes.autoscale()
     axes.margins(0.03)
 
