@@ -1,4 +1,4 @@
-// The page's data: JSON with references into one compressed run of bytes (keepout/replay/packing.py).
+// The page's data: JSON with references into one compressed run of bytes (keepout/flights/pages/scene.py).
 
 const KINDS = { float32: Float32Array, int8: Int8Array, int16: Int16Array, int32: Int32Array, uint8: Uint8Array, uint16: Uint16Array, uint32: Uint32Array };
 const FORMAT = 1;
