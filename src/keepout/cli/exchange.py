@@ -16,11 +16,11 @@ from keepout.cli.options import (
     from_zero,
     mission_of,
     recorded_target,
+    require_file,
     target_entry,
     usage,
 )
 from keepout.core.errors import ExchangeError, UsageError
-from keepout.core.whole_file import require_place
 from keepout.flights.pages import terminal
 
 if TYPE_CHECKING:
@@ -56,9 +56,7 @@ def export(
     given = {"--of": craft is not None, "--xml": xml, "--mesh": mesh is not None}
     with usage():
         check_export(source, to, craft=craft, given=given | {"--chaser-radius": chaser_radius is not None})
-    if not out.absolute().parent.is_dir():
-        raise ExchangeError(f"{out}: the folder {out.parent} does not exist")
-    require_place(out, refusal=ExchangeError)
+    require_file(out, "", "", refusal=ExchangeError)
     with terminal.progress(f"export {source.name}") as progress:
         chosen: dict[str, Any] = {"progress": progress}
         if source.suffix == ".keepout":

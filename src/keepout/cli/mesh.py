@@ -18,10 +18,11 @@ from keepout.cli.options import (
     app,
     example,
     recorded_target,
+    require_file,
     target_entry,
     usage,
 )
-from keepout.core.errors import FieldError, UsageError
+from keepout.core.errors import FieldError
 from keepout.core.progress import Progress, part_of
 from keepout.core.whole_file import require_place
 from keepout.flights.pages import terminal
@@ -161,7 +162,7 @@ def fit(
 
         with usage():
             find_profile(profile)
-        out = _field_path(out)
+        require_file(out, ".keepout", "a field file", refusal=FieldError)
         entry = target_entry({"source": mesh, "units": units, "scale": scale, "drop_stray": drop_stray})
         target = load_target(entry)
         start = time.perf_counter()
@@ -198,15 +199,6 @@ def fit(
     }
     tables = [terminal.facts_table(title.capitalize(), of) for title, of in {"fit": summary, **proof}.items()]
     answer(summary | proof, as_json, *tables)
-
-
-def _field_path(path: Path) -> Path:
-    if path.suffix != ".keepout":
-        raise UsageError(f"{path}: a field file ends in .keepout")
-    if not path.absolute().parent.is_dir():
-        raise FieldError(f"{path}: the folder {path.parent} does not exist")
-    require_place(path, refusal=FieldError)
-    return path
 
 
 @app.command(

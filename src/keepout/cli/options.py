@@ -18,6 +18,7 @@ from typer.core import TyperGroup
 
 from keepout.core import plug_ins
 from keepout.core.errors import FieldError, KeepoutError, ScenarioError, UsageError
+from keepout.core.whole_file import require_place
 from keepout.flights.pages import terminal
 
 if TYPE_CHECKING:
@@ -127,6 +128,21 @@ def add_mission_command(to: typer.Typer, name: str, of: terminal.MissionCommand)
 
     command.__doc__ = of.help
     to.command(name, epilog=example(of.example))(command)
+
+
+def require_file(out: Path, ending: str, what: str, *, refusal: type[KeepoutError]) -> None:
+    """Refuse a file that cannot be written, or whose name does not end as it has to: before the work for it.
+
+    Raises:
+        UsageError: its name ends otherwise.
+        KeepoutError: of the kind `refusal`, there is no such folder, or nothing can be written there.
+
+    """
+    if ending not in ("", out.suffix):
+        raise UsageError(f"{out}: {what} ends in {ending}")
+    if not out.absolute().parent.is_dir():
+        raise refusal(f"{out}: the folder {out.parent} does not exist")
+    require_place(out, refusal=refusal)
 
 
 @contextmanager

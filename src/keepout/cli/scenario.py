@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from keepout.cli.options import AsJson, DropStray, Scale, Units, answer, app, example, mission_of
+from keepout.cli.options import AsJson, DropStray, Scale, Units, answer, app, example, mission_of, require_file
 from keepout.core.errors import ScenarioError, UsageError
 from keepout.core.progress import Progress
 from keepout.flights.pages import terminal
@@ -58,16 +58,12 @@ def _drafted(
 ) -> dict[str, Any]:
     """Draft a scenario, for a target where `given` names one, and write it to `out` where that is given."""
     from keepout.core.mission.draft import draft
-    from keepout.core.whole_file import require_place, write_whole
+    from keepout.core.whole_file import write_whole
 
-    if out is not None and out.suffix != ".toml":
-        raise UsageError(f"{out}: a scenario file ends in .toml")
-    if out is not None and out.exists() and not force:
-        raise ScenarioError(f"{out}: is there already; --force replaces it")
-    if out is not None and not out.absolute().parent.is_dir():
-        raise ScenarioError(f"{out}: the folder {out.parent} does not exist")
     if out is not None:
-        require_place(out, refusal=ScenarioError)
+        require_file(out, ".toml", "a scenario file", refusal=ScenarioError)
+        if out.exists() and not force:
+            raise ScenarioError(f"{out}: is there already; --force replaces it")
     if profile not in ("default", "paper"):
         raise UsageError(f"--profile: {profile!r}; it must be 'default' or 'paper'")
     if "source" not in given and given:
