@@ -11,7 +11,7 @@ from keepout.apps.inspection.fate import WORDS, Fate, shares, unseen
 from keepout.apps.inspection.inspection import Inspection
 from keepout.core.progress import Progress, silent
 from keepout.core.whole_file import write_whole
-from keepout.flights.pages.flight_page import draw_result
+from keepout.flights.pages.flight_page import Told, draw_result
 from keepout.flights.pages.folder import make_folder, write_summary
 from keepout.flights.pages.page import Markup, Page, text
 
@@ -72,11 +72,9 @@ def write_inspection(
     files = {"flight": str(flight), "unseen": str(left)}
     summary = {"name": name, **inspection.summary(), "shares": shares(inspection), **files}
     if figures:
-        told, layer, drawn = said(inspection), Coverage.of(inspection), _drawn(inspection)
         tell = functools.partial(_tell_surface, inspection=inspection, shares=summary["shares"])
-        summary["pictures"] = draw_result(
-            out, inspection, summary, ROWS, drawn, said=told, layer=layer, tell=tell, progress=progress
-        )
+        told, layer, drawn = Told(said(inspection), ROWS, tell), Coverage.of(inspection), _drawn(inspection)
+        summary["pictures"] = draw_result(out, inspection, summary, told, drawn, layer=layer, progress=progress)
     write_summary(out, summary)
     return summary
 

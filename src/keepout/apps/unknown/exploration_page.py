@@ -8,7 +8,7 @@ from keepout.apps.unknown import map_file
 from keepout.apps.unknown.exploration import Exploration
 from keepout.apps.unknown.growth import Growth
 from keepout.core.progress import Progress, silent
-from keepout.flights.pages.flight_page import draw_result
+from keepout.flights.pages.flight_page import Told, draw_result
 from keepout.flights.pages.folder import make_folder, write_summary
 
 MAP = "map.keepmap"
@@ -51,11 +51,8 @@ def write_exploration(
     exploration.record.save(flight)
     summary = {"name": name, **exploration.summary(), "map": str(kept), "flight": str(flight)}
     if figures:
-        told = said(exploration)
-        layer, drawn = Growth.of(exploration), _drawn(exploration)
-        summary["pictures"] = draw_result(
-            out, exploration, summary, ROWS, drawn, said=told, layer=layer, progress=progress
-        )
+        told, layer, drawn = Told(said(exploration), ROWS), Growth.of(exploration), _drawn(exploration)
+        summary["pictures"] = draw_result(out, exploration, summary, told, drawn, layer=layer, progress=progress)
     write_summary(out, summary)
     return summary
 

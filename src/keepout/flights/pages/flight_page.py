@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.ticker import NullLocator
@@ -14,7 +14,7 @@ from keepout.flights.pages.figures import COLOURS, figure
 from keepout.flights.pages.mesh_pictures import draw_paths
 from keepout.flights.pages.page import Markup, Page, bad, text
 from keepout.flights.pages.replay_page import write_replay
-from keepout.flights.pages.replayed import Layer, of_flights
+from keepout.flights.pages.replayed import Layer, Replayed, of_flights
 from keepout.flights.pages.terminal import FLIGHT_COLUMNS, broken_assumptions
 
 Pictures = Mapping[str, tuple[Callable[[Path], None], str]]
@@ -50,34 +50,31 @@ def write_page(
         "error": (lambda path: draw_error(path, flight, name), ""),
         flight.scenario.name: (lambda path: draw_motion(path, flight, name), ""),
     }
-    draw_page(out, name, flight, pictures, tell, title=title, replay=title, heading="Figures")
+    [replayed] = of_flights({name: flight})
+    draw_page(out, replayed, pictures, tell, title=title, replay=title, heading="Figures")
 
 
 def draw_page(
     out: Path,
-    name: str,
-    flight: Flight,
+    flight: Replayed,
     pictures: Pictures,
     tell: Callable[[Page], None],
     *,
     title: str,
     replay: str,
     heading: str = "Pictures",
-    layer: Layer | None = None,
     progress: Progress = silent,
 ) -> list[str]:
     """Draw pictures of a flight, and write `replay.html` and `index.html`.
 
     Args:
         out: folder.
-        name: of the flight.
         flight: to replay.
         pictures: to draw.
         tell: adds what stands before replay and pictures to the page.
         title: of the page.
         replay: title of the replay.
         heading: over the pictures.
-        layer: what an application adds to the replay.
         progress: told how far it is.
 
     Returns:
@@ -88,8 +85,7 @@ def draw_page(
     for place, (stem, (draw, _)) in enumerate(pictures.items()):
         progress(0.5 * place / len(pictures), f"picture {stem}")
         draw(out / f"{stem}.png")
-    part = part_of(progress, 0.5, 1.0)
-    write_replay(out / "replay.html", of_flights({name: flight}, layer), title=replay, progress=part)
+    write_replay(out / "replay.html", [flight], title=replay, progress=part_of(progress, 0.5, 1.0))
     tell(page)
     page.heading("Replay")
     page.replay(out / "replay.html")
@@ -102,16 +98,29 @@ def draw_page(
     return [str(out / f"{stem}.png") for stem in pictures]
 
 
+class Told(NamedTuple):
+    """What a page tells of a flight of several legs.
+
+    Attributes:
+        said: how it ended, in a sentence, plain text.
+        rows: words for the entries of the summary that are told, in order; one that is None is left out.
+        tell: adds what stands between that table and the replay to the page.
+
+    """
+
+    said: str
+    rows: Mapping[str, str]
+    tell: Callable[[Page], None] = lambda page: None
+
+
 def draw_result(
     out: Path,
     result: Any,
     summary: Mapping[str, Any],
-    rows: Mapping[str, str],
+    told: Told,
     pictures: Mapping[str, tuple[Callable[[Path, Any], None], str]],
     *,
-    said: str,
     layer: Layer,
-    tell: Callable[[Page], None] = lambda page: None,
     progress: Progress = silent,
 ) -> list[str]:
     """Draw what an application's flight of several legs has come to: pictures, `replay.html` and `index.html`.
@@ -120,11 +129,9 @@ def draw_result(
         out: folder.
         result: of the flight, an `Exploration` or an `Inspection`.
         summary: of it.
-        rows: words for the entries of the summary that are told, in order; one that is None is left out.
+        told: what the page says.
         pictures: as `Pictures`, but what draws is given the result too; how the chaser moved is added.
-        said: how it ended, in a sentence.
         layer: of the replay.
-        tell: adds what stands between that table and the replay to the page.
         progress: told how far it is.
 
     Returns:
@@ -138,14 +145,15 @@ def draw_result(
     drawn: dict[str, Any] = {stem: (partial(_draw, draw, result), words) for stem, (draw, words) in pictures.items()}
     drawn["motion"] = (lambda path: draw_motion(path, flight, name), "Velocity, force and disturbance over time.")
 
-    def tell_all(page: Page) -> None:
-        page.words(Markup(f"<b>{text(said)}</b>"), *map(bad, broken_assumptions([summary])))
-        told = {words: _cell(key, summary) for key, words in rows.items() if summary[key] is not None}
-        page.table([{"": words, "value": value} for words, value in told.items()], headings=False)
-        tell(page)
+    def tell(page: Page) -> None:
+        page.words(Markup(f"<b>{text(told.said)}</b>"), *map(bad, broken_assumptions([summary])))
+        rows = {words: _cell(key, summary) for key, words in told.rows.items() if summary[key] is not None}
+        page.table([{"": words, "value": value} for words, value in rows.items()], headings=False)
+        told.tell(page)
 
     title, replay = f"{type(result).__name__} {name}", f"{name}: {result.outcome}"
-    return draw_page(out, name, flight, drawn, tell_all, title=title, replay=replay, layer=layer, progress=progress)
+    [replayed] = of_flights({name: flight}, layer)
+    return draw_page(out, replayed, drawn, tell, title=title, replay=replay, progress=progress)
 
 
 def _draw(draw: Callable[[Path, Any], None], result: Any, path: Path) -> None:
