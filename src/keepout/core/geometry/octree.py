@@ -31,14 +31,13 @@ _HIDDEN, _OPEN = 1, 2
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Terminal cells of an octree over a cube, in Morton order."""
+    """Terminal cells of an octree over a cube, in Morton order; `index` is a cell's place among those of its level."""
 
     origin: Float[np.ndarray, "3"]
     side: float
     depth: int
     level: Int[np.ndarray, "n"]
     index: Int[np.ndarray, "n 3"]
-    """Integer position at the cell's own level."""
 
     @property
     def half_width(self) -> Float[np.ndarray, "n"]:

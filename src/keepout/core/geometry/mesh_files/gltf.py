@@ -274,16 +274,17 @@ def _listed(entry: dict[str, Any], key: str) -> list[Any]:
 
 @dataclass(frozen=True, eq=False)
 class _Primitive:
-    """What one primitive draws, in its mesh's own axes."""
+    """What one primitive draws, in its mesh's own axes.
+
+    `points` are indices of the positions that it draws as points. Not kept are `segments` of lines, and `joints`:
+    triangles of a strip or fan that repeat a corner.
+    """
 
     positions: Float[np.ndarray, "v 3"]
     faces: Int[np.ndarray, "f 3"]
     points: Int[np.ndarray, "p"]
-    """Indices of the positions that it draws as points."""
     segments: int = 0
-    """Of lines, which are not kept."""
     joints: int = 0
-    """Triangles of a strip or fan that repeat a corner, which are not kept."""
 
 
 def _read_primitive(data: _Data, primitive: dict[str, Any]) -> _Primitive:
