@@ -15,38 +15,8 @@ from pydantic import BaseModel, Field, ValidationError, model_validator
 from pydantic.fields import FieldInfo
 
 from keepout.core.errors import ScenarioError
-from keepout.core.mission.entries import (
-    AttitudeEntry,
-    ChaserEntry,
-    ControlEntry,
-    DisturbanceEntry,
-    DragEntry,
-    Entry,
-    Epoch,
-    FaultsEntry,
-    FieldEntry,
-    GoalEntry,
-    GuardEntry,
-    NavigationEntry,
-    OrbitEntry,
-    SafetyEntry,
-    StateEntry,
-    SunEntry,
-    TargetEntry,
-    ThrustersEntry,
-    Vector,
-)
-from keepout.core.mission.task_entries import (
-    CameraEntry,
-    CampaignEntry,
-    DepthSensorEntry,
-    DispersionEntry,
-    ExploreEntry,
-    InspectEntry,
-    LightEntry,
-    MapEntry,
-    RareEntry,
-)
+from keepout.core.mission import entries, task_entries
+from keepout.core.mission.entries import Entry, Epoch, Vector
 
 COMPONENTS = ("x", "y", "z")
 Kind = Literal["number", "vector", "other"]
@@ -90,30 +60,30 @@ class Scenario(Entry, metaclass=_RefusedAsOthers):
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     duration: Annotated[float, Field(gt=0.0, le=1e6, allow_inf_nan=False)] = 1500.0
     epoch: Epoch = "2026-01-01T00:00:00Z"
-    target: TargetEntry = TargetEntry()
-    field: FieldEntry = FieldEntry()
-    chaser: ChaserEntry = ChaserEntry()
-    thrusters: ThrustersEntry = ThrustersEntry()
-    safety: SafetyEntry = SafetyEntry()
-    guard: GuardEntry = GuardEntry()
-    control: ControlEntry = ControlEntry()
-    orbit: OrbitEntry = OrbitEntry()
-    drag: DragEntry = DragEntry()
-    sun: SunEntry = SunEntry()
-    attitude: AttitudeEntry = AttitudeEntry()
-    disturbance: DisturbanceEntry = DisturbanceEntry()
-    navigation: NavigationEntry = NavigationEntry()
-    faults: FaultsEntry = FaultsEntry()
-    start: StateEntry = StateEntry()
-    goal: GoalEntry = GoalEntry()
-    campaign: CampaignEntry = CampaignEntry()
-    rare: RareEntry = RareEntry()
-    depth_sensor: DepthSensorEntry = DepthSensorEntry()
-    map: MapEntry = MapEntry()
-    explore: ExploreEntry = ExploreEntry()
-    camera: CameraEntry = CameraEntry()
-    light: LightEntry = LightEntry()
-    inspect: InspectEntry = InspectEntry()
+    target: entries.TargetEntry = entries.TargetEntry()
+    field: entries.FieldEntry = entries.FieldEntry()
+    chaser: entries.ChaserEntry = entries.ChaserEntry()
+    thrusters: entries.ThrustersEntry = entries.ThrustersEntry()
+    safety: entries.SafetyEntry = entries.SafetyEntry()
+    guard: entries.GuardEntry = entries.GuardEntry()
+    control: entries.ControlEntry = entries.ControlEntry()
+    orbit: entries.OrbitEntry = entries.OrbitEntry()
+    drag: entries.DragEntry = entries.DragEntry()
+    sun: entries.SunEntry = entries.SunEntry()
+    attitude: entries.AttitudeEntry = entries.AttitudeEntry()
+    disturbance: entries.DisturbanceEntry = entries.DisturbanceEntry()
+    navigation: entries.NavigationEntry = entries.NavigationEntry()
+    faults: entries.FaultsEntry = entries.FaultsEntry()
+    start: entries.StateEntry = entries.StateEntry()
+    goal: entries.GoalEntry = entries.GoalEntry()
+    campaign: task_entries.CampaignEntry = task_entries.CampaignEntry()
+    rare: task_entries.RareEntry = task_entries.RareEntry()
+    depth_sensor: task_entries.DepthSensorEntry = task_entries.DepthSensorEntry()
+    map: task_entries.MapEntry = task_entries.MapEntry()
+    explore: task_entries.ExploreEntry = task_entries.ExploreEntry()
+    camera: task_entries.CameraEntry = task_entries.CameraEntry()
+    light: task_entries.LightEntry = task_entries.LightEntry()
+    inspect: task_entries.InspectEntry = task_entries.InspectEntry()
 
     @model_validator(mode="after")
     def _at_least_a_step(self) -> "Scenario":
@@ -272,8 +242,8 @@ def _valid_keys(location: Keys) -> list[str]:
     for part in location:
         if get_origin(kind) is tuple:  # a place in a list of tables
             kind = get_args(kind)[0]
-        elif kind == dict[str, DispersionEntry]:  # the name of what is dispersed
-            kind = DispersionEntry
+        elif kind == dict[str, task_entries.DispersionEntry]:  # the name of what is dispersed
+            kind = task_entries.DispersionEntry
         else:
             kind = kind.model_fields[str(part)].annotation
     return list(kind.model_fields) if is_table(kind) else []

@@ -11,43 +11,18 @@ import numpy as np
 from keepout.core.audit.tube import FlightBounds
 from keepout.core.control.law import Law
 from keepout.core.errors import ScenarioError
-from keepout.core.flight.faults import (
-    CombinedFaults,
-    DelayedCommands,
-    DroppedCommands,
-    GaussianEstimate,
-    StuckThruster,
-    ThrusterGain,
-    WrongEstimate,
-)
+from keepout.core.flight import faults as wrongs
 from keepout.core.flight.setup import Faults, FlightSetup, NoFaults
 from keepout.core.geometry.target import Target
 from keepout.core.guard import watch
 from keepout.core.guard.braking import GuardAssumptions
 from keepout.core.guard.guard import Guard
-from keepout.core.mission.bounds import (
-    DifferentialBounds,
-    OrbitBounds,
-    differential_bounds,
-    orbit_bounds,
-    orbit_of,
-    perturbations,
-    turned_by_gravity,
-    turning_freely,
-)
+from keepout.core.mission import bounds
 from keepout.core.mission.first_look import refuse_disturbance, require_thrusters
 from keepout.core.mission.scenario import Scenario
+from keepout.core.motion import disturbance as pushes
 from keepout.core.motion.attitude import InertiallyFixed, Tumbling, VVLHFixed
 from keepout.core.motion.chaser import Chaser, ThrusterModel, Thrusters
-from keepout.core.motion.disturbance import (
-    Disturbance,
-    NoDisturbance,
-    SquareWaveDisturbance,
-    band_limited_noise,
-    paper_disturbance,
-    resonant,
-    steady,
-)
 from keepout.core.motion.orbit import EARTH_GRAVITATIONAL_PARAMETER
 from keepout.core.motion.relative import RelativeMotion
 from keepout.core.plug_ins import load
@@ -161,37 +136,39 @@ class Surroundings:
         else:
             turning = InertiallyFixed() if attitude.kind == "inertial" else VVLHFixed()
         return RelativeMotion(
-            orbit_of(scenario.orbit),
+            bounds.orbit_of(scenario.orbit),
             turning,
-            perturbations(scenario),
+            bounds.perturbations(scenario),
             centre_of_mass=np.asarray(scenario.target.centre_of_mass),
             held_inertially=scenario.thrusters.held_in == "inertial",
         )
 
     @cached_property
-    def disturbance(self) -> Disturbance:
+    def disturbance(self) -> pushes.Disturbance:
         """The force that nobody commanded (body axes, N)."""
         return self._disturbance(self.scenario.disturbance.phase)
 
-    def _disturbance(self, phase: float) -> Disturbance:
+    def _disturbance(self, phase: float) -> pushes.Disturbance:
         scenario, entry = self.scenario, self.scenario.disturbance
         amplitude = 0.0 if entry.amplitude is None else entry.amplitude
         match entry.kind:
             case "none":
-                return NoDisturbance()
+                return pushes.NoDisturbance()
             case "paper":
-                return paper_disturbance().shifted(phase)
+                return pushes.paper_disturbance().shifted(phase)
             case "constant":
-                return steady(np.asarray(entry.force))
+                return pushes.steady(np.asarray(entry.force))
             case "bang-bang":
                 most_switches = math.ceil(scenario.control.period / (0.5 * _BANG_BANG_PERIOD))
-                wave = SquareWaveDisturbance(amplitude * _DIAGONAL, _BANG_BANG_PERIOD, most_switches=most_switches)
+                wave = pushes.SquareWaveDisturbance(
+                    amplitude * _DIAGONAL, _BANG_BANG_PERIOD, most_switches=most_switches
+                )
                 return wave.shifted(phase)
             case "resonant":
-                return resonant(amplitude * _DIAGONAL, scenario.control.period).shifted(phase)
+                return pushes.resonant(amplitude * _DIAGONAL, scenario.control.period).shifted(phase)
             case "random":
                 key = jax.random.fold_in(jax.random.key(scenario.seed), 1)
-                return band_limited_noise(key, 0.5 * amplitude, amplitude, RANDOM_BAND).shifted(phase)
+                return pushes.band_limited_noise(key, 0.5 * amplitude, amplitude, RANDOM_BAND).shifted(phase)
 
     @cached_property
     def largest_disturbance(self) -> float:
@@ -227,19 +204,19 @@ class Surroundings:
         bounded = entry.position_bias, entry.velocity_bias, entry.position_noise, entry.velocity_noise
         parts: list[Faults] = []
         if any(bounded):
-            parts.append(WrongEstimate(*bounded))
+            parts.append(wrongs.WrongEstimate(*bounded))
         if entry.position_noise_std or entry.velocity_noise_std:
-            parts.append(GaussianEstimate(entry.position_noise_std, entry.velocity_noise_std, self.noise_memory))
+            parts.append(wrongs.GaussianEstimate(entry.position_noise_std, entry.velocity_noise_std, self.noise_memory))
         if entry.dropped:
-            parts.append(DroppedCommands(entry.dropped))
+            parts.append(wrongs.DroppedCommands(entry.dropped))
         if entry.delay:
-            parts.append(DelayedCommands(entry.delay))
+            parts.append(wrongs.DelayedCommands(entry.delay))
         if entry.gain_error:
-            parts.append(ThrusterGain(entry.gain_error))
+            parts.append(wrongs.ThrusterGain(entry.gain_error))
         if entry.stuck is not None:
             sign, axis = (1 if entry.stuck[0] == "+" else -1), "xyz".index(entry.stuck[1])
-            parts.append(StuckThruster(axis, sign, entry.stuck_force, start=entry.stuck_from))
-        return CombinedFaults(tuple(parts)) if parts else NoFaults()
+            parts.append(wrongs.StuckThruster(axis, sign, entry.stuck_force, start=entry.stuck_from))
+        return wrongs.CombinedFaults(tuple(parts)) if parts else NoFaults()
 
     @property
     def noise_memory(self) -> float:
@@ -345,8 +322,8 @@ class Surroundings:
         self._region(away)
 
     @cached_property
-    def _orbit(self) -> OrbitBounds:
-        return orbit_bounds(self.scenario)
+    def _orbit(self) -> bounds.OrbitBounds:
+        return bounds.orbit_bounds(self.scenario)
 
     @property
     def thrusters(self) -> ThrusterModel:
@@ -379,7 +356,7 @@ class Surroundings:
             return 0.0, 0.0
         if attitude.gravity_gradient:
             period, lowest = scenario.control.period, self._orbit.lowest_radius
-            rate, acceleration = turned_by_gravity(
+            rate, acceleration = bounds.turned_by_gravity(
                 self.motion, period=period, steps=scenario.steps, lowest_radius=lowest
             )
             if not math.isfinite(rate):
@@ -389,7 +366,9 @@ class Surroundings:
                 )
             return rate, acceleration
         if attitude.kind == "tumbling":
-            rate, acceleration = turning_freely(np.asarray(attitude.angular_velocity), np.asarray(attitude.inertia))
+            rate, acceleration = bounds.turning_freely(
+                np.asarray(attitude.angular_velocity), np.asarray(attitude.inertia)
+            )
         else:
             rate, acceleration = self._orbit.rate, self._orbit.acceleration
         return rate * _OUTWARD, acceleration * _OUTWARD
@@ -444,7 +423,7 @@ class Surroundings:
             )
         return region
 
-    def _differential(self, region: float) -> DifferentialBounds:
+    def _differential(self, region: float) -> bounds.DifferentialBounds:
         """Bound what gravity and perturbations do to chaser and target differently, for a chaser within `region` m.
 
         The least r from the Earth's centre to any point between target and chaser is the lowest radius less their
@@ -452,7 +431,9 @@ class Surroundings:
         """
         nearest = self._orbit.lowest_radius - max(_NEAR, region + self._origin_offset)
         rate, fastest = self._rotation[0], self._fastest
-        bent = differential_bounds(self.scenario, self._orbit, nearest=nearest, angular_rate=rate, fastest=fastest)
+        bent = bounds.differential_bounds(
+            self.scenario, self._orbit, nearest=nearest, angular_rate=rate, fastest=fastest
+        )
         return replace(bent, gradient=2.0 * EARTH_GRAVITATIONAL_PARAMETER / nearest**3 + bent.gradient)
 
     @property
