@@ -447,7 +447,7 @@ class QuantileDifference:
         share: of the quantile.
         first: in the first campaign.
         second: in the second.
-        low: end of the interval of first less second (`intervals.difference_of_quantiles`), about 95 %.
+        low: end of the interval of first less second (`difference_of_quantiles`), about 95 %.
         high: the other end; infinite where the flights are too few.
 
     """
