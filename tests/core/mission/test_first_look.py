@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from keepout.core.errors import FieldError, KeepoutError, ScenarioError
-from keepout.core.fields import shipped_names
 from keepout.core.geometry.target import Target
 from keepout.core.mission.build import load_model, prepare
 from keepout.core.mission.first_look import (
@@ -17,7 +16,6 @@ from keepout.core.mission.first_look import (
     look,
     require_authority,
     require_certified,
-    shipped_fields,
 )
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
@@ -48,10 +46,6 @@ def test_disturbances_are_judged_as_their_models_judge_them(entry, limit):
     except ScenarioError:
         with pytest.raises(ScenarioError, match="no law can hold"):
             _ = Surroundings(scenario).disturbance_bound
-
-
-def test_shipped_fields_are_the_packages():
-    assert shipped_fields() == shipped_names()
 
 
 @pytest.mark.parametrize("content", [b"", b"\xff" * 64, (3).to_bytes(8, "little") + b"{}}"])

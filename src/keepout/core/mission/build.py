@@ -21,7 +21,7 @@ from keepout.core.control.controller import Controller
 from keepout.core.control.guidance import Guidance, GuidancePlan
 from keepout.core.control.law import Command, Law
 from keepout.core.errors import ControlError, FieldError, KeepOutZoneError, ScenarioError
-from keepout.core.fields import load_shipped, shipped_names
+from keepout.core.fields import load_shipped
 from keepout.core.fields.field import values
 from keepout.core.fields.model import Certificate, FieldModel
 from keepout.core.fields.own import FunctionField
@@ -31,6 +31,7 @@ from keepout.core.geometry.target import Target
 from keepout.core.guard.field import guard_field
 from keepout.core.guard.guard import Guard, require_flyable
 from keepout.core.guard.safety_layer import SafetyLayer
+from keepout.core.mission.first_look import require_shipped
 from keepout.core.mission.law import broken_as, law_on, law_or_way_out, room_for_guard
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings, broken_assumptions
@@ -150,11 +151,7 @@ def load_model(scenario: Scenario, target: Target, progress: Progress = silent) 
         return guard_field(target, scenario.chaser.radius, progress=progress)
     if source != "shipped":
         return FieldModel.load(Path(source), target=target)
-    if scenario.target.source not in shipped_names():
-        raise FieldError(
-            f'field.source: "shipped" is only for {", ".join(shipped_names())}, not for {scenario.target.source!r}; '
-            'make one with `keepout fit` and `keepout certify` and name its file, or give "grid"'
-        )
+    require_shipped(scenario)
     model = load_shipped(scenario.target.source)
     model.require_target(target, where="field")
     return model

@@ -91,7 +91,7 @@ def draft(
         values |= _numbers(defaults)
         values |= {"target.source": defaults.target.source, "field.source": defaults.field.source}
         return Draft(defaults, _written(values, {}, (), source), values)
-    from keepout.core.mission.first_look import shipped_fields
+    from keepout.core.fields import shipped_names
     from keepout.core.mission.target import load_target
 
     progress(0.0, "target")
@@ -103,7 +103,7 @@ def draft(
     if is_file:
         given["source"] = _relative(Path(source), folder)
     values |= {f"target.{key}": value for key, value in given.items()}
-    if source in shipped_fields():
+    if source in shipped_names():
         values["field.source"] = "shipped"
     else:
         learned = Path(folder) / f"{target.name}.keepout"

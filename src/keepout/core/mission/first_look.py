@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from keepout.core.errors import ControlError, FieldError, MeshError, ScenarioError
+from keepout.core.fields import shipped_folder, shipped_names
 from keepout.core.mission.scenario import Scenario
 from keepout.core.plug_ins import load
 
@@ -122,14 +123,19 @@ def require_files(scenario: Scenario) -> None:
     if mesh.suffix and not mesh.exists():
         raise MeshError(f"{mesh}: no such file, and no built-in target of that name")
     if field == "shipped":
-        shipped = shipped_fields()
-        if scenario.target.source not in shipped:
-            raise FieldError(
-                f'field.source: "shipped" is only for {", ".join(shipped)}, not for {scenario.target.source!r}; '
-                'make one with `keepout fit` and `keepout certify` and name its file, or give "grid"'
-            )
+        require_shipped(scenario)
     elif field != "grid" and not Path(field).exists():
         raise FieldError(f"{field}: no such file; a field is a .keepout file")
+
+
+def require_shipped(scenario: Scenario) -> None:
+    """Refuse a field that would have to come with the package and does not."""
+    shipped = shipped_names()
+    if scenario.target.source not in shipped:
+        raise FieldError(
+            f'field.source: "shipped" is only for {", ".join(shipped)}, not for {scenario.target.source!r}; '
+            'make one with `keepout fit` and `keepout certify` and name its file, or give "grid"'
+        )
 
 
 def require_certified(scenario: Scenario) -> None:
@@ -140,7 +146,7 @@ def require_certified(scenario: Scenario) -> None:
     source = scenario.field.source
     if source == "grid":
         return
-    path = _shipped_folder() / f"{scenario.target.source}.keepout" if source == "shipped" else Path(source)
+    path = shipped_folder() / f"{scenario.target.source}.keepout" if source == "shipped" else Path(source)
     try:
         with path.open("rb") as file:
             told = json.loads(file.read(min(int.from_bytes(file.read(8), "little"), _LONGEST_HEADER)))
@@ -155,12 +161,3 @@ def require_certified(scenario: Scenario) -> None:
             f"{', '.join(f'{certified:g} m' for certified in radii) or 'none'}; "
             f"`keepout certify --chaser-radius {radius:g}` adds a certificate"
         )
-
-
-def _shipped_folder() -> Path:
-    return Path(__file__).parents[2] / "data" / "fields"
-
-
-def shipped_fields() -> tuple[str, ...]:
-    """Name the built-in targets whose fields come with the package."""
-    return tuple(sorted(path.stem for path in _shipped_folder().glob("*.keepout")))
