@@ -40,7 +40,7 @@ from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 from keepout.flights.pages.terminal import FLIGHT_COLUMNS, shown
 
-pytestmark = [pytest.mark.as_used, pytest.mark.long]
+pytestmark = pytest.mark.long
 
 README = Path(__file__).parents[1] / "README.md"
 
@@ -98,8 +98,8 @@ FEW = {"width": 16, "depth": 2, "samples": 4000, "batch": 400, "steps": 250, "tu
 """A fit of seconds; tests/core/proof/test_certificate.py says how good a fit is."""
 ROUGH = f"""
 from dataclasses import replace
-from keepout.core.learning import profile
-profile.PROFILES["quick"] = replace(profile.PROFILES["quick"], **{FEW})
+from keepout.core.learning.losses import PROFILES
+PROFILES["quick"] = replace(PROFILES["quick"], **{FEW})
 from keepout.cli import main
 main()
 """
@@ -116,17 +116,19 @@ def folder(tmp_path_factory):
         yield folder
 
 
+AS_USED = {"XLA_FLAGS": ""}
+"""A fit and a flight are compiled as a user has them, all else as quickly as other tests."""
 FIT = ("fit", "box", "-o", "box.keepout", "--profile", "quick", "--chaser-radius", RADIUS, "--certify", "--json")
 
 
 @pytest.fixture(scope="module")
 def fitted(folder):
-    return keepout_process(folder, *FIT, program=ROUGH)
+    return keepout_process(folder, *FIT, program=ROUGH, **AS_USED)
 
 
 @pytest.fixture(scope="module")
 def flown(folder, fitted):
-    return keepout_process(folder, "fly", "mission.toml", "-o", "flight", "--json")
+    return keepout_process(folder, "fly", "mission.toml", "-o", "flight", "--json", **AS_USED)
 
 
 @pytest.fixture(scope="module")
@@ -417,8 +419,8 @@ def check_flown(path: Path, summary: dict) -> None:
 
 
 ONE_TARGET = """
-from keepout.apps.reproduction import volumes
-volumes.TARGETS = {"intelsat30": volumes.TARGETS["intelsat30"]}
+from keepout.apps.reproduction import shapes
+shapes.TARGETS = {"intelsat30": shapes.TARGETS["intelsat30"]}
 from keepout.cli import main
 main()
 """

@@ -79,16 +79,19 @@ def forking() -> subprocess.Popen:
     return subprocess.Popen([sys.executable, "-c", FORKING], env=environment(), text=True, **pipes)
 
 
-def told_by_process(folder: Path, *arguments: object, program: str = "from keepout.cli import main; main()") -> str:
+def told_by_process(
+    folder: Path, *arguments: object, program: str = "from keepout.cli import main; main()", **variables: str
+) -> str:
     """Run a command in a process of its own, and give what it wrote to standard output.
 
     What a library writes past Python to the file descriptor is seen so, and not by a command run in this process.
+    The process has the environment of this one, and what `variables` set there.
     """
     server = forking()
     assert server.stdin is not None
     assert server.stdout is not None
     with tempfile.NamedTemporaryFile("r") as out, tempfile.NamedTemporaryFile("r") as err:
-        told = [str(each) for each in arguments], str(folder), environment(), program, (out.name, err.name)
+        told = [str(each) for each in arguments], str(folder), environment() | variables, program, (out.name, err.name)
         server.stdin.write(json.dumps(told) + "\n")
         server.stdin.flush()
         code, used = server.stdout.readline().split()

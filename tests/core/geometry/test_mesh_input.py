@@ -8,8 +8,6 @@ from truths.small_files import refused
 from keepout.core.errors import MeshError
 from keepout.core.geometry.target import Target
 
-TRIANGLE = "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
-
 
 def cube(size=2.0):
     return trimesh.creation.box(extents=(size, size, size))

@@ -60,7 +60,9 @@ def test_words_of_all_kinds_survive_the_file():
         commented({"chaser.mass": -1.0})
 
 
-@pytest.mark.parametrize("name", ["box", "pocket", "sphere", "intelsat30"])
+@pytest.mark.parametrize(
+    "name", ["box", *(pytest.param(n, marks=pytest.mark.slow) for n in ("pocket", "sphere")), "intelsat30"]
+)
 def test_a_draft_is_free_and_honoured(name):
     made = draft(name)
     target = Target.load(name)

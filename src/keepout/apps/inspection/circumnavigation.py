@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from keepout.apps.inspection.hill import VVLH_FROM_RTN
-from keepout.apps.inspection.passive import drift, passive_safety, states_at_times
+from keepout.apps.inspection.passive import drift, passive_safety, rows, states_at_times
 from keepout.core.control.law import Command, Law
 from keepout.core.errors import InspectionError
 from keepout.core.mission.scenario import Scenario
@@ -128,7 +128,7 @@ def circumnavigations(
     for tilt in np.flatnonzero(enough.any(axis=0)):
         size = int(np.argmax(enough[:, tilt]))
         index = size * len(TILTS) + tilt
-        one = jax.tree.map(lambda leaf, index=index: leaf[index : index + 1], states)
+        one = rows(states, slice(index, index + 1))
         path, rate = drift(motion, one, period, round(seconds / period))
         height, (share, beta) = float(heights[size, tilt]), TILTS[tilt]
         found.append(
@@ -207,7 +207,7 @@ def in_body(
     """
     motion = Surroundings(scenario).motion
     target = states_at_times(scenario, np.array([time]), np.zeros((1, 3)), np.zeros((1, 3)))
-    one = jax.tree.map(lambda leaf: leaf[0], target)
+    one = rows(target, 0)
     turn = matrix(one.attitude)
     turning = one.angular_velocity - turn @ motion.orbital_frame(one).angular_velocity
     from_mass = position @ np.asarray(turn).T

@@ -118,7 +118,7 @@ def passive_safety(
     still = replace(bounds, disturbance_force=pushed, excursion=0.0, velocity_excursion=0.0)
     parts = []
     for begin in range(0, len(states.time), _TOGETHER):
-        some = _rows(states, slice(begin, begin + _TOGETHER))
+        some = rows(states, slice(begin, begin + _TOGETHER))
         position, velocity = drift(motion, some, seconds / count, count)
         tube = Tube.of(times, position, velocity, np.zeros_like(position), still)
         farthest = lengths(position).max(axis=1) + radius[-1]
@@ -135,7 +135,7 @@ def drift(
     """Let states drift: positions (m) and velocities (m/s) after 0 … `count` steps of `step` seconds, body frame."""
     drifts = len(states.time)
     size = next(size for size in (8, _TOGETHER, drifts) if size >= drifts)
-    at = _rows(states, np.concatenate([np.arange(drifts), np.zeros(size - drifts, int)]))
+    at = rows(states, np.concatenate([np.arange(drifts), np.zeros(size - drifts, int)]))
     positions, velocities = [np.asarray(at.position)[:, None]], [np.asarray(at.velocity)[:, None]]
     for _ in range(-(-count // _RUN)):
         at, position, velocity = _drift(motion, at, jnp.asarray(step, jnp.float64))
@@ -145,7 +145,7 @@ def drift(
     return position[:drifts, : count + 1], velocity[:drifts, : count + 1]
 
 
-def _rows(states: MotionState, which: slice | np.ndarray) -> MotionState:
+def rows(states: MotionState, which: int | slice | np.ndarray) -> MotionState:
     """Give some of the states. NumPy takes them: JAX would compile a program for each number of them."""
     return jax.tree.map(lambda leaf: jax.device_put(np.asarray(leaf)[which]), states)
 
@@ -201,7 +201,7 @@ def states_at_times(
     for _ in range(int(index.max(initial=0)) // _RUN + 1):
         at, run = _target(motion, at, jnp.asarray(period, jnp.float64))
         parts.append(run)
-    target = _rows(jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts), index)
+    target = rows(jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts), index)
     moved = (jnp.asarray(position, jnp.float64), jnp.asarray(velocity, jnp.float64))
     return eqx.tree_at(lambda state: (state.position, state.velocity), target, moved)
 

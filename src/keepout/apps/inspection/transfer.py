@@ -9,13 +9,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
 from keepout.apps.inspection.circumnavigation import Circumnavigation, hill_states, in_body
 from keepout.apps.inspection.hill import coast_matrix
-from keepout.apps.inspection.passive import passive_safety, states_at_times
+from keepout.apps.inspection.passive import passive_safety, rows, states_at_times
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 from keepout.core.motion.rotation import matrix
@@ -109,7 +108,7 @@ def _in_vvlh(scenario: Scenario, position: Point, velocity: Point) -> tuple[Poin
     """Give a state of the body frame at the mission's start as seen from VVLH, from the target's centre of mass."""
     motion = Surroundings(scenario).motion
     target = states_at_times(scenario, np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3)))
-    one = jax.tree.map(lambda leaf: leaf[0], target)
+    one = rows(target, 0)
     turn = np.asarray(matrix(one.attitude))
     turning = np.asarray(one.angular_velocity - matrix(one.attitude) @ motion.orbital_frame(one).angular_velocity)
     from_mass = position - np.asarray(motion.centre_of_mass)

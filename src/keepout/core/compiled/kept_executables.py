@@ -51,6 +51,7 @@ _TRACED = (
     *(f"keepout.core.{room}" for room in ("compiled", "control", "fields", "flight", "guard", "motion")),
     "keepout.flights.navigation",
     "keepout.flights.thrusters",
+    "keepout.apps",
 )
 """Rooms of Keepout whose functions are traced."""
 _AT_HAND = 16
