@@ -126,7 +126,8 @@ def orbit_bounds(scenario: Scenario) -> OrbitBounds:
     """
     if perturbations(scenario):
         flown = max(scenario.duration, scenario.steps * scenario.control.period)
-        return _perturbed(scenario.orbit, scenario.drag, _sunlight(scenario), flown)
+        known = scenario.orbit, scenario.drag, _sunlight(scenario)
+        return _perturbed(*known, flown)  # pyright: ignore[reportArgumentType]: frozen models have a hash
     mu = EARTH_GRAVITATIONAL_PARAMETER
     a, e = scenario.orbit.semi_major_axis, scenario.orbit.eccentricity
     # Largest true-anomaly rate, at perigee, and a bound on its derivative 2 μ e (1+e)³ / (a³ (1−e²)³).

@@ -282,6 +282,7 @@ def build_guard(
     """
     radius, margin = around.scenario.chaser.radius, around.kept_margin
     if grid is None:
+        assert around.target is not None
         grid = guard_field(around.target, radius, offset=offset, closing_radius=closing_radius, progress=progress)
     certificate = grid.certificate(radius)
     threshold = certificate.error_bound + radius

@@ -63,7 +63,8 @@ class _Documented(type(BaseModel)):
         namespace["__doc__"] = doc.partition("\n\n    Attributes:\n")[0]
         for key, meaning in _meanings(doc).items():
             given = namespace.get(key, ...)
-            default = {"default_factory": given.default_factory} if isinstance(given, FieldInfo) else {"default": given}
+            made = isinstance(given, FieldInfo)
+            default: dict[str, Any] = {"default_factory": given.default_factory} if made else {"default": given}
             namespace[key] = Field(description=meaning, **default)
         return super().__new__(mcs, name, bases, namespace, **options)
 

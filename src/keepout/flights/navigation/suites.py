@@ -209,7 +209,7 @@ def certain(scenario: Scenario, assumed: GuardAssumptions) -> Certain:
 
     """
     return _certain(
-        scenario.navigation,
+        scenario.navigation,  # pyright: ignore[reportArgumentType]: a frozen model has a hash
         float(assumed.disturbance + assumed.fault_push),
         scenario.chaser.mass,
         scenario.control.period,

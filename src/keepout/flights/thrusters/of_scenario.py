@@ -21,7 +21,8 @@ def layout(scenario: Scenario) -> Layout | None:
         ScenarioError: its directions do not span three axes.
 
     """
-    return _layout(scenario.thrusters, scenario.chaser.force_limit, scenario.chaser.radius)
+    entry, chaser = scenario.thrusters, scenario.chaser
+    return _layout(entry, chaser.force_limit, chaser.radius)  # pyright: ignore[reportArgumentType]: it has a hash
 
 
 @lru_cache(maxsize=64)
