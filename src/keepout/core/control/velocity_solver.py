@@ -391,7 +391,6 @@ _FEASIBLE = 1e-12
 _OPTIMAL = 1e-11
 _NEWTON_STEPS = 3
 _TRIES = 12
-_TINY = 1e-300
 
 
 class Active(NamedTuple):
@@ -619,7 +618,7 @@ def sensitivity(
 
 
 _EDGE = 1e-11  # below this much room (in units of speed) the feasible set is one point: the escape velocity
-_APEX = 1e-13
+_AT_APEX = 1e-13
 
 
 class ConeStatus(enum.IntEnum):
@@ -726,7 +725,7 @@ def _solve_unit(program: VelocityProgram) -> _Outcome:
     gain, escape = escape_velocity(unit)
     room = unit.barrier_rate + gain
     escaping = room <= _EDGE
-    resting = (jnp.abs(unit.barrier_rate) <= _APEX) & (unit.error > 0.0) & _rest_is_optimal(unit)
+    resting = (jnp.abs(unit.barrier_rate) <= _AT_APEX) & (unit.error > 0.0) & _rest_is_optimal(unit)
     easy = escaping | resting
     simple = program.gradient_error is None and program.circulation is None and program.box is None
     active, at, good, iterations = _project(unit) if simple else _iterate(unit, easy)

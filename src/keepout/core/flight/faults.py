@@ -347,10 +347,6 @@ class BrokenLaw(Law):
         return jnp.stack(forces)[self.kind]
 
 
-Vector = Float[Array, "3"]
-Scalar = Float[Array, ""]
-
-
 class KnownErrors(Transparent):
     """Estimates that are wrong by given errors.
 
