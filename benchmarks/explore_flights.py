@@ -9,7 +9,6 @@ import math
 import time
 from dataclasses import dataclass
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -20,7 +19,8 @@ from explore_counts import bad_cubes
 from truncated_distance import TruncatedDistanceMap
 
 from keepout.apps.led.camera import Boresight, axes_towards
-from keepout.apps.unknown import by_map, equipment
+from keepout.apps.unknown import equipment
+from keepout.apps.unknown.by_map import ByMap
 from keepout.apps.unknown.depth_sensor import ErrorDraw, take
 from keepout.apps.unknown.explore import explore
 from keepout.apps.unknown.map_field import MapField
@@ -29,7 +29,7 @@ from keepout.core.errors import ControlError
 from keepout.core.flight.loop import begin, fly_segment, joined
 from keepout.core.geometry.first_hit import FirstHit
 from keepout.core.geometry.level_set import surface_points, towards_level
-from keepout.core.mission.flight import recorded
+from keepout.core.mission.flight import Standing, recorded
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 
@@ -130,15 +130,10 @@ def by_truncated_distance(flown: Flight):
     def field():
         return MapField.of(known.squares(), known.origin, known.spacing)
 
-    first = field()
-    guard = by_map.guard_by_map(scenario, first, ball)
-    motion = Surroundings(scenario).motion
-    initial = motion.initial_state(np.asarray(scenario.start.position), np.asarray(scenario.start.velocity))
+    leading = ByMap.of(scenario, ball, field())
     start = np.asarray(scenario.start.position)
-    setup = by_map.setup_by_map(
-        scenario, first, ball, by_map.law_by_map(scenario, first, start, start, ball=ball, guard=guard), guard
-    )
-    state = begin(setup, initial, jax.random.key(scenario.seed))
+    setup = leading.setup(leading.law(start, start))
+    state = begin(setup, leading.initial, jax.random.key(scenario.seed))
     first_hit, generator = FirstHit(target.vertices, target.faces), np.random.default_rng(scenario.seed)
     boresight = Boresight.at_rest(
         goal - start,
@@ -151,13 +146,14 @@ def by_truncated_distance(flown: Flight):
         position, velocity = np.asarray(state.motion.position), np.asarray(state.motion.velocity)
         axes = axes_towards(boresight.direction, _UP)
         known.see(take(camera, first_hit, camera.sensor_position(position, axes), axes, generator, draw))
-        now = field()
+        # Anew: `ByMap.by` refuses fields that fall, as those of this map do.
+        leading = ByMap.of(scenario, ball, field())
         law = setup.controller
         try:
-            law = by_map.law_by_map(scenario, now, goal, position, ball=ball, guard=guard)
+            law = leading.law(goal, position)
         except ControlError:
             no_way += 1  # the law made before goes on, watched by the guard on the map as it is now
-        setup = _led_on(setup, now, law, goal)
+        setup = dataclasses.replace(leading.led_on(setup, law), goal=jnp.asarray(goal))
         state, log = fly_segment(setup, state, ticks)
         logs.append(log)
         ahead = velocity if np.linalg.norm(velocity) > _MOVING else goal - position
@@ -167,24 +163,19 @@ def by_truncated_distance(flown: Flight):
         resting = 0 if away[-1] else resting + ticks
     _, last = fly_segment(setup, state, 1)
     log = joined([*logs, last])
-    flown, record, verdict = recorded(scenario, target, setup, log, Surroundings(scenario).flight_bounds)
+    standing = Standing.of(leading.start_certified, ())
+    flight = recorded(scenario, target, setup, log, Surroundings(scenario).flight_bounds, standing)
     return {
         "bad_cubes": None,
         "outcome": "reached goal" if resting >= 10 else "out of time",
-        "contact": verdict.contact is not Contact.NO,
-        "contact_verdict": str(verdict.contact),
-        "minimum_clearance_m": verdict.minimum_clearance,
+        "contact": flight.audit.contact is not Contact.NO,
+        "contact_verdict": str(flight.audit.contact),
+        "minimum_clearance_m": flight.audit.minimum_clearance,
         "views": len(logs),
         "views_without_way": no_way,
-        "duration_s": float(record.time[-1]),
-        "delta_v_mps": float(flown.delta_v),
+        "duration_s": float(flight.record.time[-1]),
+        "delta_v_mps": float(flight.outcome.delta_v),
     }
-
-
-def _led_on(setup, field, law, goal):
-    """Give the setup of the next segment. `by_map.led_on` refuses fields that fall, as those of this map do."""
-    guard = eqx.tree_at(lambda one: one.field, setup.guard, field)
-    return dataclasses.replace(setup, field=field, controller=law, guard=guard, goal=jnp.asarray(goal))
 
 
 PILOTS = {"flights": by_known_free, "ordinary": by_truncated_distance}

@@ -15,6 +15,7 @@ from keepout.core.audit.audit import audit
 from keepout.core.flight.loop import FlightOutcome
 from keepout.core.flight.record import FlightRecord
 from keepout.core.geometry.target import Target
+from keepout.core.mission.flight import Flight
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 
@@ -80,38 +81,37 @@ def made_up(*, views=8, spacing=0.2, outcome="no way known", expected=None, name
         taken.append(TakenView(time, position, view.axes[:, 2], report.status.value, report.opened, volume, "goal"))
         stages.note(known, time, volume)
     record = made_up_record(told, target, whole)
-    verdict = audit(
-        record,
-        target,
-        chaser_radius=told.chaser.radius,
-        bounds=Surroundings(told).flight_bounds,
-        force_limit=told.chaser.force_limit,
-        speed_limit=1.0,
-    )
     cells = np.argwhere(~known.free)
     centres = known.origin + (cells + 0.5) * spacing
     unknown = centres[(np.abs(centres) > 1.2).any(axis=1) & (centres[:, 0] > 1.5)]
     return Exploration(
-        scenario=told,
-        target=target,
-        expected=expected,
-        map=known,
-        record=record,
-        flown=made_up_outcome(),
-        audit=verdict,
+        flight=made_up_flight(told, target, record),
         outcome=outcome,
         why="every view that can still be taken opens nothing towards the goal",
+        seconds=1.0,
+        expected=expected,
+        map=known,
         views=tuple(taken),
         stages=stages.at_the_end(known, whole),
         seen_share=0.5,
         unknown=unknown,
         departures=None if expected is None else departures(known, expected, CAMERA),
-        seconds=1.0,
-        start_certified=True,
-        assumptions_broken=(),
-        guard={},
         keep=0.8,
     )
+
+
+def made_up_flight(scenario, target, record):
+    """Give the flight of a record, audited, with a guard that did nothing."""
+    verdict = audit(
+        record,
+        target,
+        chaser_radius=scenario.chaser.radius,
+        bounds=Surroundings(scenario).flight_bounds,
+        force_limit=scenario.chaser.force_limit,
+        speed_limit=1.0,
+    )
+    clearance = target.distance.distance(record.position) - scenario.chaser.radius
+    return Flight(scenario, target, record, made_up_outcome(), verdict, clearance, start_certified=True, guard={})
 
 
 def made_up_record(scenario, target, whole):

@@ -13,11 +13,9 @@ from keepout.apps.inspection.plan import InspectionPlan, PlannedView
 from keepout.apps.inspection.seeing.patches import Patches
 from keepout.apps.inspection.seeing.rules import SeeingRules
 from keepout.apps.inspection.seeing.seeable import Hidden, Seeable, Verdict
-from keepout.core.audit.audit import audit
 from keepout.core.geometry.target import Target
 from keepout.core.mission.scenario import Scenario
-from keepout.core.mission.surroundings import Surroundings
-from truths.made_up_exploration import HALF, circle, made_up_outcome, made_up_record
+from truths.made_up_exploration import HALF, circle, made_up_flight, made_up_record
 
 PERIOD = 20.0
 RULES = SeeingRules(field_of_view=math.radians(50.0), pixels=512)
@@ -105,30 +103,16 @@ def made_up(*, views=8, light=False, across=4, name="made-up", outcome="all seen
     record = made_up_record(told, target, whole)
     record.columns["position"] += np.array([0.0, 0.0, 2.0])
     return Inspection(
-        scenario=told,
-        target=target,
+        flight=made_up_flight(told, target, record),
+        outcome=outcome,
+        why="every patch that the plan covers was in a frame",
+        seconds=1.0,
         patches=patches,
         rules=RULES,
         seeable=Seeable(patches, verdict, why, witness),
         possible=possible,
         plan=InspectionPlan((view,) * views, lit.copy(), 20.0, whole, 100, views - 1, views + 1),
         plans=1,
-        record=record,
-        flown=made_up_outcome(),
-        audit=audit(
-            record,
-            target,
-            chaser_radius=told.chaser.radius,
-            bounds=Surroundings(told).flight_bounds,
-            force_limit=told.chaser.force_limit,
-            speed_limit=1.0,
-        ),
         frames=tuple(frames),
         seen=seen,
-        outcome=outcome,
-        why="every patch that the plan covers was in a frame",
-        seconds=1.0,
-        start_certified=True,
-        assumptions_broken=(),
-        guard={},
     )

@@ -26,8 +26,8 @@ def inspection():
 @pytest.fixture(scope="module")
 def written(inspection, tmp_path_factory):
     folder = tmp_path_factory.mktemp("inspection")
-    evil = {"why": "<script>evil</script>", "assumptions_broken": ("<b>broken</b>",)}
-    return folder, write_inspection(folder, dataclasses.replace(inspection, **evil))
+    flight = dataclasses.replace(inspection.flight, assumptions_broken=("<b>broken</b>",))
+    return folder, write_inspection(folder, dataclasses.replace(inspection, why="<script>evil</script>", flight=flight))
 
 
 def test_the_folder_holds_what_there_is_to_see(written, inspection):

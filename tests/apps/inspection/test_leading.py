@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from truths.boxes import HALF, box_distance
 
-from keepout.apps.inspection.leading import Leading
+from keepout.apps.inspection.leading import AroundMesh
 from keepout.core.errors import KeepoutError
 from keepout.core.geometry.target import Target
 from keepout.core.mission.scenario import Scenario
@@ -22,7 +22,7 @@ def box():
 
 @pytest.fixture(scope="module")
 def leading(box):
-    return Leading.of(scenario(), box)
+    return AroundMesh.of(scenario(), box)
 
 
 def test_places_are_moved_by_little_and_to_where_the_law_leads(leading):
@@ -58,10 +58,10 @@ def test_the_speed_asked_for_is_the_speed_flown_at_within_its_limits(leading):
 )
 def test_what_cannot_be_led_is_named_as_it_was_given(box, tables, named):
     with pytest.raises(KeepoutError, match=named):
-        Leading.of(scenario(**tables), box)
+        AroundMesh.of(scenario(**tables), box)
 
 
 def test_the_law_is_made_to_reach_the_hold_points(box, leading):
-    far = Leading.of(scenario(inspect={"stand_off": 1.5, "hold_points": [{"position": [0.0, 40.0, 0.0]}]}), box)
+    far = AroundMesh.of(scenario(inspect={"stand_off": 1.5, "hold_points": [{"position": [0.0, 40.0, 0.0]}]}), box)
     assert far.reach == pytest.approx(40.0)
     assert leading.reach < 40.0

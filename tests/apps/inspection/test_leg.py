@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from keepout.apps.inspection.leg import Leg, Lost
 from keepout.apps.inspection.seeing.patches import Patches
+from keepout.apps.inspection.views_ahead import Leg, Lost
 from keepout.apps.inspection.wanted import Wanted
 from keepout.apps.led.camera import Boresight
 

@@ -17,15 +17,7 @@ from truths.growing_maps import Cubes
 from truths.guarded_worlds import motion_state
 
 from keepout.apps.led.camera import Pinhole
-from keepout.apps.unknown.by_map import (
-    DeclaredBall,
-    guard_by_map,
-    kept_by_law,
-    law_by_map,
-    led_on,
-    require_start,
-    setup_by_map,
-)
+from keepout.apps.unknown.by_map import ByMap, DeclaredBall, field_of, guard_by_map, require_start
 from keepout.apps.unknown.known_free import KnownFreeMap, ViewStatus
 from keepout.apps.unknown.map_field import SLOPE, MapField
 from keepout.apps.unknown.view import SensorBounds
@@ -158,10 +150,6 @@ def begun():
     return KnownFreeMap.begin(BALL.centre, BALL.radius, bounds=SENSOR, name="box")
 
 
-def field_of(known):
-    return MapField.of(known.squares, known.origin, known.spacing)
-
-
 def opened(free=None):
     """The field of a map of which the cubes have been freed whose centres (..., 3) are `free`."""
     known = begun()
@@ -171,8 +159,8 @@ def opened(free=None):
 
 
 @cache
-def shared_guard():
-    return guard_by_map(SCENARIO, opened(), BALL)
+def led_by_first_map():
+    return ByMap.of(SCENARIO, BALL, opened())
 
 
 def flown(setup, state):
@@ -180,8 +168,8 @@ def flown(setup, state):
     return fly_segment(numbers_as_arrays(setup), state, LENGTH)
 
 
-def law_at(field, goal, position=START, scenario=SCENARIO, guard=None):
-    return law_by_map(scenario, field, goal, position, ball=BALL, guard=guard or shared_guard())
+def law_at(field, goal, position=START):
+    return led_by_first_map().by(field).law(np.array(goal), np.array(position))
 
 
 @eqx.filter_jit
@@ -200,10 +188,9 @@ def flight():
     """
     camera, generator = Pinhole(160, 120, math.radians(60.0)), np.random.default_rng(0)
     known, logs, plans = begun(), [], []
-    setup = setup_by_map(SCENARIO, opened(), BALL, law_at(opened(), LEGS[0]), shared_guard())
-    initial = setup.motion.initial_state(START, np.zeros(3))
-    require_start(SCENARIO, BALL, initial, shared_guard())
-    state = begin(setup, initial, jax.random.key(0))
+    leading = led_by_first_map()
+    setup = leading.setup(leading.law(np.array(LEGS[0]), np.array(START)))
+    state = begin(setup, leading.initial, jax.random.key(0))
 
     def look(position, at):
         move = generator.normal(size=3)
@@ -227,7 +214,8 @@ def flight():
                 break
             for at in (-1.5, 0.0, 1.5):
                 look(position, (at, 0.0, 0.0))
-            setup = led_on(setup, field_of(known), law_at(field_of(known), goal, position))
+            leading = leading.by(field_of(known))
+            setup = leading.led_on(setup, leading.law(np.array(goal), position))
             plan = motion_state(state.guard.plan_position, state.guard.plan_velocity)
             plans.append((bool(state.guard.certified), bool(planned(setup.guard, plan))))
             state, log = flown(setup, state)
@@ -266,9 +254,9 @@ def test_every_plan_stays_certified_and_the_disturbance_estimate_does_not_jump_w
 
 
 def test_a_map_that_is_no_later_one_is_refused():
-    later, law = opened(lambda p: p[..., 1] >= 2.0), law_at(opened(), (0.0, 5.0, 0.0))
-    after = led_on(setup_by_map(SCENARIO, opened(), BALL, law, shared_guard()), later, law)
-    led_on(after, later, law)
+    later = opened(lambda p: p[..., 1] >= 2.0)
+    after = led_by_first_map().by(later)
+    assert after.by(later).guard.field is later
     known = begun()
     for field, said in (
         (opened(), r"\d+ nodes are nearer"),
@@ -276,7 +264,7 @@ def test_a_map_that_is_no_later_one_is_refused():
         (MapField.of(known.squares[:-1], known.origin, known.spacing), "nodes come after"),
     ):
         with pytest.raises(FieldError, match=said):
-            led_on(after, field, law)
+            after.by(field)
 
 
 def test_a_position_beyond_the_guidances_grid_is_led_back():
@@ -289,7 +277,7 @@ def test_a_position_beyond_the_guidances_grid_is_led_back():
 
 
 def test_the_guards_numbers_are_those_of_the_theorem():
-    guard = shared_guard()
+    guard = led_by_first_map().guard
     assert guard.threshold == pytest.approx(np.hypot(SCENARIO.chaser.radius, 0.1), abs=1e-12)
     assert guard.lipschitz == 1.14
     assert guard.evaluation_error == opened().evaluation_error > 0.0
@@ -313,13 +301,11 @@ def test_the_guard_passes_on_what_the_law_does_at_its_own_edge(position, velocit
     scenario = with_errors(position, velocity)
     scenario = scenario.replace(guard={"keeps_margin": keeps_margin}, safety={"margin": 0.1})
     field = opened(lambda p: p[..., 1] >= 1.0)
-    guard = guard_by_map(scenario, field, BALL)
-    offset = kept_by_law(scenario, field, guard)
-    assert offset > guard.least_value
-    goal = np.array([0.0, 1.0 + offset + 0.02, 0.0])
-    law = law_at(field, goal, START, scenario, guard)
-    setup = setup_by_map(scenario, field, BALL, law, guard)
-    state = begin(setup, setup.motion.initial_state(START, np.zeros(3)), jax.random.key(0))
+    leading = ByMap.of(scenario, BALL, field)
+    assert leading.offset > leading.guard.least_value
+    goal = np.array([0.0, 1.0 + leading.offset + 0.02, 0.0])
+    setup = leading.setup(leading.law(goal, np.array(START)))
+    state = begin(setup, leading.initial, jax.random.key(0))
     for _ in range(15):
         state, log = flown(setup, state)
         assert not np.asarray(mode(log.guard_status)).any()
@@ -336,12 +322,12 @@ def test_what_nothing_can_be_flown_by_is_refused():
     pocket = opened(lambda p: np.linalg.norm(p - [0.0, 0.0, 1.8], axis=-1) <= 1.1)
     # Errors so large that nothing is ever far enough away, and such that only the law has none left.
     blind, wide = with_errors(0.2, 0.01, chaser={"speed_limit": 0.05}), SCENARIO.replace(safety={"margin": 0.6})
-    guard, of_wide = shared_guard(), guard_by_map(wide, opened(), BALL)
+    guard, of_wide = led_by_first_map().guard, ByMap.of(wide, BALL, opened())
     for refused, said in (
         (lambda: law_at(opened(), (0.0, 0.0, 2.0)), r"goal: .* inside the keep-out zone"),
         (lambda: law_at(pocket, (0.0, 0.0, 1.8)), "not connected to the goal"),
         (lambda: guard_by_map(blind, opened(), BALL), r"map cap: 1.2 m, and the guard certifies .* above 1\.[2-9]"),
-        (lambda: law_at(opened(), LEGS[1], START, wide, of_wide), r"map cap: 1.2 m, and the law leads .* above 1\.2"),
+        (lambda: of_wide.law(np.array(LEGS[1]), np.array(START)), r"map cap: 1.2 m, and the law leads .* above 1\.2"),
         (lambda: started(3.4, 0.0, guard), "more than 3.500 m"),
         (lambda: started(0.0, 0.0, guard), "more than 3.500 m"),
         (lambda: started(3.6, -0.1, guard), "start slower"),

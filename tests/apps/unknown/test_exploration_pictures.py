@@ -1,5 +1,6 @@
 """Pictures of an exploration against what the made-up one saw, in closed form."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -59,8 +60,9 @@ def test_times_of_first_sight_are_those_of_a_convex_box(exploration):
 
 
 def test_the_folder_holds_what_there_is_to_see(exploration, tmp_path):
-    evil = {"why": "<script>evil</script>", "assumptions_broken": ("<b>broken</b>",)}
-    summary = write_exploration(tmp_path, type(exploration)(**{**vars(exploration), **evil}))
+    flight = dataclasses.replace(exploration.flight, assumptions_broken=("<b>broken</b>",))
+    evil = dataclasses.replace(exploration, why="<script>evil</script>", flight=flight)
+    summary = write_exploration(tmp_path, evil)
     page = check_folder(tmp_path, summary, ("seen", "map", "progress", "unknown", "departures", "motion"))
     assert "Contact not excluded" in page
     assert summary["refused_views"] == {"pose jump": 1}

@@ -15,17 +15,19 @@ from keepout.apps.inspection.circumnavigation import Circumnavigation, circumnav
 from keepout.apps.inspection.equipment import boresight_of
 from keepout.apps.inspection.frames import Camera, Shot
 from keepout.apps.inspection.inspection import Inspection
-from keepout.apps.inspection.judging import judged
 from keepout.apps.inspection.lit import ever_lit
 from keepout.apps.inspection.plan import InspectionPlan
 from keepout.apps.inspection.problem import Problem
 from keepout.apps.inspection.seeing.visible import visible
 from keepout.apps.inspection.transfer import transfer
+from keepout.apps.inspection.under_way import inspected
+from keepout.apps.led.driver import Ended
 from keepout.core.errors import InspectionError
 from keepout.core.flight.loop import fly
 from keepout.core.mission.build import build_guard, require_navigation
+from keepout.core.mission.flight import Standing, recorded
 from keepout.core.mission.scenario import Scenario
-from keepout.core.mission.surroundings import Surroundings
+from keepout.core.mission.surroundings import Surroundings, broken_assumptions
 from keepout.core.progress import Progress, part_of, silent
 from keepout.flights.navigation.suites import navigation
 
@@ -83,27 +85,25 @@ def circle(problem: Problem, *, progress: Progress = silent) -> Inspection:
     progress(0.6, "flown")
     time_flown, position = np.asarray(log.time), np.asarray(log.position)
     way = float(np.linalg.norm(np.diff(position, axis=0), axis=1).sum())
-    return judged(
-        scenario,
+    certified = None if guard is None else bool(guard.certified_start(initial))
+    standing = Standing.of(certified, broken_assumptions(scenario, target))
+    why = (
+        f"{ellipse.turns:.2f} turns on an ellipse {ellipse.height:.2f} m high and {ellipse.across:.2f} m across, "
+        f"onto which two burns of {onto.first:.4f} and {onto.second:.4f} m/s lead from the start, "
+        f"{onto.seconds:.0f} s apart" + ("" if onto.keeps_stand_off else ", not proved to keep the stand-off")
+    )
+    return inspected(
         problem,
-        setup,
-        log,
-        _shots(problem, np.asarray(log.estimated_position), lit),
+        recorded(scenario, target, setup, log, Surroundings(scenario).flight_bounds, standing),
         camera,
-        guard=guard,
-        certified=None if guard is None else bool(guard.certified_start(initial)),
+        _shots(problem, np.asarray(log.estimated_position), lit),
+        Ended("out of time", why),
+        begun,
+        progress=part_of(progress, 0.7, 1.0),
         possible=lit,
         plan=InspectionPlan((), shares[best], way, float(time_flown[-1]), len(ellipses), 0, 0),
         plans=1,
-        ending=(
-            "out of time",
-            f"{ellipse.turns:.2f} turns on an ellipse {ellipse.height:.2f} m high and {ellipse.across:.2f} m across, "
-            f"onto which two burns of {onto.first:.4f} and {onto.second:.4f} m/s lead from the start, "
-            f"{onto.seconds:.0f} s apart" + ("" if onto.keeps_stand_off else ", not proved to keep the stand-off"),
-        ),
-        began=begun,
         transfer=onto,
-        progress=part_of(progress, 0.6, 1.0),
     )
 
 

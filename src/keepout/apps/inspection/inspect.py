@@ -8,7 +8,7 @@ from keepout.apps.inspection.circling import circle
 from keepout.apps.inspection.equipment import require_inspectable, require_light, require_something_to_see, rules_of
 from keepout.apps.inspection.frames import Camera
 from keepout.apps.inspection.inspection import Inspection
-from keepout.apps.inspection.leading import Leading
+from keepout.apps.inspection.leading import AroundMesh
 from keepout.apps.inspection.lit import ever_lit
 from keepout.apps.inspection.plan import InspectionPlan
 from keepout.apps.inspection.problem import Problem
@@ -89,7 +89,7 @@ def _under_way(
     if problem is not None:
         _require_of(problem, scenario, target)
     room = require_inspectable(scenario, target, room=None if problem is None else problem.room)
-    leading = Leading.of(scenario, target, model=model, progress=part_of(progress, 0.0, 0.1))
+    leading = AroundMesh.of(scenario, target, model=model, progress=part_of(progress, 0.0, 0.1))
     if problem is None:
         problem = Problem.of(scenario, target, room=room, progress=part_of(progress, 0.1, 0.4))
     camera = Camera(problem.patches, problem.sight, problem.rules, problem.light)

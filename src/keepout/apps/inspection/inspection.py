@@ -13,12 +13,7 @@ from keepout.apps.inspection.seeing.patches import Patches
 from keepout.apps.inspection.seeing.rules import SeeingRules
 from keepout.apps.inspection.seeing.seeable import Seeable, Verdict
 from keepout.apps.inspection.transfer import Transfer
-from keepout.core.audit.audit import Audit, Contact
-from keepout.core.flight.loop import FlightOutcome
-from keepout.core.flight.record import FlightRecord
-from keepout.core.geometry.target import Target
-from keepout.core.mission.flight import flag_counts
-from keepout.core.mission.scenario import Scenario
+from keepout.apps.led.result import Led
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,54 +37,34 @@ class Frame:
 
 
 @dataclass(frozen=True, eq=False)
-class Inspection:
-    """One inspection.
+class Inspection(Led):
+    """One inspection: a flight, and what was seen.
+
+    It ended with "all seen", "50 % asked, seen" (or another share), "out of time", "nothing more to see" or "no way".
 
     Attributes:
-        scenario: as it was flown.
-        target: its mesh.
-        patches: of that mesh.
+        patches: of the target's mesh.
         rules: when a patch counts as seen.
         seeable: what can be seen at all.
         possible: (2 n,) units not proved hidden that are lit at some time of the mission; all of them without light.
         plan: the first one.
         plans: how many were made: replans are counted.
-        record: of the whole flight.
-        flown: what became of it.
-        audit: the verdict on the mesh.
         frames: every image.
         seen: (2 n,) units seen in some frame.
-        outcome: "all seen", "50 % asked, seen" (or another share), "out of time", "nothing more to see" or "no way".
-        why: in words.
-        seconds: that the computation took.
-        start_certified: whether the guard's theorem holds from the start; None without a guard.
-        assumptions_broken: what is flown beyond what the scenario declares.
-        guard: what the guard assumes and what follows, as numbers; None without a guard.
         limits: how the operator's limits were kept; None where there are none.
-        transfer: how a circumnavigation comes onto its ellipse before the flight; None of any other.
         drifts: legs as they were begun, judged by passive safety; None where that is not asked for.
+        transfer: how a circumnavigation comes onto its ellipse before the flight; None of any other.
 
     """
 
-    scenario: Scenario
-    target: Target
     patches: Patches
     rules: SeeingRules
     seeable: Seeable
     possible: Bool[np.ndarray, " units"]
     plan: InspectionPlan
     plans: int
-    record: FlightRecord
-    flown: FlightOutcome
-    audit: Audit
     frames: tuple[Frame, ...]
     seen: Bool[np.ndarray, " units"]
-    outcome: str
-    why: str
-    seconds: float
-    start_certified: bool | None
-    assumptions_broken: tuple[str, ...]
-    guard: dict[str, Any] | None
     limits: LimitsKept | None = None
     drifts: DriftsFlown | None = None
     transfer: Transfer | None = None
@@ -161,14 +136,12 @@ class Inspection:
             "plans": self.plans,
             "frames": len(self.frames),
             "way_m": self.plan.way_length,
-            "contact": self.audit.contact is not Contact.NO,
-            "contact_verdict": str(self.audit.contact),
-            "minimum_clearance_m": self.audit.minimum_clearance,
+            **self.contact_figures(),
             "delta_v_mps": self.delta_v,
             **({} if self.transfer is None else self.transfer.summary()),
             "duration_s": float(self.record.time[-1]),
             "guard_interventions": int(self.flown.guard_interventions),
-            "guard_flags": flag_counts(self.record.guard_status[:-1]),
+            "guard_flags": self.flight.guard_flags(),
             "start_certified": self.start_certified,
             "assumptions_broken": list(self.assumptions_broken),
             "guard": self.guard,

@@ -1,4 +1,4 @@
-"""Law and guard led from place to place around one mesh: what is built once, and what each place costs."""
+"""Law and guard led from place to place around one mesh, whose stand-off the law keeps."""
 
 import dataclasses
 import math
@@ -6,31 +6,26 @@ from dataclasses import dataclass
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
 from keepout.apps.inspection.equipment import law_keeps, require_stand_off
 from keepout.apps.inspection.plume import sparing
+from keepout.apps.led.leading import Leading, Point, moved
 from keepout.core.control.barrier_grid import BarrierGrid
-from keepout.core.control.geodesic import Geodesic, GeodesicGuidance
+from keepout.core.control.geodesic import GeodesicGuidance
 from keepout.core.control.law import Law
 from keepout.core.errors import InspectionError
 from keepout.core.fields.field import values
 from keepout.core.fields.model import FieldModel
-from keepout.core.flight.navigation import Navigation
-from keepout.core.flight.setup import FlightSetup
 from keepout.core.geometry.target import Target
-from keepout.core.guard.guard import Guard, require_flyable
+from keepout.core.guard.guard import require_flyable
 from keepout.core.mission.build import build_guard, closing_radius, load_model, require_navigation
-from keepout.core.mission.law import broken_as, law_on
+from keepout.core.mission.law import broken_as
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 from keepout.core.mission.target import require_apart
 from keepout.core.motion.arrays import as_float64
-from keepout.core.motion.relative import MotionState
 from keepout.core.progress import Progress, part_of, silent
 from keepout.flights.navigation.suites import navigation
-
-Point = Float[np.ndarray, "3"]
 
 _WANDERING = 0.1
 """Room beyond the stand-off that the law keeps for its own wandering, m: a coarse grid's slope bends at its nodes."""
@@ -49,39 +44,16 @@ _SLOWEST = 0.2
 
 
 @dataclass(frozen=True, eq=False)
-class Leading:
-    """A scenario's law around one mesh, for any goal: its keep-out zone keeps the stand-off.
+class AroundMesh(Leading):
+    """A scenario's law around one mesh: its keep-out zone keeps the stand-off.
 
-    The grid of ways is made once; a goal costs the march over it. All laws have arrays of one shape, so one compiled
-    program flies them all.
-
-    Attributes:
-        scenario: with the margin that the stand-off asks for, and a goal that reaches as far as any place.
-        model: the field that the law flies by.
-        grid: of ways, which all goals share.
-        reach: how far places to go to are from the body frame's origin, m; the law is tuned for it.
-        nominal_offset: of the law beyond its keep-out zone, m.
-        guard: which is the same for all goals, or None.
-        navigation: the sensors and both estimates, or None.
-        initial: the true state at the start.
-        start_certified: whether the guard's theorem holds from there; None without a guard.
-
+    The scenario has the margin that the stand-off asks for, and a goal that reaches as far as any place.
     """
-
-    scenario: Scenario
-    model: FieldModel
-    grid: BarrierGrid
-    reach: float
-    nominal_offset: float
-    guard: Guard | None
-    navigation: Navigation | None
-    initial: MotionState
-    start_certified: bool | None
 
     @classmethod
     def of(
         cls, scenario: Scenario, target: Target, *, model: FieldModel | None = None, progress: Progress = silent
-    ) -> "Leading":
+    ) -> "AroundMesh":
         """Build field, grid and guard; refuse a start that cannot be flown from.
 
         Args:
@@ -109,8 +81,8 @@ class Leading:
         Surroundings(scenario).require_bounded(away)
         reach = max(away.values())
         ahead = start / max(float(np.linalg.norm(start)), 1e-9)
-        far = tuple((reach * ahead if ahead.any() else np.array([reach, 0.0, 0.0])).tolist())
-        scenario = _moved(scenario, scenario.start.position, far)
+        far = reach * ahead if ahead.any() else np.array([reach, 0.0, 0.0])
+        scenario = moved(scenario, start, far)
         require_apart(scenario, target)
         require_navigation(scenario)
         bound = model.certificate(scenario.chaser.radius).error_bound
@@ -145,14 +117,7 @@ class Leading:
                 progress=part_of(progress, 0.8, 1.0),
             )
             certified = require_flyable(guard, initial, as_float64(far))
-        return cls(scenario, model, grid, reach, nominal, guard, sensed, initial, certified)
-
-    @property
-    def offset(self) -> float:
-        """The field's value, m, below which the law does not lead."""
-        radius = self.scenario.chaser.radius
-        bound = self.model.certificate(radius).error_bound
-        return bound + radius + self.scenario.safety.margin + self.nominal_offset
+        return cls(scenario, model.field, bound, grid, reach, nominal, guard, sensed, initial, certified)
 
     def reachable(self, place: Point) -> Point | None:
         """Give the place, or the nearest found beside it where the law leads; None where there is none.
@@ -164,7 +129,7 @@ class Leading:
         needed = self.offset + _WITHIN
         for _ in range(_STEPS):
             probes = here + _STEP * np.vstack([np.zeros(3), np.eye(3), -np.eye(3)])
-            said = values(self.model.field, probes)
+            said = values(self.field, probes)
             if said[0] >= needed:
                 return here
             slope = (said[1:4] - said[4:7]) / (2.0 * _STEP)
@@ -197,47 +162,15 @@ class Leading:
             ControlError: no way leads there.
 
         """
-        scenario = _moved(self.scenario, _floats(position), _floats(goal))
-        bound = self.model.certificate(scenario.chaser.radius).error_bound
-        options = {
-            "guidance": Geodesic(grid=self.grid, beyond=_BEYOND),
-            "reach": self.reach,
-            "nominal_offset": self.nominal_offset,
-        }
-        upper = self.grid.origin + self.grid.spacing * (np.array(self.grid.values.shape) - 1)
-        within = bool(np.all((position >= self.grid.origin) & (position <= upper)))
-        free = float(values(self.model.field, np.asarray(position)[None])[0]) > self.offset
         # From beyond the grid the guidance leads back to it; from the law's own margin law and guard know the way out.
-        law = law_on(scenario, self.model.field, bound, from_start=within and free, **options)
+        free = float(values(self.field, np.asarray(position)[None])[0]) > self.offset
+        law = self.made(goal, position, from_start=self.within_grid(position) and free, beyond=_BEYOND)
+        scenario = self.scenario
         limit = scenario.chaser.speed_limit
         slowed = min(float(np.clip(limit if speed is None else speed, _SLOWEST * limit, limit)), most)
         guidance = law.velocity.guidance
         assert isinstance(guidance, GeodesicGuidance)
         slowing = guidance.slowing_length * (_THROUGH if through else 1.0)
         guidance = dataclasses.replace(guidance, speed=jnp.asarray(slowed), slowing_length=slowing)
-        law = dataclasses.replace(law, checked=(), velocity=dataclasses.replace(law.velocity, guidance=guidance))
-        return broken_as(scenario, sparing(law, scenario), self.model.field)
-
-    def setup(self, law: Law) -> FlightSetup:
-        """Give the setup of the flight's first segment."""
-        chosen = {"field": self.model.field, "guard": self.guard, "navigation": self.navigation, "goal": law.goal}
-        return Surroundings(self.scenario).setup(law, **chosen)
-
-    def led_on(self, setup: FlightSetup, law: Law) -> FlightSetup:
-        """Give the setup of a segment that another law leads."""
-        return dataclasses.replace(setup, controller=law, goal=as_float64(law.goal))
-
-
-def _floats(point: Point) -> tuple[float, float, float]:
-    x, y, z = (float(value) for value in np.asarray(point))
-    return x, y, z
-
-
-def _moved(scenario: Scenario, start: tuple[float, ...], goal: tuple[float, ...]) -> Scenario:
-    """Give the scenario with another start and goal."""
-    return scenario.model_copy(
-        update={
-            "start": scenario.start.model_copy(update={"position": tuple(start)}),
-            "goal": scenario.goal.model_copy(update={"position": tuple(goal)}),
-        }
-    )
+        law = dataclasses.replace(law, velocity=dataclasses.replace(law.velocity, guidance=guidance))
+        return broken_as(scenario, sparing(law, scenario), self.field)

@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Float
 
 from keepout.apps.inspection.drifting import Drifting
-from keepout.apps.inspection.leg import Leg
 from keepout.apps.inspection.planning import ways_from
 from keepout.apps.inspection.problem import Problem
 from keepout.core.mission.scenario import Scenario
@@ -57,11 +56,11 @@ class SafeSpeeds:
         drifting = Drifting.of(scenario, problem.target.distance.distance)
         return cls(problem, drifting, None if drifting is None else DriftsFlown())
 
-    def of_leg(self, leg: Leg, position: Point, place: Point, now: float) -> float:
+    def of_leg(self, planned: float, position: Point, place: Point, now: float) -> float:
         """Give the greatest speed of a leg, m/s, and count it.
 
         Args:
-            leg: as planned.
+            planned: its greatest speed by the plan, m/s.
             position: where the chaser is, m.
             place: where the law leads, m.
             now: s.
@@ -75,7 +74,7 @@ class SafeSpeeds:
             course = np.stack([position, place])
         until = now + float(np.linalg.norm(place - position)) / limit
         found = float(self.drifting.speeds([course], np.array([[now, until]]))[0])
-        speed = min(leg.speed, max(found, self.drifting.slowest))
+        speed = min(planned, max(found, self.drifting.slowest))
         self.flown.legs += 1
         self.flown.unsafe += found == 0.0
         self.flown.slowed += speed < limit

@@ -1,34 +1,33 @@
-"""One inspection under way: the flight segment by segment, the camera's turns and the frames it takes."""
+"""One inspection under way: led from view to view, the camera's turns and frames, and what was flown put together."""
 
-from dataclasses import dataclass, field
+import time
+from collections.abc import Sequence
+from typing import Any
 
-import jax
 import numpy as np
-from jaxtyping import Float
 
 from keepout.apps.inspection.aiming import aim
 from keepout.apps.inspection.equipment import boresight_of
-from keepout.apps.inspection.frames import Camera, Shot
+from keepout.apps.inspection.frames import Camera, Shot, as_flown
 from keepout.apps.inspection.inspection import Inspection
-from keepout.apps.inspection.judging import judged
-from keepout.apps.inspection.leading import Leading
+from keepout.apps.inspection.leading import AroundMesh
+from keepout.apps.inspection.limits import limits_kept
 from keepout.apps.inspection.problem import Problem
 from keepout.apps.inspection.views_ahead import ViewsAhead
-from keepout.apps.led.camera import Boresight
-from keepout.core.control.law import Law
-from keepout.core.flight.loop import FlightLog, begin, fly_segment, joined
+from keepout.apps.led.driver import Ended, Leader, LedFlight, lead
+from keepout.apps.led.leading import Point
+from keepout.core.flight.setup import FlightSetup
 from keepout.core.guard.safety_layer import mode
+from keepout.core.mission.flight import Flight, Standing, recorded
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings, broken_assumptions
 from keepout.core.progress import Progress, part_of, silent
 
-Point = Float[np.ndarray, "3"]
 
+class UnderWay(Leader):
+    """An inspection from the first frame to the last: a frame is taken at a segment's last row.
 
-@dataclass(eq=False)
-class UnderWay:
-    """An inspection from the first frame to the last.
-
-    Attributes:
+    Args:
         scenario: as flown.
         problem: what is to be seen.
         leading: law and guard.
@@ -38,110 +37,151 @@ class UnderWay:
 
     """
 
-    scenario: Scenario
-    problem: Problem
-    leading: Leading
-    camera: Camera
-    ahead: ViewsAhead
-    began: float
-    _estimate: Point = field(init=False)
-    _boresight: Boresight = field(init=False)
-    _shots: list[Shot] = field(default_factory=list)
-    _logs: list[FlightLog] = field(default_factory=list)
-    _rows: int = 0
+    fewest = 2
 
-    def __post_init__(self) -> None:
-        self._estimate = np.asarray(self.scenario.start.position, dtype=float)
-        self._boresight = boresight_of(self.scenario, self.problem.target)
+    def __init__(
+        self,
+        scenario: Scenario,
+        problem: Problem,
+        leading: AroundMesh,
+        camera: Camera,
+        ahead: ViewsAhead,
+        began: float,
+    ) -> None:
+        self.scenario, self.problem, self.leading = scenario, problem, leading
+        self.camera, self.ahead, self.began = camera, ahead, began
+        self.ticks = round(scenario.camera.period / scenario.control.period)
+        self.estimate = np.asarray(scenario.start.position, dtype=float)
+        self.boresight = boresight_of(scenario, problem.target)
+        self.shots: list[Shot] = []
+        self.over: Ended | None = None
 
     def flown(self, progress: Progress = silent) -> Inspection:
         """Fly until the end, and judge."""
-        scenario, ticks = self.scenario, self._ticks
-        setup, state, ending = None, None, None
-        while True:
-            now = max(self._rows - 1, 0) * scenario.control.period
-            ending = self._ending() if ending is None else ending
-            if ending is None and self.ahead.is_over(now):
-                law = self.ahead.next(now, self._estimate, self._boresight)
-                if isinstance(law, tuple):
-                    ending = law
-                else:
-                    setup = self.leading.setup(law) if setup is None else self.leading.led_on(setup, law)
-            # An audit needs a way: where nothing is to be flown, a frame's period is flown at rest.
-            if ending is not None and self._rows > 1:
-                break
-            if setup is None:
-                setup = self.leading.setup(self._resting())
-            if state is None:
-                state = begin(setup, self.leading.initial, jax.random.key(scenario.seed))
-            # A frame is taken at a segment's last row; the first, at the start, is a segment of its own.
-            count = ticks if self._logs else 1
-            state, log = fly_segment(setup, state, count, longest=ticks)
-            self._look(log, count)
-            said = f"{self.ahead.wanted.reached:.1%} seen on board, {len(self.ahead.legs)} views ahead"
-            progress(min(0.9 * self._rows / scenario.steps, 0.9), said)
-        assert setup is not None
-        return judged(
-            # The scenario as it was given: the one that leads has another goal and a wider margin.
-            scenario,
+        flight = LedFlight(self.scenario, self.leading.initial, self.ticks)
+        ended = lead(self, flight, progress)
+        assert flight.setup is not None
+        progress(0.9, "audit")
+        # The scenario as it was given: the one that leads has another goal and a wider margin.
+        scenario, ahead, target = self.scenario, self.ahead, self.problem.target
+        standing = Standing.of(self.leading.start_certified, broken_assumptions(scenario, target))
+        bounds = Surroundings(scenario).flight_bounds
+        return inspected(
             self.problem,
-            setup,
-            joined(self._logs),
-            self._shots,
+            recorded(scenario, target, flight.setup, flight.log(), bounds, standing),
             self.camera,
-            guard=self.leading.guard,
-            certified=self.leading.start_certified,
-            possible=self.ahead.wanted.possible,
-            plan=self.ahead.first,
-            plans=self.ahead.plans,
-            ending=ending,
-            began=self.began,
-            drifts=self.ahead.safe_speeds.flown,
-            progress=part_of(progress, 0.9, 1.0),
+            self.shots,
+            ended,
+            self.began,
+            progress=part_of(progress, 0.93, 1.0),
+            possible=ahead.wanted.possible,
+            plan=ahead.first,
+            plans=ahead.plans,
+            drifts=ahead.safe_speeds.flown,
         )
 
-    @property
-    def _ticks(self) -> int:
-        """Control periods from frame to frame."""
-        return round(self.scenario.camera.period / self.scenario.control.period)
-
-    def _resting(self) -> Law:
+    def resting(self) -> FlightSetup:
+        """Give what the chaser rests by: the law to where it is, or beside it."""
         start = np.asarray(self.scenario.start.position, dtype=float)
         place = self.leading.reachable(start)
-        return self.leading.law(start if place is None else place, start)
+        return self.leading.setup(self.leading.law(start if place is None else place, start))
 
-    def _look(self, log: FlightLog, ticks: int) -> None:
-        """Turn the camera over a segment, and take its frame at the last row: it is looked at a period later."""
-        period, leg, wanted = self.scenario.control.period, self.ahead.leg, self.ahead.wanted
+    def look(self, flight: LedFlight) -> None:
+        """Turn the camera over the rows flown last, and take its frame at the last of them."""
+        if not flight.logs:
+            return
+        log, period, leg, wanted = flight.logs[-1], self.scenario.control.period, self.ahead.leg, self.ahead.wanted
         position = np.asarray(log.estimated_position)
-        for tick in range(ticks):
-            self._estimate = position[tick]
-            if tick == ticks - 1:
-                row = self._rows + tick
-                self._shots.append(Shot(row, self._boresight.direction))
-                units = self.camera.units(row * period, self._estimate, self._boresight.direction, wanted.left)
+        for row, estimate in enumerate(position, flight.rows - len(position)):
+            self.estimate = estimate
+            if row == flight.rows - 1:
+                self.shots.append(Shot(row, self.boresight.direction))
+                units = self.camera.units(row * period, estimate, self.boresight.direction, wanted.left)
                 wanted.take(units)
                 if leg is not None:
-                    leg.noted(row * period, self._estimate, self._boresight, self._aimed(), wanted, len(units))
-            self._boresight = self._boresight.step(self._aimed(), period)
+                    leg.noted(row * period, estimate, self.boresight, self._aimed(), wanted, len(units))
+            self.boresight = self.boresight.step(self._aimed(), period)
         if leg is not None:
             leg.held_up += int(np.count_nonzero(mode(log.guard_status)))
-        self._logs.append(log)
-        self._rows += ticks
+
+    def ended(self, flight: LedFlight) -> Ended | None:
+        """Say how the flight is over: enough was seen, out of time, or nothing more to fly for."""
+        scenario, wanted = self.scenario, self.ahead.wanted
+        if self.over is None and wanted.enough and not self.ahead.holding:
+            self.over = Ended(*wanted.ending)
+        elif self.over is None and max(flight.rows - 1, 0) + self.ticks > scenario.steps:
+            self.over = Ended("out of time", f"duration {scenario.duration:g} s is over")
+        return self.over
+
+    def onward(self, flight: LedFlight) -> FlightSetup | Ended | None:
+        """Go on to the next view once that under way is done with."""
+        now = max(flight.rows - 1, 0) * self.scenario.control.period
+        if not self.ahead.is_over(now):
+            return None
+        law = self.ahead.next(now, self.estimate, self.boresight)
+        if isinstance(law, Ended):
+            self.over = law
+            return law
+        return self.leading.setup(law) if flight.setup is None else self.leading.led_on(flight.setup, law)
+
+    def next_rows(self, flight: LedFlight) -> int:
+        """Say how many rows there are to the next frame: the first, at the start, is a segment of its own."""
+        return self.ticks if flight.logs else 1
+
+    def told(self, flight: LedFlight) -> tuple[float, str]:
+        """Give the share of time that is used up."""
+        said = f"{self.ahead.wanted.reached:.1%} seen on board, {len(self.ahead.legs)} views ahead"
+        return min(0.9 * flight.rows / self.scenario.steps, 0.9), said
 
     def _aimed(self) -> Point:
         """Give where the camera should look: at what is left of the view under way."""
         leg, patches = self.ahead.leg, self.problem.patches
         if leg is None or leg.boresight is None:
             vertices = self.problem.target.vertices
-            return 0.5 * (vertices.min(axis=0) + vertices.max(axis=0)) - self._estimate
+            return 0.5 * (vertices.min(axis=0) + vertices.max(axis=0)) - self.estimate
         left = leg.left(self.ahead.wanted)
-        return aim(self._estimate, patches.corners_of(left), leg.boresight, self.problem.rules.half_angle)
+        return aim(self.estimate, patches.corners_of(left), leg.boresight, self.problem.rules.half_angle)
 
-    def _ending(self) -> tuple[str, str] | None:
-        scenario, wanted = self.scenario, self.ahead.wanted
-        if wanted.enough and not self.ahead.holding:
-            return wanted.ending
-        if max(self._rows - 1, 0) + self._ticks > scenario.steps:
-            return "out of time", f"duration {scenario.duration:g} s is over"
-        return None
+
+def inspected(
+    problem: Problem,
+    flight: Flight,
+    camera: Camera,
+    shots: Sequence[Shot],
+    ended: Ended,
+    began: float,
+    *,
+    progress: Progress = silent,
+    **found: Any,
+) -> Inspection:
+    """Say what each frame of a flight truly showed, and how the operator's limits were kept.
+
+    Args:
+        problem: what was to be seen.
+        flight: at its end.
+        camera: what it sees.
+        shots: frames as the camera was told to take them.
+        ended: how it ended.
+        began: when the computation began, s by `time.perf_counter`.
+        progress: called as the work goes on.
+        **found: further entries of the inspection.
+
+    """
+    frames, seen = as_flown(flight.record, shots, camera, progress=progress)
+    scenario, entry, limits = flight.scenario, flight.scenario.inspect, None
+    if entry.hold_points or entry.no_thrust_towards or entry.passive_safety:
+        ticks = round(scenario.camera.period / scenario.control.period)
+        limits = limits_kept(scenario, flight.record, problem.target.distance.distance, every=ticks)
+    return Inspection(
+        flight=flight,
+        outcome=ended.outcome,
+        why=ended.why,
+        seconds=time.perf_counter() - began,
+        patches=problem.patches,
+        rules=problem.rules,
+        seeable=problem.seeable,
+        frames=frames,
+        seen=seen,
+        limits=limits,
+        **found,
+    )

@@ -1,15 +1,16 @@
 """The views ahead of a flight: which is flown to next, which were lost and to what, and when a plan is made anew."""
 
+import enum
 from collections import deque
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 
 from keepout.apps.inspection.equipment import boresight_of
 from keepout.apps.inspection.frames import Camera
-from keepout.apps.inspection.leading import Leading
-from keepout.apps.inspection.leg import Leg, Lost
+from keepout.apps.inspection.leading import AroundMesh
 from keepout.apps.inspection.lit import ever_lit
 from keepout.apps.inspection.plan import InspectionPlan
 from keepout.apps.inspection.planning import plan
@@ -17,13 +18,20 @@ from keepout.apps.inspection.problem import Problem
 from keepout.apps.inspection.safe_speeds import SafeSpeeds
 from keepout.apps.inspection.wanted import Wanted
 from keepout.apps.led.camera import Boresight
+from keepout.apps.led.driver import Ended, given_up_at
+from keepout.apps.led.leading import Point
 from keepout.core.control.law import Law
 from keepout.core.errors import ControlError
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.task_entries import HoldPointEntry
 from keepout.core.progress import Progress, silent
 
-Point = Float[np.ndarray, "3"]
-
+_NEAR = 0.15
+"""Metres from its place at which a view is reached."""
+_ALIGNED = np.radians(1.0)
+"""Angle to the direction wanted within which the camera looks there, rad."""
+_SETTLED = 3
+"""Frames in a row at the place that show nothing more, after which the view is done with."""
 _WAITED = 0.1
 """Share of the time left for which the light is waited for where no view is in light, before a plan is made again."""
 _REPLANS, _REPLANS_IN_SUN = 16, 48
@@ -32,6 +40,109 @@ _LOST = 0.01
 """Share of what is possible that must be lost to the light before a plan is made again while views are left."""
 _AGAIN = 0.5
 """Of the usual work for the choice of views, what is spent in the sun when a plan is made again."""
+
+
+class Lost(enum.Enum):
+    """Why a view ended without all that was counted on."""
+
+    NOT = "not lost, or there and without more to show"
+    LIGHT = "light"
+    GUARD = "guard"
+    LATE = "not reached in time"
+
+
+@dataclass(eq=False)
+class Leg:
+    """A place to fly to, and what is to be seen from there; without a boresight it is a place to hold at.
+
+    Attributes:
+        place: (3,) m, as planned, and once it is flown to as the law leads.
+        boresight: (3,) unit vector, or None.
+        units: that the view is counted on to show.
+        window: (from, to) s in which the light is right.
+        stay: how long to stay there, s.
+        near: distance from the place within which the chaser is there, m.
+        speed: at which it is flown to at most, m/s.
+        held_up: steps of it in which the guard replaced the command.
+
+    """
+
+    place: Point
+    boresight: Point | None
+    units: Int[np.ndarray, " k"]
+    window: tuple[float, float] = (0.0, float("inf"))
+    stay: float = 0.0
+    near: float = _NEAR
+    speed: float = float("inf")
+    held_up: int = 0
+    _given_up: float = float("inf")
+    _there_since: float = float("inf")
+    _idle: int = 0
+
+    @classmethod
+    def views(cls, plan: InspectionPlan, dwell: float) -> Iterator["Leg"]:
+        """Give the legs of a plan, each staying at least `dwell` (s)."""
+        for view in plan.views:
+            stay = max(view.dwell, dwell)
+            yield cls(view.position, view.boresight, view.units, view.window, stay, speed=view.speed)
+
+    @classmethod
+    def holds(cls, points: Iterable[HoldPointEntry], tolerance: float) -> Iterator["Leg"]:
+        """Give the legs of hold points, each held within `tolerance` (m)."""
+        for point in points:
+            place = np.asarray(point.position, dtype=float)
+            yield cls(place, None, np.zeros(0, np.int64), stay=point.seconds, near=tolerance)
+
+    @classmethod
+    def waiting(cls, place: Point, seconds: float) -> "Leg":
+        """Give a leg that waits at a place for the light."""
+        return cls(place, None, np.zeros(0, np.int64), stay=seconds)
+
+    @property
+    def waits(self) -> bool:
+        """Whether the chaser stays there, whatever was seen."""
+        return self.stay > 0.0
+
+    def left(self, wanted: Wanted) -> Int[np.ndarray, " k"]:
+        """Give the units of the view that are still wanted."""
+        return self.units[wanted.left[self.units]]
+
+    def begun(self, now: float, place: Point, expected: float) -> None:
+        """Note when the way to it began, the place that the law leads to, and the seconds that it should take."""
+        self.place = place
+        self._given_up = given_up_at(max(now, self.window[0]), expected) + self.stay
+
+    def noted(
+        self, now: float, estimate: Point, boresight: Boresight, aimed: Point, wanted: Wanted, fresh: int
+    ) -> None:
+        """Note a frame: where it was taken, where it looked and how many units it showed that were wanted."""
+        near = float(np.linalg.norm(estimate - self.place)) < self.near
+        aligned = self.boresight is None or boresight.off(aimed) < _ALIGNED
+        if not (near and aligned):
+            self._idle = 0
+            if not near:
+                self._there_since = float("inf")
+            return
+        self._there_since = min(self._there_since, now)
+        in_window = now >= self.window[0]
+        self._idle = 0 if fresh or not in_window else self._idle + 1
+
+    def ended(self, now: float, wanted: Wanted) -> Lost | None:
+        """Say whether the view is done with, and how; None while it goes on."""
+        stayed = not self.waits or now >= self._there_since + self.stay
+        if self.boresight is None:
+            return Lost.NOT if stayed else self._late(now)
+        if not len(self.left(wanted)):
+            return Lost.NOT if stayed else self._late(now)
+        if self._idle >= _SETTLED and stayed:
+            return Lost.NOT
+        late = self._late(now)
+        return Lost.LIGHT if late is None and now > self.window[1] else late
+
+    def _late(self, now: float) -> Lost | None:
+        if now <= self._given_up:
+            return None
+        return Lost.GUARD if self.held_up else Lost.LATE
 
 
 @dataclass(eq=False)
@@ -54,7 +165,7 @@ class ViewsAhead:
 
     scenario: Scenario
     problem: Problem
-    leading: Leading
+    leading: AroundMesh
     camera: Camera
     wanted: Wanted
     first: InspectionPlan
@@ -62,8 +173,7 @@ class ViewsAhead:
     legs: deque[Leg]
     leg: Leg | None = None
     plans: int = 1
-    _replan: bool = False
-    _taken: int = 0
+    _taken: bool = False
     _refused: list[str] = field(default_factory=list)
     _lost: Bool[np.ndarray, " units"] = field(init=False)
 
@@ -75,7 +185,7 @@ class ViewsAhead:
         cls,
         scenario: Scenario,
         problem: Problem,
-        leading: Leading,
+        leading: AroundMesh,
         camera: Camera,
         wanted: Wanted,
         *,
@@ -116,18 +226,19 @@ class ViewsAhead:
             self.leg.units = left[lit]
             return False
         if ended is Lost.NOT:
-            self._taken += 1
+            self._taken = True
             if len(left) and not self._lit(now, left).all():
                 ended = Lost.LIGHT
-        if ended is Lost.GUARD or (ended is Lost.LIGHT and not self._in_sun):
-            self._replan = True
-        elif ended is Lost.LIGHT:
+        if ended is Lost.LIGHT and self._in_sun:
             self._lost[left] = True
+        elif ended in (Lost.GUARD, Lost.LIGHT):
+            # The views planned are no longer worth their way: another plan is made once no hold point is ahead.
+            self.legs = deque(leg for leg in self.legs if leg.boresight is None)
         else:
             self.wanted.failed(left)
         return True
 
-    def next(self, now: float, estimate: Point, boresight: Boresight) -> Law | tuple[str, str]:
+    def next(self, now: float, estimate: Point, boresight: Boresight) -> Law | Ended:
         """Go on to the next view that still has something to show, planning anew where that is due.
 
         Args:
@@ -140,7 +251,7 @@ class ViewsAhead:
 
         """
         while True:
-            if (self._replan or not self.legs or self._lost_much()) and not self.holding:
+            if (not self.legs or self._lost_much()) and not self.holding:
                 ending = self._replanned(now, estimate, boresight)
                 if ending is not None:
                     return ending
@@ -180,7 +291,7 @@ class ViewsAhead:
             way = float(np.linalg.norm(place - estimate))
             turn = 0.0 if leg.boresight is None else boresight.off(leg.boresight)
             slew = turn / boresight.greatest_rate
-            most = self.safe_speeds.of_leg(leg, estimate, place, now)
+            most = self.safe_speeds.of_leg(leg.speed, estimate, place, now)
             turning = way / slew if slew > 0.0 else None
             law = self.leading.law(place, estimate, speed=turning, most=most, through=not leg.waits)
         except ControlError as refusal:
@@ -190,13 +301,11 @@ class ViewsAhead:
         leg.begun(now, place, way / min(most, self.scenario.chaser.speed_limit) + slew)
         return law
 
-    def _replanned(self, now: float, estimate: Point, boresight: Boresight) -> tuple[str, str] | None:
+    def _replanned(self, now: float, estimate: Point, boresight: Boresight) -> Ended | None:
         """Plan anew for what is left; give how it ends where nothing is gained by that."""
         left = self.wanted.left
-        nothing = ("nothing more to see", f"{self.wanted.reached:.2%} of what is not proved hidden was taken")
         if not left.any() or self.plans > (_REPLANS_IN_SUN if self._in_sun else _REPLANS):
-            return self._no_way() or nothing
-        self._replan = False
+            return self._nothing_more()
         self._lost[:] = False
         again = plan(
             self.problem,
@@ -214,11 +323,11 @@ class ViewsAhead:
             if ever_lit(self.camera, self.wanted.left, end, begin=now).any():
                 self.legs.append(Leg.waiting(estimate, max(_WAITED * (end - now), self.scenario.camera.period)))
         if not self.legs:
-            return self._no_way() or nothing
+            return self._nothing_more()
         return None
 
-    def _no_way(self) -> tuple[str, str] | None:
-        """Say that the law leads nowhere, where it led to no view."""
+    def _nothing_more(self) -> Ended:
+        """Say that nothing more is to be seen; or that the law leads nowhere, where it led to no view."""
         if self._taken or not self._refused:
-            return None
-        return "no way", f"the law led to none of {len(self._refused)} views: {self._refused[-1]}"
+            return Ended("nothing more to see", f"{self.wanted.reached:.2%} of what is not proved hidden was taken")
+        return Ended("no way", f"the law led to none of {len(self._refused)} views: {self._refused[-1]}")

@@ -6,16 +6,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from keepout.apps.led.result import Led
 from keepout.apps.unknown.departures import Departures
 from keepout.apps.unknown.known_free import KnownFreeMap
 from keepout.apps.unknown.next_view import Ending
 from keepout.apps.unknown.skin import Stage
-from keepout.core.audit.audit import Audit, Contact
-from keepout.core.flight.loop import FlightOutcome
-from keepout.core.flight.record import FlightRecord
 from keepout.core.geometry.target import Target
-from keepout.core.mission.flight import flag_counts
-from keepout.core.mission.scenario import Scenario
 
 
 @dataclass(frozen=True)
@@ -44,51 +40,31 @@ class TakenView:
     contradicting: int = 0
 
 
-@dataclass(frozen=True)
-class Exploration:
-    """One exploration.
+@dataclass(frozen=True, eq=False)
+class Exploration(Led):
+    """One exploration: a flight, and what was found.
 
     Attributes:
-        scenario: as it was flown.
-        target: the true mesh, which nothing on board knew.
+        outcome: how it ended.
         expected: the mesh that the mission believed in, or None.
         map: at the end.
-        record: of the whole flight.
-        flown: what became of it.
-        audit: the verdict on the true mesh.
-        outcome: how it ended.
-        why: in words.
         views: every image.
         stages: the skin of the map at some times.
         seen_share: of the true surface's reachable part, the share within `explore.explained` of a return.
         unknown: (m, 3) centres of the cubes that were in the way at the end, m.
         departures: where the seen surface is not what was expected; None where nothing was.
-        seconds: that the computation took.
-        start_certified: whether the guard's theorem holds from the start.
-        assumptions_broken: what is flown beyond what the scenario declares.
-        guard: what the guard assumes and what follows, as numbers.
         keep: the distance from all that is not known free that ways of the chaser's centre were looked for with, m.
 
     """
 
-    scenario: Scenario
-    target: Target
+    outcome: Ending
     expected: Target | None
     map: KnownFreeMap
-    record: FlightRecord
-    flown: FlightOutcome
-    audit: Audit
-    outcome: Ending
-    why: str
     views: tuple[TakenView, ...]
     stages: tuple[Stage, ...]
     seen_share: float
     unknown: Float[np.ndarray, "m 3"]
     departures: Departures | None
-    seconds: float
-    start_certified: bool
-    assumptions_broken: tuple[str, ...]
-    guard: dict[str, Any]
     keep: float
 
     def summary(self) -> dict[str, Any]:
@@ -101,9 +77,7 @@ class Exploration:
             "outcome": self.outcome,
             "why": self.why,
             "reached": self.outcome == "reached goal",
-            "contact": self.audit.contact is not Contact.NO,
-            "contact_verdict": str(self.audit.contact),
-            "minimum_clearance_m": self.audit.minimum_clearance,
+            **self.contact_figures(),
             "seen_share": self.seen_share,
             "views": len(self.views),
             "refused_views": {status: refused.count(status) for status in sorted(set(refused))},
@@ -112,10 +86,10 @@ class Exploration:
             "duration_s": float(self.record.time[-1]),
             "delta_v_mps": float(self.flown.delta_v),
             "guard_interventions": int(self.flown.guard_interventions),
-            "guard_flags": flag_counts(self.record.guard_status[:-1]),
-            "start_certified": self.start_certified,
+            "guard_flags": self.flight.guard_flags(),
+            "start_certified": bool(self.start_certified),
             "assumptions_broken": list(self.assumptions_broken),
             "departures_largest_m": None if self.departures is None else self.departures.largest,
-            "guard": self.guard,
+            "guard": self.guard or {},
             "seconds": self.seconds,
         }

@@ -2,6 +2,8 @@
 
 import math
 import time
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import equinox as eqx
@@ -10,30 +12,29 @@ import numpy as np
 from jaxtyping import Float
 
 from keepout.apps.led.camera import Boresight, axes_towards
-from keepout.apps.unknown import by_map, equipment
+from keepout.apps.led.driver import Leader, LedFlight, given_up_at, lead
+from keepout.apps.unknown import equipment
+from keepout.apps.unknown.by_map import ByMap, DeclaredBall, field_of
 from keepout.apps.unknown.cells import Tried
 from keepout.apps.unknown.departures import departures
-from keepout.apps.unknown.depth_sensor import ErrorDraw, take
+from keepout.apps.unknown.depth_sensor import DepthCamera, ErrorDraw, take
 from keepout.apps.unknown.exploration import Exploration, TakenView
-from keepout.apps.unknown.known_free import ViewStatus
-from keepout.apps.unknown.map_field import MapField
+from keepout.apps.unknown.known_free import KnownFreeMap, ViewStatus
 from keepout.apps.unknown.next_view import UP, Ended, NextView, Seeker, choose
 from keepout.apps.unknown.open_surface import open_surface, seen_share
 from keepout.apps.unknown.skin import Stages
 from keepout.apps.unknown.view import View
 from keepout.core.compiled.kept_programs import keep_programs
-from keepout.core.control.law import Law
 from keepout.core.errors import ControlError
-from keepout.core.flight.loop import FlightLog, LoopState, begin, fly_segment, joined
 from keepout.core.flight.record import EXPLORED
 from keepout.core.flight.setup import FlightSetup
 from keepout.core.geometry.first_hit import FirstHit
 from keepout.core.geometry.target import Target
-from keepout.core.guard.guard import GuardState, starts_certified
+from keepout.core.guard.guard import GuardState
 from keepout.core.guard.safety_layer import GuardFlag, GuardStatus
-from keepout.core.mission.flight import recorded
+from keepout.core.mission.flight import Standing, recorded
 from keepout.core.mission.scenario import Scenario
-from keepout.core.mission.surroundings import Surroundings, broken_assumptions, guard_numbers
+from keepout.core.mission.surroundings import Surroundings, broken_assumptions
 from keepout.core.mission.target import load_target
 from keepout.core.progress import Progress, silent
 
@@ -44,9 +45,6 @@ _NEAR = 0.25
 """Metres from the place of a view at which it is taken."""
 _ALIGNED = math.cos(math.radians(3.0))
 """Cosine of the angle to the direction wanted within which it is."""
-_PATIENCE = 3.0
-"""A view not reached after so many times the way at the speed limit, and `_EXTRA` s, is given up."""
-_EXTRA = 240.0
 _ATTEMPTS = 4
 """Views that the law may refuse to lead to before nothing more is tried; each keeps a little more room."""
 _OF_LATTICE = 1.0
@@ -80,270 +78,281 @@ def explore(
         KeepoutError: something cannot be flown; the message names the entry, and nothing has been flown.
 
     """
+    began = time.perf_counter()
     scenario = Scenario.of(scenario)
-    return _Explorer(scenario, target, expected).flown(progress)
+    keep_programs()
+    camera = equipment.depth_camera(scenario)
+    equipment.require_explorable(scenario, camera)
+    ball = equipment.declared_ball(scenario)
+    known = equipment.map_of(scenario, camera)
+    leading = ByMap.of(scenario, ball, field_of(known))
+    target = load_target(scenario.target) if target is None else target
+    expected = equipment.expected_target(scenario) if expected is None else expected
+    eye, inherited = _Eye(scenario, camera, ball, target), known.assumptions_broken
+    seen = _Seen(known, camera, target)
+    explorer = _Explorer(scenario, leading, eye, seen)
+    ticks = round(scenario.depth_sensor.period / scenario.control.period)
+    flight = LedFlight(scenario, leading.initial, ticks)
+    flight.lead_on(explorer.resting())
+    ended = lead(explorer, flight, progress)
+    assert isinstance(ended, Ended)
+    assert flight.setup is not None
+    log = flight.log(with_end=True)
+    bounds = Surroundings(scenario).flight_bounds
+    broken = (*broken_assumptions(scenario, target), *inherited, *seen.broken(scenario, target, ball))
+    standing = Standing.of(leading.start_certified, broken)
+    extra = {EXPLORED: True, "contradicting_returns": seen.contradicting}
+    judged = recorded(scenario, target, flight.setup, log, bounds, standing, extra=extra)
+    surface = open_surface(target, eye.first_hit)
+    return Exploration(
+        flight=judged,
+        outcome=ended.outcome,
+        why=ended.why,
+        seconds=time.perf_counter() - began,
+        expected=expected,
+        map=known,
+        views=tuple(seen.views),
+        stages=seen.stages.at_the_end(known, float(judged.record.time[-1])),
+        seen_share=seen_share(surface, known.returns, scenario.explore.explained),
+        unknown=ended.unknown,
+        departures=None if expected is None else departures(known, expected, camera.camera),
+        keep=explorer.keep,
+    )
 
 
-class _Explorer:
-    """One exploration under way."""
+class _Eye:
+    """The depth sensor in flight: where it looks, and its images that are under way."""
 
-    def __init__(self, scenario: Scenario, target: Target | None, expected: Target | None) -> None:
-        self.began = time.perf_counter()
-        keep_programs()
-        self.scenario, entry = scenario, scenario.explore
-        self.camera = equipment.depth_camera(scenario)
-        equipment.require_explorable(scenario, self.camera)
-        self.ball = equipment.declared_ball(scenario)
-        self.known = equipment.map_of(scenario, self.camera)
-        self.goal = np.asarray(scenario.goal.position) if entry.towards == "goal" else None
-        self.field = self._field()
-        self.guard = by_map.guard_by_map(scenario, self.field, self.ball) if scenario.guard.enabled else None
-        motion = Surroundings(scenario).motion
-        self.initial = motion.initial_state(np.asarray(scenario.start.position), np.asarray(scenario.start.velocity))
-        by_map.require_start(scenario, self.ball, self.initial, self.guard)
-        self.target = load_target(scenario.target) if target is None else target
-        self.expected = equipment.expected_target(scenario) if expected is None else expected
-        self.wrongly_free = equipment.WronglyFree(self.known, self.target)
-        self.inherited = self.known.assumptions_broken
-        self.first_hit = FirstHit(self.target.vertices, self.target.faces)
-        self.surface = open_surface(self.target, self.first_hit)
+    def __init__(self, scenario: Scenario, camera: DepthCamera, ball: DeclaredBall, target: Target) -> None:
+        sensor = scenario.depth_sensor
+        self.camera, self.period = camera, scenario.control.period
+        self.first_hit = FirstHit(target.vertices, target.faces)
         self.generator = np.random.default_rng(scenario.seed)
-        broken = scenario.depth_sensor.broken
-        self.draw = ErrorDraw(scenario.depth_sensor.errors, None if broken == "none" else broken)
-        self.tried = Tried.of_map(self.known, self.camera.camera)
+        self.draw = ErrorDraw(sensor.errors, None if sensor.broken == "none" else sensor.broken)
         self.boresight = Boresight.at_rest(
-            np.asarray(self.ball.centre) - np.asarray(scenario.start.position),
-            greatest_rate=scenario.depth_sensor.turn_rate,
-            greatest_acceleration=scenario.depth_sensor.turn_acceleration,
+            np.asarray(ball.centre) - np.asarray(scenario.start.position),
+            greatest_rate=sensor.turn_rate,
+            greatest_acceleration=sensor.turn_acceleration,
         )
-        self.views: list[TakenView] = []
-        self.stages = Stages(self.known, 0.0)
-        self.logs: list[FlightLog] = []
-        self.under_way: list[tuple[float, View, Pose]] = []
-        self.pose: Pose | None = None
-        self.wanted: NextView | None = None
-        self.given_up = self.there_since = math.inf
-        self.resting = self.outside = 0
-        self.contradicted_at: float | None = None
-        self.on_way_back = False
-        self.free_volume = 0.0
+        self._before: Pose | None = None
+        self._under_way: list[tuple[float, View, Pose]] = []
 
-    def flown(self, progress: Progress) -> Exploration:
-        """Fly until the end, and judge."""
-        scenario = self.scenario
-        ticks = round(scenario.depth_sensor.period / scenario.control.period)
-        start = np.asarray(self.initial.position)
-        setup = by_map.setup_by_map(
-            scenario, self.field, self.ball, self._law(self._within_map(start), start), self.guard
-        )
-        self.keep = by_map.kept_by_law(scenario, self.field, self.guard) + _OF_LATTICE * self.known.spacing
-        state = begin(setup, self.initial, jax.random.key(scenario.seed))
-        flown = 0
-        while True:
-            now, position = float(state.motion.time), np.asarray(state.motion.position)
-            if self.contradicted_at is None:
-                self._look(now, position)
-                self._take_in(now)
-                if self.contradicted_at is not None:
-                    self.wanted, state = None, _told(state, contradicted=True)
-            ending = self._ending(flown)
-            if ending is None and self.contradicted_at is not None:
-                setup, state, ending = self._go_back(setup, state, now, position)
-            elif ending is None and self._is_over(now, position):
-                field = self._field()
-                choice = self._choose(field, position)
-                if isinstance(choice, Ended):
-                    ending = choice
-                else:
-                    self.wanted, law = choice
-                    way = float(np.linalg.norm(self.wanted.position - position))
-                    self.given_up = now + _PATIENCE * way / scenario.chaser.speed_limit + _EXTRA
-                    setup = by_map.led_on(setup, field, law)
-            if ending is not None and self.logs:
-                break
-            # Not beyond the duration, over which orbit and rotation are bounded.
-            count = min(ticks, scenario.steps - flown)
-            state, log = fly_segment(setup, state, count, longest=ticks)
-            self.logs.append(log)
-            flown += count
-            self._turn(count)
-            self._count_rest(log)
-            share = max(flown / scenario.steps, len(self.views) / scenario.explore.most_views)
-            progress(min(share, 0.98), f"{len(self.views)} views, {self.free_volume:.0f} m³ known free")
-        _, last = fly_segment(setup, state, 1, longest=ticks)
-        return self._judged(joined([*self.logs, last]), setup, ending)
+    def turn(self, wanted: Point, steps: int) -> None:
+        """Turn towards a direction for some control steps."""
+        for _ in range(steps):
+            self.boresight = self.boresight.step(wanted, self.period)
 
-    def _field(self) -> MapField:
-        return MapField.of(self.known.squares, self.known.origin, self.known.spacing)
-
-    def _law(self, goal: Point, position: Point, field: MapField | None = None) -> Law:
-        field = self.field if field is None else field
-        return by_map.law_by_map(self.scenario, field, goal, position, ball=self.ball, guard=self.guard)
-
-    def _look(self, now: float, position: Point) -> None:
+    def look(self, now: float, position: Point) -> None:
         """Take an image; it arrives a latency later."""
         axes = axes_towards(self.boresight.direction, UP)
         pose = self.camera.sensor_position(position, axes), axes
         # A pose told late is that of the image before.
-        told = (self.pose or pose) if self.draw.broken == "late" else None
+        told = (self._before or pose) if self.draw.broken == "late" else None
         view = take(self.camera, self.first_hit, *pose, self.generator, self.draw, time=now, told=told)
-        self.pose = pose
-        self.under_way.append((now + self.camera.latency, view, pose))
+        self._before = pose
+        self._under_way.append((now + self.camera.latency, view, pose))
 
-    def _take_in(self, now: float) -> None:
-        """Let the map grow by the images that have arrived."""
-        while self.under_way and self.under_way[0][0] <= now + 1e-9:
-            _, view, (place, axes) = self.under_way.pop(0)
-            report = self.known.see(view)
-            if report.status is ViewStatus.SEEN:
-                self.tried.note(self.known, view)
-                self.wrongly_free.note(self.known, view.time)
-            if report.contradicting and self.contradicted_at is None:
-                self.contradicted_at = now
-            self.outside += report.outside
-            self.free_volume += report.opened * self.known.spacing**3
-            why = "" if self.wanted is None else self.wanted.why
-            said = report.status.value.replace("_", " ")
-            told = said, report.opened, self.free_volume, why, report.contradicting
-            self.views.append(TakenView(view.time, place, axes[:, 2], *told))
-            self.stages.note(self.known, view.time, self.free_volume)
+    def arrived(self, now: float) -> Iterator[tuple[View, Pose]]:
+        """Hand over the images that have arrived, with the true pose of each."""
+        while self._under_way and self._under_way[0][0] <= now + 1e-9:
+            yield self._under_way.pop(0)[1:]
 
-    def _ending(self, flown: int) -> Ended | None:
-        if self.wanted is not None and self.wanted.is_goal and self.resting >= _RESTING:
-            return Ended("reached goal", f"the goal is held within {self.scenario.goal.tolerance:g} m")
-        if flown >= self.scenario.steps and self.contradicted_at is not None:
-            return self._contradicted(f"duration {self.scenario.duration:g} s was over before the chaser was back")
-        if flown >= self.scenario.steps:
-            return Ended("out of time", f"duration {self.scenario.duration:g} s is over")
-        if len(self.views) >= self.scenario.explore.most_views and self.contradicted_at is None:
-            return Ended("out of views", f"explore.most_views {self.scenario.explore.most_views} were taken")
+
+class _Seen:
+    """What has been seen: the map, and what each image did to it."""
+
+    def __init__(self, known: KnownFreeMap, camera: DepthCamera, target: Target) -> None:
+        self.known, self.tried = known, Tried.of_map(known, camera.camera)
+        self.wrongly_free = equipment.WronglyFree(known, target)
+        self.views: list[TakenView] = []
+        self.stages = Stages(known, 0.0)
+        self.outside, self.free_volume = 0, 0.0
+
+    def take_in(self, view: View, pose: Pose, why: str) -> bool:
+        """Let the map grow by an image that was wanted for a reason; say whether the image contradicts the map."""
+        report = self.known.see(view)
+        if report.status is ViewStatus.SEEN:
+            self.tried.note(self.known, view)
+            self.wrongly_free.note(self.known, view.time)
+        self.outside += report.outside
+        self.free_volume += report.opened * self.known.spacing**3
+        said = report.status.value.replace("_", " ")
+        told = said, report.opened, self.free_volume, why, report.contradicting
+        self.views.append(TakenView(view.time, pose[0], pose[1][:, 2], *told))
+        self.stages.note(self.known, view.time, self.free_volume)
+        return report.contradicting > 0
+
+    @property
+    def contradicting(self) -> int:
+        """Returns so far that prove that a promise was broken."""
+        return sum(view.contradicting for view in self.views)
+
+    def broken(self, scenario: Scenario, target: Target, ball: DeclaredBall) -> tuple[str, ...]:
+        """Name the promises that were broken, and note them with the map."""
+        found = equipment.broken_promises(scenario, target, ball) + self.wrongly_free.words(scenario)
+        if self.outside:
+            found += (f"{self.outside} returns lie outside the declared ball (map.centre, map.radius)",)
+        self.known.broken = tuple(dict.fromkeys((*self.known.broken, *found)))
+        if self.contradicting:
+            found += (f"{self.contradicting} returns lie in room that was known free: ball or sensor broke a promise",)
+        return found
+
+
+class _Explorer(Leader):
+    """Flies to the next view, to the goal, or back to where the map began once a view contradicts the map."""
+
+    def __init__(self, scenario: Scenario, leading: ByMap, eye: _Eye, seen: _Seen) -> None:
+        self.scenario, self.leading, self.eye, self.seen = scenario, leading, eye, seen
+        self.goal = np.asarray(scenario.goal.position) if scenario.explore.towards == "goal" else None
+        self.keep = leading.offset + _OF_LATTICE * seen.known.spacing
+        self.began = self._within_map(np.asarray(leading.initial.position))
+        self.wanted: NextView | None = None
+        self.given_up = self.there_since = math.inf
+        self.resting_steps = 0
+        self.contradicted_at: float | None = None
+        self.on_way_back = False
+
+    def resting(self) -> FlightSetup:
+        """Give what the chaser rests by: the law to where it is, or where the map begins."""
+        return self.leading.setup(self.leading.law(self.began, np.asarray(self.leading.initial.position)))
+
+    def look(self, flight: LedFlight) -> None:
+        """Turn over the rows flown last, take an image, and take in those that have arrived."""
+        if flight.logs:
+            near = np.linalg.norm(np.asarray(flight.logs[-1].position) - self.scenario.goal.position, axis=1)
+            if self.wanted is not None:
+                self.eye.turn(self.wanted.direction, len(near))
+            away = np.flatnonzero(near >= self.scenario.goal.tolerance)
+            self.resting_steps = len(near) - 1 - int(away[-1]) if len(away) else self.resting_steps + len(near)
+        if self.contradicted_at is not None:
+            return
+        self.eye.look(flight.now, flight.position)
+        why = "" if self.wanted is None else self.wanted.why
+        if any([self.seen.take_in(view, pose, why) for view, pose in self.eye.arrived(flight.now)]):
+            self.contradicted_at, self.wanted = flight.now, None
+            _tell(flight, contradicted=True)
+
+    def ended(self, flight: LedFlight) -> Ended | None:
+        """Say how the flight is over: at the goal, or out of time or views."""
+        scenario, over = self.scenario, flight.rows >= self.scenario.steps
+        if self.wanted is not None and self.wanted.is_goal and self.resting_steps >= _RESTING:
+            return Ended("reached goal", f"the goal is held within {scenario.goal.tolerance:g} m")
+        if over and self.contradicted_at is not None:
+            return self._contradicted(f"duration {scenario.duration:g} s was over before the chaser was back")
+        if over:
+            return Ended("out of time", f"duration {scenario.duration:g} s is over")
+        if len(self.seen.views) >= scenario.explore.most_views and self.contradicted_at is None:
+            return Ended("out of views", f"explore.most_views {scenario.explore.most_views} were taken")
         return None
 
-    def _go_back(
-        self, setup: FlightSetup, state: LoopState, now: float, position: Point
-    ) -> tuple[FlightSetup, LoopState, Ended | None]:
+    def onward(self, flight: LedFlight) -> FlightSetup | Ended | None:
+        """Go on to the next view once that under way was taken and taken in, or is given up."""
+        if self.contradicted_at is not None:
+            return self._back(flight, self.contradicted_at)
+        if not self._is_over(flight.now, flight.position):
+            return None
+        choice = self._choose(flight)
+        if not isinstance(choice, Ended):
+            assert self.wanted is not None
+            way = float(np.linalg.norm(self.wanted.position - flight.position))
+            self.given_up = given_up_at(flight.now, way / self.scenario.chaser.speed_limit)
+        return choice
+
+    def next_rows(self, flight: LedFlight) -> int:
+        """Say how many rows there are to the next image, not beyond the duration, which bounds orbit and rotation."""
+        return min(flight.longest, self.scenario.steps - flight.rows)
+
+    def told(self, flight: LedFlight) -> tuple[float, str]:
+        """Give the share of time or views that is used up."""
+        views = len(self.seen.views)
+        share = max(flight.rows / self.scenario.steps, views / self.scenario.explore.most_views)
+        return min(share, 0.98), f"{views} views, {self.seen.free_volume:.0f} m³ known free"
+
+    def _is_over(self, now: float, position: Point) -> bool:
+        if self.wanted is None or now > self.given_up:
+            return True
+        if self.wanted.is_goal:
+            return False
+        there = float(np.linalg.norm(position - self.wanted.position)) < _NEAR
+        if there and float(self.eye.boresight.direction @ self.wanted.direction) > _ALIGNED:
+            self.there_since = min(self.there_since, now)
+            if now >= self.there_since + self.eye.camera.latency:
+                self.there_since = math.inf
+                return True
+        return False
+
+    def _choose(self, flight: LedFlight) -> FlightSetup | Ended:
+        """Choose the next view, and the law that leads there."""
+        assert flight.setup is not None
+        self.leading = self.leading.by(field_of(self.seen.known))
+        scenario, boresight, spacing = self.scenario, self.eye.boresight, self.seen.known.spacing
+        seeker = Seeker(
+            flight.position,
+            self.eye.camera.camera,
+            self.keep,
+            boresight.direction,
+            scenario.chaser.speed_limit,
+            boresight.greatest_rate,
+        )
+        refusal = None
+        for attempt in range(_ATTEMPTS):
+            farther = replace(seeker, keep=self.keep + attempt * 0.5 * spacing)
+            seed = scenario.seed + len(self.seen.views) + 1000 * attempt
+            choice = choose(self.seen.known, farther, self.goal, self.seen.tried, seed=seed)
+            if isinstance(choice, Ended):
+                return choice
+            try:
+                law = self.leading.law(choice.position, flight.position)
+            except ControlError as error:
+                refusal = error
+                continue
+            self.wanted = choice
+            return self.leading.led_on(flight.setup, law)
+        return Ended("no way known", f"the law finds no way to {_ATTEMPTS} views: {refusal}")
+
+    def _back(self, flight: LedFlight, since: float) -> FlightSetup | Ended | None:
         """Lead to where the map began once the chaser rests: by the map as it was before the view that contradicts."""
-        began = self._within_map(np.asarray(self.initial.position))
+        now, position = flight.now, flight.position
+        way = float(np.linalg.norm(position - self.began))
         if self.on_way_back:
-            back = float(np.linalg.norm(position - began)) < _NEAR
-            if back:
-                return setup, state, self._contradicted("the chaser came to rest, and went back to where it began")
+            if way < _NEAR:
+                return self._contradicted("the chaser came to rest, and went back to where it began")
             if now > self.given_up:
-                return setup, state, self._contradicted("the chaser came to rest; it did not get back in time")
-            return setup, state, None
-        assert self.contradicted_at is not None
-        said = int(self.logs[-1].guard_status[-1]) if self.logs else 0
+                return self._contradicted("the chaser came to rest; it did not get back in time")
+            return None
+        said = int(flight.logs[-1].guard_status[-1]) if flight.logs else 0
         held = bool(said & GuardFlag.CONTRADICTED) and said & max(GuardStatus) == GuardStatus.HOLDING
-        resting = self.guard is None or held
-        if not resting and now < self.contradicted_at + _STOPPING:
-            return setup, state, None
-        field = self._field()
+        if self.leading.guard is not None and not held and now < since + _STOPPING:
+            return None
+        assert flight.setup is not None
+        self.leading = self.leading.by(field_of(self.seen.known))
         try:
-            law = self._law(began, position, field)
+            law = self.leading.law(self.began, position)
         except ControlError as refusal:
-            return setup, state, self._contradicted(f"the chaser came to rest, and no way back is known: {refusal}")
-        way = float(np.linalg.norm(began - position))
-        self.on_way_back, self.given_up = True, now + _PATIENCE * way / self.scenario.chaser.speed_limit + _EXTRA
-        return by_map.led_on(setup, field, law), _told(state, contradicted=False), None
+            return self._contradicted(f"the chaser came to rest, and no way back is known: {refusal}")
+        self.on_way_back, self.given_up = True, given_up_at(now, way / self.scenario.chaser.speed_limit)
+        _tell(flight, contradicted=False)
+        return self.leading.led_on(flight.setup, law)
 
     def _contradicted(self, then: str) -> Ended:
-        view = next(view for view in self.views if view.contradicting)
+        view = next(view for view in self.seen.views if view.contradicting)
         return Ended(
             "contradicted",
             f"{view.contradicting} returns of the image at {view.time:g} s lie in room that was known free, so a "
             f"promise of ball or sensor is broken; {then}",
         )
 
-    def _is_over(self, now: float, position: Point) -> bool:
-        """Whether the view under way has been taken and taken in, or is given up."""
-        if self.wanted is None or now > self.given_up:
-            return True
-        if self.wanted.is_goal:
-            return False
-        there = float(np.linalg.norm(position - self.wanted.position)) < _NEAR
-        if there and float(self.boresight.direction @ self.wanted.direction) > _ALIGNED:
-            self.there_since = min(self.there_since, now)
-            if now >= self.there_since + self.camera.latency:
-                self.there_since = math.inf
-                return True
-        return False
-
-    def _choose(self, field: MapField, position: Point) -> tuple[NextView, Law] | Ended:
-        """Choose the next view, and the law that leads there."""
-        refusals = []
-        for attempt in range(_ATTEMPTS):
-            keep = self.keep + attempt * 0.5 * self.known.spacing
-            camera, speed, rate = self.camera.camera, self.scenario.chaser.speed_limit, self.boresight.greatest_rate
-            seeker = Seeker(position, camera, keep, self.boresight.direction, speed, rate)
-            seed = self.scenario.seed + len(self.views) + 1000 * attempt
-            choice = choose(self.known, seeker, self.goal, self.tried, seed=seed)
-            if isinstance(choice, Ended):
-                return choice
-            try:
-                return choice, self._law(choice.position, position, field)
-            except ControlError as refusal:
-                refusals.append(str(refusal))
-        return Ended("no way known", f"the law finds no way to {_ATTEMPTS} views: {refusals[-1]}")
-
     def _within_map(self, position: Point) -> Point:
         """Give the position itself, or the way's first point in the map's box towards the middle of the ball."""
-        half = 0.5 * (self.known.upper - self.known.lower)
-        middle = self.known.lower + half
+        known = self.seen.known
+        half = 0.5 * (known.upper - known.lower)
+        middle = known.lower + half
         beyond = float(np.max(np.abs(position - middle) / half))
         return position if beyond <= 1.0 else middle + (position - middle) / beyond
 
-    def _turn(self, steps: int) -> None:
-        if self.wanted is not None:
-            for _ in range(steps):
-                self.boresight = self.boresight.step(self.wanted.direction, self.scenario.control.period)
 
-    def _count_rest(self, log: FlightLog) -> None:
-        """Count the control steps in a row, up to now, within the tolerance of the goal."""
-        near = np.linalg.norm(np.asarray(log.position) - self.scenario.goal.position, axis=1)
-        away = np.flatnonzero(near >= self.scenario.goal.tolerance)
-        self.resting = self.resting + len(near) if len(away) == 0 else len(near) - 1 - int(away[-1])
-
-    def _judged(self, log: FlightLog, setup: FlightSetup, ending: Ended) -> Exploration:
-        """Put together what was flown, and audit it on the true mesh."""
-        scenario = self.scenario
-        bounds = Surroundings(scenario).flight_bounds
-        contradicting = sum(view.contradicting for view in self.views)
-        extra = {EXPLORED: True, "contradicting_returns": contradicting}
-        flown, record, verdict = recorded(scenario, self.target, setup, log, bounds, extra=extra)
-        promises = equipment.broken_promises(scenario, self.target, self.ball) + self.wrongly_free.words(scenario)
-        if self.outside:
-            promises += (f"{self.outside} returns lie outside the declared ball (map.centre, map.radius)",)
-        self.known.broken = tuple(dict.fromkeys((*self.known.broken, *promises)))
-        if contradicting:
-            promises += (f"{contradicting} returns lie in room that was known free: ball or sensor broke a promise",)
-        broken = (*broken_assumptions(scenario, self.target), *self.inherited, *promises)
-        start = jax.tree.map(lambda leaf: leaf[None], self.initial)
-        certified = self.guard is not None and bool(starts_certified(self.guard, start)[0])
-        return Exploration(
-            scenario=scenario,
-            target=self.target,
-            expected=self.expected,
-            map=self.known,
-            record=record,
-            flown=flown,
-            audit=verdict,
-            outcome=ending.outcome,
-            why=ending.why,
-            views=tuple(self.views),
-            stages=self.stages.at_the_end(self.known, float(record.time[-1])),
-            seen_share=seen_share(self.surface, self.known.returns, scenario.explore.explained),
-            unknown=ending.unknown,
-            departures=None if self.expected is None else departures(self.known, self.expected, self.camera.camera),
-            seconds=time.perf_counter() - self.began,
-            start_certified=certified and not broken,
-            assumptions_broken=broken,
-            guard={} if self.guard is None else guard_numbers(self.guard, scenario),
-            keep=self.keep,
-        )
-
-
-def _told(state: LoopState, *, contradicted: bool) -> LoopState:
+def _tell(flight: LedFlight, *, contradicted: bool) -> None:
     """Tell the guard, where there is one, whether what it is told is contradicted."""
-    if not isinstance(state.guard, GuardState):
-        return state
-    return eqx.tree_at(lambda state: state.guard.contradicted, state, jax.device_put(np.asarray(contradicted)))
+    if flight.state is not None and isinstance(flight.state.guard, GuardState):
+        said = jax.device_put(np.asarray(contradicted))
+        flight.state = eqx.tree_at(lambda state: state.guard.contradicted, flight.state, said)

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, UInt8
 from scipy.spatial import KDTree
 
+from keepout.apps.led import driver
 from keepout.apps.led.camera import Pinhole, axes_towards
 from keepout.apps.unknown.cells import (
     CLOSE,
@@ -91,7 +92,7 @@ Ending = Literal[
 
 
 @dataclass(frozen=True, eq=False)
-class Ended:
+class Ended(driver.Ended):
     """There is nothing more to fly for; of `choose`: no view worth taking."""
 
     outcome: Ending

@@ -1,10 +1,10 @@
 """Scenarios flown, one flight or many together, and judged on the exact mesh: what became of them, in numbers."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -20,6 +20,7 @@ from keepout.core.flight.loop import FlightOutcome, outcome
 from keepout.core.flight.record import FlightRecord
 from keepout.core.flight.setup import FlightSetup
 from keepout.core.geometry.target import Target
+from keepout.core.guard.guard import Guard
 from keepout.core.guard.safety_layer import GuardFlag, GuardStatus, flag_names
 from keepout.core.mission.build import Mission, prepare
 from keepout.core.mission.scenario import Scenario
@@ -176,24 +177,30 @@ def judged(
 
     """
     scenario = mission.scenario
-    result, record, verdict = recorded(
-        scenario, mission.target, mission.setup, log, mission.bounds, result=result, extra=extra
+    standing = Standing(mission.start_certified, mission.assumptions_broken)
+    flight = recorded(
+        scenario, mission.target, mission.setup, log, mission.bounds, standing, result=result, extra=extra
     )
-    clearance = mission.target.distance.distance(record.position) - scenario.chaser.radius
     violated = tuple(str(c) for c in mission.setup.controller.conditions if not c.satisfied)
-    return Flight(
-        scenario,
-        mission.target,
-        record,
-        result,
-        verdict,
-        clearance,
-        violated,
-        start_certified=mission.start_certified,
-        assumptions_broken=mission.assumptions_broken,
-        guard=None if mission.guard is None else guard_numbers(mission.guard, scenario),
-        mission=mission,
-    )
+    return replace(flight, violated_conditions=violated, mission=mission)
+
+
+class Standing(NamedTuple):
+    """What is certified of a flight before it is flown.
+
+    Attributes:
+        start_certified: whether the guard's theorem holds from the start; None without a guard.
+        assumptions_broken: what is flown beyond what the scenario declares.
+
+    """
+
+    start_certified: bool | None
+    assumptions_broken: tuple[str, ...]
+
+    @classmethod
+    def of(cls, certified: bool | None, broken: tuple[str, ...]) -> "Standing":
+        """Certify a start only where nothing is broken."""
+        return cls(None if certified is None else certified and not broken, broken)
 
 
 def recorded(
@@ -202,11 +209,12 @@ def recorded(
     setup: FlightSetup,
     log: loop.FlightLog,
     bounds: FlightBounds,
+    standing: Standing,
     *,
     result: FlightOutcome | None = None,
     extra: Mapping[str, Any] | None = None,
-) -> tuple[FlightOutcome, FlightRecord, Audit]:
-    """Give the outcome of a flight, its record, and its audit on the exact mesh.
+) -> Flight:
+    """Give a flight of any setup: its record, outcome, and audit on the exact mesh.
 
     Args:
         scenario: as flown.
@@ -214,6 +222,7 @@ def recorded(
         setup: of the flight.
         log: of that one flight.
         bounds: of what the record does not hold.
+        standing: what is certified of it.
         result: the outcome, where it is known already.
         extra: further entries of the record's header.
 
@@ -236,7 +245,9 @@ def recorded(
         force_limit=scenario.chaser.force_limit,
         speed_limit=scenario.chaser.speed_limit,
     )
-    return result, record, verdict
+    clearance = target.distance.distance(record.position) - scenario.chaser.radius
+    guard = guard_numbers(setup.guard, scenario) if isinstance(setup.guard, Guard) else None
+    return Flight(scenario, target, record, result, verdict, clearance, (), *standing, guard)
 
 
 AUDITED = ("time", "position", "velocity", "force", "guard_status")

@@ -1,0 +1,137 @@
+"""A flight led leg by leg: look, take in, is it over, what next; then it is flown on for some rows, and looked again.
+
+The loop is one for all applications; each gives what it does at every turn of it, as a `Leader`.
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+
+import jax
+import numpy as np
+
+from keepout.core.flight.loop import FlightLog, LoopState, begin, fly_segment, joined
+from keepout.core.flight.setup import FlightSetup
+from keepout.core.mission.scenario import Scenario
+from keepout.core.motion.relative import MotionState
+from keepout.core.progress import Progress
+
+_PATIENCE, _EXTRA = 3.0, 240.0
+"""A place not reached after so many times the seconds that it should take, and so many seconds more, is given up."""
+
+
+def given_up_at(begun: float, expected: float) -> float:
+    """Say when a place is given up, s, that was begun to be flown to at a time (s) and should take so long (s)."""
+    return begun + _PATIENCE * expected + _EXTRA
+
+
+@dataclass(frozen=True, eq=False)
+class Ended:
+    """How a flight ended, and why in words."""
+
+    outcome: str
+    why: str
+
+
+@dataclass(eq=False)
+class LedFlight:
+    """A flight as far as it was flown.
+
+    Attributes:
+        scenario: as flown.
+        initial: the true state at the start.
+        longest: segment, in control periods.
+        setup: of the leg under way; None before the first.
+        state: after the last row; None before the first leg.
+        logs: of the segments flown.
+        rows: flown.
+
+    """
+
+    scenario: Scenario
+    initial: MotionState
+    longest: int
+    setup: FlightSetup | None = None
+    state: LoopState | None = None
+    logs: list[FlightLog] = field(default_factory=list)
+    rows: int = 0
+
+    def lead_on(self, setup: FlightSetup) -> None:
+        """Let a setup lead from now on."""
+        self.setup = setup
+        if self.state is None:
+            self.state = begin(setup, self.initial, jax.random.key(self.scenario.seed))
+
+    def fly(self, rows: int) -> None:
+        """Fly on."""
+        self.state, log = self._segment(rows)
+        self.logs.append(log)
+        self.rows += rows
+
+    def log(self, *, with_end: bool = False) -> FlightLog:
+        """Give the rows flown, and one more of how it ended where that is asked for."""
+        return joined([*self.logs, self._segment(1)[1]] if with_end else self.logs)
+
+    def _segment(self, rows: int) -> tuple[LoopState, FlightLog]:
+        assert self.setup is not None
+        assert self.state is not None
+        return fly_segment(self.setup, self.state, rows, longest=self.longest)
+
+    @property
+    def now(self) -> float:
+        """Time of the state, s; 0 before the first leg."""
+        return 0.0 if self.state is None else float(self.state.motion.time)
+
+    @property
+    def position(self) -> np.ndarray:
+        """True position (3,) of the state, m."""
+        return np.asarray((self.initial if self.state is None else self.state.motion).position)
+
+
+class Leader(ABC):
+    """What an application does with a flight between its segments."""
+
+    fewest = 1
+    """Rows that are flown even where nothing is to be flown for: an audit needs a way."""
+
+    @abstractmethod
+    def look(self, flight: LedFlight) -> None:
+        """Look, and take in what there is to see by the rows flown last, or from where the chaser is now."""
+
+    @abstractmethod
+    def ended(self, flight: LedFlight) -> Ended | None:
+        """Say how the flight is over; None where it goes on."""
+
+    @abstractmethod
+    def onward(self, flight: LedFlight) -> FlightSetup | Ended | None:
+        """Say what leads on, or that there is nothing more to fly for; None where the leg under way goes on."""
+
+    @abstractmethod
+    def resting(self) -> FlightSetup:
+        """Give what the chaser rests by where there is nothing to fly for from the start."""
+
+    @abstractmethod
+    def next_rows(self, flight: LedFlight) -> int:
+        """Say how many rows are flown before the next look."""
+
+    @abstractmethod
+    def told(self, flight: LedFlight) -> tuple[float, str]:
+        """Give the share of the flight that is done, 0 to 1, and words for it."""
+
+
+def lead(leader: Leader, flight: LedFlight, progress: Progress) -> Ended:
+    """Lead a flight until it is over; give how it ended."""
+    while True:
+        leader.look(flight)
+        ended = leader.ended(flight)
+        if ended is None:
+            onward = leader.onward(flight)
+            if isinstance(onward, Ended):
+                ended = onward
+            elif onward is not None:
+                flight.lead_on(onward)
+        if ended is not None and flight.rows >= leader.fewest:
+            return ended
+        if flight.setup is None:
+            flight.lead_on(leader.resting())
+        flight.fly(leader.next_rows(flight))
+        progress(*leader.told(flight))
