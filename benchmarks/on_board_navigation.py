@@ -15,7 +15,7 @@ import jax
 import numpy as np
 
 from keepout.core.flight import loop
-from keepout.core.flight.on_board_navigation import OnBoardNavigation
+from keepout.core.flight.on_board import OnBoard
 from keepout.core.mission.build import prepare
 from keepout.core.mission.scenario import Scenario
 from keepout.flights.pages.folder import machine
@@ -44,13 +44,13 @@ def recorded(mission, steps):
 
 def timed(on_board, told, period):
     """Give the seconds of each step after the first."""
-    on_board.step(0.0, told[0])
+    on_board.step(0.0, samples=told[0])
     seconds = []
     gc.collect()
     gc.disable()
     for number, samples in enumerate(told[1:], start=1):
         begin = time.perf_counter()
-        on_board.step(number * period, samples)
+        on_board.step(number * period, samples=samples)
         seconds.append(time.perf_counter() - begin)
     gc.enable()
     return np.asarray(seconds)
@@ -73,7 +73,7 @@ def main():
     )
     mission = prepare(scenario)
     told = recorded(mission, chosen.steps)
-    on_board = OnBoardNavigation(mission.setup, mission.initial)
+    on_board = OnBoard(mission.setup, mission.initial, by_samples=True)
     micro = 1e6 * timed(on_board, told, scenario.control.period)
     row = {
         "suite": chosen.suite,

@@ -21,7 +21,6 @@ from keepout.core.fields.neural import NeuralField
 from keepout.core.fields.own import SphereField
 from keepout.core.flight import FlightSetup, loop
 from keepout.core.flight.on_board import Clock, OnBoard
-from keepout.core.flight.on_board_navigation import OnBoardNavigation
 from keepout.core.geometry.target import Target
 from keepout.core.guard.guard import Guard
 from keepout.core.guard.safety_layer import GuardFlag
@@ -277,7 +276,7 @@ def flown(navigated):
 
 @pytest.fixture(scope="module")
 def navigator(navigated, flown):
-    return OnBoardNavigation(navigated[0], flown[0])
+    return OnBoard(navigated[0], flown[0], by_samples=True)
 
 
 def told(samples, time):
@@ -292,7 +291,7 @@ def test_forces_and_on_times_are_those_of_the_loop(navigator, flown):
         navigator.restart(estimate)
         for samples, row, on_time in steps:
             time = float(row.time)
-            force, known = navigator.step(time, told(samples, time)), navigator.known
+            force, known = navigator.step(time, samples=told(samples, time)), navigator.known
             close = {"rtol": 0.0, "atol": 1e-9}
             np.testing.assert_allclose(force, row.guarded_force, **close)
             np.testing.assert_allclose(known.position, row.estimated_position, **close)
@@ -301,7 +300,10 @@ def test_forces_and_on_times_are_those_of_the_loop(navigator, flown):
             np.testing.assert_allclose(known.known_velocity, row.known_velocity, **close)
             np.testing.assert_allclose(known.errors, [row.known_position_error, row.known_velocity_error], **close)
             np.testing.assert_allclose(known.on_time, on_time, **close)
-            assert (known.control_status, known.guard_status) == (row.control_status, row.guard_status)
+            assert (navigator.order.control_status, navigator.order.guard_status) == (
+                row.control_status,
+                row.guard_status,
+            )
             assert (known.outliers, known.contradicted, known.not_due) == (row.outliers, row.contradicted, 0), again
     assert np.max([on_time for *_, on_time in steps]) > 0.1
     assert navigator.known.on_time.shape == (6,)
@@ -311,30 +313,30 @@ def test_a_sample_that_is_no_number_is_left_out(navigator, flown):
     estimate, steps = flown
     navigator.restart(estimate)
     for time, (samples, _, _) in enumerate(steps[:5]):
-        navigator.step(float(time), told(samples, float(time)))
-    force = navigator.step(5.0, [(5.0, np.full(3, np.nan)), (5.0, np.full(3, np.nan))])
+        navigator.step(float(time), samples=told(samples, float(time)))
+    force = navigator.step(5.0, samples=[(5.0, np.full(3, np.nan)), (5.0, np.full(3, np.nan))])
     assert np.isfinite(force).all()
     assert navigator.known.outliers == 2
     assert np.isfinite(navigator.known.errors).all()
-    assert np.isfinite(navigator.step(6.0, [None, None])).all()
+    assert np.isfinite(navigator.step(6.0, samples=[None, None])).all()
 
 
 def test_another_time_is_refused_and_a_sample_of_another_time_left_out(navigator, flown):
     estimate, steps = flown
     navigator.restart(estimate)
     with pytest.raises(ControlError, match="told the time 15 s; 0 s is due, when the estimate"):
-        navigator.step(15.0, [None, None])
-    navigator.step(0.0, told(steps[0][0], 0.0))
+        navigator.step(15.0, samples=[None, None])
+    navigator.step(0.0, samples=told(steps[0][0], 0.0))
     for time in (0.0, 1.5, 20.0, np.nan):
         with pytest.raises(ControlError, match="1 s is due, a period after"):
-            navigator.step(time, [None, None])
+            navigator.step(time, samples=[None, None])
     value = np.asarray(steps[0][0][0].value)
-    navigator.step(1.0, [(0.0, value), None])  # the sample of the step before, once more
+    navigator.step(1.0, samples=[(0.0, value), None])  # the sample of the step before, once more
     twice = navigator.known
     assert twice.not_due == 1
     navigator.restart(estimate)
-    navigator.step(0.0, told(steps[0][0], 0.0))
-    navigator.step(1.0, [None, None])
+    navigator.step(0.0, samples=told(steps[0][0], 0.0))
+    navigator.step(1.0, samples=[None, None])
     np.testing.assert_array_equal(twice.known_position, navigator.known.known_position)
     assert navigator.known.not_due == 0
 
@@ -342,10 +344,10 @@ def test_another_time_is_refused_and_a_sample_of_another_time_left_out(navigator
 def test_wrong_samples_are_named(navigator, navigated, flown):
     navigator.restart(flown[0])
     with pytest.raises(ControlError, match="1 samples; the suite has 2 sensors"):
-        navigator.step(0.0, [None])
+        navigator.step(0.0, samples=[None])
     with pytest.raises(ControlError, match="sample 1 has 2 numbers; it must have 3"):
-        navigator.step(0.0, [None, (0.0, np.zeros(2))])
+        navigator.step(0.0, samples=[None, (0.0, np.zeros(2))])
     setup, initial = navigated
     without = eqx.tree_at(lambda s: s.navigation, setup, None, is_leaf=lambda x: x is None)
-    with pytest.raises(ControlError, match="no navigation; fly it with OnBoard"):
-        OnBoardNavigation(without, initial)
+    with pytest.raises(ControlError, match="no navigation; build it without by_samples"):
+        OnBoard(without, initial, by_samples=True)

@@ -13,7 +13,7 @@ from truths.flights import KEY, STEPS, make_setup, start_state
 from keepout.core.errors import FlightError
 from keepout.core.flight import fly, outcome, record
 from keepout.core.flight.loop import FlightLog
-from keepout.core.flight.record import _KINDS, _SHAPES, FlightRecord
+from keepout.core.flight.record import _DECLARED, FlightRecord
 
 ENDINGS = ["parquet", "npz"]
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
@@ -26,7 +26,7 @@ def make_record(rows=5, seed=0, header=None, orbit=False):
     for name in FlightLog.__annotations__:
         if name == "target_orbit" and not orbit:
             continue
-        shape, kind = (rows, *_SHAPES.get(name, ())), _KINDS.get(name, np.float64)
+        shape, kind = (rows, *_DECLARED[name][0]), _DECLARED[name][1]
         arrays[name] = (generator.standard_normal(shape) * 10).astype(kind)
     return FlightRecord({"seed": seed} if header is None else header, **arrays)
 

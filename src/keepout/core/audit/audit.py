@@ -233,7 +233,7 @@ def audit_campaign(
             )
             for k in samples
         )
-        contact, remarks = _verdict(clearance, found, broken, excess[i], outside, time)
+        contact, remarks = verdict(clearance, found, outside, _remarks_on_steps(broken, excess[i], time))
         if tube.beyond[i].any():
             contact, remarks = _beyond(contact, remarks, time[int(np.argmax(tube.beyond[i]))], bounds)
         x, y, z = (np.abs(part) for part in components(force[i, :-1]))
@@ -274,24 +274,29 @@ def _or_zero(
     return array if finite.all() else np.where(finite[:, None, None], array, 0.0)
 
 
-def _verdict(
-    clearance: float, found: float, broken: np.ndarray, excess: np.ndarray, outside: bool, time: np.ndarray
-) -> tuple[Contact, tuple[str, ...]]:
-    remarks: list[str] = []
-    if broken.size:
-        k = int(broken[np.argmax(excess[broken])])
-        remarks.append(
-            f"{broken.size} steps cannot have been flown: the worst, from {time[k]:.6g} s to {time[k + 1]:.6g} s, is "
-            f"{excess[k]:.3g} m beyond what its force and the bounds allow"
-        )
+def _remarks_on_steps(broken: np.ndarray, excess: np.ndarray, time: np.ndarray) -> list[str]:
+    """Say which steps cannot have been flown, if any."""
+    if not broken.size:
+        return []
+    k = int(broken[np.argmax(excess[broken])])
+    return [
+        f"{broken.size} steps cannot have been flown: the worst, from {time[k]:.6g} s to {time[k + 1]:.6g} s, is "
+        f"{excess[k]:.3g} m beyond what its force and the bounds allow"
+    ]
+
+
+def verdict(clearance: float, found: float, outside: bool, remarks: list[str]) -> tuple[Contact, tuple[str, ...]]:
+    """Judge by the clearance proved and the one found, m, and the exterior reached; add to what is remarked already."""
     if found <= 0.0:
-        remarks.append(f"the chaser's surface reaches the mesh (clearance {found:.4g} m)")
-        return Contact.YES, tuple(remarks)
+        return Contact.YES, (*remarks, f"the chaser's surface reaches the mesh (clearance {found:.4g} m)")
     if clearance <= 0.0:
-        remarks.append(f"the clearance lies between {clearance:.4g} m and {found:.4g} m: too close to decide")
-        return Contact.UNDECIDED, tuple(remarks)
+        near = f"the clearance lies between {clearance:.4g} m and {found:.4g} m: too close to decide"
+        return Contact.UNDECIDED, (*remarks, near)
     if not outside:
-        remarks.append("no free way from the flight to the outside was found: it may have flown inside the target")
+        remarks = [
+            *remarks,
+            "no free way from the flight to the outside was found: it may have flown inside the target",
+        ]
     return (Contact.UNDECIDED if remarks else Contact.NO), tuple(remarks)
 
 

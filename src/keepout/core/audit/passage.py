@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from keepout.core.audit.audit import Contact, ExactMesh, proved_outside
+from keepout.core.audit.audit import Contact, ExactMesh, proved_outside, verdict
 from keepout.core.audit.tube import components, lengths, nearest
 from keepout.core.errors import FlightError
 
@@ -216,26 +216,17 @@ def audit_passage(
     )
     needed = least_accelerations(step, relative, relative_velocity, sample_error, velocity_error)
     k = int(np.argmax(needed))
-    remarks: list[str] = []
+    said: list[str] = []
     if needed[k] > acceleration_bound:
-        remarks.append(
+        said.append(
             f"from {time[k]:.6g} s to {time[k + 1]:.6g} s positions and velocities need {needed[k]:.4g} m/s², more "
             f"than the acceleration bound, {acceleration_bound:.4g} m/s²"
         )
     if turned.max() > 0.5 * np.pi:
-        remarks.append(
+        said.append(
             f"the target turns by {np.degrees(turned.max()):.4g} degrees between two epochs: too far to tell its rate"
         )
-    contact = Contact.NO
-    if found <= 0.0:
-        contact = Contact.YES
-        remarks.append(f"the chaser's surface reaches the mesh (clearance {found:.4g} m)")
-    elif clearance <= 0.0:
-        remarks.append(f"the clearance lies between {clearance:.4g} m and {found:.4g} m: too close to decide")
-    elif not outside:
-        remarks.append("no free way from the flight to the outside was found: it may have flown inside the target")
-    if remarks and contact is Contact.NO:
-        contact = Contact.UNDECIDED
+    contact, remarks = verdict(clearance, found, outside, said)
     x, y, z = components(bound.position[0])
     return Passage(
         contact=contact,
@@ -249,7 +240,7 @@ def audit_passage(
         largest_turn=float(turned.max()),
         longest_step=float(step.max()),
         uncertainty=float(np.max(chords.sway * step**2 / 8.0)),
-        remarks=tuple(remarks),
+        remarks=remarks,
     )
 
 

@@ -1,23 +1,26 @@
-"""Law and guard of one chaser in real time: numbers of the estimate in, a force out.
+"""What steers one chaser in real time: numbers of the estimate, or samples of its sensors, in; a force out.
 
-The compiled step is `loop.command`, the one that flies in single flights and campaigns. What is carried from step to
-step is one array of numbers inside: passing trees of arrays through Python would take longer than the step itself.
+The compiled step is what the flight loop does on board: `loop.command`, and with sensors `Navigation.know` before it,
+`Navigation.told` and the thrusters' `fire` after it. What is carried from step to step is one array of numbers inside:
+passing trees of arrays through Python would take longer than the step itself.
 """
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int, PyTree
 
 from keepout.core.compiled.kept_programs import keep_programs
 from keepout.core.compiled.one_kernel import compiled
+from keepout.core.control.law import Command
 from keepout.core.errors import ControlError
 from keepout.core.flight import loop
+from keepout.core.flight.navigation import Sample
 from keepout.core.flight.setup import FlightSetup
 from keepout.core.motion.relative import MotionState
 
@@ -25,6 +28,8 @@ Numbers = Float[np.ndarray, "_"] | Array | Sequence[float]
 """One number a component, SI units."""
 Forces = Sequence[Numbers] | Float[np.ndarray, "_ _"]
 """Three numbers each, N, body axes, the oldest first."""
+Taken = tuple[float, Numbers]
+"""When a sample was taken, s since the orbit's epoch, and what: one number a component, in its sensor's units."""
 
 
 class Order(NamedTuple):
@@ -42,9 +47,39 @@ class Order(NamedTuple):
     guard_status: int
 
 
-_WIDTH = 5 * 3 + 3 + 2
+_ORDER = 5 * 3 + 3 + 2
 """Numbers in an `Order`."""
 
+
+class Known(NamedTuple):
+    """What the last step knew by its samples: SI units, body axes.
+
+    Attributes:
+        position: the law's estimate, m.
+        velocity: likewise, m/s.
+        known_position: centre of the guard's set, m.
+        known_velocity: likewise, m/s.
+        errors: the set's radii, m and m/s.
+        outliers: samples that the law's estimate left out.
+        contradicted: whether the samples cannot all be within their bounds.
+        not_due: samples left out as they were not taken when this step's are.
+        on_time: of each thruster over the coming period, s; none where the thrusters hold their force.
+
+    """
+
+    position: Float[np.ndarray, "3"]
+    velocity: Float[np.ndarray, "3"]
+    known_position: Float[np.ndarray, "3"]
+    known_velocity: Float[np.ndarray, "3"]
+    errors: Float[np.ndarray, "2"]
+    outliers: int
+    contradicted: bool
+    not_due: int
+    on_time: Float[np.ndarray, " thrusters"]
+
+
+_KNOWN = 4 * 3 + 4
+"""Numbers in a `Known` before the on-times."""
 
 _LONGEST_DELAY = 8
 """Commands that may be under way: the guard's theorem and the law's model allow no more."""
@@ -108,12 +143,18 @@ def as_under_way(forces: Forces) -> Float[np.ndarray, "steps 3"]:
 class OnBoard:
     """A setup's law and guard, compiled, with their memory: call `step` once a control period.
 
-    Law and guard begin with the first step, from the state that it tells. From then on the time told must be that of
-    the last step plus a period: the guard's numbers are those of exact periods. Where a clock jitters, tell the state
-    of the nominal time.
+    It is told the state, or, with `by_samples`, what the sensors of the setup's navigation say; then navigation and the
+    thrusters' pulses are on board too.
 
-    Faults, disturbance and thrusters of the setup are the world's and stay out of it; a force beyond the thrusters'
-    limits is the law's to avoid, and the guard's to cut.
+    Told states, law and guard begin with the first step, from the state that it tells. From then on the time told must
+    be that of the last step plus a period: the guard's numbers are those of exact periods. Where a clock jitters, tell
+    the state of the nominal time. Told samples, the first estimate must be within the bounds
+    `setup.navigation.initial_errors` of the truth at the first step, as in a flight; so the first step must be at the
+    estimate's time.
+
+    Faults, disturbance and thrusters of the setup are the world's and stay out of it (on-times do not depend on the
+    true forces of thrusters that are not as they should be); a force beyond the thrusters' limits is the law's to
+    avoid, and the guard's to cut.
 
     For the shortest times start JAX with `jax.config.update("jax_cpu_enable_async_dispatch", False)`: handing over to
     another thread is most of the tail.
@@ -124,7 +165,9 @@ class OnBoard:
 
     """
 
-    def __init__(self, setup: FlightSetup, estimate: MotionState, on_gap: str = "refuse") -> None:
+    def __init__(
+        self, setup: FlightSetup, estimate: MotionState, on_gap: str = "refuse", *, by_samples: bool = False
+    ) -> None:
         """Compile the step.
 
         Args:
@@ -133,47 +176,47 @@ class OnBoard:
             on_gap: what a step does at another time than the last one plus a period: "refuse" raises an error, "begin
                 anew" begins law and guard from the state that it tells. Where commands take effect late an earlier time
                 is refused all the same, and so is one between two control steps: what is under way then is not known.
+            by_samples: whether a step tells what the sensors say; then no other time than the one due is taken.
 
         Raises:
-            ControlError: a law or guard whose memory cannot be kept as numbers (a random key, say), or another
-                `on_gap`.
+            ControlError: a law or guard whose memory cannot be kept as numbers (a random key, say), another `on_gap`,
+                or samples for a setup without navigation.
 
         """
         if on_gap not in ("refuse", "begin anew"):
             raise ControlError(f'on board: on_gap is {on_gap!r}; it must be "refuse" or "begin anew"')
         keep_programs()
-        unpack_estimate = ravel_pytree(estimate)[1]
-        self._clock, self._anew = Clock(float(setup.period)), on_gap == "begin anew"
+        self._clock, self._anew = Clock(float(setup.period)), on_gap == "begin anew" and not by_samples
         self._delay = 0 if setup.guard is None else setup.guard.delay
+        told = _Samples(setup, estimate) if by_samples else _State(setup, estimate)
+        self._told, self._not_due = told, 0
         self.restart(estimate)
 
-        def memories(numbers: Float[Array, " m"], under_way: Float[Array, "steps 3"]):
-            return loop.memories(setup, unpack_estimate(numbers), under_way=under_way)
-
         try:
-            packed, unpack = ravel_pytree(jax.jit(memories)(self._numbers, self._clock.sent))
+            first = jax.jit(told.memories)(self._numbers, told.none, self._clock.sent)
+            packed, unpack = ravel_pytree(first)
         except TypeError as error:
             raise ControlError(f"on board: the memory of law and guard must be arrays of numbers: {error}") from None
-        self._size, self._places = len(packed), _places(estimate)
+        size = self._size = len(packed)
 
-        def begin(numbers: Float[Array, " m"], under_way: Float[Array, "steps 3"]) -> Float[Array, " n"]:
-            return jnp.concatenate([ravel_pytree(memories(numbers, under_way))[0], jnp.zeros(_WIDTH)])
+        def step(whole: Float[Array, " n"], numbers: Float[Array, " m"]) -> Float[Array, " after"]:
+            memory, given = told.step(unpack(whole[:size]), numbers)
+            return jnp.concatenate([ravel_pytree(memory)[0], *given])
 
-        def step(whole: Float[Array, " n"], numbers: Float[Array, " m"]) -> Float[Array, " n"]:
-            law, guard = unpack(whole[: self._size])
-            law, guard, order, force, status = loop.command(setup, law, guard, unpack_estimate(numbers))
-            vectors = (force, order.force, order.desired_velocity, order.safe_velocity, order.disturbance_estimate)
-            rest = (order.barrier, order.backstepping_barrier, order.lyapunov, order.status, status)
-            given = [*vectors, jnp.stack([jnp.asarray(number, jnp.float64) for number in rest])]
-            return jnp.concatenate([ravel_pytree((law, guard))[0], *given])
+        given = jax.eval_shape(step, packed, told.none).size - size
 
-        self._begin = jax.jit(begin).lower(self._numbers, self._clock.sent).compile()
-        self._whole = jnp.concatenate([packed, jnp.zeros(_WIDTH)])
+        def begin(
+            estimate: Float[Array, " m"], numbers: Float[Array, " k"], under_way: Float[Array, "steps 3"]
+        ) -> Float[Array, " n"]:
+            return jnp.concatenate([ravel_pytree(told.memories(estimate, numbers, under_way))[0], jnp.zeros(given)])
+
+        self._begin = jax.jit(begin).lower(self._numbers, told.none, self._clock.sent).compile()
+        self._whole = jnp.concatenate([packed, jnp.zeros(given)])
         self._latest = np.asarray(self._whole)
-        self._step, self.one_kernel = compiled(step, self._whole, self._numbers)
+        self._step, self.one_kernel = compiled(step, self._whole, told.none)
 
     def restart(self, estimate: MotionState, under_way: Forces | None = None) -> None:
-        """Forget what was learned in flight: law and guard begin with the next step, from the state that it tells.
+        """Forget what was learned in flight: law and guard begin with the next step, from what it tells.
 
         Args:
             estimate: of the motion, as at the beginning.
@@ -192,11 +235,13 @@ class OnBoard:
     def step(
         self,
         time: float,
-        position: Numbers,
-        velocity: Numbers,
+        position: Numbers | None = None,
+        velocity: Numbers | None = None,
         attitude: Numbers | None = None,
         angular_velocity: Numbers | None = None,
         target_orbit: Numbers | None = None,
+        *,
+        samples: Sequence[Taken | None] | None = None,
     ) -> Float[np.ndarray, "3"]:
         """Return the force to hold over the coming period, N, body axes.
 
@@ -207,75 +252,208 @@ class OnBoard:
             attitude: (4,) body ← VVLH, scalar first; as it was in the last step if left out.
             angular_velocity: (3,) rad/s, of the body, body axes; likewise.
             target_orbit: (6,) ECI position (m) and velocity (m/s), where the setup's motion carries it; likewise.
+            samples: instead of all these, of each sensor of the suite, in its order: when it was taken and what arrived
+                now, or None where nothing did. One that was not taken a sensor's latency ago (told twice, early, late)
+                is left out, and `known.not_due` counts it.
 
         Raises:
-            ControlError: too few or too many numbers (those that are not finite are law's and guard's to answer), a
-                time that is not due, or a first step that tells nothing to begin with. Nothing has changed then.
+            ControlError: too few or too many numbers or samples (numbers that are not finite are law's, guard's and
+                estimates' to answer), a time that is not due, or a first step that tells nothing to begin with. Nothing
+                has changed then.
 
         """
-        numbers = self._numbers.copy()
-        numbers[0] = time
-        self._put(numbers, "position", position)
-        self._put(numbers, "velocity", velocity)
-        if attitude is not None:
-            self._put(numbers, "attitude", attitude)
-        if angular_velocity is not None:
-            self._put(numbers, "angular_velocity", angular_velocity)
-        if target_orbit is not None:
-            self._put(numbers, "target_orbit", target_orbit)
-        due = self._clock.due
-        goes_on = self._begun and due is not None and self._clock.holds(time, due)
-        refused = (self._begun and not self._anew) or not self._clock.tells(time, self._delay)
-        if not goes_on and due is not None and refused:
-            raise ControlError(
-                f"on board: told the time {time:.9g} s; {due:.9g} s is due, a period of {self._clock.period:g} s after "
-                "the last step. Call restart with the state now and the commands under way"
-                + ("" if self._anew else ', or build it with on_gap="begin anew"')
-            )
-        whole = self._whole if goes_on else self._memories(time, numbers)
-        self._numbers, self._begun = numbers, True
+        told = self._told
+        if isinstance(told, _Samples):
+            if samples is None or position is not None or velocity is not None:
+                raise ControlError("on board: it was built with by_samples; tell it samples, and no state")
+            numbers, not_due = told.numbers(self._clock, time, samples)
+            estimate = self._numbers
+        else:
+            if samples is not None or position is None or velocity is None:
+                raise ControlError("on board: it was built without by_samples; tell it position and velocity")
+            parts = {"position": position, "velocity": velocity, "attitude": attitude}
+            parts |= {"angular_velocity": angular_velocity, "target_orbit": target_orbit}
+            numbers, not_due = told.numbers(self._numbers, time, parts), 0
+            estimate = numbers
+        goes_on = self._goes_on(time)
+        whole = self._whole
+        if not goes_on:
+            begun_with = self._begun_with(time, estimate)
+            whole = self._begin(begun_with, numbers, self._clock.under_way(time))
+        self._numbers, self._begun, self._not_due = estimate, True, not_due
         self._whole = self._step(whole, numbers)
         self._latest = np.asarray(self._whole)
         force = self._latest[self._size : self._size + 3]
         self._clock.stepped(time, force)
         return force
 
-    def _memories(self, time: float, numbers: Float[np.ndarray, " m"]) -> Array:
-        """Begin law and guard from what is told, or, where that is no state, from the estimate of this time."""
-        told = math.isfinite(time) and np.isfinite(numbers).all()
-        if not told:
-            if not (math.isfinite(time) and self._clock.holds(time, self._numbers[0])):
-                raise ControlError(
-                    f"on board: the step at {time:g} s tells no finite state to begin with, and the last one known is "
-                    f"of {self._numbers[0]:g} s"
-                )
-            numbers = self._numbers
-        return self._begin(numbers, self._clock.under_way(time))
+    def _goes_on(self, time: float) -> bool:
+        """Whether a step goes on with what is remembered; refuse a time at which nothing can begin either."""
+        clock, due = self._clock, self._clock.due
+        if isinstance(self._told, _Samples):
+            due = clock.due if self._begun else float(self._numbers[0])
+            if due is not None and clock.holds(time, due):
+                return self._begun
+            since = "a period after the last step" if self._begun else "when the estimate to begin with was made"
+            raise ControlError(
+                f"on board: told the time {time:.9g} s; {due:.9g} s is due, {since}. Call restart with an estimate of "
+                "the state now"
+            )
+        if self._begun and due is not None and clock.holds(time, due):
+            return True
+        if due is not None and ((self._begun and not self._anew) or not clock.tells(time, self._delay)):
+            raise ControlError(
+                f"on board: told the time {time:.9g} s; {due:.9g} s is due, a period of {clock.period:g} s after "
+                "the last step. Call restart with the state now and the commands under way"
+                + ("" if self._anew else ', or build it with on_gap="begin anew"')
+            )
+        return False
 
-    def _put(self, numbers: Float[np.ndarray, " m"], name: str, value: Numbers) -> None:
-        if name not in self._places:
-            raise ControlError(f"on board: {name} is given, but the setup's motion does not carry it")
-        place, needed = self._places[name]
-        if len(value) != needed:
-            raise ControlError(f"on board: {name} has {len(value)} numbers; it must have {needed}")
-        numbers[place] = value
+    def _begun_with(self, time: float, told: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+        """Give the numbers of what is told, or, where that is no state, of the estimate of this time."""
+        if math.isfinite(time) and np.isfinite(told).all():
+            return told
+        if not (math.isfinite(time) and self._clock.holds(time, self._numbers[0])):
+            raise ControlError(
+                f"on board: the step at {time:g} s tells no finite state to begin with, and the last one known is "
+                f"of {self._numbers[0]:g} s"
+            )
+        return self._numbers
 
     @property
     def order(self) -> Order:
-        """All that the last step gave; zeros before the first."""
-        given = self._latest[self._size :]
-        force, commanded, desired, safe, disturbance = given[:15].reshape(5, 3)
-        barrier, backstepping, lyapunov, control, guard = given[15:].tolist()
-        return Order(
-            force, commanded, desired, safe, disturbance, barrier, backstepping, lyapunov, int(control), int(guard)
-        )
+        """All that law and guard gave in the last step; zeros before the first."""
+        given = self._latest[self._size : self._size + _ORDER]
+        *numbers, control, guard = given[15:].tolist()
+        return Order(*given[:15].reshape(5, 3), *numbers, int(control), int(guard))
+
+    @property
+    def known(self) -> Known:
+        """What the last step knew by its samples; zeros before the first.
+
+        Raises:
+            ControlError: it is told states.
+
+        """
+        if not isinstance(self._told, _Samples):
+            raise ControlError("on board: it was built without by_samples; what is known is the state that it is told")
+        given = self._latest[self._size + _ORDER :]
+        outliers, contradicted = given[14:_KNOWN].tolist()
+        vectors = given[:12].reshape(4, 3)
+        return Known(*vectors, given[12:14], int(outliers), bool(contradicted), self._not_due, given[_KNOWN:])
 
 
-def _places(estimate: MotionState) -> dict[str, tuple[slice, int]]:
-    """Where each part of an estimate lies among its numbers, and how many it has."""
-    places, first = {}, 0
-    for name, part in vars(estimate).items():
-        if part is not None:
-            places[name] = (slice(first, first + np.size(part)), np.size(part))
-            first += np.size(part)
-    return places
+class _State:
+    """What an `OnBoard` does that is told the state: its numbers are those of a `MotionState`."""
+
+    def __init__(self, setup: FlightSetup, estimate: MotionState) -> None:
+        self.setup = setup
+        numbers, self._unpack = ravel_pytree(estimate)
+        self.none, self._places, first = np.zeros(len(numbers)), {}, 0
+        for name, part in vars(estimate).items():
+            if part is not None:
+                self._places[name] = slice(first, first + np.size(part))
+                first += np.size(part)
+
+    def numbers(
+        self, before: Float[np.ndarray, " m"], time: float, parts: dict[str, Numbers | None]
+    ) -> Float[np.ndarray, " m"]:
+        """Put what is told into one array; what is left out is as before."""
+        numbers = before.copy()
+        numbers[0] = time
+        for name, value in parts.items():
+            if value is None:
+                continue
+            if name not in self._places:
+                raise ControlError(f"on board: {name} is given, but the setup's motion does not carry it")
+            place = self._places[name]
+            needed = place.stop - place.start
+            if len(value) != needed:
+                raise ControlError(f"on board: {name} has {len(value)} numbers; it must have {needed}")
+            numbers[place] = value
+        return numbers
+
+    def memories(
+        self, estimate: Float[Array, " m"], numbers: Float[Array, " m"], under_way: Float[Array, "steps 3"]
+    ) -> PyTree:
+        """Give what law and guard remember before the first step."""
+        return loop.memories(self.setup, self._unpack(estimate), under_way=under_way)
+
+    def step(self, memory: PyTree, numbers: Float[Array, " m"]) -> tuple[PyTree, list[Array]]:
+        """Run the on-board part of a step; give the new memory, and the numbers of an `Order`."""
+        law, guard, order, force, status = loop.command(self.setup, *memory, self._unpack(numbers))
+        return (law, guard), _of_order(order, force, status)
+
+
+class _Samples:
+    """What an `OnBoard` does that is told samples: of each sensor whether one came, 1 or 0, and its numbers."""
+
+    def __init__(self, setup: FlightSetup, estimate: MotionState) -> None:
+        if setup.navigation is None:
+            raise ControlError("on board: the setup has no navigation; build it without by_samples, and tell it states")
+        self.setup, self._navigation = setup, setup.navigation
+        sensors = setup.navigation.suite.sensors
+        self._late = [sensor.latency * float(setup.period) for sensor in sensors]
+        self._lengths = tuple(jax.eval_shape(sensor.ideal, estimate).size for sensor in sensors)
+        self._unpack = ravel_pytree(estimate)[1]
+        self.none = np.zeros(sum(self._lengths) + len(self._lengths))
+
+    def numbers(
+        self, clock: Clock, time: float, samples: Sequence[Taken | None]
+    ) -> tuple[Float[np.ndarray, " m"], int]:
+        """Put samples into one array, and count those that are left out."""
+        if len(samples) != len(self._lengths):
+            raise ControlError(f"on board: {len(samples)} samples; the suite has {len(self._lengths)} sensors")
+        numbers, first, not_due = self.none.copy(), 0, 0
+        for number, (sample, length, late) in enumerate(zip(samples, self._lengths, self._late, strict=True)):
+            if sample is not None:
+                if len(sample) != 2 or np.ndim(sample[0]) != 0:
+                    raise ControlError(f"on board: sample {number} must be when it was taken, s, and its numbers")
+                taken, value = sample
+                if len(value) != length:
+                    raise ControlError(f"on board: sample {number} has {len(value)} numbers; it must have {length}")
+                if clock.holds(taken, time - late):
+                    numbers[first] = 1.0
+                    numbers[first + 1 : first + 1 + length] = value
+                else:
+                    not_due += 1
+            first += 1 + length
+        return numbers, not_due
+
+    def _samples(self, numbers: Float[Array, " m"]) -> tuple[Sample, ...]:
+        samples, first = [], 0
+        for length in self._lengths:
+            samples.append(Sample(numbers[first + 1 : first + 1 + length], numbers[first] > 0.5))
+            first += 1 + length
+        return tuple(samples)
+
+    def memories(
+        self, estimate: Float[Array, " k"], numbers: Float[Array, " m"], under_way: Float[Array, "steps 3"]
+    ) -> PyTree:
+        """Give what is remembered before the first step; as in a flight, law and guard know its samples already."""
+        knowing = self._navigation.begin(self._unpack(estimate), under_way)
+        knowledge = self._navigation.know(knowing, self._samples(numbers))[1]
+        law, guard = loop.memories(self.setup, knowledge.estimate, knowledge.known.state, under_way)
+        return knowing, law, guard, self.setup.thrusters.initial_state(jax.random.key(0))
+
+    def step(self, memory: PyTree, numbers: Float[Array, " m"]) -> tuple[PyTree, list[Array]]:
+        """Run the on-board part of a step; give the new memory, and the numbers of an `Order` and of a `Known`."""
+        knowing, law, guard, thrusters = memory
+        knowing, knowledge = self._navigation.know(knowing, self._samples(numbers))
+        estimate, known = knowledge.estimate, knowledge.known
+        law, guard, order, force, status = loop.command(self.setup, law, guard, estimate, known)
+        knowing = self._navigation.told(knowing, force)
+        thrusters, firing = self.setup.thrusters.fire(thrusters, force)
+        vectors = (estimate.position, estimate.velocity, known.state.position, known.state.velocity, known.errors)
+        found = _stacked(knowledge.outliers, known.contradicted)
+        on_time = () if firing.on_time is None else (firing.on_time,)
+        return (knowing, law, guard, thrusters), [*_of_order(order, force, status), *vectors, found, *on_time]
+
+
+def _of_order(order: Command, force: Float[Array, "3"], status: Int[Array, ""]) -> list[Array]:
+    vectors = (force, order.force, order.desired_velocity, order.safe_velocity, order.disturbance_estimate)
+    return [*vectors, _stacked(order.barrier, order.backstepping_barrier, order.lyapunov, order.status, status)]
+
+
+def _stacked(*numbers: Any) -> Float[Array, " numbers"]:
+    return jnp.stack([jnp.asarray(number, jnp.float64) for number in numbers])

@@ -5,6 +5,7 @@ columns stands beside it, so that a file either reads back bit for bit or is ref
 column a component (`position_x`, `position_y`, `position_z`), for other programs to read without a schema.
 """
 
+import dataclasses
 import io
 import json
 import math
@@ -15,7 +16,7 @@ from dataclasses import dataclass
 from importlib import metadata
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import jax
 import numpy as np
@@ -285,30 +286,24 @@ class FlightRecord:
         _check(self.columns)
 
 
-OPTIONAL_COLUMNS = (
-    *("target_orbit", "propellant"),
-    *("known_position", "known_velocity", "known_position_error", "known_velocity_error", "outliers", "contradicted"),
-)
+OPTIONAL_COLUMNS = tuple(field.name for field in dataclasses.fields(FlightLog) if field.default is None)
 """Columns of some flights."""
-_VECTORS = (
-    *("position", "velocity", "angular_velocity", "estimated_position", "estimated_velocity", "commanded_force"),
-    *("guarded_force", "force", "disturbance", "disturbance_estimate", "desired_velocity", "safe_velocity"),
-    *("known_position", "known_velocity"),
-)
-_SHAPES = {name: (3,) for name in _VECTORS} | {"attitude": (4,), "target_orbit": (6,)}
-_KINDS = {
-    "control_status": np.int32,
-    "guard_status": np.int32,
-    "saturated": np.bool_,
-    "outliers": np.int32,
-    "contradicted": np.bool_,
-}
+
+
+def _declared(annotation: Any) -> tuple[tuple[int, ...], np.dtype]:
+    """Give the shape of a column's row and its kind of number, as `FlightLog` declares them."""
+    array = get_args(annotation)[0] if get_args(annotation) else annotation
+    kind = next(kind for kind in ("float64", "int32", "bool") if kind in array.dtypes)
+    return tuple(int(size) for size in array.dim_str.split()[1:]), np.dtype(kind)
+
+
+_DECLARED = {name: _declared(annotation) for name, annotation in FlightLog.__annotations__.items()}
 
 
 def _check(columns: Mapping[str, np.ndarray]) -> None:
     rows = np.size(columns["time"])
     for name, array in columns.items():
-        shape, kind = (rows, *_SHAPES.get(name, ())), np.dtype(_KINDS.get(name, np.float64))
+        shape, kind = (rows, *_DECLARED[name][0]), _DECLARED[name][1]
         if array.shape != shape or array.dtype != kind:
             raise FlightError(f"{name}: {array.dtype} of shape {array.shape}; it must be {kind} of shape {shape}")
 

@@ -28,6 +28,8 @@ Number = float | Float[Array, "*flights"]
 
 _AT_REST = 4.0
 """Weight of ρ against the stop length when gains are chosen for an estimate without errors."""
+_ESCAPE_SPEED = 0.02
+"""Of the way out of the margin, m/s."""
 _LONGEST_FAULT = 100
 """Most steps of a fault."""
 _POWERS = 32
@@ -351,9 +353,7 @@ def _responses(T: float, n: int, first_pole: float, second_pole: float, fault_st
 
     Gains k_p and k_d, and how feedback, position and velocity respond to a disturbance and to a fault.
     """
-    total, product = first_pole + second_pole, first_pole * second_pole
-    k_p = (1.0 - total + product) / T**2
-    k_d = (1.0 - product) / T + 0.5 * k_p * T
+    k_p, k_d = responses.feedback_gains(T, first_pole, second_pole)
     step = np.array([[1.0, T], [0.0, 1.0]])
     held = np.array([0.5 * T**2, T])
     K = -np.array([k_p, k_d])
@@ -365,9 +365,7 @@ def _responses(T: float, n: int, first_pole: float, second_pole: float, fault_st
     def respond(row: Float[np.ndarray, "2"], pulses: Float[np.ndarray, "steps 2 2"]) -> tuple[float, float]:
         """Sum of ∫|row · pulse · (T − τ, 1)| dτ over all steps, and over those of a fault at its worst."""
         late, early = pulses @ np.array([0.0, 1.0]) @ row, pulses @ np.array([T, 1.0]) @ row
-        size = np.abs(late) + np.abs(early)
-        crossing = (late**2 + early**2) / np.maximum(size, 1e-300)
-        each = np.where(late * early < 0.0, crossing, size)
+        each = responses.line_size(late, early)
         struck = responses.largest_window(each, fault_steps)[-1] if fault_steps else 0.0
         return float(0.5 * T * np.sum(each)), float(0.5 * T * struck)
 
@@ -426,15 +424,14 @@ def brake(assumptions: GuardAssumptions, braking: BrakingDesign, velocity: Vecto
 def escape(
     assumptions: GuardAssumptions,
     braking: BrakingDesign,
-    escape_speed: float,
     position: Vector,
     velocity: Vector,
     outward: Vector,
 ) -> Vector:
-    """Acceleration (m/s²) along the field's growth, or back into range, at `escape_speed`, within the authority."""
+    """Acceleration (m/s²) along the field's growth, or back into range, at `_ESCAPE_SPEED`, within the authority."""
     a = assumptions
     afar = norm(position) + braking.position_radius > 0.99 * a.range_limit
     away = jnp.where(afar, -position, outward)
     direction = away / jnp.maximum(norm(away), 1e-9)
-    wanted = (jnp.where(jnp.isfinite(direction), direction, 0.0) * escape_speed - velocity) / a.period
+    wanted = (jnp.where(jnp.isfinite(direction), direction, 0.0) * _ESCAPE_SPEED - velocity) / a.period
     return wanted * jnp.minimum(1.0, a.authority / jnp.maximum(norm(wanted), 1e-12))

@@ -8,12 +8,14 @@ law's.
 """
 
 import math
+from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from keepout.core.compiled.in_batches import where_needed
 from keepout.core.compiled.kept_executables import kept_jit
@@ -76,7 +78,7 @@ class Seen(eqx.Module):
         velocity: likewise, m/s.
         spread: how far (m, m/s) y and the guard's own expectation are from x̂; 0 where they explain each other.
         sound: whether a candidate may rest on it: told, errors within the caps, nothing contradicted.
-        narrow: whether the errors are within the caps; None where none are told.
+        narrow: whether the errors are within the caps.
         jumped: whether y, or a window of them, is beyond what the assumptions explain.
         left_out: whether a state was told and left out.
         contradicted: whether what is told, or flown by, contradicts itself.
@@ -93,7 +95,7 @@ class Seen(eqx.Module):
     velocity: Vector
     spread: Float[Array, "2"]
     sound: Bool[Array, ""]
-    narrow: Bool[Array, ""] | None
+    narrow: Bool[Array, ""]
     jumped: Bool[Array, ""]
     left_out: Bool[Array, ""]
     contradicted: Bool[Array, ""]
@@ -137,17 +139,14 @@ class Guard(SafetyLayer):
         threshold: e_h + chaser radius, m: no contact while field > threshold along the path.
         lipschitz: gradient bound L of a function that is within `evaluation_error` of the field everywhere.
         assumptions: what the theorem assumes of the flight.
-        samples: parts into which the stop segment is cut, where its ends alone do not decide; with the start and the
-            steps of delay at most 20 field values a step, and only one of them far from the target. Unset: 15, or what
-            the delay leaves of them.
-        escape_speed: of the way out of the margin, m/s.
         evaluation_error: see `lipschitz`, m; 0 for a field in closed form.
         braking: the braking law that follows from the assumptions.
         windows: lengths in steps over which `watch` watches, which follow from the assumptions too.
-        parts: `samples`, as used.
+        parts: into which the stop segment is cut, where its ends alone do not decide; with the start and the steps of
+            delay at most 20 field values a step, and only one of them far from the target.
 
     Raises:
-        ControlError: a number out of range, more than 20 field values, or thrusters too weak for the assumptions.
+        ControlError: a number out of range, or thrusters too weak for the assumptions.
 
     """
 
@@ -155,8 +154,6 @@ class Guard(SafetyLayer):
     threshold: float = eqx.field(static=True)
     lipschitz: float = eqx.field(static=True)
     assumptions: GuardAssumptions
-    samples: int | None = eqx.field(static=True)
-    escape_speed: float = eqx.field(static=True)
     evaluation_error: float = eqx.field(static=True)
     braking: BrakingDesign
     windows: tuple[int, ...] = eqx.field(static=True)
@@ -168,24 +165,16 @@ class Guard(SafetyLayer):
         threshold: float,
         lipschitz: float,
         assumptions: GuardAssumptions,
-        samples: int | None = None,
-        escape_speed: float = 0.02,
         evaluation_error: float = 0.0,
     ) -> None:
-        for name, value in (("threshold", threshold), ("lipschitz", lipschitz), ("escape_speed", escape_speed)):
+        for name, value in (("threshold", threshold), ("lipschitz", lipschitz)):
             if not (math.isfinite(value) and value > 0.0):
                 raise ControlError(f"guard: {name} is {value}; it must be finite and greater than 0")
         if not (math.isfinite(evaluation_error) and evaluation_error >= 0.0):
             raise ControlError(f"guard: evaluation_error is {evaluation_error} m; it must be finite and at least 0")
-        most = 18 - assumptions.delay
-        parts = min(15, most) if samples is None else samples
-        if not 1 <= parts <= most:
-            raise ControlError(
-                f"guard: samples is {samples}; with a delay of {assumptions.delay} steps it must be from 1 to {most}"
-            )
         self.field, self.threshold, self.lipschitz, self.assumptions = field, threshold, lipschitz, assumptions
-        self.samples, self.escape_speed, self.evaluation_error = samples, escape_speed, evaluation_error
-        self.parts = parts
+        self.evaluation_error = evaluation_error
+        self.parts = min(15, 18 - assumptions.delay)
         self.braking = design(assumptions)
         self.windows = watch.windows(assumptions)
 
@@ -254,6 +243,8 @@ class Guard(SafetyLayer):
         both. The parts, in this order, are those of docs/guard.md, section 2.
         """
         a = self.assumptions
+        errors = observer.caps(a) if errors is None else errors
+        contradicted = jnp.asarray(False) if contradicted is None else contradicted
         seen = self._see(guard_state, estimate, errors, contradicted)
         here = self.field.value(seen.position)
         course = self._predict(guard_state, seen)
@@ -269,76 +260,78 @@ class Guard(SafetyLayer):
             GuardStatus.CLEAR,
             jnp.where(follow, jnp.where(rest, GuardStatus.HOLDING, GuardStatus.BRAKING), GuardStatus.ESCAPING),
         )
-        flags = (
-            jnp.where(seen.jumped, GuardFlag.STATE_JUMP, 0)
-            + jnp.where(watch.too_strong(a, disturbance_estimate), GuardFlag.DISTURBANCE, 0)
-            + jnp.where(here > self._seen_threshold, 0, GuardFlag.FIELD)
-            + jnp.where(watch.outside_region(a, seen.told_position, seen.told_velocity), GuardFlag.REGION, 0)
-            + jnp.where(finite, 0, GuardFlag.COMMAND)
-            + jnp.where(course.off_plan & guard_state.certified, GuardFlag.OFF_PLAN, 0)
-            + jnp.where(seen.told | seen.left_out, 0, GuardFlag.ESTIMATE)
-            + (0 if seen.narrow is None else jnp.where(seen.narrow, 0, GuardFlag.WIDE))
-            + jnp.where(seen.contradicted, GuardFlag.CONTRADICTED, 0)
-            + jnp.where(watch.expired(a, estimate.time), GuardFlag.EXPIRED, 0)
-        )
+        raised = {
+            GuardFlag.STATE_JUMP: seen.jumped,
+            GuardFlag.DISTURBANCE: watch.too_strong(a, disturbance_estimate),
+            GuardFlag.FIELD: ~(here > self._seen_threshold),
+            GuardFlag.REGION: watch.outside_region(a, seen.told_position, seen.told_velocity),
+            GuardFlag.COMMAND: ~finite,
+            GuardFlag.OFF_PLAN: course.off_plan & guard_state.certified,
+            GuardFlag.ESTIMATE: ~(seen.told | seen.left_out),
+            GuardFlag.WIDE: ~seen.narrow,
+            GuardFlag.CONTRADICTED: seen.contradicted,
+            GuardFlag.EXPIRED: watch.expired(a, estimate.time),
+        }
+        flags = sum(jnp.where(yes, flag, 0) for flag, yes in raised.items())
         return new, a.mass * chosen, (done + flags).astype(jnp.int32)
 
     def _see(
-        self,
-        state: GuardState,
-        estimate: MotionState,
-        errors: Float[Array, "2"] | None,
-        contradicted: Bool[Array, ""] | None,
+        self, state: GuardState, estimate: MotionState, errors: Float[Array, "2"], contradicted: Bool[Array, ""]
     ) -> Seen:
         """Take what is told: x̂ of it, whether it is explained, and whether a candidate may rest on it."""
         a, observed = self.assumptions, state.observed
+        own = state if observed is None else observed
         finite = jnp.all(jnp.isfinite(estimate.position)) & jnp.all(jnp.isfinite(estimate.velocity))
         position = jnp.where(finite, estimate.position, state.expected_position)
         velocity = jnp.where(finite, estimate.velocity, state.expected_velocity)
-        own_position, own_velocity = state.expected_position, state.expected_velocity
-        known, doubts = observer.caps(a), None
+        known = jnp.where(finite, jnp.where(jnp.isnan(errors), jnp.inf, errors), jnp.inf)
+        doubts = None if observed is None else watch.next_doubts(self.windows, state.counted, observed.doubts, known)
+
+        # Is it explained, by the step before and by the steps of each window?
+        unexplained, counted, jumped = watch.watch(
+            a,
+            self.windows,
+            state.unexplained,
+            state.counted,
+            position - state.expected_position,
+            velocity - state.expected_velocity,
+            None if observed is None or doubts is None else (observed.doubts, doubts),
+        )
+        beyond = jumped & finite
         if observed is not None:
-            own_position, own_velocity = observed.expected_position, observed.expected_velocity
-            if errors is not None:
-                known = jnp.where(jnp.isnan(errors), jnp.inf, errors)
-            known = jnp.where(finite, known, jnp.inf)
-            doubts = observed.doubts, watch.next_doubts(self.windows, state.counted, observed.doubts, known)
-        off = position - state.expected_position, velocity - state.expected_velocity
-        unexplained, counted, jumped = watch.watch(a, self.windows, state.unexplained, state.counted, *off, doubts)
-        if self.braking.observer is None or observed is None:
-            beyond = jumped & finite
-        else:
-            beyond = observer.beyond(a, self.braking.observer, position - own_position, velocity - own_velocity, known)
+            off = position - own.expected_position, velocity - own.expected_velocity
+            beyond = observer.beyond(a, self.braking.observer, *off, known)
             # After steps without a sound estimate the guard's own one is no evidence of a jump.
             jumped = jumped | (beyond & (observed.steady | state.left_out))
 
-        lost = self._off_plan(state, own_position, own_velocity)
+        # One state that nothing explains, and by which the plan could not be followed, is left out.
+        lost = self._off_plan(state, own.expected_position, own.expected_velocity)
         strays = self._off_plan(state, position, velocity)
         left_out = beyond & state.begun & state.certified & strays & ~lost & ~state.left_out
         told = finite & ~left_out
         position = jnp.where(left_out, state.expected_position, position)
         velocity = jnp.where(left_out, state.expected_velocity, velocity)
-        seen_position, seen_velocity = position, velocity
+
+        # x̂ of what is gone by.
+        seen = position, velocity
         if observed is not None:
             known, first = jnp.where(told, known, jnp.inf), ~state.begun & ~beyond
-            seen_position, seen_velocity = observer.correct(
-                a, self.braking, observed, position, velocity, known, first, beyond
-            )
-        doubted = (jumped | beyond) & told
-        apart = (
-            jnp.maximum(norm(seen_position - position), norm(seen_position - own_position)),
-            jnp.maximum(norm(seen_velocity - velocity), norm(seen_velocity - own_velocity)),
+            seen = observer.correct(a, self.braking, observed, position, velocity, known, first, beyond)
+        apart = jnp.stack(
+            [
+                jnp.maximum(norm(seen[0] - position), norm(seen[0] - own.expected_position)),
+                jnp.maximum(norm(seen[1] - velocity), norm(seen[1] - own.expected_velocity)),
+            ]
         )
-        narrow = None if errors is None else jnp.all(errors <= observer.caps(a))
-        wrong = state.contradicted if contradicted is None else state.contradicted | contradicted
+        narrow, wrong = jnp.all(errors <= observer.caps(a)), state.contradicted | contradicted
         return Seen(
             told=told,
             told_position=position,
             told_velocity=velocity,
-            position=seen_position,
-            velocity=seen_velocity,
-            spread=jnp.where(doubted, jnp.stack(apart), 0.0),
-            sound=told & ~wrong & (True if narrow is None else narrow),
+            position=seen[0],
+            velocity=seen[1],
+            spread=jnp.where((jumped | beyond) & told, apart, 0.0),
+            sound=told & ~wrong & narrow,
             narrow=narrow,
             jumped=jumped,
             left_out=left_out,
@@ -346,7 +339,7 @@ class Guard(SafetyLayer):
             unexplained=unexplained,
             # What was told before and after a state left out is not compared.
             counted=jnp.where(left_out, 0, counted),
-            doubts=None if doubts is None else doubts[1],
+            doubts=doubts,
         )
 
     def _predict(self, state: GuardState, seen: Seen) -> Course:
@@ -366,7 +359,7 @@ class Guard(SafetyLayer):
         ahead, moving = course.path[-1], course.velocities[-1]
         asked = jnp.clip(jnp.where(finite, force, 0.0), -a.force_limit, a.force_limit) / a.mass
         outward = self._outward(seen.position, ~course.planned)
-        way_out = braking.escape(a, self.braking, self.escape_speed, seen.position, moving, outward)
+        way_out = braking.escape(a, self.braking, seen.position, moving, outward)
         candidate = jnp.where(course.planned, asked, way_out)
         return Motion(candidate, ahead + T * moving + 0.5 * T**2 * candidate, moving + T * candidate)
 
@@ -406,7 +399,7 @@ class Guard(SafetyLayer):
         acting = state.pending[0] if a.delay else chosen
         observed = state.observed
         if observed is not None and seen.doubts is not None:
-            good = seen.told & (True if seen.narrow is None else seen.narrow)
+            good = seen.told & seen.narrow
             steady = good & (accepted | (follow & observed.steady))
             observed = observer.advance(a, seen.position, seen.velocity, acting, steady, seen.doubts)
         return GuardState(
@@ -511,30 +504,12 @@ class Guard(SafetyLayer):
             position, corners, velocities, sagitta + self.braking.position_radius + moved, faster
         )
         far = self._free_from_here(position, value, corners, least)
-        # The field's arrays and `least` are handed on, not closed over: in a batch `least` differs from flight to
-        # flight where `moved` does.
-        arrays, still = eqx.partition(self.field, eqx.is_array)
-
-        def at_corners(
-            arrays: Field,
-            position: Vector,
-            value: Float[Array, ""],
-            corners: Float[Array, "corners 3"],
-            least: Float[Array, ""],
-        ):
-            return self._free_at_corners(eqx.combine(arrays, still), position, value, corners, least)
-
-        def along(
-            arrays: Field, ends: Float[Array, "2 3"], values: Float[Array, "2"], least: Float[Array, ""]
-        ) -> Bool[Array, ""]:
-            return self._free_along(eqx.combine(arrays, still), ends, values, least)
-
         no = jnp.asarray(False)
-        path_free, stop_free, values = where_needed(
-            at_corners, wanted & kept & ~far, (no, no, jnp.zeros(2)), arrays, position, value, corners, least
+        path_free, stop_free, values = self._asked(
+            self._free_at_corners, wanted & kept & ~far, (no, no, jnp.zeros(2)), position, value, corners, least
         )
         open_ = path_free & ~stop_free & jnp.all(values > least)
-        stop_free = stop_free | where_needed(along, open_, no, arrays, corners[-2:], values, least)
+        stop_free = stop_free | self._asked(self._free_along, open_, no, corners[-2:], values, least)
         return kept & (far | (path_free & stop_free))
 
     def _within_limits(
@@ -592,12 +567,22 @@ class Guard(SafetyLayer):
 
     def _outward(self, position: Vector, wanted: Bool[Array, ""]) -> Vector:
         """Give the field's gradient where it is wanted, else zero."""
+        return self._asked(lambda field, place: field.value_and_gradient(place)[1], wanted, jnp.zeros(3), position)
+
+    def _asked(
+        self, question: Callable[..., Any], wanted: Bool[Array, ""], otherwise: PyTree, *arguments: Array
+    ) -> Any:
+        """Give what `question` finds of the field where it is wanted, else `otherwise`.
+
+        The field's arrays and the arguments are handed on, not closed over: in a batch they may differ from flight to
+        flight.
+        """
         arrays, still = eqx.partition(self.field, eqx.is_array)
 
-        def gradient(arrays: Field, position: Vector) -> Vector:
-            return eqx.combine(arrays, still).value_and_gradient(position)[1]
+        def asked(arrays: Field, *given: Array) -> Any:
+            return question(eqx.combine(arrays, still), *given)
 
-        return where_needed(gradient, wanted, jnp.zeros(3), arrays, position)
+        return where_needed(asked, wanted, otherwise, arrays, *arguments)
 
 
 _ROOM = 256

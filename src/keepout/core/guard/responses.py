@@ -24,6 +24,7 @@ POSITION, VELOCITY, FEEDBACK, PREDICTED = range(4)
 _SMALL = 1e-13
 """What is left of a response is lost in the last digits of the sums below this."""
 
+Poles = float | Float[np.ndarray, "*shape"]
 Gains = tuple[float, float, float, float]
 """Two poles of M, and l_r and l_v of the observer."""
 
@@ -54,17 +55,19 @@ class Responses:
     struck_ever: Float[np.ndarray, "4 times"]
 
 
-def line_integral(row: Float[np.ndarray, "*shape 2"], period: float) -> Float[np.ndarray, "*shape"]:
-    """∫|row · (T − τ, 1)| dτ over a step: of the absolute value of a line between two end values."""
-    late, early = row[..., 1], period * row[..., 0] + row[..., 1]
+def line_size(late: Float[np.ndarray, "*shape"], early: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+    """Twice the mean of the absolute value of a line between two end values."""
     size = np.abs(late) + np.abs(early)
     crossing = (late**2 + early**2) / np.maximum(size, 1e-300)
-    return 0.5 * period * np.where(late * early < 0.0, crossing, size)
+    return np.where(late * early < 0.0, crossing, size)
 
 
-def feedback_gains(
-    period: float, first_pole: Float[np.ndarray, "*shape"], second_pole: Float[np.ndarray, "*shape"]
-) -> tuple[Float[np.ndarray, "*shape"], Float[np.ndarray, "*shape"]]:
+def line_integral(row: Float[np.ndarray, "*shape 2"], period: float) -> Float[np.ndarray, "*shape"]:
+    """∫|row · (T − τ, 1)| dτ over a step."""
+    return 0.5 * period * line_size(row[..., 1], period * row[..., 0] + row[..., 1])
+
+
+def feedback_gains(period: float, first_pole: Poles, second_pole: Poles) -> tuple[Poles, Poles]:
     """k_p (1/s²) and k_d (1/s) that give M = Φ + Γ K, K = −[k_p, k_d], two real poles."""
     total, product = first_pole + second_pole, first_pole * second_pole
     k_p = (1.0 - total + product) / period**2
@@ -135,10 +138,7 @@ def before(
     age = np.arange(ages)
     slow, fast = r * loop.period * alpha ** (age + 1), v * beta**age
     # The disturbance's line at a step's end and at its beginning.
-    late, early = slow - beta * fast, -beta * fast
-    size = np.abs(late) + np.abs(early)
-    crossing = (late**2 + early**2) / np.maximum(size, 1e-300)
-    pulses = 0.5 * loop.period * np.where(late * early < 0.0, crossing, size)
+    pulses = 0.5 * loop.period * line_size(slow - beta * fast, -beta * fast)
     told = np.abs(slow + l_v * fast)
     rest = np.flip(np.cumsum(np.flip(told, axis=-1), axis=-1), axis=-1)
     more = np.maximum(np.max(np.abs(fast) - rest, axis=-1), 0.0)
