@@ -30,13 +30,14 @@ from act3_task import (
     TASKS,
     darkest,
     directions_of_points,
+    push_matrix,
     start,
     steps_until_seen,
     sun_directions,
 )
 from kept_rows import Rows, show
 
-from keepout.apps.inspection.hill import coast_matrix, push_matrix
+from keepout.apps.inspection.passive import coast_matrix
 from keepout.core.control.law import Command, Law
 from keepout.core.fields.own import SphereField
 from keepout.core.flight.batches import fly_batches, states_at

@@ -5,9 +5,20 @@ import math
 
 import numba
 import numpy as np
-from act3_task import FARTHEST, FORCE, MASS, MEAN_MOTION, PERIOD, STEPS, darkest, directions_of_points, sun_directions
+from act3_task import (
+    FARTHEST,
+    FORCE,
+    MASS,
+    MEAN_MOTION,
+    PERIOD,
+    STEPS,
+    darkest,
+    directions_of_points,
+    push_matrix,
+    sun_directions,
+)
 
-from keepout.apps.inspection.hill import coast_matrix, push_matrix
+from keepout.apps.inspection.passive import coast_matrix
 
 KEPT = 8.0
 """Kept of the crash sphere and of the farthest distance in the plan, m: room for the guard, and for what Hill's

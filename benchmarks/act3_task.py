@@ -9,8 +9,9 @@ import math
 
 import numba
 import numpy as np
+from jaxtyping import Float
 
-from keepout.apps.inspection.hill import VVLH_FROM_RTN
+from keepout.apps.inspection.passive import VVLH_FROM_RTN, coast_matrix
 
 MEAN_MOTION = 0.001027
 """Of the chief's circular orbit and, in Hill's frame, of the sun, rad/s."""
@@ -50,6 +51,25 @@ TASKS = {
         Task("documents", radius=10.0, crash=10.0, by_elevation=True, fastest=0.8, by_distance=True),
     )
 }
+
+
+def push_matrix(mean_motion: float, seconds: float | Float[np.ndarray, "*times"]) -> Float[np.ndarray, "*times 6 3"]:
+    """Give the matrix from an acceleration held for `seconds` (m/s², VVLH) to what it adds to the state at their end.
+
+    Args:
+        mean_motion: n of the circular orbit, rad/s.
+        seconds: any shape.
+
+    """
+    n, t = mean_motion, np.asarray(seconds, float)
+    s, c = np.sin(n * t), np.cos(n * t)
+    rtn = np.zeros((*t.shape, 3, 3))
+    rtn[..., 0, 0] = rtn[..., 2, 2] = (1.0 - c) / n**2
+    rtn[..., 0, 1] = 2.0 * (t - s / n) / n
+    rtn[..., 1, 0] = -rtn[..., 0, 1]
+    rtn[..., 1, 1] = 4.0 * (1.0 - c) / n**2 - 1.5 * t**2
+    position = VVLH_FROM_RTN @ rtn @ VVLH_FROM_RTN.T
+    return np.concatenate([position, coast_matrix(n, t)[..., :3, 3:]], axis=-2)
 
 
 def directions_of_points(asked=100):

@@ -29,15 +29,11 @@ from pathlib import Path
 import numpy as np
 from kept_rows import Rows, show
 
-from keepout.apps.inspection.equipment import boresight_of, rules_of
 from keepout.apps.inspection.fate import shares
-from keepout.apps.inspection.frames import Camera
 from keepout.apps.inspection.inspect import inspect
-from keepout.apps.inspection.light import Light
-from keepout.apps.inspection.lit import ever_lit
+from keepout.apps.inspection.light import Camera, Light, ever_lit
 from keepout.apps.inspection.planning import plan
-from keepout.apps.inspection.problem import Problem
-from keepout.apps.inspection.wanted import Wanted
+from keepout.apps.inspection.problem import Problem, Wanted, boresight_of, rules_of
 from keepout.core.errors import KeepoutError
 from keepout.core.fields import shipped_names
 from keepout.core.geometry.target import Target

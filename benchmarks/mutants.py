@@ -137,13 +137,13 @@ MUTANTS = {
     "apps/inspection/seeing/visible.py": [
         ("steep by its nearest corner", "steepest * far", "steepest * near", "visible:rules")
     ],
-    "apps/inspection/seeing/pyramid_kernel.py": [
+    "apps/inspection/seeing/sightlines.py": [
         ("half under is all under", "high <= bottom", "low <= bottom", "sightlines")
     ],
-    "apps/inspection/seeing/beam.py": [
-        ("beam by its far edge", "= max(abs(wx) - half", "= max(abs(wx) + half", "mutants_found")
+    "apps/inspection/seeing/room.py": [
+        ("beam by its far edge", "= max(abs(wx) - half", "= max(abs(wx) + half", "beam")
     ],
-    "apps/inspection/seeing/shadow.py": [
+    "apps/inspection/seeing/seeable.py": [
         ("shadow of a middle", "- half * (abs(edges", "- 0.0 * (abs(edges", "seeable")
     ],
     "flights/campaign/dataset.py": [

@@ -16,13 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from keepout.apps.inspection.seeing.cut import cut
-from keepout.apps.inspection.seeing.judge import SQUARES, seeable
+from keepout.apps.inspection.seeing.patches import cut
 from keepout.apps.inspection.seeing.room import Room
-from keepout.apps.inspection.seeing.rules import SeeingRules
-from keepout.apps.inspection.seeing.seeable import Hidden, Verdict
+from keepout.apps.inspection.seeing.seeable import SQUARES, Hidden, Verdict, seeable
 from keepout.apps.inspection.seeing.sightlines import Sightlines
-from keepout.apps.inspection.seeing.visible import visible
+from keepout.apps.inspection.seeing.visible import SeeingRules, visible
 from keepout.core.geometry.target import Target
 
 SHIPPED = ("intelsat30", "tiangong", "iss")

@@ -24,11 +24,9 @@ from typing import Any
 
 import numpy as np
 
-from keepout.apps.inspection.seeing.cut import cut
-from keepout.apps.inspection.seeing.patches import Patches
-from keepout.apps.inspection.seeing.rules import SeeingRules
+from keepout.apps.inspection.seeing.patches import Patches, cut
 from keepout.apps.inspection.seeing.sightlines import LIFT, Sightlines
-from keepout.apps.inspection.seeing.visible import lit_units, within_rules
+from keepout.apps.inspection.seeing.visible import SeeingRules, lit_units, within_rules
 from keepout.core.geometry.first_hit import FirstHit
 from keepout.core.geometry.target import Target
 

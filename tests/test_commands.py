@@ -24,7 +24,7 @@ from truths.replay_page import ReplayPage
 from truths.results import Page, check_picture
 
 import keepout
-from keepout.apps.inspection.frames_file import coverage_of_files
+from keepout.apps.inspection.frames import coverage_of_files
 from keepout.apps.led.camera import axes_towards
 from keepout.apps.unknown import equipment, map_file
 from keepout.apps.unknown.depth_sensor import ErrorDraw, take

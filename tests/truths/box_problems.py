@@ -4,10 +4,9 @@ from functools import cache
 
 import numpy as np
 
-from keepout.apps.inspection.equipment import rules_of
 from keepout.apps.inspection.light import Light
-from keepout.apps.inspection.problem import Problem
-from keepout.apps.inspection.seeing.cut import cut
+from keepout.apps.inspection.problem import Problem, rules_of
+from keepout.apps.inspection.seeing.patches import cut
 from keepout.apps.inspection.seeing.room import Room
 from keepout.apps.inspection.seeing.seeable import Hidden, Seeable, Verdict
 from keepout.apps.inspection.seeing.sightlines import Sightlines

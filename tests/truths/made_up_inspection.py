@@ -11,8 +11,8 @@ import numpy as np
 from keepout.apps.inspection.inspection import Frame, Inspection
 from keepout.apps.inspection.plan import InspectionPlan, PlannedView
 from keepout.apps.inspection.seeing.patches import Patches
-from keepout.apps.inspection.seeing.rules import SeeingRules
 from keepout.apps.inspection.seeing.seeable import Hidden, Seeable, Verdict
+from keepout.apps.inspection.seeing.visible import SeeingRules
 from keepout.core.geometry.target import Target
 from keepout.core.mission.scenario import Scenario
 from truths.made_up_exploration import HALF, circle, made_up_flight, made_up_record

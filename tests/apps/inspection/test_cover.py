@@ -8,15 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import sparse
 
-from keepout.apps.inspection.cover import (
-    fewest_views,
-    greedy_bound,
-    greedy_cover,
-    merged_units,
-    price_value,
-    pruned,
-    shortlist,
-)
+from keepout.apps.inspection.cover import Covering, fewest_views, merged_units, shortlist
 
 
 def drawn(seed, views=11, units=22, share=0.22):
@@ -54,14 +46,15 @@ def test_no_bound_passes_the_least_number_whatever_the_prices(seed, share, scale
     goal = share * areas.sum()
     least = least_number(sees, areas, goal)
     prices = np.random.default_rng(seed + 1).uniform(-0.2, scale, len(areas))
-    value, costs = price_value(sees, areas, areas.sum() - goal, prices, scale * 0.7)
+    covering = Covering(sees, areas, goal)
+    value, costs = covering.price_value(prices, scale * 0.7)
     assert value <= least + 1e-9
     for view in range(len(costs)):
         with_it = areas * (sees.toarray()[view] == 0.0)
         others = least_number(sees, with_it, goal - (areas.sum() - with_it.sum()))
         assert value + costs[view] <= others + 1 + 1e-9
-    order = greedy_cover(sees, areas, goal)
-    assert greedy_bound(sees, areas, goal, order) <= least <= len(pruned(sees, areas, goal, order)) <= len(order)
+    order = covering.completed(np.zeros(0, dtype=np.int64))
+    assert covering.greedy_bound(order) <= least <= len(covering.pruned(order)) <= len(order)
 
 
 def test_units_that_the_same_views_see_are_joined_and_no_area_is_lost():

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from keepout.apps.inspection.drifting import Drifting
-from keepout.apps.inspection.passive import drift, states_at_times
-from keepout.apps.inspection.safe_tour import kept_safe
+from keepout.apps.inspection.passive import Drifting, drift, states_at_times
+from keepout.apps.inspection.plan import kept_safe
 from keepout.apps.inspection.tour import Tour
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings

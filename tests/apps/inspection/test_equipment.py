@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from keepout.apps.inspection import equipment
+from keepout.apps.inspection import problem as equipment
 from keepout.apps.inspection.light import Light
 from keepout.apps.inspection.seeing.patches import Patches
 from keepout.apps.inspection.seeing.room import Room

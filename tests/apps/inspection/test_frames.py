@@ -3,19 +3,17 @@
 import dataclasses
 import math
 import re
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from truths.invented_flight import record_of
 from truths.made_up_inspection import seen_of_box
 
-from keepout.apps.inspection.frames import Camera, Shot, as_flown
-from keepout.apps.inspection.frames_file import camera_breaches, load_frames, save_frames
-from keepout.apps.inspection.inspection import Frame
-from keepout.apps.inspection.lit import ever_lit
-from keepout.apps.inspection.seeing.cut import cut
-from keepout.apps.inspection.seeing.rules import SeeingRules
+from keepout.apps.inspection.frames import Frame, Shot, as_flown, camera_breaches, load_frames, save_frames
+from keepout.apps.inspection.light import Camera, Light, ever_lit
+from keepout.apps.inspection.seeing.patches import cut
 from keepout.apps.inspection.seeing.sightlines import Sightlines
+from keepout.apps.inspection.seeing.visible import SeeingRules
 from keepout.core.errors import InspectionError
 from keepout.core.geometry.target import Target
 from keepout.core.mission.task_entries import CameraEntry
@@ -23,11 +21,11 @@ from keepout.core.mission.task_entries import CameraEntry
 RULES = SeeingRules(greatest_range=6.0)
 
 
-class Sun:
+class Sun(Light):
     """A sun that stands still, turns, or is none."""
 
     def __init__(self, direction=None, *, dark=None, turning=0.0):
-        self.direction, self.dark, self.turning = direction, dark, turning
+        vars(self).update(direction=direction, dark=dark, turning=turning)
 
     @property
     def matters(self):
@@ -99,14 +97,14 @@ def test_what_is_ever_lit_is_every_side_that_the_suns_circle_meets(parts):
     assert np.array_equal(ever_lit(still, units, 5000.0), units & (patches.unit_normals()[:, 2] > 0.5))
 
 
-def record_of(positions):
+def rows_of(positions):
     """Rows of a flight, as the frames ask for them."""
-    return SimpleNamespace(position=np.array(positions), time=np.arange(float(len(positions))))
+    return record_of({}, position=np.array(positions), time=np.arange(float(len(positions))))
 
 
 @pytest.fixture
 def flown(parts):
-    record = record_of([[3.0, 0.0, 0.0], [3.5, 0.0, 0.0], [0.0, 0.0, 3.0]])
+    record = rows_of([[3.0, 0.0, 0.0], [3.5, 0.0, 0.0], [0.0, 0.0, 3.0]])
     shots = [Shot(0, np.array([-1.0, 0.0, 0.0])), Shot(2, np.array([0.0, 0.0, -1.0]))]
     camera = camera_of(parts, Sun(np.array([0.0, 0.6, 0.8]), dark=(0.0, 1.0)))
     return as_flown(record, shots, camera)
@@ -120,7 +118,7 @@ def test_frames_are_those_of_the_records_positions(parts, flown):
     assert np.array_equal(np.flatnonzero(seen), np.sort(frames[1].units))
     assert np.isin(frames[1].units, seen_of_box(parts[1], RULES, frames[1].position, frames[1].boresight)).all()
     with pytest.raises(InspectionError, match="row 9"):
-        as_flown(record_of([[3.0, 0.0, 0.0]]), [Shot(9, np.array([1.0, 0.0, 0.0]))], camera_of(parts, Sun()))
+        as_flown(rows_of([[3.0, 0.0, 0.0]]), [Shot(9, np.array([1.0, 0.0, 0.0]))], camera_of(parts, Sun()))
 
 
 def test_frames_come_back_from_their_file_bit_for_bit(tmp_path, flown):

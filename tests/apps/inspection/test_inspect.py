@@ -9,9 +9,8 @@ from truths.box_problems import patches_and_sight, problem_of
 from truths.boxes import HALF, box_distance
 from truths.made_up_inspection import seen_of_box
 
-from keepout.apps.inspection.frames import Camera
 from keepout.apps.inspection.inspect import inspect
-from keepout.apps.inspection.light import Light
+from keepout.apps.inspection.light import Camera, Light
 from keepout.apps.inspection.plan import InspectionPlan, PlannedView
 from keepout.core.audit.audit import Contact
 from keepout.core.errors import InspectionError

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from keepout.apps.inspection.problem import Wanted
 from keepout.apps.inspection.seeing.patches import Patches
 from keepout.apps.inspection.views_ahead import Leg, Lost
-from keepout.apps.inspection.wanted import Wanted
 from keepout.apps.led.camera import Boresight
 
 AHEAD = np.array([1.0, 0.0, 0.0])

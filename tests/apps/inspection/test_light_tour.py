@@ -7,13 +7,12 @@ import pytest
 from scipy import sparse
 from truths.lights import Round
 
-from keepout.apps.inspection.equipment import rules_of
-from keepout.apps.inspection.light_cost import Cost
-from keepout.apps.inspection.light_tour import Pace, tour_in_light
-from keepout.apps.inspection.lit_times import LitTimes
-from keepout.apps.inspection.seeing.cut import cut
+from keepout.apps.inspection.candidates import Views
+from keepout.apps.inspection.light import LitTimes
+from keepout.apps.inspection.light_tour import Begin, Cost, LightTours, Pace
+from keepout.apps.inspection.problem import rules_of
+from keepout.apps.inspection.seeing.patches import cut
 from keepout.apps.inspection.seeing.sightlines import Sightlines
-from keepout.apps.inspection.viewpoints import Views
 from keepout.core.geometry.target import Target
 from keepout.core.mission.scenario import Scenario
 
@@ -37,16 +36,13 @@ def light(rows):
     return LitTimes(STEP * np.arange(len(lit)), lit, True)
 
 
-def made(views, lit, areas, goal=np.inf, **others):
-    start = np.zeros(3)
-
+def made(views, lit, areas, goal=np.inf, cost=None, most_views=20, tries=1500):
     def lengths(row):
-        return np.linalg.norm(views.positions - (start if row < 0 else views.positions[row]), axis=1)
+        return np.linalg.norm(views.positions - (np.zeros(3) if row < 0 else views.positions[row]), axis=1)
 
-    areas = np.asarray(areas, dtype=float)
-    goal = min(goal, areas.sum())
-    others = {"start": start, "cost": Cost(), "most_views": 20, "tries": 1500, **others}
-    return tour_in_light(views, lit, areas, goal, lengths, AHEAD, PACE, 0.0, **others)
+    areas, begin = np.asarray(areas, dtype=float), Begin(np.zeros(3), AHEAD, 0.0)
+    goal, cost = min(goal, areas.sum()), Cost() if cost is None else cost
+    return LightTours(views, lit, areas, goal, lengths, begin, PACE, cost, most_views).best(tries)
 
 
 def shown(views, lit, rows, times):

@@ -12,9 +12,16 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 from truths.invented_flight import Invented
 
-from keepout.apps.inspection.limits import holds, limits_kept
-from keepout.apps.inspection.nozzles import Nozzles, _on_times
-from keepout.apps.inspection.plume import Protected, SparingLaw, plume_violations, sparing
+from keepout.apps.inspection.limits import (
+    Nozzles,
+    Protected,
+    SparingLaw,
+    _on_times,
+    holds,
+    limits_kept,
+    plume_violations,
+    sparing,
+)
 from keepout.core.control.law import PolicyLaw
 from keepout.core.flight.loop import fly
 from keepout.core.flight.record import FlightRecord

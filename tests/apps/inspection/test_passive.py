@@ -7,9 +7,14 @@ import numpy as np
 import pytest
 from truths.invented_flight import Invented
 
-from keepout.apps.inspection.hill import coast_matrix
-from keepout.apps.inspection.passive import drift, passive_safety, states_at_times, states_of_record
-from keepout.apps.inspection.spread import Spread
+from keepout.apps.inspection.passive import (
+    Spread,
+    coast_matrix,
+    drift,
+    passive_safety,
+    states_at_times,
+    states_of_record,
+)
 from keepout.core.errors import InspectionError
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings

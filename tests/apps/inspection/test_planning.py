@@ -11,8 +11,8 @@ from truths.box_problems import problem_of
 from truths.boxes import HALF
 from truths.lights import Round
 
-from keepout.apps.inspection.passing import turned
 from keepout.apps.inspection.passive import drift, states_at_times
+from keepout.apps.inspection.plan import turned
 from keepout.apps.inspection.planning import plan
 from keepout.apps.inspection.seeing.room import Room
 from keepout.apps.inspection.seeing.sightlines import Sightlines

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.sparse.csgraph import minimum_spanning_tree
 
-from keepout.apps.inspection import tour_search
-from keepout.apps.inspection.tour import Legs, best_tour, flown, least_length, nearest_first, turning_time, waits_never
+from keepout.apps.inspection import tour as tours
+from keepout.apps.inspection.tour import Legs, best_tour, flown, nearest_first, turning_time
 
 
 def legs_between(places, *, turns=None, windows=None, dwell=0.0, speed=0.1, acceleration=0.01):
@@ -17,7 +18,7 @@ def legs_between(places, *, turns=None, windows=None, dwell=0.0, speed=0.1, acce
     lengths = np.linalg.norm(apart, axis=2)
     leave = apart / np.maximum(lengths, 1e-12)[..., None]
     turns = np.zeros_like(lengths) if turns is None else turns
-    windows = waits_never(len(places)) if windows is None else windows
+    windows = np.tile([[[-math.inf, math.inf]]], (len(places), 1, 1)) if windows is None else windows
     return Legs(lengths, leave, turns, speed, acceleration, dwell, 0.0, windows)
 
 
@@ -75,22 +76,17 @@ def legs_among(seed, count, **numbers):
 
 
 @pytest.mark.parametrize("objective", ["time", "delta_v", "both"])
-@pytest.mark.parametrize("lit", [False, True])
-def test_of_all_orders_the_best_is_found(objective, lit):
+def test_of_all_orders_the_best_is_found(objective):
     value = {
         "time": lambda tour: tour.end + 0.1 * tour.delta_v,
         "delta_v": lambda tour: 0.001 * tour.end + 100.0 * tour.delta_v,
         "both": lambda tour: tour.end + 1000.0 * tour.delta_v,
     }[objective]
 
-    def cost(tour):
-        return value(tour) + 1e7 * np.isinf(tour.times).sum()
-
     for seed in range(2):
-        begins = np.random.default_rng(seed).uniform(0.0, 800.0, (7, 1, 1))
-        legs = legs_among(seed, 7, windows=np.concatenate([begins, begins + 500.0], axis=2) if lit else None)
-        best = min(cost(flown(legs, np.array(order))) for order in itertools.permutations(range(1, 7)))
-        assert cost(best_tour(legs, objective)) == pytest.approx(best)
+        legs = legs_among(seed, 7)
+        best = min(value(flown(legs, np.array(order))) for order in itertools.permutations(range(1, 7)))
+        assert value(best_tour(legs, objective)) == pytest.approx(best)
 
 
 def terms(legs):
@@ -109,8 +105,8 @@ def test_a_move_gains_what_the_order_costs_less(seed, count, stops):
         to = int(generator.choice([t for t in range(1, count + 2) if t < first or t > last]))
         turned = bool(generator.random() < 0.5)
         order = np.concatenate([[-1, 0], before, [-1]])
-        gain = tour_search._gain(order, first, last, to, turned, taken, velocities, change, stops)
-        tour_search._put(order, np.zeros(count + 1, dtype=np.int64), first, last, to, turned, np.empty_like(order))
+        gain = tours._gain(order, first, last, to, turned, taken, velocities, change, stops)
+        tours._put(order, np.zeros(count + 1, dtype=np.int64), first, last, to, turned, np.empty_like(order))
         after = order[2:-1]
         assert sorted(after) == list(range(1, count + 1))
         assert gain == pytest.approx(flown(legs, before).end - flown(legs, after).end, abs=1e-6)
@@ -123,7 +119,7 @@ def test_a_tour_of_many_places_is_between_the_least_tree_and_the_nearest_first_a
     short = legs_between(generator.uniform(-10.0, 10.0, (30, 3)), acceleration=1e9)
     tour, nearest = best_tour(short), flown(short, nearest_first(short))
     assert sorted(tour.order) == list(range(1, 30))
-    assert least_length(short.lengths) <= tour.length < 0.97 * nearest.length
+    assert minimum_spanning_tree(short.lengths).sum() <= tour.length < 0.97 * nearest.length
     legs = legs_among(3, 150)
     tour = best_tour(legs)
     assert sorted(tour.order) == list(range(1, 150))

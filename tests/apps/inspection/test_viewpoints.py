@@ -1,39 +1,50 @@
 """Candidate views: what they are said to see is seen by the rules, and few directions show all of a place."""
 
-import functools
 import math
 
 import numpy as np
 import pytest
 
-from keepout.apps.inspection.aiming import aim
-from keepout.apps.inspection.seeing.cut import cut
-from keepout.apps.inspection.seeing.rules import SeeingRules
+from keepout.apps.inspection.candidates import aim, boresights_of, candidates
+from keepout.apps.inspection.light import Light
+from keepout.apps.inspection.problem import Problem
+from keepout.apps.inspection.seeing.patches import cut
+from keepout.apps.inspection.seeing.room import Room
+from keepout.apps.inspection.seeing.seeable import Seeable, Verdict
 from keepout.apps.inspection.seeing.sightlines import Sightlines
-from keepout.apps.inspection.seeing.visible import Visible, in_view, visible
-from keepout.apps.inspection.viewpoints import boresights_of, find_views
+from keepout.apps.inspection.seeing.visible import SeeingRules, Visible, in_view, visible
 from keepout.core.geometry.target import Target
+from keepout.core.mission.scenario import Scenario
 
 RULES = SeeingRules(greatest_range=6.0)
 STAND_OFF = 1.0
 
 
-def views_of(target, places, allowed, witness=None):
-    """Give sight lines and views among places that are allowed, and from the witness of the first unit."""
+class Nowhere(Room):
+    """A room in which no place is allowed."""
+
+    def allowed(self, points):
+        return np.zeros(len(points), dtype=bool)
+
+
+def views_of(target, places, room=Room, witness=None):
+    """Give sight lines and views among so many places, and from the witness of the first unit."""
     patches = cut(target, 0.5)
     sight = Sightlines(target.vertices, target.faces, patches)
+    verdict = np.where(patches.counted, Verdict.SEEABLE, Verdict.HIDDEN).astype(np.int8)
     witnesses = np.full((patches.units, 3), np.nan)
     if witness is not None:
         witnesses[0] = patches.centres[0] + witness * patches.unit_normals()[0]
-    look = functools.partial(visible, sight, RULES, among=patches.counted)
-    more = {"wanted": patches.counted, "witnesses": witnesses, "stand_off": STAND_OFF, "places": places}
-    return target, sight, find_views(look, look, allowed, patches, RULES, **more)
+    mission = Scenario().replace(inspect={"candidates": places, "stand_off": STAND_OFF})
+    seeable = Seeable(patches, verdict, np.zeros_like(verdict), witnesses)
+    where = room(target.distance, STAND_OFF)
+    problem = Problem(mission, target, patches, RULES, sight, where, seeable, Light.of(mission))
+    return target, sight, candidates(problem, patches.counted, 0.0, within=RULES)[0]
 
 
 @pytest.fixture(scope="module")
 def found():
-    target = Target.load("pocket")
-    return views_of(target, 60, lambda places: target.distance.distance(places) >= STAND_OFF)
+    return views_of(Target.load("pocket"), 60)
 
 
 def test_views_see_what_they_say_and_keep_the_stand_off(found):
@@ -48,7 +59,7 @@ def test_views_see_what_they_say_and_keep_the_stand_off(found):
 
 
 def test_witnesses_bring_what_drawn_places_miss():
-    _, sight, views = views_of(Target.load("box"), 8, lambda places: np.zeros(len(places), dtype=bool), witness=2.0)
+    _, sight, views = views_of(Target.load("box"), 8, Nowhere, witness=2.0)
     assert sight.patches.counted[0]
     assert views.places == 1
     assert views.sees[:, [0]].sum() >= 1

@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from keepout.apps.inspection.equipment import rules_of
-from keepout.apps.inspection.seeing.rules import SeeingRules
+from keepout.apps.inspection.problem import rules_of
+from keepout.apps.inspection.seeing.visible import SeeingRules
 from keepout.core.errors import ScenarioError
 from keepout.core.mission.entries import Entry
 from keepout.core.mission.epoch import parse_instant

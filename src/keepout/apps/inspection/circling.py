@@ -11,15 +11,13 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
-from keepout.apps.inspection.circumnavigation import Circumnavigation, circumnavigations
-from keepout.apps.inspection.equipment import boresight_of
+from keepout.apps.inspection.circumnavigation import Circumnavigation, circumnavigations, transfer
 from keepout.apps.inspection.frames import Camera, Shot
 from keepout.apps.inspection.inspection import Inspection
-from keepout.apps.inspection.lit import ever_lit
+from keepout.apps.inspection.light import ever_lit
 from keepout.apps.inspection.plan import InspectionPlan
-from keepout.apps.inspection.problem import Problem
+from keepout.apps.inspection.problem import Problem, boresight_of
 from keepout.apps.inspection.seeing.visible import visible
-from keepout.apps.inspection.transfer import transfer
 from keepout.apps.inspection.under_way import inspected
 from keepout.apps.led.driver import Ended
 from keepout.core.errors import InspectionError

@@ -8,20 +8,21 @@ orbit as it is high, in a plane that may be tilted: with a the height and b the 
 Where β is 90° the ellipse encircles the orbit's direction too, so that a drift along the orbit leads past the target.
 The velocity is corrected until the exact motion comes back to its place after one orbit of the target, which on an
 eccentric orbit Hill's equations do not do. Sizes and tilts are tried side by side, and an ellipse is used only where
-the exact drift is proved to keep the stand-off (`passive`).
+the exact drift is proved to keep the stand-off (`passive`). From where the mission starts two burns and
+a coast between them lead onto it (`transfer`).
 """
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from keepout.apps.inspection.hill import VVLH_FROM_RTN
-from keepout.apps.inspection.passive import drift, passive_safety, rows, states_at_times
+from keepout.apps.inspection.passive import VVLH_FROM_RTN, coast_matrix, drift, passive_safety, rows, states_at_times
 from keepout.core.control.law import Command, Law
 from keepout.core.errors import InspectionError
 from keepout.core.mission.scenario import Scenario
@@ -31,7 +32,6 @@ from keepout.core.motion.relative import MotionState, RelativeMotion
 from keepout.core.motion.rotation import matrix
 
 Distance = Callable[[Float[np.ndarray, "points 3"]], Float[np.ndarray, "points"]]
-
 TILTS = ((0.0, 0.0), *((share, math.radians(beta)) for share in (1.0, math.sqrt(3.0)) for beta in (0, 90, 180, 270)))
 """Motions across the orbit that are tried: b/a, and β in rad. √3 with 0 or 180° is a circle."""
 _SIZES = 16
@@ -47,6 +47,13 @@ _PERIODS = 5.0
 """Control periods in which the velocity is brought to that of the way back."""
 _DONE = 0.1
 """Share of the velocity of the way back within which thrusting ends."""
+Point = Float[np.ndarray, "3"]
+_LONGEST = 0.1
+"""Share of the mission's duration that the coast may take."""
+_TRIED = 24
+"""Lengths of it that are tried, from the shortest that the speed limit allows."""
+_PLACES = 90
+"""Of the ellipse to which it may lead."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,47 +103,38 @@ def hill_states(
     return place @ VVLH_FROM_RTN.T, n * rate @ VVLH_FROM_RTN.T
 
 
-def circumnavigations(
-    scenario: Scenario, distance: Distance, *, time: float = 0.0, seconds: float | None = None
-) -> tuple[Circumnavigation, ...]:
+def circumnavigations(scenario: Scenario, distance: Distance) -> tuple[Circumnavigation, ...]:
     """Give the smallest ellipse of each tilt that keeps the stand-off, by the exact motion; the nearest one first.
 
     Args:
-        scenario: orbit, attitude, `inspect.stand_off` and duration.
+        scenario: orbit, attitude, `inspect.stand_off` and duration, for which it is to last.
         distance: exact and unsigned, to the target's mesh, m.
-        time: of the mission at which the ellipse is begun, s.
-        seconds: that it is to last; the rest of the mission if absent.
 
     Raises:
-        InspectionError: no time is left, or no ellipse keeps the stand-off within the range of the bounds.
+        InspectionError: no ellipse keeps the stand-off within the range of the bounds.
 
     """
-    seconds = scenario.steps * scenario.control.period - time if seconds is None else seconds
-    if not seconds >= scenario.control.period:
-        raise InspectionError(
-            f"circumnavigation: {seconds:g} s are left from {time:g} s on; "
-            f"duration {scenario.duration:g} s must be longer"
-        )
     low, high = _heights(distance, scenario)
     heights = np.repeat(np.geomspace(low, high, _SIZES)[:, None], len(TILTS), axis=1)
-    _, _, enough = _tried(scenario, distance, time, seconds, heights)
+    _, _, enough = _tried(scenario, distance, heights)
     first = np.where(enough.any(axis=0), np.argmax(enough, axis=0), _SIZES - 1)
     below = np.take_along_axis(heights, np.maximum(first - 1, 0)[None], axis=0)[0]
     heights = np.linspace(below, np.take_along_axis(heights, first[None], axis=0)[0], _SIZES)
-    states, clearance, enough = _tried(scenario, distance, time, seconds, heights)
+    states, clearance, enough = _tried(scenario, distance, heights)
     motion, period, found = Surroundings(scenario).motion, scenario.control.period, []
+    seconds = scenario.steps * period
     for tilt in np.flatnonzero(enough.any(axis=0)):
         size = int(np.argmax(enough[:, tilt]))
         index = size * len(TILTS) + tilt
         one = rows(states, slice(index, index + 1))
-        path, rate = drift(motion, one, period, round(seconds / period))
+        path, rate = drift(motion, one, period, scenario.steps)
         height, (share, beta) = float(heights[size, tilt]), TILTS[tilt]
         found.append(
             Circumnavigation(
                 height,
                 height * share,
                 beta,
-                time + period * np.arange(path.shape[1]),
+                period * np.arange(path.shape[1]),
                 path[0],
                 rate[0],
                 float(clearance[size, tilt]),
@@ -161,7 +159,7 @@ def _heights(distance: Distance, scenario: Scenario) -> tuple[float, float]:
 
 
 def _tried(
-    scenario: Scenario, distance: Distance, time: float, seconds: float, heights: Float[np.ndarray, "sizes tilts"]
+    scenario: Scenario, distance: Distance, heights: Float[np.ndarray, "sizes tilts"]
 ) -> tuple[MotionState, Float[np.ndarray, "sizes tilts"], Bool[np.ndarray, "sizes tilts"]]:
     """Give the first states of ellipses (one after the other), bounds on how near they come, and if that is enough."""
     motion = Surroundings(scenario).motion
@@ -171,26 +169,24 @@ def _tried(
         for height, of, at in zip(heights.ravel().tolist(), share.tolist(), beta.tolist(), strict=True)
     ]
     position, velocity = (np.concatenate(part) for part in zip(*begun, strict=True))
-    states = in_body(scenario, time, position, _closed(motion, time, position, velocity))
+    states = in_body(scenario, position, _closed(motion, position, velocity))
     radius, asked = scenario.chaser.radius, scenario.inspect.stand_off + _BAND
     least = asked - radius
+    seconds = scenario.steps * scenario.control.period
     kept = passive_safety(scenario, distance, states, seconds, push=0.0, enough=least, too_little=least)
     clearance = (kept.clearance + radius).reshape(heights.shape)
     return states, clearance, clearance >= asked
 
 
 def _closed(
-    motion: RelativeMotion,
-    time: float,
-    position: Float[np.ndarray, "n 3"],
-    velocity: Float[np.ndarray, "n 3"],
+    motion: RelativeMotion, position: Float[np.ndarray, "n 3"], velocity: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "n 3"]:
     """Change velocities along the orbit (VVLH, m/s) until the exact motion comes back along it after one orbit."""
     turning = replace(motion, attitude_motion=VVLHFixed(), centre_of_mass=np.zeros(3))
     period = 2.0 * math.pi / float(motion.orbit.mean_motion)
     count = max(math.ceil(period * float(motion.orbit.mean_motion) / 0.009), 64)
     for _ in range(_CORRECTIONS):
-        states = jax.vmap(lambda r, v: turning.initial_state(r, v, time))(jnp.asarray(position), jnp.asarray(velocity))
+        states = jax.vmap(lambda r, v: turning.initial_state(r, v, 0.0))(jnp.asarray(position), jnp.asarray(velocity))
         path, _ = drift(turning, states, period / count, count)
         velocity = velocity + np.stack(
             [(path[:, -1, 0] - path[:, 0, 0]) / (3.0 * period), *np.zeros((2, len(path)))], 1
@@ -198,22 +194,25 @@ def _closed(
     return velocity
 
 
-def in_body(
-    scenario: Scenario, time: float, position: Float[np.ndarray, "n 3"], velocity: Float[np.ndarray, "n 3"]
-) -> MotionState:
-    """Give states in the body frame at a time (s) from positions (m) and velocities (m/s) in VVLH.
-
-    Positions in VVLH are told from the target's centre of mass.
-    """
+def _axes(scenario: Scenario) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Give at the mission's start the rotation from VVLH to the body frame, its rate (rad/s) and the origin (m)."""
     motion = Surroundings(scenario).motion
-    target = states_at_times(scenario, np.array([time]), np.zeros((1, 3)), np.zeros((1, 3)))
+    target = states_at_times(scenario, np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3)))
     one = rows(target, 0)
     turn = matrix(one.attitude)
     turning = one.angular_velocity - turn @ motion.orbital_frame(one).angular_velocity
-    from_mass = position @ np.asarray(turn).T
-    moving = velocity @ np.asarray(turn).T - np.cross(np.asarray(turning), from_mass)
-    places = from_mass + np.asarray(motion.centre_of_mass)
-    return states_at_times(scenario, np.full(len(places), time), places, moving)
+    return np.asarray(turn), np.asarray(turning), np.asarray(motion.centre_of_mass)
+
+
+def in_body(scenario: Scenario, position: Float[np.ndarray, "n 3"], velocity: Float[np.ndarray, "n 3"]) -> MotionState:
+    """Give states in the body frame at the mission's start from positions (m) and velocities (m/s) in VVLH.
+
+    Positions in VVLH are told from the target's centre of mass.
+    """
+    turn, turning, origin = _axes(scenario)
+    from_mass = position @ turn.T
+    moving = velocity @ turn.T - np.cross(turning, from_mass)
+    return states_at_times(scenario, np.zeros(len(position)), from_mass + origin, moving)
 
 
 class CoastingLaw(Law):
@@ -257,3 +256,81 @@ class CoastingLaw(Law):
         back = self.mass * missing / (_PERIODS * self.period)
         limited = jnp.clip(back, -self.force_limit, self.force_limit)
         return steering, Command.of_force(jnp.where(steering, limited, 0.0))
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """Two burns and a coast.
+
+    Attributes:
+        first: of the burns, m/s.
+        second: m/s.
+        seconds: that the coast takes.
+        keeps_stand_off: whether it is proved to.
+
+    """
+
+    first: float
+    second: float
+    seconds: float
+    keeps_stand_off: bool
+
+    @property
+    def delta_v(self) -> float:
+        """Of both burns, m/s."""
+        return self.first + self.second
+
+    def summary(self) -> dict[str, Any]:
+        """Give the figures as plain numbers for JSON."""
+        return {
+            "burn_mps": self.delta_v,
+            "transfer_s": self.seconds,
+            "transfer_keeps_stand_off": self.keeps_stand_off,
+        }
+
+
+def transfer(scenario: Scenario, distance: Distance, ellipse: Circumnavigation) -> Transfer:
+    """Give the cheapest transfer from a scenario's start onto an ellipse, to any place of it.
+
+    The coast follows from Hill's equations, in closed form. That it keeps the stand-off is proved by the exact motion,
+    for a target that begins to turn as it does when the mission starts.
+
+    Of the coasts tried, those that keep the stand-off go before those that do not. None takes more than a tenth of the
+    mission, or begins faster than the chaser may fly.
+
+    Args:
+        scenario: its start, orbit, attitude, duration and `inspect.stand_off`.
+        distance: exact and unsigned, to the target's mesh, m.
+        ellipse: of the same scenario.
+
+    """
+    limit = scenario.chaser.speed_limit
+    n = float(Surroundings(scenario).motion.orbit.mean_motion)
+    turn, turning, origin = _axes(scenario)
+    from_mass = np.asarray(scenario.start.position, float) - origin
+    velocity = np.asarray(scenario.start.velocity, float) + np.cross(turning, from_mass)
+    start, moving = turn.T @ from_mass, turn.T @ velocity
+    ends, rates = hill_states(n, ellipse.height, ellipse.across, ellipse.tilt, np.linspace(0.0, 2.0 * np.pi, _PLACES))
+    longest = _LONGEST * scenario.duration
+    shortest = float(np.clip(np.linalg.norm(ends - start, axis=1).min() / limit, scenario.control.period, longest))
+    found = []
+    for seconds in np.geomspace(shortest, longest, _TRIED).tolist():
+        whole = coast_matrix(n, seconds)
+        leaving = np.linalg.solve(whole[:3, 3:], (ends - whole[:3, :3] @ start).T).T
+        arriving = whole[3:, :3] @ start + leaving @ whole[3:, 3:].T
+        first, second = np.linalg.norm(leaving - moving, axis=1), np.linalg.norm(rates - arriving, axis=1)
+        keeps = _keeps(scenario, distance, start, leaving, seconds)
+        # The longest is told, too, if the start is too far for it.
+        slow = (np.linalg.norm(leaving, axis=1) <= limit) | math.isclose(seconds, longest)
+        found += [Transfer(float(first[k]), float(second[k]), seconds, bool(keeps[k])) for k in np.flatnonzero(slow)]
+    return min(found, key=lambda one: (not one.keeps_stand_off, one.delta_v))
+
+
+def _keeps(
+    scenario: Scenario, distance: Distance, position: Point, velocity: Float[np.ndarray, "n 3"], seconds: float
+) -> Bool[np.ndarray, " n"]:
+    """Prove of coasts from a place (VVLH) that they keep the stand-off, from the mission's start on."""
+    asked = scenario.inspect.stand_off - scenario.chaser.radius
+    states = in_body(scenario, np.tile(position, (len(velocity), 1)), velocity)
+    told = passive_safety(scenario, distance, states, seconds, push=0.0, enough=asked, too_little=asked)
+    return told.clearance >= asked

@@ -43,7 +43,7 @@ def inspect_to_folder(
 
     Nothing is written, and no folder left, where the scenario is refused.
     """
-    from keepout.apps.inspection.frames_file import save_frames
+    from keepout.apps.inspection.frames import save_frames
     from keepout.apps.inspection.inspect import inspect
     from keepout.apps.inspection.inspection_page import write_inspection
     from keepout.flights.pages.folder import results_in, write_summary

@@ -5,16 +5,21 @@ import time
 from pathlib import Path
 
 from keepout.apps.inspection.circling import circle
-from keepout.apps.inspection.equipment import require_inspectable, require_light, require_something_to_see, rules_of
 from keepout.apps.inspection.frames import Camera
 from keepout.apps.inspection.inspection import Inspection
 from keepout.apps.inspection.leading import AroundMesh
-from keepout.apps.inspection.lit import ever_lit
+from keepout.apps.inspection.light import ever_lit
 from keepout.apps.inspection.plan import InspectionPlan
-from keepout.apps.inspection.problem import Problem
+from keepout.apps.inspection.problem import (
+    Problem,
+    Wanted,
+    require_inspectable,
+    require_light,
+    require_something_to_see,
+    rules_of,
+)
 from keepout.apps.inspection.under_way import UnderWay
 from keepout.apps.inspection.views_ahead import ViewsAhead
-from keepout.apps.inspection.wanted import Wanted
 from keepout.core.compiled.kept_programs import keep_programs
 from keepout.core.errors import InspectionError
 from keepout.core.fields.model import FieldModel

@@ -4,36 +4,17 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
+from keepout.apps.inspection.circumnavigation import Transfer
+from keepout.apps.inspection.frames import Frame
 from keepout.apps.inspection.limits import LimitsKept
 from keepout.apps.inspection.plan import InspectionPlan
 from keepout.apps.inspection.safe_speeds import DriftsFlown
 from keepout.apps.inspection.seeing.patches import Patches
-from keepout.apps.inspection.seeing.rules import SeeingRules
 from keepout.apps.inspection.seeing.seeable import Seeable, Verdict
-from keepout.apps.inspection.transfer import Transfer
+from keepout.apps.inspection.seeing.visible import SeeingRules
 from keepout.apps.led.result import Led
-
-
-@dataclass(frozen=True, eq=False)
-class Frame:
-    """One image of a flight, as flown.
-
-    Attributes:
-        time: s.
-        position: (3,) of the camera, m, body frame: the truth of the record.
-        boresight: (3,) unit vector, body frame.
-        sun: (3,) unit vector towards the sun, body frame; None in the Earth's shadow, or where light does not matter.
-        units: (k,) wholly seen in it, by all the rules.
-
-    """
-
-    time: float
-    position: Float[np.ndarray, "3"]
-    boresight: Float[np.ndarray, "3"]
-    sun: Float[np.ndarray, "3"] | None
-    units: Int[np.ndarray, " k"]
 
 
 @dataclass(frozen=True, eq=False)

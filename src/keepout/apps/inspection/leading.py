@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 
-from keepout.apps.inspection.equipment import law_keeps, require_stand_off
-from keepout.apps.inspection.plume import sparing
+from keepout.apps.inspection.limits import sparing
+from keepout.apps.inspection.problem import law_keeps, require_stand_off
 from keepout.apps.led.leading import Leading, Point, moved
 from keepout.core.control.barrier_grid import BarrierGrid
 from keepout.core.control.geodesic import GeodesicGuidance

@@ -1,20 +1,27 @@
-"""Where a scenario's light comes from, in the target's body frame, and when the Earth hides it.
+"""Where a scenario's light comes from, in the body frame, and what it shows of a mesh: in a frame, at times, and ever.
 
 The sun stands at infinity: its direction is one for the whole target. It counts as shining only while the Earth hides
 none of its disc. The Earth is a ball of its equatorial radius, which hides more than the Earth does but for the air,
 whose bending of the light is left out.
+
+Between two times that follow each other a unit counts as lit if it is at both. The step is at most a hundred and
+twentieth of the time looked at, and shorter where the sun turns fast: what is lit for less than that is not resolved.
 """
 
 import functools
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int, Int8
 
+from keepout.apps.inspection.seeing.patches import Patches
+from keepout.apps.inspection.seeing.sightlines import Sightlines
+from keepout.apps.inspection.seeing.visible import SeeingRules, in_frame, lit_units
 from keepout.core.errors import InspectionError
 from keepout.core.mission.epoch import parse_instant
 from keepout.core.mission.scenario import Scenario
@@ -30,6 +37,23 @@ _LONGEST = 1e7
 """Seconds beyond which nobody asks for the sun."""
 _BLOCK = 1024
 """Control periods that are integrated together."""
+Vector = Float[np.ndarray, "3"]
+_STEPS, _MOST_STEPS = 120, 1200
+"""Of the time looked at: so many where the light turns slowly, and at most."""
+_TURN = math.radians(1.25)
+"""By which the sun turns in a step, rad, where `_MOST_STEPS` allow it."""
+_ROOM = 4e8
+"""Steps times units, at most, where these are more than `_STEPS`."""
+_AT_ONCE = 1e-6
+"""Seconds: nearer times are one."""
+_SAME = 1e-9
+"""Change of the sun's direction below which it counts as fixed."""
+_COARSE_TURN = np.radians(2.0)
+"""Angle that the sun may turn, in body axes, between two directions that are looked at, rad."""
+_COARSE = 120.0
+"""Seconds between the times at which the sun's turn is looked at."""
+_MOST = 720
+"""Directions that are looked at, at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,3 +202,170 @@ def _after(
         return r, matrix(later.attitude) @ vvlh_axes(r, v)
 
     return jax.vmap(one)(states, durations)
+
+
+@dataclass(eq=False)
+class Camera:
+    """What a camera sees of one mesh, frame by frame; what is lit is kept as long as the sun stays.
+
+    Attributes:
+        patches: of the mesh.
+        sight: lines of sight about it.
+        rules: when a patch counts as seen.
+        light: where the sun is.
+
+    """
+
+    patches: Patches
+    sight: Sightlines
+    rules: SeeingRules
+    light: Light
+    _sun: Vector | None = None
+    _lit: Int8[np.ndarray, " units"] = field(default_factory=lambda: np.zeros(0, np.int8))
+
+    def sun(self, time: float) -> Vector | None:
+        """Give the unit vector towards the sun; None in the Earth's shadow, or where light does not matter."""
+        return self.light.sun(time) if self.light.matters else None
+
+    def units(
+        self, time: float, place: Vector, boresight: Vector, among: Bool[np.ndarray, " units"] | None = None
+    ) -> Int[np.ndarray, " k"]:
+        """Give the units wholly seen, by all the rules, in a frame.
+
+        Args:
+            time: of the frame, s.
+            place: (3,) of the camera, m, body frame.
+            boresight: (3,) unit vector.
+            among: (2 n,) units that are asked for; by default all that are counted.
+
+        """
+        sun = self.sun(time)
+        if self.light.matters and sun is None:
+            return np.zeros(0, dtype=np.int64)
+        units = in_frame(self.sight, self.rules, place, boresight, among=among)
+        return units if sun is None else units[self.lit(sun, units)]
+
+    def lit(self, sun: Vector, units: Int[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
+        """Whether units are wholly lit from a direction (unit vector), at a fit incidence."""
+        if self._sun is None or not np.array_equal(self._sun, sun):
+            self._sun, self._lit = sun, np.full(self.patches.units, -1, dtype=np.int8)
+        fresh = units[self._lit[units] < 0]
+        if len(fresh):
+            among = np.zeros(self.patches.units, dtype=bool)
+            among[fresh] = True
+            self._lit[fresh] = lit_units(self.sight, self.rules, sun, among=among)[fresh]
+        return self._lit[units] == 1
+
+
+@dataclass(frozen=True, eq=False)
+class LitTimes:
+    """What is lit when.
+
+    Attributes:
+        times: (t,) s; one, with all that is ever lit, where the light does not change.
+        lit: (t, units).
+        changes: whether the light changes.
+
+    """
+
+    times: Float[np.ndarray, " t"]
+    lit: Bool[np.ndarray, "t units"]
+    changes: bool
+
+    @classmethod
+    def of(
+        cls,
+        light: Light,
+        sight: Sightlines,
+        rules: SeeingRules,
+        wanted: Bool[np.ndarray, " units"],
+        begin: float,
+        end: float,
+        shortest: float,
+    ) -> "LitTimes":
+        """Look at the light from `begin` to `end` (s), at steps of at least `shortest` (s).
+
+        Args:
+            light: of the mission.
+            sight: for the shadows that the target throws on itself.
+            rules: greatest incidence of the sun.
+            wanted: (units,) that are asked for.
+            begin: s.
+            end: s.
+            shortest: s.
+
+        """
+        if not light.matters:
+            return cls(np.array([begin]), wanted[None].copy(), False)
+        most = math.floor((end - begin) / shortest) if end > begin else 0
+        steps = max(_STEPS, _turns(light, begin, end, min(most, _MOST_STEPS)))
+        steps = min(steps, most, max(_STEPS, int(_ROOM / len(wanted))))
+        count = max(2, steps + 1) if end > begin else 1
+        times = np.linspace(begin, max(end, begin), count)
+        suns = light.suns(times)
+        dark = np.isnan(suns[:, 0])
+        if not dark.any() and np.ptp(suns, axis=0).max() < _SAME:
+            return cls(times[:1], lit_units(sight, rules, suns[0], among=wanted)[None], False)
+        nothing = np.zeros_like(wanted)
+        lit = np.array([nothing if dark[n] else lit_units(sight, rules, suns[n], among=wanted) for n in range(count)])
+        return cls(times, lit, True)
+
+    def at(self, time: float) -> Bool[np.ndarray, " units"]:
+        """Give what is lit at a time, s: at the looked-at times before and after it, or at that of them which it is."""
+        if not self.changes:
+            return self.lit[0]
+        if not self.times[0] <= time <= self.times[-1]:
+            return np.zeros(self.lit.shape[1], dtype=bool)
+        after = int(np.searchsorted(self.times, time))
+        if self.times[after] - time < _AT_ONCE:
+            return self.lit[after]
+        return self.lit[after] & self.lit[max(after - 1, 0)]
+
+    def windows(self, units: Int[np.ndarray, " k"]) -> list[tuple[float, float]]:
+        """Give the times, s, from and to, in which all of some units are lit."""
+        if not self.changes:
+            return [(-math.inf, math.inf)]
+        together = np.concatenate([[False], self.lit[:, units].all(axis=1), [False]])
+        edges = np.flatnonzero(together[1:] != together[:-1]).reshape(-1, 2)
+        return [(float(self.times[first]), float(self.times[last - 1])) for first, last in edges]
+
+
+def _turns(light: Light, begin: float, end: float, steps: int) -> int:
+    """Give how many equal steps there would have to be for the sun to turn by `_TURN` in none; `steps` at most."""
+    if steps < 1:
+        return 0
+    suns = light.suns(np.linspace(begin, end, steps + 1))
+    across = np.linalg.norm(np.cross(suns[1:], suns[:-1]), axis=1)
+    angles = np.arctan2(across, np.einsum("ni,ni->n", suns[1:], suns[:-1]))
+    angles = angles[np.isfinite(angles)]
+    return min(steps, math.ceil(steps * float(angles.max()) / _TURN)) if len(angles) else 0
+
+
+def ever_lit(
+    camera: Camera, units: Bool[np.ndarray, " units"], duration: float, *, begin: float = 0.0
+) -> Bool[np.ndarray, " units"]:
+    """Say which units are wholly lit at some time from `begin` to `duration` (s); all where light does not matter.
+
+    The sun is looked at every few degrees of its way. What is lit only in between is left out: the answer is a lower
+    bound.
+
+    Args:
+        camera: its light and lines of sight.
+        units: (2 n,) that are asked for.
+        duration: of the mission, s.
+        begin: s.
+
+    """
+    if not camera.light.matters:
+        return units.copy()
+    lit, last, looked = np.zeros_like(units), None, 0
+    for now in np.linspace(begin, duration, max(2, int(np.ceil((duration - begin) / _COARSE)) + 1)):
+        sun = camera.sun(float(now))
+        if sun is None or (last is not None and float(sun @ last) > np.cos(_COARSE_TURN)):
+            continue
+        left = np.flatnonzero(units & ~lit)
+        if not len(left) or looked >= _MOST:
+            break
+        lit[left[camera.lit(sun, left)]] = True
+        last, looked = sun, looked + 1
+    return lit

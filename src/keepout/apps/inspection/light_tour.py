@@ -3,25 +3,34 @@
 With a sun that turns and sets, a view is worth what of it is lit at the moment, and no order is good at another time.
 So the tour is made forward in time. From where the chaser is, each view is judged at the moments from its arrival on:
 by the area that it would newly show then, over the time until then, and what is lit only for a little longer counts for
-more. Where Δv counts, what is divided by is not the time alone (`light_cost`). This greedy tour is then improved: from
-a random view on it is made again, with other weights and some chance, and what sees more, or as much at less cost, is
+more. Where Δv counts, what is divided by is not the time alone (`Cost`). This greedy tour is then improved: from a
+random view on it is made again, with other weights and some chance, and what sees more, or as much at less cost, is
 kept.
+
+A leg sets out straight towards its view and keeps one speed. At a view the velocity changes to that of the next leg;
+where the chaser waits for light or stays, it stops and sets out anew (`tour`).
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
 
 import numba
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import sparse
 
-from keepout.apps.inspection.light_cost import Cost, Departures
-from keepout.apps.inspection.lit_times import LitTimes
-from keepout.apps.inspection.tour import turning_time
-from keepout.apps.inspection.viewpoints import Views
+from keepout.apps.inspection.candidates import Views
+from keepout.apps.inspection.cover import fewest_views, shortlist
+from keepout.apps.inspection.light import LitTimes
+from keepout.apps.inspection.plan import InspectionPlan, Point, Task
+from keepout.apps.inspection.tour import Objective, Tour, turning_time
+from keepout.core.progress import Progress
 
+_SIDE = 1e-3
+"""Seconds count so little where Δv is made least: ties are broken by them."""
+_BASE = 0.2
+"""Share of the speed that every leg costs in Δv when views are compared: one straight ahead is not free."""
 _AHEAD = 12
 """Moments from the arrival on at which a view is judged."""
 _SCARCITY = (0.0, 0.3, 0.6, 0.9, 1.2)
@@ -34,29 +43,51 @@ _IN_VAIN = 400
 """Tours made again without one that is better, after which the search ends."""
 _LEAST = 1e-4
 """Of what is to be seen, the share below which a view is not worth a leg."""
+_AMONG = 1500
+"""Views that a tour is made from, about."""
+_BOUND = 0.1
+"""Share of the usual work that goes into the bound on the number of views."""
+_TRIES = 1500
+"""Tours made again, at most, and usually."""
+_TAKEN = 0.9
+"""Share of the speed limit at which a tour is made: a law slows down for corners and near the target."""
 
-Lengths = Callable[[int], Float[np.ndarray, " v"]]
-"""Lengths (m) of the ways from a view, by its row, or from the start, -1, to all views; infinite where none leads."""
+
+class Cost(NamedTuple):
+    """What an objective counts."""
+
+    seconds: float = 1.0
+    """What a second costs."""
+    delta_v: float = 0.0
+    """What 1 m/s costs."""
+
+    @classmethod
+    def of(cls, objective: Objective, worth: float) -> "Cost":
+        """Take it from a scenario's objective; `worth` is that of Δv where both count, s per m/s."""
+        return {"time": cls(), "delta_v": cls(_SIDE, 100.0), "both": cls(1.0, worth)}[objective]
 
 
-@dataclass(frozen=True)
-class Pace:
-    """How fast a chaser goes and a camera turns.
-
-    Attributes:
-        speed: m/s.
-        acceleration: m/s².
-        turn_rate: rad/s.
-        turn_acceleration: rad/s².
-        dwell: at every view, s.
-
-    """
+class Pace(NamedTuple):
+    """How fast a chaser goes and a camera turns."""
 
     speed: float
+    """m/s."""
     acceleration: float
+    """m/s²."""
     turn_rate: float
+    """rad/s."""
     turn_acceleration: float
+    """rad/s²."""
     dwell: float
+    """At every view, s."""
+
+
+class Begin(NamedTuple):
+    """Where a tour begins, at rest: place (m), where the camera looks, and when (s)."""
+
+    position: Point
+    boresight: Point
+    time: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,106 +110,91 @@ class LightTour:
     delta_v: float
 
 
-class _Moments:
-    """What is lit at each of the times, and how much light is left to each unit after it."""
+class _Legs(NamedTuple):
+    """The legs from where a chaser is to some views."""
 
-    def __init__(self, lit: LitTimes) -> None:
-        self.times = lit.times
-        # Between two times that is lit which is lit at both: here it counts from the first of them on.
-        self.lit = lit.lit.copy()
-        self.lit[:-1] &= lit.lit[1:]
-        step = float(lit.times[1] - lit.times[0]) if len(lit.times) > 1 else 1.0
-        self.step = step
-        self.remaining = np.cumsum(self.lit[::-1], axis=0, dtype=np.int32)[::-1]
-        anything: Bool[np.ndarray, " t"] = np.any(self.lit, axis=1)
-        following = np.full(len(anything) + 1, len(anything))
-        for n in range(len(anything) - 1, -1, -1):
-            following[n] = n if anything[n] else following[n + 1]
-        self.next_light = following
+    arrival: Float[np.ndarray, " v"]
+    """s; infinite where no way leads."""
+    velocity: Float[np.ndarray, "v 3"]
+    """On the leg, m/s."""
+    change: Float[np.ndarray, " v"]
+    """From the velocity before to that of the leg, m/s."""
+    stop: Float[np.ndarray, " v"]
+    """From that of the leg to rest, m/s."""
 
 
-def tour_in_light(
-    views: Views,
-    lit: LitTimes,
-    areas: Float[np.ndarray, " units"],
-    goal: float,
-    lengths: Lengths,
-    looking: Float[np.ndarray, "3"],
-    pace: Pace,
-    begin: float,
-    *,
-    start: Float[np.ndarray, "3"],
-    cost: Cost,
-    most_views: int,
-    tries: int,
-    seed: int = 0,
-) -> LightTour:
-    """Choose views, their order and their times, so that as much as is wanted is seen, at the least cost.
+@dataclass(eq=False)
+class LightTours:
+    """Makes tours forward in time: views, their order and their times, so that as much as is wanted is seen.
 
-    Args:
+    Attributes:
         views: to choose from.
         lit: when what is lit.
         areas: (units,) m², 0 for what is not wanted.
         goal: m² to be seen.
-        lengths: of ways.
-        looking: (3,) where the camera looks at the start.
+        lengths: (m) of the ways from a view, by its row, or from the start, -1, to all views; infinite without a way.
+        begin: where and when.
         pace: of chaser and camera.
-        begin: s.
-        start: (3,) where the chaser is, at rest, m.
         cost: what is made least.
         most_views: in the tour.
-        tries: how often a tour is made again to improve it, at most.
-        seed: of the chance in it.
 
     """
-    asked = areas > 0.0
-    views = replace(views, sees=sparse.csr_array(views.sees[:, asked]))
-    lit, areas = replace(lit, lit=lit.lit[:, asked]), areas[asked]
-    generator = np.random.default_rng(seed)
-    maker = _Maker(views, _Moments(lit), areas, goal, lengths, looking, pace, begin, most_views, start, cost)
-    best = max((maker.made((), scarcity, 0.0, generator) for scarcity in _SCARCITY), key=maker.score)
-    in_vain = 0
-    for _ in range(tries):
-        if not len(best.rows) or in_vain >= _IN_VAIN:
-            break
-        cut = int(generator.integers(len(best.rows)))
-        kept = tuple(zip(best.rows[:cut].tolist(), best.times[:cut].tolist(), strict=True))
-        tried = maker.made(
-            kept, float(generator.choice(_SCARCITY)), float(generator.choice(_CHANCE)), generator, int(best.rows[cut])
-        )
-        in_vain += 1
-        if maker.score(tried) > maker.score(best):
-            best, in_vain = tried, 0
-    return best
 
+    views: Views
+    lit: LitTimes
+    areas: Float[np.ndarray, " units"]
+    goal: float
+    lengths: Callable[[int], Float[np.ndarray, " v"]]
+    begin: Begin
+    pace: Pace
+    cost: Cost
+    most_views: int
 
-class _Maker:
-    """Makes tours forward in time."""
+    def __post_init__(self) -> None:
+        wanted = self.areas > 0.0
+        sees, lit = sparse.csr_array(self.views.sees[:, wanted]), self.lit.lit[:, wanted]
+        self.areas, self._indptr, self._indices = self.areas[wanted], sees.indptr.astype(np.int64), sees.indices
+        self._indices = self._indices.astype(np.int64)
+        self._times = self.lit.times
+        self._step = float(self._times[1] - self._times[0]) if len(self._times) > 1 else 1.0
+        # Between two times that is lit which is lit at both: here it counts from the first of them on.
+        self._lit = lit.copy()
+        self._lit[:-1] &= lit[1:]
+        self._remaining = np.cumsum(self._lit[::-1], axis=0, dtype=np.int32)[::-1]
+        anything: Bool[np.ndarray, " t"] = np.any(self._lit, axis=1)
+        self._next_light = np.full(len(anything) + 1, len(anything))
+        for n in range(len(anything) - 1, -1, -1):
+            self._next_light[n] = n if anything[n] else self._next_light[n + 1]
 
-    def __init__(
-        self,
-        views: Views,
-        moments: _Moments,
-        areas: Float[np.ndarray, " units"],
-        goal: float,
-        lengths: Lengths,
-        looking: Float[np.ndarray, "3"],
-        pace: Pace,
-        begin: float,
-        most_views: int,
-        start: Float[np.ndarray, "3"],
-        cost: Cost,
-    ) -> None:
-        self.views, self.moments, self.areas, self.goal = views, moments, areas, goal
-        self.lengths, self.looking, self.pace, self.begin, self.most_views = lengths, looking, pace, begin, most_views
-        self.start, self.cost = start, cost
-        self.indptr, self.indices = views.sees.indptr.astype(np.int64), views.sees.indices.astype(np.int64)
+    def best(self, tries: int, *, seed: int = 0) -> LightTour:
+        """Give the best tour found: as much as is wanted is seen, at the least cost.
 
-    def score(self, tour: LightTour) -> tuple[float, float]:
+        Args:
+            tries: how often a tour is made again to improve it, at most.
+            seed: of the chance in it.
+
+        """
+        generator = np.random.default_rng(seed)
+        best = max((self._made((), scarcity, 0.0, generator) for scarcity in _SCARCITY), key=self._score)
+        in_vain = 0
+        for _ in range(tries):
+            if not len(best.rows) or in_vain >= _IN_VAIN:
+                break
+            cut = int(generator.integers(len(best.rows)))
+            kept = tuple(zip(best.rows[:cut].tolist(), best.times[:cut].tolist(), strict=True))
+            scarcity, chance = float(generator.choice(_SCARCITY)), float(generator.choice(_CHANCE))
+            tried = self._made(kept, scarcity, chance, generator, int(best.rows[cut]))
+            in_vain += 1
+            if self._score(tried) > self._score(best):
+                best, in_vain = tried, 0
+        return best
+
+    def _score(self, tour: LightTour) -> tuple[float, float]:
         """Say how good a tour is: by what it shows, no more than is wanted, and then by what it costs."""
-        return min(tour.area, self.goal * (1.0 - 1e-9)), -self.cost.whole(tour.end - self.begin, tour.delta_v)
+        cost = self.cost.seconds * (tour.end - self.begin.time) + self.cost.delta_v * tour.delta_v
+        return min(tour.area, self.goal * (1.0 - 1e-9)), -cost
 
-    def made(
+    def _made(
         self,
         kept: tuple[tuple[int, float], ...],
         scarcity: float,
@@ -187,68 +203,54 @@ class _Maker:
         barred: int = -1,
     ) -> LightTour:
         """Make a tour: some views at their times, then by greed; the first of these is not the view barred."""
-        moments, pace = self.moments, self.pace
-        left = self.areas.copy()
+        left, dwell = self.areas.copy(), self.pace.dwell
         rows, times = [row for row, _ in kept], [at for _, at in kept]
-        now, here, moving, delta_v = self.begin, -1, np.zeros(3), 0.0
+        now, here, moving, delta_v = self.begin.time, -1, np.zeros(3), 0.0
         for row, at in kept:
             self._strike(left, row, at)
-            spent, moving = self._flown(self._departures(here, now, moving, np.array([row])), 0, at, moving)
-            now, here, delta_v = at + pace.dwell, row, delta_v + spent
+            spent, moving = self._flown(self._legs(here, now, moving, np.array([row])), 0, at)
+            now, here, delta_v = at + dwell, row, delta_v + spent
         whole = float(self.areas.sum())
         while whole - float(left.sum()) < self.goal and len(rows) < self.most_views:
-            legs = self._departures(here, now, moving, np.arange(len(self.views.positions)))
-            arrival = legs.arrival
-            first = np.ceil((arrival - moments.times[0]) / moments.step - 1e-9)
-            first = np.where(np.isfinite(first), first, len(moments.times)).astype(np.int64)
-            row = min(max(int((now - moments.times[0]) / moments.step), 0), len(moments.times) - 1)
-            worth = left * (1.0 + moments.remaining[row]) ** -scarcity
-            gains = np.exp(chance * generator.standard_normal(len(arrival)))
+            legs = self._legs(here, now, moving, np.arange(len(self.views.positions)))
+            row = min(max(int((now - self._times[0]) / self._step), 0), len(self._times) - 1)
+            worth = left * (1.0 + self._remaining[row]) ** -scarcity
+            gains = np.exp(chance * generator.standard_normal(len(legs.arrival)))
             if len(rows) == len(kept) and barred >= 0:
                 gains[barred] = 0.0
-            view, at = self._best(left, worth, first, now, gains, legs)
+            view, at = self._best(left, worth, now, gains, legs)
             if view < 0:
                 break
-            now = max(float(moments.times[at]), float(arrival[view]))
-            spent, moving = self._flown(legs, view, now, moving)
+            now = max(float(self._times[at]), float(legs.arrival[view]))
+            spent, moving = self._flown(legs, view, now)
             delta_v += spent
-            rows.append(int(view))
+            rows.append(view)
             times.append(now)
-            self._strike(left, int(view), now)
-            now += pace.dwell
-            here = int(view)
-        return LightTour(
-            np.array(rows, dtype=np.int64),
-            np.array(times, dtype=np.float64),
-            now,
-            whole - float(left.sum()),
-            delta_v + float(np.linalg.norm(moving)),
-        )
+            self._strike(left, view, now)
+            now, here = now + dwell, view
+        shown, delta_v = whole - float(left.sum()), delta_v + float(np.linalg.norm(moving))
+        return LightTour(np.array(rows, dtype=np.int64), np.array(times, dtype=np.float64), now, shown, delta_v)
 
-    def _departures(
-        self, here: int, now: float, moving: Float[np.ndarray, "3"], rows: Int[np.ndarray, " v"]
-    ) -> Departures:
-        """Give the legs from a view, or the start, to some."""
-        pace, views = self.pace, self.views
-        looking, place = (self.looking, self.start) if here < 0 else (views.boresights[here], views.positions[here])
+    def _legs(self, here: int, now: float, moving: Point, rows: Int[np.ndarray, " v"]) -> _Legs:
+        """Give the legs from a view, or the start, to some, of a chaser that moves so (m/s)."""
+        pace, views, begin = self.pace, self.views, self.begin
+        place, looking = begin[:2] if here < 0 else (views.positions[here], views.boresights[here])
         turns = turning_time(looking[None], views.boresights[rows], pace.turn_rate, pace.turn_acceleration)[0]
         way = self.lengths(here)[rows]
         taken = np.maximum(way / pace.speed, turns)
         arrival = now + taken + np.minimum(way, 1.0) * pace.speed / pace.acceleration
         stays = rows == here
-        return Departures.of(
-            np.where(stays, now, arrival),
-            np.where(stays, 0.0, way),
-            taken,
-            views.positions[rows] - place,
-            moving,
-        )
+        way = np.where(stays, 0.0, way)
+        reached: Bool[np.ndarray, " v"] = np.isfinite(way)
+        speed = np.where(reached, way, 0.0) / np.where(reached, np.maximum(taken, 1e-9), 1.0)
+        ahead = views.positions[rows] - place
+        velocity = (speed / np.maximum(np.linalg.norm(ahead, axis=1), 1e-9))[:, None] * ahead
+        change, stop = np.linalg.norm(velocity - moving, axis=1), np.linalg.norm(velocity, axis=1)
+        return _Legs(np.where(stays, now, arrival), velocity, change, stop)
 
-    def _flown(
-        self, legs: Departures, view: int, at: float, moving: Float[np.ndarray, "3"]
-    ) -> tuple[float, Float[np.ndarray, "3"]]:
+    def _flown(self, legs: _Legs, view: int, at: float) -> tuple[float, Point]:
         """Give the Δv of a leg to a view that is worth something at a time, and the velocity after it."""
-        if self.pace.dwell > 0.0 or at > float(legs.arrival[view]) + self.moments.step:
+        if self.pace.dwell > 0.0 or at > float(legs.arrival[view]) + self._step:
             return float(legs.change[view] + legs.stop[view]), np.zeros(3)
         return float(legs.change[view]), legs.velocity[view]
 
@@ -256,36 +258,24 @@ class _Maker:
         self,
         left: Float[np.ndarray, " units"],
         worth: Float[np.ndarray, " units"],
-        first: Int[np.ndarray, " v"],
         now: float,
         gains: Float[np.ndarray, " v"],
-        legs: Departures,
+        legs: _Legs,
     ) -> tuple[int, int]:
         """Give the view to go to next and the moment of it, or -1; later moments count where none soon shows enough."""
-        moments, least, soonest = self.moments, _LEAST * float(self.areas.sum()), 0
+        times, least, soonest = self._times, _LEAST * float(self.areas.sum()), 0
+        first = np.ceil((legs.arrival - times[0]) / self._step - 1e-9)
+        first = np.where(np.isfinite(first), first, len(times)).astype(np.int64)
+        units = self._indptr, self._indices, left, worth, self._lit
+        spent = legs.arrival, legs.change + _BASE * self.pace.speed, legs.stop, self._step
         enough: Bool[np.ndarray, " t"] | None = None
-        while soonest < len(moments.times):
-            view, at = _next_view(
-                self.indptr,
-                self.indices,
-                left,
-                worth,
-                moments.lit,
-                moments.next_light,
-                np.clip(first, soonest, len(moments.times)),
-                moments.times,
-                now,
-                gains,
-                _AHEAD,
-                _SETTLE,
-                least,
-                (legs.arrival, legs.base(self.pace.speed), legs.stop, moments.step),
-                (self.cost.seconds, self.cost.delta_v),
-            )
+        while soonest < len(times):
+            begins = self._next_light[np.clip(first, soonest, len(times))]
+            view, at = _next_view(*units, begins, times, now, gains, least, spent, tuple(self.cost))
             if view >= 0:
                 return int(view), int(at)
             if enough is None:
-                enough = moments.lit @ left >= least
+                enough = self._lit @ left >= least
                 soonest = int(first.min())
             later = np.flatnonzero(enough[soonest + _AHEAD :])
             if not len(later):
@@ -294,26 +284,22 @@ class _Maker:
         return -1, -1
 
     def _strike(self, left: Float[np.ndarray, " units"], row: int, at: float) -> None:
-        moments = self.moments
-        n = min(max(int((at - moments.times[0]) / moments.step + 1e-6), 0), len(moments.times) - 1)
-        units = self.indices[self.indptr[row] : self.indptr[row + 1]]
-        left[units[moments.lit[n, units]]] = 0.0
+        n = min(max(int((at - self._times[0]) / self._step + 1e-6), 0), len(self._times) - 1)
+        units = self._indices[self._indptr[row] : self._indptr[row + 1]]
+        left[units[self._lit[n, units]]] = 0.0
 
 
 @numba.njit(cache=True)
 @no_type_check
-def _next_view(
-    indptr, indices, left, worth, lit, next_light, first, times, now, gains, ahead, settle, least, legs, prices
-):
+def _next_view(indptr, indices, left, worth, lit, begins, times, now, gains, least, legs, prices):
     """Give the view and the moment with the most worth for its cost, or -1."""
     arrival, change, stop, step = legs
     of_seconds, of_delta_v = prices
     best, best_view, best_at = 0.0, -1, -1
-    for view in range(len(first)):
+    for view in range(len(begins)):
         if gains[view] <= 0.0:
             continue
-        begin = next_light[first[view]]
-        for at in range(begin, min(begin + ahead, len(times))):
+        for at in range(begins[view], min(begins[view] + _AHEAD, len(times))):
             area, value = 0.0, 0.0
             for place in range(indptr[view], indptr[view + 1]):
                 unit = indices[place]
@@ -321,7 +307,50 @@ def _next_view(
                     area += left[unit]
                     value += worth[unit]
             spent = change[view] + (stop[view] if times[at] > arrival[view] + step else 0.0)
-            rate = gains[view] * value / (of_seconds * (times[at] - now + settle) + of_delta_v * spent)
+            rate = gains[view] * value / (of_seconds * (times[at] - now + _SETTLE) + of_delta_v * spent)
             if area >= least and rate > best:
                 best, best_view, best_at = rate, view, at
     return best_view, best_at
+
+
+def plan_in_light(task: Task, views: Views, progress: Progress) -> InspectionPlan:
+    """Plan views together with their times; the bound on their number is that of the same views in any light.
+
+    Args:
+        task: what is to be planned.
+        views: candidates.
+        progress: told of the tour.
+
+    """
+    scenario, found = task.scenario, len(views.positions)
+    views = views.only(shortlist(views.sees, task.areas, _AMONG))
+    chaser, camera, inspect = scenario.chaser, scenario.camera, scenario.inspect
+    made = LightTours(
+        views,
+        task.lit,
+        task.areas,
+        task.goal,
+        task.nearly(views),
+        Begin(task.position, task.boresight, task.time),
+        Pace(
+            _TAKEN * chaser.speed_limit,
+            chaser.force_limit / chaser.mass,
+            camera.turn_rate,
+            camera.turn_acceleration,
+            inspect.dwell,
+        ),
+        Cost.of(inspect.objective, inspect.delta_v_worth),
+        inspect.most_views,
+    ).best(round(task.effort * _TRIES), seed=scenario.seed)
+    progress(0.6, f"{len(made.rows)} views show {made.area:.1f} m2 in time")
+    effort = _BOUND * task.effort
+    bound = fewest_views(views.sees, task.areas, min(task.goal, made.area), effort=effort, seed=scenario.seed)
+    # Its length is that of the courses, which are drawn up now.
+    tour = Tour(np.arange(1, len(made.rows) + 1), made.times, 0.0, made.end, made.delta_v)
+    return replace(
+        task.drawn_up(views.only(made.rows), tour, task.drifting).plan,
+        candidates=found,
+        short_list=len(views.positions),
+        fewest_views=min(bound.fewest, len(made.rows)),
+        greedy_views=bound.greedy,
+    )

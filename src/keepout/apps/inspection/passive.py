@@ -1,14 +1,16 @@
-"""Passive safety: a chaser whose thrust stops now touches nothing for a stated time.
+"""Passive safety: a chaser whose thrust stops touches nothing for a stated time; how fast legs may then be flown.
 
 What is proved, for each state: the nominal drift (exact relative motion, no force) keeps clear of the mesh by more than
 chaser radius and tube, the tube being how far errors of the state and a push that nobody commanded can lead away
-(`spread`). Between the samples of the drift the audit's parabolas and their error hold (`audit/tube.py`); distance to
+(`Spread`). Between the samples of the drift the audit's parabolas and their error hold (`audit/tube.py`); distance to
 the mesh is 1-Lipschitz. Where a drift leaves the range in which gravity is bounded, nothing is proved.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -16,16 +18,23 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from keepout.apps.inspection.spread import Spread
 from keepout.core.audit.tube import Tube, lengths
 from keepout.core.compiled.kept_executables import kept_jit
 from keepout.core.errors import InspectionError
 from keepout.core.flight.record import FlightRecord
+from keepout.core.mission.bounds import perturbations
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 from keepout.core.motion.disturbance import NoDisturbance
+from keepout.core.motion.orbit import EARTH_GRAVITATIONAL_PARAMETER
 from keepout.core.motion.relative import MotionState, RelativeMotion
 
+VVLH_FROM_RTN = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
+"""Rotation that takes radial, along-track and normal components to VVLH."""
+_STEEPEST, _TURNING = 7.08, 12.4
+"""Bounds of ‖Φ_vv‖ = ‖Φ_rv'‖ and, over n, of ‖Φ_vr‖ = ‖Φ_rr'‖, by the sums of their entries' squares."""
+_CELLS = 2000
+"""Of the integral K."""
 _TOGETHER = 512
 """Drifts that are propagated and looked at together."""
 _RUN = 64
@@ -37,6 +46,158 @@ _INTEGRATION = 1e-4
 """Metres: more than the Runge–Kutta steps lose in a day (tests/apps/inspection/test_passive.py)."""
 _HALVINGS = 12
 _MOST_STEPS = 100_000
+Distance = Callable[[Float[np.ndarray, "points 3"]], Float[np.ndarray, "points"]]
+Course = Float[np.ndarray, "corners 3"]
+_SPEEDS = (1.0, 0.75, 0.5, 0.375, 0.25, 0.1875, 0.125, 0.09375, 0.0625, 0.046875, 0.03125)
+"""Shares of the speed limit at which a leg is judged."""
+_APART = 0.2
+"""Metres from one judged state of a piece to the next, at most."""
+_CHANGING = 1.5
+"""Metres from either end of a leg within which it may be flown more slowly than on the rest."""
+
+
+def coast_matrix(mean_motion: float, seconds: float | Float[np.ndarray, "*times"]) -> Float[np.ndarray, "*times 6 6"]:
+    """Give the matrix from a state (position m, velocity m/s; VVLH) to the state `seconds` later, without force.
+
+    Hill's equations, also called those of Clohessy and Wiltshire, in closed form: coasting near a target on a circular
+    orbit. Linear in the distance, so a plan's first draft only: what is flown or proved uses the exact relative motion
+    (`motion/relative.py`), from which it departs by about 1.5 n² r²/a (a: the orbit's radius) in acceleration. With R
+    outwards, T along the velocity, N along the orbit normal, VVLH has x = T, y = −N, z = −R.
+
+    Args:
+        mean_motion: n of the circular orbit, rad/s.
+        seconds: any shape.
+
+    """
+    n, t = mean_motion, np.asarray(seconds, float)
+    s, c = np.sin(n * t), np.cos(n * t)
+    rtn = np.zeros((*t.shape, 6, 6))
+    rtn[..., 0, 0], rtn[..., 0, 3], rtn[..., 0, 4] = 4.0 - 3.0 * c, s / n, 2.0 * (1.0 - c) / n
+    rtn[..., 1, 0], rtn[..., 1, 1] = 6.0 * (s - n * t), 1.0
+    rtn[..., 1, 3], rtn[..., 1, 4] = -2.0 * (1.0 - c) / n, (4.0 * s - 3.0 * n * t) / n
+    rtn[..., 2, 2], rtn[..., 2, 5] = c, s / n
+    rtn[..., 3, 0], rtn[..., 3, 3], rtn[..., 3, 4] = 3.0 * n * s, c, 2.0 * s
+    rtn[..., 4, 0], rtn[..., 4, 3], rtn[..., 4, 4] = 6.0 * n * (c - 1.0), -2.0 * s, 4.0 * c - 3.0
+    rtn[..., 5, 2], rtn[..., 5, 5] = -n * s, c
+    turn = np.kron(np.eye(2), VVLH_FROM_RTN)
+    return turn @ rtn @ turn.T
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Bounds from which the growth follows; `Spread.of` takes them from a scenario.
+
+    Let δ be the difference of two motions, and η its rate as seen from inertial space, in body axes. Then
+
+        |δ|' ≤ |η|,    |η|' ≤ γ |δ| + c |η| + a,
+
+    a bounding the push, γ the gradient of differential gravity and what perturbations add to it, c what drag adds: the
+    turning of the frame moves neither norm. The larger solution with equality bounds both (Müller's theorem). That
+    grows like a hyperbolic cosine. On a circular orbit without perturbations Hill's equations with their matrices Φ are
+    exact but for ε = the change of the gradient of gravity over the range, and
+
+        |δ(t)| ≤ A(t) + ∫ ‖Φ_rv(t − s)‖ (a + ε |δ(s)|) ds,   so   sup |δ| ≤ (A + a K) / (1 − ε K),   K = ∫ ‖Φ_rv‖,
+
+    A being what the errors at the start grow to. It counts the turning where the first bound does not, and is the
+    smaller one from about a third of an orbit on. The smaller of the two is used.
+
+    Attributes:
+        push: largest acceleration that nobody commanded, m/s².
+        gradient: γ, 1/s².
+        per_speed: c, 1/s.
+        frame_rate: largest inertial rate of the body frame, rad/s.
+        range_limit: of the chaser from the target, m: within it the gradient holds.
+        mean_motion: of a circular orbit without perturbations, rad/s; 0 for any other.
+
+    """
+
+    push: float
+    gradient: float
+    per_speed: float
+    frame_rate: float
+    range_limit: float
+    mean_motion: float = 0.0
+
+    @classmethod
+    def of(cls, scenario: Scenario, push: float | None = None) -> "Spread":
+        """Take the bounds from a scenario: its orbit, attitude, perturbations, and its disturbance or a push, N.
+
+        Raises:
+            InspectionError: a push that is negative or not a number.
+
+        """
+        if push is not None and not (math.isfinite(push) and push >= 0.0):
+            raise InspectionError(f"passive safety: push is {push} N; it must be finite and at least 0")
+        bounds, orbit = Surroundings(scenario).flight_bounds, scenario.orbit
+        circular = orbit.eccentricity == 0.0 and not perturbations(scenario)
+        return cls(
+            push=(bounds.disturbance_force if push is None else push) / bounds.mass,
+            gradient=bounds.gravity_gradient,
+            per_speed=2.0 * bounds.angular_rate if scenario.drag.density > 0.0 else 0.0,
+            frame_rate=bounds.angular_rate,
+            range_limit=bounds.range_limit,
+            mean_motion=math.sqrt(EARTH_GRAVITATIONAL_PARAMETER / orbit.semi_major_axis**3) if circular else 0.0,
+        )
+
+    def radius(
+        self, times: Float[np.ndarray, " k"], *, position_error: float = 0.0, velocity_error: float = 0.0
+    ) -> Float[np.ndarray, " k"]:
+        """Bound how far the chaser is from its nominal drift, m, at times (s, from 0 on, ascending) after the start.
+
+        Args:
+            times: since the thrust stopped.
+            position_error: of the state that the nominal drift starts from, in norm, m.
+            velocity_error: likewise, in the body frame, m/s.
+
+        Raises:
+            InspectionError: an error that is negative or not a number.
+
+        """
+        for name, value in (("position_error", position_error), ("velocity_error", velocity_error)):
+            if not (math.isfinite(value) and value >= 0.0):
+                raise InspectionError(f"passive safety: {name} is {value}; it must be finite and at least 0")
+        found = self._by_norms(times, position_error, velocity_error + self.frame_rate * position_error)
+        if self.mean_motion:
+            faster = velocity_error + (self.frame_rate + self.mean_motion) * position_error
+            found = np.minimum(found, self._by_hill(times, position_error, faster))
+        return np.maximum.accumulate(found)
+
+    def _by_norms(self, times: Float[np.ndarray, " k"], apart: float, faster: float) -> Float[np.ndarray, " k"]:
+        """Solve u' = w, w' = γ u + c w + a from (apart, faster)."""
+        half = 0.5 * self.per_speed
+        root = math.sqrt(half * half + self.gradient)
+        if root * float(np.max(times, initial=0.0)) < 1e-6:
+            return apart + faster * times + 0.5 * (1.0 + 1e-5) * self.push * times**2
+        up, down = half + root, half - root
+        with np.errstate(over="ignore"):
+            quick, slow = np.exp(up * times), np.exp(down * times)
+            answer = (quick - slow) / (up - down)
+            own = (up * slow - down * quick) / (up - down)
+            summed = (np.expm1(up * times) / up - self._slow_sum(down, times)) / (up - down)
+        return apart * own + faster * answer + self.push * summed
+
+    @staticmethod
+    def _slow_sum(down: float, times: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+        return times if down == 0.0 else np.expm1(down * times) / down
+
+    def _by_hill(self, times: Float[np.ndarray, " k"], apart: float, faster: float) -> Float[np.ndarray, " k"]:
+        last = float(np.max(times, initial=0.0))
+        if last == 0.0:
+            return np.full(len(times), apart)
+        n, cell = self.mean_motion, last / _CELLS
+        grid = np.linspace(0.0, last, _CELLS + 1)
+        whole = coast_matrix(n, grid)
+        answer = np.linalg.norm(whole[:, :3, 3:], ord=2, axis=(1, 2))
+        own = np.linalg.norm(whole[:, :3, :3], ord=2, axis=(1, 2))
+        most = np.maximum(answer[:-1], answer[1:]) + 0.5 * _STEEPEST * cell
+        kernel = np.concatenate([[0.0], np.cumsum(most) * cell])
+        start = np.maximum.accumulate(own + 0.5 * _TURNING * n * cell) * apart
+        start[1:] += np.maximum.accumulate(most) * faster
+        radius = (EARTH_GRAVITATIONAL_PARAMETER / n**2) ** (1.0 / 3.0) - self.range_limit
+        changed = 6.0 * EARTH_GRAVITATIONAL_PARAMETER / radius**4 * self.range_limit
+        left = 1.0 - changed * kernel
+        bound = np.where(left > 0.0, (start + self.push * kernel) / np.maximum(left, 1e-300), np.inf)
+        return bound[np.minimum(np.ceil(times / cell).astype(int), _CELLS)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,3 +447,161 @@ def _least(
             np.stack([middle, until[kept]], axis=-1).ravel(),
         )
     return lower, upper, when
+
+
+@dataclass(frozen=True)
+class DriftsPlanned:
+    """What passive safety made of a plan.
+
+    Attributes:
+        legs: of the order that was judged, with those to views that were left out.
+        safe: of them that are passively safe at some speed.
+        slowed: of these that are safe only below the speed limit.
+        views_left_out: views in the order to which no leg was safe.
+        candidates_left_out: places tried for views at which rest is not safe.
+
+    """
+
+    legs: int = 0
+    safe: int = 0
+    slowed: int = 0
+    views_left_out: int = 0
+    candidates_left_out: int = 0
+
+    def summary(self) -> dict[str, Any]:
+        """Give the figures as plain numbers for JSON."""
+        return {
+            "legs": self.legs,
+            "legs_passive_safe": self.safe,
+            "legs_slowed": self.slowed,
+            "views_left_out_passive": self.views_left_out,
+            "candidates_left_out_passive": self.candidates_left_out,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Drifting:
+    """Judges places and legs by the drifts that begin there.
+
+    A leg is judged at its speed from states all along its course. Near its ends, where the chaser gains and loses that
+    speed, it is judged at every lower speed that is tried too, and from rest at the place that it leads to. The states
+    of a straight piece lie `_APART` from each other at most, and each stands for all that are nearer to it than half of
+    that: the tube of its drift (`Spread`) holds theirs. So no place of the course is left out. Of speeds only those
+    tried are judged, and a turn from one leg to the next is not.
+
+    Attributes:
+        scenario: as flown; `inspect.passive_safety` is how long a drift lasts.
+        distance: exact and unsigned, to the target's mesh, m.
+
+    """
+
+    scenario: Scenario
+    distance: Distance
+
+    @classmethod
+    def of(cls, scenario: Scenario, distance: Distance) -> "Drifting | None":
+        """Give the judge of a scenario; None where passive safety is not asked for."""
+        return cls(scenario, distance) if scenario.inspect.passive_safety > 0.0 else None
+
+    @property
+    def slowest(self) -> float:
+        """The least speed at which a leg is judged, m/s."""
+        return _SPEEDS[-1] * self.scenario.chaser.speed_limit
+
+    def at_rest(self, places: Float[np.ndarray, "n 3"], time: float) -> Bool[np.ndarray, " n"]:
+        """Say of places whether a drift from rest there at a time (s) is safe."""
+        times = np.full(len(places), time)
+        return self._safe(times, np.asarray(places, dtype=float), np.zeros((len(places), 3)), 0.0)
+
+    def speeds(self, courses: Sequence[Course], times: Float[np.ndarray, "legs 2"]) -> Float[np.ndarray, " legs"]:
+        """Give the greatest safe speed of each leg, m/s; 0 where none is.
+
+        Args:
+            courses: corners of the legs, m.
+            times: at which each begins and ends, s: the target is taken as it is in between.
+
+        """
+        found, speeds = np.zeros(len(courses)), self.scenario.chaser.speed_limit * np.array(_SPEEDS)
+        if not courses:
+            return found
+        along = [_Along.of(course, *when) for course, when in zip(courses, times.tolist(), strict=True)]
+        which = np.repeat(np.arange(len(along)), [len(one.times) for one in along])
+        place, ahead, at, gone, left = (
+            np.concatenate([getattr(one, name) for one in along])
+            for name in ("places", "ahead", "times", "gone", "left")
+        )
+        changing = np.minimum(gone, left) <= _CHANGING
+
+        def safe(states: Bool[np.ndarray, " n"], speed: float) -> Bool[np.ndarray, " legs"]:
+            answer = np.ones(len(courses), dtype=bool)
+            answer[which[states][~self._safe(at[states], place[states], speed * ahead[states], 0.5 * _APART)]] = False
+            return answer
+
+        up_to = [safe(left <= 0.5 * _APART, 0.0)]
+        for speed in reversed(speeds):
+            up_to.append(up_to[-1] & safe(changing & up_to[-1][which], speed))
+        for speed, near_ends in zip(speeds, reversed(up_to[1:]), strict=True):
+            open_ = near_ends & (found == 0.0)
+            found[open_ & safe(~changing & open_[which], speed)] = speed
+        return found
+
+    def _safe(
+        self,
+        times: Float[np.ndarray, " n"],
+        places: Float[np.ndarray, "n 3"],
+        velocities: Float[np.ndarray, "n 3"],
+        position_error: float,
+    ) -> Bool[np.ndarray, " n"]:
+        if not len(places):
+            return np.zeros(0, dtype=bool)
+        return passive_safety(
+            self.scenario,
+            self.distance,
+            states_at_times(self.scenario, times, places, velocities),
+            self.scenario.inspect.passive_safety,
+            push=0.0,
+            position_error=position_error,
+            enough=0.0,
+        ).safe
+
+
+@dataclass(frozen=True, eq=False)
+class _Along:
+    """States along a course, so dense that each place of a piece is half of `_APART` or less from one of the piece.
+
+    Attributes:
+        places: (n, 3) m.
+        ahead: (n, 3) unit vectors along the course; 0 where it goes nowhere.
+        times: (n,) s.
+        gone: (n,) of the course before each, m.
+        left: (n,) of it after each, m.
+
+    """
+
+    places: Float[np.ndarray, "n 3"]
+    ahead: Float[np.ndarray, "n 3"]
+    times: Float[np.ndarray, " n"]
+    gone: Float[np.ndarray, " n"]
+    left: Float[np.ndarray, " n"]
+
+    @classmethod
+    def of(cls, course: Course, begin: float, end: float) -> "_Along":
+        # A view for which no light comes is planned for no time.
+        begin = begin if math.isfinite(begin) else 0.0
+        end = end if math.isfinite(end) else begin
+        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(course, axis=0), axis=1))])
+        whole = float(along[-1])
+        if whole == 0.0:
+            return cls(course[:1], np.zeros((1, 3)), np.array([begin]), np.zeros(1), np.zeros(1))
+        places, ahead, done = [], [], []
+        for (low, high), (a, b) in zip(pairwise(along.tolist()), pairwise(course), strict=True):
+            if high > low:
+                count = math.ceil((high - low) / _APART - 1e-9)
+                share = (np.arange(count) + 0.5) / count
+                places.append(a + share[:, None] * (b - a))
+                ahead.append(np.tile((b - a) / (high - low), (count, 1)))
+                done.append(low + share * (high - low))
+        gone = np.concatenate(done)
+        return cls(
+            np.concatenate(places), np.concatenate(ahead), begin + (end - begin) * gone / whole, gone, whole - gone
+        )

@@ -4,32 +4,26 @@ The number of views is made least first, then what the objective says: their ord
 way see more than the views were chosen for; views that become needless by that are left out.
 """
 
-import functools
 from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from keepout.apps.inspection.arranging import INSIDE, Arranger
-from keepout.apps.inspection.cover import Cover, fewest_views, shortlist
-from keepout.apps.inspection.drifting import Drifting
-from keepout.apps.inspection.itinerary import Start, drawn_up, tighter_rules
-from keepout.apps.inspection.light_plan import plan_in_light
-from keepout.apps.inspection.lit_times import LitTimes
-from keepout.apps.inspection.nearest_view import nearest_views
-from keepout.apps.inspection.plan import InspectionPlan
-from keepout.apps.inspection.problem import Problem
-from keepout.apps.inspection.seeing.rules import SeeingRules
-from keepout.apps.inspection.seeing.visible import visible
-from keepout.apps.inspection.short_time import in_short_time
-from keepout.apps.inspection.viewpoints import Views, find_views
-from keepout.apps.inspection.ways import Ways
+from keepout.apps.inspection.arranging import Arranger, in_short_time
+from keepout.apps.inspection.candidates import Views, candidates
+from keepout.apps.inspection.cover import fewest_views, shortlist
+from keepout.apps.inspection.light import LitTimes
+from keepout.apps.inspection.light_tour import plan_in_light
+from keepout.apps.inspection.plan import InspectionPlan, Task
+from keepout.apps.inspection.problem import Problem, boresight_of
 from keepout.core.progress import Progress, part_of, silent
 
-_PLACES_EACH, _FEWEST_PLACES = 4, 64
-"""Places drawn for every unit wanted, and at least; `inspect.candidates` at most."""
 _AMONG = 4000
 """Views that the fewest are chosen from."""
+_ENOUGH = 0.2
+"""Of what the best view shows that is new, the share that makes a view of the nearest-view tour worth going to."""
+
+Point = Float[np.ndarray, "3"]
 
 
 def plan(
@@ -66,131 +60,80 @@ def plan(
         problem.light, problem.sight, problem.rules, wanted, time, max(scenario.duration, time), scenario.camera.period
     )
     views, unsafe = candidates(problem, wanted & lit.lit.any(axis=0), time, progress=part_of(progress, 0.0, 0.5))
-    goal = share * float(areas.sum())
-    start = Start(np.asarray(position, dtype=np.float64), time, boresight)
-    ways = ways_from(problem, start.position)
+    position = np.asarray(position, dtype=np.float64)
+    boresight = boresight_of(scenario, problem.target).direction if boresight is None else boresight
+    ways, goal = problem.ways_from(position), share * float(areas.sum())
+    task, rest = Task(problem, lit, areas, goal, ways, position, boresight, time, effort), part_of(progress, 0.5, 1.0)
     if scenario.inspect.tour == "nearest":
-        result = nearest_views(problem, views, lit, areas, goal, ways, start)
+        result = _nearest_views(task, views)
     elif lit.changes:
-        result = plan_in_light(problem, views, lit, areas, goal, ways, start, effort, part_of(progress, 0.5, 1.0))
+        result = plan_in_light(task, views, rest)
     else:
-        result = _planned(problem, views, lit, areas, goal, ways, start, effort, part_of(progress, 0.5, 1.0))
+        result = _fewest_in_order(task, views, rest)
     progress(1.0, f"{len(result.views)} views, {result.way_length:.0f} m")
     drifts = None if result.drifts is None else replace(result.drifts, candidates_left_out=unsafe)
     return replace(result, drifts=drifts)
 
 
-def _planned(
-    problem: Problem,
-    views: Views,
-    lit: LitTimes,
-    areas: Float[np.ndarray, " units"],
-    goal: float,
-    ways: Ways,
-    start: Start,
-    effort: float,
-    progress: Progress,
-) -> InspectionPlan:
-    """Choose the fewest views, and then their order."""
-    ways = ways if ways is not problem.ways else problem.fine_ways
+def _fewest_in_order(task: Task, views: Views, progress: Progress) -> InspectionPlan:
+    """Choose the fewest views, as many as are allowed at most, and then their order."""
+    problem, scenario = task.problem, task.scenario
+    if task.ways is problem.ways:
+        task = replace(task, ways=problem.fine_ways)
     places, at = np.unique(views.positions, axis=0, return_inverse=True)
-    views = views.only(np.flatnonzero(ways.reached(start.position, places)[at.ravel()]))
+    views = views.only(np.flatnonzero(task.ways.reached(task.position, places)[at.ravel()]))
     found = len(views.positions)
-    views = views.only(shortlist(views.sees, areas, _AMONG))
-    chosen = _fewest(problem, views, areas, goal, effort, part_of(progress, 0.0, 0.6))
-    arranger = Arranger(problem, views, lit, areas, goal, ways, start, part_of(progress, 0.6, 1.0))
-    best = arranger.arranged(views.only(chosen.chosen))
-    if best.drawn.plan.views and best.tour.end > problem.scenario.duration:
+    views = views.only(shortlist(views.sees, task.areas, _AMONG))
+    work = {"effort": task.effort, "seed": scenario.seed, "progress": part_of(progress, 0.0, 0.6)}
+    cover = fewest_views(views.sees, task.areas, task.goal, **work)
+    arranger = Arranger(task, views, part_of(progress, 0.6, 1.0))
+    best = arranger.arranged(views.only(cover.chosen[: scenario.inspect.most_views]))
+    if best.drawn.plan.views and best.tour.end > scenario.duration:
         best = in_short_time(arranger, best)
-    result, drifting = best.drawn.plan, Drifting.of(problem.scenario, problem.target.distance.distance)
-    if drifting is not None:
-        known = arranger.known
-        result = drawn_up(problem, best.views, lit, best.tour, ways, start, areas, known, drifting).plan
+    result = best.drawn.plan
+    if task.drifting is not None:
+        result = task.drawn_up(best.views, best.tour, task.drifting).plan
     return replace(
         result,
         candidates=found,
         short_list=len(views.positions),
-        fewest_views=chosen.fewest,
-        greedy_views=chosen.greedy,
+        fewest_views=cover.fewest,
+        greedy_views=cover.greedy,
     )
 
 
-def candidates(
-    problem: Problem,
-    wanted: Bool[np.ndarray, " units"],
-    time: float,
-    *,
-    within: SeeingRules | None = None,
-    progress: Progress = silent,
-) -> tuple[Views, int]:
-    """Find views of the units wanted; witnesses' places by the camera's limits themselves.
+def _nearest_views(task: Task, views: Views) -> InspectionPlan:
+    """Go to the view that is soonest reached of those that show at least a fifth of what the best one would, and on.
 
-    Where passive safety is asked for, rest is safe at all of them.
-
-    Args:
-        problem: what there is to be seen, and from where.
-        wanted: (units,) to be seen.
-        time: at which rest is to be safe, s.
-        within: limits of what drawn places show; if absent, the camera's with room for a flight's errors.
-        progress: told how much is seen.
-
-    Returns:
-        The views, and at how many places that were tried rest is not safe.
-
+    It is a baseline: nothing is looked ahead and nothing proved, and the plan's least number of views is 0.
     """
-    rules, scenario = problem.rules, problem.scenario
-    level = scenario.inspect.stand_off + INSIDE
-    tighter = tighter_rules(rules, problem.patches.size) if within is None else within
-    drifting, unsafe = Drifting.of(scenario, problem.target.distance.distance), 0
-
-    def allowed(places: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-        answer = problem.target.distance.distance(places) >= level
-        answer[answer] = problem.room.allowed(places[answer])
-        answer[answer] = safe(places[answer])
-        return answer
-
-    def safe(places: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-        nonlocal unsafe
-        if drifting is None:
-            return np.ones(len(places), dtype=bool)
-        answer = drifting.at_rest(places, time)
-        unsafe += int(np.count_nonzero(~answer))
-        return answer
-
-    views = find_views(
-        functools.partial(visible, problem.sight, tighter, among=wanted),
-        functools.partial(visible, problem.sight, rules, among=wanted),
-        allowed,
-        problem.patches,
-        tighter,
-        wanted=wanted,
-        witnesses=problem.seeable.witness,
-        stand_off=level,
-        places=min(scenario.inspect.candidates, max(_FEWEST_PLACES, _PLACES_EACH * int(wanted.sum()))),
-        seed=scenario.seed,
-        progress=progress,
-    )
-    # The places of witnesses were not drawn.
-    return views if drifting is None else views.only(np.flatnonzero(safe(views.positions))), unsafe
-
-
-def ways_from(problem: Problem, position: Float[np.ndarray, "3"]) -> Ways:
-    """Give the problem's ways, or such as reach farther where the chaser is outside their box."""
-    lower, upper = problem.box
-    if ((position >= lower) & (position <= upper)).all():
-        return problem.ways
-    lower, upper = np.minimum(lower, position - 1.0), np.maximum(upper, position + 1.0)
-    return Ways.build(problem.target.distance, problem.scenario.inspect.stand_off, lower, upper)
-
-
-def _fewest(
-    problem: Problem,
-    views: Views,
-    areas: Float[np.ndarray, " units"],
-    goal: float,
-    effort: float,
-    progress: Progress,
-) -> Cover:
-    """Choose the fewest views, as many as are allowed at most."""
-    cover = fewest_views(views.sees, areas, goal, effort=effort, seed=problem.scenario.seed, progress=progress)
-    return replace(cover, chosen=cover.chosen[: problem.scenario.inspect.most_views])
+    scenario, lit, areas, found = task.scenario, task.lit, task.areas, len(views.positions)
+    views = views.only(shortlist(views.sees, areas))
+    left, chosen, now, place, direction = areas.copy(), [], task.time, task.position, task.boresight
+    away, most = np.zeros(len(views.positions), dtype=bool), scenario.inspect.most_views
+    while areas.sum() - left.sum() < task.goal and len(chosen) < most and now <= scenario.duration:
+        gains: Float[np.ndarray, " v"] = np.where(away, 0.0, views.sees @ (left * lit.at(now)))
+        if not gains.any():
+            later = lit.times[lit.times > now]
+            if not lit.changes or len(later) == 0:
+                break
+            now = float(later[0])
+            continue
+        worth = np.flatnonzero(gains >= _ENOUGH * gains.max())
+        way = task.ways.nearly(place, views.positions[worth])
+        turn = task.turns(direction[None], views.boresights[worth])[0]
+        cost = np.maximum(way / scenario.chaser.speed_limit, turn)
+        best = worth[int(np.argmin(cost))]
+        if not np.isfinite(cost.min()):
+            away[worth] = True
+            continue
+        now += float(cost.min())
+        units = views.units(best)
+        left[units[lit.at(now)[units]]] = 0.0
+        place, direction = views.positions[best], views.boresights[best]
+        away[best] = not lit.changes
+        chosen.append(best)
+    kept = views.only(np.array(chosen, dtype=np.int64))
+    tour = task.flown(kept, task.between(kept))
+    result = task.drawn_up(kept, tour, task.drifting).plan
+    return replace(result, candidates=found, short_list=len(views.positions), greedy_views=len(chosen))

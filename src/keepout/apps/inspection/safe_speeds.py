@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from keepout.apps.inspection.drifting import Drifting
-from keepout.apps.inspection.planning import ways_from
+from keepout.apps.inspection.passive import Drifting
 from keepout.apps.inspection.problem import Problem
 from keepout.core.mission.scenario import Scenario
 
@@ -69,7 +68,7 @@ class SafeSpeeds:
         if self.drifting is None or self.flown is None:
             return math.inf
         limit = self.drifting.scenario.chaser.speed_limit
-        course = ways_from(self.problem, position).path(position, place)
+        course = self.problem.ways_from(position).path(position, place)
         if course is None:
             course = np.stack([position, place])
         until = now + float(np.linalg.norm(place - position)) / limit

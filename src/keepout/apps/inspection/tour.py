@@ -4,32 +4,35 @@ A leg takes as long as its way takes at the speed flown, or as the boresight tak
 is flown slower. At a view the velocity changes from that of one leg to that of the next, which costs Δv = |change| and,
 with the acceleration a, half of Δv / a in time. Where the chaser stays, or must wait for light, it stops: the change is
 then to rest and from rest. Light windows are the times within which a view is worth anything.
+
+In a light that does not change the cost of an order is a sum over legs and over places between two legs. So a move is
+judged by the few legs that it changes: a stretch of the order turned round (2-opt), or up to three places moved
+elsewhere (Or-opt), either towards a near neighbour. Where none helps, neighbouring stretches change places (the double
+bridge of Martin, Otto & Felten 1991), and what is no better than before is undone. In these loops orders are arrays
+with the start, place 0, first and `_NONE` at both outer ends: `order[0]` is `_NONE`, `order[1]` is 0.
 """
 
-import math
 from dataclasses import dataclass
 from typing import Literal, no_type_check
 
 import numba
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse.csgraph import minimum_spanning_tree
-
-from keepout.apps.inspection.tour_search import best_order
 
 Objective = Literal["time", "delta_v", "both"]
-_LATE = 1e7
-"""Seconds that a view costs for which the light never comes again."""
+_SHUT_OFF = 1e7
+"""Metres that a way is taken for where none leads."""
 _SIDE = 1e-3
 """Of the other quantity (s, or 100 m/s of Δv), what an objective counts of it so that ties are broken by it."""
-_WORK = 2e8
-"""Legs evaluated while an order is shaken, about; the number of shakes follows."""
 _SHAKES = 3000
-"""Of orders in which no place has to be reached at a time."""
-_SPAN = 60
-"""Places in the order by which a segment is moved, and views that are turned round together, at most."""
-_DESCENT = 1_500_000
-"""Orders tried in one descent, at most."""
+"""Of an order."""
+_NONE = -1
+_NEIGHBOURS = 8
+"""Places next to which a place is tried."""
+_LONGEST = 3
+"""Places that are moved together, at most."""
+_STRETCH = 50
+"""Places that a shake exchanges on either side, at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +103,9 @@ def turning_time(
 def flown(legs: Legs, order: Int[np.ndarray, " k"]) -> Tour:
     """Give what an order costs."""
     times = np.empty(len(order))
-    length, end, delta_v, _ = _fly(np.asarray(order, dtype=np.int64), *_packed(legs), times)
+    numbers = np.array([legs.speed, legs.acceleration, legs.dwell, legs.begin])
+    ways = _finite(legs.lengths), legs.leave, legs.turns, legs.windows
+    length, end, delta_v = _fly(np.asarray(order, dtype=np.int64), *ways, numbers, times)
     return Tour(np.asarray(order), times, length, end, delta_v)
 
 
@@ -113,9 +118,7 @@ def best_tour(
     begin: Int[np.ndarray, " k"] | None = None,
     shaken: bool = True,
 ) -> Tour:
-    """Order the views: nearest first, then segments moved and turned round while that helps, then shaken.
-
-    Where a view has to be reached at a time, what comes later depends on it, and fewer orders are looked at.
+    """Order the views in a light that does not change: nearest first, then moves while they help, then shaken.
 
     Args:
         legs: between start and views.
@@ -123,42 +126,23 @@ def best_tour(
         worth: of Δv, s per m/s, where both count.
         seed: of the shaking.
         begin: (k,) an order to begin with instead.
-        shaken: whether to go on once no move helps, where no view has to be reached at a time.
+        shaken: whether to go on once no move helps.
 
     """
-    count = len(legs.lengths) - 1
-    if count == 0:
-        return flown(legs, np.zeros(0, dtype=np.int64))
-    weights = _weights(objective, worth)
-    begin = nearest_first(legs) if begin is None else begin
-    if _at_any_time(legs):
-        return flown(legs, _searched(legs, begin, *weights, _SHAKES if shaken else 0, seed))
-    shakes = int(np.clip(_WORK / (20.0 * count**3), 0, 400))
-    cuts = np.sort(np.random.default_rng(seed).integers(0, count + 1, (shakes, 3)), axis=1)
-    order = _improved(begin, *weights, *_packed(legs), cuts)
-    return flown(legs, order)
-
-
-def _at_any_time(legs: Legs) -> bool:
-    """Whether no place has to be reached at a time."""
-    return bool(np.all((legs.windows[:, 0, 0] <= legs.begin) & np.isposinf(legs.windows[:, 0, 1])))
-
-
-def _searched(
-    legs: Legs, begin: Int[np.ndarray, " k"], time_weight: float, delta_v_weight: float, shakes: int, seed: int
-) -> Int[np.ndarray, " k"]:
-    lengths, leave, turns, _, _ = _packed(legs)
-    taken = np.maximum(np.maximum(lengths / legs.speed, turns), 1e-9)
-    return best_order(
-        begin,
-        time_weight * taken,
-        lengths / taken,
-        leave,
-        change=0.5 * time_weight / legs.acceleration + delta_v_weight,
-        stops=legs.dwell > 0.0,
-        shakes=shakes,
-        seed=seed,
-    )
+    order = nearest_first(legs) if begin is None else begin
+    count = len(order)
+    if count < 2:
+        return flown(legs, order)
+    time_weight, delta_v_weight = _weights(objective, worth)
+    lengths = _finite(legs.lengths)
+    taken = np.maximum(np.maximum(lengths / legs.speed, legs.turns), 1e-9)
+    costs, velocities = time_weight * taken, (lengths / taken)[..., None] * legs.leave
+    change = 0.5 * time_weight / legs.acceleration + delta_v_weight
+    padded = np.concatenate([[_NONE, 0], order, [_NONE]]).astype(np.int64)
+    nearest = np.argsort(costs + np.diag(np.full(count + 1, np.inf)), axis=1)[:, : min(_NEIGHBOURS, count)]
+    draws = np.random.default_rng(seed).random((_SHAKES if shaken else 0, 4))
+    _search(padded, costs, velocities, float(change), legs.dwell > 0.0, nearest.astype(np.int64), draws)
+    return flown(legs, padded[2:-1])
 
 
 def nearest_first(legs: Legs) -> Int[np.ndarray, " k"]:
@@ -174,26 +158,16 @@ def nearest_first(legs: Legs) -> Int[np.ndarray, " k"]:
     return np.array(order, dtype=np.int64)
 
 
-def least_length(lengths: Float[np.ndarray, "n n"]) -> float:
-    """Bound from below the length of any open path over all places, m: that of the least tree that joins them."""
-    return float(minimum_spanning_tree(np.where(np.isfinite(lengths), lengths, 1e12)).sum())
-
-
-_Packed = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-
-
-def _packed(legs: Legs) -> _Packed:
-    lengths = np.where(np.isfinite(legs.lengths), legs.lengths, _LATE)
-    numbers = np.array([legs.speed, legs.acceleration, legs.dwell, legs.begin])
-    return lengths, legs.leave, legs.turns, legs.windows, numbers
+def _finite(lengths: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
+    return np.where(np.isfinite(lengths), lengths, _SHUT_OFF)
 
 
 @numba.njit(cache=True)
 @no_type_check
 def _fly(order, lengths, leave, turns, windows, numbers, times):
-    """Length, end, Δv and seconds of lateness; writes the time of each view."""
+    """Length, end and Δv; writes the time of each view."""
     speed, acceleration, dwell, begin = numbers
-    now, length, delta_v, late = begin, 0.0, 0.0, 0.0
+    now, length, delta_v = begin, 0.0, 0.0
     here = 0
     vx, vy, vz = 0.0, 0.0, 0.0
     for place in range(order.size):
@@ -216,8 +190,6 @@ def _fly(order, lengths, leave, turns, windows, numbers, times):
                 wait = best - now
                 break
         times[place] = best
-        if best == np.inf:
-            late += _LATE
         if wait + dwell > 0.0:
             delta_v += pace
             now += wait + dwell + 0.5 * pace / acceleration
@@ -225,89 +197,201 @@ def _fly(order, lengths, leave, turns, windows, numbers, times):
         here = to
     # The end is at rest.
     rest = np.sqrt(vx * vx + vy * vy + vz * vz)
-    return length, now + 0.5 * rest / acceleration, delta_v + rest, late
+    return length, now + 0.5 * rest / acceleration, delta_v + rest
 
 
 @numba.njit(cache=True)
 @no_type_check
-def _cost(order, time_weight, delta_v_weight, lengths, leave, turns, windows, numbers, times):
-    _, end, delta_v, late = _fly(order, lengths, leave, turns, windows, numbers, times)
-    return time_weight * (end - numbers[3]) + delta_v_weight * delta_v + late
+def _corner(a, p, b, v, change, stops):
+    """Give what the change of velocity at p costs, from a on to b; where one of them is none, from rest or to rest."""
+    if p < 0:
+        return 0.0
+    # The way back from p towards a leaves against the direction in which the way from a arrives.
+    ix, iy, iz = 0.0, 0.0, 0.0
+    ox, oy, oz = 0.0, 0.0, 0.0
+    if a >= 0:
+        ix, iy, iz = -v[p, a, 0], -v[p, a, 1], -v[p, a, 2]
+    if b >= 0:
+        ox, oy, oz = v[p, b, 0], v[p, b, 1], v[p, b, 2]
+    if stops:
+        return change * (np.sqrt(ix * ix + iy * iy + iz * iz) + np.sqrt(ox * ox + oy * oy + oz * oz))
+    return change * np.sqrt((ox - ix) ** 2 + (oy - iy) ** 2 + (oz - iz) ** 2)
 
 
 @numba.njit(cache=True)
 @no_type_check
-def _moved(order, first, last, to, turned, out):
-    """Write the order with the segment first..last (both in it) before what is at `to` among the rest."""
-    count, size = order.size, last - first + 1
-    read, write = 0, 0
-    for place in range(count - size + 1):
-        if place == to:
-            for k in range(size):
-                out[write] = order[last - k] if turned else order[first + k]
-                write += 1
-        if place == count - size:
+def _leg(a, b, legs):
+    return 0.0 if a < 0 or b < 0 else legs[a, b]
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _at(order, q, s, e, t, turned):
+    """Give what stands at q once the stretch s to e stands right after what was at t, turned round or not.
+
+    With t = s - 1 it stays where it is.
+    """
+    size = e - s + 1
+    if t < s:
+        begin = t + 1
+        if q < begin or q > e:
+            return order[q]
+        if q >= begin + size:
+            return order[q - size]
+    else:
+        begin = t + 1 - size
+        if q < s or q > t:
+            return order[q]
+        if q < begin:
+            return order[q + size]
+    return order[e - (q - begin)] if turned else order[s + (q - begin)]
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _gain(order, s, e, t, turned, legs, v, change, stops):
+    """Give how much less the order costs once the stretch s to e stands right after what was at t."""
+    size = e - s + 1
+    if t < s - 1:
+        old, new = (t, s - 1, e), (t, t + size, e)
+    elif t == s - 1:
+        old, new = (s - 1, s - 1, e), (s - 1, s - 1, e)
+    else:
+        old, new = (s - 1, e, t), (s - 1, t - size, t)
+    gain = 0.0
+    last = -1
+    for k in range(3):
+        j = old[k]
+        if k > 0 and old[k] == old[k - 1]:
+            continue
+        gain += _leg(order[j], order[j + 1], legs)
+        for p in range(max(j, last + 1), j + 2):
+            gain += _corner(order[p - 1], order[p], order[p + 1], v, change, stops)
+            last = p
+    last = -1
+    for k in range(3):
+        j = new[k]
+        if k > 0 and new[k] == new[k - 1]:
+            continue
+        gain -= _leg(_at(order, j, s, e, t, turned), _at(order, j + 1, s, e, t, turned), legs)
+        for p in range(max(j, last + 1), j + 2):
+            a = _at(order, p - 1, s, e, t, turned)
+            b = _at(order, p + 1, s, e, t, turned) if p + 1 < order.size else _NONE
+            gain -= _corner(a, _at(order, p, s, e, t, turned), b, v, change, stops)
+            last = p
+    return gain
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _put(order, place, s, e, t, turned, spare):
+    """Put the stretch s to e right after what is at t."""
+    low, high = min(s, t + 1), max(e, t)
+    for q in range(low, high + 1):
+        spare[q] = _at(order, q, s, e, t, turned)
+    for q in range(low, high + 1):
+        order[q] = spare[q]
+        place[order[q]] = q
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _better(here, order, place, legs, v, change, stops, nearest, spare):
+    """Make the first move found that brings a place beside a near one and helps; give what it gains, or 0."""
+    end = order.size - 1
+    for n in range(nearest.shape[1]):
+        beside = nearest[here, n]
+        i, j = place[here], place[beside]
+        # No leg that is worse than both legs here gains more than the corner here costs, but by luck elsewhere.
+        a, b = order[i - 1], order[i + 1]
+        if legs[here, beside] > max(_leg(a, here, legs), _leg(here, b, legs)) + _corner(a, here, b, v, change, stops):
             break
-        if read == first:
-            read += size
-        out[write] = order[read]
-        write += 1
-        read += 1
-
-
-@numba.njit(cache=True)
-@no_type_check
-def _descend(order, time_weight, delta_v_weight, lengths, leave, turns, windows, numbers):
-    count = order.size
-    times, tried = np.empty(count), np.empty(count, dtype=np.int64)
-    best = _cost(order, time_weight, delta_v_weight, lengths, leave, turns, windows, numbers, times)
-    better, trials = True, 0
-    while better:
-        better = False
-        # Segments of up to three, either way round, to anywhere; and any segment turned round where it is.
-        for first in range(count):
-            for size in range(1, min(count - first, _SPAN) + 1):
-                last = first + size - 1
-                low, high = first, first
-                if size <= 3:
-                    low, high = max(first - _SPAN, 0), min(first + _SPAN, count - size)
-                for to in range(low, high + 1):
+        low, high = min(i, j), max(i, j)
+        # Turned round, so that the two come to stand side by side: after the first, or before the second.
+        for s, e in ((low + 1, high), (low, high - 1)):
+            if s >= 2 and e > s and e < end:
+                gain = _gain(order, s, e, s - 1, True, legs, v, change, stops)
+                if gain > 1e-9:
+                    _put(order, place, s, e, s - 1, True, spare)
+                    return gain
+        for size in range(1, _LONGEST + 1):
+            for lead in range(2):
+                s = i if lead else i - size + 1
+                e = s + size - 1
+                if s < 2 or e >= end or (s <= j <= e) or (size == 1 and lead):
+                    continue
+                for t in (j - 1, j):
+                    if t < 1 or t >= end or s - 1 <= t <= e:
+                        continue
                     for turned in range(2):
-                        if (to == first and turned == 0) or (size == 1 and turned == 1):
+                        if size == 1 and turned:
                             continue
-                        if trials >= _DESCENT * 60 // max(count, 60):
-                            return best
-                        trials += 1
-                        _moved(order, first, last, to, turned == 1, tried)
-                        cost = _cost(tried, time_weight, delta_v_weight, lengths, leave, turns, windows, numbers, times)
-                        if cost < best - 1e-9:
-                            best = cost
-                            order[:] = tried
-                            better = True
-    return best
+                        gain = _gain(order, s, e, t, turned == 1, legs, v, change, stops)
+                        if gain > 1e-9:
+                            _put(order, place, s, e, t, turned == 1, spare)
+                            return gain
+    return 0.0
 
 
 @numba.njit(cache=True)
 @no_type_check
-def _improved(order, time_weight, delta_v_weight, lengths, leave, turns, windows, numbers, cuts_of):
-    count = order.size
-    best_order = order.copy()
-    best = _descend(best_order, time_weight, delta_v_weight, lengths, leave, turns, windows, numbers)
+def _descend(order, place, waiting, legs, v, change, stops, nearest, spare):
+    """Improve about the places that wait until none helps; give the gain."""
+    total, number = 0.0, place.size
+    left = 0
+    for p in range(number):
+        left += waiting[p]
+    at = 0
+    while left > 0:
+        here = order[1 + at % number]
+        at += 1
+        if not waiting[here]:
+            continue
+        gain = _better(here, order, place, legs, v, change, stops, nearest, spare)
+        if gain == 0.0:
+            waiting[here] = False
+            left -= 1
+            continue
+        total += gain
+        # What stands about the place now may have moves that it had not.
+        for q in range(max(place[here] - 2, 1), min(place[here] + 3, order.size - 1)):
+            if not waiting[order[q]]:
+                waiting[order[q]] = True
+                left += 1
+    return total
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _search(order, legs, v, change, stops, nearest, draws):
+    number = order.size - 2
+    place = np.empty(number, dtype=np.int64)
+    for q in range(1, order.size - 1):
+        place[order[q]] = q
+    spare = np.empty_like(order)
+    waiting = np.ones(number, dtype=np.bool_)
+    _descend(order, place, waiting, legs, v, change, stops, nearest, spare)
+    count = number - 1
     if count < 4:
-        return best_order
-    for shake in range(len(cuts_of)):
-        # Two neighbouring segments change places (the double bridge of Martin, Otto & Felten 1991).
-        cuts = cuts_of[shake]
-        tried = np.concatenate(
-            (best_order[: cuts[0]], best_order[cuts[1] : cuts[2]], best_order[cuts[0] : cuts[1]], best_order[cuts[2] :])
-        )
-        cost = _descend(tried, time_weight, delta_v_weight, lengths, leave, turns, windows, numbers)
-        if cost < best - 1e-9:
-            best = cost
-            best_order = tried
-    return best_order
-
-
-def waits_never(count: int) -> Float[np.ndarray, "n 1 2"]:
-    """Give the windows of `count` places at which light does not matter."""
-    return np.tile(np.array([[[-math.inf, math.inf]]]), (count, 1, 1))
+        return
+    kept = order.copy()
+    for shake in range(len(draws)):
+        # Stretches s to m and m + 1 to e change places: the first is put after the second.
+        span = min(_STRETCH, count // 2)
+        first = 1 + int(draws[shake, 0] * span)
+        second = 1 + int(draws[shake, 1] * span)
+        s = 2 + int(draws[shake, 2] * (count - first - second + 1))
+        m, e = s + first - 1, s + first + second - 1
+        gain = _gain(order, s, m, e, False, legs, v, change, stops)
+        ends = (order[s - 1], order[s], order[m], order[m + 1], order[e], order[e + 1])
+        _put(order, place, s, m, e, False, spare)
+        for p in ends:
+            if p >= 0:
+                waiting[p] = True
+        gain += _descend(order, place, waiting, legs, v, change, stops, nearest, spare)
+        if gain > 1e-9:
+            kept[:] = order
+        else:
+            order[:] = kept
+            for q in range(1, order.size - 1):
+                place[order[q]] = q

@@ -6,13 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from keepout.apps.inspection.aiming import aim
-from keepout.apps.inspection.equipment import boresight_of
+from keepout.apps.inspection.candidates import aim
 from keepout.apps.inspection.frames import Camera, Shot, as_flown
 from keepout.apps.inspection.inspection import Inspection
 from keepout.apps.inspection.leading import AroundMesh
 from keepout.apps.inspection.limits import limits_kept
-from keepout.apps.inspection.problem import Problem
+from keepout.apps.inspection.problem import Problem, boresight_of
 from keepout.apps.inspection.views_ahead import ViewsAhead
 from keepout.apps.led.driver import Ended, Leader, LedFlight, lead
 from keepout.apps.led.leading import Point

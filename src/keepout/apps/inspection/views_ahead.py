@@ -8,15 +8,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Bool, Int
 
-from keepout.apps.inspection.equipment import boresight_of
 from keepout.apps.inspection.frames import Camera
 from keepout.apps.inspection.leading import AroundMesh
-from keepout.apps.inspection.lit import ever_lit
+from keepout.apps.inspection.light import ever_lit
 from keepout.apps.inspection.plan import InspectionPlan
 from keepout.apps.inspection.planning import plan
-from keepout.apps.inspection.problem import Problem
+from keepout.apps.inspection.problem import Problem, Wanted, boresight_of
 from keepout.apps.inspection.safe_speeds import SafeSpeeds
-from keepout.apps.inspection.wanted import Wanted
 from keepout.apps.led.camera import Boresight
 from keepout.apps.led.driver import Ended, given_up_at
 from keepout.apps.led.leading import Point

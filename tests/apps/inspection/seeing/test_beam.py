@@ -5,9 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from keepout.apps.inspection.seeing.beam import least_height
-from keepout.apps.inspection.seeing.room import Room
-from keepout.apps.inspection.seeing.rules import SeeingRules
+from keepout.apps.inspection.seeing.room import Room, beam_workspace, first_place, least_height
+from keepout.apps.inspection.seeing.visible import SeeingRules
 from keepout.core.geometry.target import Target
 
 OUTLINE = np.array([[-0.6, -0.4], [0.5, -0.5], [0.4, 0.6], [-0.5, 0.3]])
@@ -29,10 +28,7 @@ def test_no_place_below_the_least_height_is_allowed(name):
         normal /= np.linalg.norm(normal)
         frame = np.stack([face.mean(axis=0), first, np.cross(normal, first), normal])
         middle, half = generator.uniform(-1.6, 1.6, 2), float(10.0 ** generator.uniform(-4.0, -0.5))
-        height = least_height(
-            limits, frame, OUTLINE, 4, middle[0], middle[1], half, 0.3, np.empty(192, dtype=np.int64), np.empty(192),
-            np.empty((192, 4)), np.empty(6),
-        )  # fmt: skip
+        height = least_height(limits, frame, OUTLINE, middle[0], middle[1], half, 0.3, beam_workspace())
         top = min(height, 4.5)
         heights = np.concatenate([generator.uniform(0.3, top, 150), generator.uniform(0.97 * top, top, 50)])
         directions = middle + generator.uniform(-half, half, (200, 2))
@@ -55,8 +51,21 @@ def test_over_a_plate_the_least_height_is_the_stand_off():
     target = Target.load("box")
     limits = Room(target.distance, 1.0).limits(SeeingRules())
     frame = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
-    height = least_height(
-        limits, frame, 0.1 * OUTLINE, 4, 0.0, 0.0, 1e-6, 0.3, np.empty(192, dtype=np.int64), np.empty(192),
-        np.empty((192, 4)), np.empty(6),
-    )  # fmt: skip
+    height = least_height(limits, frame, 0.1 * OUTLINE, 0.0, 0.0, 1e-6, 0.3, beam_workspace())
     assert 1.0 - 1e-3 <= height <= 1.0
+
+
+def test_a_beam_begins_no_higher_than_any_place_that_is_allowed_in_it():
+    """Over the top of a box, with the stand-off at 1 m and the greatest range 5 cm farther."""
+    limits = Room(Target.load("box").distance, 1.0).limits(SeeingRules(least_range=0.5, greatest_range=1.05))
+    frame = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    work = beam_workspace()
+    generator, reached = np.random.default_rng(0), 0
+    for _ in range(200):
+        middle, half = generator.uniform(-0.6, 0.6, 2), generator.uniform(0.05, 0.4)
+        height = least_height(limits, frame, 0.01 * OUTLINE, *middle, half, 0.3, work)
+        for direction in middle + half * generator.uniform(-1.0, 1.0, (20, 2)):
+            place = first_place(limits, frame, 0.01 * OUTLINE, *direction, 0.3, work)
+            assert height <= place
+            reached += place < np.inf
+    assert reached > 400

@@ -7,8 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from truths.made_meshes import target_of
 
-from keepout.apps.inspection.seeing.cut import cut
-from keepout.apps.inspection.seeing.sides import closed_parts
+from keepout.apps.inspection.seeing.patches import closed_parts, cut
 from keepout.core.errors import InspectionError
 from keepout.core.geometry.target import Target
 

@@ -8,14 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from truths.made_meshes import patch_of, target_of
 
-from keepout.apps.inspection.seeing.cut import cut
-from keepout.apps.inspection.seeing.judge import seeable
+from keepout.apps.inspection.seeing.patches import cut
 from keepout.apps.inspection.seeing.room import Room
-from keepout.apps.inspection.seeing.rules import SeeingRules
-from keepout.apps.inspection.seeing.seeable import Hidden, Seeable, Verdict
-from keepout.apps.inspection.seeing.shadow import MOST_EDGES, covers, shadow
+from keepout.apps.inspection.seeing.seeable import Hidden, Seeable, Verdict, covers, seeable, shadow, shadows_of
 from keepout.apps.inspection.seeing.sightlines import Sightlines
-from keepout.apps.inspection.seeing.visible import visible
+from keepout.apps.inspection.seeing.visible import SeeingRules, visible
 from keepout.core.errors import InspectionError
 from keepout.core.geometry.target import Target
 
@@ -124,11 +121,8 @@ def test_a_shadow_is_where_the_sight_lines_are_blocked(seed):
     blocker = generator.uniform(-1.0, 1.0, (3, 3)) * [1.0, 1.0, 0.5 * height] + [0.0, 0.0, 0.5 * height]
     vertices = np.concatenate([corners, blocker])
     sight = Sightlines(vertices, np.array([(0, 1, 2), (0, 2, 3), (4, 5, 6)]), patch_of(corners, size))
-    edges = np.empty((MOST_EDGES, 3))
-    number = shadow(
-        blocker.reshape(1, 9), 0, np.concatenate([np.zeros((1, 3)), np.eye(3)]), plate, 4, height, 2.5, 10.0, edges,
-        np.empty((8, 3)), np.empty((8, 3)), np.empty((MOST_EDGES, 3)), np.empty(2 * MOST_EDGES, dtype=np.int64),
-    )  # fmt: skip
+    frame, shadows = np.concatenate([np.zeros((1, 3)), np.eye(3)]), shadows_of(1)
+    number, edges = shadow(blocker.reshape(9), frame, plate, height, 2.5, 10.0, shadows, 0), shadows.edges[0]
     directions = generator.uniform(-1.7, 1.7, (400, 2))
     inside = np.array([number > 0 and covers(edges, number, x, y, 0.0) for x, y in directions])
     for higher in (1.0, 1.3, 4.0):

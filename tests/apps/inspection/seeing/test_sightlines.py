@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 from truths.made_meshes import joined, patch_of, plate, target_of
 
-from keepout.apps.inspection.seeing.cut import cut
+from keepout.apps.inspection.seeing.patches import cut
 from keepout.apps.inspection.seeing.sightlines import LIFT, Sightlines
 from keepout.core.errors import InspectionError
 from keepout.core.geometry.target import Target

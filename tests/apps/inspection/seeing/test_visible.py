@@ -7,10 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from keepout.apps.inspection.seeing.cut import cut
-from keepout.apps.inspection.seeing.rules import SeeingRules
+from keepout.apps.inspection.seeing.patches import cut
 from keepout.apps.inspection.seeing.sightlines import Sightlines
-from keepout.apps.inspection.seeing.visible import in_frame, in_view, lit_units, visible
+from keepout.apps.inspection.seeing.visible import SeeingRules, in_frame, in_view, lit_units, visible
 from keepout.core.geometry.target import Target
 
 

@@ -1,9 +1,42 @@
-"""The surface in patches: convex plane pieces of a mesh, each with two sides that are seen apart."""
+"""The surface in patches: convex plane pieces of a mesh, each with two sides that are seen apart.
 
+A mesh is cut along its plane regions: faces that hang together across edges and lie in one plane. A grid in each plane
+cuts the region into cells, and the pieces of a cell are put together to few convex ones. Closed parts of a mesh know
+which side of a face is outside, sheets do not.
+"""
+
+import math
 from dataclasses import dataclass
+from typing import NamedTuple, no_type_check
 
+import numba
 import numpy as np
+import scipy.sparse
+import scipy.sparse.csgraph
 from jaxtyping import Bool, Float, Int
+
+from keepout.core.errors import InspectionError
+from keepout.core.geometry.mesh_report import weld, zero_area
+from keepout.core.geometry.target import Target
+from keepout.core.progress import Progress, silent
+
+# `no_type_check` below: run-time shape checks would wrap the functions that numba compiles.
+FLAT = 2e-5
+"""How far from the region's plane a corner of its faces may lie, m; well below the lift of sight lines."""
+_ALIKE = 0.999
+"""Least cosine between the normals of a region's faces."""
+MOST_PATCHES = 3_000_000
+"""More than these are refused: their corners alone take half a gigabyte."""
+_LEAST_SHARE = 1e-11
+"""Pieces below this share of a full cell's area are left out: they are what rounding leaves along the lines."""
+_PIECE_CORNERS = 8
+"""Room for the corners of a piece: a triangle cut by two pairs of lines has at most 7."""
+_MOST_CORNERS = 8
+"""Corners of a patch, at most."""
+_STRAIGHT = 1e-9
+"""A corner that lies nearer than this to the line between its neighbours, or to one of them, is left out, m."""
+_GAP = 2e-7
+"""Pieces are put together where the hull has at most this times its circumference more area than they have, m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,3 +88,508 @@ class Patches:
         """Give the share, 0 to 1, that the units seen have of the area counted."""
         areas = self.unit_areas()
         return float(areas[seen].sum() / areas.sum())
+
+
+def neighbours(welded: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "f 3"]:
+    """Give the one face on the other side of each edge (corner k to corner k + 1); -1 where there are none or several.
+
+    The other face must run through the edge the other way round: then both have the same side up.
+    """
+    count = len(welded)
+    start, end = welded.reshape(-1), np.roll(welded, -1, axis=1).reshape(-1)
+    low, high = np.minimum(start, end), np.maximum(start, end)
+    order = np.lexsort((high, low))
+    same = (low[order][1:] == low[order][:-1]) & (high[order][1:] == high[order][:-1])
+    first = np.flatnonzero(np.concatenate([[True], ~same]))
+    alone = np.diff(np.append(first, 3 * count)) == 2
+    one, other = order[first[alone]], order[first[alone] + 1]
+    opposite = (start[one] == end[other]) & (start[one] != end[one])
+    one, other = one[opposite], other[opposite]
+    across = np.full(3 * count, -1, dtype=np.int64)
+    across[one], across[other] = other // 3, one // 3
+    return across.reshape(count, 3)
+
+
+def closed_parts(
+    vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]
+) -> tuple[Bool[np.ndarray, " f"], Bool[np.ndarray, " f"]]:
+    """Say of each face whether it belongs to a closed part, and whether its normal then points into that part.
+
+    A part is all faces that hang together by edges of two faces with the same side up. It is closed if each of its
+    edges has as many of its faces running one way as the other; the sign of its volume says which side is outside.
+
+    Returns:
+        (f,) closed, and (f,) inward.
+
+    """
+    welded = weld(vertices, faces)
+    across = neighbours(welded)
+    count = len(faces)
+    face = np.repeat(np.arange(count), 3)
+    joined = across.reshape(-1) >= 0
+    graph = scipy.sparse.coo_matrix(
+        (np.ones(int(joined.sum()), dtype=np.int8), (face[joined], across.reshape(-1)[joined])), shape=(count, count)
+    )
+    parts, part = scipy.sparse.csgraph.connected_components(graph, directed=False)
+    start, end = welded.reshape(-1), np.roll(welded, -1, axis=1).reshape(-1)
+    # Runs of each edge of each part one way less those the other way.
+    low, high, way = np.minimum(start, end), np.maximum(start, end), np.sign(end - start)
+    order = np.lexsort((high, low, part[face]))
+    keys = np.stack([part[face], low, high])[:, order]
+    first = np.flatnonzero(np.concatenate([[True], (keys[:, 1:] != keys[:, :-1]).any(axis=0)]))
+    balance = np.add.reduceat(way[order], first)
+    closed = np.ones(parts, dtype=bool)
+    closed[keys[0, first[balance != 0]]] = False
+    a, b, c = np.moveaxis(vertices[faces] - vertices[faces].mean(axis=(0, 1)), 1, 0)
+    volume = np.bincount(part, weights=np.einsum("fi,fi->f", a, np.cross(b, c)), minlength=parts)
+    area = np.bincount(part, weights=np.linalg.norm(np.cross(b - a, c - a), axis=1), minlength=parts)
+    closed &= np.abs(volume) > 1e-9 * area**1.5
+    return closed[part], closed[part] & (volume[part] < 0.0)
+
+
+class Regions(NamedTuple):
+    """Each region's plane with a grid's axes in it, and the region of each face."""
+
+    region: Int[np.ndarray, " f"]
+    """-1 for faces without area."""
+    origin: Float[np.ndarray, "regions 3"]
+    """A corner of the grid, m."""
+    axes: Float[np.ndarray, "regions 3 3"]
+    """Rows: along the region's longest border, across it, normal."""
+    extent: Float[np.ndarray, "regions 2"]
+    """The region's size along the first two axes, m."""
+
+
+def regions(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Regions:
+    """Grow regions from the largest face on; a region's plane is that of the face that it began with."""
+    triangles = vertices[faces]
+    a, b, c = np.moveaxis(triangles, 1, 0)
+    normal = np.cross(b - a, c - a)
+    double_area = np.linalg.norm(normal, axis=1)
+    degenerate = zero_area(triangles)
+    normal /= np.where(double_area > 0.0, double_area, 1.0)[:, None]
+    across = neighbours(weld(vertices, faces))
+    order = np.argsort(-double_area, kind="stable")
+    region, count = _grow(np.ascontiguousarray(triangles), normal, degenerate, across, order[~degenerate[order]])
+    seed = np.full(count, -1, dtype=np.int64)
+    seed[region[order[::-1]]] = order[::-1]
+    # The border: edges whose other face is of another region.
+    border = np.where(across >= 0, region[across] != region[:, None], True) & (region >= 0)[:, None]
+    face, corner = np.nonzero(border)
+    along = triangles[face, (corner + 1) % 3] - triangles[face, corner]
+    along -= np.einsum("ei,ei->e", along, normal[seed[region[face]]])[:, None] * normal[seed[region[face]]]
+    shortest_first = np.argsort(np.linalg.norm(along, axis=1), kind="stable")
+    first_axis = np.zeros((count, 3))
+    first_axis[region[face[shortest_first]]] = along[shortest_first]
+    first_axis /= np.linalg.norm(first_axis, axis=1, keepdims=True)
+    third = normal[seed]
+    axes = np.stack([first_axis, np.cross(third, first_axis), third], axis=1)
+    of_region = np.flatnonzero(region >= 0)
+    base = a[seed]
+    local = np.einsum("fij,fkj->fki", axes[region[of_region]], triangles[of_region] - base[region[of_region]][:, None])
+    low, high = np.full((count, 2), np.inf), np.full((count, 2), -np.inf)
+    np.minimum.at(low, region[of_region], local[..., :2].min(axis=1))
+    np.maximum.at(high, region[of_region], local[..., :2].max(axis=1))
+    origin = base + np.einsum("ri,rij->rj", low, axes[:, :2])
+    return Regions(np.where(degenerate, -1, region), origin, axes, high - low)
+
+
+@numba.njit(cache=True, nogil=True)
+@no_type_check
+def _grow(triangles, normal, degenerate, across, seeds):
+    region = np.full(len(triangles), -1, dtype=np.int64)
+    waiting = np.empty(len(triangles), dtype=np.int64)
+    count = 0
+    for seed in seeds:
+        if region[seed] >= 0:
+            continue
+        nx, ny, nz = normal[seed, 0], normal[seed, 1], normal[seed, 2]
+        x, y, z = triangles[seed, 0, 0], triangles[seed, 0, 1], triangles[seed, 0, 2]
+        region[seed] = count
+        waiting[0] = seed
+        depth = 1
+        while depth > 0:
+            depth -= 1
+            face = waiting[depth]
+            for side in range(3):
+                other = across[face, side]
+                if other < 0 or region[other] >= 0:
+                    continue
+                if not degenerate[other]:
+                    alike = normal[other, 0] * nx + normal[other, 1] * ny + normal[other, 2] * nz
+                    if alike < _ALIKE:
+                        continue
+                flat = True
+                for k in range(3):
+                    height = (
+                        (triangles[other, k, 0] - x) * nx
+                        + (triangles[other, k, 1] - y) * ny
+                        + (triangles[other, k, 2] - z) * nz
+                    )
+                    flat = flat and abs(height) <= FLAT
+                if flat:
+                    region[other] = count
+                    waiting[depth] = other
+                    depth += 1
+        count += 1
+    return region, count
+
+
+def cut(target: Target, size: float, *, progress: Progress = silent) -> Patches:
+    """Cut a target's surface into convex plane patches.
+
+    Faces that hang together in one plane are taken as one region. A grid in that plane, along the region's longest
+    border, cuts it into cells of at most `size`; the pieces of a cell are put together to as few convex patches as a
+    greedy search finds. The areas of all patches sum to the area of the mesh.
+
+    Args:
+        target: the mesh; a point cloud has no surface to cut.
+        size: edge of the cells, m.
+        progress: told how far the work is.
+
+    Raises:
+        InspectionError: a point cloud, a mesh without area, a size that is not above 0, or more than `MOST_PATCHES`
+            patches.
+
+    """
+    if target.ball_radius > 0.0:
+        raise InspectionError(f"{target.name}: a point cloud has no surface to be seen; a mesh or a map has")
+    if not 0.0 < size < math.inf:
+        raise InspectionError(f"patch size is {size:g} m; it must be a number above 0")
+    vertices, faces = np.asarray(target.vertices, dtype=np.float64), np.array(target.faces, dtype=np.int64)
+    progress(0.0, "finding plane regions")
+    closed, inward = closed_parts(vertices, faces)
+    faces[inward] = faces[inward][:, ::-1]
+    a, b, c = np.moveaxis(vertices[faces], 1, 0)
+    face_areas = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    if not face_areas.sum() > 0.0:
+        raise InspectionError(f"{target.name}: its {len(faces)} faces have no area; there is nothing to be seen")
+    _refuse_many(target, size, float(face_areas.sum()) / size**2)
+    found = regions(vertices, faces)
+    progress(0.3, f"cutting {len(found.extent)} plane regions")
+    return _patches(target, size, found, closed, vertices[faces], face_areas, progress)
+
+
+def _patches(
+    target: Target,
+    size: float,
+    found: Regions,
+    closed: np.ndarray,
+    triangles: Float[np.ndarray, "f 3 3"],
+    face_areas: Float[np.ndarray, " f"],
+    progress: Progress,
+) -> Patches:
+    cells = np.maximum(np.ceil(found.extent / size - 1e-9), 1.0).astype(np.int64)
+    steps = found.extent / cells
+    inside = np.maximum(found.region, 0)
+    flat = np.einsum("fij,fkj->fki", found.axes[inside][:, :2], triangles - found.origin[inside][:, None])
+    least = _LEAST_SHARE * size**2
+    none = (np.empty((0, _PIECE_CORNERS, 2)), _whole(0), np.empty(0), _whole(0), _whole(0))
+    flat = np.ascontiguousarray(flat)
+    number = int(_pieces(flat, found.region, steps, cells, least, *none))
+    _refuse_many(target, size, number / 8.0)  # pieces, of which several make a patch
+    corners, counts = np.zeros((number, _PIECE_CORNERS, 2)), _whole(number)
+    areas, cell, face = np.empty(number), _whole(number), _whole(number)
+    _pieces(flat, found.region, steps, cells, least, corners, counts, areas, cell, face)
+    progress(0.6, f"putting {number} pieces together")
+    order = np.lexsort((cell, found.region[face]))
+    corners, counts, areas, cell, face = corners[order], counts[order], areas[order], cell[order], face[order]
+    # A face may lean in its region's plane: its pieces count with the area that they have on the mesh.
+    in_plane = np.bincount(face, weights=areas, minlength=len(face_areas))
+    true_areas = areas * face_areas[face] / in_plane[face]
+    region = found.region[face]
+    new = (
+        np.concatenate([[True], (region[1:] != region[:-1]) | (cell[1:] != cell[:-1])]) if number else np.empty(0, bool)
+    )
+    begin = np.append(np.flatnonzero(new), number)
+    kept = _merged(corners, counts, areas, true_areas, face, begin)
+    _refuse_many(target, size, float(kept.sum()))
+    patches = _placed(found, closed, corners[kept], counts[kept], true_areas[kept], face[kept], size)
+    progress(1.0, f"{len(patches.areas)} patches")
+    return patches
+
+
+def _placed(
+    found: Regions,
+    closed: np.ndarray,
+    flat: Float[np.ndarray, "n c 2"],
+    counts: Int[np.ndarray, " n"],
+    areas: Float[np.ndarray, " n"],
+    faces: Int[np.ndarray, " n"],
+    size: float,
+) -> Patches:
+    most = int(counts.max())
+    last = np.minimum(np.arange(most), counts[:, None] - 1)
+    flat = np.take_along_axis(flat, last[:, :, None], axis=1)
+    x, y = flat[..., 0] - flat[:, :1, 0], flat[..., 1] - flat[:, :1, 1]
+    wedge = x[:, :-1] * y[:, 1:] - x[:, 1:] * y[:, :-1]
+    total = wedge.sum(axis=1)
+    centre = flat[:, 0] + np.stack(
+        [((x[:, :-1] + x[:, 1:]) * wedge).sum(axis=1), ((y[:, :-1] + y[:, 1:]) * wedge).sum(axis=1)], axis=1
+    ) / (3.0 * total[:, None])
+    region = found.region[faces]
+    origin, axes = found.origin[region], found.axes[region]
+    return Patches(
+        corners=origin[:, None] + np.einsum("nkc,ncj->nkj", flat, axes[:, :2]),
+        counts=counts,
+        normals=np.ascontiguousarray(axes[:, 2]),
+        areas=areas,
+        centres=origin + np.einsum("nc,ncj->nj", centre, axes[:, :2]),
+        faces=faces,
+        counted=np.stack([np.ones(len(areas), dtype=bool), ~closed[faces]], axis=1).reshape(-1),
+        size=float(size),
+    )
+
+
+def _refuse_many(target: Target, size: float, patches: float) -> None:
+    if patches > MOST_PATCHES:
+        raise InspectionError(
+            f"{target.name}: patches of {size:g} m are at least {patches:.0f}; at most {MOST_PATCHES} are taken: "
+            f"a size of about {size * math.sqrt(patches / MOST_PATCHES) * 1.2:.2g} m would do"
+        )
+
+
+def _whole(count: int) -> Int[np.ndarray, " n"]:
+    return np.zeros(count, dtype=np.int64)
+
+
+@numba.njit(cache=True, nogil=True)
+@no_type_check
+def _keep(polygon, count, axis, line, sign, out):
+    """Write the part of a polygon where sign * coordinate >= sign * line; give its number of corners."""
+    kept = 0
+    for i in range(count):
+        j = i + 1 if i + 1 < count else 0
+        here, there = sign * (polygon[i, axis] - line), sign * (polygon[j, axis] - line)
+        if here >= 0.0:
+            out[kept, 0], out[kept, 1] = polygon[i, 0], polygon[i, 1]
+            kept += 1
+        if (here > 0.0 and there < 0.0) or (here < 0.0 and there > 0.0):
+            # From the inner end, so that both sides of the line get the same point.
+            s, e, t = (i, j, here / (here - there)) if here > 0.0 else (j, i, there / (there - here))
+            if sign < 0.0:
+                s, e, t = e, s, 1.0 - t
+            out[kept, axis] = line
+            out[kept, 1 - axis] = polygon[s, 1 - axis] + t * (polygon[e, 1 - axis] - polygon[s, 1 - axis])
+            kept += 1
+    return kept
+
+
+@numba.njit(cache=True, nogil=True)
+@no_type_check
+def _double_area(polygon, count):
+    total = 0.0
+    for i in range(1, count - 1):
+        total += (polygon[i, 0] - polygon[0, 0]) * (polygon[i + 1, 1] - polygon[0, 1]) - (
+            polygon[i, 1] - polygon[0, 1]
+        ) * (polygon[i + 1, 0] - polygon[0, 0])
+    return total
+
+
+@numba.njit(cache=True, nogil=True)
+@no_type_check
+def _span(polygon, count, axis, step, cells):
+    """Give the first cell and the one after the last along an axis that a polygon may meet."""
+    low, high = np.inf, -np.inf
+    for i in range(count):
+        low, high = min(low, polygon[i, axis]), max(high, polygon[i, axis])
+    first = min(max(int(np.floor(low / step)) - 1, 0), cells - 1)
+    last = min(max(int(np.floor(high / step)) + 1, 0), cells - 1)
+    while first < last and (first + 1) * step <= low:
+        first += 1
+    while last > first and last * step >= high:
+        last -= 1
+    return first, last + 1
+
+
+@numba.njit(cache=True, nogil=True)
+@no_type_check
+def _pieces(triangles, region, steps, cells, least, corners, counts, areas, cell, face):
+    """Cut triangles along their regions' grids.
+
+    Args:
+        triangles: (f, 3, 2) m, from the corner of each one's grid, counter-clockwise.
+        region: (f,) of each; those below 0 are left out.
+        steps: (regions, 2) size of a cell, m.
+        cells: (regions, 2) numbers of cells.
+        least: area of the smallest piece that is kept, m².
+        corners: (n, _PIECE_CORNERS, 2) to be filled; with n = 0 the _pieces are counted only.
+        counts: (n,) corners of each piece.
+        areas: (n,) m².
+        cell: (n,) number of the cell within its region's grid.
+        face: (n,) the triangle.
+
+    Returns:
+        The number of _pieces.
+
+    """
+    number = 0
+    one, column, other, piece = np.empty((8, 2)), np.empty((8, 2)), np.empty((8, 2)), np.empty((8, 2))
+    for f in range(len(triangles)):
+        r = region[f]
+        if r < 0:
+            continue
+        dx, dy, nx, ny = steps[r, 0], steps[r, 1], cells[r, 0], cells[r, 1]
+        first_x, end_x = _span(triangles[f], 3, 0, dx, nx)
+        for i in range(first_x, end_x):
+            # The outermost cells take all that rounding puts outside.
+            some = _keep(triangles[f], 3, 0, i * dx if i > 0 else -np.inf, 1.0, one)
+            wide = _keep(one, some, 0, (i + 1) * dx if i + 1 < nx else np.inf, -1.0, column)
+            if wide < 3:
+                continue
+            first_y, end_y = _span(column, wide, 1, dy, ny)
+            for j in range(first_y, end_y):
+                some = _keep(column, wide, 1, j * dy if j > 0 else -np.inf, 1.0, other)
+                count = _keep(other, some, 1, (j + 1) * dy if j + 1 < ny else np.inf, -1.0, piece)
+                area = 0.5 * _double_area(piece, count)
+                if count < 3 or area <= least:
+                    continue
+                if len(counts) > 0:
+                    corners[number, :count] = piece[:count]
+                    counts[number], areas[number] = count, area
+                    cell[number], face[number] = i * ny + j, f
+                number += 1
+    return number
+
+
+@numba.njit(cache=True, nogil=True)
+@no_type_check
+def _hull(points, count, order, out):
+    """Write the convex hull of points, counter-clockwise; give its number of corners."""
+    order[:count] = np.arange(count)
+    for i in range(1, count):
+        k, j = order[i], i
+        while j > 0 and (
+            points[order[j - 1], 0] > points[k, 0]
+            or (points[order[j - 1], 0] == points[k, 0] and points[order[j - 1], 1] > points[k, 1])
+        ):
+            order[j] = order[j - 1]
+            j -= 1
+        order[j] = k
+    size = 0
+    for way in range(2):
+        base = size
+        for step in range(count):
+            k = order[step] if way == 0 else order[count - 1 - step]
+            while size >= base + 2:
+                ax, ay = out[size - 1, 0] - out[size - 2, 0], out[size - 1, 1] - out[size - 2, 1]
+                bx, by = points[k, 0] - out[size - 1, 0], points[k, 1] - out[size - 1, 1]
+                if ax * by - ay * bx > 0.0:
+                    break
+                size -= 1
+            out[size, 0], out[size, 1] = points[k, 0], points[k, 1]
+            size += 1
+        size -= 1
+    return size
+
+
+@numba.njit(cache=True, nogil=True)
+@no_type_check
+def _simplified(polygon, count):
+    """Leave out corners where the border runs straight on; in place; give the number left."""
+    i = 0
+    while i < count and count > 3:
+        before, after = (i - 1) % count, (i + 1) % count
+        ax, ay = polygon[i, 0] - polygon[before, 0], polygon[i, 1] - polygon[before, 1]
+        bx, by = polygon[after, 0] - polygon[before, 0], polygon[after, 1] - polygon[before, 1]
+        if abs(ax * by - ay * bx) <= _STRAIGHT * np.hypot(bx, by) or np.hypot(ax, ay) <= _STRAIGHT:
+            for k in range(i, count - 1):
+                polygon[k, 0], polygon[k, 1] = polygon[k + 1, 0], polygon[k + 1, 1]
+            count -= 1
+            i = max(i - 1, 0)
+        else:
+            i += 1
+    return count
+
+
+@numba.njit(cache=True, nogil=True)
+@no_type_check
+def _measure(polygon, count):
+    area, around = 0.0, 0.0
+    for i in range(count):
+        j = i + 1 if i + 1 < count else 0
+        area += (polygon[i, 0] - polygon[0, 0]) * (polygon[j, 1] - polygon[0, 1])
+        area -= (polygon[i, 1] - polygon[0, 1]) * (polygon[j, 0] - polygon[0, 0])
+        around += np.hypot(polygon[j, 0] - polygon[i, 0], polygon[j, 1] - polygon[i, 1])
+    return 0.5 * area, around
+
+
+@numba.njit(cache=True, nogil=True)
+@no_type_check
+def _merged(corners, counts, areas, true_areas, face, begin):
+    """Put the pieces of each cell together as far as they stay convex and have few corners.
+
+    The pieces of a cell do not overlap: where the hull of two has no more area than both, they fill it.
+
+    Args:
+        corners: (n, _PIECE_CORNERS, 2) of pieces, cell by cell; overwritten.
+        counts: (n,) corners of each; overwritten.
+        areas: (n,) m² in the plane; overwritten.
+        true_areas: (n,) m² of the mesh; overwritten.
+        face: (n,) the face of each; the one of the largest piece stays; overwritten.
+        begin: (cells + 1,) the first piece of each cell.
+
+    Returns:
+        (n,) whether a place of the arrays holds a polygon of the answer.
+
+    """
+    n = len(counts)
+    kept = np.zeros(n, dtype=np.bool_)
+    largest = 0
+    for c in range(len(begin) - 1):
+        largest = max(largest, begin[c + 1] - begin[c])
+    room = max(largest * corners.shape[1], 2 * _MOST_CORNERS)
+    points, order, hull = np.empty((room, 2)), np.empty(room, dtype=np.int64), np.empty((2 * room + 2, 2))
+    biggest = areas.copy()
+    for c in range(len(begin) - 1):
+        start, end = begin[c], begin[c + 1]
+        for i in range(start, end):
+            counts[i] = _simplified(corners[i], counts[i])
+            kept[i] = True
+        if end - start > 1:
+            number, total = 0, 0.0
+            for i in range(start, end):
+                total += areas[i]
+                for k in range(counts[i]):
+                    points[number, 0], points[number, 1] = corners[i, k, 0], corners[i, k, 1]
+                    number += 1
+            size = _simplified(hull, _hull(points, number, order, hull))
+            area, around = _measure(hull, size)
+            if size <= _MOST_CORNERS and area - total <= _GAP * around:
+                best = start
+                for i in range(start + 1, end):
+                    best = i if areas[i] > areas[best] else best
+                    true_areas[start] += true_areas[i]
+                    kept[i] = False
+                face[start], areas[start], counts[start] = face[best], total, size
+                corners[start, :size] = hull[:size]
+                continue
+        again = end - start > 1
+        while again:
+            again = False
+            for i in range(start, end):
+                if not kept[i]:
+                    continue
+                j = start
+                while j < end:
+                    if j == i or not kept[j]:
+                        j += 1
+                        continue
+                    number = counts[i] + counts[j]
+                    points[: counts[i]] = corners[i, : counts[i]]
+                    points[counts[i] : number] = corners[j, : counts[j]]
+                    size = _simplified(hull, _hull(points, number, order, hull))
+                    area, around = _measure(hull, size)
+                    if size <= _MOST_CORNERS and area - areas[i] - areas[j] <= _GAP * around:
+                        if biggest[j] > biggest[i]:
+                            face[i], biggest[i] = face[j], biggest[j]
+                        areas[i] += areas[j]
+                        true_areas[i] += true_areas[j]
+                        corners[i, :size] = hull[:size]
+                        counts[i] = size
+                        kept[j] = False
+                        again = True
+                        j = start
+                    else:
+                        j += 1
+    return kept

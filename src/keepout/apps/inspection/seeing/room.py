@@ -1,23 +1,239 @@
-"""The room allowed to a chaser's centre: no nearer to the mesh than the stand-off, and connected with far outside."""
+"""The room allowed to a chaser's centre, and how near a camera may come along a beam of directions from a patch."""
 
 import math
+from typing import NamedTuple, no_type_check
 
+import numba
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
-from keepout.apps.inspection.seeing.beam import Limits, boxes_meet
-from keepout.apps.inspection.seeing.rules import SeeingRules
+from keepout.apps.inspection.seeing.visible import SeeingRules
 from keepout.core.errors import InspectionError
-from keepout.core.geometry.distance import Distance, ExactDistance, Points
+from keepout.core.geometry.distance import Distance, ExactDistance, Points, Tree, closest_triangle
 from keepout.core.geometry.octree import SQRT3, refine
 from keepout.core.progress import Progress, silent
 
+# `no_type_check` below: run-time shape checks would wrap the functions that numba compiles.
+_BEAM_STEPS = 2000
+"""Along a beam, at most; where they are used up the height reached so far stands."""
+_FINENESS = 2e-4
+"""Part of the stand-off, or of a height, to which the least height is found."""
+_DEEP = 192
+"""Entries of a stack: eight for each of `_DEEPEST` halvings, and more than a `Tree` is deep."""
+_COARSENESS = 0.1
+"""Part of the beam's width to which it is found where that is more."""
 _ROUNDING = 1e-9
 """Metres; above the rounding of an exact distance by orders of magnitude."""
 _DEEPEST = 10
 """Halvings of the cube: a thousand cells across at most."""
 _STEPS = 24
 """Of a walk up the distance; each about doubles what is left above the stand-off."""
+
+
+class Limits(NamedTuple):
+    """What bounds the places of a camera, as the compiled loops take it."""
+
+    tree: Tree
+    """Of the mesh."""
+    child: Int[np.ndarray, "nodes 8"]
+    """Of the room's octree; see `Cells.child`."""
+    possible: Bool[np.ndarray, " cells"]
+    """Cells that may hold a place of the room."""
+    origin: Float[np.ndarray, " 3"]
+    depth: int
+    unit: float
+    """Side of the octree's smallest cells, m."""
+    stand_off: float
+    """m, positive."""
+    least_range: float
+    greatest_range: float
+    spread: float
+    """Tangent of the greatest incidence."""
+    finest: float
+    """Greatest square of the range over the height, m."""
+
+
+class Work(NamedTuple):
+    """Room for the compiled loops to work in: of a walk down a tree, and a box."""
+
+    stack: Int[np.ndarray, " deep"]
+    bounds: Float[np.ndarray, " deep"]
+    corners: Float[np.ndarray, "deep 4"]
+    box: Float[np.ndarray, " 6"]
+
+
+@numba.njit(cache=True, nogil=True)
+@no_type_check
+def beam_workspace():
+    """Give room to work in."""
+    return Work(np.empty(_DEEP, dtype=np.int64), np.empty(_DEEP), np.empty((_DEEP, 4)), np.empty(6))
+
+
+@numba.njit(cache=True, nogil=True)
+@no_type_check
+def _distance(limits, x, y, z, work):
+    """Distance from a point to the mesh."""
+    return np.sqrt(closest_triangle(limits.tree, x, y, z, 0, work.stack, work.bounds)[0])
+
+
+@numba.njit(cache=True, nogil=True)
+@no_type_check
+def meets_room(limits, work):
+    """Whether the box in `work` (lower corner, upper corner; m) meets a cell of possible room, or leaves the cube."""
+    box, stack, corners, origin, unit = work.box, work.stack, work.corners, limits.origin, limits.unit
+    whole = float(1 << limits.depth)
+    x0, x1 = (box[0] - origin[0]) / unit, (box[3] - origin[0]) / unit
+    y0, y1 = (box[1] - origin[1]) / unit, (box[4] - origin[1]) / unit
+    z0, z1 = (box[2] - origin[2]) / unit, (box[5] - origin[2]) / unit
+    if min(x0, y0, z0) < 0.0 or max(x1, y1, z1) > whole:
+        return True
+    stack[0] = 0
+    corners[0, 0], corners[0, 1], corners[0, 2], corners[0, 3] = 0.0, 0.0, 0.0, whole
+    waiting = 1
+    while waiting > 0:
+        waiting -= 1
+        node, half = stack[waiting], 0.5 * corners[waiting, 3]
+        x, y, z = corners[waiting, 0], corners[waiting, 1], corners[waiting, 2]
+        for k in range(8):
+            cx, cy, cz = x + (k & 1) * half, y + ((k >> 1) & 1) * half, z + ((k >> 2) & 1) * half
+            if x1 < cx or x0 > cx + half or y1 < cy or y0 > cy + half or z1 < cz or z0 > cz + half:
+                continue
+            entry = limits.child[node, k]
+            if entry >= 0:
+                stack[waiting] = entry
+                corners[waiting, 0], corners[waiting, 1], corners[waiting, 2] = cx, cy, cz
+                corners[waiting, 3] = half
+                waiting += 1
+            elif limits.possible[~entry]:
+                return True
+    return False
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+@no_type_check
+def _place(frame, wx, wy, height):
+    """Give the place at a height in a direction from the patch."""
+    x = frame[0, 0] + height * (wx * frame[1, 0] + wy * frame[2, 0] + frame[3, 0])
+    y = frame[0, 1] + height * (wx * frame[1, 1] + wy * frame[2, 1] + frame[3, 1])
+    z = frame[0, 2] + height * (wx * frame[1, 2] + wy * frame[2, 2] + frame[3, 2])
+    return x, y, z
+
+
+@numba.njit(cache=True, nogil=True)
+@no_type_check
+def _by_rules(limits, outline, wx, wy, half, height):
+    """Give a height below which the rules allow no place of a beam, from one on; inf where they allow none at all.
+
+    A corner a is seen at the tangent |w - a / height|, at most `spread`, and at height * (1 + tangent²)^(1/2).
+    """
+    # Distances change by at most `fastest` a metre of height.
+    raised, fastest = height, np.sqrt(1.0 + wx * wx + wy * wy) + half * np.sqrt(2.0)
+    for j in range(len(outline)):
+        dx, dy = abs(wx - outline[j, 0] / height), abs(wy - outline[j, 1] / height)
+        least, most = max(dx - half, 0.0) ** 2 + max(dy - half, 0.0) ** 2, (dx + half) ** 2 + (dy + half) ** 2
+        excess, reach = np.sqrt(least) - limits.spread, np.sqrt(outline[j, 0] ** 2 + outline[j, 1] ** 2)
+        if excess > 0.0:
+            inverse = 1.0 / height - excess / reach
+            if inverse <= 1e-9:
+                return np.inf
+            raised = max(raised, 1.0 / inverse)
+        far, near = height * np.sqrt(1.0 + least), height * np.sqrt(1.0 + most)
+        raised = max(raised, height + (far - limits.greatest_range) / fastest)
+        raised = max(raised, height + (limits.least_range - near) / fastest)
+        if limits.finest < np.inf:
+            raised = max(raised, height + (far * far - limits.finest * height) / (2.0 * far * fastest + limits.finest))
+    return raised
+
+
+@numba.njit(cache=True, nogil=True)
+@no_type_check
+def _step_without_room(limits, frame, wx, wy, half, height, work):
+    """Give how far a beam surely has no room from a height on, m: the longest of three steps that has none, or 0."""
+    x, y, z = _place(frame, wx, wy, height)
+    for step in (8.0 * limits.unit, 2.0 * limits.unit, 0.5 * limits.unit):
+        wide = (height + step) * half
+        for k in range(3):
+            along = step * (wx * frame[1, k] + wy * frame[2, k] + frame[3, k])
+            here = x if k == 0 else (y if k == 1 else z)
+            beside = wide * (abs(frame[1, k]) + abs(frame[2, k])) + 1e-9
+            work.box[k], work.box[3 + k] = here + min(along, 0.0) - beside, here + max(along, 0.0) + beside
+        if not meets_room(limits, work):
+            return step
+    return 0.0
+
+
+@numba.njit(cache=True, nogil=True)
+@no_type_check
+def least_height(limits, frame, outline, wx, wy, half, height, work):
+    """Give a height below which no place in a square of directions is allowed; inf where none is at any height.
+
+    Args:
+        limits: what bounds the places.
+        frame: (4, 3) the patch's centre, two axes in its plane, and the normal of the unit.
+        outline: (k, 2) corners of the patch in these axes, m.
+        wx: middle of the square.
+        wy: the same.
+        half: half its side.
+        height: below which none is allowed, as known, m.
+        work: room to work in.
+
+    """
+    nearest = max(abs(wx) - half, 0.0) ** 2 + max(abs(wy) - half, 0.0) ** 2
+    across = half * np.sqrt(2.0)
+    fastest = np.sqrt(1.0 + wx * wx + wy * wy) + across
+    for _ in range(_BEAM_STEPS):
+        if height * np.sqrt(1.0 + nearest) >= limits.greatest_range or height * (1.0 + nearest) > limits.finest:
+            return np.inf
+        raised = _by_rules(limits, outline, wx, wy, half, height)
+        if raised == np.inf:
+            return np.inf
+        if raised > height * (1.0 + max(_FINENESS, _COARSENESS * across)):
+            height += (raised - height) * (1.0 - 1e-9)
+            continue
+        x, y, z = _place(frame, wx, wy, height)
+        # Places nearer to this one than that are nearer to the mesh than the stand-off.
+        ball = limits.stand_off - _distance(limits, x, y, z, work) - height * across
+        if ball > max(_FINENESS * limits.stand_off, _COARSENESS * height * across):
+            height += ball * (1.0 - 1e-9) / fastest
+            continue
+        if height * across > 4.0 * limits.unit:
+            return height
+        step = _step_without_room(limits, frame, wx, wy, half, height, work)
+        if step == 0.0:
+            return height
+        height += step
+    return height
+
+
+@numba.njit(cache=True, nogil=True)
+@no_type_check
+def first_place(limits, frame, outline, wx, wy, height, work):
+    """Give the least height found, from one on, at which a place in one direction keeps room and rules; inf if none."""
+    slant, box = np.sqrt(1.0 + wx * wx + wy * wy), work.box
+    for _ in range(_BEAM_STEPS):
+        if height * slant >= limits.greatest_range:
+            return np.inf
+        farthest, nearest = 0.0, np.inf
+        for j in range(len(outline)):
+            square = (wx - outline[j, 0] / height) ** 2 + (wy - outline[j, 1] / height) ** 2
+            farthest, nearest = max(farthest, square), min(nearest, square)
+        steep = farthest > (limits.spread * (1.0 - 1e-9)) ** 2
+        coarse = height * (1.0 + farthest) > limits.finest
+        if steep or coarse or height * np.sqrt(1.0 + nearest) <= limits.least_range:
+            height *= 1.01
+            continue
+        if height * np.sqrt(1.0 + farthest) >= limits.greatest_range:
+            return np.inf
+        x, y, z = _place(frame, wx, wy, height)
+        short = limits.stand_off + 1e-6 - _distance(limits, x, y, z, work)
+        if short > 0.0:
+            height += max(short / slant, _FINENESS * limits.stand_off)
+            continue
+        box[0], box[1], box[2], box[3], box[4], box[5] = x, y, z, x, y, z
+        if meets_room(limits, work):
+            return height
+        height += 0.5 * limits.unit
+    return np.inf
 
 
 class Room:
@@ -109,30 +325,17 @@ class Room:
             raise InspectionError(
                 "room: around a point cloud there is nothing to be seen; a mesh or a map has surfaces"
             )
-        tree, cells = self.distance.tree, self._cells
-        return Limits(
-            tree.lower, tree.upper, tree.right, tree.first, tree.amount, tree.corners, tree.plane, cells.child,
-            self._possible, self.origin, cells.depth, cells.unit, self.stand_off, rules.least_range,
-            rules.greatest_range, math.tan(rules.greatest_incidence),
-            rules.greatest_sample_distance / rules.pixel_angle,
-        )  # fmt: skip
-
-    def surely_not(
-        self, centres: Points, half_widths: Float[np.ndarray, "n 3"] | Float[np.ndarray, " n"]
-    ) -> Bool[np.ndarray, " n"]:
-        """Say which boxes surely hold no point of the room: what a proof that nothing is seen may leave out.
-
-        Args:
-            centres: (n, 3) of boxes along the axes, m, body frame.
-            half_widths: (n,) of cubes or (n, 3), m.
-
-        """
-        centres = np.ascontiguousarray(centres, dtype=np.float64).reshape(-1, 3)
-        half = np.broadcast_to(np.asarray(half_widths, dtype=np.float64).reshape(len(centres), -1), centres.shape)
-        reach = np.linalg.norm(half, axis=1) + _ROUNDING
-        near = self.distance.distance(centres) + reach < self.stand_off
-        rest = np.flatnonzero(~near)
-        boxes = np.concatenate([centres[rest] - half[rest] - _ROUNDING, centres[rest] + half[rest] + _ROUNDING], axis=1)
         cells = self._cells
-        near[rest] = ~boxes_meet(cells.child, cells.depth, self._possible, self.origin, cells.unit, boxes)
-        return near
+        return Limits(
+            tree=self.distance.tree,
+            child=cells.child,
+            possible=self._possible,
+            origin=self.origin,
+            depth=cells.depth,
+            unit=cells.unit,
+            stand_off=self.stand_off,
+            least_range=rules.least_range,
+            greatest_range=rules.greatest_range,
+            spread=math.tan(rules.greatest_incidence),
+            finest=rules.greatest_sample_distance / rules.pixel_angle,
+        )

@@ -5,9 +5,9 @@ see so far: a unit by its area and rarity, a direction within the allowed incide
 stand-off and the camera's greatest. So they lie on all levels of the distance, and where narrow openings ask for them.
 """
 
-from collections.abc import Callable
+import math
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import no_type_check
 
 import numba
@@ -15,18 +15,22 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import sparse
 
+from keepout.apps.inspection.passive import Drifting
+from keepout.apps.inspection.problem import Problem
 from keepout.apps.inspection.seeing.patches import Patches
-from keepout.apps.inspection.seeing.rules import SeeingRules
-from keepout.apps.inspection.seeing.visible import Visible
+from keepout.apps.inspection.seeing.visible import SeeingRules, Visible, visible
 from keepout.core.cores import available_cores
 from keepout.core.progress import Progress, part_of, silent
 
 Point = Float[np.ndarray, "3"]
-Look = Callable[[Point], Visible]
-"""What is visible from a place."""
-Allowed = Callable[[Float[np.ndarray, "n 3"]], Bool[np.ndarray, " n"]]
-"""Which places the chaser's centre may be at."""
-
+_PLACES_EACH, _FEWEST_PLACES = 4, 64
+"""Places drawn for every unit wanted, and at least; `inspect.candidates` at most."""
+INSIDE = 0.02
+"""Metres by which candidates keep more than the stand-off."""
+_ROOM_TO_FLY = 0.15
+"""Metres off its place at which a view is still to show what it was planned for: ranges are planned so much within."""
+_TILT = math.radians(1.5)
+"""The same for the angles of incidence and of the cone, rad."""
 _ROUNDS = 4
 _STEEP = 0.97
 """Of the greatest incidence, the most that places are drawn at: a patch has an extent."""
@@ -42,6 +46,9 @@ _RARE = 3
 _DIRECTIONS = 250
 _TURNS = ((0.15, 8), (0.08, 8), (0.03, 8))
 """Rad, and how many directions at that angle are tried about the best."""
+Vector = Float[np.ndarray, "3"]
+_STEPS = 60
+"""Of the search for the middle, whose error falls with the number of steps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +68,10 @@ class Views:
     sees: sparse.csr_array
     places: int
 
+    def units(self, row: int | np.integer) -> Int[np.ndarray, " k"]:
+        """Give the units that a view sees, whatever the light."""
+        return self.sees.indices[self.sees.indptr[row] : self.sees.indptr[row + 1]]
+
     def only(self, rows: Int[np.ndarray, " k"]) -> "Views":
         """Give some of them."""
         return Views(self.positions[rows], self.boresights[rows], self.sees[rows], self.places)
@@ -75,50 +86,88 @@ class Views:
         )
 
 
-def find_views(
-    look: Look,
-    look_closely: Look,
-    allowed: Allowed,
-    patches: Patches,
-    rules: SeeingRules,
-    *,
+def tighter_rules(rules: SeeingRules, patch: float) -> SeeingRules:
+    """Give rules that what a flight does to a view does not break, where that leaves room."""
+    greatest = rules.greatest_range - _ROOM_TO_FLY
+    least = rules.least_range + _ROOM_TO_FLY
+    return replace(
+        rules,
+        field_of_view=max(rules.field_of_view - 2.0 * _TILT, 0.8 * rules.field_of_view),
+        greatest_incidence=max(rules.greatest_incidence - _TILT, 0.8 * rules.greatest_incidence),
+        least_range=least if least + patch < greatest else rules.least_range,
+        greatest_range=greatest if least + patch < greatest else rules.greatest_range,
+    )
+
+
+@dataclass(eq=False)
+class _Places:
+    """Where a view may be: in the room allowed, and where passive safety is asked for, where rest is safe."""
+
+    problem: Problem
+    drifting: Drifting | None
+    time: float
+    unsafe: int = 0
+
+    @property
+    def level(self) -> float:
+        """The distance from the mesh that places keep, m."""
+        return self.problem.scenario.inspect.stand_off + INSIDE
+
+    def allowed(self, places: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+        answer = self.problem.target.distance.distance(places) >= self.level
+        answer[answer] = self.problem.room.allowed(places[answer])
+        answer[answer] = self.safe(places[answer])
+        return answer
+
+    def safe(self, places: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+        if self.drifting is None:
+            return np.ones(len(places), dtype=bool)
+        answer = self.drifting.at_rest(places, self.time)
+        self.unsafe += int(np.count_nonzero(~answer))
+        return answer
+
+
+def candidates(
+    problem: Problem,
     wanted: Bool[np.ndarray, " units"],
-    witnesses: Float[np.ndarray, "units 3"],
-    stand_off: float,
-    places: int,
-    seed: int = 0,
+    time: float,
+    *,
+    within: SeeingRules | None = None,
     progress: Progress = silent,
-) -> Views:
-    """Find candidate views of the units wanted.
+) -> tuple[Views, int]:
+    """Find views of the units wanted; witnesses' places by the camera's limits themselves.
+
+    Places are drawn, at most so many as `inspect.candidates`; those of witnesses that show what none of them does come
+    on top. Where passive safety is asked for, rest is safe at all of them.
 
     Args:
-        look: what is visible from a place, among the units wanted, with room for a flight's errors.
-        look_closely: the same without, for the places of witnesses.
-        allowed: where the chaser's centre may be.
-        patches: the units.
-        rules: the camera's.
+        problem: what there is to be seen, and from where.
         wanted: (units,) to be seen.
-        witnesses: (units, 3) m, places from which each is seen; nan where none is known.
-        stand_off: of the places, m.
-        places: to be drawn, at most; those of witnesses that show what none of them does come on top.
-        seed: of the drawing.
+        time: at which rest is to be safe, s.
+        within: limits of what drawn places show; if absent, the camera's with room for a flight's errors.
         progress: told how much is seen.
 
+    Returns:
+        The views, and at how many places that were tried rest is not safe.
+
     """
-    generator = np.random.default_rng(seed)
-    areas, normals = patches.unit_areas() * wanted, patches.unit_normals()
-    centres = np.repeat(patches.centres, 2, axis=0)
-    times = np.zeros(patches.units, dtype=np.int64)
+    scenario, patches = problem.scenario, problem.patches
+    rules = tighter_rules(problem.rules, patches.size) if within is None else within
+    count = min(scenario.inspect.candidates, max(_FEWEST_PLACES, _PLACES_EACH * int(wanted.sum())))
+    places = _Places(problem, Drifting.of(scenario, problem.target.distance.distance), time)
+    generator, witnesses = np.random.default_rng(scenario.seed), problem.seeable.witness.copy()
+    areas, times = patches.unit_areas() * wanted, np.zeros(patches.units, dtype=np.int64)
     found: list[tuple[Point, Visible]] = []
     total = float(areas.sum())
     with ThreadPoolExecutor(available_cores()) as pool:
 
-        def take(some: Float[np.ndarray, "n 3"], with_: Look, told: Progress) -> None:
-            for n, (place, seen) in enumerate(zip(some, pool.map(with_, some), strict=True)):
-                seen = _within_cone(seen, rules)
-                if len(seen.units):
-                    found.append((place, seen))
-                    times[seen.units] += 1
+        def take(some: Float[np.ndarray, "n 3"], by: SeeingRules, told: Progress) -> None:
+            looks = pool.map(lambda place: visible(problem.sight, by, place, among=wanted), some)
+            for n, (place, seen) in enumerate(zip(some, looks, strict=True)):
+                fits = seen.spread < rules.half_angle
+                if fits.any():
+                    found.append((place, Visible(seen.units[fits], seen.directions[fits], seen.spread[fits])))
+                    times[seen.units[fits]] += 1
                 if n % 64 == 63:
                     told((n + 1) / len(some), f"{len(found)} places see {areas[times > 0].sum() / total:.2%}")
 
@@ -126,24 +175,25 @@ def find_views(
             weights = areas / (1.0 + times) if step else areas
             if not weights.any():
                 break
-            drawn = _drawn(generator, weights, centres, normals, rules, stand_off, allowed, places // _ROUNDS)
-            take(drawn, look, part_of(progress, 0.8 * step / _ROUNDS, 0.8 * (step + 1) / _ROUNDS))
+            drawn = _drawn(generator, weights, patches, rules, places, count // _ROUNDS)
+            take(drawn, rules, part_of(progress, 0.8 * step / _ROUNDS, 0.8 * (step + 1) / _ROUNDS))
         while True:
             unseen = np.flatnonzero(wanted & (times == 0) & np.isfinite(witnesses[:, 0]))
             if len(unseen) == 0:
                 break
             # A part at a time: a witness often shows what others were known for.
             some = generator.permutation(unseen)[: max(16, len(unseen) // 8)]
-            take(witnesses[some], look_closely, silent)
-            witnesses = witnesses.copy()
+            take(witnesses[some], problem.rules, silent)
             witnesses[some] = np.nan
             progress(0.85, f"{len(found)} places see {areas[times > 0].sum() / total:.2%}")
         chosen = list(pool.map(lambda one: boresights_of(one[1], areas, times, rules.half_angle), found))
-    progress(
-        1.0,
-        f"{sum(len(one[0]) for one in chosen)} views at {len(found)} places see {areas[times > 0].sum() / total:.2%}",
-    )
-    return _joined(found, chosen, patches.units)
+    number = sum(len(one[0]) for one in chosen)
+    progress(1.0, f"{number} views at {len(found)} places see {areas[times > 0].sum() / total:.2%}")
+    at = np.repeat(np.array([place for place, _ in found]).reshape(-1, 3), [len(one[0]) for one in chosen], axis=0)
+    boresights = np.concatenate([np.zeros((0, 3)), *(one[0] for one in chosen)])
+    views = Views(at, boresights, table_of([row for one in chosen for row in one[1]], patches.units), len(found))
+    # The places of witnesses were not drawn.
+    return views if places.drifting is None else views.only(np.flatnonzero(places.safe(at))), places.unsafe
 
 
 def boresights_of(
@@ -205,25 +255,17 @@ def _gains(directions, enough, left, tried):
     return gains
 
 
-def _within_cone(seen: Visible, rules: SeeingRules) -> Visible:
-    """Leave out what is wider than the whole cone."""
-    fits = seen.spread < rules.half_angle
-    return Visible(seen.units[fits], seen.directions[fits], seen.spread[fits])
-
-
 def _drawn(
     generator: np.random.Generator,
     weights: Float[np.ndarray, " units"],
-    centres: Float[np.ndarray, "units 3"],
-    normals: Float[np.ndarray, "units 3"],
+    patches: Patches,
     rules: SeeingRules,
-    stand_off: float,
-    allowed: Allowed,
+    places: _Places,
     count: int,
 ) -> Float[np.ndarray, "n 3"]:
     """Draw places for units by their weights, of which the chaser may be at all; fewer than `count` if that is hard."""
     kept = np.zeros((0, 3))
-    low, high = max(stand_off, rules.least_range), _FAR * rules.greatest_range
+    low, high = max(places.level, rules.least_range), _FAR * rules.greatest_range
     flattest = np.cos(_STEEP * rules.greatest_incidence)
     for _ in range(_TRIES if low < high else 0):
         missing = count - len(kept)
@@ -232,13 +274,12 @@ def _drawn(
         units = generator.choice(len(weights), size=2 * missing, p=weights / weights.sum())
         cosine = generator.uniform(flattest, 1.0, len(units))
         turn = generator.uniform(0.0, 2.0 * np.pi, len(units))
-        side, other = _sides(normals[units])
+        normals = patches.unit_normals()[units]
+        side, other = _sides(normals)
         sine = np.sqrt(1.0 - cosine**2)[:, None]
-        towards = cosine[:, None] * normals[units] + sine * (
-            np.cos(turn)[:, None] * side + np.sin(turn)[:, None] * other
-        )
-        places = centres[units] + generator.uniform(low, high, len(units))[:, None] * towards
-        kept = np.concatenate([kept, places[allowed(places)][:missing]])
+        towards = cosine[:, None] * normals + sine * (np.cos(turn)[:, None] * side + np.sin(turn)[:, None] * other)
+        tried = patches.centres[units // 2] + generator.uniform(low, high, len(units))[:, None] * towards
+        kept = np.concatenate([kept, tried[places.allowed(tried)][:missing]])
     return kept
 
 
@@ -265,15 +306,54 @@ def _sphere(count: int) -> Float[np.ndarray, "n 3"]:
     return np.stack([across * np.cos(turn), across * np.sin(turn), height], axis=1)
 
 
-def _joined(
-    found: list[tuple[Point, Visible]],
-    chosen: list[tuple[Float[np.ndarray, "_ 3"], list[Int[np.ndarray, " _"]]]],
-    units: int,
-) -> Views:
-    rows = [row for _, several in chosen for row in several]
+def table_of(rows: list[Int[np.ndarray, " _"]], units: int) -> sparse.csr_array:
+    """Give the matrix (rows, units) with 1 where a row names a unit."""
     starts = np.concatenate([[0], np.cumsum([len(row) for row in rows])]).astype(np.int64)
     index = np.concatenate(rows) if rows else np.zeros(0, dtype=np.int64)
-    sees = sparse.csr_array((np.ones(len(index)), index, starts), shape=(len(rows), units))
-    counts = [len(one[0]) for one in chosen]
-    positions = np.repeat(np.array([place for place, _ in found]).reshape(-1, 3), counts, axis=0)
-    return Views(positions, np.concatenate([np.zeros((0, 3)), *(one[0] for one in chosen)]), sees, len(found))
+    return sparse.csr_array((np.ones(len(index)), index, starts), shape=(len(rows), units))
+
+
+def middle_of(directions: Float[np.ndarray, "k 3"]) -> tuple[Vector, float]:
+    """Give a unit vector whose greatest angle to unit vectors is nearly the least, and that angle, rad.
+
+    Each step turns towards the farthest direction by a share that shrinks (Bădoiu and Clarkson's, on the sphere).
+    Directions on all sides have no middle; then the angle says so.
+    """
+    middle = directions.mean(axis=0)
+    size = float(np.linalg.norm(middle))
+    middle = middle / size if size > 1e-9 else directions[0]
+    best, least = middle, -2.0
+    for step in range(_STEPS):
+        cosines = directions @ middle
+        farthest = int(np.argmin(cosines))
+        if cosines[farthest] > least:
+            best, least = middle, float(cosines[farthest])
+        turned = middle + (directions[farthest] - middle) / (step + 2.0)
+        size = float(np.linalg.norm(turned))
+        if not size > 1e-9:
+            break
+        middle = turned / size
+    return best, float(np.arccos(np.clip(least, -1.0, 1.0)))
+
+
+def aim(place: Vector, points: Float[np.ndarray, "k 3"], planned: Vector, half_angle: float) -> Vector:
+    """Give the direction to look in from a place so that points are in the cone; the planned one if they are not.
+
+    Args:
+        place: (3,) of the camera, m.
+        points: (k, 3) what is to be seen, m.
+        planned: (3,) unit vector.
+        half_angle: of the cone, rad.
+
+    """
+    if len(points) == 0:
+        return planned
+    to = points - place
+    lengths = np.linalg.norm(to, axis=1)
+    if not lengths.min() > 1e-9:
+        return planned
+    to = to / lengths[:, None]
+    if float((to @ planned).min()) >= np.cos(half_angle):
+        return planned
+    middle, spread = middle_of(to)
+    return middle if spread < half_angle else planned
