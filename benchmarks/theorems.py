@@ -27,7 +27,7 @@ from keepout.core.motion.chaser import Chaser
 from keepout.core.motion.disturbance import paper_disturbance
 from keepout.core.motion.orbit import Orbit
 from keepout.core.motion.relative import RelativeMotion
-from keepout.flights.pages import style
+from keepout.flights.pages import figures
 
 RADIUS, MASS, FORCE, PERIOD = 4.0, 20.0, 0.1, 1.0
 SUBSTEPS = 50
@@ -150,7 +150,7 @@ def draw(found, path):
         "h₁(T) − exp(−β_c T) h₁(0), m  (theorem: 0 or more)",
         "V₁(T)/V₁(0) − 1 where v_s = v_c  (theorem: 0 or less)",
     )
-    with style.figure(path, width=9.0, height=6.0) as figure:
+    with figures.figure(path, width=9.0, height=6.0) as figure:
         axes = figure.subplots(2, 2, sharey=True)
         for line, profile in enumerate(("default", "paper")):
             for column, label in enumerate(labels):

@@ -1,8 +1,8 @@
 """An inspection by natural-motion circumnavigation: a drift about the target, frames on the way, and nothing else.
 
 The flight begins on the ellipse. What the burns onto it cost, from the scenario's start, counts in its Δv and is told
-apart. The camera looks where most of what
-is still wanted is seen from; law and guard only bring the chaser back to the drift.
+apart. The camera looks where most of what is still wanted is seen from; law and guard only bring the chaser back to the
+drift.
 """
 
 import time
