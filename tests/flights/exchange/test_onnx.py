@@ -16,7 +16,7 @@ from keepout.core.fields.field import values_and_gradients
 from keepout.core.fields.model import FieldModel
 from keepout.flights.exchange.onnx_field import export_onnx, field_graph, measure, sample_points
 
-MANY = 20_000
+MANY = 60_000
 
 
 def in_double(field):

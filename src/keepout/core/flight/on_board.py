@@ -325,7 +325,7 @@ class OnBoard:
         """All that law and guard gave in the last step; zeros before the first."""
         given = self._latest[self._size : self._size + _ORDER]
         *numbers, control, guard = given[15:].tolist()
-        return Order(*given[:15].reshape(5, 3), *numbers, int(control), int(guard))
+        return Order._make((*given[:15].reshape(5, 3), *numbers, int(control), int(guard)))
 
     @property
     def known(self) -> Known:
@@ -340,7 +340,8 @@ class OnBoard:
         given = self._latest[self._size + _ORDER :]
         outliers, contradicted = given[14:_KNOWN].tolist()
         vectors = given[:12].reshape(4, 3)
-        return Known(*vectors, given[12:14], int(outliers), bool(contradicted), self._not_due, given[_KNOWN:])
+        rest = given[12:14], int(outliers), bool(contradicted), self._not_due, given[_KNOWN:]
+        return Known._make((*vectors, *rest))
 
 
 class _State:
@@ -381,7 +382,8 @@ class _State:
 
     def step(self, memory: PyTree, numbers: Float[Array, " m"]) -> tuple[PyTree, list[Array]]:
         """Run the on-board part of a step; give the new memory, and the numbers of an `Order`."""
-        law, guard, order, force, status = loop.command(self.setup, *memory, self._unpack(numbers))
+        law, guard = memory
+        law, guard, order, force, status = loop.command(self.setup, law, guard, self._unpack(numbers))
         return (law, guard), _of_order(order, force, status)
 
 

@@ -298,7 +298,7 @@ class Guard(SafetyLayer):
             None if observed is None or doubts is None else (observed.doubts, doubts),
         )
         beyond = jumped & finite
-        if observed is not None:
+        if observed is not None and self.braking.observer is not None:
             off = position - own.expected_position, velocity - own.expected_velocity
             beyond = observer.beyond(a, self.braking.observer, *off, known)
             # After steps without a sound estimate the guard's own one is no evidence of a jump.

@@ -15,6 +15,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -24,7 +25,7 @@ POSITION, VELOCITY, FEEDBACK, PREDICTED = range(4)
 _SMALL = 1e-13
 """What is left of a response is lost in the last digits of the sums below this."""
 
-Poles = float | Float[np.ndarray, "*shape"]
+Poles = TypeVar("Poles", float, np.ndarray)
 Gains = tuple[float, float, float, float]
 """Two poles of M, and l_r and l_v of the observer."""
 

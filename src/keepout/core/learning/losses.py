@@ -7,7 +7,6 @@ the reverse does as many products of matrices, and goes over the activations mor
 """
 
 import dataclasses
-import functools
 from typing import Literal, NamedTuple
 
 import jax
@@ -17,7 +16,7 @@ from jaxtyping import Array, Bool, Float32
 
 from keepout.core.errors import FieldError
 from keepout.core.fields import neural
-from keepout.core.fields.continuation import Rows, Vectors
+from keepout.core.fields.continuation import Vectors
 from keepout.core.fields.neural import Kept, Layers, sweeps, times
 
 LARGE_TARGET = 20.0
@@ -217,10 +216,12 @@ def terms(
     return paper_terms(layers, profile, scale, batch)
 
 
-@functools.partial(jax.custom_vjp, nondiff_argnums=(1,))
-def value_and_gradient(layers: Layers, beta: float, x: Vectors) -> tuple[Rows, Vectors]:
-    """`neural.value_and_gradient`, whose own derivative is with respect to the layers, not to x."""
+def _value_and_gradient(layers: Layers, beta: float, x: Vectors) -> tuple[Rows, Vectors]:
     return sweeps(layers, beta, x)[0]
+
+
+value_and_gradient = jax.custom_vjp(_value_and_gradient, nondiff_argnums=(1,))
+"""`neural.value_and_gradient`, whose own derivative is with respect to the layers, not to x."""
 
 
 def _forward(layers: Layers, beta: float, x: Vectors) -> tuple[tuple[Array, Array], tuple[Layers, Kept]]:

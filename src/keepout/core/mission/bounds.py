@@ -107,7 +107,11 @@ def _sunlight(scenario: Scenario) -> SolarPressure | None:
     sun = scenario.sun
     if sun.target_area_to_mass == sun.chaser_area_to_mass == 0.0:
         return None
-    return SolarPressure(sun_of(scenario), sun.target_area_to_mass, sun.chaser_area_to_mass)
+    return SolarPressure(
+        direction=sun_of(scenario),
+        target_area_to_mass=sun.target_area_to_mass,
+        chaser_area_to_mass=sun.chaser_area_to_mass,
+    )
 
 
 def _perturbations(orbit: OrbitEntry, drag: DragEntry, sunlight: SolarPressure | None) -> tuple[Perturbation, ...]:
