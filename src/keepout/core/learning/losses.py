@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float32
 
 from keepout.core.errors import FieldError
 from keepout.core.fields import neural
-from keepout.core.fields.continuation import Vectors
+from keepout.core.fields.continuation import Rows, Vectors
 from keepout.core.fields.neural import Kept, Layers, sweeps, times
 
 LARGE_TARGET = 20.0
