@@ -117,4 +117,5 @@ replay-bundle:
 	cd viewer && npm ci && npm run build
 
 clean:
+	find src benchmarks -name '*.nb[ci]' -delete
 	rm -rf $(VENV) .venv-basilisk out zensical.toml .cache .pytest_cache .ruff_cache
