@@ -7,6 +7,7 @@ import gc
 import os
 import shutil
 import tempfile
+from importlib.metadata import version
 from pathlib import Path
 
 # What one test compiles, the workers and the commands that tests start need not compile again. The folder is new for
@@ -25,7 +26,10 @@ if "KEEPOUT_CACHE" not in os.environ:
     atexit.register(shutil.rmtree, os.environ["KEEPOUT_CACHE"], ignore_errors=True)
 # XLA takes long over programs that then run faster than most tests need. A run that sets XLA_FLAGS, be it to nothing,
 # keeps its own: so `make test` runs what is marked `as_used`, and `make test-all` everything.
-os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0")
+# A jaxlib from 0.11 on has no emitters to switch off, and ends a process that is told of a flag that it does not know.
+if "XLA_FLAGS" not in os.environ:
+    _emitters = "--xla_cpu_use_fusion_emitters=false " if version("jaxlib").startswith("0.10.") else ""
+    os.environ["XLA_FLAGS"] = f"{_emitters}--xla_backend_optimization_level=0"
 
 import equinox as eqx
 import jax
