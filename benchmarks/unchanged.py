@@ -32,7 +32,7 @@ JOBS = {
     "check": "scenario check {examples}/case1.toml --json",
     **{f"fly {name}": f"fly {{examples}}/{name}.toml -o out --json" for name in FLIES},
     "campaign": "campaign {examples}/campaign.toml --runs 64 -o out --json",
-    "rare": "rare {examples}/case1.toml --below 0.5 --runs 2 --flights 64 -o out --json",
+    "rare": "rare {examples}/faults.toml --below 0.5 --runs 2 --flights 64 -o out --json",
     "explore": "explore {examples}/explore.toml -o out --json",
     "inspect": "inspect {examples}/inspect.toml -o out --json",
     "reproduce": "reproduce case1 --quick -o out --json",
