@@ -17,7 +17,7 @@ AS_USED = $(shell grep -rlw mark.as_used tests --include='test_*.py')
 # Without them each start of Python would compile 1,800 modules of the libraries anew: 5 s a command.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo core check test test-all lint style types quick-tests tests format install docs shipped replay-bundle basilisk clean
+.PHONY: help demo core check test test-all lint style types quick-tests as-used-tests other-tests format install docs shipped replay-bundle basilisk clean
 
 help:
 	@echo "make demo      set up, then fly the built-in demonstration; results in out/demo"
@@ -76,8 +76,10 @@ types: install
 check: style
 	@$(MAKE) --no-print-directory --jobs=2 types quick-tests
 
+# The fields of guards are kept in one new folder for all: some take a worker 20 s.
 test: style
-	@$(MAKE) --no-print-directory --jobs=2 types tests
+	@kept=$$(mktemp -d) && trap "rm -rf $$kept" EXIT && \
+	KEEPOUT_CACHE=$$kept $(MAKE) --no-print-directory --jobs=2 as-used-tests other-tests
 
 core: install
 	$(BIN)/pytest -m "not slow and not long" $(BY_FILE) $(CORE)
@@ -85,10 +87,14 @@ core: install
 quick-tests: install
 	$(BIN)/pytest -m "not slow and not long" $(BY_FILE)
 
-# Both runs keep the fields of guards in one new folder: some take a worker 20 s.
-tests: install
-	kept=$$(mktemp -d) && trap "rm -rf $$kept" EXIT && export KEEPOUT_CACHE=$$kept && \
-	XLA_FLAGS= $(BIN)/pytest -m "as_used and not slow" $(BY_FILE) $(AS_USED) && \
+# One process, beside the types and then beside the other tests: what has to be compiled once in a new checkout, modules
+# of the libraries and kernels of Numba, is not compiled by two at a time. Its words come at its end, in one piece.
+as-used-tests: install
+	@said=$$(mktemp) && code=0 && \
+	{ XLA_FLAGS= $(BIN)/pytest -m "as_used and not slow" $(AS_USED) > $$said 2>&1 || code=$$?; } && \
+	cat $$said && rm $$said && exit $$code
+
+other-tests: types
 	$(BIN)/pytest -m "not slow and not as_used" $(BY_FILE)
 
 test-all: lint

@@ -29,7 +29,12 @@ if "KEEPOUT_CACHE" not in os.environ:
 # A jaxlib from 0.11 on has no emitters to switch off, and ends a process that is told of a flag that it does not know.
 if "XLA_FLAGS" not in os.environ:
     _emitters = "--xla_cpu_use_fusion_emitters=false " if version("jaxlib").startswith("0.10.") else ""
-    os.environ["XLA_FLAGS"] = f"{_emitters}--xla_backend_optimization_level=0"
+    os.environ["XLA_FLAGS"] = (
+        f"{_emitters}--xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1 "
+        "--xla_cpu_multi_thread_eigen=false"
+    )
+    # As many workers as cores: threads of their libraries would only wait for each other.
+    os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 import equinox as eqx
 import jax
@@ -42,6 +47,10 @@ if os.environ["XLA_FLAGS"]:
     jaxtyping.install_import_hook("keepout", "beartype.beartype")
 
 from truths import real_meshes
+
+# Tests hold hundreds of thousands of objects (programs, cases), and Python looks through them all for circles each time
+# that a few hundred more were made: a seventh of the processor time. Looked for more seldom, memory grows no further.
+gc.set_threshold(200_000, 20, 100)
 
 # A shared or slow machine must not fail a property: only its truth may.
 # The examples of a property are few and the same in every run, so that a commit which passes passes again;

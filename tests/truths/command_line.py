@@ -42,8 +42,9 @@ def keepout_command(*arguments: object) -> Answer:
 
 
 FORKING = """
-import json, os, resource, sys
+import gc, json, os, resource, sys
 import equinox, jax, matplotlib.pyplot, numba, pyarrow.parquet, pydantic, scipy.optimize, scipy.stats, trimesh, typer
+gc.freeze()
 for line in sys.stdin:
     arguments, folder, environment, program, streams = json.loads(line)
     child = os.fork()
