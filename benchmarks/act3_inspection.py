@@ -9,9 +9,7 @@ crash; `least_distance_m` is a bound for all flights over their whole length, be
 until the last point was seen; `delta_v_axes_mps` is the sum over the thruster axes.
 """
 
-import argparse
-import json
-import sys
+import functools
 import time
 from pathlib import Path
 
@@ -35,7 +33,7 @@ from act3_task import (
     steps_until_seen,
     sun_directions,
 )
-from kept_rows import Rows, show
+from kept_rows import Rows, command, tell
 
 from keepout.apps.inspection.passive import coast_matrix
 from keepout.core.control.law import Command, Law
@@ -229,25 +227,17 @@ def row(task, seeds, told=lambda done, words: None):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command(__doc__)
     parser.add_argument("--seeds", type=int, default=1000, help="starts for each row: seeds 0, 1, 2, …")
     parser.add_argument("--tasks", nargs="*", default=list(TASKS), choices=list(TASKS))
     parser.add_argument("--out", type=Path, default=Path("out/act3-inspection.json"), help="rows flown so far")
-    parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     store, rows = Rows(arguments.out, PLACE, SETTINGS), []
     for name in arguments.tasks:
         plan = {"task": name, "seeds": arguments.seeds, "recipe": RECIPE}
-        flown = store.find(plan)
-        if flown is None:
-            with terminal.progress(f"act3, {name}") as progress:
-                flown = plan | row(TASKS[name], arguments.seeds, progress)
-            store.keep(flown)
-        rows.append(flown)
-    if arguments.json:
-        sys.stdout.write(json.dumps(rows, indent=2) + "\n")
-    else:
-        show(rows, SHOWN)
+        with terminal.progress(f"act3, {name}") as progress:
+            rows.append(store.made(plan, functools.partial(row, TASKS[name], arguments.seeds, progress)))
+    tell(rows, arguments, SHOWN)
 
 
 if __name__ == "__main__":

@@ -15,13 +15,10 @@ not to hold and all do. `least_above_threshold_m` is the least f̃ − θ at the
 theorem says that it is above 0. Between two Runge–Kutta steps the path is not looked at.
 """
 
-import argparse
 import copy
 import functools
-import json
 import operator
 import sys
-import time
 from pathlib import Path
 
 import equinox as eqx
@@ -29,7 +26,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from adversary_truth import SUBSTEPS, AxisThrusters, Surface, Truth
-from kept_rows import Rows, show
+from kept_rows import Rows, command, tell, timed
 
 import keepout
 from keepout.core.control.law import Command, Law
@@ -527,47 +524,34 @@ def fly_all(arguments):
         for done, (mission, attack) in enumerate(rows):
             progress(done / len(rows), f"{mission}: {attack}")
             scenario = digest(Scenario().replace(**MISSIONS[mission]).model_dump_json())[:16]
-            values = (
-                mission,
-                attack,
-                flights,
-                arguments.duration,
-                arguments.seed,
-                scenario,
-                RECIPE,
-                keepout.__version__,
-            )
-            plan = dict(zip(PLACE + SETTINGS, values, strict=True))
-            row = store.find(plan)
-            if row is None:
-                case, began = case_of(mission, arguments.duration), time.perf_counter()
+            place = (mission, attack, flights, arguments.duration, arguments.seed)
+            plan = dict(zip(PLACE + SETTINGS, (*place, scenario, RECIPE, keepout.__version__), strict=True))
+
+            def made(mission=mission, attack=attack):
+                case = case_of(mission, arguments.duration)
                 generator = np.random.default_rng([arguments.seed, ROWS.index((mission, attack))])
-                row = plan | Flights(case, attack, flights, arguments.duration, generator).fly()
-                row["seconds"] = round(time.perf_counter() - began, 2)
-                store.keep(row)
-            shown.append(row)
+                row, seconds = timed(Flights(case, attack, flights, arguments.duration, generator).fly)
+                return row | {"seconds": round(seconds, 2)}
+
+            shown.append(store.made(plan, made))
     return shown
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command(__doc__)
     parser.add_argument("--flights", type=int, default=2000, help="in all, spread evenly over the rows")
     parser.add_argument("--duration", type=int, default=200, help="of each flight, control periods")
     parser.add_argument("--missions", nargs="+", choices=list(MISSIONS), default=list(MISSIONS))
     parser.add_argument("--attacks", nargs="+", choices=ATTACKS, default=list(ATTACKS))
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, help="file of rows, written after each and taken up again")
-    parser.add_argument("--json", action="store_true", help="one list of rows instead of a table")
     arguments = parser.parse_args()
     jax.config.update("jax_cpu_enable_async_dispatch", False)
     rows = fly_all(arguments)
-    if arguments.json:
-        sys.stdout.write(json.dumps(rows, indent=1) + "\n")
-    else:
-        show(rows, COLUMNS)
-        for row in rows:
-            for flight in row["found"]:
-                sys.stdout.write(f"{row['mission']}, {row['attack']}: {flight}\n")
+    tell(rows, arguments, COLUMNS)
+    for row in () if arguments.json else rows:
+        for flight in row["found"]:
+            sys.stdout.write(f"{row['mission']}, {row['attack']}: {flight}\n")
 
 
 if __name__ == "__main__":

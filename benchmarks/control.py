@@ -8,7 +8,6 @@ A step runs as it would on board (`keepout.core.flight.on_board`): the compiled 
 and no garbage collection inside the loop.
 """
 
-import argparse
 import gc
 import importlib.util
 import itertools
@@ -19,6 +18,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from kept_rows import command
 
 from keepout.core.control import profiles
 from keepout.core.control.design import Operation
@@ -163,8 +163,7 @@ def usual_way(points, velocities):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--json", action="store_true")
+    parser = command(__doc__)
     parser.add_argument("--steps", type=int, default=2000)
     arguments = parser.parse_args()
     jax.config.update("jax_cpu_enable_async_dispatch", False)

@@ -6,14 +6,13 @@ Each row names the erratum as that page does, a quantity, its value as the text 
 Nothing is flown but the case that the circulation matrix decides; the whole takes about a minute.
 """
 
-import argparse
 import json
-import sys
 import warnings
 from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
+from kept_rows import command, tell
 from scipy.integrate import solve_ivp
 
 from keepout.core.control.observer import continuous, printed_observer
@@ -242,9 +241,8 @@ ERRATA = (
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command(__doc__)
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results/errata.json"))
-    parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     warnings.simplefilter("ignore", ControlWarning)  # that the printed constants violate conditions is the subject
     rows = []
@@ -254,12 +252,7 @@ def main():
             rows += measure()
     lines = ",\n".join(json.dumps(entry, ensure_ascii=False) for entry in rows)
     write_whole(arguments.out, f"[\n{lines}\n]\n")
-    if arguments.json:
-        json.dump(rows, sys.stdout, indent=2, ensure_ascii=False)
-        sys.stdout.write("\n")
-        return
-    for entry in rows:
-        sys.stdout.write(" | ".join(str(value) for value in entry.values()) + "\n")
+    tell(rows, arguments)
 
 
 if __name__ == "__main__":

@@ -15,15 +15,14 @@ Parts:
 Rows are kept in the file as they come, and none is made twice with the same settings.
 """
 
-import argparse
 import json
 import sys
 from pathlib import Path
 
 from closed_targets import FILES, NAMES
-from explore_approaches import ACCURATE, BROKEN, OUTSIDE, SOUND, VIEWS, run
+from explore_approaches import ACCURATE, BROKEN, OUTSIDE, SOUND, VIEWS, Approaching, run
 from explore_flights import PILOTS, flight, row
-from kept_rows import Rows, show
+from kept_rows import Rows, command, tell
 
 OUT = Path(__file__).with_name("results") / "explore.json"
 SENSORS = {"approaches": (SOUND,), "accuracy": ACCURATE, "broken": BROKEN, "sheets": (SOUND,)}
@@ -31,19 +30,7 @@ SPACING = {"tiangong": 0.2}
 """Metres, where it is not 0.1: the ball round Tiangong holds 734³ cubes of 0.1 m, 1.2 GB a map."""
 FEWER = 10
 """The maps of other sensors than the sound one are checked at one so manieth of the points."""
-PLACE = (
-    "part",
-    "target",
-    "mesh",
-    "errors",
-    "broken",
-    "width_m",
-    "rays_across",
-    "times",
-    "dropout",
-    "grazing_angle",
-    "seed",
-)
+PLACE = ("part", "target", "mesh", *SOUND.told, "seed")
 SETTINGS = ("approaches", "views_each", "spacing_m", "outside_m")
 COLUMNS = (*PLACE, "approaches", "bad_cubes", "over_statements", "points", "gap_p95_m", "under_median_m", "under_p95_m")
 COLUMNS += ("contacts", "complete")
@@ -73,11 +60,8 @@ def fly_approaches(arguments, rows):
                 name,
                 mesh,
                 [plan["sensor"] for plan in plans],
-                approaches=arguments.approaches,
-                views=arguments.views,
-                spacing=spacing,
+                Approaching(arguments.approaches, arguments.views, spacing, arguments.seed),
                 points=[arguments.points // (1 if plan["sensor"] == SOUND else FEWER) for plan in plans],
-                seed=arguments.seed,
                 say=say,
             )
             for plan, made in zip(plans, found, strict=True):
@@ -100,29 +84,14 @@ def fly_missions(arguments, rows):
 
 
 def _plan(arguments, part, name, mesh, sensor, spacing):
-    return {
-        "part": part,
-        "target": name,
-        "mesh": mesh,
-        "errors": sensor.errors,
-        "broken": sensor.broken,
-        "width_m": sensor.width,
-        "rays_across": sensor.rays_across,
-        "times": sensor.times,
-        "dropout": sensor.dropout,
-        "grazing_angle": sensor.grazing_angle,
-        "approaches": arguments.approaches,
-        "views_each": arguments.views,
-        "outside_m": OUTSIDE,
-        "spacing_m": spacing,
-        "seed": arguments.seed,
-        "sensor": sensor,
-    }
+    place = {"part": part, "target": name, "mesh": mesh, "seed": arguments.seed, "sensor": sensor, **sensor.told}
+    settings = (arguments.approaches, arguments.views, spacing, OUTSIDE)
+    return place | dict(zip(SETTINGS, settings, strict=True))
 
 
 def main():
     """Make the rows that are asked for and not kept yet, and print them all."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command(__doc__)
     parser.add_argument("parts", nargs="*", default=list(SENSORS), help=f"of {', '.join((*SENSORS, *PILOTS))}")
     parser.add_argument("--flights", type=int, default=200, help="with seeds from --seed on, over the targets in turn")
     parser.add_argument("--targets", nargs="+", default=list(NAMES), help=f"of {', '.join(NAMES)}")
@@ -131,7 +100,6 @@ def main():
     parser.add_argument("--points", type=int, default=2_000_000, help="at which a sound map's field is checked")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=OUT, help="rows kept")
-    parser.add_argument("--json", action="store_true", help="print rows as JSON")
     arguments = parser.parse_args()
     for part in arguments.parts:
         if part not in SENSORS and part not in PILOTS:
@@ -139,10 +107,7 @@ def main():
     rows = Rows(arguments.out, PLACE, SETTINGS)
     fly_approaches(arguments, rows)
     fly_missions(arguments, rows)
-    if arguments.json:
-        print(json.dumps(rows.kept, indent=1))
-    else:
-        show(rows.kept, COLUMNS)
+    tell(rows.kept, arguments, COLUMNS)
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ import dataclasses
 import math
 import time
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from closed_targets import FILES, MESHES, closed_target
@@ -52,6 +53,12 @@ class Sensor:
     dropout: float = 0.0
     grazing_angle: float = 0.5 * math.pi
     times: float = 2.0
+
+    @property
+    def told(self):
+        """What rows say of it."""
+        named = {"width_m": self.width, "rays_across": self.rays_across, "times": self.times, "dropout": self.dropout}
+        return {"errors": self.errors, "broken": self.broken, **named, "grazing_angle": self.grazing_angle}
 
 
 SOUND = Sensor()
@@ -127,21 +134,28 @@ def approach(target, centre, radius, generator, views=VIEWS):
         return at, foot + generator.uniform(-0.5, 0.5, (views, 3))
 
 
-def run(name, mesh, sensors, *, approaches, views, spacing, points, seed, say=lambda text: None):
+class Approaching(NamedTuple):
+    """How many approaches, of so many views each, into maps of a spacing (m); the seed draws approaches and errors."""
+
+    approaches: int
+    views: int
+    spacing: float
+    seed: int
+
+
+def run(name, mesh, sensors, how: Approaching, *, points, say=lambda text: None):
     """Fly the approaches past all sensors, and count; yields a row for each sensor.
 
     Args:
         name: of the target.
         mesh: "closed" or "as it is".
         sensors: `Sensor`s.
-        approaches: how many.
-        views: of each.
-        spacing: of the map, m.
+        how: they are flown.
         points: at which the field of each map is checked, a number for each sensor.
-        seed: draws approaches and errors.
         say: told how it goes on.
 
     """
+    approaches, views, spacing, seed = how
     began = time.perf_counter()
     target = load(name, mesh)
     centre, radius = enclosing(target)
@@ -231,13 +245,7 @@ class _World:
         bad = bad_cubes(known, target)
         gap, under = gaps(known, seen), under_statements(map_field, target, seen)
         return {
-            "errors": self.sensor.errors,
-            "broken": self.sensor.broken,
-            "width_m": self.sensor.width,
-            "rays_across": self.sensor.rays_across,
-            "times": self.sensor.times,
-            "dropout": self.sensor.dropout,
-            "grazing_angle": self.sensor.grazing_angle,
+            **self.sensor.told,
             "usable_range_m": known.bounds.usable_range(self.camera.camera),
             "spacing_m": known.spacing,
             "views": known.views,

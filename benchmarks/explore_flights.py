@@ -6,7 +6,6 @@ sensor, law and guard, and plans anew with every image; it looks where it flies.
 
 import dataclasses
 import math
-import time
 from dataclasses import dataclass
 
 import jax
@@ -14,8 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.ndimage
 from closed_targets import MovedPanel, moved_panel
-from explore_approaches import enclosing
+from explore_approaches import Sensor, enclosing
 from explore_counts import bad_cubes
+from kept_rows import timed
 from truncated_distance import TruncatedDistanceMap
 
 from keepout.apps.led.camera import Boresight, axes_towards
@@ -183,8 +183,11 @@ PILOTS = {"flights": by_known_free, "ordinary": by_truncated_distance}
 
 def row(part, flown: Flight, name):
     """Fly, and give a row."""
-    began = time.perf_counter()
-    found = PILOTS[part](flown)
+    found, seconds = timed(PILOTS[part], flown)
+    entry = flown.scenario.depth_sensor
+    sensor = Sensor(
+        entry.errors, None, entry.surely_returned_width, entry.rays_across, entry.dropout, entry.grazing_angle
+    )
     return {
         "part": part,
         "target": name,
@@ -192,13 +195,7 @@ def row(part, flown: Flight, name):
         "seed": flown.scenario.seed,
         "approaches": 1,
         "views_each": None,
-        "errors": flown.scenario.depth_sensor.errors,
-        "broken": None,
-        "width_m": flown.scenario.depth_sensor.surely_returned_width,
-        "dropout": flown.scenario.depth_sensor.dropout,
-        "times": 2.0,
-        "grazing_angle": flown.scenario.depth_sensor.grazing_angle,
-        "rays_across": flown.scenario.depth_sensor.rays_across,
+        **sensor.told,
         "spacing_m": flown.scenario.map.spacing,
         "over_statements": None,
         "moved_m": flown.panel.moved,
@@ -206,5 +203,5 @@ def row(part, flown: Flight, name):
         "contacts": int(found["contact"]),
         "complete": found["outcome"] == "reached goal",
         **found,
-        "seconds": time.perf_counter() - began,
+        "seconds": seconds,
     }

@@ -102,7 +102,7 @@ class Jumping:
         view = take(self.camera, self.first_hit, self.position, axes, self.generator)
         report = self.known.see(view)
         if report.status in (ViewStatus.SEEN, ViewStatus.EMPTY):
-            self.tried.note(self.known, view)
+            self.tried.note(self.known, view.camera, view)
         return report.opened
 
     def step(self, goal: np.ndarray | None) -> NextView | Ended:

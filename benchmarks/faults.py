@@ -13,7 +13,6 @@ they come, and are not flown again when the command is repeated with the same fi
 has the grid) and the same recipe of the guard's field (`guard_recipe`).
 """
 
-import argparse
 import functools
 import itertools
 import json
@@ -28,7 +27,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from faults_world import FORCE, MARGIN, MESHES, World, disturbances, look_up
-from kept_rows import Rows
+from kept_rows import Rows, command
 
 from keepout.core.audit.audit import Contact
 from keepout.core.control.law import Command, Law
@@ -259,8 +258,7 @@ def totals(rows):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", action="store_true", help="one list of rows instead of a table")
+    parser = command(__doc__)
     parser.add_argument("--flights", type=int, default=2000, help="in all, spread evenly over targets and rows")
     parser.add_argument("--duration", type=int, default=600, help="of each flight, s")
     parser.add_argument("--targets", nargs="+", default=list(TARGETS), help="built-in names or mesh files")

@@ -8,7 +8,6 @@ degrees of freedom, with the 95 % band of the mean and the share of times that a
 root mean squares an axis, over 64 flights from 300 s to 900 s, under the paper's disturbance.
 """
 
-import argparse
 import json
 import sys
 
@@ -16,7 +15,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from kept_rows import show
+from kept_rows import command, show
 from scipy import stats
 
 from keepout.core.control.observer import PAPER_FREQUENCIES
@@ -191,8 +190,7 @@ def found():
 
 def main():
     """Print both tables."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--json", action="store_true", help="print JSON")
+    parser = command(__doc__)
     arguments = parser.parse_args()
     tables = {"consistency": consistency(), "accuracy": found()}
     if arguments.json:

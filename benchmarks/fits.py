@@ -9,11 +9,11 @@ given too as a multiple of what its matrix products alone take at the sgemm rate
 
 import argparse
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
 from fields import sgemm_rate
+from kept_rows import on_one_line
 
 from keepout.core.fields.grid_build import build_grid
 from keepout.core.fields.model import FieldModel
@@ -42,11 +42,6 @@ COLUMNS = (
     ("certify_s", "{:.0f}"),
     ("fit_over_sgemm", "{:.1f}"),
 )
-
-
-def show(fraction: float, message: str) -> None:
-    """Print progress on one line of standard error."""
-    print(f"\r{100 * fraction:3.0f} % {message:<100.100}", end="", file=sys.stderr, flush=True)
 
 
 def megabytes(model: FieldModel, folder: Path) -> float:
@@ -107,19 +102,19 @@ def measure(source: str, folder: Path) -> list[dict]:
         model = FieldModel.load(path, target=target)
     else:
         before = sgemm_rate()
-        model = fit(target, checkpoint=path.with_suffix(".checkpoint"), solid=solid, progress=show)
+        model = fit(target, checkpoint=path.with_suffix(".checkpoint"), solid=solid, progress=on_one_line)
         sgemm = 0.5 * (before + sgemm_rate())
         model.save(path)
     for radius in RADII:
         if all(abs(c.chaser_radius - radius) > 1e-9 for c in model.certificates):
-            model = certify(model, target, chaser_radius=radius, progress=show)
+            model = certify(model, target, chaser_radius=radius, progress=on_one_line)
             model.save(path)
     field = model.field
     assert isinstance(field, NeuralField)
     shape = f"neural {len(field.layers.weights) - 1} x {field.layers.weights[0].shape[0]}"
     rows = [row(model, Path(source).name, solid, shape, folder, sgemm)]
     spacing = float(np.round(rows[0]["p95_point_m"], 2))
-    grid = build_grid(target, spacing=spacing, solid=solid, progress=show)
+    grid = build_grid(target, spacing=spacing, solid=solid, progress=on_one_line)
     for radius in RADII:
         grid = certify_grid(grid, target, chaser_radius=radius)
     rows.append(row(grid, Path(source).name, solid, f"grid h = {spacing:.2f} m", folder))

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import igl
 import numpy as np
+from kept_rows import with_meshes
 
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import LeakCheck, Target
@@ -120,9 +121,7 @@ def main() -> None:
     if arguments.one:
         print(measure(arguments.one, arguments.slices))
         return
-    sources = ["intelsat30", "iss", "tiangong", "box", "sphere", "pocket"]
-    if arguments.meshes:
-        sources += sorted(str(path) for path in arguments.meshes.iterdir() if path.suffix in (".glb", ".obj"))
+    sources = with_meshes(["intelsat30", "iss", "tiangong", "box", "sphere", "pocket"], arguments.meshes)
     columns = [
         "mesh",
         "triangles",

@@ -19,7 +19,6 @@ A row has the figures of `keepout inspect`. `seeable_seconds` and `plan_seconds`
 the file as they come, and none is made twice with the same settings; several runs may share it.
 """
 
-import argparse
 import dataclasses
 import json
 import sys
@@ -27,7 +26,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from kept_rows import Rows, show
+from kept_rows import Rows, command, tell
 
 from keepout.apps.inspection.fate import shares
 from keepout.apps.inspection.inspect import inspect
@@ -209,13 +208,12 @@ def fly(inspected, parts, rows, *, flights, seed):
 
 def main():
     """Fly what is asked for and print it."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command(__doc__)
     parser.add_argument("parts", nargs="*", default=list(PARTS), help=f"of {', '.join(PARTS)}")
     parser.add_argument("--targets", nargs="+", help="built-ins or mesh files")
     parser.add_argument("--flights", type=int, default=200, help="dispersed ones around each target")
     parser.add_argument("--seed", type=int, default=0, help="of the first of them")
     parser.add_argument("--out", type=Path, default=OUT, help="rows kept")
-    parser.add_argument("--json", action="store_true", help="print rows as JSON")
     arguments = parser.parse_args()
     for part in arguments.parts:
         if part not in PARTS:
@@ -225,10 +223,7 @@ def main():
         every = arguments.targets or source in TARGETS[:2]
         parts = [part for part in arguments.parts if every or part != "dispersed"]
         shown += fly(Inspected(source), parts, rows, flights=arguments.flights, seed=arguments.seed)
-    if arguments.json:
-        sys.stdout.write(json.dumps(shown, indent=1) + "\n")
-    else:
-        show(shown, SHOWN)
+    tell(shown, arguments, SHOWN)
 
 
 if __name__ == "__main__":

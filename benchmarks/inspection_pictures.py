@@ -7,15 +7,12 @@ pixels whose depth is that at which an exact ray through their middle meets the 
     python benchmarks/inspection_pictures.py --pixels 512 --meshes FOLDER --json
 """
 
-import argparse
-import json
 import math
-import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from kept_rows import command, tell, timed, with_meshes
 
 from keepout.apps.inspection.perspective import Studio
 from keepout.apps.led.camera import Pinhole, axes_towards
@@ -25,13 +22,6 @@ from keepout.core.geometry.target import Target
 SHIPPED = ("intelsat30", "tiangong", "iss")
 SUN = np.array([0.48, -0.6, 0.64])
 UP = np.array([0.0, 0.0, 1.0])
-
-
-def timed(task: Callable[[], Any]) -> tuple[float, Any]:
-    """Run a task; give the milliseconds that it took, and its answer."""
-    begin = time.perf_counter()
-    answer = task()
-    return 1e3 * (time.perf_counter() - begin), answer
 
 
 def row(source: str, pixels: int, pictures: int) -> dict[str, Any]:
@@ -47,10 +37,10 @@ def row(source: str, pixels: int, pictures: int) -> dict[str, Any]:
         direction = rng.normal(size=3)
         position = middle + far * direction / np.linalg.norm(direction)
         axes = axes_towards(middle - position, UP)
-        milliseconds, picture = timed(lambda p=position, a=axes: studio.take(camera, p, a))
-        taken.append(milliseconds)
-        headlight.append(timed(lambda s=picture: studio.light(s))[0])
-        sunlight.append(timed(lambda s=picture: studio.light(s, SUN))[0])
+        picture, seconds = timed(studio.take, camera, position, axes)
+        taken.append(1e3 * seconds)
+        headlight.append(1e3 * timed(studio.light, picture)[1])
+        sunlight.append(1e3 * timed(studio.light, picture, SUN)[1])
         rays = camera.directions().reshape(-1, 3)
         ranges, _ = first_hit.cast(position[None], rays @ axes.T)
         depth = (ranges * rays[:, 2]).reshape(camera.shape)
@@ -70,24 +60,14 @@ def row(source: str, pixels: int, pictures: int) -> dict[str, Any]:
 
 def main() -> None:
     """Print a row a target."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command(__doc__)
     parser.add_argument("--meshes", type=Path, help="folder of GLB and OBJ files in metres, beside the shipped targets")
     parser.add_argument("--pixels", type=int, default=400, help="across a picture")
     parser.add_argument("--pictures", type=int, default=20)
-    parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
-    sources = list(SHIPPED)
-    if arguments.meshes:
-        sources += sorted(str(path) for path in arguments.meshes.iterdir() if path.suffix in (".glb", ".obj"))
     row("box", 64, 1)  # compiles
-    rows = [row(source, arguments.pixels, arguments.pictures) for source in sources]
-    if arguments.json:
-        print(json.dumps(rows, indent=2))
-        return
-    print("| " + " | ".join(rows[0]) + " |")
-    print("|" + "---|" * len(rows[0]))
-    for each in rows:
-        print("| " + " | ".join(str(value) for value in each.values()) + " |")
+    sources = with_meshes(SHIPPED, arguments.meshes)
+    tell([row(source, arguments.pixels, arguments.pictures) for source in sources], arguments)
 
 
 if __name__ == "__main__":

@@ -15,7 +15,6 @@ Parts:
 `seconds_seeable` is of what comes once a target. Rows are kept in the file as they come, and none is made twice.
 """
 
-import argparse
 import dataclasses
 import json
 import sys
@@ -24,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from kept_rows import Rows, show
+from kept_rows import Rows, command, tell
 
 from keepout.apps.inspection.cover import fewest_views
 from keepout.apps.inspection.planning import candidates, plan
@@ -155,7 +154,7 @@ def made(source: str, asked_for: list[dict[str, Any]], rows: Rows, effort: float
 
 def main() -> None:
     """Make what is asked for and print it."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command(__doc__)
     parser.add_argument("parts", nargs="*", default=list(PARTS), help=f"of {', '.join(PARTS)}")
     parser.add_argument(
         "--target", nargs="+", default=["intelsat30", "tiangong", "iss"], help="built-ins or mesh files"
@@ -165,7 +164,6 @@ def main() -> None:
     parser.add_argument("--places", type=int, default=4000, help="drawn for candidates, at most")
     parser.add_argument("--effort", type=float, default=10.0, help="of the usual work, for a full cover and its proof")
     parser.add_argument("--out", type=Path, default=OUT, help="rows kept")
-    parser.add_argument("--json", action="store_true", help="print rows as JSON")
     given = parser.parse_args()
     for part in given.parts:
         if part not in PARTS:
@@ -173,10 +171,7 @@ def main() -> None:
     rows, shown = Rows(given.out, PLACE, ()), []
     for source in given.target:
         shown += made(source, places(given.parts, given.share, given.objective, given.places), rows, given.effort)
-    if given.json:
-        sys.stdout.write(json.dumps(shown, indent=1) + "\n")
-    else:
-        show(shown, SHOWN)
+    tell(shown, given, SHOWN)
 
 
 if __name__ == "__main__":

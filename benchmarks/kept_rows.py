@@ -1,8 +1,10 @@
-"""Rows of a benchmark that takes hours: kept in a file as they are flown, and not flown again."""
+"""Rows of a benchmark: asked for on a command line, kept in a file as they are made, printed as a table or as JSON."""
 
+import argparse
 import fcntl
 import json
 import sys
+import time
 
 from keepout.core.whole_file import write_whole
 
@@ -43,8 +45,49 @@ class Rows:
             fcntl.flock(lock, fcntl.LOCK_EX)  # released as the file is closed
             write_whole(self.path, "[\n" + ",\n".join(json.dumps(one) for one in self._with(row)) + "\n]\n")
 
+    def made(self, plan, make):
+        """Give the row of a plan: that found, or what `make` gives beside the plan, which is kept."""
+        row = self.find(plan)
+        if row is None:
+            row = plan | make()
+            self.keep(row)
+        return row
+
     def _with(self, row):
         return [*(old for old in self.kept if any(old.get(name) != row.get(name) for name in self.place)), row]
+
+
+def command(says):
+    """Begin a command line that prints rows: a parser that says what the benchmark's docstring says, with --json."""
+    parser = argparse.ArgumentParser(description=says, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", action="store_true", help="print a list of rows as JSON")
+    return parser
+
+
+def tell(rows, given, columns=None):
+    """Print rows as the command line `given` asks: as JSON, or as a table of columns, by default of all."""
+    if given.json:
+        sys.stdout.write(json.dumps(rows, indent=1) + "\n")
+    else:
+        show(rows, columns or rows[0])
+
+
+def on_one_line(fraction, message):
+    """Print progress on one line of standard error."""
+    print(f"\r{100 * fraction:3.0f} % {message:<100.100}", end="", file=sys.stderr, flush=True)
+
+
+def timed(work, *given, clock=time.perf_counter):
+    """Give the answer of a call, and its seconds."""
+    begun = clock()
+    answer = work(*given)
+    return answer, clock() - begun
+
+
+def with_meshes(names, folder):
+    """Give the names of targets, and the GLB and OBJ files of a folder where there is one."""
+    files = () if folder is None else (path for path in folder.iterdir() if path.suffix in (".glb", ".obj"))
+    return [*names, *sorted(map(str, files))]
 
 
 def show(rows, columns):

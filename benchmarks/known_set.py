@@ -7,8 +7,6 @@ caps are those of `keepout.flights.navigation.known_set.design`; `inside` counts
 both radii.
 """
 
-import argparse
-import json
 import time
 from typing import Any
 
@@ -16,6 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from kept_rows import command, tell
 
 from keepout.core.motion import rotation
 from keepout.core.motion.relative import MotionState
@@ -96,18 +95,13 @@ def row(name: str, flights: int, steps: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Radii and cost of the set-membership estimate.")
+    parser = command(__doc__)
     parser.add_argument("--flights", type=int, default=256)
     parser.add_argument("--steps", type=int, default=1200)
     parser.add_argument("--suites", nargs="+", choices=list(SUITES), default=list(SUITES))
-    parser.add_argument("--json", action="store_true", help="a list of rows")
     arguments = parser.parse_args()
     rows = [row(name, arguments.flights, arguments.steps) for name in arguments.suites]
-    if arguments.json:
-        print(json.dumps(rows, indent=1))
-        return
-    for one in rows:
-        print("  ".join(f"{key} {value}" for key, value in one.items()))
+    tell(rows, arguments)
 
 
 if __name__ == "__main__":

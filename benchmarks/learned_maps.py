@@ -11,12 +11,12 @@ MAP.keepmap --certify` does. All is measured on the true mesh; the map's own ski
 
 import argparse
 import json
-import sys
 import time
 from pathlib import Path
 
 import numpy as np
 import scipy.ndimage
+from kept_rows import on_one_line
 
 from keepout.apps.led.camera import axes_towards
 from keepout.apps.unknown.depth_sensor import DepthCamera, ErrorDraw, take
@@ -40,11 +40,6 @@ CAMERA = DepthCamera()
 POINTS, GOALS, CELL = 200_000, 2_000, 0.25
 EXPLAINED = 0.6
 """Metres: unknown room farther than this from the mesh is looked for first."""
-
-
-def show(fraction: float, message: str) -> None:
-    """Print progress on one line of standard error."""
-    print(f"\r{100 * fraction:3.0f} % {message:<100.100}", end="", file=sys.stderr, flush=True)
 
 
 def build_map(target: Target, *, views: int, spacing: float = 0.1, seed: int = 0) -> KnownFreeMap:
@@ -71,7 +66,7 @@ def build_map(target: Target, *, views: int, spacing: float = 0.1, seed: int = 0
         wanted = unknown if number % 3 == 2 or len(far) < 5 else far
         position, axes = _best_view(known, target, wanted, generator)
         known.see(take(CAMERA, first_hit, position, axes, generator, ErrorDraw(), time=float(number)))
-        show(number / views, f"map: view {number}, {(~known.free).sum() * spacing**3:.0f} m³ not free")
+        on_one_line(number / views, f"map: view {number}, {(~known.free).sum() * spacing**3:.0f} m³ not free")
     return known
 
 
@@ -166,8 +161,8 @@ def learned(target: Target, path: Path, profile: str) -> tuple[FieldModel, dict]
         model = FieldModel.load(path, target=target)
     else:
         processor = time.process_time()
-        model = fit(target, profile=profile, chaser_radius=RADIUS, progress=show)
-        model = certify(model, target, chaser_radius=RADIUS, progress=show)
+        model = fit(target, profile=profile, chaser_radius=RADIUS, progress=on_one_line)
+        model = certify(model, target, chaser_radius=RADIUS, progress=on_one_line)
         model = model.with_training(processor_seconds=time.process_time() - processor)
         model.save(path)
     certificate = model.certificate(RADIUS)

@@ -8,13 +8,11 @@ with the same windows for every cube within range that is not free, in whole arr
 whole grid. `same` says that both gave the same bits in every view that NumPy repeated.
 """
 
-import argparse
-import json
 import math
-import time
 from typing import Any
 
 import numpy as np
+from kept_rows import command, tell, timed
 
 from keepout.apps.led.camera import Pinhole
 from keepout.apps.unknown.distance_transform import renew
@@ -111,12 +109,6 @@ def squares_by_numpy(free: np.ndarray, cap: int) -> np.ndarray:
     return squares
 
 
-def timed(function: Any, *arguments: Any) -> tuple[Any, float]:
-    begun = time.perf_counter()
-    answer = function(*arguments)
-    return answer, time.perf_counter() - begun
-
-
 def measure(radius: float, views: int, width: float, repeated: int) -> dict[str, Any]:
     """Time views of one map; NumPy repeats every so manieth."""
     bounds = SensorBounds(surely_returned_width=width)
@@ -151,10 +143,10 @@ def measure(radius: float, views: int, width: float, repeated: int) -> dict[str,
         opened, seconds = timed(open_cubes)
         freeing.append(seconds)
         renewing.append(timed(renew, free, squares, known.cap_cells, changed, BLOCK)[1])
-        report = known.see(view)
+        report, seconds = timed(known.see, view)
         assert report.status is ViewStatus.SEEN
         assert report.opened == opened
-        seeing.append(report.seconds)
+        seeing.append(seconds)
         opened_by_view.append(opened)
         if before is not None:
             before[tuple(freed.T)] = True
@@ -178,30 +170,21 @@ def measure(radius: float, views: int, width: float, repeated: int) -> dict[str,
         "see_ms": 1e3 * float(np.median(seeing)),
         "see_ms_most": 1e3 * float(seeing.max()),
         "same": same,
-        "map_mb": (known.free.nbytes + known.squares.nbytes + known.return_keys.nbytes) / 1e6,
+        "map_mb": (known.free.nbytes + known.squares.nbytes + known.returned.keys.nbytes) / 1e6,
     }
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="What a view costs the map, against plain NumPy.")
+    parser = command(__doc__)
     parser.add_argument(
         "--radius", type=float, default=14.5, help="of the declared ball, m; 14.5 gives 320 cubes across"
     )
     parser.add_argument("--views", type=int, default=60)
     parser.add_argument("--width", type=float, nargs="+", default=[0.05, 0.075], help="surely returned widths, m")
     parser.add_argument("--repeated", type=int, default=6, help="views that NumPy repeats")
-    parser.add_argument("--json", action="store_true", help="a list of rows")
     arguments = parser.parse_args()
     rows = [measure(arguments.radius, arguments.views, width, arguments.repeated) for width in arguments.width]
-    if arguments.json:
-        print(json.dumps(rows, indent=1))
-        return
-    for row in rows:
-        print(
-            "  ".join(
-                f"{key} {value:.4g}" if isinstance(value, float) else f"{key} {value}" for key, value in row.items()
-            )
-        )
+    tell(rows, arguments)
 
 
 if __name__ == "__main__":

@@ -13,16 +13,14 @@ the true state (row "none") with the same thrusters. `refused` pairs, whose star
 as flights that did not reach. Rows are kept in `--out` as they are flown; a run that was stopped goes on from there.
 """
 
-import argparse
 import dataclasses
-import json
 import sys
 import time
 from pathlib import Path
 
 import numpy as np
 from guarded_case import GuardedCase
-from kept_rows import Rows, show
+from kept_rows import Rows, command, tell
 
 import keepout
 from keepout.core.mission.law import broken_as
@@ -98,7 +96,14 @@ def compared(row, free):
 
 
 def main():
-    arguments = parsed()
+    parser = command(__doc__)
+    parser.add_argument("--targets", nargs="+", default=["intelsat30"], help="built-in targets or mesh files in metres")
+    parser.add_argument("--flights", type=int, default=1000, help="pairs round each target")
+    parser.add_argument("--suites", nargs="+", choices=SUITES, default=["close"])
+    parser.add_argument("--estimates", nargs="+", choices=ESTIMATES, default=list(ESTIMATES))
+    parser.add_argument("--layout", default="six", help="of the thrusters: six, 12, 24, or ideal")
+    parser.add_argument("--out", type=Path, help="JSON file of the rows")
+    arguments = parser.parse_args()
     rows = Rows(arguments.out, PLACE, SETTINGS)
     shown = []
     for source in arguments.targets:
@@ -121,23 +126,7 @@ def main():
                     rows.keep(row)
                 free = row if estimate == "none" else free
                 shown.append(compared(row, free))
-    if arguments.json:
-        sys.stdout.write(json.dumps(shown, indent=2) + "\n")
-    else:
-        show(shown, [name for name in SHOWN if any(name in row for row in shown)])
-
-
-def parsed():
-    """Read the arguments."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--targets", nargs="+", default=["intelsat30"], help="built-in targets or mesh files in metres")
-    parser.add_argument("--flights", type=int, default=1000, help="pairs round each target")
-    parser.add_argument("--suites", nargs="+", choices=SUITES, default=["close"])
-    parser.add_argument("--estimates", nargs="+", choices=ESTIMATES, default=list(ESTIMATES))
-    parser.add_argument("--layout", default="six", help="of the thrusters: six, 12, 24, or ideal")
-    parser.add_argument("--out", type=Path, help="JSON file of the rows")
-    parser.add_argument("--json", action="store_true", help="print JSON")
-    return parser.parse_args()
+    tell(shown, arguments, [name for name in SHOWN if any(name in row for row in shown)])
 
 
 if __name__ == "__main__":

@@ -5,7 +5,6 @@ Each step is called from Python as on board: the compiled program on the calling
 inside the loop. The samples are those of a flight around `intelsat30`.
 """
 
-import argparse
 import gc
 import json
 import time
@@ -13,6 +12,7 @@ import time
 import equinox as eqx
 import jax
 import numpy as np
+from kept_rows import command
 
 from keepout.core.flight import loop
 from keepout.core.flight.on_board import OnBoard
@@ -57,12 +57,11 @@ def timed(on_board, told, period):
 
 
 def main():
-    options = argparse.ArgumentParser(description=__doc__)
+    options = command(__doc__)
     options.add_argument("--suite", default="close", choices=["close", "near", "far"])
     options.add_argument("--layout", default="12", choices=["ideal", "six", "12", "24"])
     options.add_argument("--force-limit", type=float, default=0.1, help="of the chaser, N")
     options.add_argument("--steps", type=int, default=5000)
-    options.add_argument("--json", action="store_true")
     chosen = options.parse_args()
     jax.config.update("jax_cpu_enable_async_dispatch", False)
 

@@ -8,15 +8,15 @@ call a ray, so that the calls are in its time; `brute_force` tests all triangles
 of the same images. `take_ms` is a whole image with errors.
 """
 
-import argparse
-import json
+import functools
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import igl.embree
+import kept_rows
 import numpy as np
+from kept_rows import command, tell, with_meshes
 
 from keepout.apps.led.camera import axes_towards
 from keepout.apps.unknown.depth_sensor import DepthCamera, take
@@ -30,11 +30,7 @@ UP = np.array([0.0, 0.0, 1.0])
 Rays = tuple[np.ndarray, np.ndarray]
 
 
-def timed(work: Callable[..., Any], *given: Any) -> tuple[float, Any]:
-    """Processor seconds of a call, and its answer."""
-    start = time.process_time()
-    answer = work(*given)
-    return time.process_time() - start, answer
+timed = functools.partial(kept_rows.timed, clock=time.process_time)
 
 
 def places(target: Target, first_hit: FirstHit, views: int) -> list[Rays]:
@@ -83,25 +79,25 @@ def row(source: str, views: int) -> dict[str, Any]:
     first_hit = FirstHit(target.vertices, target.faces)
     triangles, camera = first_hit.vertices[first_hit.faces], DepthCamera()
     rays = camera.camera.directions(camera.bounds.rays_across).reshape(-1, 3)
-    build, _ = timed(first_hit.ranges, np.zeros((1, 3)), rays[:1])
+    _, build = timed(first_hit.ranges, np.zeros((1, 3)), rays[:1])
     embree = igl.embree.EmbreeIntersector()
     embree.init(np.asfortranarray(target.vertices.astype(np.float32)), np.asfortranarray(target.faces.astype(np.int32)))
     generator = np.random.default_rng(1)
     ours, theirs, brute, whole, met, agree = [], [], [], [], [], []
     for place, axes in places(target, first_hit, views):
         directions = rays @ axes.T
-        seconds, ranges = timed(first_hit.ranges, place[None], directions)
+        ranges, seconds = timed(first_hit.ranges, place[None], directions)
         ours.append(1e6 * seconds / len(rays))
         met.append(float(np.isfinite(ranges).mean()))
-        whole.append(1e3 * timed(take, camera, first_hit, place, axes, generator)[0])
+        whole.append(1e3 * timed(take, camera, first_hit, place, axes, generator)[1])
         part = slice(None, None, 37)
         single, origin = directions[part].astype(np.float32), place.astype(np.float32)
-        seconds, told = timed(by_embree, embree, origin, single)
+        told, seconds = timed(by_embree, embree, origin, single)
         theirs.append(1e6 * seconds / len(single))
         agree.append(float(np.isclose(ranges[part], told, rtol=0.0, atol=1e-3).mean()))
         few = generator.choice(len(rays), 20, replace=False)
         origins = np.broadcast_to(place, (20, 3))
-        seconds, truth = timed(by_brute_force, triangles, origins, directions[few])
+        truth, seconds = timed(by_brute_force, triangles, origins, directions[few])
         brute.append(1e6 * seconds / 20)
         agree.append(float(np.isclose(ranges[few], truth, rtol=0.0, atol=1e-9).mean()))
     us, embree_us, brute_us = (float(np.median(each)) for each in (ours, theirs, brute))
@@ -123,23 +119,12 @@ def row(source: str, views: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command(__doc__)
     parser.add_argument("--meshes", type=Path, help="folder of GLB and OBJ files, beside the shipped targets")
     parser.add_argument("--views", type=int, default=20)
-    parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
-    sources = list(SHIPPED)
-    if arguments.meshes:
-        sources += sorted(str(path) for path in arguments.meshes.iterdir() if path.suffix in (".glb", ".obj"))
     row("box", 1)  # compiles
-    rows = [row(source, arguments.views) for source in sources]
-    if arguments.json:
-        print(json.dumps(rows, indent=2))
-        return
-    print("| " + " | ".join(rows[0]) + " |")
-    print("|" + "---|" * len(rows[0]))
-    for each in rows:
-        print("| " + " | ".join(str(value) for value in each.values()) + " |")
+    tell([row(source, arguments.views) for source in with_meshes(SHIPPED, arguments.meshes)], arguments)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ of the shortest free way / speed limit); `delta_v_mps` is the median, and `delta
 Δv / (∫‖d‖/m dt + 2 v_max).
 """
 
-import argparse
+import functools
 import json
 import sys
 import time
@@ -25,7 +25,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from kept_rows import Rows, show
+from kept_rows import Rows, command, tell
 from reach_case import Case
 
 import keepout
@@ -228,7 +228,7 @@ def figures(flown, ways, speed_limit):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command(__doc__)
     parser.add_argument("--flights", type=int, default=1000, help="pairs for each row")
     parser.add_argument(
         "--targets",
@@ -240,24 +240,15 @@ def main():
     parser.add_argument("--tumbling", nargs="*", type=float, default=[0.1, 0.5], help="rates, degrees a second")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("out/reach.json"), help="rows flown so far")
-    parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     warnings.simplefilter("ignore", ControlWarning)
     store, rows = Rows(arguments.out, PLACE, SETTINGS), []
     for source in arguments.targets:
         case = Case(source, arguments.out.parent, arguments.flights, arguments.seed)
         for law, rate in [(law, 0.0) for law in arguments.laws] + [("geodesic", rate) for rate in arguments.tumbling]:
-            plan = planned(case, law, rate)
-            row = store.find(plan)
-            if row is None:
-                row = plan | fly_row(case, law, rate)
-                store.keep(row)
-            rows.append(row)
-            sys.stderr.write(json.dumps(row) + "\n")
-    if arguments.json:
-        sys.stdout.write(json.dumps(rows, indent=2) + "\n")
-    else:
-        show(rows, SHOWN)
+            rows.append(store.made(planned(case, law, rate), functools.partial(fly_row, case, law, rate)))
+            sys.stderr.write(json.dumps(rows[-1]) + "\n")
+    tell(rows, arguments, SHOWN)
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ import sys
 import warnings
 from pathlib import Path
 
-from kept_rows import show
+from kept_rows import command, tell
 from rivals_laws.registry import RIVALS
 from rivals_laws.rival_case import RivalCase
 from rivals_laws.rows import COLUMNS, Rows, flown_row, planned
@@ -52,7 +52,7 @@ def fly_all(arguments):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command(__doc__)
     names = [rival.name for rival in RIVALS]
     parser.add_argument("--rivals", nargs="+", default=names, choices=names, metavar="NAME", help=", ".join(names))
     parser.add_argument("--targets", nargs="+", default=list(TARGETS), help="names, mesh files in m, or MESH=FIELD")
@@ -61,7 +61,6 @@ def main():
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=HERE / "results" / "rivals.json", help="rows flown so far")
     parser.add_argument("--fields", type=Path, default=Path("out"), help="folder of fields fitted to mesh files")
-    parser.add_argument("--json", action="store_true")
     parser.add_argument("--figure", action="store_true", help="draw paths into docs/figures instead")
     arguments = parser.parse_args()
     warnings.simplefilter("ignore", ControlWarning)
@@ -72,10 +71,7 @@ def main():
         draw([rival for rival in RIVALS if rival.name in arguments.rivals], arguments.fields, arguments.seed)
         return
     rows = fly_all(arguments)
-    if arguments.json:
-        sys.stdout.write(json.dumps(rows, indent=2) + "\n")
-    else:
-        show(rows, SHOWN)
+    tell(rows, arguments, SHOWN)
 
 
 if __name__ == "__main__":

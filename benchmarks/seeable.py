@@ -8,13 +8,12 @@ processor time of `seeable` as a whole, the room included, without the compilati
 called hidden.
 """
 
-import argparse
-import json
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from kept_rows import command, tell
 
 from keepout.apps.inspection.seeing.patches import cut
 from keepout.apps.inspection.seeing.room import Room
@@ -70,12 +69,11 @@ def _places(target: Target, count: int) -> np.ndarray:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command(__doc__)
     parser.add_argument("--meshes", type=Path, help="folder with ssl1300.glb and hubble.glb")
     parser.add_argument("--squares", type=int, default=SQUARES, help="of directions; what is left then is undecided")
     parser.add_argument("--places", type=int, default=1000, help="that are looked from against the verdicts")
     parser.add_argument("--only", nargs="*", help="names of the meshes wanted")
-    parser.add_argument("--json", action="store_true")
     given = parser.parse_args()
     sources = list(SHIPPED)
     if given.meshes is not None:
@@ -83,13 +81,7 @@ def main() -> None:
     if given.only:
         sources = [source for source in sources if Path(source).stem in given.only]
     judged("box", None, 0)  # compiles the loops
-    rows = []
-    for source in sources:
-        rows.append(judged(source, given.squares, given.places))
-        if not given.json:
-            print("  ".join(f"{k} {v:.5g}" if isinstance(v, float) else f"{k} {v}" for k, v in rows[-1].items()))
-    if given.json:
-        print(json.dumps(rows, indent=1))
+    tell([judged(source, given.squares, given.places) for source in sources], given)
 
 
 if __name__ == "__main__":

@@ -14,8 +14,6 @@ finds clear; the others are blocked between the rays. `clear_though_a_ray_is_blo
 triangles halved across their longest edge until none is longer than the patch size.
 """
 
-import argparse
-import json
 import math
 import time
 from fractions import Fraction
@@ -23,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from kept_rows import command, tell
 
 from keepout.apps.inspection.seeing.patches import Patches, cut
 from keepout.apps.inspection.seeing.sightlines import LIFT, Sightlines
@@ -203,21 +202,16 @@ def row(source: str, count: int, size: float, looked_at: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command(__doc__)
     parser.add_argument("--meshes", type=Path, help="folder with ssl1300.glb and hubble.glb")
     parser.add_argument("--places", type=int, default=60)
     parser.add_argument("--pairs", type=int, default=100, help="pairs of a place that rays are cast for")
-    parser.add_argument("--json", action="store_true")
     given = parser.parse_args()
     sources = list(SHIPPED)
     if given.meshes is not None:
         sources += [str(given.meshes / f"{name}.glb") for name in FILES]
     rows = [row(source, given.places, 1.0 if source == "iss" else 0.25, given.pairs) for source in sources]
-    if given.json:
-        print(json.dumps(rows, indent=1))
-        return
-    for each in rows:
-        print("  ".join(f"{key} {value}" for key, value in each.items()))
+    tell(rows, given)
 
 
 if __name__ == "__main__":

@@ -10,17 +10,15 @@ and the guard could be built for it; only there is no contact a promise. Flights
 samples.
 """
 
-import argparse
 import dataclasses
-import json
-import sys
+import functools
 import time
 from pathlib import Path
 
 import jax
 import numpy as np
 from guarded_case import GuardedCase
-from kept_rows import Rows, show
+from kept_rows import Rows, command, tell
 
 import keepout
 from keepout.core.flight.batches import states_at
@@ -65,8 +63,22 @@ def fly_row(case, layout, stuck, detection):
     return row | {"seconds": time.perf_counter() - began}
 
 
+def flown(case, layout, stuck, detection):
+    """Fly a row, or say why not."""
+    try:
+        return fly_row(case, layout, stuck, detection)
+    except keepout.KeepoutError as refusal:
+        return {"covered": False, "reason": str(refusal)}
+
+
 def main():
-    arguments = parsed()
+    parser = command(__doc__)
+    parser.add_argument("--targets", nargs="+", default=["intelsat30", "tiangong"])
+    parser.add_argument("--flights", type=int, default=384, help="of each row")
+    parser.add_argument("--layouts", nargs="+", choices=sorted(FORCE), default=["12"])
+    parser.add_argument("--detection", type=float, default=3.0, help="s until a stuck thruster is known")
+    parser.add_argument("--out", type=Path, help="JSON file of the rows")
+    arguments = parser.parse_args()
     rows, shown = Rows(arguments.out, PLACE, SETTINGS), []
     for source in arguments.targets:
         case = GuardedCase(source, Path("out/navigation"), arguments.flights, 0)
@@ -75,30 +87,8 @@ def main():
                 place = (case.name, layout, stuck, case.flights, arguments.detection, 0)
                 plan = dict(zip(PLACE, place, strict=True))
                 plan |= dict(zip(SETTINGS, (case.model.sha256, keepout.__version__), strict=True))
-                row = rows.find(plan)
-                if row is None:
-                    try:
-                        row = plan | fly_row(case, layout, stuck, arguments.detection)
-                    except keepout.KeepoutError as refusal:
-                        row = plan | {"covered": False, "reason": str(refusal)}
-                    rows.keep(row)
-                shown.append(row)
-    if arguments.json:
-        sys.stdout.write(json.dumps(shown, indent=2) + "\n")
-    else:
-        show(shown, [name for name in (*SHOWN, "reason") if any(name in row for row in shown)])
-
-
-def parsed():
-    """Read the arguments."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--targets", nargs="+", default=["intelsat30", "tiangong"])
-    parser.add_argument("--flights", type=int, default=384, help="of each row")
-    parser.add_argument("--layouts", nargs="+", choices=sorted(FORCE), default=["12"])
-    parser.add_argument("--detection", type=float, default=3.0, help="s until a stuck thruster is known")
-    parser.add_argument("--out", type=Path, help="JSON file of the rows")
-    parser.add_argument("--json", action="store_true", help="print JSON")
-    return parser.parse_args()
+                shown.append(rows.made(plan, functools.partial(flown, case, layout, stuck, arguments.detection)))
+    tell(shown, arguments, [name for name in (*SHOWN, "reason") if any(name in row for row in shown)])
 
 
 if __name__ == "__main__":

@@ -8,16 +8,14 @@ is tried with the force renewed all the time or held for the period, and with un
 flown, the default law leaves out ∂v_s/∂r and limits its feedback; for the theorems it has neither omission.
 """
 
-import argparse
 import dataclasses
-import json
-import sys
 import warnings
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from kept_rows import command, tell
 
 from keepout.core.control import profiles
 from keepout.core.control.design import Operation
@@ -170,11 +168,10 @@ def draw(found, path):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command(__doc__)
     parser.add_argument("--states", type=int, default=400)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--figure", type=Path, default=None)
-    parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     warnings.simplefilter("ignore", profiles.ControlWarning)
     rows, found = [], {}
@@ -183,11 +180,7 @@ def main():
             row, margin, growth = measure(profile, case, arguments.states, arguments.seed)
             rows.append(row)
             found[profile, case] = (margin, growth)
-            if not arguments.json:
-                figures = {k: f"{v:.3g}" if isinstance(v, float) else v for k, v in row.items()}
-                print(figures, flush=True)
-    if arguments.json:
-        sys.stdout.write(json.dumps(rows, indent=2) + "\n")
+    tell(rows, arguments)
     if arguments.figure is not None:
         draw(found, arguments.figure)
 

@@ -44,7 +44,7 @@ def sight_of(exploration):
     return FirstSight(
         exploration.target,
         exploration_pictures.taken(exploration),
-        exploration_pictures.camera_of(exploration),
+        CAMERA,
         greatest_range=15.0,
         grazing_angle=1.48,
     )

@@ -22,7 +22,7 @@ def exploration():
 
 
 def replayed(of):
-    return Replayed(of.scenario.name, of.record, of.scenario, of.target, of.audit, layer=Growth.of(of))
+    return Replayed(of.scenario.name, of.record, of.scenario, of.target, of.audit, layer=Growth(of))
 
 
 def page_of(of):

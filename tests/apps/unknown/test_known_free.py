@@ -50,7 +50,7 @@ def bits(known):
     return (
         known.free.tobytes(),
         known.squares.tobytes(),
-        known.return_keys.tobytes(),
+        known.returned.keys.tobytes(),
         known._unknown.tobytes(),
         [(seen.time, seen.position.tobytes(), seen.axes.tobytes()) for seen in known.seen],
     )
@@ -230,7 +230,7 @@ def same(one, two):
     assert file_settings(one) == file_settings(two)
     assert one.bounds == two.bounds
     assert (one.broken, one.contradicting) == (two.broken, two.contradicting)
-    for name in ("free", "squares", "return_keys", "origin", "_unknown"):
+    for name in ("free", "squares", "returns", "origin", "_unknown"):
         np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
     assert [(s.time, *s.position, *s.axes.flat) for s in one.seen] == [
         (s.time, *s.position, *s.axes.flat) for s in two.seen

@@ -77,7 +77,7 @@ def test_a_cell_that_stays_closed_is_given_up_after_views_from_different_directi
     tried = Tried.nothing(known)
 
     def look(position):
-        tried.note(known, view_at(position, BLIND))
+        tried.note(known, CAMERA, view_at(position, BLIND))
 
     look([2.6, 0.0, 0.0])
     once = tried.failures.copy()
@@ -100,7 +100,7 @@ def test_the_memory_of_views_can_be_made_again_from_the_map():
         ranges[:, :30] = np.nan
         view = view_at(position, ranges)
         assert known.see(view).opened > 0
-        tried.note(known, view)
+        tried.note(known, CAMERA, view)
     again = Tried.of_map(known, CAMERA)
     closed = Cells.of(known).kinds != FREE
     assert (again.failures[closed] >= tried.failures[closed]).all()
@@ -241,7 +241,7 @@ def test_views_that_open_nothing_are_not_taken_again_and_come_to_an_end(goal):
         before.append((position, answer.direction))
         view = View(CAMERA, position, axes_towards(answer.direction, UP), BLIND, 0.0)
         assert known.see(view).opened == 0
-        tried.note(known, view)
+        tried.note(known, CAMERA, view)
     assert isinstance(answer, Ended)
     assert answer.outcome == ("everything reachable seen" if goal is None else "no way known")
     assert "stayed closed in 3 views" in answer.why

@@ -134,14 +134,14 @@ def test_a_wire_looked_along_and_then_seen_from_aside_contradicts():
     assert known.see(image(bodies, np.array([0.0, 0.0, -3.0]), generator, **exact)).status is ViewStatus.SEEN
     on_wire = np.linspace([0.0, 0.0, -0.9], [0.0, 0.0, 0.0], 20)
     assert known.is_free(on_wire).any()  # assumption A1 does not hold of it
-    before = known.free.copy(), known.return_keys.copy(), known.views
+    before = known.free.copy(), known.returned.keys.copy(), known.views
     aside = image(bodies, np.array([2.0, 0.0, -0.3]), generator, at=np.array([0.0, 0.0, -0.3]), camera=camera)
     report = known.see(aside)
     assert (report.status, report.opened) == (ViewStatus.CONTRADICTED, 0)
     # Truth: the returns that are nearer to the wire's axis than to the ball behind it.
     points = aside.points()
     assert 0 < report.contradicting <= (np.linalg.norm(points[:, :2], axis=1) < 0.2).sum()
-    assert all(np.array_equal(one, two) for one, two in zip(before, (known.free, known.return_keys, known.views)))
+    assert all(np.array_equal(one, two) for one, two in zip(before, (known.free, known.returned.keys, known.views)))
 
 
 def test_a_view_that_is_refused_is_counted_as_well():

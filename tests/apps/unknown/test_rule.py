@@ -18,7 +18,7 @@ from truths.depth_views import (
 
 from keepout.apps.led.camera import Pinhole
 from keepout.apps.unknown.known_free import KnownFreeMap, ViewStatus
-from keepout.apps.unknown.rule import all_exceed, none_exceeds, pyramid
+from keepout.apps.unknown.rule import every_pixel, pyramid
 from keepout.apps.unknown.view import SensorBounds, View
 
 CAMERA = Pinhole(40, 30, math.radians(60.0))
@@ -138,8 +138,8 @@ def test_the_least_and_greatest_of_every_rectangle(rows, columns, seed):
         left, right = np.sort(generator.integers(0, columns, 2))
         inner = image[top : bottom + 1, left : right + 1]
         for limit in (inner.min() - 0.5, inner.min(), inner.max(), inner.max() - 0.5):
-            assert all_exceed(least, top, bottom, left, right, limit) == (inner > limit).all()
-            assert none_exceeds(greatest, top, bottom, left, right, limit) == (inner <= limit).all()
+            assert every_pixel(least, top, bottom, left, right, limit, True) == (inner > limit).all()
+            assert every_pixel(greatest, top, bottom, left, right, limit, False) == (inner <= limit).all()
 
 
 @pytest.mark.long

@@ -127,16 +127,13 @@ def _tell_surface(page: Page, inspection: Inspection, shares: dict[str, float]) 
 
 def said(inspection: Inspection) -> str:
     """Say in a sentence or two how an inspection ended."""
-    contact = {"no": "No contact, proved", "yes": "Contact", "undecided": "Contact not excluded"}
     lit = " and be lit" if any(frame.sun is not None for frame in inspection.frames) else ""
     words = (
         f"{inspection.outcome[0].upper()}{inspection.outcome[1:]}: {inspection.why}. {inspection.coverage:.2%} of the "
         f"surface was seen, {inspection.coverage_possible:.2%} of what is not proved hidden{lit} "
         f"({inspection.coverage_seeable:.2%} of what surely can be seen{lit}); no chaser can see more "
-        f"than {inspection.seeable.upper:.2%} of it. {contact[str(inspection.audit.contact)]}"
+        f"than {inspection.seeable.upper:.2%} of it. {inspection.contact_said()}"
     )
-    if inspection.audit.contact == "no":
-        words += f": the clearance is at least {inspection.audit.minimum_clearance:.3f} m"
     if inspection.plan.duration > inspection.scenario.duration:
         by_then = inspection.patches.coverage(inspection.plan.seen_by(inspection.scenario.duration))
         words += (

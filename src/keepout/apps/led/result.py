@@ -68,6 +68,14 @@ class Led:
         """What the guard assumes and what follows, as numbers; None without a guard."""
         return self.flight.guard
 
+    def contact_said(self, on: str = "") -> str:
+        """Say what the audit says of contact, and how far the chaser stayed away `on` the mesh, in words."""
+        words = {"no": "No contact, proved", "yes": "Contact", "undecided": "Contact not excluded"}
+        said = words[str(self.audit.contact)]
+        if self.audit.contact is Contact.NO:
+            said += f": the clearance{on} is at least {self.audit.minimum_clearance:.3f} m"
+        return said
+
     def contact_figures(self) -> dict[str, Any]:
         """Give what the audit says, as plain numbers: `contact` is true unless it proves that there was none."""
         return {

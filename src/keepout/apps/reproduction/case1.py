@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from keepout.apps.reproduction import figures
-from keepout.apps.reproduction.fitted import PAPER_NETWORK, field_of
+from keepout.apps.reproduction.fitted import paper_network, target_of
 from keepout.apps.reproduction.flown import (
     Landed,
     Passage,
@@ -30,7 +30,7 @@ from keepout.core.control.geodesic import geodesic_guidance
 from keepout.core.control.guidance import Guidance, Straight, StraightGuidance
 from keepout.core.fields.model import FieldModel
 from keepout.core.geometry.target import Target
-from keepout.core.mission.build import Mission, load_model, load_target
+from keepout.core.mission.build import Mission, load_model
 from keepout.core.mission.flight import Flight, judged
 from keepout.core.mission.law import build_law
 from keepout.core.mission.scenario import Scenario
@@ -110,7 +110,6 @@ class _Flown:
     def __init__(self, work: Work, target: Target, model: FieldModel):
         self.work, self.target, self.model, self.workshop = work, target, model, Workshop()
         self.workshop.keep(target, model, Scenario())
-        target.distance.distance(np.zeros((1, 3)))  # built and compiled once, before the laws share it
 
     def passages(
         self, scenario: Scenario, passages: Sequence[Passage], logs: int = 0, *, geodesic: bool = False
@@ -152,11 +151,9 @@ def _default_scenario(seed: int, pair: tuple[Triple, Triple], name: str) -> Scen
 
 def case1(work: Work) -> Part:
     """Fly the trap, the escape and the default law; then, over k_p and random pairs, count the trapped."""
-    entry = Scenario()
-    target = load_target(entry.target)
-    # Where there is a field of the paper's network, and time for it.
-    model = None if work.quick else field_of(work.within(0.0, 0.1), PAPER_NETWORK, target, fitting=False)
-    flown = _Flown(work, target, load_model(entry, target))
+    target = target_of("intelsat30")
+    model = paper_network(work, target)
+    flown = _Flown(work, target, load_model(Scenario(), target))
     pairs = draw_pairs(8 if work.quick else 300, seed=work.seed)
     lengths = (1.5, MAIN_LENGTH) if work.quick else (1.5, 5.0, 10.0, 15.0, 20.0, 30.0)
     choices = ["none", "printed"] if work.quick else ["none", "printed", "skew", "switching"]

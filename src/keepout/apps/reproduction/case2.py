@@ -8,10 +8,9 @@ import numpy as np
 from jaxtyping import Float
 
 from keepout.apps.reproduction.figures import draw_comparisons
-from keepout.apps.reproduction.fitted import PAPER_NETWORK, field_of
+from keepout.apps.reproduction.fitted import paper_network, target_of
 from keepout.apps.reproduction.flown import kept_flight
 from keepout.apps.reproduction.work import Drawing, Part, Table, Work, side_by_side
-from keepout.core.mission.build import load_target
 from keepout.core.mission.flight import Flight
 from keepout.core.mission.scenario import Scenario
 from keepout.core.progress import part_of
@@ -64,9 +63,8 @@ def case2_scenarios(seed: int, *, quick: bool, network: bool = False) -> dict[tu
 
 def case2(work: Work) -> Part:
     """Fly Case 2's comparisons."""
-    target = load_target(Scenario().target)
-    target.distance.distance(np.zeros((1, 3)))  # compiled once, before the flights share it
-    network = None if work.quick else field_of(work.within(0.0, 0.1), PAPER_NETWORK, target, fitting=False)
+    target = target_of("intelsat30")
+    network = paper_network(work, target)
     scenarios = case2_scenarios(work.seed, quick=work.quick, network=network is not None)
 
     jobs = {
@@ -78,7 +76,6 @@ def case2(work: Work) -> Part:
     flown = side_by_side(jobs, part_of(work.progress, 0.1, 0.95))
     flights = {key: flown[scenario.name] for key, scenario in scenarios.items()}
     rows = [row(*key, flight) for key, flight in flights.items()]
-    _draw(work, flights)
     return Part(
         name="case2",
         title="Case 2: disturbance observer",
@@ -93,7 +90,7 @@ def case2(work: Work) -> Part:
                 rows,
             )
         ],
-        drawings=[Drawing(name, caption) for name, caption in _CAPTIONS.items()],
+        drawings=_drawings(work, flights),
     )
 
 
@@ -157,40 +154,34 @@ def found(rows: list[dict[str, Any]], *, quick: bool) -> list[str]:
     return said
 
 
-_CAPTIONS = {
-    "error": "Distance to the goal with and without observer; dotted: the tolerance",
-    "barrier": "h with and without observer; dotted: h = 0",
-    "lyapunov": "V₁ with and without observer",
-    "force": "Norm of the force applied with and without observer",
-}
-
-
-def _draw(work: Work, flights: dict[tuple[str, str], Flight]) -> None:
-    tolerance = Scenario().goal.tolerance
-
-    def panels(values: Callable[[Flight], np.ndarray]) -> dict[str, dict[str, tuple[np.ndarray, np.ndarray]]]:
-        made: dict[str, dict[str, tuple[np.ndarray, np.ndarray]]] = {}
+def _drawings(work: Work, flights: dict[tuple[str, str], Flight]) -> list[Drawing]:
+    """Draw four quantities, each with and without observer."""
+    drawn: dict[str, tuple[str, Callable[[Flight], np.ndarray], dict[str, Any]]] = {
+        "error": (
+            "Distance to the goal with and without observer; dotted: the tolerance",
+            goal_error,
+            {"label": "‖r − goal‖, m", "logarithmic": True, "levels": (Scenario().goal.tolerance,)},
+        ),
+        "barrier": (
+            "h with and without observer; dotted: h = 0",
+            lambda flight: flight.record.barrier,
+            {"label": "h, m", "levels": (0.0,)},
+        ),
+        "lyapunov": (
+            "V₁ with and without observer",
+            lambda flight: flight.record.lyapunov,
+            {"label": "V₁, m²", "logarithmic": True},
+        ),
+        "force": (
+            "Norm of the force applied with and without observer",
+            lambda flight: np.linalg.norm(flight.record.force[:-1], axis=1),
+            {"label": "‖F‖, N", "logarithmic": True},
+        ),
+    }
+    for name, (_, values, how) in drawn.items():
+        panels: dict[str, dict[str, tuple[np.ndarray, np.ndarray]]] = {}
         for (comparison, observer), flight in flights.items():
             shown = values(flight)
-            made.setdefault(comparison, {})[observer] = (flight.record.time[: len(shown)], shown)
-        return made
-
-    draw_comparisons(
-        work.folder / "error.png",
-        panels(goal_error),
-        label="‖r − goal‖, m",
-        logarithmic=True,
-        levels=(tolerance,),
-    )
-    draw_comparisons(
-        work.folder / "barrier.png", panels(lambda flight: flight.record.barrier), label="h, m", levels=(0.0,)
-    )
-    draw_comparisons(
-        work.folder / "lyapunov.png", panels(lambda flight: flight.record.lyapunov), label="V₁, m²", logarithmic=True
-    )
-    draw_comparisons(
-        work.folder / "force.png",
-        panels(lambda flight: np.linalg.norm(flight.record.force[:-1], axis=1)),
-        label="‖F‖, N",
-        logarithmic=True,
-    )
+            panels.setdefault(comparison, {})[observer] = (flight.record.time[: len(shown)], shown)
+        draw_comparisons(work.folder / f"{name}.png", panels, **how)
+    return [Drawing(name, caption) for name, (caption, *_) in drawn.items()]

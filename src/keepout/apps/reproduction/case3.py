@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 
 from keepout.apps.reproduction.figures import draw_series
+from keepout.apps.reproduction.fitted import target_of
 from keepout.apps.reproduction.work import Drawing, Part, Table, Work, side_by_side
 from keepout.core.geometry.target import Target
-from keepout.core.mission.build import load_model, load_target
+from keepout.core.mission.build import load_model
 from keepout.core.mission.scenario import Scenario
 from keepout.core.progress import Progress, part_of
 from keepout.flights.campaign.campaign import SERIES, FlightSeries, plan_campaign
@@ -60,10 +61,7 @@ def case3_scenarios(seed: int, *, quick: bool) -> dict[tuple[str, str], Scenario
 def case3(work: Work) -> Part:
     """Fly Case 3 with the printed constants and with the defaults."""
     scenarios = case3_scenarios(work.seed, quick=work.quick)
-    targets: dict[str, Target] = {}
-    for name in {target for target, _ in scenarios}:
-        targets[name] = load_target(scenarios[name, PRINTED].target)
-        targets[name].distance.distance(np.zeros((1, 3)))  # compiled once, before the campaigns share it
+    targets = {name: target_of(name) for name, _ in scenarios}
 
     jobs = {of.name: functools.partial(flown, work, of, targets[name]) for (name, _), of in scenarios.items()}
     answers = side_by_side(jobs, part_of(work.progress, 0.0, 0.95))

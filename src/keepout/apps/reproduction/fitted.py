@@ -5,6 +5,8 @@ import functools
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from keepout.apps.reproduction.work import Work
 from keepout.core.fields import load_shipped
 from keepout.core.fields.model import Certificate, FieldModel
@@ -71,8 +73,10 @@ DEVIATIONS = (
 
 @functools.lru_cache(maxsize=8)
 def target_of(name: str) -> Target:
-    """Load a built-in target once a process: its distance is compiled and built only once."""
-    return Target.load(name)
+    """Load a built-in target once a process: its distance is compiled and built once, before flights share it."""
+    target = Target.load(name)
+    target.distance.distance(np.zeros((1, 3)))
+    return target
 
 
 @functools.lru_cache(maxsize=8)
@@ -128,6 +132,11 @@ def field_of(work: Work, recipe: Recipe, target: Target, *, fitting: bool, certi
         if path.parent == own:
             model.save(path)
     return model
+
+
+def paper_network(work: Work, target: Target) -> FieldModel | None:
+    """Give a target's field of the paper's network, where there is one, and time for it; see `field_of`."""
+    return None if work.quick else field_of(work.within(0.0, 0.1), PAPER_NETWORK, target, fitting=False)
 
 
 def _certificate(work: Work, bound: str, model: FieldModel, target: Target, radius: float) -> Certificate:

@@ -13,7 +13,7 @@ import time
 import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from keepout.apps.reproduction.figures import draw_step_times
-from keepout.apps.reproduction.fitted import PAPER_NETWORK, field_of
+from keepout.apps.reproduction.fitted import PAPER_NETWORK, paper_network, target_of
 from keepout.apps.reproduction.flown import kept_flight, trapped
 from keepout.apps.reproduction.usual_way import TorchField, UsualWay, missing_extra
 from keepout.apps.reproduction.work import Drawing, Part, Table, Work, side_by_side
@@ -84,12 +84,13 @@ class Timed:
 
     seconds: Float[np.ndarray, "steps"]
     position: Float[np.ndarray, "rows 3"]
-    unsolved: int
+    unsolved: int = 0
 
 
 def runtime(work: Work) -> Part:
     """Time control steps over a flight, and fly the law with a true cone."""
-    target, network = _flown_around(work)
+    target = target_of("intelsat30")
+    network = paper_network(work, target)
     timed = step_rows(work.within(0.1, 0.5), network)
     cone = cone_rows(work.within(0.5, 0.95), target, network)
     times = [row for row, _ in timed]
@@ -120,15 +121,8 @@ def runtime(work: Work) -> Part:
 
 def fly_cones(work: Work) -> None:
     """Fly the flights with a true cone, which are kept: they may be flown while other parts keep the cores busy."""
-    target, network = _flown_around(work)
-    cone_rows(work.within(0.1, 1.0), target, network)
-
-
-def _flown_around(work: Work) -> tuple[Target, FieldModel | None]:
-    """Give the target and, where there is one, its field of the paper's network."""
-    target = load_target(Scenario().target)
-    target.distance.distance(np.zeros((1, 3)))  # compiled once, before the flights share it
-    return target, None if work.quick else field_of(work.within(0.0, 0.1), PAPER_NETWORK, target, fitting=False)
+    target = target_of("intelsat30")
+    cone_rows(work.within(0.1, 1.0), target, paper_network(work, target))
 
 
 def contenders(work: Work, network: FieldModel | None) -> list[Contender]:
@@ -303,13 +297,13 @@ def ready(contender: Contender) -> Callable[[], Timed]:
         usual = usual_way(mission, idle=contender.idle)
         usual.safe_velocity(np.asarray(start.position))  # CVXPY compiles its problem
         usual.unsolved = 0
-        return lambda: _flown(usual.step, mission, advance, lambda: usual.unsolved)
+        return lambda: replace(_flown(usual.step, mission, advance), unsolved=usual.unsolved)
     on_board = OnBoard(setup, start)
     on_board.step(0.0, np.asarray(start.position), np.asarray(start.velocity))
 
     def flown() -> Timed:
         on_board.restart(start)
-        return _flown(on_board.step, mission, advance, lambda: 0)
+        return _flown(on_board.step, mission, advance)
 
     return flown
 
@@ -329,9 +323,7 @@ def usual_way(mission: Mission, *, idle: tuple[int, int] | None = None) -> Usual
     return UsualWay(law, TorchField(field, idle=idle), period=mission.scenario.control.period, orbital_rate=rate)
 
 
-def _flown(
-    step: Step, mission: Mission, advance: Callable[[MotionState, Array], MotionState], unsolved: Callable[[], int]
-) -> Timed:
+def _flown(step: Step, mission: Mission, advance: Callable[[MotionState, Array], MotionState]) -> Timed:
     state, seconds, positions = mission.initial, np.empty(mission.steps), []
     gc.collect()
     gc.disable()
@@ -345,4 +337,4 @@ def _flown(
             state = advance(state, jnp.asarray(force))
     finally:
         gc.enable()
-    return Timed(seconds, np.stack([*positions, np.asarray(state.position)]), unsolved())
+    return Timed(seconds, np.stack([*positions, np.asarray(state.position)]))

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from keepout.apps.led.camera import Pinhole
-from keepout.apps.unknown.known_free import KnownFreeMap, whole_blocks
+from keepout.apps.unknown.known_free import KnownFreeMap, Seen, whole_blocks
 from keepout.apps.unknown.view import View
 
 ACROSS = 2
@@ -140,27 +140,19 @@ class Tried:
         """
         tried = cls.nothing(known)
         for seen in known.seen:
-            tried._remember(known, camera, seen.position, seen.axes)
+            tried.note(known, camera, seen)
         return tried
 
-    def note(self, known: KnownFreeMap, view: View) -> None:
+    def note(self, known: KnownFreeMap, camera: Pinhole, seen: View | Seen) -> None:
         """Remember a view that the map has seen: what lies first on its rays and is closed has failed once more.
 
         Views from within 0.3 m and 10 degrees of an earlier one count once: another try is another direction.
         """
-        self._remember(known, view.camera, view.position, view.axes)
-
-    def repeats(self, position: Float[np.ndarray, "3"], boresight: Float[np.ndarray, "3"]) -> bool:
-        """Whether a view was taken from so near a place in so near a direction that another would tell nothing new."""
-        return any(
-            np.linalg.norm(position - earlier) < SAME_PLACE and boresight @ axes[:, 2] > SAME_DIRECTION
-            for earlier, axes in zip(self.positions, self.axes, strict=True)
+        position, axes = seen.position, seen.axes
+        repeated = any(
+            np.linalg.norm(position - earlier) < SAME_PLACE and axes[:, 2] @ turned[:, 2] > SAME_DIRECTION
+            for earlier, turned in zip(self.positions, self.axes, strict=True)
         )
-
-    def _remember(
-        self, known: KnownFreeMap, camera: Pinhole, position: Float[np.ndarray, "3"], axes: Float[np.ndarray, "3 3"]
-    ) -> None:
-        repeated = self.repeats(position, axes[:, 2])
         self.positions.append(position.copy())
         self.axes.append(axes.copy())
         if repeated:

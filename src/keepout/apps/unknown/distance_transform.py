@@ -134,39 +134,6 @@ def _make(free, squares, cap, wanted):
     return made
 
 
-@no_type_check
-@numba.njit(cache=True, nogil=True)
-def _touched(squares, cap, changed, block, wanted):
-    """Mark the tiles whose nodes a change of these blocks can reach and that are not at the cap throughout."""
-    nodes = squares.shape[0]
-    for a in range(changed.shape[0]):
-        for b in range(changed.shape[1]):
-            for c in range(changed.shape[2]):
-                if changed[a, b, c]:
-                    for i in range(max(a * block - cap, 0) // TILE, min((a + 1) * block + cap, nodes - 1) // TILE + 1):
-                        for j in range(
-                            max(b * block - cap, 0) // TILE, min((b + 1) * block + cap, nodes - 1) // TILE + 1
-                        ):
-                            for k in range(
-                                max(c * block - cap, 0) // TILE, min((c + 1) * block + cap, nodes - 1) // TILE + 1
-                            ):
-                                wanted[i, j, k] = True
-    top = cap * cap
-    for a in range(wanted.shape[0]):
-        for b in range(wanted.shape[1]):
-            for c in range(wanted.shape[2]):
-                if wanted[a, b, c]:
-                    tile = squares[a * TILE : (a + 1) * TILE, b * TILE : (b + 1) * TILE, c * TILE : (c + 1) * TILE]
-                    least = top
-                    for i in range(tile.shape[0]):
-                        for j in range(tile.shape[1]):
-                            for k in range(tile.shape[2]):
-                                least = min(least, tile[i, j, k])
-                        if least < top:
-                            break
-                    wanted[a, b, c] = least < top
-
-
 def squares_of(free: Bool[np.ndarray, "n n n"], cap: int) -> UInt16[np.ndarray, "m m m"]:
     """Give the squared distance of each node to the nearest cube that is not free, in cells, capped at `cap` cells.
 
@@ -202,7 +169,14 @@ def renew(
         How many tiles were made anew.
 
     """
-    tiles = -(-squares.shape[0] // TILE)
-    wanted = np.zeros((tiles, tiles, tiles), dtype=np.bool_)
-    _touched(squares, cap, changed, block, wanted)
+    nodes = len(squares)
+    # Of each block along an axis, the tiles that its change can reach; and so of all blocks.
+    blocks, tiles = np.arange(len(changed)), np.arange(-(-nodes // TILE))[:, None]
+    first, last = np.maximum(blocks * block - cap, 0) // TILE, np.minimum((blocks + 1) * block + cap, nodes - 1) // TILE
+    reached = ((first <= tiles) & (tiles <= last)).astype(np.float32)
+    wanted = np.einsum("ia,jb,kc,abc->ijk", *[reached] * 3, changed.astype(np.float32), optimize=True) > 0.0
+    for tile in np.argwhere(wanted):
+        # What is at the cap throughout stays so.
+        made = squares[tuple(slice(TILE * place, TILE * (place + 1)) for place in tile)]
+        wanted[tuple(tile)] = made.min() < cap * cap
     return _make(free, squares, cap, wanted)

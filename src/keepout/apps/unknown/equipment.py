@@ -1,5 +1,6 @@
 """What a scenario says of exploring, as objects: the depth sensor, the declared ball, the map; and what is refused."""
 
+import dataclasses
 import math
 from pathlib import Path
 from typing import no_type_check
@@ -34,26 +35,15 @@ def depth_camera(scenario: Scenario) -> DepthCamera:
 
     """
     entry = scenario.depth_sensor
-    camera = Pinhole(entry.width, entry.height, entry.field_of_view)
-    bounds = SensorBounds(
-        range_error=entry.range_error,
-        position_error=entry.position_error,
-        attitude_error=entry.attitude_error,
-        surely_returned_width=entry.surely_returned_width,
-        rays_across=entry.rays_across,
-        sure_empty_range=entry.sure_empty_range,
-        least_range=entry.least_range,
-        greatest_range=entry.greatest_range,
-    )
-    return DepthCamera(
-        camera=camera,
-        bounds=bounds,
-        period=entry.period,
-        latency=entry.latency,
-        mounting=entry.mounting,
-        dropout=entry.dropout,
-        grazing_angle=entry.grazing_angle,
-    )
+    own = ("period", "latency", "mounting", "dropout", "grazing_angle")
+    bounds = SensorBounds(**{field.name: getattr(entry, field.name) for field in dataclasses.fields(SensorBounds)})
+    return DepthCamera(pinhole(scenario), bounds, **{name: getattr(entry, name) for name in own})
+
+
+def pinhole(scenario: Scenario) -> Pinhole:
+    """Give the camera that the scenario's depth images are taken with."""
+    entry = scenario.depth_sensor
+    return Pinhole(entry.width, entry.height, entry.field_of_view)
 
 
 def declared_ball(scenario: Scenario) -> DeclaredBall:
@@ -135,13 +125,10 @@ def require_explorable(scenario: Scenario, camera: DepthCamera) -> None:
         raise ScenarioError(
             f"field.source: {scenario.field.source!r}; an explorer knows the map alone, so leave it out"
         )
-    if scenario.faults.law != "none" or scenario.control.profile != "default":
-        given = (
-            ("faults.law", scenario.faults.law)
-            if scenario.faults.law != "none"
-            else ("control.profile", scenario.control.profile)
-        )
-        raise ScenarioError(f'{given[0]}: "{given[1]}"; exploring is flown by the default law')
+    laws = ("faults.law", scenario.faults.law, "none"), ("control.profile", scenario.control.profile, "default")
+    for name, value, flown in laws:
+        if value != flown:
+            raise ScenarioError(f'{name}: "{value}"; exploring is flown by the default law')
     least = scenario.chaser.radius + scenario.safety.margin + math.sqrt(3.0) * scenario.map.spacing + 0.3
     if told_apart(scenario) < least:
         raise ScenarioError(
@@ -195,11 +182,8 @@ class WronglyFree:
         if self._count > self._before:
             sensor = scenario.depth_sensor
             # Its other promises are kept wherever the simulation is not told to break one.
-            why = (
-                ""
-                if sensor.broken != "none"
-                else f": assumption A1 (width {sensor.surely_returned_width:g} m) is broken"
-            )
+            why = f": assumption A1 (width {sensor.surely_returned_width:g} m) is broken"
+            why = "" if sensor.broken != "none" else why
             told.append(
                 f"{self._count - self._before} cubes that hold a part of the target were called free, the first by the "
                 f"image at {self._first:g} s{why}"

@@ -51,7 +51,7 @@ def write_exploration(
     exploration.record.save(flight)
     summary = {"name": name, **exploration.summary(), "map": str(kept), "flight": str(flight)}
     if figures:
-        told, layer, drawn = Told(said(exploration), ROWS), Growth.of(exploration), _drawn(exploration)
+        told, layer, drawn = Told(said(exploration), ROWS), Growth(exploration), _drawn(exploration)
         summary["pictures"] = draw_result(out, exploration, summary, told, drawn, layer=layer, progress=progress)
     write_summary(out, summary)
     return summary
@@ -80,12 +80,8 @@ def _drawn(exploration: Exploration) -> dict[str, Any]:
 def said(exploration: Exploration) -> str:
     """Say in a sentence or two how an exploration ended."""
     taken = sum(view.status == "seen" for view in exploration.views)
-    contact = {"no": "No contact, proved", "yes": "Contact", "undecided": "Contact not excluded"}
-    words = (
+    return (
         f"{exploration.outcome[0].upper()}{exploration.outcome[1:]}: {exploration.why}. {taken} views of "
         f"{len(exploration.views)} were taken in, and {exploration.seen_share:.0%} of the outer surface was seen. "
-        f"{contact[str(exploration.audit.contact)]}"
+        f"{exploration.contact_said(' on the true mesh')}."
     )
-    if exploration.audit.contact == "no":
-        words += f": the clearance on the true mesh is at least {exploration.audit.minimum_clearance:.3f} m"
-    return words + "."

@@ -18,8 +18,9 @@ from scipy.spatial import KDTree
 
 from keepout.apps.led.camera import Pinhole
 from keepout.apps.unknown.cells import ACROSS
+from keepout.apps.unknown.equipment import pinhole
 from keepout.apps.unknown.exploration import Exploration
-from keepout.apps.unknown.known_free import KnownFreeMap, Seen
+from keepout.apps.unknown.known_free import KnownFreeMap, Seen, whole_blocks
 from keepout.apps.unknown.ways import reachable
 from keepout.core.geometry.first_hit import FirstHit
 from keepout.core.geometry.target import Target
@@ -53,12 +54,6 @@ _WORDS = {
 }
 
 
-def camera_of(exploration: Exploration) -> Pinhole:
-    """Give the camera that the views were taken with."""
-    entry = exploration.scenario.depth_sensor
-    return Pinhole(entry.width, entry.height, entry.field_of_view)
-
-
 def taken(exploration: Exploration) -> list[Seen]:
     """Give the poses of the views that the map took in this flight, without those of a map that it went on from."""
     count = sum(view.status == "seen" for view in exploration.views)
@@ -69,7 +64,7 @@ def draw_seen(path: Path, exploration: Exploration) -> None:
     """Draw the true surface from three sides, coloured by when it was first in an image, into one PNG."""
     target, entry, views = exploration.target, exploration.scenario.depth_sensor, taken(exploration)
     reach = {"greatest_range": entry.greatest_range, "grazing_angle": entry.grazing_angle}
-    sight = FirstSight(target, views, camera_of(exploration), **reach)
+    sight = FirstSight(target, views, pinhole(exploration.scenario), **reach)
     end = max([view.time for view in views], default=1.0)
     scale = ScalarMappable(Normalize(0.0, max(end, 1.0)), "viridis")
     with figure(path, width=11.0, height=4.6) as drawing:
@@ -251,10 +246,13 @@ def _cubes_at(
     exploration: Exploration, cells: Float[np.ndarray, "m 3"], centres: Float[np.ndarray, "n n 3"]
 ) -> np.ndarray:
     """Say which cubes of a slice lie in cells (`ACROSS` cubes wide) with these centres."""
-    edge = ACROSS * exploration.map.spacing
-    keys = {tuple(key) for key in np.floor((cells - exploration.map.origin) / edge).astype(int).tolist()}
-    asked = np.floor((centres - exploration.map.origin) / edge).astype(int).reshape(-1, 3).tolist()
-    return np.array([tuple(key) in keys for key in asked], dtype=bool).reshape(centres.shape[:2])
+    known, held = exploration.map, np.zeros_like(whole_blocks(exploration.map.free, ACROSS))
+    held_at, asked = (
+        tuple(np.moveaxis(np.floor((places - known.origin) / (ACROSS * known.spacing)).astype(int), -1, 0))
+        for places in (cells, centres)
+    )
+    held[held_at] = True
+    return held[asked]
 
 
 def _in_the_way(axes: Axes, exploration: Exploration) -> None:
@@ -283,12 +281,9 @@ def _kinds_in_slice(
     """
     place = int(np.clip(np.floor((level - known.origin[axis]) / known.spacing), 0, len(known.free) - 1))
     free = np.take(known.free, place, axis=axis)
-    others = [k for k in range(3) if k != axis]
-    centres = np.empty((*free.shape, 3))
-    along = known.spacing * (np.arange(len(free)) + 0.5)
-    centres[..., others[0]] = known.origin[others[0]] + along[:, None]
-    centres[..., others[1]] = known.origin[others[1]] + along
-    centres[..., axis] = known.origin[axis] + known.spacing * (place + 0.5)
+    along = list(known.origin[:, None] + known.spacing * (np.arange(len(free)) + 0.5))
+    along[axis] = along[axis][place : place + 1]
+    centres = np.stack(np.meshgrid(*along, indexing="ij"), axis=-1).squeeze(axis)
     kinds = np.where(free, FREE, UNKNOWN)
     if len(known.returns):
         distance, _ = KDTree(known.returns).query(centres[~free], distance_upper_bound=explained)
@@ -312,7 +307,7 @@ def _paint_slice(
     """
     known, target, scenario = exploration.map, exploration.target, exploration.scenario
     across, up = (k for k in range(3) if k != axis)
-    lower, upper = known.lower, known.upper
+    lower, upper = known.origin, known.upper
     axes.imshow(
         kinds.T,
         origin="lower",

@@ -172,7 +172,7 @@ class _Seen:
         """Let the map grow by an image that was wanted for a reason; say whether the image contradicts the map."""
         report = self.known.see(view)
         if report.status is ViewStatus.SEEN:
-            self.tried.note(self.known, view)
+            self.tried.note(self.known, view.camera, view)
             self.wrongly_free.note(self.known, view.time)
         self.outside += report.outside
         self.free_volume += report.opened * self.known.spacing**3
@@ -345,8 +345,8 @@ class _Explorer(Leader):
     def _within_map(self, position: Point) -> Point:
         """Give the position itself, or the way's first point in the map's box towards the middle of the ball."""
         known = self.seen.known
-        half = 0.5 * (known.upper - known.lower)
-        middle = known.lower + half
+        half = 0.5 * (known.upper - known.origin)
+        middle = known.origin + half
         beyond = float(np.max(np.abs(position - middle) / half))
         return position if beyond <= 1.0 else middle + (position - middle) / beyond
 

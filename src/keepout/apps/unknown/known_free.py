@@ -6,10 +6,9 @@ What has not been seen free is an obstacle.
 import enum
 import functools
 import math
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import no_type_check
+from typing import Any, no_type_check
 
 import numba
 import numpy as np
@@ -51,8 +50,6 @@ class ViewReport:
     status: ViewStatus
     opened: int
     """Cubes that became free."""
-    seconds: float
-    """Time that it took."""
     contradicting: int = 0
     """Returns farther inside known-free room, or outside the declared ball, than the errors explain: each proves that a
     promise of ball or sensor is broken. Counted in every view whose pose is finite, taken or not."""
@@ -84,6 +81,7 @@ class KnownFreeMap:
         free: (n, n, n) bool, whether each cube is free. To be read only.
         squares: (n+1, n+1, n+1) uint16, squared distance in cells of each cube corner to the nearest cube that is not
             free, capped at (cap / spacing)². To be read only.
+        returned: the point cloud of all returns.
         seen: pose and time of each view taken, in order.
         broken: promises of ball and sensor that were broken when the map was made, each in words, as far as whoever
             made it knew; to be added to by whoever knows more.
@@ -93,13 +91,14 @@ class KnownFreeMap:
 
     def __init__(
         self,
-        centre: Float[np.ndarray, "3"],
+        centre: Sequence[float] | Float[np.ndarray, "3"],
         radius: float,
-        spacing: float,
-        cap: float,
+        *,
+        spacing: float = 0.1,
+        cap: float = 1.2,
         bounds: SensorBounds,
         name: str,
-        speed_limit: float,
+        speed_limit: float = math.inf,
     ) -> None:
         """Lay the grid; `begin` and `map_file.load` fill it."""
         self.name, self.centre, self.radius = name, np.array(centre, dtype=np.float64), float(radius)
@@ -119,7 +118,7 @@ class KnownFreeMap:
         self._flight_began = 0
         self.free = np.zeros((cubes, cubes, cubes), dtype=np.bool_)
         self.squares = np.zeros((0, 0, 0), dtype=np.uint16)
-        self._returns = Returns(self.origin, self.spacing, cubes)
+        self.returned = Returns(self.origin, self.spacing, cubes)
         self._unknown = np.zeros((0, 0, 0), dtype=np.int32)
 
     def _check(self) -> None:
@@ -139,33 +138,20 @@ class KnownFreeMap:
             )
 
     @classmethod
-    def begin(
-        cls,
-        centre: Sequence[float] | Float[np.ndarray, "3"],
-        radius: float,
-        *,
-        spacing: float = 0.1,
-        cap: float = 1.2,
-        bounds: SensorBounds,
-        name: str,
-        speed_limit: float = math.inf,
-    ) -> "KnownFreeMap":
+    def begin(cls, centre: Sequence[float] | Float[np.ndarray, "3"], radius: float, **settings: Any) -> "KnownFreeMap":
         """Begin a map: all cubes that meet the declared ball are unknown, all others free.
 
         Args:
             centre: (3,) of the ball that is declared to hold the whole target, in its body frame, m.
             radius: of that ball, m.
-            spacing: edge of a cube, m.
-            cap: greatest distance that is kept, m.
-            bounds: what is promised of the sensor.
-            name: of the target, by which a map file is known again.
-            speed_limit: of the chaser, m/s.
+            **settings: `bounds` and `name`, by which a map file is known again; `spacing`, by default 0.1 m, `cap`,
+                1.2 m, and `speed_limit`, none.
 
         Raises:
             MapError: a number out of range.
 
         """
-        made = cls(np.asarray(centre, dtype=np.float64), radius, spacing, cap, bounds, name, speed_limit)
+        made = cls(centre, radius, **settings)
         made.fill(made.free_outside_the_ball())
         return made
 
@@ -196,11 +182,6 @@ class KnownFreeMap:
         return round(self.cap / self.spacing)
 
     @property
-    def lower(self) -> Float[np.ndarray, "3"]:
-        """Lower corner of the box, m."""
-        return self.origin
-
-    @property
     def upper(self) -> Float[np.ndarray, "3"]:
         """Upper corner of the box, m."""
         return self.origin + len(self.free) * self.spacing
@@ -221,16 +202,7 @@ class KnownFreeMap:
     @property
     def returns(self) -> Float32[np.ndarray, "m 3"]:
         """Point cloud of all returns in the map's frame, by the estimated poses, m; each place once."""
-        return self._returns.points()
-
-    @property
-    def return_keys(self) -> Int[np.ndarray, "m"]:
-        """Sorted whole-number keys of the point cloud, as a file keeps them."""
-        return self._returns.keys
-
-    @return_keys.setter
-    def return_keys(self, keys: Int[np.ndarray, "m"]) -> None:
-        self._returns.keys = keys
+        return self.returned.points()
 
     def distance_at_nodes(self) -> Float[np.ndarray, "m m m"]:
         """Give the distance of each cube corner to the nearest cube that is not free, m; at most `cap`."""
@@ -250,10 +222,9 @@ class KnownFreeMap:
 
     def see(self, view: View) -> ViewReport:
         """Grow the map by a view, in place; a refused view leaves it as it was, but for `contradicting`."""
-        begin = time.perf_counter()
         status = self._status(view)
         if status is ViewStatus.NOT_FINITE:
-            return ViewReport(status, 0, time.perf_counter() - begin)
+            return ViewReport(status, 0)
         points = view.points()
         contradicting, outside = self._contradicting(view, points)
         self.contradicting += contradicting
@@ -262,9 +233,9 @@ class KnownFreeMap:
         opened = 0
         if status is ViewStatus.SEEN:
             opened = self.open(view)
-            self._returns.add(points)
+            self.returned.add(points)
             self.seen.append(Seen(float(view.time), view.position.copy(), view.axes.copy()))
-        return ViewReport(status, opened, time.perf_counter() - begin, contradicting, outside)
+        return ViewReport(status, opened, contradicting, outside)
 
     def open(self, view: View) -> int:
         """Free the cubes that the rule frees, and bring the distances up to date; gives how many were freed."""
@@ -272,18 +243,9 @@ class KnownFreeMap:
         empty = empty_ranges(view, self.bounds)
         first, last = self._blocks_in_reach(view, rule.farthest)
         changed = np.zeros(self._unknown.shape, dtype=np.bool_)
-        opened = free_cubes(
-            rule,
-            pyramid(empty),
-            pyramid(empty, greatest=True),
-            self.origin,
-            self.spacing,
-            first,
-            last,
-            self.free,
-            self._unknown,
-            changed,
-        )
+        levels = pyramid(empty), pyramid(empty, greatest=True)
+        grid = self.origin, self.spacing
+        opened = free_cubes(rule, *levels, *grid, first, last, self.free, self._unknown, changed)
         if opened:
             renew(self.free, self.squares, self.cap_cells, changed, BLOCK)
         return opened
@@ -301,14 +263,10 @@ class KnownFreeMap:
         return first, np.clip(np.ceil(cells[1]) + 1, 0, blocks).astype(np.int64)
 
     def _status(self, view: View) -> ViewStatus:
-        finite = np.isfinite(view.position).all() and np.isfinite(view.axes).all() and math.isfinite(view.time)
-        if (
-            not finite
-            or np.abs(view.axes.T @ view.axes - np.eye(3)).max() > _ROTATION
-            or np.linalg.det(view.axes) < 0.0
-        ):
+        if not all(np.isfinite(part).all() for part in (view.position, view.axes, view.time)):
             return ViewStatus.NOT_FINITE
-        if (view.ranges < 0.0).any():
+        turned = np.abs(view.axes.T @ view.axes - np.eye(3)).max() <= _ROTATION and np.linalg.det(view.axes) >= 0.0
+        if not turned or (view.ranges < 0.0).any():
             return ViewStatus.NOT_FINITE
         if not (np.isfinite(view.ranges) | (np.isposinf(view.ranges) & (self.bounds.sure_empty_range > 0.0))).any():
             return ViewStatus.EMPTY
@@ -407,25 +365,25 @@ def in_free_room(
 @no_type_check
 @numba.njit(cache=True, nogil=True)
 def _in_free_room(places, reach, free, held):
-    """Decide for places and radii in cells: the box of cubes round each ball, less those that it does not meet."""
-    last = free.shape[0] - 1
     for p in range(len(places)):
-        x, y, z, r = places[p, 0], places[p, 1], places[p, 2], reach[p]
-        held[p] = True
-        for i in range(max(int(np.floor(x - r)), 0), min(int(np.floor(x + r)), last) + 1):
-            across = max(i - x, x - i - 1.0, 0.0) ** 2
-            for j in range(max(int(np.floor(y - r)), 0), min(int(np.floor(y + r)), last) + 1):
-                down = across + max(j - y, y - j - 1.0, 0.0) ** 2
-                if down > r * r:
-                    continue
-                for k in range(max(int(np.floor(z - r)), 0), min(int(np.floor(z + r)), last) + 1):
-                    if not free[i, j, k] and down + max(k - z, z - k - 1.0, 0.0) ** 2 <= r * r:
-                        held[p] = False
-                        break
-                if not held[p]:
-                    break
-            if not held[p]:
-                break
+        held[p] = _ball_is_free(places[p, 0], places[p, 1], places[p, 2], reach[p], free)
+
+
+@no_type_check
+@numba.njit(cache=True, nogil=True)
+def _ball_is_free(x, y, z, r, free):
+    """Decide for a place and a radius in cells: the box of cubes round the ball, less those that it does not meet."""
+    last = free.shape[0] - 1
+    for i in range(max(int(np.floor(x - r)), 0), min(int(np.floor(x + r)), last) + 1):
+        across = max(i - x, x - i - 1.0, 0.0) ** 2
+        for j in range(max(int(np.floor(y - r)), 0), min(int(np.floor(y + r)), last) + 1):
+            down = across + max(j - y, y - j - 1.0, 0.0) ** 2
+            if down > r * r:
+                continue
+            for k in range(max(int(np.floor(z - r)), 0), min(int(np.floor(z + r)), last) + 1):
+                if not free[i, j, k] and down + max(k - z, z - k - 1.0, 0.0) ** 2 <= r * r:
+                    return False
+    return True
 
 
 def whole_blocks(free: Bool[np.ndarray, "nx ny nz"], width: int) -> Bool[np.ndarray, "mx my mz"]:

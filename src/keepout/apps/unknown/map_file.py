@@ -26,21 +26,16 @@ VERSION = 2
 UNTOLD = "its file is of version 1, which keeps no word of what was broken when it was made"
 """Said of a map from such a file: what is not known to have been kept counts as broken."""
 SUFFIX = ".keepmap"
+_SETTINGS = ("name", "centre", "radius", "spacing", "cap", "bounds", "speed_limit")
 _TENSORS = {"free": "U8", "returns": "I64", "times": "F64", "positions": "F64", "axes": "F64"}
 """Arrays of a file and their number types, as safetensors names them."""
 
 
 def settings(known: KnownFreeMap) -> dict[str, Any]:
     """Give all that a map was begun with, as JSON holds it: name, ball, spacing, cap, sensor bounds, speed limit."""
-    return {
-        "name": known.name,
-        "centre": known.centre.tolist(),
-        "radius": known.radius,
-        "spacing": known.spacing,
-        "cap": known.cap,
-        "bounds": dataclasses.asdict(known.bounds),
-        "speed_limit": known.speed_limit if math.isfinite(known.speed_limit) else None,
-    }
+    told = {name: getattr(known, name) for name in _SETTINGS}
+    told |= {"centre": known.centre.tolist(), "bounds": dataclasses.asdict(known.bounds)}
+    return told | {"speed_limit": known.speed_limit if math.isfinite(known.speed_limit) else None}
 
 
 def fingerprint(known: KnownFreeMap) -> str:
@@ -60,7 +55,7 @@ def save(known: KnownFreeMap, path: str | Path) -> Path:
         raise MapError(f"{path}: a map file ends in {SUFFIX}")
     tensors = {
         "free": np.packbits(known.free.reshape(-1)),
-        "returns": known.return_keys,
+        "returns": known.returned.keys,
         "times": np.array([seen.time for seen in known.seen], dtype=np.float64),
         "positions": np.array([seen.position for seen in known.seen], dtype=np.float64).reshape(-1, 3),
         "axes": np.array([seen.axes for seen in known.seen], dtype=np.float64).reshape(-1, 3, 3),
@@ -134,16 +129,10 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
 
 
 def _put_together(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> KnownFreeMap:
-    given = dict(header["settings"])
-    known = KnownFreeMap(
-        np.array(given["centre"], dtype=np.float64),
-        given["radius"],
-        given["spacing"],
-        given["cap"],
-        SensorBounds(**given["bounds"]),
-        str(given["name"]),
-        math.inf if given["speed_limit"] is None else given["speed_limit"],
-    )
+    given = {name: header["settings"][name] for name in _SETTINGS}
+    given["bounds"] = SensorBounds(**given["bounds"])
+    given["speed_limit"] = math.inf if given["speed_limit"] is None else given["speed_limit"]
+    known = KnownFreeMap(**given)
     if fingerprint(known) != header["fingerprint"]:
         raise MapError("its settings do not match its fingerprint; make the map again")
     told = {"broken": [UNTOLD], "contradicting": 0} if header["version"] == 1 else header
@@ -163,7 +152,7 @@ def _put_together(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Kno
         raise MapError(f"returns of shape {keys.shape} do not lie in the map's box")
     if (np.diff(keys) <= 0).any():
         raise MapError("returns are not in rising order")
-    known.return_keys = keys
+    known.returned.keys = keys
     views = len(tensors["times"])
     if tensors["positions"].shape != (views, 3) or tensors["axes"].shape != (views, 3, 3):
         raise MapError(

@@ -12,7 +12,7 @@ from typing import Literal, no_type_check
 
 import numba
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int, UInt8
+from jaxtyping import Float, Float32, Int, UInt8
 from scipy.spatial import KDTree
 
 from keepout.apps.led import driver
@@ -232,17 +232,10 @@ class _Search:
     def _gains(self, codes, worths, nodes) -> Float32[np.ndarray, "n d"]:
         """Volume in m³ times worth that the view in each direction from each node is expected to open."""
         edge = self.cells.edge
-        rays = panoramas(
-            codes,
-            worths,
-            _PASSES,
-            (self.reach.place(nodes) - self.cells.origin) / edge,
-            self.rays,
-            bins=self.bins / edge,
-            farthest=self.farthest / edge,
-            empty=self.empty / edge,
-        )
-        return np.matmul(rays, self.images).sum(axis=0) * np.float32(edge**3)
+        places, limits = (self.reach.place(nodes) - self.cells.origin) / edge, (self.farthest / edge, self.empty / edge)
+        gains = np.zeros((len(self.bins), len(nodes), len(self.rays)), dtype=np.float32)
+        _march(codes, worths, _PASSES, places, self.rays, self.bins / edge, *limits, gains)
+        return np.matmul(gains, self.images).sum(axis=0) * np.float32(edge**3)
 
     def _rates(self, nodes, gains) -> Float[np.ndarray, "n d"]:
         """Gain per second of flying, turning and settling; 0 for what was tried."""
@@ -264,7 +257,15 @@ class _Search:
 def _images(camera: Pinhole, borders: tuple[float, ...]) -> Float32[np.ndarray, "b m d"]:
     """Which rays of the sphere lie in the image along each direction, for borders of several widths (rad): 1 or 0."""
     axes = np.stack([axes_towards(direction, UP) for direction in sphere(_DIRECTIONS)])
-    return np.stack([inside(camera, axes, sphere(_RAYS), border).T.astype(np.float32) for border in borders])
+    seen = np.einsum("nij,mi->nmj", axes, sphere(_RAYS))
+    ahead = seen[..., 2] > 1e-6
+    forward = np.where(ahead, seen[..., 2], 1.0)[..., None]
+    images = np.empty((len(borders), _RAYS, _DIRECTIONS), dtype=np.float32)
+    halves = [math.atan(0.5 * pixels / camera.focal) for pixels in (camera.width, camera.height)]
+    for image, border in zip(images, borders, strict=True):
+        slopes = np.array([math.tan(max(half - border, 0.02)) for half in halves])
+        image[...] = (ahead & (np.abs(seen[..., :2]) <= slopes * forward).all(axis=2)).T
+    return images
 
 
 _KINDS = 6
@@ -361,53 +362,26 @@ def sphere(count: int) -> Float[np.ndarray, "count 3"]:
     return np.stack([around * np.cos(angle), around * np.sin(angle), height], axis=1)
 
 
-def inside(
-    camera: Pinhole, axes: Float[np.ndarray, "n 3 3"], rays: Float[np.ndarray, "m 3"], border: float
-) -> Bool[np.ndarray, "n m"]:
-    """Whether each ray lies in each image, `border` rad away from its edges."""
-    seen = np.einsum("nij,mi->nmj", axes, rays)
-    ahead = seen[..., 2] > 1e-6
-    forward = np.where(ahead, seen[..., 2], 1.0)
-    across = math.tan(max(math.atan(0.5 * camera.width / camera.focal) - border, 0.02))
-    down = math.tan(max(math.atan(0.5 * camera.height / camera.focal) - border, 0.02))
-    return ahead & (np.abs(seen[..., 0]) <= across * forward) & (np.abs(seen[..., 1]) <= down * forward)
-
-
-def panoramas(
-    codes: UInt8[np.ndarray, "nx ny nz"],
-    worth: Float32[np.ndarray, "256"],
-    passes: Float32[np.ndarray, "256"],
-    places: Float[np.ndarray, "n 3"],
-    rays: Float[np.ndarray, "m 3"],
-    *,
-    bins: Float[np.ndarray, " b"],
-    farthest: float,
-    empty: float,
-) -> Float32[np.ndarray, "b n m"]:
-    """Give the worth, in cells, that each ray from each place is expected to open. All lengths are in cells.
+@numba.njit(cache=True, nogil=True)
+@no_type_check
+def _march(codes, worth, passes, places, rays, bins, farthest, empty, gains):
+    """Write the worth, in cells, that each ray from each place is expected to open. All lengths are in cells.
 
     Args:
-        codes: kinds of cells; 0 is known free.
+        codes: (nx, ny, nz) kinds of cells; 0 is known free.
         worth: by code, of opening a cell.
         passes: by code, confidence left after a cell; 0 where a ray ends with a return, negative where nothing is hoped
             of what lies behind.
-        places: in cells from the corner of the first.
-        rays: unit vectors.
-        bins: ranges at which the bins begin that what is opened is sorted into; cells nearer than the first are not.
+        places: (n, 3) in cells from the corner of the first.
+        rays: (m, 3) unit vectors, even over the sphere.
+        bins: (b,) ranges at which the bins begin that what is opened is sorted into; cells nearer than the first are
+            not.
         farthest: cells farther are not opened.
         empty: how far a ray without a return opens.
+        gains: (b, n, m) zeros, to be written into.
 
     """
-    gains = np.zeros((len(bins), len(places), len(rays)), dtype=np.float32)
-    solid = 4.0 * math.pi / len(rays)
-    _march(codes, worth, passes, np.ascontiguousarray(places), rays, bins, farthest, empty, solid, gains)
-    return gains
-
-
-@numba.njit(cache=True, nogil=True)
-@no_type_check
-def _march(codes, worth, passes, places, rays, bins, farthest, empty, solid, gains):
-    count = bins.shape[0]
+    count, solid = bins.shape[0], 4.0 * math.pi / rays.shape[0]
     unsure = np.zeros(count, dtype=np.float32)
     nx, ny, nz = codes.shape
     steps = int(farthest)

@@ -23,11 +23,11 @@ SLACK = 1e-6
 class Rule(NamedTuple):
     """The numbers of one view that the rule needs: plain floats for compiled loops."""
 
-    place: tuple[float, float, float]
+    place: tuple[float, ...]
     """Estimated place of the sensor, m."""
-    right: tuple[float, float, float]
-    down: tuple[float, float, float]
-    ahead: tuple[float, float, float]
+    right: tuple[float, ...]
+    down: tuple[float, ...]
+    ahead: tuple[float, ...]
     """Camera axes in the map's frame."""
     focal: float
     """Pixels."""
@@ -51,11 +51,12 @@ def rule_of(view: View, bounds: SensorBounds, spacing: float) -> Rule:
     camera = view.camera
     # rho + eps_p: from the estimated place to a cube's farthest point, beyond the cube's centre.
     reach = 0.5 * math.sqrt(3.0) * spacing + bounds.position_error
+    place, right, down, ahead = (tuple(vector.tolist()) for vector in (view.position, *view.axes.T))
     return Rule(
-        _triple(view.position),
-        _triple(view.axes[:, 0]),
-        _triple(view.axes[:, 1]),
-        _triple(view.axes[:, 2]),
+        place,
+        right,
+        down,
+        ahead,
         camera.focal,
         0.5 * camera.width,
         0.5 * camera.height,
@@ -67,10 +68,6 @@ def rule_of(view: View, bounds: SensorBounds, spacing: float) -> Rule:
         bounds.usable_range(camera) - reach - SLACK,
         SLACK,
     )
-
-
-def _triple(vector: Float[np.ndarray, "3"]) -> tuple[float, float, float]:
-    return float(vector[0]), float(vector[1]), float(vector[2])
 
 
 def empty_ranges(view: View, bounds: SensorBounds) -> Float[np.ndarray, "height width"]:
@@ -176,8 +173,12 @@ def in_camera(rule, x, y, z):
 
 @no_type_check
 @numba.njit(cache=True, nogil=True)
-def _every_square(levels, first_row, last_row, first_column, last_column, limit, exceeds):
-    """Whether "its value exceeds the limit" is `exceeds` for each of the largest squares that cover a rectangle."""
+def every_pixel(levels, first_row, last_row, first_column, last_column, limit, exceeds):
+    """Whether every pixel of a rectangle exceeds a limit, or none does, as `exceeds` asks.
+
+    That "its value exceeds the limit" is `exceeds` is asked of each of the largest squares that cover the rectangle;
+    `levels` is the pyramid of least values where all should exceed, of greatest values where none should.
+    """
     short = min(last_row - first_row, last_column - first_column) + 1
     level, side = 0, 1
     while 2 * side <= short:
@@ -201,20 +202,6 @@ def _every_square(levels, first_row, last_row, first_column, last_column, limit,
 
 @no_type_check
 @numba.njit(cache=True, nogil=True)
-def all_exceed(least, first_row, last_row, first_column, last_column, limit):
-    """Whether every pixel of a rectangle exceeds a limit; `least`: pyramid of least values."""
-    return _every_square(least, first_row, last_row, first_column, last_column, limit, True)
-
-
-@no_type_check
-@numba.njit(cache=True, nogil=True)
-def none_exceeds(greatest, first_row, last_row, first_column, last_column, limit):
-    """Whether no pixel of a rectangle exceeds a limit; `greatest`: pyramid of greatest values."""
-    return _every_square(greatest, first_row, last_row, first_column, last_column, limit, False)
-
-
-@no_type_check
-@numba.njit(cache=True, nogil=True)
 def cube_is_free(rule, least, x, y, z):
     """Apply the rule to the cube round a centre in the map's frame; `least`: pyramid of how far pixels are empty."""
     across, down, ahead, distance = in_camera(rule, x, y, z)
@@ -222,7 +209,8 @@ def cube_is_free(rule, least, x, y, z):
     if ahead <= radius or distance < rule.nearest or distance > rule.farthest:
         return False
     first_row, last_row, first_column, last_column, inside = window(rule, across, down, ahead, radius)
-    return inside and all_exceed(least, first_row, last_row, first_column, last_column, distance + rule.clearance)
+    limit = distance + rule.clearance
+    return inside and every_pixel(least, first_row, last_row, first_column, last_column, limit, True)
 
 
 _UNDECIDED, _FREE, _NOTHING = 0, 1, 2
@@ -249,14 +237,14 @@ def _block(rule, least, greatest, x, y, z, spread):
         inside
         and near >= rule.nearest
         and far <= rule.farthest
-        and all_exceed(least, first_row, last_row, first_column, last_column, far + rule.clearance)
+        and every_pixel(least, first_row, last_row, first_column, last_column, far + rule.clearance, True)
     ):
         return _FREE
     first_row, last_row = max(first_row, 0), min(last_row, rule.rows - 1)
     first_column, last_column = max(first_column, 0), min(last_column, rule.columns - 1)
     if first_row > last_row or first_column > last_column:
         return _NOTHING
-    if none_exceeds(greatest, first_row, last_row, first_column, last_column, near + rule.clearance):
+    if every_pixel(greatest, first_row, last_row, first_column, last_column, near + rule.clearance, False):
         return _NOTHING
     return _UNDECIDED
 

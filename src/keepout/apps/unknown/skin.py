@@ -4,54 +4,19 @@ For pictures of a flight it is kept at some times: at most eight, spread over wh
 """
 
 from dataclasses import dataclass
-from typing import no_type_check
 
-import numba
 import numpy as np
+import scipy.ndimage
 from jaxtyping import Bool, Float, Int, Int64, UInt8
 
 from keepout.apps.unknown.known_free import KnownFreeMap, whole_blocks
 
 
-@no_type_check
-@numba.njit(cache=True, nogil=True)
-def _sweep(free, reached, step):
-    """Hand `reached` on to free neighbours that follow (step 1) or precede (step -1) on each axis."""
-    n = free.shape[0]
-    grown = 0
-    first = 0 if step > 0 else n - 1
-    for count_i in range(n):
-        i = first + step * count_i
-        for count_j in range(n):
-            j = first + step * count_j
-            for count_k in range(n):
-                k = first + step * count_k
-                if (
-                    free[i, j, k]
-                    and not reached[i, j, k]
-                    and (
-                        (i != first and reached[i - step, j, k])
-                        or (j != first and reached[i, j - step, k])
-                        or (k != first and reached[i, j, k - step])
-                    )
-                ):
-                    reached[i, j, k] = True
-                    grown += 1
-    return grown
-
-
 def reachable_cubes(free: Bool[np.ndarray, "n n n"]) -> Bool[np.ndarray, "n n n"]:
     """Give the free cubes that a path through faces of free cubes joins to the box's border."""
-    reached = np.zeros_like(free)
-    for axis in range(3):
-        for side in (0, -1):
-            where = tuple(side if other == axis else slice(None) for other in range(3))
-            reached[where] = free[where]
-    # The border counts as growth, so that both directions are swept at least once.
-    grown = 1
-    while grown:
-        grown = _sweep(free, reached, 1) + _sweep(free, reached, -1)
-    return reached
+    joined = np.empty(np.add(free.shape, 2), dtype=np.int32)
+    scipy.ndimage.label(np.pad(free, 1, constant_values=True), output=joined)
+    return (joined == joined[0, 0, 0])[1:-1, 1:-1, 1:-1]
 
 
 def skin(known: KnownFreeMap) -> tuple[Float[np.ndarray, "v 3"], Int64[np.ndarray, "f 3"]]:

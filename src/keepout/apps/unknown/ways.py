@@ -114,7 +114,7 @@ def reachable(
     begin = np.asarray(position, dtype=float)
     sources = found.beside(begin)
     apart = np.linalg.norm(found.place(sources) - found.within(begin), axis=1) / found.spacing
-    _begin(lengths, sources, apart)
+    lengths[tuple(sources.T)] = np.ceil(_TENTHS * apart)
     shorten(lengths, room.astype(np.uint8), known.squares, stride, least)
     return found
 
@@ -126,13 +126,6 @@ def _nodes_near(room: Bool[np.ndarray, "nx ny nz"], place: Float[np.ndarray, "3"
     high = np.minimum(np.ceil(place + reach).astype(int) + 1, room.shape)
     found = np.argwhere(room[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]) + low
     return found[np.linalg.norm(found - place, axis=1) <= reach]
-
-
-def _begin(
-    lengths: Int[np.ndarray, "nx ny nz"], sources: Int[np.ndarray, "n 3"], apart: Float[np.ndarray, " n"]
-) -> None:
-    """Let ways begin at nodes, so many spacings apart from where the chaser is."""
-    lengths[tuple(sources.T)] = np.ceil(_TENTHS * apart)
 
 
 def shorten(
@@ -257,7 +250,7 @@ def hoped_way(
     start = np.clip((np.asarray(position) - reach.origin) / reach.spacing, 0, last)
     sources = _nodes_near(price > 0, start)
     lengths = np.full(price.shape, FAR, dtype=np.int32)
-    _begin(lengths, sources, np.linalg.norm(sources - start, axis=1))
+    lengths[tuple(sources.T)] = np.ceil(_TENTHS * np.linalg.norm(sources - start, axis=1))
     shorten(lengths, price, np.zeros((1, 1, 1), dtype=np.uint16))
     nodes = walk_back(lengths, price, end)
     blocked = ~reach.room[tuple(nodes.T)]

@@ -4,10 +4,11 @@ import math
 
 import numpy as np
 import pytest
+from sure_return import _on_surface, sure_return_violations
 from truths.messy_meshes import box
 
 from keepout.apps.led.camera import Pinhole, axes_towards
-from keepout.apps.unknown.depth_sensor import DepthCamera, _on_surface, first_returns, sure_return_violations
+from keepout.apps.unknown.depth_sensor import DepthCamera, first_returns
 from keepout.apps.unknown.view import SensorBounds
 from keepout.core.geometry.first_hit import FirstHit
 
