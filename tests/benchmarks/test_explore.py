@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from explore_counts import _meets, bad_cubes, over_statements
 
-from keepout.apps.unknown.equipment import cubes_met
 from keepout.apps.unknown.known_free import KnownFreeMap
 from keepout.apps.unknown.map_field import MapField
+from keepout.apps.unknown.truth import cubes_met
 from keepout.apps.unknown.view import SensorBounds
 from keepout.core.fields.field import Field
 from keepout.core.geometry.mesh_report import Surface, describe

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.optimize import linprog
 
-from keepout.apps.unknown.equipment import cubes_met
+from keepout.apps.unknown.truth import cubes_met
 
 
 def apart(triangle, lower, spacing):

@@ -6,7 +6,7 @@ from truths.browser import shown, slide
 from truths.made_up_exploration import BOUNDS, CAMERA, PERIOD, REFUSED, circle, look_at, made_up
 from truths.replay_page import ReplayPage
 
-from keepout.apps.unknown.growth import Growth
+from keepout.apps.unknown.exploration_page import Growth
 from keepout.apps.unknown.skin import MOST
 from keepout.flights.pages.replay_page import write_replay
 from keepout.flights.pages.replayed import Replayed

@@ -1,18 +1,24 @@
 """Experiments: the source paper's Section VI, repeated by one command, part by part."""
 
+import datetime
 import functools
+import json
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
+import keepout
 from keepout.apps.reproduction import case1, case2, case3, runtime, shapes, table1
-from keepout.apps.reproduction.page import write_reproduction
 from keepout.apps.reproduction.work import Part, Work, side_by_side
 from keepout.core.compiled.kept_programs import keep_programs
 from keepout.core.errors import ScenarioError, UsageError
 from keepout.core.progress import Progress, never_back, part_of, silent
-from keepout.flights.pages.folder import results_in, write_summary
+from keepout.core.whole_file import write_whole
+from keepout.flights.pages.folder import machine, results_in, write_summary
+from keepout.flights.pages.page import Markup, Page, text
+from keepout.flights.pages.replay_page import write_replay
+from keepout.flights.pages.replayed import of_flights
 
 PARTS: dict[str, Callable[[Work], Part]] = {
     "table1": table1.table1,
@@ -78,7 +84,7 @@ def reproduce(
             done[name] = part
             # After each part, so that a page stands even if a later part is stopped.
             finished = [done[name] for name in chosen if name in done]
-            write_reproduction(out, finished, introduction=INTRODUCTION, quick=quick)
+            write_reproduction(out, finished, quick=quick)
             write_summary(out, [row for part in finished for row in part.named_rows])
         return part
 
@@ -97,3 +103,59 @@ def reproduce(
             repeated(name, part_of(progress, share, 1.0))
     progress(1.0, "")
     return [done[name] for name in chosen]
+
+
+def write_reproduction(out: Path, parts: Sequence[Part], *, quick: bool) -> None:
+    """Write the CSV files of all parts, `tables.json` with all of them, and one page.
+
+    Args:
+        out: folder; each part's figures and replay stand in the folder of its name.
+        parts: in the paper's order.
+        quick: whether the figures come from a quick run; the page says so.
+
+    """
+    for part in parts:
+        for table in part.tables:
+            table.write(out / part.name)
+    told = {
+        "machine": machine(),
+        "date": datetime.date.today().isoformat(),
+        "version": keepout.__version__,
+        "quick": quick,
+        "sections": [
+            {
+                **{"name": part.name, "title": part.title, "paper": part.paper, "ours": list(part.ours)},
+                "tables": [
+                    {"name": table.name, "caption": table.caption, "rows": [dict(row) for row in table.rows]}
+                    for table in part.tables
+                ],
+            }
+            for part in parts
+        ],
+    }
+    write_whole(out / "tables.json", json.dumps(told, indent=1, ensure_ascii=False) + "\n")
+    page = Page(out / "index.html", "The paper's Section VI, repeated")
+    page.words(
+        INTRODUCTION + (" This is a quick run: fewer flights, and the fields that are at hand." if quick else "")
+    )
+    contents = "".join(f'<li><a href="#{part.name}">{text(part.title)}</a></li>' for part in parts)
+    page.markup(f"<ul>{contents}</ul>")
+    for part in parts:
+        _tell(page, part)
+    page.write()
+
+
+def _tell(page: Page, part: Part) -> None:
+    folder = page.path.parent / part.name
+    page.heading(part.title, name=part.name)
+    page.words(Markup(f"<b>The paper:</b> {text(part.paper)}"), *part.ours)
+    for table in part.tables:
+        link = page.link(folder / f"{table.name}.csv", f"{table.name}.csv")
+        page.words(Markup(f"{text(table.caption)} ({link})"))
+        page.table(table.rows, wide=True)
+    if part.flights:
+        write_replay(folder / "replay.html", of_flights(part.flights), title=part.title)
+        page.heading("Replay", 3)
+        page.replay(folder / "replay.html")
+    for name, caption in part.drawings.items():
+        page.picture(folder / f"{name}.png", caption, vector=True)

@@ -24,7 +24,7 @@ from keepout.apps.reproduction.flown import (
     log_of,
     trapped,
 )
-from keepout.apps.reproduction.work import Drawing, Part, Table, Work, side_by_side
+from keepout.apps.reproduction.work import Part, Table, Work, side_by_side
 from keepout.core.control.barrier_grid import BarrierGrid
 from keepout.core.control.geodesic import geodesic_guidance
 from keepout.core.control.guidance import Guidance, Straight, StraightGuidance
@@ -259,22 +259,20 @@ def table_line(row: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _drawings(work: Work, flights: Mapping[str, Flight], counts: Sequence[Mapping[str, Any]]) -> list[Drawing]:
+def _drawings(work: Work, flights: Mapping[str, Flight], counts: Sequence[Mapping[str, Any]]) -> dict[str, str]:
     """Draw the paper's figures in its order, then those that it lacks."""
     sets = {"": ""}
     if any(name.endswith(", 20 Hz") for name in flights):
         sets[", 20 Hz"] = "-20hz"
-    drawings = []
+    drawings = {}
     for ending, suffix in sets.items():
         what = f"k_p {MAIN_LENGTH:g}, " if ending else ""
         shown = {name: flights[f"{what}{name}{ending}"] for name in CIRCULATIONS.values()}
         if not ending:
             shown["default law"] = flights["default law"]
-        drawings += figures.draw_case(work.folder, shown, suffix=suffix, remark=ending)
+        drawings |= figures.draw_case(work.folder, shown, suffix=suffix, remark=ending)
     wing = {name: flights[f"wing, {name}"] for name in CIRCULATIONS.values()}
-    drawings.append(figures.draw_wing(work.folder, wing))
-    drawings.append(figures.draw_map(work.folder, counts))
-    return [Drawing(name, caption) for name, caption in drawings]
+    return drawings | figures.draw_wing(work.folder, wing) | figures.draw_map(work.folder, counts)
 
 
 def draw_pairs(count: int, *, seed: int) -> list[tuple[Triple, Triple]]:

@@ -5,12 +5,11 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
-from keepout.apps.reproduction.figures import draw_comparisons
+from keepout.apps.reproduction.figures import draw_comparisons, goal_error
 from keepout.apps.reproduction.fitted import paper_network, target_of
 from keepout.apps.reproduction.flown import kept_flight
-from keepout.apps.reproduction.work import Drawing, Part, Table, Work, side_by_side
+from keepout.apps.reproduction.work import Part, Table, Work, side_by_side
 from keepout.core.mission.flight import Flight
 from keepout.core.mission.scenario import Scenario
 from keepout.core.progress import part_of
@@ -115,11 +114,6 @@ def row(comparison: str, observer: str, flight: Flight) -> dict[str, Any]:
     }
 
 
-def goal_error(flight: Flight) -> Float[np.ndarray, "N"]:
-    """Give the distance to the goal, m."""
-    return np.linalg.norm(flight.record.position - np.asarray(flight.scenario.goal.position), axis=1)
-
-
 def found(rows: list[dict[str, Any]], *, quick: bool) -> list[str]:
     """Say in plain sentences what the rows show."""
     error = {(entry["comparison"], entry["observer"]): entry["settled_error_rms_mm"] for entry in rows}
@@ -154,7 +148,7 @@ def found(rows: list[dict[str, Any]], *, quick: bool) -> list[str]:
     return said
 
 
-def _drawings(work: Work, flights: dict[tuple[str, str], Flight]) -> list[Drawing]:
+def _drawings(work: Work, flights: dict[tuple[str, str], Flight]) -> dict[str, str]:
     """Draw four quantities, each with and without observer."""
     drawn: dict[str, tuple[str, Callable[[Flight], np.ndarray], dict[str, Any]]] = {
         "error": (
@@ -184,4 +178,4 @@ def _drawings(work: Work, flights: dict[tuple[str, str], Flight]) -> list[Drawin
             shown = values(flight)
             panels.setdefault(comparison, {})[observer] = (flight.record.time[: len(shown)], shown)
         draw_comparisons(work.folder / f"{name}.png", panels, **how)
-    return [Drawing(name, caption) for name, (caption, *_) in drawn.items()]
+    return {name: caption for name, (caption, *_) in drawn.items()}

@@ -7,7 +7,7 @@ import numpy as np
 
 from keepout.apps.reproduction.figures import draw_series
 from keepout.apps.reproduction.fitted import target_of
-from keepout.apps.reproduction.work import Drawing, Part, Table, Work, side_by_side
+from keepout.apps.reproduction.work import Part, Table, Work, side_by_side
 from keepout.core.geometry.target import Target
 from keepout.core.mission.build import load_model
 from keepout.core.mission.scenario import Scenario
@@ -67,7 +67,7 @@ def case3(work: Work) -> Part:
     answers = side_by_side(jobs, part_of(work.progress, 0.0, 0.95))
     kept = {key: answers[scenario.name] for key, scenario in scenarios.items()}
     rows = [row(target, law, scenarios[target, law], kept[target, law]) for target, law in scenarios]
-    drawings = []
+    drawings = {}
     for name in targets:
         scenario = scenarios[name, PRINTED]
         draw_series(
@@ -76,7 +76,7 @@ def case3(work: Work) -> Part:
             tolerance=scenario.goal.tolerance,
             speed_limit=scenario.chaser.speed_limit,
         )
-        drawings.append(Drawing(name, _caption(name, scenario)))
+        drawings[name] = _caption(name, scenario)
     return Part(
         name="case3",
         title="Case 3: Monte Carlo",

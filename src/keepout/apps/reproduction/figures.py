@@ -1,6 +1,7 @@
 """Figures of the parts, as the paper has them, for print in one column: PNG and SVG."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -38,8 +39,8 @@ _SAMPLES = 600
 _LEAST = 1e-4
 """Lower end of a logarithmic axis, in its unit."""
 
-Line = tuple[np.ndarray, np.ndarray]
-"""Times, s, and values."""
+Line = tuple[Any, Any]
+"""Times, s, or steps, and values."""
 Curve = Mapping[str, Sequence[float] | Sequence[int]]
 """Of a fit: `steps`, `value_term`, `gradient_term` and `mean_error_m`."""
 
@@ -53,11 +54,9 @@ class Triangles(NamedTuple):
 
 def draw_training(path: Path, curves: Mapping[str, Curve]) -> None:
     """Draw both terms of the loss, and the mean error, over the steps of several fits, by target."""
-    with column(path, 5.2) as drawing:
-        panels = drawing.subplots(3, 1, sharex=True)
-        for (name, curve), look in _looks(curves):
-            for axes, key in zip(panels, ("value_term", "gradient_term", "mean_error_m")):
-                axes.plot(curve["steps"], curve[key], label=name, **look)
+    keys = ("value_term", "gradient_term", "mean_error_m")
+    lines = [{name: (curve["steps"], curve[key]) for name, curve in curves.items()} for key in keys]
+    with _lines(path, 5.2, lines) as panels:
         panels[0].set(yscale="log", ylabel="L_P (normalised)")
         panels[1].set(yscale="log", ylabel="η L_E (normalised)")
         panels[2].set(ylabel="mean f̃ − d [m]", xlabel="step")
@@ -69,12 +68,11 @@ def draw_training(path: Path, curves: Mapping[str, Curve]) -> None:
 def draw_sinking(path: Path, curves: Mapping[str, Curve]) -> None:
     """Draw the mean error over the steps of fits of one target, by reading of the loss."""
     last = min(curve["steps"][-1] for curve in curves.values())
-    with column(path, 2.6) as drawing:
-        axes = drawing.subplots()
-        for (name, curve), look in _looks(curves):
-            shown = [k for k, step in enumerate(curve["steps"]) if step <= last]
-            steps, error = ([curve[key][k] for k in shown] for key in ("steps", "mean_error_m"))
-            axes.plot(steps, error, marker="o", markersize=3, label=name, **look)
+    lines = {}
+    for name, curve in curves.items():
+        shown = sum(step <= last for step in curve["steps"])
+        lines[name] = curve["steps"][:shown], curve["mean_error_m"][:shown]
+    with _lines(path, 2.6, [lines], marker="o", markersize=3) as [axes]:
         axes.axhline(0.0, color="black", linewidth=0.8)
         axes.set(xlabel="step", ylabel="mean f̃ − d [m]")
         axes.legend()
@@ -129,7 +127,7 @@ def extent(outline: Float[np.ndarray, "2 2"]) -> tuple[float, float]:
     return 2.0 * float(np.sqrt(outline[0, 0])), 2.0 * float(np.sqrt(outline[1, 1]))
 
 
-def draw_case(folder: Path, flights: Mapping[str, Flight], *, suffix: str, remark: str) -> list[tuple[str, str]]:
+def draw_case(folder: Path, flights: Mapping[str, Flight], *, suffix: str, remark: str) -> dict[str, str]:
     """Draw flights of Case 1 as the paper does; the first two are those without and with circulation.
 
     Args:
@@ -139,7 +137,7 @@ def draw_case(folder: Path, flights: Mapping[str, Flight], *, suffix: str, remar
         remark: ends each caption, as ", 20 Hz".
 
     Returns:
-        Name and caption of each figure.
+        Caption of each figure, by name.
 
     """
     names = list(flights)
@@ -147,38 +145,51 @@ def draw_case(folder: Path, flights: Mapping[str, Flight], *, suffix: str, remar
     first = flights[names[0]]
     told = f"k_p = {first.scenario.control.paper.slowing_length:g} m{remark}"
     _draw_path_panels(folder / f"paths{suffix}.png", flights, {names[0]: names[:1], names[1]: names[1:]}, (18.0, -25.0))
-    with column(folder / f"barrier{suffix}.png", 2.6) as drawing:
-        axes = drawing.add_subplot()
-        for (name, flight), look in _looks(flights):
-            axes.plot(flight.record.time, flight.record.barrier, label=name, **look)
+    barriers = {name: (flight.record.time, flight.record.barrier) for name, flight in flights.items()}
+    with _lines(folder / f"barrier{suffix}.png", 2.6, [barriers]) as [axes]:
         axes.axhline(0.0, color="black", linewidth=0.8)
         axes.set(xlabel="time s", ylabel="barrier h, m")
         axes.legend()
-    with column(folder / f"error{suffix}.png", 2.6) as drawing:
-        axes = drawing.add_subplot()
-        for (name, flight), look in _looks(flights):
-            error = np.linalg.norm(flight.record.position - np.asarray(flight.scenario.goal.position), axis=1)
-            axes.semilogy(flight.record.time, error, label=name, **look)
+    errors = {name: (flight.record.time, goal_error(flight)) for name, flight in flights.items()}
+    with _lines(folder / f"error{suffix}.png", 2.6, [errors]) as [axes]:
         axes.axhline(first.scenario.goal.tolerance, color="grey", linewidth=0.8, linestyle=":")
-        axes.set(xlabel="time s", ylabel="position error ‖r_e‖, m")
+        axes.set(xlabel="time s", ylabel="position error ‖r_e‖, m", yscale="log")
         axes.legend(loc="center right", bbox_to_anchor=(1.0, 0.78))
     _draw_by_axis(folder / f"safe-velocity{suffix}.png", pair, "safe_velocity", "v_s, m/s")
     _draw_by_axis(folder / f"velocity{suffix}.png", pair, "velocity", "v, m/s")
-    return [
-        (f"paths{suffix}", f"Paths (start: square, end: disc, goal: star), {told}"),
-        (f"barrier{suffix}", f"Barrier h of the law's own field, {told}"),
-        (f"error{suffix}", f"Distance to the goal, and its tolerance (dotted), {told}"),
-        (f"safe-velocity{suffix}", f"Safe velocity by axis, and ±v_max (dotted), {told}"),
-        (f"velocity{suffix}", f"Velocity by axis, and ±v_max (dotted), {told}"),
-    ]
+    return {
+        f"paths{suffix}": f"Paths (start: square, end: disc, goal: star), {told}",
+        f"barrier{suffix}": f"Barrier h of the law's own field, {told}",
+        f"error{suffix}": f"Distance to the goal, and its tolerance (dotted), {told}",
+        f"safe-velocity{suffix}": f"Safe velocity by axis, and ±v_max (dotted), {told}",
+        f"velocity{suffix}": f"Velocity by axis, and ±v_max (dotted), {told}",
+    }
 
 
-def draw_wing(folder: Path, flights: Mapping[str, Flight]) -> tuple[str, str]:
-    """Draw the paths across a wing; returns the figure's name and caption."""
+def goal_error(flight: Flight) -> Float[np.ndarray, "N"]:
+    """Give the distance to the goal, m."""
+    return np.linalg.norm(flight.record.position - np.asarray(flight.scenario.goal.position), axis=1)
+
+
+@contextmanager
+def _lines(path: Path, height: float, panels: Sequence[Mapping[str, Line]], **style: Any) -> Iterator[list[Axes]]:
+    """Draw lines by label in panels one above the other, to be finished; a label has one look in all of them."""
+    looks = {name: look for (name, _), look in _looks({name: 0 for lines in panels for name in lines})}
+    with column(path, height) as drawing:
+        every = list(drawing.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0])
+        for axes, lines in zip(every, panels):
+            for name, (along, values) in lines.items():
+                axes.plot(along, values, label=name, **looks[name] | style)
+        yield every
+
+
+def draw_wing(folder: Path, flights: Mapping[str, Flight]) -> dict[str, str]:
+    """Draw the paths across a wing; returns the figure's caption, by name."""
     scenario = next(iter(flights.values())).scenario
     _draw_path_panels(folder / "wing.png", flights, {name: [name] for name in flights}, (20.0, -60.0))
     start, goal, length = scenario.start.position, scenario.goal.position, scenario.control.paper.slowing_length
-    return "wing", f"From {start} to {goal} m, across a wing, k_p = {length:g} m (start: square, end: disc, goal: star)"
+    told = f"From {start} to {goal} m, across a wing, k_p = {length:g} m (start: square, end: disc, goal: star)"
+    return {"wing": told}
 
 
 def _draw_path_panels(
@@ -212,8 +223,8 @@ def _draw_by_axis(path: Path, flights: Mapping[str, Flight], of: str, label: str
         panels[0].legend(ncols=3, loc="upper right", bbox_to_anchor=(1.0, 0.95))
 
 
-def draw_map(folder: Path, counts: Sequence[Mapping[str, Any]]) -> tuple[str, str]:
-    """Draw how often each choice of circulation is trapped, arrives, touches, over k_p; returns name and caption."""
+def draw_map(folder: Path, counts: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    """Draw how often each choice of circulation is trapped, arrives, touches, over k_p; gives its caption, by name."""
     choices = dict.fromkeys(count["circulation"] for count in counts)
     with column(folder / "map.png", 5.2) as drawing:
         panels = drawing.subplots(3, 1, sharex=True)
@@ -230,7 +241,7 @@ def draw_map(folder: Path, counts: Sequence[Mapping[str, Any]]) -> tuple[str, st
         panels[-1].set(xlabel="k_p, m")
         drawing.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
     pairs = counts[0]["pairs"]
-    return "map", f"Of {pairs} random ±y pairs, the share that is trapped, arrives clean, or touches"
+    return {"map": f"Of {pairs} random ±y pairs, the share that is trapped, arrives clean, or touches"}
 
 
 def draw_comparisons(

@@ -27,7 +27,7 @@ from keepout.apps.reproduction.figures import draw_step_times
 from keepout.apps.reproduction.fitted import PAPER_NETWORK, paper_network, target_of
 from keepout.apps.reproduction.flown import kept_flight, trapped
 from keepout.apps.reproduction.usual_way import TorchField, UsualWay, missing_extra
-from keepout.apps.reproduction.work import Drawing, Part, Table, Work, side_by_side
+from keepout.apps.reproduction.work import Part, Table, Work, side_by_side
 from keepout.core.control.controller import Controller
 from keepout.core.control.profiles import ControlWarning
 from keepout.core.errors import ControlError
@@ -68,6 +68,7 @@ class Contender:
         usual: whether it runs the usual way (`usual_way`), else on board as Keepout does.
         field: a field file instead of the scenario's.
         idle: a further network that is evaluated for its cost only; see `TorchField`.
+        missing: why it cannot run here; None where it can.
 
     """
 
@@ -76,6 +77,7 @@ class Contender:
     usual: bool = False
     field: Path | None = None
     idle: tuple[int, int] | None = None
+    missing: str | None = None
 
 
 @dataclass(frozen=True)
@@ -115,7 +117,7 @@ def runtime(work: Work) -> Part:
                 cone,
             ),
         ],
-        drawings=[Drawing("step-times", "Time of each control step over the flight; thick: its median")],
+        drawings={"step-times": "Time of each control step over the flight; thick: its median"},
     )
 
 
@@ -131,32 +133,35 @@ def contenders(work: Work, network: FieldModel | None) -> list[Contender]:
     printed = flown.replace(
         name="printed", control={"profile": "paper", "paper": {"gradient_error": TIMED_ERROR}}, guard={"enabled": False}
     )
+    missing = missing_extra()
+    usual = functools.partial(Contender, scenario=printed, usual=True, missing=missing)
     made = [
         Contender("Keepout: default law and guard, shipped field", flown.replace(name="default")),
         Contender("Keepout: printed constants, shipped field", printed),
     ]
     if not work.quick:
-        made.append(Contender("usual way: printed constants, shipped field", printed, usual=True))
+        made.append(usual("usual way: printed constants, shipped field"))
     if network is not None:
         # With its certificate, for the process that times; a folder that was named is not written to.
         file = PAPER_NETWORK.path(work.folder / "fields", network.target_name)
         file.parent.mkdir(parents=True, exist_ok=True)
         network.save(file)
         made.append(Contender("Keepout: printed constants, 10 x 512", printed, field=file))
-        made.append(Contender("usual way: printed constants, 10 x 512", printed, usual=True, field=file))
-    else:
-        made.append(Contender("usual way: printed constants, 10 x 512", printed, usual=True, idle=NETWORK))
+        return [*made, usual("usual way: printed constants, 10 x 512", field=file)]
+    made.append(usual("usual way: printed constants, 10 x 512", idle=NETWORK))
+    if not work.quick:
+        made.append(Contender("Keepout: printed constants, 10 x 512", printed, missing=_NO_FIELD))
     return made
 
 
 def step_rows(work: Work, network: FieldModel | None) -> list[tuple[dict[str, Any], np.ndarray | None]]:
     """Time every contender; one that cannot run here has a row whose note says why, and no times."""
-    every, missing = contenders(work, network), missing_extra()
-    run = [contender for contender in every if missing is None or not contender.usual]
+    every = contenders(work, network)
+    run = [contender for contender in every if contender.missing is None]
 
     def make() -> dict[str, np.ndarray]:
-        answers = time_apart(run)
-        return {f"{place}-{name}": value for place, timed in enumerate(answers) for name, value in vars(timed).items()}
+        answers = enumerate(time_apart(run))
+        return {f"{place}-{name}": value for place, timed in answers for name, value in vars(timed).items()}
 
     made_of = {
         "contenders": [
@@ -175,21 +180,14 @@ def step_rows(work: Work, network: FieldModel | None) -> list[tuple[dict[str, An
         contender.name: Timed(arrays[f"{place}-seconds"], arrays[f"{place}-position"], int(arrays[f"{place}-unsolved"]))
         for place, contender in enumerate(run)
     }
-    rows: list[tuple[dict[str, Any], np.ndarray | None]] = []
-    for contender in every:
-        timed = answers.get(contender.name)
-        row = _step_row(contender, timed, missing or "")
-        rows.append((row, None if timed is None else timed.seconds))
-    if network is None and not work.quick:
-        row = _step_row(Contender("Keepout: printed constants, 10 x 512", Scenario()), None, _NO_FIELD)
-        rows.append((row, None))
-    return rows
+    timed = [(contender, answers.get(contender.name)) for contender in every]
+    return [(_step_row(contender, of), None if of is None else of.seconds) for contender, of in timed]
 
 
-def _step_row(contender: Contender, timed: Timed | None, missing: str) -> dict[str, Any]:
+def _step_row(contender: Contender, timed: Timed | None) -> dict[str, Any]:
     figures = ("steps", "median_ms", "p99_ms", "max_ms", "above_10_ms", "final_error_m", "unsolved")
     if timed is None:
-        return {"contender": contender.name, **dict.fromkeys(figures), "note": missing}
+        return {"contender": contender.name, **dict.fromkeys(figures), "note": contender.missing}
     taken = 1e3 * timed.seconds
     error = np.linalg.norm(timed.position[-1] - np.asarray(contender.scenario.goal.position))
     note = ""

@@ -11,7 +11,7 @@ import numpy as np
 from keepout.apps.reproduction import figures, fitted
 from keepout.apps.reproduction.figures import Triangles
 from keepout.apps.reproduction.fitted import CHASER_RADII, OFFSET, SHIPPED, TARGETS
-from keepout.apps.reproduction.work import Drawing, Part, Table, Work
+from keepout.apps.reproduction.work import Part, Table, Work
 from keepout.core.fields.model import FieldModel
 from keepout.core.geometry.mesh_report import enclosed_volume
 from keepout.core.geometry.target import Target
@@ -37,7 +37,7 @@ PRINTED_LEARNED, PRINTED_ELLIPSOID = 91.4, 270.6
 def surfaces(work: Work) -> Part:
     """Cut the zero level of every field there is, measure how far it lies from the mesh, and draw them."""
     rows: list[dict[str, Any]] = []
-    drawings: list[Drawing] = []
+    drawings: dict[str, str] = {}
     enclosed = {}
     for stretch, name in work.stretches(TARGETS):
         target = fitted.target_of(name)
@@ -50,12 +50,10 @@ def surfaces(work: Work) -> Part:
             rows.append({"target": name, "field": label, **_distances(own, target, model, surface)})
             best = shown[f"f̃ = 0, {label}"] = Triangles(surface.vertices, surface.faces)
         figures.draw_surfaces(work.folder / f"surfaces-{name}.png", shown)
-        drawings.append(
-            Drawing(f"surfaces-{name}", f"{name}: the mesh, and the zero level of the fields by marching cubes")
-        )
+        drawings[f"surfaces-{name}"] = f"{name}: the mesh, and the zero level of the fields by marching cubes"
         enclosed[name] = (best, smallest_ellipsoid(target.vertices, 1e-5))
     figures.draw_ellipsoids(work.folder / "ellipsoids.png", enclosed)
-    drawings.append(Drawing("ellipsoids", "The zero level of the last of the fields in the smallest ellipsoid"))
+    drawings["ellipsoids"] = "The zero level of the last of the fields in the smallest ellipsoid"
     return Part(
         name="surfaces",
         title="Estimated surfaces",

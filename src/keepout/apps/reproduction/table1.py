@@ -10,7 +10,7 @@ import numpy as np
 from keepout.apps.reproduction import fitted
 from keepout.apps.reproduction.figures import draw_sinking, draw_training
 from keepout.apps.reproduction.fitted import DEFAULT, DEVIATIONS, OFFSET, PAPER_NETWORK, PRINTED, SHIPPED, TARGETS
-from keepout.apps.reproduction.work import Drawing, Part, Table, Work
+from keepout.apps.reproduction.work import Part, Table, Work
 from keepout.core.fields import load_shipped
 from keepout.core.fields.field import values
 from keepout.core.fields.model import FieldModel
@@ -244,24 +244,20 @@ def _proof_attempt(work: Work, target: Target, model: FieldModel) -> list[dict[s
     return work.numbers(f"proof-{target.name}", [model.sha256, PIECE_SIZES, PIECES, work.seed], make)
 
 
-def _drawings(work: Work, networks: dict[str, FieldModel]) -> list[Drawing]:
+def _drawings(work: Work, networks: dict[str, FieldModel]) -> dict[str, str]:
     """Draw the training curves of what was fitted."""
-    drawings = []
+    drawings = {}
     curves = {name: model.training["curve"] for name, model in networks.items() if "curve" in model.training}
     if curves:
         draw_training(work.folder / "training.png", curves)
-        drawings.append(
-            Drawing("training", "Training of the paper's network: both terms of the loss, and the mean of f̃ − d")
-        )
+        drawings["training"] = "Training of the paper's network: both terms of the loss, and the mean of f̃ − d"
     target = fitted.target_of(TARGET_OF_PRINTED)
     printed = fitted.field_of(work, PRINTED, target, fitting=not work.quick and work.fields is None)
     if printed is not None and TARGET_OF_PRINTED in curves:
         readings = {"L_P as printed": printed.training["curve"], "pinball reading": curves[TARGET_OF_PRINTED]}
         draw_sinking(work.folder / "sinking.png", readings)
-        drawings.append(
-            Drawing(
-                "sinking", f"{TARGET_OF_PRINTED}: the mean of f̃ − d under the printed L_P and under its pinball reading"
-            )
+        drawings["sinking"] = (
+            f"{TARGET_OF_PRINTED}: the mean of f̃ − d under the printed L_P and under its pinball reading"
         )
     return drawings
 

@@ -24,25 +24,11 @@ from keepout.core.progress import Progress, never_back, part_of, silent
 from keepout.core.whole_file import write_whole
 from keepout.flights.pages.page import Table
 
-__all__ = ["Drawing", "Part", "Table", "Work", "side_by_side"]
+__all__ = ["Part", "Table", "Work", "side_by_side"]
 
 Thing = TypeVar("Thing")
 MOST = 2
 """Computations at once, so that memory stays small."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Drawing:
-    """A figure of a reproduction: `<name>.png` and `<name>.svg` in the part's folder.
-
-    Attributes:
-        name: of its files, without ending.
-        caption: what it shows, plain text.
-
-    """
-
-    name: str
-    caption: str
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,7 +42,7 @@ class Part:
         ours: what was found, plain text, a paragraph each.
         rows: one row a flight, field or campaign; see `named_rows`.
         tables: each becomes a CSV file and a table of the page.
-        drawings: each is a PNG and an SVG file that stand in the part's folder.
+        drawings: caption, plain text, of each figure by name: `<name>.png` and `<name>.svg` in the part's folder.
         flights: to be replayed on the page, all around one target.
 
     """
@@ -67,7 +53,7 @@ class Part:
     ours: Sequence[str]
     rows: Sequence[dict[str, Any]]
     tables: Sequence[Table] = ()
-    drawings: Sequence[Drawing] = ()
+    drawings: Mapping[str, str] = dataclasses.field(default_factory=dict)
     flights: Mapping[str, Flight] = dataclasses.field(default_factory=dict)
 
     @property

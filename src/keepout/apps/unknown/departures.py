@@ -5,7 +5,6 @@ Both findings are theorems under the sensor's promises (docs/explore.md): what i
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Float32
@@ -32,7 +31,6 @@ class Departures:
         missing: (m, 3) points of the expected surface in room that is known to be free, m.
         depth: (m,) how far at least each is from everything that may be target, m; at most the map's cap.
         explained: the greatest distance between a return and the surface that it came from, m.
-        seen_area: of the cubes' sides that hold `points`, one side a cube, m²: a rough figure.
         missing_area: of the expected surface that `missing` stands for, m²: a mean over random points.
 
     """
@@ -42,32 +40,12 @@ class Departures:
     missing: Float[np.ndarray, "m 3"]
     depth: Float[np.ndarray, "m"]
     explained: float
-    seen_area: float
     missing_area: float
-
-    @property
-    def differs(self) -> bool:
-        """Whether the target surely differs from what was expected."""
-        return len(self.points) > 0 or len(self.missing) > 0
 
     @property
     def largest(self) -> float:
         """Greatest of all distances and depths, m; 0 where nothing departs."""
         return float(max(self.distance.max(initial=0.0), self.depth.max(initial=0.0)))
-
-    def summary(self) -> dict[str, Any]:
-        """Give the figures as plain numbers for JSON."""
-        return {
-            "differs": self.differs,
-            "largest_m": self.largest,
-            "explained_m": self.explained,
-            "seen_elsewhere_points": len(self.points),
-            "seen_elsewhere_largest_m": float(self.distance.max(initial=0.0)),
-            "seen_elsewhere_area_m2": self.seen_area,
-            "missing_points": len(self.missing),
-            "missing_deepest_m": float(self.depth.max(initial=0.0)),
-            "missing_area_m2": self.missing_area,
-        }
 
 
 def explained_distance(known: KnownFreeMap, camera: Pinhole) -> float:
@@ -79,14 +57,13 @@ def explained_distance(known: KnownFreeMap, camera: Pinhole) -> float:
     return float(known.bounds.return_error(camera, np.array([known.bounds.greatest_range]))[0]) + lattice + _ROUNDING
 
 
-def departures(known: KnownFreeMap, expected: Target, camera: Pinhole, *, seed: int = 0) -> Departures:
+def departures(known: KnownFreeMap, expected: Target, camera: Pinhole) -> Departures:
     """Say where the seen surface is not where the expected mesh has it, and which expected surface is not there.
 
     Args:
         known: the map, whose sensor kept its promises.
         expected: the mesh that the mission believes in, in the map's frame.
         camera: that took the views: the width of its pixels is part of a return's error.
-        seed: of the points of the expected surface that are looked up.
 
     """
     explained = explained_distance(known, camera)
@@ -96,20 +73,16 @@ def departures(known: KnownFreeMap, expected: Target, camera: Pinhole, *, seed: 
         part = slice(first, first + _PIECE)
         distance[part] = expected.distance.distance(returns[part].astype(np.float64))
     elsewhere = distance > explained
-    points = returns[elsewhere]
-    cubes = np.unique(np.floor((points - known.origin) / known.spacing).astype(np.int64), axis=0)
-
     area = expected.distance.area
     count = int(np.clip(SAMPLES_A_SQUARE * area / known.spacing**2, FEWEST, MOST))
-    surface = surface_points(expected.distance, count, np.random.default_rng(seed))
+    surface = surface_points(expected.distance, count, np.random.default_rng(0))
     missing = surface[known.is_free(surface)]
     return Departures(
-        points=points,
+        points=returns[elsewhere],
         distance=distance[elsewhere],
         missing=missing,
         depth=_depth(known, missing),
         explained=explained,
-        seen_area=len(cubes) * known.spacing**2,
         missing_area=area * len(missing) / count,
     )
 

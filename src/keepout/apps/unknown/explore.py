@@ -21,8 +21,8 @@ from keepout.apps.unknown.depth_sensor import DepthCamera, ErrorDraw, take
 from keepout.apps.unknown.exploration import Exploration, TakenView
 from keepout.apps.unknown.known_free import KnownFreeMap, ViewStatus
 from keepout.apps.unknown.next_view import UP, Ended, NextView, Seeker, choose
-from keepout.apps.unknown.open_surface import open_surface, seen_share
 from keepout.apps.unknown.skin import Stages
+from keepout.apps.unknown.truth import WronglyFree, broken_promises, open_surface, seen_share
 from keepout.apps.unknown.view import View
 from keepout.core.compiled.kept_programs import keep_programs
 from keepout.core.errors import ControlError
@@ -163,7 +163,7 @@ class _Seen:
 
     def __init__(self, known: KnownFreeMap, camera: DepthCamera, target: Target) -> None:
         self.known, self.tried = known, Tried.of_map(known, camera.camera)
-        self.wrongly_free = equipment.WronglyFree(known, target)
+        self.wrongly_free = WronglyFree(known, target)
         self.views: list[TakenView] = []
         self.stages = Stages(known, 0.0)
         self.outside, self.free_volume = 0, 0.0
@@ -189,7 +189,7 @@ class _Seen:
 
     def broken(self, scenario: Scenario, target: Target, ball: DeclaredBall) -> tuple[str, ...]:
         """Name the promises that were broken, and note them with the map."""
-        found = equipment.broken_promises(scenario, target, ball) + self.wrongly_free.words(scenario)
+        found = broken_promises(scenario, target, ball) + self.wrongly_free.words(scenario)
         if self.outside:
             found += (f"{self.outside} returns lie outside the declared ball (map.centre, map.radius)",)
         self.known.broken = tuple(dict.fromkeys((*self.known.broken, *found)))

@@ -241,26 +241,19 @@ class KnownFreeMap:
         """Free the cubes that the rule frees, and bring the distances up to date; gives how many were freed."""
         rule = rule_of(view, self.bounds, self.spacing)
         empty = empty_ranges(view, self.bounds)
-        first, last = self._blocks_in_reach(view, rule.farthest)
+        blocks = self.blocks_within(view.position, max(rule.farthest, 0.0))
         changed = np.zeros(self._unknown.shape, dtype=np.bool_)
         levels = pyramid(empty), pyramid(empty, greatest=True)
         grid = self.origin, self.spacing
-        opened = free_cubes(rule, *levels, *grid, first, last, self.free, self._unknown, changed)
+        opened = free_cubes(rule, *levels, *grid, *blocks, self.free, self._unknown, changed)
         if opened:
             renew(self.free, self.squares, self.cap_cells, changed, BLOCK)
         return opened
 
-    def _blocks_in_reach(self, view: View, farthest: float) -> tuple[Int[np.ndarray, "3"], Int[np.ndarray, "3"]]:
-        """Give the first and the one after the last block of a box that holds all that the camera sees."""
-        camera = view.camera
-        half = np.array([0.5 * camera.width, 0.5 * camera.height]) / camera.focal
-        corners = np.array([[a * half[0], b * half[1], 1.0] for a in (-1, 1) for b in (-1, 1)])
-        # The part of the cone nearer than `farthest` lies within the pyramid cut there across the boresight.
-        reached = np.vstack([view.position, view.position + max(farthest, 0.0) * corners @ view.axes.T])
-        cells = (np.array([reached.min(axis=0), reached.max(axis=0)]) - self.origin) / (BLOCK * self.spacing)
-        blocks = len(self.free) // BLOCK
-        first = np.clip(np.floor(cells[0]) - 1, 0, blocks).astype(np.int64)
-        return first, np.clip(np.ceil(cells[1]) + 1, 0, blocks).astype(np.int64)
+    def blocks_within(self, place: Float[np.ndarray, "3"], reach: float) -> Int[np.ndarray, "2 3"]:
+        """Give the first and the one after the last block of a box round all that is within `reach` of a place, m."""
+        ends = (place + np.array([[-reach], [reach]]) - self.origin) / (BLOCK * self.spacing)
+        return np.clip([np.floor(ends[0]) - 1, np.ceil(ends[1]) + 1], 0, len(self.free) // BLOCK).astype(np.int64)
 
     def _status(self, view: View) -> ViewStatus:
         if not all(np.isfinite(part).all() for part in (view.position, view.axes, view.time)):

@@ -81,8 +81,6 @@ class NextView:
     direction: Float[np.ndarray, "3"]
     """Unit vector along the boresight; `UP` is up in the image that was counted on."""
     why: str
-    gain: float
-    """What the view is expected to open, m³, each part times how much it is wanted (at most 1)."""
     is_goal: bool = False
 
 
@@ -118,7 +116,7 @@ def choose(
     reach = reachable(known, seeker.position, keep)
     if goal is not None and reach.leads_to(known, goal):
         towards = known.origin + 0.5 * known.spacing * np.array(known.free.shape) - goal
-        return NextView(goal, _unit(towards), "goal is reachable", 0.0, is_goal=True)
+        return NextView(goal, _unit(towards), "goal is reachable", is_goal=True)
     if not reach.reached.any():
         return Ended(
             "no way known",
@@ -199,10 +197,9 @@ class _Search:
                 nodes, gains = np.concatenate([nodes, more]), np.concatenate([gains, more_gains])
                 rates = np.concatenate([rates, self._rates(more, more_gains)])
         place, direction = np.unravel_index(np.argmax(rates), rates.shape)
-        gain = float(gains[place, direction])
-        if rates[place, direction] <= 0.0 or gain < _LEAST_GAIN:
+        if rates[place, direction] <= 0.0 or float(gains[place, direction]) < _LEAST_GAIN:
             return None
-        return NextView(self.reach.place(nodes[place][None])[0], self.directions[direction].copy(), "", gain)
+        return NextView(self.reach.place(nodes[place][None])[0], self.directions[direction].copy(), "")
 
     def _places(self, wanted: Float[np.ndarray, "w 3"]) -> Int[np.ndarray, "n 3"]:
         """Lattice nodes on shells of all ranges round what is wanted, and where normals of the frontier lead."""
