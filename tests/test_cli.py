@@ -271,6 +271,7 @@ HEAVY = ("jax", "equinox", "matplotlib", "trimesh", "optax", "skimage")
 LIGHT = (*HEAVY, "numpy", "scipy", "numba", "pyarrow", "onnx", "czml3", "lxml")
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
 def test_light_commands_import_nothing_heavy():
     commands = {

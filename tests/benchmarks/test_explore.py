@@ -34,6 +34,7 @@ def known_round(box):
     return known
 
 
+@pytest.mark.long
 def test_triangle_meets_cube_as_the_packages_geometry_says():
     """Which tests/apps/unknown/test_cubes_met.py holds against a linear programme."""
     generator = np.random.default_rng(0)
@@ -45,6 +46,7 @@ def test_triangle_meets_cube_as_the_packages_geometry_says():
     assert 0.1 < np.mean(answers) < 0.9
 
 
+@pytest.mark.long
 def test_a_sound_map_has_no_bad_cube_and_one_made_bad_by_hand_is_found(box):
     known = known_round(box)
     assert len(bad_cubes(known, box)) == 0
@@ -70,6 +72,7 @@ class Raised(Field):
         raise NotImplementedError
 
 
+@pytest.mark.long
 def test_a_sound_field_over_states_nowhere_and_one_raised_by_hand_is_found(box):
     known = known_round(box)
     field = MapField.of(known.squares, known.origin, known.spacing)

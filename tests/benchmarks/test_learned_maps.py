@@ -21,6 +21,7 @@ def signed(points: np.ndarray) -> np.ndarray:
     return box_distance(points) + inside
 
 
+@pytest.mark.long
 def test_the_boxs_own_distance_loses_nothing(solid):
     found = learned_maps.measure(signed, RADIUS, solid, contact_with_box(1000, 0.0))
     # Steiner's formula for the box grown by the chaser's radius.
@@ -34,6 +35,7 @@ def test_the_boxs_own_distance_loses_nothing(solid):
     assert found["goals_reached_share"] == 1.0
 
 
+@pytest.mark.long
 def test_what_a_field_claims_too_much_is_measured(solid):
     found = learned_maps.measure(lambda points: signed(points) - 0.2, RADIUS, solid, contact_with_box(1000, 0.0))
     assert found["p95_at_1_m"] == pytest.approx(0.2, abs=1e-6)

@@ -44,6 +44,7 @@ def by_brute_force(sensor, first_hit, axes, points):
     return np.array(held)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("grazing", [math.pi / 2, math.radians(60.0)])
 def test_agrees_with_the_words_of_the_assumption(grazing):
     """Slats of many widths, seen by a coarse image: some are missed, some not."""

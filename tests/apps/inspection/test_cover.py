@@ -30,6 +30,7 @@ def least_number(sees, areas, goal):
     raise AssertionError("all views together do not see the goal")
 
 
+@pytest.mark.long
 @given(seed=st.integers(0, 2**31), share=st.sampled_from([0.5, 0.9, 0.99, 1.0]))
 def test_the_fewest_of_all_choices_is_found_and_proved(seed, share):
     sees, areas = drawn(seed)
@@ -40,6 +41,7 @@ def test_the_fewest_of_all_choices_is_found_and_proved(seed, share):
     assert cover.greedy >= len(cover.chosen)
 
 
+@pytest.mark.long
 @given(seed=st.integers(0, 2**31), share=st.sampled_from([0.5, 0.9, 1.0]), scale=st.floats(0.0, 3.0))
 def test_no_bound_passes_the_least_number_whatever_the_prices(seed, share, scale):
     sees, areas = merged_units(*drawn(seed))

@@ -46,6 +46,7 @@ def held(*positions, seconds=60.0):
 FINE, BLOWN = {"greatest_sample_distance": 0.003}, {"centre": (6.0, 0.2, 0), "radius": 0.5}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("tables", "said"),
     [

@@ -25,6 +25,7 @@ def leading(box):
     return AroundMesh.of(scenario(), box)
 
 
+@pytest.mark.long
 def test_places_are_moved_by_little_and_to_where_the_law_leads(leading):
     generator = np.random.default_rng(0)
     for _ in range(8):
@@ -40,6 +41,7 @@ def test_places_are_moved_by_little_and_to_where_the_law_leads(leading):
     assert leading.reachable(np.zeros(3)) is None  # in the middle of the box no slope leads out
 
 
+@pytest.mark.long
 def test_the_speed_asked_for_is_the_speed_flown_at_within_its_limits(leading):
     here, there = np.array([5.0, 0.0, 0.0]), np.array([-5.0, 0.0, 0.0])
     for asked, flown in ((None, 0.1), (0.05, 0.05), (0.001, 0.02), (7.0, 0.1)):

@@ -77,6 +77,7 @@ def most_there_is(views, lit, areas):
     return best
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("places", "sees", "lit", "areas", "rows", "times"),
     [
@@ -98,6 +99,7 @@ def test_what_is_lit_for_a_moment_decides_the_order(places, sees, lit, areas, ro
         assert latest is None or at <= latest + 1e-6
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(4))
 def test_small_tours_see_as_much_as_any_order_at_any_moments_does(seed):
     generator = np.random.default_rng(seed)
@@ -134,6 +136,7 @@ def every_order(views):
     return np.array(found)
 
 
+@pytest.mark.long
 def test_an_objective_is_made_nearly_as_small_as_by_any_order():
     """Six views, each alone with what it sees, in a light that is always there."""
     views = views_at(np.random.default_rng(2).uniform(-15.0, 15.0, (6, 3)), np.eye(6))

@@ -141,6 +141,7 @@ def norms(points):
     return np.linalg.norm(points, axis=-1)
 
 
+@pytest.mark.long
 def test_the_judgement_of_a_flight_names_what_was_asked_for_and_no_more():
     flight = stays((FIRST.position, 20))
     flight.attitude[:, 0] = 1.0
@@ -221,6 +222,7 @@ def least_propellant(force, most=(1.0,) * 8):
     return linprog(np.ones(8), A_eq=PUSHES.T, b_eq=force, bounds=bounds, method="highs")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(4))
 def test_what_a_sparing_law_asks_for_fires_no_thruster_that_is_barred(seed):
     generator = np.random.default_rng(seed)
@@ -238,6 +240,7 @@ def test_what_a_sparing_law_asks_for_fires_no_thruster_that_is_barred(seed):
     assert np.allclose(none, force)
 
 
+@pytest.mark.long
 def test_a_law_keeps_what_no_barred_thruster_gives():
     case = asked(ASIDE)
     law = sparing(PolicyLaw(jnp.zeros(3), lambda off, velocity, time: jnp.array([0.05, 0.03, 0.03])), case)
@@ -248,6 +251,7 @@ def test_a_law_keeps_what_no_barred_thruster_gives():
     assert pushing(case, np.array([0.05, 0.03, 0.03]))
 
 
+@pytest.mark.long
 def test_thrusters_that_fired_are_those_of_the_flight_with_its_delay_and_lost_commands():
     """Their pushes times their on-times are the mean forces that the flight recorded."""
     case = fired_by(faults={"delay": 2, "dropped": 0.2}, guard={"enabled": False}, seed=5)

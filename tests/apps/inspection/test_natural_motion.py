@@ -88,6 +88,7 @@ def test_the_exact_motion_comes_back_after_an_orbit_whatever_orbit_and_body_do(e
     assert away[after] == pytest.approx(away[0], abs=0.05)
 
 
+@pytest.mark.long
 def test_states_in_the_body_frame_drift_as_those_of_vvlh_do():
     turning = Scenario.model_validate(LOW | {"attitude": {"kind": "tumbling", "angular_velocity": [0.003, 0.0, 0.002]}})
     position, velocity = np.array([[20.0, 5.0, -9.0]]), np.array([[0.01, -0.02, 0.005]])
@@ -213,6 +214,7 @@ def test_half_an_orbit_round_a_box_sees_part_of_it_without_contact():
     assert not np.any(found.seen & (problem.seeable.verdict == Verdict.HIDDEN))
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("few")
 def test_hold_points_fast_ellipses_and_stand_offs_that_nothing_keeps_are_refused():
     case, problem = Scenario.model_validate(LOW), problem_of(Scenario.model_validate(CIRCLED))

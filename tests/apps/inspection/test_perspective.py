@@ -36,6 +36,7 @@ def agree_with_rays(triangles, camera, position, axes):
     return picture, faces
 
 
+@pytest.mark.long
 @given(st.integers(0, 2**32 - 1))
 def test_pictures_of_any_triangles_are_what_rays_meet(seed):
     """Triangles anywhere round the camera: behind it, across its near plane, through each other."""
@@ -63,6 +64,7 @@ def square(centre, half, height):
     return corners[[[0, 1, 2], [0, 2, 3]]]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("height", [0.01, 2.0])
 def test_a_plate_shades_what_lies_along_the_sun_behind_it(height):
     """A small square over a floor, the sun aslant: its shadow is the same square, shifted."""

@@ -25,6 +25,7 @@ def legs_between(places, *, turns=None, windows=None, dwell=0.0, speed=0.1, acce
 SQUARE = np.array([[0.0, 0, 0], [10.0, 0, 0], [10.0, 10.0, 0]])
 
 
+@pytest.mark.long
 def test_a_corner_is_flown_through_by_hand():
     tour = flown(legs_between(SQUARE), np.array([1, 2]))
     # From rest to 0.1 m/s, round a right angle, to rest; half of each change over the acceleration is lost.
@@ -75,6 +76,7 @@ def legs_among(seed, count, **numbers):
     return legs_between(places, turns=turning_time(boresights, boresights, math.radians(1.0), 0.002), **numbers)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("objective", ["time", "delta_v", "both"])
 def test_of_all_orders_the_best_is_found(objective):
     value = {

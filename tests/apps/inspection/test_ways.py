@@ -48,6 +48,7 @@ def places(seed, count):
     return directions * generator.uniform(RADIUS + 0.05, 5.0, (count, 1))
 
 
+@pytest.mark.long
 @given(seed=st.integers(0, 2**31))
 def test_a_piece_is_clear_if_and_only_if_it_keeps_the_stand_off(seed):
     ways = ways_in(6.0, nodes=200)
@@ -68,6 +69,7 @@ def test_paths_keep_the_stand_off_and_are_hardly_longer_than_the_shortest(ways):
         assert shortest - 1e-9 <= way_length(path) <= 1.06 * shortest + 0.05
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("seed", "count", "longer", "on_average"), [(8, 14, 1.15, 1.05), (11, 70, 1.6, 1.08)])
 def test_lengths_of_all_pairs_and_where_they_set_out(seed, count, longer, on_average, ways):
     """With 70 places, ways to those beyond the neighbours lead from neighbour to neighbour."""

@@ -58,6 +58,7 @@ def fly(folder, monkeypatch, plan, **changes):
     return case3.flown(Work(folder), scenario, Target.load("intelsat30"), silent)
 
 
+@pytest.mark.long
 def test_a_stopped_campaign_goes_on(tmp_path, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         fly(tmp_path, monkeypatch, Plan(stop_at=6))

@@ -1,6 +1,7 @@
 """Which cubes triangles meet, beside a linear programme for each pair."""
 
 import numpy as np
+import pytest
 from scipy.optimize import linprog
 
 from keepout.apps.unknown.truth import cubes_met
@@ -17,6 +18,7 @@ def apart(triangle, lower, spacing):
     return found.fun
 
 
+@pytest.mark.long
 def test_triangles_meet_the_cubes_that_a_linear_programme_says():
     generator = np.random.default_rng(0)
     origin, spacing, count = np.array([-0.2, 0.1, 0.3]), 0.4, 3

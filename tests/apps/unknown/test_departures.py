@@ -84,6 +84,7 @@ def test_a_part_that_nobody_expected_is_seen_and_nothing_is_missing(lifted_map):
     assert len(found.missing) == 0
 
 
+@pytest.mark.long
 @given(seed=st.integers(0, 2**32 - 1))
 def test_depth_never_exceeds_the_distance_to_what_is_not_free(seed):
     generator = np.random.default_rng(seed)

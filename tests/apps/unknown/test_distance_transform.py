@@ -20,6 +20,7 @@ def test_squares_are_those_of_the_whole_grid(seed, cubes, cap, rarity):
     np.testing.assert_array_equal(squares_of(free, cap), whole(free, cap))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("cap", [1, 12, 33])
 def test_local_renewal_gives_the_whole_transform(cap):
     """A solid is carved from all sides, so that far nodes in other tiles change; after each step all is as anew."""

@@ -79,6 +79,7 @@ REFUSED = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", REFUSED)
 def test_a_refused_view_leaves_the_map_as_it_was(case):
     view, status = REFUSED[case]

@@ -120,6 +120,7 @@ def riddled(seed, share=0.5):
     return known
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("stride", [1, 2, 3])
 def test_what_is_called_reachable_is_joined_to_the_chaser_through_nodes_that_keep_the_distance(seed, stride):
@@ -199,6 +200,7 @@ def test_a_goal_in_known_free_room_is_flown_to_and_no_way_leads_from_too_near_to
     assert answer.outcome == "no way known"
 
 
+@pytest.mark.long
 def test_the_first_view_looks_at_the_ball_from_room_that_keeps_the_distance_and_is_the_same_again():
     known = begun(4.0)
     for goal in (None, np.zeros(3)):
@@ -212,6 +214,7 @@ def test_the_first_view_looks_at_the_ball_from_room_that_keeps_the_distance_and_
         assert np.array_equal(answer.direction, again.direction)
 
 
+@pytest.mark.long
 def test_a_goal_too_near_to_the_seen_surface_ends_at_once_and_one_farther_does_not():
     run = explore_views.Jumping(explore_views.solid("ball"), "ball", DepthCamera(), APART, 0)
     run.look()

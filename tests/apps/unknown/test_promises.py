@@ -94,6 +94,7 @@ def test_broken_promises_free_cubes_that_meet_a_body(broken):
     assert bad > 0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("scene", SCENES)
 def test_errors_two_and_a_half_times_their_bounds_are_found_out(scene):
     generator, known = np.random.default_rng(1), begin()

@@ -113,6 +113,7 @@ def test_it_is_said_where_a_position_was_edited():
     assert judged(far, big, radius=0.3).contact is not Contact.NO
 
 
+@pytest.mark.long
 def test_a_flight_in_a_cavity_is_not_said_to_be_safe():
     record = straight(0.02, 80, start=(-1.0, 0.0, 0.0))
     inside = judged(record, Mesh(5.0), radius=0.1)

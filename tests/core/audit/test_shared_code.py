@@ -125,6 +125,7 @@ def by_rationals(target, point, near):
     return math.sqrt(float(squared))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["box", "pocket", "intelsat30", "iss"])
 def test_distances_to_targets_are_libigls_and_where_it_rounds_the_rational_ones(name):
     target = Target.load(name)

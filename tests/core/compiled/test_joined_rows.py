@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from keepout.core.compiled.in_batches import joined_rows, rows_last
 
@@ -23,6 +24,7 @@ def drawn(*shape):
     return jnp.asarray(generator.integers(0, 9, shape)), jnp.asarray(generator.normal(size=shape))
 
 
+@pytest.mark.long
 def test_a_batch_is_one_call_and_each_flight_gets_its_own():
     place, x = drawn(5, 3)
     seen = []
@@ -35,6 +37,7 @@ def test_a_batch_is_one_call_and_each_flight_gets_its_own():
     np.testing.assert_allclose(nested[0], TABLE[place[0]].sum(axis=-1) * jnp.sin(x), rtol=1e-14)
 
 
+@pytest.mark.long
 def test_derivatives_of_both_directions_alone_and_in_a_batch():
     place, x = drawn(5, 3)
 

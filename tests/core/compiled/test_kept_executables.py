@@ -73,6 +73,7 @@ def test_a_kept_program_gives_the_same_bits_without_being_traced(folder, monkeyp
     assert np.array_equal(field.values(SPHERE, POINTS), first), "and those of filter_jit"
 
 
+@pytest.mark.long
 def test_another_shape_type_or_number_is_another_call(folder, monkeypatch):
     sizes = set()
     for points in (jnp.zeros((4, 3)), jnp.zeros((5, 3)), jnp.zeros((5, 3), jnp.float32)):

@@ -44,6 +44,7 @@ def test_a_batch_gets_what_each_flight_gets_alone(flights):
         assert len(counted) == width * -(-needed.sum() // width)
 
 
+@pytest.mark.long
 def test_batches_of_batches_and_loops():
     x = jnp.linspace(0.0, 2.0, 12).reshape(3, 4)
 

@@ -85,6 +85,7 @@ def test_downhill_leads_straight_back_in_free_space():
     assert np.median(cosine) > np.cos(np.radians(4.0))
 
 
+@pytest.mark.long
 def test_widest_way_finds_the_saddle():
     values = np.full((5, 5, 5), -1.0)
     values[:, 2, 2] = [1.0, 0.6, -0.3, 0.8, 1.0]

@@ -23,6 +23,7 @@ def scattered(share=3e-4):
     return CUBES.solid & (generator.uniform(size=CUBES.solid.shape) < share)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("every", [1, 2, 3, 5])
 def test_values_are_the_fields_at_the_nodes(every):
     solid = scattered()
@@ -57,6 +58,7 @@ def test_a_wall_is_where_a_node_of_the_map_between_is_not_free():
     assert not np.any(made.walls & ~(made.values > 0.0))
 
 
+@pytest.mark.long
 def test_a_way_opens_with_the_map():
     wall = CUBES.solid & (np.abs(CUBES.centres[..., 0] - 0.5) < 0.3)
     wall |= np.abs(CUBES.centres[..., 0] - 0.5) < 0.1

@@ -28,6 +28,7 @@ def flown():
     return setup, jax.device_get(fly(setup, start_state(setup), STEPS, KEY))
 
 
+@pytest.mark.long
 def test_layers_act_in_their_fixed_order(flown):
     _, log = flown
     rows = np.arange(STEPS + 1)

@@ -41,6 +41,7 @@ def assert_same_bits(a, b):
         assert array.tobytes() == other.tobytes(), name
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("ending", ENDINGS)
 @relaxed
 @given(
@@ -162,6 +163,7 @@ def test_headers_that_json_does_not_hold_are_refused(tmp_path, header):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.long
 def test_a_flown_log_becomes_a_record(tmp_path):
     setup = make_setup()
     log = fly(setup, start_state(setup), STEPS, KEY)

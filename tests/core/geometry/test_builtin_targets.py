@@ -53,6 +53,7 @@ def test_the_goal_of_the_source_paper_lies_inside_harmony():
     assert solid_angle(station, goal)[0] == pytest.approx(4.0 * np.pi, abs=1e-5)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["intelsat30", "iss", "tiangong"])
 def test_wings_turn_and_stretch(name):
     flat = Target.load(name).report.extents

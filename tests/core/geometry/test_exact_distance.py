@@ -66,6 +66,7 @@ def test_bad_meshes_are_refused(made, vertices, faces, words):
         made(vertices, faces)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("level", [0.0, 0.4])
 def test_straddling_cells_cover_the_level_set(level):
     distance = Target.load("pocket").distance

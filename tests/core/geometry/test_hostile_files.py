@@ -41,6 +41,7 @@ def archive(path, content, compression=zipfile.ZIP_DEFLATED):
     return path
 
 
+@pytest.mark.long
 def test_an_archive_that_inflates_is_refused_unread(tmp_path):
     path = archive(tmp_path / "a.3mf", b" " * (300 << 20))
     refused(path, str(300 << 20), str(256 << 20))

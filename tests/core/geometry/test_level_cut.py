@@ -21,6 +21,7 @@ def on_level(distance, level, points):
     return points[np.abs(distance.distance(points) - level) < 1e-10]
 
 
+@pytest.mark.long
 @given(seed=st.integers(0, 10_000), level=st.floats(0.05, 0.8), half=st.floats(0.01, 0.3))
 def test_no_point_of_the_level_set_exceeds_the_bound(seed, level, half):
     rng = np.random.default_rng(seed)

@@ -83,6 +83,7 @@ def sheet():
     return OffsetSolid.build(ExactDistance(SHEET, TWO))
 
 
+@pytest.mark.long
 def test_box_union_is_sound_and_tight(union):
     points = around(union.distance, 0)
     truth = np.min([distance_to_box(points, *b) for b in BOXES], axis=0)
@@ -113,6 +114,7 @@ def test_nested_shells_are_solid_to_the_outermost():
     assert abs(solid.sealed_volume - 64.0) < 0.05 * 64.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("half_hole", "leaf"), [(0.01, {}), (0.028, {}), (0.1, {}), (0.22, {}), (0.1, {"leaf": 0.12})])
 def test_a_hole_narrower_than_the_chaser_is_sealed(half_hole, leaf):
     """A box with a hole that the chaser cannot pass is solid."""

@@ -17,6 +17,7 @@ def loaded(tmp_path, half_hole):
     return Target.load(tmp_path / "box.ply")
 
 
+@pytest.mark.long
 def test_a_leaking_compartment_is_named(tmp_path):
     seen = []
     found = survey(loaded(tmp_path, 0.1), progress=lambda done, line: seen.append(done))
@@ -31,6 +32,7 @@ def test_a_leaking_compartment_is_named(tmp_path):
     assert seen[-1] == 1.0
 
 
+@pytest.mark.long
 def test_a_closed_compartment_is_not():
     target = Target.load("box")
     found = survey(target)

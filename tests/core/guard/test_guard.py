@@ -44,6 +44,7 @@ def answer(state, force, disturbance=STILL, told=None, guard=GUARD):
     return filtered(guard, begun(guard, state), told or state, np.asarray(force, float), disturbance)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("state", "command", "told", "passed", "said"),
     [

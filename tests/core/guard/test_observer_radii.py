@@ -130,6 +130,7 @@ CASES = [
 ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("changes", CASES, ids=str)
 def test_each_radius_is_the_least_upper_bound(changes):
     a = assumed(**changes)
@@ -142,6 +143,7 @@ def test_each_radius_is_the_least_upper_bound(changes):
     assert np.all(worst >= 0.98 * bound), worst / bound
 
 
+@pytest.mark.long
 @given(
     poles=st.tuples(st.floats(0.0, 0.9), st.floats(0.0, 0.9)),
     gains=st.tuples(st.floats(0.1, 1.0), st.floats(0.1, 1.0)),
@@ -170,6 +172,7 @@ def test_pulses_and_force_errors_widen_the_tube_by_what_they_are():
     assert wrong.disturbance - right.disturbance == pytest.approx(4e-3 / (a.mass * 0.9), rel=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("delay", [0, 2])
 def test_a_fault_of_a_perfect_estimate_adds_its_worst_steps(delay):
     a = dataclasses.replace(ASSUMED, fault_force=0.04, fault_steps=3, delay=delay)

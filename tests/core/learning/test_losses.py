@@ -47,6 +47,7 @@ def test_points_in_two_parts_count_as_if_each_had_its_gradient_evaluated():
         np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-5 * float(np.abs(b).max()))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["paper", "paper_printed"])
 def test_the_papers_eikonal_term_is_asked_of_every_point(name):
     parts = losses.Parted.by(PROFILES[name], labelled(50, 0.3))

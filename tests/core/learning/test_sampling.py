@@ -34,17 +34,20 @@ def box(tmp_path):
     return solid_of([trimesh.creation.box(extents=2 * HALF)], tmp_path)
 
 
+@pytest.mark.long
 def test_the_whole_depth_of_a_box_is_exact(box, inside):
     labels = label(box, inside, whole_depth=True)
     assert labels.hidden.all()
     np.testing.assert_allclose(labels.distance, -(depth(inside, HALF) + OFFSET), atol=1e-5)
 
 
+@pytest.mark.long
 def test_without_the_whole_depth_a_label_goes_no_deeper_than_the_loss_asks(box, inside):
     labels = label(box, inside)
     np.testing.assert_allclose(labels.distance, -np.minimum(depth(inside, HALF) + OFFSET, HIDDEN_DEPTH), atol=1e-5)
 
 
+@pytest.mark.long
 def test_a_sheet_within_a_box_is_no_way_out(tmp_path, inside):
     """Between outer and inner box the nearest surface may be the inner one, which leads nowhere."""
     nested = solid_of([trimesh.creation.box(extents=2 * HALF), trimesh.creation.box(extents=1.6 * HALF)], tmp_path)

@@ -124,6 +124,7 @@ def excess(rows, bounds, **changes):
     return Tube.of(time, *(column[None] for column in columns), bounds).inconsistency().max()
 
 
+@pytest.mark.long
 def test_the_audit_joins_the_steps_of_a_flight_about_a_centre_of_mass_off_the_origin():
     scenario = Scenario().replace(
         orbit=LOW, attitude=TUMBLING, target={"centre_of_mass": (0.0, 20.0, 0.0)}, disturbance={"kind": "none"}
@@ -198,6 +199,7 @@ def test_what_lies_where_gravity_is_not_bounded_is_refused(box, said):
             refused(far)
 
 
+@pytest.mark.long
 def test_a_delay_that_the_thrusters_cannot_hold_is_refused_by_its_number(box):
     weak = Scenario().replace(chaser={"force_limit": 0.02})
     assert design(Surroundings(weak, box).guard_assumptions).deceleration > 0.0

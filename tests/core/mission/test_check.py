@@ -60,6 +60,7 @@ def test_words_of_all_kinds_survive_the_file():
         commented({"chaser.mass": -1.0})
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "name", ["box", *(pytest.param(n, marks=pytest.mark.slow) for n in ("pocket", "sphere")), "intelsat30"]
 )
@@ -130,6 +131,7 @@ def test_what_would_be_flown(target, model):
     assert expected["speed_delta_v_mps"] == pytest.approx(0.2, rel=1e-3)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("entries", "entry"),
     [

@@ -236,6 +236,7 @@ def random_chaser(rng, errors):
     )
 
 
+@pytest.mark.long
 @settings(max_examples=6)
 @given(st.integers(0, 10**6), ERRORS)
 def test_no_vertex_of_the_errors_is_beyond_what_the_guard_assumes(seed, errors):

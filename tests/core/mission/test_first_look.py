@@ -87,6 +87,7 @@ def test_what_can_be_flown_is_not_refused():
     assert look(Scenario.parse({"chaser": {"speed_limit": 0.5}, "control": {"profile": "paper"}})).name == "intelsat30"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("text", ["[start]\nposition = [0.0, 1.8, 0.0]", "[chaser]\nradius = 0.77\nspeed_limit = 0.05"])
 def test_a_refused_file_waits_for_no_jax_and_leaves_nothing_behind(tmp_path, text):
     path = tmp_path / "mission.toml"

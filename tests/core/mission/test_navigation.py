@@ -104,6 +104,7 @@ def test_the_summary_tells_of_the_navigation(flight):
     json.dumps(told, allow_nan=False)
 
 
+@pytest.mark.long
 def test_the_guard_assumes_more_the_more_samples_can_be_lost(target):
     def caps(**entries):
         given = scenario(navigation={"suite": "close"} | entries)

@@ -50,6 +50,7 @@ def refused(kind: type[KeepoutError], give: Any, *given: Any, **chosen: Any) -> 
     return text
 
 
+@pytest.mark.long
 def test_a_mission_is_prepared_from_a_path(mission, path):
     assert mission.scenario == keepout.Scenario.load(path)
     for nothing in (3, None, {"duration": 20.0}, "absent.toml"):
@@ -188,6 +189,7 @@ def test_a_part_that_is_none_is_refused_in_one_line(mission, part, wrong, said):
         assert words in text
 
 
+@pytest.mark.long
 def test_a_law_that_is_right_is_taken(mission):
     assert mission.with_law(Law({})).setup.controller == Law({})
     assert mission.with_law(mission.setup.controller).setup == mission.setup

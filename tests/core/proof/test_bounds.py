@@ -104,6 +104,7 @@ def test_many_random_networks_are_never_above_their_bound(kind):
     check_random_networks_are_never_above_their_bound(kind, range(60), rounds=100, starts=200)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 def test_a_point_is_bounded_to_rounding_and_the_evaluation_error_covers_each_type(dtype):
     """Against the same numbers in long doubles."""
@@ -118,6 +119,7 @@ def test_a_point_is_bounded_to_rounding_and_the_evaluation_error_covers_each_typ
     assert answer.evaluation_error.max() < (1e-9 if dtype == jnp.float64 else 1e-2)
 
 
+@pytest.mark.long
 def test_float32_exponential_and_logarithm_are_as_exact_as_assumed():
     t = np.concatenate([np.linspace(0.0, 100.0, 500_001), np.geomspace(1e-30, 1.0, 100_001)]).astype(np.float32)
     e = np.exp(-t.astype(np.float64))

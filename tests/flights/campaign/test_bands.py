@@ -1,6 +1,7 @@
 """Quantile bands: within the error that they state of exact quantiles, and the same in whatever pieces counted."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -45,6 +46,7 @@ def test_quantiles_are_within_what_is_stated(count, seed):
         np.testing.assert_array_equal(found[[0, -1]], ordered[[0, -1]])
 
 
+@pytest.mark.long
 @given(count=st.integers(2, 40), cut=st.integers(1, 39), seed=st.integers(0, 1000))
 def test_pieces_add_up_to_the_whole_to_the_bit_in_any_order(count, cut, seed):
     log, cut = flights(count, 41, seed), min(cut, count - 1)

@@ -102,6 +102,7 @@ def test_few_digits_never_call_a_contact_clear(coarse, digits, beam, tmp_path):
         assert any("positions have few digits" in remark for remark in answer["remarks"])
 
 
+@pytest.mark.long
 def test_many_digits_still_call_a_clear_flight_clear(beam, tmp_path):
     """The other side: the same encounters with 5 cm to spare and twelve decimals are decided."""
     for seed in range(8):

@@ -25,6 +25,7 @@ def judged_past(folder, sides, time, relative, velocity, *, radius, **options):
     return lambda bound, **more: judged(meshed(folder, sides), files, radius=radius, bound=bound, **options, **more)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("tree", "every"), [(GEOSTATIONARY, 1), (TUMBLING, 5)], ids=["vvlh", "tumbling"])
 def test_a_flight_of_keepout_is_bounded_as_by_its_own_audit(tree, every, tmp_path):
     """The gap: the tolerance of 1 mm, and how far the path can be from its chords."""

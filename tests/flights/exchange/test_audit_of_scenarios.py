@@ -60,6 +60,7 @@ def placed(folder):
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("by", ["scenario", "options"])
 def test_a_turned_and_shifted_mesh_is_audited_to_the_clearance_of_the_flights_own_audit(flown, by):
     folder, scenario, own = flown

@@ -57,6 +57,7 @@ def independent_states(scenario, record):
     return target[::10], np.array(states)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("form", ["oem", "xml"])
 def test_the_oem_package_reads_what_was_flown(flown, form, tmp_path):
     scenario, record, path = flown
@@ -323,6 +324,7 @@ def test_the_first_edition_may_put_the_scalar_first_and_turn_round(tmp_path):
     assert (back.frame_a, back.frame_b) == ("SC_BODY_1", "EME2000")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("tree", "form"), [(GEOSTATIONARY, "kvn"), (TUMBLING, "xml")], ids=["vvlh", "tumbling"])
 def test_a_flights_attitude_takes_the_chaser_back_to_where_it_was(tree, form, tmp_path):
     """Read by a dozen lines of another reader: the difference of the two orbits, in body axes, is the record's."""

@@ -99,6 +99,7 @@ def small_model():
     return FieldModel(random_field(2, dtype=jnp.float32), "ball", "0" * 64, 0.03, {})
 
 
+@pytest.mark.long
 def test_a_field_without_certificates_tells_none_and_a_graph_that_is_wrong_is_measured_so(tmp_path):
     """The measurement is of the file that is written: a field whose graph has another allowance is far off."""
     model = small_model()

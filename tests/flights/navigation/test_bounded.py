@@ -233,6 +233,7 @@ def test_after_a_replaced_position_the_window_begins_anew():
     assert float(np.linalg.norm(rows[-1].state.velocity)) <= float(rows[-1].errors[1])
 
 
+@pytest.mark.long
 def test_refused():
     seldom = Suite((RelativePosition((BallNoise(0.05),)),))
     speeds = Suite((RelativeVelocity((BallNoise(0.01),)),))

@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from truths.plain_sensors import Height, Pace, Place, Sight, Turned
 
 from keepout.core.flight.navigation import Sample
@@ -21,6 +22,7 @@ def sample(value, came=True):
     return Sample(jnp.asarray(value, float), jnp.asarray(came))
 
 
+@pytest.mark.long
 def test_the_last_samples_are_the_estimate():
     raw = RawSamples.build(MOTION, [Place(1.0), Pace(1.0), Turned(1.0)], mass=20.0, period=1.0)
     there, pace = np.array([1.0, 2.0, -3.0]), np.array([0.3, 0.1, -0.2])
@@ -40,6 +42,7 @@ def test_the_last_samples_are_the_estimate():
     assert int(left_out) == 2
 
 
+@pytest.mark.long
 def test_between_samples_only_time_and_attitude_move():
     force = jnp.array([0.05, 0.0, -0.02])
     moved = MOTION.step(START, force, NoDisturbance(), 1.0, 20.0)
@@ -51,6 +54,7 @@ def test_between_samples_only_time_and_attitude_move():
     assert float(after.time) == 1.0
 
 
+@pytest.mark.long
 def test_a_part_of_the_state_moves_as_little_as_it_must():
     raw = RawSamples.build(MOTION, [Height(1.0)], mass=20.0, period=1.0)
     _, estimate, _ = raw.correct(raw.initial_state(START, ERRORS), (sample([9.0]),))

@@ -84,6 +84,7 @@ PARTS = (BallNoise(0.02), GaussianNoise(0.01), WanderingBias(0.03, 0.001))
 SMALL = (BallNoise(0.002), GaussianNoise(0.001), WanderingBias(0.003, 0.0001))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "sensor",
     [
@@ -117,6 +118,7 @@ def balls(sensor, values, attitudes):
     return jax.vmap(ball)(values, attitudes)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("at", [POSITION, np.zeros(3), np.array([1e3, 0.0, 0.0])])
 @pytest.mark.parametrize("axes", ["body", "vvlh"])
 @pytest.mark.parametrize("kind", ["position", "velocity", "bearing", "wide bearing"])
@@ -242,6 +244,7 @@ def followed(arrival, steps, seed=0):
 SHARES = st.sampled_from([0.0, 0.3, 0.9, 1.0])
 
 
+@pytest.mark.long
 @settings(max_examples=settings().max_examples // 2)  # each is a program of its own
 @given(st.integers(1, 5), st.integers(0, 4), SHARES, st.integers(1, 3), st.integers(0, 99))
 def test_rate_latency_and_losses_are_exactly_as_told(every, latency, dropout, most_missed, seed):
@@ -269,6 +272,7 @@ def test_rate_latency_and_losses_are_exactly_as_told(every, latency, dropout, mo
 NOISE = (BallNoise(0.05),)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", SUITES)
 def test_the_worked_suites_observe_position_and_velocity(name):
     assert check_observability(SUITES[name](), state(), period=1.0) > 0.01

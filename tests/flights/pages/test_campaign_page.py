@@ -41,6 +41,7 @@ def campaign(folder, runs=200, *, sampling="random", done=None, **columns):
     return write_campaign(folder, scenario(runs, sampling=sampling), made, chunk=64, done=done)
 
 
+@pytest.mark.long
 def test_page_figures_and_tables_stand(tmp_path):
     folder = campaign(tmp_path / "out", delta_v=np.arange(200.0))
     answer = report_campaign(folder)
@@ -58,6 +59,7 @@ def test_page_figures_and_tables_stand(tmp_path):
     json.dumps(answer, allow_nan=False)
 
 
+@pytest.mark.long
 def test_what_a_file_says_is_text_on_the_page(tmp_path):
     evil = '<script>alert("x")</script>'
     status = np.where(np.arange(200) < 3, "refused", "flown")
@@ -69,6 +71,7 @@ def test_what_a_file_says_is_text_on_the_page(tmp_path):
     assert page.count("&lt;script&gt;") >= 2
 
 
+@pytest.mark.long
 def test_the_command_flies_the_run_of_that_folder(tmp_path):
     folder = campaign(tmp_path / "a b'c <d>")
     worst = report_campaign(folder)["worst_runs"]

@@ -121,6 +121,7 @@ def test_marks_are_where_guard_flags_and_law_spoke(folder):
     }
 
 
+@pytest.mark.long
 def test_frames_agree_with_rotations_by_matrices(folder):
     scenario = box_scenario(folder, 3.0, "turning", orbit={"inclination": 0.7, "eccentricity": 0.1})
     record = pass_record(scenario, 3.0, turning=0.05)
@@ -140,6 +141,7 @@ def test_frames_agree_with_rotations_by_matrices(folder):
     )
 
 
+@pytest.mark.long
 def test_a_surface_lies_on_its_level_with_its_normals_outward(box, folder):
     [flight] = of_records({"surface": passed(folder, "surface")})
     envelope, guard = flight.levels
@@ -183,6 +185,7 @@ def test_the_page_says_what_it_leaves_out(folder, tmp_path, monkeypatch):
     assert flight in written
 
 
+@pytest.mark.long
 def test_the_page_holds_what_was_recorded(folder, tmp_path):
     paths = []
     for name, height in (("high", 3.0), ("low", 2.0)):

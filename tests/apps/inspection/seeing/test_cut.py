@@ -23,6 +23,7 @@ def polygon_areas(patches):
     return 0.5 * np.einsum("ni,ni->n", np.cross(spokes[:, :-1], spokes[:, 1:]).sum(axis=1), patches.normals)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "size"), [("box", 0.3), ("pocket", 0.25), ("intelsat30", 0.25), ("iss", 1.0)])
 def test_patches_have_the_area_of_the_mesh_and_are_plane_convex_and_small(name, size):
     target = Target.load(name)
@@ -83,6 +84,7 @@ def test_a_finely_rounded_part_is_not_taken_as_plane():
     assert patches.areas.sum() == pytest.approx(mesh.area, rel=1e-9)
 
 
+@pytest.mark.long
 @settings(max_examples=3 * settings().max_examples)
 @given(
     corners=st.lists(st.tuples(st.integers(0, 2), st.integers(0, 2), st.integers(0, 2)), min_size=4, max_size=12),

@@ -50,6 +50,7 @@ def check_by_places(target: Target, found: Seeable, stand_off: float, places: np
     assert ((found.why != Hidden.NOT) == (found.verdict == Verdict.HIDDEN)).all()
 
 
+@pytest.mark.long
 def test_all_of_a_box_can_be_seen_from_outside_and_nothing_of_its_inner_sides():
     target = Target.load("box")
     found = judged(target, 0.5, 1.5)
@@ -86,6 +87,7 @@ def test_the_floor_of_a_well_is_seen_while_the_range_reaches_it(depth, verdict):
     assert (found.why[floor] == (Hidden.NARROW if verdict == Verdict.HIDDEN else Hidden.NOT)).all()
 
 
+@pytest.mark.long
 def test_no_place_around_the_pocket_sees_what_is_called_hidden():
     target = Target.load("pocket")
     found = judged(target, 0.5, 1.0, both=False)

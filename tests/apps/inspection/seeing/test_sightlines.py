@@ -126,6 +126,7 @@ whole = st.integers(-8, 8)
 point = st.tuples(whole, whole, whole)
 
 
+@pytest.mark.long
 @settings(max_examples=10 * settings().max_examples)
 @given(
     outline=st.lists(st.tuples(whole, whole), min_size=3, max_size=8),
