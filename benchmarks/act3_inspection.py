@@ -38,7 +38,7 @@ from kept_rows import Rows, command, tell
 from keepout.apps.inspection.passive import coast_matrix
 from keepout.core.control.law import Command, Law
 from keepout.core.fields.own import SphereField
-from keepout.core.flight.batches import fly_batches, states_at
+from keepout.core.flight.batches import Batching, fly_batches, states_at
 from keepout.core.flight.setup import FlightSetup
 from keepout.core.guard.braking import GuardAssumptions
 from keepout.core.guard.guard import Guard
@@ -177,7 +177,7 @@ def fly(task, seeds, told=lambda done, words: None):
         flights,
         initial,
         STEPS,
-        vary=lambda s: (s.controller.force, s.controller.burning),
+        Batching(vary=lambda s: (s.controller.force, s.controller.burning)),
         columns=("position", "force", "guard_status"),
         landed=land,
         progress=lambda done, words: told(0.6 + 0.4 * done, words),

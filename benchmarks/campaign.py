@@ -96,7 +96,7 @@ def flown(plan, runs, steps, *, audit):
     """Fly the first runs of a plan; seconds by the clock and of processor time."""
     import jax
 
-    from keepout.core.flight.batches import BATCH, fly_batches
+    from keepout.core.flight.batches import BATCH, Batching, fly_batches
     from keepout.core.mission.flight import AUDITED, judge
     from keepout.core.mission.surroundings import Surroundings
 
@@ -111,10 +111,9 @@ def flown(plan, runs, steps, *, audit):
         plan.mission.setup,
         jax.tree.map(lambda array: array[:runs], plan.initial),
         steps,
-        seed=scenario.seed,
+        Batching(seed=scenario.seed, batch=BATCH),
         columns=AUDITED if audit else (),
         landed=landed if audit else None,
-        batch=BATCH,
     )
     assert len(verdicts) == (runs if audit else 0)
     return time.perf_counter() - began[0], time.process_time() - began[1]

@@ -32,7 +32,7 @@ from kept_rows import Rows, command
 from keepout.core.audit.audit import Contact
 from keepout.core.control.law import Command, Law
 from keepout.core.flight import faults as broken
-from keepout.core.flight.batches import fly_batches, states_at
+from keepout.core.flight.batches import Batching, fly_batches, states_at
 from keepout.core.flight.setup import NoFaults
 from keepout.core.guard.field import RECIPE
 from keepout.core.guard.safety_layer import GuardFlag
@@ -191,7 +191,8 @@ def cost(name, duration, flights=128):
             least = np.inf
             for _ in range(3):
                 began = time.process_time()
-                fly_batches(setup, initial, duration, vary=vary, columns=AUDITED, landed=landed, workers=1)  # noqa: B023
+                batching = Batching(vary=vary, workers=1)
+                fly_batches(setup, initial, duration, batching, columns=AUDITED, landed=landed)  # noqa: B023
                 least = min(least, time.process_time() - began)
             return least / (flights * (duration + 1)) * 1e6
 

@@ -63,8 +63,10 @@ MUTANTS = {
     "core/guard/braking.py": [
         ("stop half a step short", "+ 0.5 * rest * T", "", "invariance"),
         ("bow without the reserve", "bow = T**2 / 8.0 * (reserve + D", "bow = T**2 / 8.0 * (D", "invariance:worst"),
-        ("past pushes forgotten", "= summed.pushed + summed.pushed_before", "= summed.pushed", "observer_radii"),
         ("turning not in D", "(scale + self.turning_error)", "scale", "assumptions:inertial disturbance_bound"),
+    ],
+    "core/guard/responses.py": [
+        ("past pushes forgotten", "(pushed + pushed_before)[0]", "pushed[0]", "observer_radii"),
     ],
     "core/proof/bounds.py": [
         ("remainder not carried on", "= s * left + 0.5 * (upper - lower)", "= s * left", "bounds"),
@@ -153,7 +155,7 @@ MUTANTS = {
         ("undecided not counted", "touched | undecided", "touched & undecided", "results:rates"),
     ],
     "flights/campaign/run.py": [("best kept for worst", "[runs]))][:keep", "[runs]))][::-1][:keep", "campaign:worst")],
-    "core/control/velocity_solver.py": [("wrong side of the plane", "(along + rate)", "(along - rate)", "cone:half")],
+    "core/control/velocity_program.py": [("wrong side of the plane", "(along + rate)", "(along - rate)", "cone:half")],
     "core/control/velocity.py": [("faster than it can brake", "(2.0 * self.auth", "(4.0 * self.auth", "controller")],
     "core/control/controller.py": [("error adds to the barrier", "barrier - square", "barrier + square", "tracking")],
     "core/geometry/distance.py": [

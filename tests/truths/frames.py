@@ -6,7 +6,8 @@ A velocity in a rotating frame is the rate of change that an observer turning wi
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from keepout.core.motion.rotation import Quaternion, Vector, matrix, orbital_rate, vvlh_axes
+from keepout.core.motion.arrays import Vector
+from keepout.core.motion.rotation import Quaternion, matrix, orbital_rate, vvlh_axes
 
 PositionVelocity = tuple[Vector, Vector]
 

@@ -1,5 +1,7 @@
 """Errors that a user can act on: what was given, why it is refused, and what would be valid."""
 
+import math
+
 
 class KeepoutError(ValueError):
     """A refusal with a one-line reason that names the field or file, the value, and what would be valid."""
@@ -51,3 +53,20 @@ class InspectionError(KeepoutError):
 
 class MapError(KeepoutError):
     """A known-free map that cannot be made, a map file that is damaged or of something else, or a view out of shape."""
+
+
+def require_finite(value: float, said: str, refusal: type[KeepoutError], *, positive: bool = False) -> None:
+    """Refuse a number that is not finite or below 0, or, if it is to be `positive`, 0.
+
+    Args:
+        value: the number.
+        said: how the message begins: where, what, the value and its unit, as "guard: mass is -1 kg".
+        refusal: the error to raise.
+        positive: whether 0 is refused too.
+
+    Raises:
+        KeepoutError: of the kind `refusal`.
+
+    """
+    if not (math.isfinite(value) and (value > 0.0 if positive else value >= 0.0)):
+        raise refusal(f"{said}; it must be finite and {'greater than' if positive else 'at least'} 0")

@@ -6,7 +6,7 @@ import numpy as np
 from truths.audited import MASS, Mesh, judged
 
 from keepout.core.audit.audit import Contact
-from keepout.core.audit.passage import Chords
+from keepout.core.audit.passage import Chords, SampleBounds, Samples
 from keepout.core.audit.tube import FlightBounds
 
 QUIET = {"mass": MASS, "disturbance_force": 1e-6, "angular_rate": 0.0, "angular_acceleration": 0.0}
@@ -60,16 +60,8 @@ def test_a_chord_to_far_away_is_as_wrong_as_its_far_end_makes_it():
         return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
 
     relative, turns = np.array([[1.0, 0.0, 0.0], [30.0, 0.0, 0.0]]), np.stack([turned(rate * t) for t in time])
-    chords = Chords.of(
-        time,
-        relative,
-        turns,
-        acceleration=0.0,
-        sample_error=0.0,
-        turning_rate=np.array([rate]),
-        turning_acceleration=0.0,
-        origin=np.zeros(3),
-    )
+    samples = Samples(time, relative, np.zeros((2, 3)), turns)
+    chords = Chords.of(samples, SampleBounds(0.0, 0.0, sample_error=0.0), np.array([rate]), np.zeros(3))
     parts = np.linspace(0.0, 1.0, 41)
     none = np.zeros(41, int)
     point, error, _ = chords.piece(none, none, parts, parts)

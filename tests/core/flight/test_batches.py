@@ -9,7 +9,7 @@ from truths.flights import KEY, STEPS, make_setup, start_state
 
 from keepout.core.errors import ScenarioError
 from keepout.core.flight import FlightOutcome, fly, outcome
-from keepout.core.flight.batches import TARGET, alike_among, flight_key, fly_batches, states_at
+from keepout.core.flight.batches import TARGET, Batching, alike_among, flight_key, fly_batches, states_at
 from keepout.core.flight.faults import WrongEstimate
 from keepout.core.flight.loop import start, step
 from keepout.core.flight.record import FlightRecord
@@ -35,8 +35,8 @@ def tumbling_setup(**changes):
 
 def flown(setup, states, **options):
     """The positions of all flights, three at a time."""
-    parts, told = [], {"seed": 5, "columns": COLUMNS, "batch": 3}
-    fly_batches(setup, states, STEPS, landed=lambda _, log: parts.append(log["position"]), **told | options)
+    parts, together = [], Batching(**{"seed": 5, "batch": 3} | options)
+    fly_batches(setup, states, STEPS, together, columns=COLUMNS, landed=lambda _, log: parts.append(log["position"]))
     return np.concatenate(parts)
 
 
@@ -55,11 +55,9 @@ def campaign():
         setup,
         states,
         STEPS,
-        seed=5,
+        Batching(seed=5, batch=3, workers=2),
         columns=COLUMNS,
         landed=lambda first, log: chunks.update({first: log}),
-        batch=3,
-        workers=2,
         progress=lambda fraction, message: reports.append((fraction, message)),
     )
     assert {first: len(log["position"]) for first, log in chunks.items()} == {0: 3, 3: 3, 6: 1}
@@ -88,7 +86,7 @@ def test_flown_in_parts_or_alone_each_flight_is_the_same_to_the_bit(campaign):
 
     def part(first, last, place):
         some = jax.tree.map(lambda x: x[first:last], states)
-        return flown(setup, some, first=place, alike=alike_among(states))
+        return flown(setup, some, places=range(place, place + last - first), alike=alike_among(states))
 
     for first, last in ((0, 4), (4, 7), (3, 4), (6, 7)):
         np.testing.assert_array_equal(part(first, last, first), whole[first:last])
@@ -134,10 +132,10 @@ def test_impossible_campaigns_are_refused():
     with pytest.raises(ScenarioError, match="columns: thrust"):
         fly_batches(setup, states, 5, columns=("thrust",))
     with pytest.raises(ScenarioError, match="alike: position; valid are time"):
-        fly_batches(setup, states, 5, alike=("position",))
+        fly_batches(setup, states, 5, Batching(alike=("position",)))
     assert set(TARGET) < set(vars(states))
     with pytest.raises(ScenarioError, match="leading axes"):
-        fly_batches(setup, states, 5, vary=lambda s: s.goal)  # (3,) is not one goal a flight
+        fly_batches(setup, states, 5, Batching(vary=lambda s: s.goal))  # (3,) is not one goal a flight
     for position, velocity, said in (
         (np.zeros((0, 3)), None, "flights: 0"),
         (np.zeros((2, 3)), np.zeros(3), "velocities: shape"),

@@ -216,7 +216,7 @@ def test_perturbed_motion_against_an_independent_inertial_integration(law):
     # Along the orbit's normal the sun is never behind the Earth.
     sun = np.cross(*map(np.asarray, inertial_state(orbit, 0.0)))
     sun /= np.linalg.norm(sun)
-    motion = RelativeMotion(orbit, law, (J2(), drag, SolarPressure(tuple(sun), 0.02, 0.5)))
+    motion = RelativeMotion(orbit, law, (J2(), drag, SolarPressure(0.02, 0.5, tuple(sun))))
     state = motion.initial_state(jnp.array([30.0, -20.0, 15.0]), jnp.array([0.02, 0.01, -0.03]))
 
     def acceleration(r, v, area, lit_area):

@@ -32,7 +32,7 @@ def test_the_shadow_is_a_cylinder_with_an_edge():
 
 
 def test_the_push_points_away_from_the_sun_and_is_that_of_the_area():
-    push = SolarPressure((0.6, 0.8, 0.0), 0.02, 0.05)
+    push = SolarPressure(0.02, 0.05, (0.6, 0.8, 0.0))
     at, rest = jnp.array([7e6, 0.0, 0.0]), jnp.zeros(3)
     np.testing.assert_allclose(push.of_target(at, rest), -4.56e-6 * 0.02 * np.array([0.6, 0.8, 0.0]), rtol=1e-12)
     np.testing.assert_allclose(push.of_chaser(at, rest), -4.56e-6 * 0.05 * np.array([0.6, 0.8, 0.0]), rtol=1e-12)

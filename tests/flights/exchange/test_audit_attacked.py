@@ -26,7 +26,7 @@ from truths.message_files import (
     xml_of,
 )
 
-from keepout.core.audit.passage import audit_passage
+from keepout.core.audit.passage import SampleBounds, Samples, audit_passage
 from keepout.core.errors import KeepoutError
 from keepout.flights.exchange.audited import Given, audit_files
 
@@ -127,13 +127,9 @@ def test_a_wrong_attitude_within_its_error_is_bounded(seed, beam):
     axes = generator.normal(size=(len(time), 3))
     error = 0.01
     wrong = Rotation.from_rotvec(error * axes / np.linalg.norm(axes, axis=1)[:, None])
-    found = audit_passage(
-        *(time, relative, velocity, (wrong * Rotation.from_quat(quaternions).inv()).as_matrix(), beam),
-        chaser_radius=0.0,
-        acceleration_bound=1e-9,
-        turning_acceleration_bound=0.0,
-        attitude_error=error,
-    )
+    turn = (wrong * Rotation.from_quat(quaternions).inv()).as_matrix()
+    bounds = SampleBounds(1e-9, 0.0, attitude_error=error)
+    found = audit_passage(Samples(time, relative, velocity, turn), beam, chaser_radius=0.0, bounds=bounds)
     reach = error * np.linalg.norm(relative, axis=1).max()
     assert found.minimum_clearance_bound <= least <= found.minimum_clearance
     assert found.minimum_clearance_bound >= least - 2.2 * reach - 2e-3 - found.uncertainty

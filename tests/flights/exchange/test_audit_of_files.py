@@ -11,7 +11,7 @@ from truths.message_files import TARGET, judged, meshed, message, orbits, restin
 from truths.messages import GEOSTATIONARY, TUMBLING, toy_flight
 
 from keepout.core.audit.audit import Contact, audit
-from keepout.core.audit.passage import angles, audit_passage, measured_turning_acceleration
+from keepout.core.audit.passage import SampleBounds, Samples, angles, audit_passage, measured_turning_acceleration
 from keepout.core.errors import ExchangeError
 from keepout.core.geometry.target import Target
 from keepout.core.mission.surroundings import Surroundings
@@ -156,12 +156,9 @@ def test_the_bound_is_never_above_the_truth(seed):
     fine = np.linspace(0.0, time[-1], 200 * samples)
     mesh = Mesh(1.0)
     truth = mesh.distance_to(np.einsum("nij,nj->ni", turn(fine), position(fine))).min() - 0.1
-    found = audit_passage(
-        *(time, position(time), velocity(time), turn(time), mesh),
-        chaser_radius=0.1,
-        acceleration_bound=acceleration,
-        turning_acceleration_bound=swing * wave**2,
-    )
+    samples = Samples(time, position(time), velocity(time), turn(time))
+    bounds = SampleBounds(acceleration, swing * wave**2)
+    found = audit_passage(samples, mesh, chaser_radius=0.1, bounds=bounds)
     assert found.minimum_clearance_bound <= truth + 1e-9
     assert found.minimum_clearance_bound >= truth - 1.1e-3 - 2.0 * found.uncertainty
     assert found.minimum_clearance >= truth - 1e-3
@@ -183,12 +180,8 @@ def test_a_target_that_turns_too_far_between_epochs_is_not_decided():
     time = np.arange(0.0, 50.0, 10.0)
     turn = Rotation.from_rotvec(np.outer(0.2 * time, [0.0, 0.0, 1.0])).as_matrix()
     place = np.tile([9.0, 0.0, 0.0], (5, 1))
-    found = audit_passage(
-        *(time, place, np.zeros((5, 3)), turn, Mesh(1.0)),
-        chaser_radius=0.1,
-        acceleration_bound=0.0,
-        turning_acceleration_bound=0.0,
-    )
+    samples = Samples(time, place, np.zeros((5, 3)), turn)
+    found = audit_passage(samples, Mesh(1.0), chaser_radius=0.1, bounds=SampleBounds(0.0, 0.0))
     assert found.contact is Contact.UNDECIDED
     assert "the target turns by 114.6 degrees" in found.remarks[0]
 

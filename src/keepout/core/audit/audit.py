@@ -17,16 +17,15 @@ before, that leave the bounding box by more than R settle it. No orientation, si
 """
 
 import heapq
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
-from keepout.core.audit.tube import FlightBounds, Tube, components, lengths, nearest
-from keepout.core.errors import FlightError
+from keepout.core.audit.tube import Distance, FlightBounds, Tube, components, lengths, nearest
+from keepout.core.errors import FlightError, require_finite
 
 _DIRECTIONS = np.array([[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if x or y or z], float)
 _DIRECTIONS /= np.linalg.norm(_DIRECTIONS, axis=1, keepdims=True)
@@ -34,7 +33,7 @@ _DIRECTIONS /= np.linalg.norm(_DIRECTIONS, axis=1, keepdims=True)
 
 def proved_outside(
     point: Float[np.ndarray, "3"],
-    distance: Callable[[Float[np.ndarray, "points 3"]], Float[np.ndarray, "points"]],
+    distance: Distance,
     lower: Float[np.ndarray, "3"],
     upper: Float[np.ndarray, "3"],
     *,
@@ -108,6 +107,16 @@ class ExactMesh(Protocol):
         ...
 
 
+Box = tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]
+"""Lower and upper corner, m."""
+
+
+def box_of(target: ExactMesh) -> Box:
+    """Give the bounding box of a mesh."""
+    vertices = np.asarray(target.vertices)
+    return vertices.min(axis=0), vertices.max(axis=0)
+
+
 @dataclass(frozen=True)
 class Audit:
     """What is known about one flight (metres, seconds, newtons, metres per second; body frame).
@@ -172,11 +181,10 @@ def audit(
 
     """
     guard = getattr(record, "guard_status", None)
+    states = (np.asarray(getattr(record, name), float)[None] for name in ("position", "velocity", "force"))
     return audit_campaign(
         np.asarray(record.time, float),
-        np.asarray(record.position, float)[None],
-        np.asarray(record.velocity, float)[None],
-        np.asarray(record.force, float)[None],
+        *states,
         target,
         guard_status=None if guard is None else np.asarray(guard)[None],
         chaser_radius=chaser_radius,
@@ -204,57 +212,47 @@ def audit_campaign(
     consistency: float = 1e-6,
 ) -> list[Audit]:
     """Judge flights that share their sample times; the arguments are those of `audit`, with a leading flight axis."""
-    _check(time, position, velocity, force, chaser_radius)
+    _check(time, {"position": position, "velocity": velocity, "force": force})
+    require_finite(chaser_radius, f"audit: chaser_radius is {chaser_radius} m", FlightError)
     for name, value in (("tolerance", tolerance), ("consistency", consistency)):
-        if not (np.isfinite(value) and value > 0.0):
-            raise FlightError(f"audit: {name} is {value} m; it must be finite and greater than 0")
-    finite = _finite(position) & _finite(velocity) & _finite(force)
-    shown, moving, pushed = (_or_zero(array, finite) for array in (position, velocity, force))
-    tube = Tube.of(time, shown, moving, pushed, bounds)
+        require_finite(value, f"audit: {name} is {value} m", FlightError, positive=True)
+    states = position, velocity, force
+    finite = np.all([np.isfinite(array.reshape(len(array), -1)).all(axis=1) for array in states], axis=0)
+    # Zeros for the flights that are not finite; the arrays themselves where all are.
+    shown = [array if finite.all() else np.where(finite[:, None, None], array, 0.0) for array in states]
+    tube = Tube.of(time, *shown, bounds)
     distance = target.distance.distance
     bound = nearest(tube, distance, tolerance=tolerance)
     excess = tube.inconsistency()
-    vertices = np.asarray(target.vertices)
-    lower, upper = vertices.min(axis=0), vertices.max(axis=0)
-    first_away = distance(shown[:, 0])
+    first_away = distance(tube.position[:, 0])
+    box = box_of(target)
     audits = []
-    for i in range(position.shape[0]):
+    for i in range(len(position)):
         if not finite[i]:
-            audits.append(_unreadable(time, position[i], velocity[i], force[i]))
+            audits.append(_unreadable(time, *(array[i] for array in states)))
             continue
         clearance = float(bound.lower[i]) - chaser_radius - _ROUNDING
         found = float(bound.upper[i]) - chaser_radius
         broken = np.flatnonzero(excess[i] > consistency)
         # One recorded position proved outside is enough: the path joins all of them.
         samples = np.linspace(0, len(time) - 1, 5).astype(int) if clearance > 0.0 else [0]
-        outside = any(
-            proved_outside(
-                shown[i, k], distance, lower, upper, radius=chaser_radius, away=None if k else float(first_away[i])
-            )
-            for k in samples
-        )
+        outside = outside_from(tube.position[i, samples], distance, box, chaser_radius, float(first_away[i]))
         contact, remarks = verdict(clearance, found, outside, _remarks_on_steps(broken, excess[i], time))
         if tube.beyond[i].any():
             contact, remarks = _beyond(contact, remarks, time[int(np.argmax(tube.beyond[i]))], bounds)
-        x, y, z = (np.abs(part) for part in components(force[i, :-1]))
-        largest = np.maximum(np.maximum(x, y), z)
-        speed = lengths(velocity[i])
-        x, y, z = bound.position[i]
+        x, y, z = bound.position[i].tolist()
+        pushes = np.max([np.abs(part) for part in components(force[i, :-1])], axis=0)
         audits.append(
             Audit(
                 contact=contact,
                 minimum_clearance=clearance,
                 minimum_clearance_found=found,
                 minimum_time=float(bound.time[i]),
-                minimum_position=(float(x), float(y), float(z)),
-                inconsistent_steps=tuple(int(k) for k in broken),
+                minimum_position=(x, y, z),
+                inconsistent_steps=tuple(broken.tolist()),
                 start_outside=outside,
-                largest_force=float(largest.max()),
-                force_excess=float(largest.max()) - force_limit,
-                force_violations=int(np.sum(largest > force_limit * (1.0 + 1e-9))),
-                largest_speed=float(speed.max()),
-                speed_excess=float(speed.max()) - speed_limit,
-                speed_violations=int(np.sum(speed > speed_limit * (1.0 + 1e-9))),
+                **_against("force", pushes, force_limit),
+                **_against("speed", lengths(velocity[i]), speed_limit),
                 guard_interventions=0 if guard_status is None else int(np.count_nonzero(guard_status[i] & _REPLACED)),
                 steps=len(time) - 1,
                 remarks=remarks,
@@ -263,15 +261,23 @@ def audit_campaign(
     return audits
 
 
-def _finite(array: Float[np.ndarray, "flights samples 3"]) -> Bool[np.ndarray, "flights"]:
-    return np.asarray(np.isfinite(array.reshape(len(array), -1)).all(axis=1))
+def _against(name: str, sizes: Float[np.ndarray, "samples"], limit: float) -> dict[str, Any]:
+    """Give an audit's entries on how forces (N) or speeds (m/s) keep a limit."""
+    largest, violations = float(sizes.max()), int(np.sum(sizes > limit * (1.0 + 1e-9)))
+    return {f"largest_{name}": largest, f"{name}_excess": largest - limit, f"{name}_violations": violations}
 
 
-def _or_zero(
-    array: Float[np.ndarray, "flights samples 3"], finite: Bool[np.ndarray, "flights"]
-) -> Float[np.ndarray, "flights samples 3"]:
-    """Give zeros for the flights that are not finite; the array itself where all are."""
-    return array if finite.all() else np.where(finite[:, None, None], array, 0.0)
+def outside_from(
+    points: Float[np.ndarray, "points 3"], distance: Distance, box: Box, radius: float, away: float | None = None
+) -> bool:
+    """Whether one of some points (m) is `proved_outside` of a mesh for a sphere of `radius` m.
+
+    `away` is the first point's distance (m), where that is known.
+    """
+    found = (
+        proved_outside(point, distance, *box, radius=radius, away=None if k else away) for k, point in enumerate(points)
+    )
+    return any(found)
 
 
 def _remarks_on_steps(broken: np.ndarray, excess: np.ndarray, time: np.ndarray) -> list[str]:
@@ -293,10 +299,8 @@ def verdict(clearance: float, found: float, outside: bool, remarks: list[str]) -
         near = f"the clearance lies between {clearance:.4g} m and {found:.4g} m: too close to decide"
         return Contact.UNDECIDED, (*remarks, near)
     if not outside:
-        remarks = [
-            *remarks,
-            "no free way from the flight to the outside was found: it may have flown inside the target",
-        ]
+        inside = "no free way from the flight to the outside was found: it may have flown inside the target"
+        remarks = [*remarks, inside]
     return (Contact.UNDECIDED if remarks else Contact.NO), tuple(remarks)
 
 
@@ -310,42 +314,34 @@ def _beyond(
     return (Contact.UNDECIDED if contact is Contact.NO else contact), (*remarks, remark)
 
 
-def _unreadable(time: np.ndarray, position: np.ndarray, velocity: np.ndarray, force: np.ndarray) -> Audit:
+def _unreadable(time: Float[np.ndarray, "samples"], *states: Float[np.ndarray, "samples 3"]) -> Audit:
     """Audit a flight that holds a number which is not finite: undecided, with the first such sample named."""
-    rows = np.all(np.isfinite(position) & np.isfinite(velocity) & np.isfinite(force), axis=-1)
-    k = int(np.argmin(rows))
-    nan = float("nan")
+    readable = np.all(np.isfinite(np.hstack(states)), axis=1)
+    nan, unknown = float("nan"), np.full(1, np.nan)
     return Audit(
         contact=Contact.UNDECIDED,
         minimum_clearance=-np.inf,
         minimum_clearance_found=np.inf,
         minimum_time=nan,
         minimum_position=(nan, nan, nan),
-        inconsistent_steps=tuple(int(j) for j in np.unique(np.maximum(np.flatnonzero(~rows) - 1, 0))),
+        inconsistent_steps=tuple(np.unique(np.maximum(np.flatnonzero(~readable) - 1, 0)).tolist()),
         start_outside=False,
-        largest_force=nan,
-        force_excess=nan,
-        force_violations=0,
-        largest_speed=nan,
-        speed_excess=nan,
-        speed_violations=0,
+        **_against("force", unknown, 0.0),
+        **_against("speed", unknown, 0.0),
         guard_interventions=0,
         steps=len(time) - 1,
-        remarks=(f"the sample at {time[k]:.6g} s holds a number that is not finite",),
+        remarks=(f"the sample at {time[np.argmin(readable)]:.6g} s holds a number that is not finite",),
     )
 
 
-def _check(time: np.ndarray, *states_and_radius: Any) -> None:
-    position, velocity, force, radius = states_and_radius
+def _check(time: Float[np.ndarray, "samples"], states: dict[str, Float[np.ndarray, "flights samples 3"]]) -> None:
     if len(time) < 2:
         raise FlightError(f"audit: the flight has {len(time)} samples; it needs at least 2")
     if not np.all(np.isfinite(time)) or np.any(np.diff(time) <= 0.0):
         k = int(np.argmin(np.diff(time) > 0.0))
         raise FlightError(f"audit: time must rise from sample to sample; it goes {time[k]} s, {time[k + 1]} s")
-    for name, array in (("position", position), ("velocity", velocity), ("force", force)):
+    for name, array in states.items():
         if array.ndim != 3 or array.shape[1:] != (len(time), 3):
             raise FlightError(
                 f"audit: {name} has shape {array.shape[1:]}; with {len(time)} times it must be ({len(time)}, 3)"
             )
-    if not (np.isfinite(radius) and radius >= 0.0):
-        raise FlightError(f"audit: chaser_radius is {radius} m; it must be finite and at least 0")

@@ -17,31 +17,75 @@ most, provided that it turns less than half a turn in a step, which samples alon
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
-from keepout.core.audit.audit import Contact, ExactMesh, proved_outside, verdict
-from keepout.core.audit.tube import components, lengths, nearest
-from keepout.core.errors import FlightError
+from keepout.core.audit.audit import Contact, ExactMesh, box_of, outside_from, verdict
+from keepout.core.audit.tube import Fractions, Numbers, Path, Pieces, lengths, nearest
+from keepout.core.errors import FlightError, require_finite
 
 _ROUNDING = 1e-9
 """Metres taken off every clearance bound: far more than float64 loses at the size of a space station."""
 
 
+class Samples(NamedTuple):
+    """A flight at some epochs.
+
+    Attributes:
+        time: of each, s.
+        relative: chaser less target's centre of mass, inertial axes, m.
+        relative_velocity: its derivative, m/s; it only tells whether an acceleration's bound can be true.
+        turn: rotations from inertial to body axes.
+
+    """
+
+    time: Float[np.ndarray, "samples"]
+    relative: Float[np.ndarray, "samples 3"]
+    relative_velocity: Float[np.ndarray, "samples 3"]
+    turn: Float[np.ndarray, "samples 3 3"]
+
+
 @dataclass(frozen=True)
-class Chords:
+class SampleBounds:
+    """What samples do not tell, bounded.
+
+    Attributes:
+        acceleration_bound: of `relative` in inertial axes, whatever its cause: thrust, air, differential gravity, m/s².
+        turning_acceleration_bound: of the target, rad/s².
+        sample_error: how far a sample of `relative` may be from the truth, and how far one of `relative_velocity`
+            leads astray over a step where `velocity_error` does not say more, m.
+        velocity_error: how far a sample of `relative_velocity` may be from the truth, m/s.
+        attitude_error: the angle by which a sample of `turn` may be turned from the truth, rad.
+
+    Raises:
+        FlightError: a bound is no bound.
+
+    """
+
+    acceleration_bound: float
+    turning_acceleration_bound: float
+    sample_error: float = 1e-6
+    velocity_error: float = 0.0
+    attitude_error: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse a number that bounds nothing."""
+        for (name, value), unit in zip(vars(self).items(), ("m/s²", "rad/s²", "m", "m/s", "rad"), strict=True):
+            require_finite(value, f"audit: {name} is {value} {unit}", FlightError)
+
+
+@dataclass(frozen=True)
+class Chords(Path):
     """A path between samples of one flight: chords, and how far it can be from them; what `tube.nearest` splits.
 
-    `sway` (m/s²) is a + (α + Ω²) max|ρ̃|, `swing` (m) is ε max|ρ̃|, how far a wrong attitude carries a point, and
-    `speed` (m/s) bounds the speed in the body frame, one of each a step; half a step's travel at `speed` holds `swing`.
+    `sway` (m/s²) is a + (α + Ω²) max|ρ̃|, and `swing` (m) is ε max|ρ̃|, how far a wrong attitude carries a point, one of
+    each a step; half a step's travel at `speed` holds `swing`.
     `turn` holds the rotations body ← inertial at the samples, `relative` is ρ, and `origin` (m) the centre of mass in
     the body frame.
     """
 
-    time: Float[np.ndarray, "samples"]
-    position: Float[np.ndarray, "1 samples 3"]
-    speed: Float[np.ndarray, "1 steps"]
     relative: Float[np.ndarray, "samples 3"]
     turn: Float[np.ndarray, "samples 3 3"]
     sway: Float[np.ndarray, "steps"]
@@ -51,40 +95,27 @@ class Chords:
     @classmethod
     def of(
         cls,
-        time: Float[np.ndarray, "samples"],
-        relative: Float[np.ndarray, "samples 3"],
-        turn: Float[np.ndarray, "samples 3 3"],
-        *,
-        acceleration: float,
-        sample_error: float,
+        samples: Samples,
+        bounds: SampleBounds,
         turning_rate: Float[np.ndarray, "steps"],
-        turning_acceleration: float,
         origin: Float[np.ndarray, "3"],
-        attitude_error: float = 0.0,
     ) -> "Chords":
-        """Build the chords of samples: ρ, R, a, E, Ω of each step, α, the centre of mass and ε."""
+        """Build the chords of samples with ρ, R, a, E, α and ε, Ω of each step and the centre of mass (m)."""
+        time, relative, _, turn = samples
         step = np.diff(time)
-        away = lengths(relative) + sample_error
+        away = lengths(relative) + bounds.sample_error
         furthest = np.maximum(away[1:], away[:-1])
-        swing = attitude_error * furthest
-        sway = acceleration + (turning_acceleration + turning_rate**2) * furthest
-        own = (lengths(np.diff(relative, axis=0)) + 2.0 * sample_error) / step + 0.5 * acceleration * step
+        swing = bounds.attitude_error * furthest
+        acceleration = bounds.acceleration_bound
+        sway = acceleration + (bounds.turning_acceleration_bound + turning_rate**2) * furthest
+        own = (lengths(np.diff(relative, axis=0)) + 2.0 * bounds.sample_error) / step + 0.5 * acceleration * step
         # The path may bulge beyond its ends by a T²/8.
         speed = own + turning_rate * (furthest + acceleration * step**2 / 8.0) + 2.0 * swing / step
         position = np.einsum("nij,nj->ni", turn, relative) + origin
         return cls(time, position[None], speed[None], relative, turn, sway, swing, origin)
 
-    def piece(
-        self,
-        flight: Int[np.ndarray, "pieces"],
-        index: Int[np.ndarray, "pieces"],
-        start: Float[np.ndarray, "pieces"],
-        end: Float[np.ndarray, "pieces"],
-    ) -> tuple[Float[np.ndarray, "pieces 3"], Float[np.ndarray, "pieces"], Float[np.ndarray, "pieces"]]:
-        """Give a point for the part [start, end] (fractions) of step `index`, its error, and the part's radius.
-
-        The path at the middle of the part is within `error` of the point, the whole part within `radius` of it.
-        """
+    def piece(self, flight: Numbers, index: Numbers, start: Fractions, end: Fractions) -> Pieces:
+        """Give the point of the turned chord, its error, and the part's radius; see `Path`."""
         step = np.diff(self.time)[index]
         middle = 0.5 * (start + end)
         one, other = (1.0 - middle)[:, None], middle[:, None]
@@ -94,7 +125,7 @@ class Chords:
         error = self.error(index, middle)
         return point, error, error + 0.5 * (end - start) * step * self.speed[flight, index]
 
-    def error(self, index: Int[np.ndarray, "pieces"], part: Float[np.ndarray, "pieces"]) -> Float[np.ndarray, "pieces"]:
+    def error(self, index: Numbers, part: Fractions) -> Fractions:
         """Give how far the path is at most (m) from its chord's point at a part (a fraction) of step `index`."""
         step = np.diff(self.time)[index]
         return 0.5 * self.sway[index] * part * (1.0 - part) * step**2 + self.swing[index]
@@ -135,88 +166,74 @@ class Passage:
 
 
 def audit_passage(
-    time: Float[np.ndarray, "samples"],
-    relative: Float[np.ndarray, "samples 3"],
-    relative_velocity: Float[np.ndarray, "samples 3"],
-    turn: Float[np.ndarray, "samples 3 3"],
+    samples: Samples,
     target: ExactMesh,
     *,
     chaser_radius: float,
-    acceleration_bound: float,
-    turning_acceleration_bound: float,
+    bounds: SampleBounds,
     centre_of_mass: tuple[float, float, float] = (0.0, 0.0, 0.0),
     tolerance: float = 1e-3,
-    sample_error: float = 1e-6,
-    velocity_error: float = 0.0,
-    attitude_error: float = 0.0,
 ) -> Passage:
     """Judge a flight that is known at some epochs against the exact mesh.
 
     Args:
-        time: of the samples, s.
-        relative: chaser less target's centre of mass, inertial axes, m.
-        relative_velocity: its derivative, m/s; it only tells whether `acceleration_bound` can be true.
-        turn: rotations from inertial to body axes.
+        samples: of the flight.
         target: the mesh.
         chaser_radius: of the ball that holds the chaser, m.
-        acceleration_bound: of `relative` in inertial axes, whatever its cause: thrust, air, differential gravity, m/s².
-        turning_acceleration_bound: of the target, rad/s².
+        bounds: on what the samples do not tell.
         centre_of_mass: of the target, in the body frame, m.
         tolerance: how close to the truth the clearance bound is driven, m.
-        sample_error: how far a sample of `relative` may be from the truth, and how far one of `relative_velocity`
-            leads astray over a step where `velocity_error` does not say more, m.
-        velocity_error: how far a sample of `relative_velocity` may be from the truth, m/s.
-        attitude_error: the angle by which a sample of `turn` may be turned from the truth, rad.
 
     Raises:
-        FlightError: a bound is no bound.
+        FlightError: a number is out of range, or times do not rise.
 
     """
-    for name, value, unit in (
-        ("chaser_radius", chaser_radius, "m"),
-        ("acceleration_bound", acceleration_bound, "m/s²"),
-        ("turning_acceleration_bound", turning_acceleration_bound, "rad/s²"),
-        ("sample_error", sample_error, "m"),
-        ("velocity_error", velocity_error, "m/s"),
-        ("attitude_error", attitude_error, "rad"),
-    ):
-        if not (np.isfinite(value) and value >= 0.0):
-            raise FlightError(f"audit: {name} is {value} {unit}; it must be finite and at least 0")
-    if not (np.isfinite(tolerance) and tolerance > 0.0):
-        raise FlightError(f"audit: tolerance is {tolerance} m; it must be finite and greater than 0")
+    require_finite(chaser_radius, f"audit: chaser_radius is {chaser_radius} m", FlightError)
+    require_finite(tolerance, f"audit: tolerance is {tolerance} m", FlightError, positive=True)
     if not np.all(np.isfinite(centre_of_mass)):
         raise FlightError(f"audit: centre_of_mass is {list(centre_of_mass)} m; its numbers must be finite")
-    if len(time) < 2 or not np.all(np.diff(time) > 0.0):
+    time, step = samples.time, np.diff(samples.time)
+    if len(time) < 2 or not np.all(step > 0.0):
         raise FlightError(f"audit: {len(time)} times are given; there must be at least 2, and each after the last")
-    step = np.diff(time)
-    turned = angles(turn) + 2.0 * attitude_error
-    rate = turned / step + turning_acceleration_bound * step
-    chords = Chords.of(
-        time,
-        relative,
-        turn,
-        acceleration=acceleration_bound,
-        sample_error=sample_error,
-        turning_rate=rate,
-        turning_acceleration=turning_acceleration_bound,
-        origin=np.asarray(centre_of_mass),
-        attitude_error=attitude_error,
-    )
+    turned = angles(samples.turn) + 2.0 * bounds.attitude_error
+    rate = turned / step + bounds.turning_acceleration_bound * step
+    chords = Chords.of(samples, bounds, rate, np.asarray(centre_of_mass))
     distance = target.distance.distance
     bound = nearest(chords, distance, tolerance=tolerance)
-    clearance = float(bound.lower[0]) - chaser_radius - sample_error - _ROUNDING
+    clearance = float(bound.lower[0]) - chaser_radius - bounds.sample_error - _ROUNDING
     # The least distance found may be that at a sample, which the search takes to be exact.
     k = min(int(np.searchsorted(time, bound.time[0], side="right")) - 1, len(step) - 1)
     astray = chords.error(np.array([k]), (bound.time - time[k]) / step[k])
-    found = float((distance(bound.position) + astray)[0]) - chaser_radius + sample_error
-    vertices = np.asarray(target.vertices)
+    found = float((distance(bound.position) + astray)[0]) - chaser_radius + bounds.sample_error
     shown = chords.position[0][np.linspace(0, len(time) - 1, 5).astype(int)]
-    outside = any(
-        proved_outside(p, distance, vertices.min(axis=0), vertices.max(axis=0), radius=chaser_radius) for p in shown
+    outside = outside_from(shown, distance, box_of(target), chaser_radius)
+    needed = least_accelerations(samples, bounds)
+    contact, remarks = verdict(clearance, found, outside, _remarks(time, needed, bounds.acceleration_bound, turned))
+    x, y, z = bound.position[0].tolist()
+    return Passage(
+        contact=contact,
+        minimum_clearance_bound=clearance,
+        minimum_clearance=found,
+        minimum_time=float(bound.time[0]),
+        minimum_position=(x, y, z),
+        start_outside=outside,
+        least_acceleration=float(needed.max()),
+        turning_rate=float(rate.max()),
+        largest_turn=float(turned.max()),
+        longest_step=float(step.max()),
+        uncertainty=float(np.max(chords.sway * step**2 / 8.0)),
+        remarks=remarks,
     )
-    needed = least_accelerations(step, relative, relative_velocity, sample_error, velocity_error)
-    k = int(np.argmax(needed))
-    said: list[str] = []
+
+
+def _remarks(
+    time: Float[np.ndarray, "samples"],
+    needed: Float[np.ndarray, "steps"],
+    acceleration_bound: float,
+    turned: Float[np.ndarray, "steps"],
+) -> list[str]:
+    """Say where the acceleration needed (m/s²) is beyond its bound, and where a turn (rad) is too large to tell."""
+    said, k = [], int(np.argmax(needed))
     if needed[k] > acceleration_bound:
         said.append(
             f"from {time[k]:.6g} s to {time[k + 1]:.6g} s positions and velocities need {needed[k]:.4g} m/s², more "
@@ -226,22 +243,7 @@ def audit_passage(
         said.append(
             f"the target turns by {np.degrees(turned.max()):.4g} degrees between two epochs: too far to tell its rate"
         )
-    contact, remarks = verdict(clearance, found, outside, said)
-    x, y, z = components(bound.position[0])
-    return Passage(
-        contact=contact,
-        minimum_clearance_bound=clearance,
-        minimum_clearance=found,
-        minimum_time=float(bound.time[0]),
-        minimum_position=(float(x), float(y), float(z)),
-        start_outside=outside,
-        least_acceleration=float(needed[k]),
-        turning_rate=float(rate.max()),
-        largest_turn=float(turned.max()),
-        longest_step=float(step.max()),
-        uncertainty=float(np.max(chords.sway * step**2 / 8.0)),
-        remarks=remarks,
-    )
+    return said
 
 
 def angles(turn: Float[np.ndarray, "samples 3 3"]) -> Float[np.ndarray, "steps"]:
@@ -272,22 +274,17 @@ def measured_turning_acceleration(
     return float(np.max((2.0 * lengths(np.diff(mean, axis=0)) + hidden) / apart))
 
 
-def least_accelerations(
-    step: Float[np.ndarray, "steps"],
-    position: Float[np.ndarray, "samples 3"],
-    velocity: Float[np.ndarray, "samples 3"],
-    sample_error: float,
-    velocity_error: float = 0.0,
-) -> Float[np.ndarray, "steps"]:
+def least_accelerations(samples: Samples, bounds: SampleBounds) -> Float[np.ndarray, "steps"]:
     """Give for each step the least a with which its ends agree, m/s².
 
     With E the sample error, and V T the velocity error times the step, or E if that is more: |Δv| T ≤ a T² + 2 V T; and
     |Δr − v₀ T|, |Δr − v₁ T| ≤ a T²/2 + 2 E + V T.
     """
-    astray = np.maximum(sample_error, velocity_error * step)
-    moved = np.diff(position, axis=0)
+    step, velocity = np.diff(samples.time), samples.relative_velocity
+    astray = np.maximum(bounds.sample_error, bounds.velocity_error * step)
+    moved = np.diff(samples.relative, axis=0)
     sped = lengths(np.diff(velocity, axis=0)) * step
     forward = lengths(moved - velocity[:-1] * step[:, None])
     backward = lengths(moved - velocity[1:] * step[:, None])
-    coasted = 2.0 * (np.maximum(forward, backward) - 2.0 * sample_error - astray)
+    coasted = 2.0 * (np.maximum(forward, backward) - 2.0 * bounds.sample_error - astray)
     return np.maximum(np.maximum(sped - 2.0 * astray, coasted), 0.0) / step**2

@@ -15,17 +15,19 @@ Where thrusters give pulses, F is their mean, and r is such a path y plus a depa
 either end of the step and |δ̇| ≤ c. What drifts is y + δ, so that b grows by 2ωc + κe, and every radius grows by e.
 """
 
+import abc
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from keepout.core.audit import sample_loops
-from keepout.core.errors import FlightError
+from keepout.core.errors import FlightError, require_finite
 
 Distance = Callable[[Float[np.ndarray, "points 3"]], Float[np.ndarray, "points"]]
+Numbers, Fractions = Int[np.ndarray, "pieces"], Float[np.ndarray, "pieces"]
+Pieces = tuple[Float[np.ndarray, "pieces 3"], Float[np.ndarray, "pieces"], Float[np.ndarray, "pieces"]]
 
 _BLOCK = 64
 """Steps in the coarsest piece of path; a power of four, because blocks are split into quarters."""
@@ -63,8 +65,7 @@ class FlightBounds:
 
     def __post_init__(self) -> None:
         """Refuse a number that bounds nothing."""
-        if not (np.isfinite(self.mass) and self.mass > 0.0):
-            raise FlightError(f"audit: mass is {self.mass} kg; it must be finite and greater than 0")
+        require_finite(self.mass, f"audit: mass is {self.mass} kg", FlightError, positive=True)
         pushes = ("disturbance_force", "excursion", "velocity_excursion")
         turns = ("angular_rate", "angular_acceleration", "gravity_gradient", "force_turning")
         for name in (*pushes, *turns, "origin_offset"):
@@ -88,20 +89,36 @@ def lengths(vectors: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch
 
 
 @dataclass(frozen=True)
-class Tube:
-    """Flights of equal length as recorded states and the bounds that hold between them.
+class Path(abc.ABC):
+    """Flights of equal length between their samples, as `nearest` asks about them.
 
-    `residual` (m/s²) is b of the module's docstring and `speed` (m/s) bounds |ṙ| over the step, one of each a step.
-    `beyond` says of each step whether it can have left the range, speed or time within which b is a bound. `excursion`
-    (m) is e of the docstring; half a step's travel at `speed` holds it too.
+    `time` (s) and `position` (m) are those of the samples; `speed` (m/s) bounds |ṙ| over each step.
     """
 
     time: Float[np.ndarray, "samples"]
     position: Float[np.ndarray, "flights samples 3"]
+    speed: Float[np.ndarray, "flights steps"]
+
+    @abc.abstractmethod
+    def piece(self, flight: Numbers, index: Numbers, start: Fractions, end: Fractions) -> Pieces:
+        """Give a point for the part [start, end] (fractions) of step `index`, its error, and the part's radius.
+
+        The path at the middle of the part is within `error` of the point, the whole part within `radius` of it.
+        """
+
+
+@dataclass(frozen=True)
+class Tube(Path):
+    """Flights of equal length as recorded states and the bounds that hold between them.
+
+    `residual` (m/s²) is b of the module's docstring, one a step.
+    `beyond` says of each step whether it can have left the range, speed or time within which b is a bound. `excursion`
+    (m) is e of the docstring; half a step's travel at `speed` holds it too.
+    """
+
     velocity: Float[np.ndarray, "flights samples 3"]
     acceleration: Float[np.ndarray, "flights samples 3"]
     residual: Float[np.ndarray, "flights steps"]
-    speed: Float[np.ndarray, "flights steps"]
     beyond: Bool[np.ndarray, "flights steps"]
     excursion: float = 0.0
 
@@ -151,7 +168,7 @@ class Tube:
         if bounds.excursion > 0.0:
             speed = speed + 2.0 * bounds.excursion / step
         beyond |= (speed + bounds.velocity_excursion > bounds.speed_limit) | (time[1:] > bounds.valid_until)
-        return cls(time, position, velocity, acceleration, residual, speed, beyond, bounds.excursion)
+        return cls(time, position, speed, velocity, acceleration, residual, beyond, bounds.excursion)
 
     def inconsistency(self) -> Float[np.ndarray, "flights steps"]:
         """How far, in metres, the end of each step lies beyond what its start and the bounds allow; ≤ 0 is consistent.
@@ -162,17 +179,8 @@ class Tube:
             np.diff(self.time), self.position, self.velocity, self.acceleration, self.residual, self.excursion
         )
 
-    def piece(
-        self,
-        flight: Int[np.ndarray, "pieces"],
-        index: Int[np.ndarray, "pieces"],
-        start: Float[np.ndarray, "pieces"],
-        end: Float[np.ndarray, "pieces"],
-    ) -> tuple[Float[np.ndarray, "pieces 3"], Float[np.ndarray, "pieces"], Float[np.ndarray, "pieces"]]:
-        """Give a point for the part [start, end] (fractions) of step `index`, its error, and the part's radius.
-
-        The path at the middle of the part is within `error` of the point, the whole part within `radius` of it.
-        """
+    def piece(self, flight: Numbers, index: Numbers, start: Fractions, end: Fractions) -> Pieces:
+        """Give a point on the nearer end's parabola, its error, and the part's radius; see `Path`."""
         step = np.diff(self.time)[index]
         middle = 0.5 * (start + end)
         forward = middle <= 0.5
@@ -184,36 +192,6 @@ class Tube:
         error = 0.5 * self.residual[flight, index] * tau**2 + self.excursion
         radius = error + 0.5 * (end - start) * step * self.speed[flight, index]
         return point, error, radius
-
-
-@runtime_checkable
-class Path(Protocol):
-    """What `nearest` asks of flights between their samples; `Tube` is one."""
-
-    @property
-    def time(self) -> Float[np.ndarray, "samples"]:
-        """Of the samples, s."""
-        ...
-
-    @property
-    def position(self) -> Float[np.ndarray, "flights samples 3"]:
-        """At the samples, m."""
-        ...
-
-    @property
-    def speed(self) -> Float[np.ndarray, "flights steps"]:
-        """A bound of the speed over each step, m/s."""
-        ...
-
-    def piece(
-        self,
-        flight: Int[np.ndarray, "pieces"],
-        index: Int[np.ndarray, "pieces"],
-        start: Float[np.ndarray, "pieces"],
-        end: Float[np.ndarray, "pieces"],
-    ) -> tuple[Float[np.ndarray, "pieces 3"], Float[np.ndarray, "pieces"], Float[np.ndarray, "pieces"]]:
-        """Give a point for part of a step, its error, and the part's radius; see `Tube.piece`."""
-        ...
 
 
 @dataclass(frozen=True)

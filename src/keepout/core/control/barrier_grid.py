@@ -5,21 +5,20 @@
 later map.
 """
 
+import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import no_type_check
+from typing import Any, no_type_check
 
-import jax
 import numba
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int8, UInt16
+from jaxtyping import Bool, Float, Int8, UInt16
 
-from keepout.core.compiled.kept_executables import kept_jit
 from keepout.core.control.fast_marching import UNIT
 from keepout.core.errors import ControlError, KeepOutZoneError
 from keepout.core.fields.field import Field
-from keepout.core.fields.field import values as field_values
+from keepout.core.fields.field import values as values_of
 from keepout.core.progress import Progress, silent
 
 FULL_SPEED_BARRIER = 0.6
@@ -27,7 +26,9 @@ FULL_SPEED_BARRIER = 0.6
 MOST_NODES = 1_600_000
 """By default a grid takes every few nodes of the map, so that it has no more than these: a second's march at most."""
 _CHUNK = 65536
-_FEW = 1024  # more than the 8 samples on the way to each of 125 nodes around a goal
+FEW = 1024
+"""Points computed at a time about a goal, which asks for so few that a full piece would be most of its cost: more than
+the 8 samples on the way to each of 125 nodes around it."""
 _MOST_NODES = 4_000_000
 _OUTWARD_WEIGHT = 0.25  # weight of a node in the obstacle, whose direction leads out, beside 1 of a free one
 
@@ -84,7 +85,7 @@ class BarrierGrid:
                 f"guidance grid: {np.prod(shape)} nodes at {spacing:.3g} m; at most {_MOST_NODES}: "
                 f"use a spacing of {np.cbrt(np.prod(extent) / _MOST_NODES):.3g} m or a smaller box"
             )
-        sample = _Sampler(field, offset)
+        sample = functools.partial(_sampled, field, offset)
         axes = [first + spacing * np.arange(count) for first, count in zip(low, shape, strict=True)]
         coarse = sample(_nodes([axis[::2] for axis in axes]), lambda f: progress(0.3 * f, "barrier, coarse"))
         coarse = coarse.reshape([len(axis[::2]) for axis in axes])
@@ -118,18 +119,13 @@ class BarrierGrid:
             )
 
 
-class _Sampler:
-    """h at many points, with progress."""
-
-    def __init__(self, field: Field, offset: float):
-        self._field, self._offset = field, offset
-
-    def __call__(self, points: np.ndarray, progress) -> np.ndarray:
-        result = np.empty(len(points))
-        for first in range(0, len(points), _CHUNK):
-            result[first : first + _CHUNK] = field_values(self._field, points[first : first + _CHUNK])
-            progress(min(1.0, (first + _CHUNK) / len(points)))
-        return result - self._offset
+def _sampled(field: Field, offset: float, points: np.ndarray, progress: Callable[[float], Any]) -> np.ndarray:
+    """Give h at many points (m), with progress."""
+    result = np.empty(len(points))
+    for first in range(0, len(points), _CHUNK):
+        result[first : first + _CHUNK] = values_of(field, points[first : first + _CHUNK])
+        progress(min(1.0, (first + _CHUNK) / len(points)))
+    return result - offset
 
 
 def _refined(coarse: Float[np.ndarray, "nx ny nz"]) -> Float[np.ndarray, "mx my mz"]:
@@ -161,7 +157,7 @@ def outwards(values: Float[np.ndarray, "nx ny nz"]) -> Int8[np.ndarray, "nx ny n
     return directions
 
 
-def _walls(sample: _Sampler, values: np.ndarray, axes: list[np.ndarray], spacing: float) -> np.ndarray:
+def _walls(sample: Callable[..., np.ndarray], values: np.ndarray, axes: list[np.ndarray], spacing: float) -> np.ndarray:
     """Edges between free nodes that may cross the obstacle, decided by sampling them (a distance is 1-Lipschitz)."""
     walls = np.zeros((3, *values.shape), dtype=bool)
     inner = np.arange(1, 8) / 8.0
@@ -184,18 +180,6 @@ def _walls(sample: _Sampler, values: np.ndarray, axes: list[np.ndarray], spacing
     return walls
 
 
-@kept_jit
-def _value(field: Field, points: Float[Array, "n 3"]) -> Float[Array, " n"]:
-    return field.value(points)
-
-
-def _few_values(field: Field, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
-    """Field values (m) at up to `_FEW` points: a goal asks for so few that a full piece would be most of its cost."""
-    padded = np.zeros((_FEW, 3))
-    padded[: len(points)] = points
-    return np.asarray(_value(field, jax.device_put(padded)))[: len(points)]
-
-
 def require_free(field: Field, offset: float, position: Float[np.ndarray, "3"], name: str) -> None:
     """Refuse a position where h = field − offset is not positive.
 
@@ -203,7 +187,7 @@ def require_free(field: Field, offset: float, position: Float[np.ndarray, "3"], 
         KeepOutZoneError: it lies inside; the message says by how much.
 
     """
-    barrier = float(_few_values(field, np.asarray(position, dtype=float)[None])[0]) - offset
+    barrier = float(values_of(field, np.asarray(position, dtype=float)[None], FEW)[0]) - offset
     if not barrier > 0.0:
         raise KeepOutZoneError(
             f"{name}: {np.asarray(position).tolist()} m lies {-barrier:.3g} m inside the keep-out zone "

@@ -12,16 +12,16 @@ from dataclasses import dataclass
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from keepout.core.control.velocity_program import Circulation
-from keepout.core.motion.arrays import as_float64, norm
+from keepout.core.motion.arrays import Flag, Scalar, Vector, as_float64, norm
 
 PRINTED = ((0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 """Ω as printed in the paper, section VI."""
 
 
-def skew(axis: Float[Array, "3"]) -> Float[Array, "3 3"]:
+def skew(axis: Vector) -> Float[Array, "3 3"]:
     """Return the matrix of the cross product with `axis`."""
     x, y, z = axis[0], axis[1], axis[2]
     zero = jnp.zeros_like(x)
@@ -34,28 +34,19 @@ class CirculationLaw(eqx.Module):
     `level` is Υ(0) in m/s, `slope` in 1/s, `weight` the penalty p of the relaxation.
     """
 
-    level: eqx.AbstractVar[Float[Array, ""]]
-    slope: eqx.AbstractVar[Float[Array, ""]]
-    weight: eqx.AbstractVar[Float[Array, ""]]
+    level: Scalar = eqx.field(converter=as_float64, default=0.1)
+    slope: Scalar = eqx.field(converter=as_float64, default=1.0)
+    weight: Scalar = eqx.field(converter=as_float64, default=1.0)
+
+    def update(self, memory: Vector, barrier: Scalar, normal: Vector, desired: Vector, velocity: Vector) -> Vector:
+        """Return the memory for this step from h (m), ∇f̃, the desired velocity and the velocity (m/s); else kept."""
+        return memory
 
     @abc.abstractmethod
-    def update(
-        self,
-        memory: Float[Array, "3"],
-        barrier: Float[Array, ""],
-        normal: Float[Array, "3"],
-        desired: Float[Array, "3"],
-        velocity: Float[Array, "3"],
-    ) -> Float[Array, "3"]:
-        """Return the memory for this step from h (m), ∇f̃, the desired velocity and the velocity (m/s)."""
-
-    @abc.abstractmethod
-    def matrix(self, memory: Float[Array, "3"]) -> Float[Array, "3 3"]:
+    def matrix(self, memory: Vector) -> Float[Array, "3 3"]:
         """Return Ω."""
 
-    def inequality(
-        self, memory: Float[Array, "3"], barrier: Float[Array, ""], normal: Float[Array, "3"]
-    ) -> Circulation:
+    def inequality(self, memory: Vector, barrier: Scalar, normal: Vector) -> Circulation:
         """Return the inequality at a point with barrier h (m) and gradient ∇f̃."""
         return Circulation(self.matrix(memory) @ normal, self.level - self.slope * barrier, self.weight)
 
@@ -63,23 +54,9 @@ class CirculationLaw(eqx.Module):
 class ConstantCirculation(CirculationLaw):
     """A constant Ω (3, 3): `printed_circulation` has the paper's, `skew_circulation` a skew one."""
 
-    omega: Float[Array, "3 3"]
-    level: Float[Array, ""] = eqx.field(converter=as_float64, default=0.1)
-    slope: Float[Array, ""] = eqx.field(converter=as_float64, default=1.0)
-    weight: Float[Array, ""] = eqx.field(converter=as_float64, default=1.0)
+    omega: Float[Array, "3 3"] = eqx.field(kw_only=True)
 
-    def update(
-        self,
-        memory: Float[Array, "3"],
-        barrier: Float[Array, ""],
-        normal: Float[Array, "3"],
-        desired: Float[Array, "3"],
-        velocity: Float[Array, "3"],
-    ) -> Float[Array, "3"]:
-        """Keep the memory, which a constant Ω does not use."""
-        return memory
-
-    def matrix(self, memory: Float[Array, "3"]) -> Float[Array, "3 3"]:
+    def matrix(self, memory: Vector) -> Float[Array, "3 3"]:
         """Return the constant."""
         return self.omega
 
@@ -93,19 +70,9 @@ class SwitchingCirculation(CirculationLaw):
     `degenerate`) T would vanish: the axis becomes n × v, which carries on in the direction of flight.
     """
 
-    level: Float[Array, ""] = eqx.field(converter=as_float64, default=0.1)
-    slope: Float[Array, ""] = eqx.field(converter=as_float64, default=1.0)
-    weight: Float[Array, ""] = eqx.field(converter=as_float64, default=1.0)
-    degenerate: Float[Array, ""] = eqx.field(converter=as_float64, default=0.3)
+    degenerate: Scalar = eqx.field(converter=as_float64, default=0.3)
 
-    def update(
-        self,
-        memory: Float[Array, "3"],
-        barrier: Float[Array, ""],
-        normal: Float[Array, "3"],
-        desired: Float[Array, "3"],
-        velocity: Float[Array, "3"],
-    ) -> Float[Array, "3"]:
+    def update(self, memory: Vector, barrier: Scalar, normal: Vector, desired: Vector, velocity: Vector) -> Vector:
         """Return the axis to use now; zero while there is no obstacle near."""
         n = _unit(normal)
         reach = self.level / self.slope
@@ -116,10 +83,10 @@ class SwitchingCirculation(CirculationLaw):
         onwards = _unit_or(jnp.cross(n, _unit(velocity)), towards)
         sine = jnp.linalg.norm(jnp.cross(memory, n))
         kept = jnp.where(sine < self.degenerate, onwards, memory)
-        near: Bool[Array, ""] = barrier < jnp.where(engaged, 2.0 * reach, reach)
+        near: Flag = barrier < jnp.where(engaged, 2.0 * reach, reach)
         return jnp.where(near, jnp.where(engaged, kept, towards), 0.0)
 
-    def matrix(self, memory: Float[Array, "3"]) -> Float[Array, "3 3"]:
+    def matrix(self, memory: Vector) -> Float[Array, "3 3"]:
         """Return the cross product with the axis."""
         return skew(memory)
 
@@ -140,11 +107,11 @@ def skew_circulation(axis: Sequence[float] = (1.0, 1.0, 1.0)) -> ConstantCircula
     return ConstantCirculation(omega=skew(jnp.asarray(direction / np.linalg.norm(direction))))
 
 
-def _unit(vector: Float[Array, "3"]) -> Float[Array, "3"]:
+def _unit(vector: Vector) -> Vector:
     size = norm(vector)
     return vector / jnp.where(size > 0.0, size, 1.0)
 
 
-def _unit_or(vector: Float[Array, "3"], otherwise: Float[Array, "3"]) -> Float[Array, "3"]:
+def _unit_or(vector: Vector, otherwise: Vector) -> Vector:
     """Return the direction of a cross product of unit vectors, or another where they are nearly parallel."""
     return jnp.where(jnp.sum(vector * vector) > 1e-6, _unit(vector), otherwise)

@@ -3,20 +3,21 @@
 import dataclasses
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from keepout.core.control.law import Command, Condition, ControlStatus, Law
 from keepout.core.control.observer import Observer
 from keepout.core.control.velocity import SafeVelocity, VelocityPoint
-from keepout.core.control.velocity_solver import ConeStatus
-from keepout.core.motion.arrays import norm
+from keepout.core.control.velocity_program import ConeStatus
+from keepout.core.motion.arrays import Flag, Scalar, Vector, as_float64, norm
 from keepout.core.motion.relative import MotionState, RelativeMotion
 
 _NO_GRADIENT = 1e-24
 
 
-def safety_gain(a: Float[Array, ""], b: Float[Array, ""], sharpness: Float[Array, ""]) -> Float[Array, ""]:
+def safety_gain(a: Scalar, b: Scalar, sharpness: Scalar) -> Scalar:
     """Return Λ(a, b) = ln(1 + exp(−ε a/b))/ε, and 0 where b = 0 (paper Eq. SmoothSafetyFiltersParam).
 
     Free of overflow for any a and b ≥ 0, with finite derivatives on both branches.
@@ -33,12 +34,12 @@ class TrackingPoint(eqx.Module):
     m and `lyapunov` V₁ in m², both with the unknown estimation error e_d taken as zero; `a`, `b` as in the paper.
     """
 
-    reference: Float[Array, "3"]
-    control: Float[Array, "3"]
-    backstepping_barrier: Float[Array, ""]
-    lyapunov: Float[Array, ""]
-    a: Float[Array, ""]
-    b: Float[Array, ""]
+    reference: Vector
+    control: Vector
+    backstepping_barrier: Scalar
+    lyapunov: Scalar
+    a: Scalar
+    b: Scalar
 
 
 class Tracking(eqx.Module):
@@ -50,24 +51,19 @@ class Tracking(eqx.Module):
     direction stays.
     """
 
-    gain: Float[Array, ""]
-    position_weight: Float[Array, "3 3"]
-    lyapunov_ratio: Float[Array, ""]
-    barrier_ratio: Float[Array, ""]
-    estimation_weight: Float[Array, ""]
-    estimation_rate: Float[Array, ""]
-    barrier_rate: Float[Array, ""]
-    sharpness: Float[Array, ""]
-    gradient_error: Float[Array, ""]
-    acceleration_limit: Float[Array, ""] | None = None
+    gain: Scalar = eqx.field(converter=as_float64)
+    position_weight: Float[Array, "3 3"] = eqx.field(converter=as_float64)
+    lyapunov_ratio: Scalar = eqx.field(converter=as_float64)
+    barrier_ratio: Scalar = eqx.field(converter=as_float64)
+    estimation_weight: Scalar = eqx.field(converter=as_float64)
+    estimation_rate: Scalar = eqx.field(converter=as_float64)
+    barrier_rate: Scalar = eqx.field(converter=as_float64)
+    sharpness: Scalar = eqx.field(converter=as_float64)
+    gradient_error: Scalar = eqx.field(converter=as_float64)
+    acceleration_limit: Scalar | None = None
 
     def __call__(
-        self,
-        point: VelocityPoint,
-        position_error: Float[Array, "3"],
-        velocity: Float[Array, "3"],
-        drift: Float[Array, "3"],
-        mass: Float[Array, ""],
+        self, point: VelocityPoint, position_error: Vector, velocity: Vector, drift: Vector, mass: Scalar
     ) -> TrackingPoint:
         """Return the tracking layer for r_e (m), v (m/s), the drift acceleration (m/s²) and a mass in kg."""
         error = velocity - point.velocity
@@ -110,12 +106,12 @@ class ControllerState(eqx.Module):
 
     """
 
-    velocity: Float[Array, "3"]
-    drift: Float[Array, "3"]
-    force: Float[Array, "3"]
+    velocity: Vector
+    drift: Vector
+    force: Vector
     observer: Float[Array, " q"]
-    circulation: Float[Array, "3"]
-    started: Bool[Array, ""]
+    circulation: Vector
+    started: Flag
 
 
 class Controller(Law):
@@ -137,9 +133,9 @@ class Controller(Law):
     tracking: Tracking
     observer: Observer
     motion: RelativeMotion
-    mass: Float[Array, ""]
-    force_limit: Float[Array, "3"]
-    nominal_offset: Float[Array, ""]
+    mass: Scalar
+    force_limit: Vector
+    nominal_offset: Scalar
     checked: tuple[Condition, ...] = eqx.field(static=True, default=())
 
     @property
@@ -152,7 +148,7 @@ class Controller(Law):
         return dataclasses.replace(self, checked=())
 
     @property
-    def goal(self) -> Float[Array, "3"]:
+    def goal(self) -> Vector:
         """Where the law leads, m."""
         return self.velocity.guidance.goal
 
@@ -167,7 +163,7 @@ class Controller(Law):
             started=jnp.asarray(False),
         )
 
-    def with_applied_force(self, state: ControllerState, force: Float[Array, "3"]) -> ControllerState:
+    def with_applied_force(self, state: ControllerState, force: Vector) -> ControllerState:
         """Return the state told that `force` (N) is held from now on instead of the one commanded.
 
         Without this the observer takes the difference for a disturbance.
@@ -214,10 +210,4 @@ class Controller(Law):
         clean = ControllerState(velocity, drift, force, memory, circulation, jnp.asarray(True))
         whole = finite & jnp.all(jnp.isfinite(velocity)) & jnp.all(jnp.isfinite(drift)) & jnp.all(jnp.isfinite(memory))
         kept = eqx.tree_at(lambda s: (s.force, s.started), state, (force, jnp.asarray(False)))
-        return _where(whole, clean, kept), command
-
-
-def _where(condition: Bool[Array, ""], yes: ControllerState, no: ControllerState) -> ControllerState:
-    return ControllerState(
-        *(jnp.where(condition, a, b) for a, b in zip(vars(yes).values(), vars(no).values(), strict=True))
-    )
+        return jax.tree.map(lambda a, b: jnp.where(whole, a, b), clean, kept), command

@@ -19,7 +19,7 @@ from keepout.core.control.law import Condition
 from keepout.core.control.observer import ContinuousObserver, SampledObserver
 from keepout.core.control.velocity import SafeVelocity, VelocityPoint
 from keepout.core.errors import ControlError
-from keepout.core.motion.arrays import as_float64
+from keepout.core.motion.arrays import Scalar, Vector, as_float64
 from keepout.core.motion.chaser import Chaser
 from keepout.core.motion.relative import MotionState, RelativeMotion
 
@@ -158,12 +158,12 @@ def drift_bound(motion: RelativeMotion, *, radius: float, speed: float, samples:
 
 @kept_jit
 def _largest_drift(
-    motion: RelativeMotion, time: Float[Array, ""], positions: Float[Array, "n 3"], velocities: Float[Array, "n 3"]
-) -> Float[Array, ""]:
+    motion: RelativeMotion, time: Scalar, positions: Float[Array, "n 3"], velocities: Float[Array, "n 3"]
+) -> Scalar:
     """Give the largest drift acceleration (m/s²) at a moment (s) over positions (m) and velocities (m/s)."""
     at = motion.initial_state(jnp.zeros(3), jnp.zeros(3), time)
 
-    def single(r: Float[Array, "3"], v: Float[Array, "3"]) -> Float[Array, ""]:
+    def single(r: Vector, v: Vector) -> Scalar:
         moved = MotionState(at.time, r, v, at.attitude, at.angular_velocity, at.target_orbit)
         return jnp.linalg.norm(motion.drift_acceleration(moved))
 
@@ -171,13 +171,13 @@ def _largest_drift(
 
 
 @kept_jit
-def _at_rest(law: SafeVelocity, position: Float[Array, "3"]) -> VelocityPoint:
+def _at_rest(law: SafeVelocity, position: Vector) -> VelocityPoint:
     """Give the velocity layer at a position (m) before anything is remembered; compiled once a kind of law."""
     return law(position, jnp.zeros(3), jnp.zeros(3))[0]
 
 
 @kept_jit
-def _drift_at_rest(motion: RelativeMotion, position: Float[Array, "3"]) -> Float[Array, ""]:
+def _drift_at_rest(motion: RelativeMotion, position: Vector) -> Scalar:
     """Give the drift acceleration (m/s²) of a chaser at rest at a position (m) at the epoch."""
     return jnp.linalg.norm(motion.drift_acceleration(motion.initial_state(position, jnp.zeros(3))))
 

@@ -3,13 +3,13 @@
 Inside, grids are padded by one closed node on every side and flattened: a neighbour is an index plus or minus a stride.
 """
 
-import heapq
+import bisect
 import math
 from typing import no_type_check
 
 import numba
 import numpy as np
-from jaxtyping import Bool, Float, Int, Int8
+from jaxtyping import Bool, Float, Int
 
 UNIT = 127.0
 """What stands for 1 in a direction of 8-bit integers."""
@@ -162,22 +162,15 @@ def _update(time, walls, strides, node, cost):
     return (total + np.sqrt(max(total * total - 3.0 * (square - cost * cost), 0.0))) / 3.0
 
 
-def downhill(
-    time: Float[np.ndarray, "nx ny nz"],
-    walls: Bool[np.ndarray, "3 nx ny nz"],
-    directions: Int8[np.ndarray, "nx ny nz 3"],
-) -> None:
+@numba.njit(cache=True)
+@no_type_check
+def downhill(time, walls, directions):
     """Write into `directions`, in 127ths (`UNIT`), the upwind direction down the time (s) of every node reached.
 
     It leads to the neighbours that the node was reached from, so never through a wall. Nodes whose time is infinite,
-    and those without an earlier neighbour, keep what they have.
+    and those without an earlier neighbour, keep what they have. Shapes: time (nx, ny, nz), walls (3, nx, ny, nz) as of
+    `travel_time`, directions (nx, ny, nz, 3).
     """
-    _downhill(time, walls, directions)
-
-
-@numba.njit(cache=True)
-@no_type_check
-def _downhill(time, walls, directions):
     step = np.zeros(3)
     for node in np.ndindex(time.shape):
         here = time[node]
@@ -203,29 +196,13 @@ def _downhill(time, walls, directions):
 
 def widest_way(barrier: Float[np.ndarray, "nx ny nz"], start: Int[np.ndarray, "3"], end: Int[np.ndarray, "3"]) -> float:
     """Return the largest c such that a path of neighbouring nodes with barrier ≥ c joins start and end, m."""
-    padded = np.pad(barrier, 1, constant_values=-np.inf)
-    strides = np.array([padded.shape[1] * padded.shape[2], padded.shape[2], 1])
-    first, last = (int(np.ravel_multi_index(tuple(np.asarray(node) + 1), padded.shape)) for node in (start, end))
-    return float(_widest(padded.ravel(), strides, first, last))
+    from scipy import ndimage  # takes a tenth of a second, and only a refusal asks
 
+    start, end = tuple(start), tuple(end)
 
-@numba.njit(cache=True)
-@no_type_check
-def _widest(barrier, strides, start, end):
-    best = np.full(barrier.size, -np.inf)
-    best[start] = barrier[start]
-    heap = [(-barrier[start], start)]
-    while len(heap) > 0:
-        width, settled = heapq.heappop(heap)
-        if settled == end:
-            break
-        if -width < best[settled]:
-            continue
-        for axis in range(3):
-            for sign in (-1, 1):
-                node = settled + sign * strides[axis]
-                through = min(-width, barrier[node])
-                if through > best[node]:
-                    best[node] = through
-                    heapq.heappush(heap, (-through, node))
-    return best[end]
+    def parted(level: float) -> bool:
+        part, _ = ndimage.label(barrier >= level)
+        return bool(part[start] != part[end])
+
+    levels = np.unique(barrier[barrier <= min(barrier[start], barrier[end])])
+    return float(levels[bisect.bisect_left(levels, True, key=parted) - 1])

@@ -11,12 +11,12 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Int8, Int32
 
 from keepout.core.compiled.in_batches import joined_rows, rows_last
-from keepout.core.control.barrier_grid import FULL_SPEED_BARRIER, BarrierGrid, _few_values, require_free
+from keepout.core.control.barrier_grid import FEW, FULL_SPEED_BARRIER, BarrierGrid, require_free
 from keepout.core.control.fast_marching import UNIT, downhill, travel_time, widest_way
-from keepout.core.control.guidance import Guidance, GuidancePlan, Point, towards
+from keepout.core.control.guidance import Guidance, GuidancePlan, Point, SlowingGuidance, towards
 from keepout.core.errors import ControlError
 from keepout.core.fields.field import Field, values
-from keepout.core.motion.arrays import as_float64
+from keepout.core.motion.arrays import Scalar, Vector, as_float64
 from keepout.core.progress import Progress, silent
 
 SLOWEST = 0.03
@@ -25,7 +25,7 @@ _EDGE = 32
 """Nodes; the edges of a grid's array are multiples of it."""
 
 
-class GeodesicGuidance(Guidance):
+class GeodesicGuidance(SlowingGuidance):
     """Along the shortest free way to the goal, blended into the straight line near it (docs/control.md).
 
     `directions` holds at each node of a regular grid with corner `origin` (m) and `spacing` (m) the direction in which
@@ -39,17 +39,14 @@ class GeodesicGuidance(Guidance):
     `keepout.core.control.geodesic.geodesic_guidance`.
     """
 
-    goal: Float[Array, "3"]
-    speed: Float[Array, ""]
-    slowing_length: Float[Array, ""]
     directions: Int32[Array, "nx ny nz"]
-    nodes: Float[Array, "3"]
-    origin: Float[Array, "3"]
-    spacing: Float[Array, ""]
-    inner: Float[Array, ""]
-    outer: Float[Array, ""]
+    nodes: Vector
+    origin: Vector
+    spacing: Scalar
+    inner: Scalar
+    outer: Scalar
 
-    def desired_velocity(self, position: Float[Array, "3"]) -> Float[Array, "3"]:
+    def desired_velocity(self, position: Vector) -> Vector:
         """Return the desired velocity, m/s."""
         straight, distance = towards(self.goal, position, self.slowing_length)
         geodesic = self.direction(position) * jnp.tanh(distance / self.slowing_length)
@@ -57,7 +54,7 @@ class GeodesicGuidance(Guidance):
         weight = s * s * (3.0 - 2.0 * s)
         return self.speed * (weight * geodesic + (1.0 - weight) * straight)
 
-    def direction(self, position: Float[Array, "3"]) -> Float[Array, "3"]:
+    def direction(self, position: Vector) -> Vector:
         """Return the unit vector along the way to the goal, or zero where nothing leads there."""
         last = self.nodes - 2.0
         place = (position - self.origin) / self.spacing
@@ -110,7 +107,7 @@ def _contracted(blocks: Float[Array, "4 4 4 n"], weights: Sequence[Sequence[Floa
     return blocks
 
 
-def _unit(vector: Float[Array, "3"]) -> Float[Array, "3"]:
+def _unit(vector: Vector) -> Vector:
     """Return the vector at length 1, or zero; its derivative is finite everywhere."""
     return vector / jnp.sqrt(jnp.sum(vector * vector) + 1e-300)
 
@@ -163,10 +160,13 @@ def geodesic_guidance(
             f"goal: {goal.tolist()} m has no free grid node beside it at a spacing of {grid.spacing:.3g} m; "
             "move it out of the gap or give a smaller spacing"
         )
-    towards = None
-    if start is not None and beyond < math.inf:
+    node = None
+    if start is not None:
+        start = np.asarray(start, dtype=float)
+        require_free(field, offset, start, "start")
         grid.require_inside(start, "start")
-        towards = grid.node(start)
+        node = grid.node(start)
+    towards = node if beyond < math.inf else None
     time = travel_time(speeds, grid.walls, sources, times, grid.spacing, towards=towards, beyond=beyond)
     guidance = GeodesicGuidance(
         goal=as_float64(goal),
@@ -179,19 +179,14 @@ def geodesic_guidance(
         inner=as_float64(max(0.6, grid.spacing)),
         outer=as_float64(max(1.2, 2.0 * grid.spacing)),
     )
-    if start is not None:
-        start = np.asarray(start, dtype=float)
-        require_free(field, offset, start, "start")
-        grid.require_inside(start, "start")
-        node = grid.node(start)
-        if not np.isfinite(time[tuple(node)]):
-            missing = max(-widest_way(grid.values, node, sources[0]), 0.0)
-            # A way between nodes may be wider than over them, by no more than half the diagonal of a cell's face.
-            hint = "; a smaller spacing may find a wider one" if missing < np.sqrt(0.5) * grid.spacing else ""
-            raise ControlError(
-                f"start: {start.tolist()} m is not connected to the goal {goal.tolist()} m for this chaser; the "
-                f"widest way between them misses {missing:.3g} m of clearance (grid {grid.spacing:.3g} m){hint}"
-            )
+    if start is not None and node is not None and not np.isfinite(time[tuple(node)]):
+        missing = max(-widest_way(grid.values, node, sources[0]), 0.0)
+        # A way between nodes may be wider than over them, by no more than half the diagonal of a cell's face.
+        hint = "; a smaller spacing may find a wider one" if missing < np.sqrt(0.5) * grid.spacing else ""
+        raise ControlError(
+            f"start: {start.tolist()} m is not connected to the goal {goal.tolist()} m for this chaser; the "
+            f"widest way between them misses {missing:.3g} m of clearance (grid {grid.spacing:.3g} m){hint}"
+        )
     return guidance
 
 
@@ -207,7 +202,7 @@ def _around_goal(grid: BarrierGrid, field: Field, offset: float, goal: np.ndarra
     points = grid.origin + grid.spacing * nodes
     fractions = np.linspace(0.0, 1.0, 9)[1:]
     between = goal + fractions[:, None, None] * (points - goal)
-    barrier = _few_values(field, between.reshape(-1, 3)).reshape(len(fractions), -1) - offset
+    barrier = values(field, between.reshape(-1, 3), FEW).reshape(len(fractions), -1) - offset
     seen = np.all(barrier > 0.0, axis=0)
     speed = np.clip(barrier / FULL_SPEED_BARRIER, SLOWEST, 1.0)
     times = np.linalg.norm(points - goal, axis=1) * np.mean(1.0 / speed, axis=0)

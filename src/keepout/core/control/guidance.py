@@ -2,6 +2,7 @@
 
 import abc
 from dataclasses import dataclass
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from keepout.core.fields.field import Field
-from keepout.core.motion.arrays import as_float64
+from keepout.core.motion.arrays import Scalar, Vector, as_float64
 from keepout.core.progress import Progress, silent
 
 Point = Float[np.ndarray, "3"]
@@ -18,29 +19,30 @@ Point = Float[np.ndarray, "3"]
 class Guidance(eqx.Module):
     """A desired velocity for each position; `goal` (3,) m is where it leads."""
 
-    goal: eqx.AbstractVar[Float[Array, "3"]]
+    goal: eqx.AbstractVar[Vector]
 
     @abc.abstractmethod
-    def desired_velocity(self, position: Float[Array, "3"]) -> Float[Array, "3"]:
+    def desired_velocity(self, position: Vector) -> Vector:
         """Return v_c in m/s at a position in m, both in the body frame."""
 
 
-class ComponentwiseGuidance(Guidance):
-    """The paper's v_c = −v_max tanh(r_e / k_p), component by component; up to √3 v_max in norm.
+class SlowingGuidance(Guidance):
+    """A guidance that slows down towards its goal: `speed` v_max in m/s, `slowing_length` k_p in m."""
 
-    `speed` v_max in m/s, `slowing_length` k_p in m.
-    """
+    goal: Vector
+    speed: Scalar
+    slowing_length: Scalar
 
-    goal: Float[Array, "3"]
-    speed: Float[Array, ""]
-    slowing_length: Float[Array, ""]
 
-    def desired_velocity(self, position: Float[Array, "3"]) -> Float[Array, "3"]:
+class ComponentwiseGuidance(SlowingGuidance):
+    """The paper's v_c = −v_max tanh(r_e / k_p), component by component; up to √3 v_max in norm."""
+
+    def desired_velocity(self, position: Vector) -> Vector:
         """Return −v_max tanh(r_e / k_p)."""
         return -self.speed * jnp.tanh((position - self.goal) / self.slowing_length)
 
 
-def towards(goal: Float[Array, "3"], position: Float[Array, "3"], length: Float[Array, ""]) -> tuple[Array, Array]:
+def towards(goal: Vector, position: Vector, length: Scalar) -> tuple[Array, Array]:
     """Return tanh(‖r_e‖/k_p) times the direction to the goal (smooth at the goal), and ‖r_e‖."""
     error = goal - position
     square = jnp.sum(error * error)
@@ -50,14 +52,10 @@ def towards(goal: Float[Array, "3"], position: Float[Array, "3"], length: Float[
     return factor * error, jnp.where(away, distance, 0.0)
 
 
-class StraightGuidance(Guidance):
+class StraightGuidance(SlowingGuidance):
     """Straight to the goal with speed v_max tanh(‖r_e‖ / k_p); never above v_max in norm."""
 
-    goal: Float[Array, "3"]
-    speed: Float[Array, ""]
-    slowing_length: Float[Array, ""]
-
-    def desired_velocity(self, position: Float[Array, "3"]) -> Float[Array, "3"]:
+    def desired_velocity(self, position: Vector) -> Vector:
         """Return v_max tanh(‖r_e‖/k_p) times the direction to the goal."""
         return self.speed * towards(self.goal, position, self.slowing_length)[0]
 
@@ -94,43 +92,35 @@ class GuidancePlan(abc.ABC):
         """
 
 
+class _WhateverIsBetween(GuidancePlan):
+    """A plan whose guidance does not ask the field."""
+
+    made: ClassVar[type[SlowingGuidance]]
+
+    def guidance(
+        self,
+        field: Field,
+        offset: float,
+        goal: Point,
+        *,
+        speed: float,
+        slowing_length: float,
+        start: Point | None = None,
+        progress: Progress = silent,
+    ) -> Guidance:
+        """Make the guidance; the field is not asked."""
+        return self.made(jnp.asarray(goal), as_float64(speed), as_float64(slowing_length))
+
+
 @dataclass(frozen=True)
-class Straight(GuidancePlan):
+class Straight(_WhateverIsBetween):
     """Straight to the goal, whatever is between (`StraightGuidance`)."""
 
-    def guidance(
-        self,
-        field: Field,
-        offset: float,
-        goal: Point,
-        *,
-        speed: float,
-        slowing_length: float,
-        start: Point | None = None,
-        progress: Progress = silent,
-    ) -> Guidance:
-        """Make the guidance; the field is not asked."""
-        return StraightGuidance(*_leading(goal, speed, slowing_length))
+    made = StraightGuidance
 
 
 @dataclass(frozen=True)
-class Componentwise(GuidancePlan):
+class Componentwise(_WhateverIsBetween):
     """The paper's: straight to the goal, component by component (`ComponentwiseGuidance`)."""
 
-    def guidance(
-        self,
-        field: Field,
-        offset: float,
-        goal: Point,
-        *,
-        speed: float,
-        slowing_length: float,
-        start: Point | None = None,
-        progress: Progress = silent,
-    ) -> Guidance:
-        """Make the guidance; the field is not asked."""
-        return ComponentwiseGuidance(*_leading(goal, speed, slowing_length))
-
-
-def _leading(goal: Point, speed: float, slowing_length: float):
-    return jnp.asarray(goal), as_float64(speed), as_float64(slowing_length)
+    made = ComponentwiseGuidance

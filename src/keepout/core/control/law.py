@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, PyTree
 
 from keepout.core.errors import ControlError
-from keepout.core.motion.arrays import as_float64
+from keepout.core.motion.arrays import Scalar, Vector, as_float64
 from keepout.core.motion.disturbance import NoDisturbance
 from keepout.core.motion.relative import MotionState, RelativeMotion
 
@@ -48,32 +48,23 @@ class Command(eqx.Module):
 
     """
 
-    force: Float[Array, "3"]
-    desired_velocity: Float[Array, "3"]
-    safe_velocity: Float[Array, "3"]
-    disturbance_estimate: Float[Array, "3"]
-    barrier: Float[Array, ""]
-    backstepping_barrier: Float[Array, ""]
-    lyapunov: Float[Array, ""]
+    force: Vector
+    desired_velocity: Vector
+    safe_velocity: Vector
+    disturbance_estimate: Vector
+    barrier: Scalar
+    backstepping_barrier: Scalar
+    lyapunov: Scalar
     status: Int[Array, ""]
 
     @classmethod
-    def of_force(cls, force: Float[Array, "3"]) -> "Command":
+    def of_force(cls, force: Vector) -> "Command":
         """Give the answer of a law that has a force (N, body axes) to tell and nothing else.
 
         The disturbance estimate is zero, and whatever the law has no word of is not a number.
         """
-        unknown = jnp.full(3, jnp.nan)
-        return cls(
-            force=force,
-            desired_velocity=unknown,
-            safe_velocity=unknown,
-            disturbance_estimate=jnp.zeros(3),
-            barrier=unknown[0],
-            backstepping_barrier=unknown[0],
-            lyapunov=unknown[0],
-            status=jnp.asarray(ControlStatus.NOMINAL, jnp.int32),
-        )
+        unknown, nominal = jnp.full(3, jnp.nan), jnp.asarray(ControlStatus.NOMINAL, jnp.int32)
+        return cls(force, unknown, unknown, jnp.zeros(3), unknown[0], unknown[0], unknown[0], nominal)
 
 
 class Condition(NamedTuple):
@@ -103,7 +94,7 @@ class Law(eqx.Module):
 
     @property
     @abc.abstractmethod
-    def goal(self) -> Float[Array, "3"]:
+    def goal(self) -> Vector:
         """Where the law leads, m, body frame."""
 
     @property
@@ -130,7 +121,7 @@ class Law(eqx.Module):
     def step(self, state: PyTree, estimate: MotionState) -> tuple[PyTree, Command]:
         """Run one control step on an estimate of the motion; called once a period."""
 
-    def with_applied_force(self, state: PyTree, force: Float[Array, "3"]) -> PyTree:
+    def with_applied_force(self, state: PyTree, force: Vector) -> PyTree:
         """Return the memory told that `force` (N) is held from now on instead of the one commanded.
 
         A law that models the force it commanded must override this, or it takes the difference for a disturbance.
@@ -149,12 +140,12 @@ class PolicyLaw(Law):
 
     """
 
-    destination: Float[Array, "3"] = eqx.field(converter=as_float64)
+    destination: Vector = eqx.field(converter=as_float64)
     policy: Callable[[Any, Any, Any], Any]
     on_host: bool = eqx.field(static=True, default=False)
 
     @property
-    def goal(self) -> Float[Array, "3"]:
+    def goal(self) -> Vector:
         """Where the policy leads, m."""
         return self.destination
 
@@ -166,24 +157,53 @@ class PolicyLaw(Law):
         """Ask the policy."""
         seen = (estimate.position - self.goal, estimate.velocity, estimate.time)
         if self.on_host:
+
+            def asked(away: Any, velocity: Any, time: Any) -> Float[np.ndarray, "3"]:
+                # It sees arrays of NumPy, and whatever it answers becomes three numbers.
+                answer = self.policy(np.asarray(away), np.asarray(velocity), float(time))
+                return np.asarray(answer, dtype=np.float64).reshape(3)
+
             told = jax.ShapeDtypeStruct((3,), jnp.float64)
-            force = jax.pure_callback(_on_host(self.policy), told, *seen, vmap_method="sequential")
+            force = jax.pure_callback(asked, told, *seen, vmap_method="sequential")
         else:
             force = jnp.asarray(self.policy(*seen), jnp.float64)
         return state, Command.of_force(force)
 
 
-def _on_host(policy: Callable[[Any, Any, Any], Any]) -> Callable[[Any, Any, Any], Float[np.ndarray, "3"]]:
-    """Give what JAX calls back: it sees arrays of NumPy, and whatever the policy answers becomes three numbers."""
+class LawOfAnother(Law):
+    """A law made of another: what it does not say itself is that law's word.
 
-    def asked(away: Any, velocity: Any, time: Any) -> Float[np.ndarray, "3"]:
-        answer = policy(np.asarray(away), np.asarray(velocity), float(time))
-        return np.asarray(answer, dtype=np.float64).reshape(3)
+    Attributes:
+        law: the other one.
 
-    return asked
+    """
+
+    law: Law
+
+    @property
+    def goal(self) -> Vector:
+        """Where the other law leads, m."""
+        return self.law.goal
+
+    @property
+    def conditions(self) -> tuple[Condition, ...]:
+        """The other law's design conditions."""
+        return self.law.conditions
+
+    def flown(self) -> Law:
+        """Give the same about its law without what flying does not need."""
+        return dataclasses.replace(self, law=self.law.flown())
+
+    def initial_state(self, state: MotionState) -> PyTree:
+        """Give the memory of the other law."""
+        return self.law.initial_state(state)
+
+    def with_applied_force(self, state: PyTree, force: Vector) -> PyTree:
+        """Tell the other law."""
+        return self.law.with_applied_force(state, force)
 
 
-class AheadOfDelay(Law):
+class AheadOfDelay(LawOfAnother):
     """A law whose commands take effect some periods after they are given.
 
     Each estimate is moved ahead by the commands under way before the law sees it, without a disturbance unless the
@@ -193,7 +213,6 @@ class AheadOfDelay(Law):
     is about the state ahead.
 
     Attributes:
-        law: any control law.
         motion: the model of the drift.
         mass: kg.
         period: between control steps, s.
@@ -204,29 +223,14 @@ class AheadOfDelay(Law):
 
     """
 
-    law: Law
     motion: RelativeMotion
-    mass: Float[Array, ""] = eqx.field(converter=as_float64)
-    period: Float[Array, ""] = eqx.field(converter=as_float64)
+    mass: Scalar = eqx.field(converter=as_float64)
+    period: Scalar = eqx.field(converter=as_float64)
     delay: int = eqx.field(static=True)
 
     def __check_init__(self):
         if self.delay < 1:
             raise ControlError(f"delay: {self.delay} periods; it must be at least 1")
-
-    @property
-    def goal(self) -> Float[Array, "3"]:
-        """Where the law leads, m."""
-        return self.law.goal
-
-    def flown(self) -> Law:
-        """Give the same about its law without what flying does not need."""
-        return dataclasses.replace(self, law=self.law.flown())
-
-    @property
-    def conditions(self) -> tuple[Condition, ...]:
-        """The law's design conditions."""
-        return self.law.conditions
 
     def ahead(self, estimate: MotionState, pending: Float[Array, "delay 3"]) -> MotionState:
         """Give the state after the commands under way (N, the oldest first)."""
@@ -245,7 +249,7 @@ class AheadOfDelay(Law):
         pending = under_way[-self.delay :]
         return self.law.begun_with(self.ahead(state, pending), under_way), pending
 
-    def with_applied_force(self, state: PyTree, force: Float[Array, "3"]) -> PyTree:
+    def with_applied_force(self, state: PyTree, force: Vector) -> PyTree:
         """Return the state told that `force` (N) was commanded instead of the law's own."""
         memory, pending = state
         return self.law.with_applied_force(memory, force), pending.at[-1].set(force)

@@ -14,25 +14,21 @@ from jaxtyping import Array, Float
 from scipy import linalg
 
 from keepout.core.errors import ControlError
-from keepout.core.motion.arrays import as_float64
+from keepout.core.motion.arrays import Scalar, Vector, as_float64
+
+Memory = Float[Array, " q"]
+"""What an observer remembers from step to step."""
 
 
 class Observer(eqx.Module):
     """An estimator of the disturbance force from sampled velocities and the force held between them."""
 
     @abc.abstractmethod
-    def initial_state(self, velocity: Float[Array, "3"]) -> Float[Array, " q"]:
+    def initial_state(self, velocity: Vector) -> Memory:
         """Return the state that estimates no disturbance, at a velocity in m/s."""
 
     @abc.abstractmethod
-    def update(
-        self,
-        state: Float[Array, " q"],
-        before: Float[Array, "3"],
-        after: Float[Array, "3"],
-        drift: Float[Array, "3"],
-        force: Float[Array, "3"],
-    ) -> Float[Array, " q"]:
+    def update(self, state: Memory, before: Vector, after: Vector, drift: Vector, force: Vector) -> Memory:
         """Return the state a period later.
 
         `before` and `after` are the velocities (m/s) at the ends of the period, `drift` the mean acceleration
@@ -40,37 +36,26 @@ class Observer(eqx.Module):
         """
 
     @abc.abstractmethod
-    def estimate(self, state: Float[Array, " q"], velocity: Float[Array, "3"]) -> Float[Array, "3"]:
+    def estimate(self, state: Memory, velocity: Vector) -> Vector:
         """Return the disturbance now, N."""
 
-    @abc.abstractmethod
-    def mean_ahead(self, state: Float[Array, " q"], velocity: Float[Array, "3"]) -> Float[Array, "3"]:
-        """Return the disturbance's mean over the period to come, N: what a held force has to cancel."""
+    def mean_ahead(self, state: Memory, velocity: Vector) -> Vector:
+        """Return the disturbance's mean over the period to come, N: what a held force cancels; by default that now."""
+        return self.estimate(state, velocity)
 
 
 class NoObserver(Observer):
     """Estimates no disturbance."""
 
-    def initial_state(self, velocity: Float[Array, "3"]) -> Float[Array, " q"]:
+    def initial_state(self, velocity: Vector) -> Memory:
         """Return an empty state."""
         return jnp.zeros(0)
 
-    def update(
-        self,
-        state: Float[Array, " q"],
-        before: Float[Array, "3"],
-        after: Float[Array, "3"],
-        drift: Float[Array, "3"],
-        force: Float[Array, "3"],
-    ) -> Float[Array, " q"]:
+    def update(self, state: Memory, before: Vector, after: Vector, drift: Vector, force: Vector) -> Memory:
         """Return the state unchanged."""
         return state
 
-    def estimate(self, state: Float[Array, " q"], velocity: Float[Array, "3"]) -> Float[Array, "3"]:
-        """Return zero."""
-        return jnp.zeros(3)
-
-    def mean_ahead(self, state: Float[Array, " q"], velocity: Float[Array, "3"]) -> Float[Array, "3"]:
+    def estimate(self, state: Memory, velocity: Vector) -> Vector:
         """Return zero."""
         return jnp.zeros(3)
 
@@ -87,7 +72,7 @@ class ContinuousObserver(Observer):
     generator: Float[Array, "q q"]
     output: Float[Array, "3 q"]
     gain: Float[Array, "q 3"]
-    mass: Float[Array, ""]
+    mass: Scalar
     transition: Float[Array, "q q"]
     held: Float[Array, "q q"]
     ramp: Float[Array, "q q"]
@@ -96,30 +81,19 @@ class ContinuousObserver(Observer):
         """Return A − L C/m, whose eigenvalues (1/s) are the rates of convergence."""
         return self.generator - self.gain @ self.output / self.mass
 
-    def initial_state(self, velocity: Float[Array, "3"]) -> Float[Array, " q"]:
+    def initial_state(self, velocity: Vector) -> Memory:
         """Return z with ξ̂ = 0."""
         return -self.gain @ velocity
 
-    def update(
-        self,
-        state: Float[Array, " q"],
-        before: Float[Array, "3"],
-        after: Float[Array, "3"],
-        drift: Float[Array, "3"],
-        force: Float[Array, "3"],
-    ) -> Float[Array, " q"]:
+    def update(self, state: Memory, before: Vector, after: Vector, drift: Vector, force: Vector) -> Memory:
         """Return z a period later."""
         error = self.error_matrix()
         constant = error @ self.gain @ before - self.gain @ (drift + force / self.mass)
         return self.transition @ state + self.held @ constant + self.ramp @ (error @ self.gain @ (after - before))
 
-    def estimate(self, state: Float[Array, " q"], velocity: Float[Array, "3"]) -> Float[Array, "3"]:
+    def estimate(self, state: Memory, velocity: Vector) -> Vector:
         """Return C (z + L v)."""
         return self.output @ (state + self.gain @ velocity)
-
-    def mean_ahead(self, state: Float[Array, " q"], velocity: Float[Array, "3"]) -> Float[Array, "3"]:
-        """Return the estimate now, as the paper holds it."""
-        return self.estimate(state, velocity)
 
 
 def continuous(
@@ -160,34 +134,27 @@ class SampledObserver(Observer):
     mean_output: Float[Array, "3 q"]
     output: Float[Array, "3 q"]
     gain: Float[Array, "q 3"]
-    mass: Float[Array, ""]
-    period: Float[Array, ""]
+    mass: Scalar
+    period: Scalar
 
     def error_matrix(self) -> Float[Array, "q q"]:
         """Return Φ − K C̄, whose eigenvalues are the error's factors a period."""
         return self.transition - self.gain @ self.mean_output
 
-    def initial_state(self, velocity: Float[Array, "3"]) -> Float[Array, " q"]:
+    def initial_state(self, velocity: Vector) -> Memory:
         """Return zero."""
         return jnp.zeros(self.transition.shape[0])
 
-    def update(
-        self,
-        state: Float[Array, " q"],
-        before: Float[Array, "3"],
-        after: Float[Array, "3"],
-        drift: Float[Array, "3"],
-        force: Float[Array, "3"],
-    ) -> Float[Array, " q"]:
+    def update(self, state: Memory, before: Vector, after: Vector, drift: Vector, force: Vector) -> Memory:
         """Return ξ̂ a period later."""
         residual = self.mass * ((after - before) / self.period - drift) - force
         return self.transition @ state + self.gain @ (residual - self.mean_output @ state)
 
-    def estimate(self, state: Float[Array, " q"], velocity: Float[Array, "3"]) -> Float[Array, "3"]:
+    def estimate(self, state: Memory, velocity: Vector) -> Vector:
         """Return C ξ̂."""
         return self.output @ state
 
-    def mean_ahead(self, state: Float[Array, " q"], velocity: Float[Array, "3"]) -> Float[Array, "3"]:
+    def mean_ahead(self, state: Memory, velocity: Vector) -> Vector:
         """Return C̄ ξ̂."""
         return self.mean_output @ state
 

@@ -5,7 +5,6 @@ import warnings
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from keepout.core.compiled.tried import THREE_NUMBERS, computed, described, is_own, require_numbers
 from keepout.core.control.barrier_grid import require_free
@@ -13,7 +12,7 @@ from keepout.core.control.circulation import CirculationLaw, NoCirculation, prin
 from keepout.core.control.controller import Controller, Tracking
 from keepout.core.control.design import Operation, Tuning, conditions, drift_bound, tune
 from keepout.core.control.geodesic import Geodesic
-from keepout.core.control.guidance import Componentwise, Guidance, GuidancePlan
+from keepout.core.control.guidance import Componentwise, Guidance, GuidancePlan, Point
 from keepout.core.control.observer import Observer, harmonic_observer, printed_observer
 from keepout.core.control.velocity import ClassK, SafeVelocity, SpeedCone
 from keepout.core.errors import ControlError
@@ -26,7 +25,7 @@ class ControlWarning(UserWarning):
     """A law that flies although a condition of its theory is violated."""
 
 
-def _point(name: str, value: Any) -> Float[np.ndarray, "3"]:
+def _point(name: str, value: Any) -> Point:
     array = np.asarray(value, dtype=float)
     if array.shape != (3,) or not np.all(np.isfinite(array)):
         raise ControlError(f"{name}: {value}; three finite numbers in metres are needed")
@@ -37,11 +36,11 @@ def _leader(
     guidance: Guidance | GuidancePlan,
     field: Field,
     offset: float,
-    goal: Float[np.ndarray, "3"],
+    goal: Point,
     *,
     speed: float,
     slowing_length: float,
-    start: Float[np.ndarray, "3"] | None,
+    start: Point | None,
     progress: Progress,
 ) -> Guidance:
     """Make the guidance of a plan; it must lead to the goal, with a velocity there."""
@@ -63,10 +62,6 @@ def _leader(
     if not np.array_equal(np.asarray(guidance.goal), goal):
         raise ControlError(f"guidance: leads to {np.asarray(guidance.goal).tolist()}, and the goal is {goal.tolist()}")
     return guidance
-
-
-def _turning(circulation: CirculationLaw | NoCirculation | None) -> CirculationLaw | None:
-    return None if isinstance(circulation, NoCirculation) else circulation
 
 
 def default(
@@ -109,58 +104,51 @@ def default(
             names it with its numbers.
 
     """
-    chaser = operation.chaser
-    goal = _point("goal", goal)
+    chaser, goal = operation.chaser, _point("goal", goal)
     start = None if start is None else _point("start", start)
     if reach is None:
         reach = float(max(np.linalg.norm(goal), 0.0 if start is None else np.linalg.norm(start)))
     drift = drift_bound(operation.motion, radius=reach, speed=chaser.speed_limit)
-    tuning = tune(operation, drift_bound=drift, stopping_distance=stopping_distance)
-    unknown = set(gains) - {f.name for f in dataclasses.fields(Tuning)}
-    if unknown:
-        names = ", ".join(f.name for f in dataclasses.fields(Tuning))
-        raise ControlError(f"gains: {', '.join(sorted(unknown))} not known; the law has {names}")
-    tuning = dataclasses.replace(tuning, **gains)
+    tuning = _with_gains(tune(operation, drift_bound=drift, stopping_distance=stopping_distance), gains)
     offset = operation.keep_out + tuning.nominal_offset
-    leader = _leader(
-        Geodesic() if guidance is None else guidance,
-        field,
-        offset,
-        goal,
-        speed=chaser.speed_limit,
-        slowing_length=tuning.slowing_length,
-        start=start,
-        progress=progress,
-    )
-    if observer is None:
-        observer = harmonic_observer(mass=chaser.mass, period=operation.period)
+    plan = Geodesic() if guidance is None else guidance
+    slowing = {"speed": chaser.speed_limit, "slowing_length": tuning.slowing_length}
     law = SafeVelocity(
         field=field,
         offset=as_float64(offset),
-        guidance=leader,
+        guidance=_leader(plan, field, offset, goal, **slowing, start=start, progress=progress),
         class_k=ClassK(as_float64(tuning.class_k_rate), as_float64(tuning.braking)),
-        circulation=_turning(circulation),
-        speed=SpeedCone(as_float64(chaser.speed_limit), as_float64(tuning.authority), as_float64(tuning.speed_reserve)),
+        circulation=None if isinstance(circulation, NoCirculation) else circulation,
+        speed=SpeedCone(*map(as_float64, (chaser.speed_limit, tuning.authority, tuning.speed_reserve))),
         differentiate=feedforward,
     )
     tracking = Tracking(
-        gain=as_float64(tuning.tracking_gain),
-        position_weight=as_float64(np.eye(3)),
-        lyapunov_ratio=as_float64(tuning.lyapunov_ratio),
-        barrier_ratio=as_float64(tuning.barrier_ratio),
-        estimation_weight=as_float64(tuning.estimation_weight),
-        estimation_rate=as_float64(tuning.estimation_rate),
-        barrier_rate=as_float64(tuning.barrier_rate),
-        sharpness=as_float64(tuning.sharpness),
-        gradient_error=as_float64(0.0),
+        gain=tuning.tracking_gain,
+        position_weight=np.eye(3),
+        lyapunov_ratio=tuning.lyapunov_ratio,
+        barrier_ratio=tuning.barrier_ratio,
+        estimation_weight=tuning.estimation_weight,
+        estimation_rate=tuning.estimation_rate,
+        barrier_rate=tuning.barrier_rate,
+        sharpness=tuning.sharpness,
+        gradient_error=0.0,
         acceleration_limit=as_float64(tuning.authority),
     )
-    made = _composed(law, tracking, observer, operation, nominal_offset=tuning.nominal_offset)
-    found = conditions(made, operation, start=start)
-    broken = [c for c in found if c.required and not c.satisfied]
+    if observer is None:
+        observer = harmonic_observer(mass=chaser.mass, period=operation.period)
+    made = _composed(law, tracking, observer, operation, nominal_offset=tuning.nominal_offset, start=start)
+    broken = [c for c in made.checked if c.required and not c.satisfied]
     if broken:
         raise ControlError("default law: " + "; ".join(str(c) for c in broken))
-    return dataclasses.replace(made, checked=found)
+    return made
+
+
+def _with_gains(tuning: Tuning, gains: dict[str, float]) -> Tuning:
+    unknown = set(gains) - set(vars(tuning))
+    if unknown:
+        names = ", ".join(vars(tuning))
+        raise ControlError(f"gains: {', '.join(sorted(unknown))} not known; the law has {names}")
+    return dataclasses.replace(tuning, **gains)
 
 
 def paper(
@@ -200,59 +188,53 @@ def paper(
         ControlError: goal or start is not free, or an argument is out of range.
 
     """
-    chaser = operation.chaser
-    goal = _point("goal", goal)
+    chaser, goal = operation.chaser, _point("goal", goal)
     start = None if start is None else _point("start", start)
-    leader = _leader(
-        Componentwise() if guidance is None else guidance,
-        field,
-        operation.keep_out,
-        goal,
-        speed=chaser.speed_limit,
-        slowing_length=slowing_length,
-        start=start,
-        progress=progress,
-    )
+    plan = Componentwise() if guidance is None else guidance
+    slowing = {"speed": chaser.speed_limit, "slowing_length": slowing_length}
+    turning = printed_circulation() if circulation is None else circulation
     law = SafeVelocity(
         field=field,
         offset=as_float64(operation.keep_out),
-        guidance=leader,
+        guidance=_leader(plan, field, operation.keep_out, goal, **slowing, start=start, progress=progress),
         class_k=ClassK(as_float64(0.08)),
-        circulation=_turning(printed_circulation() if circulation is None else circulation),
+        circulation=None if isinstance(turning, NoCirculation) else turning,
         # Without e_∇h the barrier row is a half-space, and the program a quadratic one.
         gradient_error=None if gradient_error == 0.0 else as_float64(gradient_error),
         box=as_float64(chaser.speed_limit),
     )
     tracking = Tracking(
-        gain=as_float64(15.0),
-        position_weight=as_float64(position_weight * np.eye(3)),
-        lyapunov_ratio=as_float64(1e-4),
-        barrier_ratio=as_float64(2.0),
-        estimation_weight=as_float64(1.0),
-        estimation_rate=as_float64(0.1),
-        barrier_rate=as_float64(10.0),
-        sharpness=as_float64(sharpness),
-        gradient_error=as_float64(gradient_error),
+        gain=15.0,
+        position_weight=position_weight * np.eye(3),
+        lyapunov_ratio=1e-4,
+        barrier_ratio=2.0,
+        estimation_weight=1.0,
+        estimation_rate=0.1,
+        barrier_rate=10.0,
+        sharpness=sharpness,
+        gradient_error=gradient_error,
     )
     if observer is None:
         observer = printed_observer(mass=chaser.mass, period=operation.period)
-    made = _composed(law, tracking, observer, operation, nominal_offset=0.0)
-    found = conditions(made, operation, start=start)
-    broken = [c for c in found if not c.satisfied]
+    made = _composed(law, tracking, observer, operation, nominal_offset=0.0, start=start)
+    broken = "; ".join(str(c) for c in made.checked if not c.satisfied)
     if broken:
-        said = "; ".join(str(c) for c in broken)
-        warnings.warn(
-            f"paper law: it flies although its theory's conditions do not all hold: {said}",
-            ControlWarning,
-            stacklevel=2,
-        )
-    return dataclasses.replace(made, checked=found)
+        said = f"paper law: it flies although its theory's conditions do not all hold: {broken}"
+        warnings.warn(said, ControlWarning, stacklevel=2)
+    return made
 
 
 def _composed(
-    law: SafeVelocity, tracking: Tracking, observer: Observer, operation: Operation, *, nominal_offset: float
+    law: SafeVelocity,
+    tracking: Tracking,
+    observer: Observer,
+    operation: Operation,
+    *,
+    nominal_offset: float,
+    start: Point | None,
 ) -> Controller:
-    return Controller(
+    """Put a law together, and check its conditions."""
+    made = Controller(
         velocity=law,
         tracking=tracking,
         observer=observer,
@@ -261,3 +243,4 @@ def _composed(
         force_limit=as_float64(np.full(3, operation.chaser.force_limit)),
         nominal_offset=as_float64(nominal_offset),
     )
+    return dataclasses.replace(made, checked=conditions(made, operation, start=start))

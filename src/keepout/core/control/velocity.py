@@ -7,10 +7,10 @@ from jaxtyping import Array, Float, Int
 
 from keepout.core.control.circulation import CirculationLaw
 from keepout.core.control.guidance import Guidance
-from keepout.core.control.velocity_program import VelocityProgram
-from keepout.core.control.velocity_solver import solve
+from keepout.core.control.velocity_program import VelocityProgram, solve
 from keepout.core.errors import ControlError
 from keepout.core.fields.field import Field
+from keepout.core.motion.arrays import Scalar, Vector
 
 
 class ClassK(eqx.Module):
@@ -21,10 +21,10 @@ class ClassK(eqx.Module):
     in 1/s, `braking` a_c in m/s².
     """
 
-    rate: Float[Array, ""]
-    braking: Float[Array, ""] | None = None
+    rate: Scalar
+    braking: Scalar | None = None
 
-    def __call__(self, barrier: Float[Array, ""]) -> Float[Array, ""]:
+    def __call__(self, barrier: Scalar) -> Scalar:
         """Return α(h)."""
         if self.braking is None:
             return self.rate * barrier
@@ -40,11 +40,11 @@ class SpeedCone(eqx.Module):
     cone, only the cap), `reserve` in m.
     """
 
-    limit: Float[Array, ""]
-    authority: Float[Array, ""] | None
-    reserve: Float[Array, ""]
+    limit: Scalar
+    authority: Scalar | None
+    reserve: Scalar
 
-    def __call__(self, barrier: Float[Array, ""]) -> Float[Array, ""]:
+    def __call__(self, barrier: Scalar) -> Scalar:
         """Return s(h)."""
         if self.authority is None:
             return self.limit
@@ -58,10 +58,10 @@ class VelocityPoint(eqx.Module):
     where the law does not use it), `status` a `ConeStatus`.
     """
 
-    barrier: Float[Array, ""]
-    normal: Float[Array, "3"]
-    desired: Float[Array, "3"]
-    velocity: Float[Array, "3"]
+    barrier: Scalar
+    normal: Vector
+    desired: Vector
+    velocity: Vector
     jacobian: Float[Array, "3 3"]
     status: Int[Array, ""]
 
@@ -90,18 +90,16 @@ class SafeVelocity(eqx.Module):
     """
 
     field: Field
-    offset: Float[Array, ""]
+    offset: Scalar
     guidance: Guidance
     class_k: ClassK
     circulation: CirculationLaw | None = None
-    gradient_error: Float[Array, ""] | None = None
-    box: Float[Array, ""] | None = None
+    gradient_error: Scalar | None = None
+    box: Scalar | None = None
     speed: SpeedCone | None = None
     differentiate: bool = eqx.field(static=True, default=True)
 
-    def __call__(
-        self, position: Float[Array, "3"], velocity: Float[Array, "3"], memory: Float[Array, "3"]
-    ) -> tuple[VelocityPoint, Float[Array, "3"]]:
+    def __call__(self, position: Vector, velocity: Vector, memory: Vector) -> tuple[VelocityPoint, Vector]:
         """Return the velocity layer at a position (m) and the circulation's memory for the next step."""
         if self.differentiate:
             value, normal, hessian = self.field.value_gradient_hessian(position)
@@ -113,7 +111,7 @@ class SafeVelocity(eqx.Module):
         if self.circulation is not None:
             memory = self.circulation.update(memory, barrier, normal, desired, velocity)
 
-        def safe(shift: Float[Array, "3"]) -> tuple[Float[Array, "3"], Int[Array, ""]]:
+        def safe(shift: Vector) -> tuple[Vector, Int[Array, ""]]:
             # To first order in the shift the field is its tangent plane with the Hessian's turn: all a Jacobian sees.
             program = self.program(
                 barrier + jnp.sum(normal * shift),
@@ -129,20 +127,14 @@ class SafeVelocity(eqx.Module):
             answer, status = safe(shift)
             return VelocityPoint(barrier, normal, desired, answer, jnp.zeros((3, 3)), status), memory
 
-        def with_value(shift: Float[Array, "3"]) -> tuple[Array, tuple[Array, Array]]:
+        def with_value(shift: Vector) -> tuple[Array, tuple[Array, Array]]:
             answer, status = safe(shift)
             return answer, (answer, status)
 
         jacobian, (answer, status) = jax.jacfwd(with_value, has_aux=True)(shift)
         return VelocityPoint(barrier, normal, desired, _once(answer), _once(jacobian), status), memory
 
-    def program(
-        self,
-        barrier: Float[Array, ""],
-        normal: Float[Array, "3"],
-        desired: Float[Array, "3"],
-        memory: Float[Array, "3"],
-    ) -> VelocityProgram:
+    def program(self, barrier: Scalar, normal: Vector, desired: Vector, memory: Vector) -> VelocityProgram:
         """Return the cone program at barrier h (m) with gradient ∇f̃ and desired velocity v_c (m/s)."""
         circulation = None
         if self.circulation is not None:

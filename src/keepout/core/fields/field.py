@@ -71,21 +71,21 @@ def _value_gradient_hessian(field: Field, points):
     return field.value_gradient_hessian(points)
 
 
-def in_pieces(function: Callable[[Any], Any], points: Float[np.ndarray, "n 3"]) -> Any:
-    """Apply a function of `PIECE` rows to any number of them; every array it returns keeps the rows first."""
+def in_pieces(function: Callable[[Any], Any], points: Float[np.ndarray, "n 3"], size: int = PIECE) -> Any:
+    """Apply a function of `size` rows to any number of them; every array it returns keeps the rows first."""
     answers = []
-    for start in range(0, max(len(points), 1), PIECE):
-        piece = points[start : start + PIECE]
-        padded = np.zeros((PIECE, 3), points.dtype)
+    for start in range(0, max(len(points), 1), size):
+        piece = points[start : start + size]
+        padded = np.zeros((size, 3), points.dtype)
         padded[: len(piece)] = piece
         answers.append(jax.tree.map(np.asarray, function(jax.device_put(padded))))
     joined = jax.tree.map(lambda *parts: np.concatenate(parts), *answers)
     return jax.tree.map(lambda a: a[: len(points)], joined)
 
 
-def values(field: Field, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
-    """Signed distances in metres."""
-    return in_pieces(functools.partial(_value, field), points)
+def values(field: Field, points: Float[np.ndarray, "n 3"], size: int = PIECE) -> Float[np.ndarray, "n"]:
+    """Signed distances in metres, computed for `size` points at a time."""
+    return in_pieces(functools.partial(_value, field), points, size)
 
 
 def values_and_gradients(

@@ -8,15 +8,16 @@ Runge–Kutta stages are computed once a step for the whole batch.
 
 The size of a batch is part of a campaign's identity. A flight is the same to the bit in whatever place of a batch, with
 whatever flights beside it, and however many workers there are; but a processor adds up the products of a network in
-another order for another size. So run k of a campaign is flown again
-alone, to the same bits, by `fly_batches(setup, states[k : k + 1], steps, seed=seed, first=k, batch=batch, alike=alike)`
-with the `batch` and `alike` of the whole.
+another order for another size. So run k of a campaign is flown again alone, to the same bits, with the `batch` and
+`alike` of the whole:
+
+    fly_batches(setup, states[k : k + 1], steps, Batching(seed, [k], batch=batch, alike=alike))
 """
 
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -66,20 +67,44 @@ def states_at(motion: RelativeMotion, position: ArrayLike, velocity: ArrayLike |
     return eqx.filter_vmap(motion.initial_state)(jnp.asarray(position), jnp.asarray(velocity))
 
 
+class Batching(NamedTuple):
+    """How many flights are flown together.
+
+    Attributes:
+        seed: of the flights' own random keys, one each: the seed's key with the flight's place folded in, however many
+            flights there are.
+        places: of these flights among all that are flown from this seed; by default from 0 on. Flown in parts or alone,
+            each flight keeps its key.
+        vary: selects the parts of a setup that differ between flights, as for `equinox.tree_at`, or has the setup's
+            structure and says it of each leaf; all arrays in them have a leading axis of flights.
+        alike: which entries of `TARGET` are the same in all flights and computed once for all of them; the first
+            flight's are taken. By default those that are the same in the flights given (`alike_among`). A campaign
+            flown in parts names those of the whole: the last digits depend on what is shared.
+        batch: flights in a batch, by which the program is compiled; on a CPU 128 or all if fewer, elsewhere all. A last
+            batch that is not full is filled up.
+        workers: batches in flight at once; by default the number of cores this process may use, elsewhere 1.
+
+    """
+
+    seed: int = 0
+    places: Int[np.ndarray, "flights"] | Sequence[int] | None = None
+    vary: Callable[[FlightSetup], Any] | PyTree[bool] | None = None
+    alike: Sequence[str] | None = None
+    batch: int | None = None
+    workers: int | None = None
+
+
+_BY_DEFAULT = Batching()
+
+
 def fly_batches(
     setup: FlightSetup,
     initial: MotionState,
     steps: int,
+    batching: Batching = _BY_DEFAULT,
     *,
-    seed: int = 0,
-    first: int = 0,
-    places: Int[np.ndarray, "flights"] | None = None,
-    vary: Callable[[FlightSetup], Any] | PyTree[bool] | None = None,
-    alike: Sequence[str] | None = None,
     columns: Sequence[str] = (),
     landed: Landed | None = None,
-    batch: int | None = None,
-    workers: int | None = None,
     progress: Progress = silent,
 ) -> FlightOutcome:
     """Fly one setup from many initial states; a flight's bits depend on a batch's size, not on its place in it.
@@ -88,21 +113,9 @@ def fly_batches(
         setup: of every flight.
         initial: states with a leading axis of flights, as `states_at` gives them.
         steps: control steps of each flight.
-        seed: of the flights' own random keys, one each: the seed's key with the flight's place folded in, however many
-            flights there are.
-        first: place of the first of these flights among all that are flown from this seed: flown in parts or alone,
-            each flight keeps its key.
-        places: of these flights among all, each from 0 on, where they do not follow one another.
-        vary: selects the parts of `setup` that differ between flights, as for `equinox.tree_at`, or has the setup's
-            structure and says it of each leaf; all arrays in them have a leading axis of flights.
-        alike: which entries of `TARGET` are the same in all flights and computed once for all of them; the first
-            flight's are taken. By default those that are the same in the flights given here (`alike_among`). A campaign
-            flown in parts names those of the whole: the last digits depend on what is shared.
+        batching: what differs between the flights, and how they are put together.
         columns: names of `FlightLog` columns to hand to `landed`; without any, logs never leave the compiled program.
         landed: gets each batch's columns, in the order of the flights, called from the calling thread.
-        batch: flights in a batch, by which the program is compiled; on a CPU 128 or all if fewer, elsewhere all. A last
-            batch that is not full is filled up.
-        workers: batches in flight at once; by default the number of cores this process may use, elsewhere 1.
         progress: told after each batch.
 
     Returns:
@@ -113,26 +126,27 @@ def fly_batches(
 
     """
     _refuse_unknown("columns", columns, FlightLog.__annotations__)
-    _refuse_unknown("alike", alike or (), TARGET)
-    varied = _filter(setup, vary)
+    _refuse_unknown("alike", batching.alike or (), TARGET)
+    varied = _filter(setup, batching.vary)
     common = jax.tree.map(
         lambda own, leaf: leaf if own is None else None, varied, setup, is_leaf=lambda leaf: leaf is None
     )
     flights = _common_length((varied, initial))
-    alike = alike_among(initial) if alike is None else tuple(alike)
+    alike = alike_among(initial) if batching.alike is None else tuple(batching.alike)
     target, own_states = _shared(jax.tree.map(_on_host, initial), alike)
-    numbers = np.arange(first, first + flights) if places is None else np.asarray(places)
-    cases = (jax.tree.map(_on_host, varied), own_states, np.asarray(numbers, np.int64))
+    places = np.arange(flights) if batching.places is None else batching.places
+    cases = (jax.tree.map(_on_host, varied), own_states, np.asarray(places, np.int64))
     on_cpu = jax.default_backend() == "cpu"
-    batch = batch or min(flights, BATCH if on_cpu else flights)
-    workers = workers or (available_cores() if on_cpu else 1)
+    batch = batching.batch or min(flights, BATCH if on_cpu else flights)
+    workers = batching.workers or (available_cores() if on_cpu else 1)
+    seed = jax.device_put(np.asarray(batching.seed, np.int64))
 
     def run(begin: int) -> tuple[FlightOutcome, dict[str, np.ndarray]]:
         # The last batch is filled up with its own first flight, so that only one shape is ever compiled.
         index = np.arange(begin, begin + batch)
         own = np.where(index < flights, index, begin)
         mine = jax.tree.map(lambda array: array[own], cases)
-        result = _fly_batch(common, target, jax.device_put(np.asarray(seed, np.int64)), mine, steps, tuple(columns))
+        result = _fly_batch(common, target, seed, mine, steps, tuple(columns))
         return jax.tree.map(lambda array: array[: flights - begin], jax.device_get(result))
 
     summaries: list[FlightOutcome] = []
@@ -184,12 +198,7 @@ def flight_key(seed: int | Int[Array, ""], place: int | Int[Array, ""]) -> Key[A
 
 @kept_jit
 def _fly_batch(
-    setup: FlightSetup,
-    target: MotionState,
-    seed: Int[Array, ""],
-    cases: PyTree,
-    steps: int,
-    columns: tuple[str, ...],
+    setup: FlightSetup, target: MotionState, seed: Int[Array, ""], cases: PyTree, steps: int, columns: tuple[str, ...]
 ) -> tuple[FlightOutcome, dict[str, jax.Array]]:
     def one(case: PyTree) -> tuple[FlightOutcome, dict[str, jax.Array]]:
         varied, state, place = case
@@ -210,12 +219,8 @@ def _filter(setup: FlightSetup, vary: Callable[[FlightSetup], Any] | PyTree[bool
     """Only the arrays of the varying parts of a setup; None elsewhere."""
     chosen = jax.tree.map(lambda _: False, setup) if vary is None or callable(vary) else vary
     if callable(vary):
-        chosen = eqx.tree_at(vary, chosen, replace_fn=lambda part: jax.tree.map(_true, part))
+        chosen = eqx.tree_at(vary, chosen, replace_fn=lambda part: jax.tree.map(lambda _: True, part))
     return eqx.filter(setup, jax.tree.map(lambda flag, leaf: flag and eqx.is_array(leaf), chosen, setup))
-
-
-def _true(_: Any) -> bool:
-    return True
 
 
 def _common_length(cases: PyTree) -> int:

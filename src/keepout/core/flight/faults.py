@@ -5,7 +5,6 @@
 theorem covers, and under which numbers, is in docs/safety.md.
 """
 
-import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -13,15 +12,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree
 
-from keepout.core.control.law import Command, Condition, Law
+from keepout.core.control.law import Command, LawOfAnother
 from keepout.core.errors import ScenarioError
 from keepout.core.fields.field import Field
 from keepout.core.flight.setup import Faults
-from keepout.core.motion.arrays import as_float64
+from keepout.core.motion.arrays import Scalar, Vector, as_float64
 from keepout.core.motion.relative import MotionState
-
-Vector = Float[Array, "3"]
-Scalar = Float[Array, ""]
 
 
 def _in_ball(key: PRNGKeyArray, radius: Scalar) -> Vector:
@@ -31,33 +27,7 @@ def _in_ball(key: PRNGKeyArray, radius: Scalar) -> Vector:
     return radius * jax.random.uniform(b) ** (1.0 / 3.0) * direction / jnp.linalg.norm(direction)
 
 
-def wrong_by(true_state: MotionState, position: Vector, velocity: Vector) -> MotionState:
-    """Give an estimate that is wrong by a position (m) and a velocity (m/s)."""
-    wrong = true_state.position + position, true_state.velocity + velocity
-    return eqx.tree_at(lambda s: (s.position, s.velocity), true_state, wrong)
-
-
-class Transparent(Faults):
-    """A fault that leaves alone whatever it does not override."""
-
-    def initial_state(self, key: PRNGKeyArray) -> PyTree:
-        """Keep a random key."""
-        return key
-
-    def estimate(self, fault_state: PyTree, true_state: MotionState) -> tuple[PyTree, MotionState]:
-        """Tell the truth."""
-        return fault_state, true_state
-
-    def command(self, fault_state: PyTree, force: Vector, time: Scalar) -> tuple[PyTree, Vector]:
-        """Pass the command on."""
-        return fault_state, force
-
-    def actuate(self, fault_state: PyTree, force: Vector, time: Scalar) -> tuple[PyTree, Vector]:
-        """Give what was asked."""
-        return fault_state, force
-
-
-class WrongEstimate(Transparent):
+class WrongEstimate(Faults):
     """A constant bias and a new error at every sample, each in a ball: the sum of bias and noise bounds the error.
 
     Attributes:
@@ -87,18 +57,12 @@ class WrongEstimate(Transparent):
         """Add bias and noise to position and velocity."""
         key, position_bias, velocity_bias = fault_state
         key, a, b = jax.random.split(key, 3)
-        told = eqx.tree_at(
-            lambda s: (s.position, s.velocity),
-            true_state,
-            (
-                true_state.position + position_bias + _in_ball(a, self.position_noise),
-                true_state.velocity + velocity_bias + _in_ball(b, self.velocity_noise),
-            ),
-        )
+        biased = true_state.moved(position_bias, velocity_bias)
+        told = biased.moved(_in_ball(a, self.position_noise), _in_ball(b, self.velocity_noise))
         return (key, position_bias, velocity_bias), told
 
 
-class GaussianEstimate(Transparent):
+class GaussianEstimate(Faults):
     """A Gaussian error of the estimate, without a bound, that fades from sample to sample: a Gauss–Markov process.
 
     Attributes:
@@ -120,13 +84,13 @@ class GaussianEstimate(Transparent):
     def estimate(self, fault_state: PyTree, true_state: MotionState) -> tuple[PyTree, MotionState]:
         """Add the error to position and velocity, and draw the next one."""
         key, error = fault_state
-        told = wrong_by(true_state, self.position_std * error[:3], self.velocity_std * error[3:])
+        told = true_state.moved(self.position_std * error[:3], self.velocity_std * error[3:])
         key, draw = jax.random.split(key)
         fresh = jnp.sqrt(1.0 - self.memory**2) * jax.random.normal(draw, (6,))
         return (key, self.memory * error + fresh), told
 
 
-class DelayedCommands(Transparent):
+class DelayedCommands(Faults):
     """Every command takes effect late; before the first arrives there is no force.
 
     Attributes:
@@ -152,7 +116,7 @@ class DelayedCommands(Transparent):
         return jnp.concatenate([fault_state[1:], force[None]]), fault_state[0]
 
 
-class DroppedCommands(Transparent):
+class DroppedCommands(Faults):
     """Each command is lost with a probability; the thrusters then go on as they were.
 
     Attributes:
@@ -174,7 +138,7 @@ class DroppedCommands(Transparent):
         return (key, arrived), arrived
 
 
-class StuckThruster(Transparent):
+class StuckThruster(Faults):
     """From some time on, the thruster that pushes along one direction of an axis is stuck.
 
     The opposite thruster works on, so a stuck-on force can be held against but not beyond.
@@ -206,7 +170,7 @@ class StuckThruster(Transparent):
         return fault_state, jnp.where(time >= self.start, stuck, force)
 
 
-class ThrusterGain(Transparent):
+class ThrusterGain(Faults):
     """Each axis gives its command times a factor drawn once a flight.
 
     Attributes:
@@ -266,11 +230,10 @@ def _kind(value: str | Int[Array, "*batch"]) -> Int[Array, "*batch"]:
     return jnp.asarray(KINDS.index(value))
 
 
-class BrokenLaw(Law):
+class BrokenLaw(LawOfAnother):
     """A control law whose force is replaced by a hostile one; all else it reports stays the law's own.
 
     Attributes:
-        law: the law that works.
         field: for "into the body".
         kind: a name or an index of `KINDS`: "none" (the law's own force), "into the body" (full thrust against the
             field's gradient), "through" (straight to the goal at twice the speed, whatever is between), "random" (each
@@ -287,7 +250,6 @@ class BrokenLaw(Law):
 
     """
 
-    law: Law
     field: Field
     kind: Int[Array, ""] = eqx.field(converter=_kind)
     force_limit: Scalar = eqx.field(converter=as_float64)
@@ -295,20 +257,6 @@ class BrokenLaw(Law):
     speed: Scalar = eqx.field(converter=as_float64)
     seed: int = eqx.field(static=True, default=0)
     hold: int = eqx.field(static=True, default=15)
-
-    @property
-    def goal(self) -> Vector:
-        """Where the working law leads, m."""
-        return self.law.goal
-
-    def flown(self) -> Law:
-        """Give the same about its law without what flying does not need."""
-        return dataclasses.replace(self, law=self.law.flown())
-
-    @property
-    def conditions(self) -> tuple[Condition, ...]:
-        """The working law's design conditions."""
-        return self.law.conditions
 
     def initial_state(self, state: MotionState) -> PyTree:
         """Start the working law, and a stream of its own that depends on where the flight starts."""
@@ -347,7 +295,7 @@ class BrokenLaw(Law):
         return jnp.stack(forces)[self.kind]
 
 
-class KnownErrors(Transparent):
+class KnownErrors(Faults):
     """Estimates that are wrong by given errors.
 
     Attributes:
@@ -365,10 +313,10 @@ class KnownErrors(Transparent):
 
     def estimate(self, fault_state: PyTree, true_state: MotionState) -> tuple[PyTree, MotionState]:
         """Add this row's errors."""
-        return fault_state + 1, wrong_by(true_state, self.position[fault_state], self.velocity[fault_state])
+        return fault_state + 1, true_state.moved(self.position[fault_state], self.velocity[fault_state])
 
 
-class KnownLosses(Transparent):
+class KnownLosses(Faults):
     """Commands of which given ones are lost; the thrusters then go on as they were."""
 
     lost: Bool[Array, "rows"]
@@ -384,14 +332,10 @@ class KnownLosses(Transparent):
         return (row + 1, arrived), arrived
 
 
-class KnownGain(Transparent):
+class KnownGain(Faults):
     """Thrusters that give their command times a given factor an axis."""
 
     factor: Vector
-
-    def initial_state(self, key: PRNGKeyArray) -> PyTree:
-        """No memory."""
-        return ()
 
     def actuate(self, fault_state: PyTree, force: Vector, time: Scalar) -> tuple[PyTree, Vector]:
         """Scale the force."""

@@ -21,10 +21,10 @@ from keepout.core.compiled.kept_executables import kept_jit
 from keepout.core.control.law import Command
 from keepout.core.errors import FlightError
 from keepout.core.flight.navigation import KnownSet
-from keepout.core.flight.setup import FlightSetup, Scalar, flown_setup
+from keepout.core.flight.setup import FlightSetup, flown_setup
 from keepout.core.guard.safety_layer import mode
+from keepout.core.motion.arrays import Scalar, Vector
 from keepout.core.motion.relative import MotionState
-from keepout.core.motion.rotation import Vector
 
 _THRUSTERS = 2**30
 _SENSORS, _FIRST = _THRUSTERS + 1, _THRUSTERS + 2
@@ -129,7 +129,7 @@ def command(
     guard_state: PyTree,
     estimate: MotionState,
     known: KnownSet | None = None,
-) -> tuple[PyTree, PyTree, Command, Float[Array, "3"], Int[Array, ""]]:
+) -> tuple[PyTree, PyTree, Command, Vector, Int[Array, ""]]:
     """Run the on-board part of a step: control law, then guard, which is told of the set `known` where there is one.
 
     Returns the new states of law and guard, the law's `Command`, the force after the guard (N, body axes) and the

@@ -11,14 +11,11 @@ import abc
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree
+from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 
 from keepout.core.errors import ScenarioError
-from keepout.core.motion.arrays import as_float64
+from keepout.core.motion.arrays import Flag, Scalar, Vector, as_float64
 from keepout.core.motion.relative import MotionState
-from keepout.core.motion.rotation import Vector
-
-Scalar = Float[Array, ""]
 
 
 class Sample(eqx.Module):
@@ -31,7 +28,7 @@ class Sample(eqx.Module):
     """
 
     value: Float[Array, " n"]
-    came: Bool[Array, ""]
+    came: Flag
 
 
 class Ball(eqx.Module):
@@ -167,7 +164,7 @@ class KnownSet(eqx.Module):
 
     state: MotionState
     errors: Float[Array, "2"]
-    contradicted: Bool[Array, ""]
+    contradicted: Flag
 
 
 class BoundedEstimator(eqx.Module):
@@ -239,8 +236,7 @@ class Navigation(eqx.Module):
             share * radius * way / jnp.linalg.norm(way)
             for share, radius, way in zip(shares, self.initial_errors, away, strict=True)
         )
-        moved = truth.position + position, truth.velocity + velocity
-        return eqx.tree_at(lambda s: (s.position, s.velocity), truth, moved)
+        return truth.moved(position, velocity)
 
     def begin(self, estimate: MotionState, under_way: Float[Array, "steps 3"] | None = None) -> OnBoardState:
         """Start both estimators from the first estimate; of the forces `under_way` (N) the last `delay` count."""

@@ -22,6 +22,7 @@ from keepout.core.errors import ControlError
 from keepout.core.flight import loop
 from keepout.core.flight.navigation import Sample
 from keepout.core.flight.setup import FlightSetup
+from keepout.core.motion.arrays import Vector
 from keepout.core.motion.relative import MotionState
 
 Numbers = Float[np.ndarray, "_"] | Array | Sequence[float]
@@ -452,7 +453,7 @@ class _Samples:
         return (knowing, law, guard, thrusters), [*_of_order(order, force, status), *vectors, found, *on_time]
 
 
-def _of_order(order: Command, force: Float[Array, "3"], status: Int[Array, ""]) -> list[Array]:
+def _of_order(order: Command, force: Vector, status: Int[Array, ""]) -> list[Array]:
     vectors = (force, order.force, order.desired_velocity, order.safe_velocity, order.disturbance_estimate)
     return [*vectors, _stacked(order.barrier, order.backstepping_barrier, order.lyapunov, order.status, status)]
 

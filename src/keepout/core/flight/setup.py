@@ -1,69 +1,50 @@
 """What a flight is made of: the motion, what disturbs it, and the layers that steer it."""
 
-import abc
 import dataclasses
 import math
 
 import equinox as eqx
 import jax
 from jax.core import Tracer
-from jaxtyping import Array, Float, PRNGKeyArray, PyTree
+from jaxtyping import PRNGKeyArray, PyTree
 
 from keepout.core.control.law import Law
 from keepout.core.errors import ScenarioError
 from keepout.core.fields.field import Field
 from keepout.core.flight.navigation import Navigation
 from keepout.core.guard.safety_layer import SafetyLayer
-from keepout.core.motion.arrays import as_float64, numbers_as_arrays
+from keepout.core.motion.arrays import Scalar, Vector, as_float64, numbers_as_arrays
 from keepout.core.motion.chaser import ThrusterModel
 from keepout.core.motion.disturbance import Disturbance
 from keepout.core.motion.relative import MotionState, RelativeMotion
-from keepout.core.motion.rotation import Vector
-
-Scalar = Float[Array, ""]
 
 
 class Faults(eqx.Module):
     """What stands between truth and control law: sensor errors, delays, broken thrusters.
 
-    A fault's memory (delay lines, random keys) is a pytree that every method takes and gives back.
+    A fault's memory (delay lines, random keys) is a pytree that every method takes and gives back. What a fault does
+    not override it leaves alone.
     """
 
-    @abc.abstractmethod
     def initial_state(self, key: PRNGKeyArray) -> PyTree:
-        """Make the memory that a flight starts with."""
+        """Make the memory that a flight starts with; by default none."""
+        return ()
 
-    @abc.abstractmethod
     def estimate(self, fault_state: PyTree, true_state: MotionState) -> tuple[PyTree, MotionState]:
-        """Say what the control law is told about the true state."""
+        """Say what the control law is told about the true state; by default the truth."""
+        return fault_state, true_state
 
-    @abc.abstractmethod
     def command(self, fault_state: PyTree, force: Vector, time: Scalar) -> tuple[PyTree, Vector]:
-        """Say what force (N, body axes) reaches the thrusters when the control law commands `force` now."""
+        """Say what force (N, body axes) reaches the thrusters when `force` is commanded now; by default that."""
+        return fault_state, force
 
-    @abc.abstractmethod
     def actuate(self, fault_state: PyTree, force: Vector, time: Scalar) -> tuple[PyTree, Vector]:
         """Say what the thrusters give when told to give `force` (already within their limits), N, body axes."""
+        return fault_state, force
 
 
 class NoFaults(Faults):
     """A flight where nothing fails."""
-
-    def initial_state(self, key: PRNGKeyArray) -> PyTree:
-        """No memory."""
-        return ()
-
-    def estimate(self, fault_state: PyTree, true_state: MotionState) -> tuple[PyTree, MotionState]:
-        """Tell the truth."""
-        return fault_state, true_state
-
-    def command(self, fault_state: PyTree, force: Vector, time: Scalar) -> tuple[PyTree, Vector]:
-        """Pass the command on."""
-        return fault_state, force
-
-    def actuate(self, fault_state: PyTree, force: Vector, time: Scalar) -> tuple[PyTree, Vector]:
-        """Give what was asked."""
-        return fault_state, force
 
 
 class FlightSetup(eqx.Module):

@@ -16,12 +16,12 @@ from functools import lru_cache
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
-from keepout.core.errors import ControlError
+from keepout.core.errors import ControlError, require_finite
 from keepout.core.guard import responses
 from keepout.core.guard.responses import Task, least_room
-from keepout.core.motion.arrays import norm
+from keepout.core.motion.arrays import Flag, Vector, norm
 
 Number = float | Float[Array, "*flights"]
 """Python's number; in a compiled program that takes the guard's numbers as arguments an array."""
@@ -34,6 +34,15 @@ _LONGEST_FAULT = 100
 """Most steps of a fault."""
 _POWERS = 32
 """Powers of a matrix taken between two looks at their size."""
+
+
+_POSITIVE = {"mass": "kg", "force_limit": "N", "period": "s", "range_limit": "m", "speed_limit": "m/s"}
+_NOT_NEGATIVE = dict.fromkeys(("disturbance_force", "force_error", "fault_force"), "N")
+_NOT_NEGATIVE |= {"angular_rate": "rad/s", "angular_acceleration": "rad/s2", "gravity_gradient": "1/s2"}
+_NOT_NEGATIVE |= dict.fromkeys(("position_error", "origin_offset", "excursion"), "m")
+_NOT_NEGATIVE |= dict.fromkeys(("velocity_error", "velocity_excursion"), "m/s")
+_NOT_NEGATIVE |= dict.fromkeys(("gain_error", "turning_error"), "")
+"""Units of the numbers that must be above 0, and of those that must not be below it."""
 
 
 class GuardAssumptions(eqx.Module):
@@ -100,34 +109,10 @@ class GuardAssumptions(eqx.Module):
 
     def __check_init__(self) -> None:
         """Check each number against its range."""
-        for name, unit in (
-            ("mass", "kg"),
-            ("force_limit", "N"),
-            ("period", "s"),
-            ("range_limit", "m"),
-            ("speed_limit", "m/s"),
-        ):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise ControlError(f"guard: {name} is {value} {unit}; it must be finite and greater than 0")
-        for name, unit in (
-            ("disturbance_force", "N"),
-            ("angular_rate", "rad/s"),
-            ("angular_acceleration", "rad/s2"),
-            ("gravity_gradient", "1/s2"),
-            ("position_error", "m"),
-            ("velocity_error", "m/s"),
-            ("gain_error", ""),
-            ("origin_offset", "m"),
-            ("force_error", "N"),
-            ("excursion", "m"),
-            ("velocity_excursion", "m/s"),
-            ("fault_force", "N"),
-            ("turning_error", ""),
-        ):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value >= 0.0):
-                raise ControlError(f"guard: {name} is {value} {unit}; it must be finite and at least 0")
+        for names, positive in ((_POSITIVE, True), (_NOT_NEGATIVE, False)):
+            for name, unit in names.items():
+                value = getattr(self, name)
+                require_finite(value, f"guard: {name} is {value} {unit}", ControlError, positive=positive)
         if self.turning_error and self.excursion:
             raise ControlError(
                 f"guard: turning_error is {self.turning_error} and excursion {self.excursion} m; pulses are bounded "
@@ -269,22 +254,9 @@ def _perfect(assumptions: GuardAssumptions) -> Iterator[BrakingDesign]:
 
 def _observed(assumptions: GuardAssumptions) -> Iterator[BrakingDesign]:
     a = assumptions
-    yield observed_radii(
-        a,
-        least_room(
-            Task(
-                period=float(a.period),
-                delay=a.delay,
-                disturbance=float(a.disturbance),
-                position_error=float(a.position_error),
-                velocity_error=float(a.velocity_error),
-                authority=float(a.authority),
-                speed=float(a.speed_limit),
-                fault=float(a.fault_push),
-                fault_steps=a.fault_steps,
-            ).rounded()
-        ),
-    )
+    numbers = (a.disturbance, a.position_error, a.velocity_error, a.authority, a.speed_limit, a.fault_push)
+    task = Task(float(a.period), a.delay, *map(float, numbers), a.fault_steps)
+    yield observed_radii(a, least_room(task.rounded()))
 
 
 def observed_radii(assumptions: GuardAssumptions, gains: responses.Gains) -> BrakingDesign:
@@ -299,8 +271,7 @@ def observed_radii(assumptions: GuardAssumptions, gains: responses.Gains) -> Bra
     errors = np.array([float(error) for error in a.estimate_errors])
     summed = responses.responses(float(T), a.delay, gains, a.fault_steps)
     fault = float(a.fault_push)
-    pushed, noisy = summed.pushed + summed.pushed_before, summed.noisy + summed.noisy_before
-    at_each_time = D * pushed + noisy @ errors + fault * summed.struck_ever
+    at_each_time = D * summed.pushed + summed.noisy @ errors + fault * summed.struck
     reach = at_each_time.max(axis=1)
     k_p, k_d = (float(gain[0]) for gain in responses.feedback_gains(float(T), *np.array(gains)[:2, None]))
     reserve = float(reach[responses.FEEDBACK])
@@ -366,7 +337,7 @@ def _responses(T: float, n: int, first_pole: float, second_pole: float, fault_st
         """Sum of ∫|row · pulse · (T − τ, 1)| dτ over all steps, and over those of a fault at its worst."""
         late, early = pulses @ np.array([0.0, 1.0]) @ row, pulses @ np.array([T, 1.0]) @ row
         each = responses.line_size(late, early)
-        struck = responses.largest_window(each, fault_steps)[-1] if fault_steps else 0.0
+        struck = responses.largest_window(each, fault_steps)[-1]
         return float(0.5 * T * np.sum(each)), float(0.5 * T * struck)
 
     position, velocity = np.array([1.0, 0.0]), np.array([0.0, 1.0])
@@ -386,9 +357,6 @@ def _powers(closed: Float[np.ndarray, "2 2"]) -> Float[np.ndarray, "steps 2 2"]:
             np.matmul(closed, last, out=next_)
             last = next_
         powers = np.concatenate([powers, more])
-
-
-Vector = Float[Array, "3"]
 
 
 def predict(
@@ -414,7 +382,7 @@ def stop(assumptions: GuardAssumptions, braking: BrakingDesign, velocity: Vector
     return velocity * (length / jnp.maximum(speed, 1e-12))
 
 
-def brake(assumptions: GuardAssumptions, braking: BrakingDesign, velocity: Vector) -> tuple[Vector, Bool[Array, ""]]:
+def brake(assumptions: GuardAssumptions, braking: BrakingDesign, velocity: Vector) -> tuple[Vector, Flag]:
     """Give the nominal braking acceleration, m/s², and whether the nominal motion is at rest."""
     speed = norm(velocity)
     size = jnp.minimum(braking.deceleration, speed / assumptions.period)
@@ -422,11 +390,7 @@ def brake(assumptions: GuardAssumptions, braking: BrakingDesign, velocity: Vecto
 
 
 def escape(
-    assumptions: GuardAssumptions,
-    braking: BrakingDesign,
-    position: Vector,
-    velocity: Vector,
-    outward: Vector,
+    assumptions: GuardAssumptions, braking: BrakingDesign, position: Vector, velocity: Vector, outward: Vector
 ) -> Vector:
     """Acceleration (m/s²) along the field's growth, or back into range, at `_ESCAPE_SPEED`, within the authority."""
     a = assumptions

@@ -7,7 +7,6 @@ step, which is still there to be followed, is followed. The field is the guard's
 law's.
 """
 
-import math
 from collections.abc import Callable
 from typing import Any
 
@@ -19,12 +18,12 @@ from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from keepout.core.compiled.in_batches import where_needed
 from keepout.core.compiled.kept_executables import kept_jit
-from keepout.core.errors import ControlError
+from keepout.core.errors import ControlError, require_finite
 from keepout.core.fields.field import Field
 from keepout.core.guard import braking, observer, watch
-from keepout.core.guard.braking import BrakingDesign, GuardAssumptions, Number, Vector, design
+from keepout.core.guard.braking import BrakingDesign, GuardAssumptions, Number, design
 from keepout.core.guard.safety_layer import GuardFlag, GuardStatus, SafetyLayer
-from keepout.core.motion.arrays import norm, numbers_as_arrays
+from keepout.core.motion.arrays import Flag, Scalar, Vector, norm, numbers_as_arrays
 from keepout.core.motion.relative import MotionState
 
 _ROUNDING = 1e-9
@@ -55,15 +54,15 @@ class GuardState(eqx.Module):
 
     plan_position: Vector
     plan_velocity: Vector
-    certified: Bool[Array, ""]
+    certified: Flag
     pending: Float[Array, "delay 3"]
     expected_position: Vector
     expected_velocity: Vector
     unexplained: Float[Array, "windows 3"]
     counted: Int[Array, ""]
-    begun: Bool[Array, ""]
-    left_out: Bool[Array, ""]
-    contradicted: Bool[Array, ""]
+    begun: Flag
+    left_out: Flag
+    contradicted: Flag
     observed: observer.ObserverState | None = None
 
 
@@ -88,17 +87,17 @@ class Seen(eqx.Module):
 
     """
 
-    told: Bool[Array, ""]
+    told: Flag
     told_position: Vector
     told_velocity: Vector
     position: Vector
     velocity: Vector
     spread: Float[Array, "2"]
-    sound: Bool[Array, ""]
-    narrow: Bool[Array, ""]
-    jumped: Bool[Array, ""]
-    left_out: Bool[Array, ""]
-    contradicted: Bool[Array, ""]
+    sound: Flag
+    narrow: Flag
+    jumped: Flag
+    left_out: Flag
+    contradicted: Flag
     unexplained: Float[Array, "windows 3"]
     counted: Int[Array, ""]
     doubts: watch.Doubts | None
@@ -119,8 +118,8 @@ class Course(eqx.Module):
     path: Float[Array, "points 3"]
     velocities: Float[Array, "points 3"]
     drifted: Vector
-    off_plan: Bool[Array, ""]
-    planned: Bool[Array, ""]
+    off_plan: Flag
+    planned: Flag
 
 
 class Motion(eqx.Module):
@@ -168,10 +167,8 @@ class Guard(SafetyLayer):
         evaluation_error: float = 0.0,
     ) -> None:
         for name, value in (("threshold", threshold), ("lipschitz", lipschitz)):
-            if not (math.isfinite(value) and value > 0.0):
-                raise ControlError(f"guard: {name} is {value}; it must be finite and greater than 0")
-        if not (math.isfinite(evaluation_error) and evaluation_error >= 0.0):
-            raise ControlError(f"guard: evaluation_error is {evaluation_error} m; it must be finite and at least 0")
+            require_finite(value, f"guard: {name} is {value}", ControlError, positive=True)
+        require_finite(evaluation_error, f"guard: evaluation_error is {evaluation_error} m", ControlError)
         self.field, self.threshold, self.lipschitz, self.assumptions = field, threshold, lipschitz, assumptions
         self.evaluation_error = evaluation_error
         self.parts = min(15, 18 - assumptions.delay)
@@ -233,7 +230,7 @@ class Guard(SafetyLayer):
         force: Vector,
         disturbance_estimate: Vector,
         errors: Float[Array, "2"] | None = None,
-        contradicted: Bool[Array, ""] | None = None,
+        contradicted: Flag | None = None,
     ) -> tuple[GuardState, Vector, Int[Array, ""]]:
         """Accept or replace a commanded force (N, body axes); the status is a `GuardStatus` plus `GuardFlag` bits.
 
@@ -275,9 +272,7 @@ class Guard(SafetyLayer):
         flags = sum(jnp.where(yes, flag, 0) for flag, yes in raised.items())
         return new, a.mass * chosen, (done + flags).astype(jnp.int32)
 
-    def _see(
-        self, state: GuardState, estimate: MotionState, errors: Float[Array, "2"], contradicted: Bool[Array, ""]
-    ) -> Seen:
+    def _see(self, state: GuardState, estimate: MotionState, errors: Float[Array, "2"], contradicted: Flag) -> Seen:
         """Take what is told: x̂ of it, whether it is explained, and whether a candidate may rest on it."""
         a, observed = self.assumptions, state.observed
         own = state if observed is None else observed
@@ -349,11 +344,11 @@ class Guard(SafetyLayer):
         off_plan = jnp.linalg.norm(drifted) > self._plan_radius
         return Course(path, velocities, drifted, off_plan, state.certified & ~off_plan & seen.told)
 
-    def _off_plan(self, state: GuardState, position: Vector, velocity: Vector) -> Bool[Array, ""]:
+    def _off_plan(self, state: GuardState, position: Vector, velocity: Vector) -> Flag:
         path, _ = braking.predict(self.assumptions, position, velocity, state.pending)
         return jnp.linalg.norm(path[-1] - state.plan_position) > self._plan_radius
 
-    def _candidate(self, force: Vector, finite: Bool[Array, ""], seen: Seen, course: Course) -> Motion:
+    def _candidate(self, force: Vector, finite: Flag, seen: Seen, course: Course) -> Motion:
         """Give the command, cut to the box, or without a plan the way out; and where it leads."""
         a, T = self.assumptions, self.assumptions.period
         ahead, moving = course.path[-1], course.velocities[-1]
@@ -363,9 +358,7 @@ class Guard(SafetyLayer):
         candidate = jnp.where(course.planned, asked, way_out)
         return Motion(candidate, ahead + T * moving + 0.5 * T**2 * candidate, moving + T * candidate)
 
-    def _accept(
-        self, candidate: Motion, usable: Bool[Array, ""], here: Float[Array, ""], seen: Seen, course: Course
-    ) -> Bool[Array, ""]:
+    def _accept(self, candidate: Motion, usable: Flag, here: Scalar, seen: Seen, course: Course) -> Flag:
         """Whether the candidate leaves a free plan, from x̂ and from all that is as far from it as `seen.spread`."""
         away, faster = seen.spread
         moved = away + faster * self._lever(norm(candidate.velocity) + faster, self.assumptions.delay + 1)
@@ -373,7 +366,7 @@ class Guard(SafetyLayer):
         velocities = jnp.concatenate([course.velocities, candidate.velocity[None]])
         return usable & self._free(seen.position, here, path, velocities, usable, moved, faster)
 
-    def _follow(self, state: GuardState, seen: Seen, course: Course) -> tuple[Motion, Vector, Bool[Array, ""]]:
+    def _follow(self, state: GuardState, seen: Seen, course: Course) -> tuple[Motion, Vector, Flag]:
         """Give the plan's next state, the acceleration that follows it, m/s², and whether it is at rest."""
         a, T = self.assumptions, self.assumptions.period
         brake, rest = braking.brake(a, self.braking, state.plan_velocity)
@@ -388,8 +381,8 @@ class Guard(SafetyLayer):
         self,
         state: GuardState,
         seen: Seen,
-        follow: Bool[Array, ""],
-        accepted: Bool[Array, ""],
+        follow: Flag,
+        accepted: Flag,
         chosen: Vector,
         plan: Motion,
         candidate: Motion,
@@ -417,7 +410,7 @@ class Guard(SafetyLayer):
             observed=observed,
         )
 
-    def _lever(self, speed: Float[Array, ""], steps: int) -> Float[Array, ""]:
+    def _lever(self, speed: Scalar, steps: int) -> Scalar:
         """Time, s, by which an error of the velocity moves the end of `steps` periods and the braking from `speed`."""
         return steps * self.assumptions.period + speed / self.braking.deceleration + 0.5 * self.assumptions.period
 
@@ -432,11 +425,11 @@ class Guard(SafetyLayer):
             )
         return jnp.asarray(under_way) / self.assumptions.mass
 
-    def certified(self, estimate: MotionState) -> Bool[Array, ""]:
+    def certified(self, estimate: MotionState) -> Flag:
         """Whether braking at once from this estimate is certified free: then a guarded flight can start from it."""
         return self._braking_free(estimate, self._accelerations(None), jnp.zeros(()), 0.0)
 
-    def certified_start(self, truth: MotionState) -> Bool[Array, ""]:
+    def certified_start(self, truth: MotionState) -> Flag:
         """Whether a true state is `certified` by every estimate of it that the assumed errors allow.
 
         Sufficient, not necessary: an estimate moves each point of the braking path by at most δ (docs/guard.md, section
@@ -450,8 +443,8 @@ class Guard(SafetyLayer):
         return self._braking_free(truth, self._accelerations(None), moved, a.velocity_error)
 
     def _braking_free(
-        self, state: MotionState, pending: Float[Array, "delay 3"], moved: Float[Array, ""], faster: Number
-    ) -> Bool[Array, ""]:
+        self, state: MotionState, pending: Float[Array, "delay 3"], moved: Scalar, faster: Number
+    ) -> Flag:
         path, velocities = braking.predict(self.assumptions, state.position, state.velocity, pending)
         value = self.field.value(state.position)
         points = path[1:] if self.assumptions.delay else path
@@ -475,13 +468,13 @@ class Guard(SafetyLayer):
     def _free(
         self,
         position: Vector,
-        value: Float[Array, ""],
+        value: Scalar,
         points: Float[Array, "points 3"],
         velocities: Float[Array, "states 3"],
-        wanted: Bool[Array, ""],
-        moved: float | Float[Array, ""] = 0.0,
+        wanted: Flag,
+        moved: float | Scalar = 0.0,
         faster: Number = 0.0,
-    ) -> Bool[Array, ""]:
+    ) -> Flag:
         """Whether the tube around a path and the nominal braking from its end is free, within range and slow enough.
 
         The path leads from `position`, where the field is `value`, over `points`; `velocities` are the nominal ones
@@ -519,7 +512,7 @@ class Guard(SafetyLayer):
         velocities: Float[Array, "states 3"],
         around: Number,
         faster: Number,
-    ) -> Bool[Array, ""]:
+    ) -> Flag:
         """Whether a polyline from `position`, and what is `around` it (m), keeps within V̄ and R̄."""
         a = self.assumptions
         # Norms are convex, so that a polyline's largest is a corner's.
@@ -529,32 +522,21 @@ class Guard(SafetyLayer):
         return (fastest <= a.speed_limit) & (range_ + around <= a.range_limit)
 
     def _free_from_here(
-        self,
-        position: Vector,
-        value: Float[Array, ""],
-        corners: Float[Array, "corners 3"],
-        least: Float[Array, ""],
-    ) -> Bool[Array, ""]:
+        self, position: Vector, value: Scalar, corners: Float[Array, "corners 3"], least: Scalar
+    ) -> Flag:
         """Test 1, from the field's value here alone: no point of the path is further away than its furthest corner."""
         return value - self.lipschitz * jnp.max(jnp.linalg.norm(corners - position, axis=-1)) > least
 
     def _free_at_corners(
-        self,
-        field: Field,
-        position: Vector,
-        value: Float[Array, ""],
-        corners: Float[Array, "corners 3"],
-        least: Float[Array, ""],
-    ) -> tuple[Bool[Array, ""], Bool[Array, ""], Float[Array, "2"]]:
+        self, field: Field, position: Vector, value: Scalar, corners: Float[Array, "corners 3"], least: Scalar
+    ) -> tuple[Flag, Flag, Float[Array, "2"]]:
         """Test 2, from the corners' values: of the path until its end, of the stop segment; and its ends' values."""
         values = jnp.concatenate([value[None], field.value(corners)])
         lowest = self._lowest(jnp.concatenate([position[None], corners]), values)
         proved = lowest > least
         return jnp.all(proved[:-1]), proved[-1], values[-2:]
 
-    def _free_along(
-        self, field: Field, ends: Float[Array, "2 3"], values: Float[Array, "2"], least: Float[Array, ""]
-    ) -> Bool[Array, ""]:
+    def _free_along(self, field: Field, ends: Float[Array, "2 3"], values: Float[Array, "2"], least: Scalar) -> Flag:
         """Test 3, from points along the stop segment."""
         points = ends[0] + jnp.linspace(0.0, 1.0, self.parts + 1)[:, None] * (ends[1] - ends[0])
         inside = field.value(points[1:-1])
@@ -565,13 +547,11 @@ class Guard(SafetyLayer):
         length = jnp.linalg.norm(jnp.diff(points, axis=0), axis=-1)
         return 0.5 * (values[:-1] + values[1:] - self.lipschitz * length)
 
-    def _outward(self, position: Vector, wanted: Bool[Array, ""]) -> Vector:
+    def _outward(self, position: Vector, wanted: Flag) -> Vector:
         """Give the field's gradient where it is wanted, else zero."""
         return self._asked(lambda field, place: field.value_and_gradient(place)[1], wanted, jnp.zeros(3), position)
 
-    def _asked(
-        self, question: Callable[..., Any], wanted: Bool[Array, ""], otherwise: PyTree, *arguments: Array
-    ) -> Any:
+    def _asked(self, question: Callable[..., Any], wanted: Flag, otherwise: PyTree, *arguments: Array) -> Any:
         """Give what `question` finds of the field where it is wanted, else `otherwise`.
 
         The field's arrays and the arguments are handed on, not closed over: in a batch they may differ from flight to
@@ -621,9 +601,7 @@ def require_flyable(guard: Guard, start: MotionState, goal: Vector) -> bool:
 
 
 @kept_jit
-def _looked_at(
-    guard: Guard, start: MotionState, goal: Vector
-) -> tuple[Float[Array, ""], Float[Array, ""], Bool[Array, ""]]:
+def _looked_at(guard: Guard, start: MotionState, goal: Vector) -> tuple[Scalar, Scalar, Flag]:
     """Give the field (m) at start and goal, and `certified_start`: one program instead of one each."""
     here, there = guard.field.value(jnp.stack([start.position, goal]))
     return here, there, guard.certified_start(start)

@@ -8,14 +8,12 @@ estimate in which its error is within (ε_r, ε_v), and begins again.
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from keepout.core.guard import watch
 from keepout.core.guard.braking import BrakingDesign, GuardAssumptions, ObserverGain
-from keepout.core.motion.arrays import norm
+from keepout.core.motion.arrays import Flag, Scalar, Vector, norm
 from keepout.core.motion.relative import MotionState
-
-Vector = Float[Array, "3"]
 
 
 class ObserverState(eqx.Module):
@@ -32,7 +30,7 @@ class ObserverState(eqx.Module):
 
     expected_position: Vector
     expected_velocity: Vector
-    steady: Bool[Array, ""]
+    steady: Flag
     doubts: watch.Doubts
 
 
@@ -54,7 +52,7 @@ def beyond(
     off_position: Vector,
     off_velocity: Vector,
     errors: Float[Array, "2"],
-) -> Bool[Array, ""]:
+) -> Flag:
     """Whether what is told is further from x̄ (m, m/s) than its errors, those of x̂ a step ago, D and a fault explain."""
     T, D = assumptions.period, assumptions.disturbance + assumptions.fault_push
     further = errors[0] + gain.error_radius + T * gain.velocity_error_radius + 0.5 * T**2 * D
@@ -69,8 +67,8 @@ def correct(
     position: Vector,
     velocity: Vector,
     errors: Float[Array, "2"],
-    first: Bool[Array, ""],
-    beyond: Bool[Array, ""],
+    first: Flag,
+    beyond: Flag,
 ) -> tuple[Vector, Vector]:
     """Give x̂, from the position (m) and velocity (m/s) told and the bounds of their errors.
 
@@ -90,7 +88,7 @@ def correct(
     return _moved(seen_r, position, most[0] - errors[0], again), _moved(seen_v, velocity, most[1] - errors[1], again)
 
 
-def _moved(seen: Vector, told: Vector, room: Float[Array, ""], wanted: Bool[Array, ""]) -> Vector:
+def _moved(seen: Vector, told: Vector, room: Scalar, wanted: Flag) -> Vector:
     """Move `seen` into the ball of radius `room` about what is told, where that is wanted."""
     away, room = seen - told, jnp.maximum(room, 0.0)
     return jnp.where(wanted, told + away * jnp.minimum(1.0, room / jnp.maximum(norm(away), 1e-300)), seen)
@@ -101,7 +99,7 @@ def advance(
     position: Vector,
     velocity: Vector,
     acceleration: Vector,
-    steady: Bool[Array, ""],
+    steady: Flag,
     doubts: watch.Doubts,
 ) -> ObserverState:
     """Give the memory for the next step, from x̂ and the commanded acceleration that acts until then, m/s²."""

@@ -37,23 +37,15 @@ class Responses:
     The times are the n steps until the first command of the plan takes effect, and every one from then on.
 
     Attributes:
-        pushed: to disturbances since the plan was made, per m/s².
-        noisy: to the errors (ε_r, ε_v) of the estimates told since.
-        pushed_before: to disturbances before the plan was made, per m/s².
-        noisy_before: to the errors of the estimates told before, the one at the start of the flight included.
-        start: absolute response to the observer's error when the plan is made.
-        struck: to a disturbance of a few consecutive steps since the plan was made, per m/s².
-        struck_ever: the same at whatever time.
+        pushed: to disturbances before and since the plan was made, per m/s².
+        noisy: to the errors (ε_r, ε_v) of all estimates told, the one at the start of the flight included.
+        struck: to a disturbance of a few consecutive steps at whatever time, per m/s².
 
     """
 
     pushed: Float[np.ndarray, "4 times"]
     noisy: Float[np.ndarray, "4 times 2"]
-    pushed_before: Float[np.ndarray, "4 times"]
-    noisy_before: Float[np.ndarray, "4 times 2"]
-    start: Float[np.ndarray, "4 times 2"]
     struck: Float[np.ndarray, "4 times"]
-    struck_ever: Float[np.ndarray, "4 times"]
 
 
 def line_size(late: Float[np.ndarray, "*shape"], early: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
@@ -167,29 +159,18 @@ def responses(period: float, delay: int, gains: Gains, fault_steps: int) -> Resp
     pulses = np.concatenate([free, line_integral(rows @ loop.pushes[:, None], period)], axis=2)[..., :-1]
     noise = np.concatenate([np.zeros((1, 4, delay + 1, 2)), np.abs(rows @ loop.told[:, None])[..., :-1, :]], axis=2)
     pushed = np.concatenate([np.zeros((1, 4, 1)), np.cumsum(pulses, axis=-1)], axis=-1)
-    struck, struck_ever = np.zeros_like(pushed), np.zeros_like(pushed)
+    struck = largest_window(pulses, fault_steps)
     pushed_before, noisy_before = np.zeros_like(pushed), np.zeros_like(start)
-    if fault_steps:
-        struck = largest_window(pulses, fault_steps)
     for output in range(4):
         past, noisy_before[:, output] = (a[:, 0] for a in before(loop, start[:, output : output + 1], ages))
         pushed_before[:, output] = past.sum(axis=-1)
-        if fault_steps:
-            ever = np.maximum(struck[:, output], largest_window(past, fault_steps)[..., -1])
-            for since in range(1, fault_steps):
-                # A fault that lasts over the making of the plan: `since` of its steps come after that.
-                after = pushed[:, output] - pushed[:, output, np.maximum(np.arange(pushed.shape[-1]) - since, 0)]
-                ever = np.maximum(ever, after + past[..., : fault_steps - since].sum(axis=-1))
-            struck_ever[:, output] = ever
-    return Responses(
-        pushed=pushed[0],
-        noisy=np.cumsum(noise, axis=2)[0],
-        pushed_before=pushed_before[0],
-        noisy_before=noisy_before[0],
-        start=np.abs(start[0]),
-        struck=struck[0],
-        struck_ever=struck_ever[0],
-    )
+        ever = np.maximum(struck[:, output], largest_window(past, fault_steps)[..., -1])
+        for since in range(1, fault_steps):
+            # A fault that lasts over the making of the plan: `since` of its steps come after that.
+            after = pushed[:, output] - pushed[:, output, np.maximum(np.arange(pushed.shape[-1]) - since, 0)]
+            ever = np.maximum(ever, after + past[..., : fault_steps - since].sum(axis=-1))
+        struck[:, output] = ever
+    return Responses((pushed + pushed_before)[0], (np.cumsum(noise, axis=2) + noisy_before)[0], struck[0])
 
 
 AT_REST = 40.0

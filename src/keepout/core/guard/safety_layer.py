@@ -4,8 +4,9 @@ import abc
 from enum import IntEnum, IntFlag
 
 import equinox as eqx
-from jaxtyping import Array, Bool, Float, Int, PyTree
+from jaxtyping import Array, Float, Int, PyTree
 
+from keepout.core.motion.arrays import Flag, Vector
 from keepout.core.motion.relative import MotionState
 
 
@@ -38,11 +39,11 @@ class SafetyLayer(eqx.Module):
         self,
         guard_state: PyTree,
         estimate: MotionState,
-        force: Float[Array, "3"],
-        disturbance_estimate: Float[Array, "3"],
+        force: Vector,
+        disturbance_estimate: Vector,
         errors: Float[Array, "2"] | None = None,
-        contradicted: Bool[Array, ""] | None = None,
-    ) -> tuple[PyTree, Float[Array, "3"], Int[Array, ""]]:
+        contradicted: Flag | None = None,
+    ) -> tuple[PyTree, Vector, Int[Array, ""]]:
         """Accept or replace a commanded force.
 
         Args:

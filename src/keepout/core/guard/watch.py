@@ -10,9 +10,10 @@ import math
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from keepout.core.guard.braking import GuardAssumptions, Number
+from keepout.core.motion.arrays import Flag, Scalar, Vector
 
 SHARE = 0.01
 """A lasting excess of this share of D is within reach of the longest window, unless that would pass `LONGEST`."""
@@ -87,10 +88,10 @@ def watch(
     lengths: tuple[int, ...],
     unexplained: Float[Array, "windows 3"],
     counted: Int[Array, ""],
-    moved: Float[Array, "3"],
-    changed: Float[Array, "3"],
+    moved: Vector,
+    changed: Vector,
     doubts: tuple[Doubts, Doubts] | None = None,
-) -> tuple[Float[Array, "windows 3"], Int[Array, ""], Bool[Array, ""]]:
+) -> tuple[Float[Array, "windows 3"], Int[Array, ""], Flag]:
     """Test one more step.
 
     Args:
@@ -126,12 +127,12 @@ def loosened(bound: Number | Float[Array, "windows"]) -> Number | Float[Array, "
     return bound * (1.0 + _LOOSE) + _ROUNDING
 
 
-def expired(assumptions: GuardAssumptions, time: Float[Array, ""]) -> Bool[Array, ""]:
+def expired(assumptions: GuardAssumptions, time: Scalar) -> Flag:
     """Whether the time, s since the orbit's epoch, is past the one until which the assumptions hold: `EXPIRED`."""
     return time > assumptions.valid_until
 
 
-def too_strong(assumptions: GuardAssumptions, disturbance_estimate: Float[Array, "3"]) -> Bool[Array, ""]:
+def too_strong(assumptions: GuardAssumptions, disturbance_estimate: Vector) -> Flag:
     """Whether a law's estimate (N) of the disturbance is above what is assumed: flag `DISTURBANCE`."""
     a = assumptions
     # An observer overshoots, takes noise and scale errors for a force, and, where there is next to none of these,
@@ -140,9 +141,7 @@ def too_strong(assumptions: GuardAssumptions, disturbance_estimate: Float[Array,
     return ~(jnp.linalg.norm(disturbance_estimate) <= jnp.maximum(seen, a.mass * a.drift))
 
 
-def outside_region(
-    assumptions: GuardAssumptions, position: Float[Array, "3"], velocity: Float[Array, "3"]
-) -> Bool[Array, ""]:
+def outside_region(assumptions: GuardAssumptions, position: Vector, velocity: Vector) -> Flag:
     """Whether what is told (m, m/s) is beyond the range or speed within which the drift is bounded: flag `REGION`."""
     a = assumptions
     far = jnp.linalg.norm(position) > a.range_limit + a.position_error

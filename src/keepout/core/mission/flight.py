@@ -15,7 +15,7 @@ from keepout.core.audit.tube import FlightBounds
 from keepout.core.control.law import ControlStatus
 from keepout.core.fields.model import FieldModel
 from keepout.core.flight import loop
-from keepout.core.flight.batches import Landed, fly_batches
+from keepout.core.flight.batches import Batching, Landed, fly_batches
 from keepout.core.flight.loop import FlightOutcome, outcome
 from keepout.core.flight.record import FlightRecord
 from keepout.core.flight.setup import FlightSetup
@@ -263,6 +263,7 @@ def fly_audited(
     columns: Sequence[str] = (),
     landed: Landed | None = None,
     tolerance: float = 1e-3,
+    progress: Progress = silent,
     **batches: Any,
 ) -> tuple[FlightOutcome, tuple[Audit, ...]]:
     """Fly a setup from many initial states, and audit each flight.
@@ -275,7 +276,8 @@ def fly_audited(
         columns: of the log, for `landed` beside `AUDITED`.
         landed: gets each batch's columns once it is judged.
         tolerance: how close to the truth the clearance bounds are driven, m.
-        **batches: further arguments of `fly_batches`, such as `vary`, `seed` or `batch`.
+        progress: told after each batch.
+        **batches: entries of `Batching`, such as `vary`, `seed` or `batch`.
 
     Returns:
         The outcomes with a leading axis of flights, and the verdicts in the same order.
@@ -289,7 +291,8 @@ def fly_audited(
             landed(first, log)
 
     wanted = tuple(dict.fromkeys((*AUDITED, *columns)))
-    outcome = fly_batches(setup, initial, scenario.steps, columns=wanted, landed=land, **batches)
+    batching = Batching(**batches)
+    outcome = fly_batches(setup, initial, scenario.steps, batching, columns=wanted, landed=land, progress=progress)
     return outcome, tuple(audits)
 
 

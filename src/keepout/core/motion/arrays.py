@@ -7,11 +7,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 T = TypeVar("T")
 NumbersLike = ArrayLike | Sequence[Any]
 """Anything that `jnp.asarray` turns into numbers: an array, a number, nested lists of numbers."""
+Scalar = Float[Array, ""]
+Vector = Float[Array, "3"]
+Flag = Bool[Array, ""]
 
 
 def as_float64(value: NumbersLike) -> Array:
@@ -27,7 +30,7 @@ def numbers_as_arrays(tree: T) -> T:
     return jax.tree.map(lambda leaf: as_float64(leaf) if isinstance(leaf, float) else leaf, tree)
 
 
-def norm(vector: Float[Array, "n"]) -> Float[Array, ""]:
+def norm(vector: Float[Array, "n"]) -> Scalar:
     """Give the Euclidean norm, with a derivative of zero at zero, where `jnp.linalg.norm` has none."""
     square = jnp.sum(vector * vector)
     still = square == 0.0  # false for what is not a number, which stays one

@@ -10,9 +10,9 @@ from jaxtyping import Array, Float
 
 from keepout.core.errors import ScenarioError
 from keepout.core.motion import rotation
-from keepout.core.motion.arrays import NumbersLike, as_float64
+from keepout.core.motion.arrays import NumbersLike, Vector, as_float64
 from keepout.core.motion.orbit import EARTH_GRAVITATIONAL_PARAMETER, OrbitalFrame
-from keepout.core.motion.rotation import Quaternion, Vector
+from keepout.core.motion.rotation import Quaternion
 
 
 def _unit(value: NumbersLike) -> Array:

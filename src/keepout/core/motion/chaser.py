@@ -12,13 +12,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, Bool, Float, PRNGKeyArray, PyTree
+from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
-from keepout.core.errors import ScenarioError
-from keepout.core.motion.arrays import NumbersLike, as_float64
-from keepout.core.motion.rotation import Vector
-
-Scalar = Float[Array, ""]
+from keepout.core.errors import ScenarioError, require_finite
+from keepout.core.motion.arrays import Flag, NumbersLike, Scalar, Vector, as_float64
 
 
 class Pulses(eqx.Module):
@@ -101,7 +98,7 @@ class Firing(eqx.Module):
     force: Vector
     pulses: Pulses | None = None
     on_time: Float[Array, " thrusters"] | None = None
-    propellant: Float[Array, ""] | None = None
+    propellant: Scalar | None = None
 
 
 class ThrusterModel(eqx.Module):
@@ -112,7 +109,7 @@ class ThrusterModel(eqx.Module):
         """Give the force (N, body axes) that is held over the period for a commanded one."""
 
     @abc.abstractmethod
-    def saturated(self, command: Vector) -> Bool[Array, ""]:
+    def saturated(self, command: Vector) -> Flag:
         """Whether a command (N) is more than can be given."""
 
     def initial_state(self, key: PRNGKeyArray) -> PyTree:
@@ -140,7 +137,7 @@ class Thrusters(ThrusterModel):
 
     """
 
-    force_limit: Float[Array, "3"] = eqx.field(converter=_per_axis)
+    force_limit: Vector = eqx.field(converter=_per_axis)
 
     def __check_init__(self):
         if isinstance(self.force_limit, Tracer):
@@ -152,7 +149,7 @@ class Thrusters(ThrusterModel):
         """Cut the command off at the limit in each axis, N. A command that is not a number stays one."""
         return jnp.clip(command, -self.force_limit, self.force_limit)
 
-    def saturated(self, command: Vector) -> Bool[Array, ""]:
+    def saturated(self, command: Vector) -> Flag:
         """Whether the command reaches the limit in any axis."""
         return jnp.any(jnp.abs(command) >= self.force_limit * (1 - 1e-9))
 
@@ -183,8 +180,7 @@ class Chaser:
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0.0):
                 raise ScenarioError(f"chaser: {name}: {value} {unit}; it must be positive and finite")
-        if not (math.isfinite(self.radius) and self.radius >= 0.0):
-            raise ScenarioError(f"chaser: radius: {self.radius} m; it must be finite and at least 0")
+        require_finite(self.radius, f"chaser: radius: {self.radius} m", ScenarioError)
 
     @property
     def authority(self) -> float:

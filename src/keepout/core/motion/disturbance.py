@@ -13,10 +13,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from keepout.core.errors import ScenarioError
-from keepout.core.motion.arrays import NumbersLike, as_float64
-from keepout.core.motion.rotation import Vector
-
-Scalar = Float[Array, ""]
+from keepout.core.motion.arrays import NumbersLike, Scalar, Vector, as_float64
 
 # Bounds are sums and roots of float64 numbers; this covers their rounding.
 _OUTWARD = 1 + 1e-12

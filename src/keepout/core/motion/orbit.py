@@ -14,10 +14,8 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from keepout.core.errors import ScenarioError
-from keepout.core.motion.arrays import as_float64
-from keepout.core.motion.rotation import Vector, orbital_rate, vvlh_axes
-
-Scalar = Float[Array, ""]
+from keepout.core.motion.arrays import Scalar, Vector, as_float64
+from keepout.core.motion.rotation import orbital_rate, vvlh_axes
 
 # EGM-96 / WGS-84 values.
 EARTH_GRAVITATIONAL_PARAMETER = 3.986004418e14  # m^3/s^2
@@ -69,8 +67,8 @@ class J2(Perturbation):
 class _ByArea(Perturbation):
     """An acceleration in proportion to area over mass, which differs between the two spacecraft."""
 
-    target_area_to_mass: eqx.AbstractVar[float]
-    chaser_area_to_mass: eqx.AbstractVar[float]
+    target_area_to_mass: float
+    chaser_area_to_mass: float
 
     def of_target(self, position: Vector, velocity: Vector) -> Vector:
         """Acceleration of the target, m/s²."""
@@ -92,8 +90,6 @@ class Drag(_ByArea):
     `altitude` (m above the equatorial radius). scale_height: m.
     """
 
-    target_area_to_mass: float
-    chaser_area_to_mass: float
     density: float
     altitude: float
     scale_height: float
@@ -128,7 +124,7 @@ def sun_direction(instant: int) -> Float[np.ndarray, "3"]:
     )
 
 
-def lit(position: Vector, direction: Vector) -> Float[Array, ""]:
+def lit(position: Vector, direction: Vector) -> Scalar:
     """Give the share of the sun, 0 to 1, that is seen at an ECI position (m): the shadow is a cylinder with an edge.
 
     Continuous wherever a spacecraft is more than half of `PENUMBRA` above the equatorial radius.
@@ -147,8 +143,6 @@ class SolarPressure(_ByArea):
     """
 
     direction: tuple[float, float, float]
-    target_area_to_mass: float
-    chaser_area_to_mass: float
 
     def _per_area_to_mass(self, position: Vector, velocity: Vector) -> Vector:
         direction = jnp.asarray(self.direction)
@@ -156,10 +150,7 @@ class SolarPressure(_ByArea):
 
 
 def target_acceleration(
-    position: Vector,
-    velocity: Vector,
-    gravitational_parameter: Float[Array, ""],
-    perturbations: tuple[Perturbation, ...],
+    position: Vector, velocity: Vector, gravitational_parameter: Scalar, perturbations: tuple[Perturbation, ...]
 ) -> Vector:
     """Acceleration of the target in ECI, m/s²: the point mass and every perturbation."""
     acceleration = -gravitational_parameter * position / jnp.linalg.norm(position) ** 3

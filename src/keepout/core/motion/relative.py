@@ -10,14 +10,12 @@ from jaxtyping import Array, Float
 from keepout.core.compiled.kept_executables import kept_jit
 from keepout.core.errors import ScenarioError
 from keepout.core.motion import rotation
-from keepout.core.motion.arrays import NumbersLike, as_float64
+from keepout.core.motion.arrays import NumbersLike, Scalar, Vector, as_float64
 from keepout.core.motion.attitude import AttitudeMotion, VVLHFixed
 from keepout.core.motion.chaser import Departure, Pulses
 from keepout.core.motion.disturbance import Disturbance
 from keepout.core.motion.orbit import Orbit, OrbitalFrame, Perturbation, perturbed_frame, target_acceleration
-from keepout.core.motion.rotation import Quaternion, Vector, vvlh_axes
-
-Scalar = Float[Array, ""]
+from keepout.core.motion.rotation import Quaternion, vvlh_axes
 
 
 class MotionState(eqx.Module):
@@ -42,6 +40,11 @@ class MotionState(eqx.Module):
     angular_velocity: Vector
     target_orbit: Float[Array, "6"] | None = None
     disturbance: Vector | None = None
+
+    def moved(self, position: Vector, velocity: Vector) -> "MotionState":
+        """Give the state with its position (m) and its velocity (m/s) changed by these."""
+        changed = self.position + position, self.velocity + velocity
+        return eqx.tree_at(lambda s: (s.position, s.velocity), self, changed)
 
 
 Pushed = tuple[MotionState, Vector | None]
@@ -135,8 +138,7 @@ class RelativeMotion(eqx.Module):
         if departure is None:
             return end
         position, velocity, _ = departure.at(jnp.asarray(duration, jnp.float64))
-        moved = end.position + position, end.velocity + velocity
-        return eqx.tree_at(lambda s: (s.position, s.velocity), end, moved)
+        return end.moved(position, velocity)
 
     def _departure(self, state: MotionState, pulses: Pulses, mass: float | Scalar) -> Departure:
         frame = self.orbital_frame(state)
@@ -164,9 +166,7 @@ class RelativeMotion(eqx.Module):
             if departure is not None:
                 position, velocity, counted = departure.at(at.time - since)
                 push = push - counted
-                there = eqx.tree_at(
-                    lambda s: (s.position, s.velocity), at, (at.position + position, at.velocity + velocity)
-                )
+                there = at.moved(position, velocity)
             relative_rate = omega - rotation.matrix(at.attitude) @ frame.angular_velocity
             change = MotionState(
                 time=jnp.ones(()),

@@ -15,8 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from keepout.core.motion.arrays import Scalar, Vector
+
 Quaternion = Float[Array, "4"]
-Vector = Float[Array, "3"]
 
 
 def identity() -> Quaternion:
@@ -64,9 +65,7 @@ def vvlh_axes(target_position: Vector, target_velocity: Vector) -> Float[Array, 
     return jnp.stack([jnp.cross(y, z), y, z])
 
 
-def orbital_rate(
-    target_position: Vector, target_velocity: Vector, normal_acceleration: float | Float[Array, ""] = 0.0
-) -> Vector:
+def orbital_rate(target_position: Vector, target_velocity: Vector, normal_acceleration: float | Scalar = 0.0) -> Vector:
     """Inertial angular velocity of VVLH, rad/s, in ECI axes.
 
     Along the orbit normal it is ‖r × v‖/‖r‖². An acceleration along the orbit normal (`normal_acceleration`, m/s²,

@@ -20,7 +20,7 @@ from keepout.core.audit.tube import FlightBounds
 from keepout.core.compiled.kept_programs import processor
 from keepout.core.digest import digest
 from keepout.core.errors import ScenarioError
-from keepout.core.flight.batches import fly_batches
+from keepout.core.flight.batches import Batching, fly_batches
 from keepout.core.flight.loop import FlightLog, FlightOutcome
 from keepout.core.flight.setup import flown_setup
 from keepout.core.guard.guard import Guard, starts_certified
@@ -113,18 +113,14 @@ def fly_runs(
             landed(members[begin:until], log)
             progress((before + until) / total, f"{before + until} of {total} flights")
 
+        numbers = np.array([run.number for run in members])
         outcome = fly_batches(
             program.stack([setups[id(run.mission)] for run in members]),
             initial_states(members),
             members[0].flown.steps,
-            seed=programs.seed,
-            places=np.array([run.number for run in members]),
-            vary=program.vary,
-            alike=program.alike,
+            Batching(programs.seed, numbers, program.vary, program.alike, programs.batch or None, workers),
             columns=tuple(dict.fromkeys(("time", *columns))),
             landed=land,
-            batch=programs.batch or None,
-            workers=workers,
         )
         for i, run in enumerate(members):
             outcomes[run.number] = jax.tree.map(lambda array, i=i: array[i], outcome)

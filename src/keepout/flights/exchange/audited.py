@@ -18,7 +18,7 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from keepout.core.audit.audit import Contact
-from keepout.core.audit.passage import Passage, audit_passage, measured_turning_acceleration
+from keepout.core.audit.passage import Passage, SampleBounds, Samples, audit_passage, measured_turning_acceleration
 from keepout.core.errors import ExchangeError
 from keepout.core.geometry.target import Target
 from keepout.core.mission.epoch import format_instant, leap_second_between
@@ -138,19 +138,12 @@ def audit_files(target: Target, given: Given, *, progress: Progress = silent) ->
         turning = measured_turning_acceleration(motion.time, motion.turn, turned)
     progress(0.3, "audit")
     verdict = audit_passage(
-        motion.time,
-        motion.relative,
-        motion.relative_velocity,
-        motion.turn,
+        Samples(motion.time, motion.relative, motion.relative_velocity, motion.turn),
         target,
         chaser_radius=given.chaser_radius,
-        acceleration_bound=given.acceleration_bound,
-        turning_acceleration_bound=turning,
+        bounds=SampleBounds(given.acceleration_bound, turning, sampled, motion.velocity_error, turned),
         centre_of_mass=given.centre,
         tolerance=given.tolerance,
-        sample_error=sampled,
-        velocity_error=motion.velocity_error,
-        attitude_error=turned,
     )
     overrides = []
     if attitude is not None and not attitude.subject.is_same(orbit.subject):

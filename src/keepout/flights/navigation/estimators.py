@@ -18,10 +18,10 @@ from scipy import stats
 from keepout.core.errors import ScenarioError
 from keepout.core.flight.navigation import Estimator, Sample, Sensor
 from keepout.core.motion import rotation
-from keepout.core.motion.arrays import as_float64
+from keepout.core.motion.arrays import Vector, as_float64
 from keepout.core.motion.disturbance import NoDisturbance
 from keepout.core.motion.relative import MotionState, RelativeMotion
-from keepout.core.motion.rotation import Quaternion, Vector
+from keepout.core.motion.rotation import Quaternion
 
 _MOST_WIDENING = 100.0
 """Largest factor on the covariance for one sample left out."""

@@ -25,9 +25,8 @@ from jaxtyping import Array, Bool, Float, Int
 from keepout.core.errors import ScenarioError
 from keepout.core.flight.navigation import Ball, BoundedEstimator, KnownSet, Sample, Sensor, Suite
 from keepout.core.motion import rotation
-from keepout.core.motion.arrays import as_float64
+from keepout.core.motion.arrays import Vector, as_float64
 from keepout.core.motion.relative import MotionState
-from keepout.core.motion.rotation import Vector
 
 Scalar = Float[Array, ""]
 

@@ -16,9 +16,9 @@ from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 from keepout.core.errors import ScenarioError
 from keepout.core.flight.navigation import Ball, Sample, Sensor
 from keepout.core.motion import rotation
-from keepout.core.motion.arrays import as_float64, norm
+from keepout.core.motion.arrays import Vector, as_float64, norm
 from keepout.core.motion.relative import MotionState
-from keepout.core.motion.rotation import Quaternion, Vector
+from keepout.core.motion.rotation import Quaternion
 from keepout.flights.navigation.sensor_errors import Arrival, ErrorModel, ErrorPart
 
 Scalar = Float[Array, ""]

@@ -30,9 +30,8 @@ from scipy.optimize import linprog
 
 from keepout.core.errors import ScenarioError
 from keepout.core.mission.surroundings import ThrusterErrors
-from keepout.core.motion.arrays import as_float64
+from keepout.core.motion.arrays import Vector, as_float64
 from keepout.core.motion.chaser import Firing, Pulses, ThrusterModel
-from keepout.core.motion.rotation import Vector
 from keepout.flights.thrusters.layout import STANDARD_GRAVITY, Layout, Stuck
 
 Scalar = Float[Array, ""]
