@@ -185,7 +185,7 @@ def audit(
     return audit_campaign(
         np.asarray(record.time, float),
         *states,
-        target,
+        target=target,
         guard_status=None if guard is None else np.asarray(guard)[None],
         chaser_radius=chaser_radius,
         bounds=bounds,
@@ -220,7 +220,7 @@ def audit_campaign(
     finite = np.all([np.isfinite(array.reshape(len(array), -1)).all(axis=1) for array in states], axis=0)
     # Zeros for the flights that are not finite; the arrays themselves where all are.
     shown = [array if finite.all() else np.where(finite[:, None, None], array, 0.0) for array in states]
-    tube = Tube.of(time, *shown, bounds)
+    tube = Tube.of(time, *shown, bounds=bounds)
     distance = target.distance.distance
     bound = nearest(tube, distance, tolerance=tolerance)
     excess = tube.inconsistency()

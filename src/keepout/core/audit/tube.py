@@ -26,7 +26,8 @@ from keepout.core.audit import sample_loops
 from keepout.core.errors import FlightError, require_finite
 
 Distance = Callable[[Float[np.ndarray, "points 3"]], Float[np.ndarray, "points"]]
-Numbers, Fractions = Int[np.ndarray, "pieces"], Float[np.ndarray, "pieces"]
+Numbers = Int[np.ndarray, "pieces"]
+Fractions = Float[np.ndarray, "pieces"]
 Pieces = tuple[Float[np.ndarray, "pieces 3"], Float[np.ndarray, "pieces"], Float[np.ndarray, "pieces"]]
 
 _BLOCK = 64

@@ -198,11 +198,11 @@ def widest_way(barrier: Float[np.ndarray, "nx ny nz"], start: Int[np.ndarray, "3
     """Return the largest c such that a path of neighbouring nodes with barrier ≥ c joins start and end, m."""
     from scipy import ndimage  # takes a tenth of a second, and only a refusal asks
 
-    start, end = tuple(start), tuple(end)
+    first, last, part = tuple(start), tuple(end), np.empty(barrier.shape, np.int32)
 
     def parted(level: float) -> bool:
-        part, _ = ndimage.label(barrier >= level)
-        return bool(part[start] != part[end])
+        ndimage.label(barrier >= level, output=part)
+        return bool(part[first] != part[last])
 
-    levels = np.unique(barrier[barrier <= min(barrier[start], barrier[end])])
+    levels = np.unique(barrier[barrier <= min(barrier[first], barrier[last])])
     return float(levels[bisect.bisect_left(levels, True, key=parted) - 1])

@@ -255,7 +255,7 @@ def _perfect(assumptions: GuardAssumptions) -> Iterator[BrakingDesign]:
 def _observed(assumptions: GuardAssumptions) -> Iterator[BrakingDesign]:
     a = assumptions
     numbers = (a.disturbance, a.position_error, a.velocity_error, a.authority, a.speed_limit, a.fault_push)
-    task = Task(float(a.period), a.delay, *map(float, numbers), a.fault_steps)
+    task = Task(float(a.period), a.delay, *map(float, numbers), fault_steps=a.fault_steps)
     yield observed_radii(a, least_room(task.rounded()))
 
 
