@@ -36,10 +36,10 @@ EVENTS = {
 
 _BY_FILE = ("-n", "2", "--dist", "loadfile", "--no-loadscope-reorder")
 MAKE_TEST = (
-    (("-m", "as_used and not slow", *_BY_FILE), {"XLA_FLAGS": ""}),
+    (("-m", "as_used and not slow"), {"XLA_FLAGS": ""}),
     (("-m", "not slow and not as_used", *_BY_FILE), {}),
 )
-"""What `make test` runs: options of pytest, and what is set in its environment."""
+"""What `make test` runs, there at once: options of pytest, and what is set in its environment."""
 
 
 class Meter:
