@@ -139,8 +139,8 @@ def shorten(
 
     A step leads to any of the 26 neighbours and costs its length, in tenths of the spacing, times the price of the node
     that it leads to. Where the lattice leaves map nodes out, a step is open only if every map node on it keeps its
-    distance. The whole lattice is gone through forwards and backwards until nothing changes: then every length is the
-    least over all ways, and no other method gives another.
+    distance. The lattice is gone through forwards and backwards, past nodes none of whose neighbours has changed, until
+    nothing changes: then every length is the least over all ways, and no other method gives another.
 
     Args:
         lengths: of the ways that begin at nodes, and `FAR` elsewhere.
@@ -150,14 +150,16 @@ def shorten(
         least: squared distance, in cells, that a step keeps.
 
     """
-    while _swept(lengths, price, squares, stride, least, False) | _swept(lengths, price, squares, stride, least, True):
+    awake = np.ones(lengths.shape, dtype=np.bool_)
+    way = lengths, awake, price, squares, stride, least
+    while _swept(*way, False) | _swept(*way, True):
         pass
 
 
 @numba.njit(cache=True)
 @no_type_check
-def _swept(lengths, price, squares, stride, least, backwards):
-    """Lower each node's length to the least over its neighbours' once; give whether any was lowered."""
+def _swept(lengths, awake, price, squares, stride, least, backwards):
+    """Lower the length of each node that is awake to the least over its neighbours', which that wakes; give whether any."""
     nx, ny, nz = price.shape
     lowered = False
     for step_i in range(nx):
@@ -166,8 +168,9 @@ def _swept(lengths, price, squares, stride, least, backwards):
                 i, j, k = step_i, step_j, step_k
                 if backwards:
                     i, j, k = nx - 1 - i, ny - 1 - j, nz - 1 - k
-                if price[i, j, k] == 0:
+                if price[i, j, k] == 0 or not awake[i, j, k]:
                     continue
+                awake[i, j, k] = False
                 best = np.int64(lengths[i, j, k])
                 for a in range(max(i - 1, 0), min(i + 2, nx)):
                     for b in range(max(j - 1, 0), min(j + 2, ny)):
@@ -178,6 +181,7 @@ def _swept(lengths, price, squares, stride, least, backwards):
                                 best = through
                 if best < lengths[i, j, k]:
                     lengths[i, j, k] = best
+                    awake[max(i - 1, 0) : i + 2, max(j - 1, 0) : j + 2, max(k - 1, 0) : k + 2] = True
                     lowered = True
     return lowered
 
