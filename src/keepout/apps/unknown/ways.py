@@ -159,7 +159,7 @@ def shorten(
 @numba.njit(cache=True)
 @no_type_check
 def _swept(lengths, awake, price, squares, stride, least, backwards):
-    """Lower the length of each node that is awake to the least over its neighbours', which that wakes; give whether any."""
+    """Lower each awake node's length to the least over its neighbours', waking them; give whether any was lowered."""
     nx, ny, nz = price.shape
     lowered = False
     for step_i in range(nx):
