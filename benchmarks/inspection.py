@@ -28,8 +28,8 @@ from pathlib import Path
 import numpy as np
 from kept_rows import Rows, command, tell
 
-from keepout.apps.inspection.fate import shares
 from keepout.apps.inspection.inspect import inspect
+from keepout.apps.inspection.inspection import shares
 from keepout.apps.inspection.light import Camera, Light, ever_lit
 from keepout.apps.inspection.planning import plan
 from keepout.apps.inspection.problem import Problem, Wanted, boresight_of, rules_of
@@ -116,9 +116,7 @@ class Inspected:
             say(f"{self.name}: what can be seen took {self.seeable_seconds:.0f} s")
         if (tour, light) not in self.plans:
             planned = self.scenario.replace(inspect={"tour": tour}, **self.lit(light))
-            problem = dataclasses.replace(
-                self.problem, scenario=planned, rules=rules_of(planned), light=Light.of(planned)
-            )
+            problem = dataclasses.replace(self.problem, scenario=planned, rules=rules_of(planned), light=Light(planned))
             first, began = None, time.perf_counter()
             if tour != "circumnavigation":
                 first = first_plan(problem)
@@ -154,9 +152,9 @@ class Inspected:
 def first_plan(problem):
     """Make the plan that an inspection begins with."""
     scenario = problem.scenario
-    camera = Camera(problem.patches, problem.sight, problem.rules, problem.light)
+    camera = Camera(problem.sight, problem.rules, problem.light)
     lit = ever_lit(camera, problem.seeable.possible, scenario.duration)
-    wanted = Wanted.of(problem.patches, lit, scenario.inspect.coverage)
+    wanted = Wanted(problem.patches, lit, scenario.inspect.coverage)
     return plan(
         problem,
         position=np.asarray(scenario.start.position),

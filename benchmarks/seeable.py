@@ -35,7 +35,8 @@ def judged(source: str, squares: int, places: int) -> dict[str, Any]:
     rules = SeeingRules(greatest_range=20.0 if large else 10.0)
     sight = Sightlines(target.vertices, target.faces, patches)
     began = time.process_time()
-    found = seeable(target, patches, sight, rules, STAND_OFF, squares=squares)
+    room = Room(target.distance, STAND_OFF)
+    found = seeable(sight, rules, room, squares=squares)
     took = time.process_time() - began
     hidden = found.verdict == Verdict.HIDDEN
     return {

@@ -153,7 +153,7 @@ def row(source: str, count: int, size: float, looked_at: int) -> dict[str, Any]:
     generator = np.random.default_rng(1)
     rates, clear_share, pairs, sun_rates = [], [], [], []
     for place in places_around(target, count):
-        units = within_rules(patches, rules, place, patches.counted)[0]
+        units = within_rules(patches, rules, place).units
         if len(units) < 50:
             continue
         sight.clear(place[None], units[:1])

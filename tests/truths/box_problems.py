@@ -39,4 +39,4 @@ def problem_of(mission, undecided=None):
     why = np.where(patches.counted, Hidden.NOT, Hidden.ENCLOSED).astype(np.int8)
     seeable = Seeable(patches, verdict, why, witness)
     where = room(mission.inspect.stand_off)
-    return Problem(mission, BOX, patches, rules_of(mission), sight, where, seeable, Light.of(mission))
+    return Problem(mission, BOX, patches, rules_of(mission), sight, where, seeable, Light(mission))

@@ -11,7 +11,7 @@ from truths.replay_page import ReplayPage
 
 from keepout.apps.inspection import coverage
 from keepout.apps.inspection.coverage import Coverage, PatchMesh, _units
-from keepout.apps.inspection.fate import Fate, fates, first_frames
+from keepout.apps.inspection.inspection import Fate, fates, first_frames
 from keepout.flights.pages.drawn import fewer
 from keepout.flights.pages.replay_page import write_replay
 from keepout.flights.pages.replayed import Replayed
@@ -27,7 +27,7 @@ def inspection():
 
 
 def replayed(of):
-    return Replayed(of.scenario.name, of.record, of.scenario, of.target, of.audit, layer=Coverage.of(of))
+    return Replayed(of.scenario.name, of.record, of.scenario, of.target, of.audit, layer=Coverage(of))
 
 
 def page_of(of):
@@ -72,7 +72,7 @@ def test_the_plot_is_the_share_seen_up_to_each_row(inspection):
 def test_a_surface_of_very_many_triangles_is_drawn_with_fewer_and_the_page_says_so(inspection, monkeypatch):
     fine = made_up(views=VIEWS, across=24)
     monkeypatch.setattr(coverage, "MOST_TRIANGLES", 2000)
-    thinned = Coverage.of(fine)
+    thinned = Coverage(fine)
     assert 200 < len(thinned.faces) <= 2000
     assert re.search(r"with [\d,]+ of the patches' 6,912 triangles", thinned._remark())
     # Each triangle left has the fate of the side of the box that it lies on.

@@ -110,15 +110,15 @@ def test_a_light_edge_on_to_all_there_is_never_lights():
     plate = plates((0.0, 0.0, 1.0))
     dark = scenario(light={"kind": "fixed", "direction": (10.0, 0.0, 0.1)})
     with pytest.raises(InspectionError) as refusal:
-        equipment.require_light(dark, Light.of(dark), plate)
+        equipment.require_light(dark, Light(dark), plate)
     assert f"{math.atan2(10.0, 0.1):.4g} rad" in str(refusal.value)
     lit = scenario(light={"kind": "fixed", "direction": (10.0, 0.0, -3.0)})  # from below: the other side counts too
-    equipment.require_light(lit, Light.of(lit), plate)
+    equipment.require_light(lit, Light(lit), plate)
     outer = plates((0.0, 0.0, 1.0), counted=[True, False])
     with pytest.raises(InspectionError, match=r"light\.greatest_incidence"):
-        equipment.require_light(lit, Light.of(lit), outer)
+        equipment.require_light(lit, Light(lit), outer)
     none = scenario()
-    equipment.require_light(none, Light.of(none), outer)
+    equipment.require_light(none, Light(none), outer)
 
 
 def test_a_flight_that_is_all_night_is_refused_and_one_into_the_morning_is_not():
@@ -127,9 +127,9 @@ def test_a_flight_that_is_all_night_is_refused_and_one_into_the_morning_is_not()
     )
     sides = plates((1, 0, 0), (0, 1, 0), (0, 0, 1))
     with pytest.raises(InspectionError, match=r"Earth hides the sun for all of duration 300 s"):
-        equipment.require_light(night, Light.of(night), sides)
+        equipment.require_light(night, Light(night), sides)
     morning = night.replace(duration=2000.0)
-    equipment.require_light(morning, Light.of(morning), sides)
+    equipment.require_light(morning, Light(morning), sides)
 
 
 SIDES = plates((1, 0, 0), (0, 1, 0), counted=[True, False, True, False])

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from truths.made_up_inspection import box_patches, made_up
 
-from keepout.apps.inspection.fate import Fate, fates, first_frames, shares, unseen
+from keepout.apps.inspection.inspection import Fate, fates, first_frames, shares, unseen
 from keepout.apps.inspection.seeing.seeable import Hidden, Seeable, Verdict
 
 BASE = made_up()

@@ -47,7 +47,7 @@ def parts():
 
 
 def camera_of(parts, sun):
-    return Camera(parts[1], parts[2], RULES, sun)
+    return Camera(parts[2], RULES, sun)
 
 
 def test_a_frame_shows_what_closed_forms_say(parts):

@@ -159,7 +159,7 @@ def test_by_sensors_the_estimate_strikes_off_on_board_and_the_truth_is_what_coun
     off = np.linalg.norm(found.record.position - found.record.estimated_position, axis=1)
     assert np.median(off) > 1e-3
     assert off.max() < 0.1
-    camera = Camera(patches, problem.sight, problem.rules, problem.light)
+    camera = Camera(problem.sight, problem.rules, problem.light)
     taken, reached, differing = np.zeros(patches.units, dtype=bool), [], 0
     for frame in found.frames:
         row = int(np.searchsorted(found.record.time, frame.time))
@@ -178,7 +178,7 @@ def test_by_sensors_the_estimate_strikes_off_on_board_and_the_truth_is_what_coun
 def test_a_problem_of_another_target_camera_or_light_is_refused():
     mission = scenario()
     made = problem_of(mission)
-    other = dataclasses.replace(made, light=Light.of(scenario(light={"kind": "sun"})))
+    other = dataclasses.replace(made, light=Light(scenario(light={"kind": "sun"})))
     for changed, options in (
         (mission, {"target": Target.load("pocket"), "problem": made}),
         (scenario(camera={"greatest_range": 5.0}), {"problem": made}),

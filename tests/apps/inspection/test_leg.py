@@ -16,7 +16,7 @@ def wanted(share=1.0):
     n, nowhere, counted = 4, np.zeros((4, 3)), np.tile([True, False], 4)
     areas = np.array([1.0, 2.0, 3.0, 4.0])
     of = Patches(np.zeros((n, 3, 3)), np.full(n, 3), nowhere, areas, nowhere, np.arange(n), counted, 1.0)
-    return Wanted.of(of, counted.copy(), share)
+    return Wanted(of, counted.copy(), share)
 
 
 VIEW = {"place": np.zeros(3), "boresight": AHEAD, "units": np.array([0, 2])}

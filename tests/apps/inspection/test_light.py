@@ -15,7 +15,7 @@ from keepout.core.mission.scenario import Scenario
 
 
 def light(**tables):
-    return Light.of(Scenario().replace(light={"kind": "sun"}, **tables))
+    return Light(Scenario().replace(light={"kind": "sun"}, **tables))
 
 
 def equatorial(direction):
@@ -112,9 +112,7 @@ def test_a_bent_orbit_carries_its_frame_along():
     """J2 turns the plane; the path and VVLH's axes are SciPy's and NumPy's."""
     sun, times = np.array([1.0, 0.3, 0.2]) / np.linalg.norm([1.0, 0.3, 0.2]), [0, 900, 5000, 5900]
     scenario = Scenario().replace(orbit={"semi_major_axis": 7e6, "inclination": 0.9, "j2": True}, duration=6000.0)
-    found = Light.of(scenario.replace(light={"kind": "sun"}, sun={"direction": tuple(sun)})).suns(
-        np.array(times, float)
-    )
+    found = Light(scenario.replace(light={"kind": "sun"}, sun={"direction": tuple(sun)})).suns(np.array(times, float))
     path = true_path(scenario)[times]
     for shown, y in zip(found, path):
         z = -y[:3] / np.linalg.norm(y[:3])
@@ -125,11 +123,11 @@ def test_a_bent_orbit_carries_its_frame_along():
 
 
 def test_without_light_and_with_a_fixed_one():
-    none = Light.of(Scenario())
+    none = Light(Scenario())
     assert not none.matters
     assert none.sun(5.0) is None
     assert np.isnan(none.suns([0.0, 1.0])).all()
-    fixed = Light.of(Scenario().replace(light={"kind": "fixed", "direction": (0.0, -3.0, 4.0)}))
+    fixed = Light(Scenario().replace(light={"kind": "fixed", "direction": (0.0, -3.0, 4.0)}))
     assert fixed.matters
     np.testing.assert_allclose(fixed.sun(1e6), [0.0, -0.6, 0.8])
     assert fixed.suns([]).shape == light().suns([]).shape == (0, 3)

@@ -8,7 +8,7 @@ from scipy import sparse
 from truths.lights import Round
 
 from keepout.apps.inspection.candidates import Views
-from keepout.apps.inspection.light import LitTimes
+from keepout.apps.inspection.light import Camera, LitTimes
 from keepout.apps.inspection.light_tour import Begin, Cost, LightTours, Pace
 from keepout.apps.inspection.problem import rules_of
 from keepout.apps.inspection.seeing.patches import cut
@@ -180,10 +180,10 @@ def test_windows_are_the_times_in_which_all_is_lit():
 def test_the_steps_are_short_where_the_sun_turns_fast():
     box = Target.load("box")
     patches = cut(box, 2.0)
-    sight, rules = Sightlines(box.vertices, box.faces, patches), rules_of(Scenario())
     turning = Round(Scenario(), (1, 0, 0), (0, 1, 0), 3000.0)
-    found = LitTimes.of(turning, sight, rules, patches.counted, 0.0, 6000.0, 5.0)
+    camera = Camera(Sightlines(box.vertices, box.faces, patches), rules_of(Scenario()), turning)
+    found = LitTimes.of(camera, patches.counted, 0.0, 6000.0, 5.0)
     assert 360.0 * np.diff(found.times).max() / 3000.0 <= 1.26  # degrees
     assert found.times[[0, -1]].tolist() == [0.0, 6000.0]
-    coarse = LitTimes.of(turning, sight, rules, patches.counted, 0.0, 6000.0, 100.0)
+    coarse = LitTimes.of(camera, patches.counted, 0.0, 6000.0, 100.0)
     assert np.diff(coarse.times).min() >= 100.0 - 1e-9

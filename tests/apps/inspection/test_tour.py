@@ -107,8 +107,9 @@ def test_a_move_gains_what_the_order_costs_less(seed, count, stops):
         to = int(generator.choice([t for t in range(1, count + 2) if t < first or t > last]))
         turned = bool(generator.random() < 0.5)
         order = np.concatenate([[-1, 0], before, [-1]])
-        gain = tours._gain(order, first, last, to, turned, taken, velocities, change, stops)
-        tours._put(order, np.zeros(count + 1, dtype=np.int64), first, last, to, turned, np.empty_like(order))
+        move = (first, last, to, turned)
+        gain = tours._gain(order, move, (taken, velocities, change, stops))
+        tours._put(order, np.zeros(count + 1, dtype=np.int64), move, np.empty_like(order))
         after = order[2:-1]
         assert sorted(after) == list(range(1, count + 1))
         assert gain == pytest.approx(flown(legs, before).end - flown(legs, after).end, abs=1e-6)

@@ -38,7 +38,7 @@ def views_of(target, places, room=Room, witness=None):
     mission = Scenario().replace(inspect={"candidates": places, "stand_off": STAND_OFF})
     seeable = Seeable(patches, verdict, np.zeros_like(verdict), witnesses)
     where = room(target.distance, STAND_OFF)
-    problem = Problem(mission, target, patches, RULES, sight, where, seeable, Light.of(mission))
+    problem = Problem(mission, target, patches, RULES, sight, where, seeable, Light(mission))
     return target, sight, candidates(problem, patches.counted, 0.0, within=RULES)[0]
 
 

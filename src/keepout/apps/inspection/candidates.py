@@ -17,7 +17,7 @@ from scipy import sparse
 
 from keepout.apps.inspection.passive import Drifting
 from keepout.apps.inspection.problem import Problem
-from keepout.apps.inspection.seeing.patches import Patches
+from keepout.apps.inspection.seeing.patches import Patches, axes_across
 from keepout.apps.inspection.seeing.visible import SeeingRules, Visible, visible
 from keepout.core.cores import available_cores
 from keepout.core.progress import Progress, part_of, silent
@@ -164,10 +164,10 @@ def candidates(
         def take(some: Float[np.ndarray, "n 3"], by: SeeingRules, told: Progress) -> None:
             looks = pool.map(lambda place: visible(problem.sight, by, place, among=wanted), some)
             for n, (place, seen) in enumerate(zip(some, looks, strict=True)):
-                fits = seen.spread < rules.half_angle
-                if fits.any():
-                    found.append((place, Visible(seen.units[fits], seen.directions[fits], seen.spread[fits])))
-                    times[seen.units[fits]] += 1
+                fitting = seen.only(seen.spread < rules.half_angle)
+                if len(fitting.units):
+                    found.append((place, fitting))
+                    times[fitting.units] += 1
                 if n % 64 == 63:
                     told((n + 1) / len(some), f"{len(found)} places see {areas[times > 0].sum() / total:.2%}")
 
@@ -275,7 +275,7 @@ def _drawn(
         cosine = generator.uniform(flattest, 1.0, len(units))
         turn = generator.uniform(0.0, 2.0 * np.pi, len(units))
         normals = patches.unit_normals()[units]
-        side, other = _sides(normals)
+        side, other = axes_across(normals)
         sine = np.sqrt(1.0 - cosine**2)[:, None]
         towards = cosine[:, None] * normals + sine * (np.cos(turn)[:, None] * side + np.sin(turn)[:, None] * other)
         tried = patches.centres[units // 2] + generator.uniform(low, high, len(units))[:, None] * towards
@@ -283,17 +283,9 @@ def _drawn(
     return kept
 
 
-def _sides(normals: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
-    """Give two unit vectors across each."""
-    axis = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
-    side = np.cross(normals, axis)
-    side /= np.linalg.norm(side, axis=1, keepdims=True)
-    return side, np.cross(normals, side)
-
-
 def _about(axis: Float[np.ndarray, "3"], angle: float, count: int) -> Float[np.ndarray, "n 3"]:
     """Give unit vectors all round an axis, at an angle from it, rad."""
-    (side,), (other,) = _sides(axis[None])
+    (side,), (other,) = axes_across(axis[None])
     turn = 2.0 * np.pi * np.arange(count)[:, None] / count
     return np.cos(angle) * axis + np.sin(angle) * (np.cos(turn) * side + np.sin(turn) * other)
 

@@ -18,14 +18,12 @@ from keepout.apps.inspection.light import ever_lit
 from keepout.apps.inspection.plan import InspectionPlan
 from keepout.apps.inspection.problem import Problem, boresight_of
 from keepout.apps.inspection.seeing.visible import visible
-from keepout.apps.inspection.under_way import inspected
-from keepout.apps.led.driver import Ended
+from keepout.apps.led.driver import Ended, judged
 from keepout.core.errors import InspectionError
 from keepout.core.flight.loop import fly
 from keepout.core.mission.build import build_guard, require_navigation
-from keepout.core.mission.flight import Standing, recorded
 from keepout.core.mission.scenario import Scenario
-from keepout.core.mission.surroundings import Surroundings, broken_assumptions
+from keepout.core.mission.surroundings import Surroundings
 from keepout.core.progress import Progress, part_of, silent
 from keepout.flights.navigation.suites import navigation
 
@@ -54,7 +52,7 @@ def circle(problem: Problem, *, progress: Progress = silent) -> Inspection:
             'out, or give inspect.tour = "plan"'
         )
     possible = problem.seeable.possible
-    camera = Camera(problem.patches, problem.sight, problem.rules, problem.light)
+    camera = Camera(problem.sight, problem.rules, problem.light)
     lit = ever_lit(camera, possible, scenario.duration)
     ellipses = circumnavigations(scenario, target.distance.distance)
     progress(0.1, f"{len(ellipses)} ellipses")
@@ -72,37 +70,28 @@ def circle(problem: Problem, *, progress: Progress = silent) -> Inspection:
         )
     onto = transfer(scenario, target.distance.distance, ellipse)
     scenario = _begun_on(scenario, ellipse)
-    motion = Surroundings(scenario).motion
+    around = Surroundings(scenario, target)
+    motion, suite = around.motion, scenario.navigation.suite
     require_navigation(scenario)
-    guard = build_guard(Surroundings(scenario, target)) if scenario.guard.enabled else None
-    assumed = Surroundings(scenario, target).guard_assumptions
-    sensed = None if scenario.navigation.suite == "none" else navigation(scenario, motion, assumed)
-    setup = Surroundings(scenario).setup(ellipse.law(scenario), guard=guard, navigation=sensed)
+    guard = build_guard(around) if scenario.guard.enabled else None
+    sensed = None if suite == "none" else navigation(scenario, motion, around.guard_assumptions)
+    setup = around.setup(ellipse.law(scenario), guard=guard, navigation=sensed)
     initial = motion.initial_state(ellipse.position[0], ellipse.velocity[0])
     log = fly(setup, initial, scenario.steps, jax.random.key(scenario.seed))
     progress(0.6, "flown")
     time_flown, position = np.asarray(log.time), np.asarray(log.position)
     way = float(np.linalg.norm(np.diff(position, axis=0), axis=1).sum())
     certified = None if guard is None else bool(guard.certified_start(initial))
-    standing = Standing.of(certified, broken_assumptions(scenario, target))
     why = (
         f"{ellipse.turns:.2f} turns on an ellipse {ellipse.height:.2f} m high and {ellipse.across:.2f} m across, "
         f"onto which two burns of {onto.first:.4f} and {onto.second:.4f} m/s lead from the start, "
         f"{onto.seconds:.0f} s apart" + ("" if onto.keeps_stand_off else ", not proved to keep the stand-off")
     )
-    return inspected(
-        problem,
-        recorded(scenario, target, setup, log, Surroundings(scenario).flight_bounds, standing),
-        camera,
-        _shots(problem, np.asarray(log.estimated_position), lit),
-        Ended("out of time", why),
-        begun,
-        progress=part_of(progress, 0.7, 1.0),
-        possible=lit,
-        plan=InspectionPlan((), shares[best], way, float(time_flown[-1]), len(ellipses), 0, 0),
-        plans=1,
-        transfer=onto,
-    )
+    flown = judged(scenario, target, setup, log, certified)
+    shots = _shots(problem, np.asarray(log.estimated_position), lit)
+    plan = InspectionPlan((), shares[best], way, float(time_flown[-1]), len(ellipses), 0, 0)
+    found, told = {"possible": lit, "plan": plan, "plans": 1, "transfer": onto}, part_of(progress, 0.7, 1.0)
+    return Inspection.of(problem, flown, camera, shots, Ended("out of time", why), begun, progress=told, **found)
 
 
 def _begun_on(scenario: Scenario, ellipse: Circumnavigation) -> Scenario:
@@ -120,7 +109,7 @@ def _promised(
     for index in np.unique(np.linspace(0, len(ellipse.times) - 1, _TRIED).astype(int)):
         units = visible(problem.sight, problem.rules, ellipse.position[index], among=wanted & ~seen).units
         if problem.light.matters:
-            sun = camera.sun(float(ellipse.times[index]))
+            sun = camera.light.sun(float(ellipse.times[index]))
             units = units[:0] if sun is None else units[camera.lit(sun, units)]
         seen[units] = True
     return seen

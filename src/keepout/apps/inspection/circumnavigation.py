@@ -13,7 +13,6 @@ a coast between them lead onto it (`transfer`).
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -22,7 +21,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from keepout.apps.inspection.passive import VVLH_FROM_RTN, coast_matrix, drift, passive_safety, rows, states_at_times
+from keepout.apps.inspection.passive import (
+    VVLH_FROM_RTN,
+    Distance,
+    coast_matrix,
+    drift,
+    passive_safety,
+    rows,
+    states_at_times,
+)
 from keepout.core.control.law import Command, Law
 from keepout.core.errors import InspectionError
 from keepout.core.mission.scenario import Scenario
@@ -31,7 +38,6 @@ from keepout.core.motion.attitude import VVLHFixed
 from keepout.core.motion.relative import MotionState, RelativeMotion
 from keepout.core.motion.rotation import matrix
 
-Distance = Callable[[Float[np.ndarray, "points 3"]], Float[np.ndarray, "points"]]
 TILTS = ((0.0, 0.0), *((share, math.radians(beta)) for share in (1.0, math.sqrt(3.0)) for beta in (0, 90, 180, 270)))
 """Motions across the orbit that are tried: b/a, and β in rad. √3 with 0 or 180° is a circle."""
 _SIZES = 16
@@ -83,14 +89,9 @@ class Circumnavigation:
 
     def law(self, scenario: Scenario) -> "CoastingLaw":
         """Make the law that keeps a chaser on it."""
-        return CoastingLaw(
-            jnp.asarray(self.times[0]),
-            jnp.asarray(self.position),
-            jnp.asarray(self.velocity),
-            jnp.asarray(scenario.control.period),
-            jnp.asarray(scenario.chaser.mass),
-            jnp.asarray(scenario.chaser.force_limit),
-        )
+        chaser = scenario.chaser.mass, scenario.chaser.force_limit
+        of = self.times[0], self.position, self.velocity, scenario.control.period, *chaser
+        return CoastingLaw(*map(jnp.asarray, of))
 
 
 def hill_states(
@@ -129,18 +130,9 @@ def circumnavigations(scenario: Scenario, distance: Distance) -> tuple[Circumnav
         one = rows(states, slice(index, index + 1))
         path, rate = drift(motion, one, period, scenario.steps)
         height, (share, beta) = float(heights[size, tilt]), TILTS[tilt]
-        found.append(
-            Circumnavigation(
-                height,
-                height * share,
-                beta,
-                period * np.arange(path.shape[1]),
-                path[0],
-                rate[0],
-                float(clearance[size, tilt]),
-                seconds * float(motion.orbit.mean_motion) / (2.0 * math.pi),
-            )
-        )
+        times, turns = period * np.arange(path.shape[1]), seconds * float(motion.orbit.mean_motion) / (2.0 * math.pi)
+        kept = float(clearance[size, tilt])
+        found.append(Circumnavigation(height, height * share, beta, times, path[0], rate[0], kept, turns))
     if not found:
         raise InspectionError(
             f"circumnavigation: no ellipse of height {low:.3g} to {high:.3g} m keeps inspect.stand_off "
@@ -188,9 +180,8 @@ def _closed(
     for _ in range(_CORRECTIONS):
         states = jax.vmap(lambda r, v: turning.initial_state(r, v, 0.0))(jnp.asarray(position), jnp.asarray(velocity))
         path, _ = drift(turning, states, period / count, count)
-        velocity = velocity + np.stack(
-            [(path[:, -1, 0] - path[:, 0, 0]) / (3.0 * period), *np.zeros((2, len(path)))], 1
-        )
+        along = (path[:, -1, 0] - path[:, 0, 0]) / (3.0 * period)
+        velocity = velocity + np.stack([along, *np.zeros((2, len(path)))], 1)
     return velocity
 
 

@@ -12,8 +12,6 @@ from keepout.flights.pages.terminal import MissionCommand, result_table
 if TYPE_CHECKING:
     from keepout.core.mission.scenario import Scenario
 
-FRAMES = "frames.parquet"
-
 
 def require_mission(path: Path) -> None:
     """Refuse a mesh or a field, which the commands `describe` and `measure` are for.
@@ -43,18 +41,13 @@ def inspect_to_folder(
 
     Nothing is written, and no folder left, where the scenario is refused.
     """
-    from keepout.apps.inspection.frames import save_frames
     from keepout.apps.inspection.inspect import inspect
     from keepout.apps.inspection.inspection_page import write_inspection
-    from keepout.flights.pages.folder import results_in, write_summary
+    from keepout.flights.pages.folder import results_in
 
     with results_in(out):
         inspection = inspect(scenario, progress=part_of(progress, 0.0, 0.9))
-        frames = save_frames(out / FRAMES, inspection.frames, target_sha256=inspection.target.sha256)
-        summary = write_inspection(out, inspection, figures=figures, progress=part_of(progress, 0.9, 1.0))
-        summary |= {"frames_file": str(frames)}
-        write_summary(out, summary)
-    return summary
+        return write_inspection(out, inspection, figures=figures, progress=part_of(progress, 0.9, 1.0))
 
 
 def _table(summary: dict[str, Any]) -> Table:

@@ -125,16 +125,20 @@ def greedy_cover(sees: sparse.csr_array, areas: Float[np.ndarray, " units"], goa
 
 
 class Relaxed(NamedTuple):
-    """A solution of the relaxation."""
+    """A solution of the relaxation.
+
+    Attributes:
+        taken: 0 to 1.
+        prices: 0 for units without a row.
+        area_price: of the area let go, 1/m².
+        steps: that the simplex took.
+
+    """
 
     taken: Float[np.ndarray, " views"]
-    """0 to 1."""
     prices: Float[np.ndarray, " units"]
-    """0 for units without a row."""
     area_price: float
-    """Of the area let go, 1/m²."""
     steps: int
-    """That the simplex took."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,10 +170,7 @@ class Covering:
         return float(self.areas[np.asarray(self.sees[chosen].sum(axis=0)).ravel() > 0.0].sum())
 
     def completed(
-        self,
-        kept: Int[np.ndarray, " m"],
-        weights: Float[np.ndarray, " units"] | None = None,
-        most: int | None = None,
+        self, kept: Int[np.ndarray, " m"], weights: Float[np.ndarray, " units"] | None = None, most: int | None = None
     ) -> Int[np.ndarray, " k"]:
         """Add views by greed until the goal is seen, nothing adds, or there are `most`.
 

@@ -4,19 +4,16 @@ And the patches as triangles, for this and all pictures.
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int, Int8
+from jaxtyping import Float, Int
 
-from keepout.apps.inspection.fate import WORDS, Fate, fates, first_frames
+from keepout.apps.inspection.inspection import WORDS, Fate, Inspection, fates, first_frames
 from keepout.apps.inspection.seeing.patches import Patches
 from keepout.flights.pages.drawn import MOST_TRIANGLES, fewer
 from keepout.flights.pages.replayed import Layer
 from keepout.flights.pages.scene import Packing
-
-if TYPE_CHECKING:
-    from keepout.apps.inspection.inspection import Inspection
 
 FATE_COLOURS = {
     Fate.SEEN: "#2fa77d",
@@ -68,9 +65,11 @@ class PatchMesh:
         return self.vertices[self.faces]
 
 
-@dataclass(frozen=True, eq=False)
 class Coverage(Layer):
-    """What a replay shows of an inspection.
+    """What a replay shows of an inspection; a surface of very many triangles is drawn with fewer.
+
+    Args:
+        inspection: at its end.
 
     Attributes:
         vertices: of the patches' triangles, m.
@@ -83,48 +82,23 @@ class Coverage(Layer):
         suns: unit vectors towards the sun, body frame; nan where it does not light the target, or does not matter.
         shares: of the area counted that were seen after each frame.
         possible: share that surely can be seen and lit.
-        half_angle: of the camera's cone, rad.
-        reach: greatest range, m.
+        rules: of the camera.
 
     """
 
-    vertices: Float[np.ndarray, "v 3"]
-    faces: Int[np.ndarray, "f 3"]
-    fates: Int8[np.ndarray, "f 2"]
-    firsts: Int[np.ndarray, "f 2"]
-    whole: int
-    times: Float[np.ndarray, "frames"]
-    boresights: Float[np.ndarray, "frames 3"]
-    suns: Float[np.ndarray, "frames 3"]
-    shares: Float[np.ndarray, "frames"]
-    possible: float
-    half_angle: float
-    reach: float
     name = "coverage"
 
-    @classmethod
-    def of(cls, inspection: "Inspection") -> "Coverage":
-        """Gather it from an inspection; a surface of very many triangles is drawn with fewer."""
-        patches, mesh = inspection.patches, PatchMesh.of(inspection.patches)
+    def __init__(self, inspection: Inspection) -> None:
+        patches, mesh, frames = inspection.patches, PatchMesh.of(inspection.patches), inspection.frames
         side = float(np.ptp(mesh.vertices, axis=0).max()) / 1000.0
-        vertices, faces, became = fewer(mesh.vertices, mesh.faces, MOST_TRIANGLES, side=side)
-        units = _units(mesh, patches, vertices, faces, became)
-        times, shares = inspection.over_time()
+        self.vertices, self.faces, became = fewer(mesh.vertices, mesh.faces, MOST_TRIANGLES, side=side)
+        units = _units(mesh, patches, self.vertices, self.faces, became)
+        self.fates, self.firsts, self.whole = fates(inspection)[units], first_frames(inspection)[units], len(mesh.faces)
+        self.times, self.shares = inspection.over_time()
+        self.boresights = np.array([frame.boresight for frame in frames]).reshape(-1, 3)
         none = np.full(3, np.nan)
-        return cls(
-            vertices=vertices,
-            faces=faces,
-            fates=fates(inspection)[units],
-            firsts=first_frames(inspection)[units],
-            whole=len(mesh.faces),
-            times=times,
-            boresights=np.array([frame.boresight for frame in inspection.frames]).reshape(-1, 3),
-            suns=np.array([none if one.sun is None else one.sun for one in inspection.frames]).reshape(-1, 3),
-            shares=shares,
-            possible=patches.coverage(inspection.lit),
-            half_angle=inspection.rules.half_angle,
-            reach=inspection.rules.greatest_range,
-        )
+        self.suns = np.array([none if frame.sun is None else frame.sun for frame in frames]).reshape(-1, 3)
+        self.possible, self.rules = patches.coverage(inspection.lit), inspection.rules
 
     def share_at(self, time: Float[np.ndarray, "rows"]) -> Float[np.ndarray, "rows"]:
         """Give the share seen up to each time (s)."""
@@ -146,8 +120,8 @@ class Coverage(Layer):
             },
             "possible": self.possible,
             "lit": bool(np.isfinite(self.suns).any()),  # whether the sun matters in any frame
-            "half_angle": self.half_angle,
-            "reach": self.reach,
+            "half_angle": self.rules.half_angle,
+            "reach": self.rules.greatest_range,
             "legend": [
                 {"words": WORDS[kind], "colour": FATE_COLOURS[kind], "shown": bool((self.fates == kind).any())}
                 for kind in Fate

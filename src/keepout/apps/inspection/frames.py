@@ -2,7 +2,6 @@
 
 import io
 import json
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ from keepout.apps.inspection.light import Camera, Light
 from keepout.apps.inspection.problem import patch_size, rules_of
 from keepout.apps.inspection.seeing.patches import Patches, cut
 from keepout.apps.inspection.seeing.sightlines import Sightlines
+from keepout.apps.led.camera import angle_between
 from keepout.core.digest import digest
 from keepout.core.errors import InspectionError
 from keepout.core.flight.record import FlightRecord
@@ -78,14 +78,14 @@ def as_flown(
         InspectionError: a shot at a row that the record has not.
 
     """
-    frames, seen = [], np.zeros(camera.patches.units, dtype=bool)
+    frames, seen = [], np.zeros(camera.sight.patches.units, dtype=bool)
     for place, shot in enumerate(shots):
         if not 0 <= shot.row < len(record.time):
             raise InspectionError(f"frames: row {shot.row}; the flight has rows 0 to {len(record.time) - 1}")
         time, position = float(record.time[shot.row]), record.position[shot.row]
         units = camera.units(time, position, shot.boresight)
         seen[units] = True
-        frames.append(Frame(time, position.copy(), shot.boresight, camera.sun(time), units))
+        frames.append(Frame(time, position.copy(), shot.boresight, camera.light.sun(time), units))
         if place % 20 == 0:
             progress(place / len(shots), f"frame {place} of {len(shots)} as flown")
     return tuple(frames), seen
@@ -125,13 +125,8 @@ def save_frames(path: Path, frames: tuple[Frame, ...], *, target_sha256: str) ->
 
     """
     columns: dict[str, pa.Array] = {"time": pa.array([frame.time for frame in frames], pa.float64())}
-    suns = [_NONE if frame.sun is None else frame.sun for frame in frames]
-    vectors = {
-        "position": [frame.position for frame in frames],
-        "boresight": [frame.boresight for frame in frames],
-        "sun": suns,
-    }
-    for name, rows in vectors.items():
+    vectors = {"position": [frame.position for frame in frames], "boresight": [frame.boresight for frame in frames]}
+    for name, rows in (vectors | {"sun": list(map(_sun, frames))}).items():
         array = np.asarray(rows, dtype=np.float64).reshape(-1, 3)
         for axis, letter in enumerate(_AXES):
             columns[f"{name}_{letter}"] = pa.array(array[:, axis], pa.float64(), from_pandas=True)
@@ -152,12 +147,12 @@ def load_frames(path: Path) -> tuple[tuple[Frame, ...], str]:
 
     """
     try:
-        table = pq.read_table(io.BytesIO(path.read_bytes()))
+        content = path.read_bytes()
     except OSError as error:
-        if error.strerror is not None:
-            raise InspectionError(f"{path}: cannot be read: {error.strerror}") from error
-        raise InspectionError(f"{path}: damaged or not a frames file") from error
-    except pa.ArrowException as error:
+        raise InspectionError(f"{path}: cannot be read: {error.strerror}") from error
+    try:
+        table = pq.read_table(io.BytesIO(content))
+    except (OSError, pa.ArrowException) as error:
         raise InspectionError(f"{path}: damaged or not a frames file") from error
     told = json.loads((table.schema.metadata or {}).get(_HEADER.encode(), b"{}"))
     if told.get("format") != FORMAT:
@@ -166,20 +161,14 @@ def load_frames(path: Path) -> tuple[tuple[Frame, ...], str]:
         raise InspectionError(
             f"{path}: frames format {told.get('version')!r}; this version of keepout reads format {VERSION}"
         )
-    vectors = {
-        name: np.stack([table[f"{name}_{letter}"].to_numpy(zero_copy_only=False) for letter in _AXES], axis=1)
+    vectors = (
+        np.stack([table[f"{name}_{letter}"].to_numpy(zero_copy_only=False) for letter in _AXES], axis=1, dtype=float)
         for name in ("position", "boresight", "sun")
-    }
-    units = table["units"].to_pylist()
+    )
+    rows = zip(table["time"].to_pylist(), *vectors, table["units"].to_pylist(), strict=True)
     frames = tuple(
-        Frame(
-            float(time),
-            vectors["position"][row].astype(np.float64),
-            vectors["boresight"][row].astype(np.float64),
-            None if np.isnan(vectors["sun"][row][0]) else vectors["sun"][row].astype(np.float64),
-            np.asarray(units[row], dtype=np.int64),
-        )
-        for row, time in enumerate(table["time"].to_pylist())
+        Frame(time, place, boresight, None if np.isnan(sun[0]) else sun, np.asarray(units, dtype=np.int64))
+        for time, place, boresight, sun, units in rows
     )
     if _digest(frames) != told.get("sha256"):
         raise InspectionError(f"{path}: damaged: its content does not match its checksum")
@@ -219,7 +208,7 @@ def coverage_of_files(
         if row == len(record.time) or record.time[row] != frame.time:
             raise InspectionError(f"{frames}: a frame at {frame.time:g} s, and {flight} has no row of that time")
         shots.append(Shot(row, frame.boresight))
-    camera = Camera(patches, sight, rules_of(scenario), Light.of(scenario))
+    camera = Camera(sight, rules_of(scenario), Light(scenario))
     again, seen = as_flown(record, shots, camera, progress=progress)
     breaches = camera_breaches(kept, scenario.camera)
     same = all(np.array_equal(np.sort(a.units), np.sort(b.units)) for a, b in zip(again, kept, strict=True))
@@ -248,8 +237,7 @@ def camera_breaches(frames: tuple[Frame, ...], camera: CameraEntry) -> tuple[str
         if place == 0:
             continue
         before, passed = frames[place - 1], frame.time - frames[place - 1].time
-        across = float(np.linalg.norm(np.cross(before.boresight, frame.boresight)))
-        turned = math.atan2(across, float(before.boresight @ frame.boresight))
+        turned = angle_between(before.boresight, frame.boresight)
         if not turned <= camera.turn_rate * passed + _ROUNDING:
             found.append(
                 f"frame {place} at {frame.time:.9g} s: the boresight turned by {turned:.4g} rad in {passed:.4g} s, and "

@@ -4,8 +4,11 @@ import dataclasses
 import time
 from pathlib import Path
 
+import numpy as np
+
+from keepout.apps.inspection.candidates import aim
 from keepout.apps.inspection.circling import circle
-from keepout.apps.inspection.frames import Camera
+from keepout.apps.inspection.frames import Camera, Shot
 from keepout.apps.inspection.inspection import Inspection
 from keepout.apps.inspection.leading import AroundMesh
 from keepout.apps.inspection.light import ever_lit
@@ -13,17 +16,21 @@ from keepout.apps.inspection.plan import InspectionPlan
 from keepout.apps.inspection.problem import (
     Problem,
     Wanted,
+    boresight_of,
     require_inspectable,
     require_light,
     require_something_to_see,
     rules_of,
 )
-from keepout.apps.inspection.under_way import UnderWay
 from keepout.apps.inspection.views_ahead import ViewsAhead
+from keepout.apps.led.driver import Ended, Leader, LedFlight, judged, lead
+from keepout.apps.led.leading import Point
 from keepout.core.compiled.kept_programs import keep_programs
 from keepout.core.errors import InspectionError
 from keepout.core.fields.model import FieldModel
+from keepout.core.flight.setup import FlightSetup
 from keepout.core.geometry.target import Target
+from keepout.core.guard.safety_layer import mode
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.target import load_target
 from keepout.core.progress import Progress, part_of, silent
@@ -60,50 +67,29 @@ def inspect(
         KeepoutError: something cannot be flown or seen; the message names the entry, and nothing has been flown.
 
     """
-    scenario = Scenario.of(scenario)
-    if scenario.inspect.tour == "circumnavigation":
-        return _circled(scenario, target, problem, progress)
-    return _under_way(scenario, target, model, problem, first, progress).flown(part_of(progress, 0.5, 1.0))
-
-
-def _circled(scenario: Scenario, target: Target | None, problem: Problem | None, progress: Progress) -> Inspection:
-    """Inspect by natural motion, which has neither plan nor way to be led along."""
-    if target is None:
-        target = load_target(scenario.target) if problem is None else problem.target
-    if problem is None:
-        problem = Problem.of(scenario, target, progress=part_of(progress, 0.0, 0.5))
-    else:
-        _require_of(problem, scenario, target)
-    require_light(scenario, problem.light, problem.patches)
-    return circle(dataclasses.replace(problem, scenario=scenario), progress=part_of(progress, 0.5, 1.0))
-
-
-def _under_way(
-    scenario: Scenario,
-    target: Target | None,
-    model: FieldModel | None,
-    problem: Problem | None,
-    first: InspectionPlan | None,
-    progress: Progress,
-) -> UnderWay:
-    """Build all that is flown with, refuse what cannot be flown or seen, and make the first plan."""
     began = time.perf_counter()
-    keep_programs()
+    scenario = Scenario.of(scenario)
     if target is None:
         target = load_target(scenario.target) if problem is None else problem.target
     if problem is not None:
         _require_of(problem, scenario, target)
+    if scenario.inspect.tour == "circumnavigation":
+        if problem is None:
+            problem = Problem.of(scenario, target, progress=part_of(progress, 0.0, 0.5))
+        require_light(scenario, problem.light, problem.patches)
+        return circle(dataclasses.replace(problem, scenario=scenario), progress=part_of(progress, 0.5, 1.0))
+    keep_programs()
     room = require_inspectable(scenario, target, room=None if problem is None else problem.room)
     leading = AroundMesh.of(scenario, target, model=model, progress=part_of(progress, 0.0, 0.1))
     if problem is None:
         problem = Problem.of(scenario, target, room=room, progress=part_of(progress, 0.1, 0.4))
-    camera = Camera(problem.patches, problem.sight, problem.rules, problem.light)
+    camera = Camera(problem.sight, problem.rules, problem.light)
     require_light(scenario, problem.light, problem.patches)
     lit = ever_lit(camera, problem.seeable.possible, scenario.duration)
     require_something_to_see(scenario, problem.seeable, lit)
-    wanted = Wanted.of(problem.patches, lit, scenario.inspect.coverage)
-    ahead = ViewsAhead.of(scenario, problem, leading, camera, wanted, first=first, progress=part_of(progress, 0.4, 0.5))
-    return UnderWay(scenario, problem, leading, camera, ahead, began)
+    wanted = Wanted(problem.patches, lit, scenario.inspect.coverage)
+    ahead = ViewsAhead(scenario, problem, leading, camera, wanted, first=first, progress=part_of(progress, 0.4, 0.5))
+    return UnderWay(scenario, problem, leading, camera, ahead, began).flown(part_of(progress, 0.5, 1.0))
 
 
 def _require_of(problem: Problem, scenario: Scenario, target: Target) -> None:
@@ -118,3 +104,104 @@ def _require_of(problem: Problem, scenario: Scenario, target: Target) -> None:
     others = [name for name, is_same in same.items() if not is_same]
     if others:
         raise InspectionError(f"problem: worked out for another {', '.join(others)} than the scenario's")
+
+
+class UnderWay(Leader):
+    """An inspection from the first frame to the last: a frame is taken at a segment's last row.
+
+    Args:
+        scenario: as flown.
+        problem: what is to be seen.
+        leading: law and guard.
+        camera: what it sees.
+        ahead: the views to fly to.
+        began: when the computation began, s by `time.perf_counter`.
+
+    """
+
+    fewest = 2
+
+    def __init__(
+        self, scenario: Scenario, problem: Problem, leading: AroundMesh, camera: Camera, ahead: ViewsAhead, began: float
+    ) -> None:
+        self.scenario, self.problem, self.leading = scenario, problem, leading
+        self.camera, self.ahead, self.began = camera, ahead, began
+        self.ticks = round(scenario.camera.period / scenario.control.period)
+        self.estimate = np.asarray(scenario.start.position, dtype=float)
+        self.boresight = boresight_of(scenario, problem.target)
+        self.shots: list[Shot] = []
+        self.over: Ended | None = None
+
+    def flown(self, progress: Progress = silent) -> Inspection:
+        """Fly until the end, and judge."""
+        flight = LedFlight(self.scenario, self.leading.initial, self.ticks)
+        ended = lead(self, flight, progress)
+        assert flight.setup is not None
+        progress(0.9, "audit")
+        # The scenario as it was given: the one that leads has another goal and a wider margin.
+        certified, ahead, target = self.leading.start_certified, self.ahead, self.problem.target
+        flown, told = judged(self.scenario, target, flight.setup, flight.log(), certified), part_of(progress, 0.93, 1.0)
+        found = {"possible": ahead.wanted.possible, "plan": ahead.first, "plans": ahead.plans, "drifts": ahead.drifts}
+        return Inspection.of(self.problem, flown, self.camera, self.shots, ended, self.began, progress=told, **found)
+
+    def resting(self) -> FlightSetup:
+        """Give what the chaser rests by: the law to where it is, or beside it."""
+        start = np.asarray(self.scenario.start.position, dtype=float)
+        place = self.leading.reachable(start)
+        return self.leading.setup(self.leading.law(start if place is None else place, start))
+
+    def look(self, flight: LedFlight) -> None:
+        """Turn the camera over the rows flown last, and take its frame at the last of them."""
+        if not flight.logs:
+            return
+        log, period, leg, wanted = flight.logs[-1], self.scenario.control.period, self.ahead.leg, self.ahead.wanted
+        position = np.asarray(log.estimated_position)
+        for row, estimate in enumerate(position, flight.rows - len(position)):
+            self.estimate = estimate
+            if row == flight.rows - 1:
+                self.shots.append(Shot(row, self.boresight.direction))
+                units = self.camera.units(row * period, estimate, self.boresight.direction, wanted.left)
+                wanted.take(units)
+                if leg is not None:
+                    leg.noted(row * period, estimate, self.boresight, self._aimed(), wanted, len(units))
+            self.boresight = self.boresight.step(self._aimed(), period)
+        if leg is not None:
+            leg.held_up += int(np.count_nonzero(mode(log.guard_status)))
+
+    def ended(self, flight: LedFlight) -> Ended | None:
+        """Say how the flight is over: enough was seen, out of time, or nothing more to fly for."""
+        scenario, wanted = self.scenario, self.ahead.wanted
+        if self.over is None and wanted.enough and not self.ahead.holding:
+            self.over = Ended(*wanted.ending)
+        elif self.over is None and max(flight.rows - 1, 0) + self.ticks > scenario.steps:
+            self.over = Ended("out of time", f"duration {scenario.duration:g} s is over")
+        return self.over
+
+    def onward(self, flight: LedFlight) -> FlightSetup | Ended | None:
+        """Go on to the next view once that under way is done with."""
+        now = max(flight.rows - 1, 0) * self.scenario.control.period
+        if not self.ahead.is_over(now):
+            return None
+        law = self.ahead.next(now, self.estimate, self.boresight)
+        if isinstance(law, Ended):
+            self.over = law
+            return law
+        return self.leading.setup(law) if flight.setup is None else self.leading.led_on(flight.setup, law)
+
+    def next_rows(self, flight: LedFlight) -> int:
+        """Say how many rows there are to the next frame: the first, at the start, is a segment of its own."""
+        return self.ticks if flight.logs else 1
+
+    def told(self, flight: LedFlight) -> tuple[float, str]:
+        """Give the share of time that is used up."""
+        said = f"{self.ahead.wanted.reached:.1%} seen on board, {len(self.ahead.legs)} views ahead"
+        return min(0.9 * flight.rows / self.scenario.steps, 0.9), said
+
+    def _aimed(self) -> Point:
+        """Give where the camera should look: at what is left of the view under way."""
+        leg, patches = self.ahead.leg, self.problem.patches
+        if leg is None or leg.boresight is None:
+            vertices = self.problem.target.vertices
+            return 0.5 * (vertices.min(axis=0) + vertices.max(axis=0)) - self.estimate
+        left = leg.left(self.ahead.wanted)
+        return aim(self.estimate, patches.corners_of(left), leg.boresight, self.problem.rules.half_angle)

@@ -1,20 +1,29 @@
-"""What an inspection leaves: the flight, every frame, what was seen of the true mesh, and the audit's verdict."""
+"""What an inspection leaves: the flight, every frame, what was seen and the verdict; and what became of each unit."""
 
+import enum
+import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int, Int8
 
 from keepout.apps.inspection.circumnavigation import Transfer
-from keepout.apps.inspection.frames import Frame
-from keepout.apps.inspection.limits import LimitsKept
+from keepout.apps.inspection.frames import Camera, Frame, Shot, as_flown
+from keepout.apps.inspection.limits import LimitsKept, limits_kept
+from keepout.apps.inspection.passive import DriftsFlown
 from keepout.apps.inspection.plan import InspectionPlan
-from keepout.apps.inspection.safe_speeds import DriftsFlown
+from keepout.apps.inspection.problem import Problem
 from keepout.apps.inspection.seeing.patches import Patches
-from keepout.apps.inspection.seeing.seeable import Seeable, Verdict
+from keepout.apps.inspection.seeing.seeable import Hidden, Seeable, Verdict
 from keepout.apps.inspection.seeing.visible import SeeingRules
-from keepout.apps.led.result import Led
+from keepout.apps.led.driver import Ended, Led
+from keepout.core.mission.flight import Flight
+from keepout.core.progress import Progress, silent
+
+_DIGITS = 4
+"""Decimals of the lengths in a list for people: tenths of a millimetre."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +58,41 @@ class Inspection(Led):
     limits: LimitsKept | None = None
     drifts: DriftsFlown | None = None
     transfer: Transfer | None = None
+
+    @classmethod
+    def of(
+        cls,
+        problem: Problem,
+        flight: Flight,
+        camera: Camera,
+        shots: Sequence[Shot],
+        ended: Ended,
+        began: float,
+        *,
+        progress: Progress = silent,
+        **found: Any,
+    ) -> "Inspection":
+        """Say what each frame of a flight truly showed, and how the operator's limits were kept.
+
+        Args:
+            problem: what was to be seen.
+            flight: at its end.
+            camera: what it sees.
+            shots: frames as the camera was told to take them.
+            ended: how it ended.
+            began: when the computation began, s by `time.perf_counter`.
+            progress: called as the work goes on.
+            **found: further entries of the inspection.
+
+        """
+        frames, seen = as_flown(flight.record, shots, camera, progress=progress)
+        scenario, entry, limits = flight.scenario, flight.scenario.inspect, None
+        if entry.hold_points or entry.no_thrust_towards or entry.passive_safety:
+            ticks = round(scenario.camera.period / scenario.control.period)
+            limits = limits_kept(scenario, flight.record, problem.target.distance.distance, every=ticks)
+        known = {"patches": problem.patches, "rules": problem.rules, "seeable": problem.seeable, "limits": limits}
+        seconds = time.perf_counter() - began
+        return cls(flight, ended.outcome, ended.why, seconds, frames=frames, seen=seen, **known, **found)
 
     @property
     def coverage(self) -> float:
@@ -131,3 +175,100 @@ class Inspection(Led):
             **({} if self.limits is None else self.limits.summary()),
             "seconds": self.seconds,
         }
+
+
+class Fate(enum.IntEnum):
+    """What became of a unit."""
+
+    SEEN = 0
+    """Wholly, in a frame of the flight."""
+    MISSED = 1
+    """Not seen, though it can be, and is lit at some time of the mission."""
+    SHADOWED = 2
+    """Not seen, and never lit in the mission's time, though there is a place to see it from."""
+    ENCLOSED_BY_RAYS = 3
+    """Proved hidden. Measured: each of many rays from its middle meets the mesh."""
+    NARROW_BY_RAYS = 4
+    """Proved hidden. Measured: some of these rays gets out, so that incidence, range, stand-off or width forbid it."""
+    UNDECIDED = 5
+    """Not seen, and neither a place to see it from is known nor a proof that there is none."""
+    NOT_COUNTED = 6
+    """Nobody asks for it: the inner side of a closed part."""
+
+
+WORDS = {
+    Fate.SEEN: "seen",
+    Fate.MISSED: "could be seen, was not",
+    Fate.SHADOWED: "never lit",
+    Fate.ENCLOSED_BY_RAYS: "hidden: enclosed, by rays",
+    Fate.NARROW_BY_RAYS: "hidden: too narrow, by rays",
+    Fate.UNDECIDED: "undecided",
+    Fate.NOT_COUNTED: "not counted",
+}
+"""For people."""
+
+
+def fates(inspection: Inspection) -> Int8[np.ndarray, " units"]:
+    """Give what became of each unit, a `Fate`; what was seen counts as seen, whatever the verdict on it was."""
+    seeable = inspection.seeable
+    found = np.full(inspection.patches.units, Fate.UNDECIDED, np.int8)
+    hidden = seeable.verdict == Verdict.HIDDEN
+    found[hidden] = Fate.NARROW_BY_RAYS
+    found[hidden & (seeable.why == Hidden.ENCLOSED)] = Fate.ENCLOSED_BY_RAYS
+    found[seeable.verdict == Verdict.SEEABLE] = Fate.SHADOWED
+    found[inspection.lit] = Fate.MISSED
+    found[inspection.seen] = Fate.SEEN
+    found[~inspection.patches.counted] = Fate.NOT_COUNTED
+    return found
+
+
+def first_frames(inspection: Inspection) -> Int[np.ndarray, " units"]:
+    """Give the frame that first saw each unit; -1 where none did."""
+    first = np.full(inspection.patches.units, -1)
+    for number in reversed(range(len(inspection.frames))):
+        first[inspection.frames[number].units] = number
+    return first
+
+
+def shares(inspection: Inspection) -> dict[str, float]:
+    """Give shares of the area counted: what can be seen and lit, what was, and the rest by its reason.
+
+    `seen` and the reasons `missed`, `shadowed`, `enclosed_by_rays`, `narrow_by_rays` and `undecided` add up to 1.
+    `hidden` is what is proved to be, seen or not; that it is enclosed or too narrow is measured by rays.
+    `seen_beyond_proof` is what was seen though it is proved hidden from the room allowed, as from nearer than the
+    stand-off.
+    """
+    patches, fate = inspection.patches, fates(inspection)
+    beyond = inspection.seen & (inspection.seeable.verdict == Verdict.HIDDEN)
+    return {
+        "seeable": inspection.seeable.lower,
+        "seeable_and_lit": patches.coverage(inspection.lit),
+        "hidden": patches.coverage(inspection.seeable.verdict == Verdict.HIDDEN),
+        **{kind.name.lower(): patches.coverage(fate == kind) for kind in Fate if kind is not Fate.NOT_COUNTED},
+        "seen_beyond_proof": patches.coverage(beyond),
+    }
+
+
+def unseen(inspection: Inspection) -> list[dict[str, Any]]:
+    """List the units counted that were not seen, and why: by reason, and the largest first.
+
+    Returns:
+        Of each its `patch` and `side` (0: the one that the patch's normal points to), the `reason` (a `Fate` in small
+        letters), the `area` in m², `centre` in m and outward `normal` in the body frame.
+
+    """
+    patches, fate = inspection.patches, fates(inspection)
+    areas, normals = patches.unit_areas(), patches.unit_normals()
+    left = np.flatnonzero((fate != Fate.SEEN) & (fate != Fate.NOT_COUNTED))
+    left = left[np.lexsort((left, -areas[left], fate[left]))]
+    return [
+        {
+            "patch": int(unit // 2),
+            "side": int(unit % 2),
+            "reason": Fate(fate[unit]).name.lower(),
+            "area": float(f"{areas[unit]:.6g}"),
+            "centre": np.round(patches.centres[unit // 2], _DIGITS).tolist(),
+            "normal": (np.round(normals[unit], _DIGITS) + 0.0).tolist(),
+        }
+        for unit in left
+    ]

@@ -7,15 +7,15 @@ from typing import Any
 
 from keepout.apps.inspection import inspection_pictures as pictures
 from keepout.apps.inspection.coverage import FATE_COLOURS, Coverage
-from keepout.apps.inspection.fate import WORDS, Fate, shares, unseen
-from keepout.apps.inspection.inspection import Inspection
+from keepout.apps.inspection.frames import save_frames
+from keepout.apps.inspection.inspection import WORDS, Fate, Inspection, shares, unseen
 from keepout.core.progress import Progress, silent
 from keepout.core.whole_file import write_whole
 from keepout.flights.pages.flight_page import Told, draw_result
 from keepout.flights.pages.folder import make_folder, write_summary
 from keepout.flights.pages.page import Markup, Page, text
 
-UNSEEN = "unseen.json"
+UNSEEN, FRAMES = "unseen.json", "frames.parquet"
 _SHARES = {
     "seeable": "surely can be seen from the room allowed",
     "seeable_and_lit": "and is lit in the mission's time",
@@ -73,8 +73,10 @@ def write_inspection(
     summary = {"name": name, **inspection.summary(), "shares": shares(inspection), **files}
     if figures:
         tell = functools.partial(_tell_surface, inspection=inspection, shares=summary["shares"])
-        told, layer, drawn = Told(said(inspection), ROWS, tell), Coverage.of(inspection), _drawn(inspection)
+        told, layer, drawn = Told(said(inspection), ROWS, tell), Coverage(inspection), _drawn(inspection)
         summary["pictures"] = draw_result(out, inspection, summary, told, drawn, layer=layer, progress=progress)
+    frames = save_frames(out / FRAMES, inspection.frames, target_sha256=inspection.target.sha256)
+    summary["frames_file"] = str(frames)
     write_summary(out, summary)
     return summary
 

@@ -9,10 +9,10 @@ from jaxtyping import Bool, Float, Int
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Circle, Patch
+from scipy.ndimage import binary_erosion
 
 from keepout.apps.inspection.coverage import FATE_COLOURS, PatchMesh
-from keepout.apps.inspection.fate import WORDS, Fate, fates
-from keepout.apps.inspection.inspection import Inspection
+from keepout.apps.inspection.inspection import WORDS, Fate, Inspection, fates
 from keepout.apps.inspection.perspective import Studio
 from keepout.apps.inspection.seeing.patches import Patches
 from keepout.apps.led.camera import Pinhole, axes_towards
@@ -104,8 +104,7 @@ def draw_coverage(path: Path, inspection: Inspection) -> None:
         cover.set(ylabel="of the area counted", title=f"Coverage over time: {inspection.coverage:.2%} seen")
         cover.set_ylim(-0.02, 1.04)
         cover.legend(fontsize=8, loc="lower right")
-        clearance = inspection.target.distance.distance(record.position) - inspection.scenario.chaser.radius
-        near.plot(record.time, clearance, color=COLOURS[0], linewidth=1.0)
+        near.plot(record.time, inspection.flight.clearance, color=COLOURS[0], linewidth=1.0)
         near.axhline(0.0, color="black", linewidth=0.8)
         near.set(xlabel="time s", ylabel="m", title="Clearance on the exact mesh")
 
@@ -207,11 +206,7 @@ def _shown(
 
 def _edge(marked: Bool[np.ndarray, "rows columns"]) -> Bool[np.ndarray, "rows columns"]:
     """Give what lies within three pixels of the border of what is marked, inside it."""
-    inner = np.pad(marked, 1)
-    for _ in range(3):
-        shifted = [np.roll(inner, step, axis) for axis in (0, 1) for step in (-1, 1)]
-        inner = np.logical_and.reduce([inner, *shifted])
-    return marked & ~inner[1:-1, 1:-1]
+    return marked & ~binary_erosion(marked, iterations=3)
 
 
 def best_views(inspection: Inspection) -> list[BestView]:

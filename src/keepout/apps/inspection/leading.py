@@ -96,26 +96,16 @@ class AroundMesh(Leading):
         offset = bound + scenario.chaser.radius + margin + nominal
         beyond = scenario.camera.greatest_range + _BORDER
         lower, upper = target.vertices.min(axis=0) - beyond, target.vertices.max(axis=0) + beyond
-        grid = BarrierGrid.build(
-            model.field,
-            offset,
-            lower,
-            upper,
-            spacing=scenario.control.spacing,
-            progress=part_of(progress, 0.4, 0.8),
-        )
+        spacing, told = scenario.control.spacing, part_of(progress, 0.4, 0.8)
+        grid = BarrierGrid.build(model.field, offset, lower, upper, spacing=spacing, progress=told)
         motion = Surroundings(scenario).motion
         initial = motion.initial_state(start, np.asarray(scenario.start.velocity))
         sensed = None if scenario.navigation.suite == "none" else navigation(scenario, motion, assumed)
         guard, certified = None, None
         if scenario.guard.enabled:
             # By the operator's own margin: what the stand-off asks for beyond it is the law's to keep.
-            guard = build_guard(
-                Surroundings(stated, target),
-                offset=model.offset,
-                closing_radius=closing_radius(model),
-                progress=part_of(progress, 0.8, 1.0),
-            )
+            around, sealed, told = Surroundings(stated, target), closing_radius(model), part_of(progress, 0.8, 1.0)
+            guard = build_guard(around, offset=model.offset, closing_radius=sealed, progress=told)
             certified = require_flyable(guard, initial, as_float64(far))
         return cls(scenario, model.field, bound, grid, reach, nominal, guard, sensed, initial, certified)
 
@@ -140,13 +130,7 @@ class AroundMesh(Leading):
         return None
 
     def law(
-        self,
-        goal: Point,
-        position: Point,
-        *,
-        speed: float | None = None,
-        most: float = math.inf,
-        through: bool = False,
+        self, goal: Point, position: Point, *, speed: float | None = None, most: float = math.inf, through: bool = False
     ) -> Law:
         """Make the law that leads to a goal.
 

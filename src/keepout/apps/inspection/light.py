@@ -19,7 +19,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Int8
 
-from keepout.apps.inspection.seeing.patches import Patches
 from keepout.apps.inspection.seeing.sightlines import Sightlines
 from keepout.apps.inspection.seeing.visible import SeeingRules, in_frame, lit_units
 from keepout.core.errors import InspectionError
@@ -58,14 +57,9 @@ _MOST = 720
 
 @dataclass(frozen=True, eq=False)
 class Light:
-    """The light of a scenario; make one with `Light.of`."""
+    """The light that a scenario names."""
 
     scenario: Scenario
-
-    @classmethod
-    def of(cls, scenario: Scenario) -> "Light":
-        """Give the light that a scenario names."""
-        return cls(scenario)
 
     @property
     def matters(self) -> bool:
@@ -209,23 +203,17 @@ class Camera:
     """What a camera sees of one mesh, frame by frame; what is lit is kept as long as the sun stays.
 
     Attributes:
-        patches: of the mesh.
         sight: lines of sight about it.
         rules: when a patch counts as seen.
         light: where the sun is.
 
     """
 
-    patches: Patches
     sight: Sightlines
     rules: SeeingRules
     light: Light
     _sun: Vector | None = None
     _lit: Int8[np.ndarray, " units"] = field(default_factory=lambda: np.zeros(0, np.int8))
-
-    def sun(self, time: float) -> Vector | None:
-        """Give the unit vector towards the sun; None in the Earth's shadow, or where light does not matter."""
-        return self.light.sun(time) if self.light.matters else None
 
     def units(
         self, time: float, place: Vector, boresight: Vector, among: Bool[np.ndarray, " units"] | None = None
@@ -239,7 +227,7 @@ class Camera:
             among: (2 n,) units that are asked for; by default all that are counted.
 
         """
-        sun = self.sun(time)
+        sun = self.light.sun(time)
         if self.light.matters and sun is None:
             return np.zeros(0, dtype=np.int64)
         units = in_frame(self.sight, self.rules, place, boresight, among=among)
@@ -248,10 +236,10 @@ class Camera:
     def lit(self, sun: Vector, units: Int[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
         """Whether units are wholly lit from a direction (unit vector), at a fit incidence."""
         if self._sun is None or not np.array_equal(self._sun, sun):
-            self._sun, self._lit = sun, np.full(self.patches.units, -1, dtype=np.int8)
+            self._sun, self._lit = sun, np.full(self.sight.patches.units, -1, dtype=np.int8)
         fresh = units[self._lit[units] < 0]
         if len(fresh):
-            among = np.zeros(self.patches.units, dtype=bool)
+            among = np.zeros(self.sight.patches.units, dtype=bool)
             among[fresh] = True
             self._lit[fresh] = lit_units(self.sight, self.rules, sun, among=among)[fresh]
         return self._lit[units] == 1
@@ -274,27 +262,19 @@ class LitTimes:
 
     @classmethod
     def of(
-        cls,
-        light: Light,
-        sight: Sightlines,
-        rules: SeeingRules,
-        wanted: Bool[np.ndarray, " units"],
-        begin: float,
-        end: float,
-        shortest: float,
+        cls, camera: Camera, wanted: Bool[np.ndarray, " units"], begin: float, end: float, shortest: float
     ) -> "LitTimes":
         """Look at the light from `begin` to `end` (s), at steps of at least `shortest` (s).
 
         Args:
-            light: of the mission.
-            sight: for the shadows that the target throws on itself.
-            rules: greatest incidence of the sun.
+            camera: its light, lines of sight and rules.
             wanted: (units,) that are asked for.
             begin: s.
             end: s.
             shortest: s.
 
         """
+        light, sight, rules = camera.light, camera.sight, camera.rules
         if not light.matters:
             return cls(np.array([begin]), wanted[None].copy(), False)
         most = math.floor((end - begin) / shortest) if end > begin else 0
@@ -360,7 +340,7 @@ def ever_lit(
         return units.copy()
     lit, last, looked = np.zeros_like(units), None, 0
     for now in np.linspace(begin, duration, max(2, int(np.ceil((duration - begin) / _COARSE)) + 1)):
-        sun = camera.sun(float(now))
+        sun = camera.light.sun(float(now))
         if sun is None or (last is not None and float(sun @ last) > np.cos(_COARSE_TURN)):
             continue
         left = np.flatnonzero(units & ~lit)

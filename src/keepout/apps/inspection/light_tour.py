@@ -54,12 +54,16 @@ _TAKEN = 0.9
 
 
 class Cost(NamedTuple):
-    """What an objective counts."""
+    """What an objective counts.
+
+    Attributes:
+        seconds: what a second costs.
+        delta_v: what 1 m/s costs.
+
+    """
 
     seconds: float = 1.0
-    """What a second costs."""
     delta_v: float = 0.0
-    """What 1 m/s costs."""
 
     @classmethod
     def of(cls, objective: Objective, worth: float) -> "Cost":
@@ -68,18 +72,22 @@ class Cost(NamedTuple):
 
 
 class Pace(NamedTuple):
-    """How fast a chaser goes and a camera turns."""
+    """How fast a chaser goes and a camera turns.
+
+    Attributes:
+        speed: m/s.
+        acceleration: m/s².
+        turn_rate: rad/s.
+        turn_acceleration: rad/s².
+        dwell: at every view, s.
+
+    """
 
     speed: float
-    """m/s."""
     acceleration: float
-    """m/s²."""
     turn_rate: float
-    """rad/s."""
     turn_acceleration: float
-    """rad/s²."""
     dwell: float
-    """At every view, s."""
 
 
 class Begin(NamedTuple):
@@ -111,16 +119,20 @@ class LightTour:
 
 
 class _Legs(NamedTuple):
-    """The legs from where a chaser is to some views."""
+    """The legs from where a chaser is to some views.
+
+    Attributes:
+        arrival: s; infinite where no way leads.
+        velocity: on the leg, m/s.
+        change: from the velocity before to that of the leg, m/s.
+        stop: from that of the leg to rest, m/s.
+
+    """
 
     arrival: Float[np.ndarray, " v"]
-    """s; infinite where no way leads."""
     velocity: Float[np.ndarray, "v 3"]
-    """On the leg, m/s."""
     change: Float[np.ndarray, " v"]
-    """From the velocity before to that of the leg, m/s."""
     stop: Float[np.ndarray, " v"]
-    """From that of the leg to rest, m/s."""
 
 
 @dataclass(eq=False)
@@ -162,9 +174,8 @@ class LightTours:
         self._lit[:-1] &= lit[1:]
         self._remaining = np.cumsum(self._lit[::-1], axis=0, dtype=np.int32)[::-1]
         anything: Bool[np.ndarray, " t"] = np.any(self._lit, axis=1)
-        self._next_light = np.full(len(anything) + 1, len(anything))
-        for n in range(len(anything) - 1, -1, -1):
-            self._next_light[n] = n if anything[n] else self._next_light[n + 1]
+        bright = np.where(np.append(anything, True), np.arange(len(anything) + 1), len(anything))
+        self._next_light = np.minimum.accumulate(bright[::-1])[::-1]
 
     def best(self, tries: int, *, seed: int = 0) -> LightTour:
         """Give the best tour found: as much as is wanted is seen, at the least cost.
@@ -266,12 +277,12 @@ class LightTours:
         times, least, soonest = self._times, _LEAST * float(self.areas.sum()), 0
         first = np.ceil((legs.arrival - times[0]) / self._step - 1e-9)
         first = np.where(np.isfinite(first), first, len(times)).astype(np.int64)
-        units = self._indptr, self._indices, left, worth, self._lit
+        shown = self._indptr, self._indices, left, worth, self._lit
         spent = legs.arrival, legs.change + _BASE * self.pace.speed, legs.stop, self._step
         enough: Bool[np.ndarray, " t"] | None = None
         while soonest < len(times):
             begins = self._next_light[np.clip(first, soonest, len(times))]
-            view, at = _next_view(*units, begins, times, now, gains, least, spent, tuple(self.cost))
+            view, at = _next_view(shown, begins, times, now, gains, least, spent, tuple(self.cost))
             if view >= 0:
                 return int(view), int(at)
             if enough is None:
@@ -291,8 +302,9 @@ class LightTours:
 
 @numba.njit(cache=True)
 @no_type_check
-def _next_view(indptr, indices, left, worth, lit, begins, times, now, gains, least, legs, prices):
+def _next_view(shown, begins, times, now, gains, least, legs, prices):
     """Give the view and the moment with the most worth for its cost, or -1."""
+    indptr, indices, left, worth, lit = shown
     arrival, change, stop, step = legs
     of_seconds, of_delta_v = prices
     best, best_view, best_at = 0.0, -1, -1
@@ -325,23 +337,11 @@ def plan_in_light(task: Task, views: Views, progress: Progress) -> InspectionPla
     scenario, found = task.scenario, len(views.positions)
     views = views.only(shortlist(views.sees, task.areas, _AMONG))
     chaser, camera, inspect = scenario.chaser, scenario.camera, scenario.inspect
-    made = LightTours(
-        views,
-        task.lit,
-        task.areas,
-        task.goal,
-        task.nearly(views),
-        Begin(task.position, task.boresight, task.time),
-        Pace(
-            _TAKEN * chaser.speed_limit,
-            chaser.force_limit / chaser.mass,
-            camera.turn_rate,
-            camera.turn_acceleration,
-            inspect.dwell,
-        ),
-        Cost.of(inspect.objective, inspect.delta_v_worth),
-        inspect.most_views,
-    ).best(round(task.effort * _TRIES), seed=scenario.seed)
+    turning, cost = (camera.turn_rate, camera.turn_acceleration), Cost.of(inspect.objective, inspect.delta_v_worth)
+    pace = Pace(_TAKEN * chaser.speed_limit, chaser.force_limit / chaser.mass, *turning, inspect.dwell)
+    begin, wanted = Begin(task.position, task.boresight, task.time), (task.lit, task.areas, task.goal)
+    tours = LightTours(views, *wanted, task.nearly(views), begin, pace, cost, inspect.most_views)
+    made = tours.best(round(task.effort * _TRIES), seed=scenario.seed)
     progress(0.6, f"{len(made.rows)} views show {made.area:.1f} m2 in time")
     effort = _BOUND * task.effort
     bound = fewest_views(views.sees, task.areas, min(task.goal, made.area), effort=effort, seed=scenario.seed)

@@ -11,9 +11,7 @@ radius. For a box, projections on box and cone in turn lead to the nearest pair;
 normal of a plane, and what that plane proves is the lower bound that decides: n̂·y over the box, less n̂·z over K.
 """
 
-import dataclasses
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,14 +21,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, PyTree
 
-from keepout.apps.inspection.passive import PassiveSafety, passive_safety, states_of_record
+from keepout.apps.inspection.passive import Distance, PassiveSafety, passive_safety, states_of_record
 from keepout.core.compiled.kept_executables import kept_jit
-from keepout.core.control.law import Command, Condition, Law
+from keepout.core.control.law import Command, Law, LawOfAnother
 from keepout.core.flight.record import FlightRecord
 from keepout.core.flight.setup import Faults
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 from keepout.core.mission.task_entries import HoldPointEntry
+from keepout.core.motion.arrays import as_float64
 from keepout.core.motion.chaser import ThrusterModel
 from keepout.core.motion.relative import MotionState
 from keepout.flights.thrusters.of_scenario import errors, layout
@@ -46,10 +45,6 @@ _ROUNDS = 100
 """Projections in turn: what they leave open counts as reached."""
 _ROUNDING = 1e-7
 """Metres: more than float64 loses at that range."""
-
-
-def _pairs() -> Float[Array, "6 3"]:
-    return jnp.concatenate([jnp.eye(3), -jnp.eye(3)])
 
 
 class Nozzles(eqx.Module):
@@ -70,7 +65,7 @@ class Nozzles(eqx.Module):
     """
 
     position: Float[Array, "n 3"] = eqx.field(default_factory=lambda: jnp.zeros((6, 3)))
-    direction: Float[Array, "n 3"] = eqx.field(default_factory=_pairs)
+    direction: Float[Array, "n 3"] = eqx.field(default_factory=lambda: jnp.concatenate([jnp.eye(3), -jnp.eye(3)]))
     force: Float[Array, " n"] = eqx.field(default_factory=lambda: jnp.ones(6))
     wide: float = 0.0
     excursion: float = 0.0
@@ -83,15 +78,9 @@ class Nozzles(eqx.Module):
         whole = layout(scenario)
         if whole is None:
             return cls()
-        return cls(
-            jnp.asarray(whole.position),
-            jnp.asarray(whole.direction),
-            jnp.asarray(whole.force),
-            whole.misalignment,
-            errors(scenario).excursion,
-            scenario.chaser.force_limit,
-            Allocation.of(whole),
-        )
+        thrusters = (jnp.asarray(each) for each in (whole.position, whole.direction, whole.force))
+        wrong = whole.misalignment, errors(scenario).excursion
+        return cls(*thrusters, *wrong, scenario.chaser.force_limit, Allocation.of(whole))
 
     def gives(self, force: Float[Array, "3"]) -> Float[Array, " n"]:
         """Say how much of a force (N, body axes) each gives, N."""
@@ -126,23 +115,14 @@ class Nozzles(eqx.Module):
         """
         if self.allocation is None:
             return (record.force[:-1] @ np.asarray(self.direction).T) > _SILENT
-        on_time = _on_times(
-            Surroundings(scenario).faults,
-            Surroundings(scenario).thrusters,
-            jnp.asarray(record.guarded_force),
-            jnp.asarray(record.time),
-            jax.random.key(scenario.seed),
-        )
+        around, told = Surroundings(scenario), (jnp.asarray(record.guarded_force), jnp.asarray(record.time))
+        on_time = _on_times(around.faults, around.thrusters, *told, jax.random.key(scenario.seed))
         return np.asarray(on_time)[:-1] > 0.0
 
 
 @kept_jit
 def _on_times(
-    faults: Faults,
-    thrusters: ThrusterModel,
-    commands: Float[Array, "rows 3"],
-    times: Float[Array, " rows"],
-    key: Array,
+    faults: Faults, thrusters: ThrusterModel, commands: Float[Array, "rows 3"], times: Float[Array, " rows"], key: Array
 ) -> Float[Array, "rows n"]:
     """Give the on-time of each thruster in each period, s; what is drawn of their forces changes none."""
 
@@ -188,14 +168,8 @@ class Protected(eqx.Module):
         radius = [part.radius or 0.0 for part in entry.no_thrust_towards]
         reach = _FAR if entry.plume_range is None else entry.plume_range
         nozzles = Nozzles.of(scenario)
-        return cls(
-            jnp.asarray(lower, jnp.float64),
-            jnp.asarray(upper, jnp.float64),
-            jnp.asarray(radius, jnp.float64),
-            jnp.asarray(min(entry.plume_half_angle + nozzles.wide, 0.5 * math.pi), jnp.float64),
-            jnp.asarray(reach, jnp.float64),
-            nozzles,
-        )
+        half_angle = min(entry.plume_half_angle + nozzles.wide, 0.5 * math.pi)
+        return cls(*map(as_float64, (lower, upper, radius, half_angle, reach)), nozzles)
 
     def reached(self, position: Float[Array, "3"], moved: float | Float[Array, ""] = 0.0) -> Bool[Array, " n"]:
         """Say of each thruster if its plume reaches a part.
@@ -269,7 +243,7 @@ def _reached(
     return jax.vmap(protected.reached)(positions, moved)
 
 
-class SparingLaw(Law):
+class SparingLaw(LawOfAnother):
     """A law whose force fires no thruster whose plume would reach a protected part.
 
     The guard comes after it and may still fire any thruster: not to touch goes before not to blow.
@@ -281,27 +255,8 @@ class SparingLaw(Law):
 
     """
 
-    law: Law
     protected: Protected
     moved: float
-
-    @property
-    def goal(self) -> Float[Array, "3"]:
-        """Where the law leads, m."""
-        return self.law.goal
-
-    def flown(self) -> Law:
-        """Give the same about its law without what flying does not need."""
-        return dataclasses.replace(self, law=self.law.flown())
-
-    @property
-    def conditions(self) -> tuple[Condition, ...]:
-        """Those of the law that leads."""
-        return self.law.conditions
-
-    def initial_state(self, state: MotionState) -> PyTree:
-        """Give the memory of the law that leads."""
-        return self.law.initial_state(state)
 
     def begun_with(self, state: MotionState, under_way: Float[Array, "steps 3"]) -> PyTree:
         """Give the memory of the law that leads."""
@@ -313,10 +268,6 @@ class SparingLaw(Law):
         reached = self.protected.reached(estimate.position, self.moved)
         force = self.protected.nozzles.without(command.force, reached)
         return self.law.with_applied_force(state, force), eqx.tree_at(lambda c: c.force, command, force)
-
-    def with_applied_force(self, state: PyTree, force: Float[Array, "3"]) -> PyTree:
-        """Tell the law that leads."""
-        return self.law.with_applied_force(state, force)
 
 
 def sparing(law: Law, scenario: Scenario) -> Law:
@@ -423,13 +374,7 @@ class LimitsKept:
         return told
 
 
-def limits_kept(
-    scenario: Scenario,
-    record: FlightRecord,
-    distance: Callable[[Float[np.ndarray, "points 3"]], Float[np.ndarray, "points"]],
-    *,
-    every: int = 1,
-) -> LimitsKept:
+def limits_kept(scenario: Scenario, record: FlightRecord, distance: Distance, *, every: int = 1) -> LimitsKept:
     """Judge a flight by a scenario's hold points, protected parts and passive safety.
 
     Args:
@@ -447,10 +392,6 @@ def limits_kept(
             passive_safety(scenario, distance, states, inspect.passive_safety, push=push, enough=1.0)
             for push in (0.0, None)
         )
-    return LimitsKept(
-        holds(record, inspect.hold_points, scenario.goal.tolerance),
-        None if protected is None else int(plume_violations(record, protected, scenario).sum()),
-        record.steps,
-        passive,
-        pushed,
-    )
+    held = holds(record, inspect.hold_points, scenario.goal.tolerance)
+    blown = None if protected is None else int(plume_violations(record, protected, scenario).sum())
+    return LimitsKept(held, blown, record.steps, passive, pushed)

@@ -45,6 +45,8 @@ _LONGEST_STEP = 60.0
 _INTEGRATION = 1e-4
 """Metres: more than the Runge–Kutta steps lose in a day (tests/apps/inspection/test_passive.py)."""
 _HALVINGS = 12
+_TOLERANCE = 0.02
+"""Metres to which the bound of a drift's clearance is driven."""
 _MOST_STEPS = 100_000
 Distance = Callable[[Float[np.ndarray, "points 3"]], Float[np.ndarray, "points"]]
 Course = Float[np.ndarray, "corners 3"]
@@ -173,12 +175,9 @@ class Spread:
             quick, slow = np.exp(up * times), np.exp(down * times)
             answer = (quick - slow) / (up - down)
             own = (up * slow - down * quick) / (up - down)
-            summed = (np.expm1(up * times) / up - self._slow_sum(down, times)) / (up - down)
+            slow_sum = times if down == 0.0 else np.expm1(down * times) / down
+            summed = (np.expm1(up * times) / up - slow_sum) / (up - down)
         return apart * own + faster * answer + self.push * summed
-
-    @staticmethod
-    def _slow_sum(down: float, times: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
-        return times if down == 0.0 else np.expm1(down * times) / down
 
     def _by_hill(self, times: Float[np.ndarray, " k"], apart: float, faster: float) -> Float[np.ndarray, " k"]:
         last = float(np.max(times, initial=0.0))
@@ -226,16 +225,14 @@ class PassiveSafety:
 
 def passive_safety(
     scenario: Scenario,
-    distance: Callable[[Float[np.ndarray, "points 3"]], Float[np.ndarray, "points"]],
+    distance: Distance,
     states: MotionState,
     seconds: float,
     *,
     push: float | None = None,
     position_error: float = 0.0,
-    velocity_error: float = 0.0,
     enough: float = math.inf,
     too_little: float = 0.0,
-    tolerance: float = 0.02,
 ) -> PassiveSafety:
     """Bound how near drifts from many states come to a mesh.
 
@@ -247,10 +244,8 @@ def passive_safety(
         push: largest norm of a force that nobody commanded and that is not of the motion, N, for as long as the drift
             lasts; None: of the scenario's disturbance, whose swings then count as if they never turned round.
         position_error: of each state, m.
-        velocity_error: of each state, m/s.
         enough: a clearance, m, above which nobody asks how large it is.
         too_little: a clearance, m, below which nobody asks how small it is: `clearance` is then a coarse bound.
-        tolerance: to which the bound is driven otherwise, m.
 
     Raises:
         InspectionError: seconds that are not positive and finite, or more steps than can be flown.
@@ -272,7 +267,7 @@ def passive_safety(
             f"passive safety: {seconds:g} s at {step:.3g} s a step are {count} steps; at most {_MOST_STEPS}"
         )
     times = np.linspace(0.0, seconds, count + 1)
-    radius = spread.radius(times, position_error=position_error, velocity_error=velocity_error)
+    radius = spread.radius(times, position_error=position_error)
     keep = scenario.chaser.radius + _INTEGRATION
     # What the nominal drift can be between its samples: no pulses, and of what pushes, only what is of the motion.
     pushed = bounds.disturbance_force if motion.perturbations else 0.0
@@ -285,7 +280,7 @@ def passive_safety(
         farthest = lengths(position).max(axis=1) + radius[-1]
         within = ~tube.beyond.any(axis=1) & (farthest <= bounds.range_limit)
         within &= np.asarray(some.time) + seconds <= bounds.valid_until
-        parts.append(_least(tube, radius, distance, within, (too_little + keep, enough + keep), tolerance))
+        parts.append(_least(tube, radius, distance, within, (too_little + keep, enough + keep)))
     lower, upper, at = (np.concatenate(part) for part in zip(*parts, strict=True))
     return PassiveSafety(lower - keep, upper - keep, at, float(radius[-1]))
 
@@ -381,10 +376,9 @@ def _target(motion: RelativeMotion, begin: MotionState, period: Float[Array, ""]
 def _least(
     tube: Tube,
     radius: Float[np.ndarray, " k"],
-    distance: Callable[[Float[np.ndarray, "points 3"]], Float[np.ndarray, "points"]],
+    distance: Distance,
     within: Bool[np.ndarray, " n"],
     limits: tuple[float, float],
-    tolerance: float,
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Bound the least of (distance − tube radius) over each drift, from below and above, and say when it is.
 
@@ -406,7 +400,7 @@ def _least(
         upper[index[better]], when[index[better]] = value[best][better], time[best][better]
 
     def open_still(which: np.ndarray, bound: np.ndarray, last: np.ndarray | bool = False) -> np.ndarray:
-        settled = (bound >= np.minimum(upper[which] - tolerance, enough)) | (upper[which] < too_little) | last
+        settled = (bound >= np.minimum(upper[which] - _TOLERANCE, enough)) | (upper[which] < too_little) | last
         np.minimum.at(lower, which[settled], bound[settled])
         return ~settled
 
@@ -424,10 +418,7 @@ def _least(
         reach = np.maximum(at - travel[which, first], travel[which, end] - at)
         kept = open_still(which, found - reach - radius[end])
         which = np.tile(which[kept], 2)
-        first, end = (
-            np.concatenate([first[kept], middle[kept]]),
-            np.concatenate([middle[kept], end[kept]]),
-        )
+        first, end = np.append(first[kept], middle[kept]), np.append(middle[kept], end[kept])
     which, first = (np.concatenate(part) for part in zip(*steps, strict=True))
     begin, until = np.zeros(which.size), np.ones(which.size)
     for halving in range(_HALVINGS + 1):
@@ -441,11 +432,9 @@ def _least(
         alone = (halving == _HALVINGS) | (ball - error <= 0.05 * error)
         kept = open_still(which, found - ball - radius[first + 1], alone)
         which, first = np.repeat(which[kept], 2), np.repeat(first[kept], 2)
-        middle = 0.5 * (begin[kept] + until[kept])
-        begin, until = (
-            np.stack([begin[kept], middle], axis=-1).ravel(),
-            np.stack([middle, until[kept]], axis=-1).ravel(),
-        )
+        begin, until = begin[kept], until[kept]
+        middle = 0.5 * (begin + until)
+        begin, until = np.stack([begin, middle], axis=-1).ravel(), np.stack([middle, until], axis=-1).ravel()
     return lower, upper, when
 
 
@@ -477,6 +466,26 @@ class DriftsPlanned:
             "views_left_out_passive": self.views_left_out,
             "candidates_left_out_passive": self.candidates_left_out,
         }
+
+
+@dataclass(eq=False)
+class DriftsFlown:
+    """Legs as they were begun.
+
+    Attributes:
+        legs: flown, with those to hold points.
+        slowed: of them that were flown below the speed limit, since no greater speed was safe.
+        unsafe: of them for which no speed was found safe; they were flown at the slowest speed that is tried.
+
+    """
+
+    legs: int = 0
+    slowed: int = 0
+    unsafe: int = 0
+
+    def summary(self) -> dict[str, Any]:
+        """Give the figures as plain numbers for JSON."""
+        return {"legs_flown": self.legs, "legs_flown_slowed": self.slowed, "legs_flown_unsafe": self.unsafe}
 
 
 @dataclass(frozen=True, eq=False)
@@ -524,12 +533,9 @@ class Drifting:
         found, speeds = np.zeros(len(courses)), self.scenario.chaser.speed_limit * np.array(_SPEEDS)
         if not courses:
             return found
-        along = [_Along.of(course, *when) for course, when in zip(courses, times.tolist(), strict=True)]
-        which = np.repeat(np.arange(len(along)), [len(one.times) for one in along])
-        place, ahead, at, gone, left = (
-            np.concatenate([getattr(one, name) for one in along])
-            for name in ("places", "ahead", "times", "gone", "left")
-        )
+        along = [_along(course, *when) for course, when in zip(courses, times.tolist(), strict=True)]
+        which = np.repeat(np.arange(len(along)), [len(one[0]) for one in along])
+        place, ahead, at, gone, left = (np.concatenate(part) for part in zip(*along, strict=True))
         changing = np.minimum(gone, left) <= _CHANGING
 
         def safe(states: Bool[np.ndarray, " n"], speed: float) -> Bool[np.ndarray, " legs"]:
@@ -554,54 +560,33 @@ class Drifting:
     ) -> Bool[np.ndarray, " n"]:
         if not len(places):
             return np.zeros(0, dtype=bool)
-        return passive_safety(
-            self.scenario,
-            self.distance,
-            states_at_times(self.scenario, times, places, velocities),
-            self.scenario.inspect.passive_safety,
-            push=0.0,
-            position_error=position_error,
-            enough=0.0,
-        ).safe
+        scenario, states = self.scenario, states_at_times(self.scenario, times, places, velocities)
+        asked = {"push": 0.0, "position_error": position_error, "enough": 0.0}
+        return passive_safety(scenario, self.distance, states, scenario.inspect.passive_safety, **asked).safe
 
 
-@dataclass(frozen=True, eq=False)
-class _Along:
-    """States along a course, so dense that each place of a piece is half of `_APART` or less from one of the piece.
+def _along(course: Course, begin: float, end: float) -> tuple[np.ndarray, ...]:
+    """Give states along a course, each place of a piece half of `_APART` or less from one of the piece.
 
-    Attributes:
-        places: (n, 3) m.
-        ahead: (n, 3) unit vectors along the course; 0 where it goes nowhere.
-        times: (n,) s.
-        gone: (n,) of the course before each, m.
-        left: (n,) of it after each, m.
+    Returns:
+        Places (n, 3) m, unit vectors (n, 3) along the course, 0 where it goes nowhere, times (n,) s, and what of the
+        course is before and after each, (n,) m.
 
     """
-
-    places: Float[np.ndarray, "n 3"]
-    ahead: Float[np.ndarray, "n 3"]
-    times: Float[np.ndarray, " n"]
-    gone: Float[np.ndarray, " n"]
-    left: Float[np.ndarray, " n"]
-
-    @classmethod
-    def of(cls, course: Course, begin: float, end: float) -> "_Along":
-        # A view for which no light comes is planned for no time.
-        begin = begin if math.isfinite(begin) else 0.0
-        end = end if math.isfinite(end) else begin
-        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(course, axis=0), axis=1))])
-        whole = float(along[-1])
-        if whole == 0.0:
-            return cls(course[:1], np.zeros((1, 3)), np.array([begin]), np.zeros(1), np.zeros(1))
-        places, ahead, done = [], [], []
-        for (low, high), (a, b) in zip(pairwise(along.tolist()), pairwise(course), strict=True):
-            if high > low:
-                count = math.ceil((high - low) / _APART - 1e-9)
-                share = (np.arange(count) + 0.5) / count
-                places.append(a + share[:, None] * (b - a))
-                ahead.append(np.tile((b - a) / (high - low), (count, 1)))
-                done.append(low + share * (high - low))
-        gone = np.concatenate(done)
-        return cls(
-            np.concatenate(places), np.concatenate(ahead), begin + (end - begin) * gone / whole, gone, whole - gone
-        )
+    # A view for which no light comes is planned for no time.
+    begin = begin if math.isfinite(begin) else 0.0
+    end = end if math.isfinite(end) else begin
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(course, axis=0), axis=1))])
+    whole = float(along[-1])
+    if whole == 0.0:
+        return course[:1], np.zeros((1, 3)), np.array([begin]), np.zeros(1), np.zeros(1)
+    places, ahead, done = [], [], []
+    for (low, high), (a, b) in zip(pairwise(along.tolist()), pairwise(course), strict=True):
+        if high > low:
+            count = math.ceil((high - low) / _APART - 1e-9)
+            share = (np.arange(count) + 0.5) / count
+            places.append(a + share[:, None] * (b - a))
+            ahead.append(np.tile((b - a) / (high - low), (count, 1)))
+            done.append(low + share * (high - low))
+    gone = np.concatenate(done)
+    return np.concatenate(places), np.concatenate(ahead), begin + (end - begin) * gone / whole, gone, whole - gone

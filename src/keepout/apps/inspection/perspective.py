@@ -8,6 +8,7 @@ import numba
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from keepout.apps.inspection.seeing.sightlines import slab
 from keepout.apps.led.camera import Pinhole
 from keepout.core.geometry.first_hit import FirstHit
 from keepout.flights.pages.mesh_pictures import fill_triangle
@@ -141,34 +142,12 @@ def _paint(triangles, position, axes, focal, face, inverse):
     rows, columns = face.shape
     corner, cut = np.empty((3, 3)), np.empty((4, 3))
     for f in range(len(triangles)):
-        nearest, farthest = np.inf, -np.inf
         for k in range(3):
-            dx, dy, dz = (
-                triangles[f, k, 0] - position[0],
-                triangles[f, k, 1] - position[1],
-                triangles[f, k, 2] - position[2],
-            )
+            x, y, z = triangles[f, k, 0], triangles[f, k, 1], triangles[f, k, 2]
+            dx, dy, dz = x - position[0], y - position[1], z - position[2]
             for axis in range(3):
                 corner[k, axis] = dx * axes[0, axis] + dy * axes[1, axis] + dz * axes[2, axis]
-            nearest, farthest = min(nearest, corner[k, 2]), max(farthest, corner[k, 2])
-        if farthest <= _NEAR:
-            continue
-        count = 0
-        if nearest > _NEAR:
-            count = 3
-            cut[:3] = corner
-        else:
-            for k in range(3):
-                after = (k + 1) % 3
-                if corner[k, 2] > _NEAR:
-                    cut[count] = corner[k]
-                    count += 1
-                if (corner[k, 2] > _NEAR) != (corner[after, 2] > _NEAR):
-                    share = (_NEAR - corner[k, 2]) / (corner[after, 2] - corner[k, 2])
-                    for axis in range(2):
-                        cut[count, axis] = corner[k, axis] + share * (corner[after, axis] - corner[k, axis])
-                    cut[count, 2] = _NEAR
-                    count += 1
+        count = slab(corner, corner[:, 2], 3, _NEAR, 1.0, cut, cut[:, 2])
         for k in range(count):
             z = cut[k, 2]
             cut[k, 0] = focal * cut[k, 0] / z + 0.5 * columns - 0.5

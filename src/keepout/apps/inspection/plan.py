@@ -23,6 +23,7 @@ from keepout.apps.inspection.problem import Problem
 from keepout.apps.inspection.seeing.visible import SeeingRules, in_frame
 from keepout.apps.inspection.tour import Legs, Tour, flown, turning_time
 from keepout.apps.inspection.ways import Pairs, Ways, way_length
+from keepout.apps.led.camera import angle_between
 from keepout.core.cores import available_cores
 from keepout.core.mission.scenario import Scenario
 
@@ -111,8 +112,7 @@ class InspectionPlan:
 
 def turned(first: Float[np.ndarray, "3"], last: Float[np.ndarray, "3"], angle: float) -> Float[np.ndarray, "3"]:
     """Turn a unit vector towards another by an angle (rad), and no farther than there."""
-    whole = math.atan2(float(np.linalg.norm(np.cross(first, last))), float(first @ last))
-    if angle >= whole:
+    if angle >= angle_between(first, last):
         return last
     across = last - (first @ last) * first
     size = float(np.linalg.norm(across))
@@ -158,8 +158,14 @@ def kept_safe(
         times = np.array([(at[a], at[b]) for a, b in fresh])
         speeds |= dict(zip(fresh, drifting.speeds([courses[leg] for leg in fresh], times).tolist(), strict=True))
         kept = _without_unsafe(kept, speeds)
-    legs = list(pairwise(kept))
-    times = _moved_on(legs, at, courses, speeds, turn, dwell + settle, limit)
+    legs, moved_on, behind = list(pairwise(kept)), [], 0.0
+    for a, b in legs:
+        way, slew = way_length(courses[a, b]), turn(a, b)
+        quickest, planned = max(way / limit, slew), at[b] - at[a]
+        spare = max(planned - quickest - (dwell + settle), 0.0) if math.isfinite(planned) else 0.0
+        behind = max(behind + max(way / speeds[a, b], slew) - quickest - spare, 0.0)
+        moved_on.append(at[b] + behind)
+    times = np.array(moved_on)
     told = DriftsPlanned(
         legs=len(tour.order),
         safe=len(legs),
@@ -180,36 +186,19 @@ def _without_unsafe(kept: list[int], speeds: dict[tuple[int, int], float]) -> li
     return left
 
 
-def _moved_on(
-    legs: list[tuple[int, int]],
-    at: dict[int, float],
-    courses: dict[tuple[int, int], Course],
-    speeds: dict[tuple[int, int], float],
-    turn: Callable[[int, int], float],
-    stay: float,
-    limit: float,
-) -> Float[np.ndarray, " views"]:
-    """Give the times of the views, none before its own: later where legs before it are flown below the limit."""
-    times, behind = [], 0.0
-    for leg in legs:
-        a, b = leg
-        way, slew = way_length(courses[leg]), turn(a, b)
-        quickest = max(way / limit, slew)
-        spare = max(at[b] - at[a] - quickest - stay, 0.0) if math.isfinite(at[b]) and math.isfinite(at[a]) else 0.0
-        behind = max(behind + max(way / speeds[leg], slew) - quickest - spare, 0.0)
-        times.append(at[b] + behind)
-    return np.array(times)
-
-
 class DrawnUp(NamedTuple):
-    """A tour as a plan, and its legs."""
+    """A tour as a plan, and its legs.
+
+    Attributes:
+        plan: without its bounds.
+        courses: of the legs, the corners of each, m.
+        passing: units seen on each leg between its ends.
+
+    """
 
     plan: InspectionPlan
-    """Without its bounds."""
     courses: list[Course]
-    """Of the legs, the corners of each, m."""
     passing: list[Units]
-    """Units seen on each leg between its ends."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,18 +279,10 @@ class Task:
         windows = [[(-math.inf, math.inf)], *(self.lit.windows(need) for need in needs)]
         table = np.full((len(windows), max(1, *(len(several) for several in windows)), 2), np.nan)
         for row, several in enumerate(windows):
-            for n, window in enumerate(several):
-                table[row, n] = window
-        return Legs(
-            lengths=between[0],
-            leave=between[1],
-            turns=self.turns(looking, looking),
-            speed=scenario.chaser.speed_limit,
-            acceleration=scenario.chaser.force_limit / scenario.chaser.mass,
-            dwell=scenario.inspect.dwell,
-            begin=self.time,
-            windows=table,
-        )
+            table[row, : len(several)] = np.reshape(several, (-1, 2))
+        chaser, turns = scenario.chaser, self.turns(looking, looking)
+        pace = chaser.speed_limit, chaser.force_limit / chaser.mass, scenario.inspect.dwell
+        return Legs(*between, turns, *pace, self.time, table)
 
     def flown(self, views: Views, between: Between) -> Tour:
         """Give the tour of views in the order of their rows."""

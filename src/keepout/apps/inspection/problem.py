@@ -396,21 +396,12 @@ class Problem:
 
         """
         room = require_inspectable(scenario, target) if room is None else room
-        rules, stand_off = rules_of(scenario), scenario.inspect.stand_off
+        rules = rules_of(scenario)
         patches = cut(target, patch_size(scenario, target), progress=part_of(progress, 0.0, 0.1))
         sight = Sightlines(target.vertices, target.faces, patches)
-        judged = seeable(
-            target,
-            patches,
-            sight,
-            rules,
-            stand_off,
-            room=room,
-            squares=scenario.inspect.proof_squares,
-            seconds=scenario.inspect.proof_time,
-            progress=part_of(progress, 0.1, 1.0),
-        )
-        return cls(scenario, target, patches, rules, sight, room, judged, Light.of(scenario))
+        inspect, told = scenario.inspect, part_of(progress, 0.1, 1.0)
+        judged = seeable(sight, rules, room, squares=inspect.proof_squares, seconds=inspect.proof_time, progress=told)
+        return cls(scenario, target, patches, rules, sight, room, judged, Light(scenario))
 
     @functools.cached_property
     def ways(self) -> Ways:
@@ -459,13 +450,10 @@ class Wanted:
     patches: Patches
     possible: Bool[np.ndarray, " units"]
     share: float
-    taken: Bool[np.ndarray, " units"]
-    failures: Int[np.ndarray, " units"]
 
-    @classmethod
-    def of(cls, patches: Patches, possible: Bool[np.ndarray, " units"], share: float) -> "Wanted":
-        """Begin with nothing taken."""
-        return cls(patches, possible, share, np.zeros(patches.units, bool), np.zeros(patches.units, np.int64))
+    def __post_init__(self) -> None:
+        self.taken = np.zeros(self.patches.units, bool)
+        self.failures = np.zeros(self.patches.units, np.int64)
 
     @property
     def left(self) -> Bool[np.ndarray, " units"]:

@@ -9,7 +9,8 @@ In a light that does not change the cost of an order is a sum over legs and over
 judged by the few legs that it changes: a stretch of the order turned round (2-opt), or up to three places moved
 elsewhere (Or-opt), either towards a near neighbour. Where none helps, neighbouring stretches change places (the double
 bridge of Martin, Otto & Felten 1991), and what is no better than before is undone. In these loops orders are arrays
-with the start, place 0, first and `_NONE` at both outer ends: `order[0]` is `_NONE`, `order[1]` is 0.
+with the start, place 0, first and `_NONE` at both outer ends: `order[0]` is `_NONE`, `order[1]` is 0. What is paid is a
+tuple: the cost of each leg, its velocity, the cost of a change of velocity, and whether the chaser stops at each place.
 """
 
 from dataclasses import dataclass
@@ -141,7 +142,7 @@ def best_tour(
     padded = np.concatenate([[_NONE, 0], order, [_NONE]]).astype(np.int64)
     nearest = np.argsort(costs + np.diag(np.full(count + 1, np.inf)), axis=1)[:, : min(_NEIGHBOURS, count)]
     draws = np.random.default_rng(seed).random((_SHAKES if shaken else 0, 4))
-    _search(padded, costs, velocities, float(change), legs.dwell > 0.0, nearest.astype(np.int64), draws)
+    _search(padded, (costs, velocities, float(change), legs.dwell > 0.0), nearest.astype(np.int64), draws)
     return flown(legs, padded[2:-1])
 
 
@@ -202,10 +203,11 @@ def _fly(order, lengths, leave, turns, windows, numbers, times):
 
 @numba.njit(cache=True)
 @no_type_check
-def _corner(a, p, b, v, change, stops):
+def _corner(a, p, b, paid):
     """Give what the change of velocity at p costs, from a on to b; where one of them is none, from rest or to rest."""
     if p < 0:
         return 0.0
+    _, v, change, stops = paid
     # The way back from p towards a leaves against the direction in which the way from a arrives.
     ix, iy, iz = 0.0, 0.0, 0.0
     ox, oy, oz = 0.0, 0.0, 0.0
@@ -220,17 +222,18 @@ def _corner(a, p, b, v, change, stops):
 
 @numba.njit(cache=True)
 @no_type_check
-def _leg(a, b, legs):
-    return 0.0 if a < 0 or b < 0 else legs[a, b]
+def _leg(a, b, paid):
+    return 0.0 if a < 0 or b < 0 else paid[0][a, b]
 
 
 @numba.njit(cache=True)
 @no_type_check
-def _at(order, q, s, e, t, turned):
-    """Give what stands at q once the stretch s to e stands right after what was at t, turned round or not.
+def _at(order, q, move):
+    """Give what stands at q after a move: the stretch s to e stands right after what was at t, turned round or not.
 
     With t = s - 1 it stays where it is.
     """
+    s, e, t, turned = move
     size = e - s + 1
     if t < s:
         begin = t + 1
@@ -249,8 +252,26 @@ def _at(order, q, s, e, t, turned):
 
 @numba.njit(cache=True)
 @no_type_check
-def _gain(order, s, e, t, turned, legs, v, change, stops):
-    """Give how much less the order costs once the stretch s to e stands right after what was at t."""
+def _summed(total, sign, before, order, move, paid):
+    """Add what the legs after some places of a moved order cost, and the changes of velocity at their ends, once."""
+    last = -1
+    for k in range(3):
+        j = before[k]
+        if k > 0 and j == before[k - 1]:
+            continue
+        total += sign * _leg(_at(order, j, move), _at(order, j + 1, move), paid)
+        for p in range(max(j, last + 1), j + 2):
+            after = _at(order, p + 1, move) if p + 1 < order.size else _NONE
+            total += sign * _corner(_at(order, p - 1, move), _at(order, p, move), after, paid)
+            last = p
+    return total
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _gain(order, move, paid):
+    """Give how much less the order costs after a move."""
+    s, e, t, _ = move
     size = e - s + 1
     if t < s - 1:
         old, new = (t, s - 1, e), (t, t + size, e)
@@ -258,37 +279,18 @@ def _gain(order, s, e, t, turned, legs, v, change, stops):
         old, new = (s - 1, s - 1, e), (s - 1, s - 1, e)
     else:
         old, new = (s - 1, e, t), (s - 1, t - size, t)
-    gain = 0.0
-    last = -1
-    for k in range(3):
-        j = old[k]
-        if k > 0 and old[k] == old[k - 1]:
-            continue
-        gain += _leg(order[j], order[j + 1], legs)
-        for p in range(max(j, last + 1), j + 2):
-            gain += _corner(order[p - 1], order[p], order[p + 1], v, change, stops)
-            last = p
-    last = -1
-    for k in range(3):
-        j = new[k]
-        if k > 0 and new[k] == new[k - 1]:
-            continue
-        gain -= _leg(_at(order, j, s, e, t, turned), _at(order, j + 1, s, e, t, turned), legs)
-        for p in range(max(j, last + 1), j + 2):
-            a = _at(order, p - 1, s, e, t, turned)
-            b = _at(order, p + 1, s, e, t, turned) if p + 1 < order.size else _NONE
-            gain -= _corner(a, _at(order, p, s, e, t, turned), b, v, change, stops)
-            last = p
-    return gain
+    before = _summed(0.0, 1.0, old, order, (s, e, s - 1, False), paid)
+    return _summed(before, -1.0, new, order, move, paid)
 
 
 @numba.njit(cache=True)
 @no_type_check
-def _put(order, place, s, e, t, turned, spare):
-    """Put the stretch s to e right after what is at t."""
+def _put(order, place, move, spare):
+    """Move a stretch."""
+    s, e, t, _ = move
     low, high = min(s, t + 1), max(e, t)
     for q in range(low, high + 1):
-        spare[q] = _at(order, q, s, e, t, turned)
+        spare[q] = _at(order, q, move)
     for q in range(low, high + 1):
         order[q] = spare[q]
         place[order[q]] = q
@@ -296,7 +298,7 @@ def _put(order, place, s, e, t, turned, spare):
 
 @numba.njit(cache=True)
 @no_type_check
-def _better(here, order, place, legs, v, change, stops, nearest, spare):
+def _better(here, order, place, paid, nearest, spare):
     """Make the first move found that brings a place beside a near one and helps; give what it gains, or 0."""
     end = order.size - 1
     for n in range(nearest.shape[1]):
@@ -304,15 +306,17 @@ def _better(here, order, place, legs, v, change, stops, nearest, spare):
         i, j = place[here], place[beside]
         # No leg that is worse than both legs here gains more than the corner here costs, but by luck elsewhere.
         a, b = order[i - 1], order[i + 1]
-        if legs[here, beside] > max(_leg(a, here, legs), _leg(here, b, legs)) + _corner(a, here, b, v, change, stops):
+        longest = max(_leg(a, here, paid), _leg(here, b, paid))
+        if _leg(here, beside, paid) > longest + _corner(a, here, b, paid):
             break
         low, high = min(i, j), max(i, j)
         # Turned round, so that the two come to stand side by side: after the first, or before the second.
         for s, e in ((low + 1, high), (low, high - 1)):
             if s >= 2 and e > s and e < end:
-                gain = _gain(order, s, e, s - 1, True, legs, v, change, stops)
+                move = (s, e, s - 1, True)
+                gain = _gain(order, move, paid)
                 if gain > 1e-9:
-                    _put(order, place, s, e, s - 1, True, spare)
+                    _put(order, place, move, spare)
                     return gain
         for size in range(1, _LONGEST + 1):
             for lead in range(2):
@@ -326,16 +330,17 @@ def _better(here, order, place, legs, v, change, stops, nearest, spare):
                     for turned in range(2):
                         if size == 1 and turned:
                             continue
-                        gain = _gain(order, s, e, t, turned == 1, legs, v, change, stops)
+                        move = (s, e, t, turned == 1)
+                        gain = _gain(order, move, paid)
                         if gain > 1e-9:
-                            _put(order, place, s, e, t, turned == 1, spare)
+                            _put(order, place, move, spare)
                             return gain
     return 0.0
 
 
 @numba.njit(cache=True)
 @no_type_check
-def _descend(order, place, waiting, legs, v, change, stops, nearest, spare):
+def _descend(order, place, waiting, paid, nearest, spare):
     """Improve about the places that wait until none helps; give the gain."""
     total, number = 0.0, place.size
     left = 0
@@ -347,7 +352,7 @@ def _descend(order, place, waiting, legs, v, change, stops, nearest, spare):
         at += 1
         if not waiting[here]:
             continue
-        gain = _better(here, order, place, legs, v, change, stops, nearest, spare)
+        gain = _better(here, order, place, paid, nearest, spare)
         if gain == 0.0:
             waiting[here] = False
             left -= 1
@@ -363,14 +368,14 @@ def _descend(order, place, waiting, legs, v, change, stops, nearest, spare):
 
 @numba.njit(cache=True)
 @no_type_check
-def _search(order, legs, v, change, stops, nearest, draws):
+def _search(order, paid, nearest, draws):
     number = order.size - 2
     place = np.empty(number, dtype=np.int64)
     for q in range(1, order.size - 1):
         place[order[q]] = q
     spare = np.empty_like(order)
     waiting = np.ones(number, dtype=np.bool_)
-    _descend(order, place, waiting, legs, v, change, stops, nearest, spare)
+    _descend(order, place, waiting, paid, nearest, spare)
     count = number - 1
     if count < 4:
         return
@@ -382,13 +387,14 @@ def _search(order, legs, v, change, stops, nearest, draws):
         second = 1 + int(draws[shake, 1] * span)
         s = 2 + int(draws[shake, 2] * (count - first - second + 1))
         m, e = s + first - 1, s + first + second - 1
-        gain = _gain(order, s, m, e, False, legs, v, change, stops)
+        move = (s, m, e, False)
+        gain = _gain(order, move, paid)
         ends = (order[s - 1], order[s], order[m], order[m + 1], order[e], order[e + 1])
-        _put(order, place, s, m, e, False, spare)
+        _put(order, place, move, spare)
         for p in ends:
             if p >= 0:
                 waiting[p] = True
-        gain += _descend(order, place, waiting, legs, v, change, stops, nearest, spare)
+        gain += _descend(order, place, waiting, paid, nearest, spare)
         if gain > 1e-9:
             kept[:] = order
         else:

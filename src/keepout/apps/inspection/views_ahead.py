@@ -1,9 +1,11 @@
 """The views ahead of a flight: which is flown to next, which were lost and to what, and when a plan is made anew."""
 
 import enum
+import math
 from collections import deque
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Int
@@ -11,17 +13,16 @@ from jaxtyping import Bool, Int
 from keepout.apps.inspection.frames import Camera
 from keepout.apps.inspection.leading import AroundMesh
 from keepout.apps.inspection.light import ever_lit
+from keepout.apps.inspection.passive import Drifting, DriftsFlown
 from keepout.apps.inspection.plan import InspectionPlan
 from keepout.apps.inspection.planning import plan
 from keepout.apps.inspection.problem import Problem, Wanted, boresight_of
-from keepout.apps.inspection.safe_speeds import SafeSpeeds
 from keepout.apps.led.camera import Boresight
 from keepout.apps.led.driver import Ended, given_up_at
 from keepout.apps.led.leading import Point
 from keepout.core.control.law import Law
 from keepout.core.errors import ControlError
 from keepout.core.mission.scenario import Scenario
-from keepout.core.mission.task_entries import HoldPointEntry
 from keepout.core.progress import Progress, silent
 
 _NEAR = 0.15
@@ -85,16 +86,9 @@ class Leg:
             yield cls(view.position, view.boresight, view.units, view.window, stay, speed=view.speed)
 
     @classmethod
-    def holds(cls, points: Iterable[HoldPointEntry], tolerance: float) -> Iterator["Leg"]:
-        """Give the legs of hold points, each held within `tolerance` (m)."""
-        for point in points:
-            place = np.asarray(point.position, dtype=float)
-            yield cls(place, None, np.zeros(0, np.int64), stay=point.seconds, near=tolerance)
-
-    @classmethod
-    def waiting(cls, place: Point, seconds: float) -> "Leg":
-        """Give a leg that waits at a place for the light."""
-        return cls(place, None, np.zeros(0, np.int64), stay=seconds)
+    def waiting(cls, place: Point, seconds: float, near: float = _NEAR) -> "Leg":
+        """Give a leg that waits within some metres of a place, as at a hold point or for the light."""
+        return cls(place, None, np.zeros(0, np.int64), stay=seconds, near=near)
 
     @property
     def waits(self) -> bool:
@@ -128,9 +122,7 @@ class Leg:
     def ended(self, now: float, wanted: Wanted) -> Lost | None:
         """Say whether the view is done with, and how; None while it goes on."""
         stayed = not self.waits or now >= self._there_since + self.stay
-        if self.boresight is None:
-            return Lost.NOT if stayed else self._late(now)
-        if not len(self.left(wanted)):
+        if self.boresight is None or not len(self.left(wanted)):
             return Lost.NOT if stayed else self._late(now)
         if self._idle >= _SETTLED and stayed:
             return Lost.NOT
@@ -143,44 +135,28 @@ class Leg:
         return Lost.GUARD if self.held_up else Lost.LATE
 
 
-@dataclass(eq=False)
 class ViewsAhead:
-    """What is to be flown to, and what is wanted from there; make one with `ViewsAhead.of`.
+    """What is to be flown to, and what is wanted from there: first the hold points, then views.
 
-    Attributes:
+    Args:
         scenario: as flown.
         problem: what is to be seen.
         leading: the law's way to any place.
         camera: what it sees, and what is lit.
         wanted: what is still to be seen, as it is known on board.
-        first: the first plan.
-        safe_speeds: of legs, where passive safety is asked for.
+        first: the first plan, already made; else made here.
+        progress: told of that.
+
+    Attributes:
         legs: ahead, in their order.
         leg: under way, or None.
         plans: made so far.
+        drifts: legs as they were begun, judged by passive safety; None where that is not asked for.
 
     """
 
-    scenario: Scenario
-    problem: Problem
-    leading: AroundMesh
-    camera: Camera
-    wanted: Wanted
-    first: InspectionPlan
-    safe_speeds: SafeSpeeds
-    legs: deque[Leg]
-    leg: Leg | None = None
-    plans: int = 1
-    _taken: bool = False
-    _refused: list[str] = field(default_factory=list)
-    _lost: Bool[np.ndarray, " units"] = field(init=False)
-
-    def __post_init__(self) -> None:
-        self._lost = np.zeros(self.problem.patches.units, dtype=bool)
-
-    @classmethod
-    def of(
-        cls,
+    def __init__(
+        self,
         scenario: Scenario,
         problem: Problem,
         leading: AroundMesh,
@@ -189,21 +165,20 @@ class ViewsAhead:
         *,
         first: InspectionPlan | None = None,
         progress: Progress = silent,
-    ) -> "ViewsAhead":
-        """Begin with the hold points and the views of the first plan, which is made here where it is not given."""
-        holds = scenario.inspect.hold_points
+    ) -> None:
+        self.scenario, self.problem, self.leading = scenario, problem, leading
+        self.camera, self.wanted, self.plans = camera, wanted, 1
+        holds, tolerance = scenario.inspect.hold_points, scenario.goal.tolerance
         if first is None:
-            first = plan(
-                problem,
-                position=np.asarray(holds[-1].position if holds else scenario.start.position, dtype=float),
-                time=0.0,
-                wanted=wanted.left,
-                share=wanted.share_of_left,
-                boresight=boresight_of(scenario, problem.target).direction,
-                progress=progress,
-            )
-        legs = deque([*Leg.holds(holds, scenario.goal.tolerance), *Leg.views(first, scenario.inspect.dwell)])
-        return cls(scenario, problem, leading, camera, wanted, first, SafeSpeeds.of(problem, scenario), legs)
+            begin = np.asarray(holds[-1].position if holds else scenario.start.position, dtype=float)
+            first = self._plan(begin, 0.0, boresight_of(scenario, problem.target), progress=progress)
+        self.first, self.leg = first, None
+        waits = (Leg.waiting(np.asarray(at.position, dtype=float), at.seconds, tolerance) for at in holds)
+        self.legs = deque([*waits, *Leg.views(first, scenario.inspect.dwell)])
+        self.drifting = Drifting.of(scenario, problem.target.distance.distance)
+        self.drifts = None if self.drifting is None else DriftsFlown()
+        self._taken, self._refused = False, list[str]()
+        self._lost = np.zeros(problem.patches.units, dtype=bool)
 
     @property
     def holding(self) -> bool:
@@ -275,7 +250,7 @@ class ViewsAhead:
         return float(areas[self._lost & self.wanted.left].sum()) >= _LOST * float(areas[self.wanted.possible].sum())
 
     def _lit(self, now: float, units: Int[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
-        sun = self.camera.sun(now)
+        sun = self.camera.light.sun(now)
         if sun is None:
             return np.full(len(units), not self.camera.light.matters)
         return self.camera.lit(sun, units)
@@ -289,7 +264,7 @@ class ViewsAhead:
             way = float(np.linalg.norm(place - estimate))
             turn = 0.0 if leg.boresight is None else boresight.off(leg.boresight)
             slew = turn / boresight.greatest_rate
-            most = self.safe_speeds.of_leg(leg.speed, estimate, place, now)
+            most = self._safe_speed(leg.speed, estimate, place, now)
             turning = way / slew if slew > 0.0 else None
             law = self.leading.law(place, estimate, speed=turning, most=most, through=not leg.waits)
         except ControlError as refusal:
@@ -299,30 +274,39 @@ class ViewsAhead:
         leg.begun(now, place, way / min(most, self.scenario.chaser.speed_limit) + slew)
         return law
 
+    def _safe_speed(self, planned: float, position: Point, place: Point, now: float) -> float:
+        """Give the greatest speed of a leg, m/s, and count it: no more than planned, and than is passively safe."""
+        if self.drifting is None or self.drifts is None:
+            return math.inf
+        limit, course = self.scenario.chaser.speed_limit, self.problem.ways_from(position).path(position, place)
+        if course is None:
+            course = np.stack([position, place])
+        until = now + float(np.linalg.norm(place - position)) / limit
+        found = float(self.drifting.speeds([course], np.array([[now, until]]))[0])
+        speed = min(planned, max(found, self.drifting.slowest))
+        self.drifts.legs += 1
+        self.drifts.unsafe += found == 0.0
+        self.drifts.slowed += speed < limit
+        return speed
+
     def _replanned(self, now: float, estimate: Point, boresight: Boresight) -> Ended | None:
         """Plan anew for what is left; give how it ends where nothing is gained by that."""
-        left = self.wanted.left
-        if not left.any() or self.plans > (_REPLANS_IN_SUN if self._in_sun else _REPLANS):
+        if not self.wanted.left.any() or self.plans > (_REPLANS_IN_SUN if self._in_sun else _REPLANS):
             return self._nothing_more()
         self._lost[:] = False
-        again = plan(
-            self.problem,
-            position=estimate,
-            time=now,
-            wanted=left,
-            share=self.wanted.share_of_left,
-            boresight=boresight.direction,
-            effort=_AGAIN if self._in_sun else 1.0,
-        )
+        again = self._plan(estimate, now, boresight, effort=_AGAIN if self._in_sun else 1.0)
         self.plans += 1
         self.legs = deque(leg for leg in Leg.views(again, self.scenario.inspect.dwell) if len(leg.left(self.wanted)))
         if not self.legs and self._in_sun:
             end = self.scenario.duration
             if ever_lit(self.camera, self.wanted.left, end, begin=now).any():
                 self.legs.append(Leg.waiting(estimate, max(_WAITED * (end - now), self.scenario.camera.period)))
-        if not self.legs:
-            return self._nothing_more()
-        return None
+        return None if self.legs else self._nothing_more()
+
+    def _plan(self, position: Point, time: float, boresight: Boresight, **options: Any) -> InspectionPlan:
+        """Plan for what is left, from where the chaser then is and the camera then looks."""
+        options |= {"wanted": self.wanted.left, "share": self.wanted.share_of_left}
+        return plan(self.problem, position=position, time=time, boresight=boresight.direction, **options)
 
     def _nothing_more(self) -> Ended:
         """Say that nothing more is to be seen; or that the law leads nowhere, where it led to no view."""

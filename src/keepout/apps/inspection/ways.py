@@ -33,6 +33,7 @@ _NEIGHBOURS = 20
 
 
 Node = tuple[int, ...]
+Point = Float[np.ndarray, "3"]
 Pairs = dict[tuple[bytes, bytes], tuple[float, np.ndarray]]
 """Length of the way from one place to another, m, and the unit vector in which it sets out."""
 
@@ -53,20 +54,14 @@ class Ways:
 
     distance: Distance
     stand_off: float
-    origin: Float[np.ndarray, "3"]
+    origin: Point
     spacing: float
     open: Bool[np.ndarray, "nx ny nz"]
     walls: Bool[np.ndarray, "3 nx ny nz"]
 
     @classmethod
     def build(
-        cls,
-        distance: Distance,
-        stand_off: float,
-        lower: Float[np.ndarray, "3"],
-        upper: Float[np.ndarray, "3"],
-        *,
-        most_nodes: int = MOST_NODES,
+        cls, distance: Distance, stand_off: float, lower: Point, upper: Point, *, most_nodes: int = MOST_NODES
     ) -> "Ways":
         """Lay the grid over a box (m) and find what is open.
 
@@ -201,7 +196,7 @@ class Ways:
             list(pool.map(march_from, np.flatnonzero(crooked.any(axis=0)).tolist()))
         np.minimum(direct, direct.T, out=direct)
 
-    def reached(self, begin: Float[np.ndarray, "3"], places: Float[np.ndarray, "k 3"]) -> Bool[np.ndarray, " k"]:
+    def reached(self, begin: Point, places: Float[np.ndarray, "k 3"]) -> Bool[np.ndarray, " k"]:
         """Say to which places a way leads from one, by the grid or straight."""
         times = self._march(*self._joined(begin))
         joined = [self._joined(place)[0] for place in places]
@@ -210,7 +205,7 @@ class Ways:
         found[alone] = self.clear(np.tile(begin, (len(alone), 1)), places[alone])
         return found
 
-    def nearly(self, place: Float[np.ndarray, "3"], places: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
+    def nearly(self, place: Point, places: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
         """Give the lengths (m) of ways from one place to many, to within about a cell; infinite where none leads."""
         times = self._march(*self._joined(place))
         at = (places - self.origin) / self.spacing
@@ -222,7 +217,7 @@ class Ways:
             found = np.minimum(found, through)
         return np.maximum(found, np.where(np.isfinite(found), np.linalg.norm(places - place, axis=1), 0.0))
 
-    def path(self, begin: Float[np.ndarray, "3"], end: Float[np.ndarray, "3"]) -> Float[np.ndarray, "m 3"] | None:
+    def path(self, begin: Point, end: Point) -> Float[np.ndarray, "m 3"] | None:
         """Give the corners of a way, every piece of it clear; None where none leads.
 
         From a place nearer than the stand-off, the first piece leads straight to a node of the grid and is not clear.
@@ -253,7 +248,7 @@ class Ways:
             corners.append(self._place(node, low))
         return self._pulled(np.array([*corners, end]))
 
-    def _place(self, node: Node, low: Int[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    def _place(self, node: Node, low: Int[np.ndarray, "3"]) -> Point:
         return self.origin + self.spacing * (low + np.asarray(node))
 
     def _box(
@@ -281,7 +276,7 @@ class Ways:
             self.open[within].astype(float), self.walls[(slice(None), *within)], nodes - low, away, self.spacing
         )
 
-    def _joined(self, place: Float[np.ndarray, "3"]) -> tuple[Int[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
+    def _joined(self, place: Point) -> tuple[Int[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
         """Give the nodes joined to a place by clear pieces, and their distances from it, m.
 
         To a place nearer than the stand-off the nearest open node is joined, whatever is between.

@@ -20,14 +20,17 @@ class Pinhole:
 
     Pixel (row i, column j) is the square [j, j+1] x [i, i+1] of the image, whose point (a, b) looks along
     ((a - width/2) / focal, (b - height/2) / focal, 1).
+
+    Attributes:
+        width: pixels across.
+        height: pixels down.
+        horizontal_angle: full angle of view across the width, rad.
+
     """
 
     width: int
-    """Pixels across."""
     height: int
-    """Pixels down."""
     horizontal_angle: float
-    """Full angle of view across the width, rad."""
 
     def __post_init__(self) -> None:
         for name, value in (("width", self.width), ("height", self.height)):
@@ -59,6 +62,11 @@ class Pinhole:
         rays[..., 0] = across
         rays[..., 1] = down[:, None]
         return rays / np.linalg.norm(rays, axis=2, keepdims=True)
+
+
+def angle_between(first: Vector, second: Vector) -> float:
+    """Give the angle between two directions, rad, of any length but zero: without loss near 0 and a half turn."""
+    return math.atan2(float(np.linalg.norm(np.cross(first, second))), float(first @ second))
 
 
 def rotation_by(vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
@@ -128,8 +136,7 @@ class Boresight:
 
     def off(self, wanted: Vector) -> float:
         """Give the angle to a wanted direction, rad."""
-        wanted = _unit(wanted, "wanted direction")
-        return math.atan2(float(np.linalg.norm(np.cross(self.direction, wanted))), float(self.direction @ wanted))
+        return angle_between(self.direction, _unit(wanted, "wanted direction"))
 
     def step(self, wanted: Vector, period: float) -> "Boresight":
         """Turn towards a wanted direction for a period (s)."""

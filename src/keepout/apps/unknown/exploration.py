@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from keepout.apps.led.result import Led
+from keepout.apps.led.driver import Led
 from keepout.apps.unknown.departures import Departures
 from keepout.apps.unknown.known_free import KnownFreeMap
 from keepout.apps.unknown.next_view import Ending

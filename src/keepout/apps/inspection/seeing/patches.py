@@ -5,6 +5,7 @@ cuts the region into cells, and the pieces of a cell are put together to few con
 which side of a face is outside, sheets do not.
 """
 
+import functools
 import math
 from dataclasses import dataclass
 from typing import NamedTuple, no_type_check
@@ -39,6 +40,15 @@ _GAP = 2e-7
 """Pieces are put together where the hull has at most this times its circumference more area than they have, m."""
 
 
+class Shapes(NamedTuple):
+    """Convex plane polygons as the compiled loops take them; see `Patches`."""
+
+    corners: Float[np.ndarray, "n most 3"]
+    counts: Int[np.ndarray, " n"]
+    centres: Float[np.ndarray, "n 3"]
+    normals: Float[np.ndarray, "n 3"]
+
+
 @dataclass(frozen=True, eq=False)
 class Patches:
     """Convex plane pieces of a mesh, none wider than `size` along either axis of its plane's grid.
@@ -66,6 +76,12 @@ class Patches:
     counted: Bool[np.ndarray, " units"]
     size: float
 
+    @functools.cached_property
+    def shapes(self) -> Shapes:
+        """All of them, for compiled loops."""
+        corners, centres, normals = map(np.ascontiguousarray, (self.corners, self.centres, self.normals))
+        return Shapes(corners, np.ascontiguousarray(self.counts, np.int64), centres, normals)
+
     @property
     def units(self) -> int:
         """Two for each patch."""
@@ -88,6 +104,13 @@ class Patches:
         """Give the share, 0 to 1, that the units seen have of the area counted."""
         areas = self.unit_areas()
         return float(areas[seen].sum() / areas.sum())
+
+
+def axes_across(normals: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+    """Give two unit vectors across each unit normal: with it they are right-handed axes."""
+    first = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return first, np.cross(normals, first)
 
 
 def neighbours(welded: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "f 3"]:
@@ -148,16 +171,20 @@ def closed_parts(
 
 
 class Regions(NamedTuple):
-    """Each region's plane with a grid's axes in it, and the region of each face."""
+    """Each region's plane with a grid's axes in it, and the region of each face.
+
+    Attributes:
+        region: -1 for faces without area.
+        origin: a corner of the grid, m.
+        axes: rows: along the region's longest border, across it, normal.
+        extent: the region's size along the first two axes, m.
+
+    """
 
     region: Int[np.ndarray, " f"]
-    """-1 for faces without area."""
     origin: Float[np.ndarray, "regions 3"]
-    """A corner of the grid, m."""
     axes: Float[np.ndarray, "regions 3 3"]
-    """Rows: along the region's longest border, across it, normal."""
     extent: Float[np.ndarray, "regions 2"]
-    """The region's size along the first two axes, m."""
 
 
 def regions(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Regions:
@@ -267,40 +294,24 @@ def cut(target: Target, size: float, *, progress: Progress = silent) -> Patches:
     _refuse_many(target, size, float(face_areas.sum()) / size**2)
     found = regions(vertices, faces)
     progress(0.3, f"cutting {len(found.extent)} plane regions")
-    return _patches(target, size, found, closed, vertices[faces], face_areas, progress)
-
-
-def _patches(
-    target: Target,
-    size: float,
-    found: Regions,
-    closed: np.ndarray,
-    triangles: Float[np.ndarray, "f 3 3"],
-    face_areas: Float[np.ndarray, " f"],
-    progress: Progress,
-) -> Patches:
     cells = np.maximum(np.ceil(found.extent / size - 1e-9), 1.0).astype(np.int64)
     steps = found.extent / cells
     inside = np.maximum(found.region, 0)
-    flat = np.einsum("fij,fkj->fki", found.axes[inside][:, :2], triangles - found.origin[inside][:, None])
+    flat = np.einsum("fij,fkj->fki", found.axes[inside][:, :2], vertices[faces] - found.origin[inside][:, None])
     least = _LEAST_SHARE * size**2
-    none = (np.empty((0, _PIECE_CORNERS, 2)), _whole(0), np.empty(0), _whole(0), _whole(0))
-    flat = np.ascontiguousarray(flat)
-    number = int(_pieces(flat, found.region, steps, cells, least, *none))
+    grid = np.ascontiguousarray(flat), found.region, steps, cells, least
+    number = int(_pieces(*grid, _room_for(0)))
     _refuse_many(target, size, number / 8.0)  # pieces, of which several make a patch
-    corners, counts = np.zeros((number, _PIECE_CORNERS, 2)), _whole(number)
-    areas, cell, face = np.empty(number), _whole(number), _whole(number)
-    _pieces(flat, found.region, steps, cells, least, corners, counts, areas, cell, face)
+    pieces = _room_for(number)
+    _pieces(*grid, pieces)
+    corners, counts, areas, cell, face = pieces
     progress(0.6, f"putting {number} pieces together")
     order = np.lexsort((cell, found.region[face]))
     corners, counts, areas, cell, face = corners[order], counts[order], areas[order], cell[order], face[order]
     # A face may lean in its region's plane: its pieces count with the area that they have on the mesh.
     in_plane = np.bincount(face, weights=areas, minlength=len(face_areas))
     true_areas = areas * face_areas[face] / in_plane[face]
-    region = found.region[face]
-    new = (
-        np.concatenate([[True], (region[1:] != region[:-1]) | (cell[1:] != cell[:-1])]) if number else np.empty(0, bool)
-    )
+    new = (np.diff(found.region[face], prepend=-1) != 0) | (np.diff(cell, prepend=-1) != 0)
     begin = np.append(np.flatnonzero(new), number)
     kept = _merged(corners, counts, areas, true_areas, face, begin)
     _refuse_many(target, size, float(kept.sum()))
@@ -324,9 +335,8 @@ def _placed(
     x, y = flat[..., 0] - flat[:, :1, 0], flat[..., 1] - flat[:, :1, 1]
     wedge = x[:, :-1] * y[:, 1:] - x[:, 1:] * y[:, :-1]
     total = wedge.sum(axis=1)
-    centre = flat[:, 0] + np.stack(
-        [((x[:, :-1] + x[:, 1:]) * wedge).sum(axis=1), ((y[:, :-1] + y[:, 1:]) * wedge).sum(axis=1)], axis=1
-    ) / (3.0 * total[:, None])
+    moments = [((each[:, :-1] + each[:, 1:]) * wedge).sum(axis=1) for each in (x, y)]
+    centre = flat[:, 0] + np.stack(moments, axis=1) / (3.0 * total[:, None])
     region = found.region[faces]
     origin, axes = found.origin[region], found.axes[region]
     return Patches(
@@ -349,8 +359,10 @@ def _refuse_many(target: Target, size: float, patches: float) -> None:
         )
 
 
-def _whole(count: int) -> Int[np.ndarray, " n"]:
-    return np.zeros(count, dtype=np.int64)
+def _room_for(count: int) -> tuple[np.ndarray, ...]:
+    """Give room for pieces: corners (m), how many, area (m²), cell within its region's grid, and triangle."""
+    counts, cell, face = np.zeros((3, count), dtype=np.int64)
+    return np.zeros((count, _PIECE_CORNERS, 2)), counts, np.zeros(count), cell, face
 
 
 @numba.njit(cache=True, nogil=True)
@@ -404,7 +416,7 @@ def _span(polygon, count, axis, step, cells):
 
 @numba.njit(cache=True, nogil=True)
 @no_type_check
-def _pieces(triangles, region, steps, cells, least, corners, counts, areas, cell, face):
+def _pieces(triangles, region, steps, cells, least, out):
     """Cut triangles along their regions' grids.
 
     Args:
@@ -413,16 +425,13 @@ def _pieces(triangles, region, steps, cells, least, corners, counts, areas, cell
         steps: (regions, 2) size of a cell, m.
         cells: (regions, 2) numbers of cells.
         least: area of the smallest piece that is kept, m².
-        corners: (n, _PIECE_CORNERS, 2) to be filled; with n = 0 the _pieces are counted only.
-        counts: (n,) corners of each piece.
-        areas: (n,) m².
-        cell: (n,) number of the cell within its region's grid.
-        face: (n,) the triangle.
+        out: room for pieces, to be filled; without room for any they are counted only.
 
     Returns:
-        The number of _pieces.
+        The number of pieces.
 
     """
+    corners, counts, areas, cell, face = out
     number = 0
     one, column, other, piece = np.empty((8, 2)), np.empty((8, 2)), np.empty((8, 2)), np.empty((8, 2))
     for f in range(len(triangles)):
@@ -454,30 +463,29 @@ def _pieces(triangles, region, steps, cells, least, corners, counts, areas, cell
 
 @numba.njit(cache=True, nogil=True)
 @no_type_check
-def _hull(points, count, order, out):
-    """Write the convex hull of points, counter-clockwise; give its number of corners."""
-    order[:count] = np.arange(count)
-    for i in range(1, count):
-        k, j = order[i], i
-        while j > 0 and (
-            points[order[j - 1], 0] > points[k, 0]
-            or (points[order[j - 1], 0] == points[k, 0] and points[order[j - 1], 1] > points[k, 1])
-        ):
-            order[j] = order[j - 1]
-            j -= 1
-        order[j] = k
+def hull_of(points, order, count, chain):
+    """Write indices of the corners of the convex hull, counter-clockwise (Andrew's monotone chain); their number.
+
+    Args:
+        points: (n, 2 or more) x, y.
+        order: of them by x, then y.
+        count: how many of these.
+        chain: room for twice as many indices, and two.
+
+    """
     size = 0
     for way in range(2):
         base = size
         for step in range(count):
             k = order[step] if way == 0 else order[count - 1 - step]
             while size >= base + 2:
-                ax, ay = out[size - 1, 0] - out[size - 2, 0], out[size - 1, 1] - out[size - 2, 1]
-                bx, by = points[k, 0] - out[size - 1, 0], points[k, 1] - out[size - 1, 1]
+                a, b = chain[size - 2], chain[size - 1]
+                ax, ay = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
+                bx, by = points[k, 0] - points[b, 0], points[k, 1] - points[b, 1]
                 if ax * by - ay * bx > 0.0:
                     break
                 size -= 1
-            out[size, 0], out[size, 1] = points[k, 0], points[k, 1]
+            chain[size] = k
             size += 1
         size -= 1
     return size
@@ -516,6 +524,29 @@ def _measure(polygon, count):
 
 @numba.njit(cache=True, nogil=True)
 @no_type_check
+def _outline(points, count, work):
+    """Write the convex hull of points without straight corners; their number, its area and its circumference."""
+    order, chain, out = work
+    order[:count] = np.arange(count)
+    for i in range(1, count):
+        k, j = order[i], i
+        while j > 0 and (
+            points[order[j - 1], 0] > points[k, 0]
+            or (points[order[j - 1], 0] == points[k, 0] and points[order[j - 1], 1] > points[k, 1])
+        ):
+            order[j] = order[j - 1]
+            j -= 1
+        order[j] = k
+    size = hull_of(points, order, count, chain)
+    for i in range(size):
+        out[i, 0], out[i, 1] = points[chain[i], 0], points[chain[i], 1]
+    size = _simplified(out, size)
+    area, around = _measure(out, size)
+    return size, area, around
+
+
+@numba.njit(cache=True, nogil=True)
+@no_type_check
 def _merged(corners, counts, areas, true_areas, face, begin):
     """Put the pieces of each cell together as far as they stay convex and have few corners.
 
@@ -539,7 +570,8 @@ def _merged(corners, counts, areas, true_areas, face, begin):
     for c in range(len(begin) - 1):
         largest = max(largest, begin[c + 1] - begin[c])
     room = max(largest * corners.shape[1], 2 * _MOST_CORNERS)
-    points, order, hull = np.empty((room, 2)), np.empty(room, dtype=np.int64), np.empty((2 * room + 2, 2))
+    points, hull = np.empty((room, 2)), np.empty((room + 1, 2))
+    work = np.empty(room, dtype=np.int64), np.empty(2 * room + 2, dtype=np.int64), hull
     biggest = areas.copy()
     for c in range(len(begin) - 1):
         start, end = begin[c], begin[c + 1]
@@ -553,8 +585,7 @@ def _merged(corners, counts, areas, true_areas, face, begin):
                 for k in range(counts[i]):
                     points[number, 0], points[number, 1] = corners[i, k, 0], corners[i, k, 1]
                     number += 1
-            size = _simplified(hull, _hull(points, number, order, hull))
-            area, around = _measure(hull, size)
+            size, area, around = _outline(points, number, work)
             if size <= _MOST_CORNERS and area - total <= _GAP * around:
                 best = start
                 for i in range(start + 1, end):
@@ -578,8 +609,7 @@ def _merged(corners, counts, areas, true_areas, face, begin):
                     number = counts[i] + counts[j]
                     points[: counts[i]] = corners[i, : counts[i]]
                     points[counts[i] : number] = corners[j, : counts[j]]
-                    size = _simplified(hull, _hull(points, number, order, hull))
-                    area, around = _measure(hull, size)
+                    size, area, around = _outline(points, number, work)
                     if size <= _MOST_CORNERS and area - areas[i] - areas[j] <= _GAP * around:
                         if biggest[j] > biggest[i]:
                             face[i], biggest[i] = face[j], biggest[j]

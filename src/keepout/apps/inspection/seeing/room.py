@@ -31,26 +31,30 @@ _STEPS = 24
 
 
 class Limits(NamedTuple):
-    """What bounds the places of a camera, as the compiled loops take it."""
+    """What bounds the places of a camera, as the compiled loops take it.
+
+    Attributes:
+        tree: of the mesh.
+        child: of the room's octree; see `Cells.child`.
+        possible: cells that may hold a place of the room.
+        unit: side of the octree's smallest cells, m.
+        stand_off: m, positive.
+        spread: tangent of the greatest incidence.
+        finest: greatest square of the range over the height, m.
+
+    """
 
     tree: Tree
-    """Of the mesh."""
     child: Int[np.ndarray, "nodes 8"]
-    """Of the room's octree; see `Cells.child`."""
     possible: Bool[np.ndarray, " cells"]
-    """Cells that may hold a place of the room."""
     origin: Float[np.ndarray, " 3"]
     depth: int
     unit: float
-    """Side of the octree's smallest cells, m."""
     stand_off: float
-    """m, positive."""
     least_range: float
     greatest_range: float
     spread: float
-    """Tangent of the greatest incidence."""
     finest: float
-    """Greatest square of the range over the height, m."""
 
 
 class Work(NamedTuple):
@@ -111,7 +115,7 @@ def meets_room(limits, work):
 
 @numba.njit(cache=True, nogil=True, inline="always")
 @no_type_check
-def _place(frame, wx, wy, height):
+def place_of(frame, wx, wy, height):
     """Give the place at a height in a direction from the patch."""
     x = frame[0, 0] + height * (wx * frame[1, 0] + wy * frame[2, 0] + frame[3, 0])
     y = frame[0, 1] + height * (wx * frame[1, 1] + wy * frame[2, 1] + frame[3, 1])
@@ -149,7 +153,7 @@ def _by_rules(limits, outline, wx, wy, half, height):
 @no_type_check
 def _step_without_room(limits, frame, wx, wy, half, height, work):
     """Give how far a beam surely has no room from a height on, m: the longest of three steps that has none, or 0."""
-    x, y, z = _place(frame, wx, wy, height)
+    x, y, z = place_of(frame, wx, wy, height)
     for step in (8.0 * limits.unit, 2.0 * limits.unit, 0.5 * limits.unit):
         wide = (height + step) * half
         for k in range(3):
@@ -190,7 +194,7 @@ def least_height(limits, frame, outline, wx, wy, half, height, work):
         if raised > height * (1.0 + max(_FINENESS, _COARSENESS * across)):
             height += (raised - height) * (1.0 - 1e-9)
             continue
-        x, y, z = _place(frame, wx, wy, height)
+        x, y, z = place_of(frame, wx, wy, height)
         # Places nearer to this one than that are nearer to the mesh than the stand-off.
         ball = limits.stand_off - _distance(limits, x, y, z, work) - height * across
         if ball > max(_FINENESS * limits.stand_off, _COARSENESS * height * across):
@@ -224,7 +228,7 @@ def first_place(limits, frame, outline, wx, wy, height, work):
             continue
         if height * np.sqrt(1.0 + farthest) >= limits.greatest_range:
             return np.inf
-        x, y, z = _place(frame, wx, wy, height)
+        x, y, z = place_of(frame, wx, wy, height)
         short = limits.stand_off + 1e-6 - _distance(limits, x, y, z, work)
         if short > 0.0:
             height += max(short / slant, _FINENESS * limits.stand_off)

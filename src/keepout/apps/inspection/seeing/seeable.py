@@ -12,15 +12,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
 
 from keepout.apps.inspection.seeing import sightlines
-from keepout.apps.inspection.seeing.patches import Patches
-from keepout.apps.inspection.seeing.room import Limits, Room, beam_workspace, first_place, least_height
+from keepout.apps.inspection.seeing.patches import Patches, axes_across, hull_of
+from keepout.apps.inspection.seeing.room import Limits, Room, beam_workspace, first_place, least_height, place_of
 from keepout.apps.inspection.seeing.sightlines import LIFT, Sightlines
 from keepout.apps.inspection.seeing.visible import SeeingRules
-from keepout.core.errors import InspectionError
-from keepout.core.geometry.distance import ExactDistance
-from keepout.core.geometry.first_hit import DEEPEST, RayTree, build_tree
-from keepout.core.geometry.target import Target
-from keepout.core.progress import Progress, part_of, silent
+from keepout.core.geometry.first_hit import DEEPEST, RayTree
+from keepout.core.progress import Progress, silent
 
 # `no_type_check` below: run-time shape checks would wrap the functions that numba compiles.
 SQUARES = 4_000_000
@@ -106,13 +103,10 @@ class Seeable:
 
 
 def seeable(
-    target: Target,
-    patches: Patches,
     sight: Sightlines,
     rules: SeeingRules,
-    stand_off: float,
+    room: Room,
     *,
-    room: Room | None = None,
     squares: int = SQUARES,
     seconds: float | None = None,
     progress: Progress = silent,
@@ -123,35 +117,20 @@ def seeable(
     is proved to be (docs/seeable.md), to a part in 5000 of the stand-off.
 
     Args:
-        target: the mesh.
-        patches: its units.
-        sight: of these patches.
+        sight: the mesh and its units.
         rules: range, incidence and ground sample distance; the field of view holds any one patch.
-        stand_off: least distance of the camera to the mesh, m.
-        room: of that stand-off, where one is at hand.
+        room: around that mesh: where the camera may be.
         squares: of directions that are looked at in all, after which what is left is called undecided. It is counted
             between groups of units, so that some more may be looked at.
         seconds: of the clock, after which it is called undecided as well; by default none. The verdicts that a clock
             ends differ from machine to machine.
         progress: told of the share that is decided.
 
-    Raises:
-        InspectionError: a point cloud, a stand-off that is not positive, or a room of another one.
-
     """
-    distance = target.distance
-    if not isinstance(distance, ExactDistance):
-        raise InspectionError(f"{target.name}: a point cloud has no surface to be seen; a mesh or a map has")
-    if room is None:
-        room = Room(distance, stand_off, progress=part_of(progress, 0.0, 0.02))
-    elif room.stand_off != stand_off:
-        raise InspectionError(f"seeable: the room is for a stand-off of {room.stand_off:g} m, not {stand_off:g} m")
-    began = time.monotonic()
+    began, patches, tree, limits = time.monotonic(), sight.patches, sight.tree, room.limits(rules)
     count = patches.units
     verdict = np.full(count, Verdict.UNDECIDED, dtype=np.int8)
     witness = np.full((count, 3), np.nan)
-    limits = room.limits(rules)
-    tree = build_tree(distance.vertices[distance.faces])
     areas, decided = patches.unit_areas(), 0.0
     units = np.flatnonzero(patches.counted)
     units = units[np.argsort(-areas[units], kind="stable")]
@@ -170,7 +149,7 @@ def seeable(
         ends, places, spent = _searched(tree, limits, patches, some, _SQUARES[stage])
         looked += spent
         seen = some[ends == SEEN]
-        sure = witnessed(patches, sight, rules, room, places[ends == SEEN], seen)
+        sure = witnessed(sight, rules, room, places[ends == SEEN], seen)
         verdict[seen[sure]], witness[seen[sure]] = Verdict.SEEABLE, places[ends == SEEN][sure]
         verdict[some[ends == NONE]] = Verdict.HIDDEN
         if stage + 1 < len(queues) and (ends == OPEN).any():
@@ -187,15 +166,10 @@ def seeable(
 
 
 def witnessed(
-    patches: Patches,
-    sight: Sightlines,
-    rules: SeeingRules,
-    room: Room,
-    places: Float[np.ndarray, "m 3"],
-    units: Int[np.ndarray, " m"],
+    sight: Sightlines, rules: SeeingRules, room: Room, places: Float[np.ndarray, "m 3"], units: Int[np.ndarray, " m"]
 ) -> Bool[np.ndarray, " m"]:
     """Say of pairs of a place and a unit whether the place is in the room and sees all of the unit by the rules."""
-    patch = units >> 1
+    patches, patch = sight.patches, units >> 1
     height = np.einsum("mi,mi->m", patches.unit_normals()[units], places - patches.centres[patch])
     ranges = np.linalg.norm(patches.corners[patch] - places[:, None], axis=2)
     far, near = ranges.max(axis=1, initial=0.0), ranges.min(axis=1, initial=np.inf)
@@ -219,9 +193,7 @@ def _enclosed(tree: RayTree, patches: Patches, units: Int[np.ndarray, " m"]) -> 
 def _frames(patches: Patches, units: Int[np.ndarray, " m"]) -> Float[np.ndarray, "m 4 3"]:
     """Give the middle of each unit, two axes in its plane, and its normal."""
     normals = patches.unit_normals()[units]
-    first = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    frames = np.stack([patches.centres[units >> 1], first, np.cross(normals, first), normals], axis=1)
+    frames = np.stack([patches.centres[units >> 1], *axes_across(normals), normals], axis=1)
     return np.ascontiguousarray(frames)
 
 
@@ -240,33 +212,42 @@ def _searched(
     # A place is at least the stand-off from the mesh next to the patch's middle, at the greatest incidence at most.
     least = max(limits.stand_off / math.hypot(1.0, limits.spread) - 1e-3, 1e-3)
     largest = float(np.abs(tree.corners).max()) + limits.greatest_range
-    shapes = frames, outlines, np.ascontiguousarray(corners), np.ascontiguousarray(patches.counts[patch])
-    return _search(tree, limits, *shapes, least, largest, squares)
+    asked = frames, outlines, np.ascontiguousarray(corners), np.ascontiguousarray(patches.counts[patch])
+    return _search(tree, limits, asked, least, largest, squares)
 
 
 class Unit(NamedTuple):
-    """A unit as the compiled loops take it."""
+    """A unit as the compiled loops take it.
+
+    Attributes:
+        frame: its centre, two axes in its plane, and its normal.
+        outline: corners in these axes about the centre, counter-clockwise about the normal, m.
+        patch: the same corners in the body frame, m.
+
+    """
 
     frame: Float[np.ndarray, "4 3"]
-    """Its centre, two axes in its plane, and its normal."""
     outline: Float[np.ndarray, "k 2"]
-    """Corners in these axes about the centre, counter-clockwise about the normal, m."""
     patch: Float[np.ndarray, "k 3"]
-    """The same corners in the body frame, m."""
 
 
 class Shadows(NamedTuple):
-    """Shadows that were made last, and room to make one in."""
+    """Shadows that were made last, and room to make one in.
+
+    Attributes:
+        edges: half planes of each: inward unit normal, least value.
+        numbers: of them.
+        heights: at which each was made, m.
+
+    """
 
     edges: Float[np.ndarray, "shadows most 3"]
-    """Half planes of each: inward unit normal, least value."""
     numbers: Int[np.ndarray, " shadows"]
-    """Of them."""
     heights: Float[np.ndarray, " shadows"]
-    """At which each was made, m."""
     polygon: Float[np.ndarray, "8 3"]
     cut: Float[np.ndarray, "8 3"]
     points: Float[np.ndarray, "most 3"]
+    order: Int[np.ndarray, " most"]
     chain: Int[np.ndarray, " most2"]
 
 
@@ -275,33 +256,35 @@ class Shadows(NamedTuple):
 def shadows_of(number):
     """Give room for so many shadows."""
     edges, numbers, heights = np.empty((number, MOST_EDGES, 3)), np.zeros(number, dtype=np.int64), np.empty(number)
-    points, chain = np.empty((MOST_EDGES, 3)), np.empty(2 * MOST_EDGES, dtype=np.int64)
-    return Shadows(edges, numbers, heights, np.empty((8, 3)), np.empty((8, 3)), points, chain)
+    points, order, chain = np.empty((MOST_EDGES, 3)), np.arange(MOST_EDGES), np.empty(2 * MOST_EDGES, dtype=np.int64)
+    return Shadows(edges, numbers, heights, np.empty((8, 3)), np.empty((8, 3)), points, order, chain)
 
 
 @numba.njit(cache=True, nogil=True)
 @no_type_check
-def _search(tree, limits, frames, outlines, patches, counts, least, largest, most):
+def _search(tree, limits, units, least, largest, most):
     """Search for each unit: give how each ends, the place from which it is seen, and the squares looked at in all."""
+    frames, outlines, patches, counts = units
     ends, places, looked = np.empty(len(frames), dtype=np.int64), np.full((len(frames), 3), np.nan), 0
-    queue, shadows = np.empty((4 * most + 8, 4)), shadows_of(_SHADOWS)
-    beam, lines = beam_workspace(), sightlines.workspace(patches.shape[1])
+    queue = np.empty((4 * most + 8, 4))
+    work = shadows_of(_SHADOWS), beam_workspace(), sightlines.workspace(patches.shape[1])
     for m in range(len(frames)):
         unit = Unit(frames[m], outlines[m][: counts[m]], patches[m][: counts[m]])
         queue[0, 0], queue[0, 1], queue[0, 2], queue[0, 3] = 0.0, 0.0, limits.spread, least
-        ends[m], spent = _search_one(tree, limits, unit, largest, most, queue, shadows, beam, lines, places[m])
+        ends[m], spent = _search_one(tree, limits, unit, largest, most, queue, work, places[m])
         looked += spent
     return ends, places, looked
 
 
 @numba.njit(cache=True, nogil=True)
 @no_type_check
-def _search_one(tree, limits, unit, largest, most, queue, shadows, beam, lines, place):
+def _search_one(tree, limits, unit, largest, most, queue, work, place):
     """Branch and bound over squares of directions from a unit: the end and the squares looked at; writes the place.
 
     A square is done with where a shadow covers it or nothing is allowed in it at any height; it is looked at in its
     middle, from the least height on, and what blocks that look throws a shadow. Else it is split.
     """
+    shadows, beam, lines = work
     kept, latest, head, tail = 0, 0, 0, 1
     reach = 1.5 * limits.spread
     rounding = sightlines.ROUNDING * largest
@@ -329,9 +312,7 @@ def _search_one(tree, limits, unit, largest, most, queue, shadows, beam, lines, 
             if first < np.inf:
                 found = _blocker(tree, unit, x, y, first, rounding, lines)
                 if found < 0:
-                    for k in range(3):
-                        towards = x * unit.frame[1, k] + y * unit.frame[2, k] + unit.frame[3, k]
-                        place[k] = unit.frame[0, k] + first * towards
+                    place[0], place[1], place[2] = place_of(unit.frame, x, y, first)
                     return SEEN, head
         if found >= 0:
             latest = (latest + 1) % _SHADOWS
@@ -371,7 +352,7 @@ def _blocker(tree, unit, wx, wy, height, rounding, work):
     gz = height * (wx * frame[1, 2] + wy * frame[2, 2] + frame[3, 2])
     cx, cy, cz = frame[0, 0], frame[0, 1], frame[0, 2]
     low = LIFT / height
-    found = sightlines.ray_blocker(tree, work.stack, cx, cy, cz, gx, gy, gz, low, 1.0 - low)
+    found = sightlines.ray_blocker(tree, work.stack, sightlines.Ray(cx, cy, cz, gx, gy, gz, low, 1.0 - low))
     if found >= 0:
         return found
     eye = sightlines.Eye(cx + gx, cy + gy, cz + gz, 1.0, rounding)
@@ -397,36 +378,10 @@ def _all_blocked(tree, frames, rays):
             gx = rays[k, 0] * f[1, 0] + rays[k, 1] * f[2, 0] + rays[k, 2] * f[3, 0]
             gy = rays[k, 0] * f[1, 1] + rays[k, 1] * f[2, 1] + rays[k, 2] * f[3, 1]
             gz = rays[k, 0] * f[1, 2] + rays[k, 1] * f[2, 2] + rays[k, 2] * f[3, 2]
-            if sightlines.ray_blocker(tree, stack, x, y, z, gx, gy, gz, 0.0, np.inf) < 0:
+            if sightlines.ray_blocker(tree, stack, sightlines.Ray(x, y, z, gx, gy, gz, 0.0, np.inf)) < 0:
                 blocked[m] = False
                 break
     return blocked
-
-
-@numba.njit(cache=True, nogil=True)
-@no_type_check
-def _hull(points, count, chain):
-    """Write indices of the corners of the convex hull, counter-clockwise (Andrew's monotone chain); their number.
-
-    The points come sorted. A corner that rounding leaves out makes the hull smaller, never larger.
-    """
-    size = 0
-    for turn in range(2):
-        start = size
-        for step in range(count):
-            k = step if turn == 0 else count - 1 - step
-            while size >= start + 2:
-                a, b = chain[size - 2], chain[size - 1]
-                cross = (points[b, 0] - points[a, 0]) * (points[k, 1] - points[a, 1]) - (
-                    points[b, 1] - points[a, 1]
-                ) * (points[k, 0] - points[a, 0])
-                if cross > 0.0:
-                    break
-                size -= 1
-            chain[size] = k
-            size += 1
-        size -= 1
-    return size
 
 
 @numba.njit(cache=True, nogil=True)
@@ -491,7 +446,8 @@ def shadow(triangle, frame, outline, height, reach, largest, shadows, slot):
     total = _sorted_apart(points, total)
     if total < 3:
         return 0
-    total = _hull(points, total, shadows.chain)
+    # A corner that rounding leaves out makes the hull smaller, never larger.
+    total = hull_of(points, shadows.order, total, shadows.chain)
     if total < 3:
         return 0
     for i in range(total):

@@ -45,6 +45,10 @@ class Sightlines:
         faces: (F, 3) vertex indices; all of them block.
         patches: the units.
 
+    Attributes:
+        patches: as given.
+        tree: of the mesh's triangles, for rays.
+
     Raises:
         MeshError: no faces, an index outside the vertices, or a vertex that is not finite.
 
@@ -53,10 +57,8 @@ class Sightlines:
     def __init__(self, vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], patches: Patches):
         soup = TriangleSoup(vertices, faces)
         self.patches = patches
-        self._tree = build_tree(soup.vertices[soup.faces])
+        self.tree = build_tree(soup.vertices[soup.faces])
         self._largest = float(max(np.abs(soup.lower).max(), np.abs(soup.upper).max()))
-        self._corners = np.ascontiguousarray(patches.corners, dtype=np.float64)
-        self._counts = np.ascontiguousarray(patches.counts, dtype=np.int64)
 
     def clear(self, places: Float[np.ndarray, "#m 3"], units: Units) -> Bool[np.ndarray, " m"]:
         """Say of each pair whether nothing stands between the place and the whole of the unit.
@@ -104,21 +106,37 @@ class Sightlines:
                 f"sight lines: unit {units.min()} or {units.max()} is outside 0 to {self.patches.units - 1}"
             )
         clear = np.empty(len(units), dtype=bool)
-        shape = self._corners, self._counts, self.patches.centres, self.patches.normals
-        _look(self._tree, *shape, eyes, far, units, largest, clear)
+        _look(self.tree, self.patches.shapes, eyes, far, units, largest, clear)
         return clear
 
 
 class Eye(NamedTuple):
-    """A place, or the direction to the sun, and by how much rounding moves what is computed from it."""
+    """A place, or the direction to the sun, and by how much rounding moves what is computed from it.
+
+    Attributes:
+        far: 1 for a place, 0 for the sun.
+        rounding: m.
+
+    """
 
     x: float
     y: float
     z: float
     far: float
-    """1 for a place, 0 for the sun."""
     rounding: float
-    """m."""
+
+
+class Ray(NamedTuple):
+    """The places c + s g with s between `low` and `high`."""
+
+    cx: float
+    cy: float
+    cz: float
+    gx: float
+    gy: float
+    gz: float
+    low: float
+    high: float
 
 
 class Work(NamedTuple):
@@ -141,8 +159,9 @@ def workspace(most_corners):
 
 @numba.njit(cache=True, nogil=True, inline="always")
 @no_type_check
-def _ray_meets(corners, t, cx, cy, cz, gx, gy, gz, low, high):
-    """Whether the ray c + s g surely meets a triangle at an s between low and high."""
+def _ray_meets(corners, t, ray):
+    """Whether a ray surely meets a triangle."""
+    cx, cy, cz, gx, gy, gz, low, high = ray
     ax, ay, az = corners[t, 0], corners[t, 1], corners[t, 2]
     ex, ey, ez = corners[t, 3] - ax, corners[t, 4] - ay, corners[t, 5] - az
     fx, fy, fz = corners[t, 6] - ax, corners[t, 7] - ay, corners[t, 8] - az
@@ -166,33 +185,33 @@ def _ray_meets(corners, t, cx, cy, cz, gx, gy, gz, low, high):
 
 @numba.njit(cache=True, nogil=True, inline="always")
 @no_type_check
-def _ray_enters(boxes, node, side, cx, cy, cz, ix, iy, iz, low, high):
-    """Whether the ray passes a child's box between low and high."""
-    one, other = (boxes[node, side, 0] - cx) * ix, (boxes[node, side, 3] - cx) * ix
-    enter, leave = max(low, min(one, other)), min(high, max(one, other))
-    one, other = (boxes[node, side, 1] - cy) * iy, (boxes[node, side, 4] - cy) * iy
+def _ray_enters(boxes, node, side, ray, ix, iy, iz):
+    """Whether a ray passes a child's box."""
+    one, other = (boxes[node, side, 0] - ray.cx) * ix, (boxes[node, side, 3] - ray.cx) * ix
+    enter, leave = max(ray.low, min(one, other)), min(ray.high, max(one, other))
+    one, other = (boxes[node, side, 1] - ray.cy) * iy, (boxes[node, side, 4] - ray.cy) * iy
     enter, leave = max(enter, min(one, other)), min(leave, max(one, other))
-    one, other = (boxes[node, side, 2] - cz) * iz, (boxes[node, side, 5] - cz) * iz
+    one, other = (boxes[node, side, 2] - ray.cz) * iz, (boxes[node, side, 5] - ray.cz) * iz
     enter, leave = max(enter, min(one, other)), min(leave, max(one, other))
     return enter <= leave
 
 
 @numba.njit(cache=True, nogil=True)
 @no_type_check
-def ray_blocker(tree, stack, cx, cy, cz, gx, gy, gz, low, high):
-    """Give a triangle that the ray c + s g meets between low and high; -1 where none was found."""
+def ray_blocker(tree, stack, ray):
+    """Give a triangle that a ray meets; -1 where none was found."""
     boxes, children, first, corners = tree.boxes, tree.children, tree.first, tree.corners
     tiny = 1e-200
-    ix = 1.0 / (gx if abs(gx) > tiny else tiny)
-    iy = 1.0 / (gy if abs(gy) > tiny else tiny)
-    iz = 1.0 / (gz if abs(gz) > tiny else tiny)
+    ix = 1.0 / (ray.gx if abs(ray.gx) > tiny else tiny)
+    iy = 1.0 / (ray.gy if abs(ray.gy) > tiny else tiny)
+    iz = 1.0 / (ray.gz if abs(ray.gz) > tiny else tiny)
     stack[0] = 0
     depth = 1
     while depth > 0:
         depth -= 1
         node = stack[depth]
         for side in range(2):
-            if not _ray_enters(boxes, node, side, cx, cy, cz, ix, iy, iz, low, high):
+            if not _ray_enters(boxes, node, side, ray, ix, iy, iz):
                 continue
             child = children[node, side]
             if child >= 0:
@@ -200,7 +219,7 @@ def ray_blocker(tree, stack, cx, cy, cz, gx, gy, gz, low, high):
                 depth += 1
             else:
                 for t in range(first[~child], first[~child + 1]):
-                    if _ray_meets(corners, t, cx, cy, cz, gx, gy, gz, low, high):
+                    if _ray_meets(corners, t, ray):
                         return t
     return -1
 
@@ -408,15 +427,12 @@ def pyramid_blocker(tree, patch, normal, way, eye, spare, work):
 
 @numba.njit(cache=True, nogil=True)
 @no_type_check
-def _look(tree, patches, counts, centres, normals, eyes, far, units, largest, clear):
+def _look(tree, shapes, eyes, far, units, largest, clear):
     """Say of each pair of an eye and a unit whether the way between them is clear.
 
     Args:
         tree: a `RayTree` of the mesh.
-        patches: (n, most, 3) corners, m.
-        counts: (n,) of each.
-        centres: (n, 3) a point of each, m.
-        normals: (n, 3) unit vectors about which corners run counter-clockwise.
+        shapes: of the patches.
         eyes: (m, 3) or (1, 3) places, m, or unit vectors to the sun.
         far: 1 for places, 0 for the sun.
         units: (m,) 2 patch + side.
@@ -424,6 +440,7 @@ def _look(tree, patches, counts, centres, normals, eyes, far, units, largest, cl
         clear: (m,) to be filled.
 
     """
+    patches, counts, centres, normals = shapes
     work = workspace(patches.shape[1])
     last = -1
     for pair in range(len(units)):
@@ -436,10 +453,10 @@ def _look(tree, patches, counts, centres, normals, eyes, far, units, largest, cl
         clear[pair] = False
         if steep <= (4.0 * LIFT if far > 0.0 else 1e-9):
             continue
-        low, high = LIFT / steep, (1.0 - LIFT / steep if far > 0.0 else np.inf)
-        if last >= 0 and _ray_meets(tree.corners, last, cx, cy, cz, gx, gy, gz, low, high):
+        ray = Ray(cx, cy, cz, gx, gy, gz, LIFT / steep, (1.0 - LIFT / steep if far > 0.0 else np.inf))
+        if last >= 0 and _ray_meets(tree.corners, last, ray):
             continue
-        found = ray_blocker(tree, work.stack, cx, cy, cz, gx, gy, gz, low, high)
+        found = ray_blocker(tree, work.stack, ray)
         if found < 0:
             found = pyramid_blocker(tree, patches[i][: counts[i]], normals[i], way, eye, eye.rounding, work)
         if found >= 0:

@@ -15,6 +15,7 @@ from keepout.core.errors import InspectionError
 # `no_type_check` below: run-time shape checks would wrap the functions that numba compiles.
 _FINITE = 1e6
 """Metres; farther than any camera of an inspection looks."""
+Point = Float[np.ndarray, "3"]
 _ANGLE_ROUNDING = 1e-9
 """Added to angles, rad: more than rounding takes from them."""
 
@@ -25,22 +26,27 @@ class SeeingRules:
 
     The camera's image is a square; of it the round middle counts, a cone about the boresight, so that a turn of the
     camera about its boresight changes nothing.
+
+    Attributes:
+        field_of_view: full angle of that cone, rad: across the image.
+        pixels: across the image.
+        least_range: every corner of a patch must be farther than this from the camera, m.
+        greatest_range: every corner of a patch must be nearer than this, m.
+        greatest_incidence: from a patch's normal to the line to the camera, at the corner where that is most,
+            rad.
+        greatest_sample_distance: on the patch, along the line of sight's slant, at the farthest corner, m a
+            pixel; inf: not asked.
+        greatest_sun_incidence: from a patch's normal to the sun, rad.
+
     """
 
     field_of_view: float = math.radians(60.0)
-    """Full angle of that cone, rad: across the image."""
     pixels: int = 1024
-    """Across the image."""
     least_range: float = 0.3
-    """Every corner of a patch must be farther than this from the camera, m."""
     greatest_range: float = 10.0
-    """Every corner of a patch must be nearer than this, m."""
     greatest_incidence: float = math.radians(60.0)
-    """From a patch's normal to the line to the camera, at the corner where that is most, rad."""
     greatest_sample_distance: float = math.inf
-    """On the patch, along the line of sight's slant, at the farthest corner, m a pixel; inf: not asked."""
     greatest_sun_incidence: float = math.radians(80.0)
-    """From a patch's normal to the sun, rad."""
 
     def __post_init__(self) -> None:
         for name, most in (
@@ -89,13 +95,13 @@ class Visible:
     directions: Float[np.ndarray, "k 3"]
     spread: Float[np.ndarray, " k"]
 
+    def only(self, which: Bool[np.ndarray, " k"]) -> "Visible":
+        """Give some of it."""
+        return Visible(self.units[which], self.directions[which], self.spread[which])
+
 
 def visible(
-    sight: Sightlines,
-    rules: SeeingRules,
-    place: Float[np.ndarray, "3"],
-    *,
-    among: Bool[np.ndarray, " units"] | None = None,
+    sight: Sightlines, rules: SeeingRules, place: Point, *, among: Bool[np.ndarray, " units"] | None = None
 ) -> Visible:
     """Say which units can be seen from a place.
 
@@ -108,39 +114,22 @@ def visible(
         among: (units,) those that are asked for; those that are counted if absent.
 
     """
-    place = np.ascontiguousarray(place, dtype=np.float64)
-    units, directions, spread = within_rules(
-        sight.patches, rules, place, sight.patches.counted if among is None else among
-    )
-    clear = sight.clear(place[None], units)
-    return Visible(units[clear], directions[clear], spread[clear])
+    found = within_rules(sight.patches, rules, place, among)
+    return found.only(sight.clear(place[None], found.units))
 
 
 def within_rules(
-    patches: Patches, rules: SeeingRules, place: Float[np.ndarray, "3"], among: Bool[np.ndarray, " units"]
-) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k 3"], Float[np.ndarray, " k"]]:
-    """Say which units keep range, incidence and ground sample distance, whatever stands between.
-
-    Returns:
-        Units (k,), directions (k, 3) and spread (k,) as of `Visible`.
-
-    """
-    units, directions, spread = _within(
-        patches.corners,
-        patches.counts,
-        patches.centres,
-        patches.normals,
-        among,
-        place,
-        rules.least_range,
-        rules.greatest_range,
-        math.cos(rules.greatest_incidence),
-        rules.greatest_sample_distance / rules.pixel_angle,
-    )
-    return units, directions, spread + _ANGLE_ROUNDING
+    patches: Patches, rules: SeeingRules, place: Point, among: Bool[np.ndarray, " units"] | None = None
+) -> Visible:
+    """Say which units keep range, incidence and ground sample distance, whatever stands between; as of `visible`."""
+    place, among = np.ascontiguousarray(place, dtype=np.float64), patches.counted if among is None else among
+    ranges = rules.least_range, rules.greatest_range
+    steepest, finest = math.cos(rules.greatest_incidence), rules.greatest_sample_distance / rules.pixel_angle
+    units, directions, spread = _within(patches.shapes, among, place, *ranges, steepest, finest)
+    return Visible(units, directions, spread + _ANGLE_ROUNDING)
 
 
-def in_view(seen: Visible, boresight: Float[np.ndarray, "3"], half_angle: float) -> Bool[np.ndarray, " k"]:
+def in_view(seen: Visible, boresight: Point, half_angle: float) -> Bool[np.ndarray, " k"]:
     """Say which visible units are wholly in the cone of `half_angle` (rad) about a boresight (3,), a unit vector.
 
     A cone of less than a right angle is convex: a unit is in it if its corners are.
@@ -152,8 +141,8 @@ def in_view(seen: Visible, boresight: Float[np.ndarray, "3"], half_angle: float)
 def in_frame(
     sight: Sightlines,
     rules: SeeingRules,
-    place: Float[np.ndarray, "3"],
-    boresight: Float[np.ndarray, "3"],
+    place: Point,
+    boresight: Point,
     *,
     among: Bool[np.ndarray, " units"] | None = None,
 ) -> Int[np.ndarray, " k"]:
@@ -169,18 +158,13 @@ def in_frame(
         among: (units,) those that are asked for; those that are counted if absent.
 
     """
-    place = np.ascontiguousarray(place, dtype=np.float64)
-    found = Visible(*within_rules(sight.patches, rules, place, sight.patches.counted if among is None else among))
+    found = within_rules(sight.patches, rules, place, among)
     units = found.units[in_view(found, boresight, rules.half_angle)]
     return units[sight.clear(place[None], units)]
 
 
 def lit_units(
-    sight: Sightlines,
-    rules: SeeingRules,
-    sun: Float[np.ndarray, "3"],
-    *,
-    among: Bool[np.ndarray, " units"] | None = None,
+    sight: Sightlines, rules: SeeingRules, sun: Point, *, among: Bool[np.ndarray, " units"] | None = None
 ) -> Bool[np.ndarray, " units"]:
     """Say which units are wholly lit, at an incidence that the rules allow.
 
@@ -201,12 +185,13 @@ def lit_units(
 
 @numba.njit(cache=True, nogil=True)
 @no_type_check
-def _within(corners, counts, centres, normals, among, place, least, greatest, steepest, finest):
+def _within(shapes, among, place, least, greatest, steepest, finest):
     """Give units that keep range, incidence and sample distance, with a direction to each and its spread.
 
     With d the distance of the farthest corner and h the height above the plane, incidence is arccos(h / d) and the
     ground sample distance is (pixel angle) d² / h: both grow with d.
     """
+    corners, counts, centres, normals = shapes
     number = len(counts)
     units = np.empty(number, dtype=np.int64)
     directions, spread = np.empty((number, 3)), np.empty(number)
