@@ -89,7 +89,7 @@ def inspect(
     require_something_to_see(scenario, problem.seeable, lit)
     wanted = Wanted(problem.patches, lit, scenario.inspect.coverage)
     ahead = ViewsAhead(scenario, problem, leading, camera, wanted, first=first, progress=part_of(progress, 0.4, 0.5))
-    return UnderWay(scenario, problem, leading, camera, ahead, began).flown(part_of(progress, 0.5, 1.0))
+    return UnderWay(ahead, began).flown(part_of(progress, 0.5, 1.0))
 
 
 def _require_of(problem: Problem, scenario: Scenario, target: Target) -> None:
@@ -110,25 +110,24 @@ class UnderWay(Leader):
     """An inspection from the first frame to the last: a frame is taken at a segment's last row.
 
     Args:
-        scenario: as flown.
-        problem: what is to be seen.
-        leading: law and guard.
-        camera: what it sees.
-        ahead: the views to fly to.
+        ahead: the views to fly to, and what they are seen and flown to with.
         began: when the computation began, s by `time.perf_counter`.
 
     """
 
     fewest = 2
 
-    def __init__(
-        self, scenario: Scenario, problem: Problem, leading: AroundMesh, camera: Camera, ahead: ViewsAhead, began: float
-    ) -> None:
-        self.scenario, self.problem, self.leading = scenario, problem, leading
-        self.camera, self.ahead, self.began = camera, ahead, began
-        self.ticks = round(scenario.camera.period / scenario.control.period)
-        self.estimate = np.asarray(scenario.start.position, dtype=float)
-        self.boresight = boresight_of(scenario, problem.target)
+    def __init__(self, ahead: ViewsAhead, began: float) -> None:
+        self.scenario, self.problem, self.leading, self.camera = (
+            ahead.scenario,
+            ahead.problem,
+            ahead.leading,
+            ahead.camera,
+        )
+        self.ahead, self.began = ahead, began
+        self.ticks = round(self.scenario.camera.period / self.scenario.control.period)
+        self.estimate = np.asarray(self.scenario.start.position, dtype=float)
+        self.boresight = boresight_of(self.scenario, self.problem.target)
         self.shots: list[Shot] = []
         self.over: Ended | None = None
 

@@ -39,6 +39,8 @@ _SPACE, _BODY = np.array([0.05, 0.06, 0.08]), np.array([0.86, 0.88, 0.92])
 _RING = {"fill": False, "edgecolor": "white", "linewidth": 0.6, "alpha": 0.35}
 _MARK = np.array(to_rgb(COLOURS[4]))
 """The edge of what counted as seen in a picture."""
+_EDGE = 3
+"""Pixels that it is wide, inside of what counted."""
 MOST_PARTS = 16
 _APART = 0.35
 """Units of a part lie within this of its first one: of the target's size, where they face the same way."""
@@ -188,7 +190,8 @@ def best_picture(
     bright = studio.light(picture, frame.sun)
     drawn = np.where(picture.hit[..., None], _BODY * bright[..., None], _SPACE)
     drawn[studio.outlines(picture)] *= 0.55
-    drawn[_edge(_shown(inspection, view, mesh, picture.face, frame.position))] = _MARK
+    marked = _shown(inspection, view, mesh, picture.face, frame.position)
+    drawn[marked & ~binary_erosion(marked, iterations=_EDGE)] = _MARK
     return drawn.reshape(_PIXELS, _FINER, _PIXELS, _FINER, 3).mean(axis=(1, 3))
 
 
@@ -202,11 +205,6 @@ def _shown(
     before = np.einsum("ni,ni->n", position - patches.centres, patches.normals) >= 0.0
     patch = mesh.patch[np.maximum(face, 0)]
     return (face >= 0) & counted[2 * patch + ~before[patch]]
-
-
-def _edge(marked: Bool[np.ndarray, "rows columns"]) -> Bool[np.ndarray, "rows columns"]:
-    """Give what lies within three pixels of the border of what is marked, inside it."""
-    return marked & ~binary_erosion(marked, iterations=3)
 
 
 def best_views(inspection: Inspection) -> list[BestView]:

@@ -78,9 +78,9 @@ class Nozzles(eqx.Module):
         whole = layout(scenario)
         if whole is None:
             return cls()
-        thrusters = (jnp.asarray(each) for each in (whole.position, whole.direction, whole.force))
+        placed = jnp.asarray(whole.position), jnp.asarray(whole.direction), jnp.asarray(whole.force)
         wrong = whole.misalignment, errors(scenario).excursion
-        return cls(*thrusters, *wrong, scenario.chaser.force_limit, Allocation.of(whole))
+        return cls(*placed, *wrong, scenario.chaser.force_limit, Allocation.of(whole))
 
     def gives(self, force: Float[Array, "3"]) -> Float[Array, " n"]:
         """Say how much of a force (N, body axes) each gives, N."""
@@ -150,11 +150,11 @@ class Protected(eqx.Module):
 
     """
 
-    lower: Float[Array, "parts 3"]
-    upper: Float[Array, "parts 3"]
-    radius: Float[Array, " parts"]
-    half_angle: Float[Array, ""]
-    reach: Float[Array, ""]
+    lower: Float[Array, "parts 3"] = eqx.field(converter=as_float64)
+    upper: Float[Array, "parts 3"] = eqx.field(converter=as_float64)
+    radius: Float[Array, " parts"] = eqx.field(converter=as_float64)
+    half_angle: Float[Array, ""] = eqx.field(converter=as_float64)
+    reach: Float[Array, ""] = eqx.field(converter=as_float64)
     nozzles: Nozzles = eqx.field(default_factory=Nozzles)
 
     @classmethod
@@ -169,7 +169,7 @@ class Protected(eqx.Module):
         reach = _FAR if entry.plume_range is None else entry.plume_range
         nozzles = Nozzles.of(scenario)
         half_angle = min(entry.plume_half_angle + nozzles.wide, 0.5 * math.pi)
-        return cls(*map(as_float64, (lower, upper, radius, half_angle, reach)), nozzles)
+        return cls(lower, upper, radius, half_angle, reach, nozzles)
 
     def reached(self, position: Float[Array, "3"], moved: float | Float[Array, ""] = 0.0) -> Bool[Array, " n"]:
         """Say of each thruster if its plume reaches a part.

@@ -207,14 +207,12 @@ class PassiveSafety:
         clearance: a lower bound on the distance from the chaser's surface to the mesh over the whole drift, m, whatever
             the push within its bound; −inf where a drift may leave the range in which gravity is bounded.
         found: the least value found of what `clearance` bounds; at most a tolerance above it where steps are fine.
-        time: of that, s after the thrust stops.
         spread: radius of the tube at the end, m.
 
     """
 
     clearance: Float[np.ndarray, " n"]
     found: Float[np.ndarray, " n"]
-    time: Float[np.ndarray, " n"]
     spread: float
 
     @property
@@ -281,8 +279,8 @@ def passive_safety(
         within = ~tube.beyond.any(axis=1) & (farthest <= bounds.range_limit)
         within &= np.asarray(some.time) + seconds <= bounds.valid_until
         parts.append(_least(tube, radius, distance, within, (too_little + keep, enough + keep)))
-    lower, upper, at = (np.concatenate(part) for part in zip(*parts, strict=True))
-    return PassiveSafety(lower - keep, upper - keep, at, float(radius[-1]))
+    lower, upper = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return PassiveSafety(lower - keep, upper - keep, float(radius[-1]))
 
 
 def drift(
@@ -379,8 +377,8 @@ def _least(
     distance: Distance,
     within: Bool[np.ndarray, " n"],
     limits: tuple[float, float],
-) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Bound the least of (distance − tube radius) over each drift, from below and above, and say when it is.
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Bound the least of (distance − tube radius) over each drift, from below and above.
 
     Runs of steps are halved, then parts of a step, until the bound of a piece is above the tolerance below the least
     value found, or above the second of the limits, or a value below the first was found. Drifts that are not `within`
@@ -389,15 +387,8 @@ def _least(
     drifts, samples = tube.position.shape[:2]
     travel = np.zeros((drifts, samples))
     np.cumsum(tube.speed * np.diff(tube.time), axis=1, out=travel[:, 1:])
-    lower, upper, when = np.where(within, np.inf, -np.inf), np.full(drifts, np.inf), np.zeros(drifts)
+    lower, upper = np.where(within, np.inf, -np.inf), np.full(drifts, np.inf)
     too_little, enough = limits
-
-    def improve(which: np.ndarray, value: np.ndarray, time: np.ndarray) -> None:
-        order = np.lexsort((value, which))
-        index, best = np.unique(which[order], return_index=True)
-        best = order[best]
-        better = value[best] < upper[index]
-        upper[index[better]], when[index[better]] = value[best][better], time[best][better]
 
     def open_still(which: np.ndarray, bound: np.ndarray, last: np.ndarray | bool = False) -> np.ndarray:
         settled = (bound >= np.minimum(upper[which] - _TOLERANCE, enough)) | (upper[which] < too_little) | last
@@ -413,7 +404,7 @@ def _least(
         which, first, end = which[~single], first[~single], end[~single]
         middle = (first + end) // 2
         found = distance(tube.position[which, middle]) if which.size else np.empty(0)
-        improve(which, found - radius[middle], tube.time[middle])
+        np.minimum.at(upper, which, found - radius[middle])
         at = travel[which, middle]
         reach = np.maximum(at - travel[which, first], travel[which, end] - at)
         kept = open_still(which, found - reach - radius[end])
@@ -426,8 +417,7 @@ def _least(
             break
         point, error, ball = tube.piece(which, first, begin, until)
         found = distance(point)
-        lasts = np.diff(tube.time)[first]
-        improve(which, found + error - radius[first + 1], tube.time[first] + 0.5 * (begin + until) * lasts)
+        np.minimum.at(upper, which, found + error - radius[first + 1])
         # What the parabolas leave open does not shrink with the piece.
         alone = (halving == _HALVINGS) | (ball - error <= 0.05 * error)
         kept = open_still(which, found - ball - radius[first + 1], alone)
@@ -435,7 +425,7 @@ def _least(
         begin, until = begin[kept], until[kept]
         middle = 0.5 * (begin + until)
         begin, until = np.stack([begin, middle], axis=-1).ravel(), np.stack([middle, until], axis=-1).ravel()
-    return lower, upper, when
+    return lower, upper
 
 
 @dataclass(frozen=True)

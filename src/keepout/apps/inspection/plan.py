@@ -157,7 +157,12 @@ def kept_safe(
         courses |= {leg: course(*leg) for leg in fresh}
         times = np.array([(at[a], at[b]) for a, b in fresh])
         speeds |= dict(zip(fresh, drifting.speeds([courses[leg] for leg in fresh], times).tolist(), strict=True))
-        kept = _without_unsafe(kept, speeds)
+        left = kept[:1]
+        for row in kept[1:]:
+            # What comes after the end of an unsafe leg is not known yet, and stays.
+            if speeds.get((left[-1], row), math.inf) > 0.0:
+                left.append(row)
+        kept = left
     legs, moved_on, behind = list(pairwise(kept)), [], 0.0
     for a, b in legs:
         way, slew = way_length(courses[a, b]), turn(a, b)
@@ -173,17 +178,8 @@ def kept_safe(
         views_left_out=len(tour.order) - len(legs),
     )
     late = float(times[-1]) - at[kept[-1]] if legs and math.isfinite(at[kept[-1]]) else 0.0
-    left = dataclasses.replace(tour, order=np.array(kept[1:], dtype=np.int64), times=times, end=tour.end + late)
-    return left, [courses[leg] for leg in legs], [speeds[leg] for leg in legs], told
-
-
-def _without_unsafe(kept: list[int], speeds: dict[tuple[int, int], float]) -> list[int]:
-    """Leave out the end of each leg that is not safe; what comes after one is not known yet, and stays."""
-    left = kept[:1]
-    for row in kept[1:]:
-        if speeds.get((left[-1], row), math.inf) > 0.0:
-            left.append(row)
-    return left
+    safe = dataclasses.replace(tour, order=np.array(kept[1:], dtype=np.int64), times=times, end=tour.end + late)
+    return safe, [courses[leg] for leg in legs], [speeds[leg] for leg in legs], told
 
 
 class DrawnUp(NamedTuple):

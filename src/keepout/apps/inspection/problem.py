@@ -110,8 +110,7 @@ def require_inspectable(scenario: Scenario, target: Target, *, room: Room | None
     for number, hold in enumerate(scenario.inspect.hold_points):
         places[f"inspect.hold_points.{number}.position"] = hold.position
     for entry, position in places.items():
-        _require_far(scenario, target, entry, position)
-        _require_thrust(scenario, entry, position)
+        _require_place(scenario, target, entry, position)
     _require_in_time(scenario, target)
     room = Room(target.distance, scenario.inspect.stand_off) if room is None else room
     for (entry, position), allowed in zip(places.items(), room.allowed(np.array(list(places.values())))):
@@ -333,24 +332,20 @@ def _require_in_time(scenario: Scenario, target: Target) -> None:
         )
 
 
-def _require_thrust(scenario: Scenario, entry: str, position: tuple[float, float, float]) -> None:
-    """Refuse a place at which every thruster's plume would reach a part that none may reach."""
+def _require_place(scenario: Scenario, target: Target, entry: str, position: tuple[float, float, float]) -> None:
+    """Refuse a place nearer to the mesh than the stand-off, or where all plumes would reach a part that none may."""
+    away, stand_off = float(target.distance.distance(np.array([position]))[0]), scenario.inspect.stand_off
+    if away < stand_off:
+        raise InspectionError(
+            f"{entry}: {list(position)} m is {away:.3f} m from the target; it must be at least inspect.stand_off, "
+            f"{stand_off:g} m, away"
+        )
     protected = Protected.of(scenario)
     if protected is not None and bool(np.all(protected.reached(jnp.asarray(position)))):
         raise InspectionError(
             f"inspect.no_thrust_towards: {len(scenario.inspect.no_thrust_towards)} parts, and at {entry}, "
             f"{list(position)} m, the plume of every thruster would reach one of them; smaller parts, a smaller "
             "inspect.plume_half_angle or inspect.plume_range, or another place would leave some free"
-        )
-
-
-def _require_far(scenario: Scenario, target: Target, entry: str, position: tuple[float, float, float]) -> None:
-    """Refuse a place that is nearer to the mesh than the stand-off."""
-    away, stand_off = float(target.distance.distance(np.array([position]))[0]), scenario.inspect.stand_off
-    if away < stand_off:
-        raise InspectionError(
-            f"{entry}: {list(position)} m is {away:.3f} m from the target; it must be at least inspect.stand_off, "
-            f"{stand_off:g} m, away"
         )
 
 
