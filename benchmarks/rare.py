@@ -23,7 +23,7 @@ from keepout.core.mission.build import prepare
 from keepout.core.mission.scenario import Scenario
 from keepout.core.whole_file import write_whole
 from keepout.flights.rare_events.flights import TapedFlights
-from keepout.flights.rare_events.subset import estimate, interval, simulate
+from keepout.flights.rare_events.subset import Question, estimate, interval, simulate
 
 RESULTS = Path(__file__).with_name("results") / "rare.json"
 RUNS, TAPES = 8, 1024
@@ -107,7 +107,9 @@ def crossings(kept, groups, save):
         row = kept.setdefault("crossing", {}).setdefault(name, {"runs": [], "flights": 0})
         performance = crossing_performance(memory)
         while len(row["runs"]) < groups:
-            found = simulate(performance, samples, below=-level, runs=RUNS, tapes=TAPES, seed=1000 + len(row["runs"]))
+            found = simulate(
+                performance, samples, Question(below=-level, runs=RUNS, tapes=TAPES, seed=1000 + len(row["runs"]))
+            )
             row["runs"].append(found.below(-level).tolist())
             row["flights"] = max(row["flights"], found.evaluations)
             if len(row["runs"]) % 10 == 0:
@@ -173,7 +175,9 @@ def compared(kept, groups, brute, save, part=8192):
         while len(row["runs"][0]) < groups:
             began = time.perf_counter()
             seed = 5000 + len(row["runs"][0])
-            found = simulate(flown.clearance, numbers, below=row["clearances_m"][1], runs=RUNS, tapes=TAPES, seed=seed)
+            found = simulate(
+                flown.clearance, numbers, Question(below=row["clearances_m"][1], runs=RUNS, tapes=TAPES, seed=seed)
+            )
             for runs, clearance in zip(row["runs"], row["clearances_m"]):
                 runs.append(found.below(clearance).tolist())
             row["flights"], row["seconds"] = found.evaluations, round(time.perf_counter() - began, 1)
@@ -197,7 +201,9 @@ def table(kept, flights, save):
             began = time.perf_counter()
             flown = TapedFlights(prepare(scenario))
             found = simulate(
-                flown.clearance, flown.tape.numbers, below=0.0, runs=RUNS, tapes=flights, seed=0, most_levels=8
+                flown.clearance,
+                flown.tape.numbers,
+                Question(below=0.0, runs=RUNS, tapes=flights, seed=0, most_levels=8),
             )
             rows.append(
                 {

@@ -107,5 +107,5 @@ def meshed(folder, sides):
 
 def judged(box, files, *, radius=0.5, bound=0.01, **options):
     if "target_attitude" not in options and "target_attitude" not in files:
-        options.setdefault("fixed_in", "inertial")
+        options.setdefault("target_fixed_in", "inertial")
     return audit_files(box, Given(**files, chaser_radius=radius, acceleration_bound=bound, **options))

@@ -3,13 +3,14 @@
 import json
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
-from keepout.cli.options import AsJson, ScenarioSeed, answer, app, at_least, example, mission_of, usage
+from keepout.cli.options import AsJson, ScenarioSeed, answer, app, at_least, example, grouped, mission_of, usage
 from keepout.core.progress import Progress, part_of, silent
 from keepout.flights.pages import terminal
 
@@ -41,26 +42,35 @@ campaigns = typer.Typer(
 app.add_typer(campaigns, name="campaign")
 
 
+@dataclass(frozen=True)
+class _Flying:
+    """Options on how a campaign is flown."""
+
+    keep: Annotated[
+        str, typer.Option(help="Flights that become flight files: worst:N, by least clearance, all or none.")
+    ] = "worst:20"
+    batch: Annotated[
+        int | None, typer.Option(callback=at_least(1), help="Flights at once; part of what the campaign is.")
+    ] = None
+    scheduler: Annotated[
+        str | None,
+        typer.Option(help="Who flies: tcp://HOST:PORT, a dask.distributed cluster; local or local:N, processes here."),
+    ] = None
+    mixed_processors: Annotated[
+        bool, typer.Option("--mixed-processors", help="Let processors of several kinds fly, with other last bits.")
+    ] = False
+
+
 @campaigns.command("fly", epilog=example("keepout campaign examples/case1.toml --runs 1000 -o out/campaign"))
+@grouped
 def campaign(
     scenario: Annotated[Path, typer.Argument(help="A scenario file (TOML) with its [campaign] table.")],
+    *,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for results and figure.")] = Path("out"),
     runs: Annotated[
         int | None, typer.Option(callback=at_least(1, 10**9), help="Replaces the scenario's own number of flights.")
     ] = None,
-    keep: Annotated[
-        str, typer.Option(help="Flights that become flight files: worst:N, by least clearance, all or none.")
-    ] = "worst:20",
-    batch: Annotated[
-        int | None, typer.Option(callback=at_least(1), help="Flights at once; part of what the campaign is.")
-    ] = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(help="Who flies: tcp://HOST:PORT, a dask.distributed cluster; local or local:N, processes here."),
-    ] = None,
-    mixed_processors: Annotated[
-        bool, typer.Option("--mixed-processors", help="Let processors of several kinds fly, with other last bits.")
-    ] = False,
+    how: _Flying,
     seed: ScenarioSeed = None,
     as_json: AsJson = False,
 ) -> None:
@@ -71,12 +81,11 @@ def campaign(
     mission = mission_of(scenario, seed)
     if runs is not None:
         mission = mission.replace(campaign={"runs": runs})
-    chosen = {"batch": batch, "keep": keep, "scheduler": scheduler, "mixed_processors": mixed_processors}
     if as_json:
-        summary = _flown(mission, out, **chosen, told=terminal.standing_lines())
+        summary = _flown(mission, out, how, told=terminal.standing_lines())
     else:
         with terminal.progress(f"campaign {mission.name}") as progress:
-            summary = _flown(mission, out, **chosen, progress=progress)
+            summary = _flown(mission, out, how, progress=progress)
     # What the guard assumes is for the file: two dozen numbers.
     left_out = ("guard", "kept", "refusals", "rates", "page")
     facts = terminal.facts_table("Campaign", {k: v for k, v in summary.items() if k not in left_out})
@@ -86,11 +95,8 @@ def campaign(
 def _flown(
     scenario: "Scenario",
     out: Path,
+    how: _Flying,
     *,
-    batch: int | None,
-    keep: str,
-    scheduler: str | None,
-    mixed_processors: bool,
     told: "Callable[[Standing], None]" = lambda standing: None,
     progress: Progress = silent,
 ) -> dict[str, Any]:
@@ -101,21 +107,21 @@ def _flown(
     from keepout.core.whole_file import write_whole
     from keepout.flights.campaign.dataset import Dataset
     from keepout.flights.campaign.plan import Plan
-    from keepout.flights.campaign.run import Scheduler, fly_campaign, flyer_on, in_threads, keep_flights, keep_of
+    from keepout.flights.campaign.run import fly_campaign, flyer_on, in_threads, keep_flights, keep_of, scheduler_of
     from keepout.flights.campaign.table import SUMMARISED, summary
     from keepout.flights.pages.campaign_figures import DRAWN, draw_campaign
     from keepout.flights.pages.campaign_page import report_campaign
     from keepout.flights.pages.folder import results_in, write_summary
 
     with usage():
-        chosen = keep_of(keep)
-        if scheduler is not None:
-            Scheduler.parse(scheduler)
-    flyer = in_threads if scheduler is None else flyer_on(scheduler, mixed_processors=mixed_processors)
+        keep = keep_of(how.keep)
+        if how.scheduler is not None:
+            scheduler_of(how.scheduler)
+    flyer = in_threads if how.scheduler is None else flyer_on(how.scheduler, mixed_processors=how.mixed_processors)
     began = time.perf_counter()
     progress(0.0, "preparing")
     with results_in(out):
-        plan = Plan.of(scenario, batch=batch)
+        plan = Plan.of(scenario, batch=how.batch)
         dataset = Dataset.begin(out, plan)
 
     def tell(standing: "Standing") -> None:
@@ -124,7 +130,7 @@ def _flown(
 
     with dataset.lock():
         standing = fly_campaign(plan, dataset, flyer=flyer, told=tell)
-        kept = keep_flights(plan, dataset, chosen, told=lambda done, of: progress(0.95, f"{done} of {of} flights kept"))
+        kept = keep_flights(plan, dataset, keep, told=lambda done, of: progress(0.95, f"{done} of {of} flights kept"))
         bands = out / "bands.json"
         write_whole(bands, json.dumps(dataset.bands().figures(), allow_nan=False) + "\n")
         figures = {
@@ -192,8 +198,8 @@ def replay_run(
 ) -> None:
     """Fly one run of a campaign again, to the same bits; write its flight file, figures and page."""
     from keepout.core.mission.scenario import Scenario
-    from keepout.flights.campaign.dataset import Dataset
-    from keepout.flights.campaign.flying import differences, replay
+    from keepout.flights.campaign.dataset import Dataset, differences
+    from keepout.flights.campaign.flying import replay
     from keepout.flights.campaign.plan import Plan
     from keepout.flights.pages.folder import results_in, write_flight, write_summary
 
@@ -207,7 +213,7 @@ def replay_run(
         dataset = Dataset.begin(folder, plan)  # refused where mesh, field or version are others now
         progress(0.4, "flying")
         [again] = replay(plan, [run])
-        kept = dataset.part(run // plan.chunk).slice(run % plan.chunk, 1)
+        [kept] = dataset.part(run // plan.chunk).slice(run % plan.chunk, 1).to_pylist()
         differing = differences(kept, again.row)
         progress(0.8, "writing")
         introduction = f"Run {run} of the campaign {scenario.name}, flown again."
@@ -216,7 +222,7 @@ def replay_run(
         summary |= {
             "run": run,
             "equal": not differing,
-            "differences": {name: {"campaign": a, "replay": b} for name, (a, b) in differing.items()},
+            "differences": {name: {"campaign": a, "replay": b} for name, a, b in differing},
             "record_apart": again.apart,
             "drawn": dict(again.run.values),
             "seed": scenario.seed,

@@ -3,29 +3,30 @@
 import time
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from keepout.cli.options import (
     AsJson,
     ChaserRadius,
-    DropStray,
-    Scale,
+    MeshFile,
     Seed,
-    Units,
     answer,
     app,
     example,
+    grouped,
     recorded_target,
     require_file,
-    target_entry,
     usage,
 )
 from keepout.core.errors import FieldError
 from keepout.core.progress import Progress, part_of
 from keepout.core.whole_file import require_place
 from keepout.flights.pages import terminal
+
+if TYPE_CHECKING:
+    from keepout.core.mission.entries import TargetEntry
 
 Mesh = Annotated[str, typer.Argument(help="A mesh file, a map file (.keepmap), or a built-in target's name.")]
 WhereMesh = Annotated[str | None, typer.Option(help="The mesh, where it is not where `fit` found it.")]
@@ -82,15 +83,8 @@ def describe_targets(pictures: Path | None, progress: Progress) -> list[dict[str
         "keepout describe intelsat30",
     )
 )
-def describe(
-    mesh: Mesh,
-    out: DrawnInto = None,
-    units: Units = None,
-    scale: Scale = None,
-    drop_stray: DropStray = False,
-    seed: Seed = 0,
-    as_json: AsJson = False,
-) -> None:
+@grouped
+def describe(mesh: Mesh, *, out: DrawnInto = None, read: MeshFile, seed: Seed = 0, as_json: AsJson = False) -> None:
     """Report what a mesh is, what is wrong with it, and what reading it left out."""
     if mesh.endswith(".keepout"):
         raise typer.BadParameter(f"{mesh} is a field; `keepout measure {mesh}` measures it against its mesh")
@@ -99,8 +93,8 @@ def describe(
         from keepout.core.mission.target import load_target
         from keepout.flights.pages.folder import results_in
 
-        target = load_target(target_entry({"source": mesh, "units": units, "scale": scale, "drop_stray": drop_stray}))
-        summary: dict[str, Any] = {"lengths": _lengths(mesh, units, scale)}
+        target = load_target(read.entry(mesh))
+        summary: dict[str, Any] = {"lengths": _lengths(mesh, read)}
         with results_in(out):
             summary |= asdict(survey(target, progress=part_of(progress, 0.0, 0.95)))
             if out is not None:
@@ -112,12 +106,12 @@ def describe(
     answer({**summary, "seed": seed}, as_json, terminal.facts_table("Mesh", summary))
 
 
-def _lengths(mesh: str, units: str | None, scale: float | None) -> str:
+def _lengths(mesh: str, read: MeshFile) -> str:
     """Say in which unit a mesh's report is, and what the file's numbers were taken for."""
-    if scale is not None:
-        return f"m; one unit of the file is {scale:g} m, as given"
-    if units is not None:
-        return f"m; the file's numbers are in {units}, as given"
+    if read.scale is not None:
+        return f"m; one unit of the file is {read.scale:g} m, as given"
+    if read.units is not None:
+        return f"m; the file's numbers are in {read.units}, as given"
     if not Path(mesh).exists():
         return "m"  # a built-in target
     return "m; no --units or --scale was given, so the file's own unit holds, or metres where it names none"
@@ -130,8 +124,10 @@ def _lengths(mesh: str, units: str | None, scale: float | None) -> str:
         "keepout fit out/explore/map.keepmap --certify -o debris.keepout",
     )
 )
+@grouped
 def fit(
     mesh: Mesh,
+    *,
     out: Annotated[Path, typer.Option("--out", "-o", help="The field file to write (.keepout).")],
     profile: Annotated[
         str,
@@ -144,9 +140,7 @@ def fit(
     certify: Annotated[
         bool, typer.Option("--certify", help="Then prove its error bound for this radius, as `keepout certify` does.")
     ] = False,
-    units: Units = None,
-    scale: Scale = None,
-    drop_stray: DropStray = False,
+    read: MeshFile,
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
@@ -156,36 +150,41 @@ def fit(
     """
     with terminal.progress(f"fit {mesh}") as progress:
         from keepout.core.learning.losses import find_profile
-        from keepout.core.learning.training import fit
-        from keepout.core.measures.quality import surface_errors
-        from keepout.core.mission.target import load_target
 
         with usage():
             find_profile(profile)
         require_file(out, ".keepout", "a field file", refusal=FieldError)
-        entry = target_entry({"source": mesh, "units": units, "scale": scale, "drop_stray": drop_stray})
-        target = load_target(entry)
-        start = time.perf_counter()
-        model = fit(
-            target,
-            profile=profile,
-            chaser_radius=chaser_radius,
-            seed=seed,
-            checkpoint=out.with_name(out.name + ".checkpoint"),  # from which a run that was killed goes on
-            progress=part_of(progress, 0.0, 0.9) if certify else progress,
-        )
-        seconds = time.perf_counter() - start
-        located = entry.model_dump()
-        if Path(entry.source).exists():
-            located["source"] = str(Path(entry.source).resolve())
-        model = model.with_training(target=located)
-        model.save(out)  # before it is certified, so that a proof that is stopped loses nothing
-        errors = surface_errors(model.field, target, seed=seed)
+        part = part_of(progress, 0.0, 0.9) if certify else progress
+        summary = _fitted(read.entry(mesh), out, profile, chaser_radius, seed, part)
         proof: dict[str, Any] = {}
         if certify:
             part = part_of(progress, 0.9, 1.0)
             proof["certificate"] = _certified(out, chaser_radius, seed=seed, progress=part)
-    summary = {
+    tables = [terminal.facts_table(title.capitalize(), of) for title, of in {"fit": summary, **proof}.items()]
+    answer(summary | proof, as_json, *tables)
+
+
+def _fitted(
+    entry: "TargetEntry", out: Path, profile: str, chaser_radius: float, seed: int, progress: Progress
+) -> dict[str, Any]:
+    """Fit a field to a mesh and save it."""
+    from keepout.core.learning.training import fit
+    from keepout.core.measures.quality import surface_errors
+    from keepout.core.mission.target import load_target
+
+    target = load_target(entry)
+    start = time.perf_counter()
+    checkpoint = out.with_name(out.name + ".checkpoint")  # from which a run that was killed goes on
+    settings = {"profile": profile, "chaser_radius": chaser_radius, "seed": seed}
+    model = fit(target, **settings, checkpoint=checkpoint, progress=progress)
+    seconds = time.perf_counter() - start
+    located = entry.model_dump()
+    if Path(entry.source).exists():
+        located["source"] = str(Path(entry.source).resolve())
+    model = model.with_training(target=located)
+    model.save(out)  # before it is certified, so that a proof that is stopped loses nothing
+    errors = surface_errors(model.field, target, seed=seed)
+    return {
         "field": str(out),
         "seconds": seconds,
         "epsilon_m": errors.epsilon,
@@ -197,8 +196,6 @@ def fit(
         "target_sha256": target.sha256,
         "warnings": list(target.report.warnings),
     }
-    tables = [terminal.facts_table(title.capitalize(), of) for title, of in {"fit": summary, **proof}.items()]
-    answer(summary | proof, as_json, *tables)
 
 
 @app.command(

@@ -4,11 +4,14 @@ Each command imports what it needs when it is called: who lists targets does not
 tries where its results are to go before it works, and leaves nothing behind where it refuses.
 """
 
+import functools
+import inspect
 import json
 import math
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -82,9 +85,40 @@ AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on standar
 Seed = Annotated[int, typer.Option(callback=_SEED, help="Of every random choice; the same seed gives the same answer.")]
 ScenarioSeed = Annotated[int | None, typer.Option(callback=_SEED, help="Replaces the scenario's own seed.")]
 Units = Annotated[str | None, typer.Option(help="Length unit of a mesh file: m, cm, mm, in or ft.")]
-Scale = Annotated[float | None, typer.Option(help="Metres per unit of a mesh file, instead of --units.")]
-DropStray = Annotated[bool, typer.Option("--drop-stray", help="Leave out parts far from the rest.")]
 ChaserRadius = Annotated[float, from_zero("Radius of the ball that holds the chaser, m.")]
+
+
+def grouped(command: Callable[..., None]) -> Callable[..., None]:
+    """Let options that belong together be one parameter: one that is a dataclass stands for an option each field."""
+    parameters = inspect.signature(command, eval_str=True).parameters
+    groups: dict[str, Any] = {name: one.annotation for name, one in parameters.items() if is_dataclass(one.annotation)}
+    options = [
+        option.replace(kind=inspect.Parameter.KEYWORD_ONLY)
+        for name, one in parameters.items()
+        for option in (inspect.signature(groups[name]).parameters.values() if name in groups else (one,))
+    ]
+
+    @functools.wraps(command)
+    def of_options(**given: Any) -> None:
+        made = {name: of(**{one.name: given.pop(one.name) for one in fields(of)}) for name, of in groups.items()}
+        command(**given, **made)
+
+    of_options.__signature__ = inspect.Signature(options)  # pyright: ignore[reportAttributeAccessIssue]
+    of_options.__annotations__ = {option.name: option.annotation for option in options}
+    return of_options
+
+
+@dataclass(frozen=True)
+class MeshFile:
+    """Options on how a mesh file is read."""
+
+    units: Units = None
+    scale: Annotated[float | None, typer.Option(help="Metres per unit of a mesh file, instead of --units.")] = None
+    drop_stray: Annotated[bool, typer.Option("--drop-stray", help="Leave out parts far from the rest.")] = False
+
+    def entry(self, mesh: str) -> "TargetEntry":
+        """Make the entry `[target]` of a mesh, as `target_entry` does."""
+        return target_entry({"source": mesh, **vars(self)})
 
 
 def example(*lines: str) -> str:

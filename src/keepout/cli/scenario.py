@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from keepout.cli.options import AsJson, DropStray, Scale, Units, answer, app, example, mission_of, require_file
+from keepout.cli.options import AsJson, MeshFile, answer, app, example, grouped, mission_of, require_file
 from keepout.core.errors import ScenarioError, UsageError
 from keepout.core.progress import Progress
 from keepout.flights.pages import terminal
@@ -24,7 +24,9 @@ app.add_typer(scenarios, name="scenario")
 
 
 @scenarios.command("new", epilog=example("keepout scenario new --for satellite.glb --units m -o mission.toml"))
+@grouped
 def new_scenario(
+    *,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="The file to write (.toml); by default standard output.")
     ] = None,
@@ -32,9 +34,7 @@ def new_scenario(
         str | None, typer.Option("--for", help="A mesh file, or a built-in target's name, whose sizes to fill in.")
     ] = None,
     profile: Annotated[str, typer.Option(help="Of the control law: default or paper.")] = "default",
-    units: Units = None,
-    scale: Scale = None,
-    drop_stray: DropStray = False,
+    read: MeshFile,
     force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
     as_json: AsJson = False,
 ) -> None:
@@ -42,8 +42,7 @@ def new_scenario(
 
     With --for it has a start and a goal outside the target, a speed that the thrusters honour, and enough time.
     """
-    source = {"source": target, "units": units, "scale": scale, "drop_stray": drop_stray}
-    given = {key: value for key, value in source.items() if value}
+    given = {key: value for key, value in {"source": target, **vars(read)}.items() if value}
     with terminal.progress("scenario new") as progress:
         summary = _drafted(given, out, profile, force, progress)
     if out is None and not as_json:

@@ -8,16 +8,16 @@ import pytest
 
 from keepout.core.errors import ClusterError
 from keepout.flights.campaign import run
-from keepout.flights.campaign.run import Scheduler, flyer_on
+from keepout.flights.campaign.run import flyer_on, scheduler_of
 
 
 @pytest.mark.parametrize(
     ("text", "meant"),
     [
-        ("tcp://10.0.0.1:8786", Scheduler(address="tcp://10.0.0.1:8786")),
-        ("tcp://[::1]:65535", Scheduler(address="tcp://[::1]:65535")),
-        ("local", Scheduler(workers=6)),
-        ("local:4", Scheduler(workers=4)),
+        ("tcp://10.0.0.1:8786", ("tcp://10.0.0.1:8786", 0)),
+        ("tcp://[::1]:65535", ("tcp://[::1]:65535", 0)),
+        ("local", ("", 6)),
+        ("local:4", ("", 4)),
         *((text, r"scheduler: .* is not valid; valid are tcp://HOST:PORT.* local:N") for text in ("", "10.0.0.1:8786")),
         *((f"tcp://{end}", "is not valid; valid are tcp") for end in ("host", "host:0", "host:65536", ":1")),
         *((f"local:{n}", "may use 6 cores; N must be 1 to 6") for n in ("0", "7", "", "-1", "two", "²")),
@@ -25,11 +25,11 @@ from keepout.flights.campaign.run import Scheduler, flyer_on
 )
 def test_an_address_is_taken_as_it_is_and_local_as_so_many_cores_or_refused(text, meant, monkeypatch):
     monkeypatch.setattr(run, "available_cores", lambda: 6)
-    if isinstance(meant, Scheduler):
-        assert Scheduler.parse(text) == meant
+    if isinstance(meant, tuple):
+        assert scheduler_of(text) == meant
     else:
         with pytest.raises(ClusterError, match=meant):
-            Scheduler.parse(text)
+            scheduler_of(text)
 
 
 def test_without_dask_the_line_that_installs_it_is_named(monkeypatch):

@@ -136,9 +136,9 @@ def test_a_wrong_attitude_within_its_error_is_bounded(seed, beam):
 
 
 def test_axes_of_the_orbit_are_no_better_than_the_states_they_come_from(box, tmp_path):
-    fine = judged(box, resting(tmp_path), fixed_in="vvlh")["assumptions"]
+    fine = judged(box, resting(tmp_path), target_fixed_in="vvlh")["assumptions"]
     assert fine["attitude_error_rad"] < 1e-11
-    coarse = judged(box, resting(tmp_path, digits=3), fixed_in="vvlh")["assumptions"]
+    coarse = judged(box, resting(tmp_path, digits=3), target_fixed_in="vvlh")["assumptions"]
     # Truth: the same axes of states that are wrong by the last digit.
     right, wrong = base([0.0])[0], base([0.0])[0] + 1.0
     planes = [np.cross(state[:3], state[3:]) for state in (right, wrong)]

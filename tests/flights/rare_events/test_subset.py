@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 from scipy import stats
 
 from keepout.core.errors import ScenarioError
-from keepout.flights.rare_events.subset import Simulation, band, curve, estimate, interval, simulate
+from keepout.flights.rare_events.subset import Question, Simulation, band, curve, estimate, interval, simulate
 
 
 def linear(tapes):
@@ -22,7 +22,7 @@ RARE = float(-stats.norm.isf(1e-7))
 
 
 def test_a_half_space_of_probability_1e_7():
-    found = [simulate(linear, 50, below=RARE, seed=seed) for seed in range(3)]
+    found = [simulate(linear, 50, Question(below=RARE, seed=seed)) for seed in range(3)]
     means = [estimate(one, RARE).mean for one in found]
     assert np.mean(means) == pytest.approx(1e-7, rel=0.2)
     assert all(one.ended == "reached" for one in found)
@@ -36,14 +36,16 @@ def test_many_short_simulations_have_no_bias():
     # 64 tapes a level are few: a share counted without the whole clump of a refused move, or thresholds of one run
     # alone, show here as tens of percent.
     below, probability = -stats.norm.isf(1e-4), 1e-4
-    runs = np.array([simulate(linear, 10, below=below, tapes=128, seed=seed).below(below) for seed in range(160)])
+    runs = np.array(
+        [simulate(linear, 10, Question(below=below, tapes=128, seed=seed)).below(below) for seed in range(160)]
+    )
     error = np.std(runs.mean(axis=1)) / math.sqrt(len(runs)) / probability
     assert error < 0.04
     assert np.mean(runs) / probability - 1.0 == pytest.approx(0.0, abs=3.0 * error + 0.05)
 
 
 def test_every_level_of_the_curve_is_right():
-    found = simulate(linear, 20, below=RARE, tapes=4096, seed=5)
+    found = simulate(linear, 20, Question(below=RARE, tapes=4096, seed=5))
     points = curve(found)
     for number, mean, lower, upper in points:
         assert mean == pytest.approx(stats.norm.cdf(number), rel=0.5)
@@ -71,7 +73,7 @@ def test_the_band_covers_the_whole_curve_at_once():
 
     covered, alone = 0, 0
     for seed in range(100):
-        found = simulate(performance, 6, below=-3.7, tapes=64, seed=seed)
+        found = simulate(performance, 6, Question(below=-3.7, tapes=64, seed=seed))
         number, _, lower, upper = curve(found).T
         truth = 1.0 - stats.norm.sf(number) * stats.norm.sf((number + 1.0) / 0.7)
         covered += bool(((lower <= truth) & (truth <= upper)).all())
@@ -84,7 +86,7 @@ def test_the_band_covers_the_whole_curve_at_once():
 
 def test_moves_keep_the_normal_law_given_the_threshold():
     # The first level is independent, and so are the ends of the second level's chains, one a seed.
-    found = simulate(linear, 7, below=-5.0, tapes=1024, seed=3, most_levels=2)
+    found = simulate(linear, 7, Question(below=-5.0, tapes=1024, seed=3, most_levels=2))
     level = found.levels[1]
     ends = level.values[:, -1024 // 8 :].ravel()
     given = stats.truncnorm(-np.inf, level.threshold)
@@ -96,7 +98,7 @@ def test_moves_keep_the_normal_law_given_the_threshold():
 
 def test_a_value_that_most_tapes_share():
     # 84 % of all tapes have the performance 2, as flights that come nowhere nearer than their start do.
-    found = simulate(lambda tapes: np.minimum(linear(tapes) + 1.0, 0.0) + 2.0, 5, below=-1.0, seed=2)
+    found = simulate(lambda tapes: np.minimum(linear(tapes) + 1.0, 0.0) + 2.0, 5, Question(below=-1.0, seed=2))
     truth = stats.norm.cdf(-4.0)
     result = estimate(found, -1.0)
     assert found.ended == "reached"
@@ -105,7 +107,7 @@ def test_a_value_that_most_tapes_share():
 
 
 def test_what_never_happens_is_said_to_be_below_a_bound():
-    found = simulate(lambda tapes: np.ones(len(tapes)), 5, below=0.0)
+    found = simulate(lambda tapes: np.ones(len(tapes)), 5, Question(below=0.0))
     result = estimate(found, 0.0)
     assert found.ended == "stuck"
     assert result.bounded_only
@@ -117,7 +119,7 @@ def test_what_never_happens_is_said_to_be_below_a_bound():
 
 
 def test_a_number_out_of_reach_is_bounded_by_the_last_level():
-    found = simulate(linear, 5, below=-12.0, most_levels=7)
+    found = simulate(linear, 5, Question(below=-12.0, most_levels=7))
     result = estimate(found, -12.0)
     assert (found.ended, result.bounded_only, len(found.levels)) == ("levels", True, 7)
     # Far less than what none in the 8192 independent tapes of the first level allows, 4.5e-4.
@@ -125,7 +127,7 @@ def test_a_number_out_of_reach_is_bounded_by_the_last_level():
 
 
 def test_a_simulation_stopped_in_the_middle_goes_on_bit_for_bit(tmp_path):
-    whole, state, calls = simulate(linear, 12, below=RARE, tapes=256, seed=4), tmp_path / "state.npz", []
+    whole, state, calls = simulate(linear, 12, Question(below=RARE, tapes=256, seed=4)), tmp_path / "state.npz", []
 
     def stopped(tapes):
         calls.append(1)
@@ -134,10 +136,10 @@ def test_a_simulation_stopped_in_the_middle_goes_on_bit_for_bit(tmp_path):
         return linear(tapes)
 
     with pytest.raises(KeyboardInterrupt):
-        simulate(stopped, 12, below=RARE, tapes=256, seed=4, state=state)
+        simulate(stopped, 12, Question(below=RARE, tapes=256, seed=4), state=state)
     half = Simulation.load(state)
     assert 1 < len(half.levels) < len(whole.levels)
-    resumed = simulate(linear, 12, below=RARE, tapes=256, seed=4, state=state)
+    resumed = simulate(linear, 12, Question(below=RARE, tapes=256, seed=4), state=state)
     assert len(resumed.levels) == len(whole.levels)
     for one, other in zip(resumed.levels, whole.levels):
         assert np.array_equal(one.values, other.values)
@@ -151,7 +153,7 @@ def test_a_simulation_stopped_in_the_middle_goes_on_bit_for_bit(tmp_path):
 @pytest.mark.parametrize("content", [b"PK\x03\x04 no archive", None])
 def test_a_damaged_state_is_refused_in_one_line(tmp_path, content):
     state = tmp_path / "state.npz"
-    simulate(linear, 3, below=-1.0, tapes=64).save(state)
+    simulate(linear, 3, Question(below=-1.0, tapes=64)).save(state)
     whole = state.read_bytes()
     state.write_bytes(whole[: len(whole) // 2] if content is None else content)
     with pytest.raises(ScenarioError, match=r"state\.npz: .*remove it") as refusal:
@@ -168,18 +170,24 @@ def test_a_damaged_state_is_refused_in_one_line(tmp_path, content):
         ({"tapes": 8}, "flights: 8"),
         ({"seed": -1}, "seed: -1"),
         ({"most_levels": 0}, "most_levels: 0"),
-        ({"numbers": 0}, "numbers: 0"),
-        ({"performance": lambda tapes: np.full(len(tapes), np.nan)}, "gave no number"),
-        ({"performance": lambda tapes: tapes}, "shape"),
     ],
 )
 def test_bad_numbers_are_refused(changed, named):
     with pytest.raises(ScenarioError, match=named):
-        simulate(**({"performance": linear, "numbers": 3, "below": -1.0} | changed))
+        Question(**({"below": -1.0} | changed))
+
+
+@pytest.mark.parametrize(
+    ("performance", "named"),
+    [(lambda tapes: np.full(len(tapes), np.nan), "gave no number"), (lambda tapes: tapes, "shape")],
+)
+def test_a_performance_that_is_no_number_is_refused(performance, named):
+    with pytest.raises(ScenarioError, match=named):
+        simulate(performance, 3, Question(-1.0))
 
 
 def test_progress_rises_to_its_end():
     told = []
-    simulate(linear, 3, below=RARE, tapes=64, progress=lambda fraction, message: told.append(fraction))
+    simulate(linear, 3, Question(below=RARE, tapes=64), progress=lambda fraction, message: told.append(fraction))
     assert told[-1] == 1.0
     assert all(0.0 <= fraction <= 1.0 for fraction in told)

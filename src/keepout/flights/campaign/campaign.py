@@ -11,15 +11,14 @@ from typing import Any
 import jax
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from jaxtyping import Bool, Float
 
 from keepout.core.audit.audit import Audit
 from keepout.core.errors import ScenarioError
-from keepout.core.fields.model import FieldModel
 from keepout.core.flight.loop import FlightOutcome
 from keepout.core.geometry.target import Target
-from keepout.core.guard.safety_layer import flag_names
 from keepout.core.mission.build import prepare
 from keepout.core.mission.flight import AUDITED
 from keepout.core.mission.scenario import Scenario
@@ -28,13 +27,21 @@ from keepout.core.mission.target import has_way_out, room_to_start
 from keepout.core.progress import Progress, part_of, silent
 from keepout.core.whole_file import write_whole
 from keepout.flights.campaign.bands import SERIES, Columns, quantity
-from keepout.flights.campaign.dispersion import Run, columns, design
+from keepout.flights.campaign.dispersion import Run, design
 from keepout.flights.campaign.flying import Flown, fly_judged
 from keepout.flights.campaign.plan import Plan, Programs
-from keepout.flights.campaign.table import finite, summary, table_of
+from keepout.flights.campaign.table import FLOWN, finite, summary, table_of
 
 MOST_NUMBERS = 32_000_000
 """A campaign's series hold at most about so many (128 MB as float32), unless a stride is given."""
+
+
+FIGURES = (
+    *("start_x", "start_y", "start_z", "reached", "final_error", "time_to_reach", "delta_v", "saturated_fraction"),
+    *("guard_interventions", "guard_flags", "contact", "minimum_clearance", "minimum_barrier", "largest_speed"),
+    "propellant",
+)
+"""Columns of a campaign's table that `Campaign.columns` gives of every flight."""
 
 
 @dataclass(frozen=True)
@@ -178,23 +185,14 @@ class Campaign:
 
         What dispersions drew stands beside, with each flight's number.
         """
-        outcome, audits, drawn = self.outcome, self.audits, {}
+        drawn: list[str] = []
         if self.scenario.campaign.dispersions:
-            drawn["run"] = np.array([run.number for run in self.flights])
-            for dispersion in design(self.scenario).dispersions:
-                drawn |= columns(dispersion, [run.values[dispersion.name] for run in self.flights])
-        names = ("reached", "final_error", "time_to_reach", "delta_v", "saturated_fraction", "guard_interventions")
-        return {
-            **drawn,
-            **{f"start_{axis}": self.starts[:, k] for k, axis in enumerate("xyz")},
-            **{name: getattr(outcome, name) for name in names},
-            "guard_flags": np.array([" ".join(flag_names(int(flags))) for flags in outcome.guard_flags], str),
-            "contact": np.array([str(audit.contact) for audit in audits], str),
-            "minimum_clearance": np.array([audit.minimum_clearance for audit in audits]),
-            "minimum_barrier": np.asarray(outcome.minimum_barrier),
-            "largest_speed": np.array([audit.largest_speed for audit in audits]),
-            **({} if outcome.propellant is None else {"propellant": np.asarray(outcome.propellant)}),
-        }
+            names = tuple(dispersion.name for dispersion in design(self.scenario).dispersions)
+            drawn = ["run", *(name for name in self.table.column_names if name.startswith(names))]
+        flown = self.table.filter(pc.field("status") == FLOWN)
+        figures = [name for name in FIGURES if name != "propellant" or flown[name].null_count < len(flown)]
+        arrays = {name: flown[name].to_numpy(zero_copy_only=False) for name in (*drawn, *figures)}
+        return {name: array.astype(str) if array.dtype == object else array for name, array in arrays.items()}
 
     def save(self, path: Path) -> None:
         """Write one row a flight into a Parquet file, the scenario in its metadata."""
@@ -269,13 +267,7 @@ class CampaignPlan:
         return Campaign(scenario, self.target, runs, flown, self.starts_drawn_again, seconds, kept)
 
 
-def plan_campaign(
-    scenario: Scenario,
-    *,
-    target: Target | None = None,
-    model: FieldModel | None = None,
-    progress: Progress = silent,
-) -> CampaignPlan:
+def plan_campaign(scenario: Scenario, *, target: Target | None = None, progress: Progress = silent) -> CampaignPlan:
     """Build what a campaign's flights share, and draw its runs.
 
     What the scenario's dispersions vary is drawn as `keepout campaign` draws it: the flights are the same to the bit.
@@ -285,7 +277,6 @@ def plan_campaign(
     Args:
         scenario: what to fly.
         target: already loaded; else the scenario's.
-        model: its field, already loaded; else the scenario's.
         progress: called while it is built.
 
     Raises:
@@ -293,11 +284,11 @@ def plan_campaign(
 
     """
     if scenario.campaign.dispersions:
-        plan = Plan.of(scenario, target=target, model=model, progress=progress)
+        plan = Plan.of(scenario, target=target, progress=progress)
         runs = tuple(plan.draw(0, plan.runs))
         again = sum(run.drawn_again for run in runs)
         return CampaignPlan(scenario, plan.workshop.target(scenario), runs, plan.programs, again)
-    mission = prepare(scenario, target=target, model=model, progress=progress)
+    mission = prepare(scenario, target=target, progress=progress)
     starts, again = draw_starts(scenario, mission.target)
     runs = tuple(
         Run(number, {"start.position": start.tolist()}, start, np.zeros(3), 0, mission)

@@ -391,9 +391,9 @@ def entries(tree: dict[str, Any], above: str = "") -> dict[str, Any]:
 
 
 def differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[tuple[str, Any, Any]]:
-    """Name the entries in which two trees differ, with both values; None where one has none."""
-    names = dict.fromkeys((*one, *other))
-    return [(name, one.get(name), other.get(name)) for name in names if one.get(name) != other.get(name)]
+    """Name the entries in which two trees or rows differ, with both values; None where one has none."""
+    both = ((name, one.get(name), other.get(name)) for name in dict.fromkeys((*one, *other)))
+    return [(name, a, b) for name, a, b in both if a != b and (a == a or b == b)]  # not a number is not a number
 
 
 def _line(error: Exception) -> str:

@@ -13,7 +13,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pyarrow as pa
 
 from keepout.core.audit.audit import Audit, Contact
 from keepout.core.audit.tube import FlightBounds
@@ -307,16 +306,6 @@ def mission_of(run: Run) -> Mission:
     initial = jax.tree.map(lambda array: array[0], initial_states([run]))
     around = replace(run.flown.surroundings, scenario=run.scenario.replace(start=start))
     return replace(run.flown, surroundings=around, initial=initial)
-
-
-def differences(kept: pa.Table, row: dict[str, Any]) -> dict[str, tuple[Any, Any]]:
-    """Compare a run's row in a campaign's table with another: the columns in which they differ, with both values."""
-    [found] = kept.to_pylist()
-    return {name: (found[name], row[name]) for name in found if not _equal(found[name], row[name])}
-
-
-def _equal(one: Any, other: Any) -> bool:
-    return one == other or (one != one and other != other)
 
 
 def _apart(one: np.ndarray, other: np.ndarray) -> float:

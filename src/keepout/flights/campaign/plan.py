@@ -84,7 +84,7 @@ class Workshop:
         """Take what another process has made."""
         vars(self).update(state, _lock=threading.Lock())
 
-    def mission(self, scenario: Scenario, *, progress: Progress = silent) -> Mission:
+    def mission(self, scenario: Scenario) -> Mission:
         """Build a scenario.
 
         Raises:
@@ -93,15 +93,15 @@ class Workshop:
         """
         with self._lock:
             if not scenario.disturbance.phase:
-                return self._at_phase_zero(scenario, progress)
+                return self._at_phase_zero(scenario)
             # No phase enters law, guard or bounds (`Surroundings.largest_disturbance`): they are made once for all.
             still = scenario.disturbance.model_copy(update={"phase": 0.0})
-            mission = self._at_phase_zero(scenario.model_copy(update={"disturbance": still}), progress)
+            mission = self._at_phase_zero(scenario.model_copy(update={"disturbance": still}))
             around = replace(mission.surroundings, scenario=scenario)
             return replace(mission, surroundings=around, setup=replace(mission.setup, disturbance=around.disturbance))
 
-    def _at_phase_zero(self, scenario: Scenario, progress: Progress) -> Mission:
-        return self._missions.get(scenario.model_dump_json(), lambda: self._made(scenario, progress))
+    def _at_phase_zero(self, scenario: Scenario) -> Mission:
+        return self._missions.get(scenario.model_dump_json(), lambda: self._made(scenario))
 
     def keep(self, target: Target, model: FieldModel, scenario: Scenario) -> None:
         """Take a mesh and a field that are already loaded for a scenario's own."""
@@ -125,7 +125,7 @@ class Workshop:
             lambda: guard_field(target, radius, offset=model.offset, closing_radius=closing, progress=progress),
         )
 
-    def _made(self, scenario: Scenario, progress: Progress) -> Mission:
+    def _made(self, scenario: Scenario) -> Mission:
         target, model = self.target(scenario), self.model(scenario)
         plan = named_guidance(scenario)
         if plan is None and scenario.control.profile == "default":
@@ -135,8 +135,7 @@ class Workshop:
             target=target,
             model=model,
             guidance=_Remembered(plan, self._guidances, model.sha256) if isinstance(plan, Geodesic) else plan,
-            guard_grid=self.guard_field(scenario, progress=progress) if scenario.guard.enabled else None,
-            progress=progress,
+            guard_grid=self.guard_field(scenario) if scenario.guard.enabled else None,
         )
 
 
@@ -364,7 +363,6 @@ class Plan:
         scenario: Scenario,
         *,
         target: Target | None = None,
-        model: FieldModel | None = None,
         batch: int | None = None,
         progress: Progress = silent,
     ) -> "Plan":
@@ -373,7 +371,6 @@ class Plan:
         Args:
             scenario: what to fly, with its `campaign` table.
             target: already loaded; else the scenario's.
-            model: its field, already loaded; else the scenario's.
             batch: flights flown at once; by default 128, or all where there are fewer.
             progress: called while it is built.
 
@@ -388,8 +385,7 @@ class Plan:
         batch = batch or min(runs, BATCH)
         workshop = Workshop()
         target = load_target(scenario.target) if target is None else target
-        model = load_model(scenario, target) if model is None else model
-        model.require_target(target, where="field")
+        model = load_model(scenario, target)
         workshop.keep(target, model, scenario)
         progress(0.1, "preparing")
         probed = draw(_of_a_run(scenario), varied, workshop.mission, 0, min(runs, _PROBED))

@@ -207,44 +207,33 @@ def _is_kept(dataset: Dataset, run: int) -> bool:
     return header.get("campaign") == dataset.plan_sha256 and header.get("run") == run
 
 
-@dataclass(frozen=True)
-class Scheduler:
-    """Where chunks are handed to.
+def scheduler_of(text: str) -> tuple[str, int]:
+    """Read where chunks are handed to: an address, `local` (a process for each core it may use) or `local:N`.
 
-    Attributes:
-        address: of a running `dask.distributed` scheduler; empty where workers are started here.
-        workers: processes to start here.
+    Returns:
+        The address of a running `dask.distributed` scheduler, empty where workers are started here, and how many are.
+
+    Raises:
+        ClusterError: neither, or more processes than cores.
 
     """
-
-    address: str = ""
-    workers: int = 0
-
-    @classmethod
-    def parse(cls, text: str) -> "Scheduler":
-        """Read an address, or `local` (a process for each core that this one may use) or `local:N`.
-
-        Raises:
-            ClusterError: neither, or more processes than cores.
-
-        """
-        kind, colon, count = text.partition(":")
-        if kind == "local":
-            cores = available_cores()
-            if colon and not (count.isascii() and count.isdigit() and 1 <= int(count) <= cores):
-                raise ClusterError(f"scheduler: {text}: this process may use {cores} cores; N must be 1 to {cores}")
-            return cls(workers=int(count) if colon else cores)
-        found = _ADDRESS.fullmatch(text)
-        if found is None or not 1 <= int(found[1]) <= 65535:
-            raise ClusterError(f"scheduler: {text!r} is not valid; {VALID}")
-        return cls(address=text)
+    kind, colon, count = text.partition(":")
+    if kind == "local":
+        cores = available_cores()
+        if colon and not (count.isascii() and count.isdigit() and 1 <= int(count) <= cores):
+            raise ClusterError(f"scheduler: {text}: this process may use {cores} cores; N must be 1 to {cores}")
+        return "", int(count) if colon else cores
+    found = _ADDRESS.fullmatch(text)
+    if found is None or not 1 <= int(found[1]) <= 65535:
+        raise ClusterError(f"scheduler: {text!r} is not valid; {VALID}")
+    return text, 0
 
 
 def flyer_on(scheduler: str, *, mixed_processors: bool = False) -> Flyer:
     """Give who flies chunks on a cluster, or on processes started here.
 
     Args:
-        scheduler: as for `Scheduler.parse`.
+        scheduler: as for `scheduler_of`.
         mixed_processors: whether workers with processors of several kinds may fly one campaign. The same chunk then
             has other last bits on another kind; each part of the table names its own (`Dataset.processors`).
 
@@ -252,10 +241,10 @@ def flyer_on(scheduler: str, *, mixed_processors: bool = False) -> Flyer:
         ClusterError: not valid, or `dask.distributed` is not installed.
 
     """
-    parsed = Scheduler.parse(scheduler)
+    address, workers = scheduler_of(scheduler)
     missing = [name for name in ("distributed", "cryptography") if importlib.util.find_spec(name) is None]
     if missing:
         raise ClusterError(f"scheduler: {missing[0]} is not installed; pip install 'keepout[cluster]'")
     from keepout.flights.campaign.cluster import Cluster
 
-    return Cluster(parsed.address, workers=parsed.workers, mixed_processors=mixed_processors)
+    return Cluster(address, workers=workers, mixed_processors=mixed_processors)

@@ -19,10 +19,10 @@ GROUPS = 10
 """Groups of equal size that a number's draws are put into, to find what goes up and down again."""
 
 
-def clopper_pearson(count: int, total: int, confidence: float = CONFIDENCE) -> Interval:
+def clopper_pearson(count: int, total: int) -> Interval:
     """Bound the probability of what happened `count` times in `total` independent runs.
 
-    Whatever the probability is, at least `confidence` of such intervals hold it (Clopper and Pearson, Biometrika 26,
+    Whatever the probability is, at least `CONFIDENCE` of such intervals hold it (Clopper and Pearson, Biometrika 26,
     1934).
 
     Returns:
@@ -31,44 +31,42 @@ def clopper_pearson(count: int, total: int, confidence: float = CONFIDENCE) -> I
     """
     if total == 0:
         return 0.0, 1.0
-    found = stats.binomtest(count, total).proportion_ci(confidence, method="exact")
-    return float(found.low), float(found.high)
+    return _interval(count, total, "exact")
 
 
-def none_seen_bound(total: int, confidence: float = CONFIDENCE) -> float:
+def none_seen_bound(total: int) -> float:
     """Give the upper bound, from one side, of a probability of what never happened: close to 3/total at 95 %."""
-    return 1.0 - (1.0 - confidence) ** (1.0 / total) if total else 1.0
+    return 1.0 - (1.0 - CONFIDENCE) ** (1.0 / total) if total else 1.0
 
 
-def newcombe(first: tuple[int, int], second: tuple[int, int], confidence: float = CONFIDENCE) -> Interval:
+def newcombe(first: tuple[int, int], second: tuple[int, int]) -> Interval:
     """Bound the first probability less the second from separate runs: Newcombe's hybrid score interval.
+
+    About `CONFIDENCE` of such intervals hold the difference (Newcombe, Statistics in Medicine 17, 1998, pp. 873-890,
+    method 10).
 
     Args:
         first: how often, and of how many runs.
         second: likewise.
-        confidence: about so many of such intervals hold the difference (Newcombe, Statistics in Medicine 17, 1998,
-            pp. 873-890, method 10).
 
     """
     if not (first[1] and second[1]):
         return -1.0, 1.0
     rates = first[0] / first[1], second[0] / second[1]
-    return _square_and_add(rates, (_wilson(*first, confidence), _wilson(*second, confidence)), 0.0)
+    return _square_and_add(rates, (_interval(*first), _interval(*second)), 0.0)
 
 
-def newcombe_paired(
-    both: int, first_only: int, second_only: int, neither: int, confidence: float = CONFIDENCE
-) -> Interval:
+def newcombe_paired(both: int, first_only: int, second_only: int, neither: int) -> Interval:
     """Bound the first probability less the second from pairs: Newcombe's interval for paired data.
 
-    Method 10 of Newcombe, Statistics in Medicine 17, 1998, pp. 2635-2650.
+    Method 10 of Newcombe, Statistics in Medicine 17, 1998, pp. 2635-2650: about `CONFIDENCE` of such intervals hold the
+    difference.
 
     Args:
         both: pairs in which it happened in both.
         first_only: in the first alone.
         second_only: in the second alone.
         neither: in neither.
-        confidence: about so many of such intervals hold the difference.
 
     """
     total = both + first_only + second_only + neither
@@ -81,7 +79,7 @@ def newcombe_paired(
         product = max(product - total / 2.0, 0.0)
     correlation = product / margins if margins else 0.0
     rates = counts[0] / total, counts[1] / total
-    sides = _wilson(counts[0], total, confidence), _wilson(counts[1], total, confidence)
+    sides = _interval(counts[0], total), _interval(counts[1], total)
     return _square_and_add(rates, sides, correlation)
 
 
@@ -97,21 +95,18 @@ def mcnemar(first_only: int, second_only: int) -> float:
     return float(stats.binomtest(first_only, total, 0.5).pvalue) if total else 1.0
 
 
-def quantile_interval(
-    ordered: Float[np.ndarray, "n"], share: float, confidence: float = CONFIDENCE
-) -> tuple[float, float]:
-    """Bound a quantile by two of the values seen, whatever the distribution.
+def quantile_interval(ordered: Float[np.ndarray, "n"], share: float) -> Interval:
+    """Bound a quantile by two of the values seen, whatever the distribution: at least `CONFIDENCE` of them hold it.
 
     Args:
         ordered: independent values, ascending.
         share: of the quantile, strictly between 0 and 1.
-        confidence: at least so many of such intervals hold the quantile.
 
     Returns:
         Infinite on a side on which the values are too few.
 
     """
-    n, tail = len(ordered), (1.0 - confidence) / 2.0
+    n, tail = len(ordered), (1.0 - CONFIDENCE) / 2.0
     low = int(stats.binom.ppf(tail, n, share)) if n else 0
     high = int(stats.binom.ppf(1.0 - tail, n, share)) + 1 if n else 1
     return (
@@ -129,8 +124,8 @@ def difference_of_quantiles(first: tuple[float, Interval], second: tuple[float, 
     return _square_and_add((first[0], second[0]), (first[1], second[1]), 0.0)
 
 
-def _wilson(count: int, total: int, confidence: float) -> Interval:
-    found = stats.binomtest(count, total).proportion_ci(confidence, method="wilson")
+def _interval(count: int, total: int, method: str = "wilson") -> Interval:
+    found = stats.binomtest(count, total).proportion_ci(CONFIDENCE, method=method)
     return float(found.low), float(found.high)
 
 

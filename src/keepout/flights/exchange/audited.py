@@ -32,6 +32,8 @@ INERTIAL = ("EME2000", "J2000", "GCRF", "ICRF")
 BODY = re.compile(r"SC[_ ]BODY([_ ]\w+)?")
 """Names of a spacecraft's own frame in an AEM; those of its instruments and actuators lie otherwise in it."""
 
+_TOLERANCE = 1e-3
+"""How close to the truth the bound is driven, m."""
 FixedIn = Literal["vvlh", "inertial"]
 _CENTRE_OF_MASS = re.compile(r"cent(?:re|er) of (?:mass|gravity)", re.IGNORECASE)
 _NUMBERS = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?")
@@ -47,7 +49,7 @@ class Given:
         chaser_radius: of the ball that holds the chaser, m.
         acceleration_bound: of the chaser relative to the target in inertial axes, whatever its cause, m/s².
         target_attitude: AEM of the target.
-        fixed_in: without one: the axes that the target's body axes are; "vvlh" if absent.
+        target_fixed_in: without one: the axes that the target's body axes are; "vvlh" if absent.
         turning_acceleration_bound: of the target, rad/s²; measured from the attitudes if absent.
         centre_of_mass: of the target, in the body frame, m; the frame's origin if absent, which a remark says.
         chaser_object: OBJECT_NAME or OBJECT_ID of the chaser, which its file must have; chooses among several.
@@ -56,7 +58,6 @@ class Given:
         attitude_frame: what the AEM calls the body's frame, if not SC_BODY or SC_BODY_1.
         sample_error: how far a relative position may be from the truth, m, where the digits do not let it be further.
         attitude_error: the angle by which an attitude may be wrong, rad, where the digits do not let it be more.
-        tolerance: how close to the truth the bound is driven, m.
 
     """
 
@@ -65,7 +66,7 @@ class Given:
     chaser_radius: float
     acceleration_bound: float
     target_attitude: Path | None = None
-    fixed_in: str | None = None
+    target_fixed_in: str | None = None
     turning_acceleration_bound: float | None = None
     centre_of_mass: tuple[float, float, float] | None = None
     chaser_object: str | None = None
@@ -74,7 +75,6 @@ class Given:
     attitude_frame: str | None = None
     sample_error: float = 1e-6
     attitude_error: float = 0.0
-    tolerance: float = 1e-3
 
     @property
     def centre(self) -> tuple[float, float, float]:
@@ -84,7 +84,7 @@ class Given:
     @property
     def axes(self) -> str:
         """The axes that the target's body axes are, where no file says."""
-        return "vvlh" if self.fixed_in is None else self.fixed_in
+        return "vvlh" if self.target_fixed_in is None else self.target_fixed_in
 
     def check(self) -> None:
         """Refuse what does not go together.
@@ -93,9 +93,9 @@ class Given:
             ExchangeError: the message names the option.
 
         """
-        if self.target_attitude is not None and self.fixed_in is not None:
+        if self.target_attitude is not None and self.target_fixed_in is not None:
             raise ExchangeError(
-                f"--target-fixed-in {self.fixed_in}: not with --target-attitude, which says how the target turns"
+                f"--target-fixed-in {self.target_fixed_in}: not with --target-attitude, which says how the target turns"
             )
         if self.axes not in get_args(FixedIn):
             raise ExchangeError(f"--target-fixed-in {self.axes}: valid: {', '.join(get_args(FixedIn))}")
@@ -193,7 +193,7 @@ def _assumptions(
         "attitude_error_rad": turned,
         "attitude_error_of_digits_rad": motion.attitude_error,
         "centre_of_mass_m": list(given.centre),
-        "tolerance_m": given.tolerance,
+        "tolerance_m": _TOLERANCE,
     }
 
 
@@ -226,7 +226,7 @@ def _not_told(given: Given, files: Sequence[Ephemeris], verdict: Passage) -> lis
         found = _CENTRE_OF_MASS.search(comment)
         if found and not _says(comment[found.end() :], given.centre):
             said.append(f"{path} says, unlike --centre-of-mass: {comment}")
-    if given.target_attitude is None and given.fixed_in is None:
+    if given.target_attitude is None and given.target_fixed_in is None:
         said.append(f"how the target is turned was not given: its axes are taken to be those of {given.axes}")
     if given.target_attitude is not None:
         said.append(
@@ -245,10 +245,10 @@ def _not_told(given: Given, files: Sequence[Ephemeris], verdict: Passage) -> lis
 def _few_digits(given: Given, motion: "Encounter") -> list[str]:
     """Say where the digits of the files, and no option, decide how wrong they may be."""
     said, turned = [], motion.attitude_error
-    if motion.position_error > max(given.sample_error, given.tolerance):
+    if motion.position_error > max(given.sample_error, _TOLERANCE):
         said.append(f"positions have few digits: {motion.position_error:.4g} m is assumed as the sample error")
     swung = turned * float(np.linalg.norm(motion.relative, axis=1).max())
-    if turned > given.attitude_error and swung > given.tolerance:
+    if turned > given.attitude_error and swung > _TOLERANCE:
         said.append(f"the target's axes have few digits: {turned:.4g} rad is assumed as the attitude error")
     return said
 
@@ -350,11 +350,13 @@ def _require_alike(chaser: Orbit, target: Orbit, attitude: Attitude | None) -> N
         raise ExchangeError(
             f"{target.path}: is of {target.subject}, as {chaser.path} is; chaser and target must be two objects"
         )
-    same = [
+    same: list[tuple[Ephemeris, str, str, str]] = [
         (target, "CENTER_NAME", chaser.centre, target.centre),
         (target, "REF_FRAME", _frame(chaser.frame), _frame(target.frame)),
         (target, "TIME_SYSTEM", chaser.time_system, target.time_system),
     ]
+    if attitude is not None:
+        same.append((attitude, "TIME_SYSTEM", chaser.time_system, attitude.time_system))
     for file, keyword, one, other in same:
         if one != other:
             raise ExchangeError(f"{file.path}: {keyword} is {other}; it must be {one}, as in {chaser.path}")
@@ -362,11 +364,6 @@ def _require_alike(chaser: Orbit, target: Orbit, attitude: Attitude | None) -> N
         raise ExchangeError(f"{chaser.path}: REF_FRAME is {chaser.frame}; valid: {', '.join(INERTIAL)}")
     if attitude is None:
         return
-    if attitude.time_system != chaser.time_system:
-        raise ExchangeError(
-            f"{attitude.path}: TIME_SYSTEM is {attitude.time_system}; it must be {chaser.time_system}, as in "
-            f"{chaser.path}"
-        )
     whose = target.subject
     if attitude.centre and attitude.centre not in (chaser.centre, whose.name.upper(), whose.identifier.upper()):
         raise ExchangeError(

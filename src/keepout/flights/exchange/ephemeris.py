@@ -188,7 +188,7 @@ def _write(
         **ending,
     }
     rows = [(time, *(f"{number:.15e}" for number in row)) for time, row in zip(times, numbers.tolist())]
-    write_message(of.path, kind, VERSIONS[kind][-1], metadata, rows, comments=comments, xml=xml)
+    write_message(of.path, kind, Segment(VERSIONS[kind][-1], metadata, tuple(rows)), comments=comments, xml=xml)
 
 
 def without_jumps(quaternion: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n 4"]:
@@ -255,16 +255,10 @@ def read_aem(path: Path, *, wanted: SpaceObject | str | None = None) -> Attitude
     directions = []
 
     def columns(segment: Segment) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        kind = segment.required(path, "ATTITUDE_TYPE").upper()
-        if kind not in TYPES:
-            raise ExchangeError(f"{path}: ATTITUDE_TYPE is {kind}; valid: {', '.join(TYPES)}")
+        kind = segment.one_of(path, "ATTITUDE_TYPE", TYPES)
         first_edition = segment.version == "1.0"
-        order = segment.required(path, "QUATERNION_TYPE").upper() if first_edition else "LAST"
-        if order not in ("FIRST", "LAST"):
-            raise ExchangeError(f"{path}: QUATERNION_TYPE is {order}; valid: FIRST, LAST")
-        directions.append(segment.required(path, "ATTITUDE_DIR").upper() if first_edition else "A2B")
-        if directions[-1] not in ("A2B", "B2A"):
-            raise ExchangeError(f"{path}: ATTITUDE_DIR is {directions[-1]}; valid: A2B, B2A")
+        order = segment.one_of(path, "QUATERNION_TYPE", ("FIRST", "LAST")) if first_edition else "LAST"
+        directions.append(segment.one_of(path, "ATTITUDE_DIR", ("A2B", "B2A")) if first_edition else "A2B")
         if directions[-1] != directions[0]:
             raise ExchangeError(f"{path}: ATTITUDE_DIR is A2B in one segment and B2A in another; one for all is valid")
         return (2, 3, 4, 1) if order == "FIRST" else (1, 2, 3, 4), (TYPES[kind],)
@@ -348,9 +342,7 @@ def _read(
                     f"{path}: {keyword} is {first.metadata[keyword]} in one segment and {value} in another; "
                     "one for all segments is valid"
                 )
-    system = first.required(path, "TIME_SYSTEM").upper()
-    if system not in TIME_SYSTEMS:
-        raise ExchangeError(f"{path}: TIME_SYSTEM is {system}; valid: {', '.join(TIME_SYSTEMS)}")
+    system = first.one_of(path, "TIME_SYSTEM", TIME_SYSTEMS)
     useable = [_useable_rows(path, segment, columns) for segment in segments]
     rows: dict[int, State] = {}
     for states in sorted(filter(None, useable), key=lambda states: next(iter(states))):

@@ -1,6 +1,7 @@
 """Which formats there are for a flight and for a field, and what each of them writes."""
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -17,54 +18,55 @@ FlightFormat = Literal["oem", "aem", "czml", "csv", "parquet", "npz", "glb"]
 FieldFormat = Literal["onnx", "glb"]
 
 
-def check_export(source: Path, to: str, *, craft: str | None, given: dict[str, bool]) -> None:
-    """Refuse what cannot be exported before anything is read.
+@dataclass(frozen=True)
+class Export:
+    """What is to be written of a flight or a field.
 
-    Args:
-        source: a flight or a field file.
-        to: the format.
-        craft: of an OEM.
-        given: by option, whether it was given: --of, --xml, --chaser-radius, --mesh.
-
-    Raises:
-        ExchangeError: a file's ending, a format, or an option that does not go with it.
+    Attributes:
+        to: the format, a `FlightFormat` or a `FieldFormat`.
+        craft: of an OEM: whose orbit, a `Craft`; the chaser's if absent.
+        xml: OEM and AEM as XML; a file that ends in .xml is anyway.
+        chaser_radius: of a field: the one whose certificate the file tells, m; needed where there are several.
+        mesh: of a GLB: where the target's mesh is, if not where flight or field say.
 
     """
-    field = source.suffix == ".keepout"
-    if not field and source.suffix.lower() not in (".parquet", ".npz"):
-        raise ExchangeError(f"{source}: a flight file ends in .parquet or .npz, a field file in .keepout")
-    valid = get_args(FieldFormat if field else FlightFormat)
-    if to not in valid:
-        raise ExchangeError(f"--to {to}: valid for a {'field' if field else 'flight'}: {', '.join(valid)}")
-    uses = {"--of": ("oem",), "--xml": ("oem", "aem"), "--mesh": ("glb",)}
-    for option, formats in uses.items():
-        if given[option] and to not in formats:
-            raise ExchangeError(f"{option}: only for --to {' and --to '.join(formats)}, not --to {to}")
-    if given["--chaser-radius"] and not field:
-        raise ExchangeError("--chaser-radius: only for a field; a flight's is its scenario's")
-    if craft is not None and craft not in get_args(Craft):
-        raise ExchangeError(f"--of {craft}: valid: {', '.join(get_args(Craft))}")
+
+    to: str
+    craft: str | None = None
+    xml: bool = False
+    chaser_radius: float | None = None
+    mesh: str | None = None
+
+    def check(self, source: Path) -> None:
+        """Refuse what cannot be exported of a flight or field file before anything is read.
+
+        Raises:
+            ExchangeError: a file's ending, a format, or an option that does not go with it.
+
+        """
+        field, to = source.suffix == ".keepout", self.to
+        if not field and source.suffix.lower() not in (".parquet", ".npz"):
+            raise ExchangeError(f"{source}: a flight file ends in .parquet or .npz, a field file in .keepout")
+        valid = get_args(FieldFormat if field else FlightFormat)
+        if to not in valid:
+            raise ExchangeError(f"--to {to}: valid for a {'field' if field else 'flight'}: {', '.join(valid)}")
+        uses = {"of": (self.craft, ("oem",)), "xml": (self.xml or None, ("oem", "aem")), "mesh": (self.mesh, ("glb",))}
+        for option, (given, formats) in uses.items():
+            if given is not None and to not in formats:
+                raise ExchangeError(f"--{option}: only for --to {' and --to '.join(formats)}, not --to {to}")
+        if self.chaser_radius is not None and not field:
+            raise ExchangeError("--chaser-radius: only for a field; a flight's is its scenario's")
+        if self.craft not in (None, *get_args(Craft)):
+            raise ExchangeError(f"--of {self.craft}: valid: {', '.join(get_args(Craft))}")
 
 
-def export_flight(
-    source: Path,
-    to: FlightFormat,
-    out: Path,
-    *,
-    craft: Craft = "chaser",
-    xml: bool = False,
-    mesh: str | None = None,
-    progress: Progress = silent,
-) -> dict[str, Any]:
-    """Write a flight file in another program's format; the answer is plain JSON values.
+def export_flight(wanted: Export, source: Path, out: Path, *, progress: Progress = silent) -> dict[str, Any]:
+    """Write a flight file of `keepout fly`, whose header holds the scenario; the answer is plain JSON values.
 
     Args:
-        source: a flight file of `keepout fly`, whose header holds the scenario.
-        to: the format.
+        wanted: of it.
+        source: the flight file.
         out: the file to write.
-        craft: of an OEM: whose orbit.
-        xml: OEM and AEM as XML.
-        mesh: of a GLB: where the target's mesh is, if not where the scenario says.
         progress: called as the work goes on.
 
     Raises:
@@ -76,9 +78,11 @@ def export_flight(
     if not text:
         raise ExchangeError(f"{source}: its header has no scenario, so no orbit; a flight of `keepout fly` has one")
     scenario = Scenario.parse(json.loads(text), where=str(source))
-    match to:
+    xml = wanted.xml or out.suffix.lower() == ".xml"
+    match wanted.to:
         case "oem":
-            return export_orbit(inertial_flight(record, scenario), scenario.name, out, craft=craft, xml=xml)
+            flight = inertial_flight(record, scenario)
+            return export_orbit(flight, scenario.name, out, craft=wanted.craft or "chaser", xml=xml)
         case "aem":
             return export_attitude(inertial_flight(record, scenario), scenario.name, scenario.target, out, xml=xml)
         case "czml":
@@ -86,9 +90,42 @@ def export_flight(
 
             return export_czml(inertial_flight(record, scenario), scenario, out)
         case "glb":
-            return _flight_scene(source, record, scenario, out, mesh, progress)
+            return _flight_scene(source, record, scenario, out, wanted.mesh, progress)
         case _:
-            return export_table(record, scenario, out, to=to)
+            return export_table(record, scenario, out, to=wanted.to)
+
+
+def export_field(
+    wanted: Export, model: FieldModel, out: Path, *, target: Target | None, seed: int = 0, progress: Progress = silent
+) -> dict[str, Any]:
+    """Write a field; the answer is plain JSON values.
+
+    Args:
+        wanted: of it.
+        model: the field.
+        out: the file to write.
+        target: the mesh the field was made for, needed by "glb".
+        seed: of the points at which an ONNX file is measured.
+        progress: called as the work goes on.
+
+    Raises:
+        KeepoutError: there is no such certificate, or the file cannot be written.
+
+    """
+    certificate = _certificate(model, wanted.chaser_radius)
+    if wanted.to == "onnx":
+        try:
+            from keepout.flights.exchange.onnx_field import export_onnx
+        except ModuleNotFoundError as error:
+            if error.name != "onnx":
+                raise
+            raise ExchangeError("--to onnx: is written with onnx; pip install 'keepout[export]'") from None
+        return export_onnx(model, out, certificate=certificate, seed=seed, progress=progress)
+    from keepout.flights.exchange.scene import export_scene
+
+    assert target is not None, "a scene has a target"
+    model.require_target(target, where="--mesh")
+    return export_scene(target, out, model=model, certificate=certificate, progress=progress)
 
 
 def _flight_scene(
@@ -114,47 +151,6 @@ def _flight_scene(
         told={"scenario": scenario.name, "epoch": scenario.epoch, "path_seconds": float(record.time[-1])},
         progress=progress,
     )
-
-
-def export_field(
-    model: FieldModel,
-    to: FieldFormat,
-    out: Path,
-    *,
-    target: Target | None = None,
-    chaser_radius: float | None = None,
-    seed: int = 0,
-    progress: Progress = silent,
-) -> dict[str, Any]:
-    """Write a field in another program's format; the answer is plain JSON values.
-
-    Args:
-        model: the field.
-        to: the format; "glb" needs the target.
-        out: the file to write.
-        target: the mesh the field was made for.
-        chaser_radius: the one whose certificate the file tells, m; needed where there are several.
-        seed: of the points at which an ONNX file is measured.
-        progress: called as the work goes on.
-
-    Raises:
-        KeepoutError: there is no such certificate, or the file cannot be written.
-
-    """
-    certificate = _certificate(model, chaser_radius)
-    if to == "onnx":
-        try:
-            from keepout.flights.exchange.onnx_field import export_onnx
-        except ModuleNotFoundError as error:
-            if error.name != "onnx":
-                raise
-            raise ExchangeError("--to onnx: is written with onnx; pip install 'keepout[export]'") from None
-        return export_onnx(model, out, certificate=certificate, seed=seed, progress=progress)
-    from keepout.flights.exchange.scene import export_scene
-
-    assert target is not None, "a scene has a target"
-    model.require_target(target, where="--mesh")
-    return export_scene(target, out, model=model, certificate=certificate, progress=progress)
 
 
 def _certificate(model: FieldModel, chaser_radius: float | None) -> Certificate | None:

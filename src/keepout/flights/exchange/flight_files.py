@@ -141,7 +141,7 @@ def inertial_flight(record: FlightRecord, scenario: Scenario) -> InertialFlight:
     )
 
 
-def export_orbit(flight: InertialFlight, scenario: str, path: Path, *, craft: Craft, xml: bool) -> dict[str, Any]:
+def export_orbit(flight: InertialFlight, scenario: str, path: Path, *, craft: str, xml: bool) -> dict[str, Any]:
     """Write the orbit of chaser or target as an OEM; its summary says what stands in it."""
     chaser = craft == "chaser"
     orbit = Orbit(

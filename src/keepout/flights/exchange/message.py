@@ -9,7 +9,7 @@ numbers, all of them still text. A file of keywords and values holds one message
 import datetime
 import re
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -22,8 +22,11 @@ Kind = Literal["OEM", "AEM"]
 Row = tuple[str, ...]
 
 _KEYWORD = re.compile(r"([A-Z][A-Z0-9_]*)\s*=\s*(.*)")
-_STATE = {"X": "km", "Y": "km", "Z": "km", "X_DOT": "km/s", "Y_DOT": "km/s", "Z_DOT": "km/s"}
-_QUATERNION = ("Q1", "Q2", "Q3", "QC")
+_STATES: dict[Kind, tuple[str, dict[str, str]]] = {
+    "OEM": ("stateVector", {"X": "km", "Y": "km", "Z": "km", "X_DOT": "km/s", "Y_DOT": "km/s", "Z_DOT": "km/s"}),
+    "AEM": ("attitudeState", dict.fromkeys(("Q1", "Q2", "Q3", "QC"), "")),
+}
+"""Of a row in XML: its element, and the names of its numbers with their units."""
 _LONGEST_LINE = 254
 """Letters of a line, by both standards."""
 _KVN_LINE = re.compile(r"\r\n|\r|\n")
@@ -49,25 +52,26 @@ class Segment:
             raise ExchangeError(f"{path}: {keyword} is missing; a segment's metadata must have it")
         return self.metadata[keyword]
 
+    def one_of(self, path: Path, keyword: str, valid: Iterable[str]) -> str:
+        """Give a keyword's value in capitals.
 
-def write_message(
-    path: Path,
-    kind: Kind,
-    version: str,
-    metadata: Mapping[str, str],
-    rows: Sequence[Row],
-    *,
-    comments: Sequence[str],
-    xml: bool,
-) -> None:
+        Raises:
+            ExchangeError: it is not there, or none of the valid ones.
+
+        """
+        value = self.required(path, keyword).upper()
+        if value not in valid:
+            raise ExchangeError(f"{path}: {keyword} is {value}; valid: {', '.join(valid)}")
+        return value
+
+
+def write_message(path: Path, kind: Kind, segment: Segment, *, comments: Sequence[str], xml: bool) -> None:
     """Write a message of one segment, whole or not at all.
 
     Args:
         path: the file.
         kind: of message.
-        version: of its standard.
-        metadata: by keyword, in the standard's order.
-        rows: an epoch and numbers, as text.
+        segment: its metadata in the standard's order.
         comments: of the header, for people; one that is longer than a line goes on in the next, and letters that are
             not ASCII are written as Python's escapes.
         xml: as XML instead of keywords and values.
@@ -76,47 +80,30 @@ def write_message(
         ExchangeError: a value of the metadata is no line of the standard, or the file cannot be written.
 
     """
-    for key, value in metadata.items():
+    for key, value in segment.metadata.items():
         if not _PRINTABLE.fullmatch(value) or len(f"{key} = {value}") > _LONGEST_LINE or value != value.strip():
             raise ExchangeError(
                 f"{path}: {key} would be {value[:60]!r}, {len(value)} characters; valid: printable ASCII, in a line of "
                 f"at most {_LONGEST_LINE}"
             )
-    width = _LONGEST_LINE - len("COMMENT ")
     ascii_only = (comment.encode("ascii", "backslashreplace").decode() for comment in comments)
-    comments = [line for comment in ascii_only for line in textwrap.wrap(comment, width)]
+    lines = [line for comment in ascii_only for line in textwrap.wrap(comment, _LONGEST_LINE - len("COMMENT "))]
     created = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H:%M:%S")
-    header = {"CREATION_DATE": created, "ORIGINATOR": "KEEPOUT"}
-    write = _xml if xml else _kvn
-    write_whole(path, write(kind, version, header, metadata, rows, comments), refusal=ExchangeError)
+    header = [*(("COMMENT", line) for line in lines), ("CREATION_DATE", created), ("ORIGINATOR", "KEEPOUT")]
+    write_whole(path, (_xml if xml else _kvn)(kind, segment, header), refusal=ExchangeError)
 
 
-def _kvn(
-    kind: Kind,
-    version: str,
-    header: Mapping[str, str],
-    metadata: Mapping[str, str],
-    rows: Sequence[Row],
-    comments: Sequence[str],
-) -> str:
-    lines = [f"CCSDS_{kind}_VERS = {version}"]
-    lines += [f"COMMENT {comment}" for comment in comments]
-    lines += [f"{key} = {value}" for key, value in header.items()]
-    lines += ["", "META_START", *(f"{key} = {value}" for key, value in metadata.items()), "META_STOP", ""]
-    body = [" ".join(row) for row in rows]
+def _kvn(kind: Kind, segment: Segment, header: Sequence[tuple[str, str]]) -> str:
+    lines = [f"CCSDS_{kind}_VERS = {segment.version}"]
+    lines += [f"{key} {value}" if key == "COMMENT" else f"{key} = {value}" for key, value in header]
+    lines += ["", "META_START", *(f"{key} = {value}" for key, value in segment.metadata.items()), "META_STOP", ""]
+    body = [" ".join(row) for row in segment.rows]
     lines += body if kind == "OEM" else ["DATA_START", *body, "DATA_STOP"]
     return "\n".join(lines) + "\n"
 
 
-def _xml(
-    kind: Kind,
-    version: str,
-    header: Mapping[str, str],
-    metadata: Mapping[str, str],
-    rows: Sequence[Row],
-    comments: Sequence[str],
-) -> bytes:
-    root = ElementTree.Element(kind.lower(), id=f"CCSDS_{kind}_VERS", version=version)
+def _xml(kind: Kind, segment: Segment, header: Sequence[tuple[str, str]]) -> bytes:
+    root = ElementTree.Element(kind.lower(), id=f"CCSDS_{kind}_VERS", version=segment.version)
 
     def add(parent, name: str, text: str | None = None, **attributes: str):
         child = ElementTree.SubElement(parent, name, attributes)
@@ -124,15 +111,14 @@ def _xml(
         return child
 
     head = add(root, "header")
-    segment = add(add(root, "body"), "segment")
-    described, data = add(segment, "metadata"), add(segment, "data")
-    for key, value in (*(("COMMENT", comment) for comment in comments), *header.items()):
-        add(head, key, value)
-    for key, value in metadata.items():
-        add(described, key, value)
-    names = _STATE if kind == "OEM" else dict.fromkeys(_QUATERNION, "")
-    for epoch, *numbers in rows:
-        state = add(data, "stateVector") if kind == "OEM" else add(add(data, "attitudeState"), "quaternionEphemeris")
+    inside = add(add(root, "body"), "segment")
+    described, data = add(inside, "metadata"), add(inside, "data")
+    for part, entries in ((head, header), (described, segment.metadata.items())):
+        for key, value in entries:
+            add(part, key, value)
+    element, names = _STATES[kind]
+    for epoch, *numbers in segment.rows:
+        state = add(data, element) if kind == "OEM" else add(add(data, element), "quaternionEphemeris")
         add(state, "EPOCH", epoch)
         inside = state if kind == "OEM" else add(state, "quaternion")
         for (name, unit), number in zip(names.items(), numbers, strict=True):
@@ -251,12 +237,10 @@ def _segment(path: Path, kind: Kind, version: str, segment) -> Segment:
             raise ExchangeError(f"{path}: {_name(entry)} must stand once in a segment's metadata")
         if _name(entry) != "COMMENT":
             metadata[_name(entry)] = _text(path, entry)
-    if kind == "OEM":
-        states, names = "stateVector", _STATE
-    else:
+    if kind == "AEM":
         metadata["QUATERNION_TYPE"] = "LAST"
-        states, names = "attitudeState", {name: "" for name in _QUATERNION}
-    rows = tuple(_row(path, state, names) for state in parts["data"] if _name(state) == states)
+    element, names = _STATES[kind]
+    rows = tuple(_row(path, state, names) for state in parts["data"] if _name(state) == element)
     return Segment(version, metadata, rows)
 
 

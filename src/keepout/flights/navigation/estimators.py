@@ -29,6 +29,12 @@ _WIDEST = np.array([100.0, 1.0])
 """Standard deviations of position (m) and velocity (m/s) beyond which no sample widens them."""
 _WIDEST_DISTURBANCE = 10.0
 """Likewise of the disturbance's components, in those of the start."""
+PATIENCE = 5
+"""Samples of a sensor that are left out in a row before the covariance is widened."""
+_ACCELERATION_NOISE = 5e-5
+"""Velocity that nothing explains gathers this much a second, m/s/√s: forces off from the commanded ones."""
+_ATTITUDE_SHARE = 0.1
+"""Of the difference between a sampled attitude and the estimate's that is taken over."""
 _ROUNDING = 1e-12
 """Added to a square matrix that is 0 for a sample that says nothing of the motion: it then moves nothing."""
 Factor = list[list[Float[Array, ""]]]
@@ -108,7 +114,7 @@ class KalmanFilter(Estimator):
     """An extended Kalman filter with late, seldom and missing samples, and a gate for outliers.
 
     A sample is used at the time that it is of: the filter starts again from the newest time of which all samples have
-    come and runs ahead to now. One further off than a chi-square threshold is left out. After `patience` samples of a
+    come and runs ahead to now. One further off than a chi-square threshold is left out. After `PATIENCE` samples of a
     sensor in a row were left out, each further one widens the covariance until the sensor is believed again.
 
     Attitude and rates are carried by the motion's model and taken as true; a sensor of the attitude pulls the attitude
@@ -125,7 +131,6 @@ class KalmanFilter(Estimator):
         gates: largest normalised innovation squared of each sensor's samples.
         attitude_share: of the difference between a sampled attitude and the estimate's.
         attitudes: which sensors give the attitude.
-        patience: samples left out in a row before the covariance is widened.
 
     """
 
@@ -139,7 +144,6 @@ class KalmanFilter(Estimator):
     gates: Float[Array, " sensors"]
     attitude_share: Float[Array, ""]
     attitudes: tuple[bool, ...] = eqx.field(static=True)
-    patience: int = eqx.field(static=True)
 
     @property
     def latency(self) -> int:
@@ -249,7 +253,7 @@ class KalmanFilter(Estimator):
         M = P - _product(K, PH)
         P = M - _product(M[:, :6] @ H.T - K @ R, K)
         change = K @ innovation
-        impatient = out & finite & (belief.left_out[number] >= self.patience)
+        impatient = out & finite & (belief.left_out[number] >= PATIENCE)
         wider = jnp.minimum(2.0 * square / self.gates[number], _MOST_WIDENING)
         factors = jnp.where(impatient, self._widening(P, wider), 1.0)
         P = factors[:, None] * P * factors
@@ -305,11 +309,8 @@ def kalman_filter(
     period: float,
     disturbance_bound: float,
     frequencies: Sequence[float] = (),
-    acceleration_noise: float = 5e-5,
     disturbance_walk: float | None = None,
     outlier_probability: float = 1e-6,
-    patience: int = 5,
-    attitude_share: float = 0.1,
 ) -> KalmanFilter:
     """Build the filter.
 
@@ -320,31 +321,22 @@ def kalman_filter(
         period: between control steps, s.
         disturbance_bound: the norm of the push, N: each part of it may be as large at the start.
         frequencies: of sinusoids in the push, rad/s.
-        acceleration_noise: velocity that nothing explains gathers this much a second, m/s/√s: forces off from the
-            commanded ones.
         disturbance_walk: what the push gathers a second beyond its model, N/√s; by default a tenth of the bound for a
             constant alone, which must follow whatever the push does, and a five-hundredth for sinusoids.
         outlier_probability: of a sample of the filter's own statistics to be left out.
-        patience: samples left out in a row before the covariance is widened.
-        attitude_share: of the difference between a sampled attitude and the estimate's that is taken over.
 
     Raises:
         ScenarioError: no sensor of the chaser's motion, or a number outside its range.
 
     """
-    numbers = {"mass": mass, "period": period, "disturbance_bound": disturbance_bound}
-    numbers |= {"acceleration_noise": acceleration_noise}
     if disturbance_walk is None:
         disturbance_walk = disturbance_bound / (500.0 if len(frequencies) else 10.0)
+    numbers = {"mass": mass, "period": period, "disturbance_bound": disturbance_bound}
     for name, value in (numbers | {"disturbance_walk": disturbance_walk}).items():
         if not (np.isfinite(value) and (value > 0.0 or (value == 0.0 and name not in ("mass", "period")))):
             raise ScenarioError(f"filter {name}: {value}; it must be finite and positive, noises and bounds may be 0")
     if not 0.0 < outlier_probability < 1.0:
         raise ScenarioError(f"filter outlier_probability: {outlier_probability}; it must lie in (0, 1)")
-    if not 0.0 <= attitude_share <= 1.0:
-        raise ScenarioError(f"filter attitude_share: {attitude_share}; it must lie in [0, 1]")
-    if patience < 0:
-        raise ScenarioError(f"filter patience: {patience}; it must be at least 0")
     attitudes = attitude_sensors(motion, sensors)
     if all(attitudes):
         raise ScenarioError(f"filter sensors: {len(attitudes)}, none of the chaser's motion; at least one is needed")
@@ -352,7 +344,7 @@ def kalman_filter(
     model = disturbance_model(frequencies, period)
     one, q = np.eye(3), model.size
     noise = np.zeros((6 + 3 * q, 6 + 3 * q))
-    block = np.array([[period**2 / 3.0, period / 2.0], [period / 2.0, 1.0]]) * period * acceleration_noise**2
+    block = np.array([[period**2 / 3.0, period / 2.0], [period / 2.0, 1.0]]) * period * _ACCELERATION_NOISE**2
     noise[:6, :6] = np.kron(block, one)
     noise[6:, 6:] = np.eye(3 * q) * period * disturbance_walk**2
     sizes = [jax.eval_shape(sensor.ideal, probe(motion)).size for sensor in sensors]
@@ -366,9 +358,8 @@ def kalman_filter(
         process_noise=as_float64(noise),
         disturbance_variance=as_float64(disturbance_bound**2 / 5.0),
         gates=as_float64(gates),
-        attitude_share=as_float64(attitude_share),
+        attitude_share=as_float64(_ATTITUDE_SHARE),
         attitudes=attitudes,
-        patience=patience,
     )
 
 

@@ -13,7 +13,7 @@ sensor may have lost in a row, the largest radii with which it can be reached.
 import itertools
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax
@@ -162,15 +162,14 @@ class SetMembership(BoundedEstimator):
         position, velocity = state.position, state.velocity
         drift, push, change = T * velocity.centre, 0.5 * T**2 * u, T * u
         further = position.radius + T * velocity.radius + 0.5 * T**2 * D
-        return KnownMotion(
+        return replace(
+            state,
             position=_rounded(position.centre + drift + push, further, position.centre, drift, push),
             velocity=_rounded(velocity.centre + change, velocity.radius + T * D, velocity.centre, change),
             accelerations=_shifted(state.accelerations, u),
-            attitudes=state.attitudes,
             centres=_shifted(state.centres, position.centre),
             radii=_shifted(state.radii, position.radius),
             elapsed=jnp.minimum(state.elapsed + 1, self.window),
-            contradictions=state.contradictions,
         )
 
     def correct(
@@ -178,7 +177,7 @@ class SetMembership(BoundedEstimator):
     ) -> tuple[KnownMotion, KnownSet]:
         """Cut velocity, then position, then velocity again where two positions bound it."""
         attitudes = _shifted(state.attitudes, estimate.attitude)
-        state = eqx.tree_at(lambda s: s.attitudes, state, attitudes)
+        state = replace(state, attitudes=attitudes)
         late = [
             (sensor, sample, eqx.tree_at(lambda s: s.attitude, estimate, attitudes[-1 - sensor.latency]))
             for sensor, sample in zip(self.suite.sensors, samples, strict=True)
@@ -208,16 +207,8 @@ class SetMembership(BoundedEstimator):
         wrong = jnp.stack([position.wrong, velocity.wrong])
         heard = jnp.stack([position.heard, velocity.heard])
         counted = jnp.where(heard, jnp.where(wrong & ~believe, state.contradictions + 1, 0), state.contradictions)
-        state = KnownMotion(
-            position=position.known,
-            velocity=velocity.known,
-            accelerations=state.accelerations,
-            attitudes=attitudes,
-            centres=centres,
-            radii=radii,
-            elapsed=elapsed,
-            contradictions=counted,
-        )
+        balls = {"position": position.known, "velocity": velocity.known}
+        state = replace(state, **balls, centres=centres, radii=radii, elapsed=elapsed, contradictions=counted)
         centre = eqx.tree_at(
             lambda s: (s.position, s.velocity), estimate, (position.known.centre, velocity.known.centre)
         )

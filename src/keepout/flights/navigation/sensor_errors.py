@@ -6,6 +6,8 @@ sensor asks the random generator once a sample.
 """
 
 import abc
+import itertools
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -19,6 +21,10 @@ from keepout.core.flight.navigation import Sample
 from keepout.core.motion.arrays import as_float64
 
 Scalar = Float[Array, ""]
+Normals = Float[Array, " k"]
+"""Standard normal numbers."""
+Drawn = Float[Array, " dimension"]
+"""An error."""
 
 
 class ErrorPart(eqx.Module):
@@ -29,9 +35,7 @@ class ErrorPart(eqx.Module):
         """Count the standard normal numbers that a draw takes."""
 
     @abc.abstractmethod
-    def draw(
-        self, state: PyTree, normals: Float[Array, " k"], dimension: int
-    ) -> tuple[PyTree, Float[Array, " dimension"]]:
+    def draw(self, state: PyTree, normals: Normals, dimension: int) -> tuple[PyTree, Drawn]:
         """Give the error of this control period; called once a period."""
 
     @abc.abstractmethod
@@ -42,7 +46,7 @@ class ErrorPart(eqx.Module):
     def bound(self) -> Scalar:
         """Give the length that the part does not pass, but for the probability of `beyond`."""
 
-    def initial_state(self, normals: Float[Array, " k"], dimension: int) -> PyTree:
+    def initial_state(self, normals: Normals, dimension: int) -> PyTree:
         """Give the memory before the first draw; none."""
         return ()
 
@@ -83,9 +87,7 @@ class BallNoise(_InBall):
     def __check_init__(self):
         _check("noise radius", self.radius)
 
-    def draw(
-        self, state: PyTree, normals: Float[Array, " k"], dimension: int
-    ) -> tuple[PyTree, Float[Array, " dimension"]]:
+    def draw(self, state: PyTree, normals: Normals, dimension: int) -> tuple[PyTree, Drawn]:
         """Draw from the ball."""
         return state, self.radius * _in_unit_ball(normals, dimension)
 
@@ -113,9 +115,7 @@ class GaussianNoise(ErrorPart):
         """Count one a component."""
         return dimension
 
-    def draw(
-        self, state: PyTree, normals: Float[Array, " k"], dimension: int
-    ) -> tuple[PyTree, Float[Array, " dimension"]]:
+    def draw(self, state: PyTree, normals: Normals, dimension: int) -> tuple[PyTree, Drawn]:
         """Draw each component."""
         return state, self.std * normals
 
@@ -156,13 +156,11 @@ class WanderingBias(_InBall):
             step, radius = np.asarray(self.step).tolist(), np.asarray(self.radius).tolist()
             raise ScenarioError(f"bias step: {step}; it must be at most the radius {radius}")
 
-    def initial_state(self, normals: Float[Array, " k"], dimension: int) -> PyTree:
+    def initial_state(self, normals: Normals, dimension: int) -> PyTree:
         """Draw the bias from its ball."""
         return self.radius * _in_unit_ball(normals, dimension)
 
-    def draw(
-        self, state: PyTree, normals: Float[Array, " k"], dimension: int
-    ) -> tuple[PyTree, Float[Array, " dimension"]]:
+    def draw(self, state: PyTree, normals: Normals, dimension: int) -> tuple[PyTree, Drawn]:
         """Give the bias, and take a step."""
         moved = state + self.step * _in_unit_ball(normals, dimension)
         length = jnp.linalg.norm(moved)
@@ -200,9 +198,7 @@ class Outliers(ErrorPart):
         """Count one more than the error has components."""
         return dimension + 1
 
-    def draw(
-        self, state: PyTree, normals: Float[Array, " k"], dimension: int
-    ) -> tuple[PyTree, Float[Array, " dimension"]]:
+    def draw(self, state: PyTree, normals: Normals, dimension: int) -> tuple[PyTree, Drawn]:
         """Draw whether there is one, and its direction."""
         direction = normals[1:] / jnp.linalg.norm(normals[1:])
         return state, jnp.where(normals[0] < special.ndtri(self.probability), self.size, 0.0) * direction
@@ -236,12 +232,12 @@ class ErrorModel(eqx.Module):
         """Count the standard normal numbers that a draw, or a start, takes."""
         return sum(part.normals(self.dimension) for part in self.parts)
 
-    def initial_state(self, normals: Float[Array, " k"]) -> PyTree:
+    def initial_state(self, normals: Normals) -> PyTree:
         """Start each part."""
         own = self._own(normals)
         return tuple(part.initial_state(some, self.dimension) for part, some in zip(self.parts, own, strict=True))
 
-    def draw(self, state: PyTree, normals: Float[Array, " k"]) -> tuple[PyTree, Float[Array, " dimension"]]:
+    def draw(self, state: PyTree, normals: Normals) -> tuple[PyTree, Drawn]:
         """Add up the parts; called once a control period."""
         total, states = jnp.zeros(self.dimension), []
         for part, memory, some in zip(self.parts, state, self._own(normals), strict=True):
@@ -262,16 +258,17 @@ class ErrorModel(eqx.Module):
         """Give a bound on the probability that one draw passes `bound`: the sum over the parts."""
         return min(1.0, sum(part.beyond(self.dimension) for part in self.parts))
 
-    def _own(self, normals: Float[Array, " k"]) -> list[Float[Array, " _"]]:
-        pieces, first = [], 0
-        for part in self.parts:
-            last = first + part.normals(self.dimension)
-            pieces.append(normals[first:last])
-            first = last
-        return pieces
+    def _own(self, normals: Normals) -> list[Normals]:
+        return pieces(normals, [part.normals(self.dimension) for part in self.parts])
 
 
-def _in_unit_ball(normals: Float[Array, " k"], dimension: int) -> Float[Array, " dimension"]:
+def pieces(normals: Normals, counts: Sequence[int]) -> list[Normals]:
+    """Cut numbers into pieces of these lengths."""
+    ends = list(itertools.accumulate(counts))
+    return [normals[end - count : end] for end, count in zip(ends, counts)]
+
+
+def _in_unit_ball(normals: Normals, dimension: int) -> Drawn:
     """Give a point that is even in the unit ball of n dimensions.
 
     It is the first n coordinates of a point that is even on the unit sphere of n + 2 dimensions.
@@ -339,7 +336,7 @@ class Arrival(eqx.Module):
         line = jnp.zeros((self.latency, *value.shape)), jnp.zeros(self.latency, bool)
         return jnp.zeros((), jnp.int32), jnp.zeros((), jnp.int32), line
 
-    def step(self, state: PyTree, value: Float[Array, " n"], normals: Float[Array, " k"]) -> tuple[PyTree, Sample]:
+    def step(self, state: PyTree, value: Float[Array, " n"], normals: Normals) -> tuple[PyTree, Sample]:
         """Put in what would be measured now, and give what arrives now; called once a control period."""
         count, missed, (values, came) = state
         taken = count % self.every == 0

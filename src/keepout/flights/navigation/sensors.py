@@ -6,6 +6,7 @@ the attitude of the estimate, whose error is bounded by `attitude_error`.
 
 import abc
 import dataclasses
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -19,7 +20,7 @@ from keepout.core.motion import rotation
 from keepout.core.motion.arrays import Vector, as_float64, norm
 from keepout.core.motion.relative import MotionState
 from keepout.core.motion.rotation import Quaternion
-from keepout.flights.navigation.sensor_errors import Arrival, ErrorModel, ErrorPart
+from keepout.flights.navigation.sensor_errors import Arrival, ErrorModel, ErrorPart, pieces
 
 Scalar = Float[Array, ""]
 
@@ -29,12 +30,9 @@ ROUNDING = 1e-13
 """Part of a ball's radius and of the measured length that is added to the radius, against rounding of both."""
 
 
-def _of_vector(parts: ErrorModel | tuple[ErrorPart, ...]) -> ErrorModel:
-    return parts if isinstance(parts, ErrorModel) else ErrorModel(parts, 3)
-
-
-def _of_number(parts: ErrorModel | tuple[ErrorPart, ...]) -> ErrorModel:
-    return parts if isinstance(parts, ErrorModel) else ErrorModel(parts, 1)
+def _errors_of(dimension: int) -> Callable[[ErrorModel | tuple[ErrorPart, ...]], ErrorModel]:
+    """Give what takes error parts, or an error model, for an error of so many components."""
+    return lambda parts: parts if isinstance(parts, ErrorModel) else ErrorModel(parts, dimension)
 
 
 class SimulatedSensor(Sensor):
@@ -81,28 +79,23 @@ class SimulatedSensor(Sensor):
     def initial_state(self, key: PRNGKeyArray, truth: MotionState) -> PyTree:
         """Draw the biases; no sample is under way."""
         key, draw = jax.random.split(key)
-        pieces = self._normals(draw)
-        memories = tuple(model.initial_state(some) for model, some in zip(self.error_models, pieces, strict=False))
+        memories = tuple(model.initial_state(some) for model, some in zip(self.error_models, self._normals(draw)))
         return key, memories, self.arrival.initial_state(self.ideal(truth))
 
     def sample(self, state: PyTree, truth: MotionState) -> tuple[PyTree, Sample]:
         """Draw the errors, measure, and give what arrives."""
         key, memories, line = state
         key, draw = jax.random.split(key)
-        pieces = self._normals(draw)
-        drawn = [model.draw(memory, some) for model, memory, some in zip(self.error_models, memories, pieces)]
+        *normals, last = self._normals(draw)
+        drawn = [model.draw(memory, some) for model, memory, some in zip(self.error_models, memories, normals)]
         value = self.disturbed(truth, tuple(error for _, error in drawn))
-        line, sample = self.arrival.step(line, value, pieces[-1])
+        line, sample = self.arrival.step(line, value, last)
         return (key, tuple(memory for memory, _ in drawn), line), sample
 
     def _normals(self, key: PRNGKeyArray) -> list[Float[Array, " _"]]:
         """Draw standard normal numbers once: a piece for each error model, and one for the line."""
         counts = [*(model.normals() for model in self.error_models), self.arrival.normals]
-        drawn, pieces, first = jax.random.normal(key, (sum(counts),)), [], 0
-        for count in counts:
-            pieces.append(drawn[first : first + count])
-            first += count
-        return pieces
+        return pieces(jax.random.normal(key, (sum(counts),)), counts)
 
 
 class _VectorSensor(SimulatedSensor):
@@ -142,7 +135,7 @@ class _VectorSensor(SimulatedSensor):
 class _WholeVector(_VectorSensor):
     """A sensor of a vector whose components have one error."""
 
-    errors: ErrorModel = eqx.field(converter=_of_vector)
+    errors: ErrorModel = eqx.field(converter=_errors_of(3))
 
     def disturbed(self, truth: MotionState, errors: tuple[Float[Array, " _"], ...]) -> Float[Array, "3"]:
         """Add the error."""
@@ -221,8 +214,8 @@ class RangeBearing(_VectorSensor):
 
     """
 
-    range_errors: ErrorModel = eqx.field(converter=_of_number)
-    bearing_errors: ErrorModel = eqx.field(converter=_of_vector)
+    range_errors: ErrorModel = eqx.field(converter=_errors_of(1))
+    bearing_errors: ErrorModel = eqx.field(converter=_errors_of(3))
 
     def ideal(self, state: MotionState) -> Float[Array, "3"]:
         """Give the position in the sensor's axes, m."""
@@ -259,7 +252,7 @@ class RangeRate(SimulatedSensor):
 
     """
 
-    errors: ErrorModel = eqx.field(converter=_of_number)
+    errors: ErrorModel = eqx.field(converter=_errors_of(1))
 
     def ideal(self, state: MotionState) -> Float[Array, "1"]:
         """Give r·v/‖r‖, m/s; 0 at the origin."""
@@ -286,7 +279,7 @@ class TargetAttitude(SimulatedSensor):
 
     """
 
-    errors: ErrorModel = eqx.field(converter=_of_vector)
+    errors: ErrorModel = eqx.field(converter=_errors_of(3))
 
     def ideal(self, state: MotionState) -> Float[Array, "4"]:
         """Give the attitude."""

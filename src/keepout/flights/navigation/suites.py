@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 
 from keepout.core.control.observer import PAPER_FREQUENCIES
 from keepout.core.errors import ScenarioError
-from keepout.core.flight.navigation import Estimator, Navigation, Sensor, Suite
+from keepout.core.flight.navigation import Navigation, Sensor, Suite
 from keepout.core.guard.braking import GuardAssumptions
 from keepout.core.mission.entries import NavigationEntry
 from keepout.core.mission.scenario import Scenario
@@ -93,6 +93,8 @@ SUITES = {"far": far, "near": near, "close": close}
 """The worked suites by name."""
 
 
+WINDOW = 60.0
+"""Within which a suite's samples must determine the motion, s."""
 LEAST = 1e-6
 """Smallest singular value, as a part of the largest, of a suite that observes position and velocity."""
 _REMEDY = {
@@ -101,8 +103,8 @@ _REMEDY = {
 }
 
 
-def check_observability(suite: Suite, state: MotionState, period: float, window: float = 60.0) -> float:
-    """Refuse a suite whose samples do not determine position and velocity within a window.
+def check_observability(suite: Suite, state: MotionState, period: float) -> float:
+    """Refuse a suite whose samples do not determine position and velocity within `WINDOW`.
 
     The motion is r̈ = known acceleration, so that a change of the start's position and velocity by (δr, δv) moves the
     position at time t by δr + t δv and the velocity by δv. Each sample adds the rows H Φ(t) of the linearised
@@ -114,7 +116,6 @@ def check_observability(suite: Suite, state: MotionState, period: float, window:
         suite: the sensors.
         state: about which they are linearised; a flight's start.
         period: control period, s.
-        window: s.
 
     Returns:
         The smallest singular value over the largest.
@@ -123,11 +124,11 @@ def check_observability(suite: Suite, state: MotionState, period: float, window:
         ScenarioError: the least is below `LEAST` of the largest; it names the direction that is not observed.
 
     """
-    steps = int(window / period)
+    steps = int(WINDOW / period)
     blocks = [np.zeros((0, 6))]
     for sensor in suite.sensors:
         times = period * np.arange(0, steps - sensor.latency + 1, sensor.every * (sensor.most_missed + 1))
-        slopes = np.asarray(_slopes(sensor, state, jnp.asarray(times), window)).reshape(-1, 6)
+        slopes = np.asarray(_slopes(sensor, state, jnp.asarray(times))).reshape(-1, 6)
         longest = max(np.linalg.norm(slopes, axis=-1), default=0.0)
         blocks += [slopes / longest] if longest > 0.0 else []
     rows = np.concatenate(blocks)
@@ -139,20 +140,18 @@ def check_observability(suite: Suite, state: MotionState, period: float, window:
         along = worst[:3] if part == "position" else worst[3:]
         along = along / np.linalg.norm(along)
         raise ScenarioError(
-            f"suite: its samples of {window:g} s do not determine the {part} along "
+            f"suite: its samples of {WINDOW:g} s do not determine the {part} along "
             f"({along[0]:.2f}, {along[1]:.2f}, {along[2]:.2f}): singular value {singular[5]:.1e} of {singular[0]:.1e}, "
             f"it must be at least {LEAST:g} of it; {_REMEDY[part]}"
         )
     return share
 
 
-def _slopes(
-    sensor: Sensor, state: MotionState, times: Float[Array, " samples"], window: float
-) -> Float[Array, "samples n 6"]:
+def _slopes(sensor: Sensor, state: MotionState, times: Float[Array, " samples"]) -> Float[Array, "samples n 6"]:
     """Give the derivatives of a sensor's samples by the start's position (m) and velocity (m per window)."""
 
     def measured(change: Float[Array, "6"], time: Float[Array, ""]) -> Float[Array, " n"]:
-        velocity = state.velocity + change[3:] / window
+        velocity = state.velocity + change[3:] / WINDOW
         position = state.position + change[:3] + time * velocity
         moved = eqx.tree_at(lambda s: (s.position, s.velocity), state, (position, velocity))
         return sensor.ideal(moved)
@@ -208,27 +207,19 @@ def certain(scenario: Scenario, assumed: GuardAssumptions) -> Certain:
         ScenarioError: a suite that does not determine the motion, or whose set grows without end.
 
     """
-    return _certain(
-        scenario.navigation,  # pyright: ignore[reportArgumentType]: a frozen model has a hash
-        float(assumed.disturbance + assumed.fault_push),
-        scenario.chaser.mass,
-        scenario.control.period,
-        float(assumed.range_limit),
-        float(assumed.speed_limit),
-    )
+    numbers = {
+        "disturbance": float(assumed.disturbance + assumed.fault_push),
+        "mass": scenario.chaser.mass,
+        "period": scenario.control.period,
+        "range_limit": float(assumed.range_limit),
+        "speed_limit": float(assumed.speed_limit),
+    }
+    return _certain(scenario.navigation, tuple(numbers.items()))  # pyright: ignore[reportArgumentType]: a frozen model has a hash
 
 
 @lru_cache(maxsize=64)
-def _certain(
-    entry: NavigationEntry, disturbance: float, mass: float, period: float, range_limit: float, speed_limit: float
-) -> Certain:
-    numbers = {
-        "disturbance": disturbance,
-        "mass": mass,
-        "period": period,
-        "range_limit": range_limit,
-        "speed_limit": speed_limit,
-    }
+def _certain(entry: NavigationEntry, given_numbers: tuple[tuple[str, float], ...]) -> Certain:
+    numbers = dict(given_numbers)
     given = entry.initial_position_error, entry.initial_velocity_error
     whole = suite_of(entry.model_copy(update={"dropout": 0.0, "most_missed": 0}))
     _, usual = design(whole, **numbers, initial_errors=(0.0, 0.0))
@@ -250,25 +241,14 @@ def navigation(scenario: Scenario, motion: RelativeMotion, assumed: GuardAssumpt
 
     """
     sure = certain(scenario, assumed)
+    suite, period = sure.estimate.suite, scenario.control.period
     start = motion.initial_state(np.asarray(scenario.start.position), np.asarray(scenario.start.velocity))
-    check_observability(sure.estimate.suite, start, scenario.control.period)
-    suite = sure.estimate.suite
-    estimator = _estimator(scenario, motion, suite.sensors, float(assumed.disturbance_force))
+    check_observability(suite, start, period)
+    numbers = {"mass": scenario.chaser.mass, "period": period}
+    if scenario.navigation.estimate == "filter":
+        numbers["disturbance_bound"] = max(float(assumed.disturbance_force), 1e-6)
+        frequencies = PAPER_FREQUENCIES if scenario.control.observer in (None, "harmonic") else ()
+        estimator = kalman_filter(motion, suite.sensors, **numbers, frequencies=frequencies)
+    else:
+        estimator = RawSamples.build(motion, suite.sensors, **numbers)
     return Navigation(suite, estimator, sure.estimate, sure.initial, scenario.guard.delay)
-
-
-def _estimator(
-    scenario: Scenario, motion: RelativeMotion, sensors: tuple[Sensor, ...], disturbance_bound: float
-) -> Estimator:
-    mass, period = scenario.chaser.mass, scenario.control.period
-    if scenario.navigation.estimate != "filter":
-        return RawSamples.build(motion, sensors, mass=mass, period=period)
-    harmonic = scenario.control.observer in (None, "harmonic")
-    return kalman_filter(
-        motion,
-        sensors,
-        mass=mass,
-        period=period,
-        disturbance_bound=max(disturbance_bound, 1e-6),
-        frequencies=PAPER_FREQUENCIES if harmonic else (),
-    )

@@ -50,10 +50,14 @@ _ONE_AT_A_TIME = threading.RLock()
 
 
 @contextmanager
-def style(*, small: bool = False) -> Iterator[None]:
-    """Set the common style for what is drawn within the block, by one thread at a time; `small`: small text."""
+def drawn(*, width: float, height: float, small: bool = False) -> Iterator[Figure]:
+    """Make a figure in the common style, by one thread at a time; sizes in inches, `small`: in small text."""
     with _ONE_AT_A_TIME, plt.rc_context(_LOOK | _SMALL if small else _LOOK):
-        yield
+        drawing = plt.figure(figsize=(width, height), layout="constrained")
+        try:
+            yield drawing
+        finally:
+            plt.close(drawing)
 
 
 @contextmanager
@@ -70,20 +74,16 @@ def figure(
         small: in small text.
 
     """
-    with style(small=small):
-        drawing = plt.figure(figsize=(width, height), layout="constrained")
-        try:
-            yield drawing
-            engine = drawing.get_layout_engine()
-            if engine is not None:  # saving would draw everything once more, unseen, for each file
-                engine.execute(drawing)
-                drawing.set_layout_engine(None)
-            for form in ("png", "svg") if vector else ("png",):
-                image = io.BytesIO()
-                drawing.savefig(image, format=form, metadata={"Date": None} if form == "svg" else None)
-                write_whole(path.with_suffix(f".{form}"), image.getvalue())
-        finally:
-            plt.close(drawing)
+    with drawn(width=width, height=height, small=small) as drawing:
+        yield drawing
+        engine = drawing.get_layout_engine()
+        if engine is not None:  # saving would draw everything once more, unseen, for each file
+            engine.execute(drawing)
+            drawing.set_layout_engine(None)
+        for form in ("png", "svg") if vector else ("png",):
+            image = io.BytesIO()
+            drawing.savefig(image, format=form, metadata={"Date": None} if form == "svg" else None)
+            write_whole(path.with_suffix(f".{form}"), image.getvalue())
 
 
 def column(path: Path, height: float, *, width: float = COLUMN) -> AbstractContextManager[Figure]:

@@ -131,9 +131,9 @@ class Page:
         self.words(Markup(f"{link} in a window of its own: one file, to be passed on as it is."))
         self._parts.append(f'<iframe src="{self._address(path)}" title="Replay" loading="lazy"></iframe>')
 
-    def link(self, path: Path, words: str, fragment: str = "") -> Markup:
+    def link(self, path: Path, words: str) -> Markup:
         """Give a link to a file below the page's folder."""
-        return Markup(f'<a href="{self._address(path)}{html.escape(fragment)}">{text(words)}</a>')
+        return Markup(f'<a href="{self._address(path)}">{text(words)}</a>')
 
     def file(self, path: Path) -> None:
         """Add a link to a file by its name."""

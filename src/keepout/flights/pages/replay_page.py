@@ -8,13 +8,12 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
 from keepout.core.progress import Progress, part_of, silent
 from keepout.core.whole_file import write_whole
-from keepout.flights.pages.figures import palette, style
+from keepout.flights.pages.figures import drawn, palette
 from keepout.flights.pages.mesh_pictures import eye_axes, paint_paths
 from keepout.flights.pages.page import Markup, embedded
 from keepout.flights.pages.replayed import Replayed
@@ -115,15 +114,13 @@ def _have_goals(flights: Sequence[Replayed]) -> bool:
 
 def _shown(words: str, flights: Sequence[Replayed], draw: Callable[..., None], height: float, rows: int = 1) -> Markup:
     """Draw flights into panels below each other, with their names, and give the picture as an element."""
-    with style():
-        drawing = plt.figure(figsize=(8.0, height), layout="constrained")
+    with drawn(width=8.0, height=height) as drawing:
         panels = drawing.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
         draw(panels if rows > 1 else panels[0], flights)
         if len(flights) <= 12:
             panels[0].legend(fontsize=8)
         image = io.BytesIO()
         drawing.savefig(image, format="png", dpi=100)
-        plt.close(drawing)
     return embedded(image.getvalue(), words)
 
 
@@ -145,7 +142,7 @@ def _write(path: Path, scene: Scene, *, title: str, words: Sequence[str], figure
     """
     told = json.dumps(scene.told | {"title": title}, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     paragraphs = "".join(f"<p>{html.escape(paragraph)}</p>" for paragraph in words)
-    drawn = "".join(
+    pictures = "".join(
         f"<figure>{element}<figcaption>{html.escape(caption)}</figcaption></figure>"
         for caption, element in figures.items()
     )
@@ -159,7 +156,7 @@ def _write(path: Path, scene: Scene, *, title: str, words: Sequence[str], figure
         f"<title>{html.escape(title)}</title><style>{viewer('replay.css')}</style>"
         "<noscript><style>#replay{display:none}#figures{display:block!important}</style></noscript></head><body>"
         '<main id="replay"></main>'
-        f'<section id="figures"><h1>{html.escape(title)}</h1>{paragraphs}{drawn}'
+        f'<section id="figures"><h1>{html.escape(title)}</h1>{paragraphs}{pictures}'
         f"<p>Made by Keepout; the viewer holds {html.escape(licences)}.</p></section>"
         f'<script type="application/json" id="scene">{told}</script>'
         f'<script type="text/plain" id="content">{scene.content}</script>'

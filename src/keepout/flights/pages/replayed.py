@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 import numpy as np
 from jaxtyping import Float
 
-from keepout.core.audit.audit import Audit, audit
+from keepout.core.audit.audit import Audit
 from keepout.core.audit.tube import FlightBounds, Tube
 from keepout.core.errors import FlightError, KeepoutError
 from keepout.core.fields.field import Field
@@ -19,7 +19,7 @@ from keepout.core.fields.model import FieldModel
 from keepout.core.flight.record import EXPLORED, FlightRecord
 from keepout.core.geometry.distance import Distance
 from keepout.core.geometry.target import Target
-from keepout.core.mission.flight import Flight
+from keepout.core.mission.flight import AUDITED, Flight, judge
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 from keepout.core.progress import Progress, part_of, silent
@@ -196,14 +196,7 @@ def _gathered(name: str, record: FlightRecord, workshop: "Workshop", progress: P
             proof = kept.certificate(chaser.radius)
             level = proof.error_bound + chaser.radius
             levels.append(_guards(target, kept.field, level, proof.gradient_bound, proof.error_bound))
-    verdict = audit(
-        record,
-        target,
-        chaser_radius=chaser.radius,
-        bounds=Surroundings(scenario).flight_bounds,
-        force_limit=chaser.force_limit,
-        speed_limit=chaser.speed_limit,
-    )
+    [verdict] = judge(scenario, target, {name: getattr(record, name)[None] for name in AUDITED})
     return Replayed(name, record, scenario, target, verdict, tuple(levels))
 
 

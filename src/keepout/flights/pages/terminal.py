@@ -110,6 +110,10 @@ WIDTH = 80
 """Columns of the narrowest terminal that the tables are laid out for; in a wider one they look the same."""
 
 
+Column = str | tuple[str, ...] | Callable[[Mapping[str, Any]], str]
+"""What a column shows of an entry: one of its figures, several, or what is made of it."""
+
+
 def facts_table(title: str, summary: Mapping[str, Any]) -> Table:
     """One row a figure, in the order of the summary."""
     return _laid_out(title, None, [[key, shown(value)] for key, value in summary.items()], named=True)
@@ -122,42 +126,38 @@ def entries_table(title: str, rows: Sequence[Mapping[str, Any]]) -> Table:
     return _laid_out(title, headings, cells)
 
 
+def _table(title: str, columns: Mapping[str, Column], entries: Sequence[Mapping[str, Any]], **look: Any) -> Table:
+    """One row an entry, one column a heading."""
+    return _laid_out(title, list(columns), [[_cell(of, entry) for of in columns.values()] for entry in entries], **look)
+
+
+def _cell(of: Column, entry: Mapping[str, Any]) -> str:
+    if callable(of):
+        return of(entry)
+    return ", ".join(shown(entry[key]) for key in ((of,) if isinstance(of, str) else of))
+
+
+def _percent(key: str) -> Callable[[Mapping[str, Any]], str]:
+    return lambda row: "–" if row[key] is None else f"{100.0 * row[key]:.4g}"
+
+
 def rates_table(rates: Sequence[Mapping[str, Any]]) -> Table:
     """One row a rate of a campaign, with its interval."""
-    rows = [
-        [
-            rate["name"],
-            f"{rate['count']} of {rate['of']}",
-            "–" if rate["rate"] is None else _percent(rate["rate"]),
-            _percent(rate["low"]),
-            _percent(rate["high"]),
-        ]
-        for rate in rates
-    ]
-    return _laid_out("Rates", ["", "runs", "rate %", "95 % from", "to"], rows, named=True)
+    columns = {"": "name", "runs": lambda rate: f"{rate['count']} of {rate['of']}", "rate %": _percent("rate")}
+    return _table("Rates", columns | {"95 % from": _percent("low"), "to": _percent("high")}, rates, named=True)
 
 
 def comparison_tables(summary: Mapping[str, Any]) -> list[Table]:
     """Rates of two campaigns and their differences, and medians and their differences."""
-    rates = [
-        [
-            row["what"],
-            *("–" if row[key] is None else _percent(row[key]) for key in ("A", "B", "A - B", "low", "high")),
-            shown(row["p"]),
-        ]
-        for row in summary["rates"]
-    ]
-    tables = [_laid_out("Rates", ["", "A %", "B %", "A − B", "95 % from", "to", "p"], rates, named=True)]
+    percents = {"A %": "A", "B %": "B", "A − B": "A - B", "95 % from": "low", "to": "high"}
+    columns = {"": "what", **{heading: _percent(key) for heading, key in percents.items()}, "p": "p"}
+    tables = [_table("Rates", columns, summary["rates"], named=True)]
     medians = [row for row in summary["quantiles"] if row["quantile"] == "50 %"]
     if medians:
         tables.append(entries_table("Medians", [{k: v for k, v in row.items() if k != "quantile"} for row in medians]))
     if summary["by_run"]:
         tables.append(entries_table("A less B, run by run", summary["by_run"]))
     return tables
-
-
-def _percent(share: float) -> str:
-    return f"{100.0 * share:.4g}"
 
 
 def measures_tables(summary: Mapping[str, Any]) -> list[Table]:
@@ -169,12 +169,12 @@ def measures_tables(summary: Mapping[str, Any]) -> list[Table]:
     ]
     entries = ([summary["near"], summary["far"]], summary["curvature"], [summary["surface"]], summary["volumes"])
     tables = [facts_table("Field", single)]
-    tables += [_rows(title, columns, of) for (title, columns), of in zip(_MEASURES.items(), (*entries, certificates))]
+    tables += [_table(title, columns, of) for (title, columns), of in zip(_MEASURES.items(), (*entries, certificates))]
     pictures = [facts_table("Pictures", {"written": summary["pictures"]})] if "pictures" in summary else []
     return tables + pictures
 
 
-_MEASURES: Mapping[str, Mapping[str, str | tuple[str, ...]]] = {
+_MEASURES: Mapping[str, Mapping[str, Column]] = {
     "Off the surface, against the exact signed distance g": {
         "d from, to": ("from_m", "to_m"),
         "mean |f̃ - g|": "mean_absolute",
@@ -202,15 +202,6 @@ _MEASURES: Mapping[str, Mapping[str, str | tuple[str, ...]]] = {
     },
 }
 """By title of a table: the entries of a measure that each column shows."""
-
-
-def _rows(title: str, columns: Mapping[str, str | tuple[str, ...]], entries: Sequence[Mapping[str, Any]]) -> Table:
-    """One row an entry; a column shows one of its figures, or several."""
-    rows = []
-    for entry in entries:
-        picked = ([entry[key]] if isinstance(key, str) else [entry[one] for one in key] for key in columns.values())
-        rows.append([", ".join(shown(value) for value in values) for values in picked])
-    return _laid_out(title, list(columns), rows)
 
 
 def _laid_out(title: str, headings: list[str] | None, rows: list[list[str]], *, named: bool = False) -> Table:
@@ -276,10 +267,8 @@ FLIGHT_COLUMNS = {
 
 def flights_table(summaries: Sequence[Mapping[str, Any]]) -> Table:
     """One row a flight, or one column where that is too wide: whether it was safe, and what it cost."""
-    rows = [[str(summary["name"]), *(shown(summary[key]) for key in FLIGHT_COLUMNS)] for summary in summaries]
-    table = _laid_out("Flights", ["flight", *FLIGHT_COLUMNS.values()], rows, named=True)
-    table.caption, table.caption_justify = "\n".join(broken_assumptions(summaries)) or None, "left"
-    return table
+    columns = {"flight": "name", **{heading: key for key, heading in FLIGHT_COLUMNS.items()}}
+    return _with_broken(_table("Flights", columns, summaries, named=True), summaries)
 
 
 def result_table(title: str, summary: Mapping[str, Any], rows: Mapping[str, str]) -> Table:
@@ -292,8 +281,11 @@ def result_table(title: str, summary: Mapping[str, Any], rows: Mapping[str, str]
 
     """
     told = {words: summary[key] for key, words in rows.items() if summary[key] is not None}
-    table = facts_table(title, told)
-    table.caption, table.caption_justify = "\n".join(broken_assumptions([summary])) or None, "left"
+    return _with_broken(facts_table(title, told), [summary])
+
+
+def _with_broken(table: Table, summaries: Sequence[Mapping[str, Any]]) -> Table:
+    table.caption, table.caption_justify = "\n".join(broken_assumptions(summaries)) or None, "left"
     return table
 
 
@@ -301,11 +293,8 @@ def check_parts(summary: Mapping[str, Any]) -> list[Table | str]:
     """Say what a scenario would fly, in words and tables, and what would be refused, with values that would not be."""
     parts: list[Table | str] = list(summary["words"])
     if summary["conditions"]:
-        rows = [
-            [row["name"], row["statement"], shown(row["value"]), shown(row["limit"]), shown(row["margin"])]
-            for row in summary["conditions"]
-        ]
-        parts.append(_laid_out("Conditions", ["", "asked", "found", "limit", "margin"], rows, named=True))
+        columns = {"": "name", "asked": "statement", "found": "value", "limit": "limit", "margin": "margin"}
+        parts.append(_table("Conditions", columns, summary["conditions"], named=True))
     if summary["guard"] is not None:
         promised = {"start certified": summary["start_certified"], **summary["guard"]}
         parts.append(facts_table("Guard: what it assumes, and what follows", promised))
@@ -328,24 +317,19 @@ def broken_assumptions(summaries: Sequence[Mapping[str, Any]]) -> list[str]:
     ]
 
 
+_TARGETS: Mapping[str, Column] = {
+    "name": "name",
+    "extents m": lambda row: "×".join(f"{extent:.1f}" for extent in row["extents_m"]),
+    "volume m³": lambda row: f"{row['volume_m3']:.1f}",
+    "triangles": "triangles",
+    "field": lambda row: "shipped" if row["shipped_field"] else "to fit",
+    "parameters": lambda row: "\n".join(f"{key}={value:g}" for key, value in row["parameters"].items()),
+}
+
+
 def targets_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """One row a built-in target."""
-    return _laid_out(
-        "Built-in targets",
-        ["name", "extents m", "volume m³", "triangles", "field", "parameters"],
-        [
-            [
-                row["name"],
-                "×".join(f"{extent:.1f}" for extent in row["extents_m"]),
-                f"{row['volume_m3']:.1f}",
-                str(row["triangles"]),
-                "shipped" if row["shipped_field"] else "to fit",
-                "\n".join(f"{key}={value:g}" for key, value in row["parameters"].items()),
-            ]
-            for row in rows
-        ],
-        named=True,
-    )
+    return _table("Built-in targets", _TARGETS, rows, named=True)
 
 
 def shown(value: Any) -> str:

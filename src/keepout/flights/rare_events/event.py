@@ -21,7 +21,7 @@ from keepout.core.mission.flight import Flight
 from keepout.core.mission.scenario import Scenario
 from keepout.core.progress import Progress, part_of, silent
 from keepout.flights.rare_events.flights import TapedFlights
-from keepout.flights.rare_events.subset import CONFIDENCE, Estimate, Simulation, estimate, simulate
+from keepout.flights.rare_events.subset import CONFIDENCE, Estimate, Question, Simulation, estimate, simulate
 
 FLIGHTS = 1024
 """Flights of a level and run."""
@@ -134,6 +134,7 @@ def rare(
     mission = prepare(scenario, target=target, model=model, progress=part_of(progress, 0.0, 0.1))
     _refuse_theorem(mission, below)
     flown = TapedFlights(mission)
+    question = Question(below, runs, flights, scenario.seed, MOST_LEVELS)
     identity = {
         "scenario": scenario.model_dump_json(),
         "below": below,
@@ -149,11 +150,7 @@ def rare(
     found = simulate(
         flown.clearance,
         flown.tape.numbers,
-        below=below,
-        runs=runs,
-        tapes=flights,
-        seed=scenario.seed,
-        most_levels=MOST_LEVELS,
+        question,
         state=None if state is None else state / f"state-{digest(json.dumps(identity, sort_keys=True))[:16]}.npz",
         progress=part_of(progress, 0.1, 0.95),
     )

@@ -192,23 +192,21 @@ class TapedFlights:
 
     Args:
         mission: what to fly.
-        workers: batches in flight at once; by default the number of cores this process may use.
 
     Raises:
         ScenarioError: the mission's scenario has no tape (`Tape.of`), or no bounds.
 
     """
 
-    def __init__(self, mission: Mission, *, workers: int | None = None) -> None:
+    def __init__(self, mission: Mission) -> None:
         self.mission = mission
         self.tape = Tape.of(mission.scenario)
         self._bounds = Surroundings(mission.scenario).flight_bounds
-        self._workers = workers or available_cores()
 
     def clearance(self, tapes: Float[np.ndarray, "flights numbers"]) -> Float[np.ndarray, "flights"]:
         """Fly tapes; give the clearance of each, m."""
         begins = range(0, len(tapes), BATCH)
-        with ThreadPoolExecutor(self._workers) as pool:
+        with ThreadPoolExecutor(available_cores()) as pool:
             return np.concatenate(list(pool.map(lambda begin: self._cleared(tapes[begin : begin + BATCH]), begins)))
 
     def _cleared(self, tapes: Float[np.ndarray, "flights numbers"]) -> Float[np.ndarray, "flights"]:

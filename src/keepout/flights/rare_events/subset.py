@@ -51,6 +51,8 @@ _FIRST_STEP = 0.6
 _STEPS = (1e-3, 1.0)
 """Least and largest β."""
 CONFIDENCE = 0.95
+_POINTS = 60
+"""Of a curve."""
 _PARTS = ("seeds", "seed_values", "next_threshold", "next_probability", "lowest", "lowest_value")
 _OF_LEVEL = ("values", "threshold", "probability", "acceptance", "step")
 
@@ -143,15 +145,46 @@ class Simulation:
         return cls(tuple(Level(*level) for level in zip(*plain, strict=True)), **parts, ended=ended)
 
 
+@dataclass(frozen=True)
+class Question:
+    """What is asked of a simulation, and how much work goes into the answer.
+
+    Attributes:
+        below: the number that the performance is to fall below.
+        runs: side by side; their spread is the error of their mean.
+        tapes: a level and run; a multiple of 8.
+        seed: of everything drawn.
+        most_levels: it ends with so many, below the number or not: 16 reach down to 8⁻¹⁵, 3e-14.
+
+    Raises:
+        ScenarioError: a number out of range.
+
+    """
+
+    below: float
+    runs: int = 8
+    tapes: int = 1024
+    seed: int = 0
+    most_levels: int = 16
+
+    def __post_init__(self) -> None:
+        """Check each number against its range."""
+        for name, least in (("runs", 2), ("seed", 0), ("most_levels", 1)):
+            if getattr(self, name) < least:
+                raise ScenarioError(f"{name}: {getattr(self, name)}; it must be at least {least}")
+        if self.tapes < 8 * SHARE or self.tapes % SHARE:
+            raise ScenarioError(
+                f"flights: {self.tapes} a level and run; it must be a multiple of {SHARE}, at least {8 * SHARE}"
+            )
+        if not math.isfinite(self.below):
+            raise ScenarioError(f"below: {self.below}; it must be finite")
+
+
 def simulate(
     performance: Performance,
     numbers: int,
+    question: Question,
     *,
-    below: float,
-    runs: int = 8,
-    tapes: int = 1024,
-    seed: int = 0,
-    most_levels: int = 16,
     state: Path | None = None,
     progress: Progress = silent,
 ) -> Simulation:
@@ -159,22 +192,17 @@ def simulate(
 
     Args:
         performance: to fall below a number.
-        numbers: standard normals in a tape.
-        below: the number.
-        runs: side by side; their spread is the error of their mean.
-        tapes: a level and run; a multiple of 8.
-        seed: of everything drawn.
-        most_levels: it ends with so many, below the number or not: 16 reach down to 8⁻¹⁵, 3e-14.
+        numbers: standard normals in a tape, at least 1.
+        question: what is asked.
         state: file in which it is kept after each level, and gone on with if it is there; of the same arguments.
         progress: told after each sweep.
 
     Raises:
-        ScenarioError: numbers out of range, a performance that is not a number, or a file that cannot be read.
+        ScenarioError: a performance that is not a number, or a file that cannot be read.
 
     """
-    _check(numbers, below, runs, tapes, seed, most_levels)
-    search = _Search(performance, below, seed, most_levels, progress)
-    found = search.begun(runs, tapes, numbers) if state is None or not state.exists() else Simulation.load(state)
+    search = _Search(performance, question, progress)
+    found = search.begun(numbers) if state is None or not state.exists() else Simulation.load(state)
     while True:
         if state is not None:
             found.save(state)
@@ -189,16 +217,14 @@ class _Search:
     """What a simulation goes on by."""
 
     performance: Performance
-    below: float
-    seed: int
-    most_levels: int
+    question: Question
     progress: Progress
 
-    def begun(self, runs: int, tapes: int, numbers: int) -> Simulation:
+    def begun(self, numbers: int) -> Simulation:
         """Fly the first level of every run."""
         self.progress(0.0, "level 1")
-        drawn = self._drawn((runs, tapes, numbers), 0, 0)
-        first = Level(_evaluated(self.performance, drawn), math.inf, np.ones(runs), 1.0, _FIRST_STEP)
+        drawn = self._drawn((self.question.runs, self.question.tapes, numbers), 0, 0)
+        first = Level(_evaluated(self.performance, drawn), math.inf, np.ones(len(drawn)), 1.0, _FIRST_STEP)
         return self._after(drawn, first, None)
 
     def advanced(self, found: Simulation) -> Simulation:
@@ -212,7 +238,7 @@ class _Search:
         all_tapes[:, :chains], all_values[:, :chains] = tapes, values
         for sweep in range(1, SHARE):
             # Nobody knows how many levels there will be: as far as the last ones went, and as far again at least.
-            done = (number + sweep / SHARE) / max(_levels_needed(found, self.below), number + 1)
+            done = (number + sweep / SHARE) / max(_levels_needed(found, self.question.below), number + 1)
             self.progress(min(done, 0.99), f"level {number + 1}: P(≤ {found.next_threshold:.3g})")
             proposed = math.sqrt(1.0 - step**2) * tapes + step * self._drawn(tapes.shape, number, sweep)
             reached = _evaluated(self.performance, proposed)
@@ -229,7 +255,7 @@ class _Search:
     def _drawn(self, shape: tuple[int, ...], level: int, sweep: int) -> Float[np.ndarray, "runs tapes numbers"]:
         drawn = np.empty(shape)
         for run, own in enumerate(drawn):
-            _generator(self.seed, run, level, sweep).standard_normal(out=own)
+            _generator(self.question.seed, run, level, sweep).standard_normal(out=own)
         return drawn
 
     def _after(
@@ -248,17 +274,17 @@ class _Search:
         if threshold >= level.threshold:
             # Many tapes share one value, such as the clearance of the start: the threshold goes below all of these.
             threshold = float(values[values < level.threshold].max(initial=-math.inf))
-        if np.mean(values < self.below) >= 1.0 / SHARE:
+        if np.mean(values < self.question.below) >= 1.0 / SHARE:
             ended = "reached"
         elif threshold == -math.inf:
             ended = "stuck"
-        elif len(levels) >= self.most_levels:
+        elif len(levels) >= self.question.most_levels:
             ended = "levels"
         if ended:
             seeds, seed_values, threshold, below = tapes[:, :0], values[:, :0], level.threshold, level.probability
         else:
             inside = values <= threshold
-            generators = [_generator(self.seed, run, len(levels), 0) for run in range(runs)]
+            generators = [_generator(self.question.seed, run, len(levels), 0) for run in range(runs)]
             places = [_chosen(inside, run, chains, generator) for run, generator in enumerate(generators)]
             rows, columns = np.moveaxis(np.stack(places), -1, 0)
             seeds, seed_values = tapes[rows, columns], values[rows, columns]
@@ -298,21 +324,6 @@ def _evaluated(performance: Performance, tapes: Float[np.ndarray, "runs tapes nu
     if np.isnan(values).any():
         raise ScenarioError(f"performance: {int(np.isnan(values).sum())} of {len(values)} tapes gave no number")
     return values.reshape(tapes.shape[:2])
-
-
-def _check(numbers: int, below: float, runs: int, tapes: int, seed: int, most_levels: int) -> None:
-    for name, value, least in (
-        ("tape: numbers", numbers, 1),
-        ("runs", runs, 2),
-        ("seed", seed, 0),
-        ("most_levels", most_levels, 1),
-    ):
-        if value < least:
-            raise ScenarioError(f"{name}: {value}; it must be at least {least}")
-    if tapes < 8 * SHARE or tapes % SHARE:
-        raise ScenarioError(f"flights: {tapes} a level and run; it must be a multiple of {SHARE}, at least {8 * SHARE}")
-    if not math.isfinite(below):
-        raise ScenarioError(f"below: {below}; it must be finite")
 
 
 @dataclass(frozen=True)
@@ -412,7 +423,7 @@ def band(numbers: Sequence[float], runs: Sequence[Float[np.ndarray, "runs"]]) ->
     return rows
 
 
-def curve(simulation: Simulation, points: int = 60) -> Float[np.ndarray, "points 4"]:
+def curve(simulation: Simulation) -> Float[np.ndarray, "points 4"]:
     """Give performance, probability to be below it, and the `band` of that, from the middle of the first level down.
 
     Only numbers that every run came below.
@@ -420,6 +431,6 @@ def curve(simulation: Simulation, points: int = 60) -> Float[np.ndarray, "points
     high = float(np.median(simulation.levels[0].values))
     last = simulation.levels[-1].values
     low = float(last[np.isfinite(last)].min(initial=high))
-    found = [(number, simulation.below(number)) for number in np.linspace(low, high, points).tolist()]
+    found = [(number, simulation.below(number)) for number in np.linspace(low, high, _POINTS).tolist()]
     found = [(number, runs) for number, runs in found if runs.all()]
     return band([number for number, _ in found], [runs for _, runs in found])
