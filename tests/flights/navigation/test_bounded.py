@@ -12,7 +12,7 @@ from truths.adversaries import NOISES, PUSHES, Adversary, fly_many, motion_state
 
 from keepout.core.errors import ScenarioError
 from keepout.core.flight.navigation import Sample, Suite
-from keepout.flights.navigation.known_set import SetMembership, caps, design
+from keepout.flights.navigation.known_set import SetMembership, design, largest_radii, told_by
 from keepout.flights.navigation.sensor_errors import BallNoise
 from keepout.flights.navigation.sensors import RangeBearing, RelativePosition, RelativeVelocity
 
@@ -68,7 +68,10 @@ def designed(name):
     if name != "sharp":
         return design(MADE[name], **numbers, **limits)
     estimate = SetMembership(MADE[name], window=designed("positions only")[0].window, **numbers)
-    return estimate, caps(estimate, **limits)
+    told = told_by(estimate.suite, (limits["range_limit"], limits["speed_limit"]))
+    return estimate, largest_radii(
+        told, estimate.window, numbers["disturbance"], numbers["period"], limits["initial_errors"]
+    )
 
 
 @functools.cache
@@ -151,7 +154,6 @@ def test_caps_are_reached_and_never_passed(name, initial):
     """
     numbers = {**LIMITS, "initial_errors": initial}
     estimate, found = design(WORST[name], **NUMBERS, **numbers)
-    assert caps(estimate, **numbers) == found
     # The noise that is drawn is none; the balls are drawn for the noise that might have been.
     keys = jax.random.split(jax.random.key(0), 200)
     radii = np.asarray(_undisturbed(estimate, np.array(initial), keys, 4 * estimate.window + 100))
@@ -240,7 +242,6 @@ def test_refused():
     for refused, said in (
         (lambda: design(speeds, **NUMBERS, **LIMITS), "^suite: 0 of its sensors bound the position"),
         (lambda: Suite(()), "^suite: it has 0 sensors"),
-        (lambda: caps(SetMembership(seldom, **NUMBERS), **LIMITS), "a window of 0 steps the known set grows without"),
         (lambda: SetMembership(seldom, window=-1, **NUMBERS), "window is -1 steps"),
         (lambda: SetMembership(seldom, patience=0, **NUMBERS), "patience is 0 steps"),
         (lambda: SetMembership(seldom, **NUMBERS | {"disturbance": np.nan}), "disturbance is nan"),

@@ -32,8 +32,6 @@ INERTIAL = ("EME2000", "J2000", "GCRF", "ICRF")
 BODY = re.compile(r"SC[_ ]BODY([_ ]\w+)?")
 """Names of a spacecraft's own frame in an AEM; those of its instruments and actuators lie otherwise in it."""
 
-_TOLERANCE = 1e-3
-"""How close to the truth the bound is driven, m."""
 FixedIn = Literal["vvlh", "inertial"]
 _CENTRE_OF_MASS = re.compile(r"cent(?:re|er) of (?:mass|gravity)", re.IGNORECASE)
 _NUMBERS = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?")
@@ -58,6 +56,7 @@ class Given:
         attitude_frame: what the AEM calls the body's frame, if not SC_BODY or SC_BODY_1.
         sample_error: how far a relative position may be from the truth, m, where the digits do not let it be further.
         attitude_error: the angle by which an attitude may be wrong, rad, where the digits do not let it be more.
+        tolerance: how close to the truth the bound is driven, m.
 
     """
 
@@ -75,6 +74,7 @@ class Given:
     attitude_frame: str | None = None
     sample_error: float = 1e-6
     attitude_error: float = 0.0
+    tolerance: float = 1e-3
 
     @property
     def centre(self) -> tuple[float, float, float]:
@@ -193,7 +193,7 @@ def _assumptions(
         "attitude_error_rad": turned,
         "attitude_error_of_digits_rad": motion.attitude_error,
         "centre_of_mass_m": list(given.centre),
-        "tolerance_m": _TOLERANCE,
+        "tolerance_m": given.tolerance,
     }
 
 
@@ -245,10 +245,10 @@ def _not_told(given: Given, files: Sequence[Ephemeris], verdict: Passage) -> lis
 def _few_digits(given: Given, motion: "Encounter") -> list[str]:
     """Say where the digits of the files, and no option, decide how wrong they may be."""
     said, turned = [], motion.attitude_error
-    if motion.position_error > max(given.sample_error, _TOLERANCE):
+    if motion.position_error > max(given.sample_error, given.tolerance):
         said.append(f"positions have few digits: {motion.position_error:.4g} m is assumed as the sample error")
     swung = turned * float(np.linalg.norm(motion.relative, axis=1).max())
-    if turned > given.attitude_error and swung > _TOLERANCE:
+    if turned > given.attitude_error and swung > given.tolerance:
         said.append(f"the target's axes have few digits: {turned:.4g} rad is assumed as the attitude error")
     return said
 

@@ -6,6 +6,8 @@ precession of the pole of the IAU 2000/2006 conventions (IERS Conventions 2010, 
 UT1 − UTC are left out: less than 40 arc seconds together.
 """
 
+import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -31,81 +33,62 @@ def export_czml(flight: InertialFlight, scenario: Scenario, path: Path) -> dict[
     """Write a flight as CZML; its summary says what stands in it.
 
     Raises:
-        ExchangeError: `czml3` is missing, or the file cannot be written.
+        ExchangeError: the file cannot be written.
 
     """
-    try:
-        from czml3 import CZML_VERSION, Document, Packet, enums, properties
-        from czml3.types import TimeInterval
-    except ImportError:
-        raise ExchangeError("--to czml: is written with czml3; pip install 'keepout[export]'") from None
     times = [format_instant(int(epoch)) + "Z" for epoch in flight.epochs]
-    span = TimeInterval(start=times[0], end=times[-1])
+    span = f"{times[0]}/{times[-1]}"
     said = (
         f"A flight of Keepout: scenario {scenario.name}, epoch {scenario.epoch}. Positions in metres, {FRAME} axes, of "
         "the target's centre of mass and the chaser's centre; orientation of the target's body axes."
     )
-    clock = properties.Clock(
-        interval=span,
-        currentTime=times[0],
-        multiplier=10.0,
-        range=enums.ClockRanges.LOOP_STOP,
-        step=enums.ClockSteps.SYSTEM_CLOCK_MULTIPLIER,
-    )
-    packets = [Packet(id="document", name=scenario.name, version=CZML_VERSION, description=said, clock=clock)]
-    for name in COLOURS:
-        shown = _shown(flight, scenario, name, times[0])
-        packets.append(Packet(id=name, name=f"{scenario.name}: {name}", availability=span, **shown))
-    write_whole(path, Document(packets=packets).dumps() + "\n", refusal=ExchangeError)
+    ticking = {"multiplier": 10.0, "range": "LOOP_STOP", "step": "SYSTEM_CLOCK_MULTIPLIER"}
+    clock = {"currentTime": times[0], **ticking, "interval": span}
+    packets = [{"id": "document", "name": scenario.name, "description": said, "version": "1.0", "clock": clock}]
+    packets += [
+        {
+            "id": name,
+            "name": f"{scenario.name}: {name}",
+            "availability": span,
+            **_shown(flight, scenario, name, times[0]),
+        }
+        for name in COLOURS
+    ]
+    text = json.dumps(packets, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    write_whole(path, text + "\n", refusal=ExchangeError)
     return {"frame": FRAME, "start_time": times[0], "stop_time": times[-1], "rows": len(times)}
 
 
 def _shown(flight: InertialFlight, scenario: Scenario, name: str, epoch: str) -> dict[str, Any]:
     """Give what is shown of target or chaser: its way, a point and a name, and how it is turned or how large it is."""
-    from czml3 import enums, properties
-
     seconds = (flight.epochs - flight.epochs[0]) / 1e9
     states = np.concatenate([getattr(flight, f"{name}_position"), getattr(flight, f"{name}_velocity")], axis=1)
-    colour = properties.Color(rgba=COLOURS[name])
-    shown: dict[str, Any] = {
-        "position": properties.Position(
-            epoch=epoch,
-            referenceFrame=enums.ReferenceFrames.INERTIAL,
-            cartesianVelocity=_sampled(seconds, states),
-            interpolationAlgorithm=enums.InterpolationAlgorithms.HERMITE,
-            interpolationDegree=3,
-        ),
-        "path": properties.Path(
-            width=1.5,
-            resolution=max(float(seconds[-1]) / 500.0, 1.0),
-            material=properties.PolylineMaterial(solidColor=properties.SolidColorMaterial(color=colour)),
-        ),
-        "point": properties.Point(pixelSize=6.0, color=colour),
-        "label": properties.Label(text=name, show=True, fillColor=colour),
+    colour = {"rgba": COLOURS[name]}
+    hermite = {"epoch": epoch, "interpolationAlgorithm": "HERMITE", "interpolationDegree": 3}
+    shown = {
+        "position": {**hermite, "referenceFrame": "INERTIAL", "cartesianVelocity": _sampled(seconds, states)},
+        "label": {"show": True, "text": name, "fillColor": colour},
+        "path": {
+            "width": 1.5,
+            "resolution": max(float(seconds[-1]) / 500.0, 1.0),
+            "material": {"solidColor": {"color": colour}},
+        },
+        "point": {"pixelSize": 6.0, "color": colour},
     }
     if name == "chaser":
-        glass = properties.SolidColorMaterial(color=properties.Color(rgba=[*COLOURS[name][:3], 160]))
-        return shown | {
-            "ellipsoid": properties.Ellipsoid(
-                radii=properties.EllipsoidRadii(cartesian=[scenario.chaser.radius] * 3),
-                material=properties.Material(solidColor=glass),
-            )
-        }
+        glass = {"solidColor": {"color": {"rgba": [*COLOURS[name][:3], 160]}}}
+        return shown | {"ellipsoid": {"radii": {"cartesian": [scenario.chaser.radius] * 3}, "material": glass}}
     # CZML's quaternion takes body components to Earth-fixed ones.
     turn = earth_from_inertial(flight.epochs) @ np.swapaxes(flight.turn, 1, 2)
-    return shown | {
-        "orientation": properties.Orientation(
-            epoch=epoch,
-            unitQuaternion=_sampled(seconds, without_jumps(Rotation.from_matrix(turn).as_quat())),
-            interpolationAlgorithm=enums.InterpolationAlgorithms.LINEAR,
-            interpolationDegree=1,
-        )
-    }
+    turned = _sampled(seconds, without_jumps(Rotation.from_matrix(turn).as_quat()))
+    linear = {"epoch": epoch, "interpolationAlgorithm": "LINEAR", "interpolationDegree": 1}
+    return shown | {"orientation": {**linear, "unitQuaternion": turned}}
 
 
-def _sampled(seconds: Float[np.ndarray, "n"], values: Float[np.ndarray, "n columns"]) -> list[float]:
-    """Give [t, v, …, t, v, …] as CZML wants it."""
-    return np.concatenate([seconds[:, None], values], axis=1).ravel().tolist()
+def _sampled(seconds: Float[np.ndarray, "n"], values: Float[np.ndarray, "n columns"]) -> list[float | None]:
+    """Give [t, v, …, t, v, …] as CZML wants it; None where it is not a number."""
+    row = np.concatenate([seconds[:, None], values], axis=1).ravel().tolist()
+    return [number if math.isfinite(number) else None for number in row]
 
 
 def earth_from_inertial(epochs: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n 3 3"]:

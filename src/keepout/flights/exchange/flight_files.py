@@ -218,30 +218,17 @@ def export_table(record: FlightRecord, scenario: Scenario, path: Path, *, to: st
         "scenario": scenario.model_dump(mode="json"),
         "statuses": record.header.get("statuses", {}),
     }
-    write_whole(path, _WRITERS[to](columns, json.dumps(told)), refusal=ExchangeError)
+    write_whole(path, _bytes(columns, json.dumps(told), to), refusal=ExchangeError)
     return {"rows": len(record.time), "columns": list(columns), "epoch": scenario.epoch}
 
 
-def _csv(columns: dict[str, np.ndarray], _: str) -> bytes:
+def _bytes(columns: dict[str, np.ndarray], told: str, to: str) -> bytes:
     stream = io.BytesIO()
-    pyarrow.csv.write_csv(_table(columns), stream)
+    table = pa.table(columns)
+    if to == "csv":
+        pyarrow.csv.write_csv(table, stream)
+    elif to == "parquet":
+        pq.write_table(table.replace_schema_metadata({METADATA: told}), stream, compression="zstd")
+    else:
+        np.savez_compressed(stream, **{METADATA: np.array(told)}, **columns)  # pyright: ignore[reportArgumentType]
     return stream.getvalue()
-
-
-def _parquet(columns: dict[str, np.ndarray], told: str) -> bytes:
-    stream = io.BytesIO()
-    pq.write_table(_table(columns).replace_schema_metadata({METADATA: told}), stream, compression="zstd")
-    return stream.getvalue()
-
-
-def _npz(columns: dict[str, np.ndarray], told: str) -> bytes:
-    stream = io.BytesIO()
-    np.savez_compressed(stream, **{METADATA: np.array(told)}, **columns)  # pyright: ignore[reportArgumentType]
-    return stream.getvalue()
-
-
-def _table(columns: dict[str, np.ndarray]) -> pa.Table:
-    return pa.table([pa.array(array) for array in columns.values()], names=list(columns))
-
-
-_WRITERS = {"csv": _csv, "parquet": _parquet, "npz": _npz}

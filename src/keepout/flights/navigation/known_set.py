@@ -3,7 +3,7 @@
 Between control steps r̈ = u + w with ‖w‖ ≤ D, u the commanded force over the mass, held: what the guard assumes
 (docs/guard.md, section 1). docs/navigation.md proves each line below.
 
-`design` and `caps` give the largest radii that the set can have in a flight, known before it: what a guard is built
+`design` gives the largest radii that the set can have in a flight, known before it: what a guard is built
 for. The radii grow from step to step and are cut by what arrives. A cut leaves at most the smaller ball, and everything
 else grows with what it is made from; so a flight in which no cut gains more than that, under the worst order of lost
 samples, has radii that no other flight's pass. Every order is followed at once: for each number of samples that each
@@ -337,12 +337,15 @@ def design(
         ScenarioError: no sensor bounds the position, or the radii grow without end.
 
     """
-    limits = range_limit, speed_limit
-    told = _told(suite, limits)
-    _check_position(told)
+    told = told_by(suite, (range_limit, speed_limit))
+    if not any(math.isfinite(one.position) for one in told):
+        raise ScenarioError(
+            "suite: 0 of its sensors bound the position, so that nothing certain can be known; add a RelativePosition "
+            "or a RangeBearing"
+        )
     found = []
     for window in _windows(told, disturbance, period):
-        radii = _largest(told, window, disturbance, period, initial_errors)
+        radii = largest_radii(told, window, disturbance, period, initial_errors)
         if radii is not None:
             found.append((radii[1], radii[0], window))
     if not found:
@@ -356,42 +359,8 @@ def design(
     return estimate, (position * (1.0 + _CAPS_ROUNDING), velocity * (1.0 + _CAPS_ROUNDING))
 
 
-def caps(
-    estimate: SetMembership,
-    *,
-    range_limit: float,
-    speed_limit: float,
-    initial_errors: tuple[float, float],
-) -> tuple[float, float]:
-    """Give the largest radii ε̄_r (m) and ε̄_v (m/s) that an estimate can have while samples keep to their bounds.
-
-    The arguments are those of `design`.
-
-    Raises:
-        ScenarioError: the radii grow without end.
-
-    """
-    told = _told(estimate.suite, (range_limit, speed_limit))
-    _check_position(told)
-    numbers = float(estimate.disturbance), float(estimate.period)
-    radii = _largest(told, estimate.window, *numbers, initial_errors)
-    if radii is None:
-        raise ScenarioError(
-            f"set membership: with a window of {estimate.window} steps the known set grows without end; `design` finds "
-            "the window that bounds the velocity best"
-        )
-    return radii[0] * (1.0 + _CAPS_ROUNDING), radii[1] * (1.0 + _CAPS_ROUNDING)
-
-
-def _check_position(told: list[_Told]) -> None:
-    if not any(math.isfinite(one.position) for one in told):
-        raise ScenarioError(
-            "suite: 0 of its sensors bound the position, so that nothing certain can be known; add a RelativePosition "
-            "or a RangeBearing"
-        )
-
-
-def _told(suite: Suite, limits: tuple[float, float]) -> list[_Told]:
+def told_by(suite: Suite, limits: tuple[float, float]) -> list[_Told]:
+    """Say what each sensor that bounds anything tells, at limits of range (m) and speed (m/s)."""
     every = [
         _Told(*_largest_balls(sensor, *limits), sensor.every, sensor.latency, sensor.most_missed)
         for sensor in suite.sensors
@@ -440,10 +409,10 @@ def _windows(told: list[_Told], disturbance: float, period: float) -> Iterator[i
             yield window
 
 
-def _largest(
+def largest_radii(
     told: list[_Told], window: int, disturbance: float, period: float, initial_errors: tuple[float, float]
 ) -> tuple[float, float] | None:
-    """Follow the largest radii until they repeat, and give their largest; None if they do not settle."""
+    """Follow the largest radii until they repeat, and give their largest (m, m/s); None if they do not settle."""
     D, T = disturbance, period
     rhythm = math.lcm(*(one.every for one in told))
     begun = max(one.latency for one in told) + window

@@ -258,11 +258,11 @@ class ErrorModel(eqx.Module):
         """Give a bound on the probability that one draw passes `bound`: the sum over the parts."""
         return min(1.0, sum(part.beyond(self.dimension) for part in self.parts))
 
-    def _own(self, normals: Normals) -> list[Normals]:
+    def _own(self, normals: Normals) -> list[Float[Array, " _"]]:
         return pieces(normals, [part.normals(self.dimension) for part in self.parts])
 
 
-def pieces(normals: Normals, counts: Sequence[int]) -> list[Normals]:
+def pieces(normals: Normals, counts: Sequence[int]) -> list[Float[Array, " _"]]:
     """Cut numbers into pieces of these lengths."""
     ends = list(itertools.accumulate(counts))
     return [normals[end - count : end] for end, count in zip(ends, counts)]

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from keepout.core.compiled.kept_executables import Arrays, kept_arrays
 from keepout.core.fields.field import Field, values_and_gradients
@@ -87,9 +87,7 @@ def fewer(
         np.add.at(vertices, place.reshape(-1), whole[0])
         vertices /= count[:, None]
         faces = place.reshape(-1)[whole[1]]
-        kept = np.flatnonzero(
-            (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-        )
+        kept = np.flatnonzero(_have_corners(faces))
         _, once, same = np.unique(np.sort(faces[kept], axis=1), axis=0, return_index=True, return_inverse=True)
         order = np.argsort(once)
         became = np.full(len(whole[1]), -1)
@@ -97,6 +95,11 @@ def fewer(
         faces = faces[kept[once[order]]]
         side *= _COARSER
     return vertices, faces, became
+
+
+def _have_corners(faces: Int[np.ndarray, "f 3"]) -> Bool[np.ndarray, " f"]:
+    """Which triangles have three corners."""
+    return (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
 
 
 def _openness(target: Target, vertices: np.ndarray, faces: np.ndarray) -> Float[np.ndarray, "f"]:
@@ -183,7 +186,7 @@ def _simplified(
         np.rint(vertices / _WELD).astype(np.int64), axis=0, return_index=True, return_inverse=True
     )
     welded, joined = vertices[first], place.reshape(-1)[faces]
-    joined = joined[(joined[:, 0] != joined[:, 1]) & (joined[:, 1] != joined[:, 2]) & (joined[:, 2] != joined[:, 0])]
+    joined = joined[_have_corners(joined)]
     mesh = manifold3d.Mesh(welded.astype(np.float32), joined.astype(np.uint32))
     mesh.merge()
     solid = manifold3d.Manifold(mesh)

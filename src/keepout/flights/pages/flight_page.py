@@ -1,7 +1,6 @@
 """One flight drawn: its page, with the replay beside it, and figures over time."""
 
 from collections.abc import Callable, Mapping
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -138,11 +137,10 @@ def draw_result(
         The paths of the pictures.
 
     """
-    scenario, target, record, name = result.scenario, result.target, result.record, result.scenario.name
-    clearance = target.distance.distance(record.position) - scenario.chaser.radius
-    promised = {key: getattr(result, key) for key in ("start_certified", "assumptions_broken", "guard")}
-    flight = Flight(scenario, target, record, result.flown, result.audit, clearance, **promised)
-    drawn: dict[str, Any] = {stem: (partial(_draw, draw, result), words) for stem, (draw, words) in pictures.items()}
+    flight, name = result.flight, result.scenario.name
+    drawn: dict[str, tuple[Callable[[Path], None], str]] = {
+        stem: (lambda path, draw=draw: draw(path, result), words) for stem, (draw, words) in pictures.items()
+    }
     drawn["motion"] = (lambda path: draw_motion(path, flight, name), "Velocity, force and disturbance over time.")
 
     def tell(page: Page) -> None:
@@ -154,10 +152,6 @@ def draw_result(
     title, replay = f"{type(result).__name__} {name}", f"{name}: {result.outcome}"
     [replayed] = of_flights({name: flight}, layer)
     return draw_page(out, replayed, drawn, tell, title=title, replay=replay, progress=progress)
-
-
-def _draw(draw: Callable[[Path, Any], None], result: Any, path: Path) -> None:
-    draw(path, result)
 
 
 def _cell(key: str, summary: Mapping[str, Any]) -> Any:
