@@ -161,6 +161,7 @@ def run(name, mesh, sensors, how: Approaching, *, points, say=lambda text: None)
     centre, radius = enclosing(target)
     first_hit = OnceCast(target.vertices, target.faces)
     worlds = [_World(sensor, centre, radius, spacing, name, seed) for sensor in sensors]
+    met = meeting(target, worlds[0].known)
     # The sound sensor says where the chaser may be, so that all see the same, whichever are asked for.
     pilot = next((world for world in worlds if world.sensor == SOUND), None)
     pilot, unasked = pilot or _World(SOUND, centre, radius, spacing, name, seed), pilot is None
@@ -183,7 +184,7 @@ def run(name, mesh, sensors, how: Approaching, *, points, say=lambda text: None)
             before = pose
         arrived += reached == views
         for world in worlds:
-            world.bad_after.append(len(bad_cubes(world.known, target)))
+            world.bad_after.append(len(bad_cubes(world.known, met)))
         say(f"{name}, {mesh}: {number + 1} approaches, bad cubes {[world.bad_after[-1] for world in worlds]}")
     generator = np.random.default_rng((seed, 1))
     seen = seen_surface(target, first_hit, pilot.camera.camera, poses, generator)
@@ -191,7 +192,7 @@ def run(name, mesh, sensors, how: Approaching, *, points, say=lambda text: None)
         yield (
             {"target": name, "mesh": mesh, "seed": seed, "approaches": approaches, "views_each": views}
             | {"outside_m": OUTSIDE, "arrived": arrived}
-            | world.counted(target, seen, points[number], generator)
+            | world.counted(target, met, seen, points[number], generator)
             | {"contacts": None, "complete": None, "seconds": time.perf_counter() - began}
         )
 
@@ -236,13 +237,13 @@ class _World:
         self.refused += report.status is not ViewStatus.SEEN
         self.opened += report.opened
 
-    def counted(self, target, seen, points, generator):
+    def counted(self, target, met, seen, points, generator):
         """Count what is wrong in the map, and measure how much of what is free it does not know."""
         known = self.known
         map_field = MapField.of(known.squares, known.origin, known.spacing)
         allowed = map_field.evaluation_error
         over = over_statements(map_field, target, known.spacing, points, generator, allowed=allowed)
-        bad = bad_cubes(known, target)
+        bad = bad_cubes(known, met)
         gap, under = gaps(known, seen), under_statements(map_field, target, seen)
         return {
             **self.sensor.told,
@@ -251,7 +252,7 @@ class _World:
             "views": known.views,
             "refused_views": self.refused,
             "opened_cubes": self.opened,
-            "surface_cubes": len(meeting(target, known.origin, known.spacing, np.ones_like(known.free))),
+            "surface_cubes": int(met.sum()),
             "bad_cubes": len(bad),
             "bad_after": self.bad_after,
             "bad_at": np.round(known.origin + known.spacing * (bad[:: max(1, len(bad) // 10)] + 0.5), 2).tolist(),

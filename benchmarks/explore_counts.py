@@ -1,6 +1,6 @@
 """What is wrong in a known-free map, counted against the true mesh, and how much of what is free it does not know.
 
-A cube is bad where it is said to be free and meets a triangle (separating axes, Akenine-Möller 2001; touching counts).
+A cube is bad where it is said to be free and meets a triangle (`apps/unknown/truth.py`; touching does not count).
 The field f over-states at a point p where f(p) > sqrt(d(p)² + h²), d the exact distance of p to the mesh, h the cubes'
 edge: what docs/mapping.md proves not to happen.
 """
@@ -13,6 +13,7 @@ import jax
 import numba
 import numpy as np
 
+from keepout.apps.unknown.truth import cubes_met
 from keepout.core.fields.field import Field
 from keepout.core.geometry.first_hit import FirstHit
 from keepout.core.geometry.level_set import sharp_points, surface_points
@@ -30,58 +31,14 @@ _POOL = 4
 """Points tried for each that an ascent begins from."""
 
 
-@numba.njit(cache=True, nogil=True)
-def _apart(v, ax, ay, az, half):
-    """Whether a triangle (corners from the cube's centre) lies beyond a cube along an axis."""
-    p = ax * v[0, 0] + ay * v[0, 1] + az * v[0, 2]
-    q = ax * v[1, 0] + ay * v[1, 1] + az * v[1, 2]
-    r = ax * v[2, 0] + ay * v[2, 1] + az * v[2, 2]
-    reach = half * (abs(ax) + abs(ay) + abs(az))
-    return min(p, q, r) > reach or max(p, q, r) < -reach
+def meeting(target, known):
+    """Say which cubes of a map's grid meet a triangle."""
+    return cubes_met(target.vertices, target.faces, known.origin, known.spacing, len(known.free))
 
 
-@numba.njit(cache=True, nogil=True)
-def _meets(v, half):
-    edges = (v[1] - v[0], v[2] - v[1], v[0] - v[2])
-    if _apart(v, 1.0, 0.0, 0.0, half) or _apart(v, 0.0, 1.0, 0.0, half) or _apart(v, 0.0, 0.0, 1.0, half):
-        return False
-    n = np.cross(edges[0], edges[1])
-    if _apart(v, n[0], n[1], n[2], half):
-        return False
-    for e in edges:
-        if _apart(v, 0.0, -e[2], e[1], half) or _apart(v, e[2], 0.0, -e[0], half) or _apart(v, -e[1], e[0], 0.0, half):
-            return False
-    return True
-
-
-@numba.njit(cache=True, nogil=True)
-def _mark(triangles, origin, spacing, among, marked):
-    size = np.array(among.shape)
-    for t in range(len(triangles)):
-        first, last = np.empty(3, np.int64), np.empty(3, np.int64)
-        for axis in range(3):
-            column = triangles[t, :, axis]
-            # A cube more on each side: one that the box only touches counts as met.
-            first[axis] = max(math.floor((column.min() - origin[axis]) / spacing) - 1, 0)
-            last[axis] = min(math.floor((column.max() - origin[axis]) / spacing) + 1, size[axis] - 1)
-        for i in range(first[0], last[0] + 1):
-            for j in range(first[1], last[1] + 1):
-                for k in range(first[2], last[2] + 1):
-                    if among[i, j, k] and not marked[i, j, k]:
-                        centre = origin + spacing * (np.array([i, j, k]) + 0.5)
-                        marked[i, j, k] = _meets(triangles[t] - centre, 0.5 * spacing)
-
-
-def meeting(target, origin, spacing, among):
-    """Give the indices (m, 3) of those cubes `among` a grid that meet a triangle."""
-    marked = np.zeros_like(among)
-    _mark(np.ascontiguousarray(target.vertices[target.faces]), origin, spacing, among, marked)
-    return np.argwhere(marked)
-
-
-def bad_cubes(known, target):
-    """Give the indices (m, 3) of the cubes of a map that are said to be free and meet the mesh."""
-    return meeting(target, known.origin, known.spacing, known.free)
+def bad_cubes(known, met):
+    """Give the indices (m, 3) of the cubes of a map that are said to be free and meet the mesh, as `meeting` says."""
+    return np.argwhere(met & known.free)
 
 
 @dataclass

@@ -14,7 +14,7 @@ import numpy as np
 import scipy.ndimage
 from closed_targets import MovedPanel, moved_panel
 from explore_approaches import Sensor, enclosing
-from explore_counts import bad_cubes
+from explore_counts import bad_cubes, meeting
 from kept_rows import timed
 from truncated_distance import TruncatedDistanceMap
 
@@ -117,7 +117,7 @@ def by_known_free(flown: Flight):
     kept = ("outcome", "why", "contact", "contact_verdict", "minimum_clearance_m", "seen_share", "views", "duration_s")
     kept += ("delta_v_mps", "guard_interventions", "guard_flags", "start_certified", "assumptions_broken")
     said = {key: found[key] for key in (*kept, "refused_views", "departures_largest_m")}
-    return {"bad_cubes": len(bad_cubes(flight.map, flown.panel.true)), **said}
+    return {"bad_cubes": len(bad_cubes(flight.map, meeting(flown.panel.true, flight.map))), **said}
 
 
 def by_truncated_distance(flown: Flight):

@@ -20,7 +20,7 @@ the file as they come, and none is made twice with the same settings; several ru
 """
 
 import dataclasses
-import json
+import functools
 import sys
 import time
 from pathlib import Path
@@ -195,12 +195,7 @@ def fly(inspected, parts, rows, *, flights, seed):
     for part in parts:
         for tour, light, number in asked(part, flights, seed):
             wanted = inspected.plan_of(part, tour, light, number)
-            row = rows.find(wanted)
-            if row is None:
-                row = wanted | inspected.row(part, tour, light, number, say)
-                rows.keep(row)
-                say(json.dumps({name: row[name] for name in SHOWN if name in row}))
-            shown.append(row)
+            shown.append(rows.made(wanted, functools.partial(inspected.row, part, tour, light, number, say)))
     return [row | {"coverage_loss": loss(row, rows.kept)} for row in shown]
 
 

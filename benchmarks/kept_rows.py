@@ -46,11 +46,12 @@ class Rows:
             write_whole(self.path, "[\n" + ",\n".join(json.dumps(one) for one in self._with(row)) + "\n]\n")
 
     def made(self, plan, make):
-        """Give the row of a plan: that found, or what `make` gives beside the plan, which is kept."""
+        """Give the row of a plan: that found, or what `make` gives beside the plan, which is kept, and told of."""
         row = self.find(plan)
         if row is None:
             row = plan | make()
             self.keep(row)
+            sys.stderr.write(json.dumps({name: of for name, of in row.items() if not isinstance(of, list)}) + "\n")
         return row
 
     def _with(self, row):

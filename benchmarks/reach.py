@@ -15,7 +15,6 @@ of the shortest free way / speed limit); `delta_v_mps` is the median, and `delta
 """
 
 import functools
-import json
 import sys
 import time
 import warnings
@@ -247,7 +246,6 @@ def main():
         case = Case(source, arguments.out.parent, arguments.flights, arguments.seed)
         for law, rate in [(law, 0.0) for law in arguments.laws] + [("geodesic", rate) for rate in arguments.tumbling]:
             rows.append(store.made(planned(case, law, rate), functools.partial(fly_row, case, law, rate)))
-            sys.stderr.write(json.dumps(rows[-1]) + "\n")
     tell(rows, arguments, SHOWN)
 
 

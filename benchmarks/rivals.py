@@ -15,8 +15,7 @@ not flown again; so a run that was stopped goes on. `--figure` draws all rivals 
 """
 
 import argparse
-import json
-import sys
+import functools
 import warnings
 from pathlib import Path
 
@@ -41,13 +40,8 @@ def fly_all(arguments):
         for rival in (rival for rival in RIVALS if rival.name in arguments.rivals):
             for guarded in guards:
                 plan = planned(case, rival, guarded, arguments.flights)
-                row = store.find(plan)
-                if row is None:
-                    with terminal.progress(f"{rival.name}, {case.name}") as progress:
-                        row = flown_row(case, rival, plan, progress)
-                    store.keep(row)
-                rows.append(row)
-                sys.stderr.write(json.dumps(row) + "\n")
+                with terminal.progress(f"{rival.name}, {case.name}") as progress:
+                    rows.append(store.made(plan, functools.partial(flown_row, case, rival, plan, progress)))
     return rows
 
 
