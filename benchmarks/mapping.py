@@ -135,9 +135,9 @@ def measure(radius: float, views: int, width: float, repeated: int) -> dict[str,
         free, unknown, squares = known.free.copy(), known._unknown.copy(), known.squares.copy()
         changed = np.zeros(unknown.shape, dtype=np.bool_)
 
-        def open_cubes(free=free, unknown=unknown, changed=changed, rule=rule, empty=empty, place=place):
-            levels, blocks = (pyramid(empty), pyramid(empty, greatest=True)), known.blocks_within(place, rule.farthest)
-            return free_cubes(rule, *levels, known.origin, known.spacing, *blocks, free, unknown, changed)
+        def open_cubes(free=free, unknown=unknown, changed=changed, rule=rule, empty=empty, view=view):
+            blocks = known.blocks_in_view(view, rule.farthest)
+            return free_cubes(rule, pyramid(empty), known.origin, known.spacing, *blocks, free, unknown, changed)
 
         opened, seconds = timed(open_cubes)
         freeing.append(seconds)

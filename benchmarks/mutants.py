@@ -133,7 +133,6 @@ MUTANTS = {
     "apps/unknown/rule.py": [
         ("cube as its inner ball", "0.5 * math.sqrt(3.0) * spacing", "0.5 * spacing", "promises:body"),
         ("attitude taken as exact", "+ distance * rule.attitude_error", "", "promises:body"),
-        ("near side for far", "last_column, far + rule", "last_column, near + rule", "rule:wall"),
     ],
     "apps/unknown/known_free.py": [("ball by the near face", "- (low + self.spacing)", "- low", "known_free:ball")],
     "apps/inspection/seeing/visible.py": [

@@ -241,19 +241,23 @@ class KnownFreeMap:
         """Free the cubes that the rule frees, and bring the distances up to date; gives how many were freed."""
         rule = rule_of(view, self.bounds, self.spacing)
         empty = empty_ranges(view, self.bounds)
-        blocks = self.blocks_within(view.position, max(rule.farthest, 0.0))
+        blocks = self.blocks_in_view(view, rule.farthest)
         changed = np.zeros(self._unknown.shape, dtype=np.bool_)
-        levels = pyramid(empty), pyramid(empty, greatest=True)
         grid = self.origin, self.spacing
-        opened = free_cubes(rule, *levels, *grid, *blocks, self.free, self._unknown, changed)
+        opened = free_cubes(rule, pyramid(empty), *grid, *blocks, self.free, self._unknown, changed)
         if opened:
             renew(self.free, self.squares, self.cap_cells, changed, BLOCK)
         return opened
 
-    def blocks_within(self, place: Float[np.ndarray, "3"], reach: float) -> Int[np.ndarray, "2 3"]:
-        """Give the first and the one after the last block of a box round all that is within `reach` of a place, m."""
-        ends = (place + np.array([[-reach], [reach]]) - self.origin) / (BLOCK * self.spacing)
-        return np.clip([np.floor(ends[0]) - 1, np.ceil(ends[1]) + 1], 0, len(self.free) // BLOCK).astype(np.int64)
+    def blocks_in_view(self, view: View, farthest: float) -> Int[np.ndarray, "2 3"]:
+        """Give the first and the one after the last block of a box round all that the camera sees up to a range, m."""
+        camera = view.camera
+        half = 0.5 * np.array([camera.width, camera.height]) / camera.focal
+        corners = np.array([[a * half[0], b * half[1], 1.0] for a in (-1, 1) for b in (-1, 1)])
+        # The part of the cone nearer than `farthest` lies within the pyramid cut there across the boresight.
+        reached = np.vstack([view.position, view.position + max(farthest, 0.0) * corners @ view.axes.T])
+        low, high = (np.array([reached.min(axis=0), reached.max(axis=0)]) - self.origin) / (BLOCK * self.spacing)
+        return np.clip([np.floor(low) - 1, np.ceil(high) + 1], 0, len(self.free) // BLOCK).astype(np.int64)
 
     def _status(self, view: View) -> ViewStatus:
         if not all(np.isfinite(part).all() for part in (view.position, view.axes, view.time)):
