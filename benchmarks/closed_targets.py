@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 from manifold3d import Error, Manifold, Mesh64, OpType
 
+from keepout.apps.led.first_hit import FirstHit
 from keepout.core.digest import digest
 from keepout.core.geometry.builtin import BUILTINS
-from keepout.core.geometry.first_hit import FirstHit
 from keepout.core.geometry.level_set import surface_points
 from keepout.core.geometry.mesh_report import Surface, describe, part_labels, weld, zero_area
 from keepout.core.geometry.solids import mesh

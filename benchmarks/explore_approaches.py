@@ -15,12 +15,12 @@ from closed_targets import FILES, MESHES, closed_target
 from explore_counts import bad_cubes, gaps, meeting, over_statements, seen_surface, under_statements
 
 from keepout.apps.led.camera import axes_towards
+from keepout.apps.led.first_hit import FirstHit
 from keepout.apps.unknown.depth_sensor import DepthCamera, ErrorDraw, take
 from keepout.apps.unknown.known_free import KnownFreeMap, ViewStatus
 from keepout.apps.unknown.map_field import MapField
 from keepout.apps.unknown.view import SensorBounds
 from keepout.core.geometry.builtin import BUILTINS
-from keepout.core.geometry.first_hit import FirstHit
 from keepout.core.geometry.level_set import surface_points, towards_level
 from keepout.core.geometry.target import Target
 

@@ -13,9 +13,9 @@ import jax
 import numba
 import numpy as np
 
+from keepout.apps.led.first_hit import FirstHit
 from keepout.apps.unknown.truth import cubes_met
 from keepout.core.fields.field import Field
-from keepout.core.geometry.first_hit import FirstHit
 from keepout.core.geometry.level_set import sharp_points, surface_points
 from keepout.core.geometry.target import Target
 

@@ -19,6 +19,7 @@ from kept_rows import timed
 from truncated_distance import TruncatedDistanceMap
 
 from keepout.apps.led.camera import Boresight, axes_towards
+from keepout.apps.led.first_hit import FirstHit
 from keepout.apps.unknown import equipment
 from keepout.apps.unknown.by_map import ByMap
 from keepout.apps.unknown.depth_sensor import ErrorDraw, take
@@ -27,7 +28,6 @@ from keepout.apps.unknown.map_field import MapField
 from keepout.core.audit.audit import Contact
 from keepout.core.errors import ControlError
 from keepout.core.flight.loop import begin, fly_segment, joined
-from keepout.core.geometry.first_hit import FirstHit
 from keepout.core.geometry.level_set import surface_points, towards_level
 from keepout.core.mission.flight import Standing, recorded
 from keepout.core.mission.scenario import Scenario

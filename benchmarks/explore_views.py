@@ -25,6 +25,7 @@ import numpy as np
 import trimesh
 
 from keepout.apps.led.camera import axes_towards
+from keepout.apps.led.first_hit import FirstHit
 from keepout.apps.unknown.cells import Tried
 from keepout.apps.unknown.depth_sensor import DepthCamera, take
 from keepout.apps.unknown.known_free import KnownFreeMap, ViewStatus
@@ -32,7 +33,6 @@ from keepout.apps.unknown.next_view import UP, Ended, NextView, Seeker, choose, 
 from keepout.apps.unknown.view import SensorBounds
 from keepout.apps.unknown.ways import reachable
 from keepout.core.geometry.distance import ExactDistance
-from keepout.core.geometry.first_hit import FirstHit
 from keepout.core.geometry.target import Target
 
 RADIUS, HEIGHT, DECLARED = 0.5, 1.0, 0.5

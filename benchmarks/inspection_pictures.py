@@ -16,7 +16,7 @@ from kept_rows import command, tell, timed, with_meshes
 
 from keepout.apps.inspection.perspective import Studio
 from keepout.apps.led.camera import Pinhole, axes_towards
-from keepout.core.geometry.first_hit import FirstHit
+from keepout.apps.led.first_hit import FirstHit
 from keepout.core.geometry.target import Target
 
 SHIPPED = ("intelsat30", "tiangong", "iss")

@@ -19,6 +19,7 @@ import scipy.ndimage
 from kept_rows import on_one_line
 
 from keepout.apps.led.camera import axes_towards
+from keepout.apps.led.first_hit import FirstHit
 from keepout.apps.unknown.depth_sensor import DepthCamera, ErrorDraw, take
 from keepout.apps.unknown.known_free import KnownFreeMap
 from keepout.apps.unknown.map_file import load, save
@@ -26,7 +27,6 @@ from keepout.apps.unknown.skin import skin
 from keepout.core.fields import load_shipped, shipped_names
 from keepout.core.fields.field import values
 from keepout.core.fields.model import FieldModel
-from keepout.core.geometry.first_hit import FirstHit
 from keepout.core.geometry.level_set import level_points
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target

@@ -19,8 +19,8 @@ import numpy as np
 from kept_rows import command, tell, with_meshes
 
 from keepout.apps.led.camera import axes_towards
+from keepout.apps.led.first_hit import FirstHit
 from keepout.apps.unknown.depth_sensor import DepthCamera, take
-from keepout.core.geometry.first_hit import FirstHit
 from keepout.core.geometry.target import Target
 
 # Aura's file has no real unit (deployed length 17.37 m); Itokawa's is normalised, and is shown at 20 m.

@@ -26,7 +26,7 @@ from kept_rows import command, tell
 from keepout.apps.inspection.seeing.patches import Patches, cut
 from keepout.apps.inspection.seeing.sightlines import LIFT, Sightlines
 from keepout.apps.inspection.seeing.visible import SeeingRules, lit_units, within_rules
-from keepout.core.geometry.first_hit import FirstHit
+from keepout.apps.led.first_hit import FirstHit
 from keepout.core.geometry.target import Target
 
 Point = list[Fraction]

@@ -14,8 +14,8 @@ from jaxtyping import Bool, Float
 from kept_rows import command, tell
 
 from keepout.apps.led.camera import axes_towards
+from keepout.apps.led.first_hit import FirstHit
 from keepout.apps.unknown.depth_sensor import DepthCamera, first_returns
-from keepout.core.geometry.first_hit import FirstHit
 from keepout.core.geometry.level_set import random_directions
 from keepout.core.geometry.target import Target
 

@@ -26,6 +26,7 @@ from truths.results import Page, check_picture
 import keepout
 from keepout.apps.inspection.frames import coverage_of_files
 from keepout.apps.led.camera import axes_towards
+from keepout.apps.led.first_hit import FirstHit
 from keepout.apps.unknown import equipment, map_file
 from keepout.apps.unknown.depth_sensor import ErrorDraw, take
 from keepout.cli.options import ORDER
@@ -34,7 +35,6 @@ from keepout.core.fields.field import values
 from keepout.core.fields.model import FieldModel
 from keepout.core.flight.record import FlightRecord
 from keepout.core.geometry.builtin import BUILTINS
-from keepout.core.geometry.first_hit import FirstHit
 from keepout.core.geometry.target import Target
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings

@@ -8,9 +8,9 @@ from sure_return import _on_surface, sure_return_violations
 from truths.messy_meshes import box
 
 from keepout.apps.led.camera import Pinhole, axes_towards
+from keepout.apps.led.first_hit import FirstHit
 from keepout.apps.unknown.depth_sensor import DepthCamera, first_returns
 from keepout.apps.unknown.view import SensorBounds
-from keepout.core.geometry.first_hit import FirstHit
 
 UP = np.array([0.0, 0.0, 1.0])
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from keepout.apps.inspection.perspective import Studio
 from keepout.apps.led.camera import Pinhole, axes_towards
-from keepout.core.geometry.first_hit import FirstHit
+from keepout.apps.led.first_hit import FirstHit
 from keepout.core.geometry.target import Target
 
 UP = np.array([0.0, 0.0, 1.0])

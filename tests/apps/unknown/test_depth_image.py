@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from keepout.apps.led.camera import Pinhole, axes_towards
+from keepout.apps.led.first_hit import FirstHit
 from keepout.apps.unknown.depth_sensor import DepthCamera, ErrorDraw, first_returns, take
 from keepout.apps.unknown.view import SensorBounds
 from keepout.core.errors import ScenarioError
-from keepout.core.geometry.first_hit import FirstHit
 from keepout.core.geometry.target import Target
 
 UP = np.array([0.0, 0.0, 1.0])

@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from keepout.apps.led.camera import Pinhole, rotation_by
+from keepout.apps.led.first_hit import FirstHit
 from keepout.apps.unknown.view import WIDTH_IN_PITCHES, SensorBounds, View
 from keepout.core.errors import ScenarioError
-from keepout.core.geometry.first_hit import FirstHit
 
 
 @dataclass(frozen=True)

@@ -17,12 +17,12 @@ from matplotlib.patches import Circle, Patch
 from scipy.spatial import KDTree
 
 from keepout.apps.led.camera import Pinhole
+from keepout.apps.led.first_hit import FirstHit
 from keepout.apps.unknown.cells import ACROSS
 from keepout.apps.unknown.equipment import pinhole
 from keepout.apps.unknown.exploration import Exploration
 from keepout.apps.unknown.known_free import KnownFreeMap, Seen, whole_blocks
 from keepout.apps.unknown.ways import reachable
-from keepout.core.geometry.first_hit import FirstHit
 from keepout.core.geometry.target import Target
 from keepout.flights.pages.figures import COLOURS, figure
 from keepout.flights.pages.mesh_pictures import READABLE, View, eye_axes, paint_target, rasterise

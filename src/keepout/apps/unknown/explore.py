@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from keepout.apps.led.camera import Boresight, axes_towards
 from keepout.apps.led.driver import Leader, LedFlight, given_up_at, lead
+from keepout.apps.led.first_hit import FirstHit
 from keepout.apps.unknown import equipment
 from keepout.apps.unknown.by_map import ByMap, DeclaredBall, field_of
 from keepout.apps.unknown.cells import Tried
@@ -28,7 +29,6 @@ from keepout.core.compiled.kept_programs import keep_programs
 from keepout.core.errors import ControlError
 from keepout.core.flight.record import EXPLORED
 from keepout.core.flight.setup import FlightSetup
-from keepout.core.geometry.first_hit import FirstHit
 from keepout.core.geometry.target import Target
 from keepout.core.guard.guard import GuardState
 from keepout.core.guard.safety_layer import GuardFlag, GuardStatus

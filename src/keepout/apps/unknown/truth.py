@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
+from keepout.apps.led.first_hit import FirstHit
 from keepout.apps.unknown.by_map import DeclaredBall
 from keepout.apps.unknown.known_free import KnownFreeMap
-from keepout.core.geometry.first_hit import FirstHit
 from keepout.core.geometry.target import Target
 from keepout.core.mission.scenario import Scenario
 

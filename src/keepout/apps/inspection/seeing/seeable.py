@@ -16,7 +16,7 @@ from keepout.apps.inspection.seeing.patches import Patches, axes_across, hull_of
 from keepout.apps.inspection.seeing.room import Limits, Room, beam_workspace, first_place, least_height, place_of
 from keepout.apps.inspection.seeing.sightlines import LIFT, Sightlines
 from keepout.apps.inspection.seeing.visible import SeeingRules
-from keepout.core.geometry.first_hit import DEEPEST, RayTree
+from keepout.apps.led.first_hit import DEEPEST, RayTree
 from keepout.core.progress import Progress, silent
 
 # `no_type_check` below: run-time shape checks would wrap the functions that numba compiles.

@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from keepout.apps.inspection.seeing.patches import Patches
+from keepout.apps.led.first_hit import DEEPEST, build_tree
 from keepout.core.errors import InspectionError
 from keepout.core.geometry.distance import TriangleSoup
-from keepout.core.geometry.first_hit import DEEPEST, build_tree
 
 # `no_type_check` below: run-time shape checks would wrap the functions that numba compiles.
 FARTHEST = 1e5

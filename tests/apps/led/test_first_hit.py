@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from scipy.spatial import Delaunay
 from truths.messy_meshes import MESSY_AND_REAL
 
+from keepout.apps.led.first_hit import FirstHit
 from keepout.core.errors import MeshError
-from keepout.core.geometry.first_hit import FirstHit
 
 
 def brute_force(origins, directions, triangles, slack):
