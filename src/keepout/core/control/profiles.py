@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from keepout.core.compiled.tried import THREE_NUMBERS, computed, described, is_own, require_numbers
+from keepout.core.compiled.tried import THREE_NUMBERS, Asked, described, is_own
 from keepout.core.control.barrier_grid import require_free
 from keepout.core.control.circulation import CirculationLaw, NoCirculation, printed_circulation
 from keepout.core.control.controller import Controller, Tracking
@@ -55,10 +55,9 @@ def _leader(
     if not isinstance(guidance, Guidance):
         raise ControlError(f"guidance: {described(guidance)}; it must be a keepout.Guidance or a keepout.GuidancePlan")
     if is_own(guidance):
-        asked: dict[str, Any] = {"part": f"guidance: {type(guidance).__name__}.desired_velocity"}
-        asked |= {"wanted": f"{THREE_NUMBERS}, m/s", "refusal": ControlError}
-        velocity = computed(lambda part, place: part.desired_velocity(place), guidance, as_float64(goal), **asked)
-        require_numbers(velocity, (3,), **asked)
+        asked = Asked(f"guidance: {type(guidance).__name__}.desired_velocity", f"{THREE_NUMBERS}, m/s", ControlError)
+        velocity = asked.computed(lambda part, place: part.desired_velocity(place), guidance, as_float64(goal))
+        asked.require_numbers(velocity, (3,))
     if not np.array_equal(np.asarray(guidance.goal), goal):
         raise ControlError(f"guidance: leads to {np.asarray(guidance.goal).tolist()}, and the goal is {goal.tolist()}")
     return guidance

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from keepout.core.compiled.tried import require_numbers, tried
+from keepout.core.compiled.tried import Asked
 from keepout.core.errors import FieldError
 from keepout.core.fields.field import Field, Hessians, Points, Values, of_places, values_and_gradients, within_numbers
 
@@ -145,12 +145,8 @@ def _corner(name: str, corner: Any) -> Float[np.ndarray, "3"]:
 def _steepest(
     field: FunctionField, lower: Corner, upper: Corner, samples: int, seed: int
 ) -> tuple[float, Float[np.ndarray, "3"]]:
-    asked: dict[str, Any] = {
-        "part": "field: the function",
-        "wanted": "one number of floats, an array (), for a point (3,)",
-        "refusal": FieldError,
-    }
-    require_numbers(tried(lambda point: field.function(point), jnp.zeros(3), **asked), (), **asked)
+    asked = Asked("field: the function", "one number of floats, an array (), for a point (3,)", FieldError)
+    asked.require_numbers(asked.tried(lambda point: field.function(point), jnp.zeros(3)), ())
     low, high = (_corner(name, corner) for name, corner in (("lower", lower), ("upper", upper)))
     if not (low < high).all():
         raise FieldError(f"field: lower {low.tolist()} must be below upper {high.tolist()} along every axis")

@@ -4,6 +4,7 @@ Drafted are sizes, a free start and goal, a speed that the thrusters honour, and
 stands in the file with its meaning; those that are not in force are comments that show their defaults.
 """
 
+import functools
 import math
 import os
 import textwrap
@@ -16,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal, Union, get_args, get_origin
 from pydantic.fields import FieldInfo
 
 from keepout.core.errors import KeepoutError, ScenarioError
+from keepout.core.mission.entries import ChaserEntry
 from keepout.core.mission.scenario import Scenario, entries_and_tables, is_number, is_vector, is_whole_number, tree_of
 from keepout.core.progress import Progress, silent
 
@@ -32,6 +34,14 @@ _WIDTH = 34
 """Column at which explanations begin, where the entry is shorter."""
 _LONGEST = 120
 """Characters in a line; a longer explanation stands above its entry."""
+_IN_FORCE = (
+    "duration",
+    *(f"chaser.{key}" for key in ChaserEntry.model_fields),
+    *("safety.margin", "guard.enabled", "control.profile", "control.period"),
+    *("orbit.semi_major_axis", "orbit.eccentricity", "attitude.kind", "disturbance.kind"),
+    *("start.position", "start.velocity", "goal.position", "goal.tolerance"),
+)
+"""Entries that stand in every draft."""
 _DISPERSED = '# dispersions."chaser.mass" = {uniform = [18.0, 22.0]}'
 _PARAMETERS = "# parameters.wing_angle = 0.5"
 
@@ -87,45 +97,28 @@ def draft(
     """
     values: dict[str, Any] = {"name": name, "seed": 0, "control.profile": profile}
     if source is None:
-        defaults = Scenario.parse({"name": name, "control": {"profile": profile}})
+        defaults = Scenario.parse(tree_of(values))
         values |= _numbers(defaults)
         values |= {"target.source": defaults.target.source, "field.source": defaults.field.source}
         return Draft(defaults, _written(values, {}, (), source), values)
-    from keepout.core.fields import shipped_names
     from keepout.core.mission.target import load_target
 
     progress(0.0, "target")
     mesh = {"source": source, "units": units, "scale": scale, "drop_stray": drop_stray or None}
     given = {key: value for key, value in mesh.items() if value is not None}
     target = load_target(Scenario.parse({"target": given}).target)
-    remarks: tuple[str, ...] = ()
+    field_source, remarks = _field_of(target, given, folder)
     is_file = Path(source).exists() and target.name != source
-    if is_file:
-        given["source"] = _relative(Path(source), folder)
-    values |= {f"target.{key}": value for key, value in given.items()}
-    if source in shipped_names():
-        values["field.source"] = "shipped"
-    else:
-        learned = Path(folder) / f"{target.name}.keepout"
-        values["field.source"] = learned.name
-        if not learned.exists():
-            options = "".join(
-                f" --{key.replace('_', '-')}" + ("" if value is True else f" {value}")
-                for key, value in given.items()
-                if key != "source"
-            )
-            radius = Scenario().chaser.radius
-            remarks = (f"keepout fit {source}{options} --chaser-radius {radius:g} --certify -o {learned}",)
+    named = given | {"source": _relative(Path(source), folder)} if is_file else given
+    values |= {f"target.{key}": value for key, value in named.items()} | {"field.source": field_source}
     progress(0.3, "start and goal")
     start, goal, way = _places(target)
     values |= {"start.position": start, "goal.position": goal}
-    resolved = {key: value for key, value in values.items() if key != "target.source"} | {"target.source": source}
     progress(0.5, "speed")
-    scenario, honoured = _honoured(Scenario.parse(tree_of(resolved)), target)
+    scenario, honoured = _honoured(Scenario.parse(tree_of(values | {"target.source": source})), target)
     speed = scenario.chaser.speed_limit
     # Half as long again as the way round the bounding box takes, and time to come to rest.
-    duration = 100.0 * math.ceil((1.5 * way / speed + 200.0) / 100.0)
-    scenario = scenario.replace(duration=duration)
+    scenario = scenario.replace(duration=100.0 * math.ceil((1.5 * way / speed + 200.0) / 100.0))
     values = _numbers(scenario) | values
     width, depth, height = (target.vertices.max(axis=0) - target.vertices.min(axis=0)).tolist()
     notes = {
@@ -135,14 +128,26 @@ def draft(
         "goal.position": "free, with room",
         "duration": f"a way of {way:.3g} m round the target at the speed limit takes {way / speed:.3g} s",
     }
-    return Draft(
-        scenario,
-        _written(values, notes, remarks, source),
-        values,
-        honoured,
-        (width, depth, height),
-        remarks,
+    text = _written(values, notes, remarks, source)
+    return Draft(scenario, text, values, honoured, (width, depth, height), remarks)
+
+
+def _field_of(target: "Target", mesh: dict[str, Any], folder: Path) -> tuple[str, tuple[str, ...]]:
+    """Name the field of a target whose entries are given, and the command that makes it where it is not there."""
+    from keepout.core.fields import shipped_names
+
+    if mesh["source"] in shipped_names():
+        return "shipped", ()
+    learned = Path(folder) / f"{target.name}.keepout"
+    if learned.exists():
+        return learned.name, ()
+    options = "".join(
+        f" --{key.replace('_', '-')}" + ("" if value is True else f" {value}")
+        for key, value in mesh.items()
+        if key != "source"
     )
+    radius = Scenario().chaser.radius
+    return learned.name, (f"keepout fit {mesh['source']}{options} --chaser-radius {radius:g} --certify -o {learned}",)
 
 
 def _written(values: dict[str, Any], notes: dict[str, str], remarks: tuple[str, ...], source: str | None) -> str:
@@ -158,22 +163,7 @@ def _written(values: dict[str, Any], notes: dict[str, str], remarks: tuple[str, 
 
 def _numbers(scenario: Scenario) -> dict[str, Any]:
     """Give the entries that every flight is about."""
-    return {
-        "duration": scenario.duration,
-        **{f"chaser.{key}": value for key, value in scenario.chaser.model_dump().items()},
-        "safety.margin": scenario.safety.margin,
-        "guard.enabled": scenario.guard.enabled,
-        "control.profile": scenario.control.profile,
-        "control.period": scenario.control.period,
-        "orbit.semi_major_axis": scenario.orbit.semi_major_axis,
-        "orbit.eccentricity": scenario.orbit.eccentricity,
-        "attitude.kind": scenario.attitude.kind,
-        "disturbance.kind": scenario.disturbance.kind,
-        "start.position": scenario.start.position,
-        "start.velocity": scenario.start.velocity,
-        "goal.position": scenario.goal.position,
-        "goal.tolerance": scenario.goal.tolerance,
-    }
+    return {name: functools.reduce(getattr, name.split("."), scenario) for name in _IN_FORCE}
 
 
 def _relative(source: Path, folder: Path) -> str:

@@ -5,7 +5,8 @@ said in its table's docstring, of which the first line says what the table is fo
 """
 
 import inspect
-from typing import Annotated, Any, Literal
+from collections.abc import Iterator
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import (
     AfterValidator,
@@ -77,6 +78,16 @@ class Entry(BaseModel, metaclass=_Documented):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
+    def _contradictions(self) -> Iterator[str]:
+        """Say what in the table does not go together; the first is its refusal."""
+        return iter(())
+
+    @model_validator(mode="after")
+    def _goes_together(self) -> Self:
+        for said in self._contradictions():
+            raise ValueError(said)
+        return self
+
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> Any:
         """Make every number, flag and text of the table strict; `strict` of the model would refuse lists as well."""
@@ -109,11 +120,9 @@ class TargetEntry(Entry):
     centre_of_mass: Vector = (0.0, 0.0, 0.0)
     parameters: dict[str, float] = Field(default_factory=dict)
 
-    @model_validator(mode="after")
-    def _one_scale(self) -> "TargetEntry":
+    def _contradictions(self) -> Iterator[str]:
         if self.units is not None and self.scale is not None:
-            raise ValueError("give either units or scale, not both")
-        return self
+            yield "give either units or scale, not both"
 
 
 class FieldEntry(Entry):
@@ -220,19 +229,13 @@ class FaultsEntry(Entry):
     thruster: Annotated[int, Field(ge=0)] | None = None
     thruster_stuck: Literal["on", "off"] = "off"
 
-    @model_validator(mode="after")
-    def _stuck_is_named(self) -> "FaultsEntry":
+    def _contradictions(self) -> Iterator[str]:
         if self.stuck is None and (self.stuck_force or (self.stuck_from and self.thruster is None)):
-            raise ValueError('stuck_force and stuck_from need stuck = "+x", "-x", "+y", "-y", "+z" or "-z"')
+            yield 'stuck_force and stuck_from need stuck = "+x", "-x", "+y", "-y", "+z" or "-z"'
         if self.thruster is None and self.thruster_stuck != "off":
-            raise ValueError("thruster_stuck needs thruster, its number")
-        return self
-
-    @model_validator(mode="after")
-    def _correlated_noise_is_there(self) -> "FaultsEntry":
+            yield "thruster_stuck needs thruster, its number"
         if self.noise_correlation_time and not (self.position_noise_std or self.velocity_noise_std):
-            raise ValueError("noise_correlation_time needs position_noise_std or velocity_noise_std")
-        return self
+            yield "noise_correlation_time needs position_noise_std or velocity_noise_std"
 
 
 class PaperEntry(Entry):
@@ -273,19 +276,13 @@ class ControlEntry(Entry):
     observer: Literal["harmonic", "constant", "printed", "off"] | None = None
     paper: PaperEntry = PaperEntry()
 
-    @model_validator(mode="after")
-    def _paper_of_its_profile(self) -> "ControlEntry":
+    def _contradictions(self) -> Iterator[str]:
         if self.profile != "paper" and self.paper != PaperEntry():
             named = ", ".join(f"paper.{key}" for key in self.paper.model_dump(exclude_defaults=True))
-            raise ValueError(f'{named}: only for profile = "paper", and profile is "{self.profile}"')
-        return self
-
-    @model_validator(mode="after")
-    def _spacing_of_a_grid(self) -> "ControlEntry":
+            yield f'{named}: only for profile = "paper", and profile is "{self.profile}"'
         guidance = self.guidance or ("geodesic" if self.profile == "default" else "straight")
         if self.spacing is not None and guidance != "geodesic":
-            raise ValueError(f'spacing {self.spacing} m is for guidance = "geodesic", and guidance is "{guidance}"')
-        return self
+            yield f'spacing {self.spacing} m is for guidance = "geodesic", and guidance is "{guidance}"'
 
 
 class OrbitEntry(Entry):
@@ -310,12 +307,10 @@ class OrbitEntry(Entry):
     argument_of_perigee: Angle = 0.0
     j2: bool = False
 
-    @model_validator(mode="after")
-    def _above_ground(self) -> "OrbitEntry":
+    def _contradictions(self) -> Iterator[str]:
         perigee = self.semi_major_axis * (1.0 - self.eccentricity)
         if perigee < 6.4e6:
-            raise ValueError(f"the perigee radius is {perigee:.4g} m, inside the Earth; it must be at least 6.4e6 m")
-        return self
+            yield f"the perigee radius is {perigee:.4g} m, inside the Earth; it must be at least 6.4e6 m"
 
 
 class DragEntry(Entry):
@@ -351,11 +346,9 @@ class SunEntry(Entry):
     target_area_to_mass: NonNegative = 0.0
     chaser_area_to_mass: NonNegative = 0.0
 
-    @model_validator(mode="after")
-    def _points_somewhere(self) -> "SunEntry":
+    def _contradictions(self) -> Iterator[str]:
         if self.direction is not None and not any(self.direction):
-            raise ValueError("direction [0, 0, 0] points nowhere; give a vector from the Earth to the sun")
-        return self
+            yield "direction [0, 0, 0] points nowhere; give a vector from the Earth to the sun"
 
 
 class AttitudeEntry(Entry):
@@ -374,13 +367,11 @@ class AttitudeEntry(Entry):
     inertia: tuple[Vector, Vector, Vector] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     gravity_gradient: bool = False
 
-    @model_validator(mode="after")
-    def _only_tumbling_turns(self) -> "AttitudeEntry":
+    def _contradictions(self) -> Iterator[str]:
         if self.kind != "tumbling" and any(self.angular_velocity):
-            raise ValueError(f'an angular_velocity needs kind = "tumbling", not "{self.kind}"')
+            yield f'an angular_velocity needs kind = "tumbling", not "{self.kind}"'
         if self.kind != "tumbling" and self.gravity_gradient:
-            raise ValueError(f'gravity_gradient needs kind = "tumbling", not "{self.kind}"')
-        return self
+            yield f'gravity_gradient needs kind = "tumbling", not "{self.kind}"'
 
 
 class DisturbanceEntry(Entry):
@@ -403,22 +394,16 @@ class DisturbanceEntry(Entry):
     phase: Angle = 0.0
     bound: Positive | None = None
 
-    @model_validator(mode="after")
-    def _complete(self) -> "DisturbanceEntry":
+    def _contradictions(self) -> Iterator[str]:
         if self.kind == "constant" and self.force is None:
-            raise ValueError('kind = "constant" needs force = [x, y, z] in N')
+            yield 'kind = "constant" needs force = [x, y, z] in N'
         if self.kind in ("bang-bang", "resonant", "random") and self.amplitude is None:
-            raise ValueError(f'kind = "{self.kind}" needs amplitude in N')
-        return self
-
-    @model_validator(mode="after")
-    def _phase_of_what_repeats(self) -> "DisturbanceEntry":
+            yield f'kind = "{self.kind}" needs amplitude in N'
         if self.phase and self.kind in ("none", "constant"):
-            raise ValueError(
+            yield (
                 f'phase {self.phase} rad is for kind = "paper", "bang-bang", "resonant" or "random"; '
                 f'"{self.kind}" has none'
             )
-        return self
 
 
 class StateEntry(Entry):
@@ -461,11 +446,9 @@ class ThrusterEntry(Entry):
     direction: Vector
     force: Positive | None = None
 
-    @model_validator(mode="after")
-    def _has_a_direction(self) -> "ThrusterEntry":
+    def _contradictions(self) -> Iterator[str]:
         if not any(self.direction):
-            raise ValueError("direction [0, 0, 0]; it must point somewhere")
-        return self
+            yield "direction [0, 0, 0]; it must point somewhere"
 
 
 class ThrustersEntry(Entry):
@@ -503,19 +486,17 @@ class ThrustersEntry(Entry):
     detection_time: NonNegative = 5.0
     survive_failure: bool = False
 
-    @model_validator(mode="after")
-    def _own_thrusters_are_there(self) -> "ThrustersEntry":
+    def _contradictions(self) -> Iterator[str]:
         if (self.layout == "own") != bool(self.own):
-            raise ValueError(f'own: {len(self.own)} thrusters, and layout is "{self.layout}"; they belong to "own"')
+            yield f'own: {len(self.own)} thrusters, and layout is "{self.layout}"; they belong to "own"'
         if self.held_in != "target" and self.layout != "ideal":
-            raise ValueError(
+            yield (
                 f'held_in: "{self.held_in}" is for layout = "ideal"; the thrusters of a layout are taken to be '
                 "parallel to the target's axes"
             )
         lacking = [str(number) for number, thruster in enumerate(self.own) if thruster.force is None]
         if self.force is None and lacking:
-            raise ValueError(f"own: force of thrusters {', '.join(lacking)} not given; give it, or thrusters.force")
-        return self
+            yield f"own: force of thrusters {', '.join(lacking)} not given; give it, or thrusters.force"
 
 
 class NavigationEntry(Entry):

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
 
-from pydantic import BaseModel, Field, ValidationError, model_validator
+from pydantic import BaseModel, Field, ValidationError
 from pydantic.fields import FieldInfo
 
 from keepout.core.errors import ScenarioError
@@ -25,10 +25,7 @@ Keys = tuple[Any, ...]
 _SHOWN = 200
 """Characters shown of a value that is refused, and bits of a whole number."""
 
-_ESTIMATE_FAULTS = (
-    *("position_bias", "velocity_bias", "position_noise", "velocity_noise"),
-    *("position_noise_std", "velocity_noise_std"),
-)
+_ESTIMATE_FAULTS = tuple(f"{of}_{kind}" for kind in ("bias", "noise", "noise_std") for of in ("position", "velocity"))
 """Entries of `faults` that put errors on a state that no sensor measured."""
 
 
@@ -85,44 +82,28 @@ class Scenario(Entry, metaclass=_RefusedAsOthers):
     light: task_entries.LightEntry = task_entries.LightEntry()
     inspect: task_entries.InspectEntry = task_entries.InspectEntry()
 
-    @model_validator(mode="after")
-    def _at_least_a_step(self) -> "Scenario":
+    def _contradictions(self) -> Iterator[str]:
         if self.duration < self.control.period:
-            raise ValueError(f"duration {self.duration} s is shorter than one control period, {self.control.period} s")
-        return self
-
-    @model_validator(mode="after")
-    def _thrusters_give_no_more(self) -> "Scenario":
+            yield f"duration {self.duration} s is shorter than one control period, {self.control.period} s"
         if self.faults.stuck_force > self.chaser.force_limit:
-            raise ValueError(
+            yield (
                 f"faults.stuck_force {self.faults.stuck_force} N is more than chaser.force_limit, "
                 f"{self.chaser.force_limit} N; a stuck thruster gives from 0 to that"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _thrusters_are_there(self) -> "Scenario":
         ideal, period, shortest = self.thrusters.layout == "ideal", self.control.period, self.thrusters.least_on_time
         if not ideal and self.faults.stuck is not None:
-            raise ValueError('faults.stuck is for thrusters.layout = "ideal"; use faults.thruster, its number')
+            yield 'faults.stuck is for thrusters.layout = "ideal"; use faults.thruster, its number'
         if not ideal and shortest > period:
-            raise ValueError(
+            yield (
                 f"thrusters.least_on_time {shortest} s is longer than the control period, {period} s; no pulse fits in"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _errors_are_said_once(self) -> "Scenario":
-        if self.navigation.suite == "none":
-            return self
         told = [f"guard.{key}" for key in ("position_error", "velocity_error") if getattr(self.guard, key)]
         told += [f"faults.{key}" for key in _ESTIMATE_FAULTS if getattr(self.faults, key)]
-        if told:
-            raise ValueError(
+        if told and self.navigation.suite != "none":
+            yield (
                 f"{', '.join(told)}: of an estimate without sensors, and navigation.suite is "
                 f'"{self.navigation.suite}", which has errors of its own; leave them out'
             )
-        return self
 
     @property
     def steps(self) -> int:

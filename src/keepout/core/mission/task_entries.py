@@ -4,9 +4,10 @@ They are data, as those of `entries.py`; the rooms that the tasks stand in read 
 """
 
 import math
+from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from keepout.core.mission.entries import Entry, NonNegative, Positive, Vector
 
@@ -57,34 +58,28 @@ class DispersionEntry(Entry):
     sphere: NonNegative | tuple[NonNegative, NonNegative] | None = None
     centre: Vector = (0.0, 0.0, 0.0)
 
-    @model_validator(mode="after")
-    def _one_of_its_kinds(self) -> "DispersionEntry":
+    def _contradictions(self) -> Iterator[str]:
         kinds = ("uniform", "normal", "choice", "sphere")
         given = [kind for kind in kinds if getattr(self, kind) is not None]
         if len(given) != 1:
-            raise ValueError(f"needs one of {', '.join(kinds)}, and has {' and '.join(given) or 'none'}")
+            yield f"needs one of {', '.join(kinds)}, and has {' and '.join(given) or 'none'}"
         for key, of in (("within", "normal"), ("weights", "choice"), ("centre", "sphere")):
             if getattr(self, key) != type(self).model_fields[key].default and of != given[0]:
-                raise ValueError(f"{key} is for {of}, and this is {given[0]}")
-        return self
-
-    @model_validator(mode="after")
-    def _in_order(self) -> "DispersionEntry":
+                yield f"{key} is for {of}, and this is {given[0]}"
         for kind in ("uniform", "sphere"):
             ends = getattr(self, kind)
             if isinstance(ends, tuple):
                 pairs = zip(*(end if isinstance(end, tuple) else (end,) for end in ends))
                 if not all(-float("inf") < low <= high < float("inf") for low, high in pairs):
-                    raise ValueError(f"{kind} {list(ends)}: finite, and the first must not exceed the second")
+                    yield f"{kind} {list(ends)}: finite, and the first must not exceed the second"
         if self.normal is not None:
             spread = self.normal[1] if isinstance(self.normal[1], tuple) else (self.normal[1],)
             if not all(0.0 <= part < float("inf") for part in spread):
-                raise ValueError(f"normal: a standard deviation of {self.normal[1]}; it must be finite and at least 0")
+                yield f"normal: a standard deviation of {self.normal[1]}; it must be finite and at least 0"
         if self.choice is not None and not self.choice:
-            raise ValueError("choice: no values to choose from")
+            yield "choice: no values to choose from"
         if self.weights is not None and (len(self.weights) != len(self.choice or ()) or not sum(self.weights) > 0.0):
-            raise ValueError(f"weights: {list(self.weights)}; one for each value of choice, not all 0")
-        return self
+            yield f"weights: {list(self.weights)}; one for each value of choice, not all 0"
 
 
 class CampaignEntry(Entry):
@@ -105,11 +100,9 @@ class CampaignEntry(Entry):
     sampling: Literal["random", "latin-hypercube", "sobol"] = "random"
     dispersions: dict[str, DispersionEntry] = Field(default_factory=dict)
 
-    @model_validator(mode="after")
-    def _ordered(self) -> "CampaignEntry":
+    def _contradictions(self) -> Iterator[str]:
         if any(low > high for low, high in zip(self.lower, self.upper)):
-            raise ValueError(f"lower {list(self.lower)} must not exceed upper {list(self.upper)}")
-        return self
+            yield f"lower {list(self.lower)} must not exceed upper {list(self.upper)}"
 
 
 class DepthSensorEntry(Entry):
@@ -161,13 +154,9 @@ class DepthSensorEntry(Entry):
     errors: Literal["random", "adversarial"] = "random"
     broken: Literal["none", "range", "pose", "mixed", "losses", "late"] = "none"
 
-    @model_validator(mode="after")
-    def _ranges_are_ordered(self) -> "DepthSensorEntry":
+    def _contradictions(self) -> Iterator[str]:
         if self.least_range >= self.greatest_range:
-            raise ValueError(
-                f"least_range {self.least_range} m, greatest_range {self.greatest_range} m; nothing is between them"
-            )
-        return self
+            yield f"least_range {self.least_range} m, greatest_range {self.greatest_range} m; nothing is between them"
 
 
 class MapEntry(Entry):
@@ -235,13 +224,9 @@ class CameraEntry(Entry):
     turn_rate: Positive = math.radians(1.0)
     turn_acceleration: Positive = 0.002
 
-    @model_validator(mode="after")
-    def _ranges_are_ordered(self) -> "CameraEntry":
+    def _contradictions(self) -> Iterator[str]:
         if self.least_range >= self.greatest_range:
-            raise ValueError(
-                f"least_range {self.least_range} m, greatest_range {self.greatest_range} m; nothing is between them"
-            )
-        return self
+            yield f"least_range {self.least_range} m, greatest_range {self.greatest_range} m; nothing is between them"
 
 
 class LightEntry(Entry):
@@ -259,13 +244,11 @@ class LightEntry(Entry):
     direction: Vector | None = None
     greatest_incidence: Annotated[float, Field(gt=0.0, le=_LOWEST_SUN)] = math.radians(80.0)
 
-    @model_validator(mode="after")
-    def _comes_from_somewhere(self) -> "LightEntry":
+    def _contradictions(self) -> Iterator[str]:
         if self.kind == "fixed" and self.direction is None:
-            raise ValueError('kind = "fixed" needs direction = [x, y, z], towards the light in the body frame')
+            yield 'kind = "fixed" needs direction = [x, y, z], towards the light in the body frame'
         if self.direction is not None and not any(self.direction):
-            raise ValueError("direction [0, 0, 0] points nowhere; give a vector towards the light")
-        return self
+            yield "direction [0, 0, 0] points nowhere; give a vector towards the light"
 
 
 class ProtectedEntry(Entry):
@@ -284,17 +267,13 @@ class ProtectedEntry(Entry):
     lower: Vector | None = None
     upper: Vector | None = None
 
-    @model_validator(mode="after")
-    def _ball_or_box(self) -> "ProtectedEntry":
+    def _contradictions(self) -> Iterator[str]:
         given = [name for name in ("centre", "radius", "lower", "upper") if getattr(self, name) is not None]
         if given not in (["centre", "radius"], ["lower", "upper"]):
-            raise ValueError(
-                f"{', '.join(given) or 'nothing'}: give centre and radius of a ball, or lower and upper of a box"
-            )
+            yield f"{', '.join(given) or 'nothing'}: give centre and radius of a ball, or lower and upper of a box"
         lower, upper = self.lower or (), self.upper or ()
         if any(low > high for low, high in zip(lower, upper)):
-            raise ValueError(f"lower {list(lower)} must not exceed upper {list(upper)}")
-        return self
+            yield f"lower {list(lower)} must not exceed upper {list(upper)}"
 
 
 class HoldPointEntry(Entry):
@@ -354,12 +333,10 @@ class InspectEntry(Entry):
     no_thrust_towards: tuple[ProtectedEntry, ...] = ()
     hold_points: tuple[HoldPointEntry, ...] = ()
 
-    @model_validator(mode="after")
-    def _worth_of_both(self) -> "InspectEntry":
+    def _contradictions(self) -> Iterator[str]:
         worth = type(self).model_fields["delta_v_worth"].default
         if self.delta_v_worth != worth and self.objective != "both":
-            raise ValueError(
+            yield (
                 f'delta_v_worth {self.delta_v_worth} s per m/s is for objective = "both", and objective is '
                 f'"{self.objective}"'
             )
-        return self
