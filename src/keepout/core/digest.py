@@ -5,12 +5,13 @@ import hashlib
 import numpy as np
 
 
-def digest(*parts: str | np.ndarray) -> str:
-    """Give the SHA-256, in hex, of text (as UTF-8) and arrays (their memory in C order), one after another.
+def digest(*parts: str | bytes | np.ndarray) -> str:
+    """Give the SHA-256, in hex, of text (as UTF-8), bytes and arrays (their memory in C order), one after another.
 
     Two arrays of another shape or type can hold the same bytes: say both in a text before the array.
     """
     whole = hashlib.sha256()
     for part in parts:
-        whole.update(part.encode() if isinstance(part, str) else np.ascontiguousarray(part).tobytes())
+        part = part.encode() if isinstance(part, str) else part
+        whole.update(part if isinstance(part, bytes) else np.ascontiguousarray(part).tobytes())
     return whole.hexdigest()

@@ -4,24 +4,20 @@ What it hands over are tables, figures and words, each beside what the paper sta
 """
 
 import dataclasses
-import io
 import json
-import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 import numpy as np
 
 import keepout
 from keepout.core.cores import available_cores
-from keepout.core.digest import digest
 from keepout.core.errors import ScenarioError
+from keepout.core.kept import ARRAYS, NUMBERS, Form, Store
 from keepout.core.mission.flight import Flight
 from keepout.core.progress import Progress, never_back, part_of, silent
-from keepout.core.whole_file import write_whole
 from keepout.flights.pages.page import Table
 
 __all__ = ["Part", "Table", "Work", "side_by_side"]
@@ -93,25 +89,11 @@ class Work:
             make: computes them.
 
         """
-        path = self._place(name, made_of, ".json")
-        if path.exists():
-            with _readable(path):
-                return json.loads(path.read_text(encoding="utf-8"))
-        made = make()
-        write_whole(path, json.dumps(made, allow_nan=False) + "\n", refusal=ScenarioError)
-        return made
+        return self._kept(name, made_of, make, NUMBERS)
 
     def arrays(self, name: str, made_of: Any, make: Callable[[], Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
         """Return what `make` gives, arrays by name, from the file that an earlier run left where there is one."""
-        path = self._place(name, made_of, ".npz")
-        if path.exists():
-            with _readable(path), np.load(path, allow_pickle=False) as stored:
-                return dict(stored)
-        made = {key: np.asarray(array) for key, array in make().items()}
-        stream = io.BytesIO()
-        np.savez_compressed(stream, allow_pickle=False, **made)
-        write_whole(path, stream.getvalue(), refusal=ScenarioError)
-        return made
+        return self._kept(name, made_of, lambda: {key: np.asarray(array) for key, array in make().items()}, ARRAYS)
 
     def within(self, start: float, end: float) -> "Work":
         """Give the same work for a stretch of its progress."""
@@ -123,18 +105,17 @@ class Work:
         for place, thing in enumerate(every):
             yield self.within(place / len(every), (place + 1) / len(every)), thing
 
-    def _place(self, name: str, made_of: Any, suffix: str) -> Path:
-        key = digest(json.dumps([keepout.__version__, made_of], sort_keys=True))
-        return self.folder / "kept" / f"{name}-{key[:16]}{suffix}"
+    def _kept(self, name: str, made_of: Any, make: Callable[[], Any], form: Form) -> Any:
+        key = json.dumps([keepout.__version__, made_of], sort_keys=True)
+        return Store(self.folder / "kept", 16, _unread, _unkept).take(name, key, make, form)
 
 
-@contextmanager
-def _readable(path: Path) -> Iterator[None]:
-    """Say of a kept file that cannot be read which one it is."""
-    try:
-        yield
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        raise ScenarioError(f"{path}: cannot be read ({error}); delete it to compute it anew") from None
+def _unread(path: Path, error: Exception) -> NoReturn:
+    raise ScenarioError(f"{path}: cannot be read ({error}); delete it to compute it anew") from None
+
+
+def _unkept(path: Path, error: Exception) -> NoReturn:
+    raise ScenarioError(str(error)) from None
 
 
 def side_by_side(jobs: Mapping[str, Callable[[Progress], Thing]], progress: Progress) -> dict[str, Thing]:

@@ -24,7 +24,6 @@ import sysconfig
 import threading
 import time
 import types
-import zipfile
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -37,7 +36,8 @@ from jax import export
 from jax.core import Tracer
 from jaxtyping import PyTree
 
-from keepout.core.compiled.kept_programs import folder_in_use, read_entry, warn_of, write_entry
+from keepout.core.compiled.kept_programs import entries, folder_in_use, read_entry, write_entry
+from keepout.core.kept import Form, packed, unpacked
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -135,13 +135,10 @@ def _program(
         where = jax.tree.unflatten(structure, [True] * len(leaves))
         told = _pickled((where, still)) + repr((shapes, _constants(), _settings())).encode()
         named = f"{function.__module__}.{function.__qualname__} {_sources()}".encode()
+        make = functools.partial(_exported, function, structure, still, leaves)
+        exported, outline, _ = entries(folder).take(f"call_{function.__name__}", named + told, make, _PROGRAM)
     except _UnknownError:
         return None
-    path = folder / f"call_{function.__name__}-{hashlib.sha256(named + told).hexdigest()}-cache"
-    found = _taken(path) or _exported(function, structure, still, leaves, path)
-    if found is None:
-        return None
-    exported, outline = found
     # The same text whether it was kept or not, so that JAX finds in its folder what XLA made of it.
     run = jax.jit(exported.call).lower(*leaves).compile()
     answers, places = jax.tree.flatten(outline, is_leaf=_is_place)
@@ -153,25 +150,28 @@ def _program(
     return program
 
 
-def _taken(path: Path) -> tuple[export.Exported, PyTree] | None:
-    """Load the program of a call and the outline of its answer; None where they are not kept."""
+_Program = tuple[export.Exported, PyTree, bytes]
+"""What is kept of a call: the program, the outline of its answer, and both as they stand in a file."""
+
+
+def _loaded(path: Path) -> _Program:
     content = read_entry(path)
-    if content is None:
-        return None
     try:
         exported, outline = pickle.loads(content)
-        found = export.deserialize(exported), outline
+        found = export.deserialize(exported), outline, content
     except Exception as error:  # neither has one kind for what it cannot load
-        warn_of(path, str(error).partition("\n")[0])
-        return None
+        raise ValueError(str(error)) from error
     jax.monitoring.record_event("/keepout/kept_program_loaded")
     return found
 
 
-def _exported(
-    function: Callable[..., Any], structure: Any, still: PyTree, leaves: list[Any], path: Path
-) -> tuple[export.Exported, PyTree] | None:
-    """Trace and lower a program, and keep it; None where it cannot be."""
+def _exported(function: Callable[..., Any], structure: Any, still: PyTree, leaves: list[Any]) -> _Program:
+    """Trace and lower a program.
+
+    Raises:
+        _UnknownError: it cannot be kept.
+
+    """
     outlines: list[PyTree] = []
 
     def flat(*leaves: Any) -> tuple[Any, ...]:
@@ -185,14 +185,19 @@ def _exported(
     flat.__name__ = flat.__qualname__ = f"kept_{function.__name__}"
     try:
         exported = export.export(jax.jit(flat))(*leaves)
-        content = pickle.dumps((bytes(exported.serialize()), outlines[-1]))
+        return exported, outlines[-1], pickle.dumps((bytes(exported.serialize()), outlines[-1]))
     # What calls back into Python, or gives what does not pickle; what the function itself refuses, it refuses again.
-    except (ValueError, NotImplementedError, TypeError, AttributeError, pickle.PicklingError):
-        return None
+    except (ValueError, NotImplementedError, TypeError, AttributeError, pickle.PicklingError) as error:
+        raise _UnknownError(str(error)) from error
+
+
+def _write_program(path: Path, made: _Program) -> None:
     with suppress(_UnknownError):
         if _sources() == _sources.__wrapped__():
-            write_entry(path, content)
-    return exported, outlines[-1]
+            write_entry(path, made[2])
+
+
+_PROGRAM = Form("-cache", _loaded, _write_program)
 
 
 # ---- arrays
@@ -220,20 +225,10 @@ def kept_arrays(name: str, made_from: Any, make: Callable[[], Arrays], *, librar
     if folder is None or told is None:
         return make()
     versions = [(library, importlib.metadata.version(library)) for library in libraries]
-    path = folder / f"{name}-{hashlib.sha256(told + repr(versions).encode()).hexdigest()}-cache"
-    content = read_entry(path)
-    if content is not None:
-        try:
-            with np.load(io.BytesIO(content), allow_pickle=False) as kept:
-                return dict(kept)
-        except (ValueError, OSError, KeyError, zipfile.BadZipFile) as error:
-            warn_of(path, str(error))
-    made = make()
-    named: dict[str, Any] = dict(made)
-    stream = io.BytesIO()
-    np.savez(stream, **named)
-    write_entry(path, stream.getvalue())
-    return made
+    return entries(folder).take(name, told + repr(versions).encode(), make, _ARRAYS)
+
+
+_ARRAYS = Form("-cache", lambda path: unpacked(read_entry(path)), lambda path, made: write_entry(path, packed(made)))
 
 
 # ---- what programs and arrays depend on

@@ -23,7 +23,7 @@ import jaxlib.version
 
 from keepout.core.cores import available_cores
 from keepout.core.digest import digest
-from keepout.core.errors import KeepoutError
+from keepout.core.kept import Store
 from keepout.core.whole_file import write_whole
 
 VARIABLE = "KEEPOUT_COMPILE_CACHE"
@@ -187,33 +187,27 @@ def _forget_oldest(base: Path) -> None:
 # ---- files of the folder
 
 
-def read_entry(path: Path) -> bytes | None:
-    """Read what `write_entry` wrote; None where it is not there, with a warning where it is damaged."""
-    try:
-        whole = path.read_bytes()
-    except FileNotFoundError:
-        return None
-    except OSError as error:
-        warn_of(path, str(error.strerror))
-        return None
+def entries(folder: Path) -> Store:
+    """Give the files of the folder: what cannot be used or kept is one warning."""
+    return Store(folder, 64, _warn, _warn)
+
+
+def read_entry(path: Path) -> bytes:
+    """Read what `write_entry` wrote; raises a `ValueError` where it is damaged."""
+    whole = path.read_bytes()
     check, content = whole[:32], whole[32:]
     if hashlib.sha256(content).digest() != check:
-        warn_of(path, "it is damaged")
-        return None
+        raise ValueError("it is damaged")
     with suppress(OSError):
         path.touch()  # what is used stays when the folder is full
     return content
 
 
 def write_entry(path: Path, content: bytes) -> None:
-    """Write a file of the folder, whole and with its own checksum, or warn that it cannot be kept."""
-    try:
-        write_whole(path, hashlib.sha256(content).digest() + content)
-    except KeepoutError as error:
-        warn_of(path, str(error))
+    """Write a file of the folder, whole and with its own checksum."""
+    write_whole(path, hashlib.sha256(content).digest() + content)
 
 
-def warn_of(path: Path, why: str) -> None:
-    """Warn that an entry cannot be used or kept."""
-    said = f"compiled programs are not all kept: {path}: {why}"
-    warnings.warn(said, KeptProgramsWarning, stacklevel=2)
+def _warn(path: Path, error: Exception) -> None:
+    why = error.strerror if isinstance(error, OSError) else str(error).partition("\n")[0]
+    warnings.warn(f"compiled programs are not all kept: {path}: {why}", KeptProgramsWarning, stacklevel=2)

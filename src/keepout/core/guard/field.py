@@ -12,12 +12,11 @@ from pathlib import Path
 import numpy as np
 import platformdirs
 
-from keepout.core.digest import digest
-from keepout.core.errors import FieldError
 from keepout.core.fields.grid_build import build_grid
 from keepout.core.fields.model import FieldModel
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target
+from keepout.core.kept import Form, Store
 from keepout.core.progress import Progress, silent
 from keepout.core.proof.grid import certify_grid
 
@@ -47,23 +46,28 @@ def guard_field(
     spacing, band = grid_numbers(target, radius)
     numbers = {"offset": offset, "closing_radius": closing_radius, "spacing": spacing, "band": band, "radius": radius}
     key = json.dumps({"recipe": RECIPE, "target": target.sha256, **numbers}, sort_keys=True)
-    path = cache_folder() / f"guard-{digest(key)[:32]}.keepout"
-    if path.exists():
-        try:
-            kept = FieldModel.load(path, target=target)
-            kept.certificate(radius)
-            return kept
-        except FieldError as error:
-            progress(0.0, f"guard: a kept field is not used: {error}")
-    progress(0.0, "guard: offset solid")
-    solid = OffsetSolid.build(target.distance, offset=offset, closing_radius=closing_radius)
-    progress(0.4, "guard: grid field")
-    grid = build_grid(target, spacing=spacing, band=band, solid=solid)
-    progress(0.8, "guard: certificate")
-    made = certify_grid(grid, target, chaser_radius=radius)
-    try:
+
+    def make() -> FieldModel:
+        progress(0.0, "guard: offset solid")
+        solid = OffsetSolid.build(target.distance, offset=offset, closing_radius=closing_radius)
+        progress(0.4, "guard: grid field")
+        grid = build_grid(target, spacing=spacing, band=band, solid=solid)
+        progress(0.8, "guard: certificate")
+        return certify_grid(grid, target, chaser_radius=radius)
+
+    def read(path: Path) -> FieldModel:
+        kept = FieldModel.load(path, target=target)
+        kept.certificate(radius)
+        return kept
+
+    def write(path: Path, made: FieldModel) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         made.save(path)
-    except (OSError, FieldError) as error:
-        progress(0.95, f"guard: its field is not kept: {error}")
-    return made
+
+    store = Store(
+        cache_folder(),
+        32,
+        unread=lambda _, error: progress(0.0, f"guard: a kept field is not used: {error}"),
+        unkept=lambda _, error: progress(0.95, f"guard: its field is not kept: {error}"),
+    )
+    return store.take("guard", key, make, Form(".keepout", read, write))

@@ -22,9 +22,7 @@ Of what the runs say together, an interval answers one question that was asked b
 once.
 """
 
-import io
 import math
-import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,6 +33,7 @@ from jaxtyping import Float
 from scipy import stats
 
 from keepout.core.errors import ScenarioError
+from keepout.core.kept import UNREADABLE, packed, unpacked
 from keepout.core.progress import Progress, silent
 from keepout.core.whole_file import write_whole
 
@@ -119,9 +118,7 @@ class Simulation:
         arrays = {name: np.asarray(getattr(self, name)) for name in _PARTS}
         for name in _OF_LEVEL:
             arrays[f"level_{name}"] = np.stack([np.asarray(getattr(level, name)) for level in self.levels])
-        stream = io.BytesIO()
-        np.savez(stream, ended=np.asarray(self.ended), **arrays)  # pyright: ignore[reportArgumentType]
-        write_whole(path, stream.getvalue(), refusal=ScenarioError)
+        write_whole(path, packed(arrays | {"ended": np.asarray(self.ended)}), refusal=ScenarioError)
 
     @classmethod
     def load(cls, path: Path) -> "Simulation":
@@ -132,11 +129,11 @@ class Simulation:
 
         """
         try:
-            with np.load(path, allow_pickle=False) as file:
-                parts = {name: file[name] for name in _PARTS}
-                levels = [file[f"level_{name}"] for name in _OF_LEVEL]
-                ended = str(file["ended"])
-        except (OSError, ValueError, KeyError, zipfile.BadZipFile, EOFError) as error:
+            kept = unpacked(path.read_bytes())
+            parts = {name: kept[name] for name in _PARTS}
+            levels = [kept[f"level_{name}"] for name in _OF_LEVEL]
+            ended = str(kept["ended"])
+        except UNREADABLE as error:
             raise ScenarioError(
                 f"{path}: not a simulation that can go on ({type(error).__name__}); remove it to begin anew"
             ) from None
