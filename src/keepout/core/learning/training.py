@@ -33,7 +33,7 @@ from keepout.core.geometry.target import Target
 from keepout.core.learning import losses
 from keepout.core.learning.losses import TrainingProfile, find_profile
 from keepout.core.learning.samples import Hunt, Samples, label, normalised, training_points
-from keepout.core.progress import Progress, silent
+from keepout.core.progress import Progress, part_of, silent
 from keepout.core.whole_file import write_whole
 
 ROWS = 2048
@@ -115,27 +115,10 @@ def fit(
     data = normalised(samples, domain, numbers.near / (np.abs(samples.distance) + numbers.near))
     course = _Course(numbers, domain, hunt, losses.Parted.by(numbers, data), _watched(samples), seed)
 
-    fingerprint = _fingerprint(target, solid, numbers, chaser_radius, seed)
-    state = _initial(numbers, data, hunt.kept if hunt else 0, seed)
-    if checkpoint is not None and checkpoint.exists():
-        state = _load_checkpoint(checkpoint, state, fingerprint)
-    first, clock = int(state.block), time.perf_counter()
-    for block in range(first, course.blocks):
-        state = course.advanced(state, block)
-        value_term, slope_term, _ = (float(number) for number in state.curve[block])
-        if not math.isfinite(value_term):
-            raise FieldError(f"training of {target.name}: the loss is not finite at step {(block + 1) * BLOCK}")
-        if checkpoint is not None:
-            _save_checkpoint(checkpoint, state, fingerprint)
-        if block == first:  # it has compiled too, and tells nothing of the others
-            clock, left = time.perf_counter(), ""
-        else:
-            each = (time.perf_counter() - clock) / (block - first)
-            left = f", {each * (course.blocks - block - 1):.0f} s left"
-        found = f", worst over-statement {float(state.worst):+.3f} m" if course.is_tuning(block) else ""
-        text = f"distance {value_term:.4f}, gradient {slope_term:.4f}{found}{left}"
-        progress(0.1 + 0.89 * (block + 1) / course.blocks, text)
-
+    entries = [target.sha256, solid.offset, solid.closing_radius, dataclasses.asdict(numbers), chaser_radius, seed]
+    kept = None if checkpoint is None else _Checkpoint(checkpoint, digest(json.dumps(entries)))
+    initial = _initial(numbers, data, hunt.kept if hunt else 0, seed)
+    state = course.taken(initial, kept, target.name, part_of(progress, 0.1, 0.99))
     field = _finished(Learned(state.layers, numbers.beta, domain), solid, generator)
     training = {
         "profile": name,
@@ -176,6 +159,33 @@ class _Course:
     def is_tuning(self, block: int) -> bool:
         return block >= self.numbers.steps // BLOCK
 
+    def taken(self, state: _State, checkpoint: "_Checkpoint | None", name: str, progress: Progress) -> _State:
+        """Take all blocks from a state, or from a checkpoint, which is kept up to date; `name` is the target's.
+
+        Raises:
+            FieldError: a loss that is not finite, or a checkpoint that is damaged or of another fit.
+
+        """
+        if checkpoint is not None and checkpoint.path.exists():
+            state = checkpoint.load(state)
+        first, clock = int(state.block), time.perf_counter()
+        for block in range(first, self.blocks):
+            state = self.advanced(state, block)
+            value_term, slope_term, _ = (float(number) for number in state.curve[block])
+            if not math.isfinite(value_term):
+                raise FieldError(f"training of {name}: the loss is not finite at step {(block + 1) * BLOCK}")
+            if checkpoint is not None:
+                checkpoint.save(state)
+            if block == first:  # it has compiled too, and tells nothing of the others
+                clock, left = time.perf_counter(), ""
+            else:
+                each = (time.perf_counter() - clock) / (block - first)
+                left = f", {each * (self.blocks - block - 1):.0f} s left"
+            found = f", worst over-statement {float(state.worst):+.3f} m" if self.is_tuning(block) else ""
+            told = f"distance {value_term:.4f}, gradient {slope_term:.4f}{found}{left}"
+            progress((block + 1) / self.blocks, told)
+        return state
+
     def advanced(self, state: _State, block: int) -> _State:
         """Take the steps of one block; in the counter-example phase, with what the network is most wrong at now."""
         numbers, domain, tuning = self.numbers, self.domain, self.is_tuning(block)
@@ -201,11 +211,6 @@ class _Course:
         curve = state.curve.at[block].set(reached)
         done = jnp.asarray(block + 1, state.block.dtype)
         return state._replace(layers=layers, optimizer=optimizer, block=done, curve=curve)
-
-
-def _fingerprint(target: Target, solid: OffsetSolid, profile: TrainingProfile, chaser_radius: float, seed: int) -> str:
-    entries = [target.sha256, solid.offset, solid.closing_radius, dataclasses.asdict(profile), chaser_radius, seed]
-    return digest(json.dumps(entries))
 
 
 def _initial(profile: TrainingProfile, data: losses.Batch, hard_count: int, seed: int) -> _State:
@@ -354,32 +359,27 @@ def _gradient(layers: neural.Layers, beta: float, x: Float32[Array, "n 3"]) -> F
     return neural.in_chunks(lambda rows: neural.value_and_gradient(layers, beta, rows)[1], x, ROWS)
 
 
-def _save_checkpoint(path: Path, state: Any, fingerprint: str) -> None:
-    """Write a pytree of arrays, whole or not at all.
+@dataclasses.dataclass(frozen=True)
+class _Checkpoint:
+    """The file of a fit under way, and a digest of the fit's settings, without which it does not go on."""
 
-    Raises:
-        FieldError: the place cannot be written to.
+    path: Path
+    fingerprint: str
 
-    """
-    leaves = {f"{i:04d}": np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(state))}
-    write_whole(path, safetensors.numpy.save(leaves, {"fingerprint": fingerprint}), refusal=FieldError)
+    def save(self, state: _State) -> None:
+        leaves = {f"{i:04d}": np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(state))}
+        write_whole(self.path, safetensors.numpy.save(leaves, {"fingerprint": self.fingerprint}), refusal=FieldError)
 
-
-def _load_checkpoint(path: Path, like: Any, fingerprint: str) -> Any:
-    """Read a pytree shaped as `like`.
-
-    Raises:
-        FieldError: the file is damaged, or belongs to a fit with other settings.
-
-    """
-    try:
-        with safetensors.safe_open(path, framework="numpy") as file:
-            if (file.metadata() or {}).get("fingerprint") != fingerprint:
-                raise FieldError(
-                    f"{path}: a checkpoint of another fit (target, profile or seed); delete it to start anew"
-                )
-            leaves, structure = jax.tree.flatten(like)
-            restored = [jnp.asarray(file.get_tensor(f"{i:04d}")) for i in range(len(leaves))]
-    except (OSError, safetensors.SafetensorError) as error:
-        raise FieldError(f"{path}: a damaged checkpoint ({error}); delete it to start anew") from None
-    return jax.tree.unflatten(structure, restored)
+    def load(self, like: _State) -> _State:
+        """Read a state of the shape of another one."""
+        try:
+            with safetensors.safe_open(self.path, framework="numpy") as file:
+                if (file.metadata() or {}).get("fingerprint") != self.fingerprint:
+                    raise FieldError(
+                        f"{self.path}: a checkpoint of another fit (target, profile or seed); delete it to start anew"
+                    )
+                leaves, structure = jax.tree.flatten(like)
+                restored = [jnp.asarray(file.get_tensor(f"{i:04d}")) for i in range(len(leaves))]
+        except (OSError, safetensors.SafetensorError) as error:
+            raise FieldError(f"{self.path}: a damaged checkpoint ({error}); delete it to start anew") from None
+        return jax.tree.unflatten(structure, restored)
