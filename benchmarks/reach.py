@@ -60,7 +60,8 @@ TUMBLING_SPEED = {0.5: 0.05}
 def within_authority(case, scenario):
     """Which pairs the thrusters can follow (those not further out than the last that `tune` accepts), and how far."""
     reach = np.linalg.norm(case.pairs, axis=-1).max(axis=-1)
-    designed = operation(scenario, case.model)
+    error_bound = case.model.certificate(scenario.chaser.radius).error_bound
+    designed = operation(Surroundings(scenario), error_bound)
     ordered, reason = np.sort(reach), None
 
     def refusal(radius):

@@ -50,7 +50,8 @@ class RivalCase(Case):
     @functools.cached_property
     def operation(self) -> Operation:
         """Chaser, motion, certified error, disturbance bound, margin and period: what a law is tuned for."""
-        return operation(self.scenario, self.model)
+        error_bound = self.model.certificate(self.scenario.chaser.radius).error_bound
+        return operation(Surroundings(self.scenario), error_bound)
 
     @functools.cached_property
     def default_law(self) -> Controller:

@@ -1,16 +1,18 @@
 """What flying a scenario would mean, found out without flying it: in words, in numbers, and what would be refused."""
 
 import math
+import operator
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import accumulate, repeat, takewhile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from keepout.core.control.design import Operation, drift_bound, tune
+from keepout.core.control.design import drift_bound, tune
 from keepout.core.control.law import Condition
 from keepout.core.control.profiles import ControlWarning
 from keepout.core.errors import KeepoutError, KeepOutZoneError
@@ -284,8 +286,9 @@ def _free_place(
     scenario: Scenario, target: Target, model: FieldModel, name: str, said: str, progress: Progress
 ) -> tuple[Nearest, ...]:
     """Give a place near a start or goal that was refused, with which law and guard can be built."""
-    designed = operation(scenario, model)
-    least = designed.keep_out + _own_offset(scenario, designed)
+    error_bound = model.certificate(scenario.chaser.radius).error_bound
+    designed = operation(Surroundings(scenario), error_bound)
+    least = designed.keep_out + (tune(designed).nominal_offset if scenario.control.profile == "default" else 0.0)
     # Beside what the law keeps there is the guard's tube; where that is not enough, more.
     for extra in (0.01, 0.25, 0.5, 1.0):
 
@@ -303,10 +306,6 @@ def _free_place(
                 continue
         return near
     return ()
-
-
-def _own_offset(scenario: Scenario, designed: Operation) -> float:
-    return tune(designed).nominal_offset if scenario.control.profile == "default" else 0.0
 
 
 def _remarks(mission: Mission, estimate: Expected) -> tuple[str, ...]:
@@ -377,15 +376,14 @@ def _pushed(scenario: Scenario) -> str:
 def number_refusal(scenario: Scenario, target: Target) -> KeepoutError | None:
     """Give what a scenario's numbers are refused for, whatever its field says: by the law, then by the guard."""
     try:
-        bound = Surroundings(scenario).disturbance_bound
-        motion = Surroundings(scenario).motion
+        around = Surroundings(scenario, target)
+        designed = operation(around, 0.0)
         if scenario.control.profile == "default":
             reach = max(np.linalg.norm(scenario.goal.position), np.linalg.norm(scenario.start.position))
-            chaser = Surroundings(scenario).chaser
-            designed = Operation(chaser, motion, 0.0, bound, scenario.safety.margin, scenario.control.period)
-            tune(designed, drift_bound=drift_bound(motion, radius=float(reach), speed=chaser.speed_limit))
+            drift = drift_bound(designed.motion, radius=float(reach), speed=scenario.chaser.speed_limit)
+            tune(designed, drift_bound=drift)
         if scenario.guard.enabled:
-            design(Surroundings(scenario, target).guard_assumptions)
+            design(around.guard_assumptions)
     except KeepoutError as refusal:
         return refusal
     return None
@@ -428,16 +426,14 @@ def remedies(scenario: Scenario, target: Target) -> list[Nearest]:
     Tried are a lower speed limit, stronger thrusters, a weaker disturbance, and smaller errors declared to the guard.
     """
     guard, chaser = scenario.guard, scenario.chaser
-    errors = ("position_error", "velocity_error", "mass_error", "gain_error")
+    errors = (("position_error", " m"), ("velocity_error", " m/s"), ("mass_error", ""), ("gain_error", ""))
     tried = [("chaser.speed_limit", chaser.speed_limit, 1e-3 * chaser.speed_limit, "at most", " m/s")]
     tried += [("chaser.force_limit", chaser.force_limit, 1e3 * chaser.force_limit, "at least", " N")]
-    units = {"position_error": " m", "velocity_error": " m/s"}
-    if guard.enabled:
-        tried += [
-            (f"guard.{name}", getattr(guard, name), 0.0, "at most", units.get(name, ""))
-            for name in errors
-            if getattr(guard, name) > 0.0
-        ]
+    tried += [
+        (f"guard.{name}", getattr(guard, name), 0.0, "at most", unit)
+        for name, unit in errors
+        if guard.enabled and getattr(guard, name) > 0.0
+    ]
     found = []
     for entry, value, end, words, unit in tried:
 
@@ -451,16 +447,14 @@ def remedies(scenario: Scenario, target: Target) -> list[Nearest]:
 
 
 def nearest_place(
-    free: Callable[[Float[np.ndarray, "n 3"]], Bool[np.ndarray, " n"]],
-    place: Float[np.ndarray, "3"],
-    furthest: float,
+    free: Callable[[Float[np.ndarray, "n 3"]], Bool[np.ndarray, " n"]], place: Float[np.ndarray, "3"], furthest: float
 ) -> tuple[float, float, float] | None:
     """Give a place (m) that is free, near to one that is not; None where none is found within `furthest` m.
 
     Spheres about the place are searched in many directions from the smallest on, and the way back from what is found is
     bisected. What is given is free; that nothing nearer is, is not proved.
     """
-    for radius in _radii(furthest):
+    for radius in takewhile(lambda radius: radius < furthest, accumulate(repeat(1.25), operator.mul, initial=0.05)):
         shell = place + radius * _sphere()
         found = np.flatnonzero(free(shell))
         if not len(found):
@@ -473,13 +467,6 @@ def nearest_place(
         x, y, z = (rounded if free(rounded[None])[0] else good).tolist()
         return x, y, z
     return None
-
-
-def _radii(furthest: float) -> Iterator[float]:
-    radius = 0.05
-    while radius < furthest:
-        yield radius
-        radius *= 1.25
 
 
 def _sphere() -> Float[np.ndarray, "n 3"]:

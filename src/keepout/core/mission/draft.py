@@ -174,9 +174,7 @@ def _relative(source: Path, folder: Path) -> str:
         return source.resolve().as_posix()
 
 
-def _places(
-    target: "Target",
-) -> tuple[tuple[float, float, float], tuple[float, float, float], float]:
+def _places(target: "Target") -> tuple[tuple[float, float, float], tuple[float, float, float], float]:
     """Give a start and a goal on two sides of the target, m, and the length of a way round it between them, m.
 
     They lie across the second longest side of its bounding box, and the way leads over the shortest.

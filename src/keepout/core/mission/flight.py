@@ -141,12 +141,7 @@ def fly(
     """
     scenario = Scenario.of(scenario)
     progress(0.0, "preparing")
-    mission = prepare(
-        scenario,
-        target=target,
-        model=model,
-        progress=part_of(progress, 0.0, 0.4),
-    )
+    mission = prepare(scenario, target=target, model=model, progress=part_of(progress, 0.0, 0.4))
     return fly_mission(mission, progress=part_of(progress, 0.4, 1.0))
 
 
@@ -160,27 +155,17 @@ def fly_mission(mission: Mission, *, progress: Progress = silent) -> Flight:
     return flight
 
 
-def judged(
-    mission: Mission,
-    log: loop.FlightLog,
-    *,
-    result: FlightOutcome | None = None,
-    extra: Mapping[str, Any] | None = None,
-) -> Flight:
+def judged(mission: Mission, log: loop.FlightLog, **known: Any) -> Flight:
     """Give the flight of a mission that was already flown: its record, outcome, and audit on the exact mesh.
 
     Args:
         mission: what was flown.
         log: of that one flight.
-        result: its outcome, where it is known already.
-        extra: further entries of the record's header.
+        **known: `result` and `extra` of `recorded`.
 
     """
-    scenario = mission.scenario
     standing = Standing(mission.start_certified, mission.assumptions_broken)
-    flight = recorded(
-        scenario, mission.target, mission.setup, log, mission.bounds, standing, result=result, extra=extra
-    )
+    flight = recorded(mission.scenario, mission.target, mission.setup, log, mission.bounds, standing, **known)
     violated = tuple(str(c) for c in mission.setup.controller.conditions if not c.satisfied)
     return replace(flight, violated_conditions=violated, mission=mission)
 

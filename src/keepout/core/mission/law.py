@@ -5,12 +5,7 @@ from typing import Any
 import numpy as np
 
 from keepout.core.control import profiles
-from keepout.core.control.circulation import (
-    NoCirculation,
-    SwitchingCirculation,
-    printed_circulation,
-    skew_circulation,
-)
+from keepout.core.control.circulation import NoCirculation, SwitchingCirculation, printed_circulation, skew_circulation
 from keepout.core.control.controller import Controller
 from keepout.core.control.design import Operation, least_offset
 from keepout.core.control.geodesic import Geodesic
@@ -39,19 +34,14 @@ _GUARD_FIELD_ERROR = 0.06
 """What a guard's field says less than the distance near contact, and what the law's own wandering needs, m."""
 
 
-def operation(scenario: Scenario, model: FieldModel) -> Operation:
-    """Gather the numbers that a scenario's law is designed for, with the field's certificate.
+def operation(around: Surroundings, error_bound: float) -> Operation:
+    """Gather the numbers that a scenario's law is designed for, with its field's error bound e_h (m).
 
     Raises:
-        FieldError: the model has no certificate for the chaser's radius.
         ScenarioError: the thrusters cannot hold against the disturbance.
 
     """
-    return _operation(scenario, model.certificate(scenario.chaser.radius).error_bound)
-
-
-def _operation(scenario: Scenario, error_bound: float) -> Operation:
-    around = Surroundings(scenario)
+    scenario = around.scenario
     return Operation(
         chaser=around.chaser,
         motion=around.motion,
@@ -62,31 +52,19 @@ def _operation(scenario: Scenario, error_bound: float) -> Operation:
     )
 
 
-def build_law(
-    scenario: Scenario,
-    model: FieldModel,
-    *,
-    guidance: Guidance | GuidancePlan | None = None,
-    from_start: bool = True,
-    progress: Progress = silent,
-    **chosen: Any,
-) -> Controller:
-    """Build a scenario's control law, as its designers meant it: without its faults, and without a delay.
+def build_law(scenario: Scenario, model: FieldModel, **chosen: Any) -> Controller:
+    """Build a scenario's control law on a field that is certified for the chaser's radius.
 
     Args:
-        scenario: its entries `control`, `chaser`, `safety`, `goal`, `start`, `orbit`, `attitude` and `disturbance`.
-        model: the field, certified for the chaser's radius.
-        guidance: instead of the one that the scenario names.
-        from_start: whether the scenario's start must be free and connected to its goal.
-        progress: called while the guidance is made.
-        **chosen: further arguments of the profile (`core/control/profiles.py`), such as `reach`.
+        scenario: as of `law_on`.
+        model: the field.
+        **chosen: further arguments of `law_on`.
 
     Raises:
         KeepoutError: the law cannot be built; the message names the entry.
 
     """
-    bound = model.certificate(scenario.chaser.radius).error_bound
-    return law_on(scenario, model.field, bound, guidance=guidance, from_start=from_start, progress=progress, **chosen)
+    return law_on(scenario, model.field, model.certificate(scenario.chaser.radius).error_bound, **chosen)
 
 
 def law_on(
@@ -99,22 +77,22 @@ def law_on(
     progress: Progress = silent,
     **chosen: Any,
 ) -> Controller:
-    """Build a scenario's control law on any field; the arguments are those of `build_law`.
+    """Build a scenario's control law, as its designers meant it: without its faults, and without a delay.
 
     Args:
-        scenario: as of `build_law`.
+        scenario: its entries `control`, `chaser`, `safety`, `goal`, `start`, `orbit`, `attitude` and `disturbance`.
         field: what the law knows of the shape.
         error_bound: e_h, how far the field over-states the distance where the chaser touches, m.
-        guidance: as of `build_law`.
-        from_start: likewise.
-        progress: likewise.
-        **chosen: likewise.
+        guidance: instead of the one that the scenario names.
+        from_start: whether the scenario's start must be free and connected to its goal.
+        progress: called while the guidance is made.
+        **chosen: further arguments of the profile (`core/control/profiles.py`), such as `reach`.
 
     Raises:
         KeepoutError: the law cannot be built; the message names the entry.
 
     """
-    designed, circulation = _operation(scenario, error_bound), scenario.control.circulation
+    designed, circulation = operation(Surroundings(scenario), error_bound), scenario.control.circulation
     profile = {"default": profiles.default, "paper": profiles.paper}[scenario.control.profile]
     if scenario.control.profile == "paper":
         chosen = scenario.control.paper.model_dump() | chosen
@@ -160,13 +138,7 @@ def broken_as(scenario: Scenario, law: Law, field: Field) -> Law:
     if scenario.faults.law == "none":
         return law
     return BrokenLaw(
-        law,
-        field,
-        scenario.faults.law,
-        chaser.force_limit,
-        chaser.mass,
-        chaser.speed_limit,
-        seed=scenario.seed,
+        law, field, scenario.faults.law, chaser.force_limit, chaser.mass, chaser.speed_limit, seed=scenario.seed
     )
 
 
@@ -196,11 +168,7 @@ def room_for_guard(around: Surroundings) -> dict[str, float]:
 
 
 def law_or_way_out(
-    scenario: Scenario,
-    model: FieldModel,
-    guidance: Guidance | GuidancePlan | None,
-    progress: Progress,
-    **chosen: Any,
+    scenario: Scenario, model: FieldModel, guidance: Guidance | GuidancePlan | None, progress: Progress, **chosen: Any
 ) -> Controller:
     """Build the scenario's law; a start in its keep-out zone is refused, unless a guard leads the way out first."""
     try:

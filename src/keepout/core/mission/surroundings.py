@@ -76,15 +76,9 @@ class ThrusterErrors:
         Whatever they give is scaled, what they give wrongly too: relative errors compound, all else grows.
         """
         most = 1.0 + gain_error
-        return replace(
-            self,
-            force_error=most * self.force_error,
-            running_error=most * self.running_error,
-            excursion=most * self.excursion,
-            velocity_excursion=most * self.velocity_excursion,
-            gain_error=gain_error + self.gain_error + gain_error * self.gain_error,
-            fault_force=most * self.fault_force,
-        )
+        grown = ("force_error", "running_error", "excursion", "velocity_excursion", "fault_force")
+        gain = gain_error + self.gain_error + gain_error * self.gain_error
+        return replace(self, gain_error=gain, **{name: most * getattr(self, name) for name in grown})
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,18 +104,10 @@ class Surroundings:
             **chosen: entries of `FlightSetup`, instead of the scenario's or beside them.
 
         """
-        scenario = self.scenario
-        entries = {
-            "motion": self.motion,
-            "disturbance": self.disturbance,
-            "thrusters": self.thrusters,
-            "goal": scenario.goal.position,
-            "mass": scenario.chaser.mass,
-            "period": scenario.control.period,
-            "faults": self.faults,
-            "tolerance": scenario.goal.tolerance,
-        }
-        return FlightSetup(controller=law, **(entries | chosen))
+        goal, mass, period = self.scenario.goal, self.scenario.chaser.mass, self.scenario.control.period
+        parts = {name: getattr(self, name) for name in ("motion", "disturbance", "thrusters", "faults")}
+        parts |= {"goal": goal.position, "tolerance": goal.tolerance, "mass": mass, "period": period}
+        return FlightSetup(controller=law, **(parts | chosen))
 
     @cached_property
     def motion(self) -> RelativeMotion:
@@ -241,22 +227,15 @@ class Surroundings:
             ScenarioError: start, goal or campaign are too far away for any bound, or the orbit has none.
 
         """
-        scenario = self.scenario
         region = self._region(self._furthest)
-        rate, acceleration = self._rotation
-        differential = self._differential(region)
+        shared, pull = self._moved(region)
         return FlightBounds(
-            mass=scenario.chaser.mass,
-            disturbance_force=self.largest_disturbance + scenario.chaser.mass * differential.constant,
-            angular_rate=rate + 0.5 * differential.per_speed,
-            angular_acceleration=acceleration,
-            gravity_gradient=differential.gradient,
-            origin_offset=self._origin_offset,
+            **shared,
+            disturbance_force=self.largest_disturbance + pull,
             range_limit=region,
             excursion=self._thruster_errors.excursion,
             velocity_excursion=self._thruster_errors.velocity_excursion,
-            speed_limit=self._fastest if scenario.drag.density > 0.0 else math.inf,
-            valid_until=self._valid_until,
+            speed_limit=self._fastest if self.scenario.drag.density > 0.0 else math.inf,
             force_turning=self._force_turning,
         )
 
@@ -276,18 +255,13 @@ class Surroundings:
         scenario, entry = self.scenario, self.scenario.guard
         away = {name: value for name, value in self._furthest.items() if name != "campaign"}
         away["target"] = extent
-        region = self._region(away)
-        rate, acceleration = self._rotation
-        differential = self._differential(region)
+        shared, pull = self._moved(self._region(away))
         thrust = self._thruster_errors.times_gain(entry.gain_error)
         assumed = GuardAssumptions(
-            mass=scenario.chaser.mass,
+            **shared,
             force_limit=scenario.chaser.force_limit,
             period=scenario.control.period,
-            disturbance_force=self.disturbance_bound + scenario.chaser.mass * differential.constant,
-            angular_rate=rate + 0.5 * differential.per_speed,
-            angular_acceleration=acceleration,
-            gravity_gradient=differential.gradient,
+            disturbance_force=self.disturbance_bound + pull,
             range_limit=2.0 * max(away.values()) + 20.0,
             speed_limit=self._allowed_speed,
             position_error=entry.position_error,
@@ -295,19 +269,31 @@ class Surroundings:
             mass_error=entry.mass_error,
             gain_error=thrust.gain_error,
             delay=entry.delay,
-            origin_offset=self._origin_offset,
             force_error=thrust.force_error,
             excursion=thrust.excursion,
             velocity_excursion=thrust.velocity_excursion,
             fault_force=thrust.fault_force,
             fault_steps=thrust.fault_steps,
             turning_error=2.0 * math.sin(0.5 * min(self._force_turning * scenario.control.period, math.pi)),
-            valid_until=self._valid_until,
         )
         if scenario.navigation.suite == "none":
             return assumed
         position_error, velocity_error = load("navigation", "certain")(scenario, assumed).errors
         return replace(assumed, position_error=position_error, velocity_error=velocity_error)
+
+    def _moved(self, region: float) -> tuple[dict[str, float], float]:
+        """Give the bounds that guard and audit share for a chaser within `region` m, and the perturbations' pull, N."""
+        mass, (rate, acceleration) = self.scenario.chaser.mass, self._rotation
+        differential = self._differential(region)
+        shared = {
+            "mass": mass,
+            "angular_rate": rate + 0.5 * differential.per_speed,
+            "angular_acceleration": acceleration,
+            "gravity_gradient": differential.gradient,
+            "origin_offset": self._origin_offset,
+            "valid_until": self._valid_until,
+        }
+        return shared, mass * differential.constant
 
     def require_bounded(self, away: dict[str, float]) -> None:
         """Refuse entries that say that the chaser flies farther from the origin than gravity is bounded.
@@ -462,13 +448,7 @@ def broken_assumptions(scenario: Scenario, target: Target | None = None) -> tupl
         if flown > declared * (1.0 + _ROUNDING):
             found.append(f"{flown_name} {flown:.6g}{unit} > {declared_name} {declared:.6g}{unit}")
 
-    compare(
-        "disturbance: flown up to",
-        around.largest_disturbance,
-        "disturbance.bound",
-        around.disturbance_bound,
-        " N",
-    )
+    compare("disturbance: flown up to", around.largest_disturbance, "disturbance.bound", around.disturbance_bound, " N")
     for kind, unit in (("position", " m"), ("velocity", " m/s")):
         flown = getattr(faults, f"{kind}_bias") + getattr(faults, f"{kind}_noise")
         declared = getattr(guard, f"{kind}_error")
