@@ -1,6 +1,6 @@
 """What a reader hands on, and the checks that all readers share."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -128,10 +128,10 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
-def left_out(number: int, noun: str) -> list[str]:
-    """One action line if anything of this kind was left out, none otherwise; a comma may end the noun."""
-    head, comma, tail = noun.partition(",")
-    return [f"left out {counted(number, head)}{comma}{tail}"] if number else []
+def left_out(numbers: Mapping[str, int]) -> list[str]:
+    """One action line for each noun of which anything was left out; a comma may end the noun."""
+    parts = ((number, noun.partition(",")) for noun, number in numbers.items() if number)
+    return [f"left out {counted(number, head)}{comma}{tail}" for number, (head, comma, tail) in parts]
 
 
 def with_plain_line_ends(text: str) -> str:
@@ -227,7 +227,7 @@ def fans(
     place = np.arange(len(owner)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
     first = starts[owner]
     faces = np.stack([corners[first], corners[first + place + 1], corners[first + place + 2]], axis=1).astype(np.int64)
-    actions = left_out(int((counts < 3).sum()), "polygon, of fewer than three corners")
+    actions = left_out({"polygon, of fewer than three corners": int((counts < 3).sum())})
     many = counts > 3
     if many.any():
         line = f"split {counted(int(many.sum()), 'polygon')} of more than three corners"
@@ -261,17 +261,14 @@ def strip_triangles(strip: Int[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "f 3"]
         The triangles, without those that repeat a corner: such joints between strips are not drawn; and their number.
 
     """
-    faces = np.stack([strip[:-2], strip[1:-1], strip[2:]], axis=1) if len(strip) > 2 else np.zeros((0, 3), np.int64)
+    faces = np.stack([strip[:-2], strip[1:-1], strip[2:]], axis=1)
     faces[1::2] = faces[1::2, ::-1]
     return _without_joints(faces)
 
 
 def fan_triangles(fan: Int[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "f 3"], int]:
     """Triangles (0, i + 1, i + 2) of a fan, without those that repeat a corner; and their number."""
-    faces = np.zeros((max(len(fan) - 2, 0), 3), dtype=np.int64)
-    if len(faces):
-        faces[:, 0], faces[:, 1], faces[:, 2] = fan[0], fan[1:-1], fan[2:]
-    return _without_joints(faces)
+    return _without_joints(np.stack([np.repeat(fan[:1], max(len(fan) - 2, 0)), fan[1:-1], fan[2:]], axis=1))
 
 
 def _without_joints(faces: Int[np.ndarray, "f 3"]) -> tuple[Int[np.ndarray, "kept 3"], int]:

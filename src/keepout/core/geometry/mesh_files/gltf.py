@@ -15,20 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from keepout.core.errors import MeshError
-from keepout.core.geometry.mesh_files.contents import (
-    FILE_AXES,
-    MOST_PLACED,
-    MeshContents,
-    Place,
-    Resolution,
-    box,
-    check_indices,
-    counted,
-    fan_triangles,
-    left_out,
-    require_countable,
-    strip_triangles,
-)
+from keepout.core.geometry.mesh_files import contents
 
 _DRACO, _INSTANCING, _QUANTIZATION = "KHR_draco_mesh_compression", "EXT_mesh_gpu_instancing", "KHR_mesh_quantization"
 _READ = (_DRACO, _INSTANCING, _QUANTIZATION)
@@ -300,7 +287,7 @@ def _read_primitive(data: _Data, primitive: dict[str, Any]) -> _Primitive:
     extensions = _part(primitive, "extensions")
     if _DRACO in extensions:
         positions, faces = _draco(data, primitive, _part(extensions, _DRACO), mode)
-        check_indices(faces, len(positions), "a primitive")
+        contents.check_indices(faces, len(positions), "a primitive")
         return _Primitive(positions, faces, np.zeros(0, dtype=np.int64))
     position = _part(primitive, "attributes").get("POSITION")
     if position is None:
@@ -310,7 +297,7 @@ def _read_primitive(data: _Data, primitive: dict[str, Any]) -> _Primitive:
     order = np.arange(len(positions))
     if "indices" in primitive:
         order = data.numbers(primitive["indices"], "SCALAR", kinds="u")
-        check_indices(order, len(positions), "a primitive")
+        contents.check_indices(order, len(positions), "a primitive")
     none = np.zeros((0, 3), dtype=np.int64)
     if mode == _POINTS:
         return _Primitive(positions, none, order)
@@ -322,7 +309,7 @@ def _read_primitive(data: _Data, primitive: dict[str, Any]) -> _Primitive:
         if len(order) % 3:
             raise MeshError(f"a primitive of triangles has {len(order)} corners, which three does not divide")
         return _Primitive(positions, order.reshape(-1, 3), points)
-    faces, joints = strip_triangles(order) if mode == _STRIP else fan_triangles(order)
+    faces, joints = contents.strip_triangles(order) if mode == _STRIP else contents.fan_triangles(order)
     return _Primitive(positions, faces, points, joints=joints)
 
 
@@ -350,7 +337,7 @@ def _draco(
     return positions.astype(np.float64), faces
 
 
-def read_gltf(path: Path) -> MeshContents:
+def read_gltf(path: Path) -> contents.MeshContents:
     """Read a .gltf or .glb file.
 
     Raises:
@@ -363,7 +350,7 @@ def read_gltf(path: Path) -> MeshContents:
     scene = _Scene(data)
     with np.errstate(invalid="ignore", over="ignore"):  # what is not finite is refused where a triangle uses it
         scene.walk()
-    return scene.contents(passed_over)
+    return scene.whole(passed_over)
 
 
 def _extensions(data: _Data) -> list[str]:
@@ -397,8 +384,8 @@ class _Scene:
         self._vertex_count = 0
         self._left_out: Counter[str] = Counter()
         self._morph_targets = 0
-        self._drawn: list[tuple[int, dict[str, Any], list[Place]]] = []
-        self._resolution = Resolution()
+        self._drawn: list[tuple[int, dict[str, Any], list[contents.Place]]] = []
+        self._resolution = contents.Resolution()
 
     def walk(self) -> None:
         """Visit all nodes of the shown scene once, count what their meshes make, and make it."""
@@ -407,7 +394,7 @@ class _Scene:
             raise MeshError("no scene in it, so nothing says where its meshes are")
         scene = self._data.entry("scenes", self._data.tree.get("scene", 0))
         # The last node first: this order of the vertices is part of the target's hash, which learned fields carry.
-        queue = [(index, FILE_AXES) for index in _listed(scene, "nodes")]
+        queue = [(index, contents.FILE_AXES) for index in _listed(scene, "nodes")]
         seen = set()
         while queue:
             index, parent = queue.pop()
@@ -431,24 +418,26 @@ class _Scene:
             index not in placed for index in range(len(self._data.rows("meshes")))
         )
 
-    def contents(self, passed_over: list[str]) -> MeshContents:
+    def whole(self, passed_over: list[str]) -> contents.MeshContents:
         """Triangles where there are any, else points, with the action lines."""
         actions = list(passed_over)
         if self._morph_targets:
-            actions.append(f"took the shape without {counted(self._morph_targets, 'morph target')} of weight zero")
+            actions.append(
+                f"took the shape without {contents.counted(self._morph_targets, 'morph target')} of weight zero"
+            )
         if self._data.rows("animations"):
-            actions.append(f"took the pose at rest, without {counted(len(self._data.rows('animations')), 'animation')}")
+            actions.append(
+                f"took the pose at rest, without {contents.counted(len(self._data.rows('animations')), 'animation')}"
+            )
         points = np.concatenate([np.zeros((0, 3)), *self._points])
         if self._faces:
             self._left_out["point"] = len(points)
             vertices, faces = np.concatenate(self._vertices), np.concatenate(self._faces)
         else:
             vertices, faces = points, np.zeros((0, 3), dtype=np.int64)
-        for noun, number in self._left_out.items():
-            actions += left_out(number, noun)
-        return MeshContents(vertices, faces, tuple(actions))
+        return contents.MeshContents(vertices, faces, (*actions, *contents.left_out(self._left_out)))
 
-    def _node(self, node: dict[str, Any], index: int, place: Place) -> None:
+    def _node(self, node: dict[str, Any], index: int, place: contents.Place) -> None:
         if "skin" in node:
             raise MeshError(f"node {index} has a skin, which joints bend; export the mesh in one pose without it")
         mesh = self._data.entry("meshes", node["mesh"])
@@ -472,9 +461,9 @@ class _Scene:
                 drawn = counts[-1] // 3 if entry.get("mode", 4) == 4 else counts[-1]
                 triangles += len(places) * drawn if entry.get("mode", 4) > 3 else 0
             placements += len(places)
-        require_countable(placements, triangles, corners)
+        contents.require_countable(placements, triangles, corners)
 
-    def _draw(self, index: int, mesh: dict[str, Any], places: list[Place]) -> None:
+    def _draw(self, index: int, mesh: dict[str, Any], places: list[contents.Place]) -> None:
         for entry in _parts(mesh, "primitives"):
             primitive = _read_primitive(self._data, entry)
             self._morph_targets += len(_parts(entry, "targets"))
@@ -482,7 +471,7 @@ class _Scene:
             self._left_out["line primitive"] += len(places) if primitive.segments else 0
             self._left_out["joint, of strips or fans"] += primitive.joints * len(places)
             used = primitive.faces if len(primitive.faces) else primitive.points
-            bounds = box(primitive.positions[used].reshape(-1, 3))
+            bounds = contents.box(primitive.positions[used].reshape(-1, 3))
             for place in places:
                 matrix = place.matrix
                 self._resolution.note(f"what node {index} places", bounds, place)
@@ -500,9 +489,9 @@ class _Scene:
         """One matrix for each instance of a node's mesh."""
         attributes = _part(extension, "attributes")
         for accessor in attributes.values():
-            if self._data.count(accessor) > MOST_PLACED:
+            if self._data.count(accessor) > contents.MOST_PLACED:
                 raise MeshError(
-                    f"{_INSTANCING} with {self._data.count(accessor)} instances; at most {MOST_PLACED} are read"
+                    f"{_INSTANCING} with {self._data.count(accessor)} instances; at most {contents.MOST_PLACED} are read"
                 )
         tables = {
             key: self._data.numbers(attributes[key], shape, kinds=kinds)

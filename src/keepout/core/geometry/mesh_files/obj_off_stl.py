@@ -7,17 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from keepout.core.errors import MeshError
-from keepout.core.geometry.mesh_files.contents import (
-    MeshContents,
-    counted,
-    fans,
-    index_refusal,
-    left_out,
-    text_lines,
-    to_indices,
-    to_numbers,
-    with_plain_line_ends,
-)
+from keepout.core.geometry.mesh_files import contents
 
 _ATTRIBUTES = ("vt", "vn", "vp", "g", "o", "s", "mg", "usemtl", "mtllib", "usemap", "maplib")
 _DISPLAY = ("bevel", "c_interp", "d_interp", "lod", "shadow_obj", "trace_obj", "ctech", "stech")
@@ -39,14 +29,14 @@ _LEFT_OUT = {
 _STATEMENTS = frozenset(("v", "f", "fo", *_LEFT_OUT, *_NO_GEOMETRY))
 
 
-def read_obj(path: Path) -> MeshContents:
+def read_obj(path: Path) -> contents.MeshContents:
     """Read an OBJ file. It declares no counts, so one cut short between lines cannot be told from a whole one.
 
     Raises:
         MeshError: with the line's number if a statement is unknown, a number is none, or an index points at no vertex.
 
     """
-    lines, actions = text_lines(path)
+    lines, actions = contents.text_lines(path)
     words: list[str] = []
     corners: list[int] = []
     sizes: list[int] = []
@@ -74,12 +64,12 @@ def read_obj(path: Path) -> MeshContents:
         statement, values = row[0], row[1:]
         if statement == "v":
             if len(values) < 3:
-                raise MeshError(f"line {at}: {counted(len(values), 'number')}; a vertex needs three")
+                raise MeshError(f"line {at}: {contents.counted(len(values), 'number')}; a vertex needs three")
             words.extend(values[:3])
             # A weight or a colour; anything else is a statement that lost its line end.
-            to_numbers(values[3:], f"line {at}: after a vertex, ")
+            contents.to_numbers(values[3:], f"line {at}: after a vertex, ")
         elif statement in ("f", "fo"):
-            indices = to_indices([value.split("/", 1)[0] for value in values], f"line {at}: ")
+            indices = contents.to_indices([value.split("/", 1)[0] for value in values], f"line {at}: ")
             so_far = len(words) // 3
             corners.extend([_zero_based(index, so_far, at) for index in indices])
             sizes.append(len(indices))
@@ -90,16 +80,14 @@ def read_obj(path: Path) -> MeshContents:
             raise MeshError(f"line {at}: the statement {statement[:20]!r} is not OBJ, or names another file")
     if held_from:
         raise MeshError(f"line {held_from}: goes on past the end of the file")
-    vertices = to_numbers(words, "in the vertices, ").reshape(-1, 3)
+    vertices = contents.to_numbers(words, "in the vertices, ").reshape(-1, 3)
     flat, counts = np.array(corners, dtype=np.int64), np.array(sizes, dtype=np.int64)
     if (flat >= len(vertices)).any():
         place = int(np.argmax(flat >= len(vertices)))
         at = where[int(np.searchsorted(np.cumsum(counts), place, side="right"))]
         raise MeshError(f"line {at}: the vertex index {flat[place] + 1}; valid is 1 to {len(vertices)}")
-    faces, said = fans(counts, flat, vertices)
-    for kind, number in sorted(dropped.items()):
-        said += left_out(number, kind)
-    return MeshContents(vertices, faces, (*actions, *said))
+    faces, said = contents.fans(counts, flat, vertices)
+    return contents.MeshContents(vertices, faces, (*actions, *said, *contents.left_out(dict(sorted(dropped.items())))))
 
 
 def _zero_based(index: int, so_far: int, line: int) -> int:
@@ -113,7 +101,7 @@ def _zero_based(index: int, so_far: int, line: int) -> int:
 _KEYWORD = re.compile(r"(ST)?(C)?(N)?(4)?(n)?OFF")
 
 
-def read_off(path: Path) -> MeshContents:
+def read_off(path: Path) -> contents.MeshContents:
     """Read an OFF file (also COFF, NOFF, STOFF: colours, normals and texture places are passed over).
 
     Raises:
@@ -121,7 +109,7 @@ def read_off(path: Path) -> MeshContents:
             index points at no vertex.
 
     """
-    lines, actions = text_lines(path)
+    lines, actions = contents.text_lines(path)
     rows = [(number, text) for number, line in enumerate(lines, 1) if (text := line.partition("#")[0].strip())]
     keyword, rest = (*rows[0][1].split(None, 1), "")[:2] if rows else ("", "")
     kind = _KEYWORD.fullmatch(keyword)
@@ -133,7 +121,7 @@ def read_off(path: Path) -> MeshContents:
     if not rows:
         raise MeshError("the line of vertex and face counts is missing")
     try:
-        counts = to_indices(rows[0][1].split(), f"line {rows[0][0]}: ")
+        counts = contents.to_indices(rows[0][1].split(), f"line {rows[0][0]}: ")
     except MeshError as refusal:
         raise MeshError(f"{refusal}; vertex, face and edge counts belong there") from None
     if len(counts) not in (2, 3) or min(counts) < 0:
@@ -143,28 +131,28 @@ def read_off(path: Path) -> MeshContents:
     if len(rows) != vertex_count + face_count:
         there = f"{len(rows[:vertex_count])} and {len(rows[vertex_count:])}"
         raise MeshError(
-            f"the header declares {counted(vertex_count, 'vertex line')} and {counted(face_count, 'face line')}; "
+            f"the header declares {contents.counted(vertex_count, 'vertex line')} and {contents.counted(face_count, 'face line')}; "
             f"there are {there}"
         )
     words, corners, sizes = [], [], []
     for number, text in rows[:vertex_count]:
         row = text.split()
         if len(row) < 3:
-            raise MeshError(f"line {number}: {counted(len(row), 'number')}; a vertex needs three")
+            raise MeshError(f"line {number}: {contents.counted(len(row), 'number')}; a vertex needs three")
         words.extend(row[:3])
-    vertices = to_numbers(words, "in the vertices, ").reshape(-1, 3)
+    vertices = contents.to_numbers(words, "in the vertices, ").reshape(-1, 3)
     for number, text in rows[vertex_count:]:
         row = text.split()
-        size = to_indices(row[:1], f"line {number}: ")[0]
-        face = to_indices(row[1 : 1 + max(size, 0)], f"line {number}: ")
+        size = contents.to_indices(row[:1], f"line {number}: ")[0]
+        face = contents.to_indices(row[1 : 1 + max(size, 0)], f"line {number}: ")
         if size < 0 or len(face) != size:
             raise MeshError(f"line {number}: the face declares {size} corners and has {len(face)}")
         if face and not 0 <= min(face) <= max(face) < vertex_count:
-            raise index_refusal(f"line {number}", min(face) if min(face) < 0 else max(face), vertex_count)
+            raise contents.index_refusal(f"line {number}", min(face) if min(face) < 0 else max(face), vertex_count)
         corners.extend(face)
         sizes.append(size)
-    faces, said = fans(np.array(sizes, dtype=np.int64), np.array(corners, dtype=np.int64), vertices)
-    return MeshContents(vertices, faces, (*actions, *said))
+    faces, said = contents.fans(np.array(sizes, dtype=np.int64), np.array(corners, dtype=np.int64), vertices)
+    return contents.MeshContents(vertices, faces, (*actions, *said))
 
 
 _HEADER, _TRIANGLE = 84, 50
@@ -179,7 +167,7 @@ _BEGIN = re.compile(r"\s*solid(?:[^\S\n][^\n]*)?(?:\n|$)", re.IGNORECASE)
 _END = re.compile(r"\s*end\s?solid(?:[^\S\n][^\n]*)?(?:\n|$)", re.IGNORECASE)
 
 
-def read_stl(path: Path) -> MeshContents:
+def read_stl(path: Path) -> contents.MeshContents:
     """Read an STL file.
 
     Raises:
@@ -193,16 +181,16 @@ def read_stl(path: Path) -> MeshContents:
         triangles = np.frombuffer(data, dtype=record, offset=_HEADER)["corners"]
         actions = []
     elif _looks_like_text(data):
-        triangles, actions = _ascii(with_plain_line_ends(data.decode("utf-8", errors="replace")))
+        triangles, actions = _ascii(contents.with_plain_line_ends(data.decode("utf-8", errors="replace")))
     elif declared is None:
         raise MeshError(f"not a valid STL: {len(data)} bytes, and a binary header alone has {_HEADER}")
     else:
         raise MeshError(
-            f"not a valid STL: the header declares {counted(declared, 'triangle')}, {_HEADER + _TRIANGLE * declared} "
+            f"not a valid STL: the header declares {contents.counted(declared, 'triangle')}, {_HEADER + _TRIANGLE * declared} "
             f"bytes in all, and the file has {len(data)}"
         )
     vertices = triangles.reshape(-1, 3).astype(np.float64)
-    return MeshContents(vertices, np.arange(len(vertices), dtype=np.int64).reshape(-1, 3), tuple(actions))
+    return contents.MeshContents(vertices, np.arange(len(vertices), dtype=np.int64).reshape(-1, 3), tuple(actions))
 
 
 def _looks_like_text(data: bytes) -> bool:
@@ -225,13 +213,13 @@ def _ascii(text: str) -> tuple[np.ndarray, list[str]]:
         end = _END.match(text, position)
         if end is None:
             raise MeshError(
-                f"not a valid STL: after {counted(len(words) // 9, 'whole facet')}, line {_line(text, position)} "
+                f"not a valid STL: after {contents.counted(len(words) // 9, 'whole facet')}, line {_line(text, position)} "
                 "begins neither a whole facet nor endsolid"
             )
         if _LOST.match(end.group().strip()):
             raise MeshError(f"not a valid STL: line {_line(text, position)} has a facet where a name belongs")
         position = end.end()
-    corners = to_numbers(words, "not a valid STL: in a vertex, ")
+    corners = contents.to_numbers(words, "not a valid STL: in a vertex, ")
     return corners.reshape(-1, 3, 3), [f"{solids} solids taken together"] if solids > 1 else []
 
 

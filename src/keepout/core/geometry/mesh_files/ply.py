@@ -8,17 +8,7 @@ import numpy as np
 from jaxtyping import Int
 
 from keepout.core.errors import MeshError
-from keepout.core.geometry.mesh_files.contents import (
-    UNENDED,
-    MeshContents,
-    check_indices,
-    counted,
-    fans,
-    left_out,
-    strip_triangles,
-    to_numbers,
-    with_plain_line_ends,
-)
+from keepout.core.geometry.mesh_files import contents
 
 _TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),
@@ -59,7 +49,7 @@ _Values = dict[str, np.ndarray | tuple[np.ndarray, np.ndarray]]
 """By property: a column of an element's values, or a list's lengths and all its values one after the other."""
 
 
-def read_ply(path: Path) -> MeshContents:
+def read_ply(path: Path) -> contents.MeshContents:
     """Read a PLY file: polygons and triangle strips, or points where it has neither.
 
     Raises:
@@ -71,7 +61,7 @@ def read_ply(path: Path) -> MeshContents:
     actions: list[str] = []
     if order == "":
         values = _read_text(data[start:], elements)
-        actions += [] if data.endswith((b"\n", b"\r")) else [UNENDED]
+        actions += [] if data.endswith((b"\n", b"\r")) else [contents.UNENDED]
     else:
         values = _read_binary(data, start, order, elements)
     named = {element.name: element for element in elements}
@@ -88,19 +78,19 @@ def read_ply(path: Path) -> MeshContents:
     for element in elements:
         if element.name == "face" and element.count:
             counts, corners = _corners(element, values["face"])
-            check_indices(corners, len(vertices), "a face")
-            triangles, said = fans(counts, corners, vertices)
+            contents.check_indices(corners, len(vertices), "a face")
+            triangles, said = contents.fans(counts, corners, vertices)
             faces.append(triangles)
             actions += said
         elif element.name == "tristrips" and element.count:
             counts, corners = _corners(element, values["tristrips"])
-            check_indices(corners[corners != -1], len(vertices), "a triangle strip")
+            contents.check_indices(corners[corners != -1], len(vertices), "a triangle strip")
             triangles, joints = _strips(counts, corners)
             faces.append(triangles)
-            actions += left_out(joints, "joint, of strips")
+            actions += contents.left_out({"joint, of strips": joints})
         elif element.name != "vertex" and element.count:
-            actions += left_out(element.count, f"element, {element.name[:40]!r}")
-    return MeshContents(vertices, np.concatenate(faces), tuple(actions))
+            actions += contents.left_out({f"element, {element.name[:40]!r}": element.count})
+    return contents.MeshContents(vertices, np.concatenate(faces), tuple(actions))
 
 
 def _header(data: bytes) -> tuple[str, list[_Element], int]:
@@ -111,7 +101,7 @@ def _header(data: bytes) -> tuple[str, list[_Element], int]:
     while True:
         end = data.find(b"\n", position)
         if end < 0:
-            raise MeshError(f"the header has no end_header after {counted(number, 'line')}")
+            raise MeshError(f"the header has no end_header after {contents.counted(number, 'line')}")
         line = data[position:end].decode("utf-8", errors="replace").strip()
         words = line.split()
         position, number = end + 1, number + 1
@@ -153,7 +143,7 @@ def _short(element: _Element, there: int) -> MeshError:
 
 
 def _read_text(body: bytes, elements: list[_Element]) -> dict[str, _Values]:
-    text = with_plain_line_ends(body.decode("utf-8", errors="replace"))
+    text = contents.with_plain_line_ends(body.decode("utf-8", errors="replace"))
     rows = [line.split() for line in text.split("\n")]
     rows = [row for row in rows if row]
     position, values = 0, {}
@@ -164,7 +154,7 @@ def _read_text(body: bytes, elements: list[_Element]) -> dict[str, _Values]:
             raise _short(element, len(mine))
         values[element.name] = _columns(element, mine)
     if len(rows) > position:
-        raise MeshError(f"the header declares {counted(position, 'line')} of data and there are {len(rows)}")
+        raise MeshError(f"the header declares {contents.counted(position, 'line')} of data and there are {len(rows)}")
     return values
 
 
@@ -185,7 +175,7 @@ def _columns(element: _Element, rows: list[list[str]]) -> _Values:
             place += size
         if place != len(row):
             raise MeshError(
-                f"element {element.name[:40]!r} number {number}: {counted(len(row), 'value')}, which is not what its "
+                f"element {element.name[:40]!r} number {number}: {contents.counted(len(row), 'value')}, which is not what its "
                 "properties need"
             )
     return _gathered(element, [_cast(element, *pair) for pair in zip(element.properties, cells)], lengths)
@@ -202,7 +192,7 @@ def _gathered(element: _Element, columns: Iterable[np.ndarray], lengths: list[li
 def _cast(element: _Element, entry: _Property, words: list[str]) -> np.ndarray:
     """Round to the declared type, as the binary file would hold it."""
     place = f"property {entry.name[:40]!r} of element {element.name[:40]!r}"
-    numbers = to_numbers(words, f"{place}: ")
+    numbers = contents.to_numbers(words, f"{place}: ")
     with np.errstate(invalid="ignore", over="ignore"):
         column = numbers.astype(entry.kind)
     if entry.kind[0] != "f" and (column.astype(np.float64) != numbers).any():
@@ -296,7 +286,7 @@ def _strips(counts: Int[np.ndarray, "n"], corners: Int[np.ndarray, "corners"]) -
     faces, joints = [np.zeros((0, 3), dtype=np.int64)], 0
     ends = np.concatenate([np.cumsum(counts), np.flatnonzero(corners == -1)])
     for strip in np.split(corners, np.unique(ends)):
-        triangles, dropped = strip_triangles(strip[strip != -1])
+        triangles, dropped = contents.strip_triangles(strip[strip != -1])
         faces.append(triangles)
         joints += dropped
     return np.concatenate(faces), joints

@@ -11,18 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from keepout.core.errors import MeshError
-from keepout.core.geometry.mesh_files.contents import (
-    FILE_AXES,
-    MeshContents,
-    Resolution,
-    box,
-    check_indices,
-    counted,
-    left_out,
-    require_countable,
-    to_indices,
-    to_numbers,
-)
+from keepout.core.geometry.mesh_files import contents
 
 _MODEL = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"
 _CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
@@ -40,7 +29,7 @@ _Key = tuple[str, str]
 """A model part's name and an object's id in it."""
 
 
-def read_three_mf(path: Path) -> MeshContents:
+def read_three_mf(path: Path) -> contents.MeshContents:
     """Read a 3MF file.
 
     Raises:
@@ -54,7 +43,7 @@ def read_three_mf(path: Path) -> MeshContents:
         raise MeshError(f"no whole ZIP archive: {cause}") from None
     with archive:
         package = _Package(archive)
-        return package.contents()
+        return package.whole()
 
 
 class _Package:
@@ -75,7 +64,7 @@ class _Package:
         self._left_out: Counter[str] = Counter()
         self._kept: Counter[str] = Counter()
 
-    def contents(self) -> MeshContents:
+    def whole(self) -> contents.MeshContents:
         """Triangles of all build items."""
         main = self._main_part()
         root = self._part(main)
@@ -91,19 +80,17 @@ class _Package:
             entry.find("{*}mesh") is not None for key, entry in self._objects.items() if key not in self._components
         )
         self._left_out["mesh object, not in the build"] = unplaced
-        actions = []
-        for noun, number in self._left_out.items():
-            actions += left_out(number, noun)
+        actions = contents.left_out(self._left_out)
         # Geometry is the target whatever a printer makes of it: what is left out, a chaser may fly into.
         for noun, number in self._kept.items():
             if number:
                 first, _, rest = noun.partition(" of ")
                 aside = f" of {rest}" if rest else ""
-                actions.append(f"kept {counted(number, first)}{aside}, as part of the target")
+                actions.append(f"kept {contents.counted(number, first)}{aside}, as part of the target")
         # Points without triangles are no point cloud here: the format has none.
         if not len(faces):
             vertices = np.zeros((0, 3))
-        return MeshContents(vertices, faces, tuple(actions), root.get("unit", "millimeter"))
+        return contents.MeshContents(vertices, faces, tuple(actions), root.get("unit", "millimeter"))
 
     def _count(self, items: list[tuple[_Key, np.ndarray]]) -> None:
         """Find all objects that the items lead to, and count what placing them makes before anything is placed."""
@@ -132,20 +119,20 @@ class _Package:
             made[key] = (1 + placements, own[0] + triangles, own[1] + vertices)
         totals = [made[key] for key, _ in items] or [(0, 0, 0)]
         placements, triangles, vertices = (sum(column) for column in zip(*totals))
-        require_countable(placements, triangles, vertices)
+        contents.require_countable(placements, triangles, vertices)
 
     def _placed(self, items: list[tuple[_Key, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
         """Vertices and faces of all items, each object before its components, in the file's order."""
         all_vertices, all_faces = [np.zeros((0, 3))], [np.zeros((0, 3), dtype=np.int64)]
-        number, resolution = 0, Resolution()
-        waiting = [(key, FILE_AXES.then(own)) for key, own in reversed(items)]
+        number, resolution = 0, contents.Resolution()
+        waiting = [(key, contents.FILE_AXES.then(own)) for key, own in reversed(items)]
         while waiting:
             key, place = waiting.pop()
             self._note(key)
             if _only(self._objects[key], "mesh") is not None:
                 if key not in self._meshes:
                     vertices, faces = self._mesh(self._objects[key])
-                    self._meshes[key] = vertices, faces, box(vertices[faces].reshape(-1, 3))
+                    self._meshes[key] = vertices, faces, contents.box(vertices[faces].reshape(-1, 3))
                 vertices, faces, bounds = self._meshes[key]
                 with np.errstate(invalid="ignore", over="ignore"):  # refused where a triangle uses it
                     all_vertices.append(vertices @ place.matrix[:3, :3].T + place.matrix[:3, 3])
@@ -251,12 +238,12 @@ class _Package:
         words = [v.get(axis, "") for v in mesh.iterfind("{*}vertices/{*}vertex") for axis in "xyz"]
         corners = [t.get(v, "") for t in mesh.iterfind("{*}triangles/{*}triangle") for v in ("v1", "v2", "v3")]
         name = f"the object {entry.get('id', '')[:40]!r}"
-        vertices = to_numbers(words, f"{name}: ").reshape(-1, 3)
+        vertices = contents.to_numbers(words, f"{name}: ").reshape(-1, 3)
         try:
-            faces = np.array(to_indices(corners, f"{name}: "), dtype=np.int64).reshape(-1, 3)
+            faces = np.array(contents.to_indices(corners, f"{name}: "), dtype=np.int64).reshape(-1, 3)
         except OverflowError as cause:
             raise MeshError(f"{name}: {cause}") from None
-        check_indices(faces, len(vertices), name)
+        contents.check_indices(faces, len(vertices), name)
         return vertices, faces
 
 
@@ -295,7 +282,7 @@ def _transform(element: Element) -> Float[np.ndarray, "4 4"]:
     matrix = np.eye(4)
     words = element.get("transform", "").split()
     if words:
-        values = to_numbers(words, "a transform: ")
+        values = contents.to_numbers(words, "a transform: ")
         if len(values) != 12 or not np.isfinite(values).all():
             raise MeshError(f"a transform has {len(values)} numbers; twelve finite ones are valid")
         matrix[:3] = values.reshape(4, 3).T
