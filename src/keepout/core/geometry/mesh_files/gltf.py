@@ -491,7 +491,8 @@ class _Scene:
         for accessor in attributes.values():
             if self._data.count(accessor) > contents.MOST_PLACED:
                 raise MeshError(
-                    f"{_INSTANCING} with {self._data.count(accessor)} instances; at most {contents.MOST_PLACED} are read"
+                    f"{_INSTANCING} with {self._data.count(accessor)} instances; "
+                    f"at most {contents.MOST_PLACED} are read"
                 )
         tables = {
             key: self._data.numbers(attributes[key], shape, kinds=kinds)

@@ -129,10 +129,10 @@ def read_off(path: Path) -> contents.MeshContents:
     vertex_count, face_count = counts[:2]
     rows = rows[1:]
     if len(rows) != vertex_count + face_count:
-        there = f"{len(rows[:vertex_count])} and {len(rows[vertex_count:])}"
         raise MeshError(
-            f"the header declares {contents.counted(vertex_count, 'vertex line')} and {contents.counted(face_count, 'face line')}; "
-            f"there are {there}"
+            f"the header declares {contents.counted(vertex_count, 'vertex line')} and "
+            f"{contents.counted(face_count, 'face line')}; "
+            f"there are {len(rows[:vertex_count])} and {len(rows[vertex_count:])}"
         )
     words, corners, sizes = [], [], []
     for number, text in rows[:vertex_count]:
@@ -186,8 +186,8 @@ def read_stl(path: Path) -> contents.MeshContents:
         raise MeshError(f"not a valid STL: {len(data)} bytes, and a binary header alone has {_HEADER}")
     else:
         raise MeshError(
-            f"not a valid STL: the header declares {contents.counted(declared, 'triangle')}, {_HEADER + _TRIANGLE * declared} "
-            f"bytes in all, and the file has {len(data)}"
+            f"not a valid STL: the header declares {contents.counted(declared, 'triangle')}, "
+            f"{_HEADER + _TRIANGLE * declared} bytes in all, and the file has {len(data)}"
         )
     vertices = triangles.reshape(-1, 3).astype(np.float64)
     return contents.MeshContents(vertices, np.arange(len(vertices), dtype=np.int64).reshape(-1, 3), tuple(actions))
@@ -213,8 +213,8 @@ def _ascii(text: str) -> tuple[np.ndarray, list[str]]:
         end = _END.match(text, position)
         if end is None:
             raise MeshError(
-                f"not a valid STL: after {contents.counted(len(words) // 9, 'whole facet')}, line {_line(text, position)} "
-                "begins neither a whole facet nor endsolid"
+                f"not a valid STL: after {contents.counted(len(words) // 9, 'whole facet')}, "
+                f"line {_line(text, position)} begins neither a whole facet nor endsolid"
             )
         if _LOST.match(end.group().strip()):
             raise MeshError(f"not a valid STL: line {_line(text, position)} has a facet where a name belongs")

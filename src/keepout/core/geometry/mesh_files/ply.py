@@ -175,8 +175,8 @@ def _columns(element: _Element, rows: list[list[str]]) -> _Values:
             place += size
         if place != len(row):
             raise MeshError(
-                f"element {element.name[:40]!r} number {number}: {contents.counted(len(row), 'value')}, which is not what its "
-                "properties need"
+                f"element {element.name[:40]!r} number {number}: {contents.counted(len(row), 'value')}, "
+                "which is not what its properties need"
             )
     return _gathered(element, [_cast(element, *pair) for pair in zip(element.properties, cells)], lengths)
 
