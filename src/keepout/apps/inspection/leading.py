@@ -78,7 +78,7 @@ class AroundMesh(Leading):
         }
         for number, hold in enumerate(scenario.inspect.hold_points):
             away[f"inspect.hold_points.{number}.position"] = float(np.linalg.norm(hold.position))
-        Surroundings(scenario).require_bounded(away)
+        Surroundings(scenario).region(away)
         reach = max(away.values())
         ahead = start / max(float(np.linalg.norm(start)), 1e-9)
         far = reach * ahead if ahead.any() else np.array([reach, 0.0, 0.0])

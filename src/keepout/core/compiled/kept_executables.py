@@ -261,7 +261,8 @@ class _Pickler(pickle.Pickler):
     def reducer_override(self, obj: Any) -> Any:
         for named in (obj, type(obj)):
             module = getattr(named, "__module__", None)
-            if isinstance(module, str) and module.partition(".")[0] not in _KNOWN and not _of_python(module):
+            package = module.partition(".")[0] if isinstance(module, str) else "builtins"
+            if package not in _KNOWN and package not in sys.stdlib_module_names:
                 raise _UnknownError(module)
         return NotImplemented
 
@@ -273,10 +274,6 @@ def _pickled(tree: PyTree) -> bytes:
     except (pickle.PicklingError, TypeError, AttributeError) as error:
         raise _UnknownError(str(error)) from error
     return stream.getvalue()
-
-
-def _of_python(module: str) -> bool:
-    return module.partition(".")[0] in sys.stdlib_module_names and module != "__main__"
 
 
 def _settings() -> tuple[Any, ...]:

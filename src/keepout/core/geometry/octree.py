@@ -44,11 +44,6 @@ class Cells:
         """Half the side of each cell, metres."""
         return 0.5 * self.side * 0.5 ** self.level.astype(np.float64)
 
-    @property
-    def half_diagonal(self) -> Float[np.ndarray, "n"]:
-        """From the centre of each cell to its corners, metres."""
-        return SQRT3 * self.half_width
-
     def at(self, chosen: Int[np.ndarray, "m"]) -> Float[np.ndarray, "m 3"]:
         """Centres of chosen cells, metres."""
         half_width = 0.5 * self.side * 0.5 ** self.level[chosen].astype(np.float64)

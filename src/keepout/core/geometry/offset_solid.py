@@ -224,7 +224,7 @@ def _hidden_cells(
     hidden = fate[end] != _FREE
     # In a cell of half-diagonal ρ > offset a point p with d(p) > offset could lie past a surface from the centre q, but
     # only if |p - q| > offset + d(q).
-    hidden |= d < cells.half_diagonal - offset
+    hidden |= d < SQRT3 * cells.half_width - offset
     # A walk may jump over hidden cells, so open cells can be scattered through a gap that is all but sealed: seal it.
     return cells, ~cells.connected(~hidden, settled_open)
 

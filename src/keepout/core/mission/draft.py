@@ -5,6 +5,7 @@ stands in the file with its meaning; those that are not in force are comments th
 """
 
 import functools
+import json
 import math
 import os
 import textwrap
@@ -301,16 +302,5 @@ def _example(kind: Any) -> Any:
 
 
 def _toml(value: Any) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        return '"' + "".join(_character(c) for c in value) + '"'
-    if isinstance(value, tuple | list):
-        return f"[{', '.join(_toml(part) for part in value)}]"
-    return repr(value)
-
-
-def _character(c: str) -> str:
-    if c in '"\\':
-        return f"\\{c}"
-    return f"\\u{ord(c):04x}" if ord(c) < 32 or ord(c) == 127 else c
+    """Write a value as JSON does, which is TOML but for the one control character that JSON leaves as it is."""
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

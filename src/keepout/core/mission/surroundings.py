@@ -227,7 +227,7 @@ class Surroundings:
             ScenarioError: start, goal or campaign are too far away for any bound, or the orbit has none.
 
         """
-        region = self._region(self._furthest)
+        region = self.region(self._furthest)
         shared, pull = self._moved(region)
         return FlightBounds(
             **shared,
@@ -255,7 +255,7 @@ class Surroundings:
         scenario, entry = self.scenario, self.scenario.guard
         away = {name: value for name, value in self._furthest.items() if name != "campaign"}
         away["target"] = extent
-        shared, pull = self._moved(self._region(away))
+        shared, pull = self._moved(self.region(away))
         thrust = self._thruster_errors.times_gain(entry.gain_error)
         assumed = GuardAssumptions(
             **shared,
@@ -294,18 +294,6 @@ class Surroundings:
             "valid_until": self._valid_until,
         }
         return shared, mass * differential.constant
-
-    def require_bounded(self, away: dict[str, float]) -> None:
-        """Refuse entries that say that the chaser flies farther from the origin than gravity is bounded.
-
-        Args:
-            away: of each entry, by its name, the distance from the body frame's origin, m.
-
-        Raises:
-            ScenarioError: the message names the entry that is farthest.
-
-        """
-        self._region(away)
 
     @cached_property
     def _orbit(self) -> bounds.OrbitBounds:
@@ -391,8 +379,11 @@ class Surroundings:
             "campaign": float(np.linalg.norm(corner)),
         }
 
-    def _region(self, away: dict[str, float]) -> float:
+    def region(self, away: dict[str, float]) -> float:
         """Give the range, m, within which gravity is bounded: twice the furthest of `away` plus 20 m, at least 1000 m.
+
+        Args:
+            away: of each entry that says where the chaser flies, by its name, the distance from the origin, m.
 
         Raises:
             ScenarioError: that and the centre of mass's offset go beyond `_FARTHEST`.

@@ -34,19 +34,16 @@ def require_apart(scenario: Scenario, target: Target) -> None:
     """
     radius = scenario.chaser.radius
     for name, position in (("start", scenario.start.position), ("goal", scenario.goal.position)):
-        distance = _distance_within(target, np.asarray(position), radius)
+        point = np.asarray(position)
+        if target.ball_radius > 0.0:
+            distance = float(target.distance.distance(point[None])[0])
+        else:  # without the hierarchy of triangles, which is compiled first
+            distance = distance_within(target.vertices, target.faces, point, radius)
         if distance <= radius:
             raise ScenarioError(
                 f"{name}.position: {list(position)} m is {distance:.3f} m from the target, where a chaser of radius "
                 f"{radius} m touches it; it must be further than that radius"
             )
-
-
-def _distance_within(target: Target, point: Float[np.ndarray, "3"], reach: float) -> float:
-    """Give the distance where it is at most `reach`, without the hierarchy of triangles, which is compiled first."""
-    if target.ball_radius > 0.0:
-        return float(target.distance.distance(point[None])[0])
-    return distance_within(target.vertices, target.faces, point, reach)
 
 
 def room_to_start(scenario: Scenario) -> float:

@@ -180,7 +180,7 @@ def read_stl(path: Path) -> contents.MeshContents:
         record = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
         triangles = np.frombuffer(data, dtype=record, offset=_HEADER)["corners"]
         actions = []
-    elif _looks_like_text(data):
+    elif data.lstrip()[:5].lower() == b"solid" and b"\0" not in data:
         triangles, actions = _ascii(contents.with_plain_line_ends(data.decode("utf-8", errors="replace")))
     elif declared is None:
         raise MeshError(f"not a valid STL: {len(data)} bytes, and a binary header alone has {_HEADER}")
@@ -191,10 +191,6 @@ def read_stl(path: Path) -> contents.MeshContents:
         )
     vertices = triangles.reshape(-1, 3).astype(np.float64)
     return contents.MeshContents(vertices, np.arange(len(vertices), dtype=np.int64).reshape(-1, 3), tuple(actions))
-
-
-def _looks_like_text(data: bytes) -> bool:
-    return data.lstrip()[:5].lower() == b"solid" and b"\0" not in data
 
 
 def _ascii(text: str) -> tuple[np.ndarray, list[str]]:
