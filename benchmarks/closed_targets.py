@@ -22,7 +22,8 @@ from keepout.apps.led.first_hit import FirstHit
 from keepout.core.digest import digest
 from keepout.core.geometry.builtin import BUILTINS
 from keepout.core.geometry.level_set import surface_points
-from keepout.core.geometry.mesh_report import Surface, describe, part_labels, weld, zero_area
+from keepout.core.geometry.mesh_files.contents import MeshContents
+from keepout.core.geometry.mesh_report import describe, part_labels, weld, zero_area
 from keepout.core.geometry.solids import mesh
 from keepout.core.geometry.target import Target
 from keepout.core.whole_file import write_whole
@@ -183,7 +184,7 @@ def _arrays(solid: Manifold) -> tuple[np.ndarray, np.ndarray]:
 
 def _target(name: str, solid: Manifold) -> Target:
     vertices, faces = _arrays(solid)
-    return Target(name, vertices, faces, describe(Surface(vertices, faces)))
+    return Target(name, vertices, faces, describe(MeshContents(vertices, faces)))
 
 
 def thin_share(target: Target, seed: int = 0) -> tuple[float, float]:

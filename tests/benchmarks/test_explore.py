@@ -8,7 +8,8 @@ from keepout.apps.unknown.known_free import KnownFreeMap
 from keepout.apps.unknown.map_field import MapField
 from keepout.apps.unknown.view import SensorBounds
 from keepout.core.fields.field import Field
-from keepout.core.geometry.mesh_report import Surface, describe
+from keepout.core.geometry.mesh_files.contents import MeshContents
+from keepout.core.geometry.mesh_report import describe
 from keepout.core.geometry.target import Target
 
 HALF = np.array([0.61, 0.42, 0.33])
@@ -20,7 +21,7 @@ def box():
     corners = np.stack(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0], indexing="ij"), axis=-1).reshape(-1, 3)
     quads = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
     faces = np.array([t for q in quads for t in ([q[0], q[1], q[2]], [q[0], q[2], q[3]])])
-    surface = Surface(corners * HALF, faces)
+    surface = MeshContents(corners * HALF, faces)
     return Target("box", surface.vertices, surface.faces, describe(surface))
 
 

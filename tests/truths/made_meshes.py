@@ -3,12 +3,13 @@
 import numpy as np
 
 from keepout.apps.inspection.seeing.patches import Patches
-from keepout.core.geometry.mesh_report import Surface, describe
+from keepout.core.geometry.mesh_files.contents import MeshContents
+from keepout.core.geometry.mesh_report import describe
 from keepout.core.geometry.target import Target
 
 
 def target_of(vertices, faces, name="made"):
-    surface = Surface(np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64))
+    surface = MeshContents(np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64))
     return Target(name, surface.vertices, surface.faces, describe(surface))
 
 

@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from keepout.core.errors import MeshError
 from keepout.core.geometry.mesh_files import READERS, MeshContents
 from keepout.core.geometry.mesh_files.contents import counted, resolved, text_lines
-from keepout.core.geometry.mesh_report import Surface, part_labels, stray_faces, weld, zero_area
+from keepout.core.geometry.mesh_report import part_labels, stray_faces, weld, zero_area
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 _DECLARED = {"micron": 1e-6, "millimeter": 0.001, "centimeter": 0.01, "meter": 1.0, "inch": 0.0254, "foot": 0.3048}
@@ -23,7 +23,7 @@ _LIMIT = 1e6
 
 def read_surface(
     path: Path, *, units: str | None, scale: float | None, drop_stray: bool, thickness: float | None
-) -> Surface:
+) -> MeshContents:
     """Read one file into vertices and triangles in metres; see `Target.load` for the arguments.
 
     Raises:
@@ -68,13 +68,14 @@ def read_surface(
             f"{np.abs(used).max() / factor:.4g}, in the file's unit: rounding changes it by more than a millionth"
         )
     if cloud:
-        return Surface(vertices, faces, 0.5 * float(thickness or 0.0), tuple(actions))
+        return MeshContents(vertices, faces, tuple(actions), ball_radius=0.5 * float(thickness or 0.0))
     unused = len(vertices) - len(np.unique(faces))
     if unused:
         actions.append(f"left out {counted(unused, 'point')} that no triangle uses")
     faces = _clean(path, vertices, faces, drop_stray, actions)
     kept, faces = np.unique(faces, return_inverse=True)
-    return Surface(vertices[kept], faces.reshape(-1, 3).astype(np.int64), 0.0, tuple(actions), contents.broken)
+    faces = faces.reshape(-1, 3).astype(np.int64)
+    return MeshContents(vertices[kept], faces, tuple(actions), broken=contents.broken)
 
 
 def _check_file(path: Path) -> None:

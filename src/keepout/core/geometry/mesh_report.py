@@ -1,35 +1,13 @@
 """What a mesh is made of and what is odd about it: parts, open edges, duplicates, stray parts."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse
 import scipy.sparse.csgraph
 from jaxtyping import Bool, Float, Int
 
-
-@dataclass(frozen=True, eq=False)
-class Surface:
-    """Vertices and triangles in metres as read, with what the reading did to them.
-
-    Attributes:
-        vertices: metres.
-        faces: vertex indices.
-        ball_radius: metres, positive for a point cloud; the faces are then (i, i, i).
-        actions: what the reading did, one line each.
-        broken: of the skin of a map: what makes it one that nothing is promised of.
-
-    """
-
-    vertices: Float[np.ndarray, "v 3"]
-    faces: Int[np.ndarray, "f 3"]
-    ball_radius: float = 0.0
-    actions: tuple[str, ...] = ()
-    broken: tuple[str, ...] = ()
-
-    def moved(self, rotation: Float[np.ndarray, "3 3"], origin: Float[np.ndarray, "3"]) -> "Surface":
-        """Express the surface in body axes: rotation @ (vertex - origin)."""
-        return replace(self, vertices=(self.vertices - origin) @ rotation.T)
+from keepout.core.geometry.mesh_files.contents import MeshContents
 
 
 @dataclass(frozen=True)
@@ -79,8 +57,8 @@ class MeshReport:
         return tuple(found)
 
 
-def describe(surface: Surface) -> MeshReport:
-    """Count what is in a surface."""
+def describe(surface: MeshContents) -> MeshReport:
+    """Count what is in a surface in metres."""
     used = surface.vertices[surface.faces]
     lower, upper = used.min(axis=(0, 1)) - surface.ball_radius, used.max(axis=(0, 1)) + surface.ball_radius
     cloud = surface.ball_radius > 0.0

@@ -3,7 +3,7 @@
 import functools
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +14,9 @@ from keepout.core.digest import digest
 from keepout.core.errors import MeshError
 from keepout.core.geometry.builtin import BUILTINS
 from keepout.core.geometry.distance import BallCloudDistance, Distance, ExactDistance
-from keepout.core.geometry.mesh_files.contents import resolved
+from keepout.core.geometry.mesh_files.contents import MeshContents, resolved
 from keepout.core.geometry.mesh_input import read_surface
-from keepout.core.geometry.mesh_report import MeshReport, Surface, describe
+from keepout.core.geometry.mesh_report import MeshReport, describe
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.progress import Progress, part_of, silent
 
@@ -78,17 +78,18 @@ class Target:
                     f"{name}: a built-in is in metres; units, scale, thickness and drop_stray are for files"
                 )
             vertices, faces = BUILTINS[name].build(parameters)
-            surface = Surface(vertices, faces, 0.0)
+            surface = MeshContents(vertices, faces)
         else:
             if parameters:
                 raise MeshError(f"{name}: parameters are for built-ins; a file takes none")
             name = Path(source).stem
             surface = read_surface(Path(source), units=units, scale=scale, drop_stray=drop_stray, thickness=thickness)
         size = float(np.ptp(surface.vertices, axis=0).max())
-        surface = surface.moved(_rotation(rotation), _origin(origin))
+        turned, middle = _rotation(rotation), _origin(origin)
+        surface = replace(surface, vertices=(surface.vertices - middle) @ turned.T)
         if size > 0.0 and not resolved(surface.vertices, size):
             raise MeshError(
-                f"{name}: origin is {np.max(np.abs(_origin(origin))):.4g} m away from a mesh of {size:.4g} m: rounding "
+                f"{name}: origin is {np.max(np.abs(middle)):.4g} m away from a mesh of {size:.4g} m: rounding "
                 "would change it by more than a millionth"
             )
         return cls(name, surface.vertices, surface.faces, describe(surface), surface.ball_radius, surface.broken)

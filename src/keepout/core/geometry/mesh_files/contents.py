@@ -21,14 +21,15 @@ UNENDED = "the last line has no line end, as in a file that was cut short: its l
 
 @dataclass(frozen=True, eq=False)
 class MeshContents:
-    """A file's triangles, or its points where it has no triangles, in file units and file axes.
+    """Triangles, or points: of a file in its units and axes, or a surface made of them, in metres.
 
     Attributes:
         vertices: (v, 3).
-        faces: (f, 3) vertex indices; none where the file holds points only.
-        actions: what was left out or interpreted, one line each.
-        unit: the length unit that the file declares, in the file's own word.
+        faces: (f, 3) vertex indices; none where a file holds points only, (i, i, i) for each ball of a surface.
+        actions: what the reading left out or did, one line each.
+        unit: the length unit that a file declares, in the file's own word.
         broken: of the skin of a map: what makes it one that nothing is promised of.
+        ball_radius: of the surface of a point cloud, metres, positive.
 
     """
 
@@ -37,6 +38,7 @@ class MeshContents:
     actions: tuple[str, ...] = ()
     unit: str | None = None
     broken: tuple[str, ...] = ()
+    ball_radius: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
