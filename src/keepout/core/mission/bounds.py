@@ -20,22 +20,8 @@ from keepout.core.errors import ScenarioError
 from keepout.core.mission.entries import DragEntry, OrbitEntry
 from keepout.core.mission.epoch import parse_instant
 from keepout.core.mission.scenario import Scenario
+from keepout.core.motion import orbit as orbits
 from keepout.core.motion.disturbance import NoDisturbance
-from keepout.core.motion.orbit import (
-    EARTH_EQUATORIAL_RADIUS,
-    EARTH_GRAVITATIONAL_PARAMETER,
-    EARTH_J2,
-    EARTH_ROTATION_RATE,
-    J2,
-    PENUMBRA,
-    SOLAR_PRESSURE,
-    Drag,
-    Orbit,
-    Perturbation,
-    SolarPressure,
-    sun_direction,
-    target_acceleration,
-)
 from keepout.core.motion.relative import MotionState, RelativeMotion
 
 _OUTWARD = 1.0 + 1e-6
@@ -46,7 +32,7 @@ _LOWEST = 6.39e6
 _STRONGEST = 12.0
 """More than gravity and perturbations together give above that, m/s²; checked."""
 
-_OBLATENESS = EARTH_J2 * EARTH_GRAVITATIONAL_PARAMETER * EARTH_EQUATORIAL_RADIUS**2
+_OBLATENESS = orbits.EARTH_J2 * orbits.EARTH_GRAVITATIONAL_PARAMETER * orbits.EARTH_EQUATORIAL_RADIUS**2
 
 
 @dataclass(frozen=True)
@@ -85,12 +71,12 @@ class DifferentialBounds:
     per_speed: float = 0.0
 
 
-def orbit_of(entry: OrbitEntry) -> Orbit:
+def orbit_of(entry: OrbitEntry) -> orbits.Orbit:
     """Build the Kepler ellipse that the target is on at the epoch."""
-    return Orbit(**entry.model_dump(exclude={"j2"}))
+    return orbits.Orbit(**entry.model_dump(exclude={"j2"}))
 
 
-def perturbations(scenario: Scenario) -> tuple[Perturbation, ...]:
+def perturbations(scenario: Scenario) -> tuple[orbits.Perturbation, ...]:
     """Build what bends the scenario's orbits away from Kepler's."""
     return _perturbations(scenario.orbit, scenario.drag, _sunlight(scenario))
 
@@ -98,26 +84,24 @@ def perturbations(scenario: Scenario) -> tuple[Perturbation, ...]:
 def sun_of(scenario: Scenario) -> tuple[float, float, float]:
     """Give the unit vector from the Earth to the scenario's sun, ECI: as told, or as it is at the epoch."""
     given = scenario.sun.direction
-    direction = sun_direction(parse_instant(scenario.epoch)) if given is None else np.asarray(given)
+    direction = orbits.sun_direction(parse_instant(scenario.epoch)) if given is None else np.asarray(given)
     x, y, z = (direction / np.linalg.norm(direction)).tolist()
     return x, y, z
 
 
-def _sunlight(scenario: Scenario) -> SolarPressure | None:
+def _sunlight(scenario: Scenario) -> orbits.SolarPressure | None:
     sun = scenario.sun
     if sun.target_area_to_mass == sun.chaser_area_to_mass == 0.0:
         return None
-    return SolarPressure(
-        direction=sun_of(scenario),
-        target_area_to_mass=sun.target_area_to_mass,
-        chaser_area_to_mass=sun.chaser_area_to_mass,
-    )
+    return orbits.SolarPressure(sun_of(scenario), sun.target_area_to_mass, sun.chaser_area_to_mass)
 
 
-def _perturbations(orbit: OrbitEntry, drag: DragEntry, sunlight: SolarPressure | None) -> tuple[Perturbation, ...]:
-    found: tuple[Perturbation, ...] = (J2(),) if orbit.j2 else ()
+def _perturbations(
+    orbit: OrbitEntry, drag: DragEntry, sunlight: orbits.SolarPressure | None
+) -> tuple[orbits.Perturbation, ...]:
+    found: tuple[orbits.Perturbation, ...] = (orbits.J2(),) if orbit.j2 else ()
     if drag.density > 0.0:
-        found = (*found, Drag(**drag.model_dump()))
+        found = (*found, orbits.Drag(**drag.model_dump()))
     return found if sunlight is None else (*found, sunlight)
 
 
@@ -132,7 +116,7 @@ def orbit_bounds(scenario: Scenario) -> OrbitBounds:
         flown = max(scenario.duration, scenario.steps * scenario.control.period)
         known = scenario.orbit, scenario.drag, _sunlight(scenario)
         return _perturbed(*known, flown)  # pyright: ignore[reportArgumentType]: frozen models have a hash
-    mu = EARTH_GRAVITATIONAL_PARAMETER
+    mu = orbits.EARTH_GRAVITATIONAL_PARAMETER
     a, e = scenario.orbit.semi_major_axis, scenario.orbit.eccentricity
     # Largest true-anomaly rate, at perigee, and a bound on its derivative 2 μ e (1+e)³ / (a³ (1−e²)³).
     rate = math.sqrt(mu / (a * (1.0 - e * e)) ** 3) * (1.0 + e) ** 2
@@ -160,11 +144,11 @@ def differential_bounds(
     """
     by_place = 12.0 * _OBLATENESS / nearest**5 if scenario.orbit.j2 else 0.0
     drag, sun = scenario.drag, scenario.sun
-    by_place += SOLAR_PRESSURE * sun.chaser_area_to_mass / PENUMBRA
-    pushed = SOLAR_PRESSURE * abs(sun.chaser_area_to_mass - sun.target_area_to_mass)
+    by_place += orbits.SOLAR_PRESSURE * sun.chaser_area_to_mass / orbits.PENUMBRA
+    pushed = orbits.SOLAR_PRESSURE * abs(sun.chaser_area_to_mass - sun.target_area_to_mass)
     if drag.density == 0.0:
         return DifferentialBounds(constant=pushed, gradient=by_place)
-    turning = angular_rate + EARTH_ROTATION_RATE
+    turning = angular_rate + orbits.EARTH_ROTATION_RATE
     density = _density(drag, nearest)
     wind = orbit.air_speed + fastest + turning * (orbit.lowest_radius - nearest)
     per_speed = drag.chaser_area_to_mass * density * wind
@@ -178,16 +162,18 @@ def differential_bounds(
 
 def _density(drag: DragEntry, radius: float) -> float:
     """Give the air's density at a distance from the Earth's centre, kg/m³; it falls with the distance."""
-    return drag.density * math.exp(-(radius - EARTH_EQUATORIAL_RADIUS - drag.altitude) / drag.scale_height)
+    return drag.density * math.exp(-(radius - orbits.EARTH_EQUATORIAL_RADIUS - drag.altitude) / drag.scale_height)
 
 
 @functools.lru_cache(maxsize=8)
-def _perturbed(entry: OrbitEntry, drag: DragEntry, sunlight: SolarPressure | None, duration: float) -> OrbitBounds:
-    mu, spin = EARTH_GRAVITATIONAL_PARAMETER, EARTH_ROTATION_RATE
+def _perturbed(
+    entry: OrbitEntry, drag: DragEntry, sunlight: orbits.SolarPressure | None, duration: float
+) -> OrbitBounds:
+    mu, spin = orbits.EARTH_GRAVITATIONAL_PARAMETER, orbits.EARTH_ROTATION_RATE
     steps = min(max(math.ceil(duration), 1), _MOST_STEPS)
     half = 0.5 * duration / steps
     position, velocity = _path(entry, _perturbations(entry, drag, sunlight), duration / steps, steps)
-    shone = 0.0 if sunlight is None else SOLAR_PRESSURE * sunlight.target_area_to_mass
+    shone = 0.0 if sunlight is None else orbits.SOLAR_PRESSURE * sunlight.target_area_to_mass
     distance, speed = np.linalg.norm(position, axis=1), np.linalg.norm(velocity, axis=1)
     momentum = np.linalg.norm(np.cross(position, velocity), axis=1)
     radial = np.abs(np.einsum("ij,ij->i", position, velocity)) / distance
@@ -218,7 +204,7 @@ def _perturbed(entry: OrbitEntry, drag: DragEntry, sunlight: SolarPressure | Non
     along, across = most_momentum / floor**2, turning / least_momentum
     gradient = 12.0 * _OBLATENESS / floor**5 if entry.j2 else 0.0
     per_speed = drag.target_area_to_mass * _density(drag, floor) * wind
-    gradient += dragged / drag.scale_height + per_speed * spin + shone / PENUMBRA
+    gradient += dragged / drag.scale_height + per_speed * spin + shone / orbits.PENUMBRA
     bending = gradient * fastest + per_speed * pull + bent * across
     along_change = bent / floor + 2.0 * along * climbing / floor
     across_change = (climbing * bent + ceiling * bending) / least_momentum + (ceiling * bent / least_momentum) ** 2
@@ -231,12 +217,14 @@ def _perturbed(entry: OrbitEntry, drag: DragEntry, sunlight: SolarPressure | Non
     )
 
 
-def _path(entry: OrbitEntry, parts: tuple[Perturbation, ...], step: float, steps: int) -> tuple[np.ndarray, np.ndarray]:
+def _path(
+    entry: OrbitEntry, parts: tuple[orbits.Perturbation, ...], step: float, steps: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Integrate the target's ECI positions (m) and velocities (m/s), (steps + 1, 3) each, by classical Runge–Kutta."""
 
     def derivative(state: jax.Array) -> jax.Array:
-        mu = jnp.asarray(EARTH_GRAVITATIONAL_PARAMETER)
-        return jnp.concatenate([state[3:], target_acceleration(state[:3], state[3:], mu, parts)])
+        mu = jnp.asarray(orbits.EARTH_GRAVITATIONAL_PARAMETER)
+        return jnp.concatenate([state[3:], orbits.target_acceleration(state[:3], state[3:], mu, parts)])
 
     @eqx.filter_jit
     def path(start: jax.Array) -> jax.Array:
@@ -296,7 +284,7 @@ def _turned(
     motion: RelativeMotion = jax.tree.unflatten(structure, leaves)
     inertia = np.asarray(motion.attitude_motion.inertia)  # pyright: ignore[reportAttributeAccessIssue]
     least, _, most = np.linalg.eigvalsh(inertia)
-    torque = 1.5 * EARTH_GRAVITATIONAL_PARAMETER / lowest_radius**3 * (most - least)
+    torque = 1.5 * orbits.EARTH_GRAVITATIONAL_PARAMETER / lowest_radius**3 * (most - least)
     beside = motion.initial_state(np.zeros(3), np.zeros(3))
     sampled = float(np.max(np.asarray(_rates(motion, beside, jnp.asarray(period), steps)))) * _OUTWARD
 

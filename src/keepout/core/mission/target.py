@@ -13,16 +13,7 @@ from keepout.core.mission.scenario import Scenario
 
 def load_target(entry: TargetEntry) -> Target:
     """Load a scenario's target."""
-    return Target.load(
-        entry.source,
-        units=entry.units,
-        scale=entry.scale,
-        drop_stray=entry.drop_stray,
-        thickness=entry.thickness,
-        rotation=None if entry.rotation is None else np.asarray(entry.rotation),
-        origin=None if entry.origin is None else np.asarray(entry.origin),
-        parameters=dict(entry.parameters) or None,
-    )
+    return Target.load(**entry.model_dump(exclude={"centre_of_mass"}))
 
 
 def require_apart(scenario: Scenario, target: Target) -> None:
