@@ -38,8 +38,8 @@ def random_elements(kind, rng, count, size):
 
 def random_places(elements, rng, each):
     """Random places of each element (each, m, 3), by the weights of its columns; corners among them."""
-    m = elements.columns.shape[1]
-    if elements.kind == "triangle":
+    m = elements.shape[1]
+    if len(elements) == 3:
         places = rng.dirichlet(np.full(3, 0.5), size=(each, m))
         places[:3] = np.eye(3)[:, None, :]
         return places
@@ -49,9 +49,9 @@ def random_places(elements, rng, each):
 
 
 def points_at(elements, places):
-    if elements.kind == "triangle":
-        return np.einsum("emk,kmi->emi", places, elements.columns)
-    return elements.columns[0] + np.einsum("emk,kmi->emi", places, elements.columns[1:])
+    if len(elements) == 3:
+        return np.einsum("emk,kmi->emi", places, elements)
+    return elements[0] + np.einsum("emk,kmi->emi", places, elements[1:])
 
 
 def climbed(layers, beta, elements, places):
@@ -61,13 +61,13 @@ def climbed(layers, beta, elements, places):
         found, gradient = in_numpy(layers, beta, points_at(elements, places).reshape(-1, 3))
         best = np.maximum(best, found.reshape(shape).max(axis=0))
         gradient = gradient.reshape(*shape, 3)
-        if elements.kind == "triangle":  # exponentiated gradient keeps the weights of the corners on the simplex
-            rise = np.einsum("emi,kmi->emk", gradient, elements.columns)
+        if len(elements) == 3:  # exponentiated gradient keeps the weights of the corners on the simplex
+            rise = np.einsum("emi,kmi->emk", gradient, elements)
             rise -= rise.max(axis=2, keepdims=True)
             places = places * np.exp(10.0 * step * rise / np.maximum(np.abs(rise).max(axis=2, keepdims=True), 1e-12))
             places /= places.sum(axis=2, keepdims=True)
         else:
-            rise = np.einsum("emi,kmi->emk", gradient, elements.columns[1:])
+            rise = np.einsum("emi,kmi->emk", gradient, elements[1:])
             places = np.clip(places + step * np.sign(rise), -1.0, 1.0)
     return best
 
@@ -165,7 +165,7 @@ def test_elements_are_bounded_alike_in_any_company(kind):
     elements = random_elements(kind, rng, 2 * bounds.CHUNK + 3, 0.01)
     together = bounds.upper_bounds(network, elements)
     for i in (0, bounds.CHUNK - 1, bounds.CHUNK, 2 * bounds.CHUNK + 2):
-        alone = bounds.upper_bounds(network, elements._replace(columns=elements.columns[:, i : i + 1]))
+        alone = bounds.upper_bounds(network, elements[:, i : i + 1])
         assert alone.upper[0] == pytest.approx(together.upper[i], abs=1e-10)
         assert alone.slope[0] == pytest.approx(together.slope[i], abs=1e-10)
         assert alone.evaluation_error[0] == pytest.approx(together.evaluation_error[i], rel=1e-5)

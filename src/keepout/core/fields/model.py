@@ -281,12 +281,12 @@ def _read(path: Path) -> tuple[dict, dict[str, np.ndarray]]:
             tensors = {name: file.get_tensor(name) for name in names}
     except FileNotFoundError:
         raise FieldError(f"{path}: no such file; a field is a .keepout file") from None
+    except FieldError:
+        raise
     except (OSError, safetensors.SafetensorError, KeyError, TypeError, ValueError) as error:
-        if isinstance(error, FieldError):
-            raise
         raise FieldError(f"{path}: damaged, truncated, or not a field file ({error})") from None
-    if not isinstance(header, dict) or header.get("version") != VERSION:
-        version = header.get("version") if isinstance(header, dict) else None
+    version = header.get("version") if isinstance(header, dict) else None
+    if version != VERSION:
         raise FieldError(f"{path}: field format version {version}; this release reads version {VERSION}")
     if _digest(tensors, header) != metadata.get("sha256"):
         raise FieldError(f"{path}: its contents do not match its checksum: edited or damaged")

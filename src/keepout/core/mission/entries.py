@@ -6,7 +6,7 @@ said in its table's docstring, of which the first line says what the table is fo
 
 import inspect
 from collections.abc import Iterator
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
@@ -83,7 +83,7 @@ class Entry(BaseModel, metaclass=_Documented):
         return iter(())
 
     @model_validator(mode="after")
-    def _goes_together(self) -> Self:
+    def _goes_together(self) -> "Entry":
         for said in self._contradictions():
             raise ValueError(said)
         return self

@@ -11,7 +11,7 @@ A softplus is relaxed neuron by neuron in compiled loops. Most neurons are far f
 There σ is its limit, and the exponential is not asked.
 """
 
-from typing import Any, Literal, NamedTuple, no_type_check
+from typing import Any, NamedTuple, no_type_check
 
 import numba
 import numpy as np
@@ -70,28 +70,20 @@ class Network(NamedTuple):
         )
 
 
-class Elements(NamedTuple):
-    """Triangles by their corners, or boxes by centre and half widths, in normalised coordinates.
-
-    Attributes:
-        kind: what the columns are.
-        columns: (3, m, 3) corners; or (4, m, 3): centre, then the three half-width vectors along the axes.
-
-    """
-
-    kind: Literal["triangle", "box"]
-    columns: Float[np.ndarray, "k m 3"]
+Elements = Float[np.ndarray, "k m 3"]
+"""In normalised coordinates: the corners of m triangles (3, m, 3); or of m boxes the centre, then the three half-width
+vectors along the axes (4, m, 3)."""
 
 
 def triangles(corners: Float[np.ndarray, "m 3 3"]) -> Elements:
     """Triangles from (m, corner, coordinate)."""
-    return Elements("triangle", np.ascontiguousarray(corners.transpose(1, 0, 2)))
+    return np.ascontiguousarray(corners.transpose(1, 0, 2))
 
 
 def boxes(centres: Float[np.ndarray, "m 3"], half_widths: Float[np.ndarray, "m 3"]) -> Elements:
     """Boxes from centres and half widths."""
     generators = np.eye(3)[:, None, :] * half_widths[None]
-    return Elements("box", np.concatenate([centres[None], generators]))
+    return np.concatenate([centres[None], generators])
 
 
 class Bounds(NamedTuple):
@@ -112,17 +104,17 @@ class Bounds(NamedTuple):
 
 def upper_bounds(network: Network, elements: Elements) -> Bounds:
     """Bounds of the network over each element, on all cores."""
-    m = elements.columns.shape[1]
+    m = elements.shape[1]
     answer = Bounds(np.empty(m), np.empty((m, 3)), np.empty(m), np.empty(m))
 
     def work(part: slice) -> None:
-        room = _Room.of(network, len(elements.columns))
+        room = _Room.of(network, len(elements))
         for start in range(part.start, min(part.stop, m), CHUNK):
-            piece = elements.columns[:, start : min(start + CHUNK, part.stop)]
+            piece = elements[:, start : min(start + CHUNK, part.stop)]
             count = piece.shape[1]
             padded = np.concatenate([piece, np.repeat(piece[:, -1:], CHUNK - count, axis=1)], axis=1)
             with np.errstate(over="ignore", invalid="ignore"):  # what overflows is bounded by infinity
-                some = _bounds(network, elements.kind == "box", padded, room)
+                some = _bounds(network, len(elements) == 4, padded, room)
             for whole, part_of_it in zip(answer, some):
                 whole[start : start + count] = part_of_it[:count]
 

@@ -193,6 +193,7 @@ class JoinedSpline(NamedTuple):
         block: each block's place in the grid of blocks of its level.
         used: by octant, whether no finer block lies there, so that the field is this block's spline.
         difference: max |c - c*|, metres.
+        corner: lowest one of the grid, from the continuation's centre, metres.
 
     """
 
@@ -201,6 +202,18 @@ class JoinedSpline(NamedTuple):
     block: Int[np.ndarray, "blocks 3"]
     used: Bool[np.ndarray, "blocks 2 2 2"]
     difference: float
+    corner: Float[np.ndarray, "3"]
+
+    def middles(self, number: Int[np.ndarray, "m"], place: Int[np.ndarray, "m 3"]) -> Float[np.ndarray, "m 3"]:
+        """Middles of the cells at some places of some blocks, from the continuation's centre, metres."""
+        return self.corner + self.spacing[number, None] * (BLOCK * self.block[number] + place + 0.5)
+
+    def cells(self, number: Int[np.ndarray, "m"], place: Int[np.ndarray, "m 3"]) -> "_Cells":
+        """Give the same cells."""
+        x, y, z = (place[:, axis, None] + np.arange(4) for axis in range(3))
+        block = number[:, None, None, None]
+        c = self.coefficients[block, x[:, :, None, None], y[:, None, :, None], z[:, None, None, :]].reshape(-1, 64)
+        return _Cells(c - c[:, :1], self.middles(number, place), self.spacing[number])
 
 
 def joined_spline(field: GridField) -> JoinedSpline:
@@ -231,7 +244,8 @@ def joined_spline(field: GridField) -> JoinedSpline:
                 own_nodes(table, blocks), stored[numbers], inherited_coefficients(joined[parents], blocks)
             )
         joined[numbers] = _one_value_a_node(joined[numbers], blocks)
-    return JoinedSpline(joined, spacing, block, used, float(np.abs(joined - stored).max()))
+    corner = np.asarray(field.origin) - np.asarray(field.continuation.centre)
+    return JoinedSpline(joined, spacing, block, used, float(np.abs(joined - stored).max()), corner)
 
 
 def _one_value_a_node(
@@ -278,7 +292,7 @@ class _Cells(NamedTuple):
 def grid_slope(field: GridField, spline: JoinedSpline) -> Slope:
     """Bound ‖∇f‖ over all of space, f the field with the C² spline f* in place of the stored blocks."""
     zones = _Zones.of(field.continuation)
-    rough, number, place = _rough_bounds(field, spline, zones)
+    rough, number, place = _rough_bounds(spline, zones)
     # Far away the continuation's slope tends to 1.
     found = largest = 1.0
     parts, open_ = 0, []
@@ -303,7 +317,7 @@ def grid_slope(field: GridField, spline: JoinedSpline) -> Slope:
         chosen = order[first : first + _PIECE]
         chosen = chosen[settle(rough[chosen])]
         if len(chosen):
-            look(_gathered(field, spline, number[chosen], place[chosen]))
+            look(spline.cells(number[chosen], place[chosen]))
     while open_:
         # The steepest first, so that cells run out only where they are small.
         cells, bound = open_.pop(int(np.argmax([bound.max() for _, bound in open_])))
@@ -316,7 +330,7 @@ def grid_slope(field: GridField, spline: JoinedSpline) -> Slope:
 
 
 def _rough_bounds(
-    field: GridField, spline: JoinedSpline, zones: "_Zones"
+    spline: JoinedSpline, zones: "_Zones"
 ) -> tuple[Float[np.ndarray, "m"], Int[np.ndarray, "m"], Int[np.ndarray, "m 3"]]:
     """Bound the slope in each cell that is asked, by its largest coefficient differences; block and place of each.
 
@@ -330,7 +344,7 @@ def _rough_bounds(
         bound = slopes_by_differences(spline.coefficients[part], h).reshape(len(h), -1)
         used = spline.used[part].repeat(BLOCK // 2, 1).repeat(BLOCK // 2, 2).repeat(BLOCK // 2, 3).reshape(len(h), -1)
         block, cell = np.nonzero(used)
-        nearest, farthest = _radii(_middles(field, spline, first + block, steps[cell]), h[block])
+        nearest, farthest = _radii(spline.middles(first + block, steps[cell]), h[block])
         asked = nearest <= zones.last
         block, cell, farthest = block[asked], cell[asked], farthest[asked]
         rough.append(np.where(farthest > zones.target, np.inf, bound[block, cell]))
@@ -355,24 +369,6 @@ def slopes_by_differences(
             difference = np.maximum.reduce(parts)
         total = total + (difference / spacing[:, None, None, None]) ** 2
     return np.sqrt(total)
-
-
-def _middles(
-    field: GridField, spline: JoinedSpline, number: Int[np.ndarray, "m"], place: Int[np.ndarray, "m 3"]
-) -> Float[np.ndarray, "m 3"]:
-    """Middles of cells from the continuation's centre, metres."""
-    corner = np.asarray(field.origin) - np.asarray(field.continuation.centre)
-    return corner + spline.spacing[number, None] * (BLOCK * spline.block[number] + place + 0.5)
-
-
-def _gathered(
-    field: GridField, spline: JoinedSpline, number: Int[np.ndarray, "m"], place: Int[np.ndarray, "m 3"]
-) -> _Cells:
-    x, y, z = (place[:, axis, None] + np.arange(4) for axis in range(3))
-    c = spline.coefficients[
-        number[:, None, None, None], x[:, :, None, None], y[:, None, :, None], z[:, None, None, :]
-    ].reshape(-1, 64)
-    return _Cells(c - c[:, :1], _middles(field, spline, number, place), spline.spacing[number])
 
 
 def _radii(
