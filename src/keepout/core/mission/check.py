@@ -159,7 +159,7 @@ def check(
     if refused is not None:
         found.append(Refusal(str(refused), tuple(remedies(scenario, target))))
     progress(0.25, "places")
-    touching = _touching(scenario, target)
+    touching, room = _touching(scenario, target), room_to_start(scenario)
     try:
         if model is None:
             require_files(scenario)
@@ -170,10 +170,11 @@ def check(
         found.append(Refusal(str(refusal), _certified_radius(scenario, model)))
         model = None
     for name, said in touching.items():
-        near = _beside_mesh(scenario, target, name) if found or model is None else None
-        if near is None and model is not None:
+        if found or model is None:  # what a field says of the place is not known
+            near = _place(scenario, target, name, lambda points: target.distance.distance(points) > room)
+        else:
             near = _free_place(scenario, target, model, name, said, part_of(progress, 0.3, 0.9))
-        found.append(Refusal(said, near or ()))
+        found.append(Refusal(said, near))
     if found or model is None:
         return Check(scenario, words, tuple(found), assumptions_broken=broken)
     try:
@@ -225,21 +226,20 @@ def _touching(scenario: Scenario, target: Target) -> dict[str, str]:
     return found
 
 
-def _with_way_out(
-    scenario: Scenario, target: Target, points: Float[np.ndarray, "n 3"], roomy: Bool[np.ndarray, " n"]
-) -> Bool[np.ndarray, " n"]:
-    """Keep of the points with room the first one that is proved to have a way out, as one is all that is asked for."""
-    kept = np.zeros(len(points), dtype=bool)
-    for place in np.flatnonzero(roomy):
-        if has_way_out(scenario, target, points[place]):
-            kept[place] = True
-            break
-    return kept
-
-
-def _place(scenario: Scenario, target: Target, name: str, free: Any) -> tuple[Nearest, ...]:
+def _place(scenario: Scenario, target: Target, name: str, roomy: Any) -> tuple[Nearest, ...]:
+    """Give a place near a start or goal that has room, and is proved to have a way out."""
     place = np.asarray(getattr(scenario, name).position)
     size = float(np.ptp(target.vertices, axis=0).max())
+
+    def free(points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+        """Keep of the points with room the first one with a way out, as one is all that is asked for."""
+        kept = np.zeros(len(points), dtype=bool)
+        for number in np.flatnonzero(roomy(points)):
+            if has_way_out(scenario, target, points[number]):
+                kept[number] = True
+                break
+        return kept
+
     near = nearest_place(free, place, 2.0 * size + 10.0)
     if near is None:
         return ()
@@ -272,16 +272,6 @@ def _named(refusal: KeepoutError) -> str | None:
     return "start" if "at the start" in said or said.removeprefix("guard: ").startswith("start") else None
 
 
-def _beside_mesh(scenario: Scenario, target: Target, name: str) -> tuple[Nearest, ...]:
-    """Give a place near a start or goal with room beside the mesh; what a field says of it is not known."""
-    room = room_to_start(scenario)
-
-    def free(points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-        return _with_way_out(scenario, target, points, target.distance.distance(points) > room)
-
-    return _place(scenario, target, name, free)
-
-
 def _free_place(
     scenario: Scenario, target: Target, model: FieldModel, name: str, said: str, progress: Progress
 ) -> tuple[Nearest, ...]:
@@ -291,11 +281,7 @@ def _free_place(
     least = designed.keep_out + (tune(designed).nominal_offset if scenario.control.profile == "default" else 0.0)
     # Beside what the law keeps there is the guard's tube; where that is not enough, more.
     for extra in (0.01, 0.25, 0.5, 1.0):
-
-        def free(points: Float[np.ndarray, "n 3"], least: float = least + extra) -> Bool[np.ndarray, " n"]:
-            return _with_way_out(scenario, target, points, values(model.field, points) > least)
-
-        near = _place(scenario, target, name, free)
+        near = _place(scenario, target, name, lambda points, e=extra: values(model.field, points) > least + e)
         if not near:
             return ()
         progress(0.9, "nearest place")
