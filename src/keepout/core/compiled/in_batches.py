@@ -32,10 +32,7 @@ def joined_rows(function: Callable[[PyTree, PyTree], PyTree], shared: PyTree, ro
         rows: its second argument.
 
     """
-
-    @custom_vmap
-    def joined(shared: PyTree, rows: PyTree) -> PyTree:
-        return function(shared, rows)
+    joined = custom_vmap(function)
 
     @joined.def_vmap
     def batched(size: int, is_batched: Any, shared: PyTree, rows: PyTree) -> tuple[PyTree, PyTree]:
@@ -53,16 +50,21 @@ def joined_rows(function: Callable[[PyTree, PyTree], PyTree], shared: PyTree, ro
             answer = jax.tree.map(lambda y: y.reshape(size, y.shape[0] // size, *y.shape[1:]), answer)
         return answer, jax.tree.map(lambda _: True, answer)
 
-    # Derivatives of any order and direction are those of the function as it is written.
+    return _derived_as_written(joined, function)(shared, rows)
+
+
+def _derived_as_written(run: Callable[..., PyTree], written: Callable[..., PyTree]) -> Callable[..., PyTree]:
+    """Give `run` with the derivatives, of any order and direction, of the function as it is written."""
+
     @jax.custom_jvp
-    def differentiable(shared: PyTree, rows: PyTree) -> PyTree:
-        return joined(shared, rows)
+    def differentiable(*arguments: PyTree) -> PyTree:
+        return run(*arguments)
 
     @differentiable.defjvp
-    def _(primals: tuple[PyTree, PyTree], tangents: tuple[PyTree, PyTree]) -> tuple[PyTree, PyTree]:
-        return jax.jvp(function, primals, tangents)
+    def _(primals: tuple[PyTree, ...], tangents: tuple[PyTree, ...]) -> tuple[PyTree, PyTree]:
+        return jax.jvp(written, primals, tangents)
 
-    return differentiable(shared, rows)
+    return differentiable
 
 
 def rows_last(found: Array) -> Array:
@@ -83,9 +85,10 @@ def where_needed(
     batch; if it is not, everything is evaluated everywhere.
     """
 
-    @custom_vmap
-    def chosen(shared: PyTree, needed: Array, default: PyTree, own: PyTree) -> PyTree:
+    def written(shared: PyTree, needed: Array, default: PyTree, own: PyTree) -> PyTree:
         return jax.lax.cond(needed, lambda: function(shared, *own), lambda: default)
+
+    chosen = custom_vmap(written)
 
     @chosen.def_vmap
     def batched(
@@ -107,19 +110,8 @@ def where_needed(
         )
         return _in_groups(function, size, shared, needed, default, own), done
 
-    # Derivatives are those of the choice as it is written; a batch of them evaluates both sides.
-    @jax.custom_jvp
-    def differentiable(shared: PyTree, needed: Array, default: PyTree, own: PyTree) -> PyTree:
-        return chosen(shared, needed, default, own)
-
-    @differentiable.defjvp
-    def _(primals: tuple[PyTree, ...], tangents: tuple[PyTree, ...]) -> tuple[PyTree, PyTree]:
-        def written(shared: PyTree, needed: Array, default: PyTree, own: PyTree) -> PyTree:
-            return jax.lax.cond(needed, lambda: function(shared, *own), lambda: default)
-
-        return jax.jvp(written, primals, tangents)
-
-    return differentiable(shared, needed, default, own)
+    # A batch of derivatives evaluates both sides.
+    return _derived_as_written(chosen, written)(shared, needed, default, own)
 
 
 def _in_groups(
