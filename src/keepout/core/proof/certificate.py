@@ -21,20 +21,14 @@ from keepout.core.fields.grid import GridField
 from keepout.core.fields.model import Certificate, FieldModel
 from keepout.core.fields.neural import NeuralField
 from keepout.core.fields.own import FunctionField
+from keepout.core.geometry import level_set
 from keepout.core.geometry.distance import ExactDistance
-from keepout.core.geometry.level_set import (
-    largest_on_level,
-    level_points,
-    onto_level,
-    random_directions,
-    surface_points,
-)
 from keepout.core.geometry.octree import CORNERS, straddling_cells
 from keepout.core.geometry.target import Target
 from keepout.core.progress import Progress, part_of, silent
 from keepout.core.proof import bounds
 from keepout.core.proof.grid import certify_grid
-from keepout.core.proof.slope import GAP, Lipschitz, prove_lipschitz
+from keepout.core.proof.slope import GAP, prove_lipschitz
 
 PIECE = 32_768
 """Elements bounded between two reports of progress."""
@@ -87,7 +81,13 @@ def certify(
     found = largest_found(field, distance, chaser_radius, np.random.default_rng(seed))
     progress(0.1, f"largest value found {found - chaser_radius:+.4f} m")
     upper, evaluation, found = _bound_on_contact(field, distance, chaser_radius, found, progress)
-    slope = _steepest(model, distance, chaser_radius, np.random.default_rng(seed + 1), prove_slope, progress)
+    steepest = steepest_found(field, distance, chaser_radius, np.random.default_rng(seed + 1))
+    # What another certificate of the model proved for a smaller radius holds for this one.
+    smaller = (c for c in model.certificates if c.gradient_kind == "certified" and c.chaser_radius <= chaser_radius)
+    proved = next((c.gradient_bound for c in smaller if c.gradient_bound >= steepest), None)
+    if proved is None and prove_slope:
+        part = part_of(progress, 0.7, 1.0)
+        steepest, proved = prove_lipschitz(field, distance, found=steepest, clearance=chaser_radius, progress=part)
     progress(1.0, f"error bound {upper - chaser_radius:+.4f} m, largest found {found - chaser_radius:+.4f} m")
     return model.certified(
         "certified",
@@ -96,10 +96,10 @@ def certify(
         error_bound=float(upper - chaser_radius),
         allowance=0.0,
         sampled_maximum=float(found - chaser_radius),
-        gradient_bound=(1.0 + GRADIENT_ALLOWANCE) * slope.found if slope.proved is None else slope.proved,
-        gradient_kind="sampled" if slope.proved is None else "certified",
+        gradient_bound=(1.0 + GRADIENT_ALLOWANCE) * steepest if proved is None else proved,
+        gradient_kind="sampled" if proved is None else "certified",
         evaluation_error=float(evaluation),
-        gradient_found=slope.found,
+        gradient_found=steepest,
     )
 
 
@@ -193,13 +193,13 @@ def require_network_and_mesh(model: FieldModel, target: Target, *, where: str) -
 
 def largest_found(field: NeuralField, distance: ExactDistance, radius: float, generator: np.random.Generator) -> float:
     """Return the largest f̃ found on {d = radius}: samples, then random ascent around the best of them."""
-    start = level_points(distance, radius, 60_000, generator)
+    start = level_set.level_points(distance, radius, 60_000, generator)
     value = values(field, start)
     best = float(value.max())
     points = start[np.argsort(-value)[:400]]
     for step in (0.2, 0.1, 0.05, 0.03, 0.02, 0.01, 0.005, 0.002):
         moved = np.repeat(points, 10, axis=0)
-        moved = onto_level(distance, moved + step * generator.normal(size=moved.shape), radius)
+        moved = level_set.onto_level(distance, moved + step * generator.normal(size=moved.shape), radius)
         candidates = np.concatenate([points, moved])
         value = values(field, candidates)
         points = candidates[np.argsort(-value)[:400]]
@@ -207,36 +207,13 @@ def largest_found(field: NeuralField, distance: ExactDistance, radius: float, ge
     return best
 
 
-def _steepest(
-    model: FieldModel,
-    distance: ExactDistance,
-    radius: float,
-    generator: np.random.Generator,
-    prove: bool,
-    progress: Progress,
-) -> Lipschitz:
-    """Return the largest ‖∇f̃‖ found where d ≥ radius, and a proved bound of it, or None if not asked or too long.
-
-    What another certificate of the model proved for a smaller radius holds for this one.
-    """
-    assert isinstance(model.field, NeuralField)
-    found = steepest_found(model.field, distance, radius, generator)
-    for other in model.certificates:
-        if other.gradient_kind == "certified" and other.chaser_radius <= radius and other.gradient_bound >= found:
-            return Lipschitz(found, other.gradient_bound)
-    if not prove:
-        return Lipschitz(found, None)
-    part = part_of(progress, 0.7, 1.0)
-    return prove_lipschitz(model.field, distance, found=found, clearance=radius, progress=part)
-
-
 def steepest_found(
     field: NeuralField, distance: ExactDistance, clearance: float, generator: np.random.Generator
 ) -> float:
     """Return the largest ‖∇f̃‖ found where d ≥ clearance: samples near and far, then random ascent."""
     centre, radius = np.asarray(field.continuation.centre), float(field.continuation.outer_radius)
-    start = surface_points(distance, 60_000, generator, by_area=0.5)
-    direction = random_directions(generator, len(start))
+    start = level_set.surface_points(distance, 60_000, generator, by_area=0.5)
+    direction = level_set.random_directions(generator, len(start))
     near = start + (clearance + generator.exponential(0.2, size=(len(start), 1))) * direction
     far = centre + radius * generator.uniform(-1.2, 1.2, size=(20_000, 3))
     points = np.concatenate([near, far])
@@ -279,7 +256,7 @@ def _bound_on_contact(
         seen += len(frontier)
         # The elements that matter know where to look for a larger value.
         worst = frontier[np.argsort(-upper)[:LOOKED_AT]]
-        places = worst.mean(axis=1) if radius == 0.0 else onto_level(distance, worst[:, 0], radius)
+        places = worst.mean(axis=1) if radius == 0.0 else level_set.onto_level(distance, worst[:, 0], radius)
         found = max(found, float(values(field, places).max(initial=-np.inf)))
         large = _length(frontier, radius) > POINT_LIKE
         if stated is None or found > radius + stated.error_bound:
@@ -340,7 +317,7 @@ class _Contact:
             boxes = bounds.boxes(middle, (piece[:, 1] + self.slack) / scale)
             upper, slope, constant, error = bounds.upper_bounds(self.network, boxes)
             half = piece[:, 1, 0] + self.slack
-            cut = largest_on_level(self.distance, self.radius, piece[:, 0], half, slope)
+            cut = level_set.largest_on_level(self.distance, self.radius, piece[:, 0], half, slope)
             upper = np.fmin(upper, (middle * slope).sum(axis=1) + constant + cut / scale)
         return scale * (upper + error), scale * error
 
