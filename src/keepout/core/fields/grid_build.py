@@ -1,5 +1,6 @@
 """Building a grid field from exact distances."""
 
+import dataclasses
 import time
 
 import jax.numpy as jnp
@@ -15,6 +16,7 @@ from keepout.core.geometry.target import Target
 from keepout.core.progress import Progress, silent
 
 _COARSEST_BLOCKS = 6
+_PIECE = 200_000
 
 
 def build_grid(
@@ -54,15 +56,18 @@ def build_grid(
     numbered = 0
     for level in range(levels - 1, -1, -1):
         h = spacing * 2**level
+        here = _Level(solid, origin, h)
         shape = (count * 2 ** (levels - 1 - level),) * 3
         if not tables:
             blocks = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1).reshape(-1, 3)
             inherited = None
         else:
-            blocks, inherited = _children(tables[-1], coefficients[-1], numbered, solid, origin, h, max(band, 6.0 * h))
+            blocks = here.near(tables[-1], max(band, 6.0 * h))
+            parents = tables[-1][tuple((blocks // 2).T)] - (numbered - len(coefficients[-1]))
+            inherited = inherited_coefficients(coefficients[-1][parents], blocks)
         table = np.full(shape, -1, dtype=np.int32)
         table[tuple(blocks.T)] = numbered + np.arange(len(blocks))
-        values = _coefficients(table, blocks, inherited, solid, origin, h)
+        values = here.coefficients(table, blocks, inherited)
         numbered += len(blocks)
         tables.append(table)
         coefficients.append(values)
@@ -82,53 +87,44 @@ def build_grid(
     return FieldModel(field, target.name, target.sha256, solid.offset, training)
 
 
-def _children(
-    table: Int[np.ndarray, "a b c"],
-    parents: Float[np.ndarray, "p 11 11 11"],
-    numbered: int,
-    solid: OffsetSolid,
-    origin: Float[np.ndarray, "3"],
-    h: float,
-    band: float,
-) -> tuple[Int[np.ndarray, "m 3"], Float[np.ndarray, "m 11 11 11"]]:
-    """Blocks of spacing h near a surface inside the parents' blocks, and the parents' spline on their nodes."""
-    parent_blocks = np.argwhere(table >= 0)
-    corner = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1).reshape(-1, 3)
-    blocks = (2 * parent_blocks[:, None, :] + corner).reshape(-1, 3)
-    half = 0.5 * BLOCK * h
-    centres = origin + (2.0 * blocks + 1.0) * half
-    reach = half * np.sqrt(3.0)
-    keep = solid.distance.distance(centres) <= band + reach
-    keep[keep] = solid.signed_distance(centres[keep]) + reach > -h  # all of the block is deep inside otherwise
-    blocks = blocks[keep]
-    first = numbered - len(parents)
-    own_parents = parents[table[tuple((blocks // 2).T)] - first]
-    return blocks, inherited_coefficients(own_parents, blocks)
+@dataclasses.dataclass(frozen=True)
+class _Level:
+    """A level of a grid about a solid: where its blocks begin, and the spacing h of its nodes, metres."""
 
+    solid: OffsetSolid
+    origin: Float[np.ndarray, "3"]
+    h: float
 
-def _coefficients(
-    table: Int[np.ndarray, "a b c"],
-    blocks: Int[np.ndarray, "m 3"],
-    inherited: Float[np.ndarray, "m 11 11 11"] | None,
-    solid: OffsetSolid,
-    origin: Float[np.ndarray, "3"],
-    h: float,
-) -> Float32[np.ndarray, "m 11 11 11"]:
-    """Signed distances at the nodes, or the coarser spline's coefficients, rounded down to float32."""
-    local = np.stack(np.meshgrid(NODES, NODES, NODES, indexing="ij"), axis=-1)
-    nodes = (BLOCK * blocks[:, None, None, None, :] + local).reshape(-1, 3)
-    extent = BLOCK * max(table.shape) + 4
-    code = ((nodes[:, 0] + 1) * extent + nodes[:, 1] + 1) * extent + nodes[:, 2] + 1
-    unique, back = np.unique(code, return_inverse=True)
-    grid = np.stack([unique // extent**2, unique // extent % extent, unique % extent], axis=-1) - 1
-    points = origin + h * grid
-    signed = np.empty(len(points))
-    for first in range(0, len(points), 200_000):
-        piece = slice(first, first + 200_000)
-        signed[piece] = solid.signed_distance(points[piece])
-    shape = (len(blocks), STORED, STORED, STORED)
-    signed = signed[back].reshape(shape)
-    if inherited is not None:
-        signed = np.where(own_nodes(table, blocks), signed, inherited)
-    rounded = signed.astype(np.float32)
-    return np.where(rounded > signed, np.nextafter(rounded, np.float32(-np.inf)), rounded)
+    def near(self, table: Int[np.ndarray, "a b c"], band: float) -> Int[np.ndarray, "m 3"]:
+        """Blocks of this spacing near a surface inside the blocks of a table of twice the spacing."""
+        corner = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1).reshape(-1, 3)
+        blocks = (2 * np.argwhere(table >= 0)[:, None, :] + corner).reshape(-1, 3)
+        half = 0.5 * BLOCK * self.h
+        centres = self.origin + (2.0 * blocks + 1.0) * half
+        reach = half * np.sqrt(3.0)
+        keep = self.solid.distance.distance(centres) <= band + reach
+        # All of the block is deep inside otherwise.
+        keep[keep] = self.solid.signed_distance(centres[keep]) + reach > -self.h
+        return blocks[keep]
+
+    def coefficients(
+        self,
+        table: Int[np.ndarray, "a b c"],
+        blocks: Int[np.ndarray, "m 3"],
+        inherited: Float[np.ndarray, "m 11 11 11"] | None,
+    ) -> Float32[np.ndarray, "m 11 11 11"]:
+        """Signed distances at the nodes, or the coarser spline's coefficients, rounded down to float32."""
+        local = np.stack(np.meshgrid(NODES, NODES, NODES, indexing="ij"), axis=-1)
+        nodes = (BLOCK * blocks[:, None, None, None, :] + local).reshape(-1, 3)
+        extent = BLOCK * max(table.shape) + 4
+        code = ((nodes[:, 0] + 1) * extent + nodes[:, 1] + 1) * extent + nodes[:, 2] + 1
+        unique, back = np.unique(code, return_inverse=True)
+        grid = np.stack([unique // extent**2, unique // extent % extent, unique % extent], axis=-1) - 1
+        points = self.origin + self.h * grid
+        pieces = [points[first : first + _PIECE] for first in range(0, len(points), _PIECE)]
+        signed = np.concatenate([np.zeros(0), *map(self.solid.signed_distance, pieces)])
+        signed = signed[back].reshape(len(blocks), STORED, STORED, STORED)
+        if inherited is not None:
+            signed = np.where(own_nodes(table, blocks), signed, inherited)
+        rounded = signed.astype(np.float32)
+        return np.where(rounded > signed, np.nextafter(rounded, np.float32(-np.inf)), rounded)

@@ -11,7 +11,7 @@ parts are).
 """
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -128,54 +128,44 @@ def extract_surface(
     progress(0.0, "cells of the surface")
     cells, (meets,) = refine(around.origin, around.side, around.depth, visit, 1)
     index = cells.index[meets & (cells.level == around.depth)].astype(np.int64)
-    mesh = _marching_cubes(lambda points: values(field, points), index, around.origin, spacing, level, progress)
-    if mesh is None:
-        raise FieldError(f"level {level:g} m: the field takes it nowhere near the target")
-    return Surface(*mesh, spacing)
-
-
-def _marching_cubes(
-    function: Callable[[Points], Float[np.ndarray, "n"]],
-    index: Int[np.ndarray, "cells 3"],
-    origin: Float[np.ndarray, "3"],
-    spacing: float,
-    level: float,
-    progress: Progress,
-) -> tuple[Points, Int[np.ndarray, "f 3"]] | None:
-    """Vertices and faces of the level set in the chosen cells of a grid."""
-    all_vertices, all_faces, count = [], [], 0
     index = index[np.argsort(index[:, 0], kind="stable")]
+    all_vertices, all_faces, count = [], [], 0
     slab = index[:, 0] // _SLAB
     starts = np.flatnonzero(np.diff(slab, prepend=-1))
     for place, (start, end) in enumerate(zip(starts, [*starts[1:], len(index)])):
         progress((place + 1) / (len(starts) + 1), f"slab {place + 1} of {len(starts)}")
-        cells = index[start:end]
-        low = cells.min(axis=0)
-        i, j, k = (cells - low).T
-        shape = (cells.max(axis=0) - low + 2).tolist()
-        wanted = np.zeros(shape, dtype=bool)
-        for a in (0, 1):
-            for b in (0, 1):
-                for c in (0, 1):
-                    wanted[i + a, j + b, k + c] = True
-        nodes = np.argwhere(wanted)
-        volume = np.full(shape, np.float32(level + 1e6))
-        volume[wanted] = function(origin + (nodes + low) * spacing)
-        # scikit-image's mask belongs to the far corner of a cell.
-        mask = np.zeros(shape, dtype=bool)
-        mask[i + 1, j + 1, k + 1] = True
-        inside = volume[wanted] < level
-        if inside.all() or not inside.any():
-            continue
-        vertices, faces, _, _ = measure.marching_cubes(
-            volume, level, spacing=(spacing,) * 3, gradient_direction="descent", mask=mask, allow_degenerate=False
-        )
-        all_vertices.append(vertices.astype(np.float64) + origin + low * spacing)
-        all_faces.append(faces.astype(np.int64) + count)
+        vertices, faces = _marching_cubes(field, index[start:end], around.origin, spacing, level)
+        all_vertices.append(vertices)
+        all_faces.append(faces + count)
         count += len(vertices)
     if count == 0:
-        return None
-    return np.concatenate(all_vertices), np.concatenate(all_faces)
+        raise FieldError(f"level {level:g} m: the field takes it nowhere near the target")
+    return Surface(np.concatenate(all_vertices), np.concatenate(all_faces), spacing)
+
+
+def _marching_cubes(
+    field: Field, cells: Int[np.ndarray, "m 3"], origin: Float[np.ndarray, "3"], spacing: float, level: float
+) -> tuple[Points, Int[np.ndarray, "f 3"]]:
+    """Vertices and faces of the level set in some cells of a grid."""
+    low = cells.min(axis=0)
+    i, j, k = (cells - low).T
+    shape = (cells.max(axis=0) - low + 2).tolist()
+    wanted = np.zeros(shape, dtype=bool)
+    for a, b, c in np.ndindex(2, 2, 2):
+        wanted[i + a, j + b, k + c] = True
+    nodes = np.argwhere(wanted)
+    volume = np.full(shape, np.float32(level + 1e6))
+    volume[wanted] = values(field, origin + (nodes + low) * spacing)
+    # scikit-image's mask belongs to the far corner of a cell.
+    mask = np.zeros(shape, dtype=bool)
+    mask[i + 1, j + 1, k + 1] = True
+    inside = volume[wanted] < level
+    if inside.all() or not inside.any():
+        return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
+    vertices, faces, _, _ = measure.marching_cubes(
+        volume, level, spacing=(spacing,) * 3, gradient_direction="descent", mask=mask, allow_degenerate=False
+    )
+    return vertices.astype(np.float64) + origin + low * spacing, faces.astype(np.int64)
 
 
 @dataclasses.dataclass(frozen=True)

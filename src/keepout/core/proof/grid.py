@@ -98,9 +98,7 @@ def certify_grid(model: FieldModel, target: Target, *, chaser_radius: float = 0.
     if not 0.0 <= chaser_radius < room:
         raise FieldError(f"chaser radius {chaser_radius:g} m: for this field it must be 0 to {room:.3g} m")
     _require_cover(field)
-    h = float(field.spacing)
-    centres, half = straddling_cells(distance, chaser_radius, leaf=h)
-    bound = _largest_excess(field, distance, float(chaser_radius), centres, half)
+    bound = _largest_excess(field, distance, float(chaser_radius))
     spline = joined_spline(field)
     slope = grid_slope(field, spline)
     generator = np.random.default_rng(seed)
@@ -133,15 +131,9 @@ def _require_cover(field: GridField) -> None:
         )
 
 
-def _largest_excess(
-    field: GridField,
-    distance: ExactDistance,
-    radius: float,
-    centres: Float[np.ndarray, "n 3"],
-    half: Float[np.ndarray, "n"],
-) -> float:
-    """Largest √(R² + h²) - R + max (c_i - d(x_i)) over the cells that the cubes, no wider than a cell, can touch."""
-    number, level, node = _touched(field, centres, half)
+def _largest_excess(field: GridField, distance: ExactDistance, radius: float) -> float:
+    """Largest √(R² + h²) - R + max (c_i - d(x_i)) over the cells that {d = R} can touch."""
+    number, level, node = _touched(field, *straddling_cells(distance, radius, leaf=float(field.spacing)))
     coefficients = np.asarray(field.coefficients).reshape(-1, STORED, STORED, STORED)
     origin, worst = np.asarray(field.origin), -np.inf
     for first in range(0, len(number), 4096):
@@ -425,8 +417,7 @@ class _Zones(NamedTuple):
         lowered = ~spline & (nearest <= self.domain)
         bound[lowered], found[lowered] = self._lowered(cells.at(lowered), control[lowered], middle[lowered])
         asked = (farthest >= self.domain) & (nearest <= self.last)
-        reach = (nearest[asked], farthest[asked])
-        beyond, there = self._beyond(cells.at(asked), control[asked], middle[asked], *reach)
+        beyond, there = self._beyond(cells.at(asked), control[asked], middle[asked])
         bound[asked], found[asked] = np.maximum(bound[asked], beyond), np.maximum(found[asked], there)
         return bound, found
 
@@ -445,18 +436,14 @@ class _Zones(NamedTuple):
         return bound + 0.5 * 3.0**0.5 * cells.side * change, np.where(radius <= self.domain, found, 0.0)
 
     def _beyond(
-        self,
-        cells: _Cells,
-        control: Float[np.ndarray, "m 3 64"],
-        middle: Float[np.ndarray, "m 3 1"],
-        nearest: Float[np.ndarray, "m"],
-        farthest: Float[np.ndarray, "m"],
+        self, cells: _Cells, control: Float[np.ndarray, "m 3 64"], middle: Float[np.ndarray, "m 3 1"]
     ) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m"]]:
         """Bound the continuation's slope where cells are asked from radii above ρ_0.
 
         For any direction u in the cell, g_r and g_t are those along and across the middle's direction u_0, but for
         |u - u_0| ‖g‖ each.
         """
+        nearest, farthest = _radii(cells.middle, cells.side)
         low = np.searchsorted(self.psi, nearest, side="right") - 1
         low, high = np.maximum(low, 0), np.minimum(np.searchsorted(self.psi, farthest), _RADII - 1)
         radius = np.linalg.norm(cells.middle, axis=1)
