@@ -15,13 +15,12 @@ from keepout.core.fields.continuation import RadialContinuation
 from keepout.core.fields.field import values
 from keepout.core.fields.grid import BLOCK, NODES, STORED, GridField
 from keepout.core.fields.grid_build import build_grid
-from keepout.core.geometry.level_set import level_points, surface_points
+from keepout.core.geometry.level_set import level_points, onto_level, surface_points
 from keepout.core.geometry.octree import straddling_cells
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target
 from keepout.core.guard.field import guard_field
 from keepout.core.proof import grid
-from keepout.core.proof.certificate import onto_level
 from keepout.core.proof.grid import ROUNDING, certify_grid, grid_slope, joined_spline, slopes_by_differences
 
 pytestmark = pytest.mark.long
