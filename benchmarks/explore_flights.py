@@ -29,7 +29,7 @@ from keepout.core.audit.audit import Contact
 from keepout.core.errors import ControlError
 from keepout.core.flight.loop import begin, fly_segment, joined
 from keepout.core.geometry.level_set import surface_points, towards_level
-from keepout.core.mission.flight import Standing, recorded
+from keepout.core.mission.flight import recorded
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 
@@ -163,7 +163,7 @@ def by_truncated_distance(flown: Flight):
         resting = 0 if away[-1] else resting + ticks
     _, last = fly_segment(setup, state, 1)
     log = joined([*logs, last])
-    standing = Standing.of(leading.start_certified, ())
+    standing = leading.start_certified, ()
     flight = recorded(scenario, target, setup, log, Surroundings(scenario).flight_bounds, standing)
     return {
         "bad_cubes": None,

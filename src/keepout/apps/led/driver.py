@@ -16,7 +16,7 @@ from keepout.core.flight.loop import FlightLog, FlightOutcome, LoopState, begin,
 from keepout.core.flight.record import FlightRecord
 from keepout.core.flight.setup import FlightSetup
 from keepout.core.geometry.target import Target
-from keepout.core.mission.flight import Flight, Standing, recorded
+from keepout.core.mission.flight import Flight, recorded
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings, broken_assumptions
 from keepout.core.motion.relative import MotionState
@@ -96,7 +96,7 @@ class LedFlight:
 
 def judged(scenario: Scenario, target: Target, setup: FlightSetup, log: FlightLog, certified: bool | None) -> Flight:
     """Give a setup's flight with the audit's verdict; its start is certified only where no assumption is broken."""
-    standing = Standing.of(certified, broken_assumptions(scenario, target))
+    standing = certified, broken_assumptions(scenario, target)
     return recorded(scenario, target, setup, log, Surroundings(scenario).flight_bounds, standing)
 
 

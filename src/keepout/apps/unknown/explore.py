@@ -32,7 +32,7 @@ from keepout.core.flight.setup import FlightSetup
 from keepout.core.geometry.target import Target
 from keepout.core.guard.guard import GuardState
 from keepout.core.guard.safety_layer import GuardFlag, GuardStatus
-from keepout.core.mission.flight import Standing, recorded
+from keepout.core.mission.flight import recorded
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings, broken_assumptions
 from keepout.core.mission.target import load_target
@@ -100,7 +100,7 @@ def explore(
     log = flight.log(with_end=True)
     bounds = Surroundings(scenario).flight_bounds
     broken = (*broken_assumptions(scenario, target), *inherited, *seen.broken(scenario, target, ball))
-    standing = Standing.of(leading.start_certified, broken)
+    standing = leading.start_certified, broken
     extra = {EXPLORED: True, "contradicting_returns": seen.contradicting}
     judged = recorded(scenario, target, flight.setup, log, bounds, standing, extra=extra)
     surface = open_surface(target, eye.first_hit)

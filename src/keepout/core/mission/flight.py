@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
@@ -164,28 +164,10 @@ def judged(mission: Mission, log: loop.FlightLog, **known: Any) -> Flight:
         **known: `result` and `extra` of `recorded`.
 
     """
-    standing = Standing(mission.start_certified, mission.assumptions_broken)
+    standing = mission.start_certified, mission.assumptions_broken
     flight = recorded(mission.scenario, mission.target, mission.setup, log, mission.bounds, standing, **known)
     violated = tuple(str(c) for c in mission.setup.controller.conditions if not c.satisfied)
     return replace(flight, violated_conditions=violated, mission=mission)
-
-
-class Standing(NamedTuple):
-    """What is certified of a flight before it is flown.
-
-    Attributes:
-        start_certified: whether the guard's theorem holds from the start; None without a guard.
-        assumptions_broken: what is flown beyond what the scenario declares.
-
-    """
-
-    start_certified: bool | None
-    assumptions_broken: tuple[str, ...]
-
-    @classmethod
-    def of(cls, certified: bool | None, broken: tuple[str, ...]) -> "Standing":
-        """Certify a start only where nothing is broken."""
-        return cls(None if certified is None else certified and not broken, broken)
 
 
 def recorded(
@@ -194,7 +176,7 @@ def recorded(
     setup: FlightSetup,
     log: loop.FlightLog,
     bounds: FlightBounds,
-    standing: Standing,
+    standing: tuple[bool | None, tuple[str, ...]],
     *,
     result: FlightOutcome | None = None,
     extra: Mapping[str, Any] | None = None,
@@ -207,7 +189,8 @@ def recorded(
         setup: of the flight.
         log: of that one flight.
         bounds: of what the record does not hold.
-        standing: what is certified of it.
+        standing: whether the guard's theorem holds from the start (None without a guard), and what is flown beyond what
+            the scenario declares, which leaves nothing certified.
         result: the outcome, where it is known already.
         extra: further entries of the record's header.
 
@@ -232,7 +215,9 @@ def recorded(
     )
     clearance = target.distance.distance(record.position) - scenario.chaser.radius
     guard = guard_numbers(setup.guard, scenario) if isinstance(setup.guard, Guard) else None
-    return Flight(scenario, target, record, result, verdict, clearance, (), *standing, guard)
+    certified, broken = standing
+    certified = None if certified is None else certified and not broken
+    return Flight(scenario, target, record, result, verdict, clearance, (), certified, broken, guard)
 
 
 AUDITED = ("time", "position", "velocity", "force", "guard_status")
