@@ -103,39 +103,34 @@ def _header(data: bytes) -> tuple[str, list[_Element], int]:
         if end < 0:
             raise MeshError(f"the header has no end_header after {contents.counted(number, 'line')}")
         line = data[position:end].decode("utf-8", errors="replace").strip()
-        words = line.split()
         position, number = end + 1, number + 1
-        wrong = MeshError(f"line {number} of the header: {line[:60]!r} is not PLY")
         if number == 1:
             if line.lower() != "ply":
                 raise MeshError(f"begins with {line[:20]!r}; it must be 'ply'")
-        elif not words or words[0] in ("comment", "obj_info"):
             continue
-        elif words[0] == "end_header":
-            if order is None:
-                raise MeshError("the header names no format")
-            if len({element.name for element in elements}) < len(elements):
-                raise MeshError("the header declares an element twice")
-            return order, elements, position
-        elif words[0] == "format":
-            if order is not None or len(words) != 3 or words[1] not in _FORMATS:
-                raise wrong
-            order = _FORMATS[words[1]]
-        elif words[0] == "element":
-            if len(words) != 3 or not (words[2].isascii() and words[2].isdigit()) or len(words[2]) > 18:
-                raise wrong
-            elements.append(_Element(words[1], int(words[2])))
-        elif words[0] == "property" and elements:
-            listed = len(words) == 5 and words[1] == "list"
-            kinds = words[2:4] if listed else words[1:2]
-            if len(words) not in (3, 5) or not all(kind in _TYPES for kind in kinds) or elements[-1].has(words[-1]):
-                raise wrong
-            if listed and _TYPES[kinds[0]].startswith("f"):
-                raise wrong
-            count_kind = _TYPES[kinds[0]] if listed else None
-            elements[-1].properties.append(_Property(words[-1], _TYPES[kinds[-1]], count_kind))
-        else:
-            raise wrong
+        match line.split():
+            case [] | ["comment" | "obj_info", *_]:
+                pass
+            case ["end_header", *_]:
+                if order is None:
+                    raise MeshError("the header names no format")
+                if len({element.name for element in elements}) < len(elements):
+                    raise MeshError("the header declares an element twice")
+                return order, elements, position
+            case ["format", kind, _] if order is None and kind in _FORMATS:
+                order = _FORMATS[kind]
+            case ["element", name, count] if count.isascii() and count.isdigit() and len(count) <= 18:
+                elements.append(_Element(name, int(count)))
+            case ["property", "list", size, kind, name] if (
+                elements and _TYPES.get(size, "f")[0] != "f" and kind in _TYPES and not elements[-1].has(name)
+            ):
+                elements[-1].properties.append(_Property(name, _TYPES[kind], _TYPES[size]))
+            case ["property", kind, name] | ["property", kind, _, _, name] if (
+                elements and kind in _TYPES and not elements[-1].has(name)
+            ):
+                elements[-1].properties.append(_Property(name, _TYPES[kind]))
+            case _:
+                raise MeshError(f"line {number} of the header: {line[:60]!r} is not PLY")
 
 
 def _short(element: _Element, there: int) -> MeshError:
