@@ -93,7 +93,7 @@ def _sunlight(scenario: Scenario) -> orbits.SolarPressure | None:
     sun = scenario.sun
     if sun.target_area_to_mass == sun.chaser_area_to_mass == 0.0:
         return None
-    return orbits.SolarPressure(sun_of(scenario), sun.target_area_to_mass, sun.chaser_area_to_mass)
+    return orbits.SolarPressure(**sun.model_dump() | {"direction": sun_of(scenario)})
 
 
 def _perturbations(

@@ -130,7 +130,7 @@ class Simulation:
         """
         try:
             kept = unpacked(path.read_bytes())
-            parts = {name: kept[name] for name in _PARTS}
+            parts: dict[str, Any] = {name: kept[name] for name in _PARTS}
             levels = [kept[f"level_{name}"] for name in _OF_LEVEL]
             ended = str(kept["ended"])
         except UNREADABLE as error:
