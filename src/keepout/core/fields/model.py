@@ -10,7 +10,6 @@ from typing import Any, Literal
 
 import jax
 import numpy as np
-import safetensors
 import safetensors.numpy
 from jaxtyping import Array
 

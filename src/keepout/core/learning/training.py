@@ -11,9 +11,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
 import optax.contrib
-import safetensors
 import safetensors.numpy
 from jaxtyping import Array, Float, Float32, Int
 
@@ -31,7 +29,6 @@ from keepout.core.geometry.level_set import random_directions
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target
 from keepout.core.learning import losses
-from keepout.core.learning.losses import TrainingProfile, find_profile
 from keepout.core.learning.samples import Hunt, Samples, label, normalised, training_points
 from keepout.core.progress import Progress, part_of, silent
 from keepout.core.whole_file import write_whole
@@ -71,7 +68,7 @@ class _State(NamedTuple):
 def fit(
     target: Target,
     *,
-    profile: str | TrainingProfile = "default",
+    profile: str | losses.TrainingProfile = "default",
     chaser_radius: float = 0.5,
     seed: int = 0,
     checkpoint: Path | None = None,
@@ -98,7 +95,7 @@ def fit(
     start = time.perf_counter()
     distance = target.distance
     domain = Domain.around(distance)
-    numbers = find_profile(profile).for_size(domain.target_radius).for_chaser(chaser_radius)
+    numbers = losses.find_profile(profile).for_size(domain.target_radius).for_chaser(chaser_radius)
     name = profile if isinstance(profile, str) else "custom"
     largest = domain.domain_radius - domain.target_radius
     if not 0.0 <= chaser_radius <= largest:
@@ -145,7 +142,7 @@ def fit(
 class _Course:
     """What the blocks of a fit have in common."""
 
-    numbers: TrainingProfile
+    numbers: losses.TrainingProfile
     domain: Domain
     hunt: Hunt | None
     examples: losses.Parted
@@ -213,7 +210,7 @@ class _Course:
         return state._replace(layers=layers, optimizer=optimizer, block=done, curve=curve)
 
 
-def _initial(profile: TrainingProfile, data: losses.Batch, hard_count: int, seed: int) -> _State:
+def _initial(profile: losses.TrainingProfile, data: losses.Batch, hard_count: int, seed: int) -> _State:
     """He-scaled weights (He et al. 2015); first-layer kinks spread over the unit ball; the output starts positive."""
     width, depth = profile.width, profile.depth
     sizes = [3] + [width] * depth + [1]
@@ -241,7 +238,7 @@ def _watched(samples: Samples) -> Samples:
     return Samples(*(getattr(samples, entry.name)[picked] for entry in dataclasses.fields(Samples)))
 
 
-def _optimizer(profile: TrainingProfile, tuning: bool) -> optax.GradientTransformation:
+def _optimizer(profile: losses.TrainingProfile, tuning: bool) -> optax.GradientTransformation:
     steps = profile.tuning_steps if tuning else profile.steps
 
     def schedule(start: float) -> optax.Schedule:
@@ -270,7 +267,9 @@ def _hidden_matrices(layers: Any) -> Any:
 
 
 @functools.partial(jax.jit, static_argnums=(0, 1, 2), compiler_options=NO_LIBRARIES)
-def _train_block(profile: TrainingProfile, scale: float, tuning: bool, state: _State, data: losses.Parted, key: Array):
+def _train_block(
+    profile: losses.TrainingProfile, scale: float, tuning: bool, state: _State, data: losses.Parted, key: Array
+):
     """`BLOCK` steps in one compiled loop.
 
     Each step's easy points have the kinds of `losses.Parted` in the shares in which all of them have.

@@ -103,10 +103,7 @@ class Check:
             "scenario": self.scenario.name,
             "flies": self.flies,
             "words": list(self.words),
-            "refusals": [
-                {"said": refusal.said, "nearest": [vars(nearest) for nearest in refusal.nearest]}
-                for refusal in self.refusals
-            ],
+            "refusals": [{**vars(refusal), "nearest": [*map(vars, refusal.nearest)]} for refusal in self.refusals],
             "conditions": [
                 {**condition._asdict(), "margin": margin(condition), "required": condition.required}
                 for condition in self.conditions

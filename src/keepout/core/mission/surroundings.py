@@ -39,6 +39,14 @@ _BANG_BANG_PERIOD = 100.0
 """Of the bang-bang disturbance, s."""
 RANDOM_BAND = (0.001, 0.3)
 """Frequencies of the random disturbance, rad/s."""
+_ASSUMED = (
+    *(("disturbance_force", "N"), ("angular_rate", "radps"), ("angular_acceleration", "radps2")),
+    *(("gravity_gradient", "per_s2"), ("origin_offset", "m"), ("range_limit", "m"), ("speed_limit", "mps")),
+    *(("position_error", "m"), ("velocity_error", "mps"), ("mass_error", ""), ("gain_error", ""), ("delay", "")),
+    *(("force_error", "N"), ("excursion", "m"), ("velocity_excursion", "mps")),
+    *(("fault_force", "N"), ("fault_steps", ""), ("turning_error", "")),
+)
+"""What the guard assumes, with its unit, as a summary lists it."""
 _ROUNDING = 1e-9
 """Relative: a bound declared is not broken by the rounding of the flown one."""
 
@@ -479,25 +487,7 @@ def guard_numbers(guard: Guard, scenario: Scenario) -> dict[str, Any]:
     b = guard.braking
     longest = watch.windows(a)[-1]
     least = watch.SHARE * float(a.disturbance)
-    numbers = {
-        "disturbance_force_N": a.disturbance_force,
-        "angular_rate_radps": a.angular_rate,
-        "angular_acceleration_radps2": a.angular_acceleration,
-        "gravity_gradient_per_s2": a.gravity_gradient,
-        "origin_offset_m": a.origin_offset,
-        "range_limit_m": a.range_limit,
-        "speed_limit_mps": a.speed_limit,
-        "position_error_m": a.position_error,
-        "velocity_error_mps": a.velocity_error,
-        "mass_error": a.mass_error,
-        "gain_error": a.gain_error,
-        "delay": a.delay,
-        "force_error_N": a.force_error,
-        "excursion_m": a.excursion,
-        "velocity_excursion_mps": a.velocity_excursion,
-        "fault_force_N": a.fault_force,
-        "fault_steps": a.fault_steps,
-        "turning_error": a.turning_error,
+    numbers = {f"{name}_{unit}".removesuffix("_"): getattr(a, name) for name, unit in _ASSUMED} | {
         "valid_until_s": a.valid_until if math.isfinite(a.valid_until) else None,
         "disturbance_D_mps2": a.disturbance,
         "deceleration_a_b_mps2": b.deceleration,
