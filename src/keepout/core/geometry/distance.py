@@ -130,9 +130,8 @@ class BallCloudDistance:
         """Distance (n,) in metres, closest point (n, 3) of the balls, and the ball (n,) it belongs to."""
         points = _checked(points)
         to_centre, ball = self._tree.query(points)
-        direction = _away(points, self.centres[ball])
-        reach = np.minimum(self.radius, to_centre)
-        closest = self.centres[ball] + reach[:, None] * direction
+        reach = np.minimum(self.radius, to_centre)[:, None]
+        closest = self.centres[ball] + reach * _away(points, self.centres[ball])
         return np.maximum(to_centre - self.radius, 0.0), closest, np.asarray(ball, dtype=np.int64)
 
     def distance_and_gradient(self, points: Points) -> tuple[Float[np.ndarray, "n"], Points]:

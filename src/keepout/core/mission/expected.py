@@ -1,5 +1,6 @@
 """What a flight will take, estimated from the way that its law leads: no flight, and no bound."""
 
+import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -9,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from keepout.core.control.controller import Controller
-from keepout.core.control.law import AheadOfDelay, Law
+from keepout.core.control.law import AheadOfDelay
 from keepout.core.flight.faults import BrokenLaw
 from keepout.core.flight.setup import FlightSetup
 from keepout.core.mission.build import Mission
@@ -70,30 +71,22 @@ class _Way(eqx.Module):
 
 def expected(mission: Mission) -> Expected:
     """Estimate what a mission takes, by following its law's safe velocity from the start without inertia."""
-    law = _working(mission.setup.controller)
-    speed = mission.scenario.chaser.speed_limit
+    law = mission.setup.controller
+    while isinstance(law, AheadOfDelay | BrokenLaw):
+        law = law.law
+    assert isinstance(law, Controller)
     most = max(_LONGEST * mission.steps, _LEAST_STEPS)
-    numbers = (as_float64(mission.steps), as_float64(most))
-    end = _followed(mission.setup, law, mission.initial, *numbers)
-    arrived = float(end.arrived)
-    reached = arrived < float("inf")
-    way = float(end.length)
+    end = _followed(mission.setup, law, mission.initial, as_float64(mission.steps), as_float64(most))
+    way, arrived = float(end.length), float(end.arrived)
+    reached = math.isfinite(arrived)
     return Expected(
         way=way if reached else None,
-        least_duration=way / speed if reached else None,
+        least_duration=way / mission.scenario.chaser.speed_limit if reached else None,
         duration=arrived if reached else None,
         disturbance_delta_v=float(end.disturbance),
         drift_delta_v=float(end.drift),
         speed_delta_v=2.0 * float(end.fastest),
     )
-
-
-def _working(law: Law) -> Controller:
-    """Give the law behind what delays or breaks it."""
-    while isinstance(law, AheadOfDelay | BrokenLaw):
-        law = law.law
-    assert isinstance(law, Controller)
-    return law
 
 
 @eqx.filter_jit
