@@ -241,10 +241,10 @@ class KnownFreeMap:
         """Free the cubes that the rule frees, and bring the distances up to date; gives how many were freed."""
         rule = rule_of(view, self.bounds, self.spacing)
         empty = empty_ranges(view, self.bounds)
-        blocks = self.blocks_in_view(view, rule.farthest)
+        first, last = self.blocks_in_view(view, rule.farthest)
         changed = np.zeros(self._unknown.shape, dtype=np.bool_)
-        grid = self.origin, self.spacing
-        opened = free_cubes(rule, pyramid(empty), *grid, *blocks, self.free, self._unknown, changed)
+        cubes = self.free, self._unknown, changed
+        opened = free_cubes(rule, pyramid(empty), self.origin, self.spacing, first, last, *cubes)
         if opened:
             renew(self.free, self.squares, self.cap_cells, changed, BLOCK)
         return opened

@@ -216,11 +216,11 @@ def conditions(
     add("position weight", "smallest eigenvalue of H_0 > 0", smallest, 0.0, smallest > 0.0)
     if isinstance(controller.observer, ContinuousObserver):
         error = np.asarray(_error_matrix(controller.observer))
-        rate = float(np.linalg.eigvals(error).real.max())
+        rate = float(np.real(np.linalg.eigvals(error)).max())
         add("observer", "largest real part of A - L C/m < 0, 1/s", rate, 0.0, rate < 0.0)
         factor = float(np.abs(1.0 + period * np.linalg.eigvals(error)).max())
         add("observer sampled", "Euler step of the observer: largest |eigenvalue| < 1", factor, 1.0, factor < 1.0)
-        model = float(np.linalg.eigvals(np.asarray(controller.observer.generator)).real.max())
+        model = float(np.real(np.linalg.eigvals(np.asarray(controller.observer.generator))).max())
         add("disturbance model", "largest real part of A <= 0, 1/s", model, 0.0, model <= 1e-12, required=False)
     elif isinstance(controller.observer, SampledObserver):
         factor = float(np.abs(np.linalg.eigvals(np.asarray(_error_matrix(controller.observer)))).max())
