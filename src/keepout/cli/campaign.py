@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from keepout.cli.options import AsJson, ScenarioSeed, answer, app, at_least, example, grouped, mission_of, usage
+from keepout.cli.options import AsJson, ScenarioSeed, answer, app, at_least, example, grouped, into, mission_of, usage
 from keepout.core.progress import Progress, part_of, silent
 from keepout.flights.pages import terminal
 
@@ -66,7 +66,7 @@ class _Flying:
 def campaign(
     scenario: Annotated[Path, typer.Argument(help="A scenario file (TOML) with its [campaign] table.")],
     *,
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for results and figure.")] = Path("out"),
+    out: Annotated[Path, into("Folder for results and figure.")] = Path("out"),
     runs: Annotated[
         int | None, typer.Option(callback=at_least(1, 10**9), help="Replaces the scenario's own number of flights.")
     ] = None,
@@ -172,9 +172,7 @@ def report(
 def compare(
     first: Annotated[Path, typer.Argument(help="The folder of a finished campaign.")],
     second: Annotated[Path, typer.Argument(help="Another one.")],
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Also write page, figures and CSV files into this folder.")
-    ] = None,
+    out: Annotated[Path | None, into("Also write page, figures and CSV files into this folder.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Compare two finished campaigns: rates, quantiles, and run by run where both drew the same."""
@@ -190,9 +188,7 @@ def compare(
 def replay_run(
     folder: Annotated[Path, typer.Argument(help="The folder of a campaign.")],
     run: Annotated[int, typer.Option(callback=at_least(0), help="Number of the run, as in the table.")],
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Folder to write; by default run-N in that of the campaign.")
-    ] = None,
+    out: Annotated[Path | None, into("Folder to write; by default run-N in that of the campaign.")] = None,
     figures: Annotated[bool, typer.Option(help="Draw figures and the page.")] = True,
     as_json: AsJson = False,
 ) -> None:

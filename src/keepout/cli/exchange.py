@@ -15,6 +15,7 @@ from keepout.cli.options import (
     example,
     from_zero,
     grouped,
+    into,
     mission_of,
     recorded_target,
     require_file,
@@ -53,7 +54,7 @@ def export(
     to: Annotated[
         str, typer.Option(help="Of a flight: oem, aem, czml, csv, parquet, npz, glb; of a field: onnx, glb.")
     ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="The file to write.")],
+    out: Annotated[Path, into("The file to write.")],
     wanted: _Wanted,
     seed: Seed = 0,
     as_json: AsJson = False,

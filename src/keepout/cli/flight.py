@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from keepout.cli.options import AsJson, add_mission_command, answer, app, example
+from keepout.cli.options import AsJson, add_mission_command, answer, app, example, into
 from keepout.core.errors import FlightError, UsageError
 from keepout.core.progress import Progress, part_of, silent
 from keepout.core.whole_file import require_place
@@ -58,7 +58,7 @@ add_mission_command(
 )
 def replay(
     flights: Annotated[list[Path], typer.Argument(help="Flight files (.parquet, .npz), all around one target.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="The page to write (.html).")] = Path("replay.html"),
+    out: Annotated[Path, into("The page to write (.html).")] = Path("replay.html"),
     title: Annotated[str | None, typer.Option(help="Of the page; by default the first flight's name.")] = None,
     as_json: AsJson = False,
 ) -> None:

@@ -16,6 +16,7 @@ from keepout.cli.options import (
     app,
     example,
     grouped,
+    into,
     recorded_target,
     require_file,
     usage,
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 
 Mesh = Annotated[str, typer.Argument(help="A mesh file, a map file (.keepmap), or a built-in target's name.")]
 WhereMesh = Annotated[str | None, typer.Option(help="The mesh, where it is not where `fit` found it.")]
-DrawnInto = Annotated[Path | None, typer.Option("--out", "-o", help="Also draw it into this folder.")]
+DrawnInto = Annotated[Path | None, into("Also draw it into this folder.")]
 
 
 @app.command(epilog=example("keepout targets", "keepout targets --pictures out/targets"))
@@ -128,7 +129,7 @@ def _lengths(mesh: str, read: MeshFile) -> str:
 def fit(
     mesh: Mesh,
     *,
-    out: Annotated[Path, typer.Option("--out", "-o", help="The field file to write (.keepout).")],
+    out: Annotated[Path, into("The field file to write (.keepout).")],
     profile: Annotated[
         str,
         typer.Option(

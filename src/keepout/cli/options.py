@@ -80,6 +80,11 @@ def from_zero(help: str) -> Any:
     return typer.Option(callback=at_least(0.0), help=help)
 
 
+def into(help: str) -> Any:
+    """Give the option for where results go."""
+    return typer.Option("--out", "-o", help=help)
+
+
 _SEED = at_least(0, 2**32 - 1)
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on standard output; all else on standard error.")]
 Seed = Annotated[int, typer.Option(callback=_SEED, help="Of every random choice; the same seed gives the same answer.")]
@@ -149,7 +154,7 @@ def add_mission_command(to: typer.Typer, name: str, of: terminal.MissionCommand)
 
     def command(
         scenario: Annotated[Path, typer.Argument(help=of.scenario)],
-        out: Annotated[Path, typer.Option("--out", "-o", help=of.out)] = Path("out"),
+        out: Annotated[Path, into(of.out)] = Path("out"),
         figures: Annotated[bool, typer.Option(help=f"Draw {of.figures} and the page.")] = True,
         seed: ScenarioSeed = None,
         as_json: AsJson = False,

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from keepout.cli.options import AsJson, MeshFile, answer, app, example, grouped, mission_of, require_file
+from keepout.cli.options import AsJson, MeshFile, answer, app, example, grouped, into, mission_of, require_file
 from keepout.core.errors import ScenarioError, UsageError
 from keepout.core.progress import Progress
 from keepout.flights.pages import terminal
@@ -27,9 +27,7 @@ app.add_typer(scenarios, name="scenario")
 @grouped
 def new_scenario(
     *,
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="The file to write (.toml); by default standard output.")
-    ] = None,
+    out: Annotated[Path | None, into("The file to write (.toml); by default standard output.")] = None,
     target: Annotated[
         str | None, typer.Option("--for", help="A mesh file, or a built-in target's name, whose sizes to fill in.")
     ] = None,
@@ -113,9 +111,7 @@ def check_scenario(
 
 @scenarios.command("schema", epilog=example("keepout scenario schema -o keepout.schema.json"))
 def schema_of_scenarios(
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="The file to write (.json); by default standard output.")
-    ] = None,
+    out: Annotated[Path | None, into("The file to write (.json); by default standard output.")] = None,
 ) -> None:
     """Write the JSON Schema of scenarios, by which editors complete and check them."""
     from keepout.core.mission.scenario import schema

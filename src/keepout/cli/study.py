@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from keepout.cli.options import AsJson, ScenarioSeed, Seed, answer, app, at_least, example, mission_of
+from keepout.cli.options import AsJson, ScenarioSeed, Seed, answer, app, at_least, example, into, mission_of
 from keepout.core.progress import part_of
 from keepout.flights.pages import terminal
 
@@ -14,7 +14,7 @@ from keepout.flights.pages import terminal
 @app.command(epilog=example("keepout rare examples/case1.toml --below 0 -o out/rare"))
 def rare(
     scenario: Annotated[Path, typer.Argument(help="A scenario file (TOML) in which something is random.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for results, figure and page.")] = Path("out"),
+    out: Annotated[Path, into("Folder for results, figure and page.")] = Path("out"),
     below: Annotated[float, typer.Option(callback=at_least(-math.inf), help="The clearance, m; 0 is contact.")] = 0.0,
     runs: Annotated[int, typer.Option(callback=at_least(2), help="Whose spread gives the interval.")] = 8,
     flights: Annotated[
@@ -49,7 +49,7 @@ def reproduce(
     experiments: Annotated[
         list[str], typer.Argument(help="all, or any of table1, surfaces, volumes, case1, case2, runtime, case3.")
     ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for tables, figures and page.")] = Path("out"),
+    out: Annotated[Path, into("Folder for tables, figures and page.")] = Path("out"),
     quick: Annotated[bool, typer.Option("--quick", help="Fewer flights, shipped fields: minutes.")] = False,
     fields: Annotated[
         Path | None,

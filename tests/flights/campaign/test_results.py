@@ -199,7 +199,7 @@ class TestCompare:
         assert found.paired is None
         assert not found.differences
         assert ("seed", 0, 1) in found.differing
-        assert [one.first - one.second for one in found.quantiles if one.figure.name == "delta_v"] == [-2.0] * 7
+        assert [row["A - B"] for row in found.quantiles if row["figure"] == "Δv, m/s"] == [-2.0] * 7
 
     def test_a_run_that_drew_something_else_is_no_pair(self, tmp_path):
         columns = world(self.runs)

@@ -216,7 +216,7 @@ def fly_chunk(plan: Plan, number: int, *, workers: int | None = None, told: Told
         told: called as flights land.
 
     """
-    counted = plan.bands()
+    counted = bands.Bands.empty(plan.scenario.duration, plan.scenario.control.period)
 
     def land(members: Sequence[Run], log: dict[str, np.ndarray], found: list[Audit]) -> None:
         goals = np.array([run.scenario.goal.position for run in members])

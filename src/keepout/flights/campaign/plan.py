@@ -35,7 +35,6 @@ from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import guard_numbers
 from keepout.core.motion.arrays import as_float64
 from keepout.core.progress import Progress, silent
-from keepout.flights.campaign.bands import Bands
 from keepout.flights.campaign.dispersion import Design, Run, design, draw
 
 FORMAT = 2
@@ -330,10 +329,6 @@ class Plan:
     def draw(self, first: int, last: int) -> list[Run]:
         """Draw the runs from `first` up to `last`."""
         return draw(_of_a_run(self.scenario), self.design, self.workshop.mission, first, last)
-
-    def bands(self) -> Bands:
-        """Begin the campaign's bands, with no flights."""
-        return Bands.empty(self.scenario.duration, self.scenario.control.period)
 
     def guard_numbers(self) -> dict[str, Any] | None:
         """Give what the guard of the first run that can be flown assumes, and what follows; None without a guard."""

@@ -438,28 +438,6 @@ class RateDifference:
         return self.first.rate - self.second.rate
 
 
-@dataclass(frozen=True)
-class QuantileDifference:
-    """One quantile of a figure in two campaigns, each of all its flights that have a finite value.
-
-    Attributes:
-        figure: which.
-        share: of the quantile.
-        first: in the first campaign.
-        second: in the second.
-        low: end of the interval of first less second (`difference_of_quantiles`), about 95 %.
-        high: the other end; infinite where the flights are too few.
-
-    """
-
-    figure: Figure
-    share: float
-    first: float
-    second: float
-    low: float
-    high: float
-
-
 @dataclass(frozen=True, eq=False)
 class PairedDifference:
     """A figure of the first campaign less that of the second, run by run.
@@ -507,7 +485,9 @@ class Comparison:
         paired: runs that drew the same in both, bit for bit; None where the two are no pairs.
         unlike: runs of both numbers that did not, and are left out of the pairs.
         rates: differences of the rates.
-        quantiles: differences of quantiles.
+        quantiles: a row of a table for each quantile of a figure in both, of all flights that have a finite value, and
+            the interval of the first less the second (`difference_of_quantiles`), about 95 %, infinite where the
+            flights are too few.
         differences: by run; empty without pairs.
 
     """
@@ -518,7 +498,7 @@ class Comparison:
     paired: int | None
     unlike: int
     rates: tuple[RateDifference, ...]
-    quantiles: tuple[QuantileDifference, ...]
+    quantiles: tuple[dict[str, Any], ...]
     differences: tuple[PairedDifference, ...]
 
 
@@ -606,14 +586,15 @@ def _rates(one: Outcomes, other: Outcomes, same: Bool[np.ndarray, "runs"] | None
     return tuple(found)
 
 
-def _quantiles(figure: Figure, one: Outcomes, other: Outcomes) -> Iterator[QuantileDifference]:
+def _quantiles(figure: Figure, one: Outcomes, other: Outcomes) -> Iterator[dict[str, Any]]:
     a, b = one.ordered(figure), other.ordered(figure)
     if not (len(a) and len(b)):
         return
     for share in COMPARED:
         first, second = float(a[rank(len(a), share)]), float(b[rank(len(b), share)])
-        interval = difference_of_quantiles((first, quantile_interval(a, share)), (second, quantile_interval(b, share)))
-        yield QuantileDifference(figure, share, first, second, *interval)
+        low, high = difference_of_quantiles((first, quantile_interval(a, share)), (second, quantile_interval(b, share)))
+        row = {"figure": figure.label, "quantile": f"{100.0 * share:g} %", "A": first, "B": second}
+        yield row | {"A - B": first - second, "low": low, "high": high}
 
 
 def _by_run(figure: Figure, one: Outcomes, other: Outcomes, same: Bool[np.ndarray, "runs"]) -> PairedDifference | None:

@@ -12,7 +12,7 @@ from keepout.flights.campaign.results import Comparison, compare
 from keepout.flights.pages.campaign_page import SAMPLING, percent
 from keepout.flights.pages.figures import COLOURS, column
 from keepout.flights.pages.folder import results_in
-from keepout.flights.pages.page import Page, Table, rows_of
+from keepout.flights.pages.page import Page, Table, finite, rows_of
 
 _UNPAIRED = (
     "The runs are no pairs: seed, dispersions or sampling differ. Differences of rates have Newcombe's hybrid score "
@@ -78,12 +78,7 @@ def comparison_tables(found: Comparison) -> list[Table]:
         row | dict(zip(("both", "A only", "B only", "neither"), one.pairs or ()))
         for row, one in zip(rows_of(found.rates, _RATES), found.rates)
     ]
-    quantiles = [
-        {"figure": one.figure.label, "quantile": f"{100.0 * one.share:g} %"}
-        | {"A": one.first, "B": one.second, "A - B": one.first - one.second}
-        | row
-        for row, one in zip(rows_of(found.quantiles, {"low": "low", "high": "high"}), found.quantiles)
-    ]
+    quantiles = [{key: finite(value) for key, value in row.items()} for row in found.quantiles]
     differing = [{"entry": name, "A": json.dumps(a), "B": json.dumps(b)} for name, a, b in found.differing]
     return [
         Table("differing", "What differs between the two.", differing),
