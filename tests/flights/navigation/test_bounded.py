@@ -12,7 +12,7 @@ from truths.adversaries import NOISES, PUSHES, Adversary, fly_many, motion_state
 
 from keepout.core.errors import ScenarioError
 from keepout.core.flight.navigation import Sample, Suite
-from keepout.flights.navigation.known_set import SetMembership, design, largest_radii, told_by
+from keepout.flights.navigation.known_set import CAPS_ROUNDING, SetMembership, design, largest_radii, told_by
 from keepout.flights.navigation.sensor_errors import BallNoise
 from keepout.flights.navigation.sensors import RangeBearing, RelativePosition, RelativeVelocity
 
@@ -69,9 +69,9 @@ def designed(name):
         return design(MADE[name], **numbers, **limits)
     estimate = SetMembership(MADE[name], window=designed("positions only")[0].window, **numbers)
     told = told_by(estimate.suite, (limits["range_limit"], limits["speed_limit"]))
-    return estimate, largest_radii(
-        told, estimate.window, numbers["disturbance"], numbers["period"], limits["initial_errors"]
-    )
+    motion = numbers["disturbance"], numbers["period"]
+    radii = np.array(largest_radii(told, estimate.window, *motion, limits["initial_errors"]))
+    return estimate, tuple(radii * (1.0 + CAPS_ROUNDING))
 
 
 @functools.cache

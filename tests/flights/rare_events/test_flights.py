@@ -52,7 +52,7 @@ SPREAD = {"start_position_std": 0.05, "start_velocity_std": 0.001}
 
 @pytest.fixture(scope="module")
 def flown():
-    return TapedFlights(prepare(NEAR.replace(faults=ALL, disturbance=RANDOM, rare=SPREAD)), workers=2)
+    return TapedFlights(prepare(NEAR.replace(faults=ALL, disturbance=RANDOM, rare=SPREAD)))
 
 
 def made_of(flown, tapes):
@@ -97,7 +97,7 @@ def test_bounded_noise_stays_in_its_ball():
 @pytest.mark.long
 def test_a_tape_without_errors_is_the_flight_without_faults():
     # In the middle of each normal no command is lost and the thrusters are right.
-    taped = TapedFlights(prepare(NOISY), workers=1)
+    taped = TapedFlights(prepare(NOISY))
     clean = prepare(NEAR)
     log = loop.fly(clean.setup, clean.initial, clean.steps, jax.random.key(0))
     flight = taped.fly(np.zeros(taped.tape.numbers))

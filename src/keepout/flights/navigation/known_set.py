@@ -32,7 +32,7 @@ Scalar = Float[Array, ""]
 
 ROUNDING = 1e-13
 """Relative allowance for rounding in sums of vectors, squares and roots: some hundred units in the last place."""
-_CAPS_ROUNDING = 1e-9
+CAPS_ROUNDING = 1e-9
 """Relative allowance on the caps for what rounding adds to the radii in flight."""
 _LONGEST = 600
 """Steps of the longest window between two positions that is looked at, beside twenty times the oldest sample's age."""
@@ -356,7 +356,7 @@ def design(
         )
     velocity, position, window = min(found)
     estimate = SetMembership(suite, disturbance=disturbance, mass=mass, period=period, window=window)
-    return estimate, (position * (1.0 + _CAPS_ROUNDING), velocity * (1.0 + _CAPS_ROUNDING))
+    return estimate, (position * (1.0 + CAPS_ROUNDING), velocity * (1.0 + CAPS_ROUNDING))
 
 
 def told_by(suite: Suite, limits: tuple[float, float]) -> list[_Told]:
