@@ -93,7 +93,8 @@ def _sunlight(scenario: Scenario) -> orbits.SolarPressure | None:
     sun = scenario.sun
     if sun.target_area_to_mass == sun.chaser_area_to_mass == 0.0:
         return None
-    return orbits.SolarPressure(**sun.model_dump() | {"direction": sun_of(scenario)})
+    pushed = sun.model_dump(exclude={"direction"})
+    return orbits.SolarPressure(direction=sun_of(scenario), **pushed)
 
 
 def _perturbations(
