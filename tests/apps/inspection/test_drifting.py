@@ -70,7 +70,7 @@ PLACES = np.array([[14.0, 9.0, 0.0], [0.0, 9.0, 0.0], [0.0, 5.6, 0.0], [0.0, 7.5
 def test_a_tour_is_slowed_where_it_must_be_and_goes_round_what_it_may_not_fly_to():
     """Past the ball, down to it too near, down to it near enough to be slow, and away."""
     found = judge(200.0)
-    tour = Tour(np.arange(1, 5), np.array([140.0, 180.0, 200.0, 350.0]), 0.0, 360.0, 0.0)
+    tour = Tour(np.arange(1, 5), np.array([140.0, 180.0, 200.0, 350.0]), 360.0, 0.0)
     way = (lambda a, b: PLACES[[a, b]]), (lambda a, b: 0.0)
     left, courses, speeds, told = kept_safe(found, tour, *way, begin=0.0, dwell=0.0)
     assert left.order.tolist() == [1, 3, 4]

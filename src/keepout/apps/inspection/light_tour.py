@@ -345,8 +345,7 @@ def plan_in_light(task: Task, views: Views, progress: Progress) -> InspectionPla
     progress(0.6, f"{len(made.rows)} views show {made.area:.1f} m2 in time")
     effort = _BOUND * task.effort
     bound = fewest_views(views.sees, task.areas, min(task.goal, made.area), effort=effort, seed=scenario.seed)
-    # Its length is that of the courses, which are drawn up now.
-    tour = Tour(np.arange(1, len(made.rows) + 1), made.times, 0.0, made.end, made.delta_v)
+    tour = Tour(np.arange(1, len(made.rows) + 1), made.times, made.end, made.delta_v)
     return replace(
         task.drawn_up(views.only(made.rows), tour, task.drifting).plan,
         candidates=found,

@@ -255,7 +255,7 @@ class Arranger:
         """Leave views out as long as the rest see enough."""
         task, goal, missed = self.task, min(self.task.goal, self._seen(best)), 0
         while missed < _MISSED:
-            keep = _needed(task, best, goal)
+            keep = _Line(task, best).needed(goal)
             if keep.all():
                 break
             rows, number = np.flatnonzero(keep), np.cumsum(keep)
@@ -286,39 +286,8 @@ class Arranger:
         return one.tour.cost(inspect.objective, inspect.delta_v_worth) - self.task.time
 
 
-def _needed(task: Task, one: Arranged, goal: float) -> Bool[np.ndarray, " v"]:
-    """Say which views are needed, given what other legs than the two that would change with a view see."""
-    rows, areas, passing = one.tour.order - 1, task.areas, one.drawn.passing
-    shown = [
-        (units := one.views.units(row))[task.lit.at(float(at))[units]]
-        for row, at in zip(rows, one.tour.times, strict=True)
-    ]
-    times = np.zeros(len(areas), dtype=np.int64)
-    for units in [*shown, *passing]:
-        times[units] += 1
-
-    def without(n: int) -> tuple[Int[np.ndarray, " units"], float]:
-        less = times.copy()
-        for units in (shown[n], *passing[n : n + 2]):
-            less[units] -= 1
-        return less, float(areas[(times > 0) & (less <= 0)].sum())
-
-    seen = float(areas[times > 0].sum())
-    keep = np.ones(len(rows), dtype=bool)
-    touched = np.zeros(len(rows) + 2, dtype=bool)
-    for n in np.argsort([without(n)[1] for n in range(len(rows))]):
-        less, lost = without(n)
-        if touched[n : n + 3].any() or seen - lost < goal or keep.sum() <= 1:
-            continue
-        times, seen, keep[n] = less, seen - lost, False
-        touched[n + 1] = True
-    answer = np.ones(len(rows), dtype=bool)
-    answer[rows[~keep]] = False
-    return answer
-
-
 class _Line:
-    """A tour as its views are pulled: stops, the start first, and the legs that end at stops 1, 2 and so on.
+    """A tour of which views are left out or pulled: stops, the start first, and the legs that end at stops 1, 2 and on.
 
     The light must not change. What views and legs see together stays at least the task's goal, or what it was.
     """
@@ -334,6 +303,31 @@ class _Line:
         for units in (*self.shown, *self.passing):
             self.times[units] += 1
         self.goal = min(task.goal, self._seen(self.times))
+
+    def needed(self, goal: float) -> Bool[np.ndarray, " v"]:
+        """Say which views are needed, given what other legs than the two that would change with a view see."""
+        times, count = self.times, len(self.order)
+
+        def lost(n: int) -> float:
+            return float(self.task.areas[(times > 0) & (self._without(times, n) <= 0)].sum())
+
+        seen, keep, touched = self._seen(times), np.ones(count, dtype=bool), np.zeros(count + 2, dtype=bool)
+        for n in np.argsort([lost(n) for n in range(count)]):
+            less = lost(n)
+            if touched[n : n + 3].any() or seen - less < goal or keep.sum() <= 1:
+                continue
+            times, seen, keep[n] = self._without(times, n), seen - less, False
+            touched[n + 1] = True
+        answer = np.ones(count, dtype=bool)
+        answer[self.order[~keep] - 1] = False
+        return answer
+
+    def _without(self, times: Int[np.ndarray, " units"], n: int) -> Int[np.ndarray, " units"]:
+        """Give how often units are seen without a view, the first is 0, and the legs beside it."""
+        less = times.copy()
+        for units in (self.shown[n], *self.passing[n : n + 2]):
+            less[units] -= 1
+        return less
 
     def pulled(self) -> Views:
         """Move views towards the way; rows stay as they were."""
@@ -359,9 +353,7 @@ class _Line:
         spared = math.dist(before, here) + math.dist(here, after) - (math.dist(before, foot) + math.dist(foot, after))
         if spared < _LEAST:
             return
-        less = self.times.copy()
-        for units in (self.shown[n - 1], *self.passing[n - 1 : n if last else n + 1]):
-            less[units] -= 1
+        less = self._without(self.times, n - 1)
         alone = self.shown[n - 1][less[self.shown[n - 1]] <= 0]
         spare = self._seen(self.times) - self.goal
         corners = self.task.problem.patches.corners_of(alone)

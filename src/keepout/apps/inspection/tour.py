@@ -69,7 +69,6 @@ class Tour:
     Attributes:
         order: (k,) rows of the legs, none of them 0.
         times: (k,) at which each view is worth something: on arrival, or when the light comes, s; inf if never.
-        length: m.
         end: time at the end, s.
         delta_v: m/s.
 
@@ -77,7 +76,6 @@ class Tour:
 
     order: Int[np.ndarray, " k"]
     times: Float[np.ndarray, " k"]
-    length: float
     end: float
     delta_v: float
 
@@ -106,8 +104,8 @@ def flown(legs: Legs, order: Int[np.ndarray, " k"]) -> Tour:
     times = np.empty(len(order))
     numbers = np.array([legs.speed, legs.acceleration, legs.dwell, legs.begin])
     ways = _finite(legs.lengths), legs.leave, legs.turns, legs.windows
-    length, end, delta_v = _fly(np.asarray(order, dtype=np.int64), *ways, numbers, times)
-    return Tour(np.asarray(order), times, length, end, delta_v)
+    end, delta_v = _fly(np.asarray(order, dtype=np.int64), *ways, numbers, times)
+    return Tour(np.asarray(order), times, end, delta_v)
 
 
 def best_tour(
@@ -166,9 +164,9 @@ def _finite(lengths: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
 @numba.njit(cache=True)
 @no_type_check
 def _fly(order, lengths, leave, turns, windows, numbers, times):
-    """Length, end and Δv; writes the time of each view."""
+    """End and Δv; writes the time of each view."""
     speed, acceleration, dwell, begin = numbers
-    now, length, delta_v = begin, 0.0, 0.0
+    now, delta_v = begin, 0.0
     here = 0
     vx, vy, vz = 0.0, 0.0, 0.0
     for place in range(order.size):
@@ -180,7 +178,6 @@ def _fly(order, lengths, leave, turns, windows, numbers, times):
         change = np.sqrt((ox - vx) ** 2 + (oy - vy) ** 2 + (oz - vz) ** 2)
         delta_v += change
         now += taken + 0.5 * change / acceleration
-        length += way
         # The way back from there leaves against the direction in which this one arrives.
         vx, vy, vz = -pace * leave[to, here, 0], -pace * leave[to, here, 1], -pace * leave[to, here, 2]
         best, wait = np.inf, 0.0
@@ -198,7 +195,7 @@ def _fly(order, lengths, leave, turns, windows, numbers, times):
         here = to
     # The end is at rest.
     rest = np.sqrt(vx * vx + vy * vy + vz * vz)
-    return length, now + 0.5 * rest / acceleration, delta_v + rest
+    return now + 0.5 * rest / acceleration, delta_v + rest
 
 
 @numba.njit(cache=True)

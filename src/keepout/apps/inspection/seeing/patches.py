@@ -248,12 +248,8 @@ def _grow(triangles, normal, degenerate, across, seeds):
                         continue
                 flat = True
                 for k in range(3):
-                    height = (
-                        (triangles[other, k, 0] - x) * nx
-                        + (triangles[other, k, 1] - y) * ny
-                        + (triangles[other, k, 2] - z) * nz
-                    )
-                    flat = flat and abs(height) <= FLAT
+                    dx, dy, dz = triangles[other, k, 0] - x, triangles[other, k, 1] - y, triangles[other, k, 2] - z
+                    flat = flat and abs(dx * nx + dy * ny + dz * nz) <= FLAT
                 if flat:
                     region[other] = count
                     waiting[depth] = other

@@ -5,6 +5,7 @@ far = 1 and q the place, or far = 0 and q the direction to the sun. All that mak
 separates it from the pyramid, checked as it was computed; docs/seeing.md has the theorem.
 """
 
+from collections import namedtuple
 from typing import NamedTuple, no_type_check
 
 import numba
@@ -30,6 +31,8 @@ _REACH = 4.0 / ROUNDING
 """Farther than a mesh is wide: times what rounding is for its largest coordinate, m."""
 _SLIVER = 1e-150
 """A plane whose normal is computed shorter than this is not used."""
+Ray = namedtuple("Ray", "cx cy cz gx gy gz low high")
+"""The places c + s g with s between `low` and `high`, m."""
 
 
 class Sightlines:
@@ -124,19 +127,6 @@ class Eye(NamedTuple):
     z: float
     far: float
     rounding: float
-
-
-class Ray(NamedTuple):
-    """The places c + s g with s between `low` and `high`."""
-
-    cx: float
-    cy: float
-    cz: float
-    gx: float
-    gy: float
-    gz: float
-    low: float
-    high: float
 
 
 class Work(NamedTuple):
