@@ -78,12 +78,9 @@ class Views:
 
     def and_those(self, others: "Views") -> "Views":
         """Give these views, and then others."""
-        return Views(
-            np.concatenate([self.positions, others.positions]),
-            np.concatenate([self.boresights, others.boresights]),
-            sparse.csr_array(sparse.vstack([self.sees, others.sees])),
-            self.places,
-        )
+        positions = np.concatenate([self.positions, others.positions])
+        boresights = np.concatenate([self.boresights, others.boresights])
+        return Views(positions, boresights, sparse.csr_array(sparse.vstack([self.sees, others.sees])), self.places)
 
 
 def tighter_rules(rules: SeeingRules, patch: float) -> SeeingRules:

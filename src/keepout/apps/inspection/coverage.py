@@ -52,13 +52,10 @@ class PatchMesh:
         patch, place = np.nonzero(second[None] + 1 < patches.counts[:, None])
         first = most * patch
         faces = np.column_stack([first, first + second[place], first + second[place] + 1])
-        _, kept, joined = np.unique(
-            np.rint(patches.corners.reshape(-1, 3) / _WELD).astype(np.int64),
-            axis=0,
-            return_index=True,
-            return_inverse=True,
-        )
-        return cls(patches.corners.reshape(-1, 3)[kept], joined.reshape(-1)[faces], patch)
+        corners = patches.corners.reshape(-1, 3)
+        cells = np.rint(corners / _WELD).astype(np.int64)
+        _, kept, joined = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+        return cls(corners[kept], joined.reshape(-1)[faces], patch)
 
     def triangles(self) -> Float[np.ndarray, "f 3 3"]:
         """Give the corners of each face, m."""
@@ -96,8 +93,7 @@ class Coverage(Layer):
         self.fates, self.firsts, self.whole = fates(inspection)[units], first_frames(inspection)[units], len(mesh.faces)
         self.times, self.shares = inspection.over_time()
         self.boresights = np.array([frame.boresight for frame in frames]).reshape(-1, 3)
-        none = np.full(3, np.nan)
-        self.suns = np.array([none if frame.sun is None else frame.sun for frame in frames]).reshape(-1, 3)
+        self.suns = np.array([frame.sun_or_nan for frame in frames]).reshape(-1, 3)
         self.possible, self.rules = patches.coverage(inspection.lit), inspection.rules
 
     def share_at(self, time: Float[np.ndarray, "rows"]) -> Float[np.ndarray, "rows"]:

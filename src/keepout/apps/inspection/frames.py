@@ -54,6 +54,11 @@ class Frame:
     sun: Float[np.ndarray, "3"] | None
     units: Int[np.ndarray, " k"]
 
+    @property
+    def sun_or_nan(self) -> Float[np.ndarray, "3"]:
+        """The sun as arrays of numbers hold it: nan where there is none."""
+        return _NONE if self.sun is None else self.sun
+
 
 @dataclass(frozen=True, eq=False)
 class Shot:
@@ -126,7 +131,7 @@ def save_frames(path: Path, frames: tuple[Frame, ...], *, target_sha256: str) ->
     """
     columns: dict[str, pa.Array] = {"time": pa.array([frame.time for frame in frames], pa.float64())}
     vectors = {"position": [frame.position for frame in frames], "boresight": [frame.boresight for frame in frames]}
-    for name, rows in (vectors | {"sun": list(map(_sun, frames))}).items():
+    for name, rows in (vectors | {"sun": [frame.sun_or_nan for frame in frames]}).items():
         array = np.asarray(rows, dtype=np.float64).reshape(-1, 3)
         for axis, letter in enumerate(_AXES):
             columns[f"{name}_{letter}"] = pa.array(array[:, axis], pa.float64(), from_pandas=True)
@@ -250,10 +255,6 @@ def _digest(frames: tuple[Frame, ...]) -> str:
     parts: list[str | np.ndarray] = []
     for frame in frames:
         parts.append(f"{len(frame.units)} units")
-        parts.append(np.array([frame.time, *frame.position, *frame.boresight, *_sun(frame)]))
+        parts.append(np.array([frame.time, *frame.position, *frame.boresight, *frame.sun_or_nan]))
         parts.append(np.asarray(frame.units, np.int64))
     return digest(*parts)
-
-
-def _sun(frame: Frame) -> np.ndarray:
-    return _NONE if frame.sun is None else frame.sun

@@ -118,13 +118,8 @@ class UnderWay(Leader):
     fewest = 2
 
     def __init__(self, ahead: ViewsAhead, began: float) -> None:
-        self.scenario, self.problem, self.leading, self.camera = (
-            ahead.scenario,
-            ahead.problem,
-            ahead.leading,
-            ahead.camera,
-        )
-        self.ahead, self.began = ahead, began
+        self.scenario, self.problem, self.leading = ahead.scenario, ahead.problem, ahead.leading
+        self.camera, self.ahead, self.began = ahead.camera, ahead, began
         self.ticks = round(self.scenario.camera.period / self.scenario.control.period)
         self.estimate = np.asarray(self.scenario.start.position, dtype=float)
         self.boresight = boresight_of(self.scenario, self.problem.target)

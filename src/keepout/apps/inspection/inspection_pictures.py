@@ -84,14 +84,8 @@ def draw_coverage(path: Path, inspection: Inspection) -> None:
     with figure(path, width=8.0, height=5.4) as drawing:
         cover, near = drawing.subplots(2, 1, sharex=True, height_ratios=(2.2, 1.0))
         shares = np.concatenate([[0.0], share, share[-1:] if len(share) else [0.0]])
-        cover.step(
-            np.concatenate([[start], time, [end]]),
-            shares,
-            where="post",
-            color=COLOURS[2],
-            linewidth=1.6,
-            label="seen, as flown",
-        )
+        times, drawn = np.concatenate([[start], time, [end]]), {"color": COLOURS[2], "linewidth": 1.6}
+        cover.step(times, shares, where="post", label="seen, as flown", **drawn)
         lit = " and be lit" if light else ""
         lines = {
             f"surely can be seen{lit}": (inspection.patches.coverage(inspection.lit), COLOURS[0], "-"),
@@ -243,14 +237,9 @@ def _view(inspection: Inspection, units: Int[np.ndarray, " k"], frame: int) -> B
     shown = np.intersect1d(units, taken.units)
     cosine, distance = _aspect(patches, shown, taken.position)
     middle = np.average(patches.centres[shown // 2], axis=0, weights=areas[shown])
-    return BestView(
-        units,
-        frame,
-        shown,
-        float(areas[shown].sum() / areas[units].sum()),
-        float(np.linalg.norm(middle - taken.position)),
-        float(np.median(distance * inspection.rules.pixel_angle / cosine)),
-    )
+    share, away = float(areas[shown].sum() / areas[units].sum()), float(np.linalg.norm(middle - taken.position))
+    sample_distance = float(np.median(distance * inspection.rules.pixel_angle / cosine))
+    return BestView(units, frame, shown, share, away, sample_distance)
 
 
 def _aspect(

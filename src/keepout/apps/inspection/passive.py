@@ -253,11 +253,8 @@ def passive_safety(
         raise InspectionError(f"passive safety: {seconds} s; it must be positive and finite")
     # A drift may begin at the end of the mission, and goes on after it.
     lasting = scenario.model_copy(update={"duration": scenario.duration + seconds})
-    motion, bounds, spread = (
-        Surroundings(scenario).motion,
-        Surroundings(lasting).flight_bounds,
-        Spread.of(lasting, push),
-    )
+    motion, bounds = Surroundings(scenario).motion, Surroundings(lasting).flight_bounds
+    spread = Spread.of(lasting, push)
     step = min(_LONGEST_STEP, _TURN / max(bounds.angular_rate, 1e-12))
     count = math.ceil(seconds / step - 1e-9)
     if count > _MOST_STEPS:

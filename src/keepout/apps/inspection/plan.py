@@ -166,17 +166,13 @@ def kept_safe(
     legs, moved_on, behind = list(pairwise(kept)), [], 0.0
     for a, b in legs:
         way, slew = way_length(courses[a, b]), turn(a, b)
-        quickest, planned = max(way / limit, slew), at[b] - at[a]
-        spare = max(planned - quickest - (dwell + settle), 0.0) if math.isfinite(planned) else 0.0
+        quickest, lasts = max(way / limit, slew), at[b] - at[a]
+        spare = max(lasts - quickest - (dwell + settle), 0.0) if math.isfinite(lasts) else 0.0
         behind = max(behind + max(way / speeds[a, b], slew) - quickest - spare, 0.0)
         moved_on.append(at[b] + behind)
     times = np.array(moved_on)
-    told = DriftsPlanned(
-        legs=len(tour.order),
-        safe=len(legs),
-        slowed=sum(speeds[leg] < limit for leg in legs),
-        views_left_out=len(tour.order) - len(legs),
-    )
+    planned, slowed = len(tour.order), sum(speeds[leg] < limit for leg in legs)
+    told = DriftsPlanned(planned, len(legs), slowed, views_left_out=planned - len(legs))
     late = float(times[-1]) - at[kept[-1]] if legs and math.isfinite(at[kept[-1]]) else 0.0
     safe = dataclasses.replace(tour, order=np.array(kept[1:], dtype=np.int64), times=times, end=tour.end + late)
     return safe, [courses[leg] for leg in legs], [speeds[leg] for leg in legs], told

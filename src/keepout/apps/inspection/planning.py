@@ -380,18 +380,14 @@ class _Line:
 
     def _moved(self, n: int, place: Point, boresight: Point, shown: Units, less: Int[np.ndarray, " units"]) -> bool:
         """Move a view if then enough is seen; say whether."""
-        courses, directions = (
-            [np.concatenate([self.courses[n - 1][:-1], place[None]])],
-            [self.boresights[n - 1], boresight],
-        )
+        courses = [np.concatenate([self.courses[n - 1][:-1], place[None]])]
+        directions = [self.boresights[n - 1], boresight]
         if n < len(self.places) - 1:
             courses.append(np.concatenate([place[None], self.courses[n][1:]]))
             directions.append(self.boresights[n + 1])
         boresights = np.array(directions)
-        ways = np.array([way_length(course) for course in courses])
-        lasts = np.maximum(
-            ways / self.task.scenario.chaser.speed_limit, np.diag(self.task.turns(boresights[:-1], boresights[1:]))
-        )
+        ways, turns = np.array(list(map(way_length, courses))), self.task.turns(boresights[:-1], boresights[1:])
+        lasts = np.maximum(ways / self.task.scenario.chaser.speed_limit, np.diag(turns))
         passing = self.task.passing(courses, boresights, np.concatenate([[0.0], np.cumsum(lasts)]))
         times = less.copy()
         for units in (shown, *passing):

@@ -11,7 +11,6 @@ from keepout.apps.inspection.seeing.visible import SeeingRules
 from keepout.core.errors import InspectionError
 from keepout.core.geometry.distance import Distance, ExactDistance, Points, Tree, closest_triangle
 from keepout.core.geometry.octree import SQRT3, refine
-from keepout.core.progress import Progress, silent
 
 # `no_type_check` below: run-time shape checks would wrap the functions that numba compiles.
 _BEAM_STEPS = 2000
@@ -253,7 +252,6 @@ class Room:
         stand_off: least distance of the chaser's centre, m, positive.
         leaf: side of the smallest cells, m; a fifth of the stand-off where absent, and never less than a
             thousandth of the target's size.
-        progress: told of the flood.
 
     Attributes:
         distance: as given.
@@ -266,9 +264,7 @@ class Room:
 
     """
 
-    def __init__(
-        self, distance: Distance, stand_off: float, *, leaf: float | None = None, progress: Progress = silent
-    ) -> None:
+    def __init__(self, distance: Distance, stand_off: float, *, leaf: float | None = None) -> None:
         leaf = 0.2 * stand_off if leaf is None else leaf
         for name, value in (("stand_off", stand_off), ("leaf", leaf)):
             if not 0.0 < value < math.inf:
@@ -281,7 +277,6 @@ class Room:
         depth = max(1, min(_DEEPEST, math.ceil(math.log2(self.side / leaf))))
 
         def visit(centres: Points, half_width: float, level: int) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
-            progress(level / (depth + 1), f"room: level {level} of {depth}")
             d, reach = distance.distance(centres), half_width * SQRT3 + _ROUNDING
             within, outside = d - reach > self.stand_off, d + reach < self.stand_off
             return ~within & ~outside, (within, ~outside)
