@@ -17,7 +17,7 @@ from scipy import sparse
 
 from keepout.apps.inspection.passive import Drifting
 from keepout.apps.inspection.problem import Problem
-from keepout.apps.inspection.seeing.patches import Patches, axes_across
+from keepout.apps.inspection.seeing.patches import axes_across
 from keepout.apps.inspection.seeing.visible import SeeingRules, Visible, visible
 from keepout.core.cores import available_cores
 from keepout.core.progress import Progress, part_of, silent
@@ -123,6 +123,28 @@ class _Places:
         self.unsafe += int(np.count_nonzero(~answer))
         return answer
 
+    def drawn(
+        self, generator: np.random.Generator, weights: Float[np.ndarray, " units"], rules: SeeingRules, count: int
+    ) -> Float[np.ndarray, "n 3"]:
+        """Draw places for units by their weights, where the chaser may be at all; fewer if that is hard."""
+        kept, patches = np.zeros((0, 3)), self.problem.patches
+        low, high = max(self.level, rules.least_range), _FAR * rules.greatest_range
+        flattest = np.cos(_STEEP * rules.greatest_incidence)
+        for _ in range(_TRIES if low < high else 0):
+            missing = count - len(kept)
+            if missing <= 0:
+                break
+            units = generator.choice(len(weights), size=2 * missing, p=weights / weights.sum())
+            cosine = generator.uniform(flattest, 1.0, len(units))
+            turn = generator.uniform(0.0, 2.0 * np.pi, len(units))
+            normals = patches.unit_normals()[units]
+            side, other = axes_across(normals)
+            sine = np.sqrt(1.0 - cosine**2)[:, None]
+            towards = cosine[:, None] * normals + sine * (np.cos(turn)[:, None] * side + np.sin(turn)[:, None] * other)
+            tried = patches.centres[units // 2] + generator.uniform(low, high, len(units))[:, None] * towards
+            kept = np.concatenate([kept, tried[self.allowed(tried)][:missing]])
+        return kept
+
 
 def candidates(
     problem: Problem,
@@ -172,7 +194,7 @@ def candidates(
             weights = areas / (1.0 + times) if step else areas
             if not weights.any():
                 break
-            drawn = _drawn(generator, weights, patches, rules, places, count // _ROUNDS)
+            drawn = places.drawn(generator, weights, rules, count // _ROUNDS)
             take(drawn, rules, part_of(progress, 0.8 * step / _ROUNDS, 0.8 * (step + 1) / _ROUNDS))
         while True:
             unseen = np.flatnonzero(wanted & (times == 0) & np.isfinite(witnesses[:, 0]))
@@ -250,34 +272,6 @@ def _gains(directions, enough, left, tried):
             if x * tried[j, 0] + y * tried[j, 1] + z * tried[j, 2] >= enough[i]:
                 gains[j] += left[i]
     return gains
-
-
-def _drawn(
-    generator: np.random.Generator,
-    weights: Float[np.ndarray, " units"],
-    patches: Patches,
-    rules: SeeingRules,
-    places: _Places,
-    count: int,
-) -> Float[np.ndarray, "n 3"]:
-    """Draw places for units by their weights, of which the chaser may be at all; fewer than `count` if that is hard."""
-    kept = np.zeros((0, 3))
-    low, high = max(places.level, rules.least_range), _FAR * rules.greatest_range
-    flattest = np.cos(_STEEP * rules.greatest_incidence)
-    for _ in range(_TRIES if low < high else 0):
-        missing = count - len(kept)
-        if missing <= 0:
-            break
-        units = generator.choice(len(weights), size=2 * missing, p=weights / weights.sum())
-        cosine = generator.uniform(flattest, 1.0, len(units))
-        turn = generator.uniform(0.0, 2.0 * np.pi, len(units))
-        normals = patches.unit_normals()[units]
-        side, other = axes_across(normals)
-        sine = np.sqrt(1.0 - cosine**2)[:, None]
-        towards = cosine[:, None] * normals + sine * (np.cos(turn)[:, None] * side + np.sin(turn)[:, None] * other)
-        tried = patches.centres[units // 2] + generator.uniform(low, high, len(units))[:, None] * towards
-        kept = np.concatenate([kept, tried[places.allowed(tried)][:missing]])
-    return kept
 
 
 def _about(axis: Float[np.ndarray, "3"], angle: float, count: int) -> Float[np.ndarray, "n 3"]:

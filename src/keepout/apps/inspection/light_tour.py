@@ -52,6 +52,10 @@ _TRIES = 1500
 _TAKEN = 0.9
 """Share of the speed limit at which a tour is made: a law slows down for corners and near the target."""
 
+Areas = Float[np.ndarray, " units"]
+Stops = tuple[tuple[int, float], ...]
+"""Rows of views, and the times at which they are worth something, s."""
+
 
 class Cost(NamedTuple):
     """What an objective counts.
@@ -154,7 +158,7 @@ class LightTours:
 
     views: Views
     lit: LitTimes
-    areas: Float[np.ndarray, " units"]
+    areas: Areas
     goal: float
     lengths: Callable[[int], Float[np.ndarray, " v"]]
     begin: Begin
@@ -206,12 +210,7 @@ class LightTours:
         return min(tour.area, self.goal * (1.0 - 1e-9)), -cost
 
     def _made(
-        self,
-        kept: tuple[tuple[int, float], ...],
-        scarcity: float,
-        chance: float,
-        generator: np.random.Generator,
-        barred: int = -1,
+        self, kept: Stops, scarcity: float, chance: float, generator: np.random.Generator, barred: int = -1
     ) -> LightTour:
         """Make a tour: some views at their times, then by greed; the first of these is not the view barred."""
         left, dwell = self.areas.copy(), self.pace.dwell
@@ -266,12 +265,7 @@ class LightTours:
         return float(legs.change[view]), legs.velocity[view]
 
     def _best(
-        self,
-        left: Float[np.ndarray, " units"],
-        worth: Float[np.ndarray, " units"],
-        now: float,
-        gains: Float[np.ndarray, " v"],
-        legs: _Legs,
+        self, left: Areas, worth: Areas, now: float, gains: Float[np.ndarray, " v"], legs: _Legs
     ) -> tuple[int, int]:
         """Give the view to go to next and the moment of it, or -1; later moments count where none soon shows enough."""
         times, least, soonest = self._times, _LEAST * float(self.areas.sum()), 0
@@ -294,7 +288,7 @@ class LightTours:
             soonest += _AHEAD + int(later[0])
         return -1, -1
 
-    def _strike(self, left: Float[np.ndarray, " units"], row: int, at: float) -> None:
+    def _strike(self, left: Areas, row: int, at: float) -> None:
         n = min(max(int((at - self._times[0]) / self._step + 1e-6), 0), len(self._times) - 1)
         units = self._indices[self._indptr[row] : self._indptr[row + 1]]
         left[units[self._lit[n, units]]] = 0.0

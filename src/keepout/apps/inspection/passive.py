@@ -22,6 +22,7 @@ from keepout.core.audit.tube import Tube, lengths
 from keepout.core.compiled.kept_executables import kept_jit
 from keepout.core.errors import InspectionError
 from keepout.core.flight.record import FlightRecord
+from keepout.core.geometry.distance import Points
 from keepout.core.mission.bounds import perturbations
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
@@ -331,10 +332,7 @@ def states_of_record(record: FlightRecord, every: int = 1) -> MotionState:
 
 
 def states_at_times(
-    scenario: Scenario,
-    times: Float[np.ndarray, " n"],
-    position: Float[np.ndarray, "n 3"],
-    velocity: Float[np.ndarray, "n 3"],
+    scenario: Scenario, times: Float[np.ndarray, " n"], position: Points, velocity: Points
 ) -> MotionState:
     """Give states of a plan: the target as it is at each time (s, from 0 on), the chaser where it is planned to be.
 
@@ -539,11 +537,7 @@ class Drifting:
         return found
 
     def _safe(
-        self,
-        times: Float[np.ndarray, " n"],
-        places: Float[np.ndarray, "n 3"],
-        velocities: Float[np.ndarray, "n 3"],
-        position_error: float,
+        self, times: Float[np.ndarray, " n"], places: Points, velocities: Points, position_error: float
     ) -> Bool[np.ndarray, " n"]:
         if not len(places):
             return np.zeros(0, dtype=bool)

@@ -34,6 +34,9 @@ _NEIGHBOURS = 20
 
 Node = tuple[int, ...]
 Point = Float[np.ndarray, "3"]
+Corner = Int[np.ndarray, "3"]
+Joined = tuple[Int[np.ndarray, "_ 3"], Float[np.ndarray, " _"]]
+"""Nodes joined to a place, and their distances from it, m."""
 Pairs = dict[tuple[bytes, bytes], tuple[float, np.ndarray]]
 """Length of the way from one place to another, m, and the unit vector in which it sets out."""
 
@@ -164,7 +167,7 @@ class Ways:
     def _join(
         self,
         places: Float[np.ndarray, "k 3"],
-        joined: list[tuple[Int[np.ndarray, "_ 3"], Float[np.ndarray, " _"]]],
+        joined: list[Joined],
         fresh: Bool[np.ndarray, "k k"],
         direct: Float[np.ndarray, "k k"],
         leave: Float[np.ndarray, "k k 3"],
@@ -182,7 +185,7 @@ class Ways:
             if not ends:
                 return
             low, high = self._box(places[[j, *ends]], _AROUND)
-            times = self._march(*joined[j], low, high)
+            times = self._march(joined[j], low, high)
             for i in ends:
                 nodes, away = joined[i]
                 through = times[tuple((nodes - low).T)] + away
@@ -198,7 +201,7 @@ class Ways:
 
     def reached(self, begin: Point, places: Float[np.ndarray, "k 3"]) -> Bool[np.ndarray, " k"]:
         """Say to which places a way leads from one, by the grid or straight."""
-        times = self._march(*self._joined(begin))
+        times = self._march(self._joined(begin))
         joined = [self._joined(place)[0] for place in places]
         found = np.array([bool(np.isfinite(times[tuple(nodes.T)]).any()) for nodes in joined], dtype=bool)
         alone = np.flatnonzero(~found)
@@ -207,7 +210,7 @@ class Ways:
 
     def nearly(self, place: Point, places: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
         """Give the lengths (m) of ways from one place to many, to within about a cell; infinite where none leads."""
-        times = self._march(*self._joined(place))
+        times = self._march(self._joined(place))
         at = (places - self.origin) / self.spacing
         base = np.clip(np.floor(at).astype(int), 0, np.array(self.open.shape) - 2)
         found = np.full(len(places), np.inf)
@@ -229,7 +232,7 @@ class Ways:
         apart, around = float(np.linalg.norm(end - begin)), _AROUND
         while True:
             low, high = self._box(np.stack([begin, end]), around)
-            times = self._march(last, beyond, low, high)
+            times = self._march((last, beyond), low, high)
             through = times[tuple((nodes - low).T)] + away
             length = float(through.min()) if len(nodes) else np.inf
             # No way of that length leaves a box so much larger than the two places.
@@ -248,12 +251,10 @@ class Ways:
             corners.append(self._place(node, low))
         return self._pulled(np.array([*corners, end]))
 
-    def _place(self, node: Node, low: Int[np.ndarray, "3"]) -> Point:
+    def _place(self, node: Node, low: Corner) -> Point:
         return self.origin + self.spacing * (low + np.asarray(node))
 
-    def _box(
-        self, places: Float[np.ndarray, "k 3"], around: float
-    ) -> tuple[Int[np.ndarray, "3"], Int[np.ndarray, "3"]]:
+    def _box(self, places: Float[np.ndarray, "k 3"], around: float) -> tuple[Corner, Corner]:
         """Give the first nodes of a box that holds places and all within `around` (m) and their nodes; and the ends."""
         room = around + (_NEAR + 2.0) * self.spacing + self.stand_off
         low = np.floor((places.min(axis=0) - room - self.origin) / self.spacing).astype(int)
@@ -261,13 +262,10 @@ class Ways:
         return np.clip(low, 0, self.open.shape), np.clip(high, 0, self.open.shape)
 
     def _march(
-        self,
-        nodes: Int[np.ndarray, "n 3"],
-        away: Float[np.ndarray, " n"],
-        low: Int[np.ndarray, "3"] | None = None,
-        high: Int[np.ndarray, "3"] | None = None,
+        self, joined: Joined, low: Corner | None = None, high: Corner | None = None
     ) -> Float[np.ndarray, "nx ny nz"]:
         """March the distance from nodes over the grid, or over a box of it whose first node is then `low`."""
+        nodes, away = joined
         low = np.zeros(3, dtype=int) if low is None else low
         within = tuple(slice(a, b) for a, b in zip(low, self.open.shape if high is None else high, strict=True))
         if len(nodes) == 0:
@@ -276,7 +274,7 @@ class Ways:
             self.open[within].astype(float), self.walls[(slice(None), *within)], nodes - low, away, self.spacing
         )
 
-    def _joined(self, place: Point) -> tuple[Int[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
+    def _joined(self, place: Point) -> Joined:
         """Give the nodes joined to a place by clear pieces, and their distances from it, m.
 
         To a place nearer than the stand-off the nearest open node is joined, whatever is between.
