@@ -1,5 +1,6 @@
 """The paper's Case 3 (section VI.C.3): a thousand flights around InterSat-30 and around the ISS from random starts."""
 
+import dataclasses
 import functools
 from typing import Any
 
@@ -106,22 +107,16 @@ def flown(work: Work, scenario: Scenario, target: Target, progress: Progress) ->
         "field": load_model(scenario, target).sha256,
         "series": list(SERIES),
     }
-    runs, parts = scenario.campaign.runs, []
-    for first in range(0, runs, CHUNK):
-        last = min(first + CHUNK, runs)
-        progress(first / runs, f"{first} of {runs} flights")
+    runs = scenario.campaign.runs
 
-        def fly(first: int = first, last: int = last) -> dict[str, np.ndarray]:
-            # One size for all, so that the last chunk is not compiled anew.
-            done = planned().fly(first, last, batch=min(CHUNK, runs))
-            again = {"starts_drawn_again": np.asarray(done.starts_drawn_again)}
-            return {**done.columns(), "time": done.series.time, **done.series.values, **again}
+    def fly(first: int, last: int) -> dict[str, np.ndarray]:
+        # One size for all, so that the last chunk is not compiled anew.
+        done = planned().fly(first, last, batch=min(CHUNK, runs))
+        shared = {"time": done.series.time[None], "starts_drawn_again": np.array([done.starts_drawn_again])}
+        return {**done.columns(), **done.series.values, **shared}
 
-        parts.append(work.arrays(f"{scenario.name}-{first}", {**made_of, "flights": [first, last]}, fly))
-    progress(1.0, "")
-    shared = ("time", "starts_drawn_again")
-    joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0] if name not in shared}
-    return {**joined, **{name: parts[0][name] for name in shared}}
+    joined = dataclasses.replace(work, progress=progress).batches(scenario.name, runs, CHUNK, made_of, fly)
+    return joined | {name: joined[name][0] for name in ("time", "starts_drawn_again")}
 
 
 def series(arrays: dict[str, np.ndarray]) -> FlightSeries:

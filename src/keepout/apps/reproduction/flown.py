@@ -83,21 +83,13 @@ def fly_passages(
 
     """
     size = min(TOGETHER, len(passages))
-    kept = []
-    for first in range(0, len(passages), size):
-        part = passages[first : first + size]
-        made_of = [base.model_dump(mode="json"), [dataclasses.astuple(one) for one in part], list(made_with), logs]
-        kept.append(
-            work.arrays(
-                f"{base.name}-{first}",
-                made_of,
-                lambda part=part, first=first: _fly(
-                    mission(), part, size, guidances or _own_guidances(mission()), max(0, min(logs - first, len(part)))
-                ),
-            )
-        )
-        work.progress(min(1.0, (first + size) / len(passages)), f"{base.name}, {first + len(part)} of {len(passages)}")
-    return {name: np.concatenate([one[name] for one in kept if name in one]) for name in kept[0]}
+
+    def fly(first: int, last: int) -> Landed:
+        led = guidances or _own_guidances(mission())
+        return _fly(mission(), passages[first:last], size, led, max(0, min(logs, last) - first))
+
+    made_of = [base.model_dump(mode="json"), [dataclasses.astuple(one) for one in passages], list(made_with), logs]
+    return work.batches(base.name, len(passages), size, made_of, fly)
 
 
 def _own_guidances(mission: Mission) -> Callable[[Sequence[Passage]], Guidance]:

@@ -4,6 +4,7 @@ What it hands over are tables, figures and words, each beside what the paper sta
 """
 
 import dataclasses
+import functools
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -94,6 +95,20 @@ class Work:
     def arrays(self, name: str, made_of: Any, make: Callable[[], Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
         """Return what `make` gives, arrays by name, from the file that an earlier run left where there is one."""
         return self._kept(name, made_of, lambda: {key: np.asarray(array) for key, array in make().items()}, ARRAYS)
+
+    def batches(
+        self, name: str, count: int, size: int, made_of: Any, make: Callable[[int, int], Mapping[str, np.ndarray]]
+    ) -> dict[str, np.ndarray]:
+        """Return what `make` gives of so many things, from the first to before the last, some at a time, joined.
+
+        Each batch is kept as `arrays` keeps it.
+        """
+        kept = []
+        for first in range(0, count, size):
+            last = min(first + size, count)
+            kept.append(self.arrays(f"{name}-{first}", [made_of, first, last], functools.partial(make, first, last)))
+            self.progress(last / count, f"{name}, {last} of {count}")
+        return {key: np.concatenate([batch[key] for batch in kept]) for key in kept[0]}
 
     def within(self, start: float, end: float) -> "Work":
         """Give the same work for a stretch of its progress."""

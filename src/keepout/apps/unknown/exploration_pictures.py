@@ -124,8 +124,7 @@ def draw_progress(path: Path, exploration: Exploration) -> None:
         each.set(ylabel="m³", title=f"Opened by each of {len(views)} views")
         each.set_ylim(bottom=-0.04 * max(float(opened.max(initial=0.0)), 1e-3))
         each.legend(fontsize=8)
-        distance = exploration.target.distance.distance(record.position) - exploration.scenario.chaser.radius
-        way.plot(record.time, distance, color=COLOURS[0], label="clearance on the true mesh")
+        way.plot(record.time, exploration.flight.clearance, color=COLOURS[0], label="clearance on the true mesh")
         if exploration.scenario.explore.towards == "goal":
             away = np.linalg.norm(record.position - np.asarray(exploration.scenario.goal.position), axis=1)
             way.plot(record.time, away, color=COLOURS[4], label="distance to the goal")
