@@ -8,7 +8,6 @@ import pytest
 from truths.made_up_exploration import CAMERA, HALF, PERIOD, REFUSED, circle, look_at, made_up
 from truths.results import check_folder
 
-from keepout.apps.unknown import exploration_pictures
 from keepout.apps.unknown.exploration_page import write_exploration
 from keepout.apps.unknown.exploration_pictures import FirstSight
 from keepout.core.geometry.target import Target
@@ -40,18 +39,8 @@ def first_times(points):
     return times
 
 
-def sight_of(exploration):
-    return FirstSight(
-        exploration.target,
-        exploration_pictures.taken(exploration),
-        CAMERA,
-        greatest_range=15.0,
-        grazing_angle=1.48,
-    )
-
-
 def test_times_of_first_sight_are_those_of_a_convex_box(exploration):
-    sight = sight_of(exploration)
+    sight = FirstSight(exploration)
     inner = np.sort(HALF - np.abs(sight.points), axis=1)[:, 1] > 0.02  # away from edges, where a ray meets either side
     expected = first_times(sight.points)
     np.testing.assert_array_equal(sight.times[inner], expected[inner])

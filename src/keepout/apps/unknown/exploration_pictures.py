@@ -1,6 +1,5 @@
 """Pictures of an exploration: what was seen when, the map in slices, its growth, what is in the way, what departs."""
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,14 +15,12 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch
 from scipy.spatial import KDTree
 
-from keepout.apps.led.camera import Pinhole
 from keepout.apps.led.first_hit import FirstHit
 from keepout.apps.unknown.cells import ACROSS
 from keepout.apps.unknown.equipment import pinhole
 from keepout.apps.unknown.exploration import Exploration
-from keepout.apps.unknown.known_free import KnownFreeMap, Seen, whole_blocks
+from keepout.apps.unknown.known_free import Seen, whole_blocks
 from keepout.apps.unknown.ways import reachable
-from keepout.core.geometry.target import Target
 from keepout.flights.pages.figures import COLOURS, figure
 from keepout.flights.pages.mesh_pictures import READABLE, View, eye_axes, paint_target, rasterise
 
@@ -62,10 +59,8 @@ def taken(exploration: Exploration) -> list[Seen]:
 
 def draw_seen(path: Path, exploration: Exploration) -> None:
     """Draw the true surface from three sides, coloured by when it was first in an image, into one PNG."""
-    target, entry, views = exploration.target, exploration.scenario.depth_sensor, taken(exploration)
-    reach = {"greatest_range": entry.greatest_range, "grazing_angle": entry.grazing_angle}
-    sight = FirstSight(target, views, pinhole(exploration.scenario), **reach)
-    end = max([view.time for view in views], default=1.0)
+    target, sight = exploration.target, FirstSight(exploration)
+    end = max([view.time for view in taken(exploration)], default=1.0)
     scale = ScalarMappable(Normalize(0.0, max(end, 1.0)), "viridis")
     with figure(path, width=11.0, height=4.6) as drawing:
         panels = drawing.subplots(1, 3)
@@ -96,7 +91,7 @@ def draw_slices(path: Path, exploration: Exploration) -> None:
         shown: set[int] = set()
         for axes, axis in zip(drawing.subplots(1, 3), _PLANES):
             level = float(middle[axis])
-            kinds, _ = _kinds_in_slice(exploration.map, axis, level, exploration.scenario.explore.explained)
+            kinds, _ = _kinds_in_slice(exploration, axis, level)
             shown |= set(np.unique(kinds).tolist())
             _paint_slice(axes, exploration, kinds, axis, level, exploration.record.position)
         drawing.suptitle("The map at the end, in three planes through the target's middle", fontsize=10)
@@ -148,7 +143,7 @@ def draw_unknown(path: Path, exploration: Exploration) -> None:
         for place, axis in enumerate(_PLANES, start=1):
             axes = drawing.add_subplot(2, 2, place)
             level = float(through[axis])
-            kinds, centres = _kinds_in_slice(known, axis, level, exploration.scenario.explore.explained)
+            kinds, centres = _kinds_in_slice(exploration, axis, level)
             nodes = np.rint((centres - reach.origin) / reach.spacing).astype(int)
             nodes = np.clip(nodes, 0, np.array(reach.reached.shape) - 1)
             kinds[(kinds == FREE) & reach.reached[tuple(np.moveaxis(nodes, -1, 0))]] = WAY
@@ -197,21 +192,11 @@ def draw_departures(path: Path, exploration: Exploration) -> None:
 
 
 class FirstSight:
-    """Times of first sight at places spread over a mesh, by the poses of the views that a map took.
+    """Times of first sight at places spread over the true mesh, by the poses of the views that the map took."""
 
-    Args:
-        target: the true mesh.
-        views: poses and times.
-        camera: their camera.
-        greatest_range: of a return, m.
-        grazing_angle: between a ray and the surface's normal, beyond which no return comes, rad.
-
-    """
-
-    def __init__(
-        self, target: Target, views: Sequence[Seen], camera: Pinhole, *, greatest_range: float, grazing_angle: float
-    ) -> None:
-        first_hit = FirstHit(target.vertices, target.faces)
+    def __init__(self, exploration: Exploration) -> None:
+        target, entry = exploration.target, exploration.scenario.depth_sensor
+        first_hit, camera = FirstHit(target.vertices, target.faces), pinhole(exploration.scenario)
         mesh = trimesh.Trimesh(target.vertices, target.faces, process=False)
         points, faces = trimesh.sample.sample_surface(mesh, _SAMPLES, seed=0)[:2]
         self._normals = first_hit.normals
@@ -221,14 +206,14 @@ class FirstSight:
         normals = self._normals[faces]
         self._tree = KDTree(np.concatenate([self.points, _APART * normals], axis=1))
         slopes = 0.5 * np.array([camera.width, camera.height]) / camera.focal
-        for view in views:
+        for view in taken(exploration):
             unseen = np.flatnonzero(np.isinf(self.times))
             away = self.points[unseen] - view.position
             depth = away @ view.axes
             within = (depth[:, 2] > 0.0) & (np.abs(depth[:, :2]) <= slopes * depth[:, 2:]).all(axis=1)
             length = np.linalg.norm(away, axis=1)
-            within &= (length > _SHORT) & (length <= greatest_range)
-            upright = np.abs(np.einsum("ni,ni->n", away, normals[unseen])) > np.cos(grazing_angle) * length
+            within &= (length > _SHORT) & (length <= entry.greatest_range)
+            upright = np.abs(np.einsum("ni,ni->n", away, normals[unseen])) > np.cos(entry.grazing_angle) * length
             chosen = np.flatnonzero(within & upright)
             ranges = first_hit.ranges(view.position[None], away[chosen])
             self.times[unseen[chosen[ranges >= length[chosen] - _SHORT]]] = view.time
@@ -267,17 +252,18 @@ def _in_the_way(axes: Axes, exploration: Exploration) -> None:
 
 
 def _kinds_in_slice(
-    known: KnownFreeMap, axis: int, level: float, explained: float
+    exploration: Exploration, axis: int, level: float
 ) -> tuple[Int[np.ndarray, "n n"], Float[np.ndarray, "n n 3"]]:
     """Sort the cubes that the plane {axis = level} cuts: their kinds, and their centres, m.
 
     Args:
-        known: the map.
+        exploration: of whose map they are; a cube that is not free and `explore.explained` near to a return is at the
+            surface.
         axis: 0, 1 or 2.
         level: m; a plane outside the box takes its outermost cubes.
-        explained: a cube that is not free and this near to a return is at the surface, m.
 
     """
+    known, explained = exploration.map, exploration.scenario.explore.explained
     place = int(np.clip(np.floor((level - known.origin[axis]) / known.spacing), 0, len(known.free) - 1))
     free = np.take(known.free, place, axis=axis)
     along = list(known.origin[:, None] + known.spacing * (np.arange(len(free)) + 0.5))

@@ -139,7 +139,7 @@ def all_exceed(least, first_row, last_row, first_column, last_column, limit):
 
 
 @no_type_check
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, inline="always")
 def cube_is_free(rule, least, x, y, z):
     """Apply the rule to the cube round a centre in the map's frame; `least`: pyramid of how far pixels are empty."""
     dx, dy, dz = x - rule.place[0], y - rule.place[1], z - rule.place[2]
