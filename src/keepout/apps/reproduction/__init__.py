@@ -30,10 +30,10 @@ PARTS: dict[str, Callable[[Work], Part]] = {
     "case3": case3.case3,
 }
 """In the paper's order."""
-LONG = ("case3", "case1", "case2", "runtime")
+LONG = ("case3", "case1", "case2")
 """Begun first, so that the last ones, side by side, end at about the same time."""
-ALONE: dict[str, Callable[[Work], object]] = {"runtime": runtime.fly_cones}
-"""Parts that measure times, and so run while nothing else does; each with what of it is kept before, beside others."""
+ALONE = ("runtime",)
+"""Parts that measure times, and so run while nothing else does."""
 
 INTRODUCTION = (
     "Zhou et al., Spacecraft Safe Robust Control Using Implicit Neural Representation for Geometrically Complex "
@@ -88,13 +88,10 @@ def reproduce(
             write_summary(out, [row for part in finished for row in part.named_rows])
         return part
 
-    def ahead(name: str, progress: Progress) -> None:
-        ALONE[name](Work(out / name, quick, seed, fields, progress))
-
     alone = [name for name in chosen if name in ALONE]
-    share = 1.0 - 0.5 * len(alone) / len(chosen)
+    share = 1.0 - len(alone) / len(chosen)
     order = sorted(chosen, key=lambda name: LONG.index(name) if name in LONG else len(LONG))
-    jobs = {name: functools.partial(ahead if name in ALONE else repeated, name) for name in order}
+    jobs = {name: functools.partial(repeated, name) for name in order if name not in ALONE}
     with ExitStack() as folders:
         for name in chosen:
             folders.enter_context(results_in(out / name))

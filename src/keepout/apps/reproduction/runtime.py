@@ -121,12 +121,6 @@ def runtime(work: Work) -> Part:
     )
 
 
-def fly_cones(work: Work) -> None:
-    """Fly the flights with a true cone, which are kept: they may be flown while other parts keep the cores busy."""
-    target = target_of("intelsat30")
-    cone_rows(work.within(0.1, 1.0), target, paper_network(work, target))
-
-
 def contenders(work: Work, network: FieldModel | None) -> list[Contender]:
     """Give what is timed: Keepout's step and the usual way, on the same mission."""
     flown = Scenario().replace(seed=work.seed, duration=600.0)

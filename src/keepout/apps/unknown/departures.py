@@ -18,7 +18,6 @@ SAMPLES_A_SQUARE, FEWEST, MOST = 4, 20_000, 400_000
 """Points of the expected surface that are looked up: so many a square as large as a cube's side, within limits."""
 _ROUNDING = 1e-5
 """Metres: more than what 32-bit coordinates of returns and 64-bit arithmetic move a point by."""
-_PIECE = 100_000
 
 
 @dataclass(frozen=True)
@@ -68,10 +67,7 @@ def departures(known: KnownFreeMap, expected: Target, camera: Pinhole) -> Depart
     """
     explained = explained_distance(known, camera)
     returns = known.returns
-    distance = np.empty(len(returns))
-    for first in range(0, len(returns), _PIECE):
-        part = slice(first, first + _PIECE)
-        distance[part] = expected.distance.distance(returns[part].astype(np.float64))
+    distance = expected.distance.distance(returns.astype(np.float64))
     elsewhere = distance > explained
     area = expected.distance.area
     count = int(np.clip(SAMPLES_A_SQUARE * area / known.spacing**2, FEWEST, MOST))
