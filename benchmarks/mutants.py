@@ -133,6 +133,7 @@ MUTANTS = {
     "apps/unknown/rule.py": [
         ("cube as its inner ball", "0.5 * math.sqrt(3.0) * spacing", "0.5 * spacing", "promises:body"),
         ("attitude taken as exact", "+ distance * rule.attitude_error", "", "promises:body"),
+        ("window a pixel short", "+ spread) / below) + middle + SLACK", "+ spread) / below) + middle - 1.0", "rule"),
     ],
     "apps/unknown/known_free.py": [("ball by the near face", "- (low + self.spacing)", "- low", "known_free:ball")],
     "apps/inspection/seeing/visible.py": [
