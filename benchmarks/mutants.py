@@ -61,11 +61,11 @@ MUTANTS = {
         ("observer begun afar", "most[0] - errors[0],", "most[0],", "guard:begins"),
     ],
     "core/guard/braking.py": [
-        ("stop half a step short", "+ 0.5 * rest * T", "", "invariance"),
         ("bow without the reserve", "bow = T**2 / 8.0 * (reserve + D", "bow = T**2 / 8.0 * (D", "invariance:worst"),
         ("turning not in D", "(scale + self.turning_error)", "scale", "assumptions:inertial disturbance_bound"),
     ],
     "core/guard/responses.py": [
+        ("stop half a step short", "+ 0.5 * rest * T", "", "invariance"),
         ("past pushes forgotten", "(pushed + pushed_before)[0]", "pushed[0]", "observer_radii"),
     ],
     "core/proof/bounds.py": [

@@ -87,7 +87,7 @@ class BarrierGrid:
             )
         sample = functools.partial(_sampled, field, offset)
         axes = [first + spacing * np.arange(count) for first, count in zip(low, shape, strict=True)]
-        coarse = sample(_nodes([axis[::2] for axis in axes]), lambda f: progress(0.3 * f, "barrier, coarse"))
+        coarse = sample(nodes_of([axis[::2] for axis in axes]), lambda f: progress(0.3 * f, "barrier, coarse"))
         coarse = coarse.reshape([len(axis[::2]) for axis in axes])
         values = _refined(coarse)
         # A distance changes by at most one metre a metre, so beyond this band the interpolated value settles every
@@ -105,7 +105,7 @@ class BarrierGrid:
         place = (np.asarray(position, dtype=float) - self.origin) / self.spacing
         last = np.array(self.values.shape) - 2
         base = np.clip(np.floor(place).astype(int), 0, last)
-        corners = base + np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1).reshape(-1, 3)
+        corners = base + nodes_of([[0, 1]] * 3)
         return corners[np.argmax(self.values[tuple(corners.T)])]
 
     def require_inside(self, position: Float[np.ndarray, "3"], name: str) -> None:
@@ -143,7 +143,8 @@ def _refined(coarse: Float[np.ndarray, "nx ny nz"]) -> Float[np.ndarray, "mx my 
     return fine
 
 
-def _nodes(axes: list[np.ndarray]) -> np.ndarray:
+def nodes_of(axes: Sequence[Any]) -> np.ndarray:
+    """Give all points (n, 3) whose coordinates are among those of each axis, the last one changing fastest."""
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 

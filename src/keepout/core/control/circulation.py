@@ -6,7 +6,6 @@ not skew, so its T is not tangent.
 """
 
 import abc
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import equinox as eqx
@@ -101,10 +100,10 @@ def printed_circulation() -> ConstantCirculation:
     return ConstantCirculation(omega=jnp.asarray(PRINTED))
 
 
-def skew_circulation(axis: Sequence[float] = (1.0, 1.0, 1.0)) -> ConstantCirculation:
-    """Return one that turns about a constant axis (3,) of any length."""
-    direction = np.asarray(axis, dtype=float)
-    return ConstantCirculation(omega=skew(jnp.asarray(direction / np.linalg.norm(direction))))
+def skew_circulation() -> ConstantCirculation:
+    """Return one that turns about the constant axis (1, 1, 1)."""
+    axis = np.ones(3)
+    return ConstantCirculation(omega=skew(jnp.asarray(axis / np.linalg.norm(axis))))
 
 
 def _unit(vector: Vector) -> Vector:

@@ -31,15 +31,13 @@ class TrackingPoint(eqx.Module):
     """The tracking layer at one state.
 
     `reference` u_ref and `control` u in N (both before the disturbance is compensated), `backstepping_barrier` h₁ in
-    m and `lyapunov` V₁ in m², both with the unknown estimation error e_d taken as zero; `a`, `b` as in the paper.
+    m and `lyapunov` V₁ in m², both with the unknown estimation error e_d taken as zero.
     """
 
     reference: Vector
     control: Vector
     backstepping_barrier: Scalar
     lyapunov: Scalar
-    a: Scalar
-    b: Scalar
 
 
 class Tracking(eqx.Module):
@@ -90,7 +88,7 @@ class Tracking(eqx.Module):
         )
         control = reference + safety_gain(a, b, self.sharpness) * gradient
         lyapunov = 0.5 * jnp.sum(position_error * pull) + square / (2.0 * self.lyapunov_ratio)
-        return TrackingPoint(reference, control, barrier, lyapunov, a, b)
+        return TrackingPoint(reference, control, barrier, lyapunov)
 
 
 class ControllerState(eqx.Module):

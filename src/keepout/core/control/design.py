@@ -58,8 +58,8 @@ class Tuning:
     authority a_b (m/s²): acceleration left after disturbance and drift. braking a_c (m/s²): deceleration that the
     class-K function asks for. class_k_rate α₀, tracking_gain λ, estimation_rate β_e, barrier_rate β_c: 1/s.
     barrier_ratio μ_h: m/s². lyapunov_ratio μ_v: 1/s². estimation_weight β: m/N². slowing_length k_p, speed_reserve,
-    nominal_offset: m. speed_limit (m/s) is the one asked for; honoured_speed (m/s) is the largest one from which the
-    thrusters can stop within the stopping distance.
+    nominal_offset: m. honoured_speed (m/s) is the largest one from which the thrusters can stop within the stopping
+    distance.
     """
 
     authority: float
@@ -74,9 +74,7 @@ class Tuning:
     slowing_length: float
     speed_reserve: float
     nominal_offset: float
-    observer_gain: float
     sharpness: float
-    speed_limit: float
     honoured_speed: float
 
 
@@ -116,8 +114,7 @@ def tune(operation: Operation, *, drift_bound: float = 0.0, stopping_distance: f
             f"speed_limit: {speed_limit:.3g} m/s cannot be stopped within {stopping_distance:.3g} m with "
             f"{authority:.3g} m/s2; at most {honoured:.3g} m/s"
         )
-    gain = 1.0 / period
-    observer_gain = 0.9
+    gain, observer_gain = 1.0 / period, 0.9
     return Tuning(
         authority=authority,
         braking=0.5 * authority,
@@ -131,21 +128,19 @@ def tune(operation: Operation, *, drift_bound: float = 0.0, stopping_distance: f
         slowing_length=max(1.5, 0.77 * speed_limit**2 / authority),
         speed_reserve=0.1,
         nominal_offset=least_offset(speed_limit, period),
-        observer_gain=observer_gain,
         # At full velocity error and 0.1 m of barrier the filter's exponential is exp(-20): it acts only where it must.
         sharpness=20.0 * (speed_limit / (2.0 * mass * authority)) ** 2 / (0.05 * gain),
-        speed_limit=speed_limit,
         honoured_speed=honoured,
     )
 
 
-def drift_bound(motion: RelativeMotion, *, radius: float, speed: float, samples: int = 256) -> float:
+def drift_bound(motion: RelativeMotion, *, radius: float, speed: float) -> float:
     """Return the largest drift acceleration (m/s²) found within `radius` m at speeds up to `speed` m/s.
 
     Sampled over directions and over eight moments of one orbit: an estimate for tuning, no bound that a proof may use.
     """
     rng = np.random.default_rng(0)
-    directions = rng.normal(size=(2, samples, 3))
+    directions = rng.normal(size=(2, 256, 3))
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
     orbit = motion.orbit
     axis = float(orbit.semi_major_axis)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Int8, Int32
 
 from keepout.core.compiled.in_batches import joined_rows, rows_last
-from keepout.core.control.barrier_grid import FEW, FULL_SPEED_BARRIER, BarrierGrid, require_free
+from keepout.core.control.barrier_grid import FEW, FULL_SPEED_BARRIER, BarrierGrid, nodes_of, require_free
 from keepout.core.control.fast_marching import UNIT, downhill, travel_time, widest_way
 from keepout.core.control.guidance import Guidance, GuidancePlan, Point, SlowingGuidance, towards
 from keepout.core.errors import ControlError
@@ -193,8 +193,7 @@ def geodesic_guidance(
 def _around_goal(grid: BarrierGrid, field: Field, offset: float, goal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Free nodes within two cells of the goal that see it, with the straight time to it."""
     centre = np.clip(np.rint((goal - grid.origin) / grid.spacing).astype(int), 0, np.array(grid.values.shape) - 1)
-    span = np.arange(-2, 3)
-    nodes = centre + np.stack(np.meshgrid(span, span, span, indexing="ij"), axis=-1).reshape(-1, 3)
+    nodes = centre + nodes_of([np.arange(-2, 3)] * 3)
     nodes = nodes[np.all((nodes >= 0) & (nodes < grid.values.shape), axis=1)]
     nodes = nodes[grid.values[tuple(nodes.T)] > 0.0]
     if len(nodes) == 0:
@@ -277,15 +276,12 @@ def room_around(field: Field, offset: float, goal: Point, start: Point | None) -
     for _ in range(60):
         grown = False
         for axis in range(3):
-            others = [a for a in range(3) if a != axis]
-            u, v = np.meshgrid(fractions, fractions, indexing="ij")
-            face = np.empty((u.size, 3))
-            for other, fraction in zip(others, (u, v), strict=True):
-                face[:, other] = lower[other] + fraction.ravel() * (upper[other] - lower[other])
+            extent = upper - lower
+            spread = 0.5 * float(np.hypot(*np.delete(extent, axis))) / 32.0
             for side, edge in ((-1.0, lower), (1.0, upper)):
-                face[:, axis] = edge[axis]
-                gap = float(np.min(values(field, face))) - offset
-                spread = 0.5 * float(np.hypot(*(upper[o] - lower[o] for o in others))) / 32.0
+                lines = list(lower[:, None] + fractions * extent[:, None])
+                lines[axis] = edge[axis : axis + 1]
+                gap = float(np.min(values(field, nodes_of(lines)))) - offset
                 if gap < 1.5 + spread:
                     edge[axis] += side * max(1.0, 1.5 + spread - gap)
                     grown = True

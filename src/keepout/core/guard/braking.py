@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 
 from keepout.core.errors import ControlError, require_finite
 from keepout.core.guard import responses
-from keepout.core.guard.responses import Task, least_room
+from keepout.core.guard.responses import Task, least_room, stop_length
 from keepout.core.motion.arrays import Flag, Vector, norm
 
 Number = float | Float[Array, "*flights"]
@@ -210,11 +210,6 @@ class BrakingDesign(eqx.Module):
     velocity_radius: float
     observer: ObserverGain | None = None
 
-    def stop_length(self, speed: float, period: float) -> float:
-        """Length of the nominal braking motion from `speed` (m/s), in m: full steps, then one that ends at rest."""
-        rest = math.fmod(speed, self.deceleration * period)
-        return (speed**2 - rest**2) / (2.0 * self.deceleration) + 0.5 * rest * period
-
 
 def design(assumptions: GuardAssumptions) -> BrakingDesign:
     """Choose the gains that need least room, and derive the radii that go with them.
@@ -233,7 +228,8 @@ def design(assumptions: GuardAssumptions) -> BrakingDesign:
         needed = min(needed, made.reserve)
         if made.deceleration <= 0.0:
             continue
-        room = made.stop_length(assumptions.speed_limit, assumptions.period) + _AT_REST * made.position_radius
+        stopped = stop_length(assumptions.speed_limit, made.deceleration, assumptions.period, math.fmod)
+        room = stopped + _AT_REST * made.position_radius
         if room < least:
             best, least = made, room
     if best is None:
@@ -375,10 +371,8 @@ def predict(
 
 def stop(assumptions: GuardAssumptions, braking: BrakingDesign, velocity: Vector) -> Vector:
     """From where the nominal braking motion begins to where it ends, m."""
-    T, a_b = assumptions.period, braking.deceleration
     speed = jnp.linalg.norm(velocity)
-    rest = jnp.fmod(speed, a_b * T)
-    length = (speed**2 - rest**2) / (2.0 * a_b) + 0.5 * rest * T
+    length = stop_length(speed, braking.deceleration, assumptions.period, jnp.fmod)
     return velocity * (length / jnp.maximum(speed, 1e-12))
 
 

@@ -12,10 +12,10 @@ responses, over what came before the plan was made and what comes after it.
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -58,6 +58,15 @@ def line_size(late: Float[np.ndarray, "*shape"], early: Float[np.ndarray, "*shap
 def line_integral(row: Float[np.ndarray, "*shape 2"], period: float) -> Float[np.ndarray, "*shape"]:
     """∫|row · (T − τ, 1)| dτ over a step."""
     return 0.5 * period * line_size(row[..., 1], period * row[..., 0] + row[..., 1])
+
+
+def stop_length(speed: Any, deceleration: Any, T: Any, fmod: Callable[[Any, Any], Any]) -> Any:
+    """Length of the nominal braking motion from a speed (m/s), in m: full steps of T s, then one that ends at rest.
+
+    `fmod` is that of the numbers' library.
+    """
+    rest = fmod(speed, deceleration * T)
+    return (speed**2 - rest**2) / (2.0 * deceleration) + 0.5 * rest * T
 
 
 def feedback_gains(period: float, first_pole: Poles, second_pole: Poles) -> tuple[Poles, Poles]:
@@ -260,7 +269,5 @@ def _needed(task: Task, left: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "2 
         reach = reach + task.fault * np.maximum(struck, past[..., : task.fault_steps].sum(axis=-1))
     radius, reserve = reach.max(axis=-1).T
     radius = radius + task.period**2 / 8.0 * (reserve + task.disturbance)
-    a_b = np.maximum(task.authority - reserve, 1e-300)
-    rest = np.fmod(task.speed, a_b * task.period)
-    stop = (task.speed**2 - rest**2) / (2.0 * a_b) + 0.5 * rest * task.period
+    stop = stop_length(task.speed, np.maximum(task.authority - reserve, 1e-300), task.period, np.fmod)
     return np.stack([reserve, np.where(reserve < task.authority, stop + AT_REST * radius, math.inf)])

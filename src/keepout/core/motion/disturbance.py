@@ -224,10 +224,7 @@ class CombinedDisturbance(Disturbance):
 
     def force(self, time: Scalar) -> Vector:
         """Sum of the parts."""
-        total = jnp.zeros(3)
-        for part in self.parts:
-            total = total + part.force(time)
-        return total
+        return sum((part.force(time) for part in self.parts), jnp.zeros(3))
 
     def switches(self, start: Scalar, duration: float | Scalar) -> Float[Array, "switches"]:
         """Give the jumps of all parts."""
