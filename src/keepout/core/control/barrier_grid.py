@@ -163,13 +163,9 @@ def _walls(sample: Callable[..., np.ndarray], values: np.ndarray, axes: list[np.
     walls = np.zeros((3, *values.shape), dtype=bool)
     inner = np.arange(1, 8) / 8.0
     for axis in range(3):
-        ahead = np.full(values.shape, -np.inf)
-        head: list[slice] = [slice(None)] * 3
-        tail: list[slice] = [slice(None)] * 3
-        head[axis], tail[axis] = slice(0, -1), slice(1, None)
-        ahead[tuple(head)] = values[tuple(tail)]
-        doubtful = (values > 0.0) & (ahead > 0.0) & (values + ahead < spacing)
-        index = np.nonzero(doubtful)
+        ahead = np.roll(values, -1, axis=axis)
+        np.moveaxis(ahead, axis, 0)[-1] = -np.inf
+        index = np.nonzero((values > 0.0) & (ahead > 0.0) & (values + ahead < spacing))
         base = np.stack([a[i] for a, i in zip(axes, index, strict=True)], axis=-1)
         if len(base) == 0:
             continue

@@ -33,25 +33,15 @@ def _point(name: str, value: Any) -> Point:
 
 
 def _leader(
-    guidance: Guidance | GuidancePlan,
-    field: Field,
-    offset: float,
-    goal: Point,
-    *,
-    speed: float,
-    slowing_length: float,
-    start: Point | None,
-    progress: Progress,
+    guidance: Guidance | GuidancePlan, field: Field, offset: float, goal: Point, start: Point | None, **led: Any
 ) -> Guidance:
-    """Make the guidance of a plan; it must lead to the goal, with a velocity there."""
+    """Make a plan's guidance, `led` as `GuidancePlan.guidance` is; it must lead to the goal, with a velocity there."""
     # Before a grid is built, which takes seconds.
     require_free(field, offset, goal, "goal")
     if start is not None:
         require_free(field, offset, start, "start")
     if isinstance(guidance, GuidancePlan):
-        guidance = guidance.guidance(
-            field, offset, goal, speed=speed, slowing_length=slowing_length, start=start, progress=progress
-        )
+        guidance = guidance.guidance(field, offset, goal, start=start, **led)
     if not isinstance(guidance, Guidance):
         raise ControlError(f"guidance: {described(guidance)}; it must be a keepout.Guidance or a keepout.GuidancePlan")
     if is_own(guidance):
@@ -111,11 +101,11 @@ def default(
     tuning = _with_gains(tune(operation, drift_bound=drift, stopping_distance=stopping_distance), gains)
     offset = operation.keep_out + tuning.nominal_offset
     plan = Geodesic() if guidance is None else guidance
-    slowing = {"speed": chaser.speed_limit, "slowing_length": tuning.slowing_length}
+    led = {"speed": chaser.speed_limit, "slowing_length": tuning.slowing_length, "progress": progress}
     law = SafeVelocity(
         field=field,
         offset=as_float64(offset),
-        guidance=_leader(plan, field, offset, goal, **slowing, start=start, progress=progress),
+        guidance=_leader(plan, field, offset, goal, start, **led),
         class_k=ClassK(as_float64(tuning.class_k_rate), as_float64(tuning.braking)),
         circulation=None if isinstance(circulation, NoCirculation) else circulation,
         speed=SpeedCone(*map(as_float64, (chaser.speed_limit, tuning.authority, tuning.speed_reserve))),
@@ -190,12 +180,12 @@ def paper(
     chaser, goal = operation.chaser, _point("goal", goal)
     start = None if start is None else _point("start", start)
     plan = Componentwise() if guidance is None else guidance
-    slowing = {"speed": chaser.speed_limit, "slowing_length": slowing_length}
+    led = {"speed": chaser.speed_limit, "slowing_length": slowing_length, "progress": progress}
     turning = printed_circulation() if circulation is None else circulation
     law = SafeVelocity(
         field=field,
         offset=as_float64(operation.keep_out),
-        guidance=_leader(plan, field, operation.keep_out, goal, **slowing, start=start, progress=progress),
+        guidance=_leader(plan, field, operation.keep_out, goal, start, **led),
         class_k=ClassK(as_float64(0.08)),
         circulation=None if isinstance(turning, NoCirculation) else turning,
         # Without e_∇h the barrier row is a half-space, and the program a quadratic one.

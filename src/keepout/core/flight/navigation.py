@@ -130,12 +130,20 @@ class Suite(eqx.Module):
         return min(1.0, sum((steps // sensor.every + 1) * sensor.beyond() for sensor in self.sensors))
 
 
-class Estimator(eqx.Module):
-    """The law's estimate of the motion, and of the disturbance where it models one."""
+class Estimating(eqx.Module):
+    """What the law's estimate and the guard's have in common."""
 
     @abc.abstractmethod
     def initial_state(self, estimate: MotionState, errors: Float[Array, "2"]) -> PyTree:
         """Start from an estimate whose position (m) and velocity (m/s) are off by at most `errors`."""
+
+    @abc.abstractmethod
+    def advance(self, state: PyTree, force: Vector) -> PyTree:
+        """Move to the next control step under the commanded force (N, body axes) that acts until then."""
+
+
+class Estimator(Estimating):
+    """The law's estimate of the motion, and of the disturbance where it models one."""
 
     @abc.abstractmethod
     def correct(self, state: PyTree, samples: tuple[Sample, ...]) -> tuple[PyTree, MotionState, Int[Array, ""]]:
@@ -146,10 +154,6 @@ class Estimator(eqx.Module):
             where it is modelled and None where it is not; and how many samples were left out as outliers.
 
         """
-
-    @abc.abstractmethod
-    def advance(self, state: PyTree, force: Vector) -> PyTree:
-        """Move to the next control step under the force (N, body axes) that acts until then."""
 
 
 class KnownSet(eqx.Module):
@@ -167,20 +171,12 @@ class KnownSet(eqx.Module):
     contradicted: Flag
 
 
-class BoundedEstimator(eqx.Module):
+class BoundedEstimator(Estimating):
     """The guard's estimate: a set that holds the truth as long as noise and acceleration keep to their bounds."""
-
-    @abc.abstractmethod
-    def initial_state(self, estimate: MotionState, errors: Float[Array, "2"]) -> PyTree:
-        """Start from an estimate whose position (m) and velocity (m/s) are off by at most `errors`."""
 
     @abc.abstractmethod
     def correct(self, state: PyTree, samples: tuple[Sample, ...], estimate: MotionState) -> tuple[PyTree, KnownSet]:
         """Cut the set with the samples that arrived; `estimate` is the law's, for attitude and rates."""
-
-    @abc.abstractmethod
-    def advance(self, state: PyTree, force: Vector) -> PyTree:
-        """Move to the next control step under the commanded force (N, body axes) that acts until then."""
 
 
 class Knowledge(eqx.Module):

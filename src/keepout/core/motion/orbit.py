@@ -39,9 +39,9 @@ class Perturbation(eqx.Module):
     def of_target(self, position: Vector, velocity: Vector) -> Vector:
         """Acceleration of the target, m/s², at an ECI position and velocity."""
 
-    @abc.abstractmethod
     def of_chaser(self, position: Vector, velocity: Vector) -> Vector:
-        """Acceleration of the chaser, m/s², at an ECI position and velocity."""
+        """Acceleration of the chaser, m/s², at an ECI position and velocity; by default as of the target."""
+        return self.of_target(position, velocity)
 
 
 class J2(Perturbation):
@@ -58,10 +58,6 @@ class J2(Perturbation):
         strength = 1.5 * self.coefficient * self.gravitational_parameter * self.equatorial_radius**2 / radius**5
         polar = 5 * position[2] ** 2 / radius_squared
         return strength * position * (polar - jnp.array([1.0, 1.0, 3.0]))
-
-    def of_chaser(self, position: Vector, velocity: Vector) -> Vector:
-        """Acceleration at an ECI position, m/s²."""
-        return self.of_target(position, velocity)
 
 
 class _ByArea(Perturbation):
