@@ -153,18 +153,9 @@ class Tube(Path):
                 f"samples at most {0.4 / max(bounds.angular_rate, kappa**0.5):.3g} s apart"
             )
         turned = 2.0 * np.sin(0.5 * np.minimum(bounds.force_turning * step, np.pi))
+        limits = kappa, bounds.origin_offset, bounds.range_limit - bounds.excursion
         residual, speed, beyond = sample_loops.bound_steps(
-            step,
-            slack,
-            turned,
-            position,
-            velocity,
-            acceleration,
-            disturbance,
-            bounds.angular_rate,
-            kappa,
-            bounds.origin_offset,
-            bounds.range_limit - bounds.excursion,
+            step, slack, turned, position, velocity, acceleration, disturbance, bounds.angular_rate, *limits
         )
         if bounds.excursion > 0.0:
             speed = speed + 2.0 * bounds.excursion / step

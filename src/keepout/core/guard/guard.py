@@ -283,15 +283,9 @@ class Guard(SafetyLayer):
         doubts = None if observed is None else watch.next_doubts(self.windows, state.counted, observed.doubts, known)
 
         # Is it explained, by the step before and by the steps of each window?
-        unexplained, counted, jumped = watch.watch(
-            a,
-            self.windows,
-            state.unexplained,
-            state.counted,
-            position - state.expected_position,
-            velocity - state.expected_velocity,
-            None if observed is None or doubts is None else (observed.doubts, doubts),
-        )
+        moved = position - state.expected_position, velocity - state.expected_velocity
+        both = None if observed is None or doubts is None else (observed.doubts, doubts)
+        unexplained, counted, jumped = watch.watch(a, self.windows, state.unexplained, state.counted, *moved, both)
         beyond = jumped & finite
         if observed is not None and self.braking.observer is not None:
             off = position - own.expected_position, velocity - own.expected_velocity
