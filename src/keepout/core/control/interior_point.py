@@ -151,7 +151,7 @@ class _Program:
         return Iterate(at, jnp.zeros(count, dtype=bool), jnp.zeros(count, dtype=jnp.int32))
 
     def step(self, iterate: Iterate) -> Iterate:
-        """Take one step of the programs that are not finished."""
+        """Take one step of the programs that are not finished: `mean` is μ, `centring` σ, `affine_length` α."""
         at = iterate.at
         residuals = self.residuals(at)
         scaling = _Scaling.of(at)
@@ -197,11 +197,7 @@ class _Program:
         return jnp.max(jnp.concatenate(sizes), axis=0)
 
     def direction(
-        self,
-        residuals: tuple[Float[Array, "n b"], InCone],
-        scaling: "_Scaling",
-        factors: Factors,
-        target: InCone,
+        self, residuals: tuple[Float[Array, "n b"], InCone], scaling: "_Scaling", factors: Factors, target: InCone
     ) -> PrimalDual:
         """Solve the linear equations for a target.
 
