@@ -73,9 +73,9 @@ def export(
 
             model = FieldModel.load(source)
             target = load_target(recorded_target(source, model, wanted.mesh)) if to == "glb" else None
-            written = export_field(chosen, model, out, target=target, seed=seed, progress=progress)
+            written = export_field(model, chosen, out, target=target, seed=seed, progress=progress)
         else:
-            written = export_flight(chosen, source, out, progress=progress)
+            written = export_flight(source, chosen, out, progress=progress)
         progress(1.0, "")
     summary = {"source": str(source), "to": to, "file": str(out), **written}
     answer(summary, as_json, terminal.facts_table("Export", summary))

@@ -60,12 +60,12 @@ class Export:
             raise ExchangeError(f"--of {self.craft}: valid: {', '.join(get_args(Craft))}")
 
 
-def export_flight(wanted: Export, source: Path, out: Path, *, progress: Progress = silent) -> dict[str, Any]:
+def export_flight(source: Path, wanted: Export, out: Path, *, progress: Progress = silent) -> dict[str, Any]:
     """Write a flight file of `keepout fly`, whose header holds the scenario; the answer is plain JSON values.
 
     Args:
-        wanted: of it.
         source: the flight file.
+        wanted: of it.
         out: the file to write.
         progress: called as the work goes on.
 
@@ -96,13 +96,13 @@ def export_flight(wanted: Export, source: Path, out: Path, *, progress: Progress
 
 
 def export_field(
-    wanted: Export, model: FieldModel, out: Path, *, target: Target | None, seed: int = 0, progress: Progress = silent
+    model: FieldModel, wanted: Export, out: Path, *, target: Target | None, seed: int = 0, progress: Progress = silent
 ) -> dict[str, Any]:
     """Write a field; the answer is plain JSON values.
 
     Args:
-        wanted: of it.
         model: the field.
+        wanted: of it.
         out: the file to write.
         target: the mesh the field was made for, needed by "glb".
         seed: of the points at which an ONNX file is measured.
