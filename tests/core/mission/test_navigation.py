@@ -20,13 +20,15 @@ from keepout.flights.campaign.run import fly_campaign
 
 CLOSE = {
     "duration": 150.0,
+    "target": {"source": "box"},
+    "field": {"source": "grid"},
     "start": {"position": [0.0, 8.0, 4.0]},
     "goal": {"position": [3.0, 8.0, 5.0]},
     "control": {"guidance": "straight"},
     "navigation": {"suite": "close"},
     "thrusters": {"layout": "six", "modulation": "delta-sigma"},
 }
-"""A short way above `intelsat30`, with pulses."""
+"""A short way above a box, with pulses."""
 
 
 def scenario(**tables):
