@@ -89,6 +89,7 @@ REFUSED = [
     ("a.ply", PLY.replace("element vertex", "element point"), "'vertex'"),
     ("a.ply", PLY.replace("vertex_indices", "corners"), "vertex_indices"),
     ("a.ply", PLY.replace("property float x", "property real x"), "line 5"),
+    ("a.ply", PLY.replace("property float x", "property float a b x"), "line 5", "is not PLY"),
     ("a.ply", PLY[: len(HEAD) - 5], "end_header"),
     ("a.ply", PLY.replace("ascii", "unary"), "line 2"),
     ("a.ply", STRIP.replace("8 0 1 3 2 -1 0 1 2", "4 0 1 3 4"), "index 4"),

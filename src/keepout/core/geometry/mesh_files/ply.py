@@ -125,9 +125,7 @@ def _header(data: bytes) -> tuple[str, list[_Element], int]:
                 elements and _TYPES.get(size, "f")[0] != "f" and kind in _TYPES and not elements[-1].has(name)
             ):
                 elements[-1].properties.append(_Property(name, _TYPES[kind], _TYPES[size]))
-            case ["property", kind, name] | ["property", kind, _, _, name] if (
-                elements and kind in _TYPES and not elements[-1].has(name)
-            ):
+            case ["property", kind, name] if elements and kind in _TYPES and not elements[-1].has(name):
                 elements[-1].properties.append(_Property(name, _TYPES[kind]))
             case _:
                 raise MeshError(f"line {number} of the header: {line[:60]!r} is not PLY")
