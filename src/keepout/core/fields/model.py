@@ -90,12 +90,10 @@ class Certificate:
         if self.kind == "certified" and self.allowance != 0.0:
             raise FieldError(f"certificate: allowance is {self.allowance} m and kind 'certified'; it must be 0 there")
         for bound, found in (("error_bound", "sampled_maximum"), ("gradient_bound", "gradient_found")):
-            least = getattr(self, found)
-            if least is not None and getattr(self, bound) < least:
-                raise FieldError(
-                    f"certificate: {bound} is {getattr(self, bound)} and {found} {least}; a bound is at least what was "
-                    "found"
-                )
+            most, least = getattr(self, bound), getattr(self, found)
+            if least is not None and most < least:
+                said = f"{bound} is {most} and {found} {least}"
+                raise FieldError(f"certificate: {said}; a bound is at least what was found")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -155,9 +153,7 @@ class FieldModel:
         ordered = sorted([*others, certificate], key=lambda c: c.chaser_radius)
         return dataclasses.replace(self, certificates=tuple(ordered))
 
-    def certified(
-        self, kind: Literal["certified", "sampled"], chaser_radius: float, start: float, **numbers: Any
-    ) -> "FieldModel":
+    def certified(self, kind: CertificateKind, chaser_radius: float, start: float, **numbers: Any) -> "FieldModel":
         """Return the same model with one more certificate of its field and target.
 
         Args:
@@ -393,16 +389,14 @@ def _require_network(field: NeuralField) -> None:
         raise FieldError(f"network: {told}; all must be of one type, float32 or float64")
     for name, array in arrays.items():
         _require_finite(f"network: {name}", array)
-    for name, value in (("scale", float(field.scale)), ("beta", field.beta)):
+    domain, scale = field.continuation, float(field.scale)
+    for name, value in (("scale", scale), ("beta", field.beta)):
         if not (np.isfinite(value) and value > 0.0):
             raise FieldError(f"network: {name} is {value:g}; it must be finite and above 0")
-    domain = field.continuation
     least, most = 1e-3 * float(domain.domain_radius), 1e3 * float(domain.outer_radius)
-    if not least <= float(field.scale) <= most:
+    if not least <= scale <= most:
         # The proof's first cubes are a share of the scale: a tiny one would never end, a huge one never begin.
-        raise FieldError(
-            f"network: scale is {float(field.scale):g} m; in its domain it must be {least:g} to {most:g} m"
-        )
+        raise FieldError(f"network: scale is {scale:g} m; in its domain it must be {least:g} to {most:g} m")
     held = np.finfo(layers.weights[0].dtype)
     if not float(held.tiny) <= field.beta <= float(held.max):
         raise FieldError(f"network: beta is {field.beta:g}; a {held.dtype} holds {held.tiny:g} to {held.max:g} in full")

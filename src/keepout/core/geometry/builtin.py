@@ -67,8 +67,7 @@ def _panel_wing(side: int, tip: float) -> Manifold:
     length = (tip - root) / 4.0
     parts = [
         rod((side * (_HALF_X - 0.1), 0.0, 0.0), (side * 1.7, 0.0, 0.0), 0.09),
-        rod((side * 1.65, 0.0, 0.0), (side * (root + 0.05), 0.9, 0.0), 0.06),
-        rod((side * 1.65, 0.0, 0.0), (side * (root + 0.05), -0.9, 0.0), 0.06),
+        *(rod((side * 1.65, 0.0, 0.0), (side * (root + 0.05), y, 0.0), 0.06) for y in (0.9, -0.9)),
     ]
     for panel in range(4):
         centre = root + (panel + 0.5) * length
@@ -217,8 +216,7 @@ def _american_segment() -> list[Manifold]:
         rod((0.0, -2.2, 2.2), (0.0, -2.2, 3.0), 1.2),
     ]
     # The station's arm, folded along the truss front.
-    parts += [rod((-1.0, -0.8, 0.0), (4.0, -4.2, -1.5), 0.18), rod((4.0, -4.2, -1.5), (10.5, -3.0, -0.5), 0.18)]
-    return parts
+    return [*parts, rod((-1.0, -0.8, 0.0), (4.0, -4.2, -1.5), 0.18), rod((4.0, -4.2, -1.5), (10.5, -3.0, -0.5), 0.18)]
 
 
 def _russian_segment() -> list[Manifold]:
@@ -285,23 +283,17 @@ def tiangong(wing_span: float = 56.0, wing_angle: float = 0.0) -> Manifold:
 
 def _tianhe() -> list[Manifold]:
     """Hub, small and large cylinder, resource section, and two wings along x."""
+    outline = [(1.0, 1.4), (6.6, 1.4), (7.6, 2.1), (13.6, 2.1), (13.7, 1.5), (15.1, 1.5)]
     parts = [
         sphere((0.0, 0.0, 0.0), 1.55, 32),
-        turned(
-            (0.0, 0.0, 0.0),
-            (0.0, 1.0, 0.0),
-            [(1.0, 1.4), (6.6, 1.4), (7.6, 2.1), (13.6, 2.1), (13.7, 1.5), (15.1, 1.5)],
-        ),
-        rod((0.0, 0.0, 1.2), (0.0, 0.0, 2.1), 0.65),
-        rod((0.0, 0.0, -1.2), (0.0, 0.0, -2.1), 0.65),
+        turned((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), outline),
+        *(rod((0.0, 0.0, side * 1.2), (0.0, 0.0, side * 2.1), 0.65) for side in (1, -1)),
     ]
     for side in (-1, 1):
         parts.append(rod((0.0, 5.2, 0.0), (side * 2.6, 5.2, 0.0), 0.15, segments=8))
         parts.append(box((side * (2.4 + 6.1), 5.2, 0.0), (12.2, 4.6, 0.08)))
     # The arm, folded along the large cylinder.
-    parts.append(rod((0.0, 8.0, -1.9), (0.0, 8.0, -2.5), 0.25))
-    parts.append(rod((0.0, 8.0, -2.5), (0.0, 13.0, -2.5), 0.16))
-    return parts
+    return [*parts, rod((0.0, 8.0, -1.9), (0.0, 8.0, -2.5), 0.25), rod((0.0, 8.0, -2.5), (0.0, 13.0, -2.5), 0.16)]
 
 
 def _laboratory(side: int, *, airlock: bool) -> list[Manifold]:
@@ -397,12 +389,11 @@ class Builtin:
             MeshError: an unknown parameter, or a value outside its range.
 
         """
-        given = dict(parameters or {})
+        given = parameters or {}
         for name, value in given.items():
             if name not in self.ranges:
-                raise MeshError(
-                    f"{self.name}: parameter {name!r} is unknown; it takes {', '.join(self.ranges) or 'none'}"
-                )
+                taken = ", ".join(self.ranges) or "none"
+                raise MeshError(f"{self.name}: parameter {name!r} is unknown; it takes {taken}")
             lower, upper = self.ranges[name]
             if not lower <= value <= upper:
                 raise MeshError(f"{self.name}: {name} = {value}; it must be from {lower} to {upper}")

@@ -339,7 +339,8 @@ def measure_volumes(
         last = level == around.depth
         points = centres + (generator.uniform(-half_width, half_width, size=centres.shape) if last else 0.0)
         learned = values(field, points)[:, None] - heights
-        contact = _contact(solid, points, radii)
+        # min(d - R, g), 1-Lipschitz: not positive where a ball of radius R touches, or in the offset solid.
+        contact = np.minimum(distance.distance(points)[:, None] - radii, solid.signed_distance(points)[:, None])
         reach = SQRT3 * half_width
         split = (np.abs(learned) <= steepest * reach).any(axis=1) | (np.abs(contact) <= reach).any(axis=1)
         return split & around.reached(centres, half_width), (learned <= 0.0, contact <= 0.0)
@@ -365,11 +366,6 @@ def measure_volumes(
         )
         for i, (radius, height) in enumerate(zip(radii, heights))
     ]
-
-
-def _contact(solid: OffsetSolid, points: Points, radii: Float[np.ndarray, "r"]) -> Float[np.ndarray, "n r"]:
-    """min(d - R, g), 1-Lipschitz: not positive where a ball of radius R touches, or in the offset solid."""
-    return np.minimum(solid.distance.distance(points)[:, None] - radii, solid.signed_distance(points)[:, None])
 
 
 def grown_hull_volume(hull: scipy.spatial.ConvexHull, radius: float) -> float:

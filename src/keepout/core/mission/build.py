@@ -315,12 +315,11 @@ def with_disturbance(mission: Mission, disturbance: Disturbance) -> Mission:
     broken = mission.assumptions_broken
     if bound > assumed * _OUTWARD:
         broken = (*broken, f"disturbance: flown up to {bound:.6g} N > disturbance.bound {assumed:.6g} N")
-    certified = mission.start_certified
     return replace(
         mission,
         setup=replace(mission.setup, disturbance=disturbance),
         own_push=bound,
-        start_certified=None if certified is None else certified and not broken,
+        start_certified=mission.start_certified and not broken,
         assumptions_broken=broken,
     )
 

@@ -241,7 +241,7 @@ def _place(scenario: Scenario, target: Target, name: str, roomy: Any) -> tuple[N
     if near is None:
         return ()
     away = math.dist(near, place)
-    words = f"{name}.position = [{', '.join(f'{x:g}' for x in near)}], {away:.3g} m away, is free"
+    words = f"{name}.position = {_shown(near)}, {away:.3g} m away, is free"
     return (Nearest(f"{name}.position", near, words),)
 
 
@@ -252,10 +252,7 @@ def _certified_radius(scenario: Scenario, model: FieldModel | None) -> tuple[Nea
             model = load_model(scenario, load_target(scenario.target))
         except KeepoutError:
             return ()
-    radii = sorted(
-        (certificate.chaser_radius for certificate in model.certificates),
-        key=lambda radius: abs(radius - scenario.chaser.radius),
-    )
+    radii = sorted((c.chaser_radius for c in model.certificates), key=lambda r: abs(r - scenario.chaser.radius))
     return tuple(Nearest("chaser.radius", radius, f"chaser.radius = {radius:g} m") for radius in radii[:1])
 
 
@@ -318,23 +315,16 @@ def in_words(scenario: Scenario, target: Target) -> tuple[str, ...]:
     if scenario.attitude.kind == "tumbling":
         turning += f" at {math.degrees(math.hypot(*scenario.attitude.angular_velocity)):.3g} °/s"
     forces = [name for name, there in (("J2", orbit.j2), ("drag", scenario.drag.density > 0.0)) if there]
+    parts = {name: getattr(control, name) for name in ("guidance", "circulation", "observer")}
+    chosen = "".join(f", {name} {part}" for name, part in parts.items() if part is not None)
     sentences = [
         f"A chaser of {chaser.mass:g} kg in a ball of {chaser.radius:g} m flies around {target.name}, {extents} m, "
         f"{turning}, on an orbit with a semi-major axis of {orbit.semi_major_axis / 1e3:.6g} km and an eccentricity of "
         f"{orbit.eccentricity:g}{', with ' + ' and '.join(forces) if forces else ''}.",
         f"From {_shown(scenario.start.position)} m to {_shown(scenario.goal.position)} m, {apart:.3g} m apart, in "
         f"{scenario.duration:g} s, at up to {chaser.speed_limit:g} m/s, with up to {chaser.force_limit:g} N an axis.",
-        f"The law is {control.profile}, asked every {control.period:g} s"
-        + "".join(
-            f", {kind} {chosen}"
-            for kind, chosen in (
-                ("guidance", control.guidance),
-                ("circulation", control.circulation),
-                ("observer", control.observer),
-            )
-            if chosen is not None
-        )
-        + f"; it keeps {scenario.safety.margin:g} m beside what is proved.",
+        f"The law is {control.profile}, asked every {control.period:g} s{chosen}; "
+        f"it keeps {scenario.safety.margin:g} m beside what is proved.",
         "The guard flies along." if scenario.guard.enabled else "No guard flies along: nothing is proved.",
         _pushed(scenario),
     ]

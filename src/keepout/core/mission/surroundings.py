@@ -153,10 +153,8 @@ class Surroundings:
             case "constant":
                 return pushes.steady(np.asarray(entry.force))
             case "bang-bang":
-                most_switches = math.ceil(scenario.control.period / (0.5 * _BANG_BANG_PERIOD))
-                wave = pushes.SquareWaveDisturbance(
-                    amplitude * _DIAGONAL, _BANG_BANG_PERIOD, most_switches=most_switches
-                )
+                most = math.ceil(scenario.control.period / (0.5 * _BANG_BANG_PERIOD))
+                wave = pushes.SquareWaveDisturbance(amplitude * _DIAGONAL, _BANG_BANG_PERIOD, most_switches=most)
                 return wave.shifted(phase)
             case "resonant":
                 return pushes.resonant(amplitude * _DIAGONAL, scenario.control.period).shifted(phase)
@@ -264,24 +262,17 @@ class Surroundings:
         away = {name: value for name, value in self._furthest.items() if name != "campaign"}
         away["target"] = extent
         shared, pull = self._moved(self.region(away))
-        thrust = self._thruster_errors.times_gain(entry.gain_error)
+        thrust = vars(self._thruster_errors.times_gain(entry.gain_error))
+        told = {name: getattr(entry, name) for name in ("position_error", "velocity_error", "mass_error", "delay")}
         assumed = GuardAssumptions(
             **shared,
+            **told,
+            **{name: error for name, error in thrust.items() if name != "running_error"},
             force_limit=scenario.chaser.force_limit,
             period=scenario.control.period,
             disturbance_force=self.disturbance_bound + pull,
             range_limit=2.0 * max(away.values()) + 20.0,
             speed_limit=self._allowed_speed,
-            position_error=entry.position_error,
-            velocity_error=entry.velocity_error,
-            mass_error=entry.mass_error,
-            gain_error=thrust.gain_error,
-            delay=entry.delay,
-            force_error=thrust.force_error,
-            excursion=thrust.excursion,
-            velocity_excursion=thrust.velocity_excursion,
-            fault_force=thrust.fault_force,
-            fault_steps=thrust.fault_steps,
             turning_error=2.0 * math.sin(0.5 * min(self._force_turning * scenario.control.period, math.pi)),
         )
         if scenario.navigation.suite == "none":

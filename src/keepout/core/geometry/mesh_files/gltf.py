@@ -5,7 +5,7 @@ import binascii
 import json
 import struct
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -110,12 +110,9 @@ class _Data:
             raise MeshError(f"accessors {index} of {count} entries has no bufferView, so its numbers are missing")
         if sparse is not None:
             table = self._with_sparse(table, sparse, kind)
-        if "f" not in kinds:
-            values = table.astype(np.int64)
-        elif accessor.get("normalized", False) and np.dtype(kind).kind != "f":
-            values = np.maximum(table.astype(np.float64) / np.iinfo(kind).max, -1.0)
-        else:
-            values = table.astype(np.float64)
+        values = table.astype(np.float64 if "f" in kinds else np.int64)
+        if "f" in kinds and accessor.get("normalized", False) and np.dtype(kind).kind != "f":
+            values = np.maximum(values / np.iinfo(kind).max, -1.0)
         return values[:, 0] if shape == "SCALAR" else values
 
     def count(self, index: Any) -> int:
@@ -127,17 +124,15 @@ class _Data:
         view = self.entry("bufferViews", accessor.get("bufferView"))
         if "EXT_meshopt_compression" in _part(view, "extensions"):
             raise MeshError("its numbers are compressed by EXT_meshopt_compression, which is not read")
-        size = width * np.dtype(kind).itemsize
+        item = np.dtype(kind).itemsize
+        size = width * item
         step = _whole(view, "byteStride", size) if stride else size
         end = start + (count - 1) * step + size if count else start
         if end > len(data) or step < size:
             raise MeshError(f"an accessor of {count} entries ends at byte {end} of a view of {len(data)} bytes")
         if not count:
             return np.zeros((0, width), dtype=kind)
-        table = np.ndarray(
-            (count, width), dtype=kind, buffer=data, offset=start, strides=(step, np.dtype(kind).itemsize)
-        )
-        return table.copy()
+        return np.ndarray((count, width), dtype=kind, buffer=data, offset=start, strides=(step, item)).copy()
 
     def _with_sparse(self, table: np.ndarray, sparse: dict[str, Any], kind: str) -> np.ndarray:
         count, places = _whole(sparse, "count"), _part(sparse, "indices")
@@ -268,8 +263,8 @@ class _Primitive:
     """
 
     positions: Float[np.ndarray, "v 3"]
-    faces: Int[np.ndarray, "f 3"]
-    points: Int[np.ndarray, "p"]
+    faces: Int[np.ndarray, "f 3"] = field(default_factory=lambda: np.zeros((0, 3), dtype=np.int64))
+    points: Int[np.ndarray, "p"] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     segments: int = 0
     joints: int = 0
 
@@ -288,7 +283,7 @@ def _read_primitive(data: _Data, primitive: dict[str, Any]) -> _Primitive:
     if _DRACO in extensions:
         positions, faces = _draco(data, primitive, _part(extensions, _DRACO), mode)
         contents.check_indices(faces, len(positions), "a primitive")
-        return _Primitive(positions, faces, np.zeros(0, dtype=np.int64))
+        return _Primitive(positions, faces)
     position = _part(primitive, "attributes").get("POSITION")
     if position is None:
         raise MeshError("a primitive has no POSITION, so its shape is not in the file")
@@ -298,19 +293,17 @@ def _read_primitive(data: _Data, primitive: dict[str, Any]) -> _Primitive:
     if "indices" in primitive:
         order = data.numbers(primitive["indices"], "SCALAR", kinds="u")
         contents.check_indices(order, len(positions), "a primitive")
-    none = np.zeros((0, 3), dtype=np.int64)
     if mode == _POINTS:
-        return _Primitive(positions, none, order)
-    points = np.zeros(0, dtype=np.int64)
+        return _Primitive(positions, points=order)
     if mode < _TRIANGLES:
         segments = {_LINES: len(order) // 2, _LOOP: len(order), _LINE_STRIP: max(len(order) - 1, 0)}[mode]
-        return _Primitive(positions, none, points, segments=segments)
+        return _Primitive(positions, segments=segments)
     if mode == _TRIANGLES:
         if len(order) % 3:
             raise MeshError(f"a primitive of triangles has {len(order)} corners, which three does not divide")
-        return _Primitive(positions, order.reshape(-1, 3), points)
+        return _Primitive(positions, order.reshape(-1, 3))
     faces, joints = contents.strip_triangles(order) if mode == _STRIP else contents.fan_triangles(order)
-    return _Primitive(positions, faces, points, joints=joints)
+    return _Primitive(positions, faces, joints=joints)
 
 
 def _draco(
@@ -327,13 +320,12 @@ def _draco(
     if positions.dtype.kind != "f" or positions.ndim != 2 or positions.shape[1] != 3:
         raise MeshError(f"a primitive's compressed positions are {positions.dtype} of shape {positions.shape}")
     faces = np.asarray(faces).astype(np.int64).reshape(-1, 3)
-    declared = data.count(_part(primitive, "attributes").get("POSITION"))
-    if declared != len(positions):
-        raise MeshError(f"a compressed primitive declares {declared} positions and has {len(positions)}")
-    if mode == _TRIANGLES and "indices" in primitive and data.count(primitive["indices"]) != faces.size:
-        raise MeshError(
-            f"a compressed primitive declares {data.count(primitive['indices'])} corners and has {faces.size}"
-        )
+    held = [(_part(primitive, "attributes").get("POSITION"), len(positions), "positions")]
+    if mode == _TRIANGLES and "indices" in primitive:
+        held.append((primitive["indices"], faces.size, "corners"))
+    for accessor, there, what in held:
+        if (declared := data.count(accessor)) != there:
+            raise MeshError(f"a compressed primitive declares {declared} {what} and has {there}")
     return positions.astype(np.float64), faces
 
 
@@ -411,24 +403,18 @@ class _Scene:
             self._draw(index, mesh, places)
         self._resolution.require()
         placed = {node["mesh"] for node in nodes if type(node.get("mesh")) is int}
-        self._left_out["node with a mesh, not in the shown scene"] = sum(
-            "mesh" in node for index, node in enumerate(nodes) if index not in seen
-        )
-        self._left_out["mesh, placed by no node"] = sum(
-            index not in placed for index in range(len(self._data.rows("meshes")))
-        )
+        hidden = [index for index, node in enumerate(nodes) if "mesh" in node and index not in seen]
+        self._left_out["node with a mesh, not in the shown scene"] = len(hidden)
+        self._left_out["mesh, placed by no node"] = len({*range(len(self._data.rows("meshes")))} - placed)
 
     def whole(self, passed_over: list[str]) -> contents.MeshContents:
         """Triangles where there are any, else points, with the action lines."""
         actions = list(passed_over)
-        if self._morph_targets:
-            actions.append(
-                f"took the shape without {contents.counted(self._morph_targets, 'morph target')} of weight zero"
-            )
-        if self._data.rows("animations"):
-            actions.append(
-                f"took the pose at rest, without {contents.counted(len(self._data.rows('animations')), 'animation')}"
-            )
+        morphs, animations = self._morph_targets, len(self._data.rows("animations"))
+        if morphs:
+            actions.append(f"took the shape without {contents.counted(morphs, 'morph target')} of weight zero")
+        if animations:
+            actions.append(f"took the pose at rest, without {contents.counted(animations, 'animation')}")
         points = np.concatenate([np.zeros((0, 3)), *self._points])
         if self._faces:
             self._left_out["point"] = len(points)
@@ -489,22 +475,18 @@ class _Scene:
         """One matrix for each instance of a node's mesh."""
         attributes = _part(extension, "attributes")
         for accessor in attributes.values():
-            if self._data.count(accessor) > contents.MOST_PLACED:
-                raise MeshError(
-                    f"{_INSTANCING} with {self._data.count(accessor)} instances; "
-                    f"at most {contents.MOST_PLACED} are read"
-                )
+            count, most = self._data.count(accessor), contents.MOST_PLACED
+            if count > most:
+                raise MeshError(f"{_INSTANCING} with {count} instances; at most {most} are read")
         tables = {
-            key: self._data.numbers(attributes[key], shape, kinds=kinds)
+            key.lower(): self._data.numbers(attributes[key], shape, kinds=kinds)
             for key, shape, kinds in (("TRANSLATION", "VEC3", "f"), ("ROTATION", "VEC4", "if"), ("SCALE", "VEC3", "f"))
             if key in attributes
         }
         counts = {len(table) for table in tables.values()}
         if len(counts) != 1:
             raise MeshError(f"{_INSTANCING} with {sorted(counts)} instances; its attributes must agree on one number")
-        return [
-            _matrix(**{key.lower(): table[number] for key, table in tables.items()}) for number in range(counts.pop())
-        ]
+        return [_matrix(**{key: table[row] for key, table in tables.items()}) for row in range(counts.pop())]
 
 
 def _placement(node: dict[str, Any], index: int) -> Float[np.ndarray, "4 4"]:
