@@ -58,7 +58,7 @@ def test_when_a_view_is_over_and_why(options, frames, ended):
             if fresh == "all":
                 what.take(np.array([0, 2, 1]))
                 fresh = 2
-            view.noted(now, np.array([away, 0.0, 0.0]), looking, AHEAD, what, fresh)
+            view.noted(now, np.array([away, 0.0, 0.0]), looking, AHEAD, fresh)
         assert view.ended(at, what) is lost
 
 

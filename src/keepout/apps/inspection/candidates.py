@@ -8,9 +8,7 @@ stand-off and the camera's greatest. So they lie on all levels of the distance, 
 import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import no_type_check
 
-import numba
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import sparse
@@ -20,6 +18,7 @@ from keepout.apps.inspection.problem import Problem
 from keepout.apps.inspection.seeing.patches import axes_across
 from keepout.apps.inspection.seeing.visible import SeeingRules, Visible, visible
 from keepout.core.cores import available_cores
+from keepout.core.kernel import kernel
 from keepout.core.progress import Progress, part_of, silent
 
 Point = Float[np.ndarray, "3"]
@@ -259,8 +258,7 @@ def boresights_of(
     return np.array(chosen).reshape(-1, 3), units
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _gains(directions, enough, left, tried):
     """Give for each direction tried what is left in its cone."""
     gains = np.zeros(len(tried))

@@ -157,7 +157,7 @@ class UnderWay(Leader):
                 units = self.camera.units(row * period, estimate, self.boresight.direction, wanted.left)
                 wanted.take(units)
                 if leg is not None:
-                    leg.noted(row * period, estimate, self.boresight, self._aimed(), wanted, len(units))
+                    leg.noted(row * period, estimate, self.boresight, self._aimed(), len(units))
             self.boresight = self.boresight.step(self._aimed(), period)
         if leg is not None:
             leg.held_up += int(np.count_nonzero(mode(log.guard_status)))

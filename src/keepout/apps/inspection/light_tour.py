@@ -13,9 +13,8 @@ where the chaser waits for light or stays, it stops and sets out anew (`tour`).
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
-import numba
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import sparse
@@ -25,6 +24,7 @@ from keepout.apps.inspection.cover import fewest_views, shortlist
 from keepout.apps.inspection.light import LitTimes
 from keepout.apps.inspection.plan import InspectionPlan, Point, Task
 from keepout.apps.inspection.tour import Objective, Tour, turning_time
+from keepout.core.kernel import kernel
 from keepout.core.progress import Progress
 
 _SIDE = 1e-3
@@ -294,8 +294,7 @@ class LightTours:
         left[units[self._lit[n, units]]] = 0.0
 
 
-@numba.njit(cache=True)
-@no_type_check
+@kernel()
 def _next_view(shown, begins, times, now, gains, least, legs, prices):
     """Give the view and the moment with the most worth for its cost, or -1."""
     indptr, indices, left, worth, lit = shown

@@ -8,7 +8,7 @@ the mesh is 1-Lipschitz. Where a drift leaves the range in which gravity is boun
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -444,13 +444,8 @@ class DriftsPlanned:
 
     def summary(self) -> dict[str, Any]:
         """Give the figures as plain numbers for JSON."""
-        return {
-            "legs": self.legs,
-            "legs_passive_safe": self.safe,
-            "legs_slowed": self.slowed,
-            "views_left_out_passive": self.views_left_out,
-            "candidates_left_out_passive": self.candidates_left_out,
-        }
+        names = "legs", "legs_passive_safe", "legs_slowed", "views_left_out_passive", "candidates_left_out_passive"
+        return dict(zip(names, astuple(self), strict=True))
 
 
 @dataclass(eq=False)

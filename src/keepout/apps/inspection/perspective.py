@@ -2,15 +2,14 @@
 
 import functools
 from dataclasses import dataclass
-from typing import no_type_check
 
-import numba
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from keepout.apps.inspection.seeing.sightlines import slab
 from keepout.apps.led.camera import Pinhole
 from keepout.apps.led.first_hit import FirstHit
+from keepout.core.kernel import kernel
 from keepout.flights.pages.mesh_pictures import fill_triangle
 
 _NEAR = 0.01
@@ -135,8 +134,7 @@ class Studio:
         return marked
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check  # run-time shape checks would wrap what numba compiles
+@kernel(error_model="numpy")
 def _paint(triangles, position, axes, focal, face, inverse):
     """Draw triangles into `face` and the inverse of the depth; what is nearer than `_NEAR` is cut away."""
     rows, columns = face.shape

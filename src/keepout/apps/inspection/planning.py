@@ -96,13 +96,8 @@ def _fewest_in_order(task: Task, views: Views, progress: Progress) -> Inspection
     result = best.drawn.plan
     if task.drifting is not None:
         result = task.drawn_up(best.views, best.tour, task.drifting).plan
-    return replace(
-        result,
-        candidates=found,
-        short_list=len(views.positions),
-        fewest_views=cover.fewest,
-        greedy_views=cover.greedy,
-    )
+    counts = {"candidates": found, "short_list": len(views.positions), "fewest_views": cover.fewest}
+    return replace(result, **counts, greedy_views=cover.greedy)
 
 
 def _nearest_views(task: Task, views: Views) -> InspectionPlan:

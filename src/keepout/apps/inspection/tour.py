@@ -14,11 +14,12 @@ tuple: the cost of each leg, its velocity, the cost of a change of velocity, and
 """
 
 from dataclasses import dataclass
-from typing import Literal, no_type_check
+from typing import Literal
 
-import numba
 import numpy as np
 from jaxtyping import Float, Int
+
+from keepout.core.kernel import kernel
 
 Objective = Literal["time", "delta_v", "both"]
 _SHUT_OFF = 1e7
@@ -161,8 +162,7 @@ def _finite(lengths: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
     return np.where(np.isfinite(lengths), lengths, _SHUT_OFF)
 
 
-@numba.njit(cache=True)
-@no_type_check
+@kernel()
 def _fly(order, lengths, leave, turns, windows, numbers, times):
     """End and Δv; writes the time of each view."""
     speed, acceleration, dwell, begin = numbers
@@ -198,8 +198,7 @@ def _fly(order, lengths, leave, turns, windows, numbers, times):
     return now + 0.5 * rest / acceleration, delta_v + rest
 
 
-@numba.njit(cache=True)
-@no_type_check
+@kernel()
 def _corner(a, p, b, paid):
     """Give what the change of velocity at p costs, from a on to b; where one of them is none, from rest or to rest."""
     if p < 0:
@@ -217,14 +216,12 @@ def _corner(a, p, b, paid):
     return change * np.sqrt((ox - ix) ** 2 + (oy - iy) ** 2 + (oz - iz) ** 2)
 
 
-@numba.njit(cache=True)
-@no_type_check
+@kernel()
 def _leg(a, b, paid):
     return 0.0 if a < 0 or b < 0 else paid[0][a, b]
 
 
-@numba.njit(cache=True)
-@no_type_check
+@kernel()
 def _at(order, q, move):
     """Give what stands at q after a move: the stretch s to e stands right after what was at t, turned round or not.
 
@@ -247,8 +244,7 @@ def _at(order, q, move):
     return order[e - (q - begin)] if turned else order[s + (q - begin)]
 
 
-@numba.njit(cache=True)
-@no_type_check
+@kernel()
 def _summed(total, sign, before, order, move, paid):
     """Add what the legs after some places of a moved order cost, and the changes of velocity at their ends, once."""
     last = -1
@@ -264,8 +260,7 @@ def _summed(total, sign, before, order, move, paid):
     return total
 
 
-@numba.njit(cache=True)
-@no_type_check
+@kernel()
 def _gain(order, move, paid):
     """Give how much less the order costs after a move."""
     s, e, t, _ = move
@@ -280,8 +275,7 @@ def _gain(order, move, paid):
     return _summed(before, -1.0, new, order, move, paid)
 
 
-@numba.njit(cache=True)
-@no_type_check
+@kernel()
 def _put(order, place, move, spare):
     """Move a stretch."""
     s, e, t, _ = move
@@ -293,8 +287,7 @@ def _put(order, place, move, spare):
         place[order[q]] = q
 
 
-@numba.njit(cache=True)
-@no_type_check
+@kernel()
 def _better(here, order, place, paid, nearest, spare):
     """Make the first move found that brings a place beside a near one and helps; give what it gains, or 0."""
     end = order.size - 1
@@ -335,8 +328,7 @@ def _better(here, order, place, paid, nearest, spare):
     return 0.0
 
 
-@numba.njit(cache=True)
-@no_type_check
+@kernel()
 def _descend(order, place, waiting, paid, nearest, spare):
     """Improve about the places that wait until none helps; give the gain."""
     total, number = 0.0, place.size
@@ -363,8 +355,7 @@ def _descend(order, place, waiting, paid, nearest, spare):
     return total
 
 
-@numba.njit(cache=True)
-@no_type_check
+@kernel()
 def _search(order, paid, nearest, draws):
     number = order.size - 2
     place = np.empty(number, dtype=np.int64)

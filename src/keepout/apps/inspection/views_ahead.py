@@ -104,9 +104,7 @@ class Leg:
         self.place = place
         self._given_up = given_up_at(max(now, self.window[0]), expected) + self.stay
 
-    def noted(
-        self, now: float, estimate: Point, boresight: Boresight, aimed: Point, wanted: Wanted, fresh: int
-    ) -> None:
+    def noted(self, now: float, estimate: Point, boresight: Boresight, aimed: Point, fresh: int) -> None:
         """Note a frame: where it was taken, where it looked and how many units it showed that were wanted."""
         near = float(np.linalg.norm(estimate - self.place)) < self.near
         aligned = self.boresight is None or boresight.off(aimed) < _ALIGNED
@@ -116,8 +114,7 @@ class Leg:
                 self._there_since = float("inf")
             return
         self._there_since = min(self._there_since, now)
-        in_window = now >= self.window[0]
-        self._idle = 0 if fresh or not in_window else self._idle + 1
+        self._idle = 0 if fresh or now < self.window[0] else self._idle + 1
 
     def ended(self, now: float, wanted: Wanted) -> Lost | None:
         """Say whether the view is done with, and how; None while it goes on."""

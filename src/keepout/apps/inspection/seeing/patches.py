@@ -8,9 +8,8 @@ which side of a face is outside, sheets do not.
 import functools
 import math
 from dataclasses import dataclass
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
-import numba
 import numpy as np
 import scipy.sparse
 import scipy.sparse.csgraph
@@ -19,9 +18,9 @@ from jaxtyping import Bool, Float, Int
 from keepout.core.errors import InspectionError
 from keepout.core.geometry.mesh_report import weld, zero_area
 from keepout.core.geometry.target import Target
+from keepout.core.kernel import kernel
 from keepout.core.progress import Progress, silent
 
-# `no_type_check` below: run-time shape checks would wrap the functions that numba compiles.
 FLAT = 2e-5
 """How far from the region's plane a corner of its faces may lie, m; well below the lift of sight lines."""
 _ALIKE = 0.999
@@ -221,8 +220,7 @@ def regions(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -
     return Regions(np.where(degenerate, -1, region), origin, axes, high - low)
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _grow(triangles, normal, degenerate, across, seeds):
     region = np.full(len(triangles), -1, dtype=np.int64)
     waiting = np.empty(len(triangles), dtype=np.int64)
@@ -311,22 +309,15 @@ def cut(target: Target, size: float, *, progress: Progress = silent) -> Patches:
     begin = np.append(np.flatnonzero(new), number)
     kept = _merged(corners, counts, areas, true_areas, face, begin)
     _refuse_many(target, size, float(kept.sum()))
-    patches = _placed(found, closed, corners[kept], counts[kept], true_areas[kept], face[kept], size)
+    pieces = corners[kept], counts[kept], true_areas[kept], face[kept]
+    patches = _placed(found, closed, pieces, size)
     progress(1.0, f"{len(patches.areas)} patches")
     return patches
 
 
-def _placed(
-    found: Regions,
-    closed: np.ndarray,
-    flat: Float[np.ndarray, "n c 2"],
-    counts: Int[np.ndarray, " n"],
-    areas: Float[np.ndarray, " n"],
-    faces: Int[np.ndarray, " n"],
-    size: float,
-) -> Patches:
-    most = int(counts.max())
-    last = np.minimum(np.arange(most), counts[:, None] - 1)
+def _placed(found: Regions, closed: np.ndarray, pieces: tuple[np.ndarray, ...], size: float) -> Patches:
+    flat, counts, areas, faces = pieces
+    last = np.minimum(np.arange(int(counts.max())), counts[:, None] - 1)
     flat = np.take_along_axis(flat, last[:, :, None], axis=1)
     x, y = flat[..., 0] - flat[:, :1, 0], flat[..., 1] - flat[:, :1, 1]
     wedge = x[:, :-1] * y[:, 1:] - x[:, 1:] * y[:, :-1]
@@ -361,8 +352,7 @@ def _room_for(count: int) -> tuple[np.ndarray, ...]:
     return np.zeros((count, _PIECE_CORNERS, 2)), counts, np.zeros(count), cell, face
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _keep(polygon, count, axis, line, sign, out):
     """Write the part of a polygon where sign * coordinate >= sign * line; give its number of corners."""
     kept = 0
@@ -383,8 +373,7 @@ def _keep(polygon, count, axis, line, sign, out):
     return kept
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _double_area(polygon, count):
     total = 0.0
     for i in range(1, count - 1):
@@ -394,8 +383,7 @@ def _double_area(polygon, count):
     return total
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _span(polygon, count, axis, step, cells):
     """Give the first cell and the one after the last along an axis that a polygon may meet."""
     low, high = np.inf, -np.inf
@@ -410,8 +398,7 @@ def _span(polygon, count, axis, step, cells):
     return first, last + 1
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _pieces(triangles, region, steps, cells, least, out):
     """Cut triangles along their regions' grids.
 
@@ -457,8 +444,7 @@ def _pieces(triangles, region, steps, cells, least, out):
     return number
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def hull_of(points, order, count, chain):
     """Write indices of the corners of the convex hull, counter-clockwise (Andrew's monotone chain); their number.
 
@@ -487,8 +473,7 @@ def hull_of(points, order, count, chain):
     return size
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _simplified(polygon, count):
     """Leave out corners where the border runs straight on; in place; give the number left."""
     i = 0
@@ -506,8 +491,7 @@ def _simplified(polygon, count):
     return count
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _measure(polygon, count):
     area, around = 0.0, 0.0
     for i in range(count):
@@ -518,8 +502,7 @@ def _measure(polygon, count):
     return 0.5 * area, around
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _outline(points, count, work):
     """Write the convex hull of points without straight corners; their number, its area and its circumference."""
     order, chain, out = work
@@ -541,8 +524,7 @@ def _outline(points, count, work):
     return size, area, around
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _merged(corners, counts, areas, true_areas, face, begin):
     """Put the pieces of each cell together as far as they stay convex and have few corners.
 

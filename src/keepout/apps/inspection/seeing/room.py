@@ -1,9 +1,8 @@
 """The room allowed to a chaser's centre, and how near a camera may come along a beam of directions from a patch."""
 
 import math
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
-import numba
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -11,8 +10,8 @@ from keepout.apps.inspection.seeing.visible import SeeingRules
 from keepout.core.errors import InspectionError
 from keepout.core.geometry.distance import Distance, ExactDistance, Points, Tree, closest_triangle
 from keepout.core.geometry.octree import SQRT3, refine
+from keepout.core.kernel import kernel
 
-# `no_type_check` below: run-time shape checks would wrap the functions that numba compiles.
 _BEAM_STEPS = 2000
 """Along a beam, at most; where they are used up the height reached so far stands."""
 _FINENESS = 2e-4
@@ -65,22 +64,19 @@ class Work(NamedTuple):
     box: Float[np.ndarray, " 6"]
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def beam_workspace():
     """Give room to work in."""
     return Work(np.empty(_DEEP, dtype=np.int64), np.empty(_DEEP), np.empty((_DEEP, 4)), np.empty(6))
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _distance(limits, x, y, z, work):
     """Distance from a point to the mesh."""
     return np.sqrt(closest_triangle(limits.tree, x, y, z, 0, work.stack, work.bounds)[0])
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def meets_room(limits, work):
     """Whether the box in `work` (lower corner, upper corner; m) meets a cell of possible room, or leaves the cube."""
     box, stack, corners, origin, unit = work.box, work.stack, work.corners, limits.origin, limits.unit
@@ -112,8 +108,7 @@ def meets_room(limits, work):
     return False
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
-@no_type_check
+@kernel(inline="always")
 def place_of(frame, wx, wy, height):
     """Give the place at a height in a direction from the patch."""
     x = frame[0, 0] + height * (wx * frame[1, 0] + wy * frame[2, 0] + frame[3, 0])
@@ -122,8 +117,7 @@ def place_of(frame, wx, wy, height):
     return x, y, z
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _by_rules(limits, outline, wx, wy, half, height):
     """Give a height below which the rules allow no place of a beam, from one on; inf where they allow none at all.
 
@@ -148,8 +142,7 @@ def _by_rules(limits, outline, wx, wy, half, height):
     return raised
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _step_without_room(limits, frame, wx, wy, half, height, work):
     """Give how far a beam surely has no room from a height on, m: the longest of three steps that has none, or 0."""
     x, y, z = place_of(frame, wx, wy, height)
@@ -165,8 +158,7 @@ def _step_without_room(limits, frame, wx, wy, half, height, work):
     return 0.0
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def least_height(limits, frame, outline, wx, wy, half, height, work):
     """Give a height below which no place in a square of directions is allowed; inf where none is at any height.
 
@@ -208,8 +200,7 @@ def least_height(limits, frame, outline, wx, wy, half, height, work):
     return height
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def first_place(limits, frame, outline, wx, wy, height, work):
     """Give the least height found, from one on, at which a place in one direction keeps room and rules; inf if none."""
     slant, box = np.sqrt(1.0 + wx * wx + wy * wy), work.box

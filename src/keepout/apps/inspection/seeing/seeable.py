@@ -5,9 +5,8 @@ import enum
 import math
 import time
 from dataclasses import dataclass
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
-import numba
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
 
@@ -17,9 +16,9 @@ from keepout.apps.inspection.seeing.room import Limits, Room, beam_workspace, fi
 from keepout.apps.inspection.seeing.sightlines import LIFT, Sightlines
 from keepout.apps.inspection.seeing.visible import SeeingRules
 from keepout.apps.led.first_hit import DEEPEST, RayTree
+from keepout.core.kernel import kernel
 from keepout.core.progress import Progress, silent
 
-# `no_type_check` below: run-time shape checks would wrap the functions that numba compiles.
 SQUARES = 4_000_000
 """Of directions looked at in all, unless told otherwise."""
 _SQUARES = (300, 3_000, 30_000)
@@ -251,8 +250,7 @@ class Shadows(NamedTuple):
     chain: Int[np.ndarray, " most2"]
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def shadows_of(number):
     """Give room for so many shadows."""
     edges, numbers, heights = np.empty((number, MOST_EDGES, 3)), np.zeros(number, dtype=np.int64), np.empty(number)
@@ -260,8 +258,7 @@ def shadows_of(number):
     return Shadows(edges, numbers, heights, np.empty((8, 3)), np.empty((8, 3)), points, order, chain)
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _search(tree, limits, units, least, largest, most):
     """Search for each unit: give how each ends, the place from which it is seen, and the squares looked at in all."""
     frames, outlines, patches, counts = units
@@ -276,8 +273,7 @@ def _search(tree, limits, units, least, largest, most):
     return ends, places, looked
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _search_one(tree, limits, unit, largest, most, queue, work, place):
     """Branch and bound over squares of directions from a unit: the end and the squares looked at; writes the place.
 
@@ -330,8 +326,7 @@ def _search_one(tree, limits, unit, largest, most, queue, work, place):
     return NONE, head
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _covered(shadows, kept, latest, height, x, y, half):
     """Whether one of the shadows kept, made at this height or below, holds all of a square of directions."""
     for k in range(kept):
@@ -342,8 +337,7 @@ def _covered(shadows, kept, latest, height, x, y, half):
     return False
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _blocker(tree, unit, wx, wy, height, rounding, work):
     """Give a triangle that may stand between a place and the whole of a patch; -1 where all are proved to pass."""
     frame = unit.frame
@@ -359,8 +353,7 @@ def _blocker(tree, unit, wx, wy, height, rounding, work):
     return sightlines.pyramid_blocker(tree, unit.patch, frame[3], 1.0, eye, 0.0, work)
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _all_blocked(tree, frames, rays):
     """Say of units whether all rays from their middle meet the mesh.
 
@@ -384,8 +377,7 @@ def _all_blocked(tree, frames, rays):
     return blocked
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _sorted_apart(points, count):
     """Sort points by x, then y, in place, and leave out those that hardly differ from the one before; their number."""
     for i in range(1, count):
@@ -404,8 +396,7 @@ def _sorted_apart(points, count):
     return kept
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def shadow(triangle, frame, outline, height, reach, largest, shadows, slot):
     """Write the shadow of a triangle at a height as half planes (inward unit normal, least value); their number.
 
@@ -466,8 +457,7 @@ def shadow(triangle, frame, outline, height, reach, largest, shadows, slot):
     return total
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
-@no_type_check
+@kernel(inline="always")
 def covers(edges, number, x, y, half):
     """Whether a shadow holds all of a square of directions."""
     for i in range(number):

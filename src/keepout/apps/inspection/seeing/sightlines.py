@@ -6,9 +6,8 @@ separates it from the pyramid, checked as it was computed; docs/seeing.md has th
 """
 
 from collections import namedtuple
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
-import numba
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -16,8 +15,8 @@ from keepout.apps.inspection.seeing.patches import Patches
 from keepout.apps.led.first_hit import DEEPEST, build_tree
 from keepout.core.errors import InspectionError
 from keepout.core.geometry.distance import TriangleSoup
+from keepout.core.kernel import kernel
 
-# `no_type_check` below: run-time shape checks would wrap the functions that numba compiles.
 FARTHEST = 1e5
 """Places may have coordinates up to this, m: beyond it rounding comes near the margins."""
 Units = Int[np.ndarray, " m"]
@@ -139,16 +138,14 @@ class Work(NamedTuple):
     heights: Float[np.ndarray, "2 8"]
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def workspace(most_corners):
     """Give room to work in, for patches of so many corners at most."""
     planes, polygons = np.empty((most_corners, 4)), np.empty((2, 8, 3))
     return Work(np.empty(DEEPEST, dtype=np.int64), planes, np.empty(4), polygons, np.empty((2, 8)))
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
-@no_type_check
+@kernel(inline="always")
 def _ray_meets(corners, t, ray):
     """Whether a ray surely meets a triangle."""
     cx, cy, cz, gx, gy, gz, low, high = ray
@@ -173,8 +170,7 @@ def _ray_meets(corners, t, ray):
     return low < s < high
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
-@no_type_check
+@kernel(inline="always")
 def _ray_enters(boxes, node, side, ray, ix, iy, iz):
     """Whether a ray passes a child's box."""
     one, other = (boxes[node, side, 0] - ray.cx) * ix, (boxes[node, side, 3] - ray.cx) * ix
@@ -186,8 +182,7 @@ def _ray_enters(boxes, node, side, ray, ix, iy, iz):
     return enter <= leave
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def ray_blocker(tree, stack, ray):
     """Give a triangle that a ray meets; -1 where none was found."""
     boxes, children, first, corners = tree.boxes, tree.children, tree.first, tree.corners
@@ -214,8 +209,7 @@ def ray_blocker(tree, stack, ray):
     return -1
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _bounding_planes(patch, way, eye, planes):
     """Write the planes that bound a pyramid at its sides (unit normal inwards, least value on it); give their number.
 
@@ -243,8 +237,7 @@ def _bounding_planes(patch, way, eye, planes):
     return number
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def slab(polygon, heights, count, level, way, out, out_heights):
     """Write the part of a polygon where way * height >= way * level; give its number of corners."""
     kept = 0
@@ -264,8 +257,7 @@ def slab(polygon, heights, count, level, way, out, out_heights):
     return kept
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _outside_a_side(polygon, planes, margin):
     """Whether all of a polygon lies beyond one of the pyramid's sides."""
     for i in range(len(planes)):
@@ -280,8 +272,7 @@ def _outside_a_side(polygon, planes, margin):
     return False
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _beside(polygon, patch, eye, margin):
     """Whether a plane through the eye and an edge of the polygon has the polygon on one side and the patch beyond."""
     far, rounding, reach = eye.far, eye.rounding, eye.rounding * _REACH
@@ -314,8 +305,7 @@ def _beside(polygon, patch, eye, margin):
     return False
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _passes(corners, t, patch, top, planes, eye, work):
     """Whether a triangle is proved to have no point in the pyramid that counts."""
     one, other, heights, plane, rounding = work.polygons[0], work.polygons[1], work.heights, work.plane, eye.rounding
@@ -341,16 +331,14 @@ def _passes(corners, t, patch, top, planes, eye, work):
     return _beside(one[:number], patch, eye, margin)
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
-@no_type_check
+@kernel(inline="always")
 def _farthest_along(box, nx, ny, nz):
     """Give the greatest value of a direction over a box."""
     x, y, z = box[3 if nx > 0.0 else 0], box[4 if ny > 0.0 else 1], box[5 if nz > 0.0 else 2]
     return nx * x + ny * y + nz * z
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def pyramid_blocker(tree, patch, normal, way, eye, spare, work):
     """Give a triangle that is not proved to pass the pyramid from an eye to a patch; -1 where all pass.
 
@@ -415,8 +403,7 @@ def pyramid_blocker(tree, patch, normal, way, eye, spare, work):
     return -1
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _look(tree, shapes, eyes, far, units, largest, clear):
     """Say of each pair of an eye and a unit whether the way between them is clear.
 

@@ -2,17 +2,15 @@
 
 import math
 from dataclasses import dataclass
-from typing import no_type_check
 
-import numba
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from keepout.apps.inspection.seeing.patches import Patches
 from keepout.apps.inspection.seeing.sightlines import Sightlines
 from keepout.core.errors import InspectionError
+from keepout.core.kernel import kernel
 
-# `no_type_check` below: run-time shape checks would wrap the functions that numba compiles.
 _FINITE = 1e6
 """Metres; farther than any camera of an inspection looks."""
 Point = Float[np.ndarray, "3"]
@@ -183,8 +181,7 @@ def lit_units(
     return lit
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _within(shapes, among, place, least, greatest, steepest, finest):
     """Give units that keep range, incidence and sample distance, with a direction to each and its spread.
 
