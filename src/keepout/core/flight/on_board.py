@@ -117,7 +117,7 @@ class Clock:
     def under_way(self, time: float) -> Float[np.ndarray, "steps 3"]:
         """Give the forces that may be under way at `time`, N: none was commanded in the periods without a step."""
         missed = 0 if self.due is None else min(max(round((time - self.due) / self.period), 0), len(self.sent))
-        return np.concatenate([self.sent[missed:], np.zeros((missed, 3))])
+        return np.concatenate([self.sent[missed:], np.zeros((missed, 3))]) if missed else self.sent
 
     def stepped(self, time: float, force: Float[np.ndarray, "3"]) -> None:
         """Take down that a force (N) was given at `time`."""
