@@ -246,7 +246,7 @@ class Bench:
 
     def _environment(self, mutant: Mutant, fresh: Path) -> dict[str, str]:
         file = self.copy / "keepout" / mutant.file
-        compiled = fresh if "import numba" in file.read_text(encoding="utf-8") else self.folder
+        compiled = fresh if "@kernel(" in file.read_text(encoding="utf-8") else self.folder
         built = fresh if str(Path(mutant.file).parent) in BUILT else self.folder
         places = {
             "NUMBA_CACHE_DIR": compiled / "numba",

@@ -8,18 +8,17 @@ counts as met.
 """
 
 import functools
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
-import numba
 import numpy as np
 from jaxtyping import Float, Int
 
 from keepout.core.errors import MeshError
 from keepout.core.geometry.distance import Points, TriangleSoup
+from keepout.core.kernel import kernel
 
 Origins = Float[np.ndarray, "#n 3"]
 
-# `no_type_check` below: run-time shape checks would wrap the functions that numba compiles.
 _ROUNDING = 32 * np.finfo(np.float64).eps
 """Part of the largest coordinate by which boxes are widened: more than what rounding moves a corner or a box by."""
 _SMALLEST = 1e-200
@@ -101,8 +100,7 @@ class FirstHit(TriangleSoup):
         return ranges, faces
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _seen_edge_on(ax, ay, az, bx, by, bz, cx, cy, cz):
     """Give the least third coordinate, at least 0, at which a triangle seen edge-on meets the third axis; or `inf`.
 
@@ -122,8 +120,7 @@ def _seen_edge_on(ax, ay, az, bx, by, bz, cx, cy, cz):
     return max(low, 0.0) if high >= 0.0 else np.inf
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
-@no_type_check
+@kernel(inline="always")
 def _on_triangle(corners, triangle, ox, oy, oz, kx, ky, kz, Sx, Sy, Sz):
     """Give the multiple of the direction at which a ray meets a triangle; `inf` where it does not.
 
@@ -146,8 +143,7 @@ def _on_triangle(corners, triangle, ox, oy, oz, kx, ky, kz, Sx, Sy, Sz):
     return t if t >= 0.0 else np.inf
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
-@no_type_check
+@kernel(inline="always")
 def _entered(boxes, node, side, limit, ix, iy, iz, sx, sy, sz, near_x, near_y, near_z, far_x, far_y, far_z):
     """Give the multiple of the direction at which a ray enters a child's box; `inf` where it does not within `limit`.
 
@@ -168,16 +164,14 @@ def _entered(boxes, node, side, limit, ix, iy, iz, sx, sy, sz, near_x, near_y, n
     return enter if enter <= leave else np.inf
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _inverse(component):
     if abs(component) > _SMALLEST:
         return 1.0 / component
     return -1.0 / _SMALLEST if component < 0.0 else 1.0 / _SMALLEST
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _cast(tree, origins, directions, lengths, greatest, largest, ranges, faces):
     boxes, children, first, corners, face = tree
     stack, bounds = np.empty(DEEPEST, dtype=np.int64), np.empty(DEEPEST)
@@ -276,8 +270,7 @@ def build_tree(triangles: Float[np.ndarray, "f 3 3"]) -> RayTree:
     return RayTree(boxes[:nodes], children[:nodes], first[: leaves + 1], corners, order)
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _box_of(lower, upper, order, start, end, box):
     """Write the box of some triangles."""
     for axis in range(3):
@@ -287,21 +280,18 @@ def _box_of(lower, upper, order, start, end, box):
             box[3 + axis] = max(box[3 + axis], upper[order[i], axis])
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _half_area(box):
     dx, dy, dz = box[3] - box[0], box[4] - box[1], box[5] - box[2]
     return dx * dy + dy * dz + dz * dx
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _bin_of(value, low, high):
     return min(int((value - low) * (_BINS / (high - low))), _BINS - 1)
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _cheapest(lower, upper, centres, order, start, end):
     """Give axis, last bin of the first part, and cost (areas times numbers) of the best split; axis -1 for none."""
     best_axis, best_bin, best_cost = -1, 0, np.inf
@@ -342,8 +332,7 @@ def _cheapest(lower, upper, centres, order, start, end):
     return best_axis, best_bin, best_cost
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _part(lower, upper, centres, order, start, end, level, area):
     """Reorder triangles and give the first one of the second part, or `end` where they had better stay together."""
     number = end - start
@@ -367,8 +356,7 @@ def _part(lower, upper, centres, order, start, end, level, area):
     return middle
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _split(lower, upper, centres, order, boxes, children, first):
     """Fill the arrays depth first; returns the numbers of nodes and leaves."""
     # Start, end, level, and the node and side whose child this is.

@@ -2,15 +2,14 @@
 
 import math
 from dataclasses import dataclass, field
-from typing import no_type_check
 
-import numba
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from keepout.apps.led.camera import Pinhole
 from keepout.apps.unknown.known_free import KnownFreeMap, Seen, whole_blocks
 from keepout.apps.unknown.view import View
+from keepout.core.kernel import kernel
 
 ACROSS = 2
 """Cubes along the edge of a cell."""
@@ -192,8 +191,7 @@ def _rays(camera: Pinhole) -> Float[np.ndarray, "n 3"]:
     return np.stack(rays, axis=-1).reshape(-1, 3)
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def first_closed(codes, place, rays, nearest, farthest, found):
     """Write into `found` (m, 3) the first cell not free on each ray within the ranges, -1 where there is none."""
     nx, ny, nz = codes.shape

@@ -7,18 +7,16 @@ made from the nodes within the cap of them, which is all that their values depen
 grid, bit for bit.
 """
 
-from typing import no_type_check
-
-import numba
 import numpy as np
 from jaxtyping import Bool, UInt16
+
+from keepout.core.kernel import kernel
 
 TILE = 32
 """Nodes across a tile."""
 
 
-@no_type_check
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _lower(values, others, add):
     """Lower each value to the other's plus a number: 16-bit lanes."""
     for p in range(len(values)):
@@ -26,8 +24,7 @@ def _lower(values, others, add):
         values[p] = other if other < values[p] else values[p]
 
 
-@no_type_check
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _blocked(free, i, j, first, line):
     """Set 1 in `line` for the nodes (i, j, first + p) that are a corner of a cube that is not free, else 0."""
     n = free.shape[0]
@@ -44,8 +41,7 @@ def _blocked(free, i, j, first, line):
         line[p] |= line[p - 1]
 
 
-@no_type_check
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _tile(free, squares, start, cap, near, columns, out, line):
     """Make one tile of nodes anew; returns nothing, writes into `squares`.
 
@@ -115,8 +111,7 @@ def _tile(free, squares, start, cap, near, columns, out, line):
             made[:] = out[j * wide + cap : j * wide + cap + len(made)]
 
 
-@no_type_check
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _make(free, squares, cap, wanted):
     wide = TILE + 2 * cap
     near = np.empty(wide * wide * wide, dtype=np.uint16)

@@ -8,9 +8,8 @@ import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, no_type_check
+from typing import Any
 
-import numba
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, Int64
 
@@ -18,6 +17,7 @@ from keepout.apps.unknown.distance_transform import renew, squares_of
 from keepout.apps.unknown.rule import BLOCK, SLACK, empty_ranges, free_cubes, pyramid, rule_of
 from keepout.apps.unknown.view import SensorBounds, View
 from keepout.core.errors import MapError
+from keepout.core.kernel import kernel
 
 _MOST_CUBES = 1024
 """Across the grid: 3 GiB."""
@@ -359,15 +359,13 @@ def in_free_room(
     return found
 
 
-@no_type_check
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _in_free_room(places, reach, free, held):
     for p in range(len(places)):
         held[p] = _ball_is_free(places[p, 0], places[p, 1], places[p, 2], reach[p], free)
 
 
-@no_type_check
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _ball_is_free(x, y, z, r, free):
     """Decide for a place and a radius in cells: the box of cubes round the ball, less those that it does not meet."""
     last = free.shape[0] - 1

@@ -8,9 +8,8 @@ worth of the cells times that confidence, so views that look through much unknow
 import functools
 import math
 from dataclasses import dataclass, field, replace
-from typing import Literal, no_type_check
+from typing import Literal
 
-import numba
 import numpy as np
 from jaxtyping import Float, Float32, Int, UInt8
 from scipy.spatial import KDTree
@@ -34,6 +33,7 @@ from keepout.apps.unknown.cells import (
 )
 from keepout.apps.unknown.known_free import KnownFreeMap
 from keepout.apps.unknown.ways import HopedWay, Reachable, hoped_way, reachable
+from keepout.core.kernel import kernel
 
 UP = np.array([0.0, 0.0, 1.0])
 """What the camera holds up in the image, in the map's frame."""
@@ -359,8 +359,7 @@ def sphere(count: int) -> Float[np.ndarray, "count 3"]:
     return np.stack([around * np.cos(angle), around * np.sin(angle), height], axis=1)
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _march(codes, worth, passes, places, rays, bins, farthest, empty, gains):
     """Write the worth, in cells, that each ray from each place is expected to open. All lengths are in cells.
 

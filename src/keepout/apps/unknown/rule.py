@@ -6,13 +6,13 @@ All that is compiled together stands in this file: numba knows by a file's date 
 """
 
 import math
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
-import numba
 import numpy as np
 from jaxtyping import Float
 
 from keepout.apps.unknown.view import SensorBounds, View
+from keepout.core.kernel import kernel
 
 SLACK = 1e-6
 """Metres, and pixels that a window is widened by on each side: more than the rounding of the rule's operations and of
@@ -94,8 +94,7 @@ BLOCK = 8
 """Cubes across a block: those without an unknown cube are passed over, and distances made anew where one changed."""
 
 
-@no_type_check
-@numba.njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _pixels(rule, across, ahead, radius, middle):
     """Give the first and the last pixel that a ball's projection meets along one axis of the image, or twice -1.
 
@@ -113,8 +112,7 @@ def _pixels(rule, across, ahead, radius, middle):
     return math.floor(first), min(math.floor(last), math.floor(2.0 * middle) - 1)
 
 
-@no_type_check
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def all_exceed(least, first_row, last_row, first_column, last_column, limit):
     """Whether every pixel of a rectangle exceeds a limit: each of the largest squares of the pyramid that cover it."""
     short = min(last_row - first_row, last_column - first_column) + 1
@@ -138,8 +136,7 @@ def all_exceed(least, first_row, last_row, first_column, last_column, limit):
             return True
 
 
-@no_type_check
-@numba.njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def cube_is_free(rule, least, x, y, z):
     """Apply the rule to the cube round a centre in the map's frame; `least`: pyramid of how far pixels are empty."""
     dx, dy, dz = x - rule.place[0], y - rule.place[1], z - rule.place[2]
@@ -163,8 +160,7 @@ def cube_is_free(rule, least, x, y, z):
     return all_exceed(least, first_row, last_row, first_column, last_column, limit)
 
 
-@no_type_check
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def free_cubes(rule, least, origin, spacing, first, last, free, unknown, changed):
     """Free the cubes that the rule frees, in place.
 

@@ -1,9 +1,7 @@
 """What only a simulation can know: a map against the true mesh, promises broken, and the share that was seen."""
 
 import math
-from typing import no_type_check
 
-import numba
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
@@ -12,6 +10,7 @@ from keepout.apps.led.first_hit import FirstHit
 from keepout.apps.unknown.by_map import DeclaredBall
 from keepout.apps.unknown.known_free import KnownFreeMap
 from keepout.core.geometry.target import Target
+from keepout.core.kernel import kernel
 from keepout.core.mission.scenario import Scenario
 
 _TOUCHED = 1e-9
@@ -86,8 +85,7 @@ def cubes_met(
     return met
 
 
-@no_type_check
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _meet(triangles, half, met):
     """Mark the unit cubes, cut to the half side `half`, that triangles in units of the edge meet.
 

@@ -5,14 +5,13 @@ All ways lead over a lattice of map nodes. Lengths are whole numbers, so that no
 
 import math
 from dataclasses import dataclass
-from typing import no_type_check
 
-import numba
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8, UInt16
 
 from keepout.apps.unknown.cells import SURFACE, Cells, Tried
 from keepout.apps.unknown.known_free import KnownFreeMap
+from keepout.core.kernel import kernel
 
 FAR = np.iinfo(np.int32).max
 """Length of a way to where none leads."""
@@ -156,8 +155,7 @@ def shorten(
         pass
 
 
-@numba.njit(cache=True)
-@no_type_check
+@kernel()
 def _swept(lengths, awake, price, squares, stride, least, backwards):
     """Lower each awake node's length to the least over its neighbours', waking them; give whether any was lowered."""
     nx, ny, nz = price.shape
@@ -186,8 +184,7 @@ def _swept(lengths, awake, price, squares, stride, least, backwards):
     return lowered
 
 
-@numba.njit(cache=True)
-@no_type_check
+@kernel()
 def _open(squares, node, step, stride, least):
     """Whether every map node between two neighbours of the lattice keeps its distance."""
     i, j, k = node
@@ -267,8 +264,7 @@ def hoped_way(
     return HopedWay(reach.place(nodes), blocked, stages)
 
 
-@numba.njit(cache=True)
-@no_type_check
+@kernel()
 def _paint(values, allowed, centres, radius, paints):
     """Give what lies within `radius` of each centre that centre's paint, one after another, where it is allowed."""
     reach = int(np.ceil(radius))

@@ -4,22 +4,18 @@ The arithmetic, its order and its rounding are those of the same formulas over w
 """
 
 from math import sqrt
-from typing import no_type_check
 
-import numba
 import numpy as np
 
-# `no_type_check` below: run-time shape checks would wrap the functions that numba compiles.
+from keepout.core.kernel import kernel
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
-@no_type_check
+@kernel(inline="always")
 def _length(x, y, z):
     return sqrt(x * x + y * y + z * z)
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def bound_steps(step, slack, turned, position, velocity, acceleration, disturbance, rate, kappa, offset, range_limit):
     """Give residual (m/s²), speed (m/s) and whether gravity may be unbounded, of each flight and step: `Tube.of`."""
     flights, steps = position.shape[0], len(step)
@@ -38,8 +34,7 @@ def bound_steps(step, slack, turned, position, velocity, acceleration, disturban
     return residual, speed, beyond
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def excess_of_steps(step, position, velocity, acceleration, residual, excursion):
     """Give by how much (m) each step's end is beyond what its start and the bounds allow: `Tube.inconsistency`."""
     flights, steps = residual.shape
@@ -63,8 +58,7 @@ def excess_of_steps(step, position, velocity, acceleration, residual, excursion)
     return excess
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def bound_blocks(time, position, speed, flight, first, length):
     """Put a ball about each block of `length` steps from a sample `first` on.
 

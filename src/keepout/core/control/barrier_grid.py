@@ -9,9 +9,8 @@ import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, no_type_check
+from typing import Any
 
-import numba
 import numpy as np
 from jaxtyping import Bool, Float, Int8, UInt16
 
@@ -19,6 +18,7 @@ from keepout.core.control.fast_marching import UNIT
 from keepout.core.errors import ControlError, KeepOutZoneError
 from keepout.core.fields.field import Field
 from keepout.core.fields.field import values as values_of
+from keepout.core.kernel import kernel
 from keepout.core.progress import Progress, silent
 
 FULL_SPEED_BARRIER = 0.6
@@ -232,8 +232,7 @@ def grid_of_nodes(
     return BarrierGrid(values, walls, outwards(values), np.asarray(origin) + spacing * first, every * spacing)
 
 
-@numba.njit(cache=True)
-@no_type_check
+@kernel()
 def _spline(squares, roots, x, y, z):
     """Evaluate the spline at a node, in cells: means with weights 1/6, 4/6, 1/6 along each axis."""
     nx, ny, nz = squares.shape
@@ -248,8 +247,7 @@ def _spline(squares, roots, x, y, z):
     return total / 216.0
 
 
-@numba.njit(cache=True)
-@no_type_check
+@kernel()
 def _sample(squares, first, every, spacing, offset, values, walls):
     most = squares[0, 0, 0]
     roots = np.sqrt(np.arange(most + 1))

@@ -5,11 +5,11 @@ Inside, grids are padded by one closed node on every side and flattened: a neigh
 
 import bisect
 import math
-from typing import no_type_check
 
-import numba
 import numpy as np
 from jaxtyping import Bool, Float, Int
+
+from keepout.core.kernel import kernel
 
 UNIT = 127.0
 """What stands for 1 in a direction of 8-bit integers."""
@@ -50,8 +50,7 @@ def travel_time(
     return time.reshape(padded.shape)[1:-1, 1:-1, 1:-1]
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _march(speed, walls, strides, sources, source_times, spacing, last, beyond):
     """Settle nodes bucket by bucket of time, and again whenever a neighbour's time falls: no heap, the same solution.
 
@@ -109,8 +108,7 @@ def _march(speed, walls, strides, sources, source_times, spacing, last, beyond):
     return time
 
 
-@numba.njit(cache=True)
-@no_type_check
+@kernel()
 def _enqueue(first, following, before, place, node, bucket):
     head = first[bucket]
     following[node], before[node], place[node] = head, -1, bucket
@@ -120,8 +118,7 @@ def _enqueue(first, following, before, place, node, bucket):
     return 1
 
 
-@numba.njit(cache=True)
-@no_type_check
+@kernel()
 def _dequeue(first, following, before, place, node):
     if before[node] >= 0:
         following[before[node]] = following[node]
@@ -132,8 +129,7 @@ def _dequeue(first, following, before, place, node):
     place[node] = -1
 
 
-@numba.njit(cache=True)
-@no_type_check
+@kernel()
 def _update(time, walls, strides, node, cost):
     """Solve Σ max(D − D_a, 0)² = cost² with the smaller neighbour D_a along each axis."""
     first, second, third = np.inf, np.inf, np.inf
@@ -162,8 +158,7 @@ def _update(time, walls, strides, node, cost):
     return (total + np.sqrt(max(total * total - 3.0 * (square - cost * cost), 0.0))) / 3.0
 
 
-@numba.njit(cache=True)
-@no_type_check
+@kernel()
 def downhill(time, walls, directions):
     """Write into `directions`, in 127ths (`UNIT`), the upwind direction down the time (s) of every node reached.
 

@@ -6,14 +6,14 @@ each starts from the last answer's triangle, and a batch is shared among the cor
 """
 
 import functools
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
-import numba
 import numpy as np
 from jaxtyping import Float, Int
 
 from keepout.core.cores import share_among_cores
 from keepout.core.errors import MeshError
+from keepout.core.kernel import kernel
 
 Points = Float[np.ndarray, "n 3"]
 
@@ -301,8 +301,7 @@ def _spread(x: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
     return x
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _split(triangles, centres, order):
     """Make a `Tree`'s nodes, depth first: lower, upper, right, first and amount. Puts `order` in the tree's order."""
     nodes = 2 * len(order)
@@ -341,8 +340,7 @@ def _split(triangles, centres, order):
     return lower[:used], upper[:used], right[:used], first[:used], amount[:used]
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
-@no_type_check
+@kernel(inline="always")
 def box_distance_squared(lower, upper, node, x, y, z):
     """Squared distance from a point to a node's box; zero inside."""
     dx = max(max(lower[node, 0] - x, x - upper[node, 0]), 0.0)
@@ -351,8 +349,7 @@ def box_distance_squared(lower, upper, node, x, y, z):
     return dx * dx + dy * dy + dz * dz
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
-@no_type_check
+@kernel(inline="always")
 def _on_segment(corners, triangle, start, end, x, y, z):
     """Closest point on an edge, and its squared distance."""
     ax, ay, az = corners[triangle, start, 0], corners[triangle, start, 1], corners[triangle, start, 2]
@@ -364,8 +361,7 @@ def _on_segment(corners, triangle, start, end, x, y, z):
     return (x - qx) ** 2 + (y - qy) ** 2 + (z - qz) ** 2, qx, qy, qz
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def on_triangle(corners, plane, triangle, x, y, z):
     """Closest point on a triangle, and its squared distance.
 
@@ -396,8 +392,7 @@ def on_triangle(corners, plane, triangle, x, y, z):
     return (x - qx) ** 2 + (y - qy) ** 2 + (z - qz) ** 2, qx, qy, qz
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def closest_triangle(tree, x, y, z, guess, stack, bounds):
     """Closest point on the triangles of a `Tree`, and its squared distance: that, the point, and which triangle.
 
@@ -441,8 +436,7 @@ def closest_triangle(tree, x, y, z, guess, stack, bounds):
             triangle, end = tree.first[node], tree.first[node] + tree.amount[node]
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _query(tree, points, order, distance, nearest, found):
     stack, bounds = np.empty(128, dtype=np.int64), np.empty(128)
     last = 0

@@ -1,8 +1,5 @@
 """Level sets of the distance to a target: random points on them, and the largest value of a linear function on one."""
 
-from typing import no_type_check
-
-import numba
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -15,6 +12,7 @@ from keepout.core.geometry.distance import (
     box_distance_squared,
     on_triangle,
 )
+from keepout.core.kernel import kernel
 
 _SLACK = 1e-9
 """Metres. Far above the rounding of the distances, far below any length that matters."""
@@ -137,8 +135,7 @@ def largest_on_level(
     return answer
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _over_cut(v, g, half, limit):
     """Max v·q over |q_i| ≤ half, g·q ≤ limit: by duality the least over λ ≥ 0 of λ limit + half Σ|v_i - λ g_i|."""
     reach = half * (abs(g[0]) + abs(g[1]) + abs(g[2]))
@@ -156,8 +153,7 @@ def _over_cut(v, g, half, limit):
     return best
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _largest(tree, level, centres, half_widths, slopes, answer):
     stack = np.empty(128, dtype=np.int64)
     g = np.empty(3)

@@ -8,15 +8,14 @@ most of the time and memory of an offset solid.
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import no_type_check
 
-import numba
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from keepout.core.cores import share_among_cores
 from keepout.core.errors import MeshError
 from keepout.core.geometry.distance import Distance, Points, morton
+from keepout.core.kernel import kernel
 
 SQRT3 = float(np.sqrt(3.0))
 DEEPEST_LEVEL = 20  # three interleaved coordinates of 20 bits fit a signed 64-bit code
@@ -218,8 +217,7 @@ def straddling_cells(distance: Distance, level: float, *, leaf: float) -> tuple[
         centres = (centres[:, None, :] + CORNERS * half_width).reshape(-1, 3)
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _fill(level, child):
     node, slot = np.zeros(24, dtype=np.int64), np.zeros(24, dtype=np.int64)
     depth, used, cell = 0, 1, 0
@@ -239,8 +237,7 @@ def _fill(level, child):
             used += 1
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
-@no_type_check
+@kernel(inline="always")
 def _descend(child, depth, x, y, z, stop):
     """Entry that holds a position on the grid of the deepest level: a cell ~i, or the node at level `stop`."""
     entry = 0
@@ -251,8 +248,7 @@ def _descend(child, depth, x, y, z, stop):
     return entry
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _locate(child, depth, scaled):
     """Cell of each point, given in units of the deepest level's cells from the cube's corner; -1 outside the cube."""
     found = np.full(len(scaled), -1, dtype=np.int64)
@@ -264,8 +260,7 @@ def _locate(child, depth, scaled):
     return found
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
-@no_type_check
+@kernel(inline="always")
 def _root(parent, i):
     while parent[i] != i:
         parent[i] = parent[parent[i]]
@@ -273,8 +268,7 @@ def _root(parent, i):
     return i
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _connected(child, depth, index, level, chosen, seeds):
     """Chosen cells that are connected to a chosen seed through faces of chosen cells: union-find with path halving."""
     parent = np.arange(len(level)).astype(np.int32)
@@ -310,8 +304,7 @@ def _connected(child, depth, index, level, chosen, seeds):
     return wet
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _ends_of_walks(child, depth, index, level, undecided, d, gradient, unit, jumps):
     """See `Cells.ends_of_walks`; `unit` is the side of the deepest level's cells in metres."""
     end = np.arange(len(level)).astype(np.int32)
@@ -349,8 +342,7 @@ def _ends_of_walks(child, depth, index, level, undecided, d, gradient, unit, jum
     return end
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _contents(child, hidden):
     """Whether hidden (bit 0) and open (bit 1) cells are under each node."""
     holds = np.zeros(len(child), dtype=np.int8)
@@ -364,8 +356,7 @@ def _contents(child, hidden):
     return holds
 
 
-@numba.njit(cache=True, nogil=True)
-@no_type_check
+@kernel()
 def _nearest(child, depth, holds, hidden, wanted, scaled, bound):
     """Distance from each point to the cells that are hidden (or, if `wanted` is False, open), or the bound if less.
 

@@ -11,15 +11,15 @@ A softplus is relaxed neuron by neuron in compiled loops. Most neurons are far f
 There σ is its limit, and the exponential is not asked.
 """
 
-from typing import Any, NamedTuple, no_type_check
+from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 from jaxtyping import Float, Float32
 from threadpoolctl import threadpool_limits
 
 from keepout.core.cores import share_among_cores
 from keepout.core.fields.neural import Layers
+from keepout.core.kernel import kernel
 
 CHUNK = 128
 """Elements carried together by one core: what they leave for the backward pass stays in its cache."""
@@ -283,16 +283,14 @@ def _bounds(network: Network, box: bool, given: Float[np.ndarray, "k m 3"], room
     return Bounds(*(np.where(np.isnan(part), np.inf, part) for part in (upper, row, constant, error)))
 
 
-@no_type_check  # run-time shape checks would wrap what numba compiles
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def softplus(t) -> Any:
     """Return log(1 + exp(t)) and the logistic function of t."""
     e = np.exp(-abs(t))
     return max(t, 0.0) + np.log1p(e), (1.0 if t > 0.0 else e) / (1.0 + e)
 
 
-@no_type_check
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def sum_rounding(active, terms, size, largest, spread, arithmetic) -> Any:
     """Bound what rounding adds to a sum of products and a bias, in any order, with fused multiply-add or without.
 
@@ -314,8 +312,7 @@ def sum_rounding(active, terms, size, largest, spread, arithmetic) -> Any:
     return 1.01 * np.minimum(arithmetic.unit * plain, arithmetic.unit * sharp + TAIL / arithmetic.beta * spread)
 
 
-@no_type_check
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _logistic_range(low, high, low_slope, high_slope, error):
     """Bounds of the logistic function from low - error to high + error, from its values at low and high."""
     if error < 0.05:
@@ -323,8 +320,7 @@ def _logistic_range(low, high, low_slope, high_slope, error):
     return softplus(low - error)[1] * (1.0 - 1e-12), min(softplus(high + error)[1] * (1.0 + 1e-12), 1.0)
 
 
-@no_type_check
-@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def _saturated(low, high, slack, beta):
     """Relax a neuron that is far from its kink from low to high: σ is z or 0, and σ' 1 or 0, to less than `TAIL`."""
     on = 1.0 if low > 0.0 else 0.0
@@ -332,8 +328,7 @@ def _saturated(low, high, slack, beta):
     return lines, -slack, TAIL / beta + slack, max(on - TAIL, 0.0), min(on + TAIL, 1.0), on * high + TAIL / beta
 
 
-@no_type_check
-@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def _curved(low, high, error, slack, beta):
     """Relax a neuron from low to high: σ lies below its chord, and above the tangent of the same slope s.
 
@@ -353,8 +348,7 @@ def _curved(low, high, error, slack, beta):
     return lines, lower, upper, flattest, steepest, high_value / beta
 
 
-@no_type_check
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _relaxed(layer, columns, carried, active, sums, arithmetic):
     """Take each element through one layer's softplus: `columns`, `carried`, `active` go in before, and come out after.
 
@@ -423,8 +417,7 @@ def _relaxed(layer, columns, carried, active, sums, arithmetic):
     return extreme + 1.0 / beta, magnitude
 
 
-@no_type_check
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _pulled_back(layer, bias, row, slopes, excess, constant, evaluation):
     """Take the linear bound of the output, and the range of its slope, from a layer's activations to their arguments.
 

@@ -9,9 +9,8 @@ largest at a corner. The rest is of second order, and is bounded neuron by neuro
 rounding, are in docs/certificate.md.
 """
 
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
-import numba
 import numpy as np
 from jaxtyping import Float
 from threadpoolctl import threadpool_limits
@@ -21,6 +20,7 @@ from keepout.core.fields.field import values_and_gradients
 from keepout.core.fields.neural import NeuralField
 from keepout.core.geometry.distance import Distance
 from keepout.core.geometry.octree import CORNERS, SQRT3
+from keepout.core.kernel import kernel
 from keepout.core.progress import Progress, silent
 from keepout.core.proof.bounds import UNIT64, Network, softplus
 
@@ -226,8 +226,7 @@ def _forward(
     return layers
 
 
-@no_type_check  # run-time shape checks would wrap what numba compiles
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _relax(columns, tangents, remainder, beta):
     """Relax σ and σ' of every neuron over every box; see `_Layer` and `bounds`."""
     _, m, n = columns.shape
@@ -293,8 +292,7 @@ def _relax(columns, tangents, remainder, beta):
     return (slope, bend, wobble, deviation, steepest, columns[1:]), after, passed, left, magnitude
 
 
-@no_type_check
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _backward(row, stray, strayed, slope, bend, wobble, deviation, steepest, generators, tangents, linear, rest):
     """Add one layer's share to `linear` and `rest`, and prepare the step to the layer below.
 

@@ -5,9 +5,8 @@ Matplotlib sorts triangles by their middles, which fails on large ones.
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, no_type_check
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import numba
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from matplotlib import pyplot as plt
@@ -19,6 +18,7 @@ from matplotlib.lines import Line2D
 from keepout.core.fields.field import values
 from keepout.core.fields.model import FieldModel
 from keepout.core.geometry.target import Target
+from keepout.core.kernel import kernel
 from keepout.flights.pages.figures import COLOURS, TARGET_COLOUR, figure, palette
 
 if TYPE_CHECKING:  # which takes long to import
@@ -137,8 +137,7 @@ def rasterise(
     return View(axes, face, depth, np.where(np.isfinite(depth), light[face], 1.0), extent)
 
 
-@no_type_check  # run-time shape checks would wrap what numba compiles
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def fill_triangle(a, b, c, f, face, nearness):
     """Write `f` into `face` where a triangle is the nearest at a pixel's middle, and how near into `nearness`.
 
@@ -168,8 +167,7 @@ def fill_triangle(a, b, c, f, face, nearness):
                 face[y, x] = f
 
 
-@no_type_check
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _paint_all(pixels, face, depth):
     for f in range(len(pixels)):
         fill_triangle(pixels[f, 0], pixels[f, 1], pixels[f, 2], f, face, depth)
