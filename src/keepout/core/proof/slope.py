@@ -221,7 +221,7 @@ def _forward(
         tangents = (tangents.reshape(-1, n) @ W.T).reshape(3, m, -1)
         remainder = remainder @ absolute.T + 8.0 * (n + 4) * UNIT64 * largest
         layer, columns, passed, remainder, magnitude = _relax(columns, tangents, remainder, network.beta)
-        layers.append(_Layer(*layer, tangents))
+        layers.append(_Layer._make((*layer, tangents)))
         tangents = passed
     return layers
 
