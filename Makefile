@@ -94,9 +94,8 @@ as-used-tests: install
 	{ XLA_FLAGS= $(BIN)/pytest -m "as_used and not slow" $(AS_USED) > $$said 2>&1 || code=$$?; } && \
 	cat $$said && rm $$said && exit $$code
 
-# One worker more than cores: a worker waits for the commands that its tests start, and for its last file.
 other-tests: types
-	$(BIN)/pytest -m "not slow and not as_used" $(BY_FILE) -n 3
+	$(BIN)/pytest -m "not slow and not as_used" $(BY_FILE)
 
 test-all: lint
 	XLA_FLAGS= $(BIN)/python tests/where_time_goes.py --keep out/test-all -n 2 --dist loadgroup \
