@@ -28,6 +28,7 @@ def judge(seconds, axis=FAR):
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seconds", [40.0, 300.0])
 def test_a_leg_towards_a_ball_is_as_slow_as_the_room_before_it_asks(seconds):
     """From 8 m the drift comes to 8 m − v t: it must keep 5 m, the chaser's 0.5 m and what stands for states between.

@@ -188,6 +188,7 @@ def test_a_problem_of_another_target_camera_or_light_is_refused():
             inspect(changed, **options)
 
 
+@pytest.mark.slow
 def test_towards_the_target_it_flies_as_slowly_as_passive_safety_asks():
     """From 5 m off the box straight to 1.6 m: at the speed limit a drift of a minute would hit it from half way on."""
     mission = scenario(

@@ -47,7 +47,7 @@ def test_states_on_an_ellipse_follow_one_another_by_hills_equations():
     assert np.allclose(states[:-1] @ whole.T, states[1:], atol=1e-9)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_round_a_ball_the_smallest_ellipse_is_as_high_as_ball_and_stand_off():
     found = circumnavigations(Scenario.model_validate(LOW), ball)
     assert len(found) == 9
@@ -168,7 +168,7 @@ def onto(box, position, velocity=(0.0, 0.0, 0.0), **changes):
     return transfer(case, box, ellipse), ellipse
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.usefixtures("few")
 def test_a_start_on_the_ellipse_pays_little_and_one_at_rest_there_pays_for_its_speed(box):
     _, ellipse = onto(box, (0.0, -6.0, 0.0))
@@ -196,7 +196,7 @@ def test_where_gravity_is_weak_a_coast_is_a_straight_way_and_begins_and_ends_wit
     assert found.keeps_stand_off
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.usefixtures("few")
 def test_half_an_orbit_round_a_box_sees_part_of_it_without_contact():
     problem = problem_of(Scenario.model_validate(CIRCLED))

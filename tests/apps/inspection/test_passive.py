@@ -51,7 +51,7 @@ def test_a_drift_aimed_at_the_ball_touches_it():
     assert short.safe[0]
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_the_bound_lies_below_what_a_fine_drift_finds_and_not_far():
     generator = np.random.default_rng(4)
     place = generator.normal(size=(60, 3))

@@ -250,7 +250,7 @@ def test_views_that_open_nothing_are_not_taken_again_and_come_to_an_end(goal):
     assert len(answer.unknown) > 0
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_exploring_all_round_connects_goals_that_flying_around_does_not():
     mesh = explore_views.solid("plates")
     goals = explore_views.goals_near(mesh, 60, 5)
