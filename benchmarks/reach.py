@@ -1,11 +1,16 @@
 """Fly random start and goal pairs around each target: does each law reach, without contact, and at what cost.
 
     python benchmarks/reach.py --targets intelsat30 iss pocket ../shared/meshes/ssl1300.glb --flights 1000 --json
+    python benchmarks/reach.py --flights 128 --laws paper --tumbling --slowing 1.5 5 10 20 \
+        --gradient 0 0.2 0.42 0.9 largest
 
 Rows: the default law with each kind of guidance, the paper's law, and the default law round a target that tumbles about
 a random axis at each of the `--tumbling` rates. Every pair keeps 0.5 m between the chaser's surface and the exact mesh,
 and lies outside the target. No guard flies along: this measures the law. Contacts are judged between samples by the
 audit. A target without a shipped field gets one, fitted and certified once and kept in the folder of `--out`.
+
+The paper prints neither k_p nor e_∇h: its law has a row for each `--slowing` length and each `--gradient` error, where
+`largest` is the largest ‖∇d − ∇f̃‖ that was sampled within 3 m outside the target. A flight may take 6 k_p/v_max longer.
 
 Each row is written to `--out` as soon as it is flown; a run that was stopped goes on from there, and one target a run
 may be given. `refused` pairs are those that the law would not fly, with the reason on standard error: they count as
@@ -15,6 +20,7 @@ of the shortest free way / speed limit); `delta_v_mps` is the median, and `delta
 """
 
 import functools
+import itertools
 import sys
 import time
 import warnings
@@ -47,9 +53,20 @@ LAWS = {
     "switching": {"profile": "default", "guidance": "straight", "circulation": "switching"},
     "paper": {"profile": "paper", "guidance": "straight", "circulation": "printed"},
 }
-PLACE = ("target", "profile", "guidance", "tumbling_deg_s", "flights", "seed")
+AS_EVER = (1.5, 0.0)
+"""k_p (m) and e_∇h with which the paper's law is flown where nothing is said."""
+PLACE = ("target", "profile", "guidance", "slowing_length_m", "gradient_error", "tumbling_deg_s", "flights", "seed")
 SETTINGS = ("field_sha256", "version")
-SHOWN = (*PLACE[:-1], "refused", "reached", "contacts", "undecided", "minimum_clearance_m", "saturated_fraction")
+SHOWN = (
+    *PLACE[:-1],
+    "refused",
+    "reached",
+    "clean",
+    "contacts",
+    "undecided",
+    "minimum_clearance_m",
+    "saturated_fraction",
+)
 SHOWN += ("delta_v_mps", "delta_v_over_floor", "time_over_bound", "seconds")
 _MOST_NODES = 1e9
 """Nodes of all pairs' grids together, above which guidances are not kept: they would not fit in memory."""
@@ -86,17 +103,20 @@ def within_authority(case, scenario):
     return reach <= furthest, furthest, reason
 
 
-def planned(case, law, rate):
+def planned(case, law, rate, slowing, gradient):
     """Give the entries by which a row is known before it is flown."""
     choices = LAWS[law]
     guidance = choices["circulation"] if law == "paper" else law
-    row = dict(zip(PLACE, (case.name, choices["profile"], guidance, rate, case.flights, case.seed), strict=True))
+    names = (case.name, choices["profile"], guidance, slowing, gradient, rate, case.flights, case.seed)
+    row = dict(zip(PLACE, names, strict=True))
     return row | dict(zip(SETTINGS, (case.model.sha256, keepout.__version__), strict=True))
 
 
-def fly_row(case, law, rate):
+def fly_row(case, law, rate, slowing, gradient):
     """One row of the table, but for what it is known by."""
     began, scenario = time.perf_counter(), case.scenario.replace(control=LAWS[law])
+    if law == "paper":
+        scenario = scenario.replace(control={"paper": {"slowing_length": slowing, "gradient_error": gradient}})
     reach, reason = float(np.linalg.norm(case.pairs, axis=-1).max()), None
     flown = np.ones(case.flights, bool)
     if rate:
@@ -106,8 +126,17 @@ def fly_row(case, law, rate):
         flown, reach, reason = within_authority(case, scenario)
     speed = scenario.chaser.speed_limit
     seconds = round(case.seconds * case.scenario.chaser.speed_limit / speed)
+    if slowing is not None and (slowing, gradient) != AS_EVER:
+        seconds += round(6.0 * slowing / speed)
     refused = [] if reason is None else [reason] * int(np.sum(~flown))
-    row = {"reached": 0, "contacts": 0, "minimum_clearance_m": None, "saturated_fraction": None, "delta_v_mps": None}
+    row = {
+        "reached": 0,
+        "clean": 0,
+        "contacts": 0,
+        "minimum_clearance_m": None,
+        "saturated_fraction": None,
+        "delta_v_mps": None,
+    }
     row |= {"time_over_bound": None, "speed_limit_mps": speed}
     if flown.any():
         chosen = {"reach": float(reach)} if LAWS[law]["profile"] == "default" else {}
@@ -214,9 +243,11 @@ def figures(flown, ways, speed_limit):
     parts, outcomes, audits, floors = zip(*flown, strict=True)
     outcome = jax.tree.map(lambda *arrays: np.concatenate(arrays), *outcomes)
     audits, reached = sum(audits, ()), outcome.reached
+    touched = np.array([audit.contact is not Contact.NO for audit in audits])
     ratio = outcome.time_to_reach * speed_limit / ways[np.concatenate(parts)]
     return {
         "reached": int(reached.sum()),
+        "clean": int(np.sum(reached & ~touched)),
         "contacts": sum(a.contact is Contact.YES for a in audits),
         "undecided": sum(a.contact is Contact.UNDECIDED for a in audits),
         "minimum_clearance_m": min(a.minimum_clearance for a in audits),
@@ -238,6 +269,8 @@ def main():
     )
     parser.add_argument("--laws", nargs="*", default=list(LAWS), choices=list(LAWS))
     parser.add_argument("--tumbling", nargs="*", type=float, default=[0.1, 0.5], help="rates, degrees a second")
+    parser.add_argument("--slowing", nargs="+", type=float, default=AS_EVER[:1], help="k_p of the paper's law, m")
+    parser.add_argument("--gradient", nargs="+", default=AS_EVER[1:], help="e_∇h of the paper's law, or `largest`")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("out/reach.json"), help="rows flown so far")
     arguments = parser.parse_args()
@@ -245,8 +278,14 @@ def main():
     store, rows = Rows(arguments.out, PLACE, SETTINGS), []
     for source in arguments.targets:
         case = Case(source, arguments.out.parent, arguments.flights, arguments.seed)
-        for law, rate in [(law, 0.0) for law in arguments.laws] + [("geodesic", rate) for rate in arguments.tumbling]:
-            rows.append(store.made(planned(case, law, rate), functools.partial(fly_row, case, law, rate)))
+        largest = case.largest_gradient_error if "largest" in arguments.gradient else None
+        errors = [largest if error == "largest" else float(error) for error in arguments.gradient]
+        flown = [("geodesic", rate, None, None) for rate in arguments.tumbling]
+        for law in arguments.laws:
+            settings = itertools.product(arguments.slowing, errors) if law == "paper" else [(None, None)]
+            flown += [(law, 0.0, *setting) for setting in settings]
+        for one in flown:
+            rows.append(store.made(planned(case, *one), functools.partial(fly_row, case, *one)))
     tell(rows, arguments, SHOWN)
 
 

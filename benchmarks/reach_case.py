@@ -12,6 +12,7 @@ from keepout.core.fields.model import FieldModel
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target
 from keepout.core.learning.training import fit
+from keepout.core.measures.quality import gradient_errors
 from keepout.core.mission.scenario import Scenario
 from keepout.core.proof.certificate import certify
 from keepout.flights.pages import terminal
@@ -69,6 +70,13 @@ class Case:
     def offset(self):
         """What the barrier h takes off the field, m, without a law's own offset."""
         return self.certificate.error_bound + self.scenario.chaser.radius + self.scenario.safety.margin
+
+    @property
+    def largest_gradient_error(self):
+        """The largest ‖∇d − ∇f̃‖ sampled outside, to 3 m from the surface, to 0.01 upwards."""
+        solid = OffsetSolid.build(self.target.distance, closing_radius=0.25)
+        found = gradient_errors(self.model.field, solid, nearest=1e-3, farthest=3.0, count=20_000, seed=0)
+        return float(np.ceil(100.0 * found.maximum) / 100.0)
 
     @property
     def pairs(self):

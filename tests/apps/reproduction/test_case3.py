@@ -53,9 +53,9 @@ class Plan(CampaignPlan):
 
 def fly(folder, monkeypatch, plan, **changes):
     monkeypatch.setattr(case3, "CHUNK", 3)
-    monkeypatch.setattr(case3, "plan_campaign", lambda scenario, target: plan)
+    monkeypatch.setattr(case3, "plan_campaign", lambda scenario, target, model: plan)
     scenario = Scenario().replace(campaign={"runs": RUNS}, **changes)
-    return case3.flown(Work(folder), scenario, Target.load("intelsat30"), silent)
+    return case3.flown(Work(folder), scenario, Target.load("intelsat30"), None, silent)
 
 
 @pytest.mark.long

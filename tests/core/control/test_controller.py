@@ -15,7 +15,7 @@ from keepout.core.audit.audit import Contact, audit_campaign
 from keepout.core.audit.tube import FlightBounds
 from keepout.core.control import profiles
 from keepout.core.control.barrier_grid import BarrierGrid
-from keepout.core.control.design import tune
+from keepout.core.control.design import conditions, tune
 from keepout.core.control.geodesic import Geodesic
 from keepout.core.control.guidance import Straight, StraightGuidance
 from keepout.core.control.law import AheadOfDelay, ControlStatus
@@ -94,11 +94,27 @@ def test_paper_law_says_what_it_violates():
     broken = {c.name for c in law.conditions if not c.satisfied}
     assert {
         "observer outpaces filter",
+        "sampled barrier",
         "sampled tracking",
         "authority",
         "circulation tangent",
         "disturbance model",
     } <= broken
+
+
+@pytest.mark.filterwarnings("ignore::keepout.core.control.profiles.ControlWarning")
+def test_with_tanh_by_component_the_position_weight_must_be_diagonal():
+    law = profiles.paper(PANELS, CASE, GOAL)
+    weight = np.array([[1.0, -3.0, 0.0], [-3.0, 10.0, 0.0], [0.0, 0.0, 1.0]])
+    error = np.array([20.0, 1.5, 0.0])
+    assert np.linalg.eigvalsh(weight).min() > 0.0
+    # Theorem 4 wants this positive.
+    assert error @ weight @ np.tanh(error / 1.5) < -18.0
+    for chosen, violated in ((weight, True), (np.diag([1.0, 10.0, 2.0]), False)):
+        tracking = dataclasses.replace(law.tracking, position_weight=jnp.asarray(chosen))
+        checked = {c.name: c for c in conditions(dataclasses.replace(law, tracking=tracking), CASE)}
+        assert checked["position weight"].satisfied
+        assert checked["position weight and tanh"].satisfied is not violated
 
 
 @pytest.mark.slow

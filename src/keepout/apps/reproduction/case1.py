@@ -207,15 +207,16 @@ def _part(work: Work, flights: Mapping[str, Flight], counts: list[dict[str, Any]
         tables=[
             Table(
                 "flights",
-                "1 Hz and 0.1 N; where 20 Hz is said, 10 N. end: trapped is at rest outside the goal's 0.1 m; after: "
-                "first within it; gap: from the chaser's ball to the exact mesh; h: the law's own barrier",
+                "1 Hz and 0.1 N; where 20 Hz is said, 10 N. end: trapped is at rest outside the goal's 0.1 m, arrived "
+                "stays within it; within: when it first was; gap: from the chaser's ball to the exact mesh; h: the "
+                "law's own barrier",
                 [table_line(row) for row in rows],
             ),
             Table(
                 "map",
                 "Random ±y pairs at 1 Hz, 0.1 N, 3000 s: x in [-4, 4] m, z in [-3, 3] m, start y in [5, 12] m, goal y "
-                "in [-12, -5] m. arrived: came within 0.1 m of the goal; touched: whatever the audit does not exclude; "
-                "clean: arrived without a touch",
+                "in [-12, -5] m. arrived: stays within 0.1 m of the goal; touched: whatever the audit does not "
+                "exclude; clean: arrived without a touch",
                 counts,
             ),
         ],
@@ -239,6 +240,8 @@ def _row(work: Work, name: str, flight: Flight) -> dict[str, Any]:
         "rate_hz": 1.0 / scenario.control.period,
         "force_limit_n": scenario.chaser.force_limit,
         "minimum_barrier_m": float(np.min(record.barrier)),
+        "largest_axis_safe_velocity_mps": float(np.nanmax(np.abs(record.safe_velocity))),
+        "largest_axis_velocity_mps": float(np.max(np.abs(record.velocity))),
         **flight.summary(),
         "flight": str(path),
     }
@@ -250,8 +253,8 @@ def table_line(row: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "flight": row["name"],
         "k_p m": row["slowing_length_m"],
-        "end": "trapped" if row["trapped"] else "under way" if within is None else "arrived",
-        "after s": None if within is None else round(within, 1),
+        "end": "trapped" if row["trapped"] else "arrived" if row["reached"] else "under way",
+        "within s": None if within is None else round(within, 1),
         "contact": row["contact_verdict"],
         "least gap m": round(row["minimum_clearance_m"], 4),
         "least h m": round(row["minimum_barrier_m"], 4) + 0.0,
@@ -296,7 +299,7 @@ def map_rows(
     rows = []
     for place, length in enumerate(lengths):
         own = {name: column[place * pairs : (place + 1) * pairs] for name, column in landed.items()}
-        arrived, touched = np.isfinite(own["first_within_s"]), own["contact"] != "no"
+        arrived, touched = own["reached"], own["contact"] != "no"
         rows.append(
             {
                 "circulation": choice,
@@ -373,6 +376,14 @@ def findings(rows: Sequence[Mapping[str, Any]], counts: Sequence[Mapping[str, An
         if lowest["minimum_barrier_m"] < 0.0
         else "h is never negative in these flights."
     )
+    paper = [row for row in rows if row["slowing_length_m"] is not None]
+    fastest = max(paper, key=lambda row: row["largest_axis_velocity_mps"])
+    said.append(
+        "Of the paper's law the safe velocity comes to "
+        f"{max(row['largest_axis_safe_velocity_mps'] for row in paper):.4g} m/s in an axis at most, and the velocity "
+        f"to {fastest['largest_axis_velocity_mps']:.4g} m/s ({fastest['name']}); the limit is "
+        f"{Scenario().chaser.speed_limit:g} m/s."
+    )
     if not has_network:
         said.append("All these flights are by Keepout's own learned field: none of the paper's network was given.")
     by_length: dict[Any, list[str]] = {}
@@ -389,8 +400,8 @@ def findings(rows: Sequence[Mapping[str, Any]], counts: Sequence[Mapping[str, An
 def _sentence(row: Mapping[str, Any]) -> str:
     if row["trapped"]:
         end = f"comes to rest {row['final_error_m']:.3g} m from the goal"
-    elif row["first_within_s"] is not None:
-        end = f"is within the goal's tolerance after {row['first_within_s']:.0f} s"
+    elif row["reached"]:
+        end = f"is first within the goal's tolerance after {row['first_within_s']:.0f} s, and stays there in the end"
     else:
         end = f"is still under way at the end, {row['final_error_m']:.3g} m from the goal"
     touch = {"no": "without contact", "yes": "and touches the target"}.get(row["contact_verdict"], "contact undecided")

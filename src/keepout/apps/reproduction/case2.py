@@ -130,8 +130,9 @@ def found(rows: list[dict[str, Any]], *, quick: bool) -> list[str]:
             f"and {low[comparison, WITHOUT]:.3g} m without."
         )
     said.append(
-        "The printed A = I, L = 50 and m = 20 kg leave A - L C/m = -1.5, and a constant push d then settles at an "
-        "estimate of a third of d: the printed observer takes a third of a slow disturbance's effect away, no more."
+        "The printed A = I, L = 50 I and m = 20 kg give an estimate of a constant push d that settles where "
+        "0 = A d̂ + (L/m)(d - d̂), at 5/3 d. What is left has two thirds of the size of the push and the opposite "
+        "sign: the observer takes a third of a slow disturbance's effect away, and pushes the other way."
     )
     kept = error[PUSH, PRINTED] / error[PUSH, WITHOUT]
     said.append(

@@ -148,6 +148,8 @@ def draw_case(folder: Path, flights: Mapping[str, Flight], *, suffix: str, remar
     barriers = {name: (flight.record.time, flight.record.barrier) for name, flight in flights.items()}
     with _lines(folder / f"barrier{suffix}.png", 2.6, [barriers]) as [axes]:
         axes.axhline(0.0, color="black", linewidth=0.8)
+        # Linear to a decimetre, so that the sign is seen where h comes near zero.
+        axes.set_yscale("symlog", linthresh=0.1)
         axes.set(xlabel="time s", ylabel="barrier h, m")
         axes.legend()
     errors = {name: (flight.record.time, goal_error(flight)) for name, flight in flights.items()}
@@ -159,7 +161,7 @@ def draw_case(folder: Path, flights: Mapping[str, Flight], *, suffix: str, remar
     _draw_by_axis(folder / f"velocity{suffix}.png", pair, "velocity", "v, m/s")
     return {
         f"paths{suffix}": f"Paths (start: square, end: disc, goal: star), {told}",
-        f"barrier{suffix}": f"Barrier h of the law's own field, {told}",
+        f"barrier{suffix}": f"Barrier h of the law's own field, linear up to 0.1 m, {told}",
         f"error{suffix}": f"Distance to the goal, and its tolerance (dotted), {told}",
         f"safe-velocity{suffix}": f"Safe velocity by axis, and ±v_max (dotted), {told}",
         f"velocity{suffix}": f"Velocity by axis, and ±v_max (dotted), {told}",
@@ -242,6 +244,34 @@ def draw_map(folder: Path, counts: Sequence[Mapping[str, Any]]) -> dict[str, str
         drawing.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
     pairs = counts[0]["pairs"]
     return {"map": f"Of {pairs} random ±y pairs, the share that is trapped, arrives clean, or touches"}
+
+
+def draw_settings(path: Path, settings: Sequence[Mapping[str, Any]], beside: Sequence[Mapping[str, Any]]) -> None:
+    """Draw reached against contacts, in %, of the paper's law at its settings, and of laws beside it, a panel a target.
+
+    Args:
+        path: of the PNG.
+        settings: rows with `target`, `k_p m`, `e_∇h`, `flights`, `reached` and `contacts`.
+        beside: rows with `target`, `law`, `flights`, `reached` and `contacts`.
+
+    """
+    targets = dict.fromkeys(row["target"] for row in settings)
+    with column(path, 3.0 * len(targets) + 0.7) as drawing:
+        panels = drawing.subplots(len(targets), 1, squeeze=False)[:, 0]
+        for axes, target in zip(panels, targets, strict=True):
+            own = [row for row in settings if row["target"] == target]
+            lengths = dict.fromkeys(row["k_p m"] for row in own)
+            for ((length, _), look), marker in zip(_looks(lengths), _MARKERS):
+                some = [row for row in own if row["k_p m"] == length]
+                x, y = ([100.0 * row[name] / row["flights"] for row in some] for name in ("contacts", "reached"))
+                axes.plot(x, y, marker=marker, markersize=4, label=f"paper's, k_p {length:g} m", **look)
+                for row, *place in zip(some, x, y):
+                    axes.annotate(f"{row['e_∇h']:g}", place, (3, 3), textcoords="offset points", fontsize=6)
+            for row, marker in zip((row for row in beside if row["target"] == target), ("*", "P")):
+                share = [100.0 * row[name] / row["flights"] for name in ("contacts", "reached")]
+                axes.plot(*share, marker, color="black", markersize=8, label=f"Keepout, {row['law']}")
+            axes.set(title=target, xlabel="contact not excluded, %", ylabel="reached, %")
+        drawing.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
 
 
 def draw_comparisons(

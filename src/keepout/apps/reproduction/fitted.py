@@ -14,6 +14,7 @@ from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target
 from keepout.core.learning.losses import PROFILES, TrainingProfile
 from keepout.core.learning.training import fit
+from keepout.core.measures.quality import gradient_errors
 from keepout.core.measures.surface import default_spacing
 from keepout.core.proof.certificate import certify, sample_certificate
 
@@ -22,6 +23,8 @@ TARGETS = {"iss": "ISS", "tiangong": "CSS", "intelsat30": "Intersat-30"}
 OFFSET = 0.001
 """δ, metres. The built-ins are closed, so the sign needs no skin: any δ above the rounding of a point in float32 (4 µm
 around the ISS) would do. A millimetre is below what the paper's table resolves, and far above that."""
+GRADIENT_BAND = (1e-3, 3.0)
+"""Metres from the surface within which ∇f̃ is compared with ∇d."""
 CHASER_RADII = (0.0, 0.5)
 """Metres. Every field gets a certificate for these."""
 BATCH = 2048
@@ -132,6 +135,19 @@ def field_of(work: Work, recipe: Recipe, target: Target, *, fitting: bool, certi
         if path.parent == own:
             model.save(path)
     return model
+
+
+def largest_gradient_error(work: Work, target: Target, model: FieldModel) -> float:
+    """Give the largest ‖∇d − ∇f̃‖ sampled outside a built-in target, to 3 m from its surface, to 0.01 upwards."""
+
+    def make() -> float:
+        nearest, farthest = GRADIENT_BAND
+        solid = solid_of(target.name, quick=False)
+        found = gradient_errors(model.field, solid, nearest=nearest, farthest=farthest, seed=work.seed)
+        return float(np.ceil(100.0 * found.maximum) / 100.0)
+
+    made_of = [model.sha256, GRADIENT_BAND, work.seed, OFFSET]
+    return work.numbers(f"largest-gradient-error-{target.name}", made_of, make)
 
 
 def paper_network(work: Work, target: Target) -> FieldModel | None:

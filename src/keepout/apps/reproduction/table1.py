@@ -9,7 +9,16 @@ import numpy as np
 
 from keepout.apps.reproduction import fitted
 from keepout.apps.reproduction.figures import draw_sinking, draw_training
-from keepout.apps.reproduction.fitted import DEFAULT, DEVIATIONS, OFFSET, PAPER_NETWORK, PRINTED, SHIPPED, TARGETS
+from keepout.apps.reproduction.fitted import (
+    DEFAULT,
+    DEVIATIONS,
+    GRADIENT_BAND,
+    OFFSET,
+    PAPER_NETWORK,
+    PRINTED,
+    SHIPPED,
+    TARGETS,
+)
 from keepout.apps.reproduction.work import Part, Table, Work
 from keepout.core.fields import load_shipped
 from keepout.core.fields.field import values
@@ -30,8 +39,6 @@ PRINTED_TABLE = {
 POINTS, QUICK_POINTS = 100_000, 20_000
 """On the surface, uniform by area: the paper's number, and what the quick run takes."""
 GRADIENT_POINTS, QUICK_GRADIENT_POINTS = 50_000, 4_000
-GRADIENT_BAND = (1e-3, 3.0)
-"""Metres from the surface within which ∇f̃ is compared with ∇d."""
 THIN_SKIN = 0.005
 """Metres. Where a field's skin δ is thicker, it decides ε; the numbers with δ added back have a row of their own."""
 PIECE_SIZES = (0.1, 0.03, 0.01)
@@ -80,6 +87,16 @@ def table1(work: Work) -> Part:
             slopes,
         ),
     ]
+    readings = _readings(errors, {name: _radius(model) for name, model in networks.items()})
+    if readings:
+        tables.append(
+            Table(
+                "readings",
+                "Table I read twice: the paper's network in metres, and divided by the radius of the target's ball, "
+                "which is the unit it was trained in; over printed: the latter over what is printed",
+                readings,
+            )
+        )
     if proofs:
         tables.append(
             Table(
@@ -96,9 +113,9 @@ def table1(work: Work) -> Part:
             "ε, ε₊ and e_h, ε and ε₊ on 100,000 points uniform over the surface: "
             + "; ".join(f"{printed} {', '.join(map(str, PRINTED_TABLE[name]))}" for name, printed in TARGETS.items())
             + ". It gives no units, neither the scale of its meshes nor how e_h was found; e_h is read as the largest "
-            "over-statement that was sampled, and all as metres."
+            "over-statement that was sampled."
         ),
-        ours=_found(errors, slopes, proofs, reachable),
+        ours=_found(errors, slopes, proofs, reachable, readings),
         rows=rows,
         tables=tables,
         drawings=drawings,
@@ -201,6 +218,37 @@ def _error_rows(target: str, label: str, model: FieldModel, surface: dict[str, A
     return rows
 
 
+def _radius(model: FieldModel) -> float:
+    """Give the radius of the ball in which a network was trained, m."""
+    assert isinstance(model.field, NeuralField)
+    return float(model.field.scale)
+
+
+def _readings(errors: list[dict[str, Any]], radii: Mapping[str, float]) -> list[dict[str, Any]]:
+    """Give each cell of the paper's table beside the paper's network's, in metres and in radii of the target's ball."""
+    rows = []
+    for row in errors:
+        if row["field"] != PAPER_NETWORK.label or row["points"] != "all":
+            continue
+        radius = radii[row["target"]]
+        measured = (row["epsilon"], row["epsilon_plus"], row["e_h_sampled"])
+        for name, printed, value in zip(("ε", "ε₊", "e_h"), PRINTED_TABLE[row["target"]], measured, strict=True):
+            rows.append(
+                {
+                    "target": row["target"],
+                    "of": name,
+                    "printed": printed,
+                    "m": round(value, 4),
+                    "radius m": round(radius, 2),
+                    "radii": round(value / radius, 5),
+                    "printed m": round(printed * radius, 3),
+                    "over printed": round(value / radius / printed, 2),
+                    "worse in m": round(value / printed, 1),
+                }
+            )
+    return rows
+
+
 def _proof_attempt(work: Work, target: Target, model: FieldModel) -> list[dict[str, Any]]:
     """Bound a network over triangles of three sizes, cut from random places of the surface.
 
@@ -267,6 +315,7 @@ def _found(
     slopes: list[dict[str, Any]],
     proofs: list[dict[str, Any]],
     reachable: Mapping[str, float],
+    readings: list[dict[str, Any]],
 ) -> list[str]:
     """Say in plain sentences what the tables hold."""
 
@@ -292,6 +341,7 @@ def _found(
             f"{figures(PAPER_NETWORK.label, 'epsilon')}; largest sampled "
             f"{figures(PAPER_NETWORK.label, 'e_h_sampled')}.",
             f"Where its training departs from the paper or the paper is silent: {DEVIATIONS}",
+            _of_readings(readings),
         ]
     else:
         lines.append(
@@ -312,6 +362,19 @@ def _found(
         + ". ∇d jumps where two surfaces are equally near, so no smooth field comes much below 1 at the largest.",
     ]
     return lines
+
+
+def _of_readings(readings: list[dict[str, Any]]) -> str:
+    """Say which reading of the paper's table agrees, and what the other would do to a barrier."""
+    factors, worse = ([row[key] for row in readings] for key in ("over printed", "worse in m"))
+    bound = next(row for row in readings if (row["target"], row["of"]) == (TARGET_OF_PRINTED, "e_h"))
+    return (
+        f"Read in radii of the target's ball, the unit in which fields are trained, the {len(readings)} cells of the "
+        f"paper's table and this network's agree within factors of {min(factors):.2g} to {max(factors):.2g}. Read as "
+        f"metres, this network is {min(worse):.0f} to {max(worse):.0f} times worse. So radii are what agrees, and it "
+        f"matters: e_h of {TARGETS[TARGET_OF_PRINTED]} is {bound['printed m']:.2f} m then. A barrier that takes "
+        f"{bound['printed']:g} for metres is not safe."
+    )
 
 
 def _of_proofs(proofs: list[dict[str, Any]]) -> list[str]:

@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 from keepout.core.compiled.kept_executables import kept_jit
 from keepout.core.control.circulation import ConstantCirculation
 from keepout.core.control.controller import Controller
+from keepout.core.control.guidance import ComponentwiseGuidance
 from keepout.core.control.law import Condition
 from keepout.core.control.observer import ContinuousObserver, SampledObserver
 from keepout.core.control.velocity import SafeVelocity, VelocityPoint
@@ -205,10 +206,17 @@ def conditions(
 
     add("observer outpaces filter", "2 beta_e > beta_c, 1/s", 2.0 * beta_e, beta_c, 2.0 * beta_e > beta_c)
     add("filter outpaces barrier", "beta_c >= alpha_0, 1/s", beta_c, alpha, beta_c >= alpha)
+    decay = beta_c * period
+    add("sampled barrier", "beta_c T_s <= 1", decay, 1.0, decay <= 1.0)
     sampling = float(tracking.gain) * period / 2.0
     add("sampled tracking", "lambda T_s / 2 < 1", sampling, 1.0, sampling < 1.0)
     smallest = float(np.linalg.eigvalsh(np.asarray(tracking.position_weight)).min())
     add("position weight", "smallest eigenvalue of H_0 > 0", smallest, 0.0, smallest > 0.0)
+    if isinstance(law.guidance, ComponentwiseGuidance):
+        # tanh acts by component: without a diagonal H_0, r_e' H_0 tanh(r_e/k_p) may be negative, and V_1 rise.
+        weight = np.asarray(tracking.position_weight)
+        beside = float(np.abs(weight - np.diag(np.diag(weight))).max())
+        add("position weight and tanh", "largest |H_0| off its diagonal = 0", beside, 0.0, beside <= 0.0)
     if isinstance(controller.observer, ContinuousObserver):
         error = np.asarray(_error_matrix(controller.observer))
         rate = float(np.real(np.linalg.eigvals(error)).max())

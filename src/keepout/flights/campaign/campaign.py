@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float
 
 from keepout.core.audit.audit import Audit
 from keepout.core.errors import ScenarioError
+from keepout.core.fields.model import FieldModel
 from keepout.core.flight.loop import FlightOutcome
 from keepout.core.geometry.target import Target
 from keepout.core.mission.build import prepare
@@ -267,7 +268,13 @@ class CampaignPlan:
         return Campaign(scenario, self.target, runs, flown, self.starts_drawn_again, seconds, kept)
 
 
-def plan_campaign(scenario: Scenario, *, target: Target | None = None, progress: Progress = silent) -> CampaignPlan:
+def plan_campaign(
+    scenario: Scenario,
+    *,
+    target: Target | None = None,
+    model: FieldModel | None = None,
+    progress: Progress = silent,
+) -> CampaignPlan:
     """Build what a campaign's flights share, and draw its runs.
 
     What the scenario's dispersions vary is drawn as `keepout campaign` draws it: the flights are the same to the bit.
@@ -277,6 +284,7 @@ def plan_campaign(scenario: Scenario, *, target: Target | None = None, progress:
     Args:
         scenario: what to fly.
         target: already loaded; else the scenario's.
+        model: the field to fly by without dispersions; else the scenario's.
         progress: called while it is built.
 
     Raises:
@@ -288,7 +296,7 @@ def plan_campaign(scenario: Scenario, *, target: Target | None = None, progress:
         runs = tuple(plan.draw(0, plan.runs))
         again = sum(run.drawn_again for run in runs)
         return CampaignPlan(scenario, plan.workshop.target(scenario), runs, plan.programs, again)
-    mission = prepare(scenario, target=target, progress=progress)
+    mission = prepare(scenario, target=target, model=model, progress=progress)
     starts, again = draw_starts(scenario, mission.target)
     runs = tuple(
         Run(number, {"start.position": start.tolist()}, start, np.zeros(3), 0, mission)
