@@ -12,6 +12,8 @@ import pytest
 from keepout.core.control.controller import Tracking, safety_gain
 from keepout.core.control.guidance import StraightGuidance
 from keepout.core.control.velocity import ClassK, SafeVelocity, SpeedCone
+from keepout.core.fields import load_shipped
+from keepout.core.fields.field import values
 from keepout.core.fields.own import SphereField
 
 MASS = jnp.asarray(20.0)
@@ -90,6 +92,26 @@ def test_safe_set_is_invariant():
     assert np.min(slack) > -1e-9
     # The filter must have had work to do: without it many of these states would break the inequality.
     assert np.mean(np.asarray(unfiltered) < 0.0) > 0.05
+
+
+@pytest.mark.long
+def test_safe_set_is_invariant_by_a_learned_field_whose_gradient_is_off_by_as_much_as_it_may():
+    """The same of h whose gradient is ∇f̃ + e₂, with the worst e₂ of length e_∇h: along −v."""
+    field, error = load_shipped("intelsat30").field, 0.3
+    learned = dataclasses.replace(law(), field=field, gradient_error=jnp.asarray(error))
+    rng = np.random.default_rng(4)
+    places = rng.uniform((-8.0, -4.0, -4.0), (8.0, 4.0, 4.0), (20_000, 3))
+    away = values(field, places)
+    position = jnp.asarray(places[(away > 0.3) & (away < 1.0)][:1000])
+    _, velocity, error_d = states(1000, 2)
+    layer = tracking(gain=0.2, gradient_error=error)
+    slack, unfiltered, *_ = rates_of(learned, layer, position, velocity, error_d)
+    lost = error * np.linalg.norm(velocity, axis=1)
+    assert np.min(slack - lost) > -1e-6
+    assert np.mean(np.asarray(unfiltered) < lost) > 0.05
+    # Without e_∇h in the filter the same error breaks the inequality.
+    blind, *_ = rates_of(learned, tracking(gain=0.2), position, velocity, error_d)
+    assert np.min(blind - lost) < -1e-3
 
 
 @pytest.mark.long
