@@ -1,6 +1,7 @@
 """Commands on meshes and fields: targets, describe, fit, certify, measure."""
 
 import time
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -137,6 +138,7 @@ def fit(
             "paper_printed, with the loss as printed."
         ),
     ] = "default",
+    batch: Annotated[int | None, typer.Option(help="Points a step, instead of the profile's.")] = None,
     chaser_radius: ChaserRadius = 0.5,
     certify: Annotated[
         bool, typer.Option("--certify", help="Then prove its error bound for this radius, as `keepout certify` does.")
@@ -153,10 +155,12 @@ def fit(
         from keepout.core.learning.losses import find_profile
 
         with usage():
-            find_profile(profile)
+            numbers = find_profile(profile)
+            numbers = numbers if batch is None else numbers.with_batch(batch)
         require_file(out, ".keepout", "a field file", refusal=FieldError)
         part = part_of(progress, 0.0, 0.9) if certify else progress
-        summary = _fitted(read.entry(mesh), out, profile, chaser_radius, seed, part)
+        settings = {"profile": numbers, "chaser_radius": chaser_radius, "seed": seed}
+        summary = {**_fitted(read.entry(mesh), out, settings, part), "profile": profile, "seed": seed}
         proof: dict[str, Any] = {}
         if certify:
             part = part_of(progress, 0.9, 1.0)
@@ -165,9 +169,7 @@ def fit(
     answer(summary | proof, as_json, *tables)
 
 
-def _fitted(
-    entry: "TargetEntry", out: Path, profile: str, chaser_radius: float, seed: int, progress: Progress
-) -> dict[str, Any]:
+def _fitted(entry: "TargetEntry", out: Path, settings: Mapping[str, Any], progress: Progress) -> dict[str, Any]:
     """Fit a field to a mesh and save it."""
     from keepout.core.learning.training import fit
     from keepout.core.measures.quality import surface_errors
@@ -176,7 +178,6 @@ def _fitted(
     target = load_target(entry)
     start = time.perf_counter()
     checkpoint = out.with_name(out.name + ".checkpoint")  # from which a run that was killed goes on
-    settings = {"profile": profile, "chaser_radius": chaser_radius, "seed": seed}
     model = fit(target, **settings, checkpoint=checkpoint, progress=progress)
     seconds = time.perf_counter() - start
     located = entry.model_dump()
@@ -184,15 +185,13 @@ def _fitted(
         located["source"] = str(Path(entry.source).resolve())
     model = model.with_training(target=located)
     model.save(out)  # before it is certified, so that a proof that is stopped loses nothing
-    errors = surface_errors(model.field, target, seed=seed)
+    errors = surface_errors(model.field, target, seed=settings["seed"])
     return {
         "field": str(out),
         "seconds": seconds,
         "epsilon_m": errors.epsilon,
         "epsilon_plus_m": errors.epsilon_plus,
         "sampled_maximum_m": errors.maximum,
-        "profile": profile,
-        "seed": seed,
         "target": target.name,
         "target_sha256": target.sha256,
         "warnings": list(target.report.warnings),

@@ -88,6 +88,18 @@ class TrainingProfile:
         """Return the numbers for a target whose bounding ball has this radius, metres."""
         return self if self.large is None or radius <= LARGE_TARGET else self.large
 
+    def with_batch(self, batch: int) -> "TrainingProfile":
+        """Return the numbers with so many points a step.
+
+        Raises:
+            FieldError: not between 1 and the number of samples.
+
+        """
+        if not 1 <= batch <= self.samples:
+            raise FieldError(f"batch {batch}: it must be between 1 and the profile's {self.samples} samples")
+        large = None if self.large is None else self.large.with_batch(batch)
+        return dataclasses.replace(self, batch=batch, large=large)
+
     def for_chaser(self, radius: float) -> "TrainingProfile":
         """Return the numbers for a chaser of this radius, metres: the near field reaches beyond where it touches."""
         return dataclasses.replace(self, near_field=max(self.near_field, radius + BEYOND_CONTACT))
