@@ -47,7 +47,8 @@ START = np.array([0.0, 10.0, 6.0])
 
 def row(erratum, quantity, printed, mended, unit):
     # What is left of a zero by rounding in float64 is no effect.
-    plain = [None if entry is None else float(entry) * (abs(entry) > 1e-15) for entry in (printed, mended)]
+    plain = [None if entry is None else float(entry) for entry in (printed, mended)]
+    plain = [0.0 if entry is not None and abs(entry) < 1e-15 else entry for entry in plain]
     return {"erratum": erratum, "quantity": quantity, "printed": plain[0], "mended": plain[1], "unit": unit}
 
 
@@ -298,8 +299,8 @@ def jump_of_gradient():
     grooves = {
         "a slit": (lambda p: np.minimum(1.0 - p[0], 1.0 + p[0]), (0.0, 0.0)),
         "a right-angled groove": (lambda p: np.min((p[0], p[1])), (1.0, 1.0)),
-        "a groove of 150°": (
-            lambda p: p[1] * np.sin(np.radians(75.0)) - abs(p[0]) * np.cos(np.radians(75.0)),
+        "a groove of 120°": (
+            lambda p: p[1] * np.sin(np.radians(60.0)) - abs(p[0]) * np.cos(np.radians(60.0)),
             (0.0, 1.0),
         ),
     }

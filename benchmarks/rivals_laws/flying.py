@@ -67,8 +67,8 @@ def _inside(tree, key):
 class Flown:
     """What became of the flights of a row."""
 
-    def __init__(self, case: RivalCase):
-        self.case, self.index, self.outcomes, self.audits = case, [], [], []
+    def __init__(self, case: RivalCase, seconds: int):
+        self.case, self.seconds, self.index, self.outcomes, self.audits = case, seconds, [], [], []
         self.first = None
         """Times, positions and velocities of the first flight."""
 
@@ -85,7 +85,7 @@ class Flown:
                 self.first = (columns["time"][0], columns["position"][0], columns["velocity"][0])
 
         outcome, audits = fly_audited(
-            case.scenario.replace(duration=float(case.seconds)),
+            case.scenario.replace(duration=float(self.seconds)),
             case.target,
             setup,
             states_at(setup.motion, case.pairs[part, 0]),
@@ -144,5 +144,5 @@ def path(case: RivalCase, rival: Rival, start: Point, goal: Point, guarded: bool
     """
     setup = setup_of(case, rival.law(case, start, goal), goal, guarded)
     initial = setup.motion.initial_state(start, np.zeros(3))
-    steps = round(case.seconds / case.scenario.control.period)
+    steps = round((case.seconds + rival.more_seconds) / case.scenario.control.period)
     return np.asarray(fly(setup, initial, steps, jax.random.key(0)).position)

@@ -56,7 +56,7 @@ def flown_row(case: RivalCase, rival: Rival, plan: dict, progress) -> dict:
     began, row = time.perf_counter(), dict.fromkeys(COLUMNS) | plan | {"machine": machine(), "note": rival.missing}
     if rival.missing:
         return row
-    flown, refusals, seconds, timed = Flown(case), [], [], None
+    flown, refusals, seconds, timed = Flown(case, case.seconds + rival.more_seconds), [], [], None
     size = min(rival.batch, plan["flights"])
     for first in range(0, plan["flights"], size):
         index, laws, refused, took = laws_of(case, rival, range(first, min(first + size, plan["flights"])))
