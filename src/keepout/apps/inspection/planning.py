@@ -307,7 +307,7 @@ class _Line:
             return float(self.task.areas[(times > 0) & (self._without(times, n) <= 0)].sum())
 
         seen, keep, touched = self._seen(times), np.ones(count, dtype=bool), np.zeros(count + 2, dtype=bool)
-        for n in np.argsort([lost(n) for n in range(count)]):
+        for n in np.argsort([lost(n) for n in range(count)]).tolist():
             less = lost(n)
             if touched[n : n + 3].any() or seen - less < goal or keep.sum() <= 1:
                 continue
