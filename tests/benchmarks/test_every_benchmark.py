@@ -68,6 +68,7 @@ def test_a_row_of_reach_sums_up_all_parts():
     row = reach.figures([first, second], np.array([2.0, np.nan, 3.0, 5.0]), 0.1)
     assert row == {
         "reached": 2,
+        "clean": 1,
         "contacts": 1,
         "undecided": 1,
         "minimum_clearance_m": -0.1,

@@ -156,7 +156,7 @@ def fit(
 
         with usage():
             numbers = find_profile(profile)
-            numbers = numbers if batch is None else numbers.with_batch(batch)
+            numbers = profile if batch is None else numbers.with_batch(batch)
         require_file(out, ".keepout", "a field file", refusal=FieldError)
         part = part_of(progress, 0.0, 0.9) if certify else progress
         settings = {"profile": numbers, "chaser_radius": chaser_radius, "seed": seed}
