@@ -202,6 +202,14 @@ def test_a_fit_is_certified_in_the_same_command_and_no_search_beats_it(folder, f
     assert certificate.error_bound - 0.05 < worst <= certificate.error_bound
 
 
+def test_a_fit_takes_a_batch(folder):
+    rough = ROUGH.replace("main()", 'PROFILES["quick"] = replace(PROFILES["quick"], steps=50, tuning_steps=0)\nmain()')
+    command = ("fit", "box", "-o", "batch.keepout", "--profile", "quick", "--batch")
+    said = keepout_process(folder, *command, "96", "--json", program=rough, **AS_USED)
+    assert said["profile"] == "quick"
+    assert FieldModel.load(folder / "batch.keepout").training["numbers"]["batch"] == 96
+
+
 def test_certify_adds_another_certificate(folder, fitted):
     shutil.copy(folder / "box.keepout", folder / "two.keepout")
     said = keepout_process(folder, "certify", "two.keepout", "--chaser-radius", "0.0", "--json")

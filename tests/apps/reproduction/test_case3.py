@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from keepout.apps.reproduction import case3
+from keepout.apps.reproduction.figures import draw_settings
 from keepout.apps.reproduction.work import Work
 from keepout.core.geometry.target import Target
 from keepout.core.mission.scenario import Scenario
@@ -89,3 +90,30 @@ def test_the_figures_are_those_of_the_flights(tmp_path, monkeypatch):
     assert row["median_time_to_reach_s"] == np.median([100, 101, 103, 104, 105, 106])
     assert row["largest_final_error_m"] == pytest.approx(6.4)
     assert row["over_axis_limit"] == 7
+
+
+def settings_rows():
+    kinds = [(1.5, 0.0, 250, 190, 60), (5.0, 0.4, 240, 240, 0), (10.0, 0.4, 240, 240, 3)]
+    names = ("k_p m", "e_∇h", "reached", "clean", "contacts")
+    return [{"target": "iss", "flights": 256} | dict(zip(names, kind, strict=True)) for kind in kinds]
+
+
+def test_the_best_setting_is_that_of_most_clean_flights_and_then_of_fewest_contacts():
+    assert case3.best_of(settings_rows(), "iss")["k_p m"] == 5.0
+
+
+def test_a_longer_slowing_has_more_time():
+    printed = case3.case3_scenarios(0, quick=False)["iss", case3.PRINTED]
+    same, longer = (case3.with_setting(printed, length, 0.2, 9, "x") for length in (1.5, 20.0))
+    assert same.duration == printed.duration
+    # Six time constants k_p / v_max more than at 1.5 m.
+    assert longer.duration == printed.duration + 1110.0
+    assert (longer.control.paper.slowing_length, longer.control.paper.gradient_error) == (20.0, 0.2)
+    assert longer.campaign.runs == 9
+    assert longer.campaign.lower == printed.campaign.lower
+
+
+def test_the_settings_are_drawn(tmp_path):
+    beside = [{"target": "iss", "law": case3.DEFAULTS, "flights": 1000, "reached": 1000, "contacts": 0}]
+    draw_settings(tmp_path / "settings.png", settings_rows(), beside)
+    assert (tmp_path / "settings.png").read_bytes().startswith(b"\x89PNG")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from truths.networks import random_layers
 
+from keepout.core.errors import FieldError
 from keepout.core.fields import neural
 from keepout.core.learning import losses
 from keepout.core.learning.losses import PROFILES
@@ -90,3 +91,13 @@ def test_the_second_sweep_is_the_derivative_that_jax_finds(shape):
         for a, b in zip(jax.tree.leaves(ours_gradient), jax.tree.leaves(truth_gradient), strict=True):
             assert a.shape == b.shape
             np.testing.assert_allclose(a, b, rtol=1e-10, atol=1e-12 * float(np.abs(b).max()))
+
+
+@pytest.mark.parametrize("batch", [0, -3, 600_001])
+def test_a_batch_is_of_the_samples_that_there_are(batch):
+    with pytest.raises(FieldError, match=rf"batch {batch}: it must be between 1 and the profile's 600000 samples"):
+        PROFILES["default"].with_batch(batch)
+    changed = PROFILES["default"].with_batch(77)
+    assert changed.batch == 77
+    assert changed.large is not None
+    assert changed.large.batch == 77

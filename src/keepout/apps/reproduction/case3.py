@@ -31,6 +31,8 @@ LAWS: dict[str, dict[str, Any]] = {
 
 DEFAULT_LAW = "default law alone"
 ALONE: dict[str, Any] = {"control": {"profile": "default"}, "guard": {"enabled": False}}
+PRINTED_MU_V = 1e-4
+"""The paper's μ_v, 1/s²."""
 LENGTHS = (1.5, 5.0, 10.0, 20.0)
 """k_p, m, and below e_∇h: what the paper does not print, so its law is flown at all of these."""
 ERRORS = (0.0, 0.2, 0.42, 0.9)
@@ -309,12 +311,13 @@ def found(
             f"{entry['over_axis_limit']} flights pass {limit:g} m/s in an axis, by at most {_shown(over)} m/s; "
             f"{entry['starts_drawn_again']} starts were drawn again because they lay in the target or too near it."
         )
-    said.append(
-        "V₁ cannot fall to zero in these flights: it holds ‖v − v_s‖²/(2 μ_v), and at the printed μ_v of 1e-4 /s² a "
-        "difference of 4.5 mm/s, which saturated thrusters leave at 1 Hz, is 0.10 m². That floor says nothing of the "
-        "distance to the goal."
-    )
     printed = [entry for entry in rows if entry["law"] == PRINTED]
+    floor = max(entry["median_final_v1_m2"] or 0.0 for entry in printed)
+    said.append(
+        f"With the printed constants V₁ stays at about {floor:.2f} m²: it holds ‖v − v_s‖²/(2 μ_v), and at μ_v = "
+        f"{PRINTED_MU_V:g} /s² that is a difference of {1e3 * np.sqrt(2.0 * PRINTED_MU_V * floor):.1f} mm/s, which "
+        "saturated thrusters leave at 1 Hz. That floor says nothing of the distance to the goal."
+    )
     if any(entry["below_h_0"] for entry in printed):
         said.append(
             "At 1 Hz and 0.1 N the printed constants do not keep h strictly positive, as the paper states it: "

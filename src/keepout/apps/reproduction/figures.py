@@ -260,11 +260,11 @@ def draw_settings(path: Path, settings: Sequence[Mapping[str, Any]], beside: Seq
         panels = drawing.subplots(len(targets), 1, squeeze=False)[:, 0]
         for axes, target in zip(panels, targets, strict=True):
             own = [row for row in settings if row["target"] == target]
-            lengths = dict.fromkeys(row["k_p m"] for row in own)
-            for ((length, _), look), marker in zip(_looks(lengths), _MARKERS):
+            lengths = {f"paper's, k_p {row['k_p m']:g} m": row["k_p m"] for row in own}
+            for ((label, length), look), marker in zip(_looks(lengths), _MARKERS):
                 some = [row for row in own if row["k_p m"] == length]
                 x, y = ([100.0 * row[name] / row["flights"] for row in some] for name in ("contacts", "reached"))
-                axes.plot(x, y, marker=marker, markersize=4, label=f"paper's, k_p {length:g} m", **look)
+                axes.plot(x, y, marker=marker, markersize=4, label=label, **look)
                 for row, *place in zip(some, x, y):
                     axes.annotate(f"{row['e_∇h']:g}", place, (3, 3), textcoords="offset points", fontsize=6)
             for row, marker in zip((row for row in beside if row["target"] == target), ("*", "P")):

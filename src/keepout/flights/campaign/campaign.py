@@ -292,6 +292,8 @@ def plan_campaign(
 
     """
     if scenario.campaign.dispersions:
+        if model is not None:
+            raise ScenarioError("campaign.dispersions: each run flies by its own scenario's field; give no model")
         plan = Plan.of(scenario, target=target, progress=progress)
         runs = tuple(plan.draw(0, plan.runs))
         again = sum(run.drawn_again for run in runs)
