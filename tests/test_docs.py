@@ -97,6 +97,23 @@ def test_the_reference_has_every_public_name():
     assert set(re.findall(r"^::: (\S+)$", page, flags=re.MULTILINE)) == public
 
 
+def test_no_line_installs_the_other_program_called_keepout():
+    """On the package index `keepout` is a stranger's; pages, refusals and image recipes name `keepout-gnc`."""
+    folders = (REPOSITORY / name for name in ("src", "docs", "benchmarks", "examples", "tests", ".github"))
+    files = [
+        *PAGES,
+        *(file for folder in folders for file in folder.rglob("*") if file.suffix in (".py", ".yml", ".toml")),
+    ]
+    installs = re.compile(r"(?<![\w-])keepout\\?\[[a-z]|install (-\S+ )*[\"']?keepout(?![\w-])")
+    found = [
+        f"{named(file)}: {line}"
+        for file in files
+        for line in file.read_text("utf-8").splitlines()
+        if installs.search(line)
+    ]
+    assert not found
+
+
 def test_the_citation_is_of_this_version():
     citation = (REPOSITORY / "CITATION.cff").read_text(encoding="utf-8")
     assert f"\nversion: {keepout.__version__}\n" in citation.replace('"', "")

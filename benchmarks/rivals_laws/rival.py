@@ -53,7 +53,7 @@ class Rival(abc.ABC):
     def missing(self) -> str | None:
         """The pip line that installs what is missing; None where nothing is."""
         absent = [name for name in self.packages if importlib.util.find_spec(name) is None]
-        return f"{', '.join(absent)} missing: pip install 'keepout[rivals]'" if absent else None
+        return f"{', '.join(absent)} missing: pip install 'keepout-gnc[rivals]'" if absent else None
 
     @property
     def settings(self) -> dict:

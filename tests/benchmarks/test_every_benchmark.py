@@ -26,7 +26,7 @@ WITHOUT_OPTIONS = {"fields", "guard_field", "motion"}
 def test_it_is_imported_and_helps(name, monkeypatch, capsys):
     text = (ROOT / "benchmarks" / f"{name}.py").read_text(encoding="utf-8")
     if name == "cluster":
-        pytest.importorskip("distributed", reason="needs keepout[cluster]")
+        pytest.importorskip("distributed", reason="needs keepout-gnc[cluster]")
     module = importlib.import_module(name)
     assert (module.__doc__ or "").strip()
     if "__main__" not in text or name in WITHOUT_OPTIONS:
@@ -85,7 +85,7 @@ def test_the_floor_of_delta_v_is_that_of_a_steady_push_and_two_changes_of_speed(
 
 
 def test_the_plan_of_the_docs_is_that_of_the_kept_figures(capsys):
-    pytest.importorskip("distributed", reason="needs keepout[cluster]")
+    pytest.importorskip("distributed", reason="needs keepout-gnc[cluster]")
     import cluster
 
     measured = json.loads((ROOT / "benchmarks" / "results" / "cluster.json").read_text())["measured"]

@@ -15,7 +15,7 @@ from keepout.flights.campaign import cluster as worker
 from keepout.flights.campaign.dataset import Dataset
 from keepout.flights.campaign.run import fly_campaign, flyer_on
 
-distributed = pytest.importorskip("distributed", reason="needs keepout[cluster]")
+distributed = pytest.importorskip("distributed", reason="needs keepout-gnc[cluster]")
 
 from keepout.flights.campaign.cluster import Cluster  # noqa: E402
 

@@ -34,7 +34,7 @@ def test_an_address_is_taken_as_it_is_and_local_as_so_many_cores_or_refused(text
 
 def test_without_dask_the_line_that_installs_it_is_named(monkeypatch):
     monkeypatch.setattr(run.importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(ClusterError, match=r"distributed is not installed; pip install 'keepout\[cluster\]'"):
+    with pytest.raises(ClusterError, match=r"distributed is not installed; pip install 'keepout-gnc\[cluster\]'"):
         flyer_on("local:1")
 
 

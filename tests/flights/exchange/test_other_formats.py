@@ -192,6 +192,6 @@ def test_a_missing_extra_is_named(tmp_path, monkeypatch):
     radius = ("--chaser-radius", 0.5)
     answer = keepout_command("export", shipped_path("intelsat30"), "--to", "onnx", *radius, "-o", tmp_path / "a")
     assert answer.code == 1
-    assert "pip install 'keepout[export]'" in answer.err
+    assert "pip install 'keepout-gnc[export]'" in answer.err
     assert answer.err.count("\n") == 1
     assert not list(tmp_path.iterdir())

@@ -29,7 +29,7 @@ def missing_extra() -> str | None:
     missing = [name for name in PACKAGES if importlib.util.find_spec(name) is None]
     if not missing:
         return None
-    return f"not run: {', '.join(missing)} not installed; pip install 'keepout[bench]'"
+    return f"not run: {', '.join(missing)} not installed; pip install 'keepout-gnc[bench]'"
 
 
 class TorchField:

@@ -244,7 +244,7 @@ def flyer_on(scheduler: str, *, mixed_processors: bool = False) -> Flyer:
     address, workers = scheduler_of(scheduler)
     missing = [name for name in ("distributed", "cryptography") if importlib.util.find_spec(name) is None]
     if missing:
-        raise ClusterError(f"scheduler: {missing[0]} is not installed; pip install 'keepout[cluster]'")
+        raise ClusterError(f"scheduler: {missing[0]} is not installed; pip install 'keepout-gnc[cluster]'")
     from keepout.flights.campaign.cluster import Cluster
 
     return Cluster(address, workers=workers, mixed_processors=mixed_processors)

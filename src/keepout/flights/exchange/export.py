@@ -119,7 +119,7 @@ def export_field(
         except ModuleNotFoundError as error:
             if error.name != "onnx":
                 raise
-            raise ExchangeError("--to onnx: is written with onnx; pip install 'keepout[export]'") from None
+            raise ExchangeError("--to onnx: is written with onnx; pip install 'keepout-gnc[export]'") from None
         return export_onnx(model, out, certificate=certificate, seed=seed, progress=progress)
     from keepout.flights.exchange.scene import export_scene
 

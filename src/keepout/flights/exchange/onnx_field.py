@@ -319,7 +319,7 @@ def measure(
     try:
         import onnxruntime
     except ImportError:
-        raise ExchangeError("--to onnx: measures the file with onnxruntime; pip install 'keepout[export]'") from None
+        raise ExchangeError("--to onnx: needs onnxruntime; pip install 'keepout-gnc[export]'") from None
     session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])
     value, gradient = values_and_gradients(field, points)
     worst = np.zeros(2)
