@@ -26,7 +26,8 @@ from keepout.core.fields import load_shipped
 from keepout.core.fields.field import values
 from keepout.core.flight.batches import states_at
 from keepout.core.geometry.target import Target
-from keepout.core.mission.flight import fly, fly_audited
+from keepout.core.mission.build import fly
+from keepout.core.mission.flight import fly_audited
 from keepout.core.mission.law import build_law
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings

@@ -21,7 +21,7 @@ from typing import Any
 from playwright.sync_api import Browser, sync_playwright
 
 from keepout.cli.flight import replay_to_page
-from keepout.core.mission.flight import fly
+from keepout.core.mission.build import fly
 from keepout.core.mission.scenario import Scenario
 
 SOFTWARE = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]

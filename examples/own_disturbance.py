@@ -24,7 +24,7 @@ class Plume(keepout.Disturbance):
 def main(duration: float = 400.0, strength: float = 0.012) -> keepout.Flight:
     scenario = keepout.Scenario().replace(name="plume", duration=duration, control={"guidance": "straight"})
     mission = keepout.prepare(scenario)
-    return keepout.fly_mission(keepout.with_disturbance(mission, Plume(jnp.array(strength))))
+    return mission.with_disturbance(Plume(jnp.array(strength))).fly()
 
 
 if __name__ == "__main__":

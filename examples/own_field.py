@@ -26,7 +26,7 @@ def main(grid: keepout.FieldModel, duration: float = 500.0) -> keepout.Flight:
     )
     mission = keepout.prepare(scenario, model=grid)
     field = keepout.stated_field(ellipsoid, 1.0, lower=[-8.0] * 3, upper=[8.0] * 3)
-    return keepout.fly_mission(keepout.with_field(mission, field))
+    return mission.with_field(field).fly()
 
 
 if __name__ == "__main__":

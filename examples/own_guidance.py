@@ -23,7 +23,7 @@ class Over(keepout.Guidance):
 def main(duration: float = 600.0) -> keepout.Flight:
     scenario = keepout.Scenario().replace(name="over", duration=duration)
     goal = jnp.array(scenario.goal.position)
-    return keepout.fly_mission(keepout.prepare(scenario, guidance=Over(goal, jnp.array([0.0, 0.0, 9.0]))))
+    return keepout.prepare(scenario, guidance=Over(goal, jnp.array([0.0, 0.0, 9.0]))).fly()
 
 
 if __name__ == "__main__":

@@ -30,7 +30,7 @@ class Pid(keepout.Law):
 def main(duration: float = 400.0) -> keepout.Flight:
     scenario = keepout.Scenario().replace(name="pid", duration=duration, control={"guidance": "straight"})
     mission = keepout.prepare(scenario).with_law(Pid(jnp.array(scenario.goal.position)))
-    return keepout.fly_mission(mission)
+    return mission.fly()
 
 
 if __name__ == "__main__":

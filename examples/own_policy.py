@@ -31,7 +31,7 @@ def main(duration: float = 400.0) -> dict[str, keepout.Flight]:
         "random": keepout.PolicyLaw(scenario.goal.position, random_policy),
         "network": keepout.PolicyLaw(scenario.goal.position, Network(), on_host=True),
     }
-    return {name: keepout.fly_mission(mission.with_law(law)) for name, law in laws.items()}
+    return {name: mission.with_law(law).fly() for name, law in laws.items()}
 
 
 if __name__ == "__main__":

@@ -20,8 +20,8 @@ class Pulsed(keepout.ThrusterModel):
 
 def main(duration: float = 400.0) -> keepout.Flight:
     scenario = keepout.Scenario().replace(name="pulsed", duration=duration, control={"guidance": "straight"})
-    mission = keepout.with_thrusters(keepout.prepare(scenario), Pulsed())
-    return keepout.fly_mission(mission)
+    mission = keepout.prepare(scenario).with_thrusters(Pulsed())
+    return mission.fly()
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ def fly_to_folder(
     from keepout.core.mission.first_look import look
 
     target = look(scenario)
-    from keepout.core.mission.flight import fly
+    from keepout.core.mission.build import fly
     from keepout.flights.pages.folder import results_in, write_flight, write_summary
 
     with results_in(out):

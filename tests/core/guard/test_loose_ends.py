@@ -25,8 +25,7 @@ from keepout.core.geometry.target import Target
 from keepout.core.guard.field import cache_folder, guard_field
 from keepout.core.guard.guard import Guard
 from keepout.core.guard.safety_layer import GuardFlag
-from keepout.core.mission.build import prepare
-from keepout.core.mission.flight import fly
+from keepout.core.mission.build import fly, prepare
 from keepout.core.motion.chaser import Thrusters
 from keepout.core.motion.disturbance import ConstantDisturbance
 from keepout.core.motion.orbit import Orbit

@@ -10,9 +10,8 @@ from keepout.core.errors import ControlError, FieldError
 from keepout.core.fields import load_shipped
 from keepout.core.fields.field import values
 from keepout.core.geometry.target import Target
-from keepout.core.mission.build import build_guard, load_model, prepare
+from keepout.core.mission.build import build_guard, fly, load_model, prepare
 from keepout.core.mission.first_look import require_certified, require_files
-from keepout.core.mission.flight import fly
 from keepout.core.mission.law import build_law, room_for_guard
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings, guard_numbers

@@ -9,7 +9,6 @@ import pytest
 from keepout.core.errors import ScenarioError
 from keepout.core.mission.build import prepare, require_navigation
 from keepout.core.mission.check import check, number_refusal
-from keepout.core.mission.flight import fly_mission
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 from keepout.core.mission.target import load_target
@@ -42,7 +41,7 @@ def mission():
 
 @pytest.fixture(scope="module")
 def flight(mission):
-    return fly_mission(mission)
+    return mission.fly()
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +74,7 @@ def test_the_truth_is_in_the_known_set_and_the_set_within_its_caps(flight):
 @pytest.mark.long
 def test_a_seed_says_everything(mission, flight):
     again, other = (
-        fly_mission(dataclasses.replace(mission, surroundings=Surroundings(seeded, mission.target))).record
+        dataclasses.replace(mission, surroundings=Surroundings(seeded, mission.target)).fly().record
         for seeded in (mission.scenario, mission.scenario.replace(seed=mission.scenario.seed + 1))
     )
     for name, column in flight.record.columns.items():

@@ -51,9 +51,9 @@ def refused(kind: type[KeepoutError], give: Any, *given: Any, **chosen: Any) -> 
 
 
 @pytest.mark.long
-def test_a_mission_is_prepared_from_a_path(mission, path):
-    assert mission.scenario == keepout.Scenario.load(path)
-    for nothing in (3, None, {"duration": 20.0}, "absent.toml"):
+def test_a_mission_is_prepared_from_a_path_or_tables(mission, path):
+    assert mission.scenario == keepout.Scenario.load(path) == keepout.Scenario.of(mission.scenario.model_dump())
+    for nothing in (3, None, {"duration": -20.0}, "absent.toml"):
         assert refused(ScenarioError, keepout.prepare, nothing)
 
 
@@ -135,14 +135,14 @@ GIVEN = {
     "own law": (ControlError, lambda mission, law: mission.with_law(law)),
     "guard": (ControlError, lambda mission, answer: mission.with_guard(Guard(answer))),
     "own guard": (ControlError, lambda mission, guard: mission.with_guard(guard)),
-    "push": (ScenarioError, lambda mission, answer: keepout.with_disturbance(mission, Push(answer))),
-    "bound": (ScenarioError, lambda mission, most: keepout.with_disturbance(mission, Push(jnp.zeros(3), most))),
-    "own push": (ScenarioError, keepout.with_disturbance),
-    "nozzles": (ScenarioError, lambda mission, wrong: keepout.with_thrusters(mission, Nozzles(wrong))),
-    "own thrusters": (ScenarioError, keepout.with_thrusters),
+    "push": (ScenarioError, lambda mission, answer: mission.with_disturbance(Push(answer))),
+    "bound": (ScenarioError, lambda mission, most: mission.with_disturbance(Push(jnp.zeros(3), most))),
+    "own push": (ScenarioError, keepout.Mission.with_disturbance),
+    "nozzles": (ScenarioError, lambda mission, wrong: mission.with_thrusters(Nozzles(wrong))),
+    "own thrusters": (ScenarioError, keepout.Mission.with_thrusters),
     "leads": (ControlError, lambda mission, answer: with_guidance(mission, Leads(jnp.array(GOAL), answer))),
     "own guidance": (ControlError, lambda mission, guidance: with_guidance(mission, guidance)),
-    "own field": (FieldError, keepout.with_field),
+    "own field": (FieldError, keepout.Mission.with_field),
 }
 """How a user gives each part, and the refusal that it is to be."""
 

@@ -2,7 +2,6 @@
 
 import dataclasses
 import time
-from pathlib import Path
 
 import numpy as np
 
@@ -31,7 +30,7 @@ from keepout.core.fields.model import FieldModel
 from keepout.core.flight.setup import FlightSetup
 from keepout.core.geometry.target import Target
 from keepout.core.guard.safety_layer import mode
-from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.scenario import Scenario, ScenarioLike
 from keepout.core.mission.target import load_target
 from keepout.core.progress import Progress, part_of, silent
 
@@ -40,7 +39,7 @@ _OF_LIGHT = ("light", "epoch", "orbit", "attitude", "sun")
 
 
 def inspect(
-    scenario: Scenario | str | Path,
+    scenario: ScenarioLike,
     *,
     target: Target | None = None,
     model: FieldModel | None = None,
@@ -54,8 +53,8 @@ def inspect(
     the result is that of the true positions of the audited record.
 
     Args:
-        scenario: or the path of its TOML file. Its entries `camera`, `light` and `inspect` beside those of any flight;
-            `goal` does not count.
+        scenario: a `Scenario`, the path of its TOML file, or its tables as a dict. Its
+            entries `camera`, `light` and `inspect` beside those of any flight; `goal` does not count.
         target: the mesh, already loaded; else the scenario's.
         model: the field that the law flies by, already loaded; else the scenario's.
         problem: what is to be seen, already worked out for this target, camera and light, as for the flights of a

@@ -4,7 +4,6 @@ import math
 import time
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import equinox as eqx
 import jax
@@ -33,7 +32,7 @@ from keepout.core.geometry.target import Target
 from keepout.core.guard.guard import GuardState
 from keepout.core.guard.safety_layer import GuardFlag, GuardStatus
 from keepout.core.mission.flight import recorded
-from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.scenario import Scenario, ScenarioLike
 from keepout.core.mission.surroundings import Surroundings, broken_assumptions
 from keepout.core.mission.target import load_target
 from keepout.core.progress import Progress, silent
@@ -56,7 +55,7 @@ _RESTING = 10
 
 
 def explore(
-    scenario: Scenario | str | Path,
+    scenario: ScenarioLike,
     *,
     target: Target | None = None,
     expected: Target | None = None,
@@ -68,8 +67,8 @@ def explore(
     seen free is an obstacle, for law and guard alike. The clearance is audited on the true mesh.
 
     Args:
-        scenario: or the path of its TOML file. Its entries `depth_sensor`, `map` and `explore` beside those of any
-            flight; `target` is the truth.
+        scenario: a `Scenario`, the path of its TOML file, or its tables as a dict. Its
+            entries `depth_sensor`, `map` and `explore` beside those of any flight; `target` is the truth.
         target: the true mesh, already loaded; else the scenario's.
         expected: what the mission believes, already loaded; else `explore.expected`, which may be unset.
         progress: called as the flight goes on.

@@ -25,6 +25,7 @@ from keepout.core.fields import load_shipped
 from keepout.core.fields.field import values
 from keepout.core.fields.model import Certificate, FieldModel
 from keepout.core.fields.own import FunctionField
+from keepout.core.flight import loop
 from keepout.core.flight.setup import FlightSetup
 from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target
@@ -32,8 +33,9 @@ from keepout.core.guard.field import guard_field
 from keepout.core.guard.guard import Guard, require_flyable
 from keepout.core.guard.safety_layer import SafetyLayer
 from keepout.core.mission.first_look import require_shipped
+from keepout.core.mission.flight import Flight, judged
 from keepout.core.mission.law import broken_as, law_on, law_or_way_out, room_for_guard
-from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.scenario import Scenario, ScenarioLike
 from keepout.core.mission.surroundings import Surroundings, broken_assumptions
 from keepout.core.mission.target import load_target, require_apart
 from keepout.core.motion.arrays import as_float64
@@ -120,6 +122,9 @@ class Mission:
 
         The guard's theorem holds for any law, so what is certified of the start stays.
 
+        Args:
+            law: told the estimated motion once a control period; gives a force, N, body frame.
+
         Raises:
             ControlError: it is no law, or tried at the start it does not answer as one.
 
@@ -131,12 +136,133 @@ class Mission:
     def with_guard(self, guard: SafetyLayer | None) -> "Mission":
         """Give the same mission with another safety layer, or none; nothing is certified of it.
 
+        Args:
+            guard: passes each commanded force on or replaces it; None flies without one.
+
         Raises:
             ControlError: it is no safety layer, or tried at the start it does not answer as one.
 
         """
         require_guard(guard, self.initial)
         return replace(self, setup=replace(self.setup, guard=guard), start_certified=None)
+
+    def with_disturbance(self, disturbance: Disturbance) -> "Mission":
+        """Give the same mission with another disturbance; law and guard assume what they assumed, the audit is told.
+
+        Where its bound is above what they assume, that is an assumption broken, and nothing is promised.
+
+        Args:
+            disturbance: the force (N, body frame) on the chaser as a function of time, and its bound.
+
+        Raises:
+            ScenarioError: it does not answer as a disturbance, or its force is found above the bound that it states.
+
+        """
+        require_disturbance(disturbance)
+        bound, times = disturbance.bound, np.linspace(0.0, self.scenario.duration, _TRIED)
+        found = float(np.linalg.norm(np.asarray(_forces(disturbance, as_float64(times))), axis=1).max())
+        if not found <= bound * _OUTWARD:
+            said = f"it states a bound of {bound:.6g} N, and its force is found at {found:.6g} N"
+            raise ScenarioError(f"disturbance: {said}")
+        assumed, broken = self.surroundings.disturbance_bound, self.assumptions_broken
+        if bound > assumed * _OUTWARD:
+            broken = (*broken, f"disturbance: flown up to {bound:.6g} N > disturbance.bound {assumed:.6g} N")
+        return replace(
+            self,
+            setup=replace(self.setup, disturbance=disturbance),
+            own_push=bound,
+            start_certified=self.start_certified and not broken,
+            assumptions_broken=broken,
+        )
+
+    def with_thrusters(self, thrusters: ThrusterModel) -> "Mission":
+        """Give the same mission with other thrusters; law and guard assume the scenario's.
+
+        The guard's theorem asks for thrusters that give what is commanded within `guard.gain_error`. Whether these do
+        is not known, so nothing is certified of the start.
+
+        Args:
+            thrusters: what force (N, body frame) they give for a commanded one.
+
+        Raises:
+            ScenarioError: tried on an example, they do not answer as thrusters.
+
+        """
+        require_thruster_model(thrusters)
+        said = "thrusters: others than the scenario's (what they give of a command is not known)"
+        return replace(
+            self,
+            setup=replace(self.setup, thrusters=thrusters),
+            start_certified=None if self.start_certified is None else False,
+            assumptions_broken=(*self.assumptions_broken, said),
+        )
+
+    def with_field(self, field: FunctionField, *, leaf: float = 0.1, progress: Progress = silent) -> "Mission":
+        """Give the same mission with the scenario's law built on another field; the guard keeps its own.
+
+        The law's error bound is `certificate.stated_error_bound`: proved if the field's Lipschitz bound is true.
+
+        Args:
+            field: of `keepout.stated_field` or `keepout.sampled_field`.
+            leaf: side of the cubes that the bound is proved with, m.
+            progress: called while the guidance is made.
+
+        Raises:
+            KeepoutError: the law cannot be built on it; the message names the entry.
+
+        """
+        if not isinstance(field, FunctionField):
+            said = "it must be one of keepout.stated_field or keepout.sampled_field"
+            raise FieldError(f"field: {described(field)}; {said}")
+        bound = stated_error_bound(field, self.target, self.scenario.chaser.radius, leaf=leaf)
+        law = law_on(self.scenario, field, bound, progress=progress)
+        setup = replace(self.setup, controller=broken_as(self.scenario, law, field), field=field)
+        return replace(self, setup=setup)
+
+    def fly(self, *, progress: Progress = silent) -> Flight:
+        """Fly it, with the law and guard that its setup has now, and audit its clearance on the exact mesh.
+
+        Args:
+            progress: called as the work goes on.
+
+        Returns:
+            What was recorded, and what became of it.
+
+        """
+        progress(0.0, "flying")
+        log = loop.fly(self.setup, self.initial, self.steps, jax.random.key(self.scenario.seed))
+        progress(0.7, "audit")
+        flight = judged(self, log)
+        progress(1.0, "")
+        return flight
+
+
+def fly(
+    scenario: ScenarioLike | Mission,
+    *,
+    target: Target | None = None,
+    model: FieldModel | None = None,
+    progress: Progress = silent,
+) -> Flight:
+    """Fly one scenario and audit its clearance on the exact mesh.
+
+    Args:
+        scenario: what to fly: a `Scenario`, the path of its TOML file, its tables as a dict, or a prepared `Mission`.
+        target: already loaded; else the scenario's.
+        model: its field, already loaded; else the scenario's.
+        progress: called as the work goes on.
+
+    Returns:
+        What was recorded, what became of it, and the audit's verdict.
+
+    Raises:
+        KeepoutError: something in the scenario cannot be flown; the message names the entry.
+
+    """
+    progress(0.0, "preparing")
+    if not isinstance(scenario, Mission):
+        scenario = prepare(scenario, target=target, model=model, progress=part_of(progress, 0.0, 0.4))
+    return scenario.fly(progress=part_of(progress, 0.4, 1.0))
 
 
 def load_model(scenario: Scenario, target: Target, progress: Progress = silent) -> FieldModel:
@@ -158,7 +284,7 @@ def load_model(scenario: Scenario, target: Target, progress: Progress = silent) 
 
 
 def prepare(
-    scenario: Scenario | str | Path,
+    scenario: ScenarioLike,
     *,
     target: Target | None = None,
     model: FieldModel | None = None,
@@ -169,12 +295,15 @@ def prepare(
     """Build everything that flying a scenario needs.
 
     Args:
-        scenario: what to fly, or the path of its TOML file.
+        scenario: what to fly: a `Scenario`, the path of its TOML file, or its tables as a dict.
         target: already loaded; else the scenario's.
         model: its field, already loaded; else the scenario's.
         guidance: instead of the one that the scenario names.
-        guard_grid: the guard's own field, already built; else from the cache or newly built.
+        guard_grid: a grid field for the guard, already built and certified; else from the cache or newly built.
         progress: called while guidance is built.
+
+    Returns:
+        The mission, whose parts can be exchanged (`Mission.with_law` and the others) before it is flown.
 
     Raises:
         KeepoutError: something in the scenario cannot be flown; the message names the entry.
@@ -297,79 +426,9 @@ def build_guard(
     )
 
 
-def with_disturbance(mission: Mission, disturbance: Disturbance) -> Mission:
-    """Give the same mission with another disturbance; law and guard assume what they assumed, the audit is told of it.
-
-    Where its bound is above what they assume, that is an assumption broken, and nothing is promised.
-
-    Raises:
-        ScenarioError: it does not answer as a disturbance, or its force is found above the bound that it states.
-
-    """
-    require_disturbance(disturbance)
-    bound, times = disturbance.bound, np.linspace(0.0, mission.scenario.duration, _TRIED)
-    found = float(np.linalg.norm(np.asarray(_forces(disturbance, as_float64(times))), axis=1).max())
-    if not found <= bound * _OUTWARD:
-        raise ScenarioError(f"disturbance: it states a bound of {bound:.6g} N, and its force is found at {found:.6g} N")
-    assumed = mission.surroundings.disturbance_bound
-    broken = mission.assumptions_broken
-    if bound > assumed * _OUTWARD:
-        broken = (*broken, f"disturbance: flown up to {bound:.6g} N > disturbance.bound {assumed:.6g} N")
-    return replace(
-        mission,
-        setup=replace(mission.setup, disturbance=disturbance),
-        own_push=bound,
-        start_certified=mission.start_certified and not broken,
-        assumptions_broken=broken,
-    )
-
-
 @eqx.filter_jit
 def _forces(disturbance: Disturbance, times: Float[Array, " n"]) -> Float[Array, "n 3"]:
     return jax.vmap(disturbance.force)(times)
-
-
-def with_thrusters(mission: Mission, thrusters: ThrusterModel) -> Mission:
-    """Give the same mission with other thrusters; law and guard assume the scenario's.
-
-    The guard's theorem asks for thrusters that give what is commanded within `guard.gain_error`. Whether these do is
-    not known, so nothing is certified of the start.
-
-    Raises:
-        ScenarioError: tried on an example, they do not answer as thrusters.
-
-    """
-    require_thruster_model(thrusters)
-    said = "thrusters: others than the scenario's (what they give of a command is not known)"
-    return replace(
-        mission,
-        setup=replace(mission.setup, thrusters=thrusters),
-        start_certified=None if mission.start_certified is None else False,
-        assumptions_broken=(*mission.assumptions_broken, said),
-    )
-
-
-def with_field(mission: Mission, field: FunctionField, *, leaf: float = 0.1, progress: Progress = silent) -> Mission:
-    """Give the same mission with the scenario's law built on another field; the guard keeps its own.
-
-    The law's error bound is `certificate.stated_error_bound`: proved if the field's Lipschitz bound is true.
-
-    Args:
-        mission: as `prepare` built it.
-        field: of `stated_field` or `sampled_field`.
-        leaf: side of the cubes that the bound is proved with, m.
-        progress: called while the guidance is made.
-
-    Raises:
-        KeepoutError: the law cannot be built on it; the message names the entry.
-
-    """
-    if not isinstance(field, FunctionField):
-        raise FieldError(f"field: {described(field)}; it must be one of keepout.stated_field or keepout.sampled_field")
-    scenario = mission.scenario
-    bound = stated_error_bound(field, mission.target, scenario.chaser.radius, leaf=leaf)
-    law = law_on(scenario, field, bound, progress=progress)
-    return replace(mission, setup=replace(mission.setup, controller=broken_as(scenario, law, field), field=field))
 
 
 def require_law(law: Any, start: MotionState) -> None:

@@ -6,7 +6,6 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import accumulate, repeat, takewhile
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,7 +23,7 @@ from keepout.core.mission.build import Mission, load_model, prepare
 from keepout.core.mission.expected import Expected, expected
 from keepout.core.mission.first_look import assumed_disturbance, flown_disturbance, require_files
 from keepout.core.mission.law import operation
-from keepout.core.mission.scenario import Scenario, with_entries
+from keepout.core.mission.scenario import Scenario, ScenarioLike, with_entries
 from keepout.core.mission.surroundings import Surroundings, broken_assumptions, guard_numbers
 from keepout.core.mission.target import has_way_out, load_target, require_apart, room_to_start
 from keepout.core.progress import Progress, part_of, silent
@@ -123,7 +122,7 @@ def margin(condition: Condition) -> float:
 
 
 def check(
-    scenario: Scenario | str | Path,
+    scenario: ScenarioLike,
     *,
     target: Target | None = None,
     model: FieldModel | None = None,
@@ -135,7 +134,7 @@ def check(
     at once; the law and the guard are built only where none of these is found.
 
     Args:
-        scenario: what would be flown, or the path of its TOML file.
+        scenario: what would be flown: a `Scenario`, the path of its TOML file, or its tables as a dict.
         target: already loaded; else the scenario's.
         model: its field, already loaded; else the scenario's.
         progress: called as the work goes on.

@@ -3,17 +3,14 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import jax
 import numpy as np
 from jaxtyping import Float, Int
 
 from keepout.core.audit.audit import Audit, Contact, ExactMesh, audit, audit_campaign
 from keepout.core.audit.tube import FlightBounds
 from keepout.core.control.law import ControlStatus
-from keepout.core.fields.model import FieldModel
 from keepout.core.flight import loop
 from keepout.core.flight.batches import Batching, Landed, fly_batches
 from keepout.core.flight.loop import FlightOutcome, outcome
@@ -22,12 +19,14 @@ from keepout.core.flight.setup import FlightSetup
 from keepout.core.geometry.target import Target
 from keepout.core.guard.guard import Guard
 from keepout.core.guard.safety_layer import GuardFlag, GuardStatus, flag_names
-from keepout.core.mission.build import Mission, prepare
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings, guard_numbers
 from keepout.core.motion.relative import MotionState
 from keepout.core.plug_ins import load
-from keepout.core.progress import Progress, part_of, silent
+from keepout.core.progress import Progress, silent
+
+if TYPE_CHECKING:
+    from keepout.core.mission.build import Mission
 
 
 @dataclass(frozen=True)
@@ -59,7 +58,7 @@ class Flight:
     start_certified: bool | None = None
     assumptions_broken: tuple[str, ...] = ()
     guard: dict[str, Any] | None = None
-    mission: Mission | None = None
+    mission: "Mission | None" = None
 
     def summary(self) -> dict[str, Any]:
         """Give the flight's figures as plain numbers for JSON.
@@ -120,42 +119,7 @@ class Flight:
         }
 
 
-def fly(
-    scenario: Scenario | str | Path,
-    *,
-    target: Target | None = None,
-    model: FieldModel | None = None,
-    progress: Progress = silent,
-) -> Flight:
-    """Fly one scenario and audit its clearance on the exact mesh.
-
-    Args:
-        scenario: what to fly, or the path of its TOML file.
-        target: already loaded; else the scenario's.
-        model: its field, already loaded; else the scenario's.
-        progress: called as the work goes on.
-
-    Raises:
-        KeepoutError: something in the scenario cannot be flown; the message names the entry.
-
-    """
-    scenario = Scenario.of(scenario)
-    progress(0.0, "preparing")
-    mission = prepare(scenario, target=target, model=model, progress=part_of(progress, 0.0, 0.4))
-    return fly_mission(mission, progress=part_of(progress, 0.4, 1.0))
-
-
-def fly_mission(mission: Mission, *, progress: Progress = silent) -> Flight:
-    """Fly what `prepare` built, with the law and guard that its setup has now, and audit it on the exact mesh."""
-    progress(0.0, "flying")
-    log = loop.fly(mission.setup, mission.initial, mission.steps, jax.random.key(mission.scenario.seed))
-    progress(0.7, "audit")
-    flight = judged(mission, log)
-    progress(1.0, "")
-    return flight
-
-
-def judged(mission: Mission, log: loop.FlightLog, **known: Any) -> Flight:
+def judged(mission: "Mission", log: loop.FlightLog, **known: Any) -> Flight:
     """Give the flight of a mission that was already flown: its record, outcome, and audit on the exact mesh.
 
     Args:

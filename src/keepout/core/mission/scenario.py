@@ -129,18 +129,24 @@ class Scenario(Entry, metaclass=_RefusedAsOthers):
             raise _refusal(error, where, {} if text is None else entry_lines(text)) from None
 
     @classmethod
-    def of(cls, given: "Scenario | str | Path") -> "Scenario":
-        """Give a scenario as it is, or the one in a file.
+    def of(cls, given: Any) -> "Scenario":
+        """Give a scenario as it is, the one in a file, or the one of nested tables.
+
+        Args:
+            given: a `ScenarioLike`.
 
         Raises:
-            ScenarioError: the file is refused, or it is neither a scenario nor a path.
+            ScenarioError: it is refused, or it is none of these.
 
         """
         if isinstance(given, cls):
             return given
+        if isinstance(given, Mapping):
+            return cls.parse(dict(given))
         if isinstance(given, str | Path):
             return cls.load(given)
-        raise ScenarioError(f"scenario: {type(given).__name__}; it must be a Scenario or the path of its TOML file")
+        valid = "a Scenario, the path of its TOML file, or its tables as a dict"
+        raise ScenarioError(f"scenario: {type(given).__name__}; it must be {valid}")
 
     @classmethod
     def load(cls, path: str | Path) -> "Scenario":
@@ -187,6 +193,10 @@ class Scenario(Entry, metaclass=_RefusedAsOthers):
             if source and Path(source).suffix and not Path(source).is_absolute():
                 changes[table] = {key: str((folder / source).resolve())}
         return self.replace(**changes) if changes else self
+
+
+ScenarioLike = Scenario | str | Path | Mapping[str, Any]
+"""What a scenario is taken from: itself, the path of its TOML file, or its tables as a dict."""
 
 
 def _refusal(error: ValidationError, where: str, lines: Mapping[Keys, int] = {}) -> ScenarioError:

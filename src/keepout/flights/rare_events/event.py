@@ -18,7 +18,7 @@ from keepout.core.geometry.target import Target
 from keepout.core.guard.field import RECIPE
 from keepout.core.mission.build import Mission, prepare
 from keepout.core.mission.flight import Flight
-from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.scenario import Scenario, ScenarioLike
 from keepout.core.progress import Progress, part_of, silent
 from keepout.flights.rare_events.flights import TapedFlights
 from keepout.flights.rare_events.subset import CONFIDENCE, Estimate, Question, Simulation, estimate, simulate
@@ -98,7 +98,7 @@ class RareEvent:
 
 
 def rare(
-    scenario: Scenario | str | Path,
+    scenario: ScenarioLike,
     *,
     below: float = 0.0,
     runs: int = RUNS,
@@ -114,7 +114,7 @@ def rare(
     all of it drawn from the scenario's seed (docs/rare.md).
 
     Args:
-        scenario: what to fly, or the path of its TOML file.
+        scenario: what to fly: a `Scenario`, the path of its TOML file, or its tables as a dict.
         below: the clearance, m; 0 is contact.
         runs: side by side, at least 2; the interval comes from their spread, and 8 or more make it hold.
         flights: of a level and run; a multiple of 8.
