@@ -34,7 +34,7 @@ def main():
     parser.add_argument("--no-usual", action="store_true", help="leave the usual way out")
     parser.add_argument("--json", metavar="OUT", help="write all figures here too")
     arguments = parser.parse_args()
-    from keepout.flights.pages.folder import machine
+    from keepout.flights.pages.head_and_foot import machine
 
     found = {"machine": machine(), "date": datetime.date.today().isoformat(), "steps": arguments.steps}
     found["scaling_steps"] = arguments.scaling_steps

@@ -40,9 +40,10 @@ export function panels(root, scene) {
     heading: element("h1", {}, scene.title),
     verdict: element("p", { class: "verdict", role: "status" }),
     flights: element("div", { class: "flights", role: "group", "aria-label": "Flights" }),
+    about: element("button", { name: "about", title: "Figures for print, and what this replay was made of" }, "figures, origin"),
     canvas: element("canvas", { tabindex: "0", "aria-label": "The target and the flights around it" }),
     labels: element("div", { class: "labels" }),
-    controls: element("div", { class: "controls" }),
+    controls: element("div", { class: "inside" }),
     status: element("p", { class: "status" }),
     note: element("p", { class: "note", role: "note" }),
     triad: document.createElementNS("http://www.w3.org/2000/svg", "svg"),
@@ -51,11 +52,13 @@ export function panels(root, scene) {
     transport: element("footer", { class: "transport" }),
     still: element("img", { class: "still", alt: "The replay when it was printed" }),
   };
+  parts.folded = element("details", { class: "controls" }, element("summary", {}, "Show"), parts.controls); // closed on a phone
+  parts.folded.open = innerWidth > 760;
   parts.triad.setAttribute("class", "triad");
   parts.triad.setAttribute("viewBox", "-60 -60 120 120");
-  parts.stage = element("div", { class: "stage" }, parts.canvas, parts.labels, parts.controls, parts.status, parts.note, parts.triad, parts.bar);
+  parts.stage = element("div", { class: "stage" }, parts.canvas, parts.labels, parts.folded, parts.status, parts.note, parts.triad, parts.bar);
   root.append(
-    element("header", {}, parts.heading, parts.verdict, parts.flights),
+    element("header", {}, parts.heading, parts.verdict, parts.about, parts.flights),
     parts.stage,
     parts.plots,
     parts.transport,

@@ -30,7 +30,7 @@ class Replay {
     this.parts = panels(root, told);
     this.extent = size(told);
     const scale = new Scale(told.flights);
-    this.flights = told.flights.map((flight, k) => new Flight(flight, FLIGHTS[k % FLIGHTS.length], scale, this.extent.length / 1000));
+    this.flights = told.flights.map((flight, k) => new Flight(flight, FLIGHTS[k % FLIGHTS.length], scale, this.extent.length / 1000, k >= FLIGHTS.length));
     // Of target and paths together: by it whatever has no size of its own is drawn.
     const paths = new Box3().setFromPoints(this.flights.flatMap((flight) => every(flight.position, 200)));
     this.span = Math.max(this.extent.length, paths.getSize(new Vector3()).length());
@@ -120,6 +120,11 @@ class Replay {
     this.parts.controls.append(this.cameraChoice, this.frameChoice, ...(several ? [this.colourChoice] : []), element("div", { class: "toggles" }, ...Object.values(this.toggles)), ...this.legend(),
       element("button", { class: "help", title: KEYS, "aria-label": `Keys: ${KEYS}`, onclick: () => this.parts.stage.classList.toggle("helped") }, "?"));
     this.parts.stage.append(element("p", { class: "keys" }, KEYS));
+    this.parts.about.addEventListener("click", () => {
+      const figures = document.getElementById("figures");
+      figures.classList.toggle("asked");
+      if (figures.classList.contains("asked")) figures.scrollIntoView();
+    });
     this.frameChoice.show(this.frame);
     this.cameraChoice.show("free");
     const stops = Array.from({ length: 17 }, (_, k) => `rgb(${ramp(k / 16).map((part) => Math.round(255 * part)).join(",")})`);
@@ -131,7 +136,7 @@ class Replay {
       const box = element("input", { type: "checkbox", "aria-label": `Show ${flight.name}` });
       box.checked = true;
       box.addEventListener("change", () => { flight.shown = box.checked; this.plots.show(this.flight); this.touch(); });
-      const name = element("button", { onclick: () => this.choose(flight), title: "Bring into focus (F: the next)" }, element("i", { style: `background:${flight.colour}` }), flight.name);
+      const name = element("button", { onclick: () => this.choose(flight), title: "Bring into focus (F: the next)" }, element("i", { class: flight.dashed ? "dashed" : "", style: `color:${flight.colour}` }), flight.name);
       return [flight, { chip: element("span", { class: "chip" }, box, name), box }];
     }));
     this.parts.flights.append(...[...this.chips.values()].map(({ chip }) => chip));

@@ -1,5 +1,5 @@
 // A flight: its path, flown and to come, its chaser, and where it is at a time, in the frame that is shown.
-import { BoxGeometry, BufferAttribute, Color, Group, Mesh, Quaternion, SphereGeometry, Vector3 } from "three";
+import { BoxGeometry, BufferAttribute, Color, GreaterDepth, Group, Mesh, MeshBasicMaterial, Quaternion, SphereGeometry, Vector3 } from "three";
 import { Line2 } from "three/examples/jsm/lines/Line2.js";
 import { LineGeometry } from "three/examples/jsm/lines/LineGeometry.js";
 import { LineMaterial } from "three/examples/jsm/lines/LineMaterial.js";
@@ -26,9 +26,10 @@ function craft(radius, colour) {
 }
 
 export class Flight {
-  constructor(told, colour, scale, grain) {
+  constructor(told, colour, scale, grain, dashed) {
     Object.assign(this, told);
     this.colour = colour;
+    this.dashed = dashed; // its colour is another's too
     this.grain = grain;
     this.length = this.time[this.rows - 1];
     this.shown = true;
@@ -40,6 +41,7 @@ export class Flight {
       this.ball.renderOrder = 5;
       this.chaser.add(this.ball);
     }
+    this.chaser.add(ghost(this.radius || POINT_RADIUS, colour));
     this.byClearance = Float32Array.from({ length: 3 * this.rows });
     this.byFlight = Float32Array.from({ length: 3 * this.rows });
     const own = new Color(colour);
@@ -48,8 +50,9 @@ export class Flight {
       this.byClearance.set([tint.r, tint.g, tint.b], 3 * row);
       this.byFlight.set([own.r, own.g, own.b], 3 * row);
     }
-    this.flown = line(4, 1);
-    this.ahead = line(2, 0.4);
+    const dash = dashed ? 12 * grain : 0;
+    this.flown = line(4, 1, dash);
+    this.ahead = line(2, 0.4, dash);
     this.ahead.material.depthTest = false; // where the target hides a path, it is faint
     this.ahead.renderOrder = 4;
     this.group.add(this.ahead, this.flown, this.chaser);
@@ -94,7 +97,10 @@ export class Flight {
     }
     this.places = places;
     const line = Float32Array.from(this.drawn.flatMap((row) => [places[3 * row], places[3 * row + 1], places[3 * row + 2]]));
-    for (const drawn of [this.flown, this.ahead]) drawn.geometry.setPositions(line);
+    for (const drawn of [this.flown, this.ahead]) {
+      drawn.geometry.setPositions(line);
+      drawn.computeLineDistances();
+    }
     this.recolour();
   }
 
@@ -131,8 +137,15 @@ export class Flight {
   }
 }
 
-function line(width, opacity) {
-  const material = new LineMaterial({ linewidth: width, vertexColors: true, transparent: opacity < 1, opacity, worldUnits: false });
+// Lines of the chaser's ball where something hides it: drawn after the target and before its path, by what lies behind.
+function ghost(radius, colour) {
+  const mesh = new Mesh(new SphereGeometry(radius, 16, 10), new MeshBasicMaterial({ color: colour, wireframe: true, depthFunc: GreaterDepth, depthWrite: false }));
+  mesh.renderOrder = 0.5;
+  return mesh;
+}
+
+function line(width, opacity, dash) {
+  const material = new LineMaterial({ linewidth: width, vertexColors: true, transparent: opacity < 1, opacity, worldUnits: false, dashed: dash > 0, dashSize: dash, gapSize: 0.7 * dash });
   const made = new Line2(new LineGeometry(), material);
   made.frustumCulled = false;
   made.renderOrder = 1;

@@ -6,16 +6,15 @@ import { element, metres } from "./layout.js";
 
 const QUIET = "#8791a3";
 const GRID = "rgba(255,255,255,.06)";
-const speed = (value) => (Number.isFinite(value) ? `${(100 * value).toFixed(2)} cm/s` : "–");
-const force = (value) => (Number.isFinite(value) ? `${(1000 * value).toFixed(1)} mN` : "–");
+const inUnit = (unit, digits) => (value) => (Number.isFinite(value) ? `${value.toFixed(digits)} ${unit}` : "–"); // that of the axis
 
 const QUANTITIES = {
-  clearance: { words: "Clearance", shown: metres, limits: () => [0] },
-  speed: { words: "Speed", shown: speed, limits: (flight) => [flight.speed_limit] },
-  force: { words: "Force", shown: force, limits: () => [0] },
-  error: { words: "Distance to the goal", shown: metres, limits: (flight) => [flight.tolerance], logarithmic: true },
-  seen: { words: "Surface seen", shown: percent, limits: (flight) => [0, flight.coverage?.possible ?? 0], tick: (share) => `${Math.round(100 * share)} %` },
-  barrier: { words: "Barrier h", shown: metres, limits: () => [0] },
+  clearance: { words: "Clearance, m", shown: metres, limits: () => [0] },
+  speed: { words: "Speed, m/s", shown: inUnit("m/s", 4), limits: (flight) => [flight.speed_limit] },
+  force: { words: "Force, N", shown: inUnit("N", 4), limits: () => [0] },
+  error: { words: "Distance to the goal, m", shown: metres, limits: (flight) => [flight.tolerance], logarithmic: true },
+  seen: { words: "Surface seen, %", shown: percent, limits: (flight) => [0, flight.coverage?.possible ?? 0], tick: (share) => String(Math.round(100 * share)) },
+  barrier: { words: "Barrier h, m", shown: metres, limits: () => [0] },
 };
 
 export class Plots {
@@ -45,7 +44,7 @@ export class Plots {
       const lowest = plot.of.logarithmic ? 1e-4 : -Infinity;
       const tables = shown.map((flight) => [flight.time, Array.from(has(flight, name) ? flight[name] : flight.time.map(() => NaN), (value) => Number.isFinite(value) ? Math.max(value, lowest) : null)]);
       const series = shown.map((flight) => ({
-        stroke: flight.colour, width: flight === focus ? 1.6 : 1, alpha: flight === focus ? 1 : 0.6, spanGaps: true, points: { show: false },
+        stroke: flight.colour, dash: flight.dashed ? [6, 3] : [], width: flight === focus ? 1.6 : 1, alpha: flight === focus ? 1 : 0.6, spanGaps: true, points: { show: false },
       }));
       if (name === "clearance") {
         tables.push([focus.time, Array.from(focus.bound, (value) => (Number.isFinite(value) ? value : null))]);

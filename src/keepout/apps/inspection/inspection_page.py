@@ -9,6 +9,7 @@ from keepout.apps.inspection import inspection_pictures as pictures
 from keepout.apps.inspection.coverage import FATE_COLOURS, Coverage
 from keepout.apps.inspection.frames import save_frames
 from keepout.apps.inspection.inspection import WORDS, Fate, Inspection, shares, unseen
+from keepout.core.mission.build import load_model
 from keepout.core.progress import Progress, silent
 from keepout.core.whole_file import write_whole
 from keepout.flights.pages.flight_page import Told, draw_result
@@ -73,7 +74,8 @@ def write_inspection(
     summary = {"name": name, **inspection.summary(), "shares": shares(inspection), **files}
     if figures:
         tell = functools.partial(_tell_surface, inspection=inspection, shares=summary["shares"])
-        told, layer, drawn = Told(said(inspection), ROWS, tell), Coverage(inspection), _drawn(inspection)
+        digests = {"field that the scenario names": load_model(inspection.scenario, inspection.target).sha256}
+        told, layer, drawn = Told(said(inspection), digests, ROWS, tell), Coverage(inspection), _drawn(inspection)
         summary["pictures"] = draw_result(out, inspection, summary, told, drawn, layer=layer, progress=progress)
     frames = save_frames(out / FRAMES, inspection.frames, target_sha256=inspection.target.sha256)
     summary["frames_file"] = str(frames)

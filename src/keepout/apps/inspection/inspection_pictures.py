@@ -102,7 +102,7 @@ def draw_coverage(path: Path, inspection: Inspection) -> None:
         cover.legend(fontsize=8, loc="lower right")
         near.plot(record.time, inspection.flight.clearance, color=COLOURS[0], linewidth=1.0)
         near.axhline(0.0, color="black", linewidth=0.8)
-        near.set(xlabel="time s", ylabel="m", title="Clearance on the exact mesh")
+        near.set(xlabel="time, s", ylabel="clearance, m", title="Clearance on the exact mesh")
 
 
 def _shade_dark(axes: Axes, inspection: Inspection, end: float) -> None:

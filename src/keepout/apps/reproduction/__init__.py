@@ -11,11 +11,13 @@ from pathlib import Path
 import keepout
 from keepout.apps.reproduction import case1, case2, case3, runtime, shapes, table1
 from keepout.apps.reproduction.work import Part, Work, side_by_side
+from keepout.core.audit.audit import Contact
 from keepout.core.compiled.kept_programs import keep_programs
 from keepout.core.errors import ScenarioError, UsageError
 from keepout.core.progress import Progress, never_back, part_of, silent
 from keepout.core.whole_file import write_whole
-from keepout.flights.pages.folder import machine, results_in, write_summary
+from keepout.flights.pages.folder import results_in, write_summary
+from keepout.flights.pages.head_and_foot import Provenance, Verdict, machine
 from keepout.flights.pages.page import Markup, Page, text
 from keepout.flights.pages.replay_page import write_replay
 from keepout.flights.pages.replayed import of_flights
@@ -131,7 +133,9 @@ def write_reproduction(out: Path, parts: Sequence[Part], *, quick: bool) -> None
         ],
     }
     write_whole(out / "tables.json", json.dumps(told, indent=1, ensure_ascii=False) + "\n")
-    page = Page(out / "index.html", "The paper's Section VI, repeated")
+    page = Page(
+        out / "index.html", "The paper's Section VI, repeated", _verdict(parts, quick=quick), _provenance(parts)
+    )
     page.words(
         INTRODUCTION + (" This is a quick run: fewer flights, and the fields that are at hand." if quick else "")
     )
@@ -140,6 +144,21 @@ def write_reproduction(out: Path, parts: Sequence[Part], *, quick: bool) -> None
     for part in parts:
         _tell(page, part)
     page.write()
+
+
+def _verdict(parts: Sequence[Part], *, quick: bool) -> Verdict:
+    """Say how much of it was repeated, and what became of the flights that are shown."""
+    flights = [flight for part in parts for flight in part.flights.values()]
+    free = sum(flight.audit.contact is Contact.NO for flight in flights)
+    said = f"{len(parts)} of {len(PARTS)} parts repeated{', quickly' if quick else ''}"
+    if flights:
+        said += f"; of the {len(flights)} flights shown {free} touched nothing, proved on the exact mesh"
+    return Verdict(f"{said}.", True if flights and free == len(flights) else None)
+
+
+def _provenance(parts: Sequence[Part]) -> Provenance:
+    named = {f"{part.name}, {name}": flight for part in parts for name, flight in part.flights.items()}
+    return Provenance.of(of_flights(named))
 
 
 def _tell(page: Page, part: Part) -> None:

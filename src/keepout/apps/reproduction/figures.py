@@ -14,7 +14,7 @@ from matplotlib.ticker import NullFormatter
 from keepout.core.measures.surface import Ellipsoid
 from keepout.core.mission.flight import Flight
 from keepout.flights.campaign.campaign import FlightSeries
-from keepout.flights.pages.figures import BANDS, COLOURS, COLUMN, LINES, column, draw_bands
+from keepout.flights.pages.figures import BANDS, COLOURS, COLUMN, column, draw_bands, logarithmic, looks
 from keepout.flights.pages.mesh_pictures import View, eye_axes, paint_paths, rasterise
 
 _MARKERS = ("o", "s", "^", "D", "v")
@@ -59,7 +59,7 @@ def draw_training(path: Path, curves: Mapping[str, Curve]) -> None:
     with _lines(path, 5.2, lines) as panels:
         panels[0].set(yscale="log", ylabel="L_P (normalised)")
         panels[1].set(yscale="log", ylabel="η L_E (normalised)")
-        panels[2].set(ylabel="mean f̃ − d [m]", xlabel="step")
+        panels[2].set(ylabel="mean f̃ − d, m", xlabel="step")
         panels[2].set_yscale("symlog", linthresh=0.01)
         panels[2].axhline(0.0, color="black", linewidth=0.8)
         panels[0].legend()
@@ -74,7 +74,7 @@ def draw_sinking(path: Path, curves: Mapping[str, Curve]) -> None:
         lines[name] = curve["steps"][:shown], curve["mean_error_m"][:shown]
     with _lines(path, 2.6, [lines], marker="o", markersize=3) as [axes]:
         axes.axhline(0.0, color="black", linewidth=0.8)
-        axes.set(xlabel="step", ylabel="mean f̃ − d [m]")
+        axes.set(xlabel="step", ylabel="mean f̃ − d, m")
         axes.legend()
 
 
@@ -150,12 +150,12 @@ def draw_case(folder: Path, flights: Mapping[str, Flight], *, suffix: str, remar
         axes.axhline(0.0, color="black", linewidth=0.8)
         # Linear to a decimetre, so that the sign is seen where h comes near zero.
         axes.set_yscale("symlog", linthresh=0.1)
-        axes.set(xlabel="time s", ylabel="barrier h, m")
+        axes.set(xlabel="time, s", ylabel="barrier h, m")
         axes.legend()
     errors = {name: (flight.record.time, goal_error(flight)) for name, flight in flights.items()}
     with _lines(folder / f"error{suffix}.png", 2.6, [errors]) as [axes]:
         axes.axhline(first.scenario.goal.tolerance, color="grey", linewidth=0.8, linestyle=":")
-        axes.set(xlabel="time s", ylabel="position error ‖r_e‖, m", yscale="log")
+        axes.set(xlabel="time, s", ylabel="position error ‖r_e‖, m", yscale="log")
         axes.legend(loc="center right", bbox_to_anchor=(1.0, 0.78))
     _draw_by_axis(folder / f"safe-velocity{suffix}.png", pair, "safe_velocity", "v_s, m/s")
     _draw_by_axis(folder / f"velocity{suffix}.png", pair, "velocity", "v, m/s")
@@ -199,11 +199,11 @@ def _draw_path_panels(
 ) -> None:
     """Draw the flights named for each panel, side by side around their target."""
     first = next(iter(flights.values()))
-    colours = dict(zip(flights, COLOURS))
+    looked = dict(zip(flights, looks(len(flights))))
     with column(path, 2.9, width=2.0 * COLUMN) as drawing:
         for axes, (title, names) in zip(drawing.subplots(1, len(panels)), panels.items()):
             paths = {name: flights[name].record.position for name in names}
-            paint_paths(axes, first.target, paths, [first.scenario.goal.position], eye_axes(*side), colours)
+            paint_paths(axes, first.target, paths, [first.scenario.goal.position], eye_axes(*side), looked)
             axes.set_title(title)
             if len(names) > 1:
                 axes.legend(loc="upper left")
@@ -221,7 +221,7 @@ def _draw_by_axis(path: Path, flights: Mapping[str, Flight], of: str, label: str
             for bound in (limit, -limit):
                 axes.axhline(bound, color="black", linewidth=0.9, linestyle=":")
             axes.set(ylabel=label, title=name)
-        panels[-1].set(xlabel="time s")
+        panels[-1].set(xlabel="time, s")
         panels[0].legend(ncols=3, loc="upper right", bbox_to_anchor=(1.0, 0.95))
 
 
@@ -363,8 +363,7 @@ def draw_series(path: Path, campaigns: Mapping[str, FlightSeries], *, tolerance:
                 if name in lines:
                     axes.axhline(lines[name], color="black", linewidth=0.8, linestyle=":")
                 if name in ("lyapunov", "position_error"):
-                    axes.set_yscale("log")
-                    axes.set_ylim(bottom=max(axes.get_ylim()[0], _LEAST))
+                    logarithmic(axes, least=_LEAST)
         drawing.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
 
 
@@ -386,4 +385,4 @@ def _draw_worst(axes: Axes, name: str, series: FlightSeries) -> None:
 
 def _looks(things: Mapping[str, Any]) -> Iterable[tuple[tuple[str, Any], dict[str, Any]]]:
     """Give each thing, by name, with the colour and the kind of its line."""
-    return zip(things.items(), ({"color": c, "linestyle": line, "linewidth": 1.2} for c, line in zip(COLOURS, LINES)))
+    return zip(things.items(), ({"linewidth": 1.2, **look} for look in looks(len(things), printed=True)))

@@ -1,5 +1,6 @@
 """The folder of an exploration: map, flight file, summary, pictures, replay and a page that shows them."""
 
+import hashlib
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -63,7 +64,8 @@ def write_exploration(
     exploration.record.save(flight)
     summary = {"name": name, **exploration.summary(), "map": str(kept), "flight": str(flight)}
     if figures:
-        told, layer, drawn = Told(said(exploration), ROWS), Growth(exploration), _drawn(exploration)
+        digests = {MAP: hashlib.sha256(kept.read_bytes()).hexdigest()}
+        told, layer, drawn = Told(said(exploration), digests, ROWS), Growth(exploration), _drawn(exploration)
         summary["pictures"] = draw_result(out, exploration, summary, told, drawn, layer=layer, progress=progress)
     write_summary(out, summary)
     return summary

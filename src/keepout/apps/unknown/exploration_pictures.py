@@ -73,11 +73,8 @@ def draw_seen(path: Path, exploration: Exploration) -> None:
             axes.set(title=name, ylabel="")
         bar = drawing.colorbar(scale, ax=panels, shrink=0.75)
         bar.set_label("first in an image at, s")
-        share = float(np.mean(np.isfinite(sight.times)))
         drawing.suptitle(
-            f"What was seen when: {share:.0%} of the true surface, each side by itself, was in an image; "
-            f"{exploration.seen_share:.0%} of its outer part is near a return",
-            fontsize=10,
+            f"What was first in an image when; {exploration.seen_share:.0%} of the outer surface was seen", fontsize=10
         )
         never = Patch(facecolor=_NEVER, label="never in an image (inner surfaces cannot be)")
         drawing.legend(handles=[never], loc="outside lower center")
@@ -108,7 +105,7 @@ def draw_progress(path: Path, exploration: Exploration) -> None:
         room, each, way = drawing.subplots(3, 1, sharex=True)
         ball = 4.0 / 3.0 * np.pi * known.radius**3
         room.step(time, [view.free_volume for view in views], where="post", color=COLOURS[0])
-        room.set(ylabel="m³", title=f"Known-free room inside the declared ball, which holds {ball:.0f} m³")
+        room.set(ylabel="free room, m³", title=f"Known-free room inside the declared ball, which holds {ball:.0f} m³")
         room.set_ylim(bottom=0.0)
         each.vlines(time[seen], 0.0, opened[seen], color=COLOURS[2], linewidth=1.2)
         each.plot(time[seen], opened[seen], "o", color=COLOURS[2], markersize=3, label="view taken in")
@@ -116,7 +113,7 @@ def draw_progress(path: Path, exploration: Exploration) -> None:
             refused = sorted({view.status for view in views if view.status != "seen"})
             words = ", ".join(status.replace("_", " ") for status in refused)
             each.plot(time[~seen], np.zeros((~seen).sum()), "x", color=COLOURS[1], label=f"refused: {words}")
-        each.set(ylabel="m³", title=f"Opened by each of {len(views)} views")
+        each.set(ylabel="opened, m³", title=f"Opened by each of {len(views)} views")
         each.set_ylim(bottom=-0.04 * max(float(opened.max(initial=0.0)), 1e-3))
         each.legend(fontsize=8)
         way.plot(record.time, exploration.flight.clearance, color=COLOURS[0], label="clearance on the true mesh")
@@ -124,7 +121,7 @@ def draw_progress(path: Path, exploration: Exploration) -> None:
             away = np.linalg.norm(record.position - np.asarray(exploration.scenario.goal.position), axis=1)
             way.plot(record.time, away, color=COLOURS[4], label="distance to the goal")
         way.axhline(0.0, color="black", linewidth=0.8)
-        way.set(ylabel="m", xlabel="time s", title="The chaser")
+        way.set(ylabel="distance, m", xlabel="time, s", title="The chaser")
         way.legend(fontsize=8)
 
 
@@ -319,7 +316,7 @@ def _paint_slice(
     everything = np.concatenate([path[:, [across, up]], [lower[[across, up]] + 0.5], [upper[[across, up]] - 0.5]])
     low, high = everything.min(axis=0) - 0.5, everything.max(axis=0) + 0.5
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", facecolor=_COLOURS[outside])
-    axes.set(xlabel=f"{'xyz'[across]} m", ylabel=f"{'xyz'[up]} m", title=f"{'xyz'[axis]} = {level + 0.0:z.1f} m")
+    axes.set(xlabel=f"{'xyz'[across]}, m", ylabel=f"{'xyz'[up]}, m", title=f"{'xyz'[axis]} = {level + 0.0:z.1f} m")
     axes.grid(visible=False)
     if scenario.explore.towards == "goal":
         axes.plot(scenario.goal.position[across], scenario.goal.position[up], "*", color="black", markersize=9)

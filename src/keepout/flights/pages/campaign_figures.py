@@ -15,7 +15,7 @@ from matplotlib.ticker import MaxNLocator
 from keepout.flights.campaign.bands import QUANTITIES, Bands
 from keepout.flights.campaign.results import SIGNIFICANT, Results, Scatter
 from keepout.flights.campaign.statistics import Influence
-from keepout.flights.pages.figures import BANDS, COLOURS, column, draw_bands, figure
+from keepout.flights.pages.figures import BANDS, COLOURS, column, draw_bands, figure, logarithmic
 
 DRAWN = ("minimum_clearance", "reached", "time_to_reach", "delta_v")
 """The columns of a campaign's table that are drawn."""
@@ -53,6 +53,7 @@ def draw_distributions(path: Path, results: Results) -> None:
     with column(path, 3.3) as drawing:
         panels = drawing.subplots(2, 2, sharey=True)
         for axes, of in zip(panels.flat, results.distributions):
+            axes.xaxis.set_major_locator(MaxNLocator(3))
             if of.flights:
                 # Dvoretzky, Kiefer and Wolfowitz, with Massart's constant.
                 wide = np.sqrt(np.log(2.0 / 0.05) / (2.0 * of.flights))
@@ -61,7 +62,7 @@ def draw_distributions(path: Path, results: Results) -> None:
                 axes.fill_between(of.curve, 100.0 * low, 100.0 * high, color=COLOURS[5], alpha=0.4, **step)
                 axes.step(of.curve, 100.0 * of.shares, where="post", color=COLOURS[0], linewidth=1.2)
                 if of.figure.name == "final_error" and of.curve[0] > 0.0:
-                    axes.set_xscale("log")
+                    logarithmic(axes, "x", ticks=4)
             else:
                 axes.text(0.5, 0.5, "no flights", transform=axes.transAxes, ha="center", fontsize=SMALL)
             if of.figure.name == "clearance":
@@ -84,8 +85,7 @@ def draw_over_time(path: Path, bands: Bands) -> None:
             if name == "barrier":
                 axes.axhline(0.0, color="black", linewidth=0.8)
             elif np.any(bands.quantiles(name, BANDS)[-1] > 0.0):
-                axes.set_yscale("log")
-                axes.set_ylim(bottom=max(axes.get_ylim()[0], 1e-5))
+                logarithmic(axes, least=1e-5)
             axes.set_ylabel(LABELS[name])
         panels[-1].set_xlabel("time, s")
         handles, labels = panels[0].get_legend_handles_labels()
@@ -151,8 +151,9 @@ def _draw_scatter(axes: Axes, of: Scatter) -> None:
     clear = ~of.contact
     axes.scatter(across[clear], of.values[clear], s=size, color=COLOURS[0], alpha=0.5, linewidths=0, rasterized=True)
     axes.scatter(across[of.contact], of.values[of.contact], s=9.0, color=COLOURS[1], marker="x", linewidths=0.8)
+    axes.xaxis.set_major_locator(MaxNLocator(4) if levels is None else axes.xaxis.get_major_locator())
     if of.figure.name == "final_error" and np.all(of.values > 0.0):
-        axes.set_yscale("log")
+        logarithmic(axes, ticks=4)
     axes.set_xlabel("\n".join(textwrap.wrap(of.factor.name.replace(".", ". "), 22)).replace(". ", "."), fontsize=SMALL)
     axes.set_ylabel(of.figure.label, fontsize=SMALL)
     signed, _, text = _cell(of.influence)

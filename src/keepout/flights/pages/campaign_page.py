@@ -13,12 +13,13 @@ from keepout.core.errors import FlightError, KeepoutError
 from keepout.core.flight.record import FlightRecord
 from keepout.core.progress import Progress, part_of, silent
 from keepout.flights.campaign.bands import LEAST, QUANTITIES, RELATIVE, SHARES, Bands
-from keepout.flights.campaign.dataset import read_campaign
+from keepout.flights.campaign.dataset import Dataset, read_campaign
 from keepout.flights.campaign.plan import Workshop
-from keepout.flights.campaign.results import QUANTILES, SIGNIFICANT, Results, Scatter, results
+from keepout.flights.campaign.results import FIGURES, QUANTILES, SIGNIFICANT, Results, Scatter, results
 from keepout.flights.campaign.statistics import GROUPS, none_seen_bound
 from keepout.flights.pages import campaign_figures
-from keepout.flights.pages.figures import COLOURS, column
+from keepout.flights.pages.figures import column, looks
+from keepout.flights.pages.head_and_foot import Provenance, Verdict
 from keepout.flights.pages.page import Markup, Page, Table, bad, rows_of, text
 from keepout.flights.pages.replay_page import write_replay
 from keepout.flights.pages.replayed import Replayed, of_record
@@ -85,7 +86,8 @@ def report_campaign(folder: Path, *, progress: Progress = silent) -> dict[str, A
     if found.scatters:
         campaign_figures.draw_scatters(place / "scatter.png", found)
     replays = _write_replays(place, found, progress=part_of(progress, 0.85, 1.0))
-    page = Page(folder / "index.html", f"Campaign {reading.scenario.name}")
+    title = f"Campaign {reading.scenario.name}"
+    page = Page(folder / "index.html", title, verdict(found), provenance(reading))
     _tell(page, found, replays)
     page.write()
     progress(1.0, "")
@@ -106,10 +108,42 @@ def replay_command(folder: Path, run: int) -> str:
 
 
 def percent(share: float) -> str:
-    """Give a share for people: per cent with four digits."""
-    return f"{100.0 * share:.4g} %"
+    """Give a share for people: per cent with four digits, which no line break parts."""
+    return f"{100.0 * share:.4g}\u00a0%"
 
 
+def verdict(found: Results) -> Verdict:
+    """Say how many flights touched, how often that is at most, and of how many the guard's theorem covers the start."""
+    [contact] = [rate for rate in found.rates if rate.name == "contact or undecided"]
+    if not contact.total:
+        said, good = f"None of {found.runs} runs was flown.", False
+    elif contact.count:
+        said, good = f"Contact, or not excluded, in {contact.count} of {contact.total} flights", False
+        said += f": {percent(contact.rate or 0.0)}, {percent(contact.low)} to {percent(contact.high)} with 95 %."
+    else:
+        said, good = f"No contact, proved, in each of {contact.total} flights", True
+        said += f": its probability is at most {percent(contact.high)} with 95 %."
+    if not found.reading.complete:
+        said += f" {found.runs} of {found.reading.runs} runs are done."
+    return Verdict(said, good, _theorem(found.reading))
+
+
+def _theorem(reading: Dataset) -> str:
+    certified = reading.arrays(["start_certified"])["start_certified"] if "start_certified" in reading.names else []
+    known = np.asarray(certified)[np.isfinite(certified)]
+    if not known.size:
+        return "No guard flew, so no theorem promised anything beforehand."
+    return f"The guard's theorem covers the start of {int(known.sum())} of {known.size} flights."
+
+
+def provenance(reading: Dataset) -> Provenance:
+    """Say what a campaign was made of."""
+    digests = {words: reading.identity.get(f"{words}_sha256", "") for words in ("target", "field")}
+    return Provenance({reading.scenario.name: reading.scenario}, digests, reading.scenario.seed)
+
+
+_LABELS = {figure.column: figure.label for figure in FIGURES} | {"guard_interventions": "guard steps"}
+"""Headings with units of a table's columns, for people."""
 _INTERVAL = {"rate": "rate", "low": "low", "high": "high"}
 _INFLUENCE = {
     **{"dispersed": "factor", "figure": "figure", "flights": "runs", "rho": "correlation", "low": "low"},
@@ -170,9 +204,7 @@ def _tell(page: Page, found: Results, replays: Mapping[int, Markup]) -> None:
     """Fill the page of a campaign."""
     reading, place = found.reading, page.path.parent / PLACE
     sampling = reading.scenario.campaign.sampling
-    if reading.complete:
-        page.words(f"{found.runs} runs.")
-    else:
+    if not reading.complete:
         part = "." if sampling == "random" else ", which are a part of the design only."
         said = f"{found.runs} of {reading.runs} runs are done. The campaign is not finished: all numbers are of the"
         page.words(bad(f"{said} runs that are done{part}"))
@@ -235,7 +267,9 @@ def _tell_worst(page: Page, found: Results, replays: Mapping[int, Markup]) -> No
         link, again = replays.get(run, text("not kept")), folder / f"run-{run}" / "index.html"
         if again.exists():
             link = Markup(f"{link}, {page.link(again, 'flown again')}")
-        rows.append({"run": run, "flight": link, **{key: value for key, value in row.items() if key != "run"}})
+        rows.append(
+            {"run": run, "flight": link, **{_LABELS.get(k, k): value for k, value in row.items() if k != "run"}}
+        )
         commands.append(f'<code class="line">{text(replay_command(folder, run))}</code>')
     page.table(rows, wide=True)
     page.file(folder / PLACE / "worst.csv")
@@ -309,11 +343,10 @@ def _replay(number: int) -> str:
 
 
 def _draw_worst(path: Path, curves: Mapping[int, Clearance]) -> None:
-    looks = [(colour, line) for line in ("-", "--") for colour in COLOURS]
     with column(path, 2.8) as drawing:
         axes = drawing.add_subplot()
-        for (colour, line), (run, (time, clearance)) in zip(looks, curves.items()):
-            axes.plot(time, clearance, color=colour, linestyle=line, linewidth=0.9, label=f"run {run}")
+        for look, (run, (time, clearance)) in zip(looks(len(curves)), curves.items()):
+            axes.plot(time, clearance, linewidth=0.9, label=f"run {run}", **look)
         axes.axhline(0.0, color="black", linewidth=0.8)
         axes.set(xlabel="time, s", ylabel="clearance, m")
         drawing.legend(loc="outside lower center", ncols=3)

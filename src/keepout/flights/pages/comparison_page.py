@@ -4,14 +4,17 @@ import json
 from pathlib import Path
 from typing import Any
 
+from matplotlib.ticker import MaxNLocator
+
 from keepout.core.errors import ScenarioError
 from keepout.core.progress import Progress, part_of, silent
 from keepout.core.whole_file import write_whole
 from keepout.flights.campaign.dataset import read_campaign
 from keepout.flights.campaign.results import Comparison, compare
-from keepout.flights.pages.campaign_page import SAMPLING, percent
+from keepout.flights.pages.campaign_page import SAMPLING, percent, provenance
 from keepout.flights.pages.figures import COLOURS, column
 from keepout.flights.pages.folder import results_in
+from keepout.flights.pages.head_and_foot import Provenance, Verdict
 from keepout.flights.pages.page import Page, Table, finite, rows_of
 
 _UNPAIRED = (
@@ -27,6 +30,10 @@ _BY_RUN = {
     **{"figure": "figure.label", "pairs": "pairs", "mean A - B": "mean", "mean low": "mean_low"},
     **{"mean high": "mean_high", "median A - B": "median", "median low": "median_low"},
     **{"median high": "median_high", "A lower": "lower", "A higher": "higher", "p of sign": "p_value"},
+}
+_CAPTIONS = {
+    "rates": "Rate of A less that of B, with its 95 % interval: where that holds zero, the two may be equal.",
+    "by_run": "Share of the pairs of runs whose difference A − B is at or below each value.",
 }
 _FIGURES = {"rates": "rates.png", "by_run": "differences.png"}
 
@@ -63,7 +70,7 @@ def compare_campaigns(
         _draw_rates(out / "rates.png", found)
         if found.differences:
             _draw_differences(out / "differences.png", found)
-        page = Page(out / "index.html", "Two campaigns compared")
+        page = Page(out / "index.html", "Two campaigns compared", _verdict(found), _provenance(found))
         _tell(page, found, tables)
         page.write()
         write_whole(out / "summary.json", json.dumps(answer, indent=1, allow_nan=False) + "\n")
@@ -104,6 +111,28 @@ def _words(found: Comparison) -> list[str]:
     return [*words, *(SAMPLING[name] for name in sorted(sampling))]
 
 
+def _verdict(found: Comparison) -> Verdict:
+    """Say which of the two touched more often, and whether that may be chance."""
+    [one] = [one for one in found.rates if one.first.name == "contact or undecided"]
+    told = [
+        f"{label} {rate.count} of {rate.total}" for label, rate in (("A", one.first), ("B", one.second)) if rate.total
+    ]
+    said = f"Contact or undecided: {', '.join(told) or 'no flights'}"
+    if one.difference is None:
+        return Verdict(f"{said}.")
+    apart = one.low > 0.0 or one.high < 0.0
+    points = [f"{100.0 * value:+.3g}" for value in (one.difference, one.low, one.high)]
+    said += f"; A − B is {points[0]} percentage points, {points[1]} to {points[2]} with 95 %"
+    return Verdict(f"{said}{'' if apart else ': no difference is shown'}.")
+
+
+def _provenance(found: Comparison) -> Provenance:
+    both = [(label, provenance(reading)) for label, reading in zip("AB", (found.first, found.second))]
+    scenarios = {f"{label}: {name}": of for label, made in both for name, of in made.scenarios.items()}
+    digests = {f"{label}: {words}": sha256 for label, made in both for words, sha256 in made.digests.items()}
+    return Provenance(scenarios, digests)
+
+
 def _tell(page: Page, found: Comparison, tables: list[Table]) -> None:
     folder = page.path.parent
     names = [f"{label}: {reading.folder}" for label, reading in zip("AB", (found.first, found.second))]
@@ -113,12 +142,19 @@ def _tell(page: Page, found: Comparison, tables: list[Table]) -> None:
             continue
         rows = table.rows
         if table.name == "rates":
-            rows = [{k: percent(v) if isinstance(v, float) and k != "p" else v for k, v in row.items()} for row in rows]
-        page.heading(table.caption)
+            rows = [{k: _share(k, v) for k, v in row.items()} for row in rows]
+        page.heading(table.caption.rstrip("."))
         page.table(rows)
         page.file(folder / f"{table.name}.csv")
         if table.name in _FIGURES:
-            page.picture(folder / _FIGURES[table.name], vector=True)
+            page.picture(folder / _FIGURES[table.name], _CAPTIONS[table.name], vector=True)
+
+
+def _share(heading: str, value: Any) -> Any:
+    """Give a rate in per cent, a difference of rates in percentage points, and all else as it is."""
+    if not isinstance(value, float) or heading == "p":
+        return value
+    return f"{100.0 * value:+.4g}\u00a0points" if heading in ("A - B", "low", "high") else percent(value)
 
 
 def _draw_rates(path: Path, found: Comparison) -> None:
@@ -143,6 +179,8 @@ def _draw_differences(path: Path, found: Comparison) -> None:
         for axes, one in zip(panels.flat, found.differences):
             axes.step(one.curve, 100.0 * one.shares, where="post", color=COLOURS[0], linewidth=1.2)
             axes.axvline(0.0, color="black", linewidth=0.8)
+            axes.xaxis.set_major_locator(MaxNLocator(3))
+            axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
             axes.set_xlabel(f"A − B: {one.figure.label}", fontsize=7)
         for axes in panels[:, 0]:
             axes.set_ylabel("pairs at or below, %")

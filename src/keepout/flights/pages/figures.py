@@ -16,6 +16,7 @@ matplotlib.use("Agg")  # figures go to files; no display is needed or opened
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from keepout.core.whole_file import write_whole
 
@@ -45,6 +46,8 @@ _SMALL: Any = {
     **{f"axes.{name}size": 8 for name in ("label", "title")},
     **{f"{name}size": 7 for name in ("xtick.label", "ytick.label", "legend.font")},
 }
+_BINS = 300
+"""Across a panel: more cannot be told apart. What has more than twice as many samples is drawn as a band."""
 _ONE_AT_A_TIME = threading.RLock()
 """Matplotlib's settings and its list of figures are of the whole process."""
 
@@ -91,9 +94,65 @@ def column(path: Path, height: float, *, width: float = COLUMN) -> AbstractConte
     return figure(path, width=width, height=height, vector=True, small=True)
 
 
-def palette(count: int) -> list[str]:
-    """Give that many colours in order; after the last the first comes again."""
-    return [COLOURS[place % len(COLOURS)] for place in range(count)]
+def looks(count: int, *, printed: bool = False) -> list[dict[str, Any]]:
+    """Give so many looks, all different: colours first, then other lines; `printed`: both change, for print in grey.
+
+    There are 35; the 36th is the first again.
+    """
+    turns = (place if printed else place // len(COLOURS) for place in range(count))
+    lines = [LINES[turn % len(LINES)] for turn in turns]
+    return [{"color": COLOURS[place % len(COLOURS)], "linestyle": line} for place, line in enumerate(lines)]
+
+
+def draw_series(axes: Axes, time: np.ndarray, values: np.ndarray, *, label: str | None = None, **look: Any) -> None:
+    """Draw a quantity over time; one of many samples as the band from its least to its largest, with its mean within.
+
+    Args:
+        axes: the panel.
+        time: s.
+        values: one a time; those that are not finite are left out.
+        label: in the legend.
+        **look: of the line.
+
+    """
+    look = {"linewidth": 0.9} | look
+    if len(time) <= 2 * _BINS:
+        axes.plot(time, values, label=label, **look)
+        return
+    first = np.linspace(0, len(time), _BINS, endpoint=False).astype(int)
+    values = np.where(np.isfinite(values), values, np.nan)
+    low, high = np.fmin.reduceat(values, first), np.fmax.reduceat(values, first)
+    known = np.isfinite(values)
+    with np.errstate(invalid="ignore"):
+        mean = np.add.reduceat(np.where(known, values, 0.0), first) / np.add.reduceat(known.astype(float), first)
+    middle = 0.5 * (time[first] + time[np.append(first[1:], len(time)) - 1])
+    axes.fill_between(middle, low, high, color=look["color"], alpha=0.25, linewidth=0.0)
+    axes.plot(middle, mean, label=label, **look)
+
+
+def logarithmic(axes: Axes, which: str = "y", *, ticks: int = 6, least: float = 0.0) -> None:
+    """Make an axis that has been drawn on logarithmic, with so many labels at most, none over another.
+
+    Where all that is drawn is within a tenth of itself, it stays linear: powers of ten would say nothing of it. The
+    axis begins at `least` at the lowest.
+    """
+    axis, limit = getattr(axes, f"{which}axis"), getattr(axes, f"set_{which}lim")
+    low, high = (float(end) for end in getattr(axes.dataLim, f"interval{which}"))
+    axis.set_major_formatter(lambda value, _: f"{value:g}")
+    if 0.0 < low <= high <= 1.1 * low:
+        axis.set_major_locator(MaxNLocator(3))
+        limit(0.9 * low, 1.1 * high)
+        return
+    getattr(axes, f"set_{which}scale")("log")
+    low, high = (float(end) for end in axis.get_view_interval())
+    low = max(low, least) if least < high else low
+    limit(low, high)
+    decades = np.log10(high / low) if 0.0 < low < high else np.inf
+    # Formulas for powers of ten, and ticks between them, would take as long as all the rest of the figure.
+    powers = LogLocator(subs=(1, 2, 5) if decades < 2.0 else (1,), numticks=ticks)
+    axis.set_major_locator(MaxNLocator(ticks - 1) if decades < 1.0 else powers)
+    axis.set_major_formatter(lambda value, _: f"{value:g}")
+    axis.set_minor_locator(NullLocator())
 
 
 def draw_bands(axes: Axes, time: np.ndarray, quantiles: np.ndarray) -> None:

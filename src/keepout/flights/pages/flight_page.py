@@ -1,20 +1,24 @@
 """One flight drawn: its page, with the replay beside it, and figures over time."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from matplotlib.ticker import NullLocator
+from matplotlib.axes import Axes
 
+from keepout.core.flight.record import FlightRecord
 from keepout.core.mission.flight import Flight
+from keepout.core.mission.scenario import Scenario
 from keepout.core.progress import Progress, part_of, silent
-from keepout.flights.pages.figures import COLOURS, figure
+from keepout.flights.pages.figures import COLOURS, draw_series, figure, logarithmic
+from keepout.flights.pages.head_and_foot import Provenance, Verdict, verdict_of
 from keepout.flights.pages.mesh_pictures import draw_paths
-from keepout.flights.pages.page import Markup, Page, bad, text
+from keepout.flights.pages.page import Page, bad
 from keepout.flights.pages.replay_page import write_replay
 from keepout.flights.pages.replayed import Layer, Replayed, of_flights
-from keepout.flights.pages.terminal import FLIGHT_COLUMNS, broken_assumptions
+from keepout.flights.pages.terminal import FLIGHT_COLUMNS
 
 Pictures = Mapping[str, tuple[Callable[[Path], None], str]]
 """By the name of the PNG file, without ending: what draws it, and its caption, plain text."""
@@ -40,17 +44,38 @@ def write_page(
         wrong = {"contact": summary["contact"], "reached": not summary["reached"]}
         cells = {words: bad(summary[key]) if wrong.get(key) else summary[key] for key, words in FLIGHT_COLUMNS.items()}
         page.table([{"flight": name, **cells}])
-        page.words(*map(bad, broken_assumptions([summary])))
+        tell_requirements(page, summary)
 
     goal = flight.scenario.goal.position
     pictures: Pictures = {
-        "paths": (lambda path: draw_paths(path, flight.target, {name: flight.record.position}, goal), ""),
-        "clearance": (lambda path: draw_clearance(path, flight, name), ""),
-        "error": (lambda path: draw_error(path, flight, name), ""),
-        flight.scenario.name: (lambda path: draw_motion(path, flight, name), ""),
+        "paths": (
+            lambda path: draw_paths(path, flight.target, {name: flight.record.position}, goal),
+            "The path around the target, from two sides; dotted where the target hides it.",
+        ),
+        "clearance": (
+            lambda path: draw_clearance(path, flight),
+            "Clearance on the exact mesh, and the barrier h that the law flies by.",
+        ),
+        "error": (lambda path: draw_error(path, flight), "Distance to the goal, and the goal's tolerance (grey)."),
+        flight.scenario.name: (
+            lambda path: draw_motion(path, flight),
+            "Velocity and safe velocity (dashed), applied force, disturbance and its estimate (dashed), by axis of the "
+            "target's body frame; limits in grey. Of a long flight a band from least to largest, and the mean.",
+        ),
     }
     [replayed] = of_flights({name: flight})
-    draw_page(out, replayed, pictures, tell, title=title, replay=title, heading="Figures")
+    head = verdict_of(summary), Provenance.of([replayed])
+    draw_page(out, replayed, pictures, tell, title=title, replay=title, head=head)
+
+
+def tell_requirements(page: Page, summary: Mapping[str, Any]) -> None:
+    """Add what the scenario requires, each with pass or fail, where a summary says so under `requirements`."""
+    rows = summary.get("requirements") or ()
+    if rows:
+        page.heading("Requirements")
+        page.table(
+            [{key: bad(value) if value in ("fail", False) else value for key, value in row.items()} for row in rows]
+        )
 
 
 def draw_page(
@@ -61,7 +86,7 @@ def draw_page(
     *,
     title: str,
     replay: str,
-    heading: str = "Pictures",
+    head: tuple[Verdict, Provenance],
     progress: Progress = silent,
 ) -> list[str]:
     """Draw pictures of a flight, and write `replay.html` and `index.html`.
@@ -73,14 +98,14 @@ def draw_page(
         tell: adds what stands before replay and pictures to the page.
         title: of the page.
         replay: title of the replay.
-        heading: over the pictures.
+        head: and foot of the page.
         progress: told how far it is.
 
     Returns:
         The paths of the pictures.
 
     """
-    page = Page(out / "index.html", title)
+    page = Page(out / "index.html", title, *head)
     for place, (stem, (draw, _)) in enumerate(pictures.items()):
         progress(0.5 * place / len(pictures), f"picture {stem}")
         draw(out / f"{stem}.png")
@@ -88,11 +113,9 @@ def draw_page(
     tell(page)
     page.heading("Replay")
     page.replay(out / "replay.html")
-    page.heading(heading)
+    page.heading("Pictures")
     for stem, (_, caption) in pictures.items():
-        if caption:
-            page.heading(caption, 3)
-        page.picture(out / f"{stem}.png")
+        page.picture(out / f"{stem}.png", caption)
     page.write()
     return [str(out / f"{stem}.png") for stem in pictures]
 
@@ -102,12 +125,14 @@ class Told(NamedTuple):
 
     Attributes:
         said: how it ended, in a sentence, plain text.
+        digests: of what it flew by, for the foot.
         rows: words for the entries of the summary that are told, in order; one that is None is left out.
         tell: adds what stands between that table and the replay to the page.
 
     """
 
     said: str
+    digests: Mapping[str, str]
     rows: Mapping[str, str]
     tell: Callable[[Page], None] = lambda page: None
 
@@ -141,17 +166,20 @@ def draw_result(
     drawn: dict[str, tuple[Callable[[Path], None], str]] = {
         stem: (lambda path, draw=draw: draw(path, result), words) for stem, (draw, words) in pictures.items()
     }
-    drawn["motion"] = (lambda path: draw_motion(path, flight, name), "Velocity, force and disturbance over time.")
+    drawn["motion"] = (lambda path: draw_motion(path, flight), "Velocity, force and disturbance over time.")
 
     def tell(page: Page) -> None:
-        page.words(Markup(f"<b>{text(told.said)}</b>"), *map(bad, broken_assumptions([summary])))
+        page.words(told.said)
         rows = {words: _cell(key, summary) for key, words in told.rows.items() if summary[key] is not None}
         page.table([{"": words, "value": value} for words, value in rows.items()], headings=False)
+        tell_requirements(page, summary)
         told.tell(page)
 
     title, replay = f"{type(result).__name__} {name}", f"{name}: {result.outcome}"
     [replayed] = of_flights({name: flight}, layer)
-    return draw_page(out, replayed, drawn, tell, title=title, replay=replay, progress=progress)
+    made = Provenance.of([replayed])
+    head = verdict_of(summary), replace(made, digests={**made.digests, **told.digests})
+    return draw_page(out, replayed, drawn, tell, title=title, replay=replay, head=head, progress=progress)
 
 
 def _cell(key: str, summary: Mapping[str, Any]) -> Any:
@@ -162,49 +190,53 @@ def _cell(key: str, summary: Mapping[str, Any]) -> Any:
     return f"{100.0 * value:.3f} %" if key.startswith("coverage") else value
 
 
-def draw_clearance(path: Path, flight: Flight, name: str) -> None:
+def draw_clearance(path: Path, flight: Flight) -> None:
     """Draw the exact clearance of the chaser's ball and the law's own barrier value over time into one PNG."""
-    with figure(path) as drawing:
+    with figure(path, height=3.6) as drawing:
         axes, time = drawing.add_subplot(), flight.record.time
-        axes.plot(time, flight.clearance, label=f"{name}: exact clearance")
-        axes.plot(time, flight.record.barrier, color=COLOURS[0], linewidth=0.8, linestyle="--", label=f"{name}: h")
+        axes.plot(time, flight.clearance, color=COLOURS[0], label="exact clearance")
+        axes.plot(time, flight.record.barrier, color=COLOURS[1], linewidth=0.9, linestyle="--", label="barrier h")
         axes.axhline(0.0, color="black", linewidth=0.8)
-        axes.set(xlabel="time s", ylabel="m", title="Clearance on the exact mesh, and the barrier the law flies by")
+        axes.set(xlabel="time, s", ylabel="clearance, h, m")
         axes.legend(fontsize=8)
 
 
-def draw_error(path: Path, flight: Flight, name: str) -> None:
+def draw_error(path: Path, flight: Flight) -> None:
     """Draw the distance to the goal over time into one PNG."""
     goal, record = flight.scenario.goal, flight.record
-    with figure(path) as drawing:
+    with figure(path, height=3.6) as drawing:
         axes = drawing.add_subplot()
-        axes.semilogy(record.time, np.linalg.norm(record.position - np.asarray(goal.position), axis=1), label=name)
+        axes.plot(record.time, np.linalg.norm(record.position - np.asarray(goal.position), axis=1))
         axes.axhline(goal.tolerance, color="grey", linewidth=0.8)
-        # Formulas for powers of ten, and ticks between them, would take as long as all the rest of the figure.
-        axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-        axes.yaxis.set_minor_locator(NullLocator())
-        axes.set(xlabel="time s", ylabel="‖r − goal‖ m", title="Distance to the goal, and the tolerance (grey)")
-        axes.legend(fontsize=8)
+        logarithmic(axes)
+        axes.set(xlabel="time, s", ylabel="‖r − goal‖, m")
 
 
-def draw_motion(path: Path, flight: Flight, name: str) -> None:
+def draw_motion(path: Path, flight: Flight) -> None:
     """Draw one flight's velocity, applied force and disturbance estimate, each by axis, into one PNG."""
-    record, chaser = flight.record, flight.scenario.chaser
-    with figure(path, width=8.0, height=8.0) as drawing:
-        velocity, force, disturbance = drawing.subplots(3, 1, sharex=True)
-        thin = {"linewidth": 0.7, "linestyle": "--"}
+    with figure(path, width=8.0, height=7.2) as drawing:
+        paint_motion(drawing.subplots(3, 1, sharex=True), flight.record, flight.scenario)
+
+
+def paint_motion(panels: Sequence[Axes], record: FlightRecord, scenario: Scenario) -> None:
+    """Show velocity, applied force and disturbance over time, each by axis, in three panels."""
+    chaser = scenario.chaser
+    thin = {"linewidth": 0.7, "linestyle": "--"}
+    columns = (("v", record.velocity, record.safe_velocity), ("F", record.force, None))
+    for axes, (letter, given, beside) in zip(
+        panels, (*columns, ("d", record.disturbance, record.disturbance_estimate)), strict=True
+    ):
         for axis, (label, colour) in enumerate(zip("xyz", COLOURS)):
-            velocity.plot(record.time, record.velocity[:, axis], color=colour, label=f"v {label}")
-            velocity.plot(record.time, record.safe_velocity[:, axis], color=colour, **thin)
-            force.plot(record.time, record.force[:, axis], color=colour, linewidth=0.8, label=f"F {label}")
-            disturbance.plot(record.time, record.disturbance[:, axis], color=colour, linewidth=0.8, label=f"d {label}")
-            disturbance.plot(record.time, record.disturbance_estimate[:, axis], color=colour, **thin)
-        velocity.plot(record.time, np.linalg.norm(record.velocity, axis=1), color="black", linewidth=0.8, label="‖v‖")
-        for axes, limit in ((velocity, chaser.speed_limit), (force, chaser.force_limit)):
-            axes.axhline(limit, color="grey", linewidth=0.8)
-            axes.axhline(-limit, color="grey", linewidth=0.8)
-        velocity.set(ylabel="m/s", title=f"{name}: velocity, and safe velocity (dashed)")
-        force.set(ylabel="N", title="applied force")
-        disturbance.set(ylabel="N", xlabel="time s", title="disturbance, and its estimate (dashed)")
-        for axes in (velocity, force, disturbance):
-            axes.legend(fontsize=8, ncols=4, loc="upper right")
+            draw_series(axes, record.time, given[:, axis], color=colour, label=f"{letter} {label}")
+            if beside is not None:
+                draw_series(axes, record.time, beside[:, axis], color=colour, **thin)
+    velocity, force, disturbance = panels
+    draw_series(velocity, record.time, np.linalg.norm(record.velocity, axis=1), color="black", label="‖v‖")
+    for axes, limit in ((velocity, chaser.speed_limit), (force, chaser.force_limit)):
+        axes.axhline(limit, color="grey", linewidth=0.8)
+        axes.axhline(-limit, color="grey", linewidth=0.8)
+    velocity.set_ylabel("velocity, m/s")
+    force.set_ylabel("applied force, N")
+    disturbance.set(ylabel="disturbance, N", xlabel="time, s")
+    for axes in panels:
+        axes.legend(fontsize=8, ncols=4, loc="lower right", bbox_to_anchor=(1.0, 0.99), borderaxespad=0.0)

@@ -2,8 +2,6 @@
 
 import contextlib
 import json
-import os
-import platform
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -46,15 +44,6 @@ def results_in(out: Path | None) -> Iterator[None]:
     with removed_again(out, only_on_failure=True):
         make_folder(out)
         yield
-
-
-def machine() -> str:
-    """Name the processor, its number of cores, and the operating system."""
-    cpus = Path("/proc/cpuinfo")
-    lines = cpus.read_text(encoding="utf-8").splitlines() if cpus.exists() else []
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    name = names[0] if names else platform.processor() or platform.machine()
-    return f"{name}, {os.cpu_count()} cores, {platform.system()}"
 
 
 def write_flight(

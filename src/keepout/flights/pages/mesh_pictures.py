@@ -19,7 +19,7 @@ from keepout.core.fields.field import values
 from keepout.core.fields.model import FieldModel
 from keepout.core.geometry.target import Target
 from keepout.core.kernel import kernel
-from keepout.flights.pages.figures import COLOURS, TARGET_COLOUR, figure, palette
+from keepout.flights.pages.figures import COLOURS, TARGET_COLOUR, figure, looks
 
 if TYPE_CHECKING:  # which takes long to import
     from keepout.core.measures.surface import Surface
@@ -190,32 +190,47 @@ def paint_paths(
     paths: Mapping[str, Float[np.ndarray, "samples 3"]],
     goals: Iterable[Sequence[float]],
     eye: Float[np.ndarray, "3 3"],
-    colours: Mapping[str, str] | None = None,
+    looked: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> None:
     """Show flown paths (body frame, m) around a target in a panel; what it hides of them is dotted.
 
     Args:
         axes: the panel.
         target: to draw.
-        paths: by name; a square at their start, a disc at their end.
+        paths: by name; a square at their start, a disc at their end, hollow where the target hides them.
         goals: stars, m.
         eye: its axes as rows.
-        colours: by name; if not given, in the order of the palette.
+        looked: how each path looks, by name; if not given, as `looks` says.
 
     """
-    view, colours = paint_target(axes, target, eye), colours or dict(zip(paths, palette(len(paths))))
-    for name, path in paths.items():
-        flat, colour = (path @ eye.T)[:, :2], colours[name]
-        axes.plot(*flat.T, color=colour, linewidth=0.8, linestyle=":")
+    view, looked = paint_target(axes, target, eye), looked or dict(zip(paths, looks(len(paths))))
+    step = 0.005 * float(np.ptp(target.vertices, axis=0).max())
+    for place, (name, path) in enumerate(paths.items()):
+        path = _finely(path, step)
+        flat, colour = (path @ eye.T)[:, :2], looked[name]["color"]
         hidden = np.zeros(len(path), bool) if view is None else view.hides(path)
-        axes.plot(*np.where(hidden[:, None], np.nan, flat).T, color=colour, linewidth=1.5, label=name)
-        for end, mark in ((flat[0], "s"), (flat[-1], "o")):
-            axes.plot(*end, color=colour, marker=mark, markersize=4)
+        axes.plot(*np.where(hidden[:, None], flat, np.nan).T, color=colour, linewidth=0.8, linestyle=":")
+        axes.plot(*np.where(hidden[:, None], np.nan, flat).T, **{"linewidth": 1.5, "label": name, **looked[name]})
+        for end, mark, words in ((0, "s", "start"), (-1, "o", "end")):
+            look = {"color": colour, "marker": mark, "markersize": 4.5, "linestyle": ""}
+            look["markerfacecolor"] = "white" if hidden[end] else colour
+            axes.plot(*flat[end], label=words if place == 0 else None, **look)
     stars = np.array([eye @ np.asarray(goal) for goal in goals]).reshape(-1, 3)
     if len(stars):
         axes.plot(*stars[:, :2].T, color="black", marker="*", markersize=9, linestyle="", label="goal")
     axes.autoscale()
     axes.margins(0.03)
+
+
+def _finely(path: Float[np.ndarray, "samples 3"], step: float) -> Float[np.ndarray, "places 3"]:
+    """Give a path with further places between its samples, so that it goes behind the mesh where it does."""
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    if len(path) < 2 or not np.isfinite(along[-1]) or along[-1] == 0.0:
+        return path
+    # Samples stay, as those of a chaser that turns sharply matter; 20 000 places are finer than any picture.
+    between = np.linspace(0.0, along[-1], int(min(along[-1] / step, 20_000)) + 2)
+    every = np.union1d(along, between)
+    return np.stack([np.interp(every, along, column) for column in path.T], axis=1)
 
 
 def draw_target(path: Path, target: Target) -> None:
@@ -230,11 +245,14 @@ def draw_paths(
     path: Path, target: Target, paths: Mapping[str, Float[np.ndarray, "samples 3"]], goal: Sequence[float]
 ) -> None:
     """Draw flown paths (body frame, m) around the target from two sides into one PNG."""
-    with figure(path, width=11.0, height=5.2) as drawing:
+    every = np.concatenate([target.vertices, *paths.values(), [goal]])
+    flat = [(every[np.isfinite(every).all(axis=1)] @ eye_axes(*side).T)[:, :2] for side in _PATHS_FROM]
+    shapes = [float(np.divide(*np.ptp(of, axis=0)[::-1])) for of in flat]
+    with figure(path, width=11.0, height=float(np.clip(5.0 * max(shapes) + 0.9, 3.0, 9.0))) as drawing:
         panels = drawing.subplots(1, 2)
         for axes, side in zip(panels, _PATHS_FROM):
             paint_paths(axes, target, paths, [goal], eye_axes(*side))
-        panels[0].legend(loc="upper left")
+        drawing.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=min(len(paths) + 3, 6))
 
 
 def draw_slices(path: Path, model: FieldModel, target: Target) -> None:
@@ -262,9 +280,9 @@ def draw_slices(path: Path, model: FieldModel, target: Target) -> None:
             levels += [(field, proof.chaser_radius + proof.error_bound, COLOURS[2]) for proof in model.certificates]
             for number, level, colour in levels:
                 axes.contour(u, v, number, levels=[level], colors=colour, linewidths=0.8)
-            axes.set(xlabel=f"{'xyz'[across]} m", ylabel=f"{'xyz'[up]} m", aspect="equal")
+            axes.set(xlabel=f"{'xyz'[across]}, m", ylabel=f"{'xyz'[up]}, m", aspect="equal")
             axes.set_title(f"{'xyz'[through]} = {middle[through]:.2f} m")
-            drawing.colorbar(shade, ax=axes, label="f̃ m", shrink=0.8)
+            drawing.colorbar(shade, ax=axes, label="f̃, m", shrink=0.8)
         lines = {f"d = {model.offset:g} m": "black", "f̃ = 0": COLOURS[1]}
         if model.certificates:
             lines["f̃ = R + e_h"] = COLOURS[2]
@@ -289,4 +307,4 @@ def draw_surface(path: Path, target: Target, surface: "Surface", *, level: float
             left.set_title(f"{target.name}, mesh, from {name}")
             learned.paint(right, shade.to_rgba(distance[learned.face])[..., :3])
             right.set_title(f"learned, f̃ = {level:+.3f} m, from {name}")
-        drawing.colorbar(shade, ax=panels, label="distance from the mesh m", shrink=0.8)
+        drawing.colorbar(shade, ax=panels, label="distance from the mesh, m", shrink=0.8)

@@ -12,16 +12,32 @@ from pathlib import Path
 from typing import Any
 
 from keepout.core.whole_file import write_whole
+from keepout.flights.pages.head_and_foot import Provenance, Verdict, as_toml
 from keepout.flights.pages.terminal import shown
 
 _STYLE = """
-body{font:15px/1.5 system-ui,sans-serif;max-width:1100px;margin:2em auto;padding:0 1em;color:#1c2430}
-table{border-collapse:collapse;margin:1em 0}th,td{border-bottom:1px solid #d5dae0;padding:.35em .8em;text-align:right}
-th:first-child,td:first-child{text-align:left}img{max-width:100%}.bad{color:#b00020;font-weight:600}
-.scroll,.wide{overflow-x:auto}.wide td,.wide th{white-space:nowrap}
-code.line{display:block;white-space:pre;overflow-x:auto;user-select:all;background:#f3f5f7}
+:root{--ink:#1c2430;--quiet:#5c6675;--line:#d5dae0;--raised:#f3f5f7}*{box-sizing:border-box}
+body{font:15px/1.5 system-ui,sans-serif;max-width:1100px;margin:0 auto;padding:1.5em 1em;color:var(--ink)}
+h1{margin:0 0 .4em;line-height:1.2}h2{display:inline;font-size:1.3em}
+.verdict{margin:0;padding:.5em .8em;border-left:5px solid #b58a00;background:#fbf5e1;font-weight:600}
+.verdict.good{border-color:#00845f;background:#e4f4ee}.verdict.bad{border-color:#b00020;background:#fbe7ea}
+.theorem{margin:0 0 1em;padding:.2em .8em .5em;border-left:5px solid var(--line)}
+.part{margin:1em 0;border-top:1px solid var(--line);padding-top:.6em}summary{cursor:pointer}
+table{border-collapse:collapse;margin:1em 0}tr:hover td{background:var(--raised)}
+th,td{border-bottom:1px solid var(--line);padding:.35em .8em;text-align:right}
+th:first-child,td:first-child{text-align:left}.bad{color:#b00020}td .bad{font-weight:600}
+.scroll,.wide{overflow-x:auto;max-width:100%}.wide td,.wide th,.n{white-space:nowrap}
+figure{margin:1em 0;display:flex;flex-wrap:wrap;gap:.5em 1.5em;align-items:center}
+img{max-width:100%;height:auto}figcaption{flex:1 1 15em;color:var(--quiet)}
+code.line{display:block;white-space:pre;overflow-x:auto;user-select:all;background:var(--raised)}
 code.line{padding:.35em .6em;margin:.3em 0}
-iframe{width:100%;height:660px;border:0;border-radius:6px;background:#14171c}@media print{iframe{display:none}}
+iframe{width:100%;height:660px;border:0;border-radius:6px;background:#14171c}
+footer{margin-top:2em;border-top:2px solid var(--line);padding-top:.6em;font-size:13px;color:var(--quiet)}
+dl{display:grid;grid-template-columns:max-content minmax(0,1fr);gap:.1em 1em;margin:0 0 .6em}
+dd{margin:0;overflow-wrap:anywhere}pre{overflow-x:auto;background:var(--raised);padding:.6em;color:var(--ink)}
+@media(max-width:600px){body{padding:1em .6em}th,td{padding:.3em .4em}dl{display:block}dt{font-weight:600}
+iframe{height:85vh}figcaption{flex-basis:100%}img{max-width:640px}}
+@media print{iframe{display:none}.part{break-inside:avoid}}
 """
 
 
@@ -43,6 +59,21 @@ def embedded(image: bytes, words: str) -> Markup:
     """Give a PNG as an element that holds it, with words for who cannot see it."""
     content = base64.b64encode(image).decode("ascii")
     return Markup(f'<img alt="{html.escape(words)}" src="data:image/png;base64,{content}">')
+
+
+def _cell(value: Any) -> str:
+    """Give a table's cell; a number, which may have a minus in its exponent, stays on one line."""
+    return f"<td{' class=n' if isinstance(value, float) else ''}>{text(value)}</td>"
+
+
+def foot(provenance: Provenance) -> Markup:
+    """Give what a page was made of as the element at its foot, each scenario folded."""
+    rows = "".join(f"<dt>{text(words)}</dt><dd>{text(value)}</dd>" for words, value in provenance.rows().items())
+    folded = "".join(
+        f"<details><summary>{text(f'scenario {words}')}</summary><pre>{text(as_toml(scenario))}</pre></details>"
+        for words, scenario in provenance.scenarios.items()
+    )
+    return Markup(f"<footer><dl>{rows}</dl>{folded}</footer>")
 
 
 @dataclass(frozen=True)
@@ -83,22 +114,33 @@ def finite(value: Any) -> Any:
 
 
 class Page:
-    """A page whose parts stand in the order in which they are added.
+    """A page whose parts stand in the order in which they are added, between its head and its foot.
 
     Args:
         path: the HTML file that `write` writes; what the page links to is given by paths below its folder.
         title: and heading, plain text.
+        verdict: what it says first.
+        provenance: what it was made of, for its foot.
 
     """
 
-    def __init__(self, path: Path, title: str) -> None:
-        self.path, self.title = path, title
-        self._parts = [f"<h1>{text(title)}</h1>"]
+    def __init__(self, path: Path, title: str, verdict: Verdict, provenance: Provenance) -> None:
+        self.path, self.title, self._provenance = path, title, provenance
+        kind = {True: " good", False: " bad", None: ""}[verdict.good]
+        self._parts = [f'<header><h1>{text(title)}</h1><p class="verdict{kind}">{text(verdict.said)}</p>']
+        self._parts.append(f"<p class=theorem>{text(verdict.theorem)}</p></header>" if verdict.theorem else "</header>")
+        self._within = ""
 
     def heading(self, words: str, level: int = 2, *, name: str | None = None) -> None:
-        """Add a heading, which `name` can be linked to by."""
+        """Add a heading, which `name` can be linked to by; what follows one of level 2 can be folded away."""
         named = "" if name is None else f' id="{html.escape(name)}"'
-        self._parts.append(f"<h{level}{named}>{text(words)}</h{level}>")
+        if level == 2:
+            self._parts.append(
+                f"{self._within}<details class=part open{named}><summary><h2>{text(words)}</h2></summary>"
+            )
+            self._within = "</details>"
+        else:
+            self._parts.append(f"<h{level}{named}>{text(words)}</h{level}>")
 
     def words(self, *paragraphs: str) -> None:
         """Add paragraphs: plain text, or `Markup`."""
@@ -113,7 +155,7 @@ class Page:
         if not rows:
             self.words("no rows")
             return
-        body = "".join(f"<tr>{''.join(f'<td>{text(value)}</td>' for value in row.values())}</tr>" for row in rows)
+        body = "".join(f"<tr>{''.join(map(_cell, row.values()))}</tr>" for row in rows)
         head = f"<thead><tr>{''.join(f'<th>{text(key)}</th>' for key in rows[0])}</tr></thead>" if headings else ""
         self._parts.append(
             f"<div class={'wide' if wide else 'scroll'}><table>{head}<tbody>{body}</tbody></table></div>"
@@ -123,7 +165,9 @@ class Page:
         """Add a PNG file, held by the page; where there is an SVG beside it (`vector`), with links to both."""
         files = f"({self.link(path, 'PNG')}, {self.link(path.with_suffix('.svg'), 'SVG')})" if vector else ""
         caption = f"<figcaption>{text(caption)} {files}</figcaption>" if caption or files else ""
-        self._parts.append(f"<figure>{embedded(path.read_bytes(), path.stem)}{caption}</figure>")
+        self._parts.append(
+            f"<figure><div class=scroll>{embedded(path.read_bytes(), path.stem)}</div>{caption}</figure>"
+        )
 
     def replay(self, path: Path) -> None:
         """Add another page that is a replay, with a link to it."""
@@ -143,8 +187,10 @@ class Page:
         """Write the page."""
         write_whole(
             self.path,
-            f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{text(self.title)}</title>'
-            f"<style>{_STYLE}</style>{''.join(self._parts)}</html>",
+            f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{text(self.title)}</title>'
+            '<meta name="viewport" content="width=device-width,initial-scale=1">'
+            f"<style>{_STYLE}</style></head><body>{''.join(self._parts)}{self._within}{foot(self._provenance)}"
+            "</body></html>\n",
         )
 
     def _address(self, path: Path) -> str:

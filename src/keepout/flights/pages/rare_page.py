@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 
 from keepout.core.whole_file import write_whole
-from keepout.flights.pages.figures import COLOURS, figure
-from keepout.flights.pages.page import Markup, Page, Table, finite, text
+from keepout.flights.pages.figures import COLOURS, figure, logarithmic
+from keepout.flights.pages.head_and_foot import Provenance, Verdict
+from keepout.flights.pages.page import Page, Table, finite
 from keepout.flights.pages.replay_page import write_replay
 from keepout.flights.pages.replayed import of_flights
 from keepout.flights.rare_events.event import RareEvent
@@ -29,18 +30,30 @@ def write_rare(out: Path, event: RareEvent) -> dict[str, Any]:
     Table("curve", "Curve", [dict(zip(heads, row)) for row in curve(event.simulation).tolist()]).write(out)
     draw_curve(out / "curve.png", event)
     title = f"{name}: the flight that came nearest"
-    write_replay(out / "replay.html", of_flights({"nearest": event.worst}), title=title)
-    page = Page(out / "index.html", f"Rare event: {name}")
-    page.words(Markup(f"<b>{text(event.said)}</b>"))
-    page.words(*(f"Beyond the guard's assumptions: {broken}" for broken in event.assumptions_broken or ()))
+    nearest = of_flights({"nearest": event.worst})
+    write_replay(out / "replay.html", nearest, title=title)
+    page = Page(out / "index.html", f"Rare event {name}", _verdict(event), Provenance.of(nearest))
+    page.heading("How probable")
     page.words(f"{event.simulation.evaluations} flights, ended: {event.simulation.ended}.")
-    page.picture(out / "curve.png")
+    words = "How probable it is that a flight comes nearer than a clearance; thresholds of the levels dotted."
+    page.picture(out / "curve.png", words)
     page.heading(levels.caption)
     page.table(levels.rows)
     page.heading("The flight that came nearest")
     page.replay(out / "replay.html")
     page.write()
     return {"said": event.said, **event.summary(), "worst_flight": str(flight), "worst_tape": str(tape)}
+
+
+def _verdict(event: RareEvent) -> Verdict:
+    broken = event.assumptions_broken
+    if broken is None:
+        theorem = "No guard flew, so no theorem promises anything."
+    elif broken:
+        theorem = f"The guard's theorem does not hold: flown beyond what is assumed: {'; '.join(broken)}."
+    else:
+        theorem = "Nothing is flown beyond what the guard's theorem assumes."
+    return Verdict(event.said, theorem=theorem)
 
 
 def draw_curve(path: Path, event: RareEvent) -> None:
@@ -52,17 +65,16 @@ def draw_curve(path: Path, event: RareEvent) -> None:
             clearance, mean, lower, upper = points.T
             band = {"color": COLOURS[5], "alpha": 0.4, "label": "95 % band, of the whole curve"}
             axes.fill_between(clearance, lower, upper, **band)
-            axes.semilogy(clearance, mean, color=COLOURS[0], label="measured")
+            axes.plot(clearance, mean, color=COLOURS[0], label="measured")
         for level in event.simulation.levels[1:]:
             axes.axvline(level.threshold, color="grey", linewidth=0.6, linestyle=":")
         axes.axvline(event.below, color="black", linewidth=0.8)
         axes.set(
-            xlabel="clearance m",
+            xlabel="clearance, m",
             ylabel="probability of a flight that comes nearer",
-            title="Least clearance of a flight; thresholds of the levels dotted",
         )
-        axes.set_yscale("log")
         if len(points):
+            logarithmic(axes)
             axes.legend(fontsize=8)
 
 

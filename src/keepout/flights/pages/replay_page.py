@@ -13,9 +13,10 @@ from matplotlib.axes import Axes
 
 from keepout.core.progress import Progress, part_of, silent
 from keepout.core.whole_file import write_whole
-from keepout.flights.pages.figures import drawn, palette
+from keepout.flights.pages.figures import draw_series, drawn, logarithmic, looks
+from keepout.flights.pages.head_and_foot import Provenance
 from keepout.flights.pages.mesh_pictures import eye_axes, paint_paths
-from keepout.flights.pages.page import Markup, embedded
+from keepout.flights.pages.page import Markup, embedded, foot
 from keepout.flights.pages.replayed import Replayed
 from keepout.flights.pages.scene import Scene, rows_shown, scene
 
@@ -51,14 +52,14 @@ def write_replay(
         "The target and the flights, seen from one side; a path behind the target is dotted.": _shown(
             "target and paths", flights, _picture, 5.0
         ),
-        "Clearance on the exact mesh and, dashed, its proved lower bound over each step.": _shown(
+        "Clearance on the exact mesh, shaded down to its proved lower bound over each step.": _shown(
             "clearance", flights, _clearance, 2.6
         ),
         f"Speed, applied force and {last}.": _shown("motion", flights, _motion, 4.6, rows=3),
     }
     told = [shown.told["target"]["remark"], *(_said(*pair) for pair in zip(flights, shown.told["flights"]))]
     words = [words for words in told if words]
-    _write(path, shown, title=title, words=words, figures=figures)
+    _write(path, shown, title=title, words=words, figures=figures, foot=foot(Provenance.of(flights)))
     progress(1.0, "")
     return {"replay": str(path), "bytes": path.stat().st_size, "flights": [flight.name for flight in flights]}
 
@@ -83,28 +84,31 @@ def _picture(panel: Axes, flights: Sequence[Replayed]) -> None:
 
 
 def _clearance(panel: Axes, flights: Sequence[Replayed]) -> None:
-    for colour, flight in zip(palette(len(flights)), flights):
+    for look, flight in zip(looks(len(flights)), flights):
         time = flight.shown.time - flight.shown.time[0]
-        panel.plot(time, flight.clearance, color=colour, linewidth=0.9, label=flight.name)
-        bound = {"where": "post", "linewidth": 0.7, "linestyle": "--", "alpha": 0.7}
-        panel.step(time[:-1], flight.proved, color=colour, **bound)
+        panel.plot(time, flight.clearance, linewidth=0.9, label=flight.name, **look)
+        bound = np.append(flight.proved, np.nan)
+        band = {"color": look["color"], "alpha": 0.3, "linewidth": 0.0, "step": "post"}
+        panel.fill_between(time, bound, flight.clearance, where=np.isfinite(bound), **band)
     panel.axhline(0.0, color="black", linewidth=0.8)
     panel.set(xlabel="time, s", ylabel="clearance, m")
 
 
 def _motion(panels: np.ndarray, flights: Sequence[Replayed]) -> None:
     speed, force, last = panels
-    for colour, flight in zip(palette(len(flights)), flights):
-        record, thin = flight.shown, {"color": colour, "linewidth": 0.9, "label": flight.name}
+    for look, flight in zip(looks(len(flights)), flights):
+        record, drawn = flight.shown, {"label": flight.name, **look}
         time = record.time - record.time[0]
-        speed.plot(time, np.linalg.norm(record.velocity, axis=1), **thin)
-        force.plot(time, np.linalg.norm(record.force, axis=1), **thin)
+        draw_series(speed, time, np.linalg.norm(record.velocity, axis=1), **drawn)
+        draw_series(force, time, np.linalg.norm(record.force, axis=1), **drawn)
         if flight.share is None:
-            last.semilogy(time, flight.error, **thin)
+            last.plot(time, flight.error, linewidth=0.9, **drawn)
         else:
-            last.step(time, 100.0 * flight.share, where="post", **thin)
+            last.step(time, 100.0 * flight.share, where="post", linewidth=0.9, **drawn)
     speed.set_ylabel("speed, m/s")
     force.set_ylabel("force, N")
+    if _have_goals(flights):
+        logarithmic(last)
     last.set(xlabel="time, s", ylabel="to the goal, m" if _have_goals(flights) else "seen, %")
 
 
@@ -117,8 +121,7 @@ def _shown(words: str, flights: Sequence[Replayed], draw: Callable[..., None], h
     with drawn(width=8.0, height=height) as drawing:
         panels = drawing.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
         draw(panels if rows > 1 else panels[0], flights)
-        if len(flights) <= 12:
-            panels[0].legend(fontsize=8)
+        drawing.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=6, fontsize=8)
         image = io.BytesIO()
         drawing.savefig(image, format="png", dpi=100)
     return embedded(image.getvalue(), words)
@@ -129,7 +132,9 @@ def viewer(name: str) -> str:
     return (resources.files("keepout") / "data" / "replay" / name).read_text(encoding="utf-8")
 
 
-def _write(path: Path, scene: Scene, *, title: str, words: Sequence[str], figures: Mapping[str, str]) -> None:
+def _write(
+    path: Path, scene: Scene, *, title: str, words: Sequence[str], figures: Mapping[str, str], foot: Markup
+) -> None:
     """Write a replay as one file that opens from a disk without a network.
 
     Args:
@@ -137,6 +142,7 @@ def _write(path: Path, scene: Scene, *, title: str, words: Sequence[str], figure
         scene: what it shows.
         title: of the page, plain text.
         words: a paragraph each, plain text, shown with the figures.
+        foot: what it was made of, shown below the figures.
         figures: what is shown where no script runs, and in print: by caption (plain text), an `img` or `svg` element.
 
     """
@@ -157,7 +163,7 @@ def _write(path: Path, scene: Scene, *, title: str, words: Sequence[str], figure
         "<noscript><style>#replay{display:none}#figures{display:block!important}</style></noscript></head><body>"
         '<main id="replay"></main>'
         f'<section id="figures"><h1>{html.escape(title)}</h1>{paragraphs}{pictures}'
-        f"<p>Made by Keepout; the viewer holds {html.escape(licences)}.</p></section>"
+        f"<p>Made by Keepout; the viewer holds {html.escape(licences)}.</p>{foot}</section>"
         f'<script type="application/json" id="scene">{told}</script>'
         f'<script type="text/plain" id="content">{scene.content}</script>'
         f"<script>{viewer('replay.js')}</script></body></html>\n",

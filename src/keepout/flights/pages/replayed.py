@@ -71,7 +71,10 @@ class Layer(ABC):
 
 @dataclass(frozen=True, eq=False)
 class Replayed:
-    """One flight of a replay: what was recorded, its scenario and target, the audit, its surfaces and its layer."""
+    """One flight of a replay: what was recorded, its scenario and target, the audit, its surfaces and its layer.
+
+    `field_sha256` is the digest of the field that the law flew by; empty where it is not known.
+    """
 
     name: str
     record: FlightRecord
@@ -80,6 +83,7 @@ class Replayed:
     verdict: Audit
     levels: tuple[Level, ...] = ()
     layer: Layer | None = None
+    field_sha256: str = ""
 
     @functools.cached_property
     def shown(self) -> FlightRecord:
@@ -124,15 +128,15 @@ def of_flights(flights: Mapping[str, Flight], layer: Layer | None = None) -> lis
     gathered = []
     for name, flight in flights.items():
         levels: list[Level] = []
+        field = "" if flight.mission is None else flight.mission.model.sha256
         if flight.mission is not None:
             levels.append(_envelope(flight.mission.model, flight.scenario))
             guard = flight.mission.guard
             if guard is not None:
                 error_bound = guard.threshold - flight.scenario.chaser.radius
                 levels.append(_guards(flight.target, guard.field, guard.threshold, guard.lipschitz, error_bound))
-        gathered.append(
-            Replayed(name, flight.record, flight.scenario, flight.target, flight.audit, tuple(levels), layer)
-        )
+        told = flight.record, flight.scenario, flight.target, flight.audit, tuple(levels), layer, field
+        gathered.append(Replayed(name, *told))
     return gathered
 
 
@@ -189,7 +193,9 @@ def _gathered(name: str, record: FlightRecord, workshop: "Workshop", progress: P
             f"flown {flown[:12]}…); put that mesh back"
         )
     levels: list[Level] = []
+    field = ""
     if not record.header.get(EXPLORED):
+        field = workshop.model(scenario).sha256
         levels.append(_envelope(workshop.model(scenario), scenario))
         if scenario.guard.enabled:
             kept = workshop.guard_field(scenario, progress=progress)
@@ -197,7 +203,7 @@ def _gathered(name: str, record: FlightRecord, workshop: "Workshop", progress: P
             level = proof.error_bound + chaser.radius
             levels.append(_guards(target, kept.field, level, proof.gradient_bound, proof.error_bound))
     [verdict] = judge(scenario, target, {name: getattr(record, name)[None] for name in AUDITED})
-    return Replayed(name, record, scenario, target, verdict, tuple(levels))
+    return Replayed(name, record, scenario, target, verdict, tuple(levels), field_sha256=field)
 
 
 def _scenario(record: FlightRecord) -> Scenario:
