@@ -81,7 +81,7 @@ def test_the_command_flies_the_run_of_that_folder(tmp_path):
     commands = re.findall(r'<code class="line">(.*?)</code>', page)
     assert [html.unescape(command) for command in commands] == [replay_command(folder, run) for run in worst]
     # A command in a cell would wrap, and make its row as tall as itself.
-    [table] = [part for part in re.findall(r"<div class=wide>(.*?)</div>", page) if "minimum_clearance" in part]
+    [table] = [part for part in re.findall(r"<div class=wide>(.*?)</div>", page) if "least clearance, m" in part]
     assert "<code" not in table
     assert re.findall(r"<tr><td>(\d+)</td>", table) == [str(run) for run in worst]
 

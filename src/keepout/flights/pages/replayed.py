@@ -2,6 +2,7 @@
 
 import functools
 import json
+import os
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -171,17 +172,20 @@ def of_record(name: str, record: FlightRecord, workshop: "Workshop", *, progress
 
 
 def of_files(paths: Sequence[Path], *, progress: Progress = silent) -> list[Replayed]:
-    """Gather flight files; each is named by its scenario's name, or by its path where that does not tell them apart.
+    """Gather flight files; each is named by its scenario, or by its path below their common folder if names are alike.
 
     Raises:
         KeepoutError: a file that cannot be read as a flight, or what `of_records` raises; the message names the file.
 
     """
     gathered = of_records({str(path): FlightRecord.load(path) for path in paths}, progress=progress)
-    names = {flight.scenario.name for flight in gathered}
-    if len(names) < len(gathered):
+    names = [flight.scenario.name for flight in gathered]
+    if len(set(names)) < len(names):
+        common = os.path.commonpath([path.absolute().parent for path in paths])
+        names = [path.absolute().relative_to(common).with_suffix("").as_posix() for path in paths]
+    if len(set(names)) < len(names):  # one file twice, or two that differ by their ending
         return gathered
-    return [replace(flight, name=flight.scenario.name) for flight in gathered]
+    return [replace(flight, name=name) for flight, name in zip(gathered, names, strict=True)]
 
 
 def _gathered(name: str, record: FlightRecord, workshop: "Workshop", progress: Progress) -> Replayed:
