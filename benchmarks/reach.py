@@ -53,8 +53,6 @@ LAWS = {
     "switching": {"profile": "default", "guidance": "straight", "circulation": "switching"},
     "paper": {"profile": "paper", "guidance": "straight", "circulation": "printed"},
 }
-OWN_CHOICE = (1.5, 0.0)
-"""k_p (m) and e_∇h of the profile `paper`, which the paper does not print; flown in the time of every other law."""
 PLACE = ("target", "profile", "guidance", "slowing_length_m", "gradient_error", "tumbling_deg_s", "flights", "seed")
 SETTINGS = ("field_sha256", "version")
 SHOWN = (
@@ -126,7 +124,7 @@ def fly_row(case, law, rate, slowing, gradient):
         flown, reach, reason = within_authority(case, scenario)
     speed = scenario.chaser.speed_limit
     seconds = round(case.seconds * case.scenario.chaser.speed_limit / speed)
-    if slowing is not None and (slowing, gradient) != OWN_CHOICE:
+    if slowing is not None:
         seconds += round(6.0 * slowing / speed)
     refused = [] if reason is None else [reason] * int(np.sum(~flown))
     row = {
@@ -269,8 +267,8 @@ def main():
     )
     parser.add_argument("--laws", nargs="*", default=list(LAWS), choices=list(LAWS))
     parser.add_argument("--tumbling", nargs="*", type=float, default=[0.1, 0.5], help="rates, degrees a second")
-    parser.add_argument("--slowing", nargs="+", type=float, default=OWN_CHOICE[:1], help="k_p of the paper's law, m")
-    parser.add_argument("--gradient", nargs="+", default=OWN_CHOICE[1:], help="e_∇h of the paper's law, or `largest`")
+    parser.add_argument("--slowing", nargs="+", type=float, default=[1.5], help="k_p of the paper's law, m")
+    parser.add_argument("--gradient", nargs="+", default=[0.0], help="e_∇h of the paper's law, or `largest`")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("out/reach.json"), help="rows flown so far")
     arguments = parser.parse_args()
@@ -278,7 +276,7 @@ def main():
     store, rows = Rows(arguments.out, PLACE, SETTINGS), []
     for source in arguments.targets:
         case = Case(source, arguments.out.parent, arguments.flights, arguments.seed)
-        largest = case.largest_gradient_error if "largest" in arguments.gradient else None
+        largest = case.gradient_error if "largest" in arguments.gradient else None
         errors = [largest if error == "largest" else float(error) for error in arguments.gradient]
         flown = [("geodesic", rate, None, None) for rate in arguments.tumbling]
         for law in arguments.laws:

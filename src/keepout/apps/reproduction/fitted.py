@@ -137,17 +137,11 @@ def field_of(work: Work, recipe: Recipe, target: Target, *, fitting: bool, certi
     return model
 
 
-def largest_gradient_error(work: Work, target: Target, model: FieldModel) -> float:
-    """Give the largest ‖∇d − ∇f̃‖ sampled outside a built-in target, to 3 m from its surface, to 0.01 upwards."""
-
-    def make() -> float:
-        nearest, farthest = GRADIENT_BAND
-        solid = solid_of(target.name, quick=False)
-        found = gradient_errors(model.field, solid, nearest=nearest, farthest=farthest, seed=work.seed)
-        return float(np.ceil(100.0 * found.maximum) / 100.0)
-
-    made_of = [model.sha256, GRADIENT_BAND, work.seed, OFFSET]
-    return work.numbers(f"largest-gradient-error-{target.name}", made_of, make)
+def largest_gradient_error(model: FieldModel, solid: OffsetSolid, seed: int) -> float:
+    """Give the largest ‖∇d − ∇f̃‖ sampled outside a target's solid, to 3 m from its surface, to 0.01 upwards."""
+    nearest, farthest = GRADIENT_BAND
+    found = gradient_errors(model.field, solid, nearest=nearest, farthest=farthest, seed=seed)
+    return float(np.ceil(100.0 * found.maximum) / 100.0)
 
 
 def paper_network(work: Work, target: Target) -> FieldModel | None:
