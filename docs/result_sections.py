@@ -261,6 +261,9 @@ def reproduction() -> list[str]:
         "",
         *note("paper"),
         "",
+        "**How long each part takes, with the networks of `benchmarks/results/fields`**",
+        "",
+        *table([{"part": one["name"], "minutes": one["seconds"] / 60.0} for one in kept["sections"]]),
     ]
     for section in kept["sections"]:
         lines += [f"### {section['title']}", "", f"The paper: {section['paper']}", ""]

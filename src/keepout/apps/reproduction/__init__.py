@@ -1,9 +1,11 @@
 """Experiments: the source paper's Section VI, repeated by one command, part by part."""
 
+import dataclasses
 import datetime
 import functools
 import json
 import threading
+import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -81,7 +83,9 @@ def reproduce(
     writing = threading.Lock()
 
     def repeated(name: str, progress: Progress) -> Part:
+        began = time.perf_counter()
         part = PARTS[name](Work(out / name, quick, seed, fields, progress))
+        part = dataclasses.replace(part, seconds=round(time.perf_counter() - began, 1))
         with writing:
             done[name] = part
             # After each part, so that a page stands even if a later part is stopped.
@@ -123,7 +127,8 @@ def write_reproduction(out: Path, parts: Sequence[Part], *, quick: bool) -> None
         "quick": quick,
         "sections": [
             {
-                **{"name": part.name, "title": part.title, "paper": part.paper, "ours": list(part.ours)},
+                **{"name": part.name, "title": part.title, "seconds": part.seconds},
+                **{"paper": part.paper, "ours": list(part.ours)},
                 "tables": [
                     {"name": table.name, "caption": table.caption, "rows": [dict(row) for row in table.rows]}
                     for table in part.tables
@@ -139,7 +144,9 @@ def write_reproduction(out: Path, parts: Sequence[Part], *, quick: bool) -> None
     page.words(
         INTRODUCTION + (" This is a quick run: fewer flights, and the fields that are at hand." if quick else "")
     )
-    contents = "".join(f'<li><a href="#{part.name}">{text(part.title)}</a></li>' for part in parts)
+    contents = "".join(
+        f'<li><a href="#{part.name}">{text(part.title)}</a>, {part.seconds:.0f} s</li>' for part in parts
+    )
     page.markup(f"<ul>{contents}</ul>")
     for part in parts:
         _tell(page, part)

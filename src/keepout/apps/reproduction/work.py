@@ -41,6 +41,7 @@ class Part:
         tables: each becomes a CSV file and a table of the page.
         drawings: caption, plain text, of each figure by name: `<name>.png` and `<name>.svg` in the part's folder.
         flights: to be replayed on the page, all around one target.
+        seconds: by the clock of the run that made it; little where an earlier run left what takes long.
 
     """
 
@@ -52,6 +53,7 @@ class Part:
     tables: Sequence[Table] = ()
     drawings: Mapping[str, str] = dataclasses.field(default_factory=dict)
     flights: Mapping[str, Flight] = dataclasses.field(default_factory=dict)
+    seconds: float = 0.0
 
     @property
     def named_rows(self) -> list[dict[str, Any]]:

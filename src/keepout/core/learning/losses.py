@@ -35,6 +35,8 @@ class TrainingProfile:
             "paper_pinball": the paper's loss with L_P read as κ max(e, 0) + max(-e, 0), e = f̃ - d. "paper_printed":
             L_P = (κ-1) max(e, 0) as printed, whose minimum is f̃ → -∞.
         width, depth: hidden layers.
+        start: of the weights: "he" (He et al. 2015), or "geometric" (Atzmon, Lipman 2020): about the distance to half
+            the unit ball, as the method has it that the paper builds on.
         beta: sharpness of the softplus, in normalised units.
         samples: labelled points.
         batch: points a step.
@@ -64,6 +66,7 @@ class TrainingProfile:
     loss: Literal["keepout", "paper_pinball", "paper_printed"] = "keepout"
     width: int = 96
     depth: int = 4
+    start: Literal["he", "geometric"] = "he"
     beta: float = 100.0
     samples: int = 600_000
     batch: int = 2048

@@ -211,7 +211,10 @@ class _Course:
 
 
 def _initial(profile: losses.TrainingProfile, data: losses.Batch, hard_count: int, seed: int) -> _State:
-    """He-scaled weights (He et al. 2015); first-layer kinks spread over the unit ball; the output starts positive."""
+    """He-scaled weights (He et al. 2015); first-layer kinks spread over the unit ball; the output starts positive.
+
+    Or so that the network starts as the distance to a ball of half the unit's radius (Atzmon, Lipman 2020, section 4).
+    """
     width, depth = profile.width, profile.depth
     sizes = [3] + [width] * depth + [1]
     keys = jax.random.split(jax.random.key(seed), depth + 2)
@@ -219,10 +222,15 @@ def _initial(profile: losses.TrainingProfile, data: losses.Batch, hard_count: in
         jax.random.normal(key, (n_out, n_in), jnp.float32) * jnp.float32(math.sqrt(2.0 / n_in))
         for key, n_in, n_out in zip(keys, sizes[:-1], sizes[1:])
     ]
-    weights[0] = weights[0] * jnp.float32(math.sqrt(1.5))
-    weights[-1] = weights[-1] * jnp.float32(0.5)
     biases = [jnp.zeros(n, jnp.float32) for n in sizes[1:]]
-    biases[0] = jax.random.uniform(keys[-1], (width,), jnp.float32, -0.5, 0.5)
+    if profile.start == "geometric":
+        weights[0] = weights[0] * jnp.float32(math.sqrt(3.0 / width))
+        weights[-1] = jnp.full((1, width), math.sqrt(math.pi / width), jnp.float32)
+        biases[-1] = jnp.full(1, -0.5, jnp.float32)
+    else:
+        weights[0] = weights[0] * jnp.float32(math.sqrt(1.5))
+        weights[-1] = weights[-1] * jnp.float32(0.5)
+        biases[0] = jax.random.uniform(keys[-1], (width,), jnp.float32, -0.5, 0.5)
     layers = neural.Layers(tuple(weights), tuple(biases))
     hard = jax.tree.map(lambda a: jnp.resize(a, (hard_count, *a.shape[1:])), data)
     optimizer = _optimizer(profile, tuning=False).init(layers)
