@@ -54,7 +54,7 @@ def main():
     parser.add_argument("--target", default="intelsat30", help="a built-in target")
     parser.add_argument("--width", type=int, default=96)
     parser.add_argument("--depth", type=int, default=4)
-    parser.add_argument("--steps", type=int, default=2000, help="a multiple of 100")
+    parser.add_argument("--steps", type=int, default=2000, help="a multiple of 250")
     parser.add_argument("--batch", nargs="+", type=int, default=[2048, 8192, 50_000])
     parser.add_argument("--start", nargs="+", default=["he", "geometric"], choices=["he", "geometric"])
     parser.add_argument("--out", type=Path, default=Path("out/training.json"), help="rows made so far")

@@ -263,7 +263,9 @@ def reproduction() -> list[str]:
         "",
         "**How long each part takes, with the networks of `benchmarks/results/fields`**",
         "",
-        *table([{"part": one["name"], "minutes": one["seconds"] / 60.0} for one in kept["sections"]]),
+        *table(
+            [{"part": one["name"], "minutes": one["seconds"] / 60.0} for one in kept["sections"] if "seconds" in one]
+        ),
     ]
     for section in kept["sections"]:
         lines += [f"### {section['title']}", "", f"The paper: {section['paper']}", ""]

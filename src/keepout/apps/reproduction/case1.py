@@ -208,8 +208,8 @@ def _part(work: Work, flights: Mapping[str, Flight], counts: list[dict[str, Any]
             Table(
                 "flights",
                 "1 Hz and 0.1 N; where 20 Hz is said, 10 N. end: trapped is at rest outside the goal's 0.1 m, arrived "
-                "stays within it; within: when it first was; gap: from the chaser's ball to the exact mesh; h: the "
-                "law's own barrier",
+                "stays within it to the end; within, stays: when it first was, since when it stays; gap: from the "
+                "chaser's ball to the exact mesh; h: the law's own barrier",
                 [table_line(row) for row in rows],
             ),
             Table(
@@ -255,6 +255,7 @@ def table_line(row: Mapping[str, Any]) -> dict[str, Any]:
         "k_p m": row["slowing_length_m"],
         "end": "trapped" if row["trapped"] else "arrived" if row["reached"] else "under way",
         "within s": None if within is None else round(within, 1),
+        "stays s": None if row["time_to_reach_s"] is None else round(row["time_to_reach_s"], 1),
         "contact": row["contact_verdict"],
         "least gap m": round(row["minimum_clearance_m"], 4),
         "least h m": round(row["minimum_barrier_m"], 4) + 0.0,
@@ -401,7 +402,8 @@ def _sentence(row: Mapping[str, Any]) -> str:
     if row["trapped"]:
         end = f"comes to rest {row['final_error_m']:.3g} m from the goal"
     elif row["reached"]:
-        end = f"is first within the goal's tolerance after {row['first_within_s']:.0f} s, and stays there in the end"
+        end = f"is first within the goal's tolerance after {row['first_within_s']:.0f} s and"
+        end += f" stays there from {row['time_to_reach_s']:.0f} s to the end"
     else:
         end = f"is still under way at the end, {row['final_error_m']:.3g} m from the goal"
     touch = {"no": "without contact", "yes": "and touches the target"}.get(row["contact_verdict"], "contact undecided")

@@ -261,17 +261,29 @@ def draw_settings(path: Path, settings: Sequence[Mapping[str, Any]], beside: Seq
         for axes, target in zip(panels, targets, strict=True):
             own = [row for row in settings if row["target"] == target]
             lengths = {f"paper's, k_p {row['k_p m']:g} m": row["k_p m"] for row in own}
+            labels: list[tuple[float, list[float]]] = []
             for ((label, length), look), marker in zip(_looks(lengths), _MARKERS):
                 some = [row for row in own if row["k_p m"] == length]
                 x, y = ([100.0 * row[name] / row["flights"] for row in some] for name in ("contacts", "reached"))
                 axes.plot(x, y, marker=marker, markersize=4, label=label, **look)
-                for row, *place in zip(some, x, y):
-                    axes.annotate(f"{row['e_∇h']:g}", place, (3, 3), textcoords="offset points", fontsize=6)
+                labels += [(row["e_∇h"], place) for row, *place in zip(some, x, y)]
             for row, marker in zip((row for row in beside if row["target"] == target), ("*", "P")):
                 share = [100.0 * row[name] / row["flights"] for name in ("contacts", "reached")]
                 axes.plot(*share, marker, color="black", markersize=8, label=f"Keepout, {row['law']}")
             axes.set(title=target, xlabel="contact not excluded, %", ylabel="reached, %")
+            _label_apart(axes, labels)
         drawing.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
+
+
+def _label_apart(axes: Axes, labels: Sequence[tuple[float, Sequence[float]]]) -> None:
+    """Write numbers at points, but for those whose text would lie over one written before."""
+    axes.autoscale_view()
+    written: list[np.ndarray] = []
+    for value, place in labels:
+        at = axes.transAxes.inverted().transform(axes.transData.transform(place))
+        if all(np.any(np.abs(at - other) > (0.08, 0.05)) for other in written):
+            axes.annotate(f"{value:g}", (place[0], place[1]), (3, 3), textcoords="offset points", fontsize=6)
+            written.append(at)
 
 
 def draw_comparisons(
