@@ -8,8 +8,7 @@ with the square of the distance to the goal, as Ge & Cui 2000 mend it.
 
 Tuning. k_v = 0.5/s is the default law's tracking gain, and k_p/k_v = v_max/(1.5 m) its slowing length. η makes the
 repulsion equal to the authority at `stand_off`; from v_max the chaser stops in v_max²/(2·4 mm/s²) = 1.25 m at full
-authority. `stand_off` and ρ₀ (`influence`), which Khatib leaves to the designer, are the best of six choices on 64
-pairs of seed 1 round `intelsat30` (0.3, 0.6, 1, 1.5 m and 1.5, 2.5, 4 m): 63 reached without contact.
+authority. `stand_off` and ρ₀ (`influence`), which Khatib leaves to the designer, are the best of `choices`.
 """
 
 import dataclasses
@@ -70,6 +69,7 @@ class ArtificialPotential(Rival):
     """Khatib's potential field on the learned distance."""
 
     name = "potential field"
+    choices = {"stand_off": (0.3, 0.6, 1.0, 1.5), "influence": (1.5, 2.5, 4.0)}  # noqa: RUF012
     gain: float = 0.5
     slowing_length: float = 1.5
     influence: float = 4.0
