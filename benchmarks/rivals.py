@@ -76,9 +76,7 @@ def main():
     parser.add_argument("--out", type=Path, default=HERE / "results" / "rivals.json", help="rows flown so far")
     parser.add_argument("--fields", type=Path, default=Path("out"), help="folder of fields fitted to mesh files")
     parser.add_argument("--figure", action="store_true", help="draw paths into docs/figures instead")
-    parser.add_argument(
-        "--sweep", action="store_true", help="fly the choices of each rival instead"
-    )
+    parser.add_argument("--sweep", action="store_true", help="fly the choices of each rival instead")
     arguments = parser.parse_args()
     warnings.simplefilter("ignore", ControlWarning)
     arguments.fields.mkdir(parents=True, exist_ok=True)
