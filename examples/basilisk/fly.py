@@ -80,6 +80,7 @@ def main():
         "seconds": arguments.seconds,
         "contact_verdict": str(verdict.contact),
         "minimum_clearance_m": verdict.minimum_clearance,
+        "measured_clearance_m": verdict.measured_clearance,
         "final_error_m": float(error[-1]),
         "largest_speed_mps": verdict.largest_speed,
         "guard_interventions": verdict.guard_interventions,

@@ -1,5 +1,6 @@
 from .apps.inspection.inspect import inspect as inspect
 from .apps.inspection.inspection import Inspection as Inspection
+from .apps.reproduction import reproduce as reproduce
 from .apps.unknown.exploration import Exploration as Exploration
 from .apps.unknown.explore import explore as explore
 from .core.audit.audit import Audit as Audit
@@ -21,21 +22,27 @@ from .core.flight.setup import FlightSetup as FlightSetup
 from .core.geometry.target import Target as Target
 from .core.guard.braking import GuardAssumptions as GuardAssumptions
 from .core.guard.safety_layer import SafetyLayer as SafetyLayer
-from .core.learning.training import fit as fit
 from .core.mission.build import Mission as Mission
 from .core.mission.build import fly as fly
 from .core.mission.build import prepare as prepare
 from .core.mission.check import check as check
 from .core.mission.flight import Flight as Flight
+from .core.mission.flight import Verdict as Verdict
 from .core.mission.scenario import Scenario as Scenario
 from .core.motion.chaser import Chaser as Chaser
 from .core.motion.chaser import ThrusterModel as ThrusterModel
 from .core.motion.disturbance import Disturbance as Disturbance
 from .core.motion.relative import MotionState as MotionState
 from .core.proof.certificate import certify as certify
-from .flights.campaign.campaign import Campaign as Campaign
-from .flights.campaign.campaign import run_campaign as run_campaign
 from .flights.rare_events.event import RareEvent as RareEvent
 from .flights.rare_events.event import rare as rare
+from .verbs.campaigns import Campaign as Campaign
+from .verbs.campaigns import campaign as campaign
+from .verbs.files import audit as audit
+from .verbs.files import export as export
+from .verbs.files import replay as replay
+from .verbs.meshes import describe as describe
+from .verbs.meshes import fit as fit
+from .verbs.meshes import measure as measure
 
 __version__: str

@@ -90,7 +90,7 @@ def test_few_digits_never_call_a_contact_clear(coarse, digits, beam, tmp_path):
     for seed in range(24):
         files, least = encounter(tmp_path, seed, many, cut=seed % 2 == 0)
         answer = judged(beam, files, radius=least + depth, turning_acceleration_bound=0.0, bound=0.0)
-        assert answer["minimum_clearance_bound_m"] <= -depth + 1e-6
+        assert answer["minimum_clearance_m"] <= -depth + 1e-6
         verdicts.append(answer["contact_verdict"])
     assert "no" not in verdicts
     assumed = answer["assumptions"]
@@ -110,12 +110,12 @@ def test_many_digits_still_call_a_clear_flight_clear(beam, tmp_path):
         options = {"turning_acceleration_bound": 0.0, "bound": 1e-9, "sample_error": 1e-4}
         answer = judged(beam, files, radius=least - 0.05, **options)
         assert answer["contact_verdict"] == "no", answer["remarks"]
-        assert answer["minimum_clearance_bound_m"] <= 0.05 <= answer["minimum_clearance_m"] + 1e-3
+        assert answer["minimum_clearance_m"] <= 0.05 <= answer["measured_clearance_m"] + 1e-3
         # What the user says of the errors holds where it is more than what the digits say.
         assert answer["assumptions"]["sample_error_m"] == 1e-4
         worse = judged(beam, files, radius=least - 0.05, attitude_error=0.02, **options)
         assert worse["assumptions"]["attitude_error_rad"] == 0.02
-        assert worse["minimum_clearance_bound_m"] <= answer["minimum_clearance_bound_m"] - 0.08
+        assert worse["minimum_clearance_m"] <= answer["minimum_clearance_m"] - 0.08
         assert worse["contact_verdict"] != "no"
 
 
@@ -131,8 +131,8 @@ def test_a_wrong_attitude_within_its_error_is_bounded(seed, beam):
     bounds = SampleBounds(1e-9, 0.0, attitude_error=error)
     found = audit_passage(Samples(time, relative, velocity, turn), beam, chaser_radius=0.0, bounds=bounds)
     reach = error * np.linalg.norm(relative, axis=1).max()
-    assert found.minimum_clearance_bound <= least <= found.minimum_clearance
-    assert found.minimum_clearance_bound >= least - 2.2 * reach - 2e-3 - found.uncertainty
+    assert found.minimum_clearance <= least <= found.measured_clearance
+    assert found.minimum_clearance >= least - 2.2 * reach - 2e-3 - found.uncertainty
 
 
 def test_axes_of_the_orbit_are_no_better_than_the_states_they_come_from(box, tmp_path):
@@ -316,7 +316,7 @@ def test_the_answer_names_who_is_who_and_what_it_depends_on(box, tmp_path):
     who = {"chaser_object": "VISITOR", "target_object": "2026-001A"}
     given = judged(box, files, centre_of_mass=(0.5, 0.0, 0.0), **who)
     assert given["remarks"] == []
-    assert given["minimum_clearance_bound_m"] > answer["minimum_clearance_bound_m"] + 0.4
+    assert given["minimum_clearance_m"] > answer["minimum_clearance_m"] + 0.4
     assert "unlike --centre-of-mass" in " ".join(judged(box, files, centre_of_mass=(0.0, 0.1, 0.0))["remarks"])
     unsaid = audit_files(box, Given(**files, chaser_radius=0.5, acceleration_bound=0.01))["remarks"]
     assert any("axes are taken to be those of vvlh" in remark for remark in unsaid)

@@ -221,4 +221,5 @@ class Led:
             "contact": self.audit.contact is not Contact.NO,
             "contact_verdict": str(self.audit.contact),
             "minimum_clearance_m": self.audit.minimum_clearance,
+            "measured_clearance_m": self.audit.measured_clearance,
         }

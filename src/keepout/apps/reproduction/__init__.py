@@ -48,18 +48,18 @@ INTRODUCTION = (
 
 
 def reproduce(
-    names: Sequence[str],
-    out: Path,
+    names: str | Sequence[str],
+    out: str | Path,
     *,
     quick: bool = False,
     seed: int = 0,
-    fields: Path | None = None,
+    fields: str | Path | None = None,
     progress: Progress = silent,
 ) -> list[Part]:
     """Repeat parts of the paper's Section VI in a folder; a run that was stopped goes on where it was.
 
     Args:
-        names: of the parts, or "all".
+        names: of a part or of several, or "all".
         out: folder for the page, `summary.json`, and a folder for each part with its CSV files and figures.
         quick: fewer flights and shipped fields.
         seed: of every draw.
@@ -72,6 +72,11 @@ def reproduce(
 
     """
     keep_programs()
+    names, out, fields = (
+        [names] if isinstance(names, str) else names,
+        Path(out),
+        None if fields is None else Path(fields),
+    )
     chosen = [name for name in PARTS if name in names or "all" in names]
     for name in names:
         if name not in PARTS and name != "all":

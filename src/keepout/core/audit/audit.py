@@ -122,7 +122,7 @@ class Audit:
     """What is known about one flight (metres, seconds, newtons, metres per second; body frame).
 
     `minimum_clearance` is a lower bound on the least distance from the chaser's surface to the mesh, at any instant;
-    `minimum_clearance_found` the least one found, at `minimum_time` and `minimum_position`. `force_excess` and
+    `measured_clearance` the least one found, at `minimum_time` and `minimum_position`. `force_excess` and
     `speed_excess` are the largest amounts by which a limit was passed at a sample (≤ 0: kept). `inconsistent_steps` are
     the steps whose ends no motion within the bounds joins. `remarks` says, a line each, why a verdict is not a plain
     "no".
@@ -130,7 +130,7 @@ class Audit:
 
     contact: Contact
     minimum_clearance: float
-    minimum_clearance_found: float
+    measured_clearance: float
     minimum_time: float
     minimum_position: tuple[float, float, float]
     inconsistent_steps: tuple[int, ...]
@@ -246,7 +246,7 @@ def audit_campaign(
             Audit(
                 contact=contact,
                 minimum_clearance=clearance,
-                minimum_clearance_found=found,
+                measured_clearance=found,
                 minimum_time=float(bound.time[i]),
                 minimum_position=(x, y, z),
                 inconsistent_steps=tuple(broken.tolist()),
@@ -321,7 +321,7 @@ def _unreadable(time: Float[np.ndarray, "samples"], *states: Float[np.ndarray, "
     return Audit(
         contact=Contact.UNDECIDED,
         minimum_clearance=-np.inf,
-        minimum_clearance_found=np.inf,
+        measured_clearance=np.inf,
         minimum_time=nan,
         minimum_position=(nan, nan, nan),
         inconsistent_steps=tuple(np.unique(np.maximum(np.flatnonzero(~readable) - 1, 0)).tolist()),

@@ -137,8 +137,8 @@ class Passage:
 
     Attributes:
         contact: the verdict.
-        minimum_clearance_bound: no instant has a smaller clearance, given the bounds.
-        minimum_clearance: some instant has a clearance no larger than this, given the bounds.
+        minimum_clearance: no instant has a smaller clearance, given the bounds.
+        measured_clearance: some instant has a clearance no larger than this, given the bounds.
         minimum_time: of that instant.
         minimum_position: there, body frame.
         start_outside: whether the exterior was reached from one of the samples.
@@ -152,8 +152,8 @@ class Passage:
     """
 
     contact: Contact
-    minimum_clearance_bound: float
     minimum_clearance: float
+    measured_clearance: float
     minimum_time: float
     minimum_position: tuple[float, float, float]
     start_outside: bool
@@ -212,8 +212,8 @@ def audit_passage(
     x, y, z = bound.position[0].tolist()
     return Passage(
         contact=contact,
-        minimum_clearance_bound=clearance,
-        minimum_clearance=found,
+        minimum_clearance=clearance,
+        measured_clearance=found,
         minimum_time=float(bound.time[0]),
         minimum_position=(x, y, z),
         start_outside=outside,

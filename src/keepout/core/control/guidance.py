@@ -23,7 +23,15 @@ class Guidance(eqx.Module):
 
     @abc.abstractmethod
     def desired_velocity(self, position: Vector) -> Vector:
-        """Return v_c in m/s at a position in m, both in the body frame."""
+        """Return v_c in m/s at a position in m, both in the body frame.
+
+        Args:
+            position: (3,) m, body frame.
+
+        Returns:
+            (3,) m/s.
+
+        """
 
 
 class SlowingGuidance(Guidance):

@@ -62,6 +62,10 @@ class Command(eqx.Module):
         """Give the answer of a law that has a force (N, body axes) to tell and nothing else.
 
         The disturbance estimate is zero, and whatever the law has no word of is not a number.
+
+        Args:
+            force: (3,) floats, N, body axes.
+
         """
         unknown, nominal = jnp.full(3, jnp.nan), jnp.asarray(ControlStatus.NOMINAL, jnp.int32)
         return cls(force, unknown, unknown, jnp.zeros(3), unknown[0], unknown[0], unknown[0], nominal)
@@ -108,23 +112,53 @@ class Law(eqx.Module):
 
     @abc.abstractmethod
     def initial_state(self, state: MotionState) -> PyTree:
-        """Return what the law remembers before its first step at `state`."""
+        """Return what the law remembers before its first step.
+
+        Args:
+            state: the estimate at the start, as `step` is told it: time (s), position (m) and velocity (m/s) relative
+                to the target in its body frame, attitude (body from VVLH) and angular velocity (rad/s).
+
+        Returns:
+            A pytree of arrays, the same in structure and shapes at every step; () where nothing is remembered.
+
+        """
 
     def begun_with(self, state: MotionState, under_way: Float[Array, "steps 3"]) -> PyTree:
         """Return the same where commands are under way: forces that have not taken effect, N, the oldest first.
 
         A law that knows of no delay begins as it always does.
+
+        Args:
+            state: the estimate at the start, as of `initial_state`.
+            under_way: (steps, 3) forces, N, body axes.
+
         """
         return self.initial_state(state)
 
     @abc.abstractmethod
     def step(self, state: PyTree, estimate: MotionState) -> tuple[PyTree, Command]:
-        """Run one control step on an estimate of the motion; called once a period."""
+        """Run one control step on an estimate of the motion; called once a period.
+
+        Args:
+            state: what the law remembers.
+            estimate: of the motion now: `time` (s since the epoch), `position` (3,) m and `velocity` (3,) m/s of the
+                chaser relative to the target in its body frame, `attitude` (unit quaternion body from VVLH, scalar
+                first) and `angular_velocity` (3,) rad/s, inertial, in body axes. With sensors it is a filter's.
+
+        Returns:
+            The memory for the next step, and a `Command` whose force (N, body axes) is held for a period.
+
+        """
 
     def with_applied_force(self, state: PyTree, force: Vector) -> PyTree:
         """Return the memory told that `force` (N) is held from now on instead of the one commanded.
 
         A law that models the force it commanded must override this, or it takes the difference for a disturbance.
+
+        Args:
+            state: the memory after `step`.
+            force: (3,) N, body axes, as the guard leaves it.
+
         """
         return state
 
@@ -150,11 +184,22 @@ class PolicyLaw(Law):
         return self.destination
 
     def initial_state(self, state: MotionState) -> PyTree:
-        """Nothing to remember."""
+        """Nothing to remember.
+
+        Args:
+            state: of the motion at the start.
+
+        """
         return ()
 
     def step(self, state: PyTree, estimate: MotionState) -> tuple[PyTree, Command]:
-        """Ask the policy."""
+        """Ask the policy.
+
+        Args:
+            state: nothing.
+            estimate: of the motion, of which the policy is told position, velocity and time.
+
+        """
         seen = (estimate.position - self.goal, estimate.velocity, estimate.time)
         if self.on_host:
 

@@ -39,6 +39,10 @@ def shipped_path(name: str) -> Path:
 def load_shipped(name: str, *, target: "Target | None" = None) -> "FieldModel":
     """Read the shipped field of a built-in target, and check it against the target if that is given.
 
+    Args:
+        name: of the target (`keepout targets` lists them).
+        target: the mesh that it should have been made for.
+
     Raises:
         FieldError: no field of that name comes with the package, or it was made for other geometry than `target`'s.
 

@@ -44,16 +44,31 @@ class Field(eqx.Module):
 
     @abc.abstractmethod
     def value(self, points: Points) -> Values:
-        """Signed distance in metres."""
+        """Signed distance in metres.
+
+        Args:
+            points: (…, 3) m, body frame.
+
+        """
 
     def value_and_gradient(self, points: Points) -> tuple[Values, Points]:
-        """Signed distance in metres and its gradient (dimensionless, not normalised)."""
+        """Signed distance in metres and its gradient (dimensionless, not normalised).
+
+        Args:
+            points: (…, 3) m, body frame.
+
+        """
         value, gradient, _ = self.value_gradient_hessian(points)
         return value, gradient
 
     @abc.abstractmethod
     def value_gradient_hessian(self, points: Points) -> tuple[Values, Points, Hessians]:
-        """Signed distance in metres, gradient, and Hessian in 1/m."""
+        """Signed distance in metres, gradient, and Hessian in 1/m.
+
+        Args:
+            points: (…, 3) m, body frame.
+
+        """
 
 
 @kept_jit

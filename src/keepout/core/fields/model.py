@@ -20,6 +20,7 @@ from keepout.core.fields.field import Field
 from keepout.core.fields.grid import STORED, GridField
 from keepout.core.fields.neural import Layers, NeuralField
 from keepout.core.geometry.target import Target
+from keepout.core.plug_ins import load
 from keepout.core.whole_file import write_whole
 
 FORMAT = "keepout-field"
@@ -95,6 +96,9 @@ class Certificate:
                 said = f"{bound} is {most} and {found} {least}"
                 raise FieldError(f"certificate: {said}; a bound is at least what was found")
 
+    def _repr_html_(self) -> str:
+        return load("notebook", "certificate")(self)
+
 
 @dataclasses.dataclass(frozen=True)
 class FieldModel:
@@ -132,7 +136,10 @@ class FieldModel:
         return _digest(tensors, {"field": description, "target": self.target_sha256, "offset": self.offset})
 
     def certificate(self, chaser_radius: float) -> Certificate:
-        """Return the certificate for this chaser radius in metres.
+        """Return the certificate for a chaser radius.
+
+        Args:
+            chaser_radius: R, m.
 
         Raises:
             FieldError: there is none for that radius, or it belongs to another field or target.
@@ -148,7 +155,12 @@ class FieldModel:
         )
 
     def with_certificate(self, certificate: Certificate) -> "FieldModel":
-        """Return the same model with one more certificate, which replaces one for the same radius."""
+        """Return the same model with one more certificate, which replaces one for the same radius.
+
+        Args:
+            certificate: of this field and target.
+
+        """
         others = [c for c in self.certificates if abs(c.chaser_radius - certificate.chaser_radius) > _RADIUS_TOLERANCE]
         ordered = sorted([*others, certificate], key=lambda c: c.chaser_radius)
         return dataclasses.replace(self, certificates=tuple(ordered))
@@ -175,7 +187,11 @@ class FieldModel:
         )
 
     def require_target(self, target: Target, *, where: str) -> None:
-        """Refuse a target that is not the one that the field was made for; `where` begins the message.
+        """Refuse a target that is not the one that the field was made for.
+
+        Args:
+            target: that is meant.
+            where: what the message begins with.
 
         Raises:
             FieldError: the triangles are others.
@@ -189,11 +205,19 @@ class FieldModel:
             )
 
     def with_training(self, **entries: Any) -> "FieldModel":
-        """Return the same model with more entries (plain JSON values) in its training record."""
+        """Return the same model with more entries (plain JSON values) in its training record.
+
+        Args:
+            **entries: by name.
+
+        """
         return dataclasses.replace(self, training={**self.training, **entries})
 
     def save(self, path: str | Path) -> None:
         """Write the `.keepout` file, whole or not at all.
+
+        Args:
+            path: of the file.
 
         Raises:
             FieldError: the file cannot be written.
@@ -224,6 +248,10 @@ class FieldModel:
 
         Its certificates are believed: who made the file could write any number that does not contradict the others.
         `check_certificate` proves one again.
+
+        Args:
+            path: of the file.
+            target: the mesh that it should have been made for.
 
         Raises:
             FieldError: missing, damaged, truncated, edited, not a field file, made for another target, or with numbers

@@ -119,7 +119,8 @@ def _decode_npz(content: bytes) -> tuple[str, Columns]:
     return columns.pop(_HEADER).tobytes().decode(), columns
 
 
-def _encode_parquet(envelope: str, columns: Columns) -> bytes:
+def _table(columns: Columns) -> pa.Table:
+    """Lay columns out as a table; a vector is a column a component."""
     names, arrays = [], []
     for name, array in columns.items():
         if array.ndim == 1:
@@ -129,8 +130,12 @@ def _encode_parquet(envelope: str, columns: Columns) -> bytes:
         for component, values in zip(_COMPONENTS[array.shape[1]], array.T, strict=True):
             names.append(f"{name}_{component}")
             arrays.append(pa.array(np.ascontiguousarray(values)))
+    return pa.table(arrays, names=names)
+
+
+def _encode_parquet(envelope: str, columns: Columns) -> bytes:
     shapes = json.dumps({name: list(array.shape[1:]) for name, array in columns.items()})
-    table = pa.table(arrays, names=names).replace_schema_metadata({_HEADER: envelope, "keepout_shapes": shapes})
+    table = _table(columns).replace_schema_metadata({_HEADER: envelope, "keepout_shapes": shapes})
     stream = io.BytesIO()
     pq.write_table(table, stream, compression="zstd", write_page_checksum=True)
     return stream.getvalue()
@@ -250,10 +255,17 @@ class FlightRecord:
         """Number of control steps flown: one less than there are rows."""
         return len(self.time) - 1
 
+    def table(self) -> pa.Table:
+        """Give the columns as an Arrow table, which pandas and polars take; a vector is a column a component."""
+        return _table(self.columns)
+
     def save(self, path: str | Path) -> Path:
         """Write the flight to `path`, which ends in `.parquet` or `.npz`, and return that path.
 
         The file appears under its name only when it is complete.
+
+        Args:
+            path: of the file.
 
         Raises:
             FlightError: another ending, a header that JSON does not hold, or a place that cannot be written.
@@ -264,6 +276,9 @@ class FlightRecord:
     @classmethod
     def load(cls, path: str | Path) -> "FlightRecord":
         """Read a flight file.
+
+        Args:
+            path: ends in `.parquet` or `.npz`.
 
         Raises:
             FlightError: a file that is missing, damaged, truncated, foreign, or of a later format.

@@ -27,19 +27,53 @@ class Faults(eqx.Module):
     """
 
     def initial_state(self, key: PRNGKeyArray) -> PyTree:
-        """Make the memory that a flight starts with; by default none."""
+        """Make the memory that a flight starts with; by default none.
+
+        Args:
+            key: for what is random in the faults.
+
+        """
         return ()
 
     def estimate(self, fault_state: PyTree, true_state: MotionState) -> tuple[PyTree, MotionState]:
-        """Say what the control law is told about the true state; by default the truth."""
+        """Say what the control law is told about the true state; by default the truth.
+
+        Args:
+            fault_state: the memory.
+            true_state: of the motion, body frame, m and m/s.
+
+        Returns:
+            The memory, and the estimate (m, m/s, body frame).
+
+        """
         return fault_state, true_state
 
     def command(self, fault_state: PyTree, force: Vector, time: Scalar) -> tuple[PyTree, Vector]:
-        """Say what force (N, body axes) reaches the thrusters when `force` is commanded now; by default that."""
+        """Say what force (N, body axes) reaches the thrusters when `force` is commanded now; by default that.
+
+        Args:
+            fault_state: the memory.
+            force: commanded, (3,) N, body axes.
+            time: s since the epoch.
+
+        Returns:
+            The memory, and the force, (3,) N.
+
+        """
         return fault_state, force
 
     def actuate(self, fault_state: PyTree, force: Vector, time: Scalar) -> tuple[PyTree, Vector]:
-        """Say what the thrusters give when told to give `force` (already within their limits), N, body axes."""
+        """Say what the thrusters give when told to give `force` (already within their limits), N, body axes.
+
+        Args:
+            fault_state: the memory.
+            force: (3,) N, body axes.
+            time: s since the epoch.
+
+        Returns:
+            The memory, and the force that is given, (3,) N.
+
+        """
         return fault_state, force
 
 

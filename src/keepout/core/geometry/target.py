@@ -18,6 +18,7 @@ from keepout.core.geometry.mesh_files.contents import MeshContents, resolved
 from keepout.core.geometry.mesh_input import read_surface
 from keepout.core.geometry.mesh_report import MeshReport, describe
 from keepout.core.geometry.offset_solid import OffsetSolid
+from keepout.core.plug_ins import load
 from keepout.core.progress import Progress, part_of, silent
 
 LARGEST_CHANGE = 0.2
@@ -106,6 +107,9 @@ class Target:
         """Hex digest of the vertices (float64, little endian), the faces (int64) and, for a cloud, the ball radius."""
         balls = [np.array([self.ball_radius], dtype="<f8")] if self.ball_radius > 0.0 else []
         return digest(np.asarray(self.vertices, dtype="<f8"), np.asarray(self.faces, dtype="<i8"), *balls)
+
+    def _repr_html_(self) -> str:
+        return load("notebook", "target")(self)
 
 
 def _rotation(rotation: Sequence[Sequence[float]] | Float[np.ndarray, "3 3"] | None) -> Float[np.ndarray, "3 3"]:

@@ -20,7 +20,12 @@ class SafetyLayer(eqx.Module):
 
     @abc.abstractmethod
     def initial_state(self, estimate: MotionState) -> PyTree:
-        """Return the memory before the first step, at the estimate of the motion that the layer is told."""
+        """Return the memory before the first step, at the estimate of the motion that the layer is told.
+
+        Args:
+            estimate: at the start: m, m/s, body frame.
+
+        """
 
     @property
     def delay(self) -> int:
@@ -31,6 +36,11 @@ class SafetyLayer(eqx.Module):
         """Return the memory before the first step where commands are under way: forces, N, body axes, the oldest first.
 
         A layer that knows of no delay begins as it always does.
+
+        Args:
+            estimate: at the start: m, m/s, body frame.
+            under_way: (steps, 3) forces, N, body axes.
+
         """
         return self.initial_state(estimate)
 

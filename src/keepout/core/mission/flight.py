@@ -3,9 +3,11 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pyarrow as pa
 from jaxtyping import Float, Int
 
 from keepout.core.audit.audit import Audit, Contact, ExactMesh, audit, audit_campaign
@@ -27,6 +29,26 @@ from keepout.core.progress import Progress, silent
 
 if TYPE_CHECKING:
     from keepout.core.mission.build import Mission
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What is known of a contact in a flight, and whether it was certified before it began.
+
+    Attributes:
+        contact: by the audit on the exact mesh: "proved free", "contact" (proved too) or "undecided".
+        certified: whether the guard's theorem held from the start; None without a guard.
+        why: what both rest on, in words.
+
+    """
+
+    contact: str
+    certified: bool | None
+    why: str
+
+    def __str__(self) -> str:
+        certified = {True: "certified from the start", False: "not certified", None: "flown without a certified guard"}
+        return f"{self.contact}, {certified[self.certified]}: {self.why}"
 
 
 @dataclass(frozen=True)
@@ -70,6 +92,7 @@ class Flight:
             "contact": self.audit.contact is not Contact.NO,
             "contact_verdict": str(self.audit.contact),
             "minimum_clearance_m": self.audit.minimum_clearance,
+            "measured_clearance_m": found if np.isfinite(found := self.audit.measured_clearance) else None,
             "final_error_m": float(self.outcome.final_error),
             "delta_v_mps": float(self.outcome.delta_v),
             "propellant_kg": None if self.outcome.propellant is None else float(self.outcome.propellant),
@@ -87,6 +110,83 @@ class Flight:
             "violated_conditions": list(self.violated_conditions),
             "remarks": list(self.audit.remarks),
         }
+
+    @property
+    def verdict(self) -> Verdict:
+        """Say in one value whether a contact is excluded, and whether it was so before the flight began."""
+        audit = self.audit
+        known = f"at no instant is the clearance below {audit.minimum_clearance:.4g} m"
+        found = f"at {audit.minimum_time:.4g} s it is {audit.measured_clearance:.4g} m"
+        contact, why = {
+            Contact.NO: ("proved free", [known]),
+            Contact.YES: ("contact", [found]),
+            Contact.UNDECIDED: ("undecided", [known, found]),
+        }[audit.contact]
+        if self.start_certified is not None:
+            beyond = self.assumptions_broken or ("the guard's theorem does not cover the start",)
+            why += ["the guard's theorem covers the start"] if self.start_certified else beyond
+        return Verdict(contact, self.start_certified, "; ".join([*why, *audit.remarks]))
+
+    def table(self) -> pa.Table:
+        """Give the record as an Arrow table, which pandas and polars take: a row a control step, SI units, body frame.
+
+        Its columns are those of `FlightRecord`; a vector is a column a component, as `position_x`.
+        """
+        return self.record.table()
+
+    def save(self, path: str | Path) -> Path:
+        """Write the flight file that `keepout replay` and `keepout export` read, and return its path.
+
+        Args:
+            path: ends in `.parquet` or `.npz`.
+
+        Raises:
+            FlightError: another ending, or a place that cannot be written.
+
+        """
+        return self.record.save(path)
+
+    def replay(self, path: str | Path = "replay.html", *, title: str | None = None) -> Path:
+        """Write one page to watch the flight in any browser, offline, and return its path.
+
+        Args:
+            path: the page (.html).
+            title: of the page; the scenario's name if absent.
+
+        Raises:
+            KeepoutError: another ending, or a place that cannot be written.
+
+        """
+        return load("flight", "replay")(self, Path(path), title)
+
+    def export(self, to: str, where: str | Path = ".", **wanted: Any) -> list[Path]:
+        """Write the flight for other programs, with epoch, frames and units stated, and return the paths.
+
+        Args:
+            to: "oem" (of chaser and target), "aem", "czml", "csv", "parquet", "npz" or "glb".
+            where: a folder, or the file to write.
+            **wanted: more of `Export`: `craft` and `xml`.
+
+        Raises:
+            KeepoutError: no such format, or a file that cannot be written.
+
+        """
+        return load("flight", "export")(self, to, Path(where), **wanted)
+
+    def plot(self, path: str | Path | None = None) -> Any:
+        """Draw the path around the target, and clearance, speed, force and distance to the goal over time.
+
+        Args:
+            path: also write it there (.png, .pdf or .svg).
+
+        Returns:
+            A Matplotlib `Figure`.
+
+        """
+        return load("flight", "plot")(self, path)
+
+    def _repr_html_(self) -> str:
+        return load("notebook", "flight")(self)
 
     def guard_flags(self) -> dict[str, int]:
         """Count the steps in which the guard raised each flag; flags never raised are left out."""

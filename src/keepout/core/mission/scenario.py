@@ -152,6 +152,9 @@ class Scenario(Entry, metaclass=_RefusedAsOthers):
     def load(cls, path: str | Path) -> "Scenario":
         """Read a TOML file; paths inside it are relative to it.
 
+        Args:
+            path: of the file.
+
         Raises:
             ScenarioError: the file is missing, not TOML, or has an invalid entry.
 
@@ -172,6 +175,9 @@ class Scenario(Entry, metaclass=_RefusedAsOthers):
 
     def replace(self, **entries: Any) -> "Scenario":
         """Return a copy with whole tables or single entries replaced, as in `replace(seed=1, goal={"position": …})`.
+
+        Args:
+            **entries: by name; of a table those entries that are given, the others stay.
 
         Raises:
             ScenarioError: a new value is invalid.

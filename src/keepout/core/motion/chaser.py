@@ -106,18 +106,42 @@ class ThrusterModel(eqx.Module):
 
     @abc.abstractmethod
     def apply(self, command: Vector) -> Vector:
-        """Give the force (N, body axes) that is held over the period for a commanded one."""
+        """Give the force (N, body axes) that is held over the period for a commanded one.
+
+        Args:
+            command: (3,) N, body axes.
+
+        """
 
     @abc.abstractmethod
     def saturated(self, command: Vector) -> Flag:
-        """Whether a command (N) is more than can be given."""
+        """Whether a command (N) is more than can be given.
+
+        Args:
+            command: (3,) N, body axes.
+
+        """
 
     def initial_state(self, key: PRNGKeyArray) -> PyTree:
-        """Make the memory that a flight starts with; what differs from flight to flight is drawn from the key."""
+        """Make the memory that a flight starts with; what differs from flight to flight is drawn from the key.
+
+        Args:
+            key: of the flight.
+
+        """
         return ()
 
     def fire(self, state: PyTree, command: Vector) -> tuple[PyTree, Firing]:
-        """Say what is done over the coming period for a commanded force (N, body axes): by default `apply`, held."""
+        """Say what is done over the coming period for a commanded force (N, body axes): by default `apply`, held.
+
+        Args:
+            state: the memory.
+            command: (3,) N, body axes.
+
+        Returns:
+            The memory, and what is fired.
+
+        """
         return state, Firing(self.apply(command))
 
 

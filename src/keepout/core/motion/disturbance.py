@@ -31,7 +31,15 @@ class Disturbance(eqx.Module):
 
     @abc.abstractmethod
     def force(self, time: Scalar) -> Vector:
-        """Force at `time` (s), N, in body axes; at a jump, and within rounding of one, the force after it."""
+        """Force at `time` (s), N, in body axes; at a jump, and within rounding of one, the force after it.
+
+        Args:
+            time: s since the epoch.
+
+        Returns:
+            (3,) N.
+
+        """
 
     def switches(self, start: Scalar, duration: float | Scalar) -> Float[Array, "switches"]:
         """Give the times after `start` (s) at which the force jumps.
@@ -47,7 +55,12 @@ class Disturbance(eqx.Module):
         return jnp.zeros(0)
 
     def between_switches(self, middle: Scalar) -> "Disturbance":
-        """Give the force without jumps that this one is between the two neighbouring jumps of the time `middle` (s)."""
+        """Give the force without jumps that this one is between the two neighbouring jumps of the time `middle` (s).
+
+        Args:
+            middle: s since the epoch.
+
+        """
         return self
 
     @property

@@ -42,7 +42,13 @@ class MotionState(eqx.Module):
     disturbance: Vector | None = None
 
     def moved(self, position: Vector, velocity: Vector) -> "MotionState":
-        """Give the state with its position (m) and its velocity (m/s) changed by these."""
+        """Give the state with its position (m) and its velocity (m/s) changed by these.
+
+        Args:
+            position: (3,) m, body frame, to be added.
+            velocity: (3,) m/s, body frame, to be added.
+
+        """
         changed = self.position + position, self.velocity + velocity
         return eqx.tree_at(lambda s: (s.position, s.velocity), self, changed)
 

@@ -54,7 +54,7 @@ def certify(
     model: FieldModel,
     target: Target,
     *,
-    chaser_radius: float = 0.0,
+    chaser_radius: float | None = None,
     prove_slope: bool = False,
     seed: int = 0,
     progress: Progress = silent,
@@ -64,7 +64,7 @@ def certify(
     Args:
         model: its field must be a `NeuralField`.
         target: the mesh it was made for.
-        chaser_radius: R, metres.
+        chaser_radius: R, metres; that of the fit if absent, or 0.5.
         prove_slope: prove a bound of ‖∇f̃‖ too, which can take minutes; else it is the largest found plus 20 %, and
             says so.
         seed: of the search for the largest value; the bound is sound whatever it finds.
@@ -77,6 +77,7 @@ def certify(
     """
     keep_programs()
     start = time.perf_counter()
+    chaser_radius = float(model.training.get("chaser_radius", 0.5)) if chaser_radius is None else chaser_radius
     field, distance = _in_reach(model, target, chaser_radius)
     found = largest_found(field, distance, chaser_radius, np.random.default_rng(seed))
     progress(0.1, f"largest value found {found - chaser_radius:+.4f} m")

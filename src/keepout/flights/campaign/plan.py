@@ -358,6 +358,7 @@ class Plan:
         scenario: Scenario,
         *,
         target: Target | None = None,
+        model: FieldModel | None = None,
         batch: int | None = None,
         progress: Progress = silent,
     ) -> "Plan":
@@ -366,6 +367,7 @@ class Plan:
         Args:
             scenario: what to fly, with its `campaign` table.
             target: already loaded; else the scenario's.
+            model: the scenario's field, already loaded; else the scenario's.
             batch: flights flown at once; by default 128, or all where there are fewer.
             progress: called while it is built.
 
@@ -380,7 +382,8 @@ class Plan:
         batch = batch or min(runs, BATCH)
         workshop = Workshop()
         target = load_target(scenario.target) if target is None else target
-        model = load_model(scenario, target)
+        model = load_model(scenario, target) if model is None else model
+        model.require_target(target, where="field")
         workshop.keep(target, model, scenario)
         progress(0.1, "preparing")
         probed = draw(_of_a_run(scenario), varied, workshop.mission, 0, min(runs, _PROBED))

@@ -25,7 +25,7 @@ _KINDS = {
     "reached": pa.bool_(),
     **dict.fromkeys(
         (
-            *("minimum_clearance", "minimum_clearance_found", "minimum_clearance_time", "minimum_barrier"),
+            *("minimum_clearance", "measured_clearance", "minimum_clearance_time", "minimum_barrier"),
             *("final_error", "time_to_reach", "delta_v", "propellant", "saturated_fraction"),
             *("largest_speed", "largest_force"),
         ),
@@ -40,6 +40,8 @@ _KINDS = {
     **dict.fromkeys(_STEPS, pa.int32()),
 }
 """Names and types of the columns that a flown run has values for."""
+_RENAMED = {"minimum_clearance_found": "measured_clearance"}
+"""What columns of earlier files are called now."""
 SUMMARISED = (
     *("run", "status", "reason", "start_drawn_again", "reached", "contact", "minimum_clearance", "minimum_barrier"),
     *("delta_v", "time_to_reach", "final_error", "saturated_fraction", "guard_interventions", "guard_flags"),
@@ -88,7 +90,7 @@ def _figures(run: Run, outcome: FlightOutcome, audit: Audit, certified: bool | N
         "contact": str(audit.contact),
         "reached": bool(outcome.reached),
         "minimum_clearance": audit.minimum_clearance,
-        "minimum_clearance_found": audit.minimum_clearance_found,
+        "measured_clearance": audit.measured_clearance,
         "minimum_clearance_time": audit.minimum_time,
         "minimum_barrier": float(outcome.minimum_barrier),
         "final_error": float(outcome.final_error),
@@ -128,7 +130,9 @@ def of_bytes(content: bytes, columns: list[str] | None = None) -> pa.Table:
 
     """
     try:
-        return pq.read_table(pa.BufferReader(content), columns=columns, page_checksum_verification=True)
+        found = pq.read_table(pa.BufferReader(content), columns=columns, page_checksum_verification=True)
+        named = found.rename_columns([_RENAMED.get(name, name) for name in found.column_names])
+        return named.replace_schema_metadata(found.schema.metadata)
     except Exception as error:  # damaged bytes surface as almost anything a reading library can raise
         raise FlightError(f"damaged, truncated or foreign ({' '.join(str(error).split())[:120]})") from error
 

@@ -203,7 +203,7 @@ def _verdict(verdict: Passage, motion: "Encounter") -> dict[str, Any]:
         "contact": verdict.contact is not Contact.NO,
         "contact_verdict": str(verdict.contact),
         "minimum_clearance_m": verdict.minimum_clearance,
-        "minimum_clearance_bound_m": verdict.minimum_clearance_bound,
+        "measured_clearance_m": verdict.measured_clearance,
         "minimum_time_s": verdict.minimum_time,
         "minimum_epoch": format_instant(first + round(verdict.minimum_time * 1e9)),
         "minimum_position_m": list(verdict.minimum_position),

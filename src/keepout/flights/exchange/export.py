@@ -1,7 +1,7 @@
 """Which formats there are for a flight and for a field, and what each of them writes."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -10,9 +10,12 @@ from keepout.core.fields.model import Certificate, FieldModel
 from keepout.core.flight.record import FlightRecord
 from keepout.core.geometry.target import Target
 from keepout.core.mission.build import load_model, load_target
+from keepout.core.mission.flight import Flight
 from keepout.core.mission.scenario import Scenario
 from keepout.core.progress import Progress, silent
+from keepout.core.whole_file import require_place
 from keepout.flights.exchange.flight_files import Craft, export_attitude, export_orbit, export_table, inertial_flight
+from keepout.flights.pages.folder import make_folder
 
 FlightFormat = Literal["oem", "aem", "czml", "csv", "parquet", "npz", "glb"]
 FieldFormat = Literal["onnx", "glb"]
@@ -77,7 +80,47 @@ def export_flight(source: Path, wanted: Export, out: Path, *, progress: Progress
     text = record.header.get("scenario")
     if not text:
         raise ExchangeError(f"{source}: its header has no scenario, so no orbit; a flight of `keepout fly` has one")
-    scenario = Scenario.parse(json.loads(text), where=str(source))
+    return _export(record, Scenario.parse(json.loads(text), where=str(source)), wanted, out, source, progress)
+
+
+def export_to(flight: Flight, to: str, where: Path, **wanted: Any) -> list[Path]:
+    """Write a flight that is in memory: into a folder, or one file.
+
+    Args:
+        flight: to write.
+        to: a `FlightFormat`.
+        where: a folder, or a file by its ending.
+        **wanted: more of `Export`.
+
+    Raises:
+        KeepoutError: what cannot be written; the message names it.
+
+    """
+    chosen, name = Export(to, **wanted), flight.scenario.name
+    chosen.check(Path(f"{name}.parquet"))
+    if where.suffix:
+        written = {where: chosen}
+    else:
+        make_folder(where)
+        crafts = [chosen.craft] if chosen.craft else get_args(Craft)
+        written = {where / ("target.aem" if to == "aem" else f"{name}.{to}"): chosen}
+        if to == "oem":
+            written = {where / f"{craft}.oem": replace(chosen, craft=craft) for craft in crafts}
+    for file, what in written.items():
+        require_place(file, refusal=ExchangeError)
+        _export(flight.record, flight.scenario, what, file, Path(name), silent, flight)
+    return list(written)
+
+
+def _export(
+    record: FlightRecord,
+    scenario: Scenario,
+    wanted: Export,
+    out: Path,
+    source: Path,
+    progress: Progress,
+    flight: Flight | None = None,
+) -> dict[str, Any]:
     xml = wanted.xml or out.suffix.lower() == ".xml"
     match wanted.to:
         case "oem":
@@ -90,6 +133,8 @@ def export_flight(source: Path, wanted: Export, out: Path, *, progress: Progress
 
             return export_czml(inertial_flight(record, scenario), scenario, out)
         case "glb":
+            if flight is not None and flight.mission is not None:
+                return _scene_of(record, scenario, out, flight.target, flight.mission.model, progress)
             return _flight_scene(source, record, scenario, out, wanted.mesh, progress)
         case _:
             return export_table(record, scenario, out, to=wanted.to)
@@ -131,8 +176,6 @@ def export_field(
 def _flight_scene(
     source: Path, record: FlightRecord, scenario: Scenario, out: Path, mesh: str | None, progress: Progress
 ) -> dict[str, Any]:
-    from keepout.flights.exchange.scene import export_scene
-
     entry = scenario.target if mesh is None else scenario.target.model_copy(update={"source": mesh})
     target = load_target(entry)
     flown = record.header.get("target_sha256")
@@ -141,7 +184,14 @@ def _flight_scene(
             f"{source}: was flown around another mesh ({flown[:12]}) than {entry.source} ({target.sha256[:12]}); name "
             "the one it was flown around with --mesh"
         )
-    model = load_model(scenario, target)
+    return _scene_of(record, scenario, out, target, load_model(scenario, target), progress)
+
+
+def _scene_of(
+    record: FlightRecord, scenario: Scenario, out: Path, target: Target, model: FieldModel, progress: Progress
+) -> dict[str, Any]:
+    from keepout.flights.exchange.scene import export_scene
+
     return export_scene(
         target,
         out,

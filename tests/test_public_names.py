@@ -1,0 +1,142 @@
+"""Python as one guesses it: programs of a few lines, one way to read a mission, docstrings that name what is asked."""
+
+import dataclasses
+import inspect
+
+import numpy as np
+import pytest
+
+import keepout
+from keepout.core.errors import KeepoutError, ScenarioError
+from keepout.core.guard.field import guard_field
+
+MISSION = """
+name = "small"
+duration = 20.0
+[target]
+source = "box"
+[field]
+source = "grid"
+[guard]
+enabled = false
+"""
+
+
+class Coasting(keepout.Law):
+    """A law that never fires."""
+
+    goal = np.array([0.0, -10.0, -4.0])
+
+    def initial_state(self, start):
+        """Remember nothing."""
+        return ()
+
+    def step(self, memory, estimate):
+        """Command no force."""
+        return memory, keepout.Command.of_force(np.zeros(3))
+
+
+@pytest.fixture(scope="module")
+def mission(tmp_path_factory):
+    path = tmp_path_factory.mktemp("mission") / "mission.toml"
+    path.write_text(MISSION, encoding="utf-8")
+    return path
+
+
+@pytest.mark.long
+def test_a_mesh_a_field_and_a_verdict_and_what_a_flight_can_do(mission, tmp_path):
+    target = keepout.Target.load("box")
+    flight = keepout.fly(mission, target=target, model=guard_field(target, 0.5))
+    verdict, summary, table = flight.verdict, flight.summary(), flight.table()
+    assert (verdict.contact, verdict.certified) == ("proved free", None)
+    assert f"{summary['minimum_clearance_m']:.4g} m" in verdict.why
+    assert summary["minimum_clearance_m"] <= flight.clearance.min() <= summary["measured_clearance_m"] + 1e-3
+    assert table.num_rows == flight.record.steps + 1
+    np.testing.assert_array_equal(table["position_y"].to_numpy(), flight.record.position[:, 1])
+    kept = keepout.FlightRecord.load(flight.save(tmp_path / "flight.parquet"))
+    assert kept.columns.keys() == flight.record.columns.keys()
+    assert flight.plot(tmp_path / "flight.png").axes
+    bare = dataclasses.replace(flight, mission=None)  # without the surfaces of field and guard, which take long to cut
+    assert bare.replay(tmp_path / "mission.html").stat().st_size > 100_000
+    shown = bare._repr_html_()
+    assert "proved free" in shown
+    assert "<img" in shown
+    assert "srcdoc=" in shown
+
+    handed = flight.export("oem", tmp_path / "handed")
+    assert sorted(path.name for path in handed) == ["chaser.oem", "target.oem"]
+    told = keepout.audit(*handed, target=target, chaser_radius=0.5, acceleration_bound=0.01)
+    assert told["contact_verdict"] == "no"
+    assert told["minimum_clearance_m"] <= told["measured_clearance_m"]
+    assert told["measured_clearance_m"] == pytest.approx(summary["measured_clearance_m"], abs=2e-3)
+
+
+@pytest.mark.long
+def test_a_law_of_ones_own_and_a_campaign(mission, tmp_path):
+    flight = keepout.prepare(keepout.Scenario.load(mission)).with_law(Coasting()).fly()
+    assert not flight.record.force.any()
+
+    vary = {"chaser.mass": ("uniform", 18, 22)}
+    flown = keepout.campaign(mission, runs=4, vary=vary, batch=2, keep="none")
+    table = flown.table()
+    assert np.all((table["chaser.mass"].to_numpy() >= 18.0) & (table["chaser.mass"].to_numpy() <= 22.0))
+    assert flown.worst(2)["minimum_clearance"].to_pylist() == sorted(table["minimum_clearance"].to_pylist())[:2]
+    again = flown.replay(3)
+    assert again.scenario.chaser.mass == table["chaser.mass"][3].as_py()
+    assert again.audit.minimum_clearance == table["minimum_clearance"][3].as_py()
+    assert "box" in again.target._repr_html_()
+    assert "campaign" in flown._repr_html_().lower()
+
+    kept = keepout.campaign(mission, runs=4, vary=vary, batch=2, keep="none", out=tmp_path / "kept")
+    assert kept.table().equals(table)
+    assert flown.compare(kept)["paired"] == 4
+    assert keepout.Campaign.open(tmp_path / "kept").summary()["runs"] == 4
+    with pytest.raises(ScenarioError, match=r"vary: chaser\.mass: 20"):
+        keepout.campaign(mission, vary={"chaser.mass": 20.0})
+
+
+@pytest.mark.parametrize(
+    "verb", ["fly", "prepare", "check", "campaign", "explore", "inspect", "rare", "fit", "describe", "measure"]
+)
+def test_every_verb_reads_a_mission_in_the_same_way(verb, tmp_path):
+    wrong = tmp_path / "wrong.toml"
+    wrong.write_text("[chaser]\nmass = -1.0\n", encoding="utf-8")
+    told = []
+    for given in (wrong, str(wrong), {"chaser": {"mass": -1.0}}):
+        with pytest.raises(KeepoutError) as refusal:
+            getattr(keepout, verb)(given)
+        told.append(str(refusal.value).partition("chaser.")[2])
+    assert set(told) == {"mass: -1.0 must be greater than 0"}
+
+
+def test_old_names_warn_and_are_what_they_were():
+    for name in keepout._OLD:
+        with pytest.warns(DeprecationWarning, match=f"keepout.{name} goes"):
+            assert callable(getattr(keepout, name))
+        assert name not in keepout.__all__
+    assert keepout._OLD["with_field"][0].endswith("Mission.with_field")
+
+
+def public_functions():
+    """Give every public function, and every public method of a public class, of the package's own, by its name."""
+    for name in keepout.__all__:
+        thing = getattr(keepout, name)
+        if inspect.isfunction(thing):
+            yield f"keepout.{name}", thing
+        elif inspect.isclass(thing):
+            for key, of in vars(thing).items():
+                of = of.__func__ if isinstance(of, classmethod | staticmethod) else of
+                if inspect.isfunction(of) and not key.startswith("_"):
+                    yield f"keepout.{name}.{key}", of
+
+
+def test_a_public_name_says_what_each_argument_is():
+    silent = []
+    for name, function in public_functions():
+        code = inspect.unwrap(function)
+        asked = [key for key in inspect.signature(code).parameters if key not in ("self", "cls")]
+        section = inspect.cleandoc(code.__doc__ or "").partition("Args:\n")[2].partition("\n\n")[0]
+        told = {line.strip().partition(":")[0].lstrip("*") for line in section.splitlines()}
+        if missing := [key for key in asked if key not in told]:
+            silent.append(f"{name}: {', '.join(missing)}")
+    assert not silent, "\n".join(silent)
