@@ -6,11 +6,11 @@ import math
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from truths.box_problems import room
 
 from keepout.apps.inspection import problem as equipment
 from keepout.apps.inspection.light import Light
 from keepout.apps.inspection.seeing.patches import Patches
-from keepout.apps.inspection.seeing.room import Room
 from keepout.apps.inspection.seeing.seeable import Hidden, Seeable, Verdict
 from keepout.core.control.guidance import Straight
 from keepout.core.errors import InspectionError
@@ -22,8 +22,6 @@ from keepout.core.mission.surroundings import Surroundings
 
 TARGET = Target.load("box")
 """4 x 3 x 2 m, about the origin."""
-ROOM = Room(TARGET.distance, 1.5)
-"""A start far away is allowed whatever the stand-off."""
 
 
 def scenario(**tables):
@@ -85,7 +83,8 @@ def test_what_can_never_be_flown_is_refused_in_one_line_with_numbers(tables, sai
     ],
 )
 def test_what_can_be_flown_is_not_refused(tables):
-    equipment.require_inspectable(scenario(**tables), TARGET, room=ROOM)
+    # A start far away is allowed whatever the stand-off.
+    equipment.require_inspectable(scenario(**tables), TARGET, room=room(1.5))
 
 
 def test_a_start_in_a_hollow_is_no_start_however_wide():

@@ -35,15 +35,13 @@ SCENARIO = {
 }
 
 
-PATCHES, _ = patches_and_sight()
-
-
 def scenario(**changes):
     return Scenario.parse(SCENARIO).replace(**changes)
 
 
-def tour(patches, **windows):
+def tour(**windows):
     """A view of the middle of each side from straight above it, with all the units of that side."""
+    patches, _ = patches_and_sight()
     views, covered = [], np.zeros(patches.units, dtype=bool)
     normals = patches.unit_normals()
     for name, outwards in zip(("x", "y", "z", "-x", "-y", "-z"), np.vstack([np.eye(3), -np.eye(3)])):
@@ -56,7 +54,7 @@ def tour(patches, **windows):
 @pytest.fixture(scope="module")
 def flown():
     mission = scenario()
-    return inspect(mission, problem=problem_of(mission), first=tour(PATCHES))
+    return inspect(mission, problem=problem_of(mission), first=tour())
 
 
 def test_all_of_a_box_is_seen_without_touching_it(flown):
@@ -95,13 +93,14 @@ def test_frames_are_taken_each_period_from_the_records_true_places_and_show_what
 
 def test_the_end_of_time_ends_the_same_flight_and_what_is_undecided_counts_in_the_figure(flown):
     """The end x = 2 m is undecided, though it can be seen: it is flown to, bit for bit, as if that were known."""
-    end = PATCHES.counted & (PATCHES.unit_normals()[:, 0] > 0.5)
+    patches, _ = patches_and_sight()
+    end = patches.counted & (patches.unit_normals()[:, 0] > 0.5)
     mission = scenario(duration=100.0)
-    less = inspect(mission, problem=problem_of(mission, undecided=end), first=tour(PATCHES))
+    less = inspect(mission, problem=problem_of(mission, undecided=end), first=tour())
     assert less.outcome == "out of time"
     assert less.record.time[-1] == 100.0
     assert np.array_equal(less.record.position, flown.record.position[: len(less.record.time)])
-    areas = PATCHES.unit_areas()
+    areas = patches.unit_areas()
     assert 0.0 < areas[less.seen & end].sum() < areas.sum()
     assert less.summary()["coverage_possible"] == pytest.approx(areas[less.seen].sum() / areas.sum())
     assert less.coverage_seeable == pytest.approx(areas[less.seen & ~end].sum() / areas[~end].sum())
@@ -115,7 +114,7 @@ def test_in_the_earths_shadow_nothing_counts_and_what_it_cost_is_seen_in_later_l
         duration=4000.0,
         inspect={"coverage": 0.5},
     )
-    found = inspect(mission, problem=problem_of(mission), first=tour(PATCHES))
+    found = inspect(mission, problem=problem_of(mission), first=tour())
     dark = [frame for frame in found.frames if frame.sun is None]
     assert len(dark) > 50
     assert all(len(frame.units) == 0 for frame in dark)
@@ -133,7 +132,7 @@ def test_in_the_earths_shadow_nothing_counts_and_what_it_cost_is_seen_in_later_l
 def test_a_hold_point_is_held_before_any_view_and_a_view_whose_window_is_then_over_is_planned_anew():
     hold = {"position": [4.0, 3.0, 0.0], "seconds": 60.0}
     mission = scenario(inspect={"hold_points": [hold], "coverage": 0.7})
-    found = inspect(mission, problem=problem_of(mission), first=tour(PATCHES, **{"-x": (0.0, 10.0)}))
+    found = inspect(mission, problem=problem_of(mission), first=tour(**{"-x": (0.0, 10.0)}))
     near = np.linalg.norm(found.record.position - hold["position"], axis=1) < 0.15
     edges = np.flatnonzero(np.diff(near.astype(int)))
     assert edges[1] - edges[0] >= 60
@@ -149,8 +148,8 @@ def test_by_sensors_the_estimate_strikes_off_on_board_and_the_truth_is_what_coun
         disturbance={"kind": "paper"},
         inspect={"stand_off": 1.8, "coverage": 0.5},
     )
-    patches, problem = PATCHES, problem_of(mission)
-    found = inspect(mission, problem=problem, first=tour(patches))
+    patches, problem = patches_and_sight()[0], problem_of(mission)
+    found = inspect(mission, problem=problem, first=tour())
     assert found.outcome == "50 % asked, seen", found.why
     assert found.audit.contact is Contact.NO
     assert found.assumptions_broken == ()
@@ -196,7 +195,7 @@ def test_towards_the_target_it_flies_as_slowly_as_passive_safety_asks():
         duration=450.0,
         inspect={"hold_points": [{"position": [3.6, 0.0, 0.0], "seconds": 5.0}], "passive_safety": 60.0},
     )
-    careful = inspect(mission, problem=problem_of(mission), first=tour(PATCHES))
+    careful = inspect(mission, problem=problem_of(mission), first=tour())
     # Until the hold point is reached: how far the box is ahead at each sample, and how fast it comes.
     away = careful.record.position[:, 0] - HALF[0] - RADIUS
     until = int(np.argmax(away < 1.3))
