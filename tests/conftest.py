@@ -86,6 +86,14 @@ def _forgetful(_left=[0.0]):  # noqa: B006
         _left[0] = held_memory()
 
 
+@pytest.fixture(scope="session")
+def box():
+    """The built-in box of 4 x 3 x 2 m."""
+    from keepout.core.geometry.target import Target
+
+    return Target.load("box")
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """Compare arrays with their annotations in short tests, and in all where time is no matter: it costs a tenth."""

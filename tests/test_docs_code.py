@@ -3,10 +3,8 @@
 Those that take long run in `make test-all`; tests/test_docs.py says of all of them that they name what there is.
 """
 
-import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 from test_commands import INSPECT
 from test_docs import PAGES, blocks, named
@@ -106,41 +104,3 @@ def test_the_python_of_a_page_runs(page: Path, tmp_path: Path, monkeypatch: pyte
         assert code.count(written) == 1, written
         code = code.replace(written, quicker)
     exec(compile(code, str(page), "exec"), names)
-    check = globals().get("check_" + re.sub(r"\W", "_", page.stem))
-    if check is not None:
-        check(names)
-
-
-def check_tutorial(names: dict) -> None:
-    summary = names["flight"].summary()
-    assert summary["contact"] is False
-    assert summary["start_certified"] is True
-
-
-def check_law(names: dict) -> None:
-    summary = names["flight"].summary()
-    assert summary["contact"] is False
-    assert summary["guard_interventions"] > 0
-
-
-def check_reading_a_certificate(names: dict) -> None:
-    certificate = names["certificate"]
-    assert certificate.kind == "certified"
-    assert certificate.sampled_maximum <= certificate.error_bound
-
-
-def check_control(names: dict) -> None:
-    """The law flies into the bus: the guard must hold it off, and a layer that is none must not look like one."""
-    guarded, gated = names["guarded"], names["gated"]
-    mesh, radius = guarded.target.distance, guarded.scenario.chaser.radius
-    assert guarded.start_certified is True
-    assert guarded.summary()["contact"] is False
-    assert guarded.outcome.guard_interventions > 0
-    assert 0.0 < guarded.audit.minimum_clearance <= (mesh.distance(guarded.record.position) - radius).min()
-    assert (gated.start_certified, gated.guard) == (None, None)
-    assert gated.summary()["contact"] is True
-    record = gated.record
-    fast = np.linalg.norm(record.velocity, axis=1) > 0.03
-    brake = np.clip(-20.0 * record.velocity, -0.1, 0.1)
-    np.testing.assert_allclose(record.guarded_force, np.where(fast[:, None], brake, record.commanded_force), atol=1e-12)
-    assert 0 < gated.outcome.guard_interventions == fast[:-1].sum()

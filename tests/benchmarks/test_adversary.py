@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import adversary
 import numpy as np
 import pytest
-from adversary_truth import GRAVITY, SUBSTEPS, AxisThrusters, Surface, Truth
+from adversary_truth import GRAVITY, SUBSTEPS, Surface, Truth
 from scipy.linalg import expm
 
 from keepout.core.mission.scenario import Scenario
@@ -41,43 +41,6 @@ def test_chasers_near_a_circular_orbit_follow_clohessy_and_wiltshire():
     for row in range(ROWS, 0, -2):
         back = truth.flown(back, row, push, back=True)
     assert np.hstack(truth.seen(back, 0)) == pytest.approx(start, abs=1e-6)
-
-
-def test_a_free_body_turns_as_eulers_top_does():
-    moments, rate = np.array([2.0, 2.0, 3.0]), np.array([0.01, 0.0, 0.03])
-    attitude = {"kind": "tumbling", "angular_velocity": tuple(rate), "inertia": tuple(map(tuple, np.diag(moments)))}
-    truth = Truth(Scenario().replace(attitude=attitude), PERIODS)
-    angle = (moments[2] / moments[0] - 1.0) * rate[2] * PERIODS
-    assert truth.rate[ROWS] == pytest.approx([0.01 * np.cos(angle), 0.01 * np.sin(angle), 0.03], abs=1e-12)
-    momentum = np.einsum("nij,ni->nj", truth.axes, truth.rate * moments)
-    assert momentum == pytest.approx(np.broadcast_to(momentum[0], momentum.shape), abs=1e-12)
-    assert truth.axes[ROWS] @ truth.axes[ROWS].T == pytest.approx(np.eye(3), abs=1e-12)
-    # The symmetry axis goes round the momentum at J ω / J₁.
-    turned, around = np.linalg.norm(momentum[0]) / moments[0] * PERIODS, momentum[0] / np.linalg.norm(momentum[0])
-    axis = truth.axes[0, 2]
-    along = (axis @ around) * around
-    went = along + np.cos(turned) * (axis - along) + np.sin(turned) * np.cross(around, axis)
-    assert truth.axes[ROWS, 2] == pytest.approx(went, abs=1e-10)
-    # A velocity seen is the derivative of positions seen.
-    place = truth.placed(np.array([[3.0, -4.0, 5.0]]), np.array([[0.1, 0.0, -0.2]]), 8)
-    after, before = truth.flown(place, 8, np.zeros(3)), truth.flown(place, 8, np.zeros(3), back=True)
-    slope = (truth.seen(after, 10)[0] - truth.seen(before, 6)[0]) / (2.0 * truth.step)
-    assert slope == pytest.approx(truth.seen(place, 8)[1], abs=2e-5)
-
-
-def test_thrusters_give_what_is_wanted_but_for_the_least_pulse_and_the_one_that_sticks():
-    generator = np.random.default_rng(1)
-    wanted = generator.uniform(-0.1, 0.1, (400, 3))
-    whole = AxisThrusters(400, 0.1, np.ones((400, 12)), 1.0, 0.02)
-    quantum = 2 * 0.1 * 0.01 + 1e-12
-    assert np.abs(whole.give(wanted).mean(axis=0) - wanted).max() <= quantum
-    first_half, last_half = whole.give(wanted).reshape(2, -1, 400, 3).mean(axis=1)
-    assert first_half == pytest.approx(last_half, abs=1e-12)
-    whole.stuck, whole.on = generator.integers(0, 12, 400), generator.random(400) < 0.5
-    wrong = np.linalg.norm(whole.give(wanted).mean(axis=0) - wanted, axis=1)
-    assert 0.09 < wrong.max() <= 0.1 + 2.0 * quantum
-    whole.known = np.ones(400, bool)
-    assert np.abs(whole.give(wanted).mean(axis=0) - wanted).max() <= quantum
 
 
 class PassesOn:

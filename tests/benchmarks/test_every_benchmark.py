@@ -82,13 +82,3 @@ def test_a_row_of_reach_sums_up_all_parts():
 def test_the_floor_of_delta_v_is_that_of_a_steady_push_and_two_changes_of_speed():
     push = np.tile([0.0, 0.03, 0.04], (2, 101, 1))
     assert reach.floor(Scenario(), push) == pytest.approx(2 * [0.05 * 101 / 20.0 + 0.2])
-
-
-def test_the_plan_of_the_docs_is_that_of_the_kept_figures(capsys):
-    pytest.importorskip("distributed", reason="needs keepout-gnc[cluster]")
-    import cluster
-
-    measured = json.loads((ROOT / "benchmarks" / "results" / "cluster.json").read_text())["measured"]
-    cluster.show(measured, cluster.plan_of(measured, 1e9, 32))
-    page = (ROOT / "docs" / "clusters.md").read_text()
-    assert f"```text\n{capsys.readouterr().out}```" in page

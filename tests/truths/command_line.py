@@ -54,6 +54,7 @@ for line in sys.stdin:
         os.environ.update(environment)
         for number, name in enumerate([os.devnull, *streams]):
             os.dup2(os.open(name, os.O_RDWR), number)
+        jax.config.update("jax_compilation_cache_dir", environment.get("JAX_COMPILATION_CACHE_DIR"))  # read by now
         sys.argv = ["keepout", *arguments]
         exec(program)
         sys.exit()

@@ -26,16 +26,6 @@ def eci_from_vvlh(
     return target_position + offset, target_velocity + axes.T @ velocity + jnp.cross(rate, offset)
 
 
-def vvlh_from_eci(
-    position: Vector, velocity: Vector, target_position: Vector, target_velocity: Vector
-) -> PositionVelocity:
-    """VVLH position and velocity of a chaser given by its absolute ECI position and velocity."""
-    axes = vvlh_axes(target_position, target_velocity)
-    rate = orbital_rate(target_position, target_velocity)
-    offset = position - target_position
-    return axes @ offset, axes @ (velocity - target_velocity - jnp.cross(rate, offset))
-
-
 def body_from_vvlh(
     position: Vector, velocity: Vector, attitude: Quaternion, angular_velocity: Vector, vvlh_rate: Vector
 ) -> PositionVelocity:

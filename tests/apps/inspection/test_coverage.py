@@ -1,18 +1,16 @@
 """A replay that shows what an inspection saw: what it holds against the inspection, and what a browser shows of it."""
 
-import dataclasses
 import re
 
 import numpy as np
 import pytest
 from truths.browser import shown, slide
-from truths.made_up_inspection import DARK, PERIOD, RULES, SUN, box_patches, made_up
+from truths.made_up_inspection import DARK, PERIOD, RULES, SUN, made_up
 from truths.replay_page import ReplayPage
 
 from keepout.apps.inspection import coverage
-from keepout.apps.inspection.coverage import Coverage, PatchMesh, _units
+from keepout.apps.inspection.coverage import Coverage
 from keepout.apps.inspection.inspection import Fate, fates, first_frames
-from keepout.flights.pages.drawn import fewer
 from keepout.flights.pages.replay_page import write_replay
 from keepout.flights.pages.replayed import Replayed
 from keepout.flights.pages.scene import scene
@@ -86,28 +84,6 @@ def test_a_surface_of_very_many_triangles_is_drawn_with_fewer_and_the_page_says_
     assert (outer != Fate.NOT_COUNTED).mean() > 0.99
 
 
-def test_a_thin_plate_that_is_drawn_as_one_sheet_has_both_its_outer_sides():
-    """Its inner sides are not counted; a drawing that is too coarse for its thickness shows each outer one."""
-    across = 12
-    plate = box_patches(across, np.array([2.0, 1.5, 0.001]))
-    broad = np.abs(plate.normals[:, 2]) > 0.5
-    kept = {name: getattr(plate, name)[broad] for name in ("corners", "counts", "normals", "areas", "centres", "faces")}
-    kept["corners"] = kept["corners"] + [0.0, 0.0, 0.013]  # within one of the cells that are drawn as one point
-    plate = dataclasses.replace(plate, **kept, counted=np.arange(2 * broad.sum()) % 2 == 0)
-    mesh = PatchMesh.of(plate)
-    vertices, faces, became = fewer(mesh.vertices, mesh.faces, 300, side=0.02)
-    assert len(faces) == 2 * across**2  # of twice as many
-    units = _units(mesh, plate, vertices, faces, became)
-    assert plate.counted[units].all()
-    a, b, c = np.moveaxis(vertices[faces], 1, 0)
-    up = np.cross(b - a, c - a)[:, 2] > 0.0
-    for side in (0, 1):
-        np.testing.assert_array_equal(plate.normals[units[:, side] // 2, 2] > 0.0, up == (side == 0))
-        np.testing.assert_allclose(
-            plate.centres[units[:, side] // 2, :2], vertices[faces].mean(axis=1)[:, :2], atol=0.1
-        )
-
-
 @pytest.fixture(scope="module")
 def opened(inspection, tmp_path_factory):
     path = tmp_path_factory.mktemp("coverage") / "replay.html"
@@ -137,37 +113,3 @@ def test_frame_camera_and_sun_move_with_time(opened, inspection):
     assert f"frame {VIEWS} of {VIEWS}, {100 * inspection.coverage:.1f} % of the surface seen" in words
     shown_at(opened, 110.0)
     assert "in the Earth's shadow" in opened.locator(".status").inner_text()
-
-
-def test_the_cone_opens_from_the_camera_along_its_boresight_as_wide_as_the_camera_sees(opened):
-    told = shown_at(opened, 50.0)
-    code = """() => { const { cone } = keepoutReplay.flight.covered; cone.updateMatrix();
-      const places = cone.children[0].geometry.attributes.position; const out = [];
-      for (let k = 0; k < places.count; k++) {
-        out.push(cone.position.clone().fromBufferAttribute(places, k).applyMatrix4(cone.matrix).toArray()); }
-      return out; }"""
-    away = np.array(opened.evaluate(code)) - told["camera"]
-    along = away @ told["boresight"]
-    far = np.linalg.norm(away, axis=1)
-    rim = (far > 1e-6) & (far > 1.01 * along)
-    np.testing.assert_allclose(along[rim], RULES.greatest_range, rtol=1e-4)
-    np.testing.assert_allclose(np.arccos(along[rim] / far[rim]), RULES.half_angle, rtol=1e-4)
-    assert rim.sum() > 64
-
-
-def test_coverage_camera_and_words_are_taken_away(opened):
-    for key, name, visible in (("c", "cone", "covered.cone.visible"), ("p", "coverage", "covered.mesh.visible")):
-        box = opened.locator(f"input[name={name}]")
-        if not box.is_checked():
-            box.evaluate("(of) => of.click()")
-        shown_at(opened, 50.0)
-        assert opened.evaluate(f"keepoutReplay.flight.{visible}") is True
-        opened.keyboard.press(key)
-        shown_at(opened, 51.0)
-        assert opened.evaluate(f"keepoutReplay.flight.{visible}") is False
-        opened.keyboard.press(key)
-    legend = opened.locator(".fates li").all_inner_texts()
-    assert "seen" in legend
-    assert "never lit" in legend
-    assert opened.locator("section[data-plot=seen]").count() == 1
-    assert opened.locator("section[data-plot=error]").count() == 0

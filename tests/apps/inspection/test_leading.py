@@ -6,8 +6,9 @@ from truths.boxes import HALF, box_distance
 
 from keepout.apps.inspection.leading import AroundMesh
 from keepout.core.errors import KeepoutError
-from keepout.core.geometry.target import Target
 from keepout.core.mission.scenario import Scenario
+
+pytestmark = pytest.mark.long
 
 
 def scenario(**changes):
@@ -16,16 +17,10 @@ def scenario(**changes):
 
 
 @pytest.fixture(scope="module")
-def box():
-    return Target.load("box")
-
-
-@pytest.fixture(scope="module")
 def leading(box):
     return AroundMesh.of(scenario(), box)
 
 
-@pytest.mark.long
 def test_places_are_moved_by_little_and_to_where_the_law_leads(leading):
     generator = np.random.default_rng(0)
     for _ in range(8):
@@ -41,7 +36,6 @@ def test_places_are_moved_by_little_and_to_where_the_law_leads(leading):
     assert leading.reachable(np.zeros(3)) is None  # in the middle of the box no slope leads out
 
 
-@pytest.mark.long
 def test_the_speed_asked_for_is_the_speed_flown_at_within_its_limits(leading):
     here, there = np.array([5.0, 0.0, 0.0]), np.array([-5.0, 0.0, 0.0])
     for asked, flown in ((None, 0.1), (0.05, 0.05), (0.001, 0.02), (7.0, 0.1)):

@@ -241,17 +241,6 @@ def test_what_a_sparing_law_asks_for_fires_no_thruster_that_is_barred(seed):
 
 
 @pytest.mark.long
-def test_a_law_keeps_what_no_barred_thruster_gives():
-    case = asked(ASIDE)
-    law = sparing(PolicyLaw(jnp.zeros(3), lambda off, velocity, time: jnp.array([0.05, 0.03, 0.03])), case)
-    at = Surroundings(case).motion.initial_state(APART, np.zeros(3))
-    _, command = law.step(law.initial_state(at), at)
-    assert 0.0 < float(np.linalg.norm(command.force)) < 0.06
-    assert not pushing(case, np.asarray(command.force))
-    assert pushing(case, np.array([0.05, 0.03, 0.03]))
-
-
-@pytest.mark.long
 def test_thrusters_that_fired_are_those_of_the_flight_with_its_delay_and_lost_commands():
     """Their pushes times their on-times are the mean forces that the flight recorded."""
     case = fired_by(faults={"delay": 2, "dropped": 0.2}, guard={"enabled": False}, seed=5)

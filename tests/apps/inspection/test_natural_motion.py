@@ -10,9 +10,9 @@ from scipy.linalg import expm
 from truths.box_problems import problem_of
 
 from keepout.apps.inspection import circumnavigation
-from keepout.apps.inspection.circumnavigation import circumnavigations, hill_states, in_body, transfer
+from keepout.apps.inspection.circumnavigation import circumnavigations, hill_states, transfer
 from keepout.apps.inspection.inspect import circle
-from keepout.apps.inspection.passive import coast_matrix, drift
+from keepout.apps.inspection.passive import coast_matrix
 from keepout.apps.inspection.seeing.seeable import Verdict
 from keepout.core.errors import InspectionError
 from keepout.core.flight.loop import fly
@@ -89,18 +89,6 @@ def test_the_exact_motion_comes_back_after_an_orbit_whatever_orbit_and_body_do(e
 
 
 @pytest.mark.long
-def test_states_in_the_body_frame_drift_as_those_of_vvlh_do():
-    turning = Scenario.model_validate(LOW | {"attitude": {"kind": "tumbling", "angular_velocity": [0.003, 0.0, 0.002]}})
-    position, velocity = np.array([[20.0, 5.0, -9.0]]), np.array([[0.01, -0.02, 0.005]])
-    fixed = Scenario.model_validate(LOW)
-    paths = [
-        np.linalg.norm(drift(Surroundings(case).motion, in_body(case, position, velocity), 2.0, 500)[0][0], axis=1)
-        for case in (turning, fixed)
-    ]
-    assert np.allclose(*paths, atol=1e-6)
-
-
-@pytest.mark.long
 @pytest.mark.usefixtures("few")
 def test_the_law_coasts_and_steers_back_only_beyond_its_band():
     calm = Scenario.model_validate(LOW | {"duration": 3000.0, "disturbance": {"kind": "constant", "force": [0, 0, 0]}})
@@ -166,19 +154,6 @@ def onto(box, position, velocity=(0.0, 0.0, 0.0), **changes):
     case = Scenario.parse({**BOX, **changes, "start": {"position": list(position), "velocity": list(velocity)}})
     ellipse = circumnavigations(case, box)[0]
     return transfer(case, box, ellipse), ellipse
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("few")
-def test_a_start_on_the_ellipse_pays_little_and_one_at_rest_there_pays_for_its_speed(box):
-    _, ellipse = onto(box, (0.0, -6.0, 0.0))
-    place, velocity = ellipse.position[500], ellipse.velocity[500]
-    speed = float(np.linalg.norm(velocity))
-    moving, _ = onto(box, place.tolist(), velocity.tolist())
-    assert moving.delta_v < 0.1 * speed
-    assert moving.keeps_stand_off
-    still, _ = onto(box, place.tolist())
-    assert still.delta_v >= 0.5 * speed
 
 
 @pytest.mark.long

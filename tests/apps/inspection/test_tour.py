@@ -37,14 +37,6 @@ def test_a_corner_is_flown_through_by_hand():
     assert staying.end == pytest.approx(200.0 + 60.0 + 0.5 * 0.4 / 0.01)
 
 
-def test_a_long_turn_slows_the_leg():
-    turns = np.zeros((3, 3))
-    turns[0, 1] = 400.0
-    tour = flown(legs_between(SQUARE, turns=turns), np.array([1, 2]))
-    assert tour.times[0] == pytest.approx(400.0 + 0.5 * 0.025 / 0.01)
-    assert tour.delta_v == pytest.approx(0.025 + math.hypot(0.025, 0.1) + 0.1)
-
-
 def test_light_is_waited_for_and_what_comes_too_late_is_never():
     windows = np.full((3, 2, 2), np.nan)
     windows[0, 0] = (-math.inf, math.inf)

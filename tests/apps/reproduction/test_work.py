@@ -27,17 +27,6 @@ def test_numbers_are_computed_once_and_anew_for_another_seed(tmp_path):
     assert make.times == 2
 
 
-def test_arrays_come_back_to_the_bit(tmp_path):
-    make = Counted({"path": np.random.default_rng(0).normal(size=(7, 3)), "flag": np.array([True, False])})
-    first = Work(tmp_path).arrays("flight", 0, make)
-    again = Work(tmp_path).arrays("flight", 0, make)
-    assert make.times == 1
-    for name, array in make.value.items():
-        np.testing.assert_array_equal(first[name], array)
-        np.testing.assert_array_equal(again[name], array)
-        assert again[name].dtype == array.dtype
-
-
 def test_work_that_fails_leaves_nothing_kept(tmp_path):
     def fails():
         raise RuntimeError("killed")

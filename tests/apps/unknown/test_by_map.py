@@ -117,16 +117,6 @@ def test_the_same_check_reports_free_room_that_shrinks():
     assert lost > 0
 
 
-def test_a_finer_spacing_lowers_the_field():
-    """Why there is one level: of the same free room a spline of twice the spacing says more in places."""
-    solid = np.zeros_like(SMALL.solid)
-    solid[22:24, 22:24, 22:24] = True
-    every_second = np.pad(SMALL.squares(solid)[::2, ::2, ::2], 3, constant_values=SMALL.cells**2)
-    coarse = MapField.of(every_second, SMALL.origin - 6.0 * SMALL.spacing, 2.0 * SMALL.spacing)
-    # Squares count cells of the map's edge, and the coarse field takes them for cells of its own.
-    assert (0.5 * values(coarse, PROBES) - values(SMALL.field(solid), PROBES)).max() > 0.03
-
-
 # --- A flight through updates -----------------------------------------------------------------------------------------
 
 BALL = DeclaredBall((0.0, 0.0, 0.0), 3.0)

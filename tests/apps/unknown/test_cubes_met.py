@@ -6,6 +6,8 @@ from scipy.optimize import linprog
 
 from keepout.apps.unknown.truth import cubes_met
 
+pytestmark = pytest.mark.long
+
 
 def apart(triangle, lower, spacing):
     """Least distance, along an axis, by which every point of a triangle is outside a cube; below 0 where one is in."""
@@ -18,7 +20,6 @@ def apart(triangle, lower, spacing):
     return found.fun
 
 
-@pytest.mark.long
 def test_triangles_meet_the_cubes_that_a_linear_programme_says():
     generator = np.random.default_rng(0)
     origin, spacing, count = np.array([-0.2, 0.1, 0.3]), 0.4, 3

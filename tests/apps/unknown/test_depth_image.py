@@ -130,13 +130,6 @@ def test_a_lost_ray_that_hides_the_nearest_surface_silences_its_pixel():
     assert np.isnan(view.ranges[hidden]).all()
 
 
-def test_dropout_is_as_frequent_as_said_and_silences_empty_pixels_too():
-    sensor = DepthCamera(camera=Pinhole(160, 120, 1.0), bounds=EXACT, dropout=0.1)
-    for scene in (joined(wall(5.0)), joined(wall(50.0))):
-        share = np.isnan(looking(scene, sensor).ranges).mean()
-        assert abs(share - 0.1) < 5.0 * math.sqrt(0.09 / 19_200)
-
-
 def test_broken_assumptions_break_what_they_name():
     scene = joined(wall(4.0, left=0.048), wall(10.0))
     sensor = DepthCamera(camera=SMALL, dropout=0.1)

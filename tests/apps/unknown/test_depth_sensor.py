@@ -1,7 +1,6 @@
 """The depth sensor: its settings, errors within their bounds and at them, and where it points."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -50,15 +49,6 @@ def test_the_sensor_sits_where_it_is_mounted():
     axes = axes_towards(AHEAD, np.array([0.0, 0.0, 1.0]))
     # x of the image is to the right, -y of the map; y is down, -z of the map; z is ahead, x of the map.
     np.testing.assert_allclose(sensor.sensor_position(np.array([5.0, 0.0, 0.0]), axes), [5.3, -0.1, -0.2])
-
-
-def test_the_page_says_the_pitch_that_the_default_settings_have():
-    page = (Path(__file__).parents[3] / "docs" / "depth-sensor.md").read_text(encoding="utf-8")
-    # From the angle of view and the number of rays: the tangent of half the angle is half the rays' pitches.
-    pitch = math.tan(math.radians(30.0)) / (160 * 5 / 2)
-    assert DepthCamera().ray_pitch == pytest.approx(pitch)
-    assert f"{1e3 * pitch:.3f} mrad with the default settings, which is {1e4 * pitch:.1f} mm at 10 m" in page
-    assert f"{0.03 / (2.0 * pitch):.1f} m for 0.03 m" in page
 
 
 BOUNDS = SensorBounds(range_error=0.03, position_error=0.05, attitude_error=0.005)

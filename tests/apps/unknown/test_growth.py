@@ -88,14 +88,3 @@ def test_the_map_and_the_views_switch_as_time_goes_on(opened, exploration):
     assert f"view {REFUSED + 1} of {VIEWS}, refused" in words
     assert f"{exploration.views[REFUSED].free_volume:.0f} m³ known free" in words
     assert "The map is drawn at" in opened.locator(".note").inner_text()
-
-
-@pytest.mark.parametrize(("name", "key"), [("map", "m"), ("views", "c")])
-def test_map_and_views_are_taken_away(opened, name, key):
-    visible = f"keepoutReplay.flight.grown.{name}.visible"
-    opened.keyboard.press(key)
-    shown_at(opened, 50.0)
-    assert opened.evaluate(visible) is False
-    opened.evaluate("(name) => document.querySelector(`input[name=${name}]`).click()", name)
-    shown_at(opened, 50.0)
-    assert opened.evaluate(visible) is True

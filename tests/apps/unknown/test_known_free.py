@@ -136,16 +136,6 @@ def test_before_the_first_view_the_cubes_that_meet_the_ball_are_unknown():
     assert known.views == len(known.returns) == 0
 
 
-def test_nodes_on_the_border_are_at_the_cap_and_distances_are_lengths():
-    known = begin()
-    border = np.ones_like(known.squares, dtype=bool)
-    border[1:-1, 1:-1, 1:-1] = False
-    assert (known.squares[border] == 9).all()
-    # The last cube that is not free begins where the ball ends.
-    node = np.array([0.0, 0.0, 1.3]) - known.origin
-    assert known.distance_at_nodes()[tuple(np.rint(node / 0.1).astype(int))] == pytest.approx(0.2, rel=1e-12)
-
-
 def test_returns_lie_on_the_bodies_and_each_place_counts_once():
     known = begin()
     for place in (*PLACES, *PLACES):
@@ -158,16 +148,6 @@ def test_returns_lie_on_the_bodies_and_each_place_counts_once():
     outside = np.linalg.norm(np.maximum(np.maximum(low - points, points - high), 0.0), axis=1)
     # A pixel's middle ray at the range of its first ray, on a lattice of 0.025 m.
     assert np.quantile(np.minimum(to_ball, outside), 0.9) < 0.05
-
-
-def test_returns_from_outside_the_declared_ball_are_counted():
-    """A body that the ball does not hold breaks the operator's promise, and the report says so."""
-    known = begin()
-    assert known.see(view_from(PLACES[0])).outside == 0
-    stray = (*BODIES, Ball((0.0, 0.0, -1.6), 0.3))
-    position = np.array([1.9, 0.0, 0.0])
-    view = view_of(stray, CAMERA, BOUNDS, position, axes_towards(np.array([0.0, 0.0, -1.6]) - position))
-    assert known.see(view).outside > 10
 
 
 @pytest.mark.parametrize(
@@ -190,12 +170,6 @@ def test_numbers_out_of_range_are_refused_by_name(make, named):
     with pytest.raises(KeepoutError, match=named) as refusal:
         make()
     assert "\n" not in str(refusal.value)
-
-
-def test_usable_range_is_where_a_width_is_two_pitches():
-    camera = Pinhole(160, 120, math.radians(60.0))
-    assert SensorBounds().usable_range(camera) == pytest.approx(0.05 / 2.0 * camera.focal * 3)
-    assert SensorBounds(surely_returned_width=1.0).usable_range(camera) == 15.0
 
 
 @pytest.mark.long

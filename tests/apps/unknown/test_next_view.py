@@ -201,20 +201,6 @@ def test_a_goal_in_known_free_room_is_flown_to_and_no_way_leads_from_too_near_to
 
 
 @pytest.mark.long
-def test_the_first_view_looks_at_the_ball_from_room_that_keeps_the_distance_and_is_the_same_again():
-    known = begun(4.0)
-    for goal in (None, np.zeros(3)):
-        answer = next_of(known, goal, position=np.array([5.3, 0.0, 0.0]))
-        assert isinstance(answer, NextView)
-        assert reachable(known, np.array([5.3, 0.0, 0.0]), APART).way_length(answer.position) < math.inf
-        assert np.linalg.norm(answer.position) > 4.0 + APART - 0.1
-        assert answer.direction @ answer.position < 0.0
-        again = next_of(known, goal, position=np.array([5.3, 0.0, 0.0]))
-        assert np.array_equal(answer.position, again.position)
-        assert np.array_equal(answer.direction, again.direction)
-
-
-@pytest.mark.long
 def test_a_goal_too_near_to_the_seen_surface_ends_at_once_and_one_farther_does_not():
     run = explore_views.Jumping(explore_views.solid("ball"), "ball", DepthCamera(), APART, 0)
     run.look()
@@ -251,21 +237,6 @@ def test_views_that_open_nothing_are_not_taken_again_and_come_to_an_end(goal):
 
 
 @pytest.mark.slow
-def test_exploring_all_round_connects_goals_that_flying_around_does_not():
-    mesh = explore_views.solid("plates")
-    goals = explore_views.goals_near(mesh, 60, 5)
-    run = explore_views.Jumping(mesh, "plates", DepthCamera(), APART, 1)
-    row = explore_views.all_round(run, goals, 40)
-    assert row["connected"]["40"] >= 0.97
-    assert row["outcome"] in ("everything reachable seen", None)
-    # Every cube called free is outside the body: the nearest surface is farther than half a cube from its middle.
-    exact = explore_views.ExactDistance(np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces))
-    centres = run.known.origin + run.known.spacing * (np.argwhere(run.known.free) + 0.5)
-    inner = centres[np.linalg.norm(centres, axis=1) < run.radius]
-    assert exact.distance(inner).min() > 0.5 * run.known.spacing
-
-
-@pytest.mark.long
 def test_a_goal_at_the_bottom_of_a_pocket_is_reached_and_one_inside_its_wall_is_not():
     mesh = explore_views.solid("pocket")
     run = explore_views.Jumping(mesh, "pocket", DepthCamera(), APART, 2)

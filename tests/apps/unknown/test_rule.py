@@ -82,13 +82,6 @@ def test_a_view_frees_the_cubes_of_the_rule_and_no_other(data):
     assert freed_by_projections(known, view, some).all()
 
 
-def test_the_views_of_these_tests_free_cubes_and_leave_others():
-    known = begin()
-    unknown = (~known.free).sum()
-    opened = sum(known.open(seen_from(seed, 2.5)) for seed in range(12))
-    assert 0.2 * unknown < opened < unknown
-
-
 def all_empty(bounds, position, axes, camera=CAMERA):
     """Centres of the cubes that an image without any return frees, from its place."""
     known = begin(bounds=bounds)
@@ -132,17 +125,3 @@ def test_the_least_of_every_rectangle(rows, columns, seed):
         inner = image[top : bottom + 1, left : right + 1]
         for limit in (inner.min() - 0.5, inner.min(), inner.max(), inner.max() - 0.5):
             assert all_exceed(least, top, bottom, left, right, limit) == (inner > limit).all()
-
-
-@pytest.mark.long
-def test_no_cube_behind_a_wall_is_freed():
-    freed, camera = 0, Pinhole(120, 90, math.radians(60.0))
-    for height in np.arange(-0.7, 0.7, 0.1):
-        known = KnownFreeMap.begin(np.zeros(3), 1.05, spacing=0.1, cap=0.4, bounds=SensorBounds(), name="wall")
-        wall, unknown, position = Box((-9.0, -9.0, -2.0), (9.0, 9.0, height)), ~known.free, np.array([0.1, 0.05, 4.0])
-        axes = axes_towards(-position)
-        freed += known.open(View(camera, position, axes, true_ranges([wall], camera, known.bounds, position, axes)))
-        behind = wall.meets_cubes(cube_centres(known), known.spacing) & unknown
-        assert behind.any()
-        assert not known.free[behind].any()
-    assert freed > 1000

@@ -6,7 +6,6 @@ import shutil
 import subprocess
 import sys
 import time
-import warnings
 from pathlib import Path
 
 import jax
@@ -22,7 +21,7 @@ from keepout.core.compiled.kept_executables import (
     _UnknownError,
     kept_jit,
 )
-from keepout.core.compiled.kept_programs import VARIABLE, KeptProgramsWarning, keep_programs
+from keepout.core.compiled.kept_programs import VARIABLE, keep_programs
 from keepout.core.control.design import Tuning
 from keepout.core.fields import field
 from keepout.core.fields.own import SphereField
@@ -159,22 +158,6 @@ def test_a_source_file_younger_than_the_process_stops_keeping(monkeypatch, tmp_p
     monkeypatch.setattr(kept_executables, "_PACKAGE", tmp_path / "nothing")
     with pytest.raises(_UnknownError):
         _sources.__wrapped__()
-
-
-def test_a_damaged_file_is_a_warning_and_compiled_anew(folder, monkeypatch):
-    fresh(monkeypatch)
-    first = field.values(SPHERE, POINTS)
-    [path] = folder.glob("call_*")
-    whole = path.read_bytes()
-    for damaged in (b"", whole[:40] + bytes([whole[40] ^ 1]) + whole[41:]):
-        path.write_bytes(damaged)
-        fresh(monkeypatch)
-        with pytest.warns(KeptProgramsWarning, match="damaged"):
-            assert np.array_equal(field.values(SPHERE, POINTS), first)
-        fresh(monkeypatch)
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            assert np.array_equal(field.values(SPHERE, POINTS), first), "and is whole again"
 
 
 def out(x):

@@ -1,18 +1,14 @@
 """The composed law in flight round an obstacle with the paper's disturbance, and what its construction refuses."""
 
 import dataclasses
-from types import SimpleNamespace
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import trimesh
 from truths.operations import operation
 
-from keepout.core.audit.audit import Contact, audit_campaign
-from keepout.core.audit.tube import FlightBounds
 from keepout.core.control import profiles
 from keepout.core.control.barrier_grid import BarrierGrid
 from keepout.core.control.design import conditions, tune
@@ -23,10 +19,8 @@ from keepout.core.control.observer import constant_observer
 from keepout.core.control.velocity import SpeedCone
 from keepout.core.errors import ControlError
 from keepout.core.fields.own import BoxUnionField
-from keepout.core.geometry.distance import ExactDistance
 from keepout.core.mission.build import prepare
 from keepout.core.mission.scenario import Scenario
-from keepout.core.motion.attitude import Tumbling
 from keepout.core.motion.chaser import Thrusters
 from keepout.core.motion.disturbance import paper_disturbance, steady
 from keepout.core.motion.orbit import Orbit
@@ -115,15 +109,6 @@ def test_with_tanh_by_component_the_position_weight_must_be_diagonal():
         checked = {c.name: c for c in conditions(dataclasses.replace(law, tracking=tracking), CASE)}
         assert checked["position weight"].satisfied
         assert checked["position weight and tanh"].satisfied is not violated
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::keepout.core.control.profiles.ControlWarning")
-def test_paper_law_saturates_the_thrusters():
-    law = profiles.paper(PANELS, CASE, GOAL)
-    _, _, command, _ = eqx.filter_jit(fly)(law, jnp.asarray(START), 300)
-    assert np.mean(np.any(np.abs(command.force) >= 0.1 * (1 - 1e-9), axis=-1)) > 0.9
-    assert np.all(np.isfinite(command.force))
 
 
 _step = eqx.filter_jit(lambda law, memory, state: law.step(memory, state))
@@ -234,38 +219,6 @@ def test_a_tumble_that_the_thrusters_cannot_follow_is_refused_before_the_flight(
     assert "\n" not in str(refused.value)
     for words in said:
         assert words in str(refused.value)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("rate", "speed"), [(0.1, 0.1), (0.5, 0.05)])
-def test_no_contact_round_a_tumbling_target(rate, speed):
-    """Rates in degrees a second about random axes; at 0.5 the thrusters can follow at half the speed only."""
-    mesh = trimesh.util.concatenate([trimesh.creation.box(bounds=bounds) for bounds in zip(*map(np.asarray, CORNERS))])
-    vertices = np.asarray(mesh.vertices)
-    boxes = SimpleNamespace(vertices=vertices, distance=ExactDistance(vertices, np.asarray(mesh.faces)))
-    omega = np.radians(rate)
-    motion = RelativeMotion(Orbit(42_164_000.0), Tumbling(np.array([0.0, 0.0, omega]), np.eye(3)))
-    law = profiles.default(
-        PANELS,
-        operation(motion=motion, speed_limit=speed, disturbance_bound=PUSH.bound),
-        [4.0, -3.0, 0.0],
-        reach=10.0,
-        guidance=Geodesic(bounds=([-7.0, -12.0, -7.0], [7.0, 12.0, 7.0]), spacing=0.4),
-    )
-    axes = np.random.default_rng(7).normal(size=(24, 3))
-    axes *= omega / np.linalg.norm(axes, axis=1, keepdims=True)
-    position, velocity, _, force = flights(law, starts(7, 1.2, [5, 7, 5]), 801, motion, jnp.asarray(axes))
-    audits = audit_campaign(
-        np.arange(801.0),
-        *map(np.asarray, (position, velocity, force)),
-        boxes,
-        chaser_radius=0.5,
-        bounds=FlightBounds(20.0, PUSH.bound, omega * (1 + 1e-9), 1e-12, 2.2e-8),
-        force_limit=0.1,
-        speed_limit=speed,
-    )
-    assert all(audit.contact is Contact.NO for audit in audits)
-    assert np.linalg.norm(position[:, -1] - law.goal, axis=-1).max() < 0.1
 
 
 def test_tuning_of_the_papers_case_is_the_prototypes():

@@ -15,11 +15,6 @@ from keepout.core.fields.model import Certificate, FieldModel, _digest
 from keepout.core.geometry.target import Target
 
 
-@pytest.fixture(scope="module")
-def box():
-    return Target.load("box")
-
-
 @pytest.fixture
 def model(box):
     model = FieldModel(random_field(0, dtype=jnp.float32), box.name, box.sha256, 0.03, {"profile": "none"})

@@ -167,21 +167,3 @@ def test_rows_hold_the_mean_force_and_what_it_burnt_and_the_record_keeps_it(tmp_
     again = FlightRecord.load(record.save(tmp_path / "flight.parquet"))
     np.testing.assert_array_equal(again.propellant, log.propellant)
     assert again.header["final"]["propellant"] == pytest.approx(float(final.propellant))
-
-
-@pytest.mark.long
-def test_a_stuck_thruster_acts_from_its_time_until_it_is_made_up_for():
-    def forces(stuck, stuck_from):
-        setup = on_off(stuck, stuck_from)
-        log = fly(setup, start_state(setup), STEPS, KEY)
-        return np.asarray(log.force), np.clip(np.asarray(log.guarded_force), -0.1, 0.1)
-
-    used = forces((0, "on"), 1e6)[0][15:20].mean(axis=0)
-    axis = int(np.argmax(np.abs(used)))
-    for how in ("on", "off"):
-        thruster = 4 * axis + (0 if (used[axis] > 0) == (how == "off") else 2)  # off: one in use; on: one against it
-        given, asked = forces((thruster, how), 15.0)
-        wrong = np.linalg.norm(given - asked, axis=1)
-        assert wrong[:15].max() < 0.0036  # √3 · 0.2 N · half of 20 ms
-        assert wrong[15:20].max() > 0.01
-        assert wrong[20:].max() < 0.0036

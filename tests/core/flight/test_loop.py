@@ -10,10 +10,9 @@ import pytest
 from truths.flights import GOAL, KEY, STEPS, Delayed, Halving, Spring, make_setup, start_state
 
 from keepout.core.errors import FlightError, ScenarioError
-from keepout.core.flight import fly, loop, outcome
+from keepout.core.flight import fly, outcome
 from keepout.core.flight.loop import begin, fly_segment, joined
 from keepout.core.motion.chaser import Thrusters
-from keepout.core.motion.relative import MotionState
 
 LIMIT = np.array([0.1, 0.05, 0.1])
 
@@ -48,22 +47,6 @@ def test_layers_act_in_their_fixed_order(flown):
     np.testing.assert_allclose(log.barrier, np.linalg.norm(log.estimated_position, axis=1) - 2.0, atol=1e-14)
     expected = 0.01 * np.stack([np.sin(0.02 * rows), np.cos(0.02 * rows), np.sin(0.01 * rows)], axis=1)
     np.testing.assert_allclose(log.disturbance, expected, atol=1e-16)
-
-
-@pytest.mark.long
-def test_each_row_leads_to_the_next_through_the_motion_as_stepping_by_hand_does(flown):
-    setup, log = flown
-    advance = eqx.filter_jit(lambda state, force: setup.motion.step(state, force, setup.disturbance, 1.0, 20.0))
-    for row in (0, 17, STEPS - 1):
-        names = "time", "position", "velocity", "attitude", "angular_velocity"
-        after = advance(MotionState(*(jnp.asarray(getattr(log, name)[row]) for name in names)), log.force[row])
-        np.testing.assert_allclose(after.position, log.position[row + 1], atol=1e-14)
-        np.testing.assert_allclose(after.velocity, log.velocity[row + 1], atol=1e-15)
-    one, state = eqx.filter_jit(loop.step), loop.start(setup, start_state(setup), KEY)
-    for row in range(5):
-        state, entry = one(setup, state)
-        np.testing.assert_allclose(entry.position, log.position[row], atol=1e-14)
-        np.testing.assert_allclose(entry.force, log.force[row], atol=1e-16)
 
 
 @pytest.mark.long

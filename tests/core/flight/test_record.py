@@ -1,6 +1,5 @@
 import pickle
 
-import jax
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -8,10 +7,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
-from truths.flights import KEY, STEPS, make_setup, start_state
 
 from keepout.core.errors import FlightError
-from keepout.core.flight import fly, outcome, record
+from keepout.core.flight import record
 from keepout.core.flight.loop import FlightLog
 from keepout.core.flight.record import _DECLARED, FlightRecord
 
@@ -161,23 +159,6 @@ def test_headers_that_json_does_not_hold_are_refused(tmp_path, header):
     with pytest.raises(FlightError, match="header"):
         make_record(header=header).save(tmp_path / "flight.npz")
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.long
-def test_a_flown_log_becomes_a_record(tmp_path):
-    setup = make_setup()
-    log = fly(setup, start_state(setup), STEPS, KEY)
-    told = {"scenario": "[target]\n", "seed": 7, "target_sha256": "ab", "extra": {"mass": 20.0}}
-    statuses = {"control_status": {0: "nominal"}}
-    record = FlightRecord.of_log(log, outcome=outcome(setup, log), statuses=statuses, **told)
-    assert record.steps == STEPS
-    loaded = FlightRecord.load(record.save(tmp_path / "flight.parquet"))
-    assert_same_bits(loaded, record)
-    assert loaded.header["final"]["reached"] is False
-    assert loaded.header["final"]["time_to_reach"] is None
-    assert loaded.header["statuses"] == {"control_status": {"0": "nominal"}}
-    assert loaded.header["versions"]["jax"] == jax.__version__
-    np.testing.assert_array_equal(loaded.force, log.force)
 
 
 def test_a_small_file_that_holds_much_is_refused(tmp_path, monkeypatch):

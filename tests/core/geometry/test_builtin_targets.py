@@ -7,7 +7,6 @@ from truths.solids import solid_angle
 from keepout.core.errors import MeshError
 from keepout.core.geometry.builtin import BUILTINS
 from keepout.core.geometry.mesh_report import enclosed_volume
-from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target
 
 SIZES = {
@@ -31,20 +30,6 @@ def test_closed_single_and_of_public_size(name):
     assert report.extents == pytest.approx(size, abs=tolerance)
     volume = enclosed_volume(target.vertices, target.faces)
     assert volume == pytest.approx(VOLUMES[name]) if name in VOLUMES else volume > 0.0
-
-
-@pytest.mark.long
-def test_points_of_the_source_paper_round_intelsat30():
-    target = Target.load("intelsat30")
-    points = np.array([[0.0, 10.0, 6.0], [0.0, -10.0, -4.0], [0.0, -10.0, 6.0]])
-    assert (target.distance.distance(points) > 0.5).all()
-    line = points[0] + np.linspace(0.0, 1.0, 20_001)[:, None] * (points[1] - points[0])
-    assert target.distance.distance(line).min() < 1e-3
-    solid = OffsetSolid.build(target.distance)
-    assert solid.is_exterior(points).all()
-    assert not solid.is_exterior(np.array([[0.0, 0.0, 0.0]]))[0]
-    volume = enclosed_volume(target.vertices, target.faces)
-    assert solid.sealed_volume == pytest.approx(volume, rel=0.25)
 
 
 def test_the_goal_of_the_source_paper_lies_inside_harmony():

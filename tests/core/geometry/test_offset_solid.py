@@ -102,19 +102,6 @@ def test_box_union_is_sound_and_tight(union):
 
 
 @pytest.mark.long
-def test_nested_shells_are_solid_to_the_outermost():
-    """Closed shells within closed shells: all that is within the outermost is solid."""
-    shells = [((-r, -r, -r), (r, r, r)) for r in (2.0, 1.4, 0.6)]
-    vertices, faces = boxes_mesh(shells)
-    solid = OffsetSolid.build(ExactDistance(vertices, spoil(faces, 2)))
-    points = around(solid.distance, 6)
-    truth = distance_to_box(points, *shells[0])
-    free = assert_sound(solid, points, truth > solid.offset)
-    assert free[truth > solid.offset + 1e-9].all()
-    assert abs(solid.sealed_volume - 64.0) < 0.05 * 64.0
-
-
-@pytest.mark.long
 @pytest.mark.parametrize(("half_hole", "leaf"), [(0.01, {}), (0.028, {}), (0.1, {}), (0.22, {}), (0.1, {"leaf": 0.12})])
 def test_a_hole_narrower_than_the_chaser_is_sealed(half_hole, leaf):
     """A box with a hole that the chaser cannot pass is solid."""

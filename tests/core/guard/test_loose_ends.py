@@ -3,7 +3,6 @@
 import dataclasses
 import shutil
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -67,18 +66,6 @@ def test_what_cannot_be_flown_is_refused(base, entries, said):
         assert part in str(refusal.value)
 
 
-def test_a_start_is_certified_only_from_every_estimate(base):
-    scenario = base.replace(guard={"position_error": 0.1})
-    guard = prepare(scenario).guard
-    certified = eqx.filter_jit(guard.certified)
-    for further, from_all in ((0.05, False), (0.15, True)):  # beyond where the guard would let the chaser rest
-        place = 2.0 + guard.least_value + further, 0.0, 0.0
-        mission = prepare(scenario.replace(start={"position": place}))
-        assert certified(mission.initial)
-        assert mission.start_certified is from_all
-        assert mission.assumptions_broken == ()
-
-
 @pytest.mark.parametrize("delay", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_a_law_told_of_the_delay_estimates_the_disturbance_and_arrives(delay):
     motion, goal = RelativeMotion(Orbit(42_164_000.0)), np.array([0.0, -6.0, 0.0])
@@ -102,29 +89,6 @@ def test_a_law_told_of_the_delay_estimates_the_disturbance_and_arrives(delay):
     assert not np.any(np.asarray(log.guard_status) & int(GuardFlag.DISTURBANCE | GuardFlag.STATE_JUMP))
     assert np.linalg.norm(np.asarray(log.position)[-1] - goal) < 0.1
     assert np.linalg.norm(np.diff(np.asarray(log.velocity)[200:], axis=0), axis=1).max() < 2e-3
-
-
-@pytest.mark.slow
-def test_a_start_inside_the_margin_is_led_out_and_flagged(base):
-    flight = fly(base.replace(start={"position": (2.52, 0.0, 0.0)}))
-    summary, status = flight.summary(), flight.record.guard_status
-    assert summary["start_certified"] is False
-    assert summary["statuses"]["guard"]["escaping"] > 0
-    assert summary["guard_flags"]["field"] > 0
-    assert flight.audit.contact is Contact.NO
-    assert status[0] & 3 == 3
-    assert not np.any(status[-40:] & 3 == 3), "the escape ends in a certified state"
-    # The shortest way out: along the face's normal, never nearer than at the start but for the braking of drift.
-    assert flight.clearance.min() > flight.clearance[0] - 0.02
-
-
-@pytest.mark.slow
-def test_the_longest_delay_flies(base):
-    push = {"kind": "constant", "force": (0.002, 0.0, 0.0)}
-    flight = fly(base.replace(faults={"delay": 8}, guard={"delay": 8}, disturbance=push, duration=200.0))
-    summary = flight.summary()
-    assert (summary["reached"], summary["start_certified"], summary["guard_flags"]) == (True, True, {})
-    assert flight.audit.contact is Contact.NO
 
 
 @pytest.mark.slow

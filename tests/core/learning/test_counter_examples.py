@@ -4,7 +4,6 @@ import functools
 
 import numpy as np
 import pytest
-from truths import small_box
 
 from keepout.core.fields.continuation import Domain
 from keepout.core.learning import samples
@@ -15,11 +14,6 @@ pytestmark = pytest.mark.long
 
 HEIGHT, WIDTH, WEBS = 0.2, 0.04, 300
 PROFILE = TrainingProfile(webs=WEBS)
-
-
-@pytest.fixture(scope="module")
-def solid():
-    return small_box.solid()
 
 
 @pytest.fixture(autouse=True)
@@ -75,31 +69,6 @@ def test_a_planted_peak_is_climbed(solid, peak, level, width):
     truth = solid.distance.distance(found[near]) - solid.offset
     inside = np.asarray(batch.hidden)[near]
     assert np.allclose(np.asarray(batch.distance)[near][~inside], truth[~inside], atol=1e-5)
-
-
-def test_a_web_is_found(solid):
-    """A field that says too little in one place off the surface, where it endangers nothing."""
-    hunt = prepared(solid, 0.0)
-    web = np.array([1.3, 0.8, 0.2])
-
-    wrong = Wrong(solid.distance, solid.offset, web, -0.4, 0.1)
-    batch, _ = hunt.worst(wrong, NOTHING_KNOWN, np.random.default_rng(1))
-    found = np.asarray(batch.x, np.float64)[-WEBS:] * hunt.domain.learned_radius + hunt.domain.centre
-    near = np.linalg.norm(found - web, axis=1) < 0.25
-    assert near.sum() > 10
-    assert near.sum() >= 0.9 * (np.linalg.norm(hunt.near.points - web, axis=1) < 0.15).sum()
-    truth = solid.distance.distance(found[near]) - solid.offset
-    assert np.allclose(np.asarray(batch.distance)[-WEBS:][near], truth, atol=1e-5)
-    # The deepest counts most.
-    weight = np.asarray(batch.weight)[-WEBS:]
-    assert weight.max() == pytest.approx(HIGHEST)
-    assert weight[near].max() == weight.max()
-    assert weight.min() < 2.0
-    # While the certified side settles, webs are left alone.
-    settled, _ = hunt.worst(wrong, NOTHING_KNOWN, np.random.default_rng(1), settling=True)
-    assert len(settled.x) == len(batch.x)
-    found = np.asarray(settled.x, np.float64) * hunt.domain.learned_radius + hunt.domain.centre
-    assert (np.linalg.norm(found - web, axis=1) < 0.15).sum() < 5
 
 
 def test_a_peak_known_before_is_found_again(solid):

@@ -29,6 +29,7 @@ def test_every_measure_of_a_grid_field():
     assert [entry["chaser_radius"] for entry in summary["certificates"]] == [0.0, small_box.RADIUS]
     for entry in summary["certificates"]:
         assert -h < entry["sampled_maximum"] <= entry["error_bound"]
+        assert -h <= entry["margin"]["mean"] <= entry["margin"]["percentile_95"] < 3.0 * h
 
 
 def test_a_rasterised_box_has_the_area_of_its_shadow():

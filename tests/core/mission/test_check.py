@@ -10,8 +10,8 @@ import trimesh
 from truths.command_line import keepout_command
 
 from keepout.core.errors import ScenarioError
-from keepout.core.fields import load_shipped
 from keepout.core.geometry.target import Target
+from keepout.core.guard.field import guard_field
 from keepout.core.mission.build import prepare
 from keepout.core.mission.check import check, number_refusal
 from keepout.core.mission.draft import commented, draft
@@ -103,16 +103,17 @@ def test_the_command_writes_what_is_not_there_and_replaces_nothing_unasked(tmp_p
 
 @pytest.fixture(scope="module")
 def target():
-    return Target.load("intelsat30")
+    return Target.load("box")
 
 
 @pytest.fixture(scope="module")
 def model():
-    return load_shipped("intelsat30")
+    return guard_field(Target.load("box"), 0.5)
 
 
 def straight(**entries) -> Scenario:
-    return Scenario.parse({"control": {"guidance": "straight"}, "duration": 400.0} | entries)
+    around = {"target": {"source": "box"}, "field": {"source": "grid"}, "control": {"guidance": "straight"}}
+    return Scenario.parse(around | {"duration": 400.0} | entries)
 
 
 @pytest.mark.long

@@ -12,10 +12,6 @@ from keepout.core.mission.check import check, number_refusal
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 from keepout.core.mission.target import load_target
-from keepout.flights.campaign.dataset import Dataset, differences
-from keepout.flights.campaign.flying import replay
-from keepout.flights.campaign.plan import Plan
-from keepout.flights.campaign.run import fly_campaign
 
 CLOSE = {
     "duration": 150.0,
@@ -146,32 +142,3 @@ def test_what_cannot_be_flown_is_refused(refusing, tables, said, target):
         refusal = error
     assert all(part in str(refusal) for part in said), refusal
     assert "\n" not in str(refusal)
-
-
-@pytest.mark.slow
-def test_a_campaign_over_noise_and_starts_flies_and_replays(tmp_path):
-    """By the last samples, without pulses."""
-    campaign = {
-        "runs": 3,
-        "dispersions": {
-            "navigation.position_noise": {"uniform": [0.03, 0.07]},
-            "start.position": {"sphere": [7.5, 9.0]},
-        },
-    }
-    plain = {"navigation": {"suite": "close", "estimate": "observer"}, "thrusters": {}}
-    given = scenario(campaign=campaign, duration=40.0, **plain)
-    plan = Plan.of(given, batch=2)
-    dataset = Dataset.begin(tmp_path, plan)
-    with dataset.lock():
-        fly_campaign(plan, dataset)
-    rows = dataset.table().to_pylist()
-    assert [row["status"] for row in rows] == ["flown"] * 3
-    assert len({row["navigation.position_noise"] for row in rows}) == 3
-    for again in replay(plan, [0, 2]):
-        assert differences(rows[again.run.number], again.row) == []
-        record, caps = again.flight.record, again.flight.guard
-        noise = rows[again.run.number]["navigation.position_noise"]
-        assert caps["position_error_m"] == pytest.approx(noise)
-        away = np.linalg.norm(record.known_position - record.position, axis=1)
-        assert np.all(away <= record.known_position_error)
-        assert record.known_position_error.max() <= caps["position_error_m"]

@@ -20,6 +20,7 @@ from keepout.core.motion.relative import MotionState
 
 pytestmark = pytest.mark.long
 
+KEPLERS = "nothing but the Earth"
 CASES = {
     "low and round": ({"semi_major_axis": 6.9e6, "inclination": 0.9, "j2": True}, {}, 6000.0),
     "polar with drag": (
@@ -32,6 +33,7 @@ CASES = {
         {},
         30000.0,
     ),
+    KEPLERS: ({"semi_major_axis": 1.2e7, "eccentricity": 0.4, "inclination": 1.0}, {}, 13000.0),
     "drag alone": ({"semi_major_axis": 6.75e6}, {"density": 1e-11, "chaser_area_to_mass": 0.05}, 3000.0),
     "sunlight and shadow": ({"semi_major_axis": 6.78e6, "inclination": 0.9}, {}, 6000.0),
 }
@@ -64,7 +66,7 @@ def turning(path):
     return np.linalg.norm(omega, axis=1), np.linalg.norm(change, axis=1)
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", [case for case in CASES if case != KEPLERS])
 def test_the_frame_never_turns_faster_and_the_target_never_flies_lower(case):
     scenario = scenario_of(case)
     path, bounds = path_of(case), orbit_bounds(scenario)

@@ -13,12 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from keepout.apps.inspection.problem import rules_of
-from keepout.apps.inspection.seeing.visible import SeeingRules
 from keepout.core.errors import ScenarioError
 from keepout.core.mission.entries import Entry
 from keepout.core.mission.epoch import parse_instant
-from keepout.core.mission.scenario import Scenario, entry_lines, reference, schema
+from keepout.core.mission.scenario import Scenario, reference, schema
 
 REPOSITORY = Path(__file__).parents[3]
 SCHEMA = json.loads(json.dumps(schema()))
@@ -188,13 +186,6 @@ def test_an_instant_between_is_counted_as_numpy_counts_it(moment):
     assert np.int64(parse_instant(moment.isoformat())) == counted
 
 
-def test_a_camera_is_a_rule_with_its_numbers():
-    camera = {"field_of_view": 0.7, "pixels": 99, "least_range": 0.2, "greatest_range": 7.0, "greatest_incidence": 1.1}
-    camera["greatest_sample_distance"] = 0.02
-    rules = rules_of(Scenario.parse({"camera": camera, "light": {"greatest_incidence": 0.9}}))
-    assert rules == SeeingRules(**camera, greatest_sun_incidence=0.9)
-
-
 json_like = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=8), inner, max_size=4),
@@ -220,30 +211,3 @@ def test_any_tree_and_any_text_is_a_scenario_or_a_refusal_in_one_line(tmp_path_f
     path = tmp_path_factory.getbasetemp() / "any.toml"
     path.write_text(text, encoding="utf-8", errors="surrogatepass", newline="")
     assert "\n" not in refusal + said_of(Scenario.load, path)
-
-
-key = st.from_regex(r"[a-z]{1,4}", fullmatch=True)
-plain = st.one_of(
-    st.integers(-9, 9).map(str),
-    st.sampled_from(["true", '"a # b"', "'[x]'", "{q = 1, r = [2, 3]}", "[1, 2]"]),
-    st.sampled_from(["[\n 1,\n # here\n 2\n]", "'''\n[t]\nz = 1\n'''", '"""a\\\n   b = 2"""']),
-)
-between = st.lists(st.sampled_from(["", "# note", "  # [table]", "\t"]), max_size=2)
-table = st.tuples(key, st.lists(st.tuples(key, plain, between), max_size=4, unique_by=lambda e: e[0]), between)
-
-
-@given(st.lists(table, max_size=4, unique_by=lambda one: one[0]), st.booleans())
-def test_every_entry_of_any_file_is_found_where_it_was_written(tables, windows):
-    """The lines are counted here as the text is put together, with no reader of TOML."""
-    lines: list[str] = []
-    written = {}
-    for name, entries, notes in tables:
-        lines += [*notes, f"[{name}]"]
-        written[(name,)] = len(lines)
-        for entry, value, inner in entries:
-            lines += inner
-            written[(name, entry)] = len(lines) + 1
-            lines += f"{entry} = {value}".split("\n")
-    text = "\n".join(lines)
-    found = entry_lines(text.replace("\n", "\r\n") if windows and '"""' not in text else text)
-    assert {path: line for path, line in found.items() if len(path) <= 2} == written

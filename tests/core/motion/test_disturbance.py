@@ -9,7 +9,6 @@ from hypothesis.extra import numpy as hnp
 from keepout.core.errors import ScenarioError
 from keepout.core.motion.chaser import Thrusters
 from keepout.core.motion.disturbance import (
-    BandLimitedNoise,
     CombinedDisturbance,
     ConstantDisturbance,
     NoDisturbance,
@@ -74,21 +73,6 @@ def test_square_wave_switches_on_time():
     assert largest(wave) <= wave.bound == pytest.approx(np.hypot(0.02, 0.01))
 
 
-@given(st.floats(-6.3, 6.3))
-def test_a_phase_moves_every_sinusoid_and_the_square_wave_by_its_part_of_a_period(phase):
-    t = np.linspace(0.0, 700.0, 301)
-    expected = 0.01 * np.stack([np.sin(0.02 * t + phase), np.cos(0.02 * t + phase), np.sin(0.01 * t + phase)], axis=1)
-    shifted = paper_disturbance().shifted(phase)
-    np.testing.assert_allclose(forces(shifted, t), expected, atol=1e-16)
-    assert largest(shifted) <= paper_disturbance().bound
-    assert shifted.bound == pytest.approx(paper_disturbance().bound, rel=1e-14)
-    sine = np.sin(2 * np.pi * t / 10.0 + phase)
-    wave = SquareWaveDisturbance([0.02, 0.0, -0.01], period=10.0).shifted(phase)
-    clear = np.abs(sine) > 1e-6
-    np.testing.assert_array_equal(np.sign(forces(wave, t))[clear, 0], np.sign(sine)[clear])
-    assert wave.bound == SquareWaveDisturbance([0.02, 0.0, -0.01], period=10.0).bound
-
-
 @pytest.mark.as_used
 def test_phase_zero_leaves_every_bit():
     noise = band_limited_noise(jax.random.key(3), 0.01, 0.02, (0.05, 0.2))
@@ -131,17 +115,6 @@ def test_noise_is_seeded_bounded_and_in_its_band():
         band_limited_noise(jax.random.key(0), 0.01, 0.02, (0.2, 0.05))
     with pytest.raises(ScenarioError, match="terms"):
         band_limited_noise(jax.random.key(0), 0.01, 0.02, (0.05, 0.2), terms=0)
-
-
-@pytest.mark.long
-def test_the_noise_cut_keeps_the_direction_and_has_a_derivative_at_rest():
-    strong = BandLimitedNoise(ConstantSinusoid, 0.1)
-    np.testing.assert_allclose(strong.force(jnp.float64(0.0)), [0.06, 0.08, 0.0], atol=1e-16)
-    silent = BandLimitedNoise(SinusoidalDisturbance([[0.0, 0, 0]], [[1.0, 1, 1]], [[0.0, 0, 0]]), 0.1)
-    assert np.all(np.isfinite(jax.jacfwd(silent.force)(jnp.float64(0.0))))
-
-
-ConstantSinusoid = SinusoidalDisturbance([[3.0, 4.0, 0.0]], [[0.0, 0, 0]], [[np.pi / 2, np.pi / 2, 0]])
 
 
 def test_sums_add_up():

@@ -1,11 +1,9 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from truths import frames
 
 from keepout.core.motion import rotation
 from keepout.core.motion.orbit import Orbit
@@ -20,18 +18,6 @@ def test_axes_of_an_equatorial_circular_orbit():
     vvlh = vvlh_axes(position, velocity)
     np.testing.assert_allclose(vvlh, [[0, 1, 0], [0, 0, -1], [-1, 0, 0]], atol=1e-15)
     np.testing.assert_allclose(orbital_rate(position, velocity), [0, 0, 7500 / 7e6], rtol=1e-15)
-
-
-@pytest.mark.long
-def test_velocity_in_vvlh_is_the_rate_of_the_position_in_vvlh():
-    """The rotation rates are right if differentiating converted positions gives the converted velocity."""
-    chaser = Orbit(9.01e6, 0.21, true_anomaly=0.7, inclination=0.9, right_ascension=2.0, argument_of_perigee=-1.1)
-
-    def in_vvlh(time):
-        return frames.vvlh_from_eci(*chaser.inertial_state(time), *ORBIT.inertial_state(time))
-
-    found = jax.jit(lambda t: jax.jvp(in_vvlh, (t,), (jnp.ones(()),)))(jnp.float64(321.0))
-    np.testing.assert_allclose(found[0][1], found[1][0], rtol=1e-9, atol=1e-9)
 
 
 def test_orbital_frame_and_frames_give_the_same_rate():

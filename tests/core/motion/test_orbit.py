@@ -6,7 +6,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from keepout.core.errors import ScenarioError
-from keepout.core.motion.orbit import J2, Orbit, eccentric_anomaly, perturbed_frame
+from keepout.core.motion.orbit import Orbit, eccentric_anomaly, perturbed_frame
 
 solve = jax.jit(eccentric_anomaly)
 
@@ -49,30 +49,6 @@ def test_rates_are_derivatives_and_the_motion_obeys_newton(eccentricity):
     np.testing.assert_allclose(plain.radius, frame.radius, rtol=1e-14)
     np.testing.assert_allclose(plain.angular_velocity, frame.angular_velocity, atol=1e-17)
     np.testing.assert_allclose(plain.angular_acceleration, frame.angular_acceleration, atol=1e-19)
-
-
-@pytest.mark.long
-def test_j2_turns_the_orbital_plane_at_the_known_mean_rate():
-    """Mean nodal drift −1.5 n J2 (R/p)² cos i, by averaging the frame's rate about the pole over one orbit."""
-    inclination = 0.9
-    orbit = Orbit(7.2e6, 0.0, inclination=inclination)
-    mu = orbit.gravitational_parameter
-    times = jnp.linspace(0, orbit.period, 721)[:-1]
-
-    def plane_rate(time):
-        position, velocity = orbit.inertial_state(time)
-        normal = jnp.cross(position, velocity)
-        normal = normal / jnp.linalg.norm(normal)
-        frame = perturbed_frame(position, velocity, mu, (J2(),))
-        plain = perturbed_frame(position, velocity, mu, ())
-        turning = -(frame.angular_velocity - plain.angular_velocity)[2] * position / jnp.linalg.norm(position)
-        # rate of the normal, projected on the direction that moves the node
-        node = jnp.array([-normal[1], normal[0], 0.0])
-        return jnp.cross(turning, normal) @ node / (node @ node)
-
-    drift = float(jnp.mean(jax.jit(jax.vmap(plane_rate))(times)))
-    expected = -1.5 * float(orbit.mean_motion) * 1.08262668e-3 * (6378137.0 / 7.2e6) ** 2 * np.cos(inclination)
-    np.testing.assert_allclose(drift, expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -108,11 +108,6 @@ def test_a_tumbling_target_sees_the_same_push_as_fine_steps_that_end_at_the_swit
         np.testing.assert_allclose(one, other[::4], atol=1e-9)
 
 
-def test_substeps_split_at_the_switches_too():
-    _, velocity = steps(resonant(AMPLITUDE, 1.0), 1.0, 9, RelativeMotion(Orbit(1e16), InertiallyFixed(), substeps=4))
-    np.testing.assert_allclose(velocity[-1], AMPLITUDE / MASS, rtol=1e-12)
-
-
 def test_a_wave_with_more_switches_than_it_says_is_refused_and_never_flown_in_silence():
     wave = SquareWaveDisturbance(AMPLITUDE, 1.5)
     with pytest.raises(ScenarioError, match=r"disturbance: .* 1 s, .* at most 0.75 s"):

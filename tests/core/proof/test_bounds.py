@@ -158,19 +158,6 @@ def test_float64_softplus_of_the_bounds_is_as_exact_as_assumed():
     assert np.abs(slope - (t > 0.0))[beyond].max() < bounds.TAIL
 
 
-@KINDS
-def test_elements_are_bounded_alike_in_any_company(kind):
-    """Each alone, or among others, of which it takes the rounding only."""
-    network, rng = bounds.Network.of(random_layers(4, dtype=jnp.float32), BETA), np.random.default_rng(3)
-    elements = random_elements(kind, rng, 2 * bounds.CHUNK + 3, 0.01)
-    together = bounds.upper_bounds(network, elements)
-    for i in (0, bounds.CHUNK - 1, bounds.CHUNK, 2 * bounds.CHUNK + 2):
-        alone = bounds.upper_bounds(network, elements[:, i : i + 1])
-        assert alone.upper[0] == pytest.approx(together.upper[i], abs=1e-10)
-        assert alone.slope[0] == pytest.approx(together.slope[i], abs=1e-10)
-        assert alone.evaluation_error[0] == pytest.approx(together.evaluation_error[i], rel=1e-5)
-
-
 def test_numbers_that_overflow_leave_a_bound_of_infinity():
     layers = random_layers(6, (3, 16, 16, 16, 1), jnp.float32)
     huge = layers._replace(weights=tuple(np.asarray(W) * np.float32(1e20) for W in layers.weights))

@@ -13,7 +13,6 @@ from truths.command_line import keepout_command
 from truths.networks import random_field
 
 from keepout.core.errors import FieldError
-from keepout.core.fields.continuation import Domain
 from keepout.core.fields.field import values
 from keepout.core.fields.model import FieldModel
 from keepout.core.fields.own import SphereField
@@ -21,23 +20,13 @@ from keepout.core.geometry.level_set import onto_level
 from keepout.core.geometry.target import Target
 from keepout.core.learning.losses import TrainingProfile
 from keepout.core.learning.training import fit
-from keepout.core.measures.quality import curvature, distance_errors, margin_cost, surface_errors
+from keepout.core.measures.quality import curvature, distance_errors, surface_errors
 from keepout.core.proof import certificate
 from keepout.core.proof.certificate import certify, sample_certificate
 
 pytestmark = pytest.mark.long
 
 TINY = TrainingProfile(width=24, depth=2, samples=20_000, batch=512, steps=1500, tuning_steps=0)
-
-
-@pytest.fixture(scope="module")
-def target():
-    return small_box.target()
-
-
-@pytest.fixture(scope="module")
-def solid():
-    return small_box.solid()
 
 
 @pytest.fixture(scope="module")
@@ -87,20 +76,6 @@ def test_no_search_beats_the_certificate(certified, target, radius):
     assert sampled.error_bound == pytest.approx(sampled.sampled_maximum + 0.01)
     assert worst - 1e-3 <= sampled.sampled_maximum <= proof.error_bound
     assert sampled.gradient_found < sampled.gradient_bound
-
-
-def test_margin_and_far_field(certified, solid):
-    cost = margin_cost(certified.field, solid, error_bound=certified.certificate(0.0).error_bound, count=2000)
-    assert cost.count > 500
-    assert -1e-2 < cost.mean <= cost.percentile_95 < 0.5
-    # From the domain's edge out to ten times the target's size nothing is over-stated.
-    domain = Domain.around(solid.distance)
-    generator = np.random.default_rng(0)
-    direction = generator.normal(size=(5000, 3))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    low, high = np.log(domain.domain_radius), np.log(20.0 * domain.target_radius)
-    points = domain.centre + np.exp(generator.uniform(low, high, size=(5000, 1))) * direction
-    assert np.max(values(certified.field, points) - solid.signed_distance(points)) <= 0.0
 
 
 def test_a_planted_violation_is_found_and_splitting_that_runs_out_stays_sound(model, certified, target, monkeypatch):

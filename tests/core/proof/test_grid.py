@@ -27,11 +27,6 @@ pytestmark = pytest.mark.long
 
 
 @pytest.fixture(scope="module")
-def target():
-    return small_box.target()
-
-
-@pytest.fixture(scope="module")
 def model():
     return small_box.grid()
 

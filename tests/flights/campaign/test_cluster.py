@@ -106,6 +106,7 @@ def no_process_left(group):
     return False
 
 
+@pytest.mark.slow  # test_campaign.py has a campaign that was killed and goes on
 def test_an_interrupt_leaves_what_is_finished_and_no_process_and_goes_on_when_started_again(tmp_path):
     script, out = tmp_path / "fly.py", tmp_path / "out"
     script.write_text(INTERRUPTED)

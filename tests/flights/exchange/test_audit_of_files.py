@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from truths.audited import Mesh
 from truths.command_line import keepout_command
-from truths.message_files import TARGET, judged, meshed, message, orbits, resting, segment, turning
+from truths.message_files import judged, meshed, orbits, resting, turning
 from truths.messages import GEOSTATIONARY, TUMBLING, toy_flight
 
 from keepout.core.audit.audit import Contact, audit
@@ -80,27 +80,6 @@ def test_the_closed_form_of_a_straight_way_past_a_box(tmp_path):
     assert open_["contact_verdict"] == "undecided"
     assert "too close to decide" in open_["remarks"][0]
     assert answer(0.0, sample_error=0.1)["minimum_clearance_m"] == pytest.approx(0.1, abs=1.1e-3)
-
-
-def test_the_closed_form_of_a_turning_box(tmp_path):
-    """A box that turns at 2°/s below a resting chaser: its edge passes at √2 m, halfway between two samples."""
-    time = np.arange(0.0, 101.0, 1.0)
-    relative = np.tile([2.2, 0.0, 0.0], (len(time), 1))
-    angle = np.radians(2.0 * time + 1.0)
-    quaternion = np.stack([0 * angle, 0 * angle, np.sin(angle / 2), np.cos(angle / 2)], axis=1)
-    attitude = message(tmp_path / "a.aem", "AEM", segment("AEM", TARGET, time, quaternion, digits=16))
-    answer = judged_past(
-        *(tmp_path, (2.0, 2.0, 2.0), time, relative, np.zeros_like(relative)), radius=0.5, target_attitude=attitude
-    )(0.0)
-    truth = 2.2 - np.sqrt(2.0) - 0.5
-    assert answer["minimum_clearance_m"] <= truth
-    # Chords of the turn: Ω² · 2.2 m / 8 = 0.34 mm.
-    assert answer["minimum_clearance_m"] == pytest.approx(truth, abs=1e-3 + 2 * 4e-4)
-    assert answer["measured_clearance_m"] >= truth - 1e-9
-    assert answer["assumptions"]["turning_rate_bound_radps"] == pytest.approx(np.radians(2.0), rel=1e-6)
-    # The wrong way round, or with the scalar first, the same box would be elsewhere in between, but touch as near;
-    # what tells them apart is where.
-    assert answer["minimum_position_m"][:2] == pytest.approx([2.2 / np.sqrt(2), -2.2 / np.sqrt(2)], abs=0.05)
 
 
 def test_a_way_through_a_plate_between_samples_is_caught(tmp_path):

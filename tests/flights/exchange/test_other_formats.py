@@ -4,7 +4,6 @@ import csv
 import datetime
 import json
 import struct
-import sys
 
 import erfa
 import numpy as np
@@ -183,15 +182,3 @@ def test_what_cannot_be_exported_of_a_flight(flown, header, arguments, said, tmp
     assert said in answer.err
     assert answer.err.count("\n") == 1
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_a_missing_extra_is_named(tmp_path, monkeypatch):
-    for name in [name for name in sys.modules if name.split(".")[0] == "onnxruntime" or "exchange.onnx" in name]:
-        monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, "onnxruntime", None)
-    radius = ("--chaser-radius", 0.5)
-    answer = keepout_command("export", shipped_path("intelsat30"), "--to", "onnx", *radius, "-o", tmp_path / "a")
-    assert answer.code == 1
-    assert "pip install 'keepout-gnc[export]'" in answer.err
-    assert answer.err.count("\n") == 1
-    assert not list(tmp_path.iterdir())

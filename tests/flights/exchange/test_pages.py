@@ -32,7 +32,7 @@ def blocks(page, language):
     return re.findall(rf"```{language}\n(.*?)```", (DOCS / page).read_text(encoding="utf-8"), re.DOTALL)
 
 
-@pytest.mark.long
+@pytest.mark.slow  # tests/test_docs.py says of each command that it has these arguments
 def test_commands_and_answers_are_as_told(workplace, monkeypatch):
     monkeypatch.chdir(workplace)
     answers = []

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from filter_worlds import BOUND, ERRORS, MASS, NEAR, PERIOD, START, accuracy, ball, band, normalised
+from filter_worlds import BOUND, ERRORS, MASS, NEAR, PERIOD, START, ball, band, normalised
 from scipy import linalg
 from truths.plain_sensors import Height, Pace, Place, Sight, Turned
 
@@ -309,16 +309,6 @@ def test_the_covariance_stays_positive_definite_over_twenty_thousand_steps():
     assert np.all(np.isfinite(eigenvalues))
     assert np.asarray(eigenvalues).min() > 1e-9  # of the correlations
     assert np.asarray(skew).max() < 1e-15
-
-
-@pytest.mark.long
-def test_the_papers_disturbance_is_found_in_noise():
-    """64 flights of 900 s, ±0.05 m and ±2 mm/s (even in balls), 1 Hz: root mean squares of the errors after 300 s."""
-    (position, velocity, force), left_out = accuracy(FREQUENCIES)
-    assert left_out == 0
-    assert position < 4.8e-3
-    assert velocity < 2.8e-4
-    assert force < 2.6e-4
 
 
 # What it asks and what it refuses -------------------------------------------------------------------------------------

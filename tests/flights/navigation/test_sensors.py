@@ -286,13 +286,6 @@ def sampled_together(suite, seeds):
     return jax.vmap(one)(seeds)
 
 
-def test_the_close_suite_is_the_one_of_the_figures():
-    places, speeds = sampled_together(close(dropout=0.1, most_missed=1), np.arange(300))
-    off = np.linalg.norm(places.value - state().position, axis=1)
-    assert 0.045 < off.max() <= 0.05
-    assert 0.0018 < np.linalg.norm(speeds.value - state().velocity, axis=1).max() <= 0.002
-
-
 def test_sensors_alike_have_errors_of_their_own():
     one, other = sampled_together(Suite((RelativePosition(NOISE), RelativePosition(NOISE))), np.arange(1))
     assert not np.allclose(one.value, other.value)
@@ -313,18 +306,6 @@ def test_a_suite_that_cannot_observe_the_motion_is_refused_with_numbers(sensors,
     assert "\n" not in str(caught.value)
     for words in (f"do not determine the {part}", "singular value", "it must be at least 1e-06", remedy):
         assert words in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    "sensors",
-    [
-        (RelativePosition(NOISE, every=25, dropout=0.1, most_missed=1),),
-        (RangeBearing(NOISE, NOISE, every=10, latency=5),),
-        (RelativePosition(NOISE, every=61), RelativeVelocity(NOISE, every=30)),
-    ],
-)
-def test_a_suite_that_can_is_not(sensors):
-    assert check_observability(Suite(sensors), state(), period=1.0) > 1e-3
 
 
 def test_the_probability_per_flight_is_a_union_bound_over_its_samples():

@@ -31,11 +31,6 @@ pytestmark = pytest.mark.as_used
 
 
 @pytest.fixture(scope="module")
-def box():
-    return Target.load("box")
-
-
-@pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("replay")
 

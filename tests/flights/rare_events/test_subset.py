@@ -44,15 +44,6 @@ def test_many_short_simulations_have_no_bias():
     assert np.mean(runs) / probability - 1.0 == pytest.approx(0.0, abs=3.0 * error + 0.05)
 
 
-def test_every_level_of_the_curve_is_right():
-    found = simulate(linear, 20, Question(below=RARE, tapes=4096, seed=5))
-    points = curve(found)
-    for number, mean, lower, upper in points:
-        assert mean == pytest.approx(stats.norm.cdf(number), rel=0.5)
-        assert lower <= mean <= upper
-    assert (np.diff(points, axis=0) >= 0.0).all()
-
-
 @given(arrays(float, (6, 8), elements=st.sampled_from([1e-6, 1e-4, 1e-3, 1e-2, 0.1])))
 def test_the_band_rises_with_its_number_whatever_the_runs_found(runs):
     runs = np.sort(runs, axis=0)  # each run's own probability rises
@@ -82,18 +73,6 @@ def test_the_band_covers_the_whole_curve_at_once():
     # 89 of 100 and fewer have a chance of 1 % where the cover is 0.95.
     assert covered >= 90
     assert alone <= 75
-
-
-def test_moves_keep_the_normal_law_given_the_threshold():
-    # The first level is independent, and so are the ends of the second level's chains, one a seed.
-    found = simulate(linear, 7, Question(below=-5.0, tapes=1024, seed=3, most_levels=2))
-    level = found.levels[1]
-    ends = level.values[:, -1024 // 8 :].ravel()
-    given = stats.truncnorm(-np.inf, level.threshold)
-    assert stats.kstest(ends, given.cdf).pvalue > 0.01
-    # Chains that never moved would pass, too.
-    assert not np.any(ends == level.values[:, : 1024 // 8].ravel()[0])
-    assert np.mean(ends == level.values[:, : 1024 // 8].ravel()) < 0.3
 
 
 def test_a_value_that_most_tapes_share():
@@ -184,10 +163,3 @@ def test_bad_numbers_are_refused(changed, named):
 def test_a_performance_that_is_no_number_is_refused(performance, named):
     with pytest.raises(ScenarioError, match=named):
         simulate(performance, 3, Question(-1.0))
-
-
-def test_progress_rises_to_its_end():
-    told = []
-    simulate(linear, 3, Question(below=RARE, tapes=64), progress=lambda fraction, message: told.append(fraction))
-    assert told[-1] == 1.0
-    assert all(0.0 <= fraction <= 1.0 for fraction in told)

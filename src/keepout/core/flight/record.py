@@ -24,6 +24,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from jaxtyping import Bool, Float, Int
 
+from keepout import __version__
 from keepout.core.digest import digest
 from keepout.core.errors import FlightError
 from keepout.core.flight.loop import FlightLog, FlightOutcome
@@ -162,7 +163,7 @@ def _one_line(error: BaseException) -> str:
 
 EXPLORED = "explored"
 """Header entry of a flight by a map that grew: it knew no field of its target."""
-_PACKAGES = ("keepout", "jax", "jaxlib", "equinox", "numpy")
+_PACKAGES = ("jax", "jaxlib", "equinox", "numpy")
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,7 +239,11 @@ class FlightRecord:
             "target_sha256": target_sha256,
             "statuses": {name: {str(k): v for k, v in legend.items()} for name, legend in (statuses or {}).items()},
             "final": {} if outcome is None else plain_outcome(outcome),
-            "versions": {name: _version(name) for name in _PACKAGES} | {"python": platform.python_version()},
+            "versions": {
+                "keepout": __version__,
+                **{name: metadata.version(name) for name in _PACKAGES},
+                "python": platform.python_version(),
+            },
         }
         header |= dict(extra or {})
         arrays = jax.device_get({name: getattr(log, name) for name in FlightLog.__annotations__})
@@ -333,10 +338,3 @@ def plain_outcome(outcome: FlightOutcome) -> dict[str, Any]:
 
     names = FlightOutcome.__annotations__
     return {name: plain(np.asarray(jax.device_get(getattr(outcome, name))).tolist()) for name in names}
-
-
-def _version(package: str) -> str:
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:  # run from a source tree that was never installed
-        return "unknown"

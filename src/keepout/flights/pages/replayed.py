@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 from keepout.core.audit.audit import Audit
 from keepout.core.audit.tube import FlightBounds, Tube
+from keepout.core.compiled.kept_programs import keep_programs
 from keepout.core.errors import FlightError, KeepoutError
 from keepout.core.fields.field import Field
 from keepout.core.fields.model import FieldModel
@@ -178,6 +179,7 @@ def of_files(paths: Sequence[Path], *, progress: Progress = silent) -> list[Repl
         KeepoutError: a file that cannot be read as a flight, or what `of_records` raises; the message names the file.
 
     """
+    keep_programs()  # a surface that `fly` has cut for its own page is not cut again
     gathered = of_records({str(path): FlightRecord.load(path) for path in paths}, progress=progress)
     names = [flight.scenario.name for flight in gathered]
     if len(set(names)) < len(names):

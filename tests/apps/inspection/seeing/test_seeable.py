@@ -15,6 +15,8 @@ from keepout.apps.inspection.seeing.sightlines import Sightlines
 from keepout.apps.inspection.seeing.visible import SeeingRules, visible
 from keepout.core.geometry.target import Target
 
+pytestmark = pytest.mark.long
+
 RULES = SeeingRules()
 
 
@@ -49,7 +51,6 @@ def check_by_places(target: Target, found: Seeable, stand_off: float, places: np
     assert ((found.why != Hidden.NOT) == (found.verdict == Verdict.HIDDEN)).all()
 
 
-@pytest.mark.long
 def test_all_of_a_box_can_be_seen_from_outside_and_nothing_of_its_inner_sides():
     target = Target.load("box")
     found = judged(target, 0.5, 1.5)
@@ -86,7 +87,6 @@ def test_the_floor_of_a_well_is_seen_while_the_range_reaches_it(depth, verdict):
     assert (found.why[floor] == (Hidden.NARROW if verdict == Verdict.HIDDEN else Hidden.NOT)).all()
 
 
-@pytest.mark.long
 def test_no_place_around_the_pocket_sees_what_is_called_hidden():
     target = Target.load("pocket")
     found = judged(target, 0.5, 1.0, both=False)
@@ -96,7 +96,6 @@ def test_no_place_around_the_pocket_sees_what_is_called_hidden():
     assert found.upper - found.lower <= 0.002
 
 
-@pytest.mark.long
 @settings(max_examples=settings().max_examples // 6)
 @given(seed=st.integers(0, 10**6))
 def test_no_place_around_loose_triangles_sees_what_is_called_hidden(seed):
