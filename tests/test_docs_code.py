@@ -23,6 +23,7 @@ QUICKER = {
         ),
         ("duration=500.0", "duration=60.0"),
     ],
+    "docs/own/gym.md": [("num_envs=1024, guard=False", "num_envs=1")],
     "docs/own/law.md": [("duration=300.0", "duration=240.0")],
     "docs/campaigns.md": [
         ('"runs": 1000', '"runs": 2'),

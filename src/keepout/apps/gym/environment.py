@@ -3,8 +3,7 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium
 import jax
@@ -21,7 +20,7 @@ from keepout.core.errors import KeepoutError, ScenarioError
 from keepout.core.guard.field import guard_field
 from keepout.core.guard.guard import require_flyable
 from keepout.core.mission.build import build_guard, require_navigation
-from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.scenario import Scenario, ScenarioLike
 from keepout.core.mission.surroundings import Surroundings, broken_assumptions
 from keepout.core.mission.target import load_target, require_apart
 from keepout.core.motion.arrays import Vector
@@ -37,13 +36,9 @@ MISSION: Mapping[str, Any] = {
     "goal": {"position": [0.0, -4.0, 0.0], "tolerance": 0.5},
 }
 """Flown where no mission is given: from anywhere around the pocket to behind its floor."""
-STARTS = ("shell", 6.0, 9.0)
-"""Of that mission."""
 PART = 512
 """Environments that one call of the compiled step flies on a CPU; each call has a thread of its own."""
-_LEAST_SHARE = 0.05
-"""Of the places drawn for a start that must be free."""
-Mission = str | Path | Mapping[str, Any] | Scenario | None
+Mission = ScenarioLike | None
 Seeds = int | Sequence[int | None] | None
 
 
@@ -56,8 +51,8 @@ def approach_world(mission: Mission, guard: bool, starts: Any) -> World:
     """
     keep_programs()
     if mission is None:
-        mission, starts = MISSION, STARTS if starts is None else starts
-    scenario = Scenario.parse(dict(mission)) if isinstance(mission, Mapping) else Scenario.of(mission)
+        mission, starts = MISSION, ("shell", 6.0, 9.0) if starts is None else starts
+    scenario = Scenario.of(mission)
     target = load_target(scenario.target)
     require_apart(scenario, target)
     require_navigation(scenario)
@@ -85,13 +80,11 @@ def approach_world(mission: Mission, guard: bool, starts: Any) -> World:
         sound=not broken_assumptions(scenario, target),
     )
     share = float(free_share(world))
-    if share < _LEAST_SHARE:
-        raise ScenarioError(
-            f"starts: {100 * share:.3g} % of the places drawn are free (field above {free:.3f} m); at least "
-            f"{100 * _LEAST_SHARE:g} % must be: move them away from the target"
-        )
+    if share < 0.05:
+        said = f"starts: {100 * share:.3g} % of the places drawn are free (field above {free:.3f} m)"
+        raise ScenarioError(f"{said}; at least 5 % must be: move them away from the target")
     if shield is not None:
-        first = begin(world, np.zeros(1, np.int64), np.zeros(1, np.int64))[0].flight.motion
+        first = begin(world, *jnp.zeros((2, 1), jnp.int64))[0].flight.motion
         require_flyable(shield, jax.tree.map(lambda array: array[0], first), world.setup.goal)
     return world
 
@@ -118,19 +111,17 @@ class ApproachVectorEnv(VectorEnv):
 
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}
-
     def __init__(self, num_envs: int = 1, mission: Mission = None, guard: bool = True, starts: Any = None) -> None:
         if num_envs < 1:
             raise KeepoutError(f"num_envs: {num_envs}; it must be at least 1")
-        self.num_envs = num_envs
+        self.num_envs, self.metadata = num_envs, {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}
         self.single_observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (7,), np.float32)
         self.single_action_space = gymnasium.spaces.Box(-1.0, 1.0, (3,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._world = approach_world(mission, guard, starts)
         self._advance = advancing(self._world)
-        # As many in each part: a last one that is not full is filled up, so that only one size is compiled.
+        # As many in each part, of which the last is filled up, so that only one size is compiled.
         parts = math.ceil(num_envs / PART) if jax.default_backend() == "cpu" else 1
         self._size = math.ceil(num_envs / parts)
         self._seeds = np.zeros(parts * self._size, np.int64)
@@ -144,7 +135,7 @@ class ApproachVectorEnv(VectorEnv):
             numbers = np.concatenate([np.asarray(part.number) for part in self._parts]) + 1
         else:
             self._seeds[: self.num_envs] = self._given(seed)
-        told, info = self._done(lambda part: begin(self._world, self._seeds[part], numbers[part]))
+        told, info = self._done(lambda part: begin(self._world, *jnp.stack([self._seeds[part], numbers[part]])))
         return told.observation, info
 
     def step(self, actions: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
@@ -154,10 +145,9 @@ class ApproachVectorEnv(VectorEnv):
         given, shape = np.asarray(actions, np.float32), (self.num_envs, 3)
         if given.shape != shape or not np.isfinite(given).all():
             raise KeepoutError(f"action: shape {given.shape}; it must be finite numbers of shape {shape}")
-        asked = np.zeros((len(self._seeds), 3), np.float32)
-        asked[: self.num_envs] = given
+        asked = np.resize(given, (len(self._seeds), 3))
         parts = self._parts
-        told, info = self._done(lambda part: self._advance(parts[part.start // self._size], asked[part]))
+        told, info = self._done(lambda part: self._advance(parts[part.start // self._size], jnp.asarray(asked[part])))
         return told.observation, told.reward, told.terminated, told.truncated, info
 
     def close_extras(self, **kwargs: Any) -> None:
@@ -182,8 +172,7 @@ class ApproachVectorEnv(VectorEnv):
 
         self._parts, answers = map(list, zip(*self._pool.map(done, places)))
         told = jax.tree.map(lambda *parts: np.concatenate(parts)[: self.num_envs], *answers)
-        every = np.ones(self.num_envs, bool)
-        return told, told.info | {f"_{name}": every for name in told.info}
+        return told, told.info | {f"_{name}": np.ones(self.num_envs, bool) for name in told.info}
 
 
 class ApproachEnv(gymnasium.Env):
@@ -218,8 +207,6 @@ class ApproachEnv(gymnasium.Env):
         KeepoutError: the mission cannot be flown; the message names the entry.
 
     """
-
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
 
     def __init__(self, mission: Mission = None, guard: bool = True, starts: Any = None) -> None:
         self._one = ApproachVectorEnv(1, mission, guard, starts)

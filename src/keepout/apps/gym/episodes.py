@@ -41,8 +41,8 @@ def starts_of(given: Any) -> Float[np.ndarray, "2 ..."]:
     with suppress(TypeError, ValueError, KeyError):
         kind, *ends = given
         lower, upper = ends = np.asarray(ends, np.float64)
-        right = lower.shape == {"shell": (), "box": (3,)}[kind] and np.isfinite(ends).all()
-        if right and np.all(lower <= upper) and (kind == "box" or lower >= 0.0):
+        ordered = np.isfinite(ends).all() and np.all(lower <= upper) and (kind == "box" or lower >= 0.0)
+        if ordered and lower.shape == {"shell": (), "box": (3,)}[kind]:
             return ends
     raise ScenarioError(
         f'starts: {given!r}; it must be ("shell", inner, outer), radii in m with 0 <= inner <= outer, or '
@@ -73,10 +73,9 @@ class World(eqx.Module):
 
 
 class Episode(eqx.Module):
-    """One episode at a moment (leading axes: many): the state of its flight, and where it stands.
+    """One episode at a moment (leading axes: many), the next but `number` of those of its environment's `seed`.
 
-    `number` counts the episodes that its environment has begun before it since it was given its `seed`; `flown` counts
-    steps, `interventions` those in which the guard replaced the command. The step after it is `over` begins the next.
+    `flown` counts steps, `interventions` those in which the guard replaced the command.
     """
 
     flight: LoopState
