@@ -395,6 +395,28 @@ def startup() -> list[str]:
     return measured("Start-up", words, rows, columns)
 
 
+def learning() -> list[str]:
+    """Give the steps a second of the environment for learning."""
+    kept = kept_file("gym")
+    rates = {"steps a second": "steps a second", "least": "least", "most": "most", "one in a loop": "one in a loop"}
+    columns = {
+        "guard": "guard",
+        "actions": "actions",
+        **rates,
+        "ratio": "ratio",
+        "cpu us a step": "processor µs a step",
+    }
+    words = [
+        f"`python benchmarks/gym_steps.py --out benchmarks/results/gym.json`: {kept['envs']} environments of the "
+        f"built-in mission on {kept['cores']} cores, nothing recorded, with random actions and with such as lead "
+        f"straight to the goal. Medians of {kept['repeats']}, by the clock, and processor time; beside them one "
+        "environment in a loop. [Learn a policy behind the guard](own/gym.md).",
+        *note("gym"),
+    ]
+    rows = [row | {name: round(row[name]) for name in rates} for row in kept["rows"]]
+    return measured("Environments for learning", words, rows, columns)
+
+
 def printed() -> list[str]:
     """Give the tables of benchmarks that keep no file of their own."""
     lines = []
@@ -486,6 +508,7 @@ SECTIONS = (
     public_inspection,
     campaigns,
     startup,
+    learning,
     printed,
 )
 """As they stand on the page."""
