@@ -18,16 +18,17 @@ QUICKER = {
     # Its field, instead of one that is learned as README has it: the grid of exact distances.
     "docs/tutorial.md": [
         (
-            'keepout.certify(keepout.fit(target, profile="quick"), target, chaser_radius=0.5)',
+            'keepout.fit(target, profile="quick", certify=True)',
             "guard_field(target, 0.5)",
         ),
         ("duration=500.0", "duration=60.0"),
     ],
     "docs/own/gym.md": [("num_envs=1024, guard=False", "num_envs=1")],
+    "docs/python.md": [("keepout.fit(target, certify=True)", "guard_field(target, 0.5)"), ("runs=200", "runs=4")],
     "docs/own/law.md": [("duration=300.0", "duration=240.0")],
     "docs/campaigns.md": [
-        ('"runs": 1000', '"runs": 2'),
-        ("Scenario().replace(campaign=", 'Scenario().replace(duration=20.0, guard={"enabled": False}, campaign='),
+        ("runs=1000", "runs=2"),
+        ("keepout.Scenario()", 'keepout.Scenario().replace(duration=20.0, guard={"enabled": False})'),
     ],
     "docs/explore.md": [("examples/explore.toml", "mission.toml")],
     "docs/inspection.md": [
@@ -43,7 +44,7 @@ BEFORE = {
     "from keepout import Scenario\n"
     "from keepout.apps.inspection.command import inspect_to_folder\n"
     "inspect_to_folder(Scenario.load('mission.toml'), Path('out/inspect'), figures=False)\n",
-    "docs/tutorial.md": "from keepout.core.guard.field import guard_field\n",
+    **dict.fromkeys(("docs/tutorial.md", "docs/python.md"), "from keepout.core.guard.field import guard_field\n"),
     "docs/rare.md": "import keepout, numpy\n"
     "from keepout.flights.rare_events.flights import Tape\n"
     "scenario = keepout.Scenario.load('mission.toml')\n"
@@ -69,6 +70,14 @@ goal.position = [4.0, 0.0, 0.0]
 explore.most_views = 60
 """,
     "docs/inspection.md": INSPECT,
+    "docs/python.md": """
+duration = 20.0
+target = {source = "satellite.glb", units = "m"}
+field.source = "grid"
+guard.enabled = false
+start.position = [0.0, 1.0, 5.3]
+goal.position = [0.0, -0.6, -5.0]
+""",
     "docs/rare.md": """
 name = "near"
 duration = 40.0

@@ -148,13 +148,14 @@ def audit(
     for name in given:
         if name not in known:
             raise UsageError(f"audit: {name}: no such option; valid: {', '.join(known)}")
-    paths = {"target_attitude": Path(given["target_attitude"])} if given.get("target_attitude") is not None else {}
+    if given.get("target_attitude") is not None:
+        given["target_attitude"] = Path(given["target_attitude"])
     stated = Given(
         chaser=Path(chaser),
         target_orbit=Path(target_orbit),
         chaser_radius=chaser_radius,
         acceleration_bound=acceleration_bound,
-        **(given | paths),
+        **given,
     )
     if isinstance(target, TargetEntry | Mapping | str | Path) or hasattr(target, "target"):
         entry = mesh_entry(target)  # pyright: ignore[reportArgumentType]

@@ -119,7 +119,7 @@ def _export(
     out: Path,
     source: Path,
     progress: Progress,
-    flight: Flight | None = None,
+    flown: Flight | None = None,
 ) -> dict[str, Any]:
     xml = wanted.xml or out.suffix.lower() == ".xml"
     match wanted.to:
@@ -133,8 +133,8 @@ def _export(
 
             return export_czml(inertial_flight(record, scenario), scenario, out)
         case "glb":
-            if flight is not None and flight.mission is not None:
-                return _scene_of(record, scenario, out, flight.target, flight.mission.model, progress)
+            if flown is not None and flown.mission is not None:
+                return _scene_of(record, scenario, out, flown.target, flown.mission.model, progress)
             return _flight_scene(source, record, scenario, out, wanted.mesh, progress)
         case _:
             return export_table(record, scenario, out, to=wanted.to)
