@@ -7,30 +7,21 @@
 
 import argparse
 import io
-import os
-import shutil
 from pathlib import Path
 
 from PIL import Image
-from playwright.sync_api import sync_playwright
 
-SOFTWARE = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+from keepout.flights.pages.filmed import opened, seek
 
 
-def screenshot(page: Path, *, at: float, keys: list[str]) -> bytes:
+def screenshot(replay: Path, *, at: float, keys: list[str]) -> bytes:
     """Open a replay, show it at a share of its flight with some keys pressed, and give the picture as PNG."""
-    chromium = os.environ.get("KEEPOUT_CHROMIUM") or shutil.which("chromium")
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=SOFTWARE)
-        opened = browser.new_page(viewport={"width": 1280, "height": 720})
-        opened.goto(page.absolute().as_uri())
-        opened.wait_for_selector("#replay[data-ready]", timeout=120_000)
-        opened.evaluate("(share) => { const of = keepoutReplay.transport; of.seek(share * of.end); }", at)
+    with opened(replay) as page:
+        seek(page, at)
         for key in keys:
-            opened.keyboard.press(key)
-        opened.wait_for_timeout(2000)  # at rest it is drawn finer
-        taken = opened.screenshot()
-        browser.close()
+            page.keyboard.press(key)
+        page.wait_for_timeout(2000)  # at rest it is drawn finer
+        taken = page.screenshot()
     picture = io.BytesIO()
     Image.open(io.BytesIO(taken)).convert("RGB").point(_coarser).save(picture, format="png", optimize=True)
     return picture.getvalue()

@@ -1,7 +1,5 @@
 """A headless browser for pages: Debian's chromium, or the one that KEEPOUT_CHROMIUM names."""
 
-import os
-import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -9,13 +7,7 @@ from typing import Any
 
 import pytest
 
-SOFTWARE = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
-"""Draws without a graphics card."""
-
-
-def chromium() -> str | None:
-    """The browser's path, if there is one."""
-    return os.environ.get("KEEPOUT_CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
+from keepout.flights.pages.filmed import SOFTWARE, chromium
 
 
 @contextmanager

@@ -60,11 +60,24 @@ def replay(
     flights: Annotated[list[Path], typer.Argument(help="Flight files (.parquet, .npz), all around one target.")],
     out: Annotated[Path, into("The page to write (.html).")] = Path("replay.html"),
     title: Annotated[str | None, typer.Option(help="Of the page; by default the first flight's name.")] = None,
+    video: Annotated[
+        Path | None,
+        typer.Option(
+            help="Also film it: .mp4, .gif, .webp, or .png for pictures in a row. Needs an installed Chromium."
+        ),
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Write flights as one page to watch them in any browser, offline: the target, its envelope, paths and plots."""
     with terminal.progress("replay") as progress:
-        summary = replay_to_page(flights, out, title=title, progress=progress)
+        if video is not None:
+            from keepout.flights.pages.filmed import film, require_film
+
+            require_film(video)
+        told = part_of(progress, 0.0, 1.0 if video is None else 0.3)
+        summary = replay_to_page(flights, out, title=title, progress=told)
+        if video is not None:
+            summary["video"] = str(film(out, video, progress=part_of(progress, 0.3, 1.0)))
     answer(summary, as_json, terminal.Line(f"open {summary['replay']}"))
 
 

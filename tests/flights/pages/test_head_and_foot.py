@@ -10,8 +10,10 @@ import pytest
 from truths.passing import box_scenario
 from truths.results import Page as Read
 
+from keepout.core.errors import ExchangeError, UsageError
 from keepout.core.mission.scenario import Scenario
 from keepout.flights.pages.figures import drawn, logarithmic, looks
+from keepout.flights.pages.filmed import require_film
 from keepout.flights.pages.head_and_foot import Provenance, as_toml, verdict_of
 from keepout.flights.pages.page import Page
 
@@ -82,3 +84,12 @@ def test_labels_of_a_logarithmic_axis_do_not_lie_over_each_other(range_):
         )
     assert shown
     assert all(one[1] < other[0] for one, other in itertools.pairwise(shown))
+
+
+def test_a_film_is_refused_before_any_work_where_there_is_no_browser(tmp_path, monkeypatch):
+    with pytest.raises(UsageError, match=r"film\.mov.*\.mp4, \.gif, \.webp, \.png"):
+        require_film(tmp_path / "film.mov")
+    monkeypatch.delenv("KEEPOUT_CHROMIUM", raising=False)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(ExchangeError, match=r"film\.gif: no browser to film in .*KEEPOUT_CHROMIUM"):
+        require_film(tmp_path / "film.gif")

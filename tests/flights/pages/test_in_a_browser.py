@@ -6,9 +6,11 @@ import re
 import matplotlib.image
 import numpy as np
 import pytest
+from PIL import Image
 from truths.browser import SOFTWARE, browsers, slide
 from truths.passing import STEPS, box_scenario, pass_position, pass_record
 
+from keepout.flights.pages.filmed import Film, chromium, film
 from keepout.flights.pages.replay_page import write_replay
 from keepout.flights.pages.replayed import of_records
 
@@ -167,6 +169,45 @@ def test_nothing_lies_over_anything_else(started, page_path, width, height):
                 down = min(one["y"] + one["height"], other["y"] + other["height"]) - max(one["y"], other["y"])
                 assert min(across, down) <= 0.5, (name, other_name)
     page.close()
+
+
+def test_on_a_phone_nothing_is_wider_than_the_screen_and_the_switches_are_folded(started, page_path):
+    page = started.new_page(viewport={"width": 390, "height": 844})
+    page.goto(page_path.as_uri())
+    page.wait_for_selector("#replay[data-ready]", timeout=60_000)
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    assert not page.locator("input[name=path]").is_visible()
+    page.locator(".controls summary").click()
+    assert page.locator("input[name=path]").is_visible()
+    page.locator("button[name=about]").click()
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    assert "machine" in page.locator("#figures footer").inner_text()
+    page.close()
+
+
+def test_a_chaser_behind_the_target_is_still_marked(opened):
+    slide(opened, 100.0)
+    for name in ("thrust", "velocity", "closest", "envelope", "path", "ends"):
+        opened.evaluate("(name) => document.querySelector(`input[name=${name}]`).click()", name)
+    opened.evaluate(
+        "keepoutReplay.eye.camera.position.set(0, 0.01, -12); keepoutReplay.eye.controls.update()"
+    )  # the box is between it and the chaser
+    state(opened)
+    before = picture(opened)
+    opened.evaluate("document.querySelector('input[name=chaser]').click()")
+    state(opened)
+    assert (np.abs(picture(opened) - before).max(axis=2) > 0.2).sum() > 100
+
+
+def test_a_film_shows_the_flight_and_a_row_of_pictures_too(page_path, tmp_path):
+    if chromium() is None:
+        pytest.skip("no chromium: install Debian's, or name one in KEEPOUT_CHROMIUM")
+    how = Film(seconds=0.3, rate=10, size=(640, 360), pictures=2)
+    with Image.open(film(page_path, tmp_path / "film.gif", how)) as gif:
+        assert (gif.size, gif.n_frames) == ((640, 360), 3)
+    row = matplotlib.image.imread(film(page_path, tmp_path / "row.png", how))[..., :3]
+    assert row.shape == (360, 1280, 3)
+    assert (np.abs(row[:, :640] - row[:, 640:]).max(axis=2) > 0.2).sum() > 100
 
 
 def test_without_scripts_and_in_print_there_are_figures(started, page_path):

@@ -142,7 +142,7 @@ def provenance(reading: Dataset) -> Provenance:
     return Provenance({reading.scenario.name: reading.scenario}, digests, reading.scenario.seed)
 
 
-_LABELS = {figure.column: figure.label for figure in FIGURES} | {"guard_interventions": "guard steps"}
+LABELS = {figure.column: figure.label for figure in FIGURES} | {"guard_interventions": "guard steps"}
 """Headings with units of a table's columns, for people."""
 _INTERVAL = {"rate": "rate", "low": "low", "high": "high"}
 _INFLUENCE = {
@@ -267,9 +267,7 @@ def _tell_worst(page: Page, found: Results, replays: Mapping[int, Markup]) -> No
         link, again = replays.get(run, text("not kept")), folder / f"run-{run}" / "index.html"
         if again.exists():
             link = Markup(f"{link}, {page.link(again, 'flown again')}")
-        rows.append(
-            {"run": run, "flight": link, **{_LABELS.get(k, k): value for k, value in row.items() if k != "run"}}
-        )
+        rows.append({"run": run, "flight": link, **{LABELS.get(k, k): value for k, value in row.items() if k != "run"}})
         commands.append(f'<code class="line">{text(replay_command(folder, run))}</code>')
     page.table(rows, wide=True)
     page.file(folder / PLACE / "worst.csv")

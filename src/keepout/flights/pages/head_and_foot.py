@@ -6,6 +6,7 @@ needed to make the page again; `SOURCE_DATE_EPOCH` (s since 1970) stands for the
 
 import datetime
 import json
+import math
 import os
 import platform
 import re
@@ -53,7 +54,8 @@ def verdict_of(summary: Mapping[str, Any]) -> Verdict:
         "undecided": ("Contact not excluded", False),
     }[contact]
     if contact == "no":
-        said += f": the clearance is at least {summary['minimum_clearance_m']:.3f} m at every instant"
+        least = math.floor(1e3 * summary["minimum_clearance_m"]) / 1e3  # down: it is a lower bound
+        said += f": the clearance is at least {least:.3f} m at every instant"
     return Verdict(f"{said}.", good, _theorem(summary))
 
 

@@ -53,7 +53,7 @@ def write_replay(
             "target and paths", flights, _picture, 5.0
         ),
         "Clearance on the exact mesh, shaded down to its proved lower bound over each step.": _shown(
-            "clearance", flights, _clearance, 2.6
+            "clearance", flights, paint_clearance, 2.6
         ),
         f"Speed, applied force and {last}.": _shown("motion", flights, _motion, 4.6, rows=3),
     }
@@ -83,7 +83,8 @@ def _picture(panel: Axes, flights: Sequence[Replayed]) -> None:
     paint_paths(panel, flights[0].target, paths, goals, eye_axes(*_SIDE) @ upright)
 
 
-def _clearance(panel: Axes, flights: Sequence[Replayed]) -> None:
+def paint_clearance(panel: Axes, flights: Sequence[Replayed]) -> None:
+    """Show the clearance on the exact mesh in a panel, shaded down to its proved lower bound over each step."""
     for look, flight in zip(looks(len(flights)), flights):
         time = flight.shown.time - flight.shown.time[0]
         panel.plot(time, flight.clearance, linewidth=0.9, label=flight.name, **look)
