@@ -95,3 +95,31 @@ def replay_to_page(
     first = gathered[0]
     title = title or f"{first.scenario.name} · {first.target.name}"
     return write_replay(out, gathered, title=title, progress=part_of(progress, 0.4, 1.0))
+
+
+@app.command(epilog=example("keepout report out/case1 --pdf", "keepout report out/campaign --pdf -o campaign.pdf"))
+def report(
+    folder: Annotated[Path, typer.Argument(help="The folder of fly, explore, inspect or campaign.")],
+    pdf: Annotated[bool, typer.Option("--pdf", help="As a PDF; without it a campaign's page is written anew.")] = False,
+    out: Annotated[Path | None, into("The PDF to write; by default report.pdf in that folder.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Print what was flown as four pages: mission and assumptions, what is proved, what was flown, requirements."""
+    if not pdf:
+        if out is not None or not (folder / "campaign.json").exists():
+            raise UsageError(
+                f"{folder}: give --pdf; only a campaign's page, index.html, can be written anew without it"
+            )
+        from keepout.flights.pages.campaign_page import report_campaign
+
+        with terminal.progress(f"report {folder.name}") as progress:
+            summary = report_campaign(folder, progress=progress)
+        answer(summary, as_json, terminal.Line(f"open {summary['page']}"))
+        return
+    if out is not None and out.suffix.lower() != ".pdf":
+        raise UsageError(f"{out}: a report ends in .pdf")
+    with terminal.progress(f"report {folder.name}") as progress:
+        from keepout.flights.pages.printed import print_report
+
+        written = print_report(folder, out, progress=progress)
+    answer({"report": str(written)}, as_json, terminal.Line(f"open {written}"))

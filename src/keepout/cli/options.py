@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from keepout.core.mission.scenario import Scenario
 
 ORDER = (
-    *("targets", "describe", "fit", "certify", "measure", "fly", "explore", "inspect", "replay"),
+    *("targets", "describe", "fit", "certify", "measure", "fly", "explore", "inspect", "replay", "report"),
     *("rare", "reproduce", "export", "audit", "scenario", "campaign"),
 )
 

@@ -312,15 +312,12 @@ def _flight_parts(folder: Path, progress: Progress) -> _Parts:
     """Read the folder of one flight, of one leg or several."""
     try:
         summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
-        [flight] = of_files([folder / Path(summary["flight"]).name], progress=part_of(progress, 0.0, 0.5))
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        if isinstance(error, ScenarioError) or not isinstance(
-            error, OSError | json.JSONDecodeError | KeyError | TypeError
-        ):
-            raise
+        path = folder / Path(summary["flight"]).name
+    except (OSError, ValueError, KeyError, TypeError):
         raise ScenarioError(
             f"{folder}: holds neither a flight nor a campaign; give the folder of fly, explore, inspect or campaign"
         ) from None
+    [flight] = of_files([path], progress=part_of(progress, 0.0, 0.5))
     least = flight.verdict.minimum_clearance
     summary |= {"contact_verdict": str(flight.verdict.contact), "minimum_clearance_m": least}
     verdict, scenario, record = verdict_of(summary), flight.scenario, flight.shown
