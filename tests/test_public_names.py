@@ -2,6 +2,7 @@
 
 import dataclasses
 import inspect
+import re
 
 import numpy as np
 import pytest
@@ -130,13 +131,16 @@ def public_functions():
                     yield f"keepout.{name}.{key}", of
 
 
-def test_a_public_name_says_what_each_argument_is():
+def test_a_public_name_says_what_each_argument_is_and_when_it_refuses():
     silent = []
     for name, function in public_functions():
         code = inspect.unwrap(function)
         asked = [key for key in inspect.signature(code).parameters if key not in ("self", "cls")]
-        section = inspect.cleandoc(code.__doc__ or "").partition("Args:\n")[2].partition("\n\n")[0]
+        words = inspect.cleandoc(code.__doc__ or "")
+        section = words.partition("Args:\n")[2].partition("\n\n")[0]
         told = {line.strip().partition(":")[0].lstrip("*") for line in section.splitlines()}
         if missing := [key for key in asked if key not in told]:
             silent.append(f"{name}: {', '.join(missing)}")
+        if re.search(r"\braise \w+Error", inspect.getsource(code)) and "Raises:" not in words:
+            silent.append(f"{name}: Raises")
     assert not silent, "\n".join(silent)

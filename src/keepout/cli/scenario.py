@@ -54,8 +54,8 @@ def _drafted(
     given: Mapping[str, Any], out: Path | None, profile: str, force: bool, progress: Progress
 ) -> dict[str, Any]:
     """Draft a scenario, for a target where `given` names one, and write it to `out` where that is given."""
-    from keepout.core.mission.draft import draft
     from keepout.core.whole_file import write_whole
+    from keepout.verbs.draft import draft
 
     if out is not None:
         require_file(out, ".toml", "a scenario file", refusal=ScenarioError)

@@ -14,9 +14,9 @@ from keepout.core.geometry.target import Target
 from keepout.core.guard.field import guard_field
 from keepout.core.mission.build import prepare
 from keepout.core.mission.check import check, number_refusal
-from keepout.core.mission.draft import commented, draft
 from keepout.core.mission.entries import Entry
 from keepout.core.mission.scenario import Scenario, with_entries
+from keepout.verbs.draft import commented, draft
 
 
 def entries(model=Scenario, before=""):

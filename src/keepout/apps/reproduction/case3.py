@@ -228,7 +228,7 @@ def flown(
 ) -> dict[str, np.ndarray]:
     """Fly a campaign chunk by chunk, each kept as it lands; what an earlier run kept is not flown again.
 
-    Returns the columns of `Campaign.columns`, the series of `SERIES` with their `time`, and `starts_drawn_again`.
+    Returns the columns of `FlownInMemory.columns`, the series of `SERIES` with their `time`, and `starts_drawn_again`.
     """
     model = load_model(scenario, target) if model is None else model
     planned = functools.cache(lambda: plan_campaign(scenario, target=target, model=model))

@@ -42,7 +42,7 @@ FIGURES = (
     *("guard_interventions", "guard_flags", "contact", "minimum_clearance", "minimum_barrier", "largest_speed"),
     "propellant",
 )
-"""Columns of a campaign's table that `Campaign.columns` gives of every flight."""
+"""Columns of a campaign's table that `FlownInMemory.columns` gives of every flight."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ class FlightSeries:
 
 
 @dataclass(frozen=True)
-class Campaign:
+class FlownInMemory:
     """What became of every flight of a campaign.
 
     Attributes:
@@ -212,7 +212,7 @@ class CampaignPlan:
         target: its mesh.
         runs: all of them.
         programs: what flies them.
-        starts_drawn_again: see `Campaign`.
+        starts_drawn_again: see `FlownInMemory`.
 
     """
 
@@ -231,7 +231,7 @@ class CampaignPlan:
         stride: int | None = None,
         batch: int = 0,
         progress: Progress = silent,
-    ) -> Campaign:
+    ) -> FlownInMemory:
         """Fly the runs from place `first` up to `last` (by default all) and audit each.
 
         A flight is the same to the bit whether it is flown with all others or in a part, in batches of one size; the
@@ -265,7 +265,7 @@ class CampaignPlan:
             progress=progress,
         )
         seconds = time.perf_counter() - began
-        return Campaign(scenario, self.target, runs, flown, self.starts_drawn_again, seconds, kept)
+        return FlownInMemory(scenario, self.target, runs, flown, self.starts_drawn_again, seconds, kept)
 
 
 def plan_campaign(
@@ -314,7 +314,7 @@ def run_campaign(
     series: Sequence[str] = tuple(SERIES),
     stride: int | None = None,
     progress: Progress = silent,
-) -> Campaign:
+) -> FlownInMemory:
     """Fly the `scenario.campaign.runs` runs of a scenario's campaign in memory, and audit each.
 
     They are drawn as `plan_campaign` says: by its dispersions, or else from random starts at rest in its box. `series`
