@@ -10,13 +10,14 @@ import warnings
 from pathlib import Path
 
 import pytest
-from truths.command_line import keepout_command
+from truths.command_line import Answer, keepout_command
 
 from keepout import cli
-from keepout.cli import mesh
-from keepout.cli.options import ORDER
+from keepout.cli import mesh, missions
+from keepout.cli.application import ORDER
 from keepout.core.fields import shipped_path
 from keepout.core.fields.model import FieldModel
+from keepout.core.mission.scenario import Scenario
 
 REPOSITORY = Path(__file__).parents[1]
 EXAMPLES = REPOSITORY / "examples"
@@ -44,6 +45,11 @@ AUDIT = (
 CANNOT_BE_MEANT = [
     (("nonsense",), "nonsense"),
     (("fly", "a.toml", "--seed", "4294967296"), "4294967296"),
+    (("fly", CASE, "--set", "chaser.mass"), "--set chaser.mass: no value; give ENTRY=VALUE"),
+    (("scenario", "check", CASE, "--set", "chaser.mass=-1", "--set", "seed=a"), "chaser.mass: -1 must be greater than"),
+    (("rare", CASE, "--set", "goal.positon=3"), "goal.positon: no such entry; did you mean position?"),
+    (("campaign", CASE, "--set", "start.position.z=high"), "start.position.2: 'high' must be a valid number"),
+    (("explore", EXAMPLES / "explore.toml", "--set", "= 3"), "nothing is no name of an entry"),
     (("scenario", "new", "-o", "mission.yaml"), ".toml"),
     (("scenario", "new", "--units", "cm"), "--for"),
     (("fit", "box", "-o", "out.keepout", "--profile", "papre"), "papre"),
@@ -71,6 +77,7 @@ CANNOT_BE_MEANT = [
     ((*AUDIT, "--target-fixed-in", "ecef"), "--target-fixed-in ecef: valid: vvlh, inertial"),
     ((*AUDIT, "--acceleration-bound", "inf"), "inf is not valid"),
     ((*AUDIT, "--target", "mission.toml", "--target-units", "mm"), "--target-units: not with the scenario"),
+    ((*AUDIT, "--set", "chaser.mass=3"), "--set chaser.mass=3: only with a scenario file"),
     ((*AUDIT, "--target", "a.stl", "--target-units", "mm", "--target-scale", "2"), "either units or scale"),
 ]
 REFUSED = [
@@ -220,6 +227,33 @@ def test_memory_that_does_not_suffice_is_one_line_too(monkeypatch):
     answer = keepout_command()
     said = "keepout: out of memory (Unable to allocate 469. MiB); a smaller or coarser target would fit\n"
     assert (answer.code, answer.err) == (1, said)
+
+
+def test_set_replaces_entries_of_every_kind(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mission.toml").write_text("campaign.dispersions = {'chaser.mass' = {uniform = [1, 2]}}")
+    settings = ("control.guidance=straight", "start.position.z = 7", "goal.position=[1, 2.5, 3]", "target.source=a.glb")
+    settings += ("campaign.dispersions.'chaser.mass'={normal = [20, 1]}", "guard.enabled=false", "seed=1", "seed=2")
+    made = missions.mission_of(tmp_path / "mission.toml", settings=settings)
+    assert made == Scenario(
+        **{"seed": 2, "control": {"guidance": "straight"}, "guard": {"enabled": False}},
+        **{"start": {"position": [0, 10, 7]}, "goal": {"position": [1, 2.5, 3]}},
+        **{"target": {"source": str(tmp_path / "a.glb")}},
+        campaign={"dispersions": {"chaser.mass": {"normal": [20, 1]}}},
+    )
+    assert missions.mission_of(tmp_path / "mission.toml", 5, settings).seed == 5
+
+
+def test_quiet_says_nothing_and_the_log_has_all_that_was_said(tmp_path):
+    log = tmp_path / "all.log"
+    assert keepout_command("targets", "--quiet", "--log", log) == Answer(0, "", "")
+    assert keepout_command("describe", "absent.glb", "-q", "--log", log).err.startswith("keepout: absent.glb")
+    said = log.read_text(encoding="utf-8")
+    assert "keepout targets --quiet" in said
+    assert "intelsat30" in said
+    assert " done after " in said
+    assert "s: absent.glb: no such file" in said
+    assert "intelsat30" in keepout_command("targets").out  # the next command is heard again
 
 
 def test_no_command_shows_the_help_and_nothing_else():

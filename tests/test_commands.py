@@ -28,7 +28,7 @@ from keepout.apps.led.camera import axes_towards
 from keepout.apps.led.first_hit import FirstHit
 from keepout.apps.unknown import equipment, map_file
 from keepout.apps.unknown.depth_sensor import ErrorDraw, take
-from keepout.cli.options import ORDER
+from keepout.cli.application import ORDER
 from keepout.core.audit.audit import Audit, audit
 from keepout.core.compiled.kept_programs import VARIABLE
 from keepout.core.fields.field import values
@@ -291,7 +291,8 @@ def test_the_page_of_the_flight(folder, flown):
     """It holds the table of the summary, the pictures beside it, and the recorded path; it fetches nothing."""
     out = folder / "flight"
     pictures = {"paths", "clearance", "error", "boxed"}
-    files = {"boxed.parquet", "index.html", "replay.html", "summary.json", *(f"{name}.png" for name in pictures)}
+    files = {"boxed.parquet", "index.html", "replay.html", "summary.json", "mission.json"}
+    files |= {f"{name}.png" for name in pictures}
     assert {path.name for path in out.iterdir()} == files
     page = Page.read(out / "index.html")
     assert set(page.outside) == {"replay.html"}
@@ -303,6 +304,16 @@ def test_the_page_of_the_flight(folder, flown):
         check_picture(out / f"{name}.png")
     drawn = ReplayPage.read(out / "replay.html").positions("boxed")
     np.testing.assert_allclose(drawn, FlightRecord.load(flown["flight"]).position, rtol=1e-6, atol=1e-6)
+
+
+def test_a_folder_of_another_mission_is_refused_before_anything_is_flown(folder, flown):
+    before = sorted((folder / "flight").iterdir())
+    for command in (("fly", "drawn.toml"), ("rare", "drawn.toml"), ("campaign", "mission.toml")):
+        refused = keepout_command(*command, "-o", "flight")
+        assert refused.code == 1
+        assert f"flight: holds what `keepout fly` wrote of boxed ({folder / 'mission.toml'})" in refused.err
+        assert "--force" in refused.err
+    assert sorted((folder / "flight").iterdir()) == before
 
 
 TEN_LINES = """
@@ -385,6 +396,19 @@ def test_campaign_report_compare_and_replay(folder, campaign):
     assert (folder / "compared" / "index.html").exists()
     said = keepout_process(folder, "campaign", "replay", "many", "--run", 1, "--no-figures", "--json")
     assert (said["equal"], said["differences"]) == (True, {})
+
+
+def test_a_campaign_that_is_there_is_judged_by_what_is_required_now(folder, campaign):
+    """No flight is flown again for it; a command that finds too few runs that meet it ends with exit code 3."""
+    command = ("campaign", "drawn.toml", "-o", "many", "--keep", "none", "--set", "require.contact=proved", "--set")
+    for share, code, word in ((0.29, 0, "pass"), (0.3, 3, "FAIL")):  # of 3 of 3 the lower end is 0.025^(1/3), 0.2924
+        told = keepout_command(*command, f"require.share={share}")
+        assert (told.code, told.out.count(word)) == (code, 1)
+        assert "open many/index.html" in told.out
+    assert "require.contact: proved free of contact: not met, 3 of 3 runs" in told.err
+    assert written(folder / "many")["requirements"][0]["met"] is False
+    assert "FAIL" in (folder / "many" / "index.html").read_text(encoding="utf-8")
+    assert keepout_command("campaign", "report", "many").code == 3
 
 
 def test_rare(folder):

@@ -1,5 +1,6 @@
 """Commands on many flights: campaign fly, report, compare, replay."""
 
+import contextlib
 import json
 import time
 from collections.abc import Callable
@@ -10,12 +11,25 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from keepout.cli.options import AsJson, ScenarioSeed, answer, app, at_least, example, grouped, into, mission_of, usage
+from keepout.cli.application import Commands, app
+from keepout.cli.missions import (
+    Force,
+    Settings,
+    conclude,
+    folder_of,
+    forget_campaign,
+    mission_of,
+    results_of,
+)
+from keepout.cli.options import AsJson, ScenarioSeed, answer, at_least, example, grouped, into, usage
+from keepout.core.errors import ScenarioError
 from keepout.core.progress import Progress, part_of, silent
 from keepout.flights.pages import terminal
 
 if TYPE_CHECKING:
     from keepout.core.mission.scenario import Scenario
+    from keepout.flights.campaign.dataset import Dataset
+    from keepout.flights.campaign.plan import Plan
     from keepout.flights.campaign.run import Standing
 
 
@@ -27,11 +41,11 @@ class _FlyUnlessNamed(TyperGroup):
         return super().parse_args(ctx, args if first in (*self.commands, "--help") else ["fly", *args])
 
 
-campaigns = typer.Typer(
+campaigns = Commands(
     cls=_FlyUnlessNamed,
     help="Fly a scenario many times, with whatever varies drawn anew for each flight, and audit every flight.\n\n"
-    "`keepout campaign MISSION.toml -o OUT` is short for `keepout campaign fly MISSION.toml -o OUT`; its options are "
-    "--runs, --keep, --batch, --scheduler, --mixed-processors, --seed and --json.",
+    "`keepout campaign MISSION.toml` is short for `keepout campaign fly MISSION.toml`; its options are "
+    "--runs, --keep, --batch, --scheduler, --mixed-processors, --seed, --set, --force and --json.",
     epilog=example(
         "keepout campaign examples/case1.toml --runs 1000 -o out/campaign",
         "keepout campaign replay out/campaign --run 47",
@@ -66,30 +80,37 @@ class _Flying:
 def campaign(
     scenario: Annotated[Path, typer.Argument(help="A scenario file (TOML) with its [campaign] table.")],
     *,
-    out: Annotated[Path, into("Folder for results and figure.")] = Path("out"),
+    out: Annotated[
+        Path | None, into("Folder for results and figures. By default out/NAME/campaign, by the scenario's name.")
+    ] = None,
     runs: Annotated[
         int | None, typer.Option(callback=at_least(1, 10**9), help="Replaces the scenario's own number of flights.")
     ] = None,
     how: _Flying,
     seed: ScenarioSeed = None,
+    settings: Settings = None,
+    force: Force = False,
     as_json: AsJson = False,
 ) -> None:
     """Fly a scenario's campaign into a folder; stopped and started again, it goes on.
 
     With --json, a line of JSON a second says on standard error how far it is.
+
+    Exit code 3: too few runs meet a requirement of the scenario's [require].
     """
-    mission = mission_of(scenario, seed)
+    mission = mission_of(scenario, seed, settings)
     if runs is not None:
         mission = mission.replace(campaign={"runs": runs})
-    if as_json:
-        summary = _flown(mission, out, how, told=terminal.standing_lines())
-    else:
-        with terminal.progress(f"campaign {mission.name}") as progress:
-            summary = _flown(mission, out, how, progress=progress)
+    folder = folder_of(out, mission, "campaign")
+    own = results_of("campaign", scenario, mission, folder, force=force)
+    told = terminal.standing_lines() if as_json else (lambda standing: None)
+    shown = contextlib.nullcontext(silent) if as_json else terminal.progress(f"campaign {mission.name}")
+    with shown as progress, own:
+        summary = _flown(mission, folder, how, force=force, told=told, progress=progress)
     # What the guard assumes is for the file: two dozen numbers.
-    left_out = ("guard", "kept", "refusals", "rates", "page")
+    left_out = ("guard", "kept", "refusals", "rates", "page", "require", "requirements")
     facts = terminal.facts_table("Campaign", {k: v for k, v in summary.items() if k not in left_out})
-    answer(summary, as_json, facts, *_rates(summary))
+    conclude(summary, as_json, facts, terminal.rates_table(summary["rates"]), out=folder)
 
 
 def _flown(
@@ -97,21 +118,21 @@ def _flown(
     out: Path,
     how: _Flying,
     *,
-    told: "Callable[[Standing], None]" = lambda standing: None,
-    progress: Progress = silent,
+    force: bool,
+    told: "Callable[[Standing], None]",
+    progress: Progress,
 ) -> dict[str, Any]:
     """Fly a campaign into `out`, or what is missing of it there; then its bands, page and `summary.json`.
 
-    `told` hears how far it is as flights land; `progress` too, in words.
+    `told` hears how far it is as flights land; `progress` too, in words. `force` replaces another campaign.
     """
     from keepout.core.whole_file import write_whole
-    from keepout.flights.campaign.dataset import Dataset
     from keepout.flights.campaign.plan import Plan
     from keepout.flights.campaign.run import fly_campaign, flyer_on, in_threads, keep_flights, keep_of, scheduler_of
     from keepout.flights.campaign.table import SUMMARISED, summary
     from keepout.flights.pages.campaign_figures import DRAWN, draw_campaign
     from keepout.flights.pages.campaign_page import report_campaign
-    from keepout.flights.pages.folder import results_in, write_summary
+    from keepout.flights.pages.folder import write_summary
 
     with usage():
         keep = keep_of(how.keep)
@@ -120,9 +141,8 @@ def _flown(
     flyer = in_threads if how.scheduler is None else flyer_on(how.scheduler, mixed_processors=how.mixed_processors)
     began = time.perf_counter()
     progress(0.0, "preparing")
-    with results_in(out):
-        plan = Plan.of(scenario, batch=how.batch)
-        dataset = Dataset.begin(out, plan)
+    plan = Plan.of(scenario, batch=how.batch)
+    dataset = _begun(out, plan, force=force)
 
     def tell(standing: "Standing") -> None:
         told(standing)
@@ -143,16 +163,26 @@ def _flown(
             "flights": str(out / "flights"),
             "bands": str(bands),
             "kept": [str(dataset.kept(run)) for run in kept],
+            "require": scenario.require.model_dump(exclude_defaults=True),
         }
         draw_campaign(out / "campaign.png", dataset.table(list(DRAWN)))
-        page = report_campaign(out, progress=part_of(progress, 0.97, 1.0))
-        figures |= {"page": page["page"], "rates": page["rates"]}
+        page = report_campaign(out, require=scenario.require, progress=part_of(progress, 0.97, 1.0))
+        figures |= {name: page[name] for name in ("page", "rates", "requirements")}
         write_summary(out, figures)
     return figures
 
 
-def _rates(report: dict[str, Any]) -> tuple[Any, ...]:
-    return terminal.rates_table(report["rates"]), terminal.Line(f"open {report['page']}")
+def _begun(out: Path, plan: "Plan", *, force: bool) -> "Dataset":
+    """Open the folder of a campaign, or make one; that of another campaign is refused, or replaced with `force`."""
+    from keepout.flights.campaign.dataset import Dataset
+
+    try:
+        return Dataset.begin(out, plan)
+    except ScenarioError:
+        if not (force and (out / "campaign.json").exists()):
+            raise
+        forget_campaign(out)
+        return Dataset.begin(out, plan)
 
 
 @campaigns.command("report", epilog=example("keepout campaign report out/campaign"))
@@ -165,7 +195,7 @@ def report(
 
     with terminal.progress(f"report {folder.name}") as progress:
         summary = report_campaign(folder, progress=progress)
-    answer(summary, as_json, *_rates(summary))
+    conclude(summary, as_json, terminal.rates_table(summary["rates"]), out=folder)
 
 
 @campaigns.command("compare", epilog=example("keepout campaign compare out/guarded out/unguarded -o out/compared"))
@@ -225,4 +255,4 @@ def replay_run(
         }
         write_summary(out, summary)
     same = "equal to its row in the campaign" if summary["equal"] else f"differs: {summary['differences']}"
-    answer(summary, as_json, terminal.flights_table([summary]), f"run {run}: {same}")
+    conclude(summary, as_json, terminal.flight_table(summary), f"Run {run}: {same}.", out=out, page=figures)

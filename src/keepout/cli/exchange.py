@@ -6,17 +6,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from keepout.cli.application import app
+from keepout.cli.missions import Settings, mission_of
 from keepout.cli.options import (
     AsJson,
     Seed,
     Units,
     answer,
-    app,
     example,
     from_zero,
     grouped,
     into,
-    mission_of,
     recorded_target,
     require_file,
     target_entry,
@@ -142,18 +142,20 @@ class _Placed:
         tuple[float, float, float] | None, typer.Option(help="Of the body frame, in file axes, m.")
     ] = None
 
-    def entry(self, target: str) -> "TargetEntry":
-        """Make the entry `[target]` of a mesh, or give a scenario's."""
+    def entry(self, target: str, settings: list[str] | None) -> "TargetEntry":
+        """Make the entry `[target]` of a mesh, or give a scenario's with `settings`."""
         told = {key.removeprefix("target_"): value for key, value in vars(self).items()}
         given = {key: value for key, value in told.items() if value is not None and value is not False}
         if not target.lower().endswith(".toml"):
+            for setting in settings or ():
+                raise UsageError(f"--set {setting}: only with a scenario file (.toml) as --target, not {target}")
             if "rotation" in given:
                 given["rotation"] = tuple(given["rotation"][row : row + 3] for row in (0, 3, 6))
             return target_entry({"source": target, **given}, options="--target-")
         for key in given:
             name = f"--target-{key.replace('_', '-')}"
             raise UsageError(f"{name}: not with the scenario {target}, whose [target] says how its mesh lies")
-        return mission_of(Path(target), None).target
+        return mission_of(Path(target), None, settings).target
 
 
 @app.command(
@@ -172,6 +174,7 @@ def audit(
     ],
     given: _Given,
     placed: _Placed,
+    settings: Settings = None,
     as_json: AsJson = False,
 ) -> None:
     """Bound the clearance of any flight, between its samples too, on the exact mesh: from OEM and AEM files.
@@ -184,7 +187,7 @@ def audit(
     with terminal.progress("audit") as progress:
         if given.target_fixed_in not in (None, "vvlh", "inertial"):
             raise UsageError(f"--target-fixed-in {given.target_fixed_in}: valid: vvlh, inertial")
-        entry = placed.entry(target)
+        entry = placed.entry(target, settings)
         if given.centre_of_mass is None and "centre_of_mass" in entry.model_fields_set:
             given = replace(given, centre_of_mass=entry.centre_of_mass)
         summary = audit_files(load_target(entry), Given(**vars(given)), progress=progress)

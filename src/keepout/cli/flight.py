@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from keepout.cli.options import AsJson, add_mission_command, answer, app, example, into
+from keepout.cli.application import app
+from keepout.cli.missions import add_mission_command
+from keepout.cli.options import AsJson, answer, example, into
 from keepout.core.errors import FlightError, UsageError
 from keepout.core.progress import Progress, part_of, silent
 from keepout.core.whole_file import require_place
@@ -45,7 +47,7 @@ add_mission_command(
         out="Folder for flight file, figures and page.",
         figures="figures",
         fly=fly_to_folder,
-        table=lambda summary: terminal.flights_table([summary]),
+        table=terminal.flight_table,
     ),
 )
 

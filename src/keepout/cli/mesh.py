@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from keepout.cli.application import app
 from keepout.cli.options import (
     AsJson,
     ChaserRadius,
     MeshFile,
     Seed,
     answer,
-    app,
     example,
     grouped,
     into,
@@ -91,11 +91,12 @@ def describe(mesh: Mesh, *, out: DrawnInto = None, read: MeshFile, seed: Seed = 
     if mesh.endswith(".keepout"):
         raise typer.BadParameter(f"{mesh} is a field; `keepout measure {mesh}` measures it against its mesh")
     with terminal.progress(f"describe {mesh}") as progress:
+        entry = read.entry(mesh)
         from keepout.core.geometry.target import survey
         from keepout.core.mission.target import load_target
         from keepout.flights.pages.folder import results_in
 
-        target = load_target(read.entry(mesh))
+        target = load_target(entry)
         summary: dict[str, Any] = {"lengths": _lengths(mesh, read)}
         with results_in(out):
             summary |= asdict(survey(target, progress=part_of(progress, 0.0, 0.95)))
@@ -152,6 +153,7 @@ def fit(
     A killed run resumes from its last checkpoint when started again.
     """
     with terminal.progress(f"fit {mesh}") as progress:
+        entry = read.entry(mesh)
         from keepout.core.learning.losses import find_profile
 
         with usage():
@@ -160,7 +162,7 @@ def fit(
         require_file(out, ".keepout", "a field file", refusal=FieldError)
         part = part_of(progress, 0.0, 0.9) if certify else progress
         settings = {"profile": numbers, "chaser_radius": chaser_radius, "seed": seed}
-        summary = {**_fitted(read.entry(mesh), out, settings, part), "profile": profile, "seed": seed}
+        summary = {**_fitted(entry, out, settings, part), "profile": profile, "seed": seed}
         proof: dict[str, Any] = {}
         if certify:
             part = part_of(progress, 0.9, 1.0)

@@ -1,4 +1,4 @@
-"""The application that commands are added to, and what they share: options, missions, targets, answers.
+"""What commands share: options, targets, answers.
 
 Each command imports what it needs when it is called: who lists targets does not wait for what flies and draws. Each
 tries where its results are to go before it works, and leaves nothing behind where it refuses.
@@ -16,10 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
-from typer.core import TyperGroup
 
-from keepout.core import plug_ins
 from keepout.core.errors import FieldError, KeepoutError, ScenarioError, UsageError
 from keepout.core.whole_file import require_place
 from keepout.flights.pages import terminal
@@ -27,35 +24,6 @@ from keepout.flights.pages import terminal
 if TYPE_CHECKING:
     from keepout.core.fields.model import FieldModel
     from keepout.core.mission.entries import TargetEntry
-    from keepout.core.mission.scenario import Scenario
-
-ORDER = (
-    *("targets", "describe", "fit", "certify", "measure", "fly", "explore", "inspect", "replay", "report"),
-    *("rare", "reproduce", "export", "audit", "scenario", "campaign"),
-)
-
-
-class _WithPlugIns(TyperGroup):
-    """The commands in the order of a user's work; one that an application adds is loaded when it is asked for."""
-
-    def list_commands(self, ctx: Any) -> list[str]:
-        return sorted({*super().list_commands(ctx), *plug_ins.names("mission_commands")}, key=ORDER.index)
-
-    def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        if cmd_name in plug_ins.names("mission_commands") and cmd_name not in self.commands:
-            added = typer.Typer(**_SETTINGS)
-            add_mission_command(added, cmd_name, plug_ins.load("mission_commands", cmd_name))
-            self.commands[cmd_name] = typer.main.get_command(added)
-        return super().get_command(ctx, cmd_name)
-
-
-_SETTINGS: Any = {"add_completion": False, "pretty_exceptions_enable": False, "rich_markup_mode": "markdown"}
-app = typer.Typer(
-    cls=_WithPlugIns,
-    help="Learn a spacecraft's shape, prove how wrong it can be, and fly around it without touching it.",
-    no_args_is_help=True,
-    **_SETTINGS,
-)
 
 
 def at_least(
@@ -137,36 +105,7 @@ def answer(summary: Any, as_json: bool, *told: Any) -> None:
         sys.stdout.write(json.dumps(summary, indent=2, allow_nan=False) + "\n")
         return
     for part in told:
-        words = isinstance(part, str)
-        Console().print(part, highlight=not words, markup=not words, soft_wrap=isinstance(part, terminal.Line))
-
-
-def mission_of(path: Path, seed: int | None) -> "Scenario":
-    """Load a scenario, with another seed where one is given."""
-    from keepout.core.mission.scenario import Scenario
-
-    mission = Scenario.load(path)
-    return mission if seed is None else mission.replace(seed=seed)
-
-
-def add_mission_command(to: typer.Typer, name: str, of: terminal.MissionCommand) -> None:
-    """Add a command that flies a scenario into a folder."""
-
-    def command(
-        scenario: Annotated[Path, typer.Argument(help=of.scenario)],
-        out: Annotated[Path, into(of.out)] = Path("out"),
-        figures: Annotated[bool, typer.Option(help=f"Draw {of.figures} and the page.")] = True,
-        seed: ScenarioSeed = None,
-        as_json: AsJson = False,
-    ) -> None:
-        of.check(scenario)
-        mission = mission_of(scenario, seed)
-        with terminal.progress(f"{name} {mission.name}") as progress:
-            summary = of.fly(mission, out, figures=figures, progress=progress)
-        answer(summary, as_json, of.table(summary), terminal.Line(f"written to {out}"))
-
-    command.__doc__ = of.help
-    to.command(name, epilog=example(of.example))(command)
+        terminal.tell(part)
 
 
 def require_file(out: Path, ending: str, what: str, *, refusal: type[KeepoutError]) -> None:
@@ -207,15 +146,19 @@ def target_entry(source: Mapping[str, Any], *, options: str = "--") -> "TargetEn
 
     Raises:
         UsageError: an option is not valid.
+        MeshError: there is no such file.
 
     """
+    from keepout.core.mission.first_look import require_mesh
     from keepout.core.mission.scenario import Scenario
 
     given = {key: value for key, value in source.items() if value is not None}
     try:
-        return Scenario.parse({"target": given}).target
+        entry = Scenario.parse({"target": given}).target
     except ScenarioError as error:  # the user gave options, not a scenario
         raise UsageError(str(error).replace("scenario: target.", options)) from None
+    require_mesh(entry.source)  # before what reads it is imported
+    return entry
 
 
 def recorded_target(path: Path, model: "FieldModel", mesh: str | None) -> "TargetEntry":

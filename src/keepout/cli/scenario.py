@@ -8,12 +8,14 @@ from typing import Annotated, Any
 
 import typer
 
-from keepout.cli.options import AsJson, MeshFile, answer, app, example, grouped, into, mission_of, require_file
+from keepout.cli.application import Commands, app
+from keepout.cli.missions import Settings, mission_of
+from keepout.cli.options import AsJson, MeshFile, answer, example, grouped, into, require_file
 from keepout.core.errors import ScenarioError, UsageError
 from keepout.core.progress import Progress
 from keepout.flights.pages import terminal
 
-scenarios = typer.Typer(
+scenarios = Commands(
     help="Write, check and explain scenario files.",
     no_args_is_help=True,
     epilog=example("keepout scenario new --for satellite.glb -o mission.toml", "keepout scenario check mission.toml"),
@@ -93,6 +95,7 @@ def _drafted(
 @scenarios.command("check", epilog=example("keepout scenario check mission.toml"))
 def check_scenario(
     scenario: Annotated[Path, typer.Argument(help="A scenario file (TOML).")],
+    settings: Settings = None,
     as_json: AsJson = False,
 ) -> None:
     """Say what a scenario would fly, without flying it: conditions, time, Δv, and what would be refused.
@@ -100,7 +103,7 @@ def check_scenario(
     Where it would be refused, the nearest values that would not are looked for, and the exit code is 1.
     """
     with terminal.progress(f"check {scenario.name}") as progress:
-        mission = mission_of(scenario, None)  # before what checks it is imported, which takes seconds
+        mission = mission_of(scenario, None, settings)  # before what checks it is imported, which takes seconds
         from keepout.core.mission.check import check
 
         summary = check(mission, progress=progress).summary()

@@ -6,7 +6,9 @@ from typing import Annotated
 
 import typer
 
-from keepout.cli.options import AsJson, ScenarioSeed, Seed, answer, app, at_least, example, into, mission_of
+from keepout.cli.application import app
+from keepout.cli.missions import Force, Settings, conclude, folder_of, mission_of, results_of
+from keepout.cli.options import AsJson, ScenarioSeed, Seed, answer, at_least, example, into
 from keepout.core.progress import part_of
 from keepout.flights.pages import terminal
 
@@ -14,7 +16,9 @@ from keepout.flights.pages import terminal
 @app.command(epilog=example("keepout rare examples/case1.toml --below 0 -o out/rare"))
 def rare(
     scenario: Annotated[Path, typer.Argument(help="A scenario file (TOML) in which something is random.")],
-    out: Annotated[Path, into("Folder for results, figure and page.")] = Path("out"),
+    out: Annotated[
+        Path | None, into("Folder for results, figure and page. By default out/NAME/rare, by the scenario's name.")
+    ] = None,
     below: Annotated[float, typer.Option(callback=at_least(-math.inf), help="The clearance, m; 0 is contact.")] = 0.0,
     runs: Annotated[int, typer.Option(callback=at_least(2), help="Whose spread gives the interval.")] = 8,
     flights: Annotated[
@@ -22,26 +26,29 @@ def rare(
     ] = 1024,
     quick: Annotated[bool, typer.Option("--quick", help="256 flights of each level and run: a rough answer.")] = False,
     seed: ScenarioSeed = None,
+    settings: Settings = None,
+    force: Force = False,
     as_json: AsJson = False,
 ) -> None:
     """Measure how probable a contact is where nothing is proved, by subset simulation.
 
     A killed run goes on from its last level when started again.
     """
-    mission = mission_of(scenario, seed)
+    mission = mission_of(scenario, seed, settings)
+    folder = folder_of(out, mission, "rare")
     with terminal.progress(f"rare {mission.name}") as progress:
-        from keepout.flights.pages.folder import results_in, write_summary
+        from keepout.flights.pages.folder import write_summary
         from keepout.flights.pages.rare_page import write_rare
         from keepout.flights.rare_events.event import rare
 
         flights = 256 if quick else flights
-        with results_in(out):
+        with results_of("rare", scenario, mission, folder, force=force):
             event = rare(
-                mission, below=below, runs=runs, flights=flights, state=out, progress=part_of(progress, 0.0, 0.97)
+                mission, below=below, runs=runs, flights=flights, state=folder, progress=part_of(progress, 0.0, 0.97)
             )
-            summary = write_rare(out, event)
-            write_summary(out, summary)
-    answer(summary, as_json, summary["said"], terminal.Line(f"written to {out}"))
+            summary = write_rare(folder, event)
+            write_summary(folder, summary)
+    conclude(summary, as_json, out=folder)
 
 
 @app.command(epilog=example("keepout reproduce all --quick -o out/paper"))
@@ -49,7 +56,7 @@ def reproduce(
     experiments: Annotated[
         list[str], typer.Argument(help="all, or any of table1, surfaces, volumes, case1, case2, runtime, case3.")
     ],
-    out: Annotated[Path, into("Folder for tables, figures and page.")] = Path("out"),
+    out: Annotated[Path, into("Folder for tables, figures and page.")] = Path("out/reproduce"),
     quick: Annotated[bool, typer.Option("--quick", help="Fewer flights, shipped fields: minutes.")] = False,
     fields: Annotated[
         Path | None,
@@ -72,5 +79,5 @@ def reproduce(
     tables = [
         terminal.entries_table(f"{part.title}: {table.caption}", table.rows) for part in parts for table in part.tables
     ]
-    last = terminal.Line(f"open {out / 'index.html'}; tables (CSV) and figures stand beside it")
+    last = terminal.Line(f"open {out / 'index.html'}")
     answer([row for part in parts for row in part.named_rows], as_json, *tables, last)

@@ -33,36 +33,52 @@ def check(text: str, *figures: object) -> None:
     assert not missing
 
 
-def flight(name: str, figure: float, steps: int = 1500) -> dict:
-    figures = ("minimum_clearance_m", "final_error_m", "delta_v_mps", "saturated_fraction")
+def flight(name: str, figure: float, steps: int = 1500, **other: object) -> dict:
+    figures = ("minimum_clearance_m", "final_error_m", "delta_v_mps", "saturated_fraction", "largest_speed_mps")
     return {
         "name": name,
         "reached": True,
-        "contact": False,
+        "contact_verdict": "no",
+        "start_certified": True,
         **{key: figure * (1.0 + 0.1 * k) for k, key in enumerate(figures)},
-        "guard_interventions": steps,
+        **{"time_to_reach_s": 600.0, "propellant_kg": None, "guard_interventions": steps, "navigation": None},
         "assumptions_broken": [],
-    }
-
-
-def figures_of(one: dict) -> list:
-    return [value for key, value in one.items() if key != "assumptions_broken"]
+    } | other
 
 
 def test_what_a_flight_goes_beyond_is_said_under_the_table():
     said = ["disturbance: flown up to 0.028 N > disturbance.bound 0.0143 N", "faults.delay 2 != guard.delay 1"]
-    beyond = flight("stormy", 0.5) | {"assumptions_broken": said}
-    text = drawn(terminal.flights_table([flight("calm", 0.5), beyond]))
+    text = drawn(terminal.flight_table(flight("stormy", 0.5, assumptions_broken=said)))
     check(text, *(word for word in "; ".join(said).split()), "nothing", "promised:")
-    assert words(drawn(terminal.flights_table([flight("calm", 0.5)]))).isdisjoint({"promised:", "nothing"})
+    assert words(drawn(terminal.flight_table(flight("calm", 0.5)))).isdisjoint({"promised:", "nothing"})
 
 
-@example([("a", 0.0), *(("a" * 21, figure) for figure in (-7851.0, 0.0, 0.0))])
-@given(
-    st.lists(st.tuples(st.text("abcdefgh -", min_size=1, max_size=30), st.floats(-1e9, 1e9)), min_size=1, max_size=4)
-)
-def test_no_flights_figure_is_ever_cut(given_flights):
-    flights = [flight(name, figure) for name, figure in given_flights]
-    text = drawn(terminal.flights_table(flights))
+@example("a" * 30, -7851.0)
+@given(st.text("abcdefgh -", min_size=1, max_size=30), st.floats(-1e9, 1e9))
+def test_no_flights_figure_is_ever_cut(name, figure):
+    errors = {f"{of}_error_{kind}_{unit}": figure for kind in ("cap", "rms", "largest") for of, unit in _ERRORS}
+    one = flight(name, figure, navigation={"suite": "near", "estimate": "filter", **errors})
+    text = drawn(terminal.flight_table(one))
     assert "…" not in text
-    assert {terminal.shown(value) for one in flights for value in figures_of(one)[1:]} <= words(text)
+    assert {terminal.shown(one[key]) for key in terminal.FLIGHT_ROWS if one[key] is not None} <= words(text)
+    assert text.count(" error, ") == len(errors)
+
+
+_ERRORS = (("position", "m"), ("velocity", "mps"))
+
+
+def test_the_verdict_never_says_more_than_is_proved():
+    """A proved bound is rounded down; what is not proved is not called free."""
+    proved = flight("calm", 0.2229)
+    assert "free of contact, never nearer than 0.222 m; the guard's theorem holds" in terminal.verdict(proved)
+    for said, changes in (
+        ("Did not reach its goal: 0.245 m away at the end; ", {"reached": False}),
+        ("; in contact with the target; ", {"contact_verdict": "yes"}),
+        ("; contact undecided: ", {"contact_verdict": "undecided"}),
+        ("the guard's theorem does not hold from the start.", {"start_certified": False}),
+        ("; no guard flew along.", {"start_certified": None}),
+        ("Stuck: no view is left; proved", {"outcome": "stuck", "why": "no view is left"}),
+    ):
+        assert said in terminal.verdict(proved | changes)
+    rates = [{"name": name, "count": count, "of": 5} for name, count in (("reached", 4), ("contact or undecided", 1))]
+    assert terminal.verdict({"rates": rates}) == "4 of 5 flights reached their goal; 1 are not proved free of contact."

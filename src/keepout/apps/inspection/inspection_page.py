@@ -15,6 +15,7 @@ from keepout.core.whole_file import write_whole
 from keepout.flights.pages.flight_page import Told, draw_result
 from keepout.flights.pages.folder import make_folder, write_summary
 from keepout.flights.pages.page import Markup, Page, text
+from keepout.flights.requirements import judged
 
 UNSEEN, FRAMES = "unseen.json", "frames.parquet"
 _SHARES = {
@@ -72,6 +73,7 @@ def write_inspection(
     write_unseen(left, inspection)
     files = {"flight": str(flight), "unseen": str(left)}
     summary = {"name": name, **inspection.summary(), "shares": shares(inspection), **files}
+    summary["requirements"] = judged(inspection.scenario, summary)
     if figures:
         tell = functools.partial(_tell_surface, inspection=inspection, shares=summary["shares"])
         digests = {"field that the scenario names": load_model(inspection.scenario, inspection.target).sha256}

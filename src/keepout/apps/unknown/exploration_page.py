@@ -21,6 +21,7 @@ from keepout.flights.pages.flight_page import Told, draw_result
 from keepout.flights.pages.folder import make_folder, write_summary
 from keepout.flights.pages.replayed import Layer
 from keepout.flights.pages.scene import Packing
+from keepout.flights.requirements import judged
 
 MAP = "map.keepmap"
 ROWS = {
@@ -63,6 +64,7 @@ def write_exploration(
     map_file.save(exploration.map, kept)
     exploration.record.save(flight)
     summary = {"name": name, **exploration.summary(), "map": str(kept), "flight": str(flight)}
+    summary["requirements"] = judged(exploration.scenario, summary)
     if figures:
         digests = {MAP: hashlib.sha256(kept.read_bytes()).hexdigest()}
         told, layer, drawn = Told(said(exploration), digests, ROWS), Growth(exploration), _drawn(exploration)

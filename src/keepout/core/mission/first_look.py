@@ -119,13 +119,18 @@ def require_thrusters(scenario: Scenario) -> None:
 
 def require_files(scenario: Scenario) -> None:
     """Refuse names of a mesh or a field that lead to no file."""
-    mesh, field = Path(scenario.target.source), scenario.field.source
-    if mesh.suffix and not mesh.exists():
-        raise MeshError(f"{mesh}: no such file, and no built-in target of that name")
+    require_mesh(scenario.target.source)
+    field = scenario.field.source
     if field == "shipped":
         require_shipped(scenario)
     elif field != "grid" and not Path(field).exists():
         raise FieldError(f"{field}: no such file; a field is a .keepout file")
+
+
+def require_mesh(source: str) -> None:
+    """Refuse the name of a mesh file that is not there."""
+    if Path(source).suffix and not Path(source).exists():
+        raise MeshError(f"{source}: no such file, and no built-in target of that name")
 
 
 def require_shipped(scenario: Scenario) -> None:

@@ -74,6 +74,7 @@ class Scenario(Entry, metaclass=_RefusedAsOthers):
     start: entries.StateEntry = entries.StateEntry()
     goal: entries.GoalEntry = entries.GoalEntry()
     campaign: task_entries.CampaignEntry = task_entries.CampaignEntry()
+    require: task_entries.RequireEntry = task_entries.RequireEntry()
     rare: task_entries.RareEntry = task_entries.RareEntry()
     depth_sensor: task_entries.DepthSensorEntry = task_entries.DepthSensorEntry()
     map: task_entries.MapEntry = task_entries.MapEntry()
@@ -171,7 +172,7 @@ class Scenario(Entry, metaclass=_RefusedAsOthers):
             raise ScenarioError(f"{path}: not valid TOML: arrays or tables too deep within each other") from None
         except ValueError as error:  # of TOML, or of a number with more digits than Python reads
             raise ScenarioError(" ".join(f"{path}: not valid TOML: {error}".split())) from None
-        return cls.parse(tree, where=str(path), text=text)._resolved(path.parent)
+        return cls.parse(tree, where=str(path), text=text).resolved(path.parent)
 
     def replace(self, **entries: Any) -> "Scenario":
         """Return a copy with whole tables or single entries replaced, as in `replace(seed=1, goal={"position": …})`.
@@ -191,7 +192,7 @@ class Scenario(Entry, metaclass=_RefusedAsOthers):
                 tree[key] = value
         return type(self).parse(tree)
 
-    def _resolved(self, folder: Path) -> "Scenario":
+    def resolved(self, folder: Path) -> "Scenario":
         """Make file names absolute, so that a scenario means the same wherever it is run from."""
         changes: dict[str, dict[str, str]] = {}
         for table, key in (("target", "source"), ("field", "source"), ("map", "file"), ("explore", "expected")):

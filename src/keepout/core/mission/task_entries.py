@@ -105,6 +105,34 @@ class CampaignEntry(Entry):
             yield f"lower {list(self.lower)} must not exceed upper {list(self.upper)}"
 
 
+class RequireEntry(Entry):
+    """What must come of a flight, or of a campaign's flights; a command that finds otherwise ends with exit code 3.
+
+    Attributes:
+        contact: "proved": the audit proves that nothing was touched; unset: not asked.
+        certified: whether the guard's theorem must hold from the start.
+        clearance_m: least clearance that the audit must prove, m.
+        delta_v_mps: greatest Δv, m/s.
+        time_s: by which the goal must be reached, s.
+        reached: whether the goal must be reached.
+        share: of a campaign's runs that must meet each of these, judged by the lower end of its 95 % interval; unset:
+            every run.
+
+    """
+
+    contact: Literal["proved"] | None = None
+    certified: bool = False
+    clearance_m: Annotated[float, Field(allow_inf_nan=False)] | None = None
+    delta_v_mps: NonNegative | None = None
+    time_s: Positive | None = None
+    reached: bool = False
+    share: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
+
+    def _contradictions(self) -> Iterator[str]:
+        if self.model_dump(exclude_defaults=True).keys() == {"share"}:
+            yield f"share {self.share} is of runs that meet a requirement, and none is given"
+
+
 class DepthSensorEntry(Entry):
     """A camera that measures distances (lidar, stereo), and what it promises (docs/depth-sensor.md).
 

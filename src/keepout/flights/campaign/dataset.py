@@ -79,7 +79,7 @@ class Dataset:
                 raise ScenarioError(
                     f"{folder}: holds another campaign: {'; '.join(differing[:4])}"
                     + (f"; and {len(differing) - 4} more" if len(differing) > 4 else "")
-                    + "; give another folder"
+                    + "; give another folder, or replace it (--force)"
                 )
         return cls(folder, identity)
 

@@ -29,7 +29,7 @@ from keepout.core.mission.task_entries import DispersionEntry
 ATTEMPTS = 100
 """How often a start is drawn before its run is refused."""
 
-_FIXED = ("name", "seed", "campaign")
+_FIXED = ("name", "seed", "campaign", "require")
 """Entries of the campaign as a whole: no run can have its own."""
 
 Units = Float[np.ndarray, "runs dimensions"]

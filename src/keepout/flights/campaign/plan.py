@@ -336,10 +336,13 @@ class Plan:
         return guard_numbers(guard, self.scenario) if isinstance(guard, Guard) else None
 
     def identity(self) -> dict[str, Any]:
-        """Give all that the campaign's table depends on, as JSON values: two campaigns are one where these agree."""
+        """Give all that the campaign's table depends on, as JSON values: two campaigns are one where these agree.
+
+        What is required of the flights is not among it: the same flights are judged by it anew.
+        """
         return {
             "format": FORMAT,
-            "scenario": json.loads(self.scenario.model_dump_json()),
+            "scenario": json.loads(self.scenario.model_dump_json(exclude={"require"})),
             "batch": self.batch,
             "chunk": self.chunk,
             "target_sha256": self.target_sha256,

@@ -1,5 +1,6 @@
 """The page of a campaign, its figures and replays, and every number as CSV: `index.html` and `report` beside it."""
 
+import json
 import shlex
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,6 +12,7 @@ from jaxtyping import Float
 
 from keepout.core.errors import FlightError, KeepoutError
 from keepout.core.flight.record import FlightRecord
+from keepout.core.mission.task_entries import RequireEntry
 from keepout.core.progress import Progress, part_of, silent
 from keepout.flights.campaign.bands import LEAST, QUANTITIES, RELATIVE, SHARES, Bands
 from keepout.flights.campaign.dataset import Dataset, read_campaign
@@ -20,9 +22,10 @@ from keepout.flights.campaign.statistics import GROUPS, none_seen_bound
 from keepout.flights.pages import campaign_figures
 from keepout.flights.pages.figures import column, looks
 from keepout.flights.pages.head_and_foot import Provenance, Verdict
-from keepout.flights.pages.page import Markup, Page, Table, bad, rows_of, text
+from keepout.flights.pages.page import Markup, Page, Table, bad, rows_of, tell_requirements, text
 from keepout.flights.pages.replay_page import write_replay
 from keepout.flights.pages.replayed import Replayed, of_record
+from keepout.flights.requirements import judged_campaign
 
 PLACE = "report"
 """Folder of figures and tables within the campaign's."""
@@ -58,15 +61,18 @@ Clearance = tuple[Float[np.ndarray, "samples"], Float[np.ndarray, "samples"]]
 """Times, s, and clearances on the exact mesh, m."""
 
 
-def report_campaign(folder: Path, *, progress: Progress = silent) -> dict[str, Any]:
+def report_campaign(
+    folder: Path, *, require: RequireEntry | None = None, progress: Progress = silent
+) -> dict[str, Any]:
     """Write the page of a campaign's folder, complete or not, with figures and CSV files in `report`.
 
     Args:
         folder: of the campaign.
+        require: what is required of its runs; else what its `summary.json` says was.
         progress: told how far it is.
 
     Returns:
-        The rates and the page's path, as plain values.
+        The rates, the requirements and the page's path, as plain values.
 
     Raises:
         KeepoutError: it is no campaign's folder, nothing of it is done, or a file is damaged.
@@ -86,8 +92,10 @@ def report_campaign(folder: Path, *, progress: Progress = silent) -> dict[str, A
     if found.scatters:
         campaign_figures.draw_scatters(place / "scatter.png", found)
     replays = _write_replays(place, found, progress=part_of(progress, 0.85, 1.0))
+    requirements = judged_campaign(_recorded(folder) if require is None else require, reading)
     title = f"Campaign {reading.scenario.name}"
     page = Page(folder / "index.html", title, verdict(found), provenance(reading))
+    tell_requirements(page, requirements)
     _tell(page, found, replays)
     page.write()
     progress(1.0, "")
@@ -99,7 +107,16 @@ def report_campaign(folder: Path, *, progress: Progress = silent) -> dict[str, A
         "sampling": reading.scenario.campaign.sampling,
         "rates": rows_of(found.rates, {"name": "name", "count": "count", "of": "total"} | _INTERVAL),
         "worst_runs": [row["run"] for row in found.worst],
+        "requirements": requirements,
     }
+
+
+def _recorded(folder: Path) -> RequireEntry:
+    """Read what was required of a campaign's runs when it was flown last; nothing where it is unfinished."""
+    try:
+        return RequireEntry(**json.loads((folder / "summary.json").read_text(encoding="utf-8"))["require"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return RequireEntry()
 
 
 def replay_command(folder: Path, run: int) -> str:

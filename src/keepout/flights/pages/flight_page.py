@@ -15,7 +15,7 @@ from keepout.core.progress import Progress, part_of, silent
 from keepout.flights.pages.figures import COLOURS, draw_series, figure, logarithmic
 from keepout.flights.pages.head_and_foot import Provenance, Verdict, verdict_of
 from keepout.flights.pages.mesh_pictures import draw_paths
-from keepout.flights.pages.page import Page, bad
+from keepout.flights.pages.page import Page, bad, tell_requirements
 from keepout.flights.pages.replay_page import write_replay
 from keepout.flights.pages.replayed import Layer, Replayed, of_flights
 from keepout.flights.pages.terminal import FLIGHT_COLUMNS
@@ -44,7 +44,7 @@ def write_page(
         wrong = {"contact": summary["contact"], "reached": not summary["reached"]}
         cells = {words: bad(summary[key]) if wrong.get(key) else summary[key] for key, words in FLIGHT_COLUMNS.items()}
         page.table([{"flight": name, **cells}])
-        tell_requirements(page, summary)
+        tell_requirements(page, summary["requirements"])
 
     goal = flight.scenario.goal.position
     pictures: Pictures = {
@@ -66,16 +66,6 @@ def write_page(
     [replayed] = of_flights({name: flight})
     head = verdict_of(summary), Provenance.of([replayed])
     draw_page(out, replayed, pictures, tell, title=title, replay=title, head=head)
-
-
-def tell_requirements(page: Page, summary: Mapping[str, Any]) -> None:
-    """Add what the scenario requires, each with pass or fail, where a summary says so under `requirements`."""
-    rows = summary.get("requirements") or ()
-    if rows:
-        page.heading("Requirements")
-        page.table(
-            [{key: bad(value) if value in ("fail", False) else value for key, value in row.items()} for row in rows]
-        )
 
 
 def draw_page(
@@ -172,7 +162,7 @@ def draw_result(
         page.words(told.said)
         rows = {words: _cell(key, summary) for key, words in told.rows.items() if summary[key] is not None}
         page.table([{"": words, "value": value} for words, value in rows.items()], headings=False)
-        tell_requirements(page, summary)
+        tell_requirements(page, summary["requirements"])
         told.tell(page)
 
     title, replay = f"{type(result).__name__} {name}", f"{name}: {result.outcome}"

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from keepout.core.errors import ScenarioError
 from keepout.core.whole_file import removed_again, require_place, write_whole
+from keepout.flights.requirements import judged
 
 if TYPE_CHECKING:
     from keepout.core.mission.flight import Flight
@@ -66,6 +67,7 @@ def write_flight(
     path = out / f"{flight.scenario.name}.parquet"
     flight.record.save(path)
     summary = {"name": name, **flight.summary(), "flight": str(path)}
+    summary["requirements"] = judged(flight.scenario, summary)
     if figures:
         from keepout.flights.pages import flight_page  # what draws, for which nobody waits who wants no figures
 

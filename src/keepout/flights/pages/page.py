@@ -14,6 +14,7 @@ from typing import Any
 from keepout.core.whole_file import write_whole
 from keepout.flights.pages.head_and_foot import Provenance, Verdict, as_toml
 from keepout.flights.pages.terminal import shown
+from keepout.flights.requirements import told
 
 _STYLE = """
 :root{--ink:#1c2430;--quiet:#5c6675;--line:#d5dae0;--raised:#f3f5f7}*{box-sizing:border-box}
@@ -195,3 +196,10 @@ class Page:
 
     def _address(self, path: Path) -> str:
         return html.escape(path.relative_to(self.path.parent).as_posix())
+
+
+def tell_requirements(page: Page, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Add to a page what was required (rows of `judged` or `judged_campaign`), and whether it is met, if anything."""
+    if rows:
+        page.heading("Requirements")
+        page.table([row | {"verdict": bad(row["verdict"])} if row["verdict"] == "FAIL" else row for row in told(rows)])

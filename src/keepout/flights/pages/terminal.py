@@ -1,14 +1,18 @@
 """What a person sees in the terminal: progress bars, and tables of flights, fits and targets."""
 
+import contextlib
+import functools
 import json
 import math
+import shlex
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 from rich.cells import cell_len
 from rich.console import Console
@@ -21,15 +25,72 @@ if TYPE_CHECKING:  # which compiles, and a terminal must be there at once
     from keepout.flights.campaign.run import Standing
 
 
+@dataclass
+class _Heard:
+    """Who hears what a command says: the terminal, unless it is to be quiet, and a log where there is one."""
+
+    quiet: bool = False
+    log: TextIO | None = None
+
+
+_heard = _Heard()
+
+
+@contextmanager
+def heard(quiet: bool, log: Path | None) -> Iterator[None]:
+    """Let nobody but a log hear what the block says, where `quiet`; refusals and warnings are always heard.
+
+    Args:
+        quiet: whether progress, tables and words stay off the terminal.
+        log: a file that all is added to, each line with its time, UTC.
+
+    """
+    began = time.monotonic()
+    with contextlib.ExitStack() as stack:
+        stack.callback(vars(_heard).update, vars(_heard).copy())
+        _heard.quiet = quiet
+        _heard.log = None if log is None else stack.enter_context(log.open("a", encoding="utf-8"))
+        note(shlex.join(["keepout", *sys.argv[1:]]))
+        try:
+            yield
+        except BaseException as stop:
+            code = getattr(stop, "exit_code", None)  # of a command that did its work
+            said = f"exit code {code}" if code is not None else str(stop) or type(stop).__name__
+            note(f"ended after {time.monotonic() - began:.1f} s: {said}")
+            raise
+        note(f"done after {time.monotonic() - began:.1f} s")
+
+
+def note(line: str) -> None:
+    """Add a line to the log, where there is one."""
+    if _heard.log is not None:
+        _heard.log.write(f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} {line}\n")
+        _heard.log.flush()
+
+
+def tell(part: Any) -> None:
+    """Print a table or words for a person, as they are."""
+    words = isinstance(part, str)
+    look: Any = {"highlight": not words, "markup": not words, "soft_wrap": isinstance(part, Line)}
+    if not _heard.quiet:
+        Console().print(part, **look)
+    if _heard.log is not None:
+        Console(file=_heard.log, width=WIDTH).print(part, **look)
+
+
+def say(line: str) -> None:
+    """Write a line on standard error, as refusals and warnings are, quiet or not."""
+    sys.stderr.write(f"keepout: {line}\n")
+    note(line)
+
+
 @contextmanager
 def progress(title: str) -> Iterator[keepout_progress.Progress]:
-    """Show a progress bar on standard error while the block runs.
-
-    On a terminal the bar is live; otherwise a plain line appears at most every ten seconds, so that logs stay short.
-    """
+    """Show how far the block is on standard error: a bar on a terminal, else a line every ten seconds; log it too."""
     console = Console(stderr=True)
-    if not console.is_terminal:
-        yield _plain(console, title)
+    noted = _every(1.0, note, title)
+    if _heard.quiet or not console.is_terminal:
+        yield _both(keepout_progress.silent if _heard.quiet else _plain(console, title), noted)
         return
     columns = (
         SpinnerColumn(),
@@ -42,21 +103,31 @@ def progress(title: str) -> Iterator[keepout_progress.Progress]:
     )
     with Progress(*columns, console=console, transient=True) as bars:
         task = bars.add_task(title, total=1.0, message="")
+        yield _both(lambda fraction, message: bars.update(task, completed=fraction, message=message), noted)
 
-        def report(fraction: float, message: str) -> None:
-            bars.update(task, completed=fraction, message=message)
 
-        yield report
+def _both(one: keepout_progress.Progress, other: keepout_progress.Progress) -> keepout_progress.Progress:
+    def report(fraction: float, message: str) -> None:
+        one(fraction, message)
+        other(fraction, message)
+
+    return report
 
 
 def _plain(console: Console, title: str) -> keepout_progress.Progress:
-    last = time.monotonic()
+    """Give what prints a line at most every ten seconds, so that logs stay short."""
+    show = functools.partial(console.print, highlight=False, markup=False, soft_wrap=True)
+    return _every(10.0, show, title, time.monotonic())
 
+
+def _every(
+    seconds: float, write: Callable[[str], Any], title: str, last: float = -math.inf
+) -> keepout_progress.Progress:
     def report(fraction: float, message: str) -> None:
         nonlocal last
-        if time.monotonic() - last > 10.0:
+        if time.monotonic() - last > seconds:
             last = time.monotonic()
-            console.print(f"{title}: {fraction:.0%} {message}", highlight=False, markup=False, soft_wrap=True)
+            write(f"{title}: {fraction:.0%} {message}")
 
     return report
 
@@ -263,12 +334,64 @@ FLIGHT_COLUMNS = {
     "guard_interventions": "guard steps",
 }
 """Headings of a table of flights after the first, "flight", by entry of a flight's summary."""
+FLIGHT_ROWS = {
+    "reached": "reached its goal",
+    "time_to_reach_s": "after s",
+    "final_error_m": "distance to the goal at the end m",
+    "contact_verdict": "contact, on the mesh",
+    "minimum_clearance_m": "clearance, proved lower bound m",
+    "start_certified": "start certified",
+    "delta_v_mps": "Δv m/s",
+    "propellant_kg": "propellant kg",
+    "largest_speed_mps": "largest speed m/s",
+    "saturated_fraction": "share of steps saturated",
+    "guard_interventions": "guard steps",
+}
+"""Words for the entries of a flight's summary that a person is shown; one that is None is left out."""
 
 
-def flights_table(summaries: Sequence[Mapping[str, Any]]) -> Table:
-    """One row a flight, or one column where that is too wide: whether it was safe, and what it cost."""
-    columns = {"flight": "name", **{heading: key for key, heading in FLIGHT_COLUMNS.items()}}
-    return _with_broken(_table("Flights", columns, summaries, named=True), summaries)
+def flight_table(summary: Mapping[str, Any]) -> Table:
+    """One row a figure: how a flight ended, whether it was safe, what it cost, and what its sensors left to know."""
+    rows, known = dict(FLIGHT_ROWS), dict(summary)
+    navigation = summary["navigation"] or {}
+    if navigation:
+        known["navigation"] = f"{navigation['suite']}, {navigation['estimate']}"
+        rows["navigation"] = "navigation: sensors, estimate"
+    for of, unit, shown_unit in (("position", "m", "m"), ("velocity", "mps", "m/s")):
+        for kind, words in (("rms", "rms"), ("largest", "largest"), ("cap", "bound")):
+            key = f"{of}_error_{kind}_{unit}"
+            if key in navigation:
+                known[key], rows[key] = navigation[key], f"{of} error, {words} {shown_unit}"
+    return result_table(f"Flight {summary['name']}", known, rows)
+
+
+def verdict(summary: Mapping[str, Any]) -> str:
+    """Say in a sentence what became of a flight, of one of several legs, or of many: the last word of a command."""
+    if "said" in summary:  # of a rare event
+        return summary["said"]
+    if "rates" in summary:
+        rates = {rate["name"]: rate for rate in summary["rates"]}
+        reached, touched = rates["reached"], rates["contact or undecided"]
+        free = f"{touched['count']} are not" if touched["count"] else "all are"
+        return f"{reached['count']} of {reached['of']} flights reached their goal; {free} proved free of contact."
+    if "outcome" in summary:
+        ended = f"{summary['outcome'][0].upper()}{summary['outcome'][1:]}: {summary['why']}"
+    elif summary["reached"]:
+        ended = f"Reached its goal after {summary['time_to_reach_s']:g} s"
+    else:
+        ended = f"Did not reach its goal: {summary['final_error_m']:.3g} m away at the end"
+    least = f"{math.floor(1e3 * summary['minimum_clearance_m']) / 1e3:g} m"  # down: it is a lower bound
+    contact = {
+        "no": f"proved free of contact, never nearer than {least}",
+        "yes": "in contact with the target",
+        "undecided": f"contact undecided: the clearance is proved to be at least {least}, no more",
+    }[summary["contact_verdict"]]
+    certified = {
+        True: "the guard's theorem holds from the start",
+        False: "the guard's theorem does not hold from the start",
+        None: "no guard flew along",
+    }[summary["start_certified"]]
+    return f"{ended}; {contact}; {certified}."
 
 
 def result_table(title: str, summary: Mapping[str, Any], rows: Mapping[str, str]) -> Table:
