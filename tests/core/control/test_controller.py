@@ -187,7 +187,7 @@ def test_the_state_ahead_of_a_delay_feels_the_estimates_disturbance(default, pus
         ({"tracking_gain": 3.0}, r"sampled tracking violated .* 1\.5 against 1"),
         ({"barrier_rate": 10.0}, "observer outpaces filter violated"),
         ({"braking": 0.01}, "authority violated"),
-        ({"disturbance_bound": 0.2}, "authority: disturbance"),
+        ({"disturbance_bound": 0.2}, "chaser.force_limit: disturbance"),
         ({"speed_limit": 0.5}, r"speed_limit: .* at most 0\.1"),
         ({"period": -1.0}, "period: -1.0 s; it must be positive"),
         ({"tracking": 1.0}, "gains: tracking not known"),
@@ -207,7 +207,7 @@ def test_refuses_a_law_that_cannot_work(change, message):
     ("spin", "said"),
     [
         # ω²R = 0.0109 m/s² at 11.7 m, where 0.0043 are left of the thrust.
-        (1.75, ("authority: disturbance", "drift", "a slower turn")),
+        (1.75, ("chaser.force_limit: disturbance", "drift", "a slower turn")),
         # Held, but not at this speed: the message says which speed could be.
         (0.6, ("speed_limit: 0.1 m/s cannot be stopped", "at most 0.0")),
     ],

@@ -106,8 +106,9 @@ def tune(operation: Operation, *, drift_bound: float = 0.0, stopping_distance: f
     authority = (force_limit - disturbance_bound) / mass - drift_bound
     if not authority > 0.0:
         raise ControlError(
-            f"authority: disturbance ({disturbance_bound:.3g} N) and drift ({mass * drift_bound:.3g} N) use up "
-            f"the thrust of {force_limit:.3g} N; a larger force_limit, a lower speed or a slower turn would leave some"
+            f"chaser.force_limit: disturbance ({disturbance_bound:.3g} N) and drift ({mass * drift_bound:.3g} N) use "
+            f"up the thrust of {force_limit:.3g} N; drift grows with the distance of start.position and goal.position "
+            "from the target; a nearer place, a larger force_limit, a lower speed or a slower turn would leave some"
         )
     honoured = float(np.sqrt(2.0 * authority * stopping_distance))
     if speed_limit > honoured:
