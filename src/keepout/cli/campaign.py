@@ -1,8 +1,6 @@
 """Commands on many flights: campaign fly, report, compare, replay."""
 
 import contextlib
-import json
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +21,7 @@ from keepout.cli.missions import (
 )
 from keepout.cli.options import AsJson, ScenarioSeed, answer, at_least, example, grouped, into, usage
 from keepout.core.errors import ScenarioError
-from keepout.core.progress import Progress, part_of, silent
+from keepout.core.progress import Progress, silent
 from keepout.flights.pages import terminal
 
 if TYPE_CHECKING:
@@ -126,50 +124,18 @@ def _flown(
 
     `told` hears how far it is as flights land; `progress` too, in words. `force` replaces another campaign.
     """
-    from keepout.core.whole_file import write_whole
     from keepout.flights.campaign.plan import Plan
-    from keepout.flights.campaign.run import fly_campaign, flyer_on, in_threads, keep_flights, keep_of, scheduler_of
-    from keepout.flights.campaign.table import SUMMARISED, summary
-    from keepout.flights.pages.campaign_figures import DRAWN, draw_campaign
-    from keepout.flights.pages.campaign_page import report_campaign
-    from keepout.flights.pages.folder import write_summary
+    from keepout.flights.campaign.run import flyer_on, in_threads, keep_of, scheduler_of
+    from keepout.verbs.campaigns import complete
 
     with usage():
         keep = keep_of(how.keep)
         if how.scheduler is not None:
             scheduler_of(how.scheduler)
     flyer = in_threads if how.scheduler is None else flyer_on(how.scheduler, mixed_processors=how.mixed_processors)
-    began = time.perf_counter()
     progress(0.0, "preparing")
     plan = Plan.of(scenario, batch=how.batch)
-    dataset = _begun(out, plan, force=force)
-
-    def tell(standing: "Standing") -> None:
-        told(standing)
-        progress(0.05 + 0.9 * standing.done / standing.runs, standing.line())
-
-    with dataset.lock():
-        standing = fly_campaign(plan, dataset, flyer=flyer, told=tell)
-        kept = keep_flights(plan, dataset, keep, told=lambda done, of: progress(0.95, f"{done} of {of} flights kept"))
-        bands = out / "bands.json"
-        write_whole(bands, json.dumps(dataset.bands().figures(), allow_nan=False) + "\n")
-        figures = {
-            **summary(dataset.table(list(SUMMARISED)), scenario),
-            "guard": plan.guard_numbers(),
-            "batch": plan.batch,
-            "seconds": time.perf_counter() - began,
-            "flown_now": standing.flown,
-            "processors": dataset.processors(),
-            "flights": str(out / "flights"),
-            "bands": str(bands),
-            "kept": [str(dataset.kept(run)) for run in kept],
-            "require": scenario.require.model_dump(exclude_defaults=True),
-        }
-        draw_campaign(out / "campaign.png", dataset.table(list(DRAWN)))
-        page = report_campaign(out, require=scenario.require, progress=part_of(progress, 0.97, 1.0))
-        figures |= {name: page[name] for name in ("page", "rates", "requirements")}
-        write_summary(out, figures)
-    return figures
+    return complete(plan, _begun(out, plan, force=force), keep=keep, flyer=flyer, told=told, progress=progress)
 
 
 def _begun(out: Path, plan: "Plan", *, force: bool) -> "Dataset":

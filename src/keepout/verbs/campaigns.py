@@ -264,9 +264,10 @@ def complete(
             "flights": str(out / "flights"),
             "bands": str(bands),
             "kept": [str(dataset.kept(run)) for run in kept],
+            "require": plan.scenario.require.model_dump(exclude_defaults=True),
         }
         draw_campaign(out / "campaign.png", dataset.table(list(DRAWN)))
-        page = report_campaign(out, progress=part_of(progress, 0.97, 1.0))
-        figures |= {"page": page["page"], "rates": page["rates"]}
+        page = report_campaign(out, require=plan.scenario.require, progress=part_of(progress, 0.97, 1.0))
+        figures |= {name: page[name] for name in ("page", "rates", "requirements")}
         write_summary(out, figures)
     return figures

@@ -20,6 +20,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from rich.table import Table
 
 from keepout.core import progress as keepout_progress
+from keepout.flights.pages.head_and_foot import verdict_of
 
 if TYPE_CHECKING:  # which compiles, and a terminal must be there at once
     from keepout.flights.campaign.run import Standing
@@ -380,18 +381,8 @@ def verdict(summary: Mapping[str, Any]) -> str:
         ended = f"Reached its goal after {summary['time_to_reach_s']:g} s"
     else:
         ended = f"Did not reach its goal: {summary['final_error_m']:.3g} m away at the end"
-    least = f"{math.floor(1e3 * summary['minimum_clearance_m']) / 1e3:g} m"  # down: it is a lower bound
-    contact = {
-        "no": f"proved free of contact, never nearer than {least}",
-        "yes": "in contact with the target",
-        "undecided": f"contact undecided: the clearance is proved to be at least {least}, no more",
-    }[summary["contact_verdict"]]
-    certified = {
-        True: "the guard's theorem holds from the start",
-        False: "the guard's theorem does not hold from the start",
-        None: "no guard flew along",
-    }[summary["start_certified"]]
-    return f"{ended}; {contact}; {certified}."
+    head = verdict_of(summary)
+    return f"{ended}. {head.said} {head.theorem}"
 
 
 def result_table(title: str, summary: Mapping[str, Any], rows: Mapping[str, str]) -> Table:
