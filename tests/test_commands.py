@@ -157,17 +157,27 @@ def test_every_command_is_here():
         assert f'"{command}", ' in text
 
 
-def test_the_installed_command_lists_and_draws_the_targets(folder):
+TWO_TARGETS = """
+from keepout.core.geometry import builtin
+builtin.BUILTINS = {name: builtin.BUILTINS[name] for name in ("box", "sphere")}
+from keepout.cli import main
+main()
+"""
+
+
+def test_the_installed_command_lists_the_targets_and_pictures_are_drawn(folder):
     script = shutil.which("keepout", path=str(Path(sys.executable).parent))
     assert script is not None
-    command = [script, "targets", "--pictures", "pictures", "--json"]
+    command = [script, "targets", "--json"]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
     rows = {row["name"]: row for row in json.loads(done.stdout)["targets"]}
     assert list(rows) == list(BUILTINS)
     assert rows["box"]["extents_m"] == pytest.approx(list(2.0 * HALF))
     assert rows["box"]["volume_m3"] == pytest.approx(float(np.prod(2.0 * HALF)))
     assert (rows["intelsat30"]["shipped_field"], rows["box"]["shipped_field"]) == (True, False)
-    for name in BUILTINS:
+    told = keepout_process(folder, "targets", "--pictures", "pictures", "--json", program=TWO_TARGETS)
+    assert [row["picture"] for row in told["targets"]] == ["pictures/box.png", "pictures/sphere.png"]
+    for name in ("box", "sphere"):
         check_picture(folder / "pictures" / f"{name}.png")
 
 

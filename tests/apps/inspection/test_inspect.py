@@ -142,6 +142,7 @@ def test_a_hold_point_is_held_before_any_view_and_a_view_whose_window_is_then_ov
     assert found.audit.contact is Contact.NO
 
 
+@pytest.mark.slow  # another law's program; tests/core/mission/test_navigation.py flies by these sensors
 def test_by_sensors_the_estimate_strikes_off_on_board_and_the_truth_is_what_counts():
     mission = scenario(
         navigation={"suite": "close", "estimate": "filter"},

@@ -126,7 +126,7 @@ def test_a_rare_event_that_was_interrupted_goes_on_to_the_same_answer_and_gives_
         if list(tmp_path.glob("state-*.npz")):
             raise KeyboardInterrupt
 
-    asked = {"below": 0.3, "flights": 64}
+    asked = {"below": 0.3, "flights": 64, "runs": 2}
     with pytest.raises(KeyboardInterrupt):
         rare(scenario, **asked, state=tmp_path, progress=interrupted)
     resumed, whole = rare(scenario, **asked, state=tmp_path), rare(scenario, **asked)
@@ -154,7 +154,8 @@ def test_what_is_not_random_or_draws_for_itself_has_no_tape(changes, said):
 
 @pytest.mark.long
 def test_what_the_theorem_excludes_is_not_measured():
-    covered = NEAR.replace(guard={"enabled": True, "position_error": 0.02}, faults={"position_noise": 0.02})
+    errors = {"guard": {"enabled": True, "position_error": 0.02}, "faults": {"position_noise": 0.02}}
+    covered = NEAR.replace(target={"source": "box"}, field={"source": "grid"}, **errors)
     with pytest.raises(ScenarioError, match="theorem covers this scenario"):
         rare(covered)
 

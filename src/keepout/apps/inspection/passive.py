@@ -50,7 +50,8 @@ _TOLERANCE = 0.02
 """Metres to which the bound of a drift's clearance is driven."""
 _MOST_STEPS = 100_000
 Distance = Callable[[Float[np.ndarray, "points 3"]], Float[np.ndarray, "points"]]
-Course = Float[np.ndarray, "corners 3"]
+Course = Float[np.ndarray, "_ 3"]
+"""Corners of a leg, m: those of one list differ in number."""
 _SPEEDS = (1.0, 0.75, 0.5, 0.375, 0.25, 0.1875, 0.125, 0.09375, 0.0625, 0.046875, 0.03125)
 """Shares of the speed limit at which a leg is judged."""
 _APART = 0.2
