@@ -140,3 +140,12 @@ def test_a_lipschitz_bound_that_is_broken_is_refused_and_a_sampled_one_is_named_
     for wrong in (0.0, np.inf, np.nan):
         with pytest.raises(FieldError, match="positive and finite"):
             keepout.stated_field(steep, wrong, **room)
+
+
+@pytest.mark.slow
+def test_policies_learn_behind_the_guard_without_contact(tmp_path):
+    curves = example("learn_a_policy").main(3, tmp_path / "curves.png", policies=16, episodes=4)
+    assert (tmp_path / "curves.png").is_file()
+    assert not curves[True][:, 1].any()
+    assert curves[False][:, 1].any()
+    assert curves[True][-1, 0] > curves[False][-1, 0]
