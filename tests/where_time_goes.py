@@ -1,10 +1,8 @@
 """Where the tests' processor time goes, by file: `python tests/where_time_goes.py [--keep FOLDER] [options of pytest]`.
 
-It runs pytest with what is given (all that `make test` runs, on two cores, where nothing is) and prints a table in
-seconds of processor: tracing (JAX turns Python into programs), compiling, compiling Numba's kernels, running compiled
-programs, Python, and commands that tests start; then the number of distinct programs, the most memory of a worker and
-the clock. Tracing and compiling are JAX's own monitoring events. Running is what other threads than Python's use
-outside of those: a program so small that JAX runs it on Python's own thread counts as Python. A worker that finds a
+It runs pytest with what is given (all that `make test` runs, on two cores, where nothing is) and prints a table: the
+seconds of processor, commands that tests start with them; of these, by the clock, what JAX compiled and what Numba
+did; the seconds of commands; the number of programs, the most memory of a worker and the clock. A worker that finds a
 program that another has compiled reads it from the disk, which counts as compiling.
 
 With `--keep`, a line for each test is kept in the folder as it ends; a run that was stopped goes on with the tests that
@@ -20,19 +18,14 @@ import resource
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from pathlib import Path
 
 FOLDER = "KEEPOUT_TIME_GOES"
 """The environment variable that names the folder of the measurements: the plugin measures where it is set."""
 PASSED = "passed.json"
-COLUMNS = ("tracing", "compiling", "numba", "running", "python", "commands")
-EVENTS = {
-    "/jax/core/compile/jaxpr_trace_duration": "tracing",
-    "/jax/core/compile/jaxpr_to_mlir_module_duration": "tracing",
-    "/jax/core/compile/backend_compile_duration": "compiling",
-}
+COLUMNS = ("all", "compiling", "numba", "commands")
+COMPILED = "/jax/core/compile/backend_compile_duration"
 
 _BY_FILE = ("-n", "2", "--dist", "loadfile", "--no-loadscope-reorder")
 MAKE_TEST = (
@@ -49,62 +42,31 @@ class Meter:
         import jax
         from numba.core import event
 
-        self.spent = collections.Counter()
-        self.programs = 0
-        self._finished: list[tuple[float, float, float, float]] = []  # begin, clock, processor, Python's of an event
-        self._last = (time.perf_counter(), time.process_time(), time.thread_time())
-        self._thread = threading.get_ident()
-        jax.monitoring.register_event_duration_secs_listener(self._ended)
-        self._kernels: list[float] = []  # Python's time as each kernel began: one may compile others
+        self.spent: collections.Counter = collections.Counter()
+        jax.monitoring.register_event_duration_secs_listener(self._jax_ended)
+        self._kernels: list[float] = []  # when each kernel began: one may compile others
         listener = type("Listener", (event.Listener,), {"on_start": self._kernel_begun, "on_end": self._kernel_ended})
         event.register("numba:compile", listener())
 
+    def _jax_ended(self, event: str, seconds: float, **_):
+        if event == COMPILED:
+            self.spent.update(compiling=seconds, programs=1)
+
     def _kernel_begun(self, *_):
-        self._kernels.append(time.thread_time())
+        self._kernels.append(time.perf_counter())
 
     def _kernel_ended(self, *_):
         begun = self._kernels.pop()
         if not self._kernels:
-            self.spent["numba"] += time.thread_time() - begun
-
-    def _ended(self, event: str, seconds: float, **_):
-        if event not in EVENTS or threading.get_ident() != self._thread:
-            return
-        now = (time.perf_counter(), time.process_time(), time.thread_time())
-        begin = now[0] - seconds
-        # An event that begins before others that have ended holds them: what they used is theirs.
-        inner = [0.0, 0.0, 0.0]
-        while self._finished and self._finished[-1][0] >= begin:
-            _, *used = self._finished.pop()
-            inner = [a + b for a, b in zip(inner, used, strict=True)]
-        own = seconds - inner[0]
-        python, processor = own, own
-        if EVENTS[event] == "compiling":
-            self.programs += 1
-            # Compiling has threads of its own: all that the process has used since the event before, if it ended then.
-            if now[0] - self._last[0] < 1.1 * own + 0.01:
-                processor, python = now[1] - self._last[1], now[2] - self._last[2]
-        self.spent[EVENTS[event]] += processor
-        self.spent["python in events"] += python
-        self._finished.append((begin, seconds, processor + inner[1], python + inner[2]))
-        del self._finished[:-1000]
-        self._last = now
+            self.spent["numba"] += time.perf_counter() - begun
 
     def read(self) -> dict[str, float]:
         """Return all that was used so far (s)."""
         children = resource.getrusage(resource.RUSAGE_CHILDREN)
         forked = getattr(sys.modules.get("truths.command_line"), "FORKED", {"seconds": 0.0})
-        traced, compiled, python = (self.spent[kind] for kind in ("tracing", "compiling", "python in events"))
-        main = time.thread_time() - python
-        return {
-            "tracing": traced,
-            "compiling": compiled,
-            "numba": self.spent["numba"],
-            "running": time.process_time() - traced - compiled - main,
-            "python": main - self.spent["numba"],
-            "commands": children.ru_utime + children.ru_stime + forked["seconds"],
-            "programs": self.programs,
-        }
+        commands = children.ru_utime + children.ru_stime + forked["seconds"]
+        spent = {kind: self.spent[kind] for kind in ("compiling", "numba", "programs")}
+        return {"all": time.process_time() + commands, "commands": commands, **spent}
 
 
 class Plugin:
@@ -149,13 +111,11 @@ def table(lines: list[dict], key, most: int | None = None) -> list[str]:
     """Return rows of a table: what each group of tests used, the largest first."""
     groups: dict[str, collections.Counter] = collections.defaultdict(collections.Counter)
     for line in lines:
-        groups[key(line["test"])].update({**{c: line[c] for c in (*COLUMNS, "clock", "programs")}, "tests": 1})
-    said = [f"| {'':60} | {'all':>8} | " + " | ".join(f"{c:>9}" for c in COLUMNS) + f" | {'programs':>8} | tests |"]
-    ordered = sorted(groups.items(), key=lambda pair: -sum(pair[1][c] for c in COLUMNS))
-    for name, used in ordered[:most]:
+        groups[key(line["test"])].update({**{c: line[c] for c in (*COLUMNS, "programs")}, "tests": 1})
+    said = [f"| {'':60} | " + " | ".join(f"{c:>9}" for c in COLUMNS) + " | programs | tests |"]
+    for name, used in sorted(groups.items(), key=lambda pair: -pair[1]["all"])[:most]:
         seconds = " | ".join(f"{used[c]:9.1f}" for c in COLUMNS)
-        whole = sum(used[c] for c in COLUMNS)
-        said.append(f"| {name:60} | {whole:8.1f} | {seconds} | {used['programs']:8.0f} | {used['tests']:5.0f} |")
+        said.append(f"| {name:60} | {seconds} | {used['programs']:8.0f} | {used['tests']:5.0f} |")
     return said
 
 

@@ -1,46 +1,16 @@
-"""`benchmarks/adversary.py`: its truth against closed forms, and that it catches a guard that does not guard."""
+"""`benchmarks/adversary.py`: it catches a guard that does not guard."""
 
 from types import SimpleNamespace
 
 import adversary
 import numpy as np
-import pytest
-from adversary_truth import GRAVITY, SUBSTEPS, Surface, Truth
-from scipy.linalg import expm
+from adversary_truth import Surface, Truth
 
 from keepout.core.mission.scenario import Scenario
 
-PERIODS = 120
-ROWS = 2 * SUBSTEPS * PERIODS
 CUBE = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
 SIDES = np.array([[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1]])
 SIDES = np.vstack([SIDES, [[2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]])
-
-
-def flown(truth, place, push):
-    for row in range(0, ROWS, 2):
-        place = truth.flown(place, row, push)
-    return place
-
-
-def test_chasers_near_a_circular_orbit_follow_clohessy_and_wiltshire():
-    scenario = Scenario().replace(orbit={"semi_major_axis": 6_778_000.0})
-    truth, rate = Truth(scenario, PERIODS), np.sqrt(GRAVITY / 6_778_000.0**3)
-    start = np.array([[1.0, -2.0, 1.5, 0.02, 0.01, -0.03], [-2.0, 1.0, 0.0, 0.0, 0.0, 0.0]])
-    push = np.array([2e-4, -1e-4, 3e-4])
-    # x along the velocity, y against the orbit's normal, z to the Earth; the last state is the constant 1.
-    slope = np.zeros((7, 7))
-    slope[:3, 3:6] = np.eye(3)
-    slope[3, 5], slope[4, 1], slope[5, 3], slope[5, 2] = 2.0 * rate, -(rate**2), -2.0 * rate, 3.0 * rate**2
-    slope[3:6, 6] = push
-    expected = (np.hstack([start, np.ones((2, 1))]) @ expm(slope * PERIODS).T)[:, :6]
-    place = flown(truth, truth.placed(start[:, :3], start[:, 3:], 0), push)
-    # What the linear equations leave out is 1.5 rate² r²/a over a second: 1e-5 m here.
-    assert np.hstack(truth.seen(place, ROWS)) == pytest.approx(expected, abs=2e-5)
-    back = place
-    for row in range(ROWS, 0, -2):
-        back = truth.flown(back, row, push, back=True)
-    assert np.hstack(truth.seen(back, 0)) == pytest.approx(start, abs=1e-6)
 
 
 class PassesOn:

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from keepout.apps.reproduction import case3
-from keepout.apps.reproduction.figures import draw_settings
 from keepout.apps.reproduction.work import Work
 from keepout.core.geometry.target import Target
 from keepout.core.mission.scenario import Scenario
@@ -100,20 +99,3 @@ def settings_rows():
 
 def test_the_best_setting_is_that_of_most_clean_flights_and_then_of_fewest_contacts():
     assert case3.best_of(settings_rows(), "iss")["k_p m"] == 5.0
-
-
-def test_a_longer_slowing_has_more_time():
-    printed = case3.case3_scenarios(0, quick=False)["iss", case3.PRINTED]
-    same, longer = (case3.with_setting(printed, length, 0.2, 9, "x") for length in (1.5, 20.0))
-    assert same.duration == printed.duration
-    # Six time constants k_p / v_max more than at 1.5 m.
-    assert longer.duration == printed.duration + 1110.0
-    assert (longer.control.paper.slowing_length, longer.control.paper.gradient_error) == (20.0, 0.2)
-    assert longer.campaign.runs == 9
-    assert longer.campaign.lower == printed.campaign.lower
-
-
-def test_the_settings_are_drawn(tmp_path):
-    beside = [{"target": "iss", "law": case3.DEFAULTS, "flights": 1000, "reached": 1000, "contacts": 0}]
-    draw_settings(tmp_path / "settings.png", settings_rows(), beside)
-    assert (tmp_path / "settings.png").read_bytes().startswith(b"\x89PNG")

@@ -283,13 +283,8 @@ def with_errors(position, velocity, **more):
     )
 
 
-@pytest.mark.parametrize(
-    ("position", "velocity", "keeps_margin"),
-    [(0.1, 0.004, False), pytest.param(0.01, 0.001, True, marks=pytest.mark.slow)],
-)
-def test_the_guard_passes_on_what_the_law_does_at_its_own_edge(position, velocity, keeps_margin):
-    scenario = with_errors(position, velocity)
-    scenario = scenario.replace(guard={"keeps_margin": keeps_margin}, safety={"margin": 0.1})
+def test_the_guard_passes_on_what_the_law_does_at_its_own_edge():
+    scenario = with_errors(0.1, 0.004, safety={"margin": 0.1})
     field = opened(lambda p: p[..., 1] >= 1.0)
     leading = ByMap.of(scenario, BALL, field)
     assert leading.offset > leading.guard.least_value

@@ -10,7 +10,7 @@ from scipy.interpolate import BSpline
 
 from keepout.core.control.barrier_grid import BarrierGrid, _refined
 from keepout.core.control.circulation import SwitchingCirculation, skew
-from keepout.core.control.fast_marching import downhill, travel_time, widest_way
+from keepout.core.control.fast_marching import downhill, travel_time
 from keepout.core.control.geodesic import GeodesicGuidance, geodesic_guidance, packed
 from keepout.core.control.guidance import ComponentwiseGuidance, StraightGuidance
 from keepout.core.errors import ControlError
@@ -51,13 +51,6 @@ def test_travel_time_goes_round_a_wall():
     walls[0, 20, :, :] = True
     shut = travel_time(np.ones((n, n, 3)), walls, start[None], np.zeros(1), spacing)
     assert np.isinf(shut[tuple(end)])
-
-
-@pytest.mark.long
-def test_widest_way_finds_the_saddle():
-    values = np.full((5, 5, 5), -1.0)
-    values[:, 2, 2] = [1.0, 0.6, -0.3, 0.8, 1.0]
-    assert widest_way(values, np.array([0, 2, 2]), np.array([4, 2, 2])) == pytest.approx(-0.3)
 
 
 @pytest.mark.long

@@ -112,16 +112,6 @@ def test_a_dispersion_that_means_nothing_is_refused_with_its_name(entry, said):
     assert "campaign.dispersions.chaser.mass" in str(refusal.value)
 
 
-@given(mass=st.floats(0.1, 1e4), x=st.floats(-1e3, 1e3))
-def test_entries_are_replaced_by_name(mass, x):
-    made = with_entries(Scenario(), {"chaser.mass": mass, "start.position.x": x, "target.parameters.wing": 2.0})
-    assert (made.chaser.mass, made.start.position, made.target.parameters) == (mass, (x, 10.0, 6.0), {"wing": 2.0})
-    assert (
-        made.replace(chaser={"mass": 20.0}, start={"position": (0.0, 10.0, 6.0)}, target={"parameters": {}})
-        == Scenario()
-    )
-
-
 def test_a_value_out_of_range_is_refused_with_its_entry():
     with pytest.raises(ScenarioError, match=r"chaser\.mass: -1\.0 must be greater than 0"):
         with_entries(Scenario(), {"chaser.mass": -1.0})

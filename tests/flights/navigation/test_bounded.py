@@ -12,7 +12,7 @@ from truths.adversaries import NOISES, PUSHES, Adversary, fly_many, motion_state
 
 from keepout.core.errors import ScenarioError
 from keepout.core.flight.navigation import Sample, Suite
-from keepout.flights.navigation.known_set import CAPS_ROUNDING, SetMembership, design, largest_radii, told_by
+from keepout.flights.navigation.known_set import SetMembership, design
 from keepout.flights.navigation.sensor_errors import BallNoise
 from keepout.flights.navigation.sensors import RangeBearing, RelativePosition, RelativeVelocity
 
@@ -45,8 +45,6 @@ MADE = {
         )
     ),
     "positions only": Suite((RelativePosition(noise(0.05), latency=1),)),
-    # So good that what accelerations and commands add is all that there is.
-    "sharp": Suite((RelativePosition(noise(1e-4), latency=1),)),
     # No noise, but positions three periods late: what the push has done since is all that there is.
     "pushed": late_positions(0.0, 0.0),
     # Nor is there a push: what is left is rounding.
@@ -64,14 +62,8 @@ def limits_of(name):
 @functools.cache
 def designed(name):
     """Give the estimate and its caps."""
-    numbers, limits = {**NUMBERS, "disturbance": QUIET.get(name, D)}, limits_of(name)
-    if name != "sharp":
-        return design(MADE[name], **numbers, **limits)
-    estimate = SetMembership(MADE[name], window=designed("positions only")[0].window, **numbers)
-    told = told_by(estimate.suite, (limits["range_limit"], limits["speed_limit"]))
-    motion = numbers["disturbance"], numbers["period"]
-    radii = np.array(largest_radii(told, estimate.window, *motion, limits["initial_errors"]))
-    return estimate, tuple(radii * (1.0 + CAPS_ROUNDING))
+    numbers = {**NUMBERS, "disturbance": QUIET.get(name, D)}
+    return design(MADE[name], **numbers, **limits_of(name))
 
 
 @functools.cache
@@ -115,18 +107,6 @@ def test_the_truth_gets_to_the_edge_and_with_less_than_the_disturbance_told_outs
     off, radii, _, contradicted, *_ = flown("close", share=0.9)
     assert np.sum(off > radii) > 0
     assert contradicted.any()
-
-
-@pytest.mark.long
-def test_never_wider_than_the_sample_told():
-    _, radii, _, _, truth, came = flown("close")
-    size = np.linalg.norm(truth[..., :3], axis=-1) + 1.0
-    assert (radii[..., 0][came[..., 0]] <= 0.05 + 1e-13 * size[came[..., 0]]).all()
-    assert (radii[..., 1][came[..., 1]] <= 0.002 + 1e-13).all()
-    # A period late: what the velocity known by then adds, and no more.
-    _, radii, before, _, _, came = flown("positions only")
-    carried = 0.05 + before[..., 1] + D / 2 + 1e-9
-    assert (radii[..., 0] <= carried)[came[..., 0]].all()
 
 
 ROUGH, QUICK = (BallNoise(0.05),), (BallNoise(0.002),)

@@ -141,15 +141,6 @@ def test_the_truth_is_in_the_ball(kind, axes, at):
     assert off.max() > 0.75 * radius.max() or (not at.any() and "bearing" in kind)
 
 
-def test_a_sensor_that_proves_nothing_says_so():
-    for sensor in (RangeRate(()), TargetAttitude(())):
-        value = sensor.ideal(state())
-        assert sensor.position_ball(value, state()) is None
-        assert sensor.velocity_ball(value, state()) is None
-    assert RelativePosition(()).velocity_ball(jnp.zeros(3), state()) is None
-    assert RelativeVelocity(()).position_ball(jnp.zeros(3), state()) is None
-
-
 DRAWS = 100_000
 
 
