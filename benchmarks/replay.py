@@ -20,9 +20,9 @@ from typing import Any
 
 from playwright.sync_api import Browser, sync_playwright
 
-from keepout.cli.flight import replay_to_page
 from keepout.core.mission.build import fly
 from keepout.core.mission.scenario import Scenario
+from keepout.verbs.files import replay as replay_to_page
 
 SOFTWARE = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 ISS = {

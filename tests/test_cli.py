@@ -168,7 +168,7 @@ def work_is_watched(monkeypatch, work):
         (("fit", "box", "-o"), "box.keepout", "keepout.core.learning.training:fit"),
         (("scenario", "new", "--for", "box", "--force", "-o"), "new.toml", "keepout.verbs.draft:draft"),
         (("scenario", "schema", "-o"), "schema.json", "keepout.core.mission.scenario:schema"),
-        (("replay", "a.parquet", "-o"), "page.html", "keepout.flights.pages.replayed:of_files"),
+        (("replay", "a.parquet", "-o"), "page.html", "keepout.verbs.files:of_files"),
         (("export", "a.parquet", "--to", "oem", "-o"), "a.oem", "keepout.flights.exchange.export:export_flight"),
         (("certify",), "box.keepout", "keepout.core.proof.certificate:certify"),
     ],

@@ -41,6 +41,7 @@ from .verbs.campaigns import campaign as campaign
 from .verbs.files import audit as audit
 from .verbs.files import export as export
 from .verbs.files import replay as replay
+from .verbs.files import report as report
 from .verbs.meshes import describe as describe
 from .verbs.meshes import fit as fit
 from .verbs.meshes import measure as measure

@@ -1,6 +1,5 @@
 """Commands on single flights: fly and replay; what applications add, as explore and inspect, is like `fly`."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -9,9 +8,8 @@ import typer
 from keepout.cli.application import app
 from keepout.cli.missions import add_mission_command
 from keepout.cli.options import AsJson, answer, example, into
-from keepout.core.errors import FlightError, UsageError
+from keepout.core.errors import UsageError
 from keepout.core.progress import Progress, part_of, silent
-from keepout.core.whole_file import require_place
 from keepout.flights.pages import terminal
 
 if TYPE_CHECKING:
@@ -72,31 +70,10 @@ def replay(
 ) -> None:
     """Write flights as one page to watch them in any browser, offline: the target, its envelope, paths and plots."""
     with terminal.progress("replay") as progress:
-        if video is not None:
-            from keepout.flights.pages.filmed import film, require_film
+        from keepout.verbs import files
 
-            require_film(video)
-        told = part_of(progress, 0.0, 1.0 if video is None else 0.3)
-        summary = replay_to_page(flights, out, title=title, progress=told)
-        if video is not None:
-            summary["video"] = str(film(out, video, progress=part_of(progress, 0.3, 1.0)))
+        summary = files.replay(flights, out, title=title, video=video, progress=progress)
     answer(summary, as_json, terminal.Line(f"open {summary['replay']}"))
-
-
-def replay_to_page(
-    flights: Sequence[Path], out: Path, *, title: str | None = None, progress: Progress = silent
-) -> dict[str, Any]:
-    """Write a replay of flight files, all around one target, as one self-contained page."""
-    from keepout.flights.pages.replay_page import write_replay
-    from keepout.flights.pages.replayed import of_files
-
-    if out.suffix.lower() not in (".html", ".htm"):
-        raise UsageError(f"{out}: a replay is a page; its name ends in .html")
-    require_place(out, refusal=FlightError)
-    gathered = of_files(flights, progress=part_of(progress, 0.0, 0.4))
-    first = gathered[0]
-    title = title or f"{first.scenario.name} · {first.target.name}"
-    return write_replay(out, gathered, title=title, progress=part_of(progress, 0.4, 1.0))
 
 
 @app.command(epilog=example("keepout report out/case1 --pdf", "keepout report out/campaign --pdf -o campaign.pdf"))
@@ -118,10 +95,8 @@ def report(
             summary = report_campaign(folder, progress=progress)
         answer(summary, as_json, terminal.Line(f"open {summary['page']}"))
         return
-    if out is not None and out.suffix.lower() != ".pdf":
-        raise UsageError(f"{out}: a report ends in .pdf")
     with terminal.progress(f"report {folder.name}") as progress:
-        from keepout.flights.pages.printed import print_report
+        from keepout.verbs import files
 
-        written = print_report(folder, out, progress=progress)
+        written = files.report(folder, out, progress=progress)
     answer({"report": str(written)}, as_json, terminal.Line(f"open {written}"))

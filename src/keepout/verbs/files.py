@@ -1,4 +1,4 @@
-"""Verbs on files of flights and fields, and on those of others: replay, export, audit."""
+"""Verbs on files of flights and fields, and on those of others: replay, report, export, audit."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
@@ -15,6 +15,8 @@ from keepout.core.progress import Progress, part_of, silent
 from keepout.core.whole_file import require_place
 from keepout.flights.exchange.audited import Given, audit_files
 from keepout.flights.exchange.export import Export, export_field, export_flight, export_to
+from keepout.flights.pages.filmed import film, require_film
+from keepout.flights.pages.printed import print_report
 from keepout.flights.pages.replay_page import write_replay
 from keepout.flights.pages.replayed import of_files, of_flights, of_records
 from keepout.flights.pages.shown import require_page
@@ -28,6 +30,7 @@ def replay(
     out: str | Path = "replay.html",
     *,
     title: str | None = None,
+    video: str | Path | None = None,
     progress: Progress = silent,
 ) -> dict[str, Any]:
     """Write flights around one target as one page to watch them in any browser, offline.
@@ -36,10 +39,11 @@ def replay(
         flights: one or several: flights, their records, or flight files (.parquet, .npz).
         out: the page (.html).
         title: of the page; the first flight's name if absent.
+        video: also film it (.mp4, .gif, .webp, or .png for pictures in a row), in an installed Chromium.
         progress: called as the work goes on.
 
     Returns:
-        The page's path under `replay`, its size under `bytes`, and the names of the flights.
+        The page's path under `replay`, its size under `bytes`, the names of the flights, and the film under `video`.
 
     Raises:
         KeepoutError: a file that is no flight, flights around different targets, or a page that cannot be written.
@@ -49,8 +53,11 @@ def replay(
     if not given:
         raise UsageError("replay: no flight is given; at least one is valid")
     require_page(page)
+    if video is not None:
+        require_film(Path(video))
+    end = 1.0 if video is None else 0.3
     paths = [Path(one) for one in given if isinstance(one, str | Path)]
-    part = part_of(progress, 0.0, 0.4)
+    part = part_of(progress, 0.0, 0.4 * end)
     if len(paths) == len(given):
         gathered = of_files(paths, progress=part)
     else:
@@ -66,7 +73,28 @@ def replay(
                 gathered += of_records({name: record}, progress=part)
     first = gathered[0]
     title = title or f"{first.scenario.name} · {first.target.name}"
-    return write_replay(page, gathered, title=title, progress=part_of(progress, 0.4, 1.0))
+    written: dict[str, Any] = {**write_replay(page, gathered, title=title, progress=part_of(progress, 0.4 * end, end))}
+    if video is not None:
+        written["video"] = str(film(page, Path(video), progress=part_of(progress, end, 1.0)))
+    return written
+
+
+def report(folder: str | Path, out: str | Path | None = None, *, progress: Progress = silent) -> Path:
+    """Print a folder of results as a PDF of four sheets: mission, what is proved, what was flown, requirements.
+
+    Args:
+        folder: that `keepout fly`, `explore`, `inspect` or `campaign` wrote.
+        out: the file (.pdf); `report.pdf` in that folder if absent.
+        progress: called as the work goes on.
+
+    Returns:
+        The file's path.
+
+    Raises:
+        KeepoutError: the folder holds no flight and no campaign, its files cannot be read, or another ending.
+
+    """
+    return print_report(Path(folder), None if out is None else Path(out), progress=progress)
 
 
 def export(

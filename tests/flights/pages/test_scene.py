@@ -13,7 +13,6 @@ from truths.invented_flight import record_of
 from truths.passing import RADIUS, SPEED, START, STEPS, box_scenario, pass_position, pass_record
 from truths.replay_page import ReplayPage
 
-from keepout.cli.flight import replay_to_page
 from keepout.core.audit.tube import FlightBounds
 from keepout.core.errors import FieldError, FlightError, KeepoutError, MeshError
 from keepout.core.fields.field import values
@@ -26,6 +25,7 @@ from keepout.flights.pages.drawn import drawn_surface
 from keepout.flights.pages.replay_page import write_replay
 from keepout.flights.pages.replayed import of_records, proved_clearance
 from keepout.flights.pages.scene import Packing, marks, to_inertial, to_vvlh
+from keepout.verbs.files import replay as replay_to_page
 
 pytestmark = pytest.mark.as_used
 

@@ -14,13 +14,11 @@ from matplotlib.ticker import NullFormatter
 from keepout.core.measures.surface import Ellipsoid
 from keepout.core.mission.flight import Flight
 from keepout.flights.campaign.campaign import FlightSeries
-from keepout.flights.pages.figures import BANDS, COLOURS, COLUMN, column, draw_bands, logarithmic, looks
+from keepout.flights.pages.figures import BANDS, COLOURS, COLUMN, column, draw_bands, draw_signal, logarithmic, looks
 from keepout.flights.pages.mesh_pictures import View, eye_axes, paint_paths, rasterise
 
 _MARKERS = ("o", "s", "^", "D", "v")
 _TOLD = {"trapped": "trapped", "clean": "arrived untouched", "touched": "touched"}
-_MANY = 5000
-"""Samples from which on a line is drawn as pixels in a vector file."""
 _POINTS = 1500
 """Of a line: more than can be told apart in print."""
 SIDE = 28.0, -55.0
@@ -200,13 +198,13 @@ def _draw_path_panels(
     """Draw the flights named for each panel, side by side around their target."""
     first = next(iter(flights.values()))
     looked = dict(zip(flights, looks(len(flights))))
-    with column(path, 2.9, width=2.0 * COLUMN) as drawing:
+    with column(path, 3.1, width=2.0 * COLUMN) as drawing:
         for axes, (title, names) in zip(drawing.subplots(1, len(panels)), panels.items()):
             paths = {name: flights[name].record.position for name in names}
             paint_paths(axes, first.target, paths, [first.scenario.goal.position], eye_axes(*side), looked)
             axes.set_title(title)
-            if len(names) > 1:
-                axes.legend(loc="upper left")
+        told = dict(pair for axes in drawing.axes for pair in zip(*axes.get_legend_handles_labels()[::-1]))
+        drawing.legend(told.values(), told.keys(), loc="outside lower center", ncols=6)
 
 
 def _draw_by_axis(path: Path, flights: Mapping[str, Flight], of: str, label: str) -> None:
@@ -216,7 +214,7 @@ def _draw_by_axis(path: Path, flights: Mapping[str, Flight], of: str, label: str
         for axes, (name, flight) in zip(panels, flights.items(), strict=True):
             time, velocity = flight.record.time, getattr(flight.record, of)
             for (letter, component), look in _looks(dict(zip("xyz", velocity.T))):
-                axes.plot(time, component, label=letter, rasterized=len(time) > _MANY, **look | {"linewidth": 0.8})
+                draw_signal(axes, time, component, label=letter, **look | {"linewidth": 0.8})
             limit = flight.scenario.chaser.speed_limit
             for bound in (limit, -limit):
                 axes.axhline(bound, color="black", linewidth=0.9, linestyle=":")

@@ -22,7 +22,7 @@ from keepout.apps.unknown.exploration import Exploration
 from keepout.apps.unknown.known_free import Seen, whole_blocks
 from keepout.apps.unknown.ways import reachable
 from keepout.flights.pages.figures import COLOURS, figure
-from keepout.flights.pages.mesh_pictures import READABLE, View, eye_axes, paint_target, rasterise
+from keepout.flights.pages.mesh_pictures import READABLE, View, eye_axes, paint_paths, rasterise
 
 _SIDES = {"from above, left": (25.0, -60.0), "from above, right": (25.0, 120.0), "from below": (-35.0, 30.0)}
 """Elevation and azimuth, degrees."""
@@ -237,14 +237,10 @@ def _cubes_at(
 
 
 def _in_the_way(axes: Axes, exploration: Exploration) -> None:
-    eye = eye_axes(*_SIDES["from above, left"])
-    paint_target(axes, exploration.target, eye)
-    unknown, path = ((points @ eye.T)[:, :2] for points in (exploration.unknown, exploration.record.position))
-    axes.scatter(*unknown.T, linewidths=0, color=COLOURS[1], s=4, alpha=0.5)
-    axes.plot(*path.T, color=COLOURS[0], linewidth=1.0)
-    axes.plot(*path[-1], "o", color=COLOURS[0], markersize=4)
-    if exploration.scenario.explore.towards == "goal":
-        axes.plot(*(eye @ np.asarray(exploration.scenario.goal.position))[:2], "*", color="black", markersize=9)
+    eye, goal = eye_axes(*_SIDES["from above, left"]), exploration.scenario.goal.position
+    goals = [goal] if exploration.scenario.explore.towards == "goal" else []
+    paint_paths(axes, exploration.target, {"path": exploration.record.position}, goals, eye)
+    axes.scatter(*(exploration.unknown @ eye.T)[:, :2].T, linewidths=0, color=COLOURS[1], s=4, alpha=0.5)
     axes.set(title="all of it, from above, left; the true target in grey", ylabel="")
 
 

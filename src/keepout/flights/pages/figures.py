@@ -104,7 +104,7 @@ def looks(count: int, *, printed: bool = False) -> list[dict[str, Any]]:
     return [{"color": COLOURS[place % len(COLOURS)], "linestyle": line} for place, line in enumerate(lines)]
 
 
-def draw_series(axes: Axes, time: np.ndarray, values: np.ndarray, *, label: str | None = None, **look: Any) -> None:
+def draw_signal(axes: Axes, time: np.ndarray, values: np.ndarray, *, label: str | None = None, **look: Any) -> None:
     """Draw a quantity over time; one of many samples as the band from its least to its largest, with its mean within.
 
     Args:

@@ -12,6 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -162,8 +163,7 @@ def _frames(page: Any, shares: np.ndarray, progress: Progress, *, settle: int) -
 
 
 def _write_mp4(out: Path, frames: "Iterator[Image]", how: Film) -> None:
-    import av
-
+    av: Any = import_module("av")
     stored = io.BytesIO()
     with av.open(stored, "w", format="mp4") as container:
         stream: Any = container.add_stream("libx264", rate=Fraction(how.rate), options={"crf": "20"})

@@ -12,7 +12,7 @@ from keepout.core.flight.record import FlightRecord
 from keepout.core.mission.flight import Flight
 from keepout.core.mission.scenario import Scenario
 from keepout.core.progress import Progress, part_of, silent
-from keepout.flights.pages.figures import COLOURS, draw_series, figure, logarithmic
+from keepout.flights.pages.figures import COLOURS, draw_signal, figure, logarithmic
 from keepout.flights.pages.head_and_foot import Provenance, Verdict, verdict_of
 from keepout.flights.pages.mesh_pictures import draw_paths
 from keepout.flights.pages.page import Page, bad, tell_requirements
@@ -217,11 +217,11 @@ def paint_motion(panels: Sequence[Axes], record: FlightRecord, scenario: Scenari
         panels, (*columns, ("d", record.disturbance, record.disturbance_estimate)), strict=True
     ):
         for axis, (label, colour) in enumerate(zip("xyz", COLOURS)):
-            draw_series(axes, record.time, given[:, axis], color=colour, label=f"{letter} {label}")
+            draw_signal(axes, record.time, given[:, axis], color=colour, label=f"{letter} {label}")
             if beside is not None:
-                draw_series(axes, record.time, beside[:, axis], color=colour, **thin)
+                draw_signal(axes, record.time, beside[:, axis], color=colour, **thin)
     velocity, force, disturbance = panels
-    draw_series(velocity, record.time, np.linalg.norm(record.velocity, axis=1), color="black", label="‖v‖")
+    draw_signal(velocity, record.time, np.linalg.norm(record.velocity, axis=1), color="black", label="‖v‖")
     for axes, limit in ((velocity, chaser.speed_limit), (force, chaser.force_limit)):
         axes.axhline(limit, color="grey", linewidth=0.8)
         axes.axhline(-limit, color="grey", linewidth=0.8)

@@ -18,10 +18,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_pdf import PdfPages
 
-from keepout.core.errors import ScenarioError
+from keepout.core.errors import ScenarioError, UsageError
 from keepout.core.mission.scenario import Scenario
 from keepout.core.progress import Progress, part_of, silent
 from keepout.core.whole_file import require_place, write_whole
+from keepout.flights import requirements
 from keepout.flights.campaign.dataset import read_campaign
 from keepout.flights.campaign.results import Results, results
 from keepout.flights.pages import campaign_page
@@ -74,11 +75,13 @@ def print_report(folder: Path, out: Path | None = None, *, progress: Progress = 
 
     """
     out = folder / "report.pdf" if out is None else out
+    if out.suffix.lower() != ".pdf":
+        raise UsageError(f"{out}: a report ends in .pdf")
+    require_place(out, refusal=ScenarioError)
     if (folder / "campaign.json").exists():
         parts = _campaign_parts(folder, progress)
     else:
         parts = _flight_parts(folder, progress)
-    require_place(out, refusal=ScenarioError)
     stored = BytesIO()
     with PdfPages(stored, metadata={"Title": parts.title, "Creator": "Keepout"}) as pdf:
         for number, (heading, fill) in enumerate(parts.sheets.items()):
@@ -196,7 +199,9 @@ class _Sheet:
             wrapped = [textwrap.wrap(cell, max(int(width) - 1, 4)) for cell, width in zip(line, widths)]
             count = max(map(len, wrapped))
             self._room(count * _LINE)
-            look = {"weight": "bold"} if place == 0 else {"color": _WORDS["bad"]} if "FAIL" in line else {}
+            look: dict[str, Any] = (
+                {"weight": "bold"} if place == 0 else {"color": _WORDS["bad"]} if "FAIL" in line else {}
+            )
             for k in range(count):
                 for across, cell in zip(np.cumsum([0.0, *widths[:-1]]), wrapped):
                     self._write(cell[k] if k < len(cell) else "", across * _inches(), **look)
@@ -303,7 +308,7 @@ def _proofs(sheet: _Sheet, flight: Replayed) -> None:
 def _requirements(sheet: _Sheet, summary: Mapping[str, Any], provenance: Provenance) -> None:
     rows = summary.get("requirements") or []
     sheet.words("" if rows else "The scenario requires nothing: it has no table [require].")
-    sheet.table(rows)
+    sheet.table(requirements.told(rows))
     sheet.heading("What this report was made of")
     sheet.facts(provenance.rows())
 

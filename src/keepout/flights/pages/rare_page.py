@@ -15,6 +15,8 @@ from keepout.flights.pages.replayed import of_flights
 from keepout.flights.rare_events.event import RareEvent
 from keepout.flights.rare_events.subset import band, curve
 
+_LABELS = {"threshold_m": "threshold, m", "least_clearance_m": "least clearance, m"}
+
 
 def write_rare(out: Path, event: RareEvent) -> dict[str, Any]:
     """Write all that a rare event has to show into a folder; give its summary with the names of the files."""
@@ -38,7 +40,7 @@ def write_rare(out: Path, event: RareEvent) -> dict[str, Any]:
     words = "How probable it is that a flight comes nearer than a clearance; thresholds of the levels dotted."
     page.picture(out / "curve.png", words)
     page.heading(levels.caption)
-    page.table(levels.rows)
+    page.table([{_LABELS.get(key, key): value for key, value in row.items()} for row in levels.rows])
     page.heading("The flight that came nearest")
     page.replay(out / "replay.html")
     page.write()
@@ -74,7 +76,9 @@ def draw_curve(path: Path, event: RareEvent) -> None:
             ylabel="probability of a flight that comes nearer",
         )
         if len(points):
-            logarithmic(axes)
+            # The band's lower end falls to nothing where few flights tell; what is drawn ends below what was measured.
+            logarithmic(axes, least=0.01 * float(mean.min()))
+            axes.set_ylim(top=1.5)
             axes.legend(fontsize=8)
 
 

@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 
 from keepout.core.progress import Progress, part_of, silent
 from keepout.core.whole_file import write_whole
-from keepout.flights.pages.figures import draw_series, drawn, logarithmic, looks
+from keepout.flights.pages.figures import draw_signal, drawn, logarithmic, looks
 from keepout.flights.pages.head_and_foot import Provenance
 from keepout.flights.pages.mesh_pictures import eye_axes, paint_paths
 from keepout.flights.pages.page import Markup, embedded, foot
@@ -100,8 +100,8 @@ def _motion(panels: np.ndarray, flights: Sequence[Replayed]) -> None:
     for look, flight in zip(looks(len(flights)), flights):
         record, drawn = flight.shown, {"label": flight.name, **look}
         time = record.time - record.time[0]
-        draw_series(speed, time, np.linalg.norm(record.velocity, axis=1), **drawn)
-        draw_series(force, time, np.linalg.norm(record.force, axis=1), **drawn)
+        draw_signal(speed, time, np.linalg.norm(record.velocity, axis=1), **drawn)
+        draw_signal(force, time, np.linalg.norm(record.force, axis=1), **drawn)
         if flight.share is None:
             last.plot(time, flight.error, linewidth=0.9, **drawn)
         else:
