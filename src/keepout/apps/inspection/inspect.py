@@ -135,6 +135,7 @@ class UnderWay(Leader):
         certified, ahead, target = self.leading.start_certified, self.ahead, self.problem.target
         flown, told = judged(self.scenario, target, flight.setup, flight.log(), certified), part_of(progress, 0.93, 1.0)
         found = {"possible": ahead.wanted.possible, "plan": ahead.first, "plans": ahead.plans, "drifts": ahead.drifts}
+        found["field_sha256"] = self.leading.field_sha256
         return Inspection.of(self.problem, flown, self.camera, self.shots, ended, self.began, progress=told, **found)
 
     def resting(self) -> FlightSetup:

@@ -44,6 +44,7 @@ class Inspection(Led):
         limits: how the operator's limits were kept; None where there are none.
         drifts: legs as they were begun, judged by passive safety; None where that is not asked for.
         transfer: how a circumnavigation comes onto its ellipse before the flight; None of any other.
+        field_sha256: digest of the field that the law flew by; empty of a circumnavigation, which has none.
 
     """
 
@@ -58,6 +59,7 @@ class Inspection(Led):
     limits: LimitsKept | None = None
     drifts: DriftsFlown | None = None
     transfer: Transfer | None = None
+    field_sha256: str = ""
 
     @classmethod
     def of(

@@ -9,7 +9,6 @@ from keepout.apps.inspection import inspection_pictures as pictures
 from keepout.apps.inspection.coverage import FATE_COLOURS, Coverage
 from keepout.apps.inspection.frames import save_frames
 from keepout.apps.inspection.inspection import WORDS, Fate, Inspection, shares, unseen
-from keepout.core.mission.build import load_model
 from keepout.core.progress import Progress, silent
 from keepout.core.whole_file import write_whole
 from keepout.flights.pages.flight_page import Told, draw_result
@@ -76,7 +75,8 @@ def write_inspection(
     summary["requirements"] = judged(inspection.scenario, summary)
     if figures:
         tell = functools.partial(_tell_surface, inspection=inspection, shares=summary["shares"])
-        digests = {"field that the scenario names": load_model(inspection.scenario, inspection.target).sha256}
+        field = inspection.field_sha256
+        digests = {f"field of {inspection.target.name}": field} if field else {}
         told, layer, drawn = Told(said(inspection), digests, ROWS, tell), Coverage(inspection), _drawn(inspection)
         summary["pictures"] = draw_result(out, inspection, summary, told, drawn, layer=layer, progress=progress)
     frames = save_frames(out / FRAMES, inspection.frames, target_sha256=inspection.target.sha256)

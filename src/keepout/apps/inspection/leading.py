@@ -47,8 +47,11 @@ _SLOWEST = 0.2
 class AroundMesh(Leading):
     """A scenario's law around one mesh: its keep-out zone keeps the stand-off.
 
-    The scenario has the margin that the stand-off asks for, and a goal that reaches as far as any place.
+    The scenario has the margin that the stand-off asks for, and a goal that reaches as far as any place. `field_sha256`
+    is the digest of the field's model.
     """
+
+    field_sha256: str = ""
 
     @classmethod
     def of(
@@ -107,7 +110,8 @@ class AroundMesh(Leading):
             around, sealed, told = Surroundings(stated, target), closing_radius(model), part_of(progress, 0.8, 1.0)
             guard = build_guard(around, offset=model.offset, closing_radius=sealed, progress=told)
             certified = require_flyable(guard, initial, as_float64(far))
-        return cls(scenario, model.field, bound, grid, reach, nominal, guard, sensed, initial, certified)
+        built = bound, grid, reach, nominal, guard, sensed, initial, certified
+        return cls(scenario, model.field, *built, model.sha256)
 
     def reachable(self, place: Point) -> Point | None:
         """Give the place, or the nearest found beside it where the law leads; None where there is none.
