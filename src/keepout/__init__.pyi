@@ -38,12 +38,12 @@ from .flights.rare_events.event import RareEvent as RareEvent
 from .flights.rare_events.event import rare as rare
 from .verbs.campaigns import Campaign as Campaign
 from .verbs.campaigns import campaign as campaign
+from .verbs.fields import fit as fit
+from .verbs.fields import measure as measure
 from .verbs.files import audit as audit
 from .verbs.files import export as export
 from .verbs.files import replay as replay
 from .verbs.files import report as report
 from .verbs.meshes import describe as describe
-from .verbs.meshes import fit as fit
-from .verbs.meshes import measure as measure
 
 __version__: str

@@ -1,6 +1,6 @@
 """Commands on files of others: export, audit."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,7 +17,6 @@ from keepout.cli.options import (
     from_zero,
     grouped,
     into,
-    recorded_target,
     require_file,
     target_entry,
     usage,
@@ -60,24 +59,16 @@ def export(
     as_json: AsJson = False,
 ) -> None:
     """Write a flight or a field for other programs, with its epoch, frames and units stated (docs/export.md)."""
-    from keepout.flights.exchange.export import Export, export_field, export_flight
+    from keepout.flights.exchange.export import Export
 
     with usage():
-        chosen = Export(to, **vars(wanted))
-        chosen.check(source)
+        Export(to, **vars(wanted)).check(source)
     require_file(out, "", "", refusal=ExchangeError)
     with terminal.progress(f"export {source.name}") as progress:
-        if source.suffix == ".keepout":
-            from keepout.core.fields.model import FieldModel
-            from keepout.core.mission.target import load_target
+        from keepout.verbs.files import export as exported
 
-            model = FieldModel.load(source)
-            target = load_target(recorded_target(source, model, wanted.mesh)) if to == "glb" else None
-            written = export_field(model, chosen, out, target=target, seed=seed, progress=progress)
-        else:
-            written = export_flight(source, chosen, out, progress=progress)
-        progress(1.0, "")
-    summary = {"source": str(source), "to": to, "file": str(out), **written}
+        written = exported(source, to, out, seed=seed, progress=progress, **vars(wanted))
+    summary = {"source": str(source), **written}
     answer(summary, as_json, terminal.facts_table("Export", summary))
 
 
@@ -181,16 +172,13 @@ def audit(
 
     Exit code 0 whatever the verdict is: it is in the answer.
     """
-    from keepout.core.mission.target import load_target
-    from keepout.flights.exchange.audited import Given, audit_files
-
     with terminal.progress("audit") as progress:
         if given.target_fixed_in not in (None, "vvlh", "inertial"):
             raise UsageError(f"--target-fixed-in {given.target_fixed_in}: valid: vvlh, inertial")
         entry = placed.entry(target, settings)
-        if given.centre_of_mass is None and "centre_of_mass" in entry.model_fields_set:
-            given = replace(given, centre_of_mass=entry.centre_of_mass)
-        summary = audit_files(load_target(entry), Given(**vars(given)), progress=progress)
+        from keepout.verbs.files import audit as audited
+
+        summary = audited(**vars(given), target=entry, progress=progress)
     told = {key: value for key, value in summary.items() if key != "assumptions"}
     assumed = terminal.facts_table("It assumes", summary["assumptions"])
     answer(summary, as_json, terminal.facts_table("Audit", told), assumed)

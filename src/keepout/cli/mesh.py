@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,7 +17,6 @@ from keepout.cli.options import (
     example,
     grouped,
     into,
-    recorded_target,
     require_file,
     usage,
 )
@@ -92,32 +90,10 @@ def describe(mesh: Mesh, *, out: DrawnInto = None, read: MeshFile, seed: Seed = 
         raise typer.BadParameter(f"{mesh} is a field; `keepout measure {mesh}` measures it against its mesh")
     with terminal.progress(f"describe {mesh}") as progress:
         entry = read.entry(mesh)
-        from keepout.core.geometry.target import survey
-        from keepout.core.mission.target import load_target
-        from keepout.flights.pages.folder import results_in
+        from keepout.verbs.meshes import describe as described
 
-        target = load_target(entry)
-        summary: dict[str, Any] = {"lengths": _lengths(mesh, read)}
-        with results_in(out):
-            summary |= asdict(survey(target, progress=part_of(progress, 0.0, 0.95)))
-            if out is not None:
-                from keepout.flights.pages.mesh_pictures import draw_target
-
-                picture = out / f"{target.name}.png"
-                draw_target(picture, target)
-                summary["picture"] = str(picture)
+        summary = described(entry, out=out, progress=progress)
     answer({**summary, "seed": seed}, as_json, terminal.facts_table("Mesh", summary))
-
-
-def _lengths(mesh: str, read: MeshFile) -> str:
-    """Say in which unit a mesh's report is, and what the file's numbers were taken for."""
-    if read.scale is not None:
-        return f"m; one unit of the file is {read.scale:g} m, as given"
-    if read.units is not None:
-        return f"m; the file's numbers are in {read.units}, as given"
-    if not Path(mesh).exists():
-        return "m"  # a built-in target
-    return "m; no --units or --scale was given, so the file's own unit holds, or metres where it names none"
 
 
 @app.command(
@@ -173,20 +149,14 @@ def fit(
 
 def _fitted(entry: "TargetEntry", out: Path, settings: Mapping[str, Any], progress: Progress) -> dict[str, Any]:
     """Fit a field to a mesh and save it."""
-    from keepout.core.learning.training import fit
     from keepout.core.measures.quality import surface_errors
     from keepout.core.mission.target import load_target
+    from keepout.verbs.fields import learned
 
     target = load_target(entry)
     start = time.perf_counter()
-    checkpoint = out.with_name(out.name + ".checkpoint")  # from which a run that was killed goes on
-    model = fit(target, **settings, checkpoint=checkpoint, progress=progress)
+    model = learned(target, entry, out, settings, progress=progress)
     seconds = time.perf_counter() - start
-    located = entry.model_dump()
-    if Path(entry.source).exists():
-        located["source"] = str(Path(entry.source).resolve())
-    model = model.with_training(target=located)
-    model.save(out)  # before it is certified, so that a proof that is stopped loses nothing
     errors = surface_errors(model.field, target, seed=settings["seed"])
     return {
         "field": str(out),
@@ -251,6 +221,7 @@ def _certified(
     from keepout.core.fields.model import FieldModel
     from keepout.core.mission.target import load_target
     from keepout.core.proof.certificate import certify
+    from keepout.verbs.meshes import recorded_target
 
     model = FieldModel.load(path)
     require_place(path, refusal=FieldError)
@@ -283,6 +254,7 @@ def _checked(path: Path, mesh: str | None, seed: int, progress: Progress) -> dic
     from keepout.core.fields.model import FieldModel
     from keepout.core.mission.target import load_target
     from keepout.core.proof.certificate import check_certificate
+    from keepout.verbs.meshes import recorded_target
 
     model = FieldModel.load(path)
     if not model.certificates:
@@ -339,23 +311,13 @@ def measure(
     with terminal.progress(f"measure {field}") as progress:
         from keepout.core.fields import shipped_path
         from keepout.core.fields.model import FieldModel
-        from keepout.core.measures.quality import measure_model
         from keepout.core.mission.target import load_target
-        from keepout.flights.pages.folder import results_in
+        from keepout.verbs.fields import measured
+        from keepout.verbs.meshes import recorded_target
 
         with usage():
             path = shipped_path(field) if shipped else Path(field)
         target = load_target(recorded_target(path, FieldModel.load(path), mesh))
         model = FieldModel.load(path, target=target)
-        with results_in(out):
-            measures, surface = measure_model(model, target, seed=seed, progress=part_of(progress, 0.0, 0.9))
-            summary: dict[str, Any] = {"field": str(path), **measures}
-            if out is not None:
-                from keepout.flights.pages.mesh_pictures import draw_slices, draw_surface
-
-                progress(0.9, "pictures")
-                draw_slices(out / "slices.png", model, target)
-                draw_surface(out / "surface.png", target, surface, level=measures["surface"]["level"])
-                summary["pictures"] = [str(out / "slices.png"), str(out / "surface.png")]
-        progress(1.0, "")
+        summary = {"field": str(path), **measured(model, target, out, seed=seed, progress=progress)}
     answer(summary, as_json, *terminal.measures_tables(summary))

@@ -17,12 +17,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from keepout.core.errors import FieldError, KeepoutError, ScenarioError, UsageError
+from keepout.core.errors import KeepoutError, ScenarioError, UsageError
 from keepout.core.whole_file import require_place
 from keepout.flights.pages import terminal
 
 if TYPE_CHECKING:
-    from keepout.core.fields.model import FieldModel
     from keepout.core.mission.entries import TargetEntry
 
 
@@ -159,17 +158,3 @@ def target_entry(source: Mapping[str, Any], *, options: str = "--") -> "TargetEn
         raise UsageError(str(error).replace("scenario: target.", options)) from None
     require_mesh(entry.source)  # before what reads it is imported
     return entry
-
-
-def recorded_target(path: Path, model: "FieldModel", mesh: str | None) -> "TargetEntry":
-    """Say where a field's mesh is: as given, or as `fit` recorded it, or the built-in of its name."""
-    from keepout.core.geometry.builtin import BUILTINS
-
-    recorded = model.training.get("target")
-    if mesh is not None:
-        return target_entry({**(recorded or {}), "source": mesh})
-    if recorded is not None:
-        return target_entry(recorded)
-    if model.target_name in BUILTINS:
-        return target_entry({"source": model.target_name})
-    raise FieldError(f"{path}: does not say where its mesh is; name it with --mesh")

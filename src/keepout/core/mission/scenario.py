@@ -193,7 +193,12 @@ class Scenario(Entry, metaclass=_RefusedAsOthers):
         return type(self).parse(tree)
 
     def resolved(self, folder: Path) -> "Scenario":
-        """Make file names absolute, so that a scenario means the same wherever it is run from."""
+        """Make file names absolute, so that a scenario means the same wherever it is run from.
+
+        Args:
+            folder: that file names are relative to.
+
+        """
         changes: dict[str, dict[str, str]] = {}
         for table, key in (("target", "source"), ("field", "source"), ("map", "file"), ("explore", "expected")):
             source = getattr(getattr(self, table), key)
