@@ -3,10 +3,14 @@
 import json
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import CancelledError, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
+from importlib import import_module
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import pyarrow as pa
@@ -17,18 +21,18 @@ from keepout.core.fields.model import FieldModel
 from keepout.core.geometry.target import Target
 from keepout.core.mission.flight import Flight
 from keepout.core.mission.scenario import Scenario, ScenarioLike
-from keepout.core.progress import Progress, part_of, silent
+from keepout.core.progress import Progress, never_back, part_of, silent
 from keepout.core.whole_file import write_whole
 from keepout.flights.campaign.dataset import Dataset
 from keepout.flights.campaign.flying import replay
 from keepout.flights.campaign.plan import Plan
 from keepout.flights.campaign.run import Flyer, Standing, fly_campaign, flyer_on, in_threads, keep_flights, keep_of
 from keepout.flights.campaign.table import FLOWN, SUMMARISED, summary
-from keepout.flights.pages.campaign_figures import DRAWN, draw_campaign
-from keepout.flights.pages.campaign_page import report_campaign
-from keepout.flights.pages.comparison_page import compare_campaigns
 from keepout.flights.pages.folder import results_in, write_summary
 from keepout.flights.pages.page import Markup, embedded, text
+
+_PAGE = "keepout.flights.pages.campaign_page"
+"""What draws: it takes long to import, and is imported while flights are flown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,6 +129,8 @@ class Campaign:
             KeepoutError: a folder holds no finished campaign, or is damaged.
 
         """
+        from keepout.flights.pages.comparison_page import compare_campaigns
+
         second = other.folder if isinstance(other, Campaign) else Path(other)
         return compare_campaigns(self.folder, second, None if out is None else Path(out), progress=progress)
 
@@ -217,6 +223,14 @@ def _varied(scenario: Scenario, runs: int | None, vary: Mapping[str, Any]) -> Sc
     return scenario.replace(campaign=changes | ({"dispersions": drawn} if vary else {}))
 
 
+@contextmanager
+def _set_at_its_end(event: Event) -> Iterator[None]:
+    try:
+        yield
+    finally:
+        event.set()
+
+
 def complete(
     plan: Plan,
     dataset: Dataset,
@@ -244,16 +258,32 @@ def complete(
 
     """
     began, out = time.perf_counter(), dataset.folder
+    shared, ended = never_back(progress), Event()
 
     def tell(standing: Standing) -> None:
         told(standing)
-        progress(0.05 + 0.9 * standing.done / standing.runs, standing.line())
+        shared(0.05 + 0.9 * standing.done / standing.runs, standing.line())
 
-    with dataset.lock():
+    def tell_kept(done: int, of: int) -> None:
+        if ended.is_set():  # what waits for it has failed or was interrupted
+            raise CancelledError
+        shared(0.95, f"{done} of {of} flights kept")
+
+    with dataset.lock(), ThreadPoolExecutor(1) as aside, _set_at_its_end(ended):
+        imported = aside.submit(import_module, _PAGE)
         standing = fly_campaign(plan, dataset, flyer=flyer, told=tell)
-        kept = keep_flights(plan, dataset, keep, told=lambda done, of: progress(0.95, f"{done} of {of} flights kept"))
+        imported.result()
+        from keepout.flights.pages.campaign_figures import DRAWN, draw_campaign
+        from keepout.flights.pages.campaign_page import report_campaign
+
+        # What is kept is flown again beside the drawing: the one takes XLA's threads, the other Python's.
+        keeping = aside.submit(keep_flights, plan, dataset, keep, told=tell_kept)
         bands = out / "bands.json"
         write_whole(bands, json.dumps(dataset.bands().figures(), allow_nan=False) + "\n")
+        draw_campaign(out / "campaign.png", dataset.table(list(DRAWN)))
+        page = report_campaign(
+            out, require=plan.scenario.require, kept=keeping.result, progress=part_of(shared, 0.95, 1.0)
+        )
         figures = {
             **summary(dataset.table(list(SUMMARISED)), plan.scenario),
             "guard": plan.guard_numbers(),
@@ -263,11 +293,9 @@ def complete(
             "processors": dataset.processors(),
             "flights": str(out / "flights"),
             "bands": str(bands),
-            "kept": [str(dataset.kept(run)) for run in kept],
+            "kept": [str(dataset.kept(run)) for run in keeping.result()],
             "require": plan.scenario.require.model_dump(exclude_defaults=True),
+            **{name: page[name] for name in ("page", "rates", "requirements")},
         }
-        draw_campaign(out / "campaign.png", dataset.table(list(DRAWN)))
-        page = report_campaign(out, require=plan.scenario.require, progress=part_of(progress, 0.97, 1.0))
-        figures |= {name: page[name] for name in ("page", "rates", "requirements")}
         write_summary(out, figures)
     return figures

@@ -260,15 +260,7 @@ def recorded(
 
     """
     result = outcome(setup, log) if result is None else result
-    record = FlightRecord.of_log(
-        log,
-        outcome=result,
-        scenario=scenario.model_dump_json(),
-        seed=scenario.seed,
-        target_sha256=target.sha256,
-        statuses=legend(),
-        extra=extra,
-    )
+    record = record_of(scenario, target, log, result, extra)
     verdict = audit(
         record,
         target,
@@ -282,6 +274,25 @@ def recorded(
     certified, broken = standing
     certified = None if certified is None else certified and not broken
     return Flight(scenario, target, record, result, verdict, clearance, (), certified, broken, guard)
+
+
+def record_of(
+    scenario: Scenario,
+    target: Target,
+    log: loop.FlightLog,
+    result: FlightOutcome,
+    extra: Mapping[str, Any] | None = None,
+) -> FlightRecord:
+    """Give the record of a flight; arguments as of `recorded`."""
+    return FlightRecord.of_log(
+        log,
+        outcome=result,
+        scenario=scenario.model_dump_json(),
+        seed=scenario.seed,
+        target_sha256=target.sha256,
+        statuses=legend(),
+        extra=extra,
+    )
 
 
 AUDITED = ("time", "position", "velocity", "force", "guard_status")

@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtr, ndtri
-from scipy.stats import qmc
 
 from keepout.core.errors import KeepoutError, ScenarioError
 from keepout.core.mission.build import Mission
@@ -114,6 +113,8 @@ class Design:
     @cached_property
     def _laid_out(self) -> Units:
         """The whole design: (runs, all dimensions)."""
+        from scipy.stats import qmc  # takes long to import, and few campaigns need it
+
         dimensions = self._offsets[-1]
         source = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(1,)))
         if self.sampling == "latin-hypercube":
@@ -138,7 +139,11 @@ def design(scenario: Scenario) -> Design:
         if parent in given:
             raise ScenarioError(f"campaign.dispersions: {name} and {parent} both; a vector or its components vary")
     made = tuple(_dispersion(name, given[name]) for name in sorted(given))
-    if entry.sampling == "sobol" and sum(d.dimensions for d in made) > qmc.Sobol.MAXDIM:
+    if entry.sampling == "sobol":
+        from scipy.stats import qmc
+
+        if sum(d.dimensions for d in made) <= qmc.Sobol.MAXDIM:
+            return Design(made, entry.sampling, scenario.seed, entry.runs)
         raise ScenarioError(f"campaign.sampling: sobol has at most {qmc.Sobol.MAXDIM} dimensions")
     return Design(made, entry.sampling, scenario.seed, entry.runs)
 

@@ -5,7 +5,7 @@ fly it, in any order and any number of times. On machines of one kind the answer
 grouped by the program that flies them, each group filled up to whole batches; no file is touched.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -21,10 +21,11 @@ from keepout.core.digest import digest
 from keepout.core.errors import ScenarioError
 from keepout.core.flight.batches import Batching, fly_batches
 from keepout.core.flight.loop import FlightLog, FlightOutcome
+from keepout.core.flight.record import FlightRecord
 from keepout.core.flight.setup import flown_setup
 from keepout.core.guard.guard import Guard, starts_certified
 from keepout.core.mission.build import Mission
-from keepout.core.mission.flight import AUDITED, Flight, judge, judged
+from keepout.core.mission.flight import AUDITED, Flight, judge, judged, record_of
 from keepout.core.mission.surroundings import Surroundings
 from keepout.core.motion.relative import MotionState, RelativeMotion
 from keepout.core.progress import Progress, silent
@@ -269,6 +270,30 @@ def replay(plan: Plan, numbers: Sequence[int]) -> list[Replayed]:
         ScenarioError: there is no such run, or it was refused.
 
     """
+    runs = _drawn(plan, numbers)
+    exact: _Logs = {}
+    flown = fly_judged(runs, plan.programs, landed=_kept(exact))
+    rows = table.table_of(plan.design, runs, flown).to_pylist()
+    made = []
+    for (run, log, result, header), row in zip(_in_full(plan, runs), rows, strict=True):
+        flight = judged(mission_of(run), log, result=result, extra=header)
+        apart = max(_apart(exact[run.number][name], np.asarray(getattr(log, name))) for name in COLUMNS)
+        made.append(Replayed(run, row, flight, apart))
+    return made
+
+
+def records(plan: Plan, numbers: Sequence[int]) -> Iterator[tuple[int, FlightRecord]]:
+    """Fly runs again, as `replay` does, for their records alone; each with its run's number."""
+    for run, log, result, header in _in_full(plan, _drawn(plan, numbers)):
+        mission = mission_of(run)
+        yield run.number, record_of(mission.scenario, mission.target, log, result, header)
+
+
+_Logs = dict[int, dict[str, np.ndarray]]
+
+
+def _drawn(plan: Plan, numbers: Sequence[int]) -> list[Run]:
+    """Draw runs by their numbers; refused are those that there are not, and those that cannot be flown."""
     runs: list[Run] = []
     for number in numbers:
         if not 0 <= number < plan.runs:
@@ -277,27 +302,26 @@ def replay(plan: Plan, numbers: Sequence[int]) -> list[Replayed]:
         if run.mission is None:
             raise ScenarioError(f"run {number}: was refused and not flown: {run.refusal}")
         runs.append(run)
-    exact: dict[int, dict[str, np.ndarray]] = {}
-    full: dict[int, dict[str, np.ndarray]] = {}
+    return runs
 
-    def kept(into: dict[int, dict[str, np.ndarray]]) -> Callable[..., None]:
-        def keep(members: Sequence[Run], log: dict[str, np.ndarray], *_: Any) -> None:
-            for place, run in enumerate(members):
-                into[run.number] = {name: array[place] for name, array in log.items() if array is not None}
 
-        return keep
+def _kept(into: _Logs) -> Callable[..., None]:
+    """Give what keeps each run's own log columns, by its number, as its flight lands."""
 
-    flown = fly_judged(runs, plan.programs, landed=kept(exact))
-    rows = table.table_of(plan.design, runs, flown).to_pylist()
-    outcomes = fly_runs(runs, plan.programs, columns=_EVERYTHING, landed=kept(full))
-    made = []
-    for run, row in zip(runs, rows, strict=True):
+    def keep(members: Sequence[Run], log: dict[str, np.ndarray], *_: Any) -> None:
+        for place, run in enumerate(members):
+            into[run.number] = {name: array[place] for name, array in log.items() if array is not None}
+
+    return keep
+
+
+def _in_full(plan: Plan, runs: Sequence[Run]) -> Iterator[tuple[Run, FlightLog, FlightOutcome, dict[str, Any]]]:
+    """Fly runs by the program that gives out everything: each with its log, outcome, and entries of its header."""
+    full: _Logs = {}
+    outcomes = fly_runs(runs, plan.programs, columns=_EVERYTHING, landed=_kept(full))
+    for run in runs:
         log = FlightLog(**{name: jnp.asarray(array) for name, array in full[run.number].items()})  # pyright: ignore[reportArgumentType]
-        header = {"campaign": plan.sha256, "run": run.number}
-        flight = judged(mission_of(run), log, result=jax.device_get(outcomes[run.number]), extra=header)
-        apart = max(_apart(exact[run.number][name], full[run.number][name]) for name in COLUMNS)
-        made.append(Replayed(run, row, flight, apart))
-    return made
+        yield run, log, jax.device_get(outcomes[run.number]), {"campaign": plan.sha256, "run": run.number}
 
 
 def mission_of(run: Run) -> Mission:

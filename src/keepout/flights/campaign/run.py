@@ -20,7 +20,7 @@ from keepout.core.cores import available_cores
 from keepout.core.errors import ClusterError, FlightError, ScenarioError
 from keepout.core.flight.record import FlightRecord
 from keepout.flights.campaign.dataset import Dataset
-from keepout.flights.campaign.flying import ChunkResult, Told, fly_chunk, replay
+from keepout.flights.campaign.flying import ChunkResult, Told, fly_chunk, records
 from keepout.flights.campaign.plan import Plan
 from keepout.flights.campaign.table import FLOWN
 
@@ -191,10 +191,10 @@ def keep_flights(
     chosen = [int(run) for run in runs[np.lexsort((runs, clearance[runs]))][:keep]]
     wanted = [run for run in chosen if not _is_kept(dataset, run)]
     for first in range(0, len(wanted), plan.batch):
-        for made in replay(plan, wanted[first : first + plan.batch]):
-            path = dataset.kept(made.run.number)
+        for run, record in records(plan, wanted[first : first + plan.batch]):
+            path = dataset.kept(run)
             path.parent.mkdir(parents=True, exist_ok=True)
-            made.flight.record.save(path)
+            record.save(path)
         told(len(chosen) - max(len(wanted) - first - plan.batch, 0), len(chosen))
     return chosen
 

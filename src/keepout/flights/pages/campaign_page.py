@@ -2,7 +2,7 @@
 
 import json
 import shlex
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -62,13 +62,18 @@ Clearance = tuple[Float[np.ndarray, "samples"], Float[np.ndarray, "samples"]]
 
 
 def report_campaign(
-    folder: Path, *, require: RequireEntry | None = None, progress: Progress = silent
+    folder: Path,
+    *,
+    require: RequireEntry | None = None,
+    kept: Callable[[], Any] = lambda: None,
+    progress: Progress = silent,
 ) -> dict[str, Any]:
     """Write the page of a campaign's folder, complete or not, with figures and CSV files in `report`.
 
     Args:
         folder: of the campaign.
         require: what is required of its runs; else what its `summary.json` says was.
+        kept: called when the flight files of what is kept must be there: it may wait for them.
         progress: told how far it is.
 
     Returns:
@@ -91,6 +96,7 @@ def report_campaign(
         campaign_figures.draw_influences(place / "influences.png", found)
     if found.scatters:
         campaign_figures.draw_scatters(place / "scatter.png", found)
+    kept()
     replays = _write_replays(place, found, progress=part_of(progress, 0.85, 1.0))
     requirements = judged_campaign(_recorded(folder) if require is None else require, reading)
     title = f"Campaign {reading.scenario.name}"
