@@ -21,14 +21,14 @@ from keepout.core.geometry.target import Target
 from keepout.core.guard.braking import design
 from keepout.core.mission.build import Mission, load_model, prepare
 from keepout.core.mission.expected import Expected, expected
-from keepout.core.mission.first_look import assumed_disturbance, flown_disturbance, require_files
+from keepout.core.mission.first_look import require_files
 from keepout.core.mission.law import operation
 from keepout.core.mission.scenario import Scenario, ScenarioLike, with_entries
 from keepout.core.mission.surroundings import Surroundings, broken_assumptions, guard_numbers
 from keepout.core.mission.target import has_way_out, load_target, require_apart, room_to_start
+from keepout.core.plug_ins import load
 from keepout.core.progress import Progress, part_of, silent
 
-_TURNING = {"vvlh": "fixed to VVLH", "inertial": "fixed to the stars", "tumbling": "tumbling"}
 _CLOSE = 1e-3
 """Relative: a number nearer than this to one that is refused is not looked for."""
 _DIRECTIONS = 400
@@ -147,7 +147,7 @@ def check(
     scenario = Scenario.of(scenario)
     progress(0.0, "target")
     target = load_target(scenario.target) if target is None else target
-    words = in_words(scenario, target)
+    words = load("words", "mission")(scenario, target)
     broken = broken_assumptions(scenario, target) if _bounded(scenario) else ()
     found: list[Refusal] = []
     progress(0.1, "numbers")
@@ -305,44 +305,8 @@ def _remarks(mission: Mission, estimate: Expected) -> tuple[str, ...]:
     return tuple(found)
 
 
-def in_words(scenario: Scenario, target: Target) -> tuple[str, ...]:
-    """Say what a scenario flies: chaser, target, way, law, guard, disturbance and faults."""
-    chaser, orbit, control = scenario.chaser, scenario.orbit, scenario.control
-    extents = " × ".join(f"{extent:.3g}" for extent in np.ptp(target.vertices, axis=0))
-    apart = math.dist(scenario.start.position, scenario.goal.position)
-    turning = _TURNING[scenario.attitude.kind]
-    if scenario.attitude.kind == "tumbling":
-        turning += f" at {math.degrees(math.hypot(*scenario.attitude.angular_velocity)):.3g} °/s"
-    forces = [name for name, there in (("J2", orbit.j2), ("drag", scenario.drag.density > 0.0)) if there]
-    parts = {name: getattr(control, name) for name in ("guidance", "circulation", "observer")}
-    chosen = "".join(f", {name} {part}" for name, part in parts.items() if part is not None)
-    sentences = [
-        f"A chaser of {chaser.mass:g} kg in a ball of {chaser.radius:g} m flies around {target.name}, {extents} m, "
-        f"{turning}, on an orbit with a semi-major axis of {orbit.semi_major_axis / 1e3:.6g} km and an eccentricity of "
-        f"{orbit.eccentricity:g}{', with ' + ' and '.join(forces) if forces else ''}.",
-        f"From {_shown(scenario.start.position)} m to {_shown(scenario.goal.position)} m, {apart:.3g} m apart, in "
-        f"{scenario.duration:g} s, at up to {chaser.speed_limit:g} m/s, with up to {chaser.force_limit:g} N an axis.",
-        f"The law is {control.profile}, asked every {control.period:g} s{chosen}; "
-        f"it keeps {scenario.safety.margin:g} m beside what is proved.",
-        "The guard flies along." if scenario.guard.enabled else "No guard flies along: nothing is proved.",
-        _pushed(scenario),
-    ]
-    faults = scenario.faults.model_dump(exclude_defaults=True)
-    if faults:
-        sentences.append(f"Faults: {', '.join(f'{name} {value}' for name, value in faults.items())}.")
-    return tuple(sentences)
-
-
 def _shown(place: tuple[float, float, float]) -> str:
     return f"[{', '.join(f'{x:g}' for x in place)}]"
-
-
-def _pushed(scenario: Scenario) -> str:
-    if scenario.disturbance.kind == "none":
-        return "Nothing disturbs it."
-    flown, assumed = flown_disturbance(scenario), assumed_disturbance(scenario)
-    said = f"The disturbance is {scenario.disturbance.kind}, up to {flown:.4g} N"
-    return f"{said}." if flown == assumed else f"{said}; law and guard assume {assumed:.4g} N."
 
 
 def number_refusal(scenario: Scenario, target: Target) -> KeepoutError | None:

@@ -1,0 +1,169 @@
+"""What a scenario flies, in sentences: what `keepout scenario check` says first."""
+
+import math
+import re
+from collections.abc import Iterator
+
+import numpy as np
+
+from keepout.core.errors import KeepoutError
+from keepout.core.geometry.target import Target
+from keepout.core.mission.first_look import assumed_disturbance, flown_disturbance
+from keepout.core.mission.scenario import Scenario
+from keepout.core.plug_ins import load
+from keepout.flights.requirements import required
+
+_ESTIMATE = {
+    "filter": "a Kalman filter",
+    "observer": "the last samples and its own observer",
+    "raw": "the last samples",
+}
+_TOLD_WRONG = {
+    "position_bias": "a constant error of {:g} m",
+    "velocity_bias": "a constant velocity error of {:g} m/s",
+    "position_noise": "a new error of up to {:g} m each period",
+    "velocity_noise": "a new velocity error of up to {:g} m/s each period",
+    "position_noise_std": "a Gaussian error of {:g} m an axis",
+    "velocity_noise_std": "a Gaussian velocity error of {:g} m/s an axis",
+    "noise_correlation_time": "correlated over {:g} s",
+}
+_BEYOND = {
+    "law": 'The law is replaced by a broken one, "{}".',
+    "delay": "In truth a command takes effect {} control periods late.",
+    "dropped": "Each command is lost with probability {:g}; the last one then goes on.",
+    "gain_error": "Each axis gives 1 ± {:g} of its command, drawn once a flight.",
+}
+_ASSUMED = {
+    "position_error": "a position error of up to {:g} m",
+    "velocity_error": "a velocity error of up to {:g} m/s",
+    "mass_error": "a mass wrong by up to {:.3g} of it",
+    "gain_error": "thrusters wrong by up to {:.3g} of their force",
+}
+
+
+def in_words(scenario: Scenario, target: Target) -> tuple[str, ...]:
+    """Say what a scenario flies, a sentence each; what it leaves out is not said.
+
+    Args:
+        scenario: to be told.
+        target: its mesh.
+
+    """
+    chaser, control, guard = scenario.chaser, scenario.control, scenario.guard
+    parts = {name: getattr(control, name) for name in ("guidance", "circulation", "observer")}
+    chosen = "".join(f", {name} {part}" for name, part in parts.items() if part is not None)
+    apart = math.dist(scenario.start.position, scenario.goal.position)
+    sentences = [
+        _around(scenario, target),
+        _turning(scenario),
+        f"From {_place(scenario.start.position)} m to {_place(scenario.goal.position)} m, "
+        f"{apart:.3g} m apart, in {scenario.duration:g} s, at up to {chaser.speed_limit:g} m/s.",
+        _thrusters(scenario),
+        _sensors(scenario),
+        f"The law is {control.profile}, asked every {control.period:g} s{chosen}; "
+        f"it keeps {scenario.safety.margin:g} m beside what is proved.",
+    ]
+    if guard.delay:
+        periods = f"{guard.delay} control period{'s' if guard.delay > 1 else ''} ({guard.delay * control.period:g} s)"
+        sentences.append(f"Law and guard count on {periods} from a command to its effect.")
+    if guard.enabled:
+        assumed = [said.format(getattr(guard, name)) for name, said in _ASSUMED.items() if getattr(guard, name)]
+        kept = "The guard flies along" + (
+            f" and keeps the margin of {scenario.safety.margin:g} m too" if guard.keeps_margin else ""
+        )
+        sentences.append(kept + (f"; it allows for {', '.join(assumed)}." if assumed else "."))
+    else:
+        sentences.append("No guard flies along: nothing is proved.")
+    sentences += [_pushed(scenario), *_faults(scenario)]
+    asked = list(required(scenario.require).values())
+    return (*sentences, f"Required: {', '.join(asked)}.") if asked else tuple(sentences)
+
+
+def _around(scenario: Scenario, target: Target) -> str:
+    chaser, orbit = scenario.chaser, scenario.orbit
+    extents = " × ".join(f"{extent:.3g}" for extent in np.ptp(target.vertices, axis=0))
+    forces = [name for name, there in (("J2", orbit.j2), ("drag", scenario.drag.density > 0.0)) if there]
+    return (
+        f"A chaser of {chaser.mass:g} kg in a ball of {chaser.radius:g} m flies around {target.name}, {extents} m, on "
+        f"an orbit with a semi-major axis of {orbit.semi_major_axis / 1e3:.6g} km and an eccentricity of "
+        f"{orbit.eccentricity:g}{', with ' + ' and '.join(forces) if forces else ''}."
+    )
+
+
+def _turning(scenario: Scenario) -> str:
+    attitude = scenario.attitude
+    if attitude.kind == "vvlh":
+        return "The target is fixed to VVLH: its x axis points along its velocity, its z axis to the Earth."
+    if attitude.kind == "inertial":
+        return "The target is fixed to the stars."
+    rate = math.degrees(math.hypot(*attitude.angular_velocity))
+    torque = "; the Earth's gravity turns it too" if attitude.gravity_gradient else ""
+    return (
+        f"The target tumbles freely, at first at {rate:.3g} °/s about {_place(attitude.angular_velocity)} rad/s in its "
+        f"body axes{torque}."
+    )
+
+
+def _thrusters(scenario: Scenario) -> str:
+    entry, force_limit = scenario.thrusters, scenario.chaser.force_limit
+    if entry.layout == "ideal":
+        held = ", held in inertial axes over a period" if entry.held_in == "inertial" else ""
+        return f"Its thrusters are ideal: any force up to {force_limit:g} N an axis, at any instant{held}."
+    try:
+        flown = load("thrusters", "layout")(scenario)
+    except KeepoutError:  # of which the check tells
+        return f'Its thrusters are those of layout "{entry.layout}".'
+    forces = " to ".join(dict.fromkeys(f"{force:.3g}" for force in (min(flown.force), max(flown.force))))
+    said = (
+        f'Its {flown.count} thrusters (layout "{entry.layout}") of {forces} N are on or off, for at least '
+        f"{entry.least_on_time:g} s, by {entry.modulation} modulation"
+    )
+    wrong = {"begin and end {:g} s late": entry.rise_delay, "up to {:g} rad askew": entry.misalignment}
+    wrong["up to {:g} of their force too strong or weak"] = entry.scale_error
+    said += "".join(f", {words.format(value)}" for words, value in wrong.items() if value)
+    survived = f"the guard covers one that sticks, known after {entry.detection_time:g} s"
+    return f"{said}; {survived}." if entry.survive_failure else f"{said}."
+
+
+def _sensors(scenario: Scenario) -> str:
+    entry, period = scenario.navigation, scenario.control.period
+    if entry.suite == "none":
+        errors = [said.format(v) for name, said in _TOLD_WRONG.items() if (v := getattr(scenario.faults, name))]
+        return (
+            f"It is told its state, with {', '.join(errors)}."
+            if errors
+            else "It is told its true state; no sensors fly."
+        )
+    told = []
+    try:
+        suite = load("navigation", "suite")(entry)
+    except KeepoutError:  # of which the check tells
+        return f'Its sensors are those of suite "{entry.suite}".'
+    for sensor in suite.sensors:
+        name = re.sub(r"(?<!^)(?=[A-Z])", " ", type(sensor).__name__).lower()
+        late = f", {sensor.latency * period:g} s late" if sensor.latency else ""
+        lost = f", at most {sensor.most_missed} lost in a row" if sensor.most_missed else ""
+        told.append(f"{name} every {sensor.every * period:g} s{late}{lost}")
+    return f'Its sensors (suite "{entry.suite}"): {"; ".join(told)}. The law flies by {_ESTIMATE[entry.estimate]}.'
+
+
+def _pushed(scenario: Scenario) -> str:
+    if scenario.disturbance.kind == "none":
+        return "Nothing disturbs it."
+    flown, assumed = flown_disturbance(scenario), assumed_disturbance(scenario)
+    said = f"The disturbance is {scenario.disturbance.kind}, up to {flown:.4g} N"
+    return f"{said}." if flown == assumed else f"{said}; law and guard assume {assumed:.4g} N."
+
+
+def _faults(scenario: Scenario) -> Iterator[str]:
+    faults = scenario.faults
+    yield from (said.format(v) for name, said in _BEYOND.items() if (v := getattr(faults, name)) not in (0, "none"))
+    if faults.stuck is not None:
+        since = f"from {faults.stuck_from:g} s on, at {faults.stuck_force:g} N"
+        yield f"The thruster that pushes to {faults.stuck} sticks {since}."
+    if faults.thruster is not None:
+        yield f"Thruster {faults.thruster} sticks {faults.thruster_stuck} from {faults.stuck_from:g} s on."
+
+
+def _place(place: tuple[float, float, float]) -> str:
+    return f"[{', '.join(f'{x:g}' for x in place)}]"
