@@ -162,7 +162,7 @@ class Replay {
       box.checked = of.shown;
       box.disabled = of === flight;
     }
-    const proved = flight.contact === "no" ? `: clearance ≥ ${metres(flight.least_clearance)} at every instant` : flight.remarks.length ? `: ${flight.remarks[0]}` : "";
+    const proved = flight.contact === "no" ? `: clearance ≥ ${metres(Math.floor(1000 * flight.least_clearance) / 1000)} at every instant` : flight.remarks.length ? `: ${flight.remarks[0]}` : "";
     this.parts.verdict.textContent = VERDICTS[flight.contact] + proved;
     this.parts.verdict.title = flight.remarks.join("\n");
     this.parts.verdict.dataset.contact = flight.contact;

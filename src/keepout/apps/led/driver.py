@@ -4,6 +4,7 @@ The loop is one for all applications; each gives what it does at every turn of i
 leaves is a `Led`.
 """
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import Any
@@ -212,7 +213,8 @@ class Led:
         words = {"no": "No contact, proved", "yes": "Contact", "undecided": "Contact not excluded"}
         said = words[str(self.audit.contact)]
         if self.audit.contact is Contact.NO:
-            said += f": the clearance{on} is at least {self.audit.minimum_clearance:.3f} m"
+            # Down, as it is a lower bound.
+            said += f": the clearance{on} is at least {math.floor(1e3 * self.audit.minimum_clearance) / 1e3:.3f} m"
         return said
 
     def contact_figures(self) -> dict[str, Any]:

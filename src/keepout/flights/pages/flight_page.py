@@ -173,11 +173,11 @@ def draw_result(
 
 
 def _cell(key: str, summary: Mapping[str, Any]) -> Any:
-    """Give an entry of a summary for a page: a coverage in per cent; a contact stands out."""
+    """Give an entry of a summary for a page: a share of the surface in per cent; a contact stands out."""
     value = summary[key]
     if key == "contact_verdict" and summary["contact"]:
         return bad(value)
-    return f"{100.0 * value:.3f} %" if key.startswith("coverage") else value
+    return f"{100.0 * value:.3f} %" if key.startswith(("coverage", "seen_share")) else value
 
 
 def draw_clearance(path: Path, flight: Flight) -> None:

@@ -3,6 +3,7 @@
 import html
 import io
 import json
+import math
 from collections.abc import Callable, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
@@ -70,7 +71,8 @@ def _said(flight: Replayed, told: Mapping[str, Any]) -> str:
     way = f"from [{start}] m to [{goal}] m" if flight.share is None else f"from [{start}] m, to look at all of it,"
     words = f"{flight.name}: {way} around {flight.target.name}. Contact: {verdict.contact}"
     if np.isfinite(verdict.minimum_clearance):
-        words += f"; the clearance is at least {verdict.minimum_clearance:.4g} m at every instant"
+        least = math.floor(1e3 * verdict.minimum_clearance) / 1e3  # down: it is a lower bound
+        words += f"; the clearance is at least {least:.3f} m at every instant"
     return " ".join([". ".join([words, *verdict.remarks]) + ".", told["remark"]]).strip()
 
 
