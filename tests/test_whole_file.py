@@ -1,11 +1,12 @@
 """The small machinery that every room uses: files written whole, digests, and progress of a part."""
 
 import os
+import threading
 
 import pytest
 
 from keepout.core.errors import FlightError, KeepoutError
-from keepout.core.progress import never_back
+from keepout.core.progress import moving, never_back, silent
 from keepout.core.whole_file import write_whole
 from keepout.flights.pages.folder import write_summary
 
@@ -56,3 +57,23 @@ def test_progress_never_goes_back():
     for fraction, message in ((0.2, "a"), (0.1, "b"), (0.5, "c")):
         progress(fraction, message)
     assert told == [(0.2, "a"), (0.2, "b"), (0.5, "c")]
+
+
+def test_progress_moves_while_work_cannot_say_how_far_it_is():
+    told, enough = [], threading.Event()
+
+    def report(fraction, message):
+        told.append((fraction, message))
+        if len(told) == 3:
+            enough.set()
+
+    with moving(report, 0.2, 0.4, "compiled", usual=1.0):
+        assert enough.wait(60.0)
+    fractions = [fraction for fraction, _ in told]
+    assert fractions[0] == 0.2
+    assert fractions == sorted(set(fractions))
+    assert fractions[-1] < 0.4
+    assert told[1][1].startswith("compiled, ")
+    before = threading.active_count()
+    with moving(silent, 0.0, 1.0, "", usual=1.0):
+        assert threading.active_count() == before

@@ -48,7 +48,7 @@ def base(tmp_path_factory):
     ("entries", "said"),
     [
         ({"start": {"position": (2.4, 0.0, 0.0)}}, ("start.position", "0.400 m", "touches")),
-        ({"start": {"position": (0.0, 0.0, 0.4)}}, ("start: [0.0, 0.0, 0.4] m", "inside")),
+        ({"start": {"position": (0.0, 0.0, 0.4)}}, ("start.position: [0.0, 0.0, 0.4] m", "inside")),
         ({"start": {"position": (2.52, 0.0, 0.0)}, "guard": {"enabled": False}}, ("start", "inside the keep-out zone")),
         ({"goal": {"position": (0.0, 0.0, 1.3)}}, ("goal.position", "0.300 m", "touches")),
         ({"goal": {"position": (0.0, 0.0, 1.62)}}, ("goal", "m inside the keep-out zone")),

@@ -3,10 +3,13 @@
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
+import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
+from truths.boxes import HALF
 
 from keepout.core.errors import FieldError, KeepoutError, ScenarioError
 from keepout.core.geometry.target import Target
@@ -19,6 +22,7 @@ from keepout.core.mission.first_look import (
 )
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
+from keepout.core.mission.target import is_enclosed
 
 force = st.floats(1e-4, 1.0)
 
@@ -57,6 +61,17 @@ def test_a_damaged_field_is_left_to_what_reads_it(tmp_path, content):
         load_model(Scenario.parse({"field": {"source": str(path)}}), Target.load("intelsat30"))
 
 
+@given(st.tuples(*(st.floats(-3.0, 3.0) for _ in range(3))))
+def test_what_a_closed_mesh_winds_around_is_enclosed_and_nothing_else(place):
+    point, box = np.array(place), Target.load("box")
+    depth = (np.abs(point) - HALF).max()
+    assume(abs(depth) > 1e-6)
+    assert is_enclosed(box, point) == (depth < 0.0)
+    # With a triangle away it is open, and no longer says that nothing leads out; turned inside out it still does.
+    assert not is_enclosed(replace(box, faces=box.faces[1:]), point)
+    assert is_enclosed(replace(box, faces=box.faces[:, ::-1]), point) == (depth < 0.0)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("entries", "alike"),
@@ -69,6 +84,8 @@ def test_a_damaged_field_is_left_to_what_reads_it(tmp_path, content):
         ({"chaser": {"speed_limit": 0.5}}, False),
         ({"start": {"position": (0.0, 1.8, 0.0)}}, False),
         ({"goal": {"position": (0.0, 1.8, 0.0)}}, False),
+        ({"start": {"position": (0.0, 0.0, 0.0)}}, True),
+        ({"goal": {"position": (0.0, 0.0, 0.0)}}, True),
         ({"disturbance": {"kind": "constant", "force": (0.2, 0.0, 0.0)}}, False),
     ],
 )

@@ -43,7 +43,7 @@ from keepout.core.motion.chaser import Firing, ThrusterModel
 from keepout.core.motion.disturbance import Disturbance
 from keepout.core.motion.relative import MotionState
 from keepout.core.plug_ins import load
-from keepout.core.progress import Progress, part_of, silent
+from keepout.core.progress import Progress, moving, part_of, silent
 from keepout.core.proof.certificate import stated_error_bound
 
 _MISSED_ROOM = 0.2
@@ -229,8 +229,9 @@ class Mission:
             What was recorded, and what became of it.
 
         """
-        progress(0.0, "flying")
-        log = loop.fly(self.setup, self.initial, self.steps, jax.random.key(self.scenario.seed))
+        with moving(progress, 0.0, 0.7, "flying; what is new is compiled first", usual=15.0):
+            log = loop.fly(self.setup, self.initial, self.steps, jax.random.key(self.scenario.seed))
+            jax.block_until_ready(log)
         progress(0.7, "audit")
         flight = judged(self, log)
         progress(1.0, "")

@@ -35,6 +35,28 @@ def require_apart(scenario: Scenario, target: Target) -> None:
                 f"{name}.position: {list(position)} m is {distance:.3f} m from the target, where a chaser of radius "
                 f"{radius} m touches it; it must be further than that radius"
             )
+        if is_enclosed(target, point):
+            raise ScenarioError(
+                f"{name}.position: {list(position)} m is inside the target: its surface is closed around that place, "
+                "and no way leads out; give a place outside"
+            )
+
+
+def is_enclosed(target: Target, point: Float[np.ndarray, "3"]) -> bool:
+    """Whether a mesh whose edges all close winds around a point (m) off its surface; False where the mesh is open.
+
+    Along a path that crosses no triangle of such a mesh the winding number stays the same, and far away it is 0.
+    """
+    faces = target.faces.astype(np.int64)
+    count = len(target.vertices)
+    ahead, back = (np.sort((faces * count + np.roll(faces, turn, axis=1)).ravel()) for turn in (-1, 1))
+    if not np.array_equal(ahead, back):
+        return False
+    a, b, c = np.moveaxis(target.vertices[faces] - point, 1, 0)
+    la, lb, lc = (np.linalg.norm(corner, axis=1) for corner in (a, b, c))
+    volume = np.einsum("ij,ij->i", a, np.cross(b, c))
+    around = la * lb * lc + sum(np.einsum("ij,ij->i", x, y) * z for x, y, z in ((a, b, lc), (b, c, la), (c, a, lb)))
+    return bool(abs(np.arctan2(volume, around).sum()) > np.pi)
 
 
 def room_to_start(scenario: Scenario) -> float:

@@ -128,10 +128,6 @@ class RequireEntry(Entry):
     reached: bool = False
     share: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
 
-    def _contradictions(self) -> Iterator[str]:
-        if self.model_dump(exclude_defaults=True).keys() == {"share"}:
-            yield f"share {self.share} is of runs that meet a requirement, and none is given"
-
 
 class DepthSensorEntry(Entry):
     """A camera that measures distances (lidar, stereo), and what it promises (docs/depth-sensor.md).
