@@ -152,7 +152,7 @@ def judged(record: Any, scenario: Scenario) -> Audit:
 
 def test_every_command_is_here():
     text = Path(__file__).read_text(encoding="utf-8")
-    assert len(ORDER) == 15
+    assert len(ORDER) == 16
     for command in ORDER:
         assert f'"{command}", ' in text
 
@@ -404,6 +404,8 @@ def test_campaign_report_compare_and_replay(folder, campaign):
     assert page.exists()
     assert keepout_process(folder, "campaign", "compare", "many", "many", "-o", "compared", "--json")["paired"]
     assert (folder / "compared" / "index.html").exists()
+    assert keepout_process(folder, "report", "many", "--pdf", "-o", "many.pdf", "--json") == {"report": "many.pdf"}
+    assert (folder / "many.pdf").read_bytes().startswith(b"%PDF")
     said = keepout_process(folder, "campaign", "replay", "many", "--run", 1, "--no-figures", "--json")
     assert (said["equal"], said["differences"]) == (True, {})
 

@@ -32,7 +32,8 @@ _LIGHT = np.array([-0.35, 0.45, 0.82])
 """Direction to the light in the eye's axes: right, up, towards the eye."""
 _FOUR_SIDES = {"front": (0.0, 0.0), "side": (0.0, -90.0), "top": (90.0, -90.0), "oblique": (25.0, -55.0)}
 """Elevation and azimuth of the eye, degrees."""
-_PATHS_FROM = ((22.0, -60.0), (12.0, 8.0))
+PATHS_FROM = ((22.0, -60.0), (12.0, 8.0))
+"""From where paths around a target are looked at, elevation and azimuth, degrees."""
 _SURFACE_FROM = {"above": (28.0, -55.0), "below": (-28.0, 125.0)}
 _NODES = 400
 """Along a slice's longer side."""
@@ -246,11 +247,11 @@ def draw_paths(
 ) -> None:
     """Draw flown paths (body frame, m) around the target from two sides into one PNG."""
     every = np.concatenate([target.vertices, *paths.values(), [goal]])
-    flat = [(every[np.isfinite(every).all(axis=1)] @ eye_axes(*side).T)[:, :2] for side in _PATHS_FROM]
+    flat = [(every[np.isfinite(every).all(axis=1)] @ eye_axes(*side).T)[:, :2] for side in PATHS_FROM]
     shapes = [float(np.divide(*np.ptp(of, axis=0)[::-1])) for of in flat]
     with figure(path, width=11.0, height=float(np.clip(5.0 * max(shapes) + 0.9, 3.0, 9.0))) as drawing:
         panels = drawing.subplots(1, 2)
-        for axes, side in zip(panels, _PATHS_FROM):
+        for axes, side in zip(panels, PATHS_FROM):
             paint_paths(axes, target, paths, [goal], eye_axes(*side))
         drawing.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=min(len(paths) + 3, 6))
 

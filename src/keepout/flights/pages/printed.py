@@ -7,11 +7,11 @@ campaign. The verdict is the audit's of the flight file, worked out anew.
 import json
 import re
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib.image
 import numpy as np
@@ -29,7 +29,7 @@ from keepout.flights.pages import campaign_page
 from keepout.flights.pages.figures import drawn
 from keepout.flights.pages.flight_page import paint_motion
 from keepout.flights.pages.head_and_foot import Provenance, Verdict, as_toml, verdict_of
-from keepout.flights.pages.mesh_pictures import eye_axes, paint_paths
+from keepout.flights.pages.mesh_pictures import PATHS_FROM, eye_axes, paint_paths
 from keepout.flights.pages.replay_page import paint_clearance
 from keepout.flights.pages.replayed import Replayed, of_files
 from keepout.flights.pages.terminal import shown
@@ -44,7 +44,6 @@ _LABEL, _VALUE = 30, 52
 """Characters of the two columns of a table of facts: digests are wider than words."""
 _LEFT_OUT = ("name", "flight", "map", "unseen", "frames_file", "contact", "seconds")
 """Entries of a summary that are files, or said by another entry."""
-_SIDES = ((22.0, -60.0), (12.0, 8.0))
 _UNITS = {
     **{"per_s2": "1/s²", "radps2": "rad/s²", "radps": "rad/s", "mps2": "m/s²", "mps": "m/s"},
     **{"m3": "m³", "kg": "kg", "m": "m", "N": "N", "s": "s"},
@@ -93,11 +92,11 @@ def print_report(folder: Path, out: Path | None = None, *, progress: Progress = 
     return out
 
 
-class _Parts:
+class _Parts(NamedTuple):
     """Of a report: its title, and what fills each sheet, by heading."""
 
-    def __init__(self, title: str, sheets: Mapping[str, Any]) -> None:
-        self.title, self.sheets = title, sheets
+    title: str
+    sheets: Mapping[str, Callable[["_Sheet"], None]]
 
 
 class _Sheet:
@@ -330,7 +329,7 @@ def _flight_parts(folder: Path, progress: Progress) -> _Parts:
     def mission(sheet: _Sheet) -> None:
         _mission(sheet, scenario)
         goals = [] if "coverage" in summary else [scenario.goal.position]  # who inspects flies to none
-        for panel, side in zip(sheet.panels(2.9, 2), _SIDES):
+        for panel, side in zip(sheet.panels(2.9, 2), PATHS_FROM):
             paint_paths(panel, flight.target, {flight.name: record.position}, goals, eye_axes(*side))
         sheet.words(
             "The path from two sides, dotted where hidden. Square: start; disc: end; star: goal.", color="#5c6675"

@@ -68,6 +68,9 @@ def draw_curve(path: Path, event: RareEvent) -> None:
             band = {"color": COLOURS[5], "alpha": 0.4, "label": "95 % band, of the whole curve"}
             axes.fill_between(clearance, lower, upper, **band)
             axes.plot(clearance, mean, color=COLOURS[0], label="measured")
+            # The band's lower end falls to nothing where few flights tell; what is drawn ends below what was measured.
+            logarithmic(axes, least=0.01 * float(mean.min()))
+            axes.set_ylim(top=1.5)
         for level in event.simulation.levels[1:]:
             axes.axvline(level.threshold, color="grey", linewidth=0.6, linestyle=":")
         axes.axvline(event.below, color="black", linewidth=0.8)
@@ -76,9 +79,6 @@ def draw_curve(path: Path, event: RareEvent) -> None:
             ylabel="probability of a flight that comes nearer",
         )
         if len(points):
-            # The band's lower end falls to nothing where few flights tell; what is drawn ends below what was measured.
-            logarithmic(axes, least=0.01 * float(mean.min()))
-            axes.set_ylim(top=1.5)
             axes.legend(fontsize=8)
 
 

@@ -16,15 +16,13 @@ from keepout.core.progress import Progress, part_of, silent
 from keepout.core.whole_file import write_whole
 from keepout.flights.pages.figures import draw_signal, drawn, logarithmic, looks
 from keepout.flights.pages.head_and_foot import Provenance
-from keepout.flights.pages.mesh_pictures import eye_axes, paint_paths
+from keepout.flights.pages.mesh_pictures import PATHS_FROM, eye_axes, paint_paths
 from keepout.flights.pages.page import Markup, embedded, foot
 from keepout.flights.pages.replayed import Replayed
 from keepout.flights.pages.scene import Scene, rows_shown, scene
 
 _POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
 """What the page may fetch: nothing."""
-_SIDE = 22.0, -60.0
-"""Elevation and azimuth of the eye, degrees."""
 
 
 def write_replay(
@@ -82,7 +80,7 @@ def _picture(panel: Axes, flights: Sequence[Replayed]) -> None:
     upright = np.diag([1.0, -1.0, -1.0]) if flights[0].scenario.attitude.kind == "vvlh" else np.eye(3)
     paths = {flight.name: flight.shown.position[rows_shown(len(flight.shown.time))] for flight in flights}
     goals = {flight.scenario.goal.position for flight in flights if flight.share is None}
-    paint_paths(panel, flights[0].target, paths, goals, eye_axes(*_SIDE) @ upright)
+    paint_paths(panel, flights[0].target, paths, goals, eye_axes(*PATHS_FROM[0]) @ upright)
 
 
 def paint_clearance(panel: Axes, flights: Sequence[Replayed]) -> None:

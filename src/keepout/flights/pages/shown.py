@@ -20,13 +20,11 @@ from keepout.core.geometry.target import Target
 from keepout.core.mission.flight import Flight
 from keepout.core.whole_file import require_place, write_whole
 from keepout.flights.pages.figures import drawn
-from keepout.flights.pages.mesh_pictures import eye_axes, paint_paths, paint_target
+from keepout.flights.pages.mesh_pictures import PATHS_FROM, eye_axes, paint_paths, paint_target
 from keepout.flights.pages.page import Markup, embedded, text
 from keepout.flights.pages.replay_page import write_replay
 from keepout.flights.pages.replayed import of_flights
 
-_SIDES = ((22.0, -60.0), (12.0, 8.0))
-"""Elevation and azimuth of the eye, degrees."""
 _FORMS = (".png", ".pdf", ".svg")
 
 
@@ -83,7 +81,7 @@ def plot(flight: Flight, path: str | Path | None = None) -> Figure:
     }
     with drawn(width=11.0, height=9.0) as drawing:
         rows = drawing.add_gridspec(3, 2, height_ratios=(2.0, 1.0, 1.0))
-        for place, side in enumerate(_SIDES):
+        for place, side in enumerate(PATHS_FROM):
             panel = drawing.add_subplot(rows[0, place])
             paint_paths(panel, flight.target, {name: record.position}, [goal.position], eye_axes(*side))
         for place, (words, (values, limit)) in enumerate(series.items()):
@@ -105,7 +103,7 @@ def flight_html(flight: Flight) -> str:
 
     def paint(drawing: Figure) -> None:
         goal, path = flight.scenario.goal.position, {flight.scenario.name: flight.record.position}
-        paint_paths(drawing.add_subplot(), flight.target, path, [goal], eye_axes(*_SIDES[0]))
+        paint_paths(drawing.add_subplot(), flight.target, path, [goal], eye_axes(*PATHS_FROM[0]))
 
     with tempfile.TemporaryDirectory() as folder:
         page = replay(flight, Path(folder) / "replay.html").read_text(encoding="utf-8")
@@ -119,7 +117,7 @@ def target_html(target: Target) -> str:
     sizes = " x ".join(f"{extent:.4g}" for extent in np.ptp(target.vertices, axis=0))
     facts = {"size, m": sizes, "triangles": len(target.faces), "watertight": report.watertight}
     facts |= {"warning": "; ".join(report.warnings)} if report.warnings else {}
-    seen = picture(lambda drawing: paint_target(drawing.add_subplot(), target, eye_axes(*_SIDES[0])), target.name)
+    seen = picture(lambda drawing: paint_target(drawing.add_subplot(), target, eye_axes(*PATHS_FROM[0])), target.name)
     return f"<p><b>{text(target.name)}</b></p>{facts_html(facts)}{seen}"
 
 
