@@ -386,6 +386,9 @@ def test_a_campaigns_summary_is_that_of_its_rows_and_these_are_its_flights(folde
     assert campaign["median_delta_v_mps"] == np.median(rows["delta_v"])
     check_picture(out / "campaign.png")
     assert len(campaign["kept"]) == RUNS
+    shown = keepout.Campaign.open(out)._repr_html_()
+    assert "of 3 flights 0 are not proved free of a contact" in shown
+    assert "srcdoc=" in shown
     for row in table.to_pylist():
         record = FlightRecord.load(out / "kept" / f"run-{row['run']:010d}.parquet")
         least = box_distance(record.position).min() - RADIUS

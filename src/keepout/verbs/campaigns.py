@@ -29,7 +29,7 @@ from keepout.flights.campaign.plan import Plan
 from keepout.flights.campaign.run import Flyer, Standing, fly_campaign, flyer_on, in_threads, keep_flights, keep_of
 from keepout.flights.campaign.table import FLOWN, SUMMARISED, summary
 from keepout.flights.pages.folder import results_in, write_summary
-from keepout.flights.pages.page import Markup, embedded, text
+from keepout.flights.pages.page import embedded, text
 
 _PAGE = "keepout.flights.pages.campaign_page"
 """What draws: it takes long to import, and is imported while flights are flown."""
@@ -139,6 +139,8 @@ class Campaign:
         return Plan.of(self.scenario, batch=self.dataset.identity["batch"])
 
     def _repr_html_(self) -> str:
+        from keepout.flights.pages.shown import watched_html
+
         rates = self.figures["rates"]
         cells = (
             f"<tr><th>{text(rate['name'])}</th><td>{rate['count']} of {rate['of']}</td>"
@@ -148,11 +150,11 @@ class Campaign:
         head = "<tr><th></th><th>runs</th><th>rate</th><th>95 %</th></tr>"
         drawn = embedded((self.folder / "campaign.png").read_bytes(), "the runs' clearances, times and Δv")
         least = self.figures["minimum_clearance_m"]
-        said = (
-            f"Campaign {self.scenario.name}: {self.figures['contacts']} of {self.figures['flown']} flights not clear "
-        )
-        said += f"of a contact; proved clearance {text(least)} m or more in all"
-        return Markup(f"<p><b>{text(said)}</b></p><table>{head}{''.join(cells)}</table>{drawn}")
+        said = f"Campaign {self.scenario.name}: of {self.figures['flown']} flights {self.figures['contacts']} are not "
+        said += f"proved free of a contact; the least proved clearance is {text(least)} m"
+        worst = self.folder / "report" / "worst.html"  # there where the worst flights were kept
+        shown = drawn + (watched_html(worst) if worst.exists() else "")
+        return f"<p><b>{text(said)}</b></p><table>{head}{''.join(cells)}</table>{shown}"
 
 
 def campaign(

@@ -106,9 +106,14 @@ def flight_html(flight: Flight) -> str:
         paint_paths(drawing.add_subplot(), flight.target, path, [goal], eye_axes(*PATHS_FROM[0]))
 
     with tempfile.TemporaryDirectory() as folder:
-        page = replay(flight, Path(folder) / "replay.html").read_text(encoding="utf-8")
-    watched = f'<iframe srcdoc="{html.escape(page)}" width="100%" height="600" title="Replay"></iframe>'
+        watched = watched_html(replay(flight, Path(folder) / "replay.html"))
     return f"<p><b>{text(flight.verdict)}</b></p>{picture(paint, 'the path around the target')}{watched}"
+
+
+def watched_html(page: Path) -> Markup:
+    """Give a replay as an element that holds its whole page."""
+    held = html.escape(page.read_text(encoding="utf-8"))
+    return Markup(f'<iframe srcdoc="{held}" width="100%" height="600" title="Replay"></iframe>')
 
 
 def target_html(target: Target) -> str:
