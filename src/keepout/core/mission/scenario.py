@@ -7,7 +7,7 @@ the value, and what would be valid; nothing is guessed.
 import difflib
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
 
@@ -213,22 +213,52 @@ ScenarioLike = Scenario | str | Path | Mapping[str, Any]
 
 def _refusal(error: ValidationError, where: str, lines: Mapping[Keys, int] = {}) -> ScenarioError:
     """Say all that pydantic found in one line, whatever was given: a key may hold a line break."""
-    reasons = "; ".join(f"{_line(item, lines)}{_reason(item)}" for item in error.errors())
+    found: dict[str, dict[str, None]] = {}
+    for item in error.errors():
+        given, valid = _reason(item)
+        found.setdefault(f"{_line(item, lines)}{given}", {})[valid] = None
+    reasons = "; ".join(given + " or ".join(valid) for given, valid in found.items())
     return ScenarioError(" ".join(f"{where}: {reasons}".split()))
 
 
-def _reason(item: Any) -> str:
-    """Turn one pydantic finding into the entry's name, the value and what would be valid."""
-    name = ".".join(str(part) for part in item["loc"])
-    value = item["input"]
-    if item["type"] == "extra_forbidden":
+def _reason(item: Any) -> tuple[str, str]:
+    """Turn one pydantic finding into the entry's name with the value, and what would be valid."""
+    path = [part for part in item["loc"] if not _BRANCH.search(str(part))]
+    value, kind = item["input"], item["type"]
+    if kind == "extra_forbidden":
         valid, key = _valid_keys(item["loc"][:-1]), str(item["loc"][-1])
         near = difflib.get_close_matches(key, valid, n=1) + _elsewhere(key, item["loc"])
         hint = f"did you mean {' or '.join(near)}?" if near else f"valid: {', '.join(valid)}"
-        return f"{name}: no such entry; {hint}"
-    message = item["msg"].removeprefix("Value error, ").removeprefix("Input ").replace("should be", "must be")
+        return f"{_dotted(path)}: no such entry; {hint}", ""
+    if kind == "missing" and isinstance(path[-1], int):  # of a list
+        return f"{_dotted(path[:-1])}: {_shown(value)} ", "has too few values"
+    plain = item["msg"].removeprefix("Value error, ").removeprefix("Input ").replace("should be", "must be")
+    message = _VALID.get(kind, plain).format(**item.get("ctx", {}))
     shown = "" if isinstance(value, dict | BaseModel) else f"{_shown(value)} "
-    return f"{name}: {shown}{message}" if name else message
+    return (f"{_dotted(path)}: {shown}", message) if path else ("", message)
+
+
+_VALID = {
+    "missing": "must be given",
+    **dict.fromkeys(("float_type", "float_parsing"), "must be a number"),
+    **dict.fromkeys(("int_type", "int_from_float", "int_parsing"), "must be a whole number"),
+    "bool_type": "must be true or false",
+    "string_type": "must be text",
+    "string_pattern_mismatch": "must be of letters, digits, _, . and -, a letter or digit first",
+    "tuple_type": "must be a list",
+    "too_long": "has too many values; at most {max_length}",
+    "finite_number": "must be finite",
+    "greater_than_equal": "must be at least {ge}",
+    "less_than_equal": "must be at most {le}",
+    **dict.fromkeys(("dict_type", "model_type", "model_attributes_type"), "must be a table"),
+}
+"""What would be valid, by the kind of pydantic's finding; other kinds say so themselves."""
+_BRANCH = re.compile(r"^(constrained-)?(float|int|str|bool)$|^[a-z-]+\[")
+"""What pydantic calls one of several kinds that an entry may have: no part of its name."""
+
+
+def _dotted(path: Sequence[str | int]) -> str:
+    return ".".join(map(str, path))
 
 
 def _shown(value: Any) -> str:
