@@ -93,7 +93,7 @@ def describe(mesh: Mesh, *, out: DrawnInto = None, read: MeshFile, seed: Seed = 
         from keepout.verbs.meshes import describe as described
 
         summary = described(entry, out=out, progress=progress)
-    answer({**summary, "seed": seed}, as_json, terminal.facts_table("Mesh", summary))
+    answer({**summary, "seed": seed}, as_json, terminal.mesh_table(summary))
 
 
 @app.command(

@@ -191,6 +191,15 @@ def facts_table(title: str, summary: Mapping[str, Any]) -> Table:
     return _laid_out(title, None, [[key, shown(value)] for key, value in summary.items()], named=True)
 
 
+_IN_METRES = ("lower", "upper", "extents", "offset", "closing_radius", "envelope")
+
+
+def mesh_table(summary: Mapping[str, Any]) -> Table:
+    """One row a figure of a mesh, each with its unit."""
+    units = {**dict.fromkeys(_IN_METRES, "m"), **dict.fromkeys(("sealed_volume_at_offset", "sealed_volume"), "m³")}
+    return facts_table("Mesh", {f"{key} {units[key]}" if key in units else key: of for key, of in summary.items()})
+
+
 def entries_table(title: str, rows: Sequence[Mapping[str, Any]]) -> Table:
     """One row an entry, one column a key; what an entry has no value for is a dash."""
     headings = list(rows[0]) if rows else []
@@ -248,29 +257,33 @@ def measures_tables(summary: Mapping[str, Any]) -> list[Table]:
 
 _MEASURES: Mapping[str, Mapping[str, Column]] = {
     "Off the surface, against the exact signed distance g": {
-        "d from, to": ("from_m", "to_m"),
-        "mean |f̃ - g|": "mean_absolute",
-        "RMS": "root_mean_square",
-        "p99.9 |f̃ - g|": "absolute_999",
-        "p99.9 f̃ - g": "over_999",
+        "d from, to m": ("from_m", "to_m"),
+        "mean |f̃ - g| m": "mean_absolute",
+        "RMS m": "root_mean_square",
+        "p99.9 |f̃ - g| m": "absolute_999",
+        "p99.9 f̃ - g m": "over_999",
         "mean |‖∇f̃‖ - 1|": "eikonal",
     },
-    "‖∇²f̃‖, 1/m": {"d": "level", "median": "median", "p99": "percentile_99", "largest": "maximum"},
+    "‖∇²f̃‖, 1/m": {"d m": "level", "median": "median", "p99": "percentile_99", "largest": "maximum"},
     "Marching-cubes surface against the target's visible surface": {
-        "f̃": "level",
-        "Chamfer": "chamfer",
-        "Hausdorff": "hausdorff",
-        "learned to target mean, p95, max": ("learned_to_target", "learned_to_target_95", "learned_to_target_maximum"),
-        "target to learned mean, max": ("target_to_learned", "target_to_learned_maximum"),
+        "f̃ m": "level",
+        "Chamfer m": "chamfer",
+        "Hausdorff m": "hausdorff",
+        "learned to target mean, p95, max m": (
+            "learned_to_target",
+            "learned_to_target_95",
+            "learned_to_target_maximum",
+        ),
+        "target to learned mean, max m": ("target_to_learned", "target_to_learned_maximum"),
     },
     "Volume kept out of, m³": {
-        **{"R": "chaser_radius", "f̃ ≤": "level", "learned": "learned", "exact contact": "contact"},
+        **{"R m": "chaser_radius", "f̃ ≤ m": "level", "learned": "learned", "exact contact": "contact"},
         **{"IoU": "iou", "hull + R": "hull", "ellipsoid + R": "ellipsoid"},
     },
     "Certificates": {
-        **{"R": "chaser_radius", "e_h": ("error_bound", "kind"), "found": "sampled_maximum"},
+        **{"R m": "chaser_radius", "e_h m": ("error_bound", "kind"), "found m": "sampled_maximum"},
         **{"‖∇f̃‖ ≤": ("gradient_bound", "gradient_kind"), "‖∇f̃‖ found": "gradient_found"},
-        "stands off mean, p95": ("stand_off_mean", "stand_off_95"),
+        "stands off mean, p95 m": ("stand_off_mean", "stand_off_95"),
     },
 }
 """By title of a table: the entries of a measure that each column shows."""
