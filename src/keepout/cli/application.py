@@ -51,7 +51,7 @@ def _heard(command: Callable[..., None]) -> Callable[..., None]:
 
     own, added = (inspect.signature(of, eval_str=True).parameters.values() for of in (command, options))
     own = [option.replace(kind=inspect.Parameter.KEYWORD_ONLY) for option in own]
-    told.__signature__ = inspect.Signature([*own, *added])  # pyright: ignore[reportFunctionMemberAccess]
+    told.__signature__ = inspect.Signature([*own, *added])  # pyright: ignore[reportAttributeAccessIssue]
     told.__annotations__ = {option.name: option.annotation for option in (*own, *added)}
     return told
 

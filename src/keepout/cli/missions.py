@@ -112,20 +112,24 @@ def results_of(command: str, scenario: Path, mission: "Scenario", out: Path, *, 
 
     own = {"command": command, "file": str(scenario.resolve()), "scenario": json.loads(mission.model_dump_json())}
     there = _held(out)
-    same = there is None or (
-        there["command"] == command and (there["file"] in (None, own["file"]) or there["scenario"] == own["scenario"])
-    )
-    if not same and not force:
+    if there is not None and not _same(there, own):
         of = "" if there["file"] is None else f" ({there['file']})"
-        raise ScenarioError(
-            f"{out}: holds what `keepout {there['command']}` wrote of {there['scenario']['name']}{of}; "
-            "give another folder with -o, or --force to replace it"
-        )
-    if not same and there["command"] == "campaign":
-        forget_campaign(out)
+        if not force:
+            raise ScenarioError(
+                f"{out}: holds what `keepout {there['command']}` wrote of {there['scenario']['name']}{of}; "
+                "give another folder with -o, or --force to replace it"
+            )
+        if there["command"] == "campaign":
+            forget_campaign(out)
     with results_in(out):
         yield
         write_whole(out / _MISSION, json.dumps(own, indent=1) + "\n", refusal=ScenarioError)
+
+
+def _same(there: Mapping[str, Any], own: Mapping[str, Any]) -> bool:
+    """Whether two descriptions are of one mission; that of a campaign which was stopped names no file."""
+    of_file = there["file"] in (None, own["file"])
+    return there["command"] == own["command"] and (of_file or there["scenario"] == own["scenario"])
 
 
 def _held(out: Path) -> dict[str, Any] | None:

@@ -94,6 +94,7 @@ UP = {"position": [0, 0, 0], "direction": [0, 0, 1], "force": 0.2}
             ("0.direction: must be given", "be a table"),
         ),
         ({"orbit": {"eccentricity": 0.9}}, ("perigee", "6.4e6")),
+        ({"epoch": "{x}"}, ("epoch: '{x}' must be an instant",)),
         ({"control": {"paper": {"sharpness": 2.0}}}, ("control", "paper.sharpness", '"paper"', '"default"')),
         ({"control": {"profile": "paper", "paper": {"k_p": 2.0}}}, ("control.paper.k_p", "slowing_length")),
         ({"disturbance": {"kind": "none", "phase": 1.0}}, ("disturbance", "phase 1.0 rad", '"none" has none')),

@@ -233,12 +233,12 @@ def _reason(item: Any) -> tuple[str, str]:
     if kind == "missing" and isinstance(path[-1], int):  # of a list
         return f"{_dotted(path[:-1])}: {_shown(value)} ", "has too few values"
     plain = item["msg"].removeprefix("Value error, ").removeprefix("Input ").replace("should be", "must be")
-    message = _VALID.get(kind, plain).format(**item.get("ctx", {}))
+    message = _VALID[kind].format(**item.get("ctx", {})) if kind in _VALID else plain
     shown = "" if isinstance(value, dict | BaseModel) else f"{_shown(value)} "
     return (f"{_dotted(path)}: {shown}", message) if path else ("", message)
 
 
-_VALID = {
+_VALID: Mapping[str, str] = {
     "missing": "must be given",
     **dict.fromkeys(("float_type", "float_parsing"), "must be a number"),
     **dict.fromkeys(("int_type", "int_from_float", "int_parsing"), "must be a whole number"),
