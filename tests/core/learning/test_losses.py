@@ -10,7 +10,7 @@ from truths.networks import random_layers
 
 from keepout.core.errors import FieldError
 from keepout.core.fields import neural
-from keepout.core.learning import losses
+from keepout.core.learning import losses, training
 from keepout.core.learning.losses import PROFILES
 
 PROFILE = PROFILES["quick"]
@@ -101,3 +101,17 @@ def test_a_batch_is_of_the_samples_that_there_are(batch):
     assert changed.batch == 77
     assert changed.large is not None
     assert changed.large.batch == 77
+
+
+def test_a_geometric_start_is_about_the_distance_to_half_the_unit_ball():
+    profile = dataclasses.replace(PROFILE, start="geometric", width=256, depth=5)
+    layers = training._initial(profile, labelled(4, 1.0), 1, 0).layers
+    radii = np.linspace(0.1, 1.2, 12)
+    directions = np.random.default_rng(0).normal(size=(400, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    value = training._value(
+        layers, profile.beta, jnp.asarray(radii[:, None, None] * directions, jnp.float32).reshape(-1, 3)
+    )
+    mean = np.asarray(value).reshape(12, 400).mean(axis=1)
+    np.testing.assert_allclose(mean, radii - 0.5, atol=0.25)
+    assert np.all(np.diff(mean) > 0.0)
