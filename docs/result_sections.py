@@ -14,6 +14,25 @@ ERRATA = {
     "mended": "mended",
     "unit": "unit",
 }
+TRAINING = {
+    "batch": "batch",
+    "start": "start",
+    "width": "width",
+    "depth": "layers",
+    "steps": "steps",
+    "distance_term": "L_P",
+    "gradient_term": "L_E",
+    "mean_error_radii": "mean of f̃ − d",
+    "surface_error_radii": "ε on the surface",
+    "worst_overstatement_radii": "largest f̃ on the surface",
+}
+SWEEPS = {
+    "rival": "rival",
+    "setting": "numbers",
+    "chosen": "chosen",
+    "reached_without_contact": "reached",
+    "contacts": "contacts",
+}
 RIVALS = {
     "target": "target",
     "rival": "rival",
@@ -261,7 +280,7 @@ def reproduction() -> list[str]:
         "",
         *note("paper"),
         "",
-        "**How long each part takes, with the networks of `benchmarks/results/fields`**",
+        "**How long parts took on 2 cores beside other work, with the networks of `benchmarks/results/fields`**",
         "",
         *table(
             [{"part": one["name"], "minutes": one["seconds"] / 60.0} for one in kept["sections"] if "seconds" in one]
@@ -276,6 +295,17 @@ def reproduction() -> list[str]:
     return lines
 
 
+def training() -> list[str]:
+    """Give fits by the paper's loss, by batch and start."""
+    words = [
+        "`python benchmarks/training.py`; discussed in [Reproduce the paper](reproduce.md). A smaller network than the "
+        "paper's, with its loss, rate and number of halvings, all for as many steps. Terms of the loss are means over "
+        "the last tenth of the steps; lengths in units of the ball that is learned.",
+        *note("training"),
+    ]
+    return measured("Batch and start of the paper's training", words, kept_file("training"), TRAINING)
+
+
 def errata() -> list[str]:
     """Give what each slip of the paper does."""
     words = ["`python benchmarks/errata.py`; discussed in [From the paper to the code](from-paper-to-code.md)."]
@@ -288,7 +318,14 @@ def rivals() -> list[str]:
     for row in sorted(kept_file("rivals"), key=lambda row: row["flights"]):
         most[row["target"], row["rival"], row["guard"]] = row  # a row of fewer flights was flown first
     words = ["`python benchmarks/rivals.py`; discussed in [Rivals](rivals.md).", *note("rivals")]
-    return measured("Rivals on the same loop", words, [most[key] for key in sorted(most)], RIVALS)
+    lines = measured("Rivals on the same loop", words, [most[key] for key in sorted(most)], RIVALS)
+    swept = [row | {"setting": _setting(row["setting"])} for row in kept_file("rival_sweeps")]
+    said = "**Each choice of a rival's numbers: 64 pairs round `intelsat30`, no guard; reached: without contact**"
+    return [*lines, said, "", *table(swept, SWEEPS)]
+
+
+def _setting(numbers: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} {value:g}" for name, value in numbers.items())
 
 
 def rare_events() -> list[str]:
@@ -499,6 +536,7 @@ SECTIONS = (
     stuck,
     adversary,
     reproduction,
+    training,
     errata,
     rivals,
     rare_events,
