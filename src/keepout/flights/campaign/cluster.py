@@ -31,7 +31,7 @@ from keepout.core.errors import ClusterError, KeepoutError
 from keepout.flights.campaign.flying import ChunkResult, Told, fly_chunk
 from keepout.flights.campaign.plan import Plan
 
-PACKAGES = ("keepout", "jax", "jaxlib", "numpy", "scipy", "numba", "equinox", "trimesh", "pyarrow")
+PACKAGES = ("keepout-gnc", "jax", "jaxlib", "numpy", "scipy", "numba", "equinox", "trimesh", "pyarrow")
 """What the bits of a campaign's table depend on: workers must have the very versions of who hands out the chunks."""
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "NPROC")
@@ -323,11 +323,11 @@ def software() -> dict[str, str]:
     folder = Path(keepout.__file__).parent
     sources = sorted(folder.rglob("*.py"))
     code = "".join(f"{path.relative_to(folder)} {digest(path.read_text('utf-8'))}\n" for path in sources)
-    versions = {name: version(name) for name in PACKAGES if name != "keepout"}
+    versions = {name: version(name) for name in PACKAGES if name != "keepout-gnc"}
     python = f"{sys.version_info.major}.{sys.version_info.minor}"
     flags = " ".join(os.environ.get("XLA_FLAGS", "").split())
     return {
-        "keepout": keepout.__version__,
+        "keepout-gnc": keepout.__version__,
         "code of keepout": digest(code)[:12],
         "python": python,
         **versions,
