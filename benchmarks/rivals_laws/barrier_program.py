@@ -5,9 +5,9 @@ The barrier h = f̃ − e_h − radius − margin has relative degree 2; `cbfpy`
 barrier v_max² − ‖v‖² (relative degree 1) keeps the speed limit.
 
 Tuning. Both slopes are p, a critically damped barrier. An approach along ψ = 0 has the speed p h at h and needs the
-deceleration p² h: from v_max that is p v_max, within the authority for p ≤ 4 mm/s² / 0.1 m/s = 0.04/s. Of
-`choices` 0.01/s does best on the field; around the ellipsoid all do alike. A reading, not tested: where the nearest surface changes, the
-barrier falls faster than any thrust can answer, whatever p, and the program is relaxed.
+deceleration p² h: from v_max that is p v_max, within the authority for p ≤ 4 mm/s² / 0.1 m/s = 0.04/s, which is p here.
+Of `choices` 0.01/s does best on the field; around the ellipsoid all do alike. A reading, not tested: where the nearest
+surface changes, the barrier falls faster than any thrust can answer, whatever p, and the program is relaxed.
 
 `cbfpy`'s default `solver_tol` of 1e-3 is an absolute residual: as an acceleration in m/s² it is a quarter of what the
 thrusters have. Here the control is in units of the authority and the barrier's rows are divided by it, so that all
