@@ -22,7 +22,7 @@ class Rival(abc.ABC):
         packages: modules that must be importable.
         recipe: raised where the code would fly otherwise with the same numbers.
         batch: flights in one compiled batch, where a law's arrays are large.
-        choices: of its numbers by name, those that `rivals.py --sweep` flies, each with each; its own are the best.
+        choices: of its numbers by name, those that `rivals.py --sweep` flies, each with each.
         more_seconds: that its flights may take longer than the others', where it slows down early.
 
     """
