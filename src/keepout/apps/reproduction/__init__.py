@@ -19,7 +19,7 @@ from keepout.core.errors import ScenarioError, UsageError
 from keepout.core.progress import Progress, never_back, part_of, silent
 from keepout.core.whole_file import write_whole
 from keepout.flights.pages.folder import results_in, write_summary
-from keepout.flights.pages.head_and_foot import Provenance, Verdict, machine
+from keepout.flights.pages.head_and_foot import Headline, Provenance, machine
 from keepout.flights.pages.page import Markup, Page, text
 from keepout.flights.pages.replay_page import write_replay
 from keepout.flights.pages.replayed import of_flights
@@ -158,14 +158,14 @@ def write_reproduction(out: Path, parts: Sequence[Part], *, quick: bool) -> None
     page.write()
 
 
-def _verdict(parts: Sequence[Part], *, quick: bool) -> Verdict:
+def _verdict(parts: Sequence[Part], *, quick: bool) -> Headline:
     """Say how much of it was repeated, and what became of the flights that are shown."""
     flights = [flight for part in parts for flight in part.flights.values()]
     free = sum(flight.audit.contact is Contact.NO for flight in flights)
     said = f"{len(parts)} of {len(PARTS)} parts repeated{', quickly' if quick else ''}"
     if flights:
         said += f"; of the {len(flights)} flights shown {free} touched nothing, proved on the exact mesh"
-    return Verdict(f"{said}.", True if flights and free == len(flights) else None)
+    return Headline(f"{said}.", True if flights and free == len(flights) else None)
 
 
 def _provenance(parts: Sequence[Part]) -> Provenance:

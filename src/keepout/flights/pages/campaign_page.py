@@ -21,7 +21,7 @@ from keepout.flights.campaign.results import FIGURES, QUANTILES, SIGNIFICANT, Re
 from keepout.flights.campaign.statistics import GROUPS, none_seen_bound
 from keepout.flights.pages import campaign_figures
 from keepout.flights.pages.figures import column, looks
-from keepout.flights.pages.head_and_foot import Provenance, Verdict
+from keepout.flights.pages.head_and_foot import Headline, Provenance
 from keepout.flights.pages.page import Markup, Page, Table, bad, rows_of, tell_requirements, text
 from keepout.flights.pages.replay_page import write_replay
 from keepout.flights.pages.replayed import Replayed, of_record
@@ -135,7 +135,7 @@ def percent(share: float) -> str:
     return f"{100.0 * share:.4g}\u00a0%"
 
 
-def verdict(found: Results) -> Verdict:
+def verdict(found: Results) -> Headline:
     """Say how many flights touched, how often that is at most, and of how many the guard's theorem covers the start."""
     [contact] = [rate for rate in found.rates if rate.name == "contact or undecided"]
     if not contact.total:
@@ -148,7 +148,7 @@ def verdict(found: Results) -> Verdict:
         said += f": its probability is at most {percent(contact.high)} with 95 %."
     if not found.reading.complete:
         said += f" {found.runs} of {found.reading.runs} runs are done."
-    return Verdict(said, good, _theorem(found.reading))
+    return Headline(said, good, _theorem(found.reading))
 
 
 def _theorem(reading: Dataset) -> str:

@@ -14,7 +14,7 @@ from keepout.flights.campaign.results import Comparison, compare
 from keepout.flights.pages.campaign_page import SAMPLING, percent, provenance
 from keepout.flights.pages.figures import COLOURS, column
 from keepout.flights.pages.folder import results_in
-from keepout.flights.pages.head_and_foot import Provenance, Verdict
+from keepout.flights.pages.head_and_foot import Headline, Provenance
 from keepout.flights.pages.page import Page, Table, finite, rows_of
 
 _UNPAIRED = (
@@ -111,7 +111,7 @@ def _words(found: Comparison) -> list[str]:
     return [*words, *(SAMPLING[name] for name in sorted(sampling))]
 
 
-def _verdict(found: Comparison) -> Verdict:
+def _verdict(found: Comparison) -> Headline:
     """Say which of the two touched more often, and whether that may be chance."""
     [one] = [one for one in found.rates if one.first.name == "contact or undecided"]
     told = [
@@ -119,11 +119,11 @@ def _verdict(found: Comparison) -> Verdict:
     ]
     said = f"Contact or undecided: {', '.join(told) or 'no flights'}"
     if one.difference is None:
-        return Verdict(f"{said}.")
+        return Headline(f"{said}.")
     apart = one.low > 0.0 or one.high < 0.0
     points = [f"{100.0 * value:+.3g}" for value in (one.difference, one.low, one.high)]
     said += f"; A − B is {points[0]} percentage points, {points[1]} to {points[2]} with 95 %"
-    return Verdict(f"{said}{'' if apart else ': no difference is shown'}.")
+    return Headline(f"{said}{'' if apart else ': no difference is shown'}.")
 
 
 def _provenance(found: Comparison) -> Provenance:

@@ -13,7 +13,7 @@ from keepout.core.mission.flight import Flight
 from keepout.core.mission.scenario import Scenario
 from keepout.core.progress import Progress, part_of, silent
 from keepout.flights.pages.figures import COLOURS, draw_signal, figure, logarithmic
-from keepout.flights.pages.head_and_foot import Provenance, Verdict, verdict_of
+from keepout.flights.pages.head_and_foot import Headline, Provenance, verdict_of
 from keepout.flights.pages.mesh_pictures import draw_paths
 from keepout.flights.pages.page import Page, bad, tell_requirements
 from keepout.flights.pages.replay_page import write_replay
@@ -76,7 +76,7 @@ def draw_page(
     *,
     title: str,
     replay: str,
-    head: tuple[Verdict, Provenance],
+    head: tuple[Headline, Provenance],
     progress: Progress = silent,
 ) -> list[str]:
     """Draw pictures of a flight, and write `replay.html` and `index.html`.

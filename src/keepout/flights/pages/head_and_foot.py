@@ -30,7 +30,7 @@ _BARE = re.compile(r"[A-Za-z0-9_-]+")
 
 
 @dataclass(frozen=True)
-class Verdict:
+class Headline:
     """What a page says first.
 
     Attributes:
@@ -45,7 +45,7 @@ class Verdict:
     theorem: str = ""
 
 
-def verdict_of(summary: Mapping[str, Any]) -> Verdict:
+def verdict_of(summary: Mapping[str, Any]) -> Headline:
     """Say what became of one flight, by the summary that `Flight`, `Exploration` and `Inspection` give."""
     contact = str(summary["contact_verdict"])
     said, good = {
@@ -56,7 +56,7 @@ def verdict_of(summary: Mapping[str, Any]) -> Verdict:
     if contact == "no":
         least = math.floor(1e3 * summary["minimum_clearance_m"]) / 1e3  # down: it is a lower bound
         said += f": the clearance is at least {least:.3f} m at every instant"
-    return Verdict(f"{said}.", good, _theorem(summary))
+    return Headline(f"{said}.", good, _theorem(summary))
 
 
 def _theorem(summary: Mapping[str, Any]) -> str:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from keepout.core.whole_file import write_whole
-from keepout.flights.pages.head_and_foot import Provenance, Verdict, as_toml
+from keepout.flights.pages.head_and_foot import Headline, Provenance, as_toml
 from keepout.flights.pages.terminal import shown
 from keepout.flights.requirements import told
 
@@ -125,7 +125,7 @@ class Page:
 
     """
 
-    def __init__(self, path: Path, title: str, verdict: Verdict, provenance: Provenance) -> None:
+    def __init__(self, path: Path, title: str, verdict: Headline, provenance: Provenance) -> None:
         self.path, self.title, self._provenance = path, title, provenance
         kind = {True: " good", False: " bad", None: ""}[verdict.good]
         self._parts = [f'<header><h1>{text(title)}</h1><p class="verdict{kind}">{text(verdict.said)}</p>']

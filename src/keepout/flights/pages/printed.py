@@ -28,7 +28,7 @@ from keepout.flights.campaign.results import Results, results
 from keepout.flights.pages import campaign_page
 from keepout.flights.pages.figures import drawn
 from keepout.flights.pages.flight_page import paint_motion
-from keepout.flights.pages.head_and_foot import Provenance, Verdict, as_toml, verdict_of
+from keepout.flights.pages.head_and_foot import Headline, Provenance, as_toml, verdict_of
 from keepout.flights.pages.mesh_pictures import PATHS_FROM, eye_axes, paint_paths
 from keepout.flights.pages.replay_page import paint_clearance
 from keepout.flights.pages.replayed import Replayed, of_files
@@ -154,7 +154,7 @@ class _Sheet:
             self._down += _LINE
         self._down += 0.06
 
-    def verdict(self, verdict: Verdict) -> None:
+    def verdict(self, verdict: Headline) -> None:
         """Add a verdict, and whether the theorem held."""
         kind = {True: "good", False: "bad", None: "open"}[verdict.good]
         self.words(verdict.said, color=_WORDS[kind], weight="bold")

@@ -8,7 +8,7 @@ import numpy as np
 
 from keepout.core.whole_file import write_whole
 from keepout.flights.pages.figures import COLOURS, figure, logarithmic
-from keepout.flights.pages.head_and_foot import Provenance, Verdict
+from keepout.flights.pages.head_and_foot import Headline, Provenance
 from keepout.flights.pages.page import Page, Table, finite
 from keepout.flights.pages.replay_page import write_replay
 from keepout.flights.pages.replayed import of_flights
@@ -47,7 +47,7 @@ def write_rare(out: Path, event: RareEvent) -> dict[str, Any]:
     return {"said": event.said, **event.summary(), "worst_flight": str(flight), "worst_tape": str(tape)}
 
 
-def _verdict(event: RareEvent) -> Verdict:
+def _verdict(event: RareEvent) -> Headline:
     broken = event.assumptions_broken
     if broken is None:
         theorem = "No guard flew, so no theorem promises anything."
@@ -55,7 +55,7 @@ def _verdict(event: RareEvent) -> Verdict:
         theorem = f"The guard's theorem does not hold: flown beyond what is assumed: {'; '.join(broken)}."
     else:
         theorem = "Nothing is flown beyond what the guard's theorem assumes."
-    return Verdict(event.said, theorem=theorem)
+    return Headline(event.said, theorem=theorem)
 
 
 def draw_curve(path: Path, event: RareEvent) -> None:
