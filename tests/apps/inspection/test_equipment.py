@@ -71,6 +71,7 @@ def test_what_can_never_be_flown_is_refused_in_one_line_with_numbers(tables, sai
     assert all(part in str(refusal.value) for part in said), refusal.value
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "tables",
     [

@@ -18,6 +18,9 @@ from keepout.core.errors import InspectionError
 from keepout.core.geometry.target import Target
 from keepout.core.mission.task_entries import CameraEntry
 
+# Its kernels take ten seconds to compile.
+pytestmark = pytest.mark.long
+
 RULES = SeeingRules(greatest_range=6.0)
 
 

@@ -14,6 +14,7 @@ def whole(free, cap):
     return squared_distances(~free, cap)
 
 
+@pytest.mark.long
 @given(st.integers(0, 10**6), st.sampled_from([8, 24, 32, 40, 72]), st.integers(1, 40), st.floats(0.0, 4.0))
 def test_squares_are_those_of_the_whole_grid(seed, cubes, cap, rarity):
     free = np.random.default_rng(seed).random((cubes, cubes, cubes)) >= 10.0**-rarity * 0.5

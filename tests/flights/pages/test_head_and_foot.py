@@ -40,6 +40,7 @@ def test_the_head_tells_every_case_apart(changed, good, said, theorem):
     assert theorem in verdict.theorem
 
 
+@pytest.mark.long
 def test_the_foot_holds_the_whole_scenario_and_is_the_same_at_the_same_time(tmp_path, monkeypatch):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "86400")
     dispersions = {"chaser.mass": {"uniform": [18.0, 22.0]}, "goal.position": {"choice": [[0, -9, 1], [1, -9, 1]]}}

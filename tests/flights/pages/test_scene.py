@@ -85,6 +85,7 @@ def test_no_point_of_the_true_path_is_nearer_than_the_proved_clearance(box, forc
         )
 
 
+@pytest.mark.long
 def test_nothing_is_proved_of_a_step_that_cannot_have_been_flown(box, folder):
     scenario = box_scenario(folder, 3.0, "jump")
     record = pass_record(scenario, 3.0)

@@ -85,7 +85,8 @@ class FirstHit(TriangleSoup):
 
         On an edge it is any of the faces that have it.
         """
-        origins = np.ascontiguousarray(np.broadcast_to(np.asarray(origins, dtype=np.float64), directions.shape))
+        # Not the view that may not be written: the kernel would be compiled for it once more.
+        origins = np.array(np.broadcast_to(origins, directions.shape), dtype=np.float64, order="C")
         directions = np.ascontiguousarray(directions, dtype=np.float64)
         lengths = np.sqrt(np.einsum("ni,ni->n", directions, directions))
         if not (np.isfinite(origins).all() and np.isfinite(lengths).all()):

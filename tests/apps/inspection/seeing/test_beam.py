@@ -9,11 +9,13 @@ from keepout.apps.inspection.seeing.room import Room, beam_workspace, first_plac
 from keepout.apps.inspection.seeing.visible import SeeingRules
 from keepout.core.geometry.target import Target
 
+# Its kernels take ten seconds and more to compile.
+pytestmark = pytest.mark.long
+
 OUTLINE = np.array([[-0.6, -0.4], [0.5, -0.5], [0.4, 0.6], [-0.5, 0.3]])
 RULES = SeeingRules(greatest_range=4.0, least_range=1.2, greatest_sample_distance=0.006)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", ["box", "pocket"])
 def test_no_place_below_the_least_height_is_allowed(name):
     target = Target.load(name)
@@ -56,7 +58,6 @@ def test_over_a_plate_the_least_height_is_the_stand_off():
     assert 1.0 - 1e-3 <= height <= 1.0
 
 
-@pytest.mark.long
 def test_a_beam_begins_no_higher_than_any_place_that_is_allowed_in_it():
     """Over the top of a box, with the stand-off at 1 m and the greatest range 5 cm farther."""
     limits = Room(Target.load("box").distance, 1.0).limits(SeeingRules(least_range=0.5, greatest_range=1.05))

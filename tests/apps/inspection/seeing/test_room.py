@@ -9,6 +9,9 @@ from keepout.core.errors import InspectionError
 from keepout.core.geometry.distance import ExactDistance
 from keepout.core.geometry.target import Target
 
+# Its kernels take ten seconds and more to compile.
+pytestmark = pytest.mark.long
+
 CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
 SIDES = np.array([(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)])
 

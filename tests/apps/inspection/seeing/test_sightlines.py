@@ -15,6 +15,9 @@ from keepout.apps.inspection.seeing.sightlines import LIFT, Sightlines
 from keepout.core.errors import InspectionError
 from keepout.core.geometry.target import Target
 
+# Its kernels take ten seconds and more to compile.
+pytestmark = pytest.mark.long
+
 
 def sight_of(target, size):
     patches = cut(target, size)
@@ -126,7 +129,6 @@ whole = st.integers(-8, 8)
 point = st.tuples(whole, whole, whole)
 
 
-@pytest.mark.long
 @settings(max_examples=10 * settings().max_examples)
 @given(
     outline=st.lists(st.tuples(whole, whole), min_size=3, max_size=8),

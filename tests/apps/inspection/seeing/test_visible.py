@@ -12,6 +12,9 @@ from keepout.apps.inspection.seeing.sightlines import Sightlines
 from keepout.apps.inspection.seeing.visible import SeeingRules, in_frame, in_view, lit_units, visible
 from keepout.core.geometry.target import Target
 
+# Its kernels take ten seconds and more to compile.
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def pocket():

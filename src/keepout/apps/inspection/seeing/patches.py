@@ -399,6 +399,13 @@ def _span(polygon, count, axis, step, cells):
 
 
 @kernel()
+def _copy(polygon, count, to, first):
+    """Write corners into places of another array; a slice of it, copied, takes Numba a second to compile."""
+    for i in range(count):
+        to[first + i, 0], to[first + i, 1] = polygon[i, 0], polygon[i, 1]
+
+
+@kernel()
 def _pieces(triangles, region, steps, cells, least, out):
     """Cut triangles along their regions' grids.
 
@@ -437,7 +444,7 @@ def _pieces(triangles, region, steps, cells, least, out):
                 if count < 3 or area <= least:
                     continue
                 if len(counts) > 0:
-                    corners[number, :count] = piece[:count]
+                    _copy(piece, count, corners[number], 0)
                     counts[number], areas[number] = count, area
                     cell[number], face[number] = i * ny + j, f
                 number += 1
@@ -506,9 +513,9 @@ def _measure(polygon, count):
 def _outline(points, count, work):
     """Write the convex hull of points without straight corners; their number, its area and its circumference."""
     order, chain, out = work
-    order[:count] = np.arange(count)
+    order[0] = 0
     for i in range(1, count):
-        k, j = order[i], i
+        k, j = i, i
         while j > 0 and (
             points[order[j - 1], 0] > points[k, 0]
             or (points[order[j - 1], 0] == points[k, 0] and points[order[j - 1], 1] > points[k, 1])
@@ -560,9 +567,8 @@ def _merged(corners, counts, areas, true_areas, face, begin):
             number, total = 0, 0.0
             for i in range(start, end):
                 total += areas[i]
-                for k in range(counts[i]):
-                    points[number, 0], points[number, 1] = corners[i, k, 0], corners[i, k, 1]
-                    number += 1
+                _copy(corners[i], counts[i], points, number)
+                number += counts[i]
             size, area, around = _outline(points, number, work)
             if size <= _MOST_CORNERS and area - total <= _GAP * around:
                 best = start
@@ -571,7 +577,7 @@ def _merged(corners, counts, areas, true_areas, face, begin):
                     true_areas[start] += true_areas[i]
                     kept[i] = False
                 face[start], areas[start], counts[start] = face[best], total, size
-                corners[start, :size] = hull[:size]
+                _copy(hull, size, corners[start], 0)
                 continue
         again = end - start > 1
         while again:
@@ -585,15 +591,15 @@ def _merged(corners, counts, areas, true_areas, face, begin):
                         j += 1
                         continue
                     number = counts[i] + counts[j]
-                    points[: counts[i]] = corners[i, : counts[i]]
-                    points[counts[i] : number] = corners[j, : counts[j]]
+                    _copy(corners[i], counts[i], points, 0)
+                    _copy(corners[j], counts[j], points, counts[i])
                     size, area, around = _outline(points, number, work)
                     if size <= _MOST_CORNERS and area - areas[i] - areas[j] <= _GAP * around:
                         if biggest[j] > biggest[i]:
                             face[i], biggest[i] = face[j], biggest[j]
                         areas[i] += areas[j]
                         true_areas[i] += true_areas[j]
-                        corners[i, :size] = hull[:size]
+                        _copy(hull, size, corners[i], 0)
                         counts[i] = size
                         kept[j] = False
                         again = True
