@@ -41,11 +41,6 @@ import jax
 import jaxtyping
 import pytest
 from hypothesis import HealthCheck, settings
-
-# Arguments are compared with their annotations, shapes and types, but not where all is as users have it.
-if os.environ["XLA_FLAGS"]:
-    jaxtyping.install_import_hook("keepout", "beartype.beartype")
-
 from truths import real_meshes
 
 # Tests hold hundreds of thousands of objects (programs, cases), and Python looks through them all for circles each time

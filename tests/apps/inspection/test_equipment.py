@@ -88,6 +88,7 @@ def test_what_can_be_flown_is_not_refused(tables):
     equipment.require_inspectable(scenario(**tables), TARGET, room=room(1.5))
 
 
+@pytest.mark.long
 def test_a_start_in_a_hollow_is_no_start_however_wide():
     hollow = Target.load("box", parameters={"length": 20.0, "width": 20.0, "height": 20.0})
     with pytest.raises(InspectionError, match=r"start\.position: \[0\.0, 1\.0, 0\.0\] m; no way that keeps"):

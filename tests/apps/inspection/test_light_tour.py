@@ -177,6 +177,7 @@ def test_windows_are_the_times_in_which_all_is_lit():
     assert times.windows(np.array([0, 1])) == [(0.0, 0.0), (20.0, 30.0)]
 
 
+@pytest.mark.long
 def test_the_steps_are_short_where_the_sun_turns_fast():
     box = Target.load("box")
     patches = cut(box, 2.0)

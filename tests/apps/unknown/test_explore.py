@@ -154,6 +154,7 @@ def test_a_flight_by_a_map_that_was_contradicted_says_so(along_a_wire, tmp_path)
     assert not again.start_certified
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("changes", "said"),
     [

@@ -52,6 +52,7 @@ def test_steps_are_even_and_half_of_one_is_the_largest_error(rows):
     assert after["offset"] % 4 == 0
 
 
+@pytest.mark.long
 @given(
     st.lists(st.tuples(*[st.floats(-0.1, 0.1)] * 3), min_size=3, max_size=12),
     st.integers(0, 2**31),
@@ -97,6 +98,7 @@ def test_nothing_is_proved_of_a_step_that_cannot_have_been_flown(box, folder):
     assert np.isfinite(np.delete(proved, 50)).all()
 
 
+@pytest.mark.long
 def test_marks_are_where_guard_flags_and_law_spoke(folder):
     guard = np.zeros(STEPS + 1, np.int32)
     guard[40:60] = 1  # braking
@@ -213,6 +215,7 @@ def test_the_page_holds_what_was_recorded(folder, tmp_path):
 START_TO_END = START + SPEED * np.arange(STEPS + 1.0)
 
 
+@pytest.mark.long
 def test_what_comes_after_a_position_that_is_not_a_number_is_not_drawn(folder):
     position = passed(folder, "nan").position.copy()
     position[120:] = np.nan

@@ -45,6 +45,7 @@ def test_patches_have_the_area_of_the_mesh_and_are_plane_convex_and_small(name, 
     assert target.distance.distance(patches.corners.reshape(-1, 3)).max() < 2.1e-5
 
 
+@pytest.mark.long
 def test_a_box_is_cut_into_its_grid_however_its_faces_are_triangulated():
     for rounds in (0, 3):
         mesh = trimesh.creation.box(extents=(2.0, 1.0, 0.5))
