@@ -113,6 +113,7 @@ def test_small_tours_see_as_much_as_any_order_at_any_moments_does(seed):
     assert tour.area >= most_there_is(views, lit, areas) - 1e-9
 
 
+@pytest.mark.long
 def test_no_more_views_than_asked_for_and_none_where_nothing_is_lit():
     views = views_at([[1.0, 0, 0], [2.0, 0, 0]], [[1, 0], [0, 1]])
     always = light(np.ones((10, 2)))

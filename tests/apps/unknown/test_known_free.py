@@ -91,6 +91,7 @@ def test_a_refused_view_leaves_the_map_as_it_was(case):
     assert bits(known) == before
 
 
+@pytest.mark.long
 def test_a_view_is_no_jump_as_far_as_speed_and_pose_error_explain_or_in_another_flight():
     known = begin(speed_limit=0.5)
     known.see(view_from((2.0, 0.0, 0.0), time=10.0))
