@@ -8,8 +8,8 @@ STAMP := $(VENV)/.tests
 
 # A file of tests stays with one worker, which builds and compiles once what its tests share; the longest come first.
 BY_FILE := -n 2 --dist loadfile --no-loadscope-reorder
-# Arguments are compared with their annotations, shapes and types: half a minute of two cores.
-TYPED := --jaxtyping-packages=keepout,beartype.beartype
+# Arguments are compared with their annotations, shapes and types: a tenth of the time that tests take.
+TYPED = --jaxtyping-packages=$(1),beartype.beartype
 # The rooms from a mesh to a flight: the paper's system, made safe.
 CORE := tests/core
 
@@ -100,11 +100,11 @@ as-used-tests: install
 	cat $$said && rm $$said && exit $$code
 
 other-tests: types
-	$(BIN)/pytest -m "not slow and not as_used" $(BY_FILE) $(TYPED)
+	$(BIN)/pytest -m "not slow and not as_used" $(BY_FILE) $(call TYPED,keepout.core)
 
 test-all: lint
 	XLA_FLAGS= $(BIN)/python tests/where_time_goes.py --keep out/test-all -n 2 --dist loadgroup \
-		--hypothesis-profile=random $(TYPED)
+		--hypothesis-profile=random $(call TYPED,keepout)
 
 format: install
 	$(BIN)/ruff check --fix .

@@ -5,9 +5,10 @@ The barrier h = f̃ − e_h − radius − margin has relative degree 2; `cbfpy`
 barrier v_max² − ‖v‖² (relative degree 1) keeps the speed limit.
 
 Tuning. Both slopes are p, a critically damped barrier. An approach along ψ = 0 has the speed p h at h and needs the
-deceleration p² h: from v_max that is p v_max, within the authority for p ≤ 4 mm/s² / 0.1 m/s = 0.04/s, which is p here.
-Of `choices` 0.01/s does best on the field; around the ellipsoid all do alike. A reading, not tested: where the nearest
-surface changes, the barrier falls faster than any thrust can answer, whatever p, and the program is relaxed.
+deceleration p² h: from v_max that is p v_max, within the authority for p ≤ 4 mm/s² / 0.1 m/s = 0.04/s. Around the
+ellipsoid all `choices` do alike and p is 0.04/s; on the field 0.01/s does best, and p is that. A reading, not tested:
+where the nearest surface changes, the barrier falls faster than any thrust can answer, whatever p, and the program is
+relaxed.
 
 `cbfpy`'s default `solver_tol` of 1e-3 is an absolute residual: as an acceleration in m/s² it is a quarter of what the
 thrusters have. Here the control is in units of the authority and the barrier's rows are divided by it, so that all
@@ -116,7 +117,7 @@ class BarrierOnField(Rival):
     name = "CBF-QP on Keepout's field"
     packages = ("cbfpy",)
     choices = {"rate": (0.005, 0.01, 0.02, 0.03, 0.04)}  # noqa: RUF012
-    rate: float = 0.04
+    rate: float = 0.01
     solver_tolerance: float = 1e-6
 
     def _made(self, case: RivalCase, field: Field, offset: float) -> BarrierProgram:
@@ -139,6 +140,7 @@ class BarrierOnEllipsoid(BarrierOnField):
     """CBF-QP on the smallest ellipsoid."""
 
     name = "CBF-QP on the ellipsoid"
+    rate: float = 0.04
 
     def prototype(self, case: RivalCase, start: Point, goal: Point) -> BarrierProgram:
         """Give the law of the case; a pair with an end in the envelope is refused."""

@@ -114,10 +114,16 @@ class OffsetSolid:
         exterior[unhidden] = self.distance.distance(points[unhidden]) > self.offset
         return exterior
 
-    def signed_distance(self, points: Points) -> Float[np.ndarray, "n"]:
-        """Signed distance in metres to the complement of the exterior of {d > offset}; see the class."""
+    def signed_distance(self, points: Points, d: Float[np.ndarray, "n"] | None = None) -> Float[np.ndarray, "n"]:
+        """Signed distance in metres to the complement of the exterior of {d > offset}; see the class.
+
+        Args:
+            points: (n, 3) metres.
+            d: `distance` there, metres, where that is known; else it is asked.
+
+        """
         points = np.ascontiguousarray(points, dtype=np.float64)
-        signed = self.distance.distance(points) - self.offset
+        signed = (self.distance.distance(points) if d is None else d) - self.offset
         cell = self._cells.locate(points)
         inside = (cell >= 0) & self._hidden[cell]
         depth = self._hiding.nearest(False, points[inside], np.full(int(inside.sum()), np.inf))
@@ -137,17 +143,19 @@ class OffsetSolid:
         undecided = np.flatnonzero(~reachable)
         d = self.distance.distance(points[undecided])
         undecided, d = undecided[d < self.envelope], d[d < self.envelope]
-        # Away from the nearest surface; on a surface, to the one side and then to the other.
+        # Away from the nearest surface; on a surface, to the one side and, where that leads nowhere, to the other.
         aside = np.random.default_rng(0).normal(size=(len(undecided), 3))
         aside *= (_ASIDE * (d < _ASIDE) / np.linalg.norm(aside, axis=1))[:, None]
-        for side in (aside, -aside):
-            walkers, going = points[undecided] + side, np.arange(len(undecided))
+        for side in (1.0, -1.0):
+            walkers, going = points[undecided] + side * aside, np.arange(len(undecided))
             for _ in range(_WALK):
                 here, gradient = self.distance.distance_and_gradient(walkers[going])
                 stride = np.clip(1.1 * self.envelope - here, 0.0, _STRIDE * here)
                 walkers[going] += stride[:, None] * gradient
                 going = going[stride > 0.0]
-            reachable[undecided] |= self.is_exterior(walkers)
+            reachable[undecided] = self.is_exterior(walkers)
+            again = ~reachable[undecided] & (d < _ASIDE)
+            undecided, aside, d = undecided[again], aside[again], d[again]
         return reachable
 
     @property

@@ -9,7 +9,7 @@ from typing import Protocol, runtime_checkable
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Float32
+from jaxtyping import Bool, Float, Float32, Int
 
 from keepout.core.fields.continuation import Domain
 from keepout.core.geometry.distance import Distance, ExactDistance, Points
@@ -20,12 +20,12 @@ from keepout.core.learning.losses import Batch, TrainingProfile
 HIDDEN_DEPTH = 0.1
 """Metres. In space that no chaser reaches, Keepout's loss only asks the field to stay below minus this (or the exact
 value nearer by)."""
-ON_LEVEL, NEAR = 100_000, 200_000
+ON_LEVEL, NEAR = 50_000, 200_000
 """Candidates on the surface, as on the chaser's contact surface, new ones every round; and those in the room next to
-the surface (`Domain.room`), which stay."""
+the surface (`Domain.room`), at most: of the labelled samples, and they stay."""
 WORST, ROUNDS_KEPT = 1500, 3
 """Over-statements of each kind that a round keeps, and the rounds that are learned from."""
-CLIMBERS = 4096
+CLIMBERS = 2048
 """Worst candidates that climb."""
 ASCENT = (0.08, 0.05, 0.03, 0.02, 0.01, 0.005)
 """Metres. Steps by which they climb."""
@@ -57,6 +57,10 @@ class Samples:
     smooth: Bool[np.ndarray, "n"]
     hidden: Bool[np.ndarray, "n"]
 
+    def picked(self, which: Int[np.ndarray, "m"]) -> "Samples":
+        """Give some of them."""
+        return Samples(*(getattr(self, entry.name)[which] for entry in dataclasses.fields(Samples)))
+
 
 def label(solid: OffsetSolid, points: Points, *, whole_depth: bool = False) -> Samples:
     """Exact labels for points: signed distance of the offset solid, gradient where one surface decides it.
@@ -73,8 +77,8 @@ def label(solid: OffsetSolid, points: Points, *, whole_depth: bool = False) -> S
 
     """
     points = points.astype(np.float32).astype(np.float64)
-    signed = solid.signed_distance(points)
     d, gradient = solid.distance.distance_and_gradient(points)
+    signed = solid.signed_distance(points, d)
     reachable = solid.is_reachable(points)
     bare = np.where(
         signed > 0.0, np.minimum(d - solid.offset, signed + solid.envelope - solid.offset), d - solid.offset
@@ -167,18 +171,12 @@ class Hunt:
 
     @classmethod
     def prepare(
-        cls,
-        solid: OffsetSolid,
-        domain: Domain,
-        chaser_radius: float,
-        profile: TrainingProfile,
-        generator: np.random.Generator,
+        cls, solid: OffsetSolid, domain: Domain, chaser_radius: float, profile: TrainingProfile, samples: Samples
     ) -> "Hunt":
-        """Sample the candidates that stay."""
-        distance = solid.distance
-        near = training_points(distance, domain, 3 * NEAR, generator, room_share=profile.room_share)
-        near = label(solid, near[distance.distance(near) < domain.room][:NEAR])
-        return cls(solid, domain, chaser_radius, near, profile)
+        """Take the candidates that stay from what is learned: the room next to the surface, evenly picked."""
+        near = np.flatnonzero(samples.distance < domain.room)
+        near = near[np.linspace(0, len(near) - 1, min(NEAR, len(near))).astype(int)]
+        return cls(solid, domain, chaser_radius, samples.picked(near), profile)
 
     @property
     def levels(self) -> tuple[float, ...]:

@@ -1,4 +1,4 @@
-"""Learning a field: two phases of gradient descent, the second fed with the worst over-statements found."""
+"""Learning a field: gradient descent in three phases, the later two fed with the worst over-statements found."""
 
 import dataclasses
 import functools
@@ -35,15 +35,17 @@ from keepout.core.whole_file import write_whole
 
 ROWS = 2048
 """Points that the network in mid-training is asked at together, float32."""
-BLOCK = 250
-"""Steps between progress reports, checkpoints and counter-example searches; one compiled loop runs them."""
+BLOCK, ROUND = 250, 50
+"""Steps between progress reports, checkpoints and searches for counter-examples; in the last phase, and in one compiled
+loop."""
 WATCHED = 4096
 """Labelled points on which the training curve follows the field's mean error."""
 HARD_SHARE, HARD_WEIGHT = 0.3, 2.0
-TUNING_RATE = 0.4
+TUNING_RATE, POLISH_RATE = 0.4, 0.1
+"""Learning rates at the start of the second and of the third phase, to that of the first."""
 SETTLING = 1 / 3
-"""Last share of the counter-example phase, in which under-statement is no longer hunted: it holds what it has gained,
-and the certified side settles last."""
+"""Last share of the counter-example phase, from which on under-statement is no longer hunted: it holds what it has
+gained, and the certified side settles last."""
 
 
 CURVE = ("value_term", "gradient_term", "mean_error_m")
@@ -102,15 +104,17 @@ def fit(
         raise FieldError(f"chaser radius {chaser_radius:g} m: for {target.name} it must be 0 to {largest:.3g} m")
     if solid is None:
         solid = OffsetSolid.build(distance, progress=lambda part, text: progress(0.08 * part, f"offset solid: {text}"))
+    sealed = time.perf_counter()
     generator = np.random.default_rng(seed)
     progress(0.08, "labelling samples")
     points = training_points(distance, domain, numbers.samples, generator, room_share=numbers.room_share)
     samples = label(solid, points, whole_depth=numbers.loss != "keepout")
     hunt = None
     if numbers.tuning_steps:
-        hunt = Hunt.prepare(solid, domain, chaser_radius, numbers, generator)
+        hunt = Hunt.prepare(solid, domain, chaser_radius, numbers, samples)
     data = normalised(samples, domain, numbers.near / (np.abs(samples.distance) + numbers.near))
-    course = _Course(numbers, domain, hunt, losses.Parted.by(numbers, data), _watched(samples), seed)
+    seconds = {"solid": sealed - start, "labels": time.perf_counter() - sealed, "hunts": 0.0, "steps": 0.0}
+    course = _Course(numbers, domain, hunt, losses.Parted.by(numbers, data), _watched(samples), seed, seconds)
 
     entries = [target.sha256, solid.offset, solid.closing_radius, dataclasses.asdict(numbers), chaser_radius, seed]
     kept = None if checkpoint is None else _Checkpoint(checkpoint, digest(json.dumps(entries)))
@@ -124,9 +128,10 @@ def fit(
         "seed": seed,
         "sloped_share": len(course.examples.sloped.x) / len(data.x),
         "seconds": time.perf_counter() - start,
+        "seconds_of": seconds,
         "closing_radius": solid.closing_radius,
         "curve": {
-            "steps": [BLOCK * (block + 1) for block in range(course.blocks)],
+            "steps": [sum(course.lengths[: block + 1]) for block in range(len(course.lengths))],
             **{name: column.tolist() for name, column in zip(CURVE, np.asarray(state.curve, np.float64).T)},
         },
         "jax": jax.__version__,
@@ -140,7 +145,7 @@ def fit(
 
 @dataclasses.dataclass(frozen=True)
 class _Course:
-    """What the blocks of a fit have in common."""
+    """What the blocks of a fit have in common, and the seconds of its parts so far."""
 
     numbers: losses.TrainingProfile
     domain: Domain
@@ -148,13 +153,17 @@ class _Course:
     examples: losses.Parted
     watched: Samples
     seed: int
+    seconds: dict[str, float]
 
     @property
-    def blocks(self) -> int:
-        return self.numbers.steps // BLOCK + self.numbers.tuning_steps // BLOCK
+    def lengths(self) -> list[int]:
+        """Steps of each block."""
+        return block_lengths(self.numbers)
 
-    def is_tuning(self, block: int) -> bool:
-        return block >= self.numbers.steps // BLOCK
+    def phase(self, block: int) -> int:
+        """Give 0 for a block of the first phase, 1 for one that learns from counter-examples, 2 for the polish."""
+        first = self.numbers.steps // BLOCK
+        return int(block >= first) + int(block >= first + self.numbers.tuning_steps // BLOCK)
 
     def taken(self, state: _State, checkpoint: "_Checkpoint | None", name: str, progress: Progress) -> _State:
         """Take all blocks from a state, or from a checkpoint, which is kept up to date; `name` is the target's.
@@ -166,42 +175,66 @@ class _Course:
         if checkpoint is not None and checkpoint.path.exists():
             state = checkpoint.load(state)
         first, clock = int(state.block), time.perf_counter()
-        for block in range(first, self.blocks):
-            state = self.advanced(state, block)
+        blocks, steps = len(self.lengths), np.cumsum(self.lengths)
+        for block in range(first, blocks):
+            begun = time.perf_counter()
+            state = self.hunted(state, block)
+            found_at = time.perf_counter()
+            state = self.trained(state, block)
             value_term, slope_term, _ = (float(number) for number in state.curve[block])
             if not math.isfinite(value_term):
-                raise FieldError(f"training of {name}: the loss is not finite at step {(block + 1) * BLOCK}")
+                raise FieldError(f"training of {name}: the loss is not finite at step {steps[block]}")
+            self.seconds["hunts"] += found_at - begun
+            self.seconds["steps"] += time.perf_counter() - found_at
             if checkpoint is not None:
                 checkpoint.save(state)
             if block == first:  # it has compiled too, and tells nothing of the others
                 clock, left = time.perf_counter(), ""
             else:
-                each = (time.perf_counter() - clock) / (block - first)
-                left = f", {each * (self.blocks - block - 1):.0f} s left"
-            found = f", worst over-statement {float(state.worst):+.3f} m" if self.is_tuning(block) else ""
+                each = (time.perf_counter() - clock) / (steps[block] - steps[first])
+                left = f", {each * (steps[-1] - steps[block]):.0f} s left"
+            found = f", worst over-statement {float(state.worst):+.3f} m" if self.phase(block) else ""
             told = f"distance {value_term:.4f}, gradient {slope_term:.4f}{found}{left}"
-            progress((block + 1) / self.blocks, told)
+            progress(steps[block] / steps[-1], told)
         return state
 
-    def advanced(self, state: _State, block: int) -> _State:
-        """Take the steps of one block; in the counter-example phase, with what the network is most wrong at now."""
-        numbers, domain, tuning = self.numbers, self.domain, self.is_tuning(block)
-        if self.hunt is not None and tuning:
-            known = np.asarray(state.hard.x, np.float64) * domain.learned_radius + domain.centre
-            fresh, worst = self.hunt.worst(
-                Learned(state.layers, numbers.beta, domain),
-                known,
-                np.random.default_rng((self.seed, block)),
-                settling=self.blocks - block <= SETTLING * (numbers.tuning_steps // BLOCK),
-            )
-            hard = jax.tree.map(lambda new, old: jnp.concatenate([new, old])[: len(old)], fresh, state.hard)
-            state = state._replace(hard=hard, worst=jnp.asarray(worst, jnp.float32))
-        if block == numbers.steps // BLOCK:
-            state = state._replace(optimizer=_optimizer(numbers, tuning).init(state.layers))
-        key = jax.random.fold_in(jax.random.key(self.seed), block)
-        layers, optimizer, value_term, slope_term = _train_block(
-            numbers, domain.learned_radius, tuning, state, self.examples, key
+    def hunted(self, state: _State, block: int) -> _State:
+        """Renew, but for the first phase, the counter-examples: what the network is most wrong at now."""
+        numbers, domain = self.numbers, self.domain
+        if self.hunt is None or self.phase(block) == 0:
+            return state
+        known = np.asarray(state.hard.x, np.float64) * domain.learned_radius + domain.centre
+        settled = (numbers.steps + (1.0 - SETTLING) * numbers.tuning_steps) // BLOCK
+        fresh, worst = self.hunt.worst(
+            Learned(state.layers, numbers.beta, domain),
+            known,
+            np.random.default_rng((self.seed, block)),
+            settling=block >= settled,
         )
+        hard = jax.tree.map(lambda new, old: jnp.concatenate([new, old])[: len(old)], fresh, state.hard)
+        return state._replace(hard=hard, worst=jnp.asarray(worst, jnp.float32))
+
+    def trained(self, state: _State, block: int) -> _State:
+        """Take the steps of one block."""
+        numbers, domain, phase = self.numbers, self.domain, self.phase(block)
+        if block == 0 or phase != self.phase(block - 1):
+            state = state._replace(optimizer=_optimizer(numbers).init(state.layers))
+        key = jax.random.fold_in(jax.random.key(self.seed), block)
+        rates = learning_rates(numbers, block)
+        terms, layers, optimizer = [], state.layers, state.optimizer
+        for n in range(0, len(rates), ROUND):
+            state = state._replace(layers=layers, optimizer=optimizer)
+            layers, optimizer, *means = _train_round(
+                numbers,
+                domain.learned_radius,
+                phase > 0,
+                state,
+                self.examples,
+                jax.random.fold_in(key, n),
+                rates[n : n + ROUND],
+            )
+            terms.append(means)
+        value_term, slope_term = (jnp.stack(means).mean() for means in zip(*terms))
         points, distance = self.watched.points.astype(np.float64), self.watched.distance
         offset = Learned(layers, numbers.beta, domain).value(points) - distance
         reached = jnp.stack([value_term, slope_term, jnp.asarray(offset.mean(), jnp.float32)])
@@ -233,9 +266,8 @@ def _initial(profile: losses.TrainingProfile, data: losses.Batch, hard_count: in
         biases[0] = jax.random.uniform(keys[-1], (width,), jnp.float32, -0.5, 0.5)
     layers = neural.Layers(tuple(weights), tuple(biases))
     hard = jax.tree.map(lambda a: jnp.resize(a, (hard_count, *a.shape[1:])), data)
-    optimizer = _optimizer(profile, tuning=False).init(layers)
-    blocks = profile.steps // BLOCK + profile.tuning_steps // BLOCK
-    curve = jnp.full((blocks, len(CURVE)), jnp.nan, jnp.float32)
+    optimizer = _optimizer(profile).init(layers)
+    curve = jnp.full((len(block_lengths(profile)), len(CURVE)), jnp.nan, jnp.float32)
     return _State(layers, optimizer, hard, jnp.asarray(0, jnp.int32), jnp.asarray(jnp.inf, jnp.float32), curve)
 
 
@@ -243,26 +275,43 @@ def _watched(samples: Samples) -> Samples:
     """Give the samples on which the training curve follows the field: evenly picked, of those with a label."""
     labelled = np.flatnonzero(~samples.hidden)
     picked = labelled[np.linspace(0, len(labelled) - 1, min(WATCHED, len(labelled))).astype(int)]
-    return Samples(*(getattr(samples, entry.name)[picked] for entry in dataclasses.fields(Samples)))
+    return samples.picked(picked)
 
 
-def _optimizer(profile: losses.TrainingProfile, tuning: bool) -> optax.GradientTransformation:
-    steps = profile.tuning_steps if tuning else profile.steps
+def block_lengths(profile: losses.TrainingProfile) -> list[int]:
+    """Give the steps of each block of a fit."""
+    blocks = profile.steps // BLOCK + profile.tuning_steps // BLOCK
+    return [BLOCK] * blocks + [ROUND] * (profile.polish_steps // ROUND)
 
-    def schedule(start: float) -> optax.Schedule:
-        rate = start * (TUNING_RATE if tuning else 1.0)
-        if profile.halving:
-            return optax.exponential_decay(rate, profile.halving, 0.5, staircase=True)
-        return optax.warmup_cosine_decay_schedule(0.1 * rate, rate, min(100, steps // 10), steps, 0.01 * rate)
 
+def _optimizer(profile: losses.TrainingProfile) -> optax.GradientTransformation:
+    """Make the profile's optimiser, at its learning rates; `learning_rates` says by how much of them a step moves."""
     if profile.optimizer == "adam":
-        return optax.adam(schedule(profile.learning_rate), b2=profile.adam_b2)
+        return optax.adam(profile.learning_rate, b2=profile.adam_b2)
     return optax.contrib.muon(
-        schedule(profile.muon_rate),
-        adam_learning_rate=schedule(profile.learning_rate),
+        profile.muon_rate,
+        adam_learning_rate=profile.learning_rate,
         adam_b2=profile.adam_b2,
         muon_weight_dimension_numbers=_hidden_matrices,  # pyright: ignore[reportArgumentType]
     )
+
+
+def learning_rates(profile: losses.TrainingProfile, block: int) -> Float32[np.ndarray, "steps"]:
+    """Give the learning rate of each step of a block, to the profile's: a schedule for each phase, from its begin."""
+    lengths = block_lengths(profile)
+    blocks = (profile.steps // BLOCK, profile.tuning_steps // BLOCK, profile.polish_steps // ROUND)
+    ends = np.cumsum(blocks)
+    phase = int(np.searchsorted(ends, block, side="right"))
+    first, last = int(ends[phase] - blocks[phase]), int(ends[phase])
+    steps, done = sum(lengths[first:last]), sum(lengths[first:block])
+    start = (1.0, TUNING_RATE, POLISH_RATE)[phase]
+    if profile.halving:
+        schedule = optax.exponential_decay(start, profile.halving, 0.5, staircase=True)
+    elif phase == 2:
+        schedule = optax.cosine_decay_schedule(start, steps, 0.01)
+    else:
+        schedule = optax.warmup_cosine_decay_schedule(0.1 * start, start, min(100, steps // 10), steps, 0.01 * start)
+    return np.asarray(jax.vmap(schedule)(jnp.arange(done, done + lengths[block])), np.float32)
 
 
 def _hidden_matrices(layers: Any) -> Any:
@@ -275,14 +324,20 @@ def _hidden_matrices(layers: Any) -> Any:
 
 
 @functools.partial(jax.jit, static_argnums=(0, 1, 2), compiler_options=NO_LIBRARIES)
-def _train_block(
-    profile: losses.TrainingProfile, scale: float, tuning: bool, state: _State, data: losses.Parted, key: Array
+def _train_round(
+    profile: losses.TrainingProfile,
+    scale: float,
+    tuning: bool,
+    state: _State,
+    data: losses.Parted,
+    key: Array,
+    rates: Float32[Array, "steps"],
 ):
-    """`BLOCK` steps in one compiled loop.
+    """Take a step for each of the rates, in one compiled loop.
 
     Each step's easy points have the kinds of `losses.Parted` in the shares in which all of them have.
     """
-    optimizer = _optimizer(profile, tuning)
+    optimizer = _optimizer(profile)
     counts = [len(part.x) for part in data]
     batch = min(profile.batch, sum(counts))
     hard = round(HARD_SHARE * batch) if tuning else 0
@@ -299,8 +354,8 @@ def _train_block(
         row = jax.random.randint(key, (number,), 0, max(len(part.x), 1))
         return jax.tree.map(lambda column: column[row], part)
 
-    def step(carry, step_key):
-        layers, optimizer_state = carry
+    def step(carry, now):
+        (layers, optimizer_state), (step_key, rate) = carry, now
         if batch == sum(counts) and not tuning:
             parts = list(data)
         else:
@@ -309,10 +364,11 @@ def _train_block(
         rows = jax.tree.map(lambda *columns: jnp.concatenate(columns), *parts)
         (_, means), gradient = jax.value_and_grad(loss, has_aux=True)(layers, rows)
         updates, optimizer_state = optimizer.update(gradient, optimizer_state, layers)
+        updates = jax.tree.map(lambda update: rate * update, updates)
         return (optax.apply_updates(layers, updates), optimizer_state), means
 
-    keys = jax.random.split(key, BLOCK)
-    (layers, optimizer_state), (value_term, slope_term) = jax.lax.scan(step, (state.layers, state.optimizer), keys)
+    each = jax.random.split(key, len(rates)), rates
+    (layers, optimizer_state), (value_term, slope_term) = jax.lax.scan(step, (state.layers, state.optimizer), each)
     return layers, optimizer_state, value_term.mean(), slope_term.mean()
 
 
