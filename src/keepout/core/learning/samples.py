@@ -25,7 +25,7 @@ ON_LEVEL, NEAR = 50_000, 200_000
 the surface (`Domain.room`), at most: of the labelled samples, and they stay."""
 WORST, ROUNDS_KEPT = 1500, 3
 """Over-statements of each kind that a round keeps, and the rounds that are learned from."""
-CLIMBERS = 2048
+CLIMBERS = 4096
 """Worst candidates that climb."""
 ASCENT = (0.08, 0.05, 0.03, 0.02, 0.01, 0.005)
 """Metres. Steps by which they climb."""
