@@ -1,6 +1,7 @@
 """Parts of a user's own that are not what they should be: refused when they are given, in one line that says what."""
 
 import functools
+import json
 from typing import Any
 
 import jax
@@ -12,6 +13,8 @@ import pytest
 import keepout
 from keepout.core.errors import ControlError, FieldError, KeepoutError, ScenarioError
 from keepout.core.motion.chaser import Firing
+from keepout.flights.pages import terminal
+from keepout.flights.pages.folder import write_flight
 
 GOAL = (0.0, -10.0, -4.0)
 MISSION = """
@@ -194,6 +197,35 @@ def test_a_law_that_is_right_is_taken(mission):
     assert mission.with_law(Law({})).setup.controller == Law({})
     assert mission.with_law(mission.setup.controller).setup == mission.setup
     assert mission.with_guard(None).setup.guard is None
+
+
+class LosesItself(keepout.Law):
+    """Commands what is no number from the sixth step on."""
+
+    @property
+    def goal(self):
+        return jnp.array(GOAL)
+
+    def initial_state(self, state):
+        return 0
+
+    def step(self, state, estimate):
+        return state + 1, keepout.Command.of_force(jnp.where(state > 4, jnp.nan, 0.0) * jnp.ones(3))
+
+
+@pytest.mark.long
+def test_a_flight_that_ends_in_no_numbers_is_told_and_kept(mission, tmp_path):
+    flight = mission.with_law(LosesItself()).fly()
+    summary = json.loads(json.dumps(flight.summary(), allow_nan=False))
+    told = summary["contact_verdict"], summary["minimum_clearance_m"], summary["final_error_m"]
+    assert told == ("undecided", None, None)
+    assert flight.verdict.why == "the sample at 5 s holds a number that is not finite"
+    apart = mission.target.distance.distance(flight.record.position[:5]) - mission.scenario.chaser.radius
+    np.testing.assert_allclose(flight.clearance[:5], apart)
+    assert np.isnan(flight.clearance[-1])
+    page = write_flight(tmp_path, "lost", flight, title="", introduction="")
+    assert "where it ended is no number" in terminal.verdict(page)
+    assert (tmp_path / "index.html").exists()
 
 
 BOX = {"lower": [-1.0, -1.0, -1.0], "upper": [1.0, 1.0, 1.0]}

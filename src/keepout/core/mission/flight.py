@@ -51,6 +51,11 @@ class Verdict:
         return f"{self.contact}, {certified[self.certified]}: {self.why}"
 
 
+def _finite(number: Any) -> float | None:
+    """Give a figure as JSON has it: None where it is not finite."""
+    return float(number) if np.isfinite(number) else None
+
+
 @dataclass(frozen=True)
 class Flight:
     """One flown scenario: what was recorded, what became of it, and the audit on the exact mesh.
@@ -85,21 +90,22 @@ class Flight:
     def summary(self) -> dict[str, Any]:
         """Give the flight's figures as plain numbers for JSON.
 
-        `contact` is true unless the audit proves that there was none; `contact_verdict` tells the cases apart.
+        `contact` is true unless the audit proves that there was none; `contact_verdict` tells the cases apart. A
+        figure that is not finite, after a command that was no number, is None.
         """
         return {
             "reached": bool(self.outcome.reached),
             "contact": self.audit.contact is not Contact.NO,
             "contact_verdict": str(self.audit.contact),
-            "minimum_clearance_m": self.audit.minimum_clearance,
-            "measured_clearance_m": found if np.isfinite(found := self.audit.measured_clearance) else None,
-            "final_error_m": float(self.outcome.final_error),
-            "delta_v_mps": float(self.outcome.delta_v),
+            "minimum_clearance_m": _finite(self.audit.minimum_clearance),
+            "measured_clearance_m": _finite(self.audit.measured_clearance),
+            "final_error_m": _finite(self.outcome.final_error),
+            "delta_v_mps": _finite(self.outcome.delta_v),
             "propellant_kg": None if self.outcome.propellant is None else float(self.outcome.propellant),
             "saturated_fraction": float(self.outcome.saturated_fraction),
             "guard_interventions": int(self.outcome.guard_interventions),
             "time_to_reach_s": float(self.outcome.time_to_reach) if self.outcome.reached else None,
-            "largest_speed_mps": self.audit.largest_speed,
+            "largest_speed_mps": _finite(self.audit.largest_speed),
             "statuses": status_counts(self.outcome),
             "start_certified": self.start_certified,
             "assumptions_broken": list(self.assumptions_broken),
@@ -120,7 +126,7 @@ class Flight:
         contact, why = {
             Contact.NO: ("proved free", [known]),
             Contact.YES: ("contact", [found]),
-            Contact.UNDECIDED: ("undecided", [known, found]),
+            Contact.UNDECIDED: ("undecided", [known, found] if np.isfinite(audit.minimum_clearance) else []),
         }[audit.contact]
         if self.start_certified is not None:
             beyond = self.assumptions_broken or ("the guard's theorem does not cover the start",)
@@ -269,7 +275,9 @@ def recorded(
         force_limit=scenario.chaser.force_limit,
         speed_limit=scenario.chaser.speed_limit,
     )
-    clearance = target.distance.distance(record.position) - scenario.chaser.radius
+    known = np.isfinite(record.position).all(axis=1)  # a law of one's own may command what is no number
+    clearance = np.full(len(known), np.nan)
+    clearance[known] = target.distance.distance(record.position[known]) - scenario.chaser.radius
     guard = guard_numbers(setup.guard, scenario) if isinstance(setup.guard, Guard) else None
     certified, broken = standing
     certified = None if certified is None else certified and not broken

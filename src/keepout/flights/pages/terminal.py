@@ -392,6 +392,8 @@ def verdict(summary: Mapping[str, Any]) -> str:
         ended = f"{summary['outcome'][0].upper()}{summary['outcome'][1:]}: {summary['why']}"
     elif summary["reached"]:
         ended = f"Reached its goal after {summary['time_to_reach_s']:g} s"
+    elif summary["final_error_m"] is None:
+        ended = "Did not reach its goal, and where it ended is no number"
     else:
         ended = f"Did not reach its goal: {summary['final_error_m']:.3g} m away at the end"
     head = verdict_of(summary)
