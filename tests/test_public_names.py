@@ -112,6 +112,16 @@ def test_every_verb_reads_a_mission_in_the_same_way(verb, tmp_path):
     assert set(told) == {"mass: -1.0 must be greater than 0"}
 
 
+def test_a_dot_after_a_scenario_offers_its_entries_and_nothing_of_pydantic():
+    made = {"load", "of", "parse", "replace", "resolved", "steps"}
+    assert {name for name in dir(keepout.Scenario()) if not name.startswith("_")} == made | set(
+        keepout.Scenario.model_fields
+    )
+    assert {name for name in dir(keepout.Scenario) if not name.startswith("_")} <= made | set(
+        keepout.Scenario.model_fields
+    )
+
+
 def test_old_names_warn_and_are_what_they_were():
     for name in keepout._OLD:
         with pytest.warns(DeprecationWarning, match=f"keepout.{name} goes"):

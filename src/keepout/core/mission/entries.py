@@ -5,7 +5,7 @@ said in its table's docstring, of which the first line says what the table is fo
 """
 
 import inspect
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Annotated, Any, Literal
 
 from pydantic import (
@@ -69,6 +69,14 @@ class _Documented(type(BaseModel)):
             namespace[key] = Field(description=meaning, **default)
         return super().__new__(mcs, name, bases, namespace, **options)
 
+    def __dir__(cls) -> list[str]:
+        """Leave out what pydantic brings: whoever types a dot looks for entries."""
+        return _own(super().__dir__())
+
+
+def _own(names: Iterable[str]) -> list[str]:
+    return [name for name in names if name.startswith("__") or not hasattr(BaseModel, name)]
+
 
 class Entry(BaseModel, metaclass=_Documented):
     """A table of a scenario: immutable, without unknown keys, and with values of the kind that each entry asks for.
@@ -87,6 +95,10 @@ class Entry(BaseModel, metaclass=_Documented):
         for said in self._contradictions():
             raise ValueError(said)
         return self
+
+    def __dir__(self) -> list[str]:
+        """Leave out what pydantic brings."""
+        return _own(super().__dir__())
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> Any:
