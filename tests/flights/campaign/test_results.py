@@ -237,3 +237,18 @@ def test_many_parts_are_read_in_their_order_whatever_texts_each_has(tmp_path):
     assert [kinds.values[k] for k in kinds.codes] == columns["disturbance.kind"].tolist()
     np.testing.assert_array_equal(read["chaser.mass"], columns["chaser.mass"])
     np.testing.assert_array_equal(read["run"], np.arange(runs))
+
+
+def test_a_column_of_before_is_read_by_its_name_of_today(tmp_path):
+    columns = world(10) | {"measured_clearance": np.arange(10.0)}
+    folder = write_campaign(tmp_path / "old", scenario(10), columns, chunk=4)
+    for path in folder.rglob("*.parquet"):
+        table = pq.read_table(path)
+        before = [{"measured_clearance": "minimum_clearance_found"}.get(name, name) for name in table.column_names]
+        pq.write_table(table.rename_columns(before).replace_schema_metadata(table.schema.metadata), path)
+    read = read_campaign(folder)
+    asked = ["run", "measured_clearance"]
+    assert set(asked) <= set(read.names) == set(read.table().column_names)
+    np.testing.assert_array_equal(read.arrays(asked)["measured_clearance"], np.arange(10.0))
+    assert read.rows([7], asked) == [{"run": 7, "measured_clearance": 7.0}]
+    assert read.part(1, ["measured_clearance"]).column_names == ["measured_clearance"]

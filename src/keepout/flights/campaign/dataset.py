@@ -241,7 +241,7 @@ class Dataset:
             FlightError: no part is done.
 
         """
-        return tuple(self._schema.names)
+        return tuple(table.named_now(self._schema.names))
 
     @cached_property
     def _schema(self) -> pa.Schema:
@@ -269,16 +269,15 @@ class Dataset:
         if absent:
             raise FlightError(f"{self.folder}: its table has no column {absent[0]}; this version did not fly it")
         paths = [self._table(number) for number in self.parts]
-        text = {name for name in columns if pa.types.is_string(self._schema.field(name).type)}
+        kinds = dict(zip(self.names, self._schema.types))
+        text = {name for name in columns if pa.types.is_string(kinds[name])}
         try:
             for number, path in zip(self.parts, paths):
                 begin, count = number * self.identity["chunk"], pq.read_metadata(path).num_rows
                 end = min(begin + self.identity["chunk"], self.runs)
                 if count != end - begin:
                     raise self._damaged(f"{count} rows for the runs {begin} to {end - 1}")
-            whole = pq.read_table(
-                paths, columns=list(columns), read_dictionary=list(text), page_checksum_verification=True
-            )
+            whole = table.read(paths, columns, read_dictionary=list(text))
         except (OSError, pa.ArrowException) as error:
             raise self._damaged(_line(error)) from None
         return {
@@ -297,7 +296,7 @@ class Dataset:
         found: list[dict[str, Any]] = []
         for number in self.parts:
             if number in wanted:
-                part = pq.read_table(self._table(number), columns=list(columns))
+                part = table.read([self._table(number)], columns)
                 found += part.filter(pc.field("run").isin(list(runs))).to_pylist()
         return found
 

@@ -2,6 +2,7 @@
 
 import io
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -122,6 +123,38 @@ def to_bytes(table: pa.Table, marks: dict[str, str]) -> bytes:
     return stream.getvalue()
 
 
+def named_now(there: Sequence[str]) -> list[str]:
+    """Give the names that columns of a file have today."""
+    return [_RENAMED.get(name, name) for name in there]
+
+
+def read(source: Sequence[Path] | pa.Buffer, columns: Sequence[str] | None = None, **options: Any) -> pa.Table:
+    """Read Parquet files of one schema, or some columns of them, under the names that columns have today.
+
+    Args:
+        source: at least one path, or the content of one file.
+        columns: their names today; all, if None.
+        options: of `pyarrow.parquet.read_table`.
+
+    Raises:
+        OSError: a file that cannot be read.
+        pyarrow.ArrowException: a file that is damaged, or has no such column.
+
+    """
+    is_content = isinstance(source, pa.Buffer)
+    there = pq.read_schema(pa.BufferReader(source) if is_content else source[0]).names
+    before = dict(zip(named_now(there), there))
+    stored = None if columns is None else [before.get(name, name) for name in columns]
+    found = pq.read_table(
+        pa.BufferReader(source) if is_content else list(source),
+        columns=stored,
+        page_checksum_verification=True,
+        **options,
+    )
+    named = found.rename_columns(named_now(found.column_names))
+    return named.replace_schema_metadata(found.schema.metadata)
+
+
 def of_bytes(content: bytes, columns: list[str] | None = None) -> pa.Table:
     """Read what `to_bytes` gave, or some columns of it.
 
@@ -130,9 +163,7 @@ def of_bytes(content: bytes, columns: list[str] | None = None) -> pa.Table:
 
     """
     try:
-        found = pq.read_table(pa.BufferReader(content), columns=columns, page_checksum_verification=True)
-        named = found.rename_columns([_RENAMED.get(name, name) for name in found.column_names])
-        return named.replace_schema_metadata(found.schema.metadata)
+        return read(pa.py_buffer(content), columns)
     except Exception as error:  # damaged bytes surface as almost anything a reading library can raise
         raise FlightError(f"damaged, truncated or foreign ({' '.join(str(error).split())[:120]})") from error
 
