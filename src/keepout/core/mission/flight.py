@@ -276,7 +276,7 @@ def recorded(
         speed_limit=scenario.chaser.speed_limit,
     )
     known = np.isfinite(record.position).all(axis=1)  # a law of one's own may command what is no number
-    clearance = np.full(len(known), np.nan)
+    clearance = np.full(len(record.position), np.nan)
     clearance[known] = target.distance.distance(record.position[known]) - scenario.chaser.radius
     guard = guard_numbers(setup.guard, scenario) if isinstance(setup.guard, Guard) else None
     certified, broken = standing
