@@ -94,7 +94,7 @@ guard.enabled = false
 start.position = [0.0, 5.0, 2.0]
 inspect = {{stand_off = 1.2, patch_size = 1.0, coverage = 0.5, candidates = 100, proof_time = 0.5}}
 """
-FEW = {"width": 16, "depth": 2, "samples": 4000, "batch": 400, "steps": 250, "tuning_steps": 50}
+FEW = {"width": 16, "depth": 2, "samples": 4000, "batch": 400, "steps": 250, "tuning_steps": 50, "polish_steps": 50}
 """A fit of seconds; tests/core/proof/test_certificate.py says how good a fit is."""
 ROUGH = f"""
 from dataclasses import replace

@@ -110,7 +110,7 @@ def fit(
     points = training_points(distance, domain, numbers.samples, generator, room_share=numbers.room_share)
     samples = label(solid, points, whole_depth=numbers.loss != "keepout")
     hunt = None
-    if numbers.tuning_steps:
+    if numbers.tuning_steps or numbers.polish_steps:
         hunt = Hunt.prepare(solid, domain, chaser_radius, numbers, samples)
     data = normalised(samples, domain, numbers.near / (np.abs(samples.distance) + numbers.near))
     seconds = {"solid": sealed - start, "labels": time.perf_counter() - sealed, "hunts": 0.0, "steps": 0.0}
