@@ -12,11 +12,10 @@ margin e_h - (f̃ - d), which a flight loses, and the mean error; no grids.
 """
 
 import argparse
+import itertools
 import json
-from collections.abc import Iterator
 from pathlib import Path
 
-import jax
 import numpy as np
 from fields import sgemm_rate
 from kept_rows import on_one_line
@@ -118,9 +117,14 @@ def row(model: FieldModel, label: str, solid: OffsetSolid, name: str, folder: Pa
     }
 
 
+def loaded(source: str) -> Target:
+    """Load a built-in target, or a mesh file in metres."""
+    return Target.load(source, units="m") if Path(source).suffix else Target.load(source)
+
+
 def measure(source: str, folder: Path) -> list[dict]:
     """Fit, certify and measure one target, and the grid field beside it."""
-    target = Target.load(source, units="m") if Path(source).suffix else Target.load(source)
+    target = loaded(source)
     solid = OffsetSolid.build(target.distance)
     path = folder / f"{Path(source).name}.keepout"
     sgemm = None
@@ -150,11 +154,9 @@ def measure(source: str, folder: Path) -> list[dict]:
 def seed_row(source: str, profile: str, seed: int, folder: Path) -> dict:
     """Fit from one seed, for a chaser of half a metre, and certify, as a stranger would who has nothing but the mesh.
 
-    What the fit compiled is forgotten first: a row costs what it costs a process of its own.
+    The first row of a profile compiles; the others have its programs.
     """
-    jax.clear_caches()
-    target = Target.load(source, units="m") if Path(source).suffix else Target.load(source)
-    radius = RADII[1]
+    target, radius = loaded(source), RADII[1]
     path = folder / f"{Path(source).name}-{profile}-{seed}.keepout"
     sgemm = None
     if path.exists():
@@ -186,13 +188,6 @@ def seed_row(source: str, profile: str, seed: int, folder: Path) -> dict:
     }
 
 
-def seed_rows(sources: list[str], profile: str, seeds: int, folder: Path) -> Iterator[list[dict]]:
-    """Give a row for each seed of each target."""
-    for source in sources:
-        for seed in range(seeds):
-            yield [seed_row(source, profile, seed, folder)]
-
-
 def main() -> None:
     """Measure the targets named on the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -204,22 +199,20 @@ def main() -> None:
     arguments = parser.parse_args()
     arguments.fields.mkdir(parents=True, exist_ok=True)
     if arguments.seeds:
-        columns, found = (
-            SEED_COLUMNS,
-            seed_rows(arguments.targets, arguments.profile, arguments.seeds, arguments.fields),
-        )
+        columns, pairs = SEED_COLUMNS, itertools.product(arguments.targets, range(arguments.seeds))
+        found = (seed_row(source, arguments.profile, seed, arguments.fields) for source, seed in pairs)
     else:
-        columns, found = COLUMNS, (measure(source, arguments.fields) for source in arguments.targets)
+        columns = COLUMNS
+        found = (entry for source in arguments.targets for entry in measure(source, arguments.fields))
     print("| " + " | ".join(name for name, _ in columns) + " |")
     print("|" + " --- |" * len(columns))
     rows = []
-    for made in found:
-        for entry in made:
-            rows.append(entry)
-            cells = ("-" if entry[name] is None else form.format(entry[name]) for name, form in columns)
-            print("\r| " + " | ".join(cells) + " |", flush=True)
-            if arguments.json:
-                write_whole(arguments.json, json.dumps(rows, indent=1) + "\n")
+    for entry in found:
+        rows.append(entry)
+        cells = ("-" if entry[name] is None else form.format(entry[name]) for name, form in columns)
+        print("\r| " + " | ".join(cells) + " |", flush=True)
+        if arguments.json:
+            write_whole(arguments.json, json.dumps(rows, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -19,7 +19,6 @@ PROFILE = TrainingProfile(webs=WEBS)
 
 @pytest.fixture(autouse=True)
 def _fewer_candidates(monkeypatch):
-    monkeypatch.setattr(samples, "ON_LEVEL", 60_000)
     monkeypatch.setattr(samples, "NEAR", 60_000)
 
 

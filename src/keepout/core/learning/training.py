@@ -131,7 +131,7 @@ def fit(
         "seconds_of": seconds,
         "closing_radius": solid.closing_radius,
         "curve": {
-            "steps": [sum(course.lengths[: block + 1]) for block in range(len(course.lengths))],
+            "steps": np.cumsum(block_lengths(numbers)).tolist(),
             **{name: column.tolist() for name, column in zip(CURVE, np.asarray(state.curve, np.float64).T)},
         },
         "jax": jax.__version__,
@@ -155,16 +155,6 @@ class _Course:
     seed: int
     seconds: dict[str, float]
 
-    @property
-    def lengths(self) -> list[int]:
-        """Steps of each block."""
-        return block_lengths(self.numbers)
-
-    def phase(self, block: int) -> int:
-        """Give 0 for a block of the first phase, 1 for one that learns from counter-examples, 2 for the polish."""
-        first = self.numbers.steps // BLOCK
-        return int(block >= first) + int(block >= first + self.numbers.tuning_steps // BLOCK)
-
     def taken(self, state: _State, checkpoint: "_Checkpoint | None", name: str, progress: Progress) -> _State:
         """Take all blocks from a state, or from a checkpoint, which is kept up to date; `name` is the target's.
 
@@ -175,8 +165,8 @@ class _Course:
         if checkpoint is not None and checkpoint.path.exists():
             state = checkpoint.load(state)
         first, clock = int(state.block), time.perf_counter()
-        blocks, steps = len(self.lengths), np.cumsum(self.lengths)
-        for block in range(first, blocks):
+        steps = np.cumsum(block_lengths(self.numbers))
+        for block in range(first, len(steps)):
             begun = time.perf_counter()
             state = self.hunted(state, block)
             found_at = time.perf_counter()
@@ -193,7 +183,7 @@ class _Course:
             else:
                 each = (time.perf_counter() - clock) / (steps[block] - steps[first])
                 left = f", {each * (steps[-1] - steps[block]):.0f} s left"
-            found = f", worst over-statement {float(state.worst):+.3f} m" if self.phase(block) else ""
+            found = f", worst over-statement {float(state.worst):+.3f} m" if _phase(self.numbers, block) else ""
             told = f"distance {value_term:.4f}, gradient {slope_term:.4f}{found}{left}"
             progress(steps[block] / steps[-1], told)
         return state
@@ -201,7 +191,7 @@ class _Course:
     def hunted(self, state: _State, block: int) -> _State:
         """Renew, but for the first phase, the counter-examples: what the network is most wrong at now."""
         numbers, domain = self.numbers, self.domain
-        if self.hunt is None or self.phase(block) == 0:
+        if self.hunt is None or _phase(numbers, block) == 0:
             return state
         known = np.asarray(state.hard.x, np.float64) * domain.learned_radius + domain.centre
         settled = (numbers.steps + (1.0 - SETTLING) * numbers.tuning_steps) // BLOCK
@@ -216,8 +206,8 @@ class _Course:
 
     def trained(self, state: _State, block: int) -> _State:
         """Take the steps of one block."""
-        numbers, domain, phase = self.numbers, self.domain, self.phase(block)
-        if block == 0 or phase != self.phase(block - 1):
+        numbers, domain, phase = self.numbers, self.domain, _phase(self.numbers, block)
+        if block == 0 or phase != _phase(numbers, block - 1):
             state = state._replace(optimizer=_optimizer(numbers).init(state.layers))
         key = jax.random.fold_in(jax.random.key(self.seed), block)
         rates = learning_rates(numbers, block)
@@ -278,10 +268,20 @@ def _watched(samples: Samples) -> Samples:
     return samples.picked(picked)
 
 
+def _blocks(profile: losses.TrainingProfile) -> tuple[int, int, int]:
+    """Count the blocks of each phase of a fit."""
+    return profile.steps // BLOCK, profile.tuning_steps // BLOCK, profile.polish_steps // ROUND
+
+
+def _phase(profile: losses.TrainingProfile, block: int) -> int:
+    """Give 0 for a block of the first phase, 1 for one that learns from counter-examples, 2 for the polish."""
+    return int(np.searchsorted(np.cumsum(_blocks(profile)), block, side="right"))
+
+
 def block_lengths(profile: losses.TrainingProfile) -> list[int]:
     """Give the steps of each block of a fit."""
-    blocks = profile.steps // BLOCK + profile.tuning_steps // BLOCK
-    return [BLOCK] * blocks + [ROUND] * (profile.polish_steps // ROUND)
+    first, second, third = _blocks(profile)
+    return [BLOCK] * (first + second) + [ROUND] * third
 
 
 def _optimizer(profile: losses.TrainingProfile) -> optax.GradientTransformation:
@@ -298,11 +298,8 @@ def _optimizer(profile: losses.TrainingProfile) -> optax.GradientTransformation:
 
 def learning_rates(profile: losses.TrainingProfile, block: int) -> Float32[np.ndarray, "steps"]:
     """Give the learning rate of each step of a block, to the profile's: a schedule for each phase, from its begin."""
-    lengths = block_lengths(profile)
-    blocks = (profile.steps // BLOCK, profile.tuning_steps // BLOCK, profile.polish_steps // ROUND)
-    ends = np.cumsum(blocks)
-    phase = int(np.searchsorted(ends, block, side="right"))
-    first, last = int(ends[phase] - blocks[phase]), int(ends[phase])
+    lengths, phase = block_lengths(profile), _phase(profile, block)
+    first, last = sum(_blocks(profile)[:phase]), sum(_blocks(profile)[: phase + 1])
     steps, done = sum(lengths[first:last]), sum(lengths[first:block])
     start = (1.0, TUNING_RATE, POLISH_RATE)[phase]
     if profile.halving:
