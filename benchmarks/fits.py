@@ -2,18 +2,21 @@
 
 Run: python benchmarks/fits.py intelsat30 ../shared/meshes/hubble.glb --fields FOLDER [--json FILE]
      python benchmarks/fits.py --seeds 3 --profile quick intelsat30 --fields FOLDER [--json FILE]
+     python benchmarks/fits.py --second intelsat30 --fields FOLDER [--json FILE]
 
 A mesh file is taken in metres. A field found in the folder is measured again, not fitted again; its times are those of
 its fit. Beside each network stands the grid field whose certified level is as far from the surface. A fit's time is
 given too as a multiple of what its matrix products alone take at the sgemm rate measured just before and after it.
 
 With `--seeds` each target is fitted from so many, each a row: the parts of its time, its bound, and over {d = R} the
-margin e_h - (f̃ - d), which a flight loses, and the mean error; no grids.
+margin e_h - (f̃ - d), which a flight loses, and the mean error; no grids. With `--second` the wings of a built-in target
+are turned by 0.2 rad, and that mesh is fitted twice: anew, and beginning with the first field.
 """
 
 import argparse
 import itertools
 import json
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -151,19 +154,20 @@ def measure(source: str, folder: Path) -> list[dict]:
     return rows
 
 
-def seed_row(source: str, profile: str, seed: int, folder: Path) -> dict:
+def seed_row(
+    target: Target, profile: str, seed: int, path: Path, *, label: str, first: FieldModel | None = None
+) -> dict:
     """Fit from one seed, for a chaser of half a metre, and certify, as a stranger would who has nothing but the mesh.
 
     The first row of a profile compiles; the others have its programs.
     """
-    target, radius = loaded(source), RADII[1]
-    path = folder / f"{Path(source).name}-{profile}-{seed}.keepout"
-    sgemm = None
+    radius, sgemm = RADII[1], None
     if path.exists():
         model = FieldModel.load(path, target=target)
     else:
         before = sgemm_rate()
-        model = fit(target, profile=profile, seed=seed, chaser_radius=radius, progress=on_one_line)
+        how = {"profile": profile, "seed": seed, "chaser_radius": radius, "first": first}
+        model = fit(target, **how, progress=on_one_line)
         sgemm = 0.5 * (before + sgemm_rate())
         model = certify(model, target, chaser_radius=radius, progress=on_one_line)
         model.save(path)
@@ -173,7 +177,7 @@ def seed_row(source: str, profile: str, seed: int, folder: Path) -> dict:
     over = over_statement(model.field, solid, level=radius)
     near = distance_errors(model.field, solid, nearest=0.05, farthest=1.0)
     return {
-        "target": Path(source).name,
+        "target": label,
         "profile": profile,
         "seed": seed,
         "error_bound_half_metre_m": bound,
@@ -188,6 +192,28 @@ def seed_row(source: str, profile: str, seed: int, folder: Path) -> dict:
     }
 
 
+def seed_rows(sources: list[str], profile: str, seeds: int, folder: Path) -> Iterator[dict]:
+    """Fit each target from so many seeds."""
+    for source, seed in itertools.product(sources, range(seeds)):
+        name = Path(source).name
+        yield seed_row(loaded(source), profile, seed, folder / f"{name}-{profile}-{seed}.keepout", label=name)
+
+
+TURNED = 0.2
+"""Radians by which the wings are turned that a second fit is about."""
+
+
+def second_rows(sources: list[str], profile: str, folder: Path) -> Iterator[dict]:
+    """Fit each target, and with its wings turned: anew, and beginning with the first field."""
+    for source in sources:
+        first = folder / f"{source}-{profile}-0.keepout"
+        yield seed_row(loaded(source), profile, 0, first, label=source)
+        turned, begun = Target.load(source, parameters={"wing_angle": TURNED}), FieldModel.load(first)
+        for how, given in (("anew", None), ("from the first field", begun)):
+            path = folder / f"{source}-turned-{profile}-{how.split()[0]}.keepout"
+            yield seed_row(turned, profile, 1, path, label=f"{source}, wings turned, {how}", first=given)
+
+
 def main() -> None:
     """Measure the targets named on the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -195,12 +221,16 @@ def main() -> None:
     parser.add_argument("--fields", type=Path, default=Path("out/fits"), help="folder of the fitted fields")
     parser.add_argument("--json", type=Path, help="write the rows here")
     parser.add_argument("--seeds", type=int, help="fit each target from so many seeds, and print a row for each")
-    parser.add_argument("--profile", default="default", help="of the fits of --seeds")
+    parser.add_argument("--second", action="store_true", help="fit each target and one whose wings are turned")
+    parser.add_argument("--profile", default="default", help="of the fits of --seeds and --second")
     arguments = parser.parse_args()
     arguments.fields.mkdir(parents=True, exist_ok=True)
-    if arguments.seeds:
-        columns, pairs = SEED_COLUMNS, itertools.product(arguments.targets, range(arguments.seeds))
-        found = (seed_row(source, arguments.profile, seed, arguments.fields) for source, seed in pairs)
+    found: Iterable[dict]
+    if arguments.second:
+        columns, found = SEED_COLUMNS, second_rows(arguments.targets, arguments.profile, arguments.fields)
+    elif arguments.seeds:
+        columns = SEED_COLUMNS
+        found = seed_rows(arguments.targets, arguments.profile, arguments.seeds, arguments.fields)
     else:
         columns = COLUMNS
         found = (entry for source in arguments.targets for entry in measure(source, arguments.fields))

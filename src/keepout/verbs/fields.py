@@ -30,6 +30,9 @@ def fit(
     chaser_radius: float | None = None,
     certify: bool = False,
     out: str | Path | None = None,
+    first: FieldModel | str | Path | None = None,
+    until_bound: float | None = None,
+    at_most: float | None = None,
     seed: int = 0,
     progress: Progress = silent,
     **how: Any,
@@ -44,7 +47,10 @@ def fit(
         chaser_radius: of the ball that holds the chaser, m; a scenario's own, and else 0.5, if absent.
         certify: then prove by how much the field over-states the distance (e_h, m), for this radius.
         out: the field file (.keepout) to write, before and after the proof.
-        seed: the same seed, target and profile on the same machine give the same field.
+        first: the field, or its file, of a mesh that differs little: a fit that begins with it takes a third of the time.
+        until_bound: end as soon as no over-statement above this is found, m.
+        at_most: end within this time, s; the proof's is not counted.
+        seed: the same seed, target and profile on the same machine give the same field, but for `at_most`.
         progress: called as the work goes on.
         **how: `checkpoint` (a file kept up to date while training) and `solid` (the target's `OffsetSolid`).
 
@@ -67,7 +73,9 @@ def fit(
         chaser_radius = target.chaser.radius if isinstance(target, Scenario) else 0.5
     loaded, entry = mesh_of(target)
     part = part_of(progress, 0.0, 0.9) if certify else progress
-    settings = {"profile": profile, "chaser_radius": chaser_radius, "seed": seed, **how}
+    first = FieldModel.load(first) if isinstance(first, str | Path) else first
+    ends = {"first": first, "until_bound": until_bound, "at_most": at_most}
+    settings = {"profile": profile, "chaser_radius": chaser_radius, "seed": seed, **ends, **how}
     model = learned(loaded, entry, path, settings, progress=part)
     if certify:
         part = part_of(progress, 0.9, 1.0)

@@ -9,7 +9,6 @@ from keepout.core.fields.continuation import Domain
 from keepout.core.learning import samples
 from keepout.core.learning.losses import TrainingProfile
 from keepout.core.learning.samples import HIGHEST, JITTER, ROUNDS_KEPT, Hunt
-from keepout.core.learning.training import BLOCK, POLISH_RATE, ROUND, TUNING_RATE, block_lengths, learning_rates
 
 pytestmark = pytest.mark.long
 
@@ -84,15 +83,3 @@ def test_a_peak_known_before_is_found_again(solid):
     ]
     assert heights[0] < 0.0
     assert heights[1] > 0.5 * HEIGHT - 1e-9
-
-
-def test_each_phase_begins_at_its_own_rate_and_ends_at_a_hundredth_of_it():
-    profile = TrainingProfile(steps=3 * BLOCK, tuning_steps=2 * BLOCK, polish_steps=4 * ROUND)
-    assert block_lengths(profile) == [BLOCK] * 5 + [ROUND] * 4
-    rates = [learning_rates(profile, block) for block in range(9)]
-    assert [len(rate) for rate in rates] == block_lengths(profile)
-    for first, last, top in ((0, 3, 1.0), (3, 5, TUNING_RATE), (5, 9, POLISH_RATE)):
-        phase = np.concatenate(rates[first:last])
-        assert phase.max() == pytest.approx(top, rel=1e-3)
-        assert phase[-1] == pytest.approx(0.01 * top, rel=0.01)
-        assert np.all(np.diff(phase[phase.argmax() :]) < 0.0)

@@ -34,8 +34,9 @@ from keepout.core.flight.setup import FlightSetup
 from keepout.core.motion.relative import MotionState, RelativeMotion
 from keepout.core.progress import Progress, silent
 
-BATCH = 128
-"""Flights in a batch on a CPU."""
+SIZES = (8, 32, 128)
+"""Flights in a batch on a CPU: the least that takes all, so that any number of flights share three programs."""
+BATCH = SIZES[-1]
 
 TARGET = ("time", "attitude", "angular_velocity", "target_orbit")
 """Entries of a `MotionState` that tell where the target is and how it turns: what flights can have in common."""
@@ -80,8 +81,8 @@ class Batching(NamedTuple):
         alike: which entries of `TARGET` are the same in all flights and computed once for all of them; the first
             flight's are taken. By default those that are the same in the flights given (`alike_among`). A campaign
             flown in parts names those of the whole: the last digits depend on what is shared.
-        batch: flights in a batch, by which the program is compiled; on a CPU 128 or all if fewer, elsewhere all. A last
-            batch that is not full is filled up.
+        batch: flights in a batch, by which the program is compiled; on a CPU the least of `SIZES` that takes all, or the
+            largest, elsewhere all. A last batch that is not full is filled up.
         workers: batches in flight at once; by default the number of cores this process may use, elsewhere 1.
 
     """
@@ -137,7 +138,7 @@ def fly_batches(
     places = np.arange(flights) if batching.places is None else batching.places
     cases = (jax.tree.map(_on_host, varied), own_states, np.asarray(places, np.int64))
     on_cpu = jax.default_backend() == "cpu"
-    batch = batching.batch or min(flights, BATCH if on_cpu else flights)
+    batch = batching.batch or (usual_batch(flights) if on_cpu else flights)
     workers = batching.workers or (available_cores() if on_cpu else 1)
     seed = jax.device_put(np.asarray(batching.seed, np.int64))
 
@@ -171,6 +172,11 @@ def fly_batches(
     finally:
         pool.shutdown(cancel_futures=True)
     return jax.tree.map(lambda *parts: np.concatenate(parts), *summaries)
+
+
+def usual_batch(flights: int) -> int:
+    """Give the size of the batches in which so many flights are flown on a CPU unless another is asked for."""
+    return next((size for size in SIZES if flights <= size), BATCH)
 
 
 def alike_among(initial: MotionState) -> tuple[str, ...]:

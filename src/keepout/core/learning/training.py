@@ -30,24 +30,24 @@ from keepout.core.geometry.offset_solid import OffsetSolid
 from keepout.core.geometry.target import Target
 from keepout.core.learning import losses
 from keepout.core.learning.samples import Hunt, Samples, label, normalised, training_points
+from keepout.core.learning.schedule import (
+    ROUND,
+    Ending,
+    Pace,
+    block_lengths,
+    learning_rates,
+    phase_of,
+    settling,
+    shortened,
+)
 from keepout.core.progress import Progress, part_of, silent
 from keepout.core.whole_file import write_whole
 
 ROWS = 2048
 """Points that the network in mid-training is asked at together, float32."""
-BLOCK, ROUND = 250, 50
-"""Steps between progress reports, checkpoints and searches for counter-examples; in the last phase, and in one compiled
-loop."""
 WATCHED = 4096
 """Labelled points on which the training curve follows the field's mean error."""
 HARD_SHARE, HARD_WEIGHT = 0.3, 2.0
-TUNING_RATE, POLISH_RATE = 0.4, 0.1
-"""Learning rates at the start of the second and of the third phase, to that of the first."""
-SETTLING = 1 / 3
-"""Last share of the counter-example phase, from which on under-statement is no longer hunted: it holds what it has
-gained, and the certified side settles last."""
-
-
 CURVE = ("value_term", "gradient_term", "mean_error_m")
 """Columns of a training curve."""
 
@@ -75,9 +75,15 @@ def fit(
     seed: int = 0,
     checkpoint: Path | None = None,
     solid: OffsetSolid | None = None,
+    first: FieldModel | None = None,
+    until_bound: float | None = None,
+    at_most: float | None = None,
     progress: Progress = silent,
 ) -> FieldModel:
     """Learn a neural field of a target.
+
+    What a fit reaches in a time that is `at_most` given depends on the machine: it alone is no function of seed,
+    target and profile.
 
     Args:
         target: what to learn.
@@ -86,18 +92,28 @@ def fit(
         seed: the same seed, target and profile on the same machine give the same field.
         checkpoint: a file kept up to date while training and deleted at the end; if it exists, the fit goes on from it.
         solid: the target's offset solid, if already built.
-        progress: fraction done, and the loss terms, the worst over-statement so far and the time left.
+        first: the field of a mesh that differs little; the fit begins with it, and takes a quarter of the steps.
+        until_bound: m; once no over-statement above it is found, the rest of the steps is left out but for the last,
+            which polish. The bound itself is `certify`'s to prove, and a few millimetres more.
+        at_most: s, in which the fit ends: blocks of steps that there is no time for are left out, evenly. With a bound
+            that is not found by then it goes on polishing as long as there is time.
+        progress: fraction done, and the loss terms, the worst over-statement so far, what it is expected to come to,
+            and the time left.
 
     Raises:
-        FieldError: an unknown profile, a radius that is negative or too large, a checkpoint of another fit, or a loss
-            that is not finite.
+        FieldError: an unknown profile, a radius that is negative or too large, a checkpoint of another fit, a loss
+            that is not finite, a first field of another kind or size, or no time to learn in.
 
     """
     keep_programs()
-    start = time.perf_counter()
+    start, ending = time.perf_counter(), Ending(until_bound, at_most)
     distance = target.distance
     domain = Domain.around(distance)
     numbers = losses.find_profile(profile).for_size(domain.target_radius).for_chaser(chaser_radius)
+    if first is not None:
+        first_layers = layers_of(first, domain, numbers)
+        numbers = shortened(numbers)
+    numbers = ending.of_profile(numbers)
     name = profile if isinstance(profile, str) else "custom"
     largest = domain.domain_radius - domain.target_radius
     if not 0.0 <= chaser_radius <= largest:
@@ -114,13 +130,23 @@ def fit(
         hunt = Hunt.prepare(solid, domain, chaser_radius, numbers, samples)
     data = normalised(samples, domain, numbers.near / (np.abs(samples.distance) + numbers.near))
     seconds = {"solid": sealed - start, "labels": time.perf_counter() - sealed, "hunts": 0.0, "steps": 0.0}
-    course = _Course(numbers, domain, hunt, losses.Parted.by(numbers, data), _watched(samples), seed, seconds)
+    pace = Pace(numbers, ending, start)
+    if pace.time_left <= 0.0:
+        prepared = time.perf_counter() - start
+        raise FieldError(f"at_most: {at_most:g} s; to prepare took {prepared:.0f} s, and nothing is left to learn in")
+    course = _Course(numbers, domain, hunt, losses.Parted.by(numbers, data), _watched(samples), seed, seconds, pace)
 
     entries = [target.sha256, solid.offset, solid.closing_radius, dataclasses.asdict(numbers), chaser_radius, seed]
+    if first is not None:
+        entries.append(first.sha256)
     kept = None if checkpoint is None else _Checkpoint(checkpoint, digest(json.dumps(entries)))
     initial = _initial(numbers, data, hunt.kept if hunt else 0, seed)
+    if first is not None:
+        initial = initial._replace(layers=first_layers)
     state = course.taken(initial, kept, target.name, part_of(progress, 0.1, 0.99))
     field = _finished(Learned(state.layers, numbers.beta, domain), solid, generator)
+    curve = np.asarray(state.curve, np.float64)
+    taken = np.isfinite(curve[:, 0])
     training = {
         "profile": name,
         "numbers": dataclasses.asdict(numbers),
@@ -129,10 +155,11 @@ def fit(
         "sloped_share": len(course.examples.sloped.x) / len(data.x),
         "seconds": time.perf_counter() - start,
         "seconds_of": seconds,
+        "ended": pace.ended,
         "closing_radius": solid.closing_radius,
         "curve": {
-            "steps": np.cumsum(block_lengths(numbers)).tolist(),
-            **{name: column.tolist() for name, column in zip(CURVE, np.asarray(state.curve, np.float64).T)},
+            "steps": np.cumsum(np.array(block_lengths(numbers))[taken]).tolist(),
+            **{name: column[taken].tolist() for name, column in zip(CURVE, curve.T)},
         },
         "jax": jax.__version__,
         "device": jax.devices()[0].platform,
@@ -145,7 +172,7 @@ def fit(
 
 @dataclasses.dataclass(frozen=True)
 class _Course:
-    """What the blocks of a fit have in common, and the seconds of its parts so far."""
+    """What the blocks of a fit have in common, the seconds of its parts so far, and what comes next."""
 
     numbers: losses.TrainingProfile
     domain: Domain
@@ -154,6 +181,7 @@ class _Course:
     watched: Samples
     seed: int
     seconds: dict[str, float]
+    pace: Pace
 
     def taken(self, state: _State, checkpoint: "_Checkpoint | None", name: str, progress: Progress) -> _State:
         """Take all blocks from a state, or from a checkpoint, which is kept up to date; `name` is the target's.
@@ -164,51 +192,51 @@ class _Course:
         """
         if checkpoint is not None and checkpoint.path.exists():
             state = checkpoint.load(state)
-        first, clock = int(state.block), time.perf_counter()
-        steps = np.cumsum(block_lengths(self.numbers))
-        for block in range(first, len(steps)):
+        numbers, pace, place = self.numbers, self.pace, int(state.block)
+        before = place - 1
+        while place < pace.blocks:
             begun = time.perf_counter()
-            state = self.hunted(state, block)
+            state = self.hunted(state, place)
             found_at = time.perf_counter()
-            state = self.trained(state, block)
-            value_term, slope_term, _ = (float(number) for number in state.curve[block])
+            pace.found(float(state.worst))
+            if place == 0 or phase_of(numbers, place) != phase_of(numbers, before):
+                state = state._replace(optimizer=_optimizer(numbers).init(state.layers))
+            state = self.trained(state, place)
+            value_term, slope_term, _ = (float(number) for number in state.curve[place])
             if not math.isfinite(value_term):
-                raise FieldError(f"training of {name}: the loss is not finite at step {steps[block]}")
+                reached = sum(block_lengths(numbers)[: place + 1])
+                raise FieldError(f"training of {name}: the loss is not finite at step {reached}")
             self.seconds["hunts"] += found_at - begun
             self.seconds["steps"] += time.perf_counter() - found_at
+            pace.took(place, found_at - begun, time.perf_counter() - found_at)
+            if place == pace.blocks - 1 and pace.ending.until_bound is not None:
+                pace.found(float(self.hunted(state, place + 1).worst))
+            before, place = place, pace.onward(place)
+            state = state._replace(block=jnp.asarray(place, state.block.dtype))
             if checkpoint is not None:
                 checkpoint.save(state)
-            if block == first:  # it has compiled too, and tells nothing of the others
-                clock, left = time.perf_counter(), ""
-            else:
-                each = (time.perf_counter() - clock) / (steps[block] - steps[first])
-                left = f", {each * (steps[-1] - steps[block]):.0f} s left"
-            found = f", worst over-statement {float(state.worst):+.3f} m" if _phase(self.numbers, block) else ""
-            told = f"distance {value_term:.4f}, gradient {slope_term:.4f}{found}{left}"
-            progress(steps[block] / steps[-1], told)
+            told = f"distance {value_term:.4f}, gradient {slope_term:.4f}{pace.told(before, place)}"
+            progress(pace.share(before), told)
         return state
 
     def hunted(self, state: _State, block: int) -> _State:
         """Renew, but for the first phase, the counter-examples: what the network is most wrong at now."""
         numbers, domain = self.numbers, self.domain
-        if self.hunt is None or _phase(numbers, block) == 0:
+        if self.hunt is None or phase_of(numbers, block) == 0:
             return state
         known = np.asarray(state.hard.x, np.float64) * domain.learned_radius + domain.centre
-        settled = (numbers.steps + (1.0 - SETTLING) * numbers.tuning_steps) // BLOCK
         fresh, worst = self.hunt.worst(
             Learned(state.layers, numbers.beta, domain),
             known,
             np.random.default_rng((self.seed, block)),
-            settling=block >= settled,
+            settling=settling(numbers, block),
         )
         hard = jax.tree.map(lambda new, old: jnp.concatenate([new, old])[: len(old)], fresh, state.hard)
         return state._replace(hard=hard, worst=jnp.asarray(worst, jnp.float32))
 
     def trained(self, state: _State, block: int) -> _State:
         """Take the steps of one block."""
-        numbers, domain, phase = self.numbers, self.domain, _phase(self.numbers, block)
-        if block == 0 or phase != _phase(numbers, block - 1):
-            state = state._replace(optimizer=_optimizer(numbers).init(state.layers))
+        numbers, domain = self.numbers, self.domain
         key = jax.random.fold_in(jax.random.key(self.seed), block)
         rates = learning_rates(numbers, block)
         terms, layers, optimizer = [], state.layers, state.optimizer
@@ -217,7 +245,7 @@ class _Course:
             layers, optimizer, *means = _train_round(
                 numbers,
                 domain.learned_radius,
-                phase > 0,
+                phase_of(numbers, block) > 0,
                 state,
                 self.examples,
                 jax.random.fold_in(key, n),
@@ -229,8 +257,7 @@ class _Course:
         offset = Learned(layers, numbers.beta, domain).value(points) - distance
         reached = jnp.stack([value_term, slope_term, jnp.asarray(offset.mean(), jnp.float32)])
         curve = state.curve.at[block].set(reached)
-        done = jnp.asarray(block + 1, state.block.dtype)
-        return state._replace(layers=layers, optimizer=optimizer, block=done, curve=curve)
+        return state._replace(layers=layers, optimizer=optimizer, curve=curve)
 
 
 def _initial(profile: losses.TrainingProfile, data: losses.Batch, hard_count: int, seed: int) -> _State:
@@ -261,27 +288,35 @@ def _initial(profile: losses.TrainingProfile, data: losses.Batch, hard_count: in
     return _State(layers, optimizer, hard, jnp.asarray(0, jnp.int32), jnp.asarray(jnp.inf, jnp.float32), curve)
 
 
+def layers_of(model: FieldModel, domain: Domain, numbers: losses.TrainingProfile) -> neural.Layers:
+    """Give another field's network in the normalised coordinates of a domain: the same function of a place in metres.
+
+    Raises:
+        FieldError: the field is no network, or not one of these numbers.
+
+    """
+    field = model.field
+    if not isinstance(field, NeuralField):
+        raise FieldError(f"first: the field of {model.target_name} is no network; a fit goes on from a learned field")
+    weights, biases = (list(map(np.asarray, part)) for part in field.layers)
+    found = len(weights) - 1, len(weights[0]), field.beta
+    asked = numbers.depth, numbers.width, numbers.beta
+    if found != asked:
+        said = ["{} layers of {}, sharpness {:g}".format(*shape) for shape in (found, asked)]
+        raise FieldError(f"first: the field of {model.target_name} has {said[0]}; the profile asks for {said[1]}")
+    scale = float(field.scale)
+    moved = (domain.centre - np.asarray(field.continuation.centre)) / scale
+    biases[0] = biases[0] + weights[0] @ moved
+    weights[0] = weights[0] * (domain.learned_radius / scale)
+    weights[-1], biases[-1] = (part * (scale / domain.learned_radius) for part in (weights[-1], biases[-1]))
+    return neural.Layers(*(tuple(jnp.asarray(part, jnp.float32) for part in parts) for parts in (weights, biases)))
+
+
 def _watched(samples: Samples) -> Samples:
     """Give the samples on which the training curve follows the field: evenly picked, of those with a label."""
     labelled = np.flatnonzero(~samples.hidden)
     picked = labelled[np.linspace(0, len(labelled) - 1, min(WATCHED, len(labelled))).astype(int)]
     return samples.picked(picked)
-
-
-def _blocks(profile: losses.TrainingProfile) -> tuple[int, int, int]:
-    """Count the blocks of each phase of a fit."""
-    return profile.steps // BLOCK, profile.tuning_steps // BLOCK, profile.polish_steps // ROUND
-
-
-def _phase(profile: losses.TrainingProfile, block: int) -> int:
-    """Give 0 for a block of the first phase, 1 for one that learns from counter-examples, 2 for the polish."""
-    return int(np.searchsorted(np.cumsum(_blocks(profile)), block, side="right"))
-
-
-def block_lengths(profile: losses.TrainingProfile) -> list[int]:
-    """Give the steps of each block of a fit."""
-    first, second, third = _blocks(profile)
-    return [BLOCK] * (first + second) + [ROUND] * third
 
 
 def _optimizer(profile: losses.TrainingProfile) -> optax.GradientTransformation:
@@ -294,21 +329,6 @@ def _optimizer(profile: losses.TrainingProfile) -> optax.GradientTransformation:
         adam_b2=profile.adam_b2,
         muon_weight_dimension_numbers=_hidden_matrices,  # pyright: ignore[reportArgumentType]
     )
-
-
-def learning_rates(profile: losses.TrainingProfile, block: int) -> Float32[np.ndarray, "steps"]:
-    """Give the learning rate of each step of a block, to the profile's: a schedule for each phase, from its begin."""
-    lengths, phase = block_lengths(profile), _phase(profile, block)
-    first, last = sum(_blocks(profile)[:phase]), sum(_blocks(profile)[: phase + 1])
-    steps, done = sum(lengths[first:last]), sum(lengths[first:block])
-    start = (1.0, TUNING_RATE, POLISH_RATE)[phase]
-    if profile.halving:
-        schedule = optax.exponential_decay(start, profile.halving, 0.5, staircase=True)
-    elif phase == 2:
-        schedule = optax.cosine_decay_schedule(start, steps, 0.01)
-    else:
-        schedule = optax.warmup_cosine_decay_schedule(0.1 * start, start, min(100, steps // 10), steps, 0.01 * start)
-    return np.asarray(jax.vmap(schedule)(jnp.arange(done, done + lengths[block])), np.float32)
 
 
 def _hidden_matrices(layers: Any) -> Any:

@@ -24,7 +24,7 @@ from keepout.core.digest import digest
 from keepout.core.errors import ScenarioError
 from keepout.core.fields.field import Field
 from keepout.core.fields.model import FieldModel
-from keepout.core.flight.batches import BATCH, TARGET
+from keepout.core.flight.batches import TARGET, usual_batch
 from keepout.core.flight.setup import FlightSetup, flown_setup
 from keepout.core.geometry.target import Target
 from keepout.core.guard.field import guard_field
@@ -371,7 +371,8 @@ class Plan:
             scenario: what to fly, with its `campaign` table.
             target: already loaded; else the scenario's.
             model: the scenario's field, already loaded; else the scenario's.
-            batch: flights flown at once; by default 128, or all where there are fewer.
+            batch: flights flown at once, a last batch filled up; by default 8, 32 or 128, the least that takes all
+                runs.
             progress: called while it is built.
 
         Raises:
@@ -382,7 +383,7 @@ class Plan:
         if batch is not None and batch < 1:
             raise ScenarioError(f"batch: {batch} flights; it must be at least 1")
         runs = scenario.campaign.runs
-        batch = batch or min(runs, BATCH)
+        batch = batch or usual_batch(runs)
         workshop = Workshop()
         target = load_target(scenario.target) if target is None else target
         model = load_model(scenario, target) if model is None else model

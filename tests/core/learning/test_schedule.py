@@ -1,0 +1,168 @@
+"""When a fit ends: by bound, by time, after its steps; and that a first field begins where it was."""
+
+import dataclasses
+import time
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from keepout.core.errors import FieldError
+from keepout.core.fields import load_shipped
+from keepout.core.fields.continuation import Domain
+from keepout.core.fields.field import values
+from keepout.core.fields.grid_build import build_grid
+from keepout.core.fields.model import FieldModel
+from keepout.core.geometry.target import Target
+from keepout.core.learning import schedule
+from keepout.core.learning.losses import PROFILES, TrainingProfile
+from keepout.core.learning.schedule import (
+    BLOCK,
+    POLISH,
+    POLISH_RATE,
+    ROUND,
+    TUNING_RATE,
+    Ending,
+    Pace,
+    block_lengths,
+    learning_rates,
+    phase_of,
+    shortened,
+)
+from keepout.core.learning.training import Learned, fit, layers_of
+
+PROFILE = TrainingProfile(steps=12 * BLOCK, tuning_steps=8 * BLOCK, polish_steps=4 * ROUND)
+FEW = TrainingProfile(
+    width=8, depth=2, samples=2000, batch=200, steps=BLOCK, tuning_steps=BLOCK, polish_steps=2 * ROUND
+)
+
+
+def test_each_phase_begins_at_its_own_rate_and_ends_at_a_hundredth_of_it():
+    profile = TrainingProfile(steps=3 * BLOCK, tuning_steps=2 * BLOCK, polish_steps=4 * ROUND)
+    assert block_lengths(profile) == [BLOCK] * 5 + [ROUND] * 4
+    rates = [learning_rates(profile, block) for block in range(9)]
+    assert [len(rate) for rate in rates] == block_lengths(profile)
+    for first, last, top in ((0, 3, 1.0), (3, 5, TUNING_RATE), (5, 9, POLISH_RATE)):
+        phase = np.concatenate(rates[first:last])
+        assert phase.max() == pytest.approx(top, rel=1e-3)
+        assert phase[-1] == pytest.approx(0.01 * top, rel=0.01)
+        assert np.all(np.diff(phase[phase.argmax() :]) < 0.0)
+
+
+class Clock:
+    """A fit on a clock of its own: each step and each hunt takes so long, and each hunt finds what it is told."""
+
+    def __init__(self, monkeypatch, ending, profile=PROFILE, *, step=0.01, hunt=1.0, worst=lambda place: 1.0):
+        self.now, self.places = 0.0, []
+        monkeypatch.setattr(time, "perf_counter", lambda: self.now)
+        pace, place = Pace(profile, ending, 0.0), 0
+        while place < pace.blocks and len(self.places) < 1000:
+            hunts = hunt * (phase_of(profile, place) > 0)
+            steps = step * block_lengths(profile)[place]
+            self.now += hunts + steps
+            self.places.append(place)
+            pace.found(worst(place))
+            pace.took(place, hunts, steps)
+            place = pace.onward(place)
+        self.pace = pace
+
+
+def test_with_nothing_asked_for_every_block_is_taken(monkeypatch):
+    flown = Clock(monkeypatch, Ending())
+    assert flown.places == list(range(24))
+    assert flown.pace.ended == "steps"
+
+
+@given(st.floats(15.0, 100.0), st.floats(1e-3, 0.02), st.floats(0.0, 3.0))
+def test_it_ends_in_time_with_its_last_block_and_what_it_leaves_out_is_spread(at_most, step, hunt):
+    with pytest.MonkeyPatch.context() as patch:
+        flown = Clock(patch, Ending(at_most=at_most), step=step, hunt=hunt)
+    longest = BLOCK * step + hunt
+    assert flown.now <= at_most + 2.0 * longest
+    gaps = np.diff(flown.places)
+    assert (gaps > 0).all()
+    if flown.now < at_most:
+        assert flown.places[-1] == 23
+    if flown.pace.ended == "steps":
+        assert flown.places == list(range(24))
+    needed = step * sum(block_lengths(PROFILE)) + 12 * hunt
+    if needed > at_most + longest:
+        assert flown.pace.ended == "time"
+
+
+def test_a_bound_that_is_found_leads_to_the_polish_and_without_it_there_is_polish_as_long_as_time(
+    monkeypatch,
+):
+    found = Clock(monkeypatch, Ending(until_bound=0.0), worst=lambda place: -1.0 if place >= 14 else 1.0)
+    assert found.places == [*range(15), 20, 21, 22, 23]
+    assert found.pace.ended == "bound"
+    never = Clock(monkeypatch, Ending(until_bound=0.0, at_most=100.0))
+    assert never.places[:24] == list(range(24))
+    assert never.places[24:28] == [20, 21, 22, 23]
+    assert 90.0 < never.now <= 100.0
+    assert never.pace.ended == "time"
+    without_time = Clock(monkeypatch, Ending(until_bound=0.0))
+    assert without_time.places == list(range(24))
+
+
+@pytest.mark.parametrize(
+    ("ends", "said"),
+    [
+        ({"until_bound": float("nan")}, "until_bound: nan m"),
+        ({"at_most": 0.0}, "at_most: 0.0 s"),
+        ({"at_most": -1.0}, "at_most: -1.0 s"),
+        ({"at_most": float("inf")}, "at_most: inf s"),
+    ],
+)
+def test_an_end_that_is_none_is_refused(ends, said):
+    with pytest.raises(FieldError, match=said):
+        Ending(**ends)
+
+
+def test_an_end_by_bound_or_time_has_a_polish_and_a_profile_without_hunts_knows_no_bound():
+    default = dataclasses.replace(PROFILE, polish_steps=0)
+    assert Ending().of_profile(default) == default
+    assert Ending(at_most=9.0).of_profile(default).polish_steps == POLISH
+    assert Ending(at_most=9.0).of_profile(PROFILE) == PROFILE
+    with pytest.raises(FieldError, match="until_bound: 0 m; the profile searches"):
+        Ending(until_bound=0.0).of_profile(PROFILES["paper"])
+
+
+def test_a_second_fit_has_no_first_phase_and_a_share_of_the_steps():
+    second = shortened(PROFILE)
+    assert (second.steps, second.tuning_steps) == (0, 5 * BLOCK)
+    assert phase_of(second, 0) == 1
+
+
+def test_a_first_field_is_the_same_function_in_the_coordinates_of_another_mesh():
+    model = load_shipped("intelsat30")
+    numbers = PROFILES["default"]
+    domain = Domain(np.array([0.3, -0.2, 0.7]), 14.0, 17.0, 21.0)
+    layers = layers_of(model, domain, numbers)
+    points = np.random.default_rng(0).normal(size=(500, 3)) * 4.0
+    inside = np.linalg.norm(points - np.asarray(model.field.continuation.centre), axis=1) < 10.0
+    moved = Learned(layers, numbers.beta, domain).value(points)
+    lowered = np.asarray(model.field.continuation._lowering(jnp.asarray(points))[0])
+    np.testing.assert_allclose((moved - lowered)[inside], values(model.field, points)[inside], atol=1e-4)
+    with pytest.raises(FieldError, match="4 layers of 96, sharpness 100; the profile asks for 3 layers of 48"):
+        layers_of(model, domain, PROFILES["quick"])
+    box = Target.load("box")
+    grid = FieldModel(build_grid(box, spacing=0.5).field, "box", box.sha256, 0.03, {})
+    with pytest.raises(FieldError, match="no network"):
+        layers_of(grid, domain, numbers)
+
+
+@pytest.mark.long
+def test_a_fit_ends_by_bound_or_time_and_begins_with_another_field(box, monkeypatch):
+    generous = fit(box, profile=FEW, until_bound=1e3)
+    assert generous.training["ended"] == "bound"
+    assert generous.training["curve"]["steps"] == [BLOCK, 2 * BLOCK, 2 * BLOCK + ROUND, 2 * BLOCK + 2 * ROUND]
+    monkeypatch.setattr(schedule, "SECOND", 0.5)
+    second = fit(box, profile=FEW, first=generous, seed=1)
+    numbers = second.training["numbers"]
+    assert (numbers["steps"], numbers["tuning_steps"]) == (0, BLOCK)
+    assert second.training["curve"]["value_term"][0] < generous.training["curve"]["value_term"][0]
+    with pytest.raises(FieldError, match=r"at_most: 0\.001 s; to prepare took"):
+        fit(box, profile=FEW, at_most=1e-3)
