@@ -89,6 +89,14 @@ def box():
     return Target.load("box")
 
 
+@pytest.fixture
+def coarse_surfaces(monkeypatch):
+    """Level surfaces are cut and drawn with a quarter of the triangles that a page has."""
+    from keepout.flights.pages import drawn
+
+    monkeypatch.setattr(drawn, "_CELLS_ALONG", drawn._CELLS_ALONG // 2)
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """Compare arrays with their annotations in short tests, and in all where time is no matter: it costs a tenth."""

@@ -119,7 +119,7 @@ def test_the_citation_is_of_this_version():
     assert f"\nversion: {keepout.__version__}\n" in citation.replace('"', "")
 
 
-@pytest.mark.long
+@pytest.mark.slow  # the tests of links and blocks read the pages themselves
 def test_the_site_is_whole_and_nothing_comes_from_another_host(tmp_path: Path):
     """It is built strictly, apart from the working tree."""
     shutil.copytree(DOCS, tmp_path / "docs")

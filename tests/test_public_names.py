@@ -77,7 +77,7 @@ def test_a_mesh_a_field_a_law_and_a_verdict_and_what_a_flight_can_do(mission, tm
     assert told["measured_clearance_m"] == pytest.approx(summary["measured_clearance_m"], abs=2e-3)
 
 
-@pytest.mark.long
+@pytest.mark.slow  # tests/flights/campaign flies them, test_commands.py reads them
 def test_a_campaign(mission, tmp_path):
     vary = {"chaser.mass": ("uniform", 18, 22)}
     flown = keepout.campaign(mission, runs=4, vary=vary, batch=2, keep="none")

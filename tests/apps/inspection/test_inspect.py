@@ -106,6 +106,7 @@ def test_the_end_of_time_ends_the_same_flight_and_what_is_undecided_counts_in_th
     assert less.coverage_seeable == pytest.approx(areas[less.seen & ~end].sum() / areas[~end].sum())
 
 
+@pytest.mark.slow  # test_light.py has what counts in shadow
 def test_in_the_earths_shadow_nothing_counts_and_what_it_cost_is_seen_in_later_light():
     mission = scenario(
         light={"kind": "sun"},

@@ -30,6 +30,7 @@ def written(inspection, tmp_path_factory):
     return folder, write_inspection(folder, dataclasses.replace(inspection, why="<script>evil</script>", flight=flight))
 
 
+@pytest.mark.slow  # test_commands.py writes the folder
 def test_the_folder_holds_what_there_is_to_see(written, inspection):
     folder, summary = written
     page = check_folder(folder, summary, ("coverage", "surface", "contact-sheet", "motion"))

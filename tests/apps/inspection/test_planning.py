@@ -71,6 +71,7 @@ def test_a_plan_sees_the_whole_box(box, whole):
     assert whole.duration >= whole.way_length / box.scenario.chaser.speed_limit
 
 
+@pytest.mark.slow  # test_cover.py and test_tour.py prove covers and tours
 def test_less_is_asked_for_with_fewer_views_and_the_nearest_view_tour_proves_nothing(box, whole):
     for tour, share in (("plan", 0.7), ("nearest", 0.95)):
         result = planned(replace(box, scenario=box.scenario.replace(inspect={"tour": tour})), share=share)

@@ -283,6 +283,7 @@ def with_errors(position, velocity, **more):
     )
 
 
+@pytest.mark.slow  # the flight above is by the same law and guard
 def test_the_guard_passes_on_what_the_law_does_at_its_own_edge():
     scenario = with_errors(0.1, 0.004, safety={"margin": 0.1})
     field = opened(lambda p: p[..., 1] >= 1.0)

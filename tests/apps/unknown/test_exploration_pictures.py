@@ -48,6 +48,7 @@ def test_times_of_first_sight_are_those_of_a_convex_box(exploration):
     assert len(np.unique(expected[inner])) >= 3
 
 
+@pytest.mark.slow  # test_commands.py writes the folder
 def test_the_folder_holds_what_there_is_to_see(exploration, tmp_path):
     flight = dataclasses.replace(exploration.flight, assumptions_broken=("<b>broken</b>",))
     evil = dataclasses.replace(exploration, why="<script>evil</script>", flight=flight)

@@ -199,7 +199,7 @@ print(json.dumps([before, [float(value).hex(), float(other).hex()], "kept__value
 """
 
 
-@pytest.mark.long
+@pytest.mark.slow  # the tests above keep and take programs within a process
 def test_from_one_process_to_the_next_programs_are_taken_and_lost_damaged_or_edited_ones_made_anew(
     tmp_path, monkeypatch
 ):

@@ -94,7 +94,7 @@ def test_safe_set_is_invariant():
     assert np.mean(np.asarray(unfiltered) < 0.0) > 0.05
 
 
-@pytest.mark.long
+@pytest.mark.slow  # test_safe_set_is_invariant has fields whose gradient is exact
 def test_safe_set_is_invariant_by_a_learned_field_whose_gradient_is_off_by_as_much_as_it_may():
     """The same of h whose gradient is ∇f̃ + e₂, with the worst e₂ of length e_∇h: along −v."""
     field, error = load_shipped("intelsat30").field, 0.3

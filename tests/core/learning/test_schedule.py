@@ -63,7 +63,7 @@ class Clock:
             steps = step * block_lengths(profile)[place]
             self.now += hunts + steps
             self.places.append(place)
-            pace.found(worst(place))
+            pace.found(worst(place), place)
             pace.took(place, hunts, steps)
             place = pace.onward(place)
         self.pace = pace
@@ -105,6 +105,15 @@ def test_a_bound_that_is_found_leads_to_the_polish_and_without_it_there_is_polis
     assert never.pace.ended == "time"
     without_time = Clock(monkeypatch, Ending(until_bound=0.0))
     assert without_time.places == list(range(24))
+
+
+def test_what_falls_with_the_rate_is_expected_to_come_to_where_the_rate_is_none(monkeypatch):
+    rate = {place: float(learning_rates(PROFILE, place)[0]) for place in range(20)}
+    flown = Clock(monkeypatch, Ending(), worst=lambda place: -0.02 + 0.5 * rate.get(place, 0.0))
+    assert flown.pace.expected == pytest.approx(-0.02)
+    assert "about -0.02 m to be expected" in flown.pace.told(19, 20)
+    noise = Clock(monkeypatch, Ending(), worst=lambda place: 0.1 + 0.01 * place)
+    assert noise.pace.expected == pytest.approx(0.1 + 0.01 * 16.0)
 
 
 @pytest.mark.parametrize(

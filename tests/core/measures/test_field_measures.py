@@ -9,7 +9,7 @@ from keepout.core.measures.quality import measure_model
 from keepout.flights.pages.mesh_pictures import eye_axes, rasterise
 
 
-@pytest.mark.long
+@pytest.mark.slow  # test_commands.py measures a field
 def test_every_measure_of_a_grid_field():
     model, h = small_box.grid(), float(small_box.grid().field.spacing)
     summary, _ = measure_model(model, small_box.target())

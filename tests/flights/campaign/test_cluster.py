@@ -38,6 +38,7 @@ def assert_flown_as_here(folder):
 # ---- one process a worker
 
 
+@pytest.mark.slow  # test_campaign.py has a campaign that was killed and goes on
 def test_a_killed_worker_loses_only_its_chunks_and_no_bit_differs(tmp_path):
     plan = small_plan()
     dataset = Dataset.begin(tmp_path / "out", plan)

@@ -52,7 +52,7 @@ def test_the_graph_is_the_field_to_rounding_within_and_beyond_its_domain():
     assert max(apart(field, np.asarray(ring.centre) + np.multiply.outer(radii, [0.6, 0.0, -0.8]))) < 1e-8
 
 
-@pytest.mark.long
+@pytest.mark.slow  # the test above compares its values
 def test_the_file_tells_the_certificate_with_the_measured_difference_added(tmp_path):
     model = load_shipped("intelsat30")
     out = tmp_path / "a.onnx"

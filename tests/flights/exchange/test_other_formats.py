@@ -23,7 +23,7 @@ from keepout.core.mission.epoch import parse_instant
 from keepout.flights.exchange.czml import earth_from_inertial
 from keepout.flights.exchange.flight_files import UNITS, inertial_flight
 
-pytestmark = pytest.mark.as_used
+pytestmark = [pytest.mark.as_used, pytest.mark.usefixtures("coarse_surfaces")]
 
 
 @pytest.fixture(scope="module")

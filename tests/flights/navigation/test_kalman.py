@@ -284,7 +284,7 @@ def test_a_sensor_that_lies_for_ever_costs_the_smoothing_and_no_more(lie):
     assert np.all(np.isfinite(beliefs.covariance))
 
 
-@pytest.mark.long
+@pytest.mark.slow  # the tests above compare covariances with independent filters
 def test_the_covariance_stays_positive_definite_over_twenty_thousand_steps():
     filtering = build([Place(5e-4), Pace(8e-7), Sight(1.0)])
     memory = started(filtering)

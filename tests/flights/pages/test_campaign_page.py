@@ -86,7 +86,7 @@ def test_the_command_flies_the_run_of_that_folder(tmp_path):
     assert re.findall(r"<tr><td>(\d+)</td>", table) == [str(run) for run in worst]
 
 
-@pytest.mark.long
+@pytest.mark.slow  # test_commands.py flies a run of a campaign again
 def test_the_worst_flights_that_were_kept_have_a_replay(tmp_path):
     folder = campaign(tmp_path / "out")
     worst = report_campaign(folder)["worst_runs"]

@@ -199,6 +199,7 @@ def test_a_chaser_behind_the_target_is_still_marked(opened):
     assert (np.abs(picture(opened) - before).max(axis=2) > 0.2).sum() > 100
 
 
+@pytest.mark.slow  # the tests above look at the page that is filmed
 def test_a_film_shows_the_flight_and_a_row_of_pictures_too(page_path, tmp_path):
     if chromium() is None:
         pytest.skip("no chromium: install Debian's, or name one in KEEPOUT_CHROMIUM")

@@ -27,7 +27,7 @@ from keepout.flights.pages.replayed import of_records, proved_clearance
 from keepout.flights.pages.scene import Packing, marks, to_inertial, to_vvlh
 from keepout.verbs.files import replay as replay_to_page
 
-pytestmark = pytest.mark.as_used
+pytestmark = [pytest.mark.as_used, pytest.mark.usefixtures("coarse_surfaces")]
 
 
 @pytest.fixture(scope="module")

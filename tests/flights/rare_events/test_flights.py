@@ -118,7 +118,7 @@ def test_the_clearance_is_the_audits_and_knows_no_company(flown):
         assert flight.clearance.min() + 1e-6 >= clearance[place]
 
 
-@pytest.mark.long
+@pytest.mark.slow  # test_subset.py goes on with a simulation
 def test_a_rare_event_that_was_interrupted_goes_on_to_the_same_answer_and_gives_its_worst_flight_again(tmp_path):
     scenario = NOISY
 

@@ -81,8 +81,8 @@ class Batching(NamedTuple):
         alike: which entries of `TARGET` are the same in all flights and computed once for all of them; the first
             flight's are taken. By default those that are the same in the flights given (`alike_among`). A campaign
             flown in parts names those of the whole: the last digits depend on what is shared.
-        batch: flights in a batch, by which the program is compiled; on a CPU the least of `SIZES` that takes all, or the
-            largest, elsewhere all. A last batch that is not full is filled up.
+        batch: flights in a batch, by which the program is compiled; on a CPU the least of `SIZES` that takes all, or
+            the largest, elsewhere all. A last batch that is not full is filled up.
         workers: batches in flight at once; by default the number of cores this process may use, elsewhere 1.
 
     """

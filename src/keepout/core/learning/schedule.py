@@ -29,6 +29,7 @@ POLISH = 300
 """Steps of the last phase of a fit that is to end by bound or time, where its profile has none."""
 SECOND = 0.25
 """Share of all its profile's steps that a fit takes which begins with the field of a mesh that is nearly the same."""
+_HUNTS_TO_EXPECT = 4
 _HUNT = 200
 """Steps that a search for counter-examples is taken to last as long as, until there was one."""
 
@@ -134,6 +135,7 @@ class Pace:
         self._lengths = block_lengths(profile)
         self._hunts: list[float] = []
         self._steps: list[float] = []
+        self._seen: list[tuple[float, float]] = []
         self._first = True
 
     @property
@@ -166,9 +168,11 @@ class Pace:
         places = range(first, self.blocks)
         return sum(step * self._lengths[n] + hunt * (phase_of(self.profile, n) > 0) for n in places)
 
-    def found(self, worst: float) -> None:
-        """Take in the largest over-statement that a hunt found, m."""
+    def found(self, worst: float, place: int) -> None:
+        """Take in the largest over-statement that a hunt before a block, or after the last, found, m."""
         self.worst = worst
+        if phase_of(self.profile, place) == phase_of(self.profile, place - 1) == 1:
+            self._seen.append((float(learning_rates(self.profile, place)[0]), worst))
         self.met = self.ending.until_bound is not None and worst <= self.ending.until_bound
 
     def onward(self, place: int) -> int:
@@ -188,6 +192,19 @@ class Pace:
             self.left_out += onward - place - 1
         return onward
 
+    @property
+    def expected(self) -> float | None:
+        """Give the largest over-statement that the fit is expected to come to, m: it falls as the learning rate does.
+
+        A line through what the hunts of the second phase found, at rate 0; None before there are four. A guess, within
+        some centimetres.
+        """
+        if len(self._seen) < _HUNTS_TO_EXPECT:
+            return None
+        rate, worst = np.array(self._seen).T
+        slope, at_rest = np.polyfit(rate, worst, 1)
+        return float(min(at_rest if slope > 0.0 else worst.mean(), self.worst))
+
     def share(self, place: int) -> float:
         """Give the share of a fit's steps that is done after a block, 0 to 1."""
         return sum(self._lengths[: place + 1]) / sum(self._lengths)
@@ -195,6 +212,8 @@ class Pace:
     def told(self, place: int, onward: int) -> str:
         """Say what was found before a block, and how long the fit will go on after it."""
         said = f", worst over-statement {self.worst:+.3f} m" if phase_of(self.profile, place) else ""
+        if phase_of(self.profile, place) == 1 and self.expected is not None:
+            said += f", about {self.expected:+.2f} m to be expected"
         if self._steps:
             said += f", {min(self.seconds(onward), self.time_left):.0f} s left"
         return said

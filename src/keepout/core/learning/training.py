@@ -198,7 +198,7 @@ class _Course:
             begun = time.perf_counter()
             state = self.hunted(state, place)
             found_at = time.perf_counter()
-            pace.found(float(state.worst))
+            pace.found(float(state.worst), place)
             if place == 0 or phase_of(numbers, place) != phase_of(numbers, before):
                 state = state._replace(optimizer=_optimizer(numbers).init(state.layers))
             state = self.trained(state, place)
@@ -210,7 +210,7 @@ class _Course:
             self.seconds["steps"] += time.perf_counter() - found_at
             pace.took(place, found_at - begun, time.perf_counter() - found_at)
             if place == pace.blocks - 1 and pace.ending.until_bound is not None:
-                pace.found(float(self.hunted(state, place + 1).worst))
+                pace.found(float(self.hunted(state, place + 1).worst), place)
             before, place = place, pace.onward(place)
             state = state._replace(block=jnp.asarray(place, state.block.dtype))
             if checkpoint is not None:
