@@ -15,6 +15,7 @@ from keepout.core.fields.continuation import Domain
 from keepout.core.fields.field import values
 from keepout.core.fields.grid_build import build_grid
 from keepout.core.fields.model import FieldModel
+from keepout.core.fields.neural import NeuralField
 from keepout.core.geometry.target import Target
 from keepout.core.learning import schedule
 from keepout.core.learning.losses import PROFILES, TrainingProfile
@@ -147,6 +148,7 @@ def test_a_second_fit_has_no_first_phase_and_a_share_of_the_steps():
 
 def test_a_first_field_is_the_same_function_in_the_coordinates_of_another_mesh():
     model = load_shipped("intelsat30")
+    assert isinstance(model.field, NeuralField)
     numbers = PROFILES["default"]
     domain = Domain(np.array([0.3, -0.2, 0.7]), 14.0, 17.0, 21.0)
     layers = layers_of(model, domain, numbers)

@@ -110,10 +110,8 @@ def fit(
     distance = target.distance
     domain = Domain.around(distance)
     numbers = losses.find_profile(profile).for_size(domain.target_radius).for_chaser(chaser_radius)
-    if first is not None:
-        first_layers = layers_of(first, domain, numbers)
-        numbers = shortened(numbers)
-    numbers = ending.of_profile(numbers)
+    begun = None if first is None else layers_of(first, domain, numbers)
+    numbers = ending.of_profile(numbers if first is None else shortened(numbers))
     name = profile if isinstance(profile, str) else "custom"
     largest = domain.domain_radius - domain.target_radius
     if not 0.0 <= chaser_radius <= largest:
@@ -141,8 +139,8 @@ def fit(
         entries.append(first.sha256)
     kept = None if checkpoint is None else _Checkpoint(checkpoint, digest(json.dumps(entries)))
     initial = _initial(numbers, data, hunt.kept if hunt else 0, seed)
-    if first is not None:
-        initial = initial._replace(layers=first_layers)
+    if begun is not None:
+        initial = initial._replace(layers=begun)
     state = course.taken(initial, kept, target.name, part_of(progress, 0.1, 0.99))
     field = _finished(Learned(state.layers, numbers.beta, domain), solid, generator)
     curve = np.asarray(state.curve, np.float64)

@@ -141,8 +141,10 @@ def _largest_excess(field: GridField, distance: ExactDistance, radius: float) ->
         numbers, nodes = number[level == one], node[level == one]
         # Each node is shared by up to 64 cells, and its distance is asked once.
         lowest, extent = nodes.min(axis=0), np.ptp(nodes, axis=0) + 4
-        window = np.ravel_multi_index(tuple(_WINDOW.T), tuple(extent))
-        asked = corner = np.ravel_multi_index(tuple((nodes - lowest).T), tuple(extent))
+        window, corner = (
+            np.asarray(np.ravel_multi_index(tuple(of.T), tuple(extent))) for of in (_WINDOW, nodes - lowest)
+        )
+        asked = corner
         for stride in (1, extent[2], extent[1] * extent[2]):
             asked = _distinct(np.concatenate([asked + stride * step for step in range(4)]))
         there = np.stack(np.unravel_index(asked, tuple(extent)), axis=-1) + lowest
@@ -179,7 +181,7 @@ def _touched(
             if level > 0:
                 # Where a finer block lies, the field is that block's spline.
                 used &= np.asarray(field.tables[level - 1])[tuple((2 * node // BLOCK).T)] < 0
-            found.append(_distinct(np.ravel_multi_index(tuple(node[used].T), tuple(last + 1))))
+            found.append(_distinct(np.asarray(np.ravel_multi_index(tuple(node[used].T), tuple(last + 1)))))
         node = np.stack(np.unravel_index(_distinct(np.concatenate(found)), tuple(last + 1)), axis=-1)
         cells.append((table[tuple((node // BLOCK).T)], np.full(len(node), level), node))
     number, level, node = (np.concatenate(column) for column in zip(*cells))
