@@ -104,25 +104,25 @@ def largest_on_level(
     distance: ExactDistance,
     level: float,
     centres: Float[np.ndarray, "n 3"],
-    half_widths: Float[np.ndarray, "n"],
+    half_widths: Float[np.ndarray, "n 3"],
     slopes: Float[np.ndarray, "n 3"],
 ) -> Float[np.ndarray, "n"]:
-    """Upper bound of slope·(p - c) over the points p of each cube with d(p) = level.
+    """Upper bound of slope·(p - c) over the points p of each box with d(p) = level.
 
-    A cube that meets {d = R} also holds points up to its diagonal off that surface, and a bound over the whole cube
+    A box that meets {d = R} also holds points up to its diagonal off that surface, and a bound over the whole box
     pays for them. Every triangle's own distance d_T is convex, so d_T(p) ≥ d_T(c) + g·(p - c) with g its gradient at
-    the cube's centre c; where d(p) = R some triangle has d_T(p) = R, hence g·(p - c) ≤ R - d_T(c). The level set inside
-    the cube lies in the union of these half-spaces, over the triangles that come near enough.
+    the box's centre c; where d(p) = R some triangle has d_T(p) = R, hence g·(p - c) ≤ R - d_T(c). The level set inside
+    the box lies in the union of these half-spaces, over the triangles that come near enough.
 
     Args:
         distance: exact unsigned distance to triangles.
         level: metres, positive.
-        centres: c of each cube, metres.
-        half_widths: of each cube, metres.
-        slopes: of the linear function of each cube.
+        centres: c of each box, metres.
+        half_widths: of each box, along the axes, metres.
+        slopes: of the linear function of each box.
 
     Returns:
-        The bound; minus infinity where the cube provably does not meet the level set.
+        The bound; minus infinity where the box provably does not meet the level set.
 
     """
     answer = np.empty(len(centres))
@@ -136,19 +136,24 @@ def largest_on_level(
 
 
 @kernel()
+def _reach(v, half):
+    """Max v·q over |q_i| ≤ half_i."""
+    return half[0] * abs(v[0]) + half[1] * abs(v[1]) + half[2] * abs(v[2])
+
+
+@kernel()
 def _over_cut(v, g, half, limit):
-    """Max v·q over |q_i| ≤ half, g·q ≤ limit: by duality the least over λ ≥ 0 of λ limit + half Σ|v_i - λ g_i|."""
-    reach = half * (abs(g[0]) + abs(g[1]) + abs(g[2]))
-    if -reach > limit:
+    """Max v·q over |q_i| ≤ half_i, g·q ≤ limit: by duality the least over λ ≥ 0 of λ limit + Σ half_i |v_i - λ g_i|."""
+    if -_reach(g, half) > limit:
         return -np.inf
-    best = half * (abs(v[0]) + abs(v[1]) + abs(v[2]))
+    best = _reach(v, half)
     for axis in range(3):
         if g[axis] != 0.0:
             factor = v[axis] / g[axis]
             if factor > 0.0:
                 value = factor * limit
                 for other in range(3):
-                    value += half * abs(v[other] - factor * g[other])
+                    value += half[other] * abs(v[other] - factor * g[other])
                 best = min(best, value)
     return best
 
@@ -161,8 +166,8 @@ def _largest(tree, level, centres, half_widths, slopes, answer):
         x, y, z = centres[i, 0], centres[i, 1], centres[i, 2]
         half = half_widths[i]
         v = slopes[i]
-        whole = half * (abs(v[0]) + abs(v[1]) + abs(v[2]))
-        far = level + np.sqrt(3.0) * half + _SLACK
+        whole = _reach(v, half)
+        far = level + np.sqrt(half[0] ** 2 + half[1] ** 2 + half[2] ** 2) + _SLACK
         best = -np.inf
         depth = 1
         stack[0] = 0

@@ -2,7 +2,7 @@
 
 A continuous path from outside to contact crosses {d = R}, R the chaser's radius and d the exact distance to the
 triangles. So one inequality on one surface, f̃ ≤ R + e_h on {d = R}, makes {f̃ > R + e_h} free of contact. The surface
-is covered with triangles (R = 0) or cubes (R > 0), f̃ is bounded over each, and those that matter are split
+is covered with triangles (R = 0) or boxes (R > 0), f̃ is bounded over each, and those that matter are split
 (docs/certificate.md). Where a proof takes too long, a search says what it found, and proves nothing; of a field of your
 own the bound follows from the Lipschitz bound that is stated.
 """
@@ -23,7 +23,7 @@ from keepout.core.fields.neural import NeuralField
 from keepout.core.fields.own import FunctionField
 from keepout.core.geometry import level_set
 from keepout.core.geometry.distance import ExactDistance
-from keepout.core.geometry.octree import CORNERS, straddling_cells
+from keepout.core.geometry.octree import straddling_cells
 from keepout.core.geometry.target import Target
 from keepout.core.progress import Progress, part_of, silent
 from keepout.core.proof import bounds
@@ -46,6 +46,8 @@ FIRST_LEAF, LARGEST_LEAF = 0.02, 0.4
 """Side of the cubes that first cover {d = R}: this share of the domain's radius, at most so many metres."""
 OTHER_MACHINE = 1e-12
 """Metres, or slope: what float64 sums in another order change; every bound has more than that added for it."""
+ALONG = 1.0
+"""By how much more a box's side counts that points away from the target than one along it, where it is cut."""
 LOOKED_AT = 1024
 """Elements with the largest bounds, of each size, where a larger value is looked for."""
 
@@ -264,7 +266,7 @@ def _bound_on_contact(
             open_ = (upper - error > found + gap) | ((upper > found + gap + ERROR_GAP * contact.scale) & large)
         else:
             open_ = (upper > radius + stated.error_bound - slack) | ((error > stated.evaluation_error) & large)
-        if seen + 8 * int(open_.sum()) > MOST_ELEMENTS:
+        if seen + 2 * int(open_.sum()) > MOST_ELEMENTS:
             open_[:] = False
         settled = max(settled, float(upper[~open_].max(initial=-np.inf)))
         evaluation = max(evaluation, float(error[~open_].max(initial=0.0)))
@@ -317,7 +319,7 @@ class _Contact:
             middle = (piece[:, 0] - centre) / scale
             boxes = bounds.boxes(middle, (piece[:, 1] + self.slack) / scale)
             upper, slope, constant, error = bounds.upper_bounds(self.network, boxes)
-            half = piece[:, 1, 0] + self.slack
+            half = piece[:, 1] + self.slack
             cut = level_set.largest_on_level(self.distance, self.radius, piece[:, 0], half, slope)
             upper = np.fmin(upper, (middle * slope).sum(axis=1) + constant + cut / scale)
         return scale * (upper + error), scale * error
@@ -328,11 +330,13 @@ def _first_leaf(field: NeuralField) -> float:
 
 
 def _cover(distance: ExactDistance, radius: float, leaf: float) -> Float[np.ndarray, "m k 3"]:
-    """Triangles as (m, 3, 3) corners, or cubes as (m, 2, 3): centre and half widths."""
+    """Triangles as (m, 3, 3) corners, or boxes as (m, 2, 3): centre and half widths."""
     if radius == 0.0:
         return distance.vertices[distance.faces]
     centres, half = straddling_cells(distance, radius, leaf=leaf)
-    return np.stack([centres, np.repeat(half[:, None], 3, axis=1)], axis=1)
+    cubes = np.stack([centres, np.repeat(half[:, None], 3, axis=1)], axis=1)
+    # Flat boxes from the first: a cut across the surface adds few, and all are bounded better.
+    return _split(_meeting(cubes, distance, radius), distance, radius)
 
 
 def _edges(triangles: Float[np.ndarray, "m 3 3"]) -> Float[np.ndarray, "m 3"]:
@@ -341,14 +345,14 @@ def _edges(triangles: Float[np.ndarray, "m 3 3"]) -> Float[np.ndarray, "m 3"]:
 
 
 def _length(elements: Float[np.ndarray, "m k 3"], radius: float) -> Float[np.ndarray, "m"]:
-    """Longest edge of each triangle, or side of each cube, metres."""
+    """Longest edge of each triangle, or side of each box, metres."""
     if radius == 0.0:
         return _edges(elements).max(axis=1)
-    return 2.0 * elements[:, 1, 0]
+    return 2.0 * elements[:, 1].max(axis=1)
 
 
 def _split(elements: Float[np.ndarray, "m k 3"], distance: ExactDistance, radius: float) -> Float[np.ndarray, "p k 3"]:
-    """Cut triangles in two across their longest edge, cubes in eight, less those that cannot meet {d = radius}."""
+    """Cut triangles in two across their longest edge, and boxes, less those that cannot meet {d = radius}."""
     if len(elements) == 0:
         return elements
     if radius == 0.0:
@@ -357,12 +361,29 @@ def _split(elements: Float[np.ndarray, "m k 3"], distance: ExactDistance, radius
         a, b, c = (elements[rows, (apex + k) % 3] for k in range(3))
         middle = 0.5 * (b + c)
         return np.concatenate([np.stack([a, b, middle], axis=1), np.stack([a, middle, c], axis=1)])
-    half = 0.5 * elements[:, 1]
-    centres = (elements[:, 0][:, None, :] + CORNERS * half[:, None, :]).reshape(-1, 3)
-    half = np.repeat(half, 8, axis=0)
-    reach = np.linalg.norm(half, axis=1) * (1.0 + 1e-9) + 1e-9
-    meets = np.abs(distance.distance(centres) - radius) <= reach
-    return np.stack([centres[meets], half[meets]], axis=1)
+    near = distance.closest(elements[:, 0])[1]
+    return _meeting(_halved(elements, elements[:, 0] - near), distance, radius)
+
+
+def _halved(boxes: Float[np.ndarray, "m 2 3"], away: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "p 2 3"]:
+    """Cut each box in two across its longest side.
+
+    A side counts for more the more it points away from the target: of two halves one above the other one meets the
+    surface, of two side by side both.
+    """
+    turned = np.abs(away) / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-30)
+    axis = (boxes[:, 1] * (1.0 + ALONG * turned)).argmax(axis=1)
+    half = np.where(np.arange(3) == axis[:, None], 0.5, 1.0) * boxes[:, 1]
+    step = boxes[:, 1] - half
+    return np.concatenate([np.stack([boxes[:, 0] + side * step, half], axis=1) for side in (-1.0, 1.0)])
+
+
+def _meeting(boxes: Float[np.ndarray, "m 2 3"], distance: ExactDistance, radius: float) -> Float[np.ndarray, "p 2 3"]:
+    """Leave out boxes that cannot meet {d = radius}: all of them is nearer to one point, or farther from all."""
+    centres, half = boxes[:, 0], boxes[:, 1] * (1.0 + 1e-9) + 1e-9
+    farthest = np.linalg.norm(np.abs(centres - distance.closest(centres)[1]) + half, axis=1)
+    boxes, centres, half = (of[farthest >= radius] for of in (boxes, centres, half))
+    return boxes[level_set.largest_on_level(distance, radius, centres, half, np.zeros_like(centres)) > -np.inf]
 
 
 def sample_certificate(
