@@ -1,12 +1,16 @@
 """Speed of campaigns: Case 3's flights around intelsat30 with the default field and law, guard on.
 
     python benchmarks/campaign.py [--flights 1000] [--steps 3000] [--cores 1 2] [--scaling 100 1000 10000] [--json OUT]
+    python benchmarks/campaign.py --equipped [--flights 256] [--steps 1000] [--json OUT]
 
 Three tables. Time: microseconds a flight-step by the clock and of processor time, audit left out and included, on so
 many cores, after start-up; medians of three. Shares: what each part costs alone on one core. Ratio: against the same
 law (printed constants, no guard) written the usual way, a flight at a time with CVXPY, Clarabel and PyTorch. With
 `--scaling`, time against the number of runs, of shorter flights. Each number of cores has a process of its own, which
 is kept to them. On a machine that does other work, compare the processor time.
+
+With `--equipped`, the same campaign by the true state, on sensors, and on sensors and on/off thrusters, audit included;
+and what campaigns of 96 and 128 runs take the first time, one after another in one process.
 """
 
 import argparse
@@ -32,13 +36,29 @@ def main():
     parser.add_argument("--scaling", type=int, nargs="+", default=[], metavar="RUNS")
     parser.add_argument("--scaling-steps", type=int, default=1000, help="steps of those flights")
     parser.add_argument("--no-usual", action="store_true", help="leave the usual way out")
+    parser.add_argument("--equipped", action="store_true", help="flights on sensors and thrusters, and nothing else")
     parser.add_argument("--json", metavar="OUT", help="write all figures here too")
     arguments = parser.parse_args()
     from keepout.flights.pages.head_and_foot import machine
 
     found = {"machine": machine(), "date": datetime.date.today().isoformat(), "steps": arguments.steps}
     found["scaling_steps"] = arguments.scaling_steps
-    found |= {"flights": arguments.flights, "load at the start": os.getloadavg()[0], "times": [], "scaling": []}
+    found |= {"flights": arguments.flights, "load at the start": os.getloadavg()[0]}
+    if arguments.equipped:
+        found["equipped"] = []
+        print(f"{'cores':>5} {'first s':>8} {'again s':>8} {'clock us':>9} {'cpu us':>7} {'ratio':>6}   a flight-step")
+        for name, tables in EQUIPPED.items():
+            row = {"flown": name, **apart(max(arguments.cores), equipped, tables, arguments.flights, arguments.steps)}
+            found["equipped"].append(row)
+            ratio = row["cpu_us"] / found["equipped"][0]["cpu_us"]
+            print(
+                f"{row['cores']:>5} {row['first_s']:>8.1f} {row['other_number_s']:>8.1f} {row['clock_us']:>9.2f} "
+                f"{row['cpu_us']:>7.2f} {ratio:>6.1f}   {name}",
+                flush=True,
+            )
+        write(found, arguments.json)
+        return
+    found |= {"times": [], "scaling": []}
     print(f"{arguments.flights} flights of {arguments.steps} steps; load of the machine {os.getloadavg()[0]:.1f}")
     print(f"{'cores':>5} {'audit':>6} {'clock us':>9} {'cpu us':>7} {'seconds':>8}   a flight-step; the whole campaign")
     for cores in arguments.cores:
@@ -63,8 +83,13 @@ def main():
             print(f"{row['runs']:>8} {row['seconds']:>9.2f} {row['cpu_us']:>7.2f}")
         each = [row["seconds"] / row["runs"] for row in found["scaling"]]
         print(f"linear within {100 * (max(each) / min(each) - 1):.0f} %")
-    if arguments.json:
-        with open(arguments.json, "w", encoding="utf-8") as file:
+    write(found, arguments.json)
+
+
+def write(found, path):
+    """Write all figures, if a file is named."""
+    if path:
+        with open(path, "w", encoding="utf-8") as file:
             json.dump(found, file, indent=1)
 
 
@@ -79,6 +104,42 @@ def keep_to(cores):
     os.environ["OMP_NUM_THREADS"] = str(cores)
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:cores])
+
+
+EQUIPPED = {
+    "the true state": {},
+    "sensors (suite close)": {"navigation": {"suite": "close"}},
+    "sensors (suite close), twelve on/off thrusters": {
+        "navigation": {"suite": "close"},
+        "thrusters": {"layout": "12", "least_on_time": 0.02},
+    },
+}
+"""What flights of `--equipped` have beside Case 3's."""
+
+
+def equipped(tables, flights, steps):
+    """Time whole campaigns of drawn runs in memory: the first of 96, one of 128, and so many after it."""
+    from keepout.apps.reproduction.case3 import DEFAULTS, case3_scenarios
+    from keepout.flights.campaign.campaign import plan_campaign
+
+    scenario = case3_scenarios(0, quick=False)["intelsat30", DEFAULTS].replace(duration=float(steps), **tables)
+
+    def campaign(runs):
+        plan = plan_campaign(scenario.replace(campaign={"runs": runs}))
+        began = time.perf_counter(), time.process_time()
+        plan.fly()
+        return time.perf_counter() - began[0], time.process_time() - began[1]
+
+    first, other = campaign(96)[0], campaign(128)[0]
+    pairs = [campaign(flights) for _ in range(REPEATS)]
+    clock, processor = (statistics.median(values) for values in zip(*pairs, strict=True))
+    return {
+        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "first_s": first,
+        "other_number_s": other,
+        "clock_us": 1e6 * clock / flights / steps,
+        "cpu_us": 1e6 * processor / flights / steps,
+    }
 
 
 def planned(runs, *, law="default"):

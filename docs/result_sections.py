@@ -406,7 +406,32 @@ def campaigns() -> list[str]:
     lines += [f"**Time against the number of runs, audit included; flights of {kept['scaling_steps']} s**", ""]
     each = [row | {"each": 1e3 * row["seconds"] / row["runs"]} for row in kept["scaling"]]
     columns = {"runs": "runs", "seconds": "s", "each": "ms a flight", "cpu_us": "processor µs a flight-step"}
-    return [*lines, *table(each, columns)]
+    return [*lines, *table(each, columns), *equipped()]
+
+
+def equipped() -> list[str]:
+    """Give what flights on sensors and thrusters cost beside those by the true state, and a campaign's first time."""
+    kept = kept_file("campaign_equipped")
+    columns = {
+        "flown": "flown by",
+        "clock_us": "clock µs",
+        "cpu_us": "processor µs",
+        "ratio": "to the first row",
+        "first_s": "s of 96 runs, the first time",
+        "other_number_s": "s of 128 runs after them",
+    }
+    rows = [row | {"ratio": row["cpu_us"] / kept["equipped"][0]["cpu_us"]} for row in kept["equipped"]]
+    return [
+        "**Flights on sensors and thrusters: microseconds a flight-step, audit included**",
+        "",
+        f"`python benchmarks/campaign.py --equipped`; {kept['flights']} flights of {kept['steps']} s on "
+        f"{rows[0]['cores']} cores, medians of three. Campaigns of any number of runs up to 128 share three programs, so "
+        "that the second campaign compiles nothing.",
+        "",
+        *note("campaign_equipped"),
+        "",
+        *table(rows, columns),
+    ]
 
 
 def startup() -> list[str]:
