@@ -83,7 +83,7 @@ MUTANTS = {
         ("cubes by their middles", "+ reach >= clearance", ">= clearance", "mutants_found"),
     ],
     "core/proof/certificate.py": [
-        ("cube as wide as its side", "np.linalg.norm(half, axis=1)", "half[:, 0]", "mutants_found"),
+        ("box as wide as its middle", "closest(centres)[1]) + half", "closest(centres)[1])", "mutants_found"),
     ],
     "core/proof/grid.py": [
         ("cell without its spread", "np.hypot(radius, h) - radius + (c", "(c", "grid_field grid:contact"),
