@@ -142,7 +142,7 @@ def test_an_end_by_bound_or_time_has_a_polish_and_a_profile_without_hunts_knows_
 
 def test_a_second_fit_has_no_first_phase_and_a_share_of_the_steps():
     second = shortened(PROFILE)
-    assert (second.steps, second.tuning_steps) == (0, 5 * BLOCK)
+    assert (second.steps, second.tuning_steps) == (0, 3 * BLOCK)
     assert phase_of(second, 0) == 1
 
 

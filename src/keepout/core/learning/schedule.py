@@ -27,7 +27,7 @@ SETTLING = 1 / 3
 gained, and the certified side settles last."""
 POLISH = 300
 """Steps of the last phase of a fit that is to end by bound or time, where its profile has none."""
-SECOND = 0.25
+SECOND = 0.125
 """Share of all its profile's steps that a fit takes which begins with the field of a mesh that is nearly the same."""
 _HUNTS_TO_EXPECT = 4
 _HUNT = 200

@@ -92,7 +92,7 @@ def fit(
         seed: the same seed, target and profile on the same machine give the same field.
         checkpoint: a file kept up to date while training and deleted at the end; if it exists, the fit goes on from it.
         solid: the target's offset solid, if already built.
-        first: the field of a mesh that differs little; the fit begins with it, and takes a quarter of the steps.
+        first: the field of a mesh that differs little; the fit begins with it, and takes an eighth of the steps.
         until_bound: m; once no over-statement above it is found, the rest of the steps is left out but for the last,
             which polish. The bound itself is `certify`'s to prove, and a few millimetres more.
         at_most: s, in which the fit ends: blocks of steps that there is no time for are left out, evenly. With a bound
