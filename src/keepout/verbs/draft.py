@@ -19,7 +19,7 @@ from pydantic.fields import FieldInfo
 
 from keepout.core.errors import KeepoutError, ScenarioError
 from keepout.core.mission.entries import ChaserEntry
-from keepout.core.mission.scenario import Scenario, entries_and_tables, is_number, is_vector, is_whole_number, tree_of
+from keepout.core.mission.scenario import Scenario, entries_and_tables, is_number, is_vector, is_whole_number
 from keepout.core.progress import Progress, silent
 
 if TYPE_CHECKING:
@@ -69,6 +69,18 @@ class Draft:
     remarks: tuple[str, ...] = field(default=())
 
 
+def _tree_of(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Nest values by dotted name, such as `chaser.mass`, as `Scenario.parse` takes them."""
+    tree: dict[str, Any] = {}
+    for name, value in values.items():
+        *tables, last = name.split(".")
+        within = tree
+        for table in tables:
+            within = within.setdefault(table, {})
+        within[last] = value
+    return tree
+
+
 def draft(
     source: str | None = None,
     *,
@@ -98,7 +110,7 @@ def draft(
     """
     values: dict[str, Any] = {"name": name, "seed": 0, "control.profile": profile}
     if source is None:
-        defaults = Scenario.parse(tree_of(values))
+        defaults = Scenario.parse(_tree_of(values))
         values |= _numbers(defaults)
         values |= {"target.source": defaults.target.source, "field.source": defaults.field.source}
         return Draft(defaults, _written(values, {}, (), source), values)
@@ -116,7 +128,7 @@ def draft(
     start, goal, way = _places(target)
     values |= {"start.position": start, "goal.position": goal}
     progress(0.5, "speed")
-    scenario, honoured = _honoured(Scenario.parse(tree_of(values | {"target.source": source})), target)
+    scenario, honoured = _honoured(Scenario.parse(_tree_of(values | {"target.source": source})), target)
     speed = scenario.chaser.speed_limit
     # Half as long again as the way round the bounding box takes, and time to come to rest.
     scenario = scenario.replace(duration=100.0 * math.ceil((1.5 * way / speed + 200.0) / 100.0))
@@ -245,7 +257,7 @@ def commented(values: Mapping[str, Any], *, notes: Mapping[str, str] | None = No
         ScenarioError: a value is not valid.
 
     """
-    Scenario.parse(tree_of(values))
+    Scenario.parse(_tree_of(values))
     lines = [f"# {line}".rstrip() for line in head]
     for name, told in entries_and_tables():
         if isinstance(told, FieldInfo):

@@ -11,10 +11,11 @@ from truths.message_files import judged, meshed, orbits, resting, turning
 from truths.messages import GEOSTATIONARY, TUMBLING, toy_flight
 
 from keepout.core.audit.audit import Contact, audit
-from keepout.core.audit.passage import SampleBounds, Samples, angles, audit_passage, measured_turning_acceleration
+from keepout.core.audit.passage import SampleBounds, Samples, angles, audit_passage
 from keepout.core.errors import ExchangeError
 from keepout.core.geometry.target import Target
 from keepout.core.mission.surroundings import Surroundings
+from keepout.flights.exchange.audited import measured_turning_acceleration
 
 PLATE = (4.0, 4.0, 0.01)
 

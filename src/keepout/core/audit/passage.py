@@ -252,28 +252,6 @@ def angles(turn: Float[np.ndarray, "samples 3 3"]) -> Float[np.ndarray, "steps"]
     return 2.0 * np.arcsin(np.minimum(between / np.sqrt(8.0), 1.0))
 
 
-def measured_turning_acceleration(
-    time: Float[np.ndarray, "samples"], turn: Float[np.ndarray, "samples 3 3"], attitude_error: float = 0.0
-) -> float:
-    """Give twice the largest change of the mean angular velocity from step to step, over their middles' distance.
-
-    What the attitudes' error (rad) can hide of such a change is added. A measurement: what happens between the epochs
-    is not in them.
-    """
-    if len(time) < 3:
-        return 0.0
-    step = np.diff(time)
-    between = np.einsum("nij,nkj->nik", turn[1:], turn[:-1])
-    skew = 0.5 * (between - np.swapaxes(between, 1, 2))
-    axis = np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1)
-    angle = angles(turn)
-    # sin φ times the axis becomes φ times the axis.
-    mean = axis * (angle / np.maximum(np.sin(angle), 1e-300))[:, None] / step[:, None]
-    apart = 0.5 * (step[1:] + step[:-1])
-    hidden = 2.0 * attitude_error * (1.0 / step[1:] + 1.0 / step[:-1])
-    return float(np.max((2.0 * lengths(np.diff(mean, axis=0)) + hidden) / apart))
-
-
 def least_accelerations(samples: Samples, bounds: SampleBounds) -> Float[np.ndarray, "steps"]:
     """Give for each step the least a with which its ends agree, m/s².
 

@@ -10,7 +10,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree
+from jaxtyping import Array, Int, PRNGKeyArray, PyTree
 
 from keepout.core.control.law import Command, LawOfAnother
 from keepout.core.errors import ScenarioError
@@ -293,50 +293,3 @@ class BrokenLaw(LawOfAnother):
             jnp.where(count % self.hold == 0, jnp.nan, own),
         )
         return jnp.stack(forces)[self.kind]
-
-
-class KnownErrors(Faults):
-    """Estimates that are wrong by given errors.
-
-    Attributes:
-        position: one row an estimate, m.
-        velocity: likewise, m/s.
-
-    """
-
-    position: Float[Array, "rows 3"]
-    velocity: Float[Array, "rows 3"]
-
-    def initial_state(self, key: PRNGKeyArray) -> PyTree:
-        """Start with the first row."""
-        return jnp.zeros((), jnp.int32)
-
-    def estimate(self, fault_state: PyTree, true_state: MotionState) -> tuple[PyTree, MotionState]:
-        """Add this row's errors."""
-        return fault_state + 1, true_state.moved(self.position[fault_state], self.velocity[fault_state])
-
-
-class KnownLosses(Faults):
-    """Commands of which given ones are lost; the thrusters then go on as they were."""
-
-    lost: Bool[Array, "rows"]
-
-    def initial_state(self, key: PRNGKeyArray) -> PyTree:
-        """Start with the first row and without force."""
-        return jnp.zeros((), jnp.int32), jnp.zeros(3)
-
-    def command(self, fault_state: PyTree, force: Vector, time: Scalar) -> tuple[PyTree, Vector]:
-        """Give this command or the last one that arrived."""
-        row, last = fault_state
-        arrived = jnp.where(self.lost[row], last, force)
-        return (row + 1, arrived), arrived
-
-
-class KnownGain(Faults):
-    """Thrusters that give their command times a given factor an axis."""
-
-    factor: Vector
-
-    def actuate(self, fault_state: PyTree, force: Vector, time: Scalar) -> tuple[PyTree, Vector]:
-        """Scale the force."""
-        return fault_state, self.factor * force

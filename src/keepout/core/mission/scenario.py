@@ -9,7 +9,7 @@ import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args, get_origin
+from typing import Annotated, Any, get_args, get_origin
 
 from pydantic import BaseModel, Field, ValidationError
 from pydantic.fields import FieldInfo
@@ -19,7 +19,6 @@ from keepout.core.mission import entries, task_entries
 from keepout.core.mission.entries import Entry, Epoch, Vector
 
 COMPONENTS = ("x", "y", "z")
-Kind = Literal["number", "vector", "other"]
 Keys = tuple[Any, ...]
 """Keys from the outermost table to an entry; places in an array are numbers."""
 _SHOWN = 200
@@ -362,56 +361,6 @@ def entries_and_tables(kind: type[Entry] = Scenario, within: str = "") -> Iterat
     for name, table in inner:
         yield name, table
         yield from entries_and_tables(table, f"{name}.")
-
-
-def tree_of(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Nest values by dotted name, such as `chaser.mass`, as `Scenario.parse` takes them."""
-    tree: dict[str, Any] = {}
-    for name, value in values.items():
-        *tables, last = name.split(".")
-        within = tree
-        for table in tables:
-            within = within.setdefault(table, {})
-        within[last] = value
-    return tree
-
-
-def entry_kind(name: str) -> Kind:
-    """Say what an entry holds: a `number`, a `vector` of three, or something `other`, such as a word.
-
-    Args:
-        name: dotted, as `chaser.mass`, `start.position`, `start.position.x` or `target.parameters.wing_angle`.
-
-    Raises:
-        ScenarioError: there is no such entry, or it is a whole table.
-
-    """
-    model: type[BaseModel] = Scenario
-    parts = name.split(".")
-    for place, part in enumerate(parts):
-        field = model.model_fields.get(part)
-        if field is None:
-            near = difflib.get_close_matches(part, model.model_fields, n=1)
-            hint = f"did you mean {near[0]}?" if near else f"valid: {', '.join(model.model_fields)}"
-            raise ScenarioError(f"{name}: no such entry; {hint}")
-        kind, rest = field.annotation, parts[place + 1 :]
-        if isinstance(kind, type) and issubclass(kind, BaseModel):
-            model = kind
-            continue
-        if kind == dict[str, float] and len(rest) == 1:
-            return "number"
-        if is_vector(kind):
-            if not rest:
-                return "vector"
-            if len(rest) == 1 and rest[0] in COMPONENTS:
-                return "number"
-            raise ScenarioError(f"{name}: no such entry; components of a vector are x, y and z")
-        if rest:
-            raise ScenarioError(f"{name}: no such entry; {'.'.join(parts[: place + 1])} is not a table")
-        return "number" if is_number(kind) else "other"
-    raise ScenarioError(
-        f"{name}: a whole table; name one of {', '.join(f'{name}.{key}' for key in model.model_fields)}"
-    )
 
 
 def with_entries(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:

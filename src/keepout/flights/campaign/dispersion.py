@@ -7,21 +7,23 @@ run k is the same in a campaign of any length, and what one entry draws does not
 of runs too. A run as drawn is its scenario, where it starts and its mission, or why it cannot be flown.
 """
 
+import difflib
 import hashlib
 import itertools
 import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
+from pydantic import BaseModel
 from scipy.special import ndtr, ndtri
 
 from keepout.core.errors import KeepoutError, ScenarioError
 from keepout.core.mission.build import Mission
-from keepout.core.mission.scenario import COMPONENTS, Scenario, entry_kind, with_entries
+from keepout.core.mission.scenario import COMPONENTS, Scenario, is_number, is_vector, with_entries
 from keepout.core.mission.target import has_way_out, room_to_start
 from keepout.core.mission.task_entries import DispersionEntry
 
@@ -32,6 +34,7 @@ _FIXED = ("name", "seed", "campaign", "require")
 """Entries of the campaign as a whole: no run can have its own."""
 
 Units = Float[np.ndarray, "runs dimensions"]
+Kind = Literal["number", "vector", "other"]
 
 
 @dataclass(frozen=True)
@@ -146,6 +149,44 @@ def design(scenario: Scenario) -> Design:
             return Design(made, entry.sampling, scenario.seed, entry.runs)
         raise ScenarioError(f"campaign.sampling: sobol has at most {qmc.Sobol.MAXDIM} dimensions")
     return Design(made, entry.sampling, scenario.seed, entry.runs)
+
+
+def entry_kind(name: str) -> Kind:
+    """Say what an entry holds: a `number`, a `vector` of three, or something `other`, such as a word.
+
+    Args:
+        name: dotted, as `chaser.mass`, `start.position`, `start.position.x` or `target.parameters.wing_angle`.
+
+    Raises:
+        ScenarioError: there is no such entry, or it is a whole table.
+
+    """
+    model: type[BaseModel] = Scenario
+    parts = name.split(".")
+    for place, part in enumerate(parts):
+        field = model.model_fields.get(part)
+        if field is None:
+            near = difflib.get_close_matches(part, model.model_fields, n=1)
+            hint = f"did you mean {near[0]}?" if near else f"valid: {', '.join(model.model_fields)}"
+            raise ScenarioError(f"{name}: no such entry; {hint}")
+        kind, rest = field.annotation, parts[place + 1 :]
+        if isinstance(kind, type) and issubclass(kind, BaseModel):
+            model = kind
+            continue
+        if kind == dict[str, float] and len(rest) == 1:
+            return "number"
+        if is_vector(kind):
+            if not rest:
+                return "vector"
+            if len(rest) == 1 and rest[0] in COMPONENTS:
+                return "number"
+            raise ScenarioError(f"{name}: no such entry; components of a vector are x, y and z")
+        if rest:
+            raise ScenarioError(f"{name}: no such entry; {'.'.join(parts[: place + 1])} is not a table")
+        return "number" if is_number(kind) else "other"
+    raise ScenarioError(
+        f"{name}: a whole table; name one of {', '.join(f'{name}.{key}' for key in model.model_fields)}"
+    )
 
 
 def _dispersion(name: str, entry: DispersionEntry) -> Dispersion:

@@ -18,7 +18,8 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from keepout.core.audit.audit import Contact
-from keepout.core.audit.passage import Passage, SampleBounds, Samples, audit_passage, measured_turning_acceleration
+from keepout.core.audit.passage import Passage, SampleBounds, Samples, angles, audit_passage
+from keepout.core.audit.tube import lengths
 from keepout.core.errors import ExchangeError
 from keepout.core.geometry.target import Target
 from keepout.core.mission.epoch import format_instant, leap_second_between
@@ -417,3 +418,25 @@ def _turn(attitude: Attitude, chaser: Orbit, body_frame: str | None) -> Float[np
         )
     a_from_b = Rotation.from_quat(attitude.quaternion).as_matrix()
     return np.swapaxes(a_from_b, 1, 2) if forwards else a_from_b
+
+
+def measured_turning_acceleration(
+    time: Float[np.ndarray, "samples"], turn: Float[np.ndarray, "samples 3 3"], attitude_error: float = 0.0
+) -> float:
+    """Give twice the largest change of the mean angular velocity from step to step, over their middles' distance.
+
+    What the attitudes' error (rad) can hide of such a change is added. A measurement: what happens between the epochs
+    is not in them.
+    """
+    if len(time) < 3:
+        return 0.0
+    step = np.diff(time)
+    between = np.einsum("nij,nkj->nik", turn[1:], turn[:-1])
+    skew = 0.5 * (between - np.swapaxes(between, 1, 2))
+    axis = np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1)
+    angle = angles(turn)
+    # sin φ times the axis becomes φ times the axis.
+    mean = axis * (angle / np.maximum(np.sin(angle), 1e-300))[:, None] / step[:, None]
+    apart = 0.5 * (step[1:] + step[:-1])
+    hidden = 2.0 * attitude_error * (1.0 / step[1:] + 1.0 / step[:-1])
+    return float(np.max((2.0 * lengths(np.diff(mean, axis=0)) + hidden) / apart))

@@ -19,26 +19,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, PRNGKeyArray, PyTree
 
 from keepout.core.audit.tube import Tube, nearest
 from keepout.core.cores import available_cores
 from keepout.core.errors import ScenarioError
 from keepout.core.flight.batches import BATCH
-from keepout.core.flight.faults import (
-    CombinedFaults,
-    DelayedCommands,
-    KnownErrors,
-    KnownGain,
-    KnownLosses,
-    StuckThruster,
-)
+from keepout.core.flight.faults import CombinedFaults, DelayedCommands, StuckThruster
 from keepout.core.flight.loop import FlightLog, trace
 from keepout.core.flight.setup import Faults, FlightSetup
 from keepout.core.mission.build import Mission
 from keepout.core.mission.flight import Flight, judged
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import RANDOM_BAND, Surroundings
+from keepout.core.motion.arrays import Scalar, Vector
 from keepout.core.motion.disturbance import BandLimitedNoise
 from keepout.core.motion.relative import MotionState
 
@@ -48,6 +42,53 @@ _TOLERANCE = 1e-3
 _COLUMNS = ("time", "position", "velocity", "force")
 
 Numbers = Float[Array, "numbers"]
+
+
+class KnownErrors(Faults):
+    """Estimates that are wrong by given errors.
+
+    Attributes:
+        position: one row an estimate, m.
+        velocity: likewise, m/s.
+
+    """
+
+    position: Float[Array, "rows 3"]
+    velocity: Float[Array, "rows 3"]
+
+    def initial_state(self, key: PRNGKeyArray) -> PyTree:
+        """Start with the first row."""
+        return jnp.zeros((), jnp.int32)
+
+    def estimate(self, fault_state: PyTree, true_state: MotionState) -> tuple[PyTree, MotionState]:
+        """Add this row's errors."""
+        return fault_state + 1, true_state.moved(self.position[fault_state], self.velocity[fault_state])
+
+
+class KnownLosses(Faults):
+    """Commands of which given ones are lost; the thrusters then go on as they were."""
+
+    lost: Bool[Array, "rows"]
+
+    def initial_state(self, key: PRNGKeyArray) -> PyTree:
+        """Start with the first row and without force."""
+        return jnp.zeros((), jnp.int32), jnp.zeros(3)
+
+    def command(self, fault_state: PyTree, force: Vector, time: Scalar) -> tuple[PyTree, Vector]:
+        """Give this command or the last one that arrived."""
+        row, last = fault_state
+        arrived = jnp.where(self.lost[row], last, force)
+        return (row + 1, arrived), arrived
+
+
+class KnownGain(Faults):
+    """Thrusters that give their command times a given factor an axis."""
+
+    factor: Vector
+
+    def actuate(self, fault_state: PyTree, force: Vector, time: Scalar) -> tuple[PyTree, Vector]:
+        """Scale the force."""
+        return fault_state, self.factor * force
 
 
 @dataclass(frozen=True, eq=False)
