@@ -7,7 +7,8 @@ BASE := $(VENV)/.flies
 STAMP := $(VENV)/.tests
 
 # A file of tests stays with one worker, which builds and compiles once what its tests share; the longest come first.
-BY_FILE := -n 2 --dist loadfile --no-loadscope-reorder
+# A third worker has the cores busy while others wait for commands and files.
+BY_FILE := -n 3 --dist loadfile --no-loadscope-reorder
 # Arguments are compared with their annotations, shapes and types: a tenth of the time that tests take.
 TYPED = --jaxtyping-packages=$(1),beartype.beartype
 # The rooms from a mesh to a flight: the paper's system, made safe.

@@ -121,20 +121,8 @@ def folder(tmp_path_factory):
 
 AS_USED = {"XLA_FLAGS": ""}
 """A fit and a flight are compiled as a user has them, all else as quickly as other tests."""
-FIT = (
-    "fit",
-    "box",
-    "-o",
-    "box.keepout",
-    "--profile",
-    "quick",
-    "--chaser-radius",
-    RADIUS,
-    "--batch",
-    384,
-    "--certify",
-    "--json",
-)
+CHOSEN = ("--profile", "quick", "--batch", 384)
+FIT = ("fit", "box", "-o", "box.keepout", *CHOSEN, "--chaser-radius", RADIUS, "--certify", "--json")
 
 
 @pytest.fixture(scope="module")
