@@ -7,7 +7,7 @@ BASE := $(VENV)/.flies
 STAMP := $(VENV)/.tests
 
 # A file of tests stays with one worker, which builds and compiles once what its tests share; the longest come first.
-BY_FILE := --dist loadfile --no-loadscope-reorder
+BY_FILE := -n 2 --dist loadfile --no-loadscope-reorder
 # Arguments are compared with their annotations, shapes and types: a tenth of the time that tests take.
 TYPED = --jaxtyping-packages=$(1),beartype.beartype
 # The rooms from a mesh to a flight: the paper's system, made safe.
@@ -87,10 +87,10 @@ test: style
 	KEEPOUT_CACHE=$$kept $(MAKE) --no-print-directory --jobs=2 as-used-tests other-tests
 
 core: install
-	$(BIN)/pytest -m "not slow and not long" -n 2 $(BY_FILE) $(CORE)
+	$(BIN)/pytest -m "not slow and not long" $(BY_FILE) $(CORE)
 
 quick-tests: install
-	$(BIN)/pytest -m "not slow and not long" -n 2 $(BY_FILE)
+	$(BIN)/pytest -m "not slow and not long" $(BY_FILE)
 
 # One process, beside the types and then beside the other tests: what has to be compiled once in a new checkout, modules
 # of the libraries and kernels of Numba, is not compiled by two at a time. Its words come at its end, in one piece.
@@ -99,9 +99,8 @@ as-used-tests: install
 	{ XLA_FLAGS= $(BIN)/pytest -m "as_used and not slow" $(AS_USED) > $$said 2>&1 || code=$$?; } && \
 	cat $$said && rm $$said && exit $$code
 
-# The third worker has the cores busy while another waits for a command.
 other-tests: types
-	$(BIN)/pytest -m "not slow and not as_used" -n 3 $(BY_FILE) $(call TYPED,keepout.core)
+	$(BIN)/pytest -m "not slow and not as_used" $(BY_FILE) $(call TYPED,keepout.core)
 
 test-all: lint
 	XLA_FLAGS= $(BIN)/python tests/where_time_goes.py --keep out/test-all -n 2 --dist loadgroup \

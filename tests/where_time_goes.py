@@ -27,7 +27,7 @@ PASSED = "passed.json"
 COLUMNS = ("all", "compiling", "numba", "commands")
 COMPILED = "/jax/core/compile/backend_compile_duration"
 
-_BY_FILE = ("-n", "3", "--dist", "loadfile", "--no-loadscope-reorder")
+_BY_FILE = ("-n", "2", "--dist", "loadfile", "--no-loadscope-reorder")
 MAKE_TEST = (
     (("-m", "as_used and not slow"), {"XLA_FLAGS": ""}),
     (("-m", "not slow and not as_used", *_BY_FILE, "--jaxtyping-packages=keepout.core,beartype.beartype"), {}),
