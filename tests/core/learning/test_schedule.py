@@ -76,6 +76,7 @@ def test_with_nothing_asked_for_every_block_is_taken(monkeypatch):
     assert flown.pace.ended == "steps"
 
 
+@pytest.mark.long
 @given(st.floats(15.0, 100.0), st.floats(1e-3, 0.02), st.floats(0.0, 3.0))
 def test_it_ends_in_time_with_its_last_block_and_what_it_leaves_out_is_spread(at_most, step, hunt):
     with pytest.MonkeyPatch.context() as patch:
@@ -146,6 +147,7 @@ def test_a_second_fit_has_no_first_phase_and_a_share_of_the_steps():
     assert phase_of(second, 0) == 1
 
 
+@pytest.mark.long
 def test_a_first_field_is_the_same_function_in_the_coordinates_of_another_mesh():
     model = load_shipped("intelsat30")
     assert isinstance(model.field, NeuralField)
