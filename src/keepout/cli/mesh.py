@@ -130,7 +130,7 @@ def fit(
         typer.Option(help="End once no over-statement above this is found, m; the proved bound is some mm above."),
     ] = None,
     at_most: Annotated[
-        float | None, typer.Option(help="End within this time, s, the proof not counted: steps are left out.")
+        float | None, typer.Option(help="End after about this time, s, the proof not counted: steps are left out.")
     ] = None,
     read: MeshFile,
     seed: Seed = 0,

@@ -49,7 +49,7 @@ def fit(
         out: the field file (.keepout) to write, before and after the proof.
         first: the field, or its file, of a mesh that differs little, to begin with: a third of the time.
         until_bound: end as soon as no over-statement above this is found, m.
-        at_most: end within this time, s; the proof's is not counted.
+        at_most: end after about this time, s; the proof's is not counted.
         seed: the same seed, target and profile on the same machine give the same field, but for `at_most`.
         progress: called as the work goes on.
         **how: `checkpoint` (a file kept up to date while training) and `solid` (the target's `OffsetSolid`).
