@@ -95,8 +95,8 @@ def fit(
         first: the field of a mesh that differs little; the fit begins with it, and takes an eighth of the steps.
         until_bound: m; once no over-statement above it is found, the rest of the steps is left out but for the last,
             which polish. The bound itself is `certify`'s to prove, and a few millimetres more.
-        at_most: s, after which the fit ends, to a block: blocks that there is no time for are left out, evenly. With a bound
-            that is not found by then it goes on polishing as long as there is time.
+        at_most: s, after which the fit ends, to a block: blocks that there is no time for are left out, evenly.
+            With a bound that is not found by then it goes on polishing as long as there is time.
         progress: fraction done, and the loss terms, the worst over-statement so far, what it is expected to come to,
             and the time left.
 
