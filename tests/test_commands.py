@@ -218,6 +218,15 @@ def test_a_fit_is_certified_in_the_same_command_and_no_search_beats_it(folder, f
     assert certificate.error_bound - 0.05 < worst <= certificate.error_bound
 
 
+def test_a_fit_begins_with_another_field_and_ends_at_the_bound(folder, fitted):
+    command = ("fit", "box", "-o", "second.keepout", *CHOSEN, "--from", "box.keepout", "--until-bound", 10.0)
+    said = keepout_process(folder, *command, "--at-most", 600, "--json", program=ROUGH, **AS_USED)
+    training = FieldModel.load(folder / "second.keepout", target=Target.load("box")).training
+    assert said["ended"] == training["ended"] == "bound"
+    assert said["sampled_maximum_m"] <= 10.0
+    assert (training["numbers"]["steps"], training["numbers"]["tuning_steps"]) == (0, 250)
+
+
 def test_certify_adds_another_certificate(folder, fitted):
     shutil.copy(folder / "box.keepout", folder / "two.keepout")
     said = keepout_process(folder, "certify", "two.keepout", "--chaser-radius", "0.0", "--json")
