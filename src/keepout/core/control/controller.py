@@ -183,7 +183,8 @@ class Controller(Law):
             push, push_ahead = self.observer.estimate(memory, velocity), self.observer.mean_ahead(memory, velocity)
         else:  # a filter has estimated it together with the motion
             memory, push, push_ahead = state.observer, estimate.disturbance, estimate.disturbance
-        point, circulation = self.velocity(estimate.position, velocity, state.circulation)
+        at_time = self.velocity.at_time(estimate.time)
+        point, circulation = at_time(estimate.position, velocity, state.circulation)
         tracked = self.tracking(point, estimate.position - self.goal, velocity, drift, self.mass)
         wanted = tracked.control - push_ahead
         finite = jnp.all(jnp.isfinite(wanted)) & (point.status != ConeStatus.NOT_FINITE)

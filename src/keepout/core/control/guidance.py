@@ -69,7 +69,14 @@ class StraightGuidance(SlowingGuidance):
 
 
 class GuidancePlan(abc.ABC):
-    """Makes a `Guidance` for a law's keep-out zone {field ≤ offset}, its speed and its slowing length."""
+    """Makes a `Guidance` for a law's keep-out zone {field ≤ offset}, its speed and its slowing length.
+
+    Attributes:
+        refuses: whether it refuses itself a goal that is not free; else the law does, by the field as it is at first.
+
+    """
+
+    refuses: ClassVar[bool] = False
 
     @abc.abstractmethod
     def guidance(

@@ -45,6 +45,7 @@ class Command(eqx.Module):
         backstepping_barrier: h₁ of the law, m, with the unknown estimation error taken as zero.
         lyapunov: V₁, m².
         status: a `ControlStatus`.
+        leg: under way, counted from 0; None where the law has no legs.
 
     """
 
@@ -56,6 +57,7 @@ class Command(eqx.Module):
     backstepping_barrier: Scalar
     lyapunov: Scalar
     status: Int[Array, ""]
+    leg: Int[Array, ""] | None = None
 
     @classmethod
     def of_force(cls, force: Vector) -> "Command":

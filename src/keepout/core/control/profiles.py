@@ -37,7 +37,8 @@ def _leader(
 ) -> Guidance:
     """Make a plan's guidance, `led` as `GuidancePlan.guidance` is; it must lead to the goal, with a velocity there."""
     # Before a grid is built, which takes seconds.
-    require_free(field, offset, goal, "goal")
+    if not (isinstance(guidance, GuidancePlan) and guidance.refuses):
+        require_free(field, offset, goal, "goal")
     if start is not None:
         require_free(field, offset, start, "start")
     if isinstance(guidance, GuidancePlan):

@@ -1,5 +1,7 @@
 """Safe velocity: field, guidance, circulation and the cone program put together (paper, section V-A)."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -98,6 +100,11 @@ class SafeVelocity(eqx.Module):
     box: Scalar | None = None
     speed: SpeedCone | None = None
     differentiate: bool = eqx.field(static=True, default=True)
+
+    def at_time(self, time: Scalar) -> "SafeVelocity":
+        """Give the same by the field as it is from a time (s) on."""
+        field = self.field.at_time(time)
+        return self if field is self.field else dataclasses.replace(self, field=field)
 
     def __call__(self, position: Vector, velocity: Vector, memory: Vector) -> tuple[VelocityPoint, Vector]:
         """Return the velocity layer at a position (m) and the circulation's memory for the next step."""

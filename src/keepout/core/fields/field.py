@@ -42,6 +42,15 @@ class Field(eqx.Module):
     derivatives mean nothing.
     """
 
+    def at_time(self, time: Array) -> "Field":
+        """Give the field as it is from a time on; most are the same at any.
+
+        Args:
+            time: s since the orbit's epoch.
+
+        """
+        return self
+
     @abc.abstractmethod
     def value(self, points: Points) -> Values:
         """Signed distance in metres.

@@ -55,7 +55,8 @@ class FlightLog(eqx.Module):
     target's ECI state, where it is perturbed. propellant: burnt from the row until the next, kg, where the thrusters
     tell it. known_position, known_velocity: with sensors, the centre of the set that the guard is told;
     known_position_error, known_velocity_error: its radii; outliers: samples that the law's estimate left out;
-    contradicted: whether the set's samples cannot all be within their bounds.
+    contradicted: whether the set's samples cannot all be within their bounds. leg: under way, counted from 0, where the
+    law flies several.
     """
 
     time: Float[Array, "*rows"]
@@ -87,6 +88,7 @@ class FlightLog(eqx.Module):
     known_velocity_error: Float[Array, "*rows"] | None = None
     outliers: Int[Array, "*rows"] | None = None
     contradicted: Bool[Array, "*rows"] | None = None
+    leg: Int[Array, "*rows"] | None = None
 
 
 def start(setup: FlightSetup, initial: MotionState, key: PRNGKeyArray) -> LoopState:
@@ -200,6 +202,7 @@ def step(setup: FlightSetup, state: LoopState) -> tuple[LoopState, FlightLog]:
         known_velocity_error=None if known is None else known.errors[1],
         outliers=None if knowledge is None else knowledge.outliers.astype(jnp.int32),
         contradicted=None if known is None else known.contradicted,
+        leg=None if order.leg is None else order.leg.astype(jnp.int32),
     )
     return LoopState(motion, controller, guard, faults, thrusters, sensors, knowing), row
 

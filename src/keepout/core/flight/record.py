@@ -208,6 +208,7 @@ class FlightRecord:
     known_velocity_error: Float[np.ndarray, "N"] | None = None
     outliers: Int[np.ndarray, "N"] | None = None
     contradicted: Bool[np.ndarray, "N"] | None = None
+    leg: Int[np.ndarray, "N"] | None = None
 
     @classmethod
     def of_log(

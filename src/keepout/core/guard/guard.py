@@ -23,7 +23,7 @@ from keepout.core.fields.field import Field
 from keepout.core.guard import braking, observer, watch
 from keepout.core.guard.braking import BrakingDesign, GuardAssumptions, Number, design
 from keepout.core.guard.safety_layer import GuardFlag, GuardStatus, SafetyLayer
-from keepout.core.motion.arrays import Flag, Scalar, Vector, norm, numbers_as_arrays
+from keepout.core.motion.arrays import Flag, Scalar, Vector, as_float64, norm, numbers_as_arrays
 from keepout.core.motion.relative import MotionState
 
 _ROUNDING = 1e-9
@@ -198,6 +198,7 @@ class Guard(SafetyLayer):
             under_way: forces commanded that have not taken effect, N, body axes, the oldest first; none if left out.
 
         """
+        self = self._at_time(estimate.time)
         pending = self._accelerations(under_way)
         path, velocities = braking.predict(self.assumptions, estimate.position, estimate.velocity, pending)
         unexplained, counted = watch.begin(self.windows)
@@ -239,6 +240,7 @@ class Guard(SafetyLayer):
         is passed on. A state that the guard's own estimate cannot explain carries a command only if that is safe from
         both. The parts, in this order, are those of docs/guard.md, section 2.
         """
+        self = self._at_time(estimate.time)
         a = self.assumptions
         errors = observer.caps(a) if errors is None else errors
         contradicted = jnp.asarray(False) if contradicted is None else contradicted
@@ -404,6 +406,11 @@ class Guard(SafetyLayer):
             observed=observed,
         )
 
+    def _at_time(self, time: Scalar) -> "Guard":
+        """Give the guard with its field as it is from a time (s) on: nowhere lower than before, so that plans last."""
+        field = self.field.at_time(time)
+        return self if field is self.field else eqx.tree_at(lambda guard: guard.field, self, field)
+
     def _lever(self, speed: Scalar, steps: int) -> Scalar:
         """Time, s, by which an error of the velocity moves the end of `steps` periods and the braking from `speed`."""
         return steps * self.assumptions.period + speed / self.braking.deceleration + 0.5 * self.assumptions.period
@@ -439,6 +446,7 @@ class Guard(SafetyLayer):
     def _braking_free(
         self, state: MotionState, pending: Float[Array, "delay 3"], moved: Scalar, faster: Number
     ) -> Flag:
+        self = self._at_time(state.time)
         path, velocities = braking.predict(self.assumptions, state.position, state.velocity, pending)
         value = self.field.value(state.position)
         points = path[1:] if self.assumptions.delay else path
@@ -563,10 +571,16 @@ _ROOM = 256
 """States handed to a compiled program at once where many starts are looked at; fewer cost no more than they are."""
 
 
-def require_flyable(guard: Guard, start: MotionState, goal: Vector) -> bool:
+def require_flyable(guard: Guard, start: MotionState, goal: Vector, arrival: float = 0.0) -> bool:
     """Refuse what cannot be flown; return `Guard.certified_start` of the true start. Needs concrete values.
 
     A start that is not certified is flown; where its estimate is not either, in mode `ESCAPING` until a plan is.
+
+    Args:
+        guard: of the flight.
+        start: the true state.
+        goal: (3,) m, body frame.
+        arrival: the earliest time, s, at which the chaser can be there.
 
     Raises:
         ControlError: a start that is not finite, beyond the range limit or at or below the field's zero, or a goal that
@@ -581,7 +595,7 @@ def require_flyable(guard: Guard, start: MotionState, goal: Vector) -> bool:
         if away > guard.assumptions.range_limit:
             limit = guard.assumptions.range_limit
             raise ControlError(f"guard: {name} needs a range of {away:.3f} m; range_limit is {limit} m")
-    here, there, certified = _looked_at(numbers_as_arrays(guard), start, goal)
+    here, there, certified = _looked_at(numbers_as_arrays(guard), start, goal, as_float64(arrival))
     value = float(here)
     if not value > 0.0:
         raise ControlError(f"guard: the field is {value:.3f} m at the start: inside the target; it must be above 0")
@@ -595,9 +609,10 @@ def require_flyable(guard: Guard, start: MotionState, goal: Vector) -> bool:
 
 
 @kept_jit
-def _looked_at(guard: Guard, start: MotionState, goal: Vector) -> tuple[Scalar, Scalar, Flag]:
+def _looked_at(guard: Guard, start: MotionState, goal: Vector, arrival: Scalar) -> tuple[Scalar, Scalar, Flag]:
     """Give the field (m) at start and goal, and `certified_start`: one program instead of one each."""
-    here, there = guard.field.value(jnp.stack([start.position, goal]))
+    here = guard.field.at_time(start.time).value(start.position)
+    there = guard.field.at_time(arrival).value(goal)
     return here, there, guard.certified_start(start)
 
 

@@ -32,6 +32,7 @@ from keepout.core.geometry.target import Target
 from keepout.core.guard.field import guard_field
 from keepout.core.guard.guard import Guard, require_flyable
 from keepout.core.guard.safety_layer import SafetyLayer
+from keepout.core.mission.approach import earliest, named, require_approach, zoned
 from keepout.core.mission.first_look import require_shipped
 from keepout.core.mission.flight import Flight, judged
 from keepout.core.mission.law import broken_as, law_on, law_or_way_out, room_for_guard
@@ -317,6 +318,7 @@ def prepare(
     model.require_target(target, where="field")
     certificate, around = model.certificate(scenario.chaser.radius), Surroundings(scenario, target)
     require_apart(scenario, target)
+    require_approach(around)
     require_navigation(scenario)
     try:
         room = room_for_guard(around)
@@ -328,6 +330,7 @@ def prepare(
     if scenario.navigation.suite != "none":
         flown = load("navigation", "flown")(scenario, setup.motion, around.guard_assumptions)
         setup = replace(setup, navigation=flown)
+    arrival = earliest(scenario)[-1] if scenario.leg else 0.0
     initial = setup.motion.initial_state(np.asarray(scenario.start.position), np.asarray(scenario.start.velocity))
     guard, start_certified, broken = None, None, broken_assumptions(scenario, target)
     if scenario.guard.enabled:
@@ -338,7 +341,12 @@ def prepare(
             grid=guard_grid,
             progress=part_of(progress, 0.6, 1.0),
         )
-        start_certified = require_flyable(guard, initial, as_float64(scenario.goal.position)) and not broken
+        start_certified = require_flyable(guard, initial, as_float64(scenario.goal.position), arrival) and not broken
+        for number, (leg, time) in enumerate(zip(scenario.leg, earliest(scenario), strict=True)):
+            try:
+                require_flyable(guard, initial, as_float64(leg.position), time)
+            except ControlError as refusal:
+                raise ControlError(f"{named('leg', leg, number)}: {refusal}") from None
     return Mission(around, model, certificate, replace(setup, guard=guard), initial, start_certified, broken)
 
 
@@ -418,10 +426,12 @@ def build_guard(
     threshold = certificate.error_bound + radius
     if margin:
         threshold += certificate.gradient_bound * margin + 2.0 * certificate.evaluation_error
+    field = zoned(around, grid.field, threshold)
     return Guard(
-        field=grid.field,
+        field=field,
         threshold=threshold,
-        lipschitz=certificate.gradient_bound,
+        # That of a zone is 1.
+        lipschitz=certificate.gradient_bound if field is grid.field else max(certificate.gradient_bound, 1.0),
         evaluation_error=certificate.evaluation_error,
         assumptions=around.guard_assumptions,
     )

@@ -17,6 +17,7 @@ from keepout.core.fields.field import Field, values
 from keepout.core.fields.model import FieldModel
 from keepout.core.flight.faults import BrokenLaw
 from keepout.core.guard.braking import design
+from keepout.core.mission.approach import LegPlan, has_rules, law_of_legs, require_braking, speed_rule, zoned
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 from keepout.core.progress import Progress, silent
@@ -92,21 +93,33 @@ def law_on(
         KeepoutError: the law cannot be built; the message names the entry.
 
     """
-    designed, circulation = operation(Surroundings(scenario), error_bound), scenario.control.circulation
+    around, circulation = Surroundings(scenario), scenario.control.circulation
+    designed = operation(around, error_bound)
+    plan = named_guidance(scenario) if guidance is None else guidance
+    if has_rules(scenario):
+        if not isinstance(plan, Guidance):
+            usual = Geodesic() if scenario.control.profile == "default" else Componentwise()
+            plan = LegPlan(scenario, plan or usual, speed_rule(scenario, field, error_bound))
+        field = zoned(around, field, error_bound + scenario.chaser.radius)
+        if scenario.control.profile == "default":
+            places = [scenario.start.position, *(leg.position for leg in scenario.leg), scenario.goal.position]
+            chosen = {"reach": max(float(np.linalg.norm(place)) for place in places)} | chosen
     profile = {"default": profiles.default, "paper": profiles.paper}[scenario.control.profile]
     if scenario.control.profile == "paper":
         chosen = scenario.control.paper.model_dump() | chosen
-    return profile(
+    law = profile(
         field,
         designed,
         np.asarray(scenario.goal.position),
-        guidance=named_guidance(scenario) if guidance is None else guidance,
+        guidance=plan,
         circulation=None if circulation is None else _CIRCULATIONS[circulation](),
         observer=_named_observer(scenario),
         start=np.asarray(scenario.start.position) if from_start else None,
         progress=progress,
         **chosen,
     )
+    require_braking(scenario, law)
+    return law
 
 
 def named_guidance(scenario: Scenario) -> GuidancePlan | None:
@@ -127,11 +140,11 @@ def _named_observer(scenario: Scenario) -> Observer | None:
 
 
 def broken_as(scenario: Scenario, law: Law, field: Field) -> Law:
-    """Tell a law of the delay that the scenario declares, and break it as the scenario's faults say.
+    """Tell a law of the legs and the delay that the scenario declares, and break it as the scenario's faults say.
 
     The field says where the body is.
     """
-    chaser = scenario.chaser
+    chaser, law = scenario.chaser, law_of_legs(scenario, law)
     if scenario.guard.delay:
         motion = Surroundings(scenario).motion
         law = AheadOfDelay(law, motion, chaser.mass, scenario.control.period, scenario.guard.delay)

@@ -11,11 +11,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin
 
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError, model_validator
 from pydantic.fields import FieldInfo
 
 from keepout.core.errors import ScenarioError
-from keepout.core.mission import entries, task_entries
+from keepout.core.mission import approach_entries, entries, task_entries
 from keepout.core.mission.entries import Entry, Epoch, Vector
 
 COMPONENTS = ("x", "y", "z")
@@ -49,6 +49,9 @@ class Scenario(Entry, metaclass=_RefusedAsOthers):
         seed: of everything that is random.
         duration: s.
         epoch: UTC at the start: for exports and the sun.
+        leg: hold points, in order; the last one is the goal.
+        zone: room that nobody may enter.
+        corridor: ways out of ports, beside which nobody may be.
 
     """
 
@@ -72,6 +75,10 @@ class Scenario(Entry, metaclass=_RefusedAsOthers):
     faults: entries.FaultsEntry = entries.FaultsEntry()
     start: entries.StateEntry = entries.StateEntry()
     goal: entries.GoalEntry = entries.GoalEntry()
+    leg: tuple[approach_entries.LegEntry, ...] = ()
+    zone: tuple[approach_entries.ZoneEntry, ...] = ()
+    corridor: tuple[approach_entries.CorridorEntry, ...] = ()
+    approach: approach_entries.ApproachEntry = approach_entries.ApproachEntry()
     campaign: task_entries.CampaignEntry = task_entries.CampaignEntry()
     require: task_entries.RequireEntry = task_entries.RequireEntry()
     rare: task_entries.RareEntry = task_entries.RareEntry()
@@ -82,7 +89,21 @@ class Scenario(Entry, metaclass=_RefusedAsOthers):
     light: task_entries.LightEntry = task_entries.LightEntry()
     inspect: task_entries.InspectEntry = task_entries.InspectEntry()
 
+    @model_validator(mode="before")
+    @classmethod
+    def _last_leg_is_goal(cls, tree: Any) -> Any:
+        """Let the goal follow from the legs where it is not given."""
+        legs = tree.get("leg") if isinstance(tree, Mapping) else None
+        if not legs or "goal" in tree or not isinstance(legs, list | tuple):
+            return tree
+        last = legs[-1].model_dump() if isinstance(legs[-1], Entry) else legs[-1]
+        if not isinstance(last, Mapping) or "position" not in last:
+            return tree
+        tolerance = last.get("tolerance", approach_entries.LegEntry.model_fields["tolerance"].default)
+        return {**tree, "goal": {"position": last["position"], "tolerance": tolerance}}
+
     def _contradictions(self) -> Iterator[str]:
+        yield from self._wrong_approach()
         if self.duration < self.control.period:
             yield f"duration {self.duration} s is shorter than one control period, {self.control.period} s"
         if self.faults.stuck_force > self.chaser.force_limit:
@@ -103,6 +124,31 @@ class Scenario(Entry, metaclass=_RefusedAsOthers):
             yield (
                 f"{', '.join(told)}: of an estimate without sensors, and navigation.suite is "
                 f'"{self.navigation.suite}", which has errors of its own; leave them out'
+            )
+
+    def _wrong_approach(self) -> Iterator[str]:
+        """Say what in legs and zones goes together neither among them nor with the rest."""
+        said = any(leg.until == "go" for leg in self.leg)
+        for number, leg in enumerate(self.leg):
+            if leg.axes == "vvlh" and self.attitude.kind != "vvlh":
+                yield (
+                    f'leg.{number}.axes: "vvlh", and attitude.kind is "{self.attitude.kind}": the place would move '
+                    'over the target; give it in "body" axes'
+                )
+            if leg.speed_limit is not None and leg.speed_limit > self.chaser.speed_limit:
+                limit = self.chaser.speed_limit
+                yield f"leg.{number}.speed_limit: {leg.speed_limit} m/s is more than chaser.speed_limit, {limit} m/s"
+            if leg.within is not None and leg.within[0] >= self.duration:
+                yield f"leg.{number}.within: begins at {leg.within[0]} s, and the flight ends at {self.duration} s"
+        if self.leg and self.leg[-1].until == "go":
+            yield f"leg.{len(self.leg) - 1}.until: the last leg leads to the goal, and nothing is flown after it"
+        for number, zone in enumerate(self.zone):
+            if zone.until == "go" and not said:
+                yield f'zone.{number}.until: "go", and no leg has until = "go"; give the zone a time, or leave it out'
+        if self.leg and (self.goal.position, self.goal.tolerance) != (self.leg[-1].position, self.leg[-1].tolerance):
+            yield (
+                f"goal.position: {list(self.goal.position)} within {self.goal.tolerance} m, and the last leg leads to "
+                f"{list(self.leg[-1].position)} within {self.leg[-1].tolerance} m; leave goal out"
             )
 
     @property

@@ -355,10 +355,12 @@ class Surroundings:
     def _valid_until(self) -> float:
         """The time, s since the epoch, until which orbit and rotation are bounded; infinite where they always are.
 
-        A body that gravity turns is followed until half a period after the last of the flight's states.
+        A body that gravity turns, and zones that turn, are followed until half a period after the last of the flight's
+        states.
         """
         until = self._orbit.valid_until
-        if self.scenario.attitude.gravity_gradient:
+        turning = any(self.turning_rate(zone.axes) for zone in self.scenario.zone)
+        if self.scenario.attitude.gravity_gradient or turning:
             until = min(until, (self.scenario.steps + 0.5) * self.scenario.control.period)
         return until
 
@@ -372,11 +374,18 @@ class Surroundings:
         """The distance from the origin, m, of each entry that says where the chaser flies."""
         scenario = self.scenario
         corner = np.maximum(np.abs(scenario.campaign.lower), np.abs(scenario.campaign.upper))
+        legs = {f"leg.{k}.position": float(np.linalg.norm(leg.position)) for k, leg in enumerate(scenario.leg)}
         return {
             "start.position": float(np.linalg.norm(scenario.start.position)),
             "goal.position": float(np.linalg.norm(scenario.goal.position)),
             "campaign": float(np.linalg.norm(corner)),
-        }
+        } | legs
+
+    def turning_rate(self, axes: str) -> float:
+        """Bound how fast axes ("body", "vvlh", "inertial") turn against the body frame, rad/s."""
+        if axes == "body" or self.scenario.attitude.kind == axes:
+            return 0.0
+        return self._rotation[0] + (self._orbit.rate * _OUTWARD if axes == "vvlh" else 0.0)
 
     def region(self, away: dict[str, float]) -> float:
         """Give the range, m, within which gravity is bounded: twice the furthest of `away` plus 20 m, at least 1000 m.

@@ -48,7 +48,7 @@ _OF_UNIT = {
     "radps": "angular_velocity",
     "N": "commanded_force guarded_force force disturbance disturbance_estimate",
     "kg": "propellant",
-    "": "attitude control_status guard_status saturated target_orbit outliers contradicted",
+    "": "attitude control_status guard_status saturated target_orbit outliers contradicted leg",
 }
 UNITS = {name: unit for unit, names in _OF_UNIT.items() for name in names.split()}
 """The unit that ends each column's name; that of the target's orbit goes by component."""

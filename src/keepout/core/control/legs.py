@@ -1,0 +1,155 @@
+"""A law that leads from hold point to hold point, slower as it comes closer.
+
+One law flies all legs: which one it is on is in its memory. So single flights, batches and the flight computer step
+through the same program, and what law and observer remember goes on from leg to leg.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, PyTree
+
+from keepout.core.control.controller import Controller
+from keepout.core.control.guidance import Guidance
+from keepout.core.control.law import Command, LawOfAnother
+from keepout.core.fields.field import Field
+from keepout.core.motion.arrays import Scalar, Vector, as_float64, norm
+from keepout.core.motion.relative import MotionState
+
+
+class SpeedByDistance(eqx.Module):
+    """The largest speed, m/s, by how far the chaser is: linear between the pairs given, constant beyond them.
+
+    Attributes:
+        distances: m, rising.
+        speeds: m/s, that belong to them.
+        point: (3,) m, body frame, that the distance is measured to; None: to the mesh, by `field`.
+        field: the distance to the mesh, of which `error_bound` (m) is taken off.
+        error_bound: by how much the field over-states, m.
+
+    """
+
+    distances: Float[Array, "pairs"] = eqx.field(converter=as_float64)
+    speeds: Float[Array, "pairs"] = eqx.field(converter=as_float64)
+    point: Vector | None
+    field: Field | None
+    error_bound: Scalar = eqx.field(converter=as_float64, default=0.0)
+
+    def __call__(self, position: Vector) -> Scalar:
+        """Give the largest speed at a position (m)."""
+        if self.point is not None:
+            distance = norm(position - self.point)
+        else:
+            assert self.field is not None
+            distance = self.field.value(position) - self.error_bound
+        return jnp.interp(distance, self.distances, self.speeds)
+
+
+class LegGuidance(Guidance):
+    """The guidance of the leg under way, kept within a speed.
+
+    A velocity that is cut keeps its direction; the law's safe velocity is its projection onto a set that holds zero
+    wherever the chaser is outside the keep-out zone, so that it is never faster.
+
+    Attributes:
+        ways: the guidance of each leg.
+        leg: the one under way.
+        rule: largest speed by distance; None: no such rule.
+
+    """
+
+    ways: tuple[Guidance, ...]
+    leg: Int[Array, ""]
+    rule: SpeedByDistance | None = None
+
+    @property
+    def goal(self) -> Vector:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The place of the leg under way, m."""
+        return jnp.stack([way.goal for way in self.ways])[self.leg]
+
+    def desired_velocity(self, position: Vector) -> Vector:
+        """Return the leg's desired velocity, m/s, within the rule."""
+        ways = [lambda place, way=way: way.desired_velocity(place) for way in self.ways]
+        wanted = jax.lax.switch(self.leg, ways, position)
+        if self.rule is None:
+            return wanted
+        return wanted * jnp.minimum(1.0, self.rule(position) / jnp.maximum(norm(wanted), 1e-12))
+
+
+class Legs(eqx.Module):
+    """What is asked at each hold point, with a leading axis of legs.
+
+    Attributes:
+        tolerance: the chaser is there while it is closer, m.
+        dwell: for which it stays there without a break, s.
+        release: before which it does not fly on, s since the epoch.
+
+    """
+
+    tolerance: Float[Array, "legs"] = eqx.field(converter=as_float64)
+    dwell: Float[Array, "legs"] = eqx.field(converter=as_float64)
+    release: Float[Array, "legs"] = eqx.field(converter=as_float64)
+
+
+class Progress(eqx.Module):
+    """How far the legs are: the one under way, and for how long the chaser has been at its place by now, s."""
+
+    leg: Int[Array, ""]
+    held: Scalar
+
+
+class LegLaw(LawOfAnother):
+    """A law whose guidance is a `LegGuidance`: flies on once a place was held for its dwell and is released.
+
+    Attributes:
+        law: the law of each leg, but for its guidance's `leg`.
+        legs: what is asked at each hold point.
+        period: between control steps, s.
+
+    """
+
+    law: Controller  # pyright: ignore[reportIncompatibleVariableOverride]
+    legs: Legs
+    period: Scalar = eqx.field(converter=as_float64)
+
+    @property
+    def goal(self) -> Vector:
+        """The last leg's place, m."""
+        return self.ways[-1].goal
+
+    @property
+    def ways(self) -> Sequence[Guidance]:
+        """The guidance of each leg."""
+        guidance = self.law.velocity.guidance
+        assert isinstance(guidance, LegGuidance)
+        return guidance.ways
+
+    def initial_state(self, state: MotionState) -> PyTree:
+        """Begin with the first leg."""
+        return self.law.initial_state(state), Progress(jnp.zeros((), jnp.int32), jnp.zeros(()))
+
+    def with_applied_force(self, state: PyTree, force: Vector) -> PyTree:
+        """Tell the law."""
+        memory, progress = state
+        return self.law.with_applied_force(memory, force), progress
+
+    def step(self, state: PyTree, estimate: MotionState) -> tuple[PyTree, Command]:
+        """Fly the leg under way, and see whether it is over."""
+        memory, progress = state
+        leg = progress.leg
+        law = self.at_leg(leg)
+        memory, order = law.step(memory, estimate)
+        there = norm(estimate.position - law.goal) < self.legs.tolerance[leg]
+        held = jnp.where(there, progress.held, 0.0)
+        # Whole periods are counted up, so that a dwell of so many is not missed by their rounding.
+        over = there & (held >= self.legs.dwell[leg] - 1e-6 * self.period) & (estimate.time >= self.legs.release[leg])
+        over = over & (leg + 1 < len(self.ways))
+        held = jnp.where(there & ~over, held + self.period, 0.0)
+        return (memory, Progress(leg + over, held)), dataclasses.replace(order, leg=leg)
+
+    def at_leg(self, leg: Int[Array, ""]) -> Controller:
+        """Give the law of one leg alone."""
+        return eqx.tree_at(lambda law: law.velocity.guidance.leg, self.law, leg)

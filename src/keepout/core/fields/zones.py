@@ -1,0 +1,227 @@
+"""Zones: room that stays free of the chaser whatever the mesh says, as signed distances; and a field with zones in it.
+
+A zone's distance is exact, or says less; either way it is 1-Lipschitz. A zone that turns against the body frame, or
+stands for a while only, counts from now until it ends, wherever it will be: so a field with zones says, as time goes
+on, nowhere less than before, and what was found free stays free. docs/approach.md has the proof.
+"""
+
+import abc
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from keepout.core.fields.field import Field, Hessians, Points, Values, of_places, within_numbers
+from keepout.core.motion.arrays import Scalar, Vector, as_float64, norm
+
+
+class Shape(eqx.Module):
+    """A closed body in its own axes, whose signed distance is at most the true one and 1-Lipschitz; lengths in m."""
+
+    @abc.abstractmethod
+    def distance(self, point: Vector) -> Scalar:
+        """Give a lower bound of the signed distance, m, positive outside, of a point (3,) m."""
+
+
+class Sphere(Shape):
+    """All within `radius` of `centre`."""
+
+    centre: Vector = eqx.field(converter=as_float64)
+    radius: Scalar = eqx.field(converter=as_float64)
+
+    def distance(self, point: Vector) -> Scalar:
+        """Exact."""
+        return norm(point - self.centre) - self.radius
+
+
+class Ellipsoid(Shape):
+    """All with ‖(p − centre)/semi_axes‖ ≤ 1.
+
+    Its distance is the larger of two lower bounds: k = ‖(p − centre)/a‖ changes by at most 1/min a a metre and is 1 on
+    the surface, and the ball of radius max a holds the body.
+    """
+
+    centre: Vector = eqx.field(converter=as_float64)
+    semi_axes: Vector = eqx.field(converter=as_float64)
+
+    def distance(self, point: Vector) -> Scalar:
+        """Give the larger of (k − 1) min a and ‖p − centre‖ − max a."""
+        away, a = point - self.centre, self.semi_axes
+        return jnp.maximum((norm(away / a) - 1.0) * jnp.min(a), norm(away) - jnp.max(a))
+
+
+class Box(Shape):
+    """All between two corners."""
+
+    lower: Vector = eqx.field(converter=as_float64)
+    upper: Vector = eqx.field(converter=as_float64)
+
+    def distance(self, point: Vector) -> Scalar:
+        """Exact."""
+        return _of_box(jnp.abs(point - 0.5 * (self.lower + self.upper)) - 0.5 * (self.upper - self.lower))
+
+
+class Cylinder(Shape):
+    """All within `radius` of the stretch of `length` from `centre` along the unit vector `axis`."""
+
+    centre: Vector = eqx.field(converter=as_float64)
+    axis: Vector = eqx.field(converter=as_float64)
+    radius: Scalar = eqx.field(converter=as_float64)
+    length: Scalar = eqx.field(converter=as_float64)
+
+    def distance(self, point: Vector) -> Scalar:
+        """Exact: that of a rectangle in the half-plane of (distance from the axis, along it)."""
+        across, along = _polar(point - self.centre, self.axis)
+        half = 0.5 * self.length
+        return _of_box(jnp.stack([across - self.radius, jnp.abs(along - half) - half]))
+
+
+class Cone(Shape):
+    """All within `half_angle` (rad) of the unit vector `axis`, seen from `centre`, up to `length` along it."""
+
+    centre: Vector = eqx.field(converter=as_float64)
+    axis: Vector = eqx.field(converter=as_float64)
+    half_angle: Scalar = eqx.field(converter=as_float64)
+    length: Scalar = eqx.field(converter=as_float64)
+
+    def distance(self, point: Vector) -> Scalar:
+        """Exact: that of a triangle in the half-plane of (distance from the axis, along it)."""
+        across, along = _polar(point - self.centre, self.axis)
+        sine, cosine = jnp.sin(self.half_angle), jnp.cos(self.half_angle)
+        up = jnp.clip(across * sine + along * cosine, 0.0, self.length / cosine)
+        side = norm(jnp.stack([across - up * sine, along - up * cosine]))
+        base = norm(jnp.stack([jnp.maximum(across - self.length * sine / cosine, 0.0), along - self.length]))
+        inside = (across * cosine <= along * sine) & (along <= self.length)
+        return jnp.where(inside, -1.0, 1.0) * jnp.minimum(side, base)
+
+
+class BesideCone(Shape):
+    """All within `length` of `port` but what is within `half_angle` (rad) of the unit vector `axis`, seen from there.
+
+    The larger of two signed distances, of which each body's contains that of what both share: a lower bound.
+    """
+
+    port: Vector = eqx.field(converter=as_float64)
+    axis: Vector = eqx.field(converter=as_float64)
+    length: Scalar = eqx.field(converter=as_float64)
+    half_angle: Scalar = eqx.field(converter=as_float64)
+
+    def distance(self, point: Vector) -> Scalar:
+        """Give the larger of the distances to the ball, and out of the endless cone."""
+        away = point - self.port
+        across, along = _polar(away, self.axis)
+        sine, cosine = jnp.sin(self.half_angle), jnp.cos(self.half_angle)
+        behind = across * sine + along * cosine <= 0.0  # where the apex is what is nearest of the cone
+        wall = jnp.where(behind, norm(away), across * cosine - along * sine)
+        return jnp.maximum(norm(away) - self.length, -wall)
+
+
+class BesideTube(Shape):
+    """All within `length` of `port` but what is within `radius` of the line along the unit vector `axis` through it."""
+
+    port: Vector = eqx.field(converter=as_float64)
+    axis: Vector = eqx.field(converter=as_float64)
+    length: Scalar = eqx.field(converter=as_float64)
+    radius: Scalar = eqx.field(converter=as_float64)
+
+    def distance(self, point: Vector) -> Scalar:
+        """Give the larger of the distances to the ball, and out of the endless cylinder."""
+        away = point - self.port
+        return jnp.maximum(norm(away) - self.length, self.radius - _polar(away, self.axis)[0])
+
+
+def _polar(away: Vector, axis: Vector) -> tuple[Scalar, Scalar]:
+    """Give the distance from an axis (a unit vector), and the way along it."""
+    along = jnp.sum(away * axis)
+    return norm(away - along * axis), along
+
+
+def _of_box(beyond: Float[Array, "n"]) -> Scalar:
+    """Give the signed distance of a box, from how far the point is beyond its faces along each axis."""
+    return norm(jnp.maximum(beyond, 0.0)) + jnp.minimum(jnp.max(beyond), 0.0)
+
+
+class Zone(eqx.Module):
+    """A shape that stands in the body frame for some time, turning or not.
+
+    Attributes:
+        shape: in the zone's axes.
+        rotations: zone's axes ← body axes, of some moments while it stands.
+        ends: until when each of them stands for the zone, s; as long it is within `turned` of it.
+        turned: the largest angle, rad, between the zone and the rotation that stands for it.
+        shift: added to the distance, m, so that the zone is entered where a field's own threshold is.
+
+    """
+
+    shape: Shape
+    rotations: Float[Array, "moments 3 3"] = eqx.field(converter=as_float64)
+    ends: Float[Array, "moments"] = eqx.field(converter=as_float64)
+    turned: Scalar = eqx.field(converter=as_float64)
+    shift: Scalar = eqx.field(converter=as_float64)
+
+    def value(self, point: Vector, time: Scalar) -> Scalar:
+        """Give how far a point (m) is from wherever the zone will be from a time (s) on, and `shift`; 1-Lipschitz.
+
+        A zone turned by up to φ against one of its rotations is nearer by at most φ ‖p‖.
+        """
+        away = jax.vmap(lambda rotation: self.shape.distance(jnp.sum(rotation * point, axis=1)))(self.rotations)
+        away = (away - self.turned * norm(point)) / (1.0 + self.turned)
+        # A time that is no number ends nothing.
+        return jnp.min(jnp.where(self.ends <= time, jnp.inf, away)) + self.shift
+
+
+class ZonedField(Field):
+    """The least of a field and of zones: what is above a threshold of it is so of the field, and outside the zones.
+
+    Its gradient jumps where the two are equal, so that it is not twice differentiable there.
+
+    Attributes:
+        inner: the field.
+        zones: with their shifts for that field.
+        time: now, s; every zone counts that ends after it.
+
+    """
+
+    inner: Field
+    zones: tuple[Zone, ...]
+    time: Scalar = eqx.field(converter=as_float64, default=0.0)
+
+    def at_time(self, time: Scalar) -> Field:
+        """Give the field as it is from a time (s) on."""
+        return dataclasses.replace(self, time=time)
+
+    def _least(self, point: Vector) -> Scalar:
+        """Of all zones, finite wherever the point is; −∞ where the point is none."""
+        near = within_numbers(point)
+        return of_places(point, jnp.min(jnp.stack([zone.value(near, self.time) for zone in self.zones])))
+
+    def value(self, points: Points) -> Values:
+        """Give the least signed distance, m."""
+        return jnp.minimum(self.inner.value(points), _each(self._least, points))
+
+    def value_and_gradient(self, points: Points) -> tuple[Values, Points]:
+        """Give the least signed distance, m, and its gradient."""
+        value, gradient = self.inner.value_and_gradient(points)
+        least, slope = _each(jax.value_and_grad(self._least), points)
+        nearer = least < value
+        return jnp.where(nearer, least, value), jnp.where(nearer[..., None], slope, gradient)
+
+    def value_gradient_hessian(self, points: Points) -> tuple[Values, Points, Hessians]:
+        """Give the least signed distance, m, its gradient, and its Hessian, 1/m."""
+        value, gradient, hessian = self.inner.value_gradient_hessian(points)
+        least, slope = _each(jax.value_and_grad(self._least), points)
+        nearer = least < value
+        bend = _each(jax.hessian(self._least), points)
+        return (
+            jnp.where(nearer, least, value),
+            jnp.where(nearer[..., None], slope, gradient),
+            jnp.where(nearer[..., None, None], bend, hessian),
+        )
+
+
+def _each(function, points: Points):
+    """Apply a function of one point to all of a batch."""
+    flat = jax.vmap(function)(points.reshape(-1, 3))
+    return jax.tree.map(lambda found: found.reshape(*points.shape[:-1], *found.shape[1:]), flat)

@@ -1,0 +1,371 @@
+"""What a scenario's legs, zones, corridors and approach rules become: a field with zones in it, and a law of legs.
+
+The first leg with `until = "go"` says when zones fall that stand until "go". Earliest times follow from what is said of
+each leg; a zone that has ended by the earliest time at which a leg can begin is no wall for it.
+"""
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from keepout.core.control.barrier_grid import BarrierGrid, require_free
+from keepout.core.control.controller import Controller
+from keepout.core.control.geodesic import Geodesic, room_around
+from keepout.core.control.guidance import Guidance, GuidancePlan, Point
+from keepout.core.control.law import Law
+from keepout.core.control.legs import LegGuidance, LegLaw, Legs, SpeedByDistance
+from keepout.core.errors import ControlError, KeepoutError, ScenarioError
+from keepout.core.fields import zones as shapes
+from keepout.core.fields.field import Field
+from keepout.core.fields.zones import Zone, ZonedField
+from keepout.core.mission.approach_entries import SHAPES, CorridorEntry, LegEntry, ZoneEntry
+from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings
+from keepout.core.motion import rotation
+from keepout.core.motion.arrays import Scalar, as_float64
+from keepout.core.motion.disturbance import NoDisturbance
+from keepout.core.motion.relative import MotionState, RelativeMotion
+from keepout.core.progress import Progress, part_of, silent
+
+_TURN = math.radians(5.0)
+"""Between two rotations that stand for a turning zone, at most, unless that would pass `_MOST_MOMENTS`."""
+_MOST_MOMENTS = 256
+_PORT = 1.0
+"""A corridor's port is nearer to the mesh than this, m."""
+
+
+def has_rules(scenario: Scenario) -> bool:
+    """Whether a scenario has any legs, zones, corridors or approach rules."""
+    return bool(scenario.leg or scenario.zone or scenario.corridor or scenario.approach.speed_by_distance)
+
+
+def named(kind: str, entry: LegEntry | ZoneEntry | CorridorEntry, number: int) -> str:
+    """Give what an entry of a list is called in refusals and tables, by its own name or its number from 0."""
+    return f"{kind} {number}" if entry.name is None else f'{kind} "{entry.name}"'
+
+
+def go_time(scenario: Scenario) -> float:
+    """Give the time, s, until which what stands until "go" stands: of the first such leg."""
+    return next((leg.go_at for leg in scenario.leg if leg.go_at is not None), math.inf)
+
+
+def released(scenario: Scenario) -> list[float]:
+    """Give for each leg the time, s, before which it is not over: by "go", and by when the next may be begun."""
+    begun = [0.0 if leg.within is None else leg.within[0] for leg in scenario.leg[1:]] + [0.0]
+    return [max(leg.go_at or 0.0, after) for leg, after in zip(scenario.leg, begun, strict=True)]
+
+
+def earliest(scenario: Scenario) -> list[float]:
+    """Give for each leg the earliest time, s, at which it can be under way."""
+    dwells = itertools.accumulate((leg.dwell for leg in scenario.leg[:-1]), initial=0.0)
+    over = itertools.accumulate(released(scenario)[:-1], max, initial=0.0)
+    return [max(pair) for pair in zip(dwells, over, strict=True)]
+
+
+def ends(scenario: Scenario, zone: ZoneEntry) -> float:
+    """Give the time, s, at which a zone ends; infinite where it does not."""
+    if zone.until == "go":
+        return go_time(scenario)
+    return math.inf if zone.until is None else zone.until
+
+
+@dataclass(frozen=True)
+class Turning:
+    """How a zone's axes turn against the body frame while it stands.
+
+    Attributes:
+        rotations: zone's axes ← body axes, of some moments.
+        ends: until when each stands for the zone, s.
+        turned: the largest angle between the two, rad; 0 for axes at rest.
+
+    """
+
+    rotations: Float[np.ndarray, "moments 3 3"]
+    ends: Float[np.ndarray, "moments"]
+    turned: float
+
+
+def turns(around: Surroundings, axes: str) -> bool:
+    """Whether the axes of a zone turn against the body frame."""
+    at_rest = {"body": True, "vvlh": around.scenario.attitude.kind == "vvlh"}
+    return not at_rest.get(axes, around.scenario.attitude.kind == axes)
+
+
+def turning(around: Surroundings, zone: ZoneEntry) -> Turning:
+    """Follow a zone's axes from when it stands until it ends, or the flight does.
+
+    Raises:
+        ScenarioError: it turns so often while it stands that it is everywhere.
+
+    """
+    scenario, end = around.scenario, ends(around.scenario, zone)
+    if zone.axes == "body":
+        return Turning(np.eye(3)[None], np.array([end]), 0.0)
+    period, rate = scenario.control.period, around.turning_rate(zone.axes)
+    first = min(math.floor(zone.start / period), scenario.steps)
+    last = min(math.ceil(min(end, 2.0 * scenario.duration) / period), scenario.steps + 1)
+    if not turns(around, zone.axes):
+        first, last = 0, 1
+    angle = rate * (max(last - first, 1) + 1) * period
+    count = min(max(math.ceil(angle / _TURN), 1), _MOST_MOMENTS)
+    each = max(math.ceil((last - first) / count), 1)
+    if turns(around, zone.axes) and 0.5 * rate * (each + 1) * period > 0.2:
+        raise ScenarioError(
+            f"zone: axes {zone.axes!r} turn by {math.degrees(angle):.0f} degrees against the body while it stands; "
+            f"at most {math.degrees(0.4 * _MOST_MOMENTS):.0f} are followed. Give it start and until"
+        )
+    rotations = np.asarray(_followed(around.motion, zone.axes, as_float64(period), scenario.steps + 1))
+    stands = [*range(first, max(last, first + 1), each)]
+    middles = [min(step + each // 2, scenario.steps) for step in stands]
+    until = [(step + each) * period for step in stands[:-1]] + [end]
+    turned = 0.5 * rate * (each + 1) * period if turns(around, zone.axes) else 0.0
+    return Turning(rotations[middles], np.array(until), turned)
+
+
+@eqx.filter_jit
+def _followed(motion: RelativeMotion, axes: str, period: Scalar, steps: int) -> Float[Array, "steps 3 3"]:
+    """Give the axes ← body rotations at every control step, by the flight's own model of the target's turning."""
+
+    def here(state: MotionState) -> Float[Array, "3 3"]:
+        vvlh_from_body = rotation.matrix(state.attitude).T
+        if axes == "vvlh":
+            return vvlh_from_body
+        orbit = state.target_orbit
+        moved = motion.orbit.inertial_state(state.time) if orbit is None else (orbit[:3], orbit[3:])
+        return rotation.vvlh_axes(*moved).T @ vvlh_from_body
+
+    def step(state: MotionState, _: None) -> tuple[MotionState, Float[Array, "3 3"]]:
+        # Only what turns is followed; the chaser stays where it is.
+        after = motion.step(state, jnp.zeros(3), NoDisturbance(), period, 1.0)
+        held = eqx.tree_at(lambda s: (s.position, s.velocity), after, (state.position, state.velocity))
+        return held, here(state)
+
+    return jax.lax.scan(step, motion.initial_state(jnp.zeros(3), jnp.zeros(3)), length=steps)[1]
+
+
+def zone_shape(zone: ZoneEntry) -> shapes.Shape:
+    """Give the shape of a zone, in its own axes."""
+    made = {
+        "sphere": shapes.Sphere,
+        "ellipsoid": shapes.Ellipsoid,
+        "box": shapes.Box,
+        "cylinder": shapes.Cylinder,
+        "cone": shapes.Cone,
+    }[zone.shape]
+    parts: dict[str, Any] = {name: getattr(zone, name) for name in SHAPES[zone.shape]}
+    if "axis" in parts:
+        parts["axis"] = unit(parts["axis"])
+    return made(**parts)
+
+
+def corridor_shape(corridor: CorridorEntry) -> shapes.Shape:
+    """Give the room beside a corridor, within its length of the port."""
+    shared: dict[str, Any] = {"port": corridor.port, "axis": unit(corridor.axis), "length": corridor.length}
+    if corridor.half_angle is not None:
+        return shapes.BesideCone(**shared, half_angle=corridor.half_angle)
+    return shapes.BesideTube(**shared, radius=corridor.radius or 0.0)
+
+
+def unit(axis: Sequence[float]) -> Float[np.ndarray, "3"]:
+    """Give a vector at length 1."""
+    return np.asarray(axis) / np.linalg.norm(axis)
+
+
+def zoned(around: Surroundings, field: Field, threshold: float) -> Field:
+    """Put a scenario's zones and corridors into a field, so that each is entered where the field is its threshold.
+
+    Of a zone that is when the chaser's ball touches it, of a corridor's wall when the chaser's centre does.
+
+    Args:
+        around: the scenario's surroundings.
+        field: a law's or a guard's.
+        threshold: the value of that field, m, at and below which the chaser may touch the mesh.
+
+    """
+    scenario = around.scenario
+    zones = [
+        Zone(zone_shape(entry), way.rotations, way.ends, way.turned, threshold - scenario.chaser.radius)
+        for entry in scenario.zone
+        for way in [turning(around, entry)]
+    ]
+    zones += [Zone(corridor_shape(entry), np.eye(3)[None], [math.inf], 0.0, threshold) for entry in scenario.corridor]
+    return ZonedField(field, tuple(zones)) if zones else field
+
+
+@dataclass(frozen=True)
+class LegPlan(GuidancePlan):
+    """The guidance of each leg, by another plan, from the place before it, round the zones that stand by then.
+
+    Attributes:
+        scenario: with its legs and its rule of speeds.
+        each: the plan of one leg.
+        rule: largest speed by distance, where there is one.
+
+    """
+
+    refuses = True
+    scenario: Scenario
+    each: GuidancePlan
+    rule: SpeedByDistance | None
+
+    def guidance(
+        self,
+        field: Field,
+        offset: float,
+        goal: Point,
+        *,
+        speed: float,
+        slowing_length: float,
+        start: Point | None = None,
+        progress: Progress = silent,
+    ) -> Guidance:
+        """Make the guidance of all legs; its `leg` is the last, where `goal` is."""
+        legs = self.scenario.leg
+        if not legs:
+            require_free(field, offset, goal, "goal")
+            way = self.each.guidance(
+                field, offset, goal, speed=speed, slowing_length=slowing_length, start=start, progress=progress
+            )
+            return _guidance([way], self.rule)
+        places = [np.asarray(leg.position, dtype=float) for leg in legs]
+        grids: dict[tuple[float, ...], BarrierGrid] = {}
+        ways, before, times = [], start, earliest(self.scenario)
+        for number, (leg, place, time) in enumerate(zip(legs, places, times, strict=True)):
+            part = part_of(progress, number / len(legs), (number + 1) / len(legs))
+            name = named("leg", leg, number)
+            fastest = min(speed, leg.speed_limit or math.inf)
+            try:
+                now = field.at_time(as_float64(time))
+                require_free(now, offset, place, "position")
+                plan = self._plan(now, offset, places, start, time, grids, part)
+                led = {"speed": fastest, "slowing_length": slowing_length * fastest / speed}
+                ways.append(plan.guidance(now, offset, place, **led, start=before, progress=part))
+            except KeepoutError as refusal:
+                raise ControlError(f"{name}: {refusal}") from None
+            before = place
+        return _guidance(ways, self.rule)
+
+    def _plan(
+        self,
+        field: Field,
+        offset: float,
+        places: list[Point],
+        start: Point | None,
+        time: float,
+        grids: dict[tuple[float, ...], BarrierGrid],
+        progress: Progress,
+    ) -> GuidancePlan:
+        """Give the plan of a leg; those with the same walls share a grid around all places."""
+        if not isinstance(self.each, Geodesic) or self.each.grid is not None:
+            return self.each
+        standing = tuple(end for zone in self.scenario.zone for end in [ends(self.scenario, zone)] if end > time)
+        if standing not in grids:
+            beginning = places[0] if start is None else start
+            corners = np.stack([*places, beginning])
+            lower, upper = room_around(field, offset, corners.min(axis=0), corners.max(axis=0))
+            grids[standing] = BarrierGrid.build(
+                field, offset, lower, upper, spacing=self.each.spacing, progress=progress
+            )
+        return dataclasses.replace(self.each, grid=grids[standing])
+
+
+def _guidance(ways: Sequence[Guidance], rule: SpeedByDistance | None) -> LegGuidance:
+    """Put the legs' guidance together; the leg under way is data to a compiled program, and at first the last."""
+    last: Any = jax.device_put(np.asarray(len(ways) - 1, dtype=np.int32))
+    return LegGuidance(tuple(ways), last, rule)  # pyright: ignore
+
+
+def speed_rule(scenario: Scenario, field: Field, error_bound: float) -> SpeedByDistance | None:
+    """Give a scenario's rule of speeds by distance, measured by a law's field where it is to the mesh."""
+    approach = scenario.approach
+    if not approach.speed_by_distance:
+        return None
+    distances, speeds = np.array(approach.speed_by_distance)[::-1].T
+    point = None if approach.distance_to is None else as_float64(approach.distance_to)
+    return SpeedByDistance(distances, speeds, point, None if point is not None else field, error_bound)
+
+
+def require_braking(scenario: Scenario, law: Controller) -> None:
+    """Refuse a rule of speeds that asks the thrusters for more than the law brakes with.
+
+    Raises:
+        ControlError: between two of its pairs the speed falls faster.
+
+    """
+    braking = law.velocity.class_k.braking
+    if braking is None:
+        return
+    for (far, fast), (near, slow) in itertools.pairwise(scenario.approach.speed_by_distance):
+        asked = fast * (fast - slow) / (far - near)
+        if asked > float(braking):
+            raise ControlError(
+                f"approach.speed_by_distance: from [{far:g}, {fast:g}] to [{near:g}, {slow:g}] asks for up to "
+                f"{asked:.3g} m/s2, and the law brakes with {float(braking):.3g} m/s2; let the speed fall over "
+                f"{fast * (fast - slow) / float(braking):.3g} m"
+            )
+
+
+def law_of_legs(scenario: Scenario, law: Law) -> Law:
+    """Give the law that flies a scenario's legs one after another, where its guidance has them."""
+    if not (scenario.leg and isinstance(law, Controller) and isinstance(law.velocity.guidance, LegGuidance)):
+        return law
+    legs = Legs([leg.tolerance for leg in scenario.leg], [leg.dwell for leg in scenario.leg], released(scenario))
+    return LegLaw(law, legs, scenario.control.period)
+
+
+def require_approach(around: Surroundings) -> None:
+    """Refuse a start, a goal or legs in a zone or beside a corridor, and corridors that begin at no mesh.
+
+    Raises:
+        ScenarioError: naming both, with the numbers.
+
+    """
+    scenario, target = around.scenario, around.target
+    places = [("start.position", scenario.start.position, 0.0)]
+    if scenario.leg:
+        times = earliest(scenario)
+        legs = enumerate(zip(scenario.leg, times, strict=True))
+        places += [(named("leg", leg, k), leg.position, time) for k, (leg, time) in legs]
+    else:
+        places += [("goal.position", scenario.goal.position, 0.0)]
+    radius = scenario.chaser.radius
+    for number, entry in enumerate(scenario.zone):
+        way = turning(around, entry)
+        zone = Zone(zone_shape(entry), way.rotations, way.ends, way.turned, 0.0)
+        for name, place, time in places:
+            away = float(zone.value(as_float64(place), as_float64(time)))
+            if away <= radius:
+                since = "" if time == 0.0 else f", which still stands at {time:g} s, the earliest that it is flown to,"
+                raise ScenarioError(
+                    f"{name}: {list(place)} m is {_beyond(away)} {named('zone', entry, number)}{since} "
+                    f"and the chaser's radius is {radius:g} m"
+                )
+    for number, entry in enumerate(scenario.corridor):
+        wall = corridor_shape(entry)
+        name = named("corridor", entry, number)
+        if target is not None:
+            away = float(target.distance.distance(np.asarray(entry.port)[None])[0])
+            if away > _PORT:
+                raise ScenarioError(
+                    f"{name}: its port {list(entry.port)} m is {away:.3g} m from the mesh; it must be within "
+                    f"{_PORT:g} m"
+                )
+        for place_name, place, _ in places:
+            away = float(wall.distance(as_float64(place)))
+            if away <= 0.0:
+                raise ScenarioError(
+                    f"{place_name}: {list(place)} m is {-away:.3g} m beyond the wall of {name}, and within its length"
+                )
+
+
+def _beyond(away: float) -> str:
+    return f"{away:.3g} m from" if away > 0.0 else f"{-away:.3g} m inside"

@@ -1,0 +1,159 @@
+"""The tables of a scenario for a rendezvous: legs from hold point to hold point, zones, corridors, approach rules.
+
+They are data, as those of `entries.py`. What they mean for law, guard and audit is in docs/approach.md.
+"""
+
+import math
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from keepout.core.mission.entries import Entry, NonNegative, Positive, Vector
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 _.-]*$")]
+Window = tuple[NonNegative, Positive]
+HalfAngle = Annotated[float, Field(gt=0.0, lt=math.pi / 2.0)]
+Moment = NonNegative | Literal["go"]
+
+SHAPES: dict[str, tuple[str, ...]] = {
+    "sphere": ("centre", "radius"),
+    "ellipsoid": ("centre", "semi_axes"),
+    "box": ("lower", "upper"),
+    "cylinder": ("centre", "axis", "radius", "length"),
+    "cone": ("centre", "axis", "half_angle", "length"),
+}
+"""What each shape of a zone is made of."""
+
+
+class LegEntry(Entry):
+    """A place where the chaser holds before it flies on; the last leg's is the goal.
+
+    Attributes:
+        name: for tables, plots and refusals; unset: its number.
+        position: of the hold point, m.
+        axes: of the position: the target's body axes, or VVLH, where the target is fixed in it.
+        tolerance: the chaser is there while it is closer than this, m.
+        dwell: for which it stays there without a break before it flies on, s.
+        until: "go": not before somebody says so; on board the caller, in simulation `go_at`.
+        go_at: in simulation, when "go" is said, s.
+        speed_limit: on the way to this place, m/s; unset: chaser.speed_limit.
+        within: [earliest, latest]: not flown to before, to be reached by, s.
+
+    """
+
+    name: Name | None = None
+    position: Vector
+    axes: Literal["body", "vvlh"] = "body"
+    tolerance: Positive = 0.5
+    dwell: NonNegative = 0.0
+    until: Literal["go"] | None = None
+    go_at: NonNegative | None = None
+    speed_limit: Positive | None = None
+    within: Window | None = None
+
+    def _contradictions(self) -> Iterator[str]:
+        if (self.until is None) != (self.go_at is None):
+            yield 'until = "go" and go_at, the time when it is said in simulation, belong together'
+        if self.within is not None and self.within[0] >= self.within[1]:
+            yield f"within {list(self.within)}: the first must be before the second"
+
+
+class ZoneEntry(Entry):
+    """Room that no part of the chaser may enter while the zone stands.
+
+    Attributes:
+        name: for tables, plots and refusals; unset: its number.
+        shape: a cylinder and a cone begin at `centre` and go along `axis`.
+        centre: of sphere and ellipsoid; of a cylinder's first face; a cone's apex, m.
+        radius: of sphere and cylinder, m.
+        semi_axes: of an ellipsoid, along the zone's axes, m.
+        lower: lower corner of a box along the zone's axes, m.
+        upper: upper corner of a box along the zone's axes, m.
+        axis: of cylinder and cone, any length.
+        half_angle: of a cone, rad.
+        length: of cylinder and cone, m.
+        axes: in which all this is told, about the body frame's origin: the target's, VVLH, or ECI (inertial).
+        start: from when it stands, s.
+        until: until when it stands, s; "go": until the first leg with `until = "go"` is left; unset: always.
+
+    """
+
+    name: Name | None = None
+    shape: Literal["sphere", "ellipsoid", "box", "cylinder", "cone"]
+    centre: Vector | None = None
+    radius: Positive | None = None
+    semi_axes: tuple[Positive, Positive, Positive] | None = None
+    lower: Vector | None = None
+    upper: Vector | None = None
+    axis: Vector | None = None
+    half_angle: HalfAngle | None = None
+    length: Positive | None = None
+    axes: Literal["body", "vvlh", "inertial"] = "body"
+    start: NonNegative = 0.0
+    until: Moment | None = None
+
+    def _contradictions(self) -> Iterator[str]:
+        every = dict.fromkeys(part for parts in SHAPES.values() for part in parts)
+        given = [part for part in every if getattr(self, part) is not None]
+        if set(given) != set(SHAPES[self.shape]):
+            parts = ", ".join(SHAPES[self.shape])
+            yield f'shape "{self.shape}" is made of {parts}, and has {", ".join(given) or "none"}'
+        if self.axis is not None and not any(self.axis):
+            yield "axis [0, 0, 0] points nowhere"
+        if self.lower is not None and self.upper is not None and any(a >= b for a, b in zip(self.lower, self.upper)):
+            yield f"lower {list(self.lower)} must be below upper {list(self.upper)}"
+        if not isinstance(self.until, str) and self.until is not None and self.until <= self.start:
+            yield f"until {self.until} s: it must be after start, {self.start} s"
+
+
+class CorridorEntry(Entry):
+    """Inside `length` of a port the chaser's centre stays in a cone, or a tube, that leads outwards from it.
+
+    Attributes:
+        name: for tables, plots and refusals; unset: its number.
+        port: body frame, m.
+        axis: from the port outwards, body frame, any length.
+        length: m.
+        half_angle: of a cone with its apex in the port, rad.
+        radius: of a tube, m.
+
+    """
+
+    name: Name | None = None
+    port: Vector
+    axis: Vector
+    length: Positive
+    half_angle: HalfAngle | None = None
+    radius: Positive | None = None
+
+    def _contradictions(self) -> Iterator[str]:
+        if (self.half_angle is None) == (self.radius is None):
+            yield "give half_angle of a cone, or radius of a tube"
+        if not any(self.axis):
+            yield "axis [0, 0, 0] points nowhere"
+
+
+class ApproachEntry(Entry):
+    """How fast the chaser may fly how near, and how it gets away.
+
+    Attributes:
+        speed_by_distance: pairs [distance, m, largest speed, m/s], distances falling; linear between them.
+        distance_to: what the distance is measured to: a point of the body frame (the port), m; unset: the mesh, of
+            which the law's field says less.
+
+    """
+
+    speed_by_distance: tuple[tuple[NonNegative, Positive], ...] = ()
+    distance_to: Vector | None = None
+
+    def _contradictions(self) -> Iterator[str]:
+        for (far, fast), (near, slow) in pairwise(self.speed_by_distance):
+            if near >= far or slow > fast:
+                yield (
+                    f"speed_by_distance: [{near}, {slow}] after [{far}, {fast}]: distances must fall, and speeds must "
+                    "not rise with them"
+                )
+        if self.distance_to is not None and not self.speed_by_distance:
+            yield "distance_to is for speed_by_distance, and there is none"
