@@ -17,14 +17,15 @@ before, that leave the bounding box by more than R settle it. No orientation, si
 """
 
 import heapq
-from dataclasses import dataclass
-from enum import StrEnum
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from keepout.core.audit.tube import Distance, FlightBounds, Tube, components, lengths, nearest
+from keepout.core.audit.tube import Contact, Distance, FlightBounds, Tube, components, lengths, nearest
+from keepout.core.audit.zones import Entered, Region, entered
 from keepout.core.errors import FlightError, require_finite
 
 _DIRECTIONS = np.array([[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if x or y or z], float)
@@ -84,14 +85,6 @@ _ROUNDING = 1e-9
 """Metres taken off every clearance bound: far more than float64 loses at the size of a space station."""
 
 
-class Contact(StrEnum):
-    """Whether the chaser touched the target: proved either way, or not decided."""
-
-    NO = "no"
-    YES = "yes"
-    UNDECIDED = "undecided"
-
-
 @runtime_checkable
 class ExactMesh(Protocol):
     """What the audit asks of a target's geometry."""
@@ -125,7 +118,7 @@ class Audit:
     `measured_clearance` the least one found, at `minimum_time` and `minimum_position`. `force_excess` and
     `speed_excess` are the largest amounts by which a limit was passed at a sample (≤ 0: kept). `inconsistent_steps` are
     the steps whose ends no motion within the bounds joins. `remarks` says, a line each, why a verdict is not a plain
-    "no".
+    "no". `zones` says of each zone and corridor whether it was kept.
     """
 
     contact: Contact
@@ -144,6 +137,7 @@ class Audit:
     guard_interventions: int
     steps: int
     remarks: tuple[str, ...]
+    zones: tuple[Entered, ...] = ()
 
     @property
     def consistent(self) -> bool:
@@ -159,6 +153,7 @@ def audit(
     bounds: FlightBounds,
     force_limit: float,
     speed_limit: float,
+    regions: Sequence[Region] = (),
     tolerance: float = 1e-3,
     consistency: float = 1e-6,
 ) -> Audit:
@@ -173,6 +168,7 @@ def audit(
         bounds: on what the record does not hold.
         force_limit: per axis, N.
         speed_limit: on the norm, m/s.
+        regions: that must not be entered.
         tolerance: how close to the truth the clearance bound is driven, m.
         consistency: what the flight's own integrator may err by in a step, m.
 
@@ -191,6 +187,7 @@ def audit(
         bounds=bounds,
         force_limit=force_limit,
         speed_limit=speed_limit,
+        regions=regions,
         tolerance=tolerance,
         consistency=consistency,
     )[0]
@@ -208,6 +205,7 @@ def audit_campaign(
     bounds: FlightBounds,
     force_limit: float,
     speed_limit: float,
+    regions: Sequence[Region] = (),
     tolerance: float = 1e-3,
     consistency: float = 1e-6,
 ) -> list[Audit]:
@@ -224,6 +222,7 @@ def audit_campaign(
     distance = target.distance.distance
     bound = nearest(tube, distance, tolerance=tolerance)
     excess = tube.inconsistency()
+    zones = [entered(tube, region, tolerance=tolerance) for region in regions]
     first_away = distance(tube.position[:, 0])
     box = box_of(target)
     audits = []
@@ -256,9 +255,15 @@ def audit_campaign(
                 guard_interventions=0 if guard_status is None else int(np.count_nonzero(guard_status[i] & _REPLACED)),
                 steps=len(time) - 1,
                 remarks=remarks,
+                zones=tuple(_decided(found[i], remarks) for found in zones),
             )
         )
     return audits
+
+
+def _decided(found: Entered, remarks: tuple[str, ...]) -> Entered:
+    """Leave undecided what rests on a path that may not have been flown, or was not bounded."""
+    return replace(found, entered=Contact.UNDECIDED) if found.entered is Contact.NO and remarks else found
 
 
 def _against(name: str, sizes: Float[np.ndarray, "samples"], limit: float) -> dict[str, Any]:

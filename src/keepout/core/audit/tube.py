@@ -18,6 +18,7 @@ either end of the step and |δ̇| ≤ c. What drifts is y + δ, so that b grows 
 import abc
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -35,6 +36,14 @@ _BLOCK = 64
 
 _HALVINGS = 14
 """A step is halved at most this often: beyond it the remainder b T²/8, not the piece's length, limits the bound."""
+
+
+class Contact(StrEnum):
+    """Whether the chaser touched the target, or entered a zone: proved either way, or not decided."""
+
+    NO = "no"
+    YES = "yes"
+    UNDECIDED = "undecided"
 
 
 @dataclass(frozen=True)

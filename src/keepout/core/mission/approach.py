@@ -17,6 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from keepout.core.audit import zones as judged
+from keepout.core.audit.zones import Region
 from keepout.core.control.barrier_grid import BarrierGrid, require_free
 from keepout.core.control.controller import Controller
 from keepout.core.control.geodesic import Geodesic, room_around
@@ -161,10 +163,7 @@ def zone_shape(zone: ZoneEntry) -> shapes.Shape:
         "cylinder": shapes.Cylinder,
         "cone": shapes.Cone,
     }[zone.shape]
-    parts: dict[str, Any] = {name: getattr(zone, name) for name in SHAPES[zone.shape]}
-    if "axis" in parts:
-        parts["axis"] = unit(parts["axis"])
-    return made(**parts)
+    return made(**_parts(zone))
 
 
 def corridor_shape(corridor: CorridorEntry) -> shapes.Shape:
@@ -173,6 +172,48 @@ def corridor_shape(corridor: CorridorEntry) -> shapes.Shape:
     if corridor.half_angle is not None:
         return shapes.BesideCone(**shared, half_angle=corridor.half_angle)
     return shapes.BesideTube(**shared, radius=corridor.radius or 0.0)
+
+
+def regions(around: Surroundings) -> list[Region]:
+    """Give a scenario's zones and corridors as the audit judges them, with shapes of its own."""
+    scenario, found = around.scenario, []
+    for number, entry in enumerate(scenario.zone):
+        made = {
+            "sphere": judged.sphere,
+            "ellipsoid": judged.ellipsoid,
+            "box": judged.box,
+            "cylinder": judged.cylinder,
+            "cone": judged.cone,
+        }[entry.shape]
+        rotations = np.eye(3)[None]
+        if entry.axes != "body":
+            rotations = np.asarray(
+                _followed(around.motion, entry.axes, as_float64(scenario.control.period), scenario.steps + 1)
+            )
+        found.append(
+            Region(
+                name=named("zone", entry, number),
+                distance=made(**_parts(entry)),
+                radius=scenario.chaser.radius,
+                rotations=rotations,
+                rate=around.turning_rate(entry.axes),
+                start=entry.start,
+                until=ends(scenario, entry),
+            )
+        )
+    for number, entry in enumerate(scenario.corridor):
+        walls = {"half_angle": entry.half_angle, "radius": entry.radius}
+        beside = judged.beside(np.asarray(entry.port), unit(entry.axis), entry.length, **walls)
+        found.append(Region(named("corridor", entry, number), beside, 0.0, np.eye(3)[None]))
+    return found
+
+
+def _parts(zone: ZoneEntry) -> dict[str, Any]:
+    """Give the numbers that a zone's shape is made of, as arrays where they are vectors, an axis at length 1."""
+    parts = {name: getattr(zone, name) for name in SHAPES[zone.shape]}
+    if "axis" in parts:
+        parts["axis"] = unit(parts["axis"])
+    return {name: np.asarray(part) if isinstance(part, tuple) else part for name, part in parts.items()}
 
 
 def unit(axis: Sequence[float]) -> Float[np.ndarray, "3"]:

@@ -21,6 +21,8 @@ from keepout.core.flight.setup import FlightSetup
 from keepout.core.geometry.target import Target
 from keepout.core.guard.guard import Guard
 from keepout.core.guard.safety_layer import GuardFlag, GuardStatus, flag_names
+from keepout.core.mission.approach import regions
+from keepout.core.mission.legs_flown import LegFlown, legs_flown, speed_excess
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings, guard_numbers
 from keepout.core.motion.relative import MotionState
@@ -115,7 +117,34 @@ class Flight:
             "faults": self.scenario.faults.model_dump(exclude_defaults=True),
             "violated_conditions": list(self.violated_conditions),
             "remarks": list(self.audit.remarks),
-        }
+        } | self._approach_figures()
+
+    def _approach_figures(self) -> dict[str, Any]:
+        """Give what became of zones, legs and the rule of speeds, of those that the scenario has."""
+        figures: dict[str, Any] = {}
+        if self.audit.zones:
+            figures["zones"] = [
+                {
+                    "name": zone.name,
+                    "entered": str(zone.entered),
+                    "minimum_clearance_m": _finite(zone.minimum_clearance),
+                    "measured_clearance_m": _finite(zone.measured_clearance),
+                }
+                for zone in self.audit.zones
+            ]
+        if self.legs:
+            figures["legs"] = [leg.summary() for leg in self.legs]
+        if self.scenario.approach.speed_by_distance:
+            figures["speed_rule_excess_mps"] = speed_excess(
+                self.scenario, self.record.position, self.record.velocity, self.clearance
+            )
+        return figures
+
+    @property
+    def legs(self) -> tuple[LegFlown, ...]:
+        """What became of each leg; () where the law flew none."""
+        record = self.record
+        return () if record.leg is None else legs_flown(self.scenario, record.time, record.position, record.leg)
 
     @property
     def verdict(self) -> Verdict:
@@ -274,6 +303,7 @@ def recorded(
         bounds=bounds,
         force_limit=scenario.chaser.force_limit,
         speed_limit=scenario.chaser.speed_limit,
+        regions=regions(Surroundings(scenario, target)),
     )
     known = np.isfinite(record.position).all(axis=1)  # a law of one's own may command what is no number
     clearance = np.full(len(record.position), np.nan)
@@ -379,6 +409,7 @@ def judge(
         bounds=Surroundings(scenario).flight_bounds if bounds is None else bounds,
         force_limit=chaser.force_limit,
         speed_limit=chaser.speed_limit,
+        regions=regions(Surroundings(scenario)),
         tolerance=tolerance,
     )
 
