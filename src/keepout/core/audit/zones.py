@@ -94,19 +94,23 @@ def beside(
     half_angle: float | None = None,
     radius: float | None = None,
 ) -> Signed:
-    """Give the distance, m, to all within `length` of a port but an endless cone, or tube, along a unit axis."""
+    """Give the distance, m, to all within `length` of a port but an endless tube or cone along a unit axis.
+
+    A cone that is `radius` wide at the port has its apex behind it.
+    """
+    wide = radius or 0.0
+    apex = port if half_angle is None else port - axis * wide / np.tan(half_angle)
 
     def distance(points: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "points"]:
-        away = points - port
+        away = points - apex
         across, along = _polar(away, axis)
-        if radius is not None:
-            room = radius - across
+        if half_angle is None:
+            room = wide - across
         else:
             angle = np.arctan2(across, along)
             # Within a right angle of the wall the foot of the perpendicular is on it, else the apex is nearest.
-            slant = np.where(angle - (half_angle or 0.0) < 0.5 * np.pi, np.sin((half_angle or 0.0) - angle), -1.0)
-            room = lengths(away) * slant
-        return np.maximum(lengths(away) - length, room)
+            room = lengths(away) * np.where(angle - half_angle < 0.5 * np.pi, np.sin(half_angle - angle), -1.0)
+        return np.maximum(lengths(points - port) - length, room)
 
     return distance
 

@@ -98,24 +98,25 @@ class Cone(Shape):
 
 
 class BesideCone(Shape):
-    """All within `length` of `port` but what is within `half_angle` (rad) of the unit vector `axis`, seen from there.
+    """All within `length` of `port` but what is within `half_angle` (rad) of the unit vector `axis`, seen from `apex`.
 
-    The larger of two signed distances, of which each body's contains that of what both share: a lower bound.
+    The larger of the signed distances of two bodies is a lower bound of that of what they share.
     """
 
     port: Vector = eqx.field(converter=as_float64)
+    apex: Vector = eqx.field(converter=as_float64)
     axis: Vector = eqx.field(converter=as_float64)
     length: Scalar = eqx.field(converter=as_float64)
     half_angle: Scalar = eqx.field(converter=as_float64)
 
     def distance(self, point: Vector) -> Scalar:
         """Give the larger of the distances to the ball, and out of the endless cone."""
-        away = point - self.port
+        away = point - self.apex
         across, along = _polar(away, self.axis)
         sine, cosine = jnp.sin(self.half_angle), jnp.cos(self.half_angle)
         behind = across * sine + along * cosine <= 0.0  # where the apex is what is nearest of the cone
         wall = jnp.where(behind, norm(away), across * cosine - along * sine)
-        return jnp.maximum(norm(away) - self.length, -wall)
+        return jnp.maximum(norm(point - self.port) - self.length, -wall)
 
 
 class BesideTube(Shape):

@@ -19,9 +19,9 @@ from jaxtyping import Array, Float
 
 from keepout.core.audit import zones as judged
 from keepout.core.audit.zones import Region
-from keepout.core.control.barrier_grid import BarrierGrid, require_free
+from keepout.core.control.barrier_grid import require_free
 from keepout.core.control.controller import Controller
-from keepout.core.control.geodesic import Geodesic, room_around
+from keepout.core.control.geodesic import Geodesic
 from keepout.core.control.guidance import Guidance, GuidancePlan, Point
 from keepout.core.control.law import Law
 from keepout.core.control.legs import LegGuidance, LegLaw, Legs, SpeedByDistance
@@ -41,6 +41,8 @@ from keepout.core.progress import Progress, part_of, silent
 _TURN = math.radians(5.0)
 """Between two rotations that stand for a turning zone, at most, unless that would pass `_MOST_MOMENTS`."""
 _MOST_MOMENTS = 256
+_LEAST_ROOM, _ROOM = 6.0, 0.25
+"""About a leg's ends, within which its way is looked for at first: at least so much, m, and this share of the leg."""
 _PORT = 1.0
 """A corridor's port is nearer to the mesh than this, m."""
 
@@ -170,7 +172,9 @@ def corridor_shape(corridor: CorridorEntry) -> shapes.Shape:
     """Give the room beside a corridor, within its length of the port."""
     shared: dict[str, Any] = {"port": corridor.port, "axis": unit(corridor.axis), "length": corridor.length}
     if corridor.half_angle is not None:
-        return shapes.BesideCone(**shared, half_angle=corridor.half_angle)
+        behind = (corridor.radius or 0.0) / math.tan(corridor.half_angle)
+        apex = np.asarray(corridor.port) - behind * shared["axis"]
+        return shapes.BesideCone(**shared, apex=apex, half_angle=corridor.half_angle)
     return shapes.BesideTube(**shared, radius=corridor.radius or 0.0)
 
 
@@ -278,45 +282,36 @@ class LegPlan(GuidancePlan):
             )
             return _guidance([way], self.rule)
         places = [np.asarray(leg.position, dtype=float) for leg in legs]
-        grids: dict[tuple[float, ...], BarrierGrid] = {}
-        ways, before, times = [], start, earliest(self.scenario)
-        for number, (leg, place, time) in enumerate(zip(legs, places, times, strict=True)):
+        stages = [field.at_time(as_float64(time)) for time in earliest(self.scenario)]
+        for number, (leg, place, now) in enumerate(zip(legs, places, stages, strict=True)):
+            require_free(now, offset, place, named("leg", leg, number))
+        ways, before = [], start
+        for number, (leg, place, now) in enumerate(zip(legs, places, stages, strict=True)):
             part = part_of(progress, number / len(legs), (number + 1) / len(legs))
-            name = named("leg", leg, number)
             fastest = min(speed, leg.speed_limit or math.inf)
+            led = {"speed": fastest, "slowing_length": slowing_length * fastest / speed, "progress": part}
             try:
-                now = field.at_time(as_float64(time))
-                require_free(now, offset, place, "position")
-                plan = self._plan(now, offset, places, start, time, grids, part)
-                led = {"speed": fastest, "slowing_length": slowing_length * fastest / speed}
-                ways.append(plan.guidance(now, offset, place, **led, start=before, progress=part))
+                ways.append(self._way(now, offset, place, before, led))
             except KeepoutError as refusal:
-                raise ControlError(f"{name}: {refusal}") from None
+                raise ControlError(f"{named('leg', leg, number)}: {refusal}") from None
             before = place
         return _guidance(ways, self.rule)
 
-    def _plan(
-        self,
-        field: Field,
-        offset: float,
-        places: list[Point],
-        start: Point | None,
-        time: float,
-        grids: dict[tuple[float, ...], BarrierGrid],
-        progress: Progress,
-    ) -> GuidancePlan:
-        """Give the plan of a leg; those with the same walls share a grid around all places."""
-        if not isinstance(self.each, Geodesic) or self.each.grid is not None:
-            return self.each
-        standing = tuple(end for zone in self.scenario.zone for end in [ends(self.scenario, zone)] if end > time)
-        if standing not in grids:
-            beginning = places[0] if start is None else start
-            corners = np.stack([*places, beginning])
-            lower, upper = room_around(field, offset, corners.min(axis=0), corners.max(axis=0))
-            grids[standing] = BarrierGrid.build(
-                field, offset, lower, upper, spacing=self.each.spacing, progress=progress
-            )
-        return dataclasses.replace(self.each, grid=grids[standing])
+    def _way(self, field: Field, offset: float, place: Point, before: Point | None, led: dict[str, Any]) -> Guidance:
+        """Give the guidance of one leg: in the room about its ends, or in all the room there is."""
+        each = self.each
+        if not isinstance(each, Geodesic) or each.grid is not None or each.bounds is not None or before is None:
+            return each.guidance(field, offset, place, start=before, **led)
+        ends = np.stack([place, before])
+        room = max(_LEAST_ROOM, _ROOM * float(np.linalg.norm(place - before)))
+        about = dataclasses.replace(each, bounds=(ends.min(axis=0) - room, ends.max(axis=0) + room))
+        try:
+            return about.guidance(field, offset, place, start=before, **led)
+        except ControlError as near:
+            try:
+                return each.guidance(field, offset, place, start=before, **led)
+            except ControlError:
+                raise near from None
 
 
 def _guidance(ways: Sequence[Guidance], rule: SpeedByDistance | None) -> LegGuidance:

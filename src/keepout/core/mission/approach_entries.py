@@ -116,8 +116,8 @@ class CorridorEntry(Entry):
         port: body frame, m.
         axis: from the port outwards, body frame, any length.
         length: m.
-        half_angle: of a cone with its apex in the port, rad.
-        radius: of a tube, m.
+        half_angle: of a cone, rad; unset: a tube.
+        radius: of the tube, or of the cone at the port, m; of a cone unset: 0.
 
     """
 
@@ -129,8 +129,8 @@ class CorridorEntry(Entry):
     radius: Positive | None = None
 
     def _contradictions(self) -> Iterator[str]:
-        if (self.half_angle is None) == (self.radius is None):
-            yield "give half_angle of a cone, or radius of a tube"
+        if self.half_angle is None and self.radius is None:
+            yield "give half_angle of a cone, radius of a tube, or both of a cone that is so wide at the port"
         if not any(self.axis):
             yield "axis [0, 0, 0] points nowhere"
 
