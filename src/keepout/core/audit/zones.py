@@ -74,14 +74,14 @@ def cylinder(centre: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"], radiu
 
 
 def cone(centre: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"], half_angle: float, length: float) -> Signed:
-    """Give the distance, m, to a cone from its apex along a unit axis, with a flat base."""
-    rim = np.array([length * np.tan(half_angle), length])
+    """Give the distance, m, to all within `length` of an apex and `half_angle` (rad) of a unit axis."""
+    rim = length * np.array([np.sin(half_angle), np.cos(half_angle)])
 
     def distance(points: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "points"]:
         plane = np.stack(_polar(points - centre, axis), axis=1)
-        edges = [_to_segment(plane, np.zeros(2), rim), _to_segment(plane, np.array([0.0, length]), rim)]
-        within = (plane[:, 0] * rim[1] <= plane[:, 1] * rim[0]) & (plane[:, 1] <= length)
-        return np.where(within, -1.0, 1.0) * np.minimum(*edges)
+        size, angle = np.hypot(*plane.T), np.arctan2(*plane.T)
+        edge = _to_segment(plane, np.zeros(2), rim)
+        return np.where(angle <= half_angle, np.maximum(size - length, -edge), edge)
 
     return distance
 

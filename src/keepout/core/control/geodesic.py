@@ -1,13 +1,16 @@
 """Geodesic guidance: along the shortest free way to the goal. The travel time to it is marched once a goal."""
 
+import dataclasses
 import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int, Int8, Int32
 
 from keepout.core.compiled.in_batches import joined_rows, rows_last
@@ -25,6 +28,15 @@ _EDGE = 32
 """Nodes; the edges of a grid's array are multiples of it."""
 
 
+_ALONG = np.array([1, 0, 0], dtype=np.int32)
+
+
+def _whole(number: ArrayLike) -> Array:
+    if isinstance(number, jax.Array):
+        return number
+    return jax.device_put(np.asarray(number, dtype=np.int32))
+
+
 class GeodesicGuidance(SlowingGuidance):
     """Along the shortest free way to the goal, blended into the straight line near it (docs/control.md).
 
@@ -34,6 +46,7 @@ class GeodesicGuidance(SlowingGuidance):
     compiled program. The directions are blended by cubic B-splines, so that v_c is twice continuously differentiable.
     Directions and not times are blended, because times on two sides of a wall, or in it, may differ by any amount: in
     a gap of one node their spline has a minimum before the gap, and a chaser would wait there.
+    Where the array holds several grids one behind the other along its first axis, this one begins at node `first`.
     Between `inner` and `outer` metres from the goal the direction turns from straight to geodesic. Outside the grid the
     way leads back to it. The speed is v_max tanh(‖r_e‖ / k_p). Build it with
     `keepout.core.control.geodesic.geodesic_guidance`.
@@ -45,6 +58,7 @@ class GeodesicGuidance(SlowingGuidance):
     spacing: Scalar
     inner: Scalar
     outer: Scalar
+    first: Int32[Array, ""] = eqx.field(converter=_whole, default=0)
 
     def desired_velocity(self, position: Vector) -> Vector:
         """Return the desired velocity, m/s."""
@@ -61,7 +75,7 @@ class GeodesicGuidance(SlowingGuidance):
         held = jnp.clip(place, 1.0, last - 1e-9)
         outside = place - held
         cell = jax.lax.stop_gradient(jnp.floor(held))
-        start = cell.astype(jnp.int32) - 1
+        start = cell.astype(jnp.int32) - 1 + self.first * _ALONG
         blended = joined_rows(_blended, self.directions, (start[None], (held - cell)[None]))[0]
         # Where the position is beyond the grid along some axis, that axis leads back and the others keep their say.
         # Within the grid nothing is beyond. A unit vector of nothing is zero, but its derivative is immense, and taken
@@ -70,6 +84,19 @@ class GeodesicGuidance(SlowingGuidance):
         back = jnp.where(beyond, _unit(jnp.where(beyond, outside, 1.0)), 0.0)
         along = jnp.where(outside == 0.0, _unit(blended), 0.0) - back
         return _unit(along)
+
+
+def one_behind_the_other(ways: Sequence[GeodesicGuidance]) -> tuple[GeodesicGuidance, ...]:
+    """Give guidances of one shape whose directions are one array, that of all of them."""
+    grids = [np.asarray(way.directions) for way in ways]
+    most = np.max([grid.shape for grid in grids], axis=0)
+    padded = [np.pad(grid, [(0, 0), *((0, int(m - n)) for m, n in zip(most[1:], grid.shape[1:]))]) for grid in grids]
+    whole = jax.device_put(np.concatenate(padded))
+    firsts = np.cumsum([0, *(len(grid) for grid in grids)])
+    return tuple(
+        dataclasses.replace(way, directions=whole, first=first)
+        for way, first in zip(ways, firsts[:-1].astype(np.int32))
+    )
 
 
 def packed(directions: Int8[np.ndarray, "nx ny nz 3"]) -> Int32[np.ndarray, "mx my mz"]:

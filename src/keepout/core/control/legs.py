@@ -6,15 +6,18 @@ through the same program, and what law and observer remember goes on from leg to
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int, PyTree
 
 from keepout.core.control.controller import Controller
 from keepout.core.control.guidance import Guidance
 from keepout.core.control.law import Command, LawOfAnother
+from keepout.core.errors import ControlError
 from keepout.core.fields.field import Field
 from keepout.core.motion.arrays import Scalar, Vector, as_float64, norm
 from keepout.core.motion.relative import MotionState
@@ -55,25 +58,50 @@ class LegGuidance(Guidance):
     wherever the chaser is outside the keep-out zone, so that it is never faster.
 
     Attributes:
-        ways: the guidance of each leg.
+        own: what differs between the legs' guidances, which are of one kind, with a leading axis of legs.
+        common: what does not.
         leg: the one under way.
         rule: largest speed by distance; None: no such rule.
 
     """
 
-    ways: tuple[Guidance, ...]
+    own: Guidance
+    common: Guidance
     leg: Int[Array, ""]
     rule: SpeedByDistance | None = None
+
+    @classmethod
+    def of(cls, ways: Sequence[Guidance], rule: SpeedByDistance | None) -> "LegGuidance":
+        """Put the legs' guidances together; the leg under way is the last.
+
+        Raises:
+            ControlError: they are not of one kind.
+
+        """
+        arrays, (still, *others) = zip(*(eqx.partition(way, eqx.is_array) for way in ways), strict=True)
+        shapes = {str(jax.tree.map(jnp.shape, way)) for way in arrays}
+        if len(shapes) > 1 or any(other != still for other in others):
+            raise ControlError("legs: their guidances are not of one kind, with arrays of the same shapes")
+        # An array that all of them hold is not copied: it may be large.
+        same = jax.tree.map(lambda *parts: all(part is parts[0] for part in parts), *arrays)
+        own = jax.tree.map(lambda shared, *parts: None if shared else jnp.stack(parts), same, *arrays)
+        common = jax.tree.map(lambda shared, part: part if shared else None, same, arrays[0])
+        last: Any = jax.device_put(np.asarray(len(ways) - 1, dtype=np.int32))
+        return cls(own, eqx.combine(common, still), last, rule)  # pyright: ignore
+
+    @property
+    def way(self) -> Guidance:
+        """The guidance of the leg under way."""
+        return eqx.combine(jax.tree.map(lambda array: array[self.leg], self.own), self.common)
 
     @property
     def goal(self) -> Vector:  # pyright: ignore[reportIncompatibleVariableOverride]
         """The place of the leg under way, m."""
-        return jnp.stack([way.goal for way in self.ways])[self.leg]
+        return self.way.goal
 
     def desired_velocity(self, position: Vector) -> Vector:
         """Return the leg's desired velocity, m/s, within the rule."""
-        ways = [lambda place, way=way: way.desired_velocity(place) for way in self.ways]
-        wanted = jax.lax.switch(self.leg, ways, position)
+        wanted = self.way.desired_velocity(position)
         if self.rule is None:
             return wanted
         return wanted * jnp.minimum(1.0, self.rule(position) / jnp.maximum(norm(wanted), 1e-12))
@@ -118,14 +146,7 @@ class LegLaw(LawOfAnother):
     @property
     def goal(self) -> Vector:
         """The last leg's place, m."""
-        return self.ways[-1].goal
-
-    @property
-    def ways(self) -> Sequence[Guidance]:
-        """The guidance of each leg."""
-        guidance = self.law.velocity.guidance
-        assert isinstance(guidance, LegGuidance)
-        return guidance.ways
+        return self.law.goal
 
     def initial_state(self, state: MotionState) -> PyTree:
         """Begin with the first leg."""
@@ -146,7 +167,7 @@ class LegLaw(LawOfAnother):
         held = jnp.where(there, progress.held, 0.0)
         # Whole periods are counted up, so that a dwell of so many is not missed by their rounding.
         over = there & (held >= self.legs.dwell[leg] - 1e-6 * self.period) & (estimate.time >= self.legs.release[leg])
-        over = over & (leg + 1 < len(self.ways))
+        over = over & (leg + 1 < len(self.legs.dwell))
         held = jnp.where(there & ~over, held + self.period, 0.0)
         return (memory, Progress(leg + over, held)), dataclasses.replace(order, leg=leg)
 

@@ -79,7 +79,7 @@ class Cylinder(Shape):
 
 
 class Cone(Shape):
-    """All within `half_angle` (rad) of the unit vector `axis`, seen from `centre`, up to `length` along it."""
+    """All within `half_angle` (rad) of the unit vector `axis`, seen from `centre`, and within `length` of it."""
 
     centre: Vector = eqx.field(converter=as_float64)
     axis: Vector = eqx.field(converter=as_float64)
@@ -87,14 +87,16 @@ class Cone(Shape):
     length: Scalar = eqx.field(converter=as_float64)
 
     def distance(self, point: Vector) -> Scalar:
-        """Exact: that of a triangle in the half-plane of (distance from the axis, along it)."""
-        across, along = _polar(point - self.centre, self.axis)
+        """Exact: that of a sector in the half-plane of (distance from the axis, along it)."""
+        return self.of_polar(*_polar(point - self.centre, self.axis))
+
+    def of_polar(self, across: Scalar, along: Scalar) -> Scalar:
+        """Give the distance from how far a point is from the axis and along it, m, seen from the apex."""
         sine, cosine = jnp.sin(self.half_angle), jnp.cos(self.half_angle)
-        up = jnp.clip(across * sine + along * cosine, 0.0, self.length / cosine)
+        beyond, out = across * cosine - along * sine, norm(jnp.stack([across, along])) - self.length
+        up = jnp.clip(across * sine + along * cosine, 0.0, self.length)
         side = norm(jnp.stack([across - up * sine, along - up * cosine]))
-        base = norm(jnp.stack([jnp.maximum(across - self.length * sine / cosine, 0.0), along - self.length]))
-        inside = (across * cosine <= along * sine) & (along <= self.length)
-        return jnp.where(inside, -1.0, 1.0) * jnp.minimum(side, base)
+        return jnp.where(beyond > 0.0, side, jnp.maximum(beyond, out))
 
 
 class BesideCone(Shape):
@@ -173,6 +175,50 @@ class Zone(eqx.Module):
         return jnp.min(jnp.where(self.ends <= time, jnp.inf, away)) + self.shift
 
 
+class SweptCone(eqx.Module):
+    """A cone that turns at its apex about a fixed axis through it, from now until it ends, exactly.
+
+    Of all cones on the way the nearest to a point is that whose axis makes the least angle with it, as a cone holds
+    with a point all that are as far from the apex and nearer to its axis. So one cone is asked, whose axis is turned
+    towards the point as far as the way goes.
+
+    Attributes:
+        cone: with its apex in the body frame's origin; its axis is that of no turn.
+        about: unit vector, body axes.
+        angles: of the turn at every `period` from the epoch on, rad, rising.
+        period: s.
+        end: until when it stands, s.
+        shift: added to the distance, m, so that the zone is entered where a field's own threshold is.
+
+    """
+
+    cone: Cone
+    about: Vector = eqx.field(converter=as_float64)
+    angles: Float[Array, "moments"] = eqx.field(converter=as_float64)
+    period: Scalar = eqx.field(converter=as_float64)
+    end: Scalar = eqx.field(converter=as_float64)
+    shift: Scalar = eqx.field(converter=as_float64)
+
+    def value(self, point: Vector, time: Scalar) -> Scalar:
+        """Give how far a point (m) is from wherever the cone will be from a time (s) on, and `shift`; 1-Lipschitz."""
+        # The last moment not after the time: the cone is where it was then, or further on. One that is no number is 0.
+        moment = jnp.nan_to_num(jnp.floor(time / self.period), nan=0.0)
+        begun = self.angles[jnp.clip(moment, 0, len(self.angles) - 1).astype(jnp.int32)]
+        a, n = self.cone.axis, self.about
+        level, height = jnp.sum(a * n), jnp.sum(point * n)
+        first, second = a - level * n, jnp.cross(n, a)  # the axis turned by θ: level n + first cos θ + second sin θ
+        x, y = jnp.sum(point * first), jnp.sum(point * second)
+        on_axis = x * x + y * y == 0.0
+        ahead = jnp.arctan2(jnp.where(on_axis, 0.0, y), jnp.where(on_axis, 1.0, x)) - begun
+        ahead = jnp.mod(ahead, 2.0 * jnp.pi)
+        past = ahead - (self.angles[-1] - begun)
+        off = jnp.where(past <= 0.0, 0.0, jnp.minimum(past, 2.0 * jnp.pi - ahead))
+        along = level * height + norm(jnp.stack([x, y])) * jnp.cos(off)
+        size = norm(point)
+        away = self.cone.of_polar(jnp.sqrt(jnp.maximum(size * size - along * along, 1e-18)), along)
+        return jnp.where(self.end <= time, jnp.inf, away) + self.shift
+
+
 class ZonedField(Field):
     """The least of a field and of zones: what is above a threshold of it is so of the field, and outside the zones.
 
@@ -186,7 +232,7 @@ class ZonedField(Field):
     """
 
     inner: Field
-    zones: tuple[Zone, ...]
+    zones: tuple[Zone | SweptCone, ...]
     time: Scalar = eqx.field(converter=as_float64, default=0.0)
 
     def at_time(self, time: Scalar) -> Field:

@@ -21,14 +21,14 @@ from keepout.core.audit import zones as judged
 from keepout.core.audit.zones import Region
 from keepout.core.control.barrier_grid import require_free
 from keepout.core.control.controller import Controller
-from keepout.core.control.geodesic import Geodesic
+from keepout.core.control.geodesic import Geodesic, GeodesicGuidance, one_behind_the_other
 from keepout.core.control.guidance import Guidance, GuidancePlan, Point
 from keepout.core.control.law import Law
 from keepout.core.control.legs import LegGuidance, LegLaw, Legs, SpeedByDistance
 from keepout.core.errors import ControlError, KeepoutError, ScenarioError
 from keepout.core.fields import zones as shapes
 from keepout.core.fields.field import Field
-from keepout.core.fields.zones import Zone, ZonedField
+from keepout.core.fields.zones import SweptCone, Zone, ZonedField
 from keepout.core.mission.approach_entries import SHAPES, CorridorEntry, LegEntry, ZoneEntry
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
@@ -225,6 +225,40 @@ def unit(axis: Sequence[float]) -> Float[np.ndarray, "3"]:
     return np.asarray(axis) / np.linalg.norm(axis)
 
 
+def standing_zone(around: Surroundings, zone: ZoneEntry, shift: float) -> Zone | SweptCone:
+    """Give a zone as law and guard ask it, with a `shift` (m) added to its distance."""
+    swept = _swept(around, zone, shift)
+    if swept is not None:
+        return swept
+    way = turning(around, zone)
+    return Zone(zone_shape(zone), way.rotations, way.ends, way.turned, shift)
+
+
+def _swept(around: Surroundings, zone: ZoneEntry, shift: float) -> SweptCone | None:
+    """Give a cone that turns at the origin about the orbit's normal; None for any other zone.
+
+    The frame's turning about one axis is not assumed but found: the axis of the cone, followed from step to step, must
+    be where a turn about the normal puts it.
+    """
+    scenario = around.scenario
+    if zone.shape != "cone" or any(zone.centre or ()) or not turns(around, zone.axes):
+        return None
+    period, last = scenario.control.period, ends(scenario, zone)
+    rotations = np.asarray(_followed(around.motion, zone.axes, as_float64(period), scenario.steps + 1))
+    axes = np.einsum("kij,i->kj", rotations, unit(zone.axis or ()))
+    about = np.array([0.0, 1.0 if zone.axes == "inertial" else -1.0, 0.0])
+    level = axes @ about
+    angles = np.unwrap(np.arctan2(axes @ np.cross(about, axes[0]), (axes - level[:, None] * about) @ axes[0]))
+    turned = level[:1, None] * about + np.outer(np.cos(angles), axes[0] - level[0] * about)
+    turned += np.outer(np.sin(angles), np.cross(about, axes[0]))
+    if np.abs(turned - axes).max() > 1e-9 or np.any(np.diff(angles) < 0.0):
+        return None
+    stood = angles[: min(scenario.steps, math.ceil(min(last, 2.0 * scenario.duration) / period)) + 1]
+    stood[: math.floor(zone.start / period)] = stood[min(math.floor(zone.start / period), len(stood) - 1)]
+    cone = shapes.Cone(np.zeros(3), axes[0], zone.half_angle, zone.length)  # pyright: ignore[reportArgumentType]
+    return SweptCone(cone, about, stood, period, last, shift)
+
+
 def zoned(around: Surroundings, field: Field, threshold: float) -> Field:
     """Put a scenario's zones and corridors into a field, so that each is entered where the field is its threshold.
 
@@ -237,11 +271,8 @@ def zoned(around: Surroundings, field: Field, threshold: float) -> Field:
 
     """
     scenario = around.scenario
-    zones = [
-        Zone(zone_shape(entry), way.rotations, way.ends, way.turned, threshold - scenario.chaser.radius)
-        for entry in scenario.zone
-        for way in [turning(around, entry)]
-    ]
+    shift = threshold - scenario.chaser.radius
+    zones: list[Zone | SweptCone] = [standing_zone(around, entry, shift) for entry in scenario.zone]
     zones += [Zone(corridor_shape(entry), np.eye(3)[None], [math.inf], 0.0, threshold) for entry in scenario.corridor]
     return ZonedField(field, tuple(zones)) if zones else field
 
@@ -280,7 +311,7 @@ class LegPlan(GuidancePlan):
             way = self.each.guidance(
                 field, offset, goal, speed=speed, slowing_length=slowing_length, start=start, progress=progress
             )
-            return _guidance([way], self.rule)
+            return LegGuidance.of([way], self.rule)
         places = [np.asarray(leg.position, dtype=float) for leg in legs]
         stages = [field.at_time(as_float64(time)) for time in earliest(self.scenario)]
         for number, (leg, place, now) in enumerate(zip(legs, places, stages, strict=True)):
@@ -295,7 +326,9 @@ class LegPlan(GuidancePlan):
             except KeepoutError as refusal:
                 raise ControlError(f"{named('leg', leg, number)}: {refusal}") from None
             before = place
-        return _guidance(ways, self.rule)
+        if all(isinstance(way, GeodesicGuidance) for way in ways):
+            ways = one_behind_the_other(ways)
+        return LegGuidance.of(ways, self.rule)
 
     def _way(self, field: Field, offset: float, place: Point, before: Point | None, led: dict[str, Any]) -> Guidance:
         """Give the guidance of one leg: in the room about its ends, or in all the room there is."""
@@ -312,12 +345,6 @@ class LegPlan(GuidancePlan):
                 return each.guidance(field, offset, place, start=before, **led)
             except ControlError:
                 raise near from None
-
-
-def _guidance(ways: Sequence[Guidance], rule: SpeedByDistance | None) -> LegGuidance:
-    """Put the legs' guidance together; the leg under way is data to a compiled program, and at first the last."""
-    last: Any = jax.device_put(np.asarray(len(ways) - 1, dtype=np.int32))
-    return LegGuidance(tuple(ways), last, rule)  # pyright: ignore
 
 
 def speed_rule(scenario: Scenario, field: Field, error_bound: float) -> SpeedByDistance | None:
@@ -375,8 +402,7 @@ def require_approach(around: Surroundings) -> None:
         places += [("goal.position", scenario.goal.position, 0.0)]
     radius = scenario.chaser.radius
     for number, entry in enumerate(scenario.zone):
-        way = turning(around, entry)
-        zone = Zone(zone_shape(entry), way.rotations, way.ends, way.turned, 0.0)
+        zone = standing_zone(around, entry, 0.0)
         for name, place, time in places:
             away = float(zone.value(as_float64(place), as_float64(time)))
             if away <= radius:

@@ -65,7 +65,7 @@ class ZoneEntry(Entry):
 
     Attributes:
         name: for tables, plots and refusals; unset: its number.
-        shape: a cylinder and a cone begin at `centre` and go along `axis`.
+        shape: a cylinder and a cone begin at `centre` and go along `axis`; a cone ends as a part of a sphere.
         centre: of sphere and ellipsoid; of a cylinder's first face; a cone's apex, m.
         radius: of sphere and cylinder, m.
         semi_axes: of an ellipsoid, along the zone's axes, m.
