@@ -25,7 +25,7 @@ from keepout.core.control.geodesic import Geodesic, GeodesicGuidance, one_behind
 from keepout.core.control.guidance import Guidance, GuidancePlan, Point
 from keepout.core.control.law import Law
 from keepout.core.control.legs import LegGuidance, LegLaw, Legs, SpeedByDistance
-from keepout.core.errors import ControlError, KeepoutError, ScenarioError
+from keepout.core.errors import ControlError, KeepoutError, KeepOutZoneError, ScenarioError
 from keepout.core.fields import zones as shapes
 from keepout.core.fields.field import Field
 from keepout.core.fields.zones import SweptCone, Zone, ZonedField
@@ -64,15 +64,18 @@ def go_time(scenario: Scenario) -> float:
 
 def released(scenario: Scenario) -> list[float]:
     """Give for each leg the time, s, before which it is not over: by "go", and by when the next may be begun."""
-    begun = [0.0 if leg.within is None else leg.within[0] for leg in scenario.leg[1:]] + [0.0]
-    return [max(leg.go_at or 0.0, after) for leg, after in zip(scenario.leg, begun, strict=True)]
+    begun = [0.0 if leg.within is None else leg.within[0] for leg in scenario.leg]
+    nexts = [*begun[1:], 0.0][: len(begun)]
+    return [max(leg.go_at or 0.0, after) for leg, after in zip(scenario.leg, nexts, strict=True)]
 
 
 def earliest(scenario: Scenario) -> list[float]:
     """Give for each leg the earliest time, s, at which it can be under way."""
-    dwells = itertools.accumulate((leg.dwell for leg in scenario.leg[:-1]), initial=0.0)
-    over = itertools.accumulate(released(scenario)[:-1], max, initial=0.0)
-    return [max(pair) for pair in zip(dwells, over, strict=True)]
+    times, time = [], 0.0
+    for leg, release in zip(scenario.leg, released(scenario), strict=True):
+        times.append(time)
+        time = max(time + leg.dwell, release)
+    return times
 
 
 def ends(scenario: Scenario, zone: ZoneEntry) -> float:
@@ -315,7 +318,10 @@ class LegPlan(GuidancePlan):
         places = [np.asarray(leg.position, dtype=float) for leg in legs]
         stages = [field.at_time(as_float64(time)) for time in earliest(self.scenario)]
         for number, (leg, place, now) in enumerate(zip(legs, places, stages, strict=True)):
-            require_free(now, offset, place, named("leg", leg, number))
+            try:
+                require_free(now, offset, place, named("leg", leg, number))
+            except KeepOutZoneError as refusal:  # which would be of the start or the goal
+                raise ControlError(str(refusal)) from None
         ways, before = [], start
         for number, (leg, place, now) in enumerate(zip(legs, places, stages, strict=True)):
             part = part_of(progress, number / len(legs), (number + 1) / len(legs))

@@ -216,7 +216,7 @@ def _touching(scenario: Scenario, target: Target) -> dict[str, str]:
     found = {}
     for name, other in (("start", "goal"), ("goal", "start")):
         try:
-            require_apart(scenario.replace(**{other: {"position": away}}), target)
+            require_apart(scenario.replace(**{other: {"position": away}}, leg=(), zone=()), target)
         except KeepoutError as refusal:
             found[name] = str(refusal)
     return found
@@ -268,7 +268,12 @@ def _named(refusal: KeepoutError) -> str | None:
 def _free_place(
     scenario: Scenario, target: Target, model: FieldModel, name: str, said: str, progress: Progress
 ) -> tuple[Nearest, ...]:
-    """Give a place near a start or goal that was refused, with which law and guard can be built."""
+    """Give a place near a start or goal that was refused, with which law and guard can be built.
+
+    None where the goal is the last leg's place.
+    """
+    if name == "goal" and scenario.leg:
+        return ()
     error_bound = model.certificate(scenario.chaser.radius).error_bound
     designed = operation(Surroundings(scenario), error_bound)
     least = designed.keep_out + (tune(designed).nominal_offset if scenario.control.profile == "default" else 0.0)

@@ -1,7 +1,7 @@
 """What a flight will take, estimated from the way that its law leads: no flight, and no bound."""
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import equinox as eqx
@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float
 
 from keepout.core.control.controller import Controller
 from keepout.core.control.law import AheadOfDelay
+from keepout.core.control.legs import LegLaw
 from keepout.core.flight.faults import BrokenLaw
 from keepout.core.flight.setup import FlightSetup
 from keepout.core.mission.build import Mission
@@ -74,19 +75,43 @@ def expected(mission: Mission) -> Expected:
     law = mission.setup.controller
     while isinstance(law, AheadOfDelay | BrokenLaw):
         law = law.law
-    assert isinstance(law, Controller)
-    most = max(_LONGEST * mission.steps, _LEAST_STEPS)
-    end = _followed(mission.setup, law, mission.initial, as_float64(mission.steps), as_float64(most))
-    way, arrived = float(end.length), float(end.arrived)
+    most, ends = max(_LONGEST * mission.steps, _LEAST_STEPS), []
+    if isinstance(law, LegLaw):
+        ends = _leg_by_leg(mission, law, most)
+    else:
+        assert isinstance(law, Controller)
+        ends = [_followed(mission.setup, law, mission.initial, as_float64(mission.steps), as_float64(most))]
+    end, way = ends[-1], sum(float(end.length) for end in ends)
+    arrived = float(end.arrived)
     reached = math.isfinite(arrived)
     return Expected(
         way=way if reached else None,
         least_duration=way / mission.scenario.chaser.speed_limit if reached else None,
         duration=arrived if reached else None,
-        disturbance_delta_v=float(end.disturbance),
-        drift_delta_v=float(end.drift),
-        speed_delta_v=2.0 * float(end.fastest),
+        disturbance_delta_v=sum(float(end.disturbance) for end in ends),
+        drift_delta_v=sum(float(end.drift) for end in ends),
+        speed_delta_v=2.0 * sum(float(end.fastest) for end in ends),
     )
+
+
+def _leg_by_leg(mission: Mission, law: LegLaw, most: int) -> list[_Way]:
+    """Follow one leg after the other, each from where the one before ends, once it was held and is released.
+
+    Raises nothing: a leg that does not lead to its place is the last, with an infinite time of arrival.
+    """
+    ends, at, begun = [], mission.initial, float(mission.initial.time)
+    for number, leg in enumerate(mission.scenario.leg):
+        setup = replace(mission.setup, goal=as_float64(leg.position), tolerance=as_float64(leg.tolerance))
+        last = number + 1 == len(mission.scenario.leg)
+        steps = max(mission.steps - begun / float(setup.period), 0.0) if last else 0.0
+        way = _followed(setup, law.at_leg(jnp.asarray(number, jnp.int32)), at, as_float64(steps), as_float64(most))
+        arrived = begun + float(way.arrived)
+        ends.append(replace(way, arrived=as_float64(arrived)))
+        if not math.isfinite(arrived):
+            break
+        begun = max(arrived + float(law.legs.dwell[number]), float(law.legs.release[number]))
+        at = replace(way.at, time=as_float64(begun))
+    return ends
 
 
 @eqx.filter_jit
@@ -104,7 +129,7 @@ def _followed(
 
     def step(way: _Way) -> _Way:
         at = way.at
-        point, memory = law.velocity(at.position, at.velocity, way.memory)
+        point, memory = law.velocity.at_time(at.time)(at.position, at.velocity, way.memory)
         held = at.time - initial.time < steps * period
         speed = jnp.linalg.norm(point.velocity)
         near = jnp.linalg.norm(at.position - setup.goal) < setup.tolerance

@@ -1,0 +1,160 @@
+"""An approach in legs: flown once on a small box, and judged; and what is refused before a flight."""
+
+import numpy as np
+import pytest
+
+import keepout
+from keepout.core.audit.tube import Contact
+from keepout.core.errors import KeepoutError
+from keepout.core.flight.batches import Batching, fly_batches, states_at
+from keepout.core.mission import approach
+from keepout.core.mission.build import prepare
+from keepout.core.mission.check import check
+from keepout.core.mission.scenario import Scenario
+
+LEGS = [
+    {"name": "far", "position": [15.0, 0.0, 0.0], "tolerance": 0.3, "dwell": 30.0, "until": "go", "go_at": 130.0},
+    {"name": "near", "position": [8.0, 1.0, 0.0], "tolerance": 0.3, "dwell": 40.0},
+    {"name": "capture", "position": [3.6, 0.0, 0.0], "tolerance": 0.1, "dwell": 30.0},
+]
+SPHERE = {"name": "sphere", "shape": "sphere", "centre": [0.0, 0.0, 0.0], "radius": 12.0, "until": "go"}
+SUN = {
+    **{"name": "sun", "shape": "cone", "axes": "inertial", "centre": [0.0, 0.0, 0.0], "axis": [0.0, -1.0, 0.3]},
+    **{"half_angle": 0.2, "length": 30.0},
+}
+CORRIDOR = {"name": "port", "port": [2.0, 0.0, 0.0], "axis": [1.0, 0.0, 0.0], "length": 10.0, "half_angle": 0.3}
+TREE = {
+    "duration": 640.0,
+    "target": {"source": "box"},
+    "field": {"source": "grid"},
+    "orbit": {"semi_major_axis": 6.8e6},
+    "start": {"position": [20.0, 0.0, 0.0]},
+    "leg": LEGS,
+    "zone": [SPHERE, SUN],
+    "corridor": [CORRIDOR],
+    "approach": {"speed_by_distance": [[12.0, 0.08], [4.0, 0.05], [1.0, 0.02]]},
+}
+
+
+@pytest.fixture(scope="module")
+def mission():
+    return prepare(TREE)
+
+
+@pytest.fixture(scope="module")
+def flight(mission):
+    return mission.fly()
+
+
+@pytest.mark.long
+def test_an_approach_holds_where_it_is_told_and_enters_nothing(flight):
+    assert flight.start_certified
+    assert flight.audit.contact is Contact.NO
+    assert [(zone.name, zone.entered) for zone in flight.audit.zones] == [
+        (name, Contact.NO) for name in ('zone "sphere"', 'zone "sun"', 'corridor "port"')
+    ]
+    far, near, capture = flight.legs
+    assert far.kept
+    assert near.kept
+    assert capture.kept
+    # Left when "go" is said, and when the dwell is over: at the first step after.
+    assert (far.left, near.held) == (131.0, 40.0)
+    assert near.largest_error < 0.3
+    assert flight.outcome.reached
+    summary = flight.summary()
+    assert summary["speed_rule_excess_mps"] < 0.005
+    assert [leg["name"] for leg in summary["legs"]] == ['leg "far"', 'leg "near"', 'leg "capture"']
+    # Before the sphere falls, the chaser stays out of it, and then flies through where it was.
+    away = np.linalg.norm(flight.record.position, axis=1)
+    assert away[: far.left is not None and 131].min() > 12.5
+    assert away[-1] < 12.0
+
+
+@pytest.mark.long
+def test_legs_fly_the_same_in_a_batch(mission, flight):
+    motion, last = mission.setup.motion, []
+    initial = states_at(motion, np.tile(TREE["start"]["position"], (2, 1)))
+    fly_batches(
+        mission.setup,
+        initial,
+        mission.steps,
+        Batching(batch=2, workers=1),
+        columns=("position", "leg"),
+        landed=lambda _, log: last.append(log),
+    )
+    np.testing.assert_allclose(last[0]["position"][1], flight.record.position, atol=1e-6)
+    np.testing.assert_array_equal(last[0]["leg"][1], flight.record.leg)
+
+
+@pytest.mark.long
+def test_a_law_that_flies_through_is_kept_out_of_a_zone():
+    wall = {"name": "wall", "shape": "box", "lower": [9.0, -9.0, -9.0], "upper": [11.0, 9.0, 9.0]}
+    tree = {key: value for key, value in TREE.items() if key not in ("leg", "corridor", "approach")}
+    tree |= {"zone": [wall], "goal": {"position": [-6.0, 0.0, 0.0]}, "faults": {"law": "through"}}
+    flight = keepout.fly({**tree, "duration": 400.0})
+    assert flight.start_certified
+    assert flight.outcome.guard_interventions > 0
+    assert [zone.entered for zone in flight.audit.zones] == [Contact.NO]
+    # It was there: without the guard it would have gone on.
+    assert flight.audit.zones[0].measured_clearance < 0.6
+
+
+REFUSED = [
+    ({"zone": [{**SPHERE, "until": None}]}, r'leg "near": .* 3\.94 m inside zone "sphere".* radius is 0\.5 m'),
+    ({"zone": [{**SPHERE, "radius": 14.8}]}, r'leg "far": .* 0\.2 m from zone "sphere"'),
+    ({"zone": [{**SPHERE, "radius": 19.8}]}, r'start\.position: .* 0\.2 m from zone "sphere"'),
+    ({"corridor": [{**CORRIDOR, "port": [4.0, 0.0, 0.0]}]}, r'corridor "port": its port .* 2 m from the mesh'),
+    ({"corridor": [{**CORRIDOR, "axis": [0.0, 1.0, 0.0]}]}, r'leg "near": .* beyond the wall of corridor "port"'),
+    ({"approach": {"speed_by_distance": [[3.0, 0.1], [2.99, 0.01]]}}, r"speed_by_distance: .* let the speed fall over"),
+    ({"approach": {"speed_by_distance": [[3.0, 0.1], [4.0, 0.01]]}}, "distances must fall"),
+    ({"leg": [LEGS[0], {**LEGS[2], "position": [2.55, 0.0, 0.0]}]}, r'leg "capture": .* inside the keep-out zone'),
+    ({"leg": [LEGS[0], {**LEGS[2], "within": [700.0, 900.0]}]}, "begins at 700.0 s, and the flight ends at 640.0 s"),
+    ({"leg": [{**LEGS[2], "until": "go"}]}, "go_at"),
+    ({"leg": LEGS[1:], "zone": [SPHERE]}, 'zone.0.until: "go", and no leg has until = "go"'),
+    ({"leg": [{**LEGS[1], "speed_limit": 3.0}, LEGS[2]], "zone": []}, r"leg\.0\.speed_limit: 3\.0 m/s is more than"),
+    (
+        {"leg": [{**LEGS[1], "axes": "vvlh"}], "attitude": {"kind": "inertial"}, "zone": []},
+        "would move over the target",
+    ),
+    ({"zone": [{**SUN, "shape": "box"}]}, 'shape "box" is made of lower, upper, and has'),
+    ({"goal": {"position": [5.0, 0.0, 0.0]}}, "leave goal out"),
+]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("change", "said"), REFUSED)
+def test_what_cannot_be_flown_is_refused_with_names_and_numbers(change, said):
+    with pytest.raises(KeepoutError, match=said):
+        prepare({**TREE, **change})
+
+
+@pytest.mark.slow  # a minute; that a way is not there is refused in tests/core/control/test_guidance.py
+def test_a_wall_round_the_way_is_refused_by_the_leg_that_it_closes():
+    walls = [
+        {"shape": "box", "lower": lower, "upper": upper}
+        for lower, upper in (
+            ([9.0, -30.0, -30.0], [10.0, 30.0, 30.0]),
+            ([-30.0, -30.0, -30.0], [-29.0, 30.0, 30.0]),
+            *(([-30.0, s, -30.0], [10.0, s + 1.0, 30.0]) for s in (-30.0, 29.0)),
+            *(([-30.0, -30.0, s], [10.0, 30.0, s + 1.0]) for s in (-30.0, 29.0)),
+        )
+    ]
+    with pytest.raises(KeepoutError, match=r'leg "near": start: .* is not connected to the goal'):
+        prepare({**TREE, "zone": walls, "corridor": []})
+
+
+def test_earliest_times_follow_from_what_is_said():
+    scenario = Scenario.parse({"leg": [*LEGS[:2], {**LEGS[2], "within": [500.0, 640.0]}], "duration": 640.0})
+    assert approach.earliest(scenario) == [0.0, 130.0, 500.0]
+    assert approach.released(scenario) == [130.0, 500.0, 0.0]
+    assert scenario.goal.position == (3.6, 0.0, 0.0)
+    assert Scenario.parse(scenario.model_dump()) == scenario
+
+
+@pytest.mark.long
+def test_a_check_knows_the_legs(mission):
+    checked = check(mission.scenario, target=mission.target, model=mission.model)
+    assert not checked.refusals
+    assert checked.expected is not None
+    assert checked.expected.duration is not None
+    assert 350.0 < checked.expected.duration < 640.0
