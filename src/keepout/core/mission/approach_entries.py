@@ -76,7 +76,7 @@ class ZoneEntry(Entry):
         length: of cylinder and cone, m.
         axes: in which all this is told, about the body frame's origin: the target's, VVLH, or ECI (inertial).
         start: from when it stands, s.
-        until: until when it stands, s; "go": until the first leg with `until = "go"` is left; unset: always.
+        until: until when it stands, s; "go": until "go" is said to the first such leg; unset: always.
 
     """
 
@@ -155,5 +155,3 @@ class ApproachEntry(Entry):
                     f"speed_by_distance: [{near}, {slow}] after [{far}, {fast}]: distances must fall, and speeds must "
                     "not rise with them"
                 )
-        if self.distance_to is not None and not self.speed_by_distance:
-            yield "distance_to is for speed_by_distance, and there is none"

@@ -409,6 +409,15 @@ def entries_and_tables(kind: type[Entry] = Scenario, within: str = "") -> Iterat
         yield from entries_and_tables(table, f"{name}.")
 
 
+def _entries_of_lists() -> Iterator[tuple[str, type[Entry] | FieldInfo]]:
+    """Give the tables of which a scenario holds any number, and their entries, as `entries_and_tables` does."""
+    for key, field in Scenario.model_fields.items():
+        if get_origin(field.annotation) is tuple and is_table(get_args(field.annotation)[0]):
+            table = get_args(field.annotation)[0]
+            yield f"[{key}]", table
+            yield from entries_and_tables(table, f"{key}.")
+
+
 def with_entries(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
     """Give a scenario with the values of some entries, by dotted name, replaced.
 
@@ -472,10 +481,10 @@ def reference() -> str:
     lines = ["# Scenario entries", "", "SI units. Every entry has a default; an empty file is valid.", ""]
     lines += ["Made by `python -m keepout.core.mission.scenario`.", "", "| entry | default | meaning |"]
     lines.append("| --- | --- | --- |")
-    for name, told in entries_and_tables():
+    for name, told in (*entries_and_tables(), *_entries_of_lists()):
         if isinstance(told, FieldInfo):
             default, meaning = told.get_default(call_default_factory=True), told.description or ""
-            shown = "" if default is None else f"`{default}`"
+            shown = "" if default is None or told.is_required() else f"`{default}`"
         else:
             name, shown, meaning = f"**[{name}]**", "", (told.__doc__ or "").splitlines()[0]
         linked = re.sub(r"docs/([\w-]+)\.md", r"[\1](\1.md)", meaning)

@@ -6,12 +6,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 from matplotlib.axes import Axes
 
 from keepout.core.flight.record import FlightRecord
 from keepout.core.mission.flight import Flight
 from keepout.core.mission.scenario import Scenario
 from keepout.core.progress import Progress, part_of, silent
+from keepout.flights.pages.approach_drawn import distance_left, paint_legs, paint_rules, places
 from keepout.flights.pages.figures import COLOURS, draw_signal, figure, logarithmic
 from keepout.flights.pages.head_and_foot import Headline, Provenance, verdict_of
 from keepout.flights.pages.mesh_pictures import draw_paths
@@ -56,11 +58,18 @@ def write_page(
             lambda path: draw_clearance(path, flight),
             "Clearance on the exact mesh, and the barrier h that the law flies by.",
         ),
-        "error": (lambda path: draw_error(path, flight), "Distance to the goal, and the goal's tolerance (grey)."),
+        "error": (
+            lambda path: draw_error(path, flight),
+            "Distance to the goal, and the goal's tolerance (grey)."
+            if flight.record.leg is None
+            else "Distance to the place of the leg under way, and its tolerance (grey).",
+        ),
         flight.scenario.name: (
             lambda path: draw_motion(path, flight),
             "Velocity and safe velocity (dashed), applied force, disturbance and its estimate (dashed), by axis of the "
-            "target's body frame; limits in grey. Of a long flight a band from least to largest, and the mean.",
+            "target's body frame; limits in grey. Of a long flight a band from least to largest, and the mean."
+            + (" Dotted: the largest speed by distance." if flight.scenario.approach.speed_by_distance else "")
+            + (" Vertical: a leg begins." if flight.record.leg is not None else ""),
         ),
     }
     [replayed] = of_flights({name: flight})
@@ -192,24 +201,30 @@ def draw_clearance(path: Path, flight: Flight) -> None:
 
 
 def draw_error(path: Path, flight: Flight) -> None:
-    """Draw the distance to the goal over time into one PNG."""
-    goal, record = flight.scenario.goal, flight.record
+    """Draw the distance to the goal, or to the place of the leg under way, over time into one PNG."""
+    scenario, record = flight.scenario, flight.record
     with figure(path, height=3.6) as drawing:
         axes = drawing.add_subplot()
-        axes.plot(record.time, np.linalg.norm(record.position - np.asarray(goal.position), axis=1))
-        axes.axhline(goal.tolerance, color="grey", linewidth=0.8)
+        axes.plot(record.time, distance_left(scenario, record))
+        if record.leg is None:
+            axes.axhline(scenario.goal.tolerance, color="grey", linewidth=0.8)
+        else:
+            axes.step(record.time, places(scenario, record)[1], where="post", color="grey", linewidth=0.8)
+            paint_legs(axes, record.time, scenario, record)
         logarithmic(axes)
-        axes.set(xlabel="time, s", ylabel="‖r − goal‖, m")
+        axes.set(xlabel="time, s", ylabel="‖r − goal‖, m" if record.leg is None else "‖r − leg‖, m")
 
 
 def draw_motion(path: Path, flight: Flight) -> None:
     """Draw one flight's velocity, applied force and disturbance estimate, each by axis, into one PNG."""
     with figure(path, width=8.0, height=7.2) as drawing:
-        paint_motion(drawing.subplots(3, 1, sharex=True), flight.record, flight.scenario)
+        paint_motion(drawing.subplots(3, 1, sharex=True), flight.record, flight.scenario, flight.clearance)
 
 
-def paint_motion(panels: Sequence[Axes], record: FlightRecord, scenario: Scenario) -> None:
-    """Show velocity, applied force and disturbance over time, each by axis, in three panels."""
+def paint_motion(
+    panels: Sequence[Axes], record: FlightRecord, scenario: Scenario, clearance: Float[np.ndarray, "rows"]
+) -> None:
+    """Show velocity, applied force and disturbance over time, each by axis, in three panels, with the rules of speed."""
     chaser = scenario.chaser
     thin = {"linewidth": 0.7, "linestyle": "--"}
     columns = (("v", record.velocity, record.safe_velocity), ("F", record.force, None))
@@ -225,6 +240,7 @@ def paint_motion(panels: Sequence[Axes], record: FlightRecord, scenario: Scenari
     for axes, limit in ((velocity, chaser.speed_limit), (force, chaser.force_limit)):
         axes.axhline(limit, color="grey", linewidth=0.8)
         axes.axhline(-limit, color="grey", linewidth=0.8)
+    paint_rules(velocity, record.time, scenario, record, clearance)
     velocity.set_ylabel("velocity, m/s")
     force.set_ylabel("applied force, N")
     disturbance.set(ylabel="disturbance, N", xlabel="time, s")

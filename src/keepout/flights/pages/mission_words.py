@@ -8,6 +8,8 @@ import numpy as np
 
 from keepout.core.errors import KeepoutError
 from keepout.core.geometry.target import Target
+from keepout.core.mission.approach import named
+from keepout.core.mission.approach_entries import LegEntry, ZoneEntry
 from keepout.core.mission.first_look import assumed_disturbance, flown_disturbance
 from keepout.core.mission.scenario import Scenario
 from keepout.core.plug_ins import load
@@ -58,6 +60,7 @@ def in_words(scenario: Scenario, target: Target) -> tuple[str, ...]:
         _turning(scenario),
         f"From {_place(scenario.start.position)} m to {_place(scenario.goal.position)} m, "
         f"{apart:.3g} m apart, in {scenario.duration:g} s, at up to {chaser.speed_limit:g} m/s.",
+        *_approach(scenario),
         _thrusters(scenario),
         _sensors(scenario),
         f"The law is {control.profile}, asked every {control.period:g} s{chosen}; "
@@ -102,6 +105,54 @@ def _turning(scenario: Scenario) -> str:
         f"The target tumbles freely, at first at {rate:.3g} °/s about {_place(attitude.angular_velocity)} rad/s in its "
         f"body axes{torque}."
     )
+
+
+def _approach(scenario: Scenario) -> Iterator[str]:
+    """Tell legs, zones, corridors and the rule of speeds, a sentence each."""
+    if scenario.leg:
+        legs = "; ".join(_leg(leg, number) for number, leg in enumerate(scenario.leg))
+        yield f"It flies {_count(len(scenario.leg), 'leg')}: {legs}."
+    if scenario.zone:
+        zones = "; ".join(_zone(zone, number) for number, zone in enumerate(scenario.zone))
+        yield f"No part of the chaser enters {_count(len(scenario.zone), 'zone')}: {zones}."
+    if scenario.corridor:
+        told = []
+        for number, entry in enumerate(scenario.corridor):
+            wide = "" if entry.radius is None else f" of {entry.radius:g} m"
+            form = f"a tube{wide}"
+            if entry.half_angle is not None:
+                form = f"a cone of {math.degrees(entry.half_angle):.3g}° to each side" + (
+                    f" from a circle{wide}" if wide else ""
+                )
+            name = named("corridor", entry, number)
+            told.append(f"{name}, {form}, within {entry.length:g} m of the port {_place(entry.port)} m")
+        yield f"The chaser's centre stays in {_count(len(told), 'corridor')}: {'; '.join(told)}."
+    rule = scenario.approach.speed_by_distance
+    if rule:
+        to = "the mesh" if scenario.approach.distance_to is None else f"{_place(scenario.approach.distance_to)} m"
+        pairs = ", ".join(f"{speed:g} m/s at {distance:g} m" for distance, speed in rule)
+        yield f"By the distance to {to} it flies at up to {pairs}; between two of these in proportion, beyond as there."
+
+
+def _leg(leg: LegEntry, number: int) -> str:
+    speed = "" if leg.speed_limit is None else f" at up to {leg.speed_limit:g} m/s"
+    window = "" if leg.within is None else f" between {leg.within[0]:g} s and {leg.within[1]:g} s"
+    held = [f"for {leg.dwell:g} s"] if leg.dwell else []
+    held += [f'until "go" (in simulation at {leg.go_at:g} s)'] if leg.go_at is not None else []
+    hold = f", held {' and '.join(held)}" if held else ""
+    return f"{named('leg', leg, number)} to {_place(leg.position)} m within {leg.tolerance:g} m{speed}{window}{hold}"
+
+
+def _zone(zone: ZoneEntry, number: int) -> str:
+    said = {"body": "fixed to the target", "vvlh": "fixed in VVLH", "inertial": "fixed to the stars"}
+    size = f" of {zone.radius:g} m" if zone.shape == "sphere" else ""
+    since = f" from {zone.start:g} s" if zone.start else ""
+    until = {None: "", "go": ' until "go"'}.get(zone.until, f" until {zone.until} s")
+    return f"{named('zone', zone, number)}, {'an' if zone.shape == 'ellipsoid' else 'a'} {zone.shape}{size} {said[zone.axes]}{since}{until}"
+
+
+def _count(count: int, of: str) -> str:
+    return f"{count} {of}{'s' if count != 1 else ''}"
 
 
 def _thrusters(scenario: Scenario) -> str:

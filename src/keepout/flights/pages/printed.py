@@ -360,7 +360,7 @@ def _flight_parts(folder: Path, progress: Progress) -> _Parts:
         sentences = [words for words, value in told.items() if isinstance(value, str) and len(value) > 12]
         sheet.facts({words: told.pop(words) for words in sentences})
         sheet.figures(told)
-        paint_motion(sheet.panels(3.4 if pictures else 4.8, 3, stacked=True), record, scenario)
+        paint_motion(sheet.panels(3.4 if pictures else 4.8, 3, stacked=True), record, scenario, flight.clearance)
         for picture in pictures:
             sheet.picture(folder / Path(picture).name, 2.9)
 

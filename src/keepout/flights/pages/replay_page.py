@@ -14,6 +14,7 @@ from matplotlib.axes import Axes
 
 from keepout.core.progress import Progress, part_of, silent
 from keepout.core.whole_file import write_whole
+from keepout.flights.pages.approach_drawn import paint_legs, paint_rules
 from keepout.flights.pages.figures import draw_signal, drawn, logarithmic, looks
 from keepout.flights.pages.head_and_foot import Provenance
 from keepout.flights.pages.mesh_pictures import PATHS_FROM, eye_axes, paint_paths
@@ -46,7 +47,7 @@ def write_replay(
     """
     shown = scene(flights, progress=part_of(progress, 0.0, 0.85))
     progress(0.85, "figures")
-    last = "distance to the goal" if _have_goals(flights) else "share of the surface that was seen"
+    last = f"distance to the {_aim(flights)}" if _have_goals(flights) else "share of the surface that was seen"
     figures = {
         "The target and the flights, seen from one side; a path behind the target is dotted.": _shown(
             "target and paths", flights, _picture, 5.0
@@ -106,11 +107,21 @@ def _motion(panels: np.ndarray, flights: Sequence[Replayed]) -> None:
             last.plot(time, flight.error, linewidth=0.9, **drawn)
         else:
             last.step(time, 100.0 * flight.share, where="post", linewidth=0.9, **drawn)
+    if len(flights) == 1:
+        [flight] = flights
+        time = flight.shown.time - flight.shown.time[0]
+        paint_rules(speed, time, flight.scenario, flight.shown, flight.clearance)
+        paint_legs(last, time, flight.scenario, flight.shown)
     speed.set_ylabel("speed, m/s")
     force.set_ylabel("force, N")
     if _have_goals(flights):
         logarithmic(last)
-    last.set(xlabel="time, s", ylabel="to the goal, m" if _have_goals(flights) else "seen, %")
+    last.set(xlabel="time, s", ylabel=f"to the {_aim(flights)}, m" if _have_goals(flights) else "seen, %")
+
+
+def _aim(flights: Sequence[Replayed]) -> str:
+    """Say what the distance is to."""
+    return "leg's place" if any(flight.shown.leg is not None for flight in flights) else "goal"
 
 
 def _have_goals(flights: Sequence[Replayed]) -> bool:

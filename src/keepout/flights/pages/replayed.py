@@ -18,6 +18,7 @@ from keepout.core.compiled.kept_programs import keep_programs
 from keepout.core.errors import FlightError, KeepoutError
 from keepout.core.fields.field import Field
 from keepout.core.fields.model import FieldModel
+from keepout.core.fields.zones import ZonedField
 from keepout.core.flight.record import EXPLORED, FlightRecord
 from keepout.core.geometry.distance import Distance
 from keepout.core.geometry.target import Target
@@ -25,6 +26,7 @@ from keepout.core.mission.flight import AUDITED, Flight, judge
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 from keepout.core.progress import Progress, part_of, silent
+from keepout.flights.pages.approach_drawn import distance_left
 
 if TYPE_CHECKING:
     from keepout.flights.campaign.plan import Workshop
@@ -114,10 +116,10 @@ class Replayed:
 
     @functools.cached_property
     def error(self) -> Float[np.ndarray, "rows"] | None:
-        """Distance to the goal at each row that is shown, m; None of a flight that has none."""
+        """Distance to the goal, or to the place of the leg under way, at each row that is shown, m; None without a goal."""
         if self.share is not None:
             return None
-        return np.linalg.norm(self.shown.position - np.asarray(self.scenario.goal.position), axis=1)
+        return distance_left(self.scenario, self.shown)
 
     @functools.cached_property
     def share(self) -> Float[np.ndarray, "rows"] | None:
@@ -136,7 +138,8 @@ def of_flights(flights: Mapping[str, Flight], layer: Layer | None = None) -> lis
             guard = flight.mission.guard
             if guard is not None:
                 error_bound = guard.threshold - flight.scenario.chaser.radius
-                levels.append(_guards(flight.target, guard.field, guard.threshold, guard.lipschitz, error_bound))
+                mesh = guard.field.inner if isinstance(guard.field, ZonedField) else guard.field
+                levels.append(_guards(flight.target, mesh, guard.threshold, guard.lipschitz, error_bound))
         told = flight.record, flight.scenario, flight.target, flight.audit, tuple(levels), layer, field
         gathered.append(Replayed(name, *told))
     return gathered

@@ -18,12 +18,15 @@ from keepout.core.control.law import ControlStatus
 from keepout.core.errors import FlightError
 from keepout.core.flight.record import FlightRecord
 from keepout.core.guard.safety_layer import GuardFlag, GuardStatus, flag_names
+from keepout.core.mission.approach import has_rules
 from keepout.core.mission.bounds import orbit_of, sun_of
 from keepout.core.mission.entries import SunEntry
+from keepout.core.mission.legs_flown import allowed_speed
 from keepout.core.mission.scenario import Scenario
 from keepout.core.motion.orbit import Orbit
 from keepout.core.motion.rotation import vvlh_axes
 from keepout.core.progress import Progress, part_of, silent
+from keepout.flights.pages import approach_drawn
 from keepout.flights.pages.drawn import drawn_body, drawn_surface
 from keepout.flights.pages.replayed import Level, Replayed
 
@@ -128,6 +131,8 @@ def scene(flights: Sequence[Replayed], *, progress: Progress = silent) -> Scene:
         told["surfaces"] = [places[level.kind, level.identity] for level in flight.levels]
         if flight.layer is not None:
             told[flight.layer.name] = flight.layer.told(packing, float(flight.record.time[0]))
+        if has_rules(flight.scenario):
+            told["approach"] = approach_drawn.told(flight.scenario, float(flight.record.time[0]))
         told_flights.append(told)
     told = {"format": FORMAT, "target": _target(packing, first), "surfaces": surfaces, "flights": told_flights}
     progress(1.0, "")
@@ -176,6 +181,7 @@ def _flight(packing: Packing, flight: Replayed) -> dict[str, Any]:
     clearance = distance - chaser.radius
     error = np.full(len(distance), np.nan) if flight.error is None else flight.error
     rows, least = rows_shown(len(record.time)), flight.verdict.minimum_clearance
+    legs = approach_drawn.leg_labels(scenario, record)
     remark = ""
     if len(rows) < len(record.time):
         remark = f"Path and plots are drawn with {len(rows):,} of the flight's {len(record.time):,} rows"
@@ -195,7 +201,7 @@ def _flight(packing: Packing, flight: Replayed) -> dict[str, Any]:
         "contact": str(flight.verdict.contact),
         "least_clearance": float(least) if np.isfinite(least) else None,
         "remarks": list(flight.verdict.remarks),
-        "marks": [asdict(mark) for mark in marks(record, clearance, error, scenario.goal.tolerance)],
+        "marks": [asdict(mark) for mark in marks(record, clearance, error, scenario.goal.tolerance, legs)],
         "arrays": _arrays(packing, flight, rows, {"clearance": clearance, "error": error, "closest": closest}),
     }
 
@@ -213,6 +219,10 @@ def _arrays(packing: Packing, flight: Replayed, rows: Int[np.ndarray, "shown"], 
     }
     if flight.share is not None:
         exact["seen"] = flight.share
+    if record.leg is not None:
+        exact["within"] = approach_drawn.places(scenario, record)[1]
+    if scenario.approach.speed_by_distance:
+        exact["allowed"] = allowed_speed(scenario, record.position, found["clearance"])
     steps = {"applied_force": record.force, "safe_velocity": record.safe_velocity}
     if scenario.sun != SunEntry():
         steps["sun"] = toward_sun(record, scenario)
@@ -280,15 +290,20 @@ class Mark:
 
 
 def marks(
-    record: FlightRecord, clearance: Float[np.ndarray, "rows"], error: Float[np.ndarray, "rows"], tolerance: float
+    record: FlightRecord,
+    clearance: Float[np.ndarray, "rows"],
+    error: Float[np.ndarray, "rows"],
+    tolerance: float,
+    legs: Sequence[str] = (),
 ) -> list[Mark]:
     """Find the marks of a flight, in order of time.
 
     Args:
         record: the flight; what was done in its last row was not flown.
         clearance: m.
-        error: distance to the goal, m.
+        error: distance to the goal, or to the place of the leg under way, m.
         tolerance: within which the goal is reached, m.
+        legs: their names, where the flight has legs; the last one leads to the goal.
 
     """
     time = record.time - record.time[0]
@@ -304,10 +319,13 @@ def marks(
     for status in ControlStatus:
         if status != 0:
             found += _spans("law", f"law: {_said(status.name)}", law == status, time)
+    for number, name in enumerate(legs):
+        found += _spans("leg", name, record.leg[:-1] == number, time)
     if np.isfinite(clearance).any():
         nearest = int(np.nanargmin(clearance))
         found.append(Mark("nearest", "least clearance", float(time[nearest]), float(time[nearest])))
-    away = np.flatnonzero(~(error < tolerance))
+    there = (error < tolerance) & (not legs or record.leg == len(legs) - 1)
+    away = np.flatnonzero(~there)
     arrived = int(away[-1]) + 1 if len(away) else 0
     if arrived < len(time):
         found.append(Mark("reached", "goal reached, to stay", float(time[arrived]), float(time[arrived])))

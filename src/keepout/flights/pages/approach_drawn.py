@@ -1,0 +1,142 @@
+"""Legs, zones, corridors and the rule of speeds as pages draw them: bodies for the replay, lines for the plots."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+
+from keepout.core.flight.record import FlightRecord
+from keepout.core.mission.approach import ends, unit
+from keepout.core.mission.approach_entries import CorridorEntry, LegEntry, ZoneEntry
+from keepout.core.mission.legs_flown import allowed_speed
+from keepout.core.mission.scenario import Scenario
+
+_ARC = 16
+"""Pieces of a half or a part of a circle in a body's outline."""
+
+
+def label(kind: str, entry: LegEntry | ZoneEntry | CorridorEntry, number: int) -> str:
+    """Give what a drawing calls an entry of a list: its name, or its kind and number from 0."""
+    return entry.name or f"{kind} {number}"
+
+
+def leg_labels(scenario: Scenario, record: FlightRecord) -> list[str]:
+    """Give the names of a flight's legs; none where its law flew none."""
+    return [] if record.leg is None else [label("leg", leg, number) for number, leg in enumerate(scenario.leg)]
+
+
+def places(
+    scenario: Scenario, record: FlightRecord
+) -> tuple[Float[np.ndarray, "rows 3"], Float[np.ndarray, "rows"]]:
+    """Give where the chaser is led to at each row, m in the body frame, and within what it counts as there, m.
+
+    That is the place of the leg under way; of a flight without legs it is the goal.
+    """
+    legs = [scenario.goal] if record.leg is None else scenario.leg
+    rows = np.zeros(len(record.time), int) if record.leg is None else record.leg
+    return np.array([leg.position for leg in legs])[rows], np.array([leg.tolerance for leg in legs])[rows]
+
+
+def distance_left(scenario: Scenario, record: FlightRecord) -> Float[np.ndarray, "rows"]:
+    """Give the distance, m, to the place of `places` at each row."""
+    return np.linalg.norm(record.position - places(scenario, record)[0], axis=1)
+
+
+def paint_legs(axes: Axes, time: Float[np.ndarray, "rows"], scenario: Scenario, record: FlightRecord) -> None:
+    """Add a thin vertical line where a leg begins, with its name; `time` is that of the axis, s."""
+    for number, name in enumerate(leg_labels(scenario, record)):
+        begun = np.flatnonzero(record.leg == number)
+        if begun.size:
+            axes.axvline(time[begun[0]], color="grey", linewidth=0.6, zorder=0.5)
+            at = {"xytext": (2, -2), "textcoords": "offset points", "xycoords": ("data", "axes fraction")}
+            look = {"rotation": 90, "va": "top", "ha": "left", "fontsize": 6, "color": "dimgrey"}
+            axes.annotate(name, (time[begun[0]], 1.0), **at, **look)
+
+
+def paint_rules(
+    axes: Axes,
+    time: Float[np.ndarray, "rows"],
+    scenario: Scenario,
+    record: FlightRecord,
+    clearance: Float[np.ndarray, "rows"],
+) -> None:
+    """Add the legs, and the largest speed that the rule of speeds allows, to a panel of the speed.
+
+    Args:
+        axes: the panel.
+        time: of its axis, s.
+        scenario: with legs and rule, or without.
+        record: as flown.
+        clearance: at its rows, m.
+
+    """
+    if scenario.approach.speed_by_distance:
+        allowed = allowed_speed(scenario, record.position, clearance)
+        axes.plot(time, allowed, color="black", linewidth=0.9, linestyle=":", label="allowed")
+    paint_legs(axes, time, scenario, record)
+
+
+def told(scenario: Scenario, start: float) -> dict[str, Any]:
+    """Give legs, zones and corridors as the replay's page holds them.
+
+    A body is round about an `axis` from `at`, where it has a `profile` of [distance from the axis, distance along it];
+    else an ellipsoid or a box about `at`, of half these `semi_axes` or of this `size`. It is told in `axes`.
+
+    Args:
+        scenario: of the flight.
+        start: of the flight, s; times count from it.
+
+    Returns:
+        `bodies` and `holds`, lengths in m, times in s; `until` None: to the end.
+
+    """
+    bodies: list[dict[str, Any]] = []
+    for number, zone in enumerate(scenario.zone):
+        until = ends(scenario, zone)
+        times = {"start": zone.start - start, "until": until - start if math.isfinite(until) else None}
+        bodies.append({"kind": "zone", "name": label("zone", zone, number), "axes": zone.axes, **times, **_zone(zone)})
+    for number, corridor in enumerate(scenario.corridor):
+        wall = {"at": list(corridor.port), "axis": unit(corridor.axis).tolist(), "profile": _wall(corridor)}
+        times = {"axes": "body", "start": 0.0, "until": None}
+        bodies.append({"kind": "corridor", "name": label("corridor", corridor, number), **times, **wall})
+    holds = [
+        {"name": label("leg", leg, number), "position": list(leg.position)} for number, leg in enumerate(scenario.leg)
+    ]
+    return {"bodies": bodies, "holds": holds}
+
+
+def _zone(zone: ZoneEntry) -> dict[str, Any]:
+    """Give the form of a zone."""
+    if zone.lower is not None and zone.upper is not None:
+        lower, upper = np.array(zone.lower), np.array(zone.upper)
+        return {"at": (0.5 * (lower + upper)).tolist(), "size": (upper - lower).tolist()}
+    at = {"at": list(zone.centre or ())}
+    if zone.axis is None:
+        return at | {"semi_axes": list(zone.semi_axes or 3 * (zone.radius,))}
+    length = zone.length or 0.0
+    if zone.half_angle is None:
+        rim = [[zone.radius, 0.0], [zone.radius, length]]
+        outline = [[0.0, 0.0], *_sharp(rim), [0.0, length]]
+    else:
+        angles = np.linspace(zone.half_angle, 0.0, _ARC + 1)
+        rim, *cap = (length * np.column_stack([np.sin(angles), np.cos(angles)])).tolist()
+        outline = [[0.0, 0.0], *_sharp([rim]), *cap]
+    return at | {"axis": unit(zone.axis).tolist(), "profile": outline}
+
+
+def _sharp(corners: Sequence[list[float]]) -> list[list[float]]:
+    """Give each corner twice: the viewer smooths an outline at the points it has once."""
+    return [corner for corner in corners for _ in range(2)]
+
+
+def _wall(corridor: CorridorEntry) -> list[list[float]]:
+    """Give the outline of a corridor's wall, from the port to `length` away from it."""
+    slope = 0.0 if corridor.half_angle is None else math.tan(corridor.half_angle)
+    width, length = corridor.radius or 0.0, corridor.length
+    # The place t along the axis with t² + (width + slope t)² = length².
+    under = (width * slope) ** 2 - (1.0 + slope**2) * (width**2 - length**2)
+    along = (math.sqrt(max(under, 0.0)) - width * slope) / (1.0 + slope**2)
+    return [[width, 0.0], [width + slope * along, along]]
