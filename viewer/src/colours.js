@@ -9,10 +9,13 @@ export const CLOSEST = "#ff8fd0";
 export const SUN = "#ffe9a8";
 export const MAP = "#b79cf0";
 export const VIEW = "#ffd166";
+export const ZONE = "#ff6b6b";
+export const CORRIDOR = "#7ee8c4";
+export const LEG = "#d4c2ff";
 export const REFUSED = "#ff5d5d";
 export const GOAL = "#3ddc97";
 export const START = "#e8ecf2";
-export const MARKS = { guard: "#e69f00", flag: "#ff6b3d", law: "#7d889c", nearest: "#f0e442", reached: "#3ddc97" };
+export const MARKS = { guard: "#e69f00", flag: "#ff6b3d", law: "#7d889c", nearest: "#f0e442", reached: "#3ddc97", leg: LEG };
 
 // Plasma (matplotlib, CC0) from its purple to its yellow: near is bright, far is dark.
 const STOPS = ["#f0f921", "#fcce25", "#fca636", "#f2844b", "#e16462", "#cc4778", "#b12a90", "#8f2fb8", "#6a4bd0", "#5566d8"].map(parse);

@@ -1,8 +1,9 @@
 // The viewer of `keepout replay`: puts the parts together and draws when something has changed.
 import { Box3, Group, Mesh, MeshBasicMaterial, OctahedronGeometry, Quaternion, Scene, SphereGeometry, Vector3, WebGLRenderer } from "three";
+import { Approach } from "./approach.js";
 import { Arrow, Closest } from "./arrows.js";
 import { Eye } from "./cameras.js";
-import { CLOSEST, ENVELOPE, FLIGHTS, GOAL, GUARD, MAP, SAFE_VELOCITY, Scale, START, SUN, THRUST, VIEW, ramp } from "./colours.js";
+import { CLOSEST, CORRIDOR, ENVELOPE, FLIGHTS, GOAL, GUARD, MAP, SAFE_VELOCITY, Scale, START, SUN, THRUST, VIEW, ZONE, ramp } from "./colours.js";
 import { Coverage } from "./coverage.js";
 import { read } from "./data.js";
 import { Growth } from "./growth.js";
@@ -18,7 +19,7 @@ const CAMERAS = { free: ["free", "Drag to turn, wheel to zoom (1)"], chaser: ["c
 const AXES = { body: ["x", "y", "z"], vvlh: ["x velocity", "y", "z nadir"], inertial: ["x", "y", "z pole"] };
 const TRIAD = ["#ff8a8a", "#8fe388", "#86b6ff"];
 const REST = 400; // ms
-const KEYS = "space: play or pause · ← →: a step (with shift: ten) · [ ]: marks · Home, End · − +: speed · 1 2 3: camera · B V I: frame · E: envelope · G: guard's level · M: map · C: views, or the camera's cone · P: coverage · R: view from the start · F: next flight";
+const KEYS = "space: play or pause · ← →: a step (with shift: ten) · [ ]: marks · Home, End · − +: speed · 1 2 3: camera · B V I: frame · E: envelope · G: guard's level · M: map · C: views, or the camera's cone · P: coverage · Z: zones and corridors · R: view from the start · F: next flight";
 const VERDICTS = { no: "No contact, proved", yes: "Contact", undecided: "Contact not excluded" };
 
 class Replay {
@@ -81,15 +82,21 @@ class Replay {
       flight.covered = new Coverage(flight.coverage);
       this.turning.add(flight.covered.mesh, flight.covered.cone);
     }
+    for (const flight of this.flights) if (flight.approach) {
+      flight.rules = new Approach(flight.approach, span);
+      this.turning.add(flight.rules.drawn);
+      this.parts.labels.append(...flight.rules.holds.map(({ label }) => label));
+    }
     this.scene.add(this.turning, this.begin, ...this.flights.map((flight) => flight.group));
-    this.parts.labels.append(...["goal", "start"].map((name) => element("span", { class: name }, name)), element("i"));
-    this.show = { target: true, envelope: this.surfaces.some((_, k) => this.told.surfaces[k].kind === "envelope"), guard: false, path: true, chaser: true, thrust: true, velocity: true, closest: true, ends: true, sun: true, map: true, views: true, coverage: true, cone: true };
+    this.parts.labels.prepend(...["goal", "start"].map((name) => element("span", { class: name }, name)), element("i"));
+    this.show = { target: true, envelope: this.surfaces.some((_, k) => this.told.surfaces[k].kind === "envelope"), guard: false, path: true, chaser: true, thrust: true, velocity: true, closest: true, ends: true, sun: true, map: true, views: true, coverage: true, cone: true, zone: true, corridor: true };
     this.goals = this.flights.some((of) => !of.coverage); // who inspects flies to none
   }
 
   controls(scale) {
     const change = (name) => (checked) => { this.show[name] = checked; this.touch(); };
     const has = (kind) => this.told.surfaces.some((of) => of.kind === kind);
+    const ruled = (kind) => this.flights.some((of) => of.rules?.bodies.some((body) => body.kind === kind));
     const one = (kind) => this.told.surfaces.find((of) => of.kind === kind);
     const level = (of) => `the surface ${metres(of.level)} of the field: with the chaser's centre outside there is no contact (${of.proved ? "proved" : "sampled, not proved"}; error bound ${metres(of.error_bound)})`;
     this.toggles = {
@@ -104,12 +111,14 @@ class Replay {
         coverage: toggle("coverage", "coverage", "linear-gradient(90deg,#d9722e,#2fa77d)", true, change("coverage"), "The surface in the colours below; what the last frame saw first is pale (P)"),
         cone: toggle("cone", "camera", VIEW, true, change("cone"), "What the camera takes in, as far as its range goes; its direction between two frames is blended (C)"),
       }),
+      ...(ruled("zone") && { zone: toggle("zone", "zones", ZONE, true, change("zone"), "What no part of the chaser may enter, while it stands (Z)") }),
+      ...(ruled("corridor") && { corridor: toggle("corridor", "corridors", CORRIDOR, true, change("corridor"), "The walls that the chaser's centre stays within (Z)") }),
       path: toggle("path", "path", "linear-gradient(90deg,#f0f921,#e16462,#5566d8)", true, change("path")),
       chaser: toggle("chaser", "chaser and its ball", "#ffffff", true, change("chaser")),
       thrust: toggle("thrust", "thrust", THRUST, true, change("thrust")),
       velocity: toggle("velocity", "safe velocity", SAFE_VELOCITY, true, change("velocity")),
       closest: toggle("closest", "closest point", CLOSEST, true, change("closest")),
-      ends: toggle("ends", this.goals ? "goal and start" : "start", GOAL, true, change("ends")),
+      ends: toggle("ends", !this.goals ? "start" : this.flights.some((of) => of.rules?.holds.length) ? "goal, holds and start" : "goal and start", GOAL, true, change("ends")),
       ...(this.flights.some((of) => of.sun || of.coverage?.lit) && { sun: toggle("sun", "sun", SUN, true, change("sun"), "The arrow points to the sun, which lights the target") }),
     };
     this.frameChoice = choice("Frame", FRAMES, (frame) => this.inFrame(frame));
@@ -117,7 +126,7 @@ class Replay {
     this.cameraChoice = choice("Camera", this.goals ? CAMERAS : without, (mode) => this.from(mode));
     const several = this.flights.length > 1;
     this.colourChoice = choice("Colour", { clearance: ["clearance", "Paths by clearance"], flight: ["flight", "Paths by flight"] }, (by) => this.paint(by));
-    this.parts.controls.append(this.cameraChoice, this.frameChoice, ...(several ? [this.colourChoice] : []), element("div", { class: "toggles" }, ...Object.values(this.toggles)), ...this.legend(),
+    this.parts.controls.append(this.cameraChoice, this.frameChoice, ...(several ? [this.colourChoice] : []), element("div", { class: "toggles" }, ...Object.values(this.toggles)), ...this.legend(), this.rules = element("ul", { class: "fates" }),
       element("button", { class: "help", title: KEYS, "aria-label": `Keys: ${KEYS}`, onclick: () => this.parts.stage.classList.toggle("helped") }, "?"));
     this.parts.stage.append(element("p", { class: "keys" }, KEYS));
     this.parts.about.addEventListener("click", () => {
@@ -167,6 +176,8 @@ class Replay {
     this.parts.verdict.title = flight.remarks.join("\n");
     this.parts.verdict.dataset.contact = flight.contact;
     this.parts.note.textContent = [this.told.target.remark, flight.remark, flight.growth?.remark, flight.coverage?.remark].filter(Boolean).join(" "); // what the drawing leaves out
+    this.rules.replaceChildren(...(flight.rules?.bodies ?? []).map(({ row }) => row));
+    this.parts.labels.firstChild.textContent = flight.rules?.goal ?? "goal";
     this.goal.position.set(...flight.goal);
     this.place.position.set(...flight.goal);
     this.place.scale.setScalar(Math.max(flight.radius, 1e-6));
@@ -292,6 +303,10 @@ class Replay {
       grown.map.visible = show.map && grown === flight.grown;
       grown.views.visible = show.views && grown === flight.grown;
     }
+    for (const { rules } of this.flights) if (rules) {
+      rules.drawn.visible = rules === flight.rules;
+      rules.move(time, flight, show);
+    }
     const [x, y, z] = flight.places;
     this.begin.position.set(x, y, z);
     this.goal.visible = this.place.visible = show.ends && this.eye.mode !== "goal" && !flight.coverage;
@@ -332,6 +347,7 @@ class Replay {
       label.style.transform = `translate(${((seen.x + 1) * width) / 2 + 10}px,${((1 - seen.y) * height) / 2 - 9}px)`;
     };
     put(goal, this.goal.getWorldPosition(new Vector3()), this.goal.visible);
+    for (const { rules } of this.flights) for (const { drawn, label } of rules?.holds ?? []) put(label, drawn.getWorldPosition(new Vector3()), drawn.visible && rules.drawn.visible);
     put(start, this.begin.position, this.begin.visible);
     const { flight } = this;
     const away = camera.position.distanceTo(flight.at);
@@ -349,6 +365,8 @@ class Replay {
     const now = flight.marks.filter((mark) => ["guard", "flag", "law"].includes(mark.kind) && mark.start <= this.transport.time && this.transport.time < mark.end);
     const spoken = [...new Set(now.map((mark) => mark.words))];
     if (spoken.length === 0) spoken.push(flight.guarded ? (flight.guard[row] === 0 ? "guard: command passed on" : "guard") : "no guard");
+    const leg = flight.marks.find((mark) => mark.kind === "leg" && mark.start <= this.transport.time && this.transport.time < mark.end);
+    if (leg) spoken.unshift(leg.words);
     if (flight.grown) spoken.push(flight.grown.words());
     if (flight.covered) spoken.push(flight.covered.words());
     return spoken.join(" · ");
@@ -382,6 +400,7 @@ class Replay {
       m: () => flip("map"),
       c: () => { flip("views"); flip("cone"); },
       p: () => flip("coverage"),
+      z: () => { flip("zone"); flip("corridor"); },
       r: () => { this.from("free"); this.look(); this.touch(); },
       f: () => this.choose(this.flights[(this.flights.indexOf(this.flight) + 1) % this.flights.length]),
     }[event.key.length === 1 ? event.key.toLowerCase() : event.key];
@@ -409,6 +428,7 @@ class Replay {
       flights: this.flights.filter((of) => of.shown).map((of) => of.name),
       growth: flight.grown && { stage: flight.grown.stage, view: flight.grown.view },
       coverage: flight.covered && { frame: flight.covered.frame, camera: flight.covered.cone.position.toArray(), boresight: flight.covered.boresight.toArray(), sun: flight.covered.sun.toArray() },
+      standing: flight.rules?.bodies.filter(({ drawn }) => drawn.visible).map(({ name, drawn }) => ({ name, turned: drawn.quaternion.toArray() })),
       marks: flight.marks,
       frames: this.frames,
       calls: this.renderer.info.render.calls,

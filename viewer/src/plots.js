@@ -9,10 +9,10 @@ const GRID = "rgba(255,255,255,.06)";
 const inUnit = (unit, digits) => (value) => (Number.isFinite(value) ? `${value.toFixed(digits)} ${unit}` : "–"); // that of the axis
 
 const QUANTITIES = {
-  clearance: { words: "Clearance, m", shown: metres, limits: () => [0] },
-  speed: { words: "Speed, m/s", shown: inUnit("m/s", 4), limits: (flight) => [flight.speed_limit] },
+  clearance: { words: "Clearance, m", shown: metres, limits: () => [0], beside: "bound" },
+  speed: { words: "Speed, m/s", shown: inUnit("m/s", 4), limits: (flight) => [flight.speed_limit], beside: "allowed" },
   force: { words: "Force, N", shown: inUnit("N", 4), limits: () => [0] },
-  error: { words: "Distance to the goal, m", shown: metres, limits: (flight) => [flight.tolerance], logarithmic: true },
+  error: { words: "Distance to the goal, m", shown: metres, limits: (flight) => (flight.within ? [] : [flight.tolerance]), beside: "within", logarithmic: true },
   seen: { words: "Surface seen, %", shown: percent, limits: (flight) => [0, flight.coverage?.possible ?? 0], tick: (share) => String(Math.round(100 * share)) },
   barrier: { words: "Barrier h, m", shown: metres, limits: () => [0] },
 };
@@ -27,7 +27,7 @@ export class Plots {
       if (!flights.some((flight) => has(flight, name))) continue;
       const value = element("output", { "data-quantity": name });
       const place = element("div", { class: "place" });
-      const panel = element("section", { class: "plot", "data-plot": name }, element("h2", {}, of.words, value), place);
+      const panel = element("section", { class: "plot", "data-plot": name }, element("h2", {}, name === "error" && flights.some((flight) => flight.within) ? "Distance to the leg's place, m" : of.words, value), place);
       root.append(panel);
       this.plots[name] = { of, value, place };
     }
@@ -46,8 +46,9 @@ export class Plots {
       const series = shown.map((flight) => ({
         stroke: flight.colour, dash: flight.dashed ? [6, 3] : [], width: flight === focus ? 1.6 : 1, alpha: flight === focus ? 1 : 0.6, spanGaps: true, points: { show: false },
       }));
-      if (name === "clearance") {
-        tables.push([focus.time, Array.from(focus.bound, (value) => (Number.isFinite(value) ? value : null))]);
+      const beside = focus[plot.of.beside]; // the proved bound, the speed allowed, the leg's tolerance
+      if (beside) {
+        tables.push([focus.time, Array.from(beside, (value) => (Number.isFinite(value) ? value : null))]);
         series.push({ stroke: "rgba(255,255,255,.75)", width: 1, dash: [2, 4], spanGaps: false, points: { show: false } });
       }
       const limits = plot.of.limits(focus);
@@ -89,8 +90,8 @@ export class Plots {
     for (const mark of this.focus.marks) {
       if (mark.kind === "nearest" || mark.kind === "reached") continue;
       const from = drawn.valToPos(mark.start, "x", true);
-      const wide = Math.max(drawn.valToPos(mark.end, "x", true) - from, 1);
-      ctx.fillStyle = `${MARKS[mark.kind]}${{ law: "18", guard: "2c", flag: "50" }[mark.kind]}`;
+      const wide = mark.kind === "leg" ? 1 : Math.max(drawn.valToPos(mark.end, "x", true) - from, 1);
+      ctx.fillStyle = `${MARKS[mark.kind]}${{ law: "18", guard: "2c", flag: "50", leg: "90" }[mark.kind]}`;
       ctx.fillRect(from, bbox.top, wide, bbox.height);
     }
     ctx.setLineDash([4, 4]);

@@ -39,6 +39,7 @@ export class Transport {
 
   focus(flight) {
     this.flight = flight;
+    this.marks.classList.toggle("legs", flight.marks.some((mark) => mark.kind === "leg"));
     this.marks.replaceChildren(...flight.marks.map((mark) => {
       const left = (100 * mark.start) / this.end;
       const wide = (100 * (mark.end - mark.start)) / this.end;
@@ -46,7 +47,7 @@ export class Transport {
       return element("button", {
         class: `mark ${mark.kind}`, title, "aria-label": title, "data-start": mark.start,
         style: `left:${left}%;width:${wide}%;background:${MARKS[mark.kind]}`, onclick: () => this.to(mark),
-      });
+      }, mark.kind === "leg" ? mark.words : "");
     }));
   }
 
