@@ -28,9 +28,7 @@ def leg_labels(scenario: Scenario, record: FlightRecord) -> list[str]:
     return [] if record.leg is None else [label("leg", leg, number) for number, leg in enumerate(scenario.leg)]
 
 
-def places(
-    scenario: Scenario, record: FlightRecord
-) -> tuple[Float[np.ndarray, "rows 3"], Float[np.ndarray, "rows"]]:
+def places(scenario: Scenario, record: FlightRecord) -> tuple[Float[np.ndarray, "rows 3"], Float[np.ndarray, "rows"]]:
     """Give where the chaser is led to at each row, m in the body frame, and within what it counts as there, m.
 
     That is the place of the leg under way; of a flight without legs it is the goal.

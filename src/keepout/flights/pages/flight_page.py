@@ -224,7 +224,7 @@ def draw_motion(path: Path, flight: Flight) -> None:
 def paint_motion(
     panels: Sequence[Axes], record: FlightRecord, scenario: Scenario, clearance: Float[np.ndarray, "rows"]
 ) -> None:
-    """Show velocity, applied force and disturbance over time, each by axis, in three panels, with the rules of speed."""
+    """Show velocity with its rules, applied force and disturbance over time, each by axis, in three panels."""
     chaser = scenario.chaser
     thin = {"linewidth": 0.7, "linestyle": "--"}
     columns = (("v", record.velocity, record.safe_velocity), ("F", record.force, None))

@@ -145,10 +145,11 @@ def _leg(leg: LegEntry, number: int) -> str:
 
 def _zone(zone: ZoneEntry, number: int) -> str:
     said = {"body": "fixed to the target", "vvlh": "fixed in VVLH", "inertial": "fixed to the stars"}
-    size = f" of {zone.radius:g} m" if zone.shape == "sphere" else ""
+    form = f"{'an' if zone.shape == 'ellipsoid' else 'a'} {zone.shape}"
+    form += f" of {zone.radius:g} m" if zone.shape == "sphere" else f" {zone.length:g} m long" if zone.length else ""
     since = f" from {zone.start:g} s" if zone.start else ""
     until = {None: "", "go": ' until "go"'}.get(zone.until, f" until {zone.until} s")
-    return f"{named('zone', zone, number)}, {'an' if zone.shape == 'ellipsoid' else 'a'} {zone.shape}{size} {said[zone.axes]}{since}{until}"
+    return f"{named('zone', zone, number)}, {form}, {said[zone.axes]}{since}{until}"
 
 
 def _count(count: int, of: str) -> str:

@@ -116,7 +116,7 @@ class Replayed:
 
     @functools.cached_property
     def error(self) -> Float[np.ndarray, "rows"] | None:
-        """Distance to the goal, or to the place of the leg under way, at each row that is shown, m; None without a goal."""
+        """Distance to the goal, or to the place of the leg under way, at each row that is shown, m; None: no goal."""
         if self.share is not None:
             return None
         return distance_left(self.scenario, self.shown)
