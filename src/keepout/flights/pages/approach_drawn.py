@@ -44,13 +44,14 @@ def distance_left(scenario: Scenario, record: FlightRecord) -> Float[np.ndarray,
 
 
 def paint_legs(axes: Axes, time: Float[np.ndarray, "rows"], scenario: Scenario, record: FlightRecord) -> None:
-    """Add a thin vertical line where a leg begins, with its name; `time` is that of the axis, s."""
+    """Add a thin vertical line where a leg begins, its name before it; `time` is that of the axis, s."""
     for number, name in enumerate(leg_labels(scenario, record)):
         begun = np.flatnonzero(record.leg == number)
         if begun.size:
             axes.axvline(time[begun[0]], color="grey", linewidth=0.6, zorder=0.5)
-            at = {"xytext": (2, -2), "textcoords": "offset points", "xycoords": ("data", "axes fraction")}
-            look = {"rotation": 90, "va": "top", "ha": "left", "fontsize": 6, "color": "dimgrey"}
+            at = {"xytext": (-2, -2), "textcoords": "offset points", "xycoords": ("data", "axes fraction")}
+            look = {"rotation": 90, "va": "top", "ha": "right", "fontsize": 6, "color": "dimgrey"}
+            # On its left the chaser is at rest in the place before, so that no curve is there.
             axes.annotate(name, (time[begun[0]], 1.0), **at, **look)
 
 
@@ -120,7 +121,7 @@ def _zone(zone: ZoneEntry) -> dict[str, Any]:
         outline = [[0.0, 0.0], *_sharp(rim), [0.0, length]]
     else:
         angles = np.linspace(zone.half_angle, 0.0, _ARC + 1)
-        rim, *cap = (length * np.column_stack([np.sin(angles), np.cos(angles)])).tolist()
+        rim, *cap = (length * np.column_stack([np.sin(angles), np.cos(angles)])).round(4).tolist()
         outline = [[0.0, 0.0], *_sharp([rim]), *cap]
     return at | {"axis": unit(zone.axis).tolist(), "profile": outline}
 

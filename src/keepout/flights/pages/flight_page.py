@@ -245,4 +245,4 @@ def paint_motion(
     force.set_ylabel("applied force, N")
     disturbance.set(ylabel="disturbance, N", xlabel="time, s")
     for axes in panels:
-        axes.legend(fontsize=8, ncols=4, loc="lower right", bbox_to_anchor=(1.0, 0.99), borderaxespad=0.0)
+        axes.legend(fontsize=8, ncols=5, loc="lower right", bbox_to_anchor=(1.0, 0.99), borderaxespad=0.0)
