@@ -60,3 +60,27 @@ def test_sensors_thrusters_delay_and_tumbling_are_said():
         assert part in words
     broken = said(thrusters={"layout": "own", "own": [{"position": (0, 0, 0), "direction": (1, 0, 0), "force": 1.0}]})
     assert 'those of layout "own"' in broken  # which the check refuses
+
+
+def test_legs_zones_corridors_and_the_rule_of_speeds_are_said():
+    assert not any(word in said() for word in ("leg", "zone", "corridor", "By the distance"))
+    hold = {"name": "far", "position": (15.0, 0.0, 0.0), "dwell": 30.0, "until": "go", "go_at": 150.0}
+    words = said(
+        duration=900.0,
+        leg=[hold, {"position": (3.6, 0.0, 0.0), "speed_limit": 0.04, "within": (200.0, 800.0)}],
+        zone=[
+            {"name": "ball", "shape": "sphere", "centre": (0.0, 0.0, 0.0), "radius": 12.0, "until": "go"},
+            {"shape": "box", "lower": (9.0, 9.0, 9.0), "upper": (10.0, 10.0, 10.0), "axes": "vvlh", "start": 20.0},
+        ],
+        corridor=[{"port": (2.0, 0.0, 0.0), "axis": (1.0, 0.0, 0.0), "length": 10.0, "radius": 1.5}],
+        approach={"speed_by_distance": [(12.0, 0.08), (1.0, 0.02)]},
+    )
+    for part in (
+        'flies 2 legs: leg "far" to [15, 0, 0] m within 0.5 m, held for 30 s and until "go" (in simulation at 150 s)',
+        "leg 1 to [3.6, 0, 0] m within 0.5 m at up to 0.04 m/s between 200 s and 800 s.",
+        '2 zones: zone "ball", a sphere of 12 m, fixed to the target until "go"',
+        "; zone 1, a box, fixed in VVLH from 20 s.",
+        "1 corridor: corridor 0, a tube of 1.5 m, within 10 m of the port [2, 0, 0] m.",
+        "By the distance to the mesh it flies at up to 0.08 m/s at 12 m, 0.02 m/s at 1 m",
+    ):
+        assert part in words

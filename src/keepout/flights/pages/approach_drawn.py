@@ -48,7 +48,7 @@ def paint_legs(axes: Axes, time: Float[np.ndarray, "rows"], scenario: Scenario, 
     for number, name in enumerate(leg_labels(scenario, record)):
         begun = np.flatnonzero(record.leg == number)
         if begun.size:
-            axes.axvline(time[begun[0]], color="grey", linewidth=0.6, zorder=0.5)
+            axes.axvline(float(time[begun[0]]), color="grey", linewidth=0.6, zorder=0.5)
             at = {"xytext": (-2, -2), "textcoords": "offset points", "xycoords": ("data", "axes fraction")}
             look = {"rotation": 90, "va": "top", "ha": "right", "fontsize": 6, "color": "dimgrey"}
             # On its left the chaser is at rest in the place before, so that no curve is there.

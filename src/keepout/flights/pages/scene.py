@@ -319,13 +319,13 @@ def marks(
     for status in ControlStatus:
         if status != 0:
             found += _spans("law", f"law: {_said(status.name)}", law == status, time)
+    leg = np.zeros(len(time), int) if record.leg is None else record.leg
     for number, name in enumerate(legs):
-        found += _spans("leg", name, record.leg[:-1] == number, time)
+        found += _spans("leg", name, leg[:-1] == number, time)
     if np.isfinite(clearance).any():
         nearest = int(np.nanargmin(clearance))
         found.append(Mark("nearest", "least clearance", float(time[nearest]), float(time[nearest])))
-    there = (error < tolerance) & (not legs or record.leg == len(legs) - 1)
-    away = np.flatnonzero(~there)
+    away = np.flatnonzero(~((error < tolerance) & (leg == max(len(legs) - 1, 0))))
     arrived = int(away[-1]) + 1 if len(away) else 0
     if arrived < len(time):
         found.append(Mark("reached", "goal reached, to stay", float(time[arrived]), float(time[arrived])))
