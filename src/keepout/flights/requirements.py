@@ -37,6 +37,13 @@ _ASKED: Mapping[str, _Asked] = {
         "goal reached within {:g} s", "time_to_reach_s", "time_to_reach", lambda found, asked: found <= asked
     ),
     "reached": _Asked("goal reached", "reached", "reached", lambda found, _: found == 1),
+    "zones": _Asked(
+        "proved to enter no zone and leave no corridor",
+        "zones_entered",
+        "zones_entered",
+        lambda found, _: found == "no",
+    ),
+    "holds": _Asked("every hold kept", "holds_kept", "holds_kept", lambda found, _: found == 1),
 }
 
 
@@ -93,7 +100,7 @@ def judged_campaign(require: "RequireEntry", dataset: "Dataset") -> list[dict[st
     rows = []
     for name, words in asked.items():
         given = found[_ASKED[name].column]
-        meets = given.equal("no") if name == "contact" else _ASKED[name].met(given, getattr(require, name))
+        meets = given.equal("no") if name in ("contact", "zones") else _ASKED[name].met(given, getattr(require, name))
         meets = meets & found["status"].equal(FLOWN) & ((name != "time_s") | (found["reached"] == 1.0))
         count, runs = int(meets.sum()), len(meets)
         low, high = clopper_pearson(count, runs)

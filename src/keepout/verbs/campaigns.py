@@ -27,7 +27,7 @@ from keepout.flights.campaign.dataset import Dataset
 from keepout.flights.campaign.flying import replay
 from keepout.flights.campaign.plan import Plan
 from keepout.flights.campaign.run import Flyer, Standing, fly_campaign, flyer_on, in_threads, keep_flights, keep_of
-from keepout.flights.campaign.table import FLOWN, SUMMARISED, summary
+from keepout.flights.campaign.table import FLOWN, SUMMARISED, approach_columns, summary
 from keepout.flights.pages.folder import results_in, write_summary
 from keepout.flights.pages.page import embedded, text
 
@@ -287,7 +287,7 @@ def complete(
             out, require=plan.scenario.require, kept=keeping.result, progress=part_of(shared, 0.95, 1.0)
         )
         figures = {
-            **summary(dataset.table(list(SUMMARISED)), plan.scenario),
+            **summary(dataset.table([*SUMMARISED, *approach_columns(plan.scenario)]), plan.scenario),
             "guard": plan.guard_numbers(),
             "batch": plan.batch,
             "seconds": time.perf_counter() - began,

@@ -140,6 +140,12 @@ class Audit:
     zones: tuple[Entered, ...] = ()
 
     @property
+    def zones_entered(self) -> Contact:
+        """Whether any zone was entered or any corridor left: the gravest of what is known of each."""
+        found = {zone.entered for zone in self.zones}
+        return next((said for said in (Contact.YES, Contact.UNDECIDED) if said in found), Contact.NO)
+
+    @property
     def consistent(self) -> bool:
         """Whether some motion within the bounds passes through all the recorded states."""
         return not self.inconsistent_steps

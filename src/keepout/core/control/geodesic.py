@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 
 import equinox as eqx
@@ -286,6 +286,16 @@ class Geodesic(GuidancePlan):
             grid = BarrierGrid.build(field, offset, lower, upper, spacing=self.spacing, progress=progress)
         motion = {"speed": speed, "slowing_length": slowing_length}
         return geodesic_guidance(grid, field, offset, goal, **motion, start=start, beyond=self.beyond)
+
+    def again(self, made: Guidance, speed: float, slowing_length: float) -> Guidance:
+        """Give a guidance that this plan made with another speed and slowing length: no other part has them."""
+        return dataclasses.replace(
+            made, speed=as_float64(float(speed)), slowing_length=as_float64(float(slowing_length))
+        )
+
+    def identity(self, field: Field) -> tuple[Hashable, ...]:
+        """Say what a guidance depends on beside field, offset, goal and start."""
+        return (self.spacing,)
 
 
 def room_around(field: Field, offset: float, goal: Point, start: Point | None) -> tuple[Point, Point]:

@@ -1,6 +1,7 @@
 """Guidance: the desired velocity v_c before safety, as a function of position; and plans, which make it for a law."""
 
 import abc
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -77,6 +78,10 @@ class GuidancePlan(abc.ABC):
     """
 
     refuses: ClassVar[bool] = False
+
+    def of_legs(self, made: Callable[["GuidancePlan"], "GuidancePlan"]) -> "GuidancePlan":
+        """Give the plan that `made` makes of this one, for legs flown by it; remembered where this one is."""
+        return made(self)
 
     @abc.abstractmethod
     def guidance(

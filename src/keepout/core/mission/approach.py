@@ -7,7 +7,7 @@ each leg; a zone that has ended by the earliest time at which a leg can begin is
 import dataclasses
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,6 +25,7 @@ from keepout.core.control.geodesic import Geodesic, GeodesicGuidance, one_behind
 from keepout.core.control.guidance import Guidance, GuidancePlan, Point
 from keepout.core.control.law import Law
 from keepout.core.control.legs import LegGuidance, LegLaw, Legs, SpeedByDistance
+from keepout.core.digest import digest
 from keepout.core.errors import ControlError, KeepoutError, KeepOutZoneError, ScenarioError
 from keepout.core.fields import zones as shapes
 from keepout.core.fields.field import Field
@@ -326,7 +327,7 @@ class LegPlan(GuidancePlan):
         for number, (leg, place, now) in enumerate(zip(legs, places, stages, strict=True)):
             part = part_of(progress, number / len(legs), (number + 1) / len(legs))
             fastest = min(speed, leg.speed_limit or math.inf)
-            led = {"speed": fastest, "slowing_length": slowing_length * fastest / speed, "progress": part}
+            led = {"speed": fastest, "slowing_length": slowing_length * (fastest / speed), "progress": part}
             try:
                 ways.append(self._way(now, offset, place, before, led))
             except KeepoutError as refusal:
@@ -335,6 +336,22 @@ class LegPlan(GuidancePlan):
         if all(isinstance(way, GeodesicGuidance) for way in ways):
             ways = one_behind_the_other(ways)
         return LegGuidance.of(ways, self.rule)
+
+    def again(self, made: Guidance, speed: float, slowing_length: float) -> Guidance:
+        """Give a guidance that this plan made with another speed and slowing length: no other part has them."""
+        assert isinstance(made, LegGuidance)
+        limits = [leg.speed_limit or math.inf for leg in self.scenario.leg] or [math.inf]
+        shares = np.minimum(np.array(limits) / speed, 1.0)
+        own = dataclasses.replace(
+            made.own, speed=as_float64(speed * shares), slowing_length=as_float64(slowing_length * shares)
+        )
+        return dataclasses.replace(made, own=own)
+
+    def identity(self, field: Field) -> tuple[Hashable, ...]:
+        """Say what a guidance depends on beside field, offset, goal and start."""
+        walls = [np.asarray(leaf) for zone in getattr(field, "zones", ()) for leaf in jax.tree.leaves(zone)]
+        legs = self.scenario.model_dump_json(include={"leg", "zone", "corridor", "approach"})
+        return (digest(legs, *walls), getattr(self.each, "spacing", None))
 
     def _way(self, field: Field, offset: float, place: Point, before: Point | None, led: dict[str, Any]) -> Guidance:
         """Give the guidance of one leg: in the room about its ends, or in all the room there is."""

@@ -123,6 +123,7 @@ class Flight:
         """Give what became of zones, legs and the rule of speeds, of those that the scenario has."""
         figures: dict[str, Any] = {}
         if self.audit.zones:
+            figures["zones_entered"] = str(self.audit.zones_entered)
             figures["zones"] = [
                 {
                     "name": zone.name,
@@ -133,6 +134,7 @@ class Flight:
                 for zone in self.audit.zones
             ]
         if self.legs:
+            figures["holds_kept"] = all(leg.kept for leg in self.legs)
             figures["legs"] = [leg.summary() for leg in self.legs]
         if self.scenario.approach.speed_by_distance:
             figures["speed_rule_excess_mps"] = speed_excess(

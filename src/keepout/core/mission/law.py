@@ -99,7 +99,8 @@ def law_on(
     if has_rules(scenario):
         if not isinstance(plan, Guidance):
             usual = Geodesic() if scenario.control.profile == "default" else Componentwise()
-            plan = LegPlan(scenario, plan or usual, speed_rule(scenario, field, error_bound))
+            rule = speed_rule(scenario, field, error_bound)
+            plan = (plan or usual).of_legs(lambda each: LegPlan(scenario, each, rule))
         field = zoned(around, field, error_bound + scenario.chaser.radius)
         if scenario.control.profile == "default":
             places = [scenario.start.position, *(leg.position for leg in scenario.leg), scenario.goal.position]

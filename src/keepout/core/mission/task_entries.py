@@ -115,6 +115,8 @@ class RequireEntry(Entry):
         delta_v_mps: greatest Δv, m/s.
         time_s: by which the goal must be reached, s.
         reached: whether the goal must be reached.
+        zones: "proved": the audit proves that no zone was entered and no corridor left; unset: not asked.
+        holds: whether every leg's place must be held for its dwell, and reached in its window.
         share: of a campaign's runs that must meet each of these, judged by the lower end of its 95 % interval; unset:
             every run.
 
@@ -126,6 +128,8 @@ class RequireEntry(Entry):
     delta_v_mps: NonNegative | None = None
     time_s: Positive | None = None
     reached: bool = False
+    zones: Literal["proved"] | None = None
+    holds: bool = False
     share: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
 
 

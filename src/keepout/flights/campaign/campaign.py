@@ -167,7 +167,7 @@ class FlownInMemory:
     @cached_property
     def table(self) -> pa.Table:
         """One row a run, as a campaign's folder holds them."""
-        return table_of(design(self.scenario), self.runs, self.flown)
+        return table_of(design(self.scenario), self.scenario, self.runs, self.flown)
 
     def summary(self) -> dict[str, Any]:
         """Give the campaign's figures as plain numbers for JSON; a contact is whatever the audit does not exclude."""
@@ -258,7 +258,7 @@ class CampaignPlan:
         flown = fly_judged(
             runs,
             replace(self.programs, batch=batch or self.programs.batch),
-            columns=(*AUDITED, *kept.columns),
+            columns=(*AUDITED, *kept.columns, *(["leg"] if scenario.leg else [])),
             landed=land,
             # The bounds of the box hold for each start in it.
             bounds=None if scenario.campaign.dispersions else Surroundings(scenario).flight_bounds,

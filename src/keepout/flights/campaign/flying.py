@@ -26,6 +26,8 @@ from keepout.core.flight.setup import flown_setup
 from keepout.core.guard.guard import Guard, starts_certified
 from keepout.core.mission.build import Mission
 from keepout.core.mission.flight import AUDITED, Flight, judge, judged, record_of
+from keepout.core.mission.legs_flown import legs_flown
+from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
 from keepout.core.motion.relative import MotionState, RelativeMotion
 from keepout.core.progress import Progress, silent
@@ -46,14 +48,15 @@ Told = Callable[[int, int, int], None]
 
 
 class Flown(NamedTuple):
-    """What became of a run: its outcome, its verdict, and whether the guard's theorem holds from its start.
+    """What became of a run: its outcome, its verdict, whether the guard's theorem holds from its start, and its holds.
 
-    The last is None without a guard.
+    The third is None without a guard; the fourth, whether all holds were kept, without legs.
     """
 
     outcome: FlightOutcome
     audit: Audit
     certified: bool | None
+    held: bool | None = None
 
 
 @eqx.filter_jit
@@ -140,19 +143,30 @@ def fly_judged(
 ) -> dict[int, Flown]:
     """Fly all runs that are not refused as `fly_runs` does, and audit them; by number.
 
-    `landed` hears of each batch, with its verdicts. `columns` are at least those that the audit looks at. `bounds` are
-    those that all runs are judged by; by default each has its own.
+    `landed` hears of each batch, with its verdicts. `columns` are at least those that the audit looks at; with "leg"
+    among them, holds are judged. `bounds` are those that all runs are judged by; by default each has its own.
     """
     verdicts: dict[int, Audit] = {}
+    held: dict[int, bool] = {}
 
     def land(members: Sequence[Run], log: dict[str, np.ndarray]) -> None:
         found = audits(members, log, bounds)
+        for place, run in enumerate(members if "leg" in log else ()):
+            own = (log[name][place] for name in ("time", "position", "leg"))
+            held[run.number] = all(leg.kept for leg in legs_flown(run.scenario, *own))
         verdicts.update(zip((run.number for run in members), found))
         landed(members, log, found)
 
     outcomes = fly_runs(runs, programs, columns=columns, landed=land, workers=workers, progress=progress)
     sure = certified(runs)
-    return {number: Flown(outcomes[number], verdicts[number], sure[number]) for number in sorted(outcomes)}
+    return {
+        number: Flown(outcomes[number], verdicts[number], sure[number], held.get(number)) for number in sorted(outcomes)
+    }
+
+
+def columns_of(scenario: Scenario) -> tuple[str, ...]:
+    """Give the columns that a scenario's campaign takes out of its programs."""
+    return (*COLUMNS, "leg") if scenario.leg else COLUMNS
 
 
 def audits(runs: Sequence[Run], log: dict[str, np.ndarray], bounds: FlightBounds | None = None) -> list[Audit]:
@@ -228,7 +242,7 @@ def fly_chunk(plan: Plan, number: int, *, workers: int | None = None, told: Told
             told(len(members), int(np.sum(reached)), sum(verdict.contact is not Contact.NO for verdict in found))
 
     runs = plan.draw(*plan.chunk_runs(number))
-    flown = fly_judged(runs, plan.programs, landed=land, workers=workers)
+    flown = fly_judged(runs, plan.programs, columns=columns_of(plan.scenario), landed=land, workers=workers)
     sketch = counted.to_bytes()
     marks = {
         "plan": plan.sha256,
@@ -237,7 +251,7 @@ def fly_chunk(plan: Plan, number: int, *, workers: int | None = None, told: Told
         "scenario": plan.scenario.model_dump_json(),
         "processor": processor(),
     }
-    return ChunkResult(number, table.to_bytes(table.table_of(plan.design, runs, flown), marks), sketch)
+    return ChunkResult(number, table.to_bytes(table.table_of(plan.design, plan.scenario, runs, flown), marks), sketch)
 
 
 @dataclass(frozen=True)
@@ -272,8 +286,8 @@ def replay(plan: Plan, numbers: Sequence[int]) -> list[Replayed]:
     """
     runs = _drawn(plan, numbers)
     exact: _Logs = {}
-    flown = fly_judged(runs, plan.programs, landed=_kept(exact))
-    rows = table.table_of(plan.design, runs, flown).to_pylist()
+    flown = fly_judged(runs, plan.programs, columns=columns_of(plan.scenario), landed=_kept(exact))
+    rows = table.table_of(plan.design, plan.scenario, runs, flown).to_pylist()
     made = []
     for (run, log, result, header), row in zip(_in_full(plan, runs), rows, strict=True):
         flight = judged(mission_of(run), log, result=result, extra=header)

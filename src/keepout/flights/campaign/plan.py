@@ -18,7 +18,7 @@ import jax
 import numpy as np
 
 import keepout
-from keepout.core.control.geodesic import Geodesic, GeodesicGuidance
+from keepout.core.control.geodesic import Geodesic
 from keepout.core.control.guidance import Guidance, GuidancePlan, Point
 from keepout.core.digest import digest
 from keepout.core.errors import ScenarioError
@@ -29,11 +29,11 @@ from keepout.core.flight.setup import FlightSetup, flown_setup
 from keepout.core.geometry.target import Target
 from keepout.core.guard.field import guard_field
 from keepout.core.guard.guard import Guard
+from keepout.core.mission.approach import LegPlan
 from keepout.core.mission.build import Mission, closing_radius, load_model, load_target, prepare
 from keepout.core.mission.law import named_guidance
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import guard_numbers
-from keepout.core.motion.arrays import as_float64
 from keepout.core.progress import Progress, silent
 from keepout.flights.campaign.dispersion import Design, Run, design, draw
 
@@ -146,9 +146,20 @@ def _field_of(scenario: Scenario) -> Hashable:
 class _Remembered(GuidancePlan):
     """A geodesic guidance whose travel times are marched once for each field, keep-out zone, goal and start."""
 
-    plan: Geodesic
+    plan: Geodesic | LegPlan
     shelf: _Shelf
     field_sha256: str
+
+    @property
+    def refuses(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Whether the plan that is remembered does."""
+        return self.plan.refuses
+
+    def of_legs(self, made: Callable[[GuidancePlan], GuidancePlan]) -> GuidancePlan:
+        """Remember the guidance of all legs together."""
+        plan = made(self.plan)
+        assert isinstance(plan, LegPlan)
+        return replace(self, plan=plan)
 
     def guidance(
         self,
@@ -161,21 +172,21 @@ class _Remembered(GuidancePlan):
         start: Point | None = None,
         progress: Progress = silent,
     ) -> Guidance:
-        """Make the guidance, or give the one made before its speed and slowing length: no other part has them."""
+        """Make the guidance, or give the one made before its speed and slowing length."""
         key = (
             self.field_sha256,
             float(offset),
             tuple(np.asarray(goal).tolist()),
             None if start is None else tuple(np.asarray(start).tolist()),
-            self.plan.spacing,
+            *self.plan.identity(field),
         )
-        made: GeodesicGuidance = self.shelf.get(
+        made: Guidance = self.shelf.get(
             key,
             lambda: self.plan.guidance(
                 field, offset, goal, speed=speed, slowing_length=slowing_length, start=start, progress=progress
             ),
         )
-        return replace(made, speed=as_float64(float(speed)), slowing_length=as_float64(float(slowing_length)))
+        return self.plan.again(made, speed, slowing_length)
 
 
 @dataclass(frozen=True, eq=False)

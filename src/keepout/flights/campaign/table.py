@@ -41,6 +41,16 @@ _KINDS = {
     **dict.fromkeys(_STEPS, pa.int32()),
 }
 """Names and types of the columns that a flown run has values for."""
+_OF_ZONES = {"zones_entered": pa.string(), "zone_clearance": pa.float64()}
+_OF_LEGS = {"holds_kept": pa.bool_()}
+"""Those of runs with zones or corridors, and with legs."""
+
+
+def approach_columns(scenario: Scenario) -> dict[str, pa.DataType]:
+    """Give the names and types of the columns that the runs of a scenario with zones, corridors or legs have beside."""
+    return (_OF_ZONES if scenario.zone or scenario.corridor else {}) | (_OF_LEGS if scenario.leg else {})
+
+
 _RENAMED = {"minimum_clearance_found": "measured_clearance"}
 """What columns of earlier files are called now."""
 SUMMARISED = (
@@ -53,16 +63,18 @@ SUMMARISED = (
 
 def table_of(
     design: Design,
+    scenario: Scenario,
     runs: Sequence[Run],
-    flown: Mapping[int, tuple[FlightOutcome, Audit, bool | None]],
+    flown: Mapping[int, tuple[FlightOutcome, Audit, bool | None, bool | None]],
 ) -> pa.Table:
     """Lay runs out as a table; what a refused run has no value for is null.
 
     Args:
         design: of the campaign.
+        scenario: likewise.
         runs: as drawn.
-        flown: of each flown run, by number: its outcome, its audit, and whether the guard's theorem holds from its
-            start.
+        flown: of each flown run, by number: its outcome, its audit, whether the guard's theorem holds from its start,
+            and whether it kept its holds.
 
     """
     made: dict[str, pa.Array] = {
@@ -79,13 +91,15 @@ def table_of(
         for name, values in columns(dispersion, [run.values[dispersion.name] for run in runs]).items():
             made[name] = pa.array(values, pa.string() if values.dtype == object else pa.float64())
     figures = {run.number: _figures(run, *flown[run.number]) for run in runs if run.number in flown}
-    for name, kind in _KINDS.items():
+    for name, kind in (_KINDS | approach_columns(scenario)).items():
         made[name] = pa.array([figures[n.number][name] if n.number in figures else None for n in runs], kind)
     return pa.table(made)
 
 
-def _figures(run: Run, outcome: FlightOutcome, audit: Audit, certified: bool | None) -> dict[str, Any]:
-    """Give what a flown run has values for, by the names of `_KINDS`."""
+def _figures(
+    run: Run, outcome: FlightOutcome, audit: Audit, certified: bool | None, held: bool | None
+) -> dict[str, Any]:
+    """Give what a flown run has values for, by the names of `_KINDS` and of those of zones and legs."""
     mission = run.flown
     return {
         "contact": str(audit.contact),
@@ -111,6 +125,9 @@ def _figures(run: Run, outcome: FlightOutcome, audit: Audit, certified: bool | N
         "assumptions_broken": "; ".join(mission.assumptions_broken),
         "violated_conditions": "; ".join(str(c) for c in mission.setup.controller.conditions if not c.satisfied),
         "remarks": "; ".join(audit.remarks),
+        "zones_entered": str(audit.zones_entered),
+        "zone_clearance": min((zone.minimum_clearance for zone in audit.zones), default=None),
+        "holds_kept": held,
         **{name: int(getattr(outcome, f"{layer}_status_counts")[status]) for name, (layer, status) in _STEPS.items()},
     }
 
@@ -191,7 +208,15 @@ def summary(whole: pa.Table, scenario: Scenario) -> dict[str, Any]:
         for flag in GuardFlag
         for name in flag_names(flag)
     }
-    return {
+    approach: dict[str, Any] = {}
+    if "zones_entered" in whole.column_names:
+        entered = flown["zones_entered"].to_numpy(zero_copy_only=False)
+        approach["zones_entered"] = int(np.sum(entered == str(Contact.YES)))
+        approach["zones_undecided"] = int(np.sum(entered == str(Contact.UNDECIDED)))
+        approach["zone_clearance_m"] = finite(np.min, np.asarray(flown["zone_clearance"].to_numpy(), float))
+    if "holds_kept" in whole.column_names:
+        approach["holds_kept"] = int(np.sum(flown["holds_kept"].to_numpy(zero_copy_only=False).astype(bool)))
+    return approach | {
         "runs": len(whole),
         "flown": len(flown),
         "refused": len(refused),

@@ -376,6 +376,21 @@ def flight_table(summary: Mapping[str, Any]) -> Table:
             key = f"{of}_error_{kind}_{unit}"
             if key in navigation:
                 known[key], rows[key] = navigation[key], f"{of} error, {words} {shown_unit}"
+    if "zones" in summary:
+        known["zones_entered"] = {"no": "none, proved", "yes": "yes", "undecided": "not excluded"}[
+            summary["zones_entered"]
+        ]
+        known["zone_clearance_m"] = min(
+            (zone["minimum_clearance_m"] for zone in summary["zones"] if zone["minimum_clearance_m"] is not None),
+            default=None,
+        )
+        rows["zones_entered"] = "zones entered, corridors left"
+        rows["zone_clearance_m"] = "away from them, proved lower bound m"
+    if "legs" in summary:
+        kept = sum(leg["kept"] for leg in summary["legs"])
+        known["holds"], rows["holds"] = f"{kept} of {len(summary['legs'])}", "holds kept"
+    if "speed_rule_excess_mps" in summary:
+        rows["speed_rule_excess_mps"] = "beyond the rule of speeds, at most m/s"
     return result_table(f"Flight {summary['name']}", known, rows)
 
 
