@@ -20,15 +20,15 @@ export class Approach {
     this.drawn = new Group().add(...[...this.bodies, ...this.holds].map(({ drawn }) => drawn));
   }
 
-  // Shows what stands at a time for a flight that is moved there.
-  move(time, flight, show) {
+  // Shows what stands at a time for a flight that is moved there; who looks from its chaser would see but a mark near by.
+  move(time, flight, show, own) {
     for (const { kind, axes, start, until, drawn, row } of this.bodies) {
       const stands = start <= time && (until === null || time < until);
       drawn.visible = stands && show[kind];
       row.className = stands ? "" : "over";
       flight.turn(axes, flight.row, flight.part, drawn.quaternion).invert();
     }
-    for (const { drawn } of this.holds) drawn.visible = show.ends;
+    for (const { drawn } of this.holds) drawn.visible = show.ends && !own;
   }
 }
 

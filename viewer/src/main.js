@@ -305,7 +305,7 @@ class Replay {
     }
     for (const { rules } of this.flights) if (rules) {
       rules.drawn.visible = rules === flight.rules;
-      rules.move(time, flight, show);
+      rules.move(time, flight, show, own);
     }
     const [x, y, z] = flight.places;
     this.begin.position.set(x, y, z);
@@ -347,7 +347,7 @@ class Replay {
       label.style.transform = `translate(${((seen.x + 1) * width) / 2 + 10}px,${((1 - seen.y) * height) / 2 - 9}px)`;
     };
     put(goal, this.goal.getWorldPosition(new Vector3()), this.goal.visible);
-    for (const { rules } of this.flights) for (const { drawn, label } of rules?.holds ?? []) put(label, drawn.getWorldPosition(new Vector3()), drawn.visible && rules.drawn.visible);
+    for (const { rules } of this.flights) for (const { drawn, label } of rules?.holds ?? []) put(label, drawn.getWorldPosition(new Vector3()), this.show.ends && rules === this.flight.rules);
     put(start, this.begin.position, this.begin.visible);
     const { flight } = this;
     const away = camera.position.distanceTo(flight.at);
