@@ -1,5 +1,10 @@
 """An approach in legs: flown once on a small box, and judged; and what is refused before a flight."""
 
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -7,10 +12,12 @@ import keepout
 from keepout.core.audit.tube import Contact
 from keepout.core.errors import KeepoutError
 from keepout.core.flight.batches import Batching, fly_batches, states_at
+from keepout.core.flight.on_board import OnBoard
 from keepout.core.mission import approach
 from keepout.core.mission.build import prepare
 from keepout.core.mission.check import check
 from keepout.core.mission.scenario import Scenario
+from keepout.core.mission.surroundings import Surroundings, broken_assumptions
 
 LEGS = [
     {"name": "far", "position": [15.0, 0.0, 0.0], "tolerance": 0.3, "dwell": 30.0, "until": "go", "go_at": 130.0},
@@ -158,3 +165,45 @@ def test_a_check_knows_the_legs(mission):
     assert checked.expected is not None
     assert checked.expected.duration is not None
     assert 350.0 < checked.expected.duration < 640.0
+
+
+@pytest.mark.long
+def test_an_abandoned_mission_flies_back_to_the_hold_before(mission):
+    scenario = mission.scenario.replace(faults={"abort_at": 340.0})
+    setup = eqx.tree_at(lambda s: s.controller.abort_at, mission.setup, jnp.asarray(340.0))
+    flight = replace(mission, surroundings=Surroundings(scenario, mission.target), setup=setup).fly()
+    legs, position = flight.record.leg, flight.record.position
+    assert (legs[339], legs[340]) == (2, 1)
+    assert set(legs[340:]) == {1}
+    assert np.linalg.norm(position[-1] - LEGS[1]["position"]) < 0.1
+    assert [leg.name for leg in flight.legs] == ['leg "far"', 'leg "near"']
+    assert flight.summary()["holds_kept"]
+    assert flight.audit.zones_entered is Contact.NO
+    assert np.asarray(approach.law_of_legs(scenario, mission.setup.controller.law).abort_at) == 340.0
+
+
+def test_a_drift_breaks_what_the_guard_assumes():
+    scenario = Scenario.parse({**TREE, "approach": {"abort": "drift"}, "faults": {"abort_at": 100.0}})
+    assert any("nothing thrusts" in said for said in broken_assumptions(scenario))
+    faults = Surroundings(scenario).faults
+    state, force = faults.command(faults.initial_state(jax.random.key(0)), jnp.ones(3), jnp.asarray(99.0))
+    np.testing.assert_array_equal(force, 1.0)
+    state, force = faults.command(state, jnp.ones(3), jnp.asarray(100.0))
+    np.testing.assert_array_equal(force, 0.0)
+    with pytest.raises(KeepoutError, match="there are no legs"):
+        Scenario.parse({"faults": {"abort_at": 100.0}})
+
+
+@pytest.mark.slow  # compiles the step on board three times; that a setup leads on is in tests/core/flight
+def test_words_lead_on_on_board(mission):
+    board = OnBoard(approach.by_word(mission.setup), mission.initial)
+    go, abort = (board.ready(approach.by_word(mission.setup, go=True, abort=said)) for said in (False, True))
+    state = mission.initial
+    for step in range(700):
+        if step in (300, 420):
+            (go if step == 300 else abort)()
+        force = board.step(float(state.time), state.position, state.velocity)
+        state = mission.setup.motion.step(state, jnp.asarray(force), mission.setup.disturbance, 1.0, mission.setup.mass)
+        if step == 299:  # nobody said anything yet, whatever the time
+            assert np.linalg.norm(state.position - np.array(LEGS[0]["position"])) < 0.1
+    assert np.linalg.norm(state.position - np.array(LEGS[0]["position"])) < 0.1

@@ -5,6 +5,7 @@ through the same program, and what law and observer remember goes on from leg to
 """
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,14 +13,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, PyTree
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from keepout.core.control.controller import Controller
 from keepout.core.control.guidance import Guidance
 from keepout.core.control.law import Command, LawOfAnother
 from keepout.core.errors import ControlError
 from keepout.core.fields.field import Field
-from keepout.core.motion.arrays import Scalar, Vector, as_float64, norm
+from keepout.core.motion.arrays import Flag, Scalar, Vector, as_float64, norm
 from keepout.core.motion.relative import MotionState
 
 
@@ -114,34 +115,48 @@ class Legs(eqx.Module):
         tolerance: the chaser is there while it is closer, m.
         dwell: for which it stays there without a break, s.
         release: before which it does not fly on, s since the epoch.
+        by_word: whether that is when somebody says "go".
 
     """
 
     tolerance: Float[Array, "legs"] = eqx.field(converter=as_float64)
     dwell: Float[Array, "legs"] = eqx.field(converter=as_float64)
     release: Float[Array, "legs"] = eqx.field(converter=as_float64)
+    by_word: Bool[Array, "legs"]
 
 
 class Progress(eqx.Module):
-    """How far the legs are: the one under way, and for how long the chaser has been at its place by now, s."""
+    """How far the legs are.
+
+    Attributes:
+        leg: under way.
+        held: for how long the chaser has been at its place by now, s.
+        aborted: whether the mission was abandoned.
+
+    """
 
     leg: Int[Array, ""]
     held: Scalar
+    aborted: Flag
 
 
 class LegLaw(LawOfAnother):
     """A law whose guidance is a `LegGuidance`: flies on once a place was held for its dwell and is released.
 
+    Once the mission is abandoned it flies back to the place before the one it was flying to, and stays there.
+
     Attributes:
         law: the law of each leg, but for its guidance's `leg`.
         legs: what is asked at each hold point.
         period: between control steps, s.
+        abort_at: when the mission is abandoned, s since the epoch; infinite: never.
 
     """
 
     law: Controller  # pyright: ignore[reportIncompatibleVariableOverride]
     legs: Legs
     period: Scalar = eqx.field(converter=as_float64)
+    abort_at: Scalar = eqx.field(converter=as_float64, default=math.inf)
 
     @property
     def goal(self) -> Vector:
@@ -150,7 +165,7 @@ class LegLaw(LawOfAnother):
 
     def initial_state(self, state: MotionState) -> PyTree:
         """Begin with the first leg."""
-        return self.law.initial_state(state), Progress(jnp.zeros((), jnp.int32), jnp.zeros(()))
+        return self.law.initial_state(state), Progress(jnp.zeros((), jnp.int32), jnp.zeros(()), jnp.asarray(False))
 
     def with_applied_force(self, state: PyTree, force: Vector) -> PyTree:
         """Tell the law."""
@@ -160,16 +175,17 @@ class LegLaw(LawOfAnother):
     def step(self, state: PyTree, estimate: MotionState) -> tuple[PyTree, Command]:
         """Fly the leg under way, and see whether it is over."""
         memory, progress = state
-        leg = progress.leg
+        aborted = estimate.time >= self.abort_at
+        leg = jnp.where(aborted & ~progress.aborted, jnp.maximum(progress.leg - 1, 0), progress.leg)
         law = self.at_leg(leg)
         memory, order = law.step(memory, estimate)
         there = norm(estimate.position - law.goal) < self.legs.tolerance[leg]
         held = jnp.where(there, progress.held, 0.0)
         # Whole periods are counted up, so that a dwell of so many is not missed by their rounding.
         over = there & (held >= self.legs.dwell[leg] - 1e-6 * self.period) & (estimate.time >= self.legs.release[leg])
-        over = over & (leg + 1 < len(self.legs.dwell))
+        over = over & (leg + 1 < len(self.legs.dwell)) & ~aborted
         held = jnp.where(there & ~over, held + self.period, 0.0)
-        return (memory, Progress(leg + over, held)), dataclasses.replace(order, leg=leg)
+        return (memory, Progress(leg + over, held, progress.aborted | aborted)), dataclasses.replace(order, leg=leg)
 
     def at_leg(self, leg: Int[Array, ""]) -> Controller:
         """Give the law of one leg alone."""

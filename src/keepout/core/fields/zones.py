@@ -155,6 +155,7 @@ class Zone(eqx.Module):
         ends: until when each of them stands for the zone, s; as long it is within `turned` of it.
         turned: the largest angle, rad, between the zone and the rotation that stands for it.
         shift: added to the distance, m, so that the zone is entered where a field's own threshold is.
+        by_word: whether it ends when somebody says "go".
 
     """
 
@@ -163,6 +164,7 @@ class Zone(eqx.Module):
     ends: Float[Array, "moments"] = eqx.field(converter=as_float64)
     turned: Scalar = eqx.field(converter=as_float64)
     shift: Scalar = eqx.field(converter=as_float64)
+    by_word: bool = eqx.field(static=True, default=False)
 
     def value(self, point: Vector, time: Scalar) -> Scalar:
         """Give how far a point (m) is from wherever the zone will be from a time (s) on, and `shift`; 1-Lipschitz.
@@ -189,6 +191,7 @@ class SweptCone(eqx.Module):
         period: s.
         end: until when it stands, s.
         shift: added to the distance, m, so that the zone is entered where a field's own threshold is.
+        by_word: whether it ends when somebody says "go".
 
     """
 
@@ -198,6 +201,7 @@ class SweptCone(eqx.Module):
     period: Scalar = eqx.field(converter=as_float64)
     end: Scalar = eqx.field(converter=as_float64)
     shift: Scalar = eqx.field(converter=as_float64)
+    by_word: bool = eqx.field(static=True, default=False)
 
     def value(self, point: Vector, time: Scalar) -> Scalar:
         """Give how far a point (m) is from wherever the cone will be from a time (s) on, and `shift`; 1-Lipschitz."""
@@ -217,6 +221,16 @@ class SweptCone(eqx.Module):
         size = norm(point)
         away = self.cone.of_polar(jnp.sqrt(jnp.maximum(size * size - along * along, 1e-18)), along)
         return jnp.where(self.end <= time, jnp.inf, away) + self.shift
+
+
+def at_word(zone: Zone | SweptCone, said: bool) -> Zone | SweptCone:
+    """Give a zone that stands until "go" as it is before and after that is said, at whatever time."""
+    if not zone.by_word:
+        return zone
+    if isinstance(zone, Zone):
+        ends = jnp.full_like(zone.ends, -jnp.inf) if said else zone.ends.at[-1].set(jnp.inf)
+        return dataclasses.replace(zone, ends=ends)
+    return dataclasses.replace(zone, end=jnp.full_like(zone.end, -jnp.inf if said else jnp.inf))
 
 
 class ZonedField(Field):

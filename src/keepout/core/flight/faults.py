@@ -116,6 +116,21 @@ class DelayedCommands(Faults):
         return jnp.concatenate([fault_state[1:], force[None]]), fault_state[0]
 
 
+class NoThrust(Faults):
+    """From some time on no command reaches the thrusters.
+
+    Attributes:
+        start: that time, s since the epoch.
+
+    """
+
+    start: Scalar = eqx.field(converter=as_float64)
+
+    def command(self, fault_state: PyTree, force: Vector, time: Scalar) -> tuple[PyTree, Vector]:
+        """Give the command, or none."""
+        return fault_state, jnp.where(time >= self.start, 0.0, force)
+
+
 class DroppedCommands(Faults):
     """Each command is lost with a probability; the thrusters then go on as they were.
 

@@ -6,7 +6,7 @@ passing trees of arrays through Python would take longer than the step itself.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -195,15 +195,12 @@ class OnBoard:
 
         try:
             first = jax.jit(told.memories)(self._numbers, told.none, self._clock.sent)
-            packed, unpack = ravel_pytree(first)
+            packed, self._unpack = ravel_pytree(first)
         except TypeError as error:
             raise ControlError(f"on board: the memory of law and guard must be arrays of numbers: {error}") from None
         size = self._size = len(packed)
-
-        def step(whole: Float[Array, " n"], numbers: Float[Array, " m"]) -> Float[Array, " after"]:
-            memory, given = told.step(unpack(whole[:size]), numbers)
-            return jnp.concatenate([ravel_pytree(memory)[0], *given])
-
+        self._estimate, self._memory = estimate, jax.eval_shape(lambda: first)
+        step = self._stepped_by(told)
         given = jax.eval_shape(step, packed, told.none).size - size
 
         def begin(
@@ -215,6 +212,40 @@ class OnBoard:
         self._whole = jnp.concatenate([packed, jnp.zeros(given)])
         self._latest = np.asarray(self._whole)
         self._step, self.one_kernel = compiled(step, self._whole, told.none)
+
+    def ready(self, setup: FlightSetup) -> Callable[[], None]:
+        """Compile the step of another setup, and give what lets it lead from the next step on, at once.
+
+        Law and guard go on with what they remember, so the setups may differ in numbers only: what is right of segments
+        (`loop.fly_segment`) is right here. A word that is said in flight, as "go", is such another setup
+        (`core.mission.approach.by_word`).
+
+        Args:
+            setup: the other one.
+
+        Raises:
+            ControlError: its memory has another structure.
+
+        """
+        told = type(self._told)(setup, self._estimate)
+        memory = jax.eval_shape(told.memories, self._numbers, told.none, self._clock.sent)
+        if memory != self._memory:
+            raise ControlError("on board: the other setup's law and guard remember otherwise than those that lead now")
+        step, _ = compiled(self._stepped_by(told), self._whole, told.none)
+
+        def lead_on() -> None:
+            self._told, self._step = told, step
+
+        return lead_on
+
+    def _stepped_by(self, told: "_State | _Samples") -> Callable[[Array, Array], Array]:
+        size, unpack = self._size, self._unpack
+
+        def step(whole: Float[Array, " n"], numbers: Float[Array, " m"]) -> Float[Array, " after"]:
+            memory, given = told.step(unpack(whole[:size]), numbers)
+            return jnp.concatenate([ravel_pytree(memory)[0], *given])
+
+        return step
 
     def restart(self, estimate: MotionState, under_way: Forces | None = None) -> None:
         """Forget what was learned in flight: law and guard begin with the next step, from what it tells.

@@ -30,6 +30,7 @@ from keepout.core.errors import ControlError, KeepoutError, KeepOutZoneError, Sc
 from keepout.core.fields import zones as shapes
 from keepout.core.fields.field import Field
 from keepout.core.fields.zones import SweptCone, Zone, ZonedField
+from keepout.core.flight.setup import FlightSetup
 from keepout.core.mission.approach_entries import SHAPES, CorridorEntry, LegEntry, ZoneEntry
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings
@@ -235,7 +236,7 @@ def standing_zone(around: Surroundings, zone: ZoneEntry, shift: float) -> Zone |
     if swept is not None:
         return swept
     way = turning(around, zone)
-    return Zone(zone_shape(zone), way.rotations, way.ends, way.turned, shift)
+    return Zone(zone_shape(zone), way.rotations, way.ends, way.turned, shift, by_word=zone.until == "go")
 
 
 def _swept(around: Surroundings, zone: ZoneEntry, shift: float) -> SweptCone | None:
@@ -260,7 +261,7 @@ def _swept(around: Surroundings, zone: ZoneEntry, shift: float) -> SweptCone | N
     stood = angles[: min(scenario.steps, math.ceil(min(last, 2.0 * scenario.duration) / period)) + 1]
     stood[: math.floor(zone.start / period)] = stood[min(math.floor(zone.start / period), len(stood) - 1)]
     cone = shapes.Cone(np.zeros(3), axes[0], zone.half_angle, zone.length)  # pyright: ignore[reportArgumentType]
-    return SweptCone(cone, about, stood, period, last, shift)
+    return SweptCone(cone, about, stood, period, last, shift, by_word=zone.until == "go")
 
 
 def zoned(around: Surroundings, field: Field, threshold: float) -> Field:
@@ -404,8 +405,44 @@ def law_of_legs(scenario: Scenario, law: Law) -> Law:
     """Give the law that flies a scenario's legs one after another, where its guidance has them."""
     if not (scenario.leg and isinstance(law, Controller) and isinstance(law.velocity.guidance, LegGuidance)):
         return law
-    legs = Legs([leg.tolerance for leg in scenario.leg], [leg.dwell for leg in scenario.leg], released(scenario))
-    return LegLaw(law, legs, scenario.control.period)
+    legs = Legs(
+        [leg.tolerance for leg in scenario.leg],
+        [leg.dwell for leg in scenario.leg],
+        released(scenario),
+        jax.device_put(np.array([leg.until == "go" for leg in scenario.leg])),
+    )
+    aborted = scenario.faults.abort_at if scenario.approach.abort == "retreat" else None
+    return LegLaw(law, legs, scenario.control.period, math.inf if aborted is None else aborted)
+
+
+def by_word(setup: FlightSetup, *, go: bool = False, abort: bool = False) -> FlightSetup:
+    """Give a setup that waits for words and no times: for the flight computer, before and after each is said.
+
+    What is to be said by "go" is one word for all legs and zones that wait for it. The setups differ in numbers only,
+    so that one takes over from another with its memory (`OnBoard.ready`).
+
+    Args:
+        setup: of a mission with legs.
+        go: whether "go" was said.
+        abort: whether the mission is abandoned.
+
+    """
+    waited = -math.inf if go else math.inf
+
+    def told(node: Any) -> Any:
+        if isinstance(node, Zone | SweptCone):
+            return shapes.at_word(node, go)
+        if isinstance(node, LegLaw):
+            legs = dataclasses.replace(node.legs, release=jnp.where(node.legs.by_word, waited, node.legs.release))
+            law = jax.tree.map(told, node.law, is_leaf=_is_told)
+            return dataclasses.replace(node, law=law, legs=legs, abort_at=-math.inf if abort else math.inf)
+        return node
+
+    return jax.tree.map(told, setup, is_leaf=_is_told)
+
+
+def _is_told(node: Any) -> bool:
+    return isinstance(node, Zone | SweptCone | LegLaw)
 
 
 def require_approach(around: Surroundings) -> None:

@@ -142,9 +142,12 @@ class ApproachEntry(Entry):
         speed_by_distance: pairs [distance, m, largest speed, m/s], distances falling; linear between them.
         distance_to: what the distance is measured to: a point of the body frame (the port), m; unset: the mesh, of
             which the law's field says less.
+        abort: how a mission is abandoned at `faults.abort_at`; retreat: back to the hold point before the one flown to,
+            guarded as ever; drift: nothing thrusts any more, and no guard can.
 
     """
 
+    abort: Literal["retreat", "drift"] = "retreat"
     speed_by_distance: tuple[tuple[NonNegative, Positive], ...] = ()
     distance_to: Vector | None = None
 

@@ -219,6 +219,7 @@ class FaultsEntry(Entry):
         stuck: the thruster that is stuck, by the direction it pushes in.
         stuck_force: what it then gives: 0 stuck off, force_limit stuck on, N.
         stuck_from: when it sticks, s.
+        abort_at: when the mission is abandoned, as `approach.abort` says, s.
         thruster: of a layout, the thruster that is stuck, counted from 0.
         thruster_stuck: how.
 
@@ -238,6 +239,7 @@ class FaultsEntry(Entry):
     stuck: Literal["+x", "-x", "+y", "-y", "+z", "-z"] | None = None
     stuck_force: NonNegative = 0.0
     stuck_from: NonNegative = 0.0
+    abort_at: NonNegative | None = None
     thruster: Annotated[int, Field(ge=0)] | None = None
     thruster_stuck: Literal["on", "off"] = "off"
 

@@ -45,7 +45,7 @@ def legs_flown(
     position: Float[np.ndarray, "rows 3"],
     leg: Int[np.ndarray, "rows"],
 ) -> tuple[LegFlown, ...]:
-    """Judge each leg of a flight.
+    """Judge each leg of a flight; of one that was abandoned those that were over before.
 
     Args:
         scenario: as flown.
@@ -54,7 +54,12 @@ def legs_flown(
         leg: under way in each row, counted from 0.
 
     """
-    found = []
+    found: list[LegFlown] = []
+    abort = scenario.faults.abort_at
+    abandoned = abort is not None and scenario.approach.abort == "retreat" and time[-1] >= abort
+    if abandoned:
+        before = time < abort
+        time, position, leg = time[before], position[before], leg[before]
     for number, entry in enumerate(scenario.leg):
         name, rows = named("leg", entry, number), np.flatnonzero(leg == number)
         if not rows.size:
@@ -80,7 +85,7 @@ def legs_flown(
                 kept=there and held >= entry.dwell - 1e-6 and in_time,
             )
         )
-    return tuple(found)
+    return tuple(one for one in found if not abandoned or one.left is not None)
 
 
 def speed_excess(

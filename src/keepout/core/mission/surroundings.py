@@ -208,6 +208,8 @@ class Surroundings:
         if entry.stuck is not None:
             sign, axis = (1 if entry.stuck[0] == "+" else -1), "xyz".index(entry.stuck[1])
             parts.append(wrongs.StuckThruster(axis, sign, entry.stuck_force, start=entry.stuck_from))
+        if entry.abort_at is not None and self.scenario.approach.abort == "drift":
+            parts.append(wrongs.NoThrust(entry.abort_at))
         return wrongs.CombinedFaults(tuple(parts)) if parts else NoFaults()
 
     @property
@@ -465,6 +467,8 @@ def broken_assumptions(scenario: Scenario, target: Target | None = None) -> tupl
             f"faults.stuck {faults.stuck} at {faults.stuck_force:.6g} N from {faults.stuck_from:.6g} s "
             "(no thruster may be stuck)"
         )
+    if faults.abort_at is not None and scenario.approach.abort == "drift" and faults.abort_at < scenario.duration:
+        found.append(f"faults.abort_at {faults.abort_at:.6g} s, approach.abort drift (from then on nothing thrusts)")
     if faults.thruster is not None and faults.stuck_from < scenario.duration and not scenario.thrusters.survive_failure:
         found.append(
             f"faults.thruster {faults.thruster} stuck {faults.thruster_stuck} from {faults.stuck_from:.6g} s "
