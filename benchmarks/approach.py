@@ -1,4 +1,4 @@
-"""Fly dispersed approaches from hold point to hold point: is a zone entered, a wall passed, a hold missed; at what cost?
+"""Fly dispersed approaches in legs: is a zone entered, a wall passed, a hold missed; and at what cost?
 
     python benchmarks/approach.py [--targets iss intelsat30] [--flights 1000] [--aborts 200] [--json]
         [--out benchmarks/results/approach.json]
@@ -37,7 +37,7 @@ MORE_ZONES = (
 """With the example's two zones and its corridor they make six; their centres are the target's."""
 CENTRES = {
     "iss": ([10.0, 0.0, 30.0], [0.0, 45.0, 0.0], [-120.0, 60.0, 0.0]),
-    "intelsat30": ([8.0, 0.0, 6.0], [0.0, 8.0, 0.0], [20.0, 20.0, 10.0]),
+    "intelsat30": ([20.0, 0.0, 6.0], [0.0, 8.0, 0.0], [20.0, 20.0, 10.0]),
 }
 SMALL = {
     "name": "approach",

@@ -30,6 +30,7 @@ QUICKER = {
         ("runs=1000", "runs=2"),
         ("keepout.Scenario()", 'keepout.Scenario().replace(duration=20.0, guard={"enabled": False})'),
     ],
+    "docs/approach.md": [("examples/approach.toml", "mission.toml")],
     "docs/explore.md": [("examples/explore.toml", "mission.toml")],
     "docs/inspection.md": [
         ('keepout.inspect("examples/inspect.toml")', 'keepout.inspect("mission.toml")'),
@@ -57,6 +58,12 @@ start.position = [0.0, 3.5, 0.0]
 faults.position_noise_std = 0.01
 """
 MISSIONS = {
+    "docs/approach.md": """
+target.source = "box"
+field.source = "grid"
+start.position = [9.0, 0.0, 0.0]
+leg = [{position = [7.0, 0.0, 0.0], until = "go", go_at = 9.0}, {position = [5.0, 0.0, 0.0]}]
+""",
     "docs/explore.md": """
 name = "small"
 duration = 900.0

@@ -34,6 +34,9 @@ def new_scenario(
         str | None, typer.Option("--for", help="A mesh file, or a built-in target's name, whose sizes to fill in.")
     ] = None,
     profile: Annotated[str, typer.Option(help="Of the control law: default or paper.")] = "default",
+    approach: Annotated[
+        bool, typer.Option("--approach", help="From hold point to hold point, with a keep-out sphere and a corridor.")
+    ] = False,
     read: MeshFile,
     force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
     as_json: AsJson = False,
@@ -44,7 +47,7 @@ def new_scenario(
     """
     given = {key: value for key, value in {"source": target, **vars(read)}.items() if value}
     with terminal.progress("scenario new") as progress:
-        summary = _drafted(given, out, profile, force, progress)
+        summary = _drafted(given, out, profile, approach, force, progress)
     if out is None and not as_json:
         sys.stdout.write(summary["text"])
         return
@@ -53,7 +56,7 @@ def new_scenario(
 
 
 def _drafted(
-    given: Mapping[str, Any], out: Path | None, profile: str, force: bool, progress: Progress
+    given: Mapping[str, Any], out: Path | None, profile: str, approach: bool, force: bool, progress: Progress
 ) -> dict[str, Any]:
     """Draft a scenario, for a target where `given` names one, and write it to `out` where that is given."""
     from keepout.core.whole_file import write_whole
@@ -65,6 +68,8 @@ def _drafted(
             raise ScenarioError(f"{out}: is there already; --force replaces it")
     if profile not in ("default", "paper"):
         raise UsageError(f"--profile: {profile!r}; it must be 'default' or 'paper'")
+    if approach and "source" not in given:
+        raise UsageError("--approach: only with --for, which names the target")
     if "source" not in given and given:
         raise UsageError(f"--{next(iter(given)).replace('_', '-')}: only with --for, which names the mesh")
     name = "mission" if out is None else "".join(c if c.isalnum() and c.isascii() else "-" for c in out.stem).strip("-")
@@ -73,6 +78,7 @@ def _drafted(
         name=name or "mission",
         folder=Path() if out is None else out.parent,
         profile=profile,
+        approach=approach,
         progress=progress,
     )
     if out is not None:

@@ -9,6 +9,7 @@ import json
 import math
 import os
 import textwrap
+import tomllib
 import types
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -87,6 +88,7 @@ def draft(
     name: str = "mission",
     folder: Path = Path(),
     profile: str = "default",
+    approach: bool = False,
     units: str | None = None,
     scale: float | None = None,
     drop_stray: bool = False,
@@ -99,6 +101,7 @@ def draft(
         name: of the mission.
         folder: where the file is going to be; file names in it are relative to that.
         profile: of the control law, "default" or "paper".
+        approach: whether it leads from hold point to hold point, with a keep-out sphere and a corridor.
         units: of the mesh file.
         scale: of the mesh file, m a unit, instead of `units`.
         drop_stray: leave out parts of the mesh far from the rest.
@@ -110,6 +113,8 @@ def draft(
     """
     values: dict[str, Any] = {"name": name, "seed": 0, "control.profile": profile}
     if source is None:
+        if approach:
+            raise ScenarioError("approach: only for a target; name a mesh file, or a built-in target")
         defaults = Scenario.parse(_tree_of(values))
         values |= _numbers(defaults)
         values |= {"target.source": defaults.target.source, "field.source": defaults.field.source}
@@ -133,6 +138,13 @@ def draft(
     # Half as long again as the way round the bounding box takes, and time to come to rest.
     scenario = scenario.replace(duration=100.0 * math.ceil((1.5 * way / speed + 200.0) / 100.0))
     values = _numbers(scenario) | values
+    tables = ""
+    if approach:
+        from keepout.verbs.draft_approach import approach_to
+
+        led, tables = approach_to(target, scenario.chaser.radius, scenario.safety.margin, speed)
+        values |= led
+        scenario = Scenario.parse(_tree_of(values | {"target.source": source}) | tomllib.loads(tables))
     width, depth, height = (target.vertices.max(axis=0) - target.vertices.min(axis=0)).tolist()
     notes = {
         "target.source": f"its box is {width:.3g} x {depth:.3g} x {height:.3g} m",
@@ -141,7 +153,9 @@ def draft(
         "goal.position": "free, with room",
         "duration": f"a way of {way:.3g} m round the target at the speed limit takes {way / speed:.3g} s",
     }
-    text = _written(values, notes, remarks, source)
+    if approach:
+        notes = {name: said for name, said in notes.items() if name not in ("goal.position", "duration")}
+    text = _written(values, notes, remarks, source) + tables
     return Draft(scenario, text, values, honoured, (width, depth, height), remarks)
 
 

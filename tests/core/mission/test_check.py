@@ -12,10 +12,12 @@ from truths.command_line import keepout_command
 from keepout.core.errors import ScenarioError
 from keepout.core.geometry.target import Target
 from keepout.core.guard.field import guard_field
+from keepout.core.mission.approach import require_approach
 from keepout.core.mission.build import prepare
 from keepout.core.mission.check import check, number_refusal
 from keepout.core.mission.entries import Entry
 from keepout.core.mission.scenario import Scenario, with_entries
+from keepout.core.mission.surroundings import Surroundings
 from keepout.verbs.draft import commented, draft
 
 
@@ -87,6 +89,30 @@ def test_a_mesh_file_is_drafted_in_its_units(tmp_path, monkeypatch):
     assert Scenario.parse(tomllib.loads(made.text)) == made.scenario
     assert made.scenario.field.source.endswith(".keepout")  # of which the next steps tell how to make it
     assert number_refusal(made.scenario, Target.load("satellite.stl", units="cm")) is None
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    "name", ["box", *(pytest.param(n, marks=pytest.mark.slow) for n in ("intelsat30", "tiangong"))]
+)
+def test_a_drafted_approach_stands_in_no_zone_and_ends_before_the_port(name, tmp_path):
+    path = tmp_path / "approach.toml"
+    answer = keepout_command("scenario", "new", "--for", name, "--approach", "-o", path)
+    assert answer.code == 0
+    scenario, target = Scenario.load(path), Target.load(name)
+    require_approach(Surroundings(scenario, target))
+    [corridor], [sphere] = scenario.corridor, scenario.zone
+    port, centre = np.array(corridor.port), np.array(sphere.centre)
+    assert target.distance.distance(port[None])[0] < 0.01
+    places = np.array([leg.position for leg in scenario.leg])
+    assert np.linalg.norm(places[0] - centre) > sphere.radius + scenario.chaser.radius + 1.0
+    away = np.linalg.norm(places - port, axis=1)
+    assert np.all(np.diff(away) < 0.0)
+    np.testing.assert_allclose((places - port) @ np.array(corridor.axis), away, atol=0.02)
+    assert target.distance.distance(places).min() > scenario.chaser.radius + scenario.safety.margin + 1.0
+    assert scenario.goal.position == scenario.leg[-1].position
+    refused = keepout_command("scenario", "new", "--approach", "-o", tmp_path / "other.toml")
+    assert "--for" in refused.err
 
 
 def test_the_command_writes_what_is_not_there_and_replaces_nothing_unasked(tmp_path):
