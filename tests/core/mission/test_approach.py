@@ -7,40 +7,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from truths.approaches import CORRIDOR, LEGS, SPHERE, SUN, TREE
 
 import keepout
 from keepout.core.audit.tube import Contact
 from keepout.core.errors import KeepoutError
-from keepout.core.flight.batches import Batching, fly_batches, states_at
 from keepout.core.flight.on_board import OnBoard
 from keepout.core.mission import approach
 from keepout.core.mission.build import prepare
 from keepout.core.mission.check import check
 from keepout.core.mission.scenario import Scenario
 from keepout.core.mission.surroundings import Surroundings, broken_assumptions
-
-LEGS = [
-    {"name": "far", "position": [15.0, 0.0, 0.0], "tolerance": 0.3, "dwell": 30.0, "until": "go", "go_at": 130.0},
-    {"name": "near", "position": [8.0, 1.0, 0.0], "tolerance": 0.3, "dwell": 40.0},
-    {"name": "capture", "position": [3.6, 0.0, 0.0], "tolerance": 0.1, "dwell": 30.0},
-]
-SPHERE = {"name": "sphere", "shape": "sphere", "centre": [0.0, 0.0, 0.0], "radius": 12.0, "until": "go"}
-SUN = {
-    **{"name": "sun", "shape": "cone", "axes": "inertial", "centre": [0.0, 0.0, 0.0], "axis": [0.0, -1.0, 0.3]},
-    **{"half_angle": 0.2, "length": 30.0},
-}
-CORRIDOR = {"name": "port", "port": [2.0, 0.0, 0.0], "axis": [1.0, 0.0, 0.0], "length": 10.0, "half_angle": 0.3}
-TREE = {
-    "duration": 640.0,
-    "target": {"source": "box"},
-    "field": {"source": "grid"},
-    "orbit": {"semi_major_axis": 6.8e6},
-    "start": {"position": [20.0, 0.0, 0.0]},
-    "leg": LEGS,
-    "zone": [SPHERE, SUN],
-    "corridor": [CORRIDOR],
-    "approach": {"speed_by_distance": [[12.0, 0.08], [4.0, 0.05], [1.0, 0.02]]},
-}
 
 
 @pytest.fixture(scope="module")
@@ -75,22 +52,6 @@ def test_an_approach_holds_where_it_is_told_and_enters_nothing(flight):
     away = np.linalg.norm(flight.record.position, axis=1)
     assert away[: far.left is not None and 131].min() > 12.5
     assert away[-1] < 12.0
-
-
-@pytest.mark.long
-def test_legs_fly_the_same_in_a_batch(mission, flight):
-    motion, last = mission.setup.motion, []
-    initial = states_at(motion, np.tile(TREE["start"]["position"], (2, 1)))
-    fly_batches(
-        mission.setup,
-        initial,
-        mission.steps,
-        Batching(batch=2, workers=1),
-        columns=("position", "leg"),
-        landed=lambda _, log: last.append(log),
-    )
-    np.testing.assert_allclose(last[0]["position"][1], flight.record.position, atol=1e-6)
-    np.testing.assert_array_equal(last[0]["leg"][1], flight.record.leg)
 
 
 @pytest.mark.long
